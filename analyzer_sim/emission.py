@@ -1,0 +1,48 @@
+"""What reaches the analyzer input at one instant: the only thing the world hands to the instrument.
+
+The world says what power arrives where in frequency; the instrument draws a trace of it. Nothing else crosses this
+line, so a client can learn a carrier's power only by measuring it.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """One carrier at the analyzer input."""
+
+    #: name of the carrier; serves the truth log only, the instrument never tells it
+    carrier: str
+    #: centre frequency at the analyzer input, Hz
+    center_hz: float
+    #: symbol rate, Hz; 0 = an unmodulated line
+    symbol_rate_hz: float
+    #: roll-off of the raised-cosine spectrum, 0..1
+    rolloff: float
+    #: power at the analyzer input, dBm
+    power_dbm: float
+
+
+@dataclass(frozen=True, slots=True)
+class Emission:
+    """All that arrives at the analyzer input during one row."""
+
+    #: middle of the dwell, microseconds UTC since 1970-01-01
+    epoch_us: int
+    #: carriers that are on; a carrier that is off is left out
+    signals: tuple[Signal, ...]
+    #: noise density of the receiving chain, dBm/Hz
+    noise_dbm_hz: float
+
+
+class EmissionSource(Protocol):
+    """A world seen from the instrument."""
+
+    def advance(self) -> Emission:
+        """Move the virtual clock to the next row and return what arrives there."""
+        ...
+
+    def current(self) -> Emission:
+        """Return what arrives at the present instant without moving the clock."""
+        ...

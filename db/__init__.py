@@ -1,0 +1,1 @@
+"""Relational storage: tables, engine, mapping row to record, repositories."""

@@ -1,0 +1,1 @@
+"""Command line, one command group a file."""

@@ -1,0 +1,1 @@
+"""Pure mathematics: float64 arrays in, arrays or named tuples out."""

@@ -1,0 +1,1 @@
+"""Attitude control law and wheel allocation."""

@@ -1,0 +1,1 @@
+"""Harmonic, octants, sensitivity, snapshot fix, observability."""

@@ -1,0 +1,1 @@
+"""Frames, Earth and stations, node phase."""

@@ -1,0 +1,1 @@
+"""Decibels, carrier power from a trace, presence, predicted sigma."""

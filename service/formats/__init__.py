@@ -1,0 +1,1 @@
+"""Writers and readers of archive formats: bytes in, bytes out."""

@@ -1,0 +1,1 @@
+"""Front end: measurement task, analyzer session, carrier powers, upload."""

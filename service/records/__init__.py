@@ -1,0 +1,1 @@
+"""Data levels L0-L5, catalogue and calibration: frozen slotted dataclasses."""

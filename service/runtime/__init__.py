@@ -1,0 +1,1 @@
+"""Live supervisor, replay, jobs, live feed and the only readers of time."""
