@@ -1,0 +1,62 @@
+"""Errors of the service; every one says what happened, to which thing, and what to do next.
+
+The tree, with the HTTP status that service.api gives each::
+
+    SooError
+    |- NotFoundError        404  the named thing does not exist
+    |- ConflictError        409  the thing exists already, or its state forbids the step
+    |- InvalidInputError    422  the input contradicts itself or the catalogue; carries field errors
+    |- StorageError         503  the archive cannot keep what was sent; nothing was acknowledged
+
+A failed epoch is not an error: it is a row with a status and reasons.
+"""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class FieldError:
+    """One fault in one field of an input."""
+
+    #: JSON pointer to the field, for example ``/carriers/3/id``
+    pointer: str
+    #: stable machine-readable code, for example ``carrier.duplicate``
+    code: str
+    #: what is wrong and what to do
+    detail: str
+
+
+class SooError(Exception):
+    """Root of all errors that a user can meet.
+
+    Parameters
+    ----------
+    code : str
+        Stable machine-readable code, ``thing.fault``.
+    detail : str
+        What happened, to which thing, what to do next.
+    fields : tuple of FieldError
+        The faulty fields, when the fault lies in an input.
+    """
+
+    def __init__(self, code: str, detail: str, fields: tuple[FieldError, ...] = ()) -> None:
+        super().__init__(f"{code}: {detail}")
+        self.code = code
+        self.detail = detail
+        self.fields = fields
+
+
+class NotFoundError(SooError):
+    """The named thing does not exist."""
+
+
+class ConflictError(SooError):
+    """The thing exists already, or its state forbids the step."""
+
+
+class InvalidInputError(SooError):
+    """The input contradicts itself or the catalogue."""
+
+
+class StorageError(SooError):
+    """The archive cannot keep or give what was asked; try again later."""

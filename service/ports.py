@@ -1,0 +1,314 @@
+"""Ports: what the inside of the service asks of the outside. Adapters implement them; nothing here imports one.
+
+``Archive`` holds the promise of the product: when an append returns a receipt, what it counts as accepted is durable,
+visible and counted once. Every call may raise StorageError. Unknown names raise NotFoundError with the codes
+``spacecraft.unknown``, ``plan.unknown``, ``ephemeris.unknown``, ``calibration.unknown``, ``alignment.unknown``,
+``operation.unknown``, ``source.unknown``, ``job.unknown``, ``replay.unknown``.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import Future
+from dataclasses import dataclass
+from typing import Protocol
+
+from service.records.attitude import AttitudeRow
+from service.records.calibration import (
+    Alignment,
+    Calibration,
+    CalibrationRequest,
+    CalibrationResult,
+    CalibrationState,
+    Window,
+)
+from service.records.catalogue import Carrier, CarrierPlan, Ephemeris, Method, Spacecraft
+from service.records.command import AppliedCommand, TorqueCommand
+from service.records.inputs import Operation
+from service.records.job import Job, JobState, Replay
+from service.records.journal import JournalEntry, SlowInput
+from service.records.measurement import BatchReceipt, Measurement, MeasurementBatch
+from service.records.series import HeadState, InputReceipt, MeasurementSeries, ReferenceSeries, SourceState
+
+#: version under which the live chain writes
+LIVE = "live"
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What the chain made of one consumed measurement."""
+
+    rows: tuple[AttitudeRow, ...]
+    command: TorqueCommand | None
+    #: set when the command counts as applied: it enters the journal with the outcome
+    applied: AppliedCommand | None = None
+
+
+class Clock(Protocol):
+    """The only source of time."""
+
+    def now_us(self, spacecraft_id: str) -> int | None:
+        """Return the present of a spacecraft, microseconds UTC; None before its first row under the data clock."""
+        ...
+
+    def system_us(self) -> int:
+        """Return the system's present, microseconds UTC, for receipt and creation times."""
+        ...
+
+
+class Catalogue(Protocol):
+    """Spacecraft, carrier plans, ephemerides."""
+
+    def add_spacecraft(self, spacecraft: Spacecraft) -> None:
+        """Store a new spacecraft; ConflictError ``spacecraft.exists``."""
+        ...
+
+    def replace_spacecraft(self, spacecraft: Spacecraft) -> None:
+        """Store a changed spacecraft under its id."""
+        ...
+
+    def spacecraft(self, spacecraft_id: str) -> Spacecraft:
+        """Return one spacecraft."""
+        ...
+
+    def all_spacecraft(self) -> tuple[Spacecraft, ...]:
+        """Return all spacecraft in order of id."""
+        ...
+
+    def put_plan(self, spacecraft_id: str, carriers: Sequence[Carrier], sha256: str) -> CarrierPlan:
+        """Return the plan with this content, storing and journaling it when it is new or no longer the newest."""
+        ...
+
+    def plan(self, spacecraft_id: str, plan_id: int | None = None) -> CarrierPlan:
+        """Return one plan, or the one put last; NotFoundError ``plan.unknown`` or ``plan.none``."""
+        ...
+
+    def put_ephemeris(self, spacecraft_id: str, ephemeris: Ephemeris) -> Ephemeris:
+        """Store and journal an ephemeris (its id is ignored) and return it with its id."""
+        ...
+
+    def ephemeris(self, spacecraft_id: str, ephemeris_id: int | None = None) -> Ephemeris:
+        """Return one ephemeris, or the newest; NotFoundError ``ephemeris.unknown`` or ``ephemeris.none``."""
+        ...
+
+
+class Archive(Protocol):
+    """Inputs of the chain and the journal that orders them."""
+
+    def append_measurements(self, batch: MeasurementBatch) -> Future[BatchReceipt]:
+        """Store and journal the rows of a batch; the future resolves after the commit that made them durable.
+
+        Same key and content: duplicate. Same key, other content: refused ``measurement.conflict``. A row is late when
+        it is stale or below the newest epoch that the live chain has consumed.
+        """
+        ...
+
+    def append_inputs(self, spacecraft_id: str, records: Sequence[SlowInput]) -> InputReceipt:
+        """Store and journal slow inputs; same key, other content: refused ``input.conflict``."""
+        ...
+
+    def add_operation(self, spacecraft_id: str, operation: Operation) -> Operation:
+        """Store and journal an operation (its id is ignored) and return it with its id."""
+        ...
+
+    def replace_operation(self, spacecraft_id: str, operation: Operation) -> Operation:
+        """Store and journal a changed operation under the next revision."""
+        ...
+
+    def operation(self, spacecraft_id: str, operation_id: int) -> Operation:
+        """Return the newest revision of one operation."""
+        ...
+
+    def sources(self, spacecraft_id: str) -> tuple[SourceState, ...]:
+        """Return all measurement sources."""
+        ...
+
+    def select_source(self, spacecraft_id: str, source: str) -> SourceState:
+        """Make a source the prime one, journaled; rows stored from then on feed the estimator."""
+        ...
+
+    def head(self, spacecraft_id: str) -> HeadState:
+        """Return where journal and consumer stand."""
+        ...
+
+    def journal(self, spacecraft_id: str, after: int, limit: int) -> list[JournalEntry]:
+        """Return at most ``limit`` entries with a number above ``after``, in order."""
+        ...
+
+    def inputs(
+        self, spacecraft_id: str, kind: str, window: Window, limit: int, after: tuple[int, int] | None
+    ) -> list[JournalEntry]:
+        """Return slow inputs of a kind that overlap a window, in order of (start, number), beyond a cursor.
+
+        Of operations only the newest revision is returned.
+        """
+        ...
+
+    def newest_measurement(self, spacecraft_id: str) -> Measurement | None:
+        """Return the newest row of the prime source."""
+        ...
+
+    def measurements(
+        self, spacecraft_id: str, window: Window, limit: int, after: tuple[int, int] | None, source: str | None = None
+    ) -> list[Measurement]:
+        """Return rows in order of (epoch, number) beyond a cursor; every source unless one is named."""
+        ...
+
+    def measurements_after(self, spacecraft_id: str, epoch_us: int, before_number: int) -> list[Measurement]:
+        """Return rows that feed the estimator, later than an epoch, stored before a journal number, by epoch."""
+        ...
+
+    def measurement_series(self, spacecraft_id: str, window: Window, carrier_ids: Sequence[str]) -> MeasurementSeries:
+        """Return the rows that feed the estimator as arrays, columns matched by carrier id across plans."""
+        ...
+
+    def reference_series(self, spacecraft_id: str, window: Window) -> tuple[ReferenceSeries, ...]:
+        """Return the attitude references of every sensor in a window."""
+        ...
+
+
+class Results(Protocol):
+    """Everything the service computed: calibrations, alignments, attitude, commands, jobs, replays."""
+
+    def add_calibration(
+        self,
+        spacecraft_id: str,
+        request: CalibrationRequest,
+        plan_id: int,
+        ephemeris_id: int,
+        created_at_us: int,
+        created_by: str,
+    ) -> Calibration:
+        """Store a draft without a result and return it with its id."""
+        ...
+
+    def finish_calibration(
+        self, spacecraft_id: str, calibration_id: int, result: CalibrationResult | None, error: str | None
+    ) -> Calibration:
+        """Store the result of a draft, or why it failed."""
+        ...
+
+    def activate_calibration(self, spacecraft_id: str, calibration_id: int) -> Calibration:
+        """Make a calibration the active one of its method, journaled; the former becomes superseded."""
+        ...
+
+    def calibration(self, spacecraft_id: str, calibration_id: int) -> Calibration:
+        """Return one calibration."""
+        ...
+
+    def calibrations(self, spacecraft_id: str, state: CalibrationState | None = None) -> tuple[Calibration, ...]:
+        """Return calibrations, newest first."""
+        ...
+
+    def add_alignment(self, spacecraft_id: str, alignment: Alignment) -> Alignment:
+        """Store and journal an alignment (its id is ignored) and return it with its id."""
+        ...
+
+    def alignment(self, spacecraft_id: str, alignment_id: int) -> Alignment:
+        """Return one alignment."""
+        ...
+
+    def alignments(self, spacecraft_id: str) -> tuple[Alignment, ...]:
+        """Return alignments, newest first."""
+        ...
+
+    def alignment_number(self, spacecraft_id: str, alignment_id: int) -> int:
+        """Return the journal number of an alignment."""
+        ...
+
+    def save_outcomes(
+        self,
+        spacecraft_id: str,
+        version: str,
+        outcomes: Sequence[Outcome],
+        consumed_number: int,
+        consumed_epoch_us: int | None,
+    ) -> int:
+        """Store outcomes in one transaction and return the last result sequence.
+
+        Attitude rows that exist already under (version, method, measurement) stay as they are. For the live version
+        applied commands enter the journal and the consumer's head moves to ``consumed_number``.
+        """
+        ...
+
+    def attitude_rows(
+        self,
+        spacecraft_id: str,
+        version: str,
+        method: Method,
+        window: Window,
+        limit: int,
+        after: tuple[int, int] | None,
+    ) -> list[AttitudeRow]:
+        """Return rows in order of (epoch, number of the measurement) beyond a cursor.
+
+        Of the live version exactly one row a consumed measurement: where nothing was computed, the row has null angles,
+        status INVALID and the inhibition ``no_calibration`` or ``not_aligned`` that held when it was consumed.
+        """
+        ...
+
+    def newest_attitude(self, spacecraft_id: str, version: str, method: Method) -> AttitudeRow | None:
+        """Return the row with the greatest epoch."""
+        ...
+
+    def commands(
+        self, spacecraft_id: str, version: str, window: Window, limit: int, after: tuple[int, int] | None
+    ) -> list[TorqueCommand]:
+        """Return computed commands in order of (epoch, number) beyond a cursor."""
+        ...
+
+    def newest_command(self, spacecraft_id: str, version: str) -> TorqueCommand | None:
+        """Return the newest computed command."""
+        ...
+
+    def results_after(
+        self, spacecraft_id: str, sequence: int, limit: int
+    ) -> list[tuple[int, AttitudeRow | TorqueCommand]]:
+        """Return live results with a sequence above the given one, in order: what a resumed stream missed."""
+        ...
+
+    def pending(self, spacecraft_id: str, methods: Sequence[Method]) -> int:
+        """Return the stored rows that feed the estimator, later than the alignment's epoch, lacking a result of a method."""
+        ...
+
+    def add_job(self, job: Job) -> None:
+        """Store a new job."""
+        ...
+
+    def update_job(self, job_id: str, state: JobState, progress: float, error: str | None = None) -> None:
+        """Store how far a job is."""
+        ...
+
+    def job(self, job_id: str) -> Job:
+        """Return one job."""
+        ...
+
+    def fail_unfinished_jobs(self, error: str) -> int:
+        """Mark jobs that a former process left queued or running as failed; return how many."""
+        ...
+
+    def add_replay(self, spacecraft_id: str, replay: Replay) -> Replay:
+        """Store a replay (its id is ignored) and return it with its id."""
+        ...
+
+    def replay(self, spacecraft_id: str, version: str) -> Replay:
+        """Return the replay that wrote a version."""
+        ...
+
+
+class Storage(Protocol):
+    """One database seen as a whole."""
+
+    catalogue: Catalogue
+    archive: Archive
+    results: Results
+
+    def migrate(self) -> None:
+        """Bring the schema to the present version."""
+        ...
+
+    def check(self) -> None:
+        """Raise StorageError unless the database answers."""
+        ...
+
+    def close(self) -> None:
+        """Commit what is queued and let go of the database."""
+        ...

@@ -1,0 +1,118 @@
+"""Levels L2-L4: deviation, fix and attitude row.
+
+A failed epoch is a value: its angles are NaN, its status is not ACQUIRED, its reasons are listed. Arrays inside
+records are read-only.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.records.catalogue import Method
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+class Axes(NamedTuple):
+    """One value for each axis, always by name; the unit stands in the name of the field that holds it."""
+
+    yaw: float
+    roll: float
+    pitch: float
+
+
+NO_ANGLES = Axes(float("nan"), float("nan"), float("nan"))
+
+
+class Status(StrEnum):
+    """Validity of a row, the four words of the mission-control world."""
+
+    ACQUIRED = "ACQUIRED"
+    NOT_RECEIVED = "NOT_RECEIVED"
+    INVALID = "INVALID"
+    EXPIRED = "EXPIRED"
+
+
+class Exclusion(NamedTuple):
+    """One carrier left out of a fix, and why."""
+
+    carrier: str
+    #: uplink_fade, step, absent, interference, group or manual
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Deviation:
+    """L2: measured minus expected power of every carrier of a plan at one epoch."""
+
+    epoch_us: int
+    #: (N,) dBm, reference plus harmonic; NaN = not known
+    expected_dbm: FloatArray
+    #: (N,) dB, measured minus expected; NaN = absent
+    deviation_db: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeFix:
+    """L3: attitude of one epoch alone."""
+
+    epoch_us: int
+    #: (3,) deg, yaw, roll, pitch; NaN = no fix
+    attitude_deg: FloatArray
+    #: (3, 3) deg^2
+    covariance_deg2: FloatArray
+    #: (N,) dB, deviation minus model; NaN = absent
+    residual_db: FloatArray
+    #: (N,) dB, assumed one standard deviation of each averaged deviation
+    sigma_db: FloatArray
+    carriers_used: int
+    excluded: tuple[Exclusion, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeRow:
+    """L4: what one method says about one measurement."""
+
+    epoch_us: int
+    received_at_us: int
+    #: journal number of the measurement
+    number: int
+    method: Method
+    attitude_deg: Axes
+    sigma_deg: Axes
+    #: None where the method knows no rate
+    rates_deg_s: Axes | None
+    status: Status
+    control_allowed: bool
+    #: yaw, roll, pitch
+    control_allowed_axes: tuple[bool, bool, bool]
+    inhibitions: tuple[str, ...]
+    carriers_used: int
+    excluded: tuple[Exclusion, ...]
+    downlink_fade: bool
+    downlink_fade_db: float
+    common_db: float
+    residual_rms_db: float
+    calibration_id: int | None
+    alignment_id: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class CarrierState:
+    """What the chain knows about one carrier after the newest measurement; NaN = not known."""
+
+    carrier: str
+    power_dbm: float
+    expected_dbm: float
+    deviation_db: float
+    residual_db: float
+    sigma_db: float
+    c_n0_db_hz: float
+    flags: int
+    #: used, absent, excluded, unselected or uncalibrated
+    state: str

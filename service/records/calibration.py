@@ -1,0 +1,173 @@
+"""Calibration and alignment: what links powers to angles.
+
+All arrays are tuples in the order of the plan's carriers or of (yaw, roll, pitch); absent figures are NaN.
+"""
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from service.records.attitude import Axes
+from service.records.catalogue import Method
+
+
+class CalibrationMethod(StrEnum):
+    """How the calibration is fitted."""
+
+    GEOMETRY = "geometry"
+    PAPER = "paper"
+
+
+class CalibrationState(StrEnum):
+    """Life of a calibration."""
+
+    DRAFT = "draft"
+    ACTIVE = "active"
+    SUPERSEDED = "superseded"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Interval of epochs, start inclusive, stop exclusive."""
+
+    start_us: int
+    stop_us: int
+
+
+@dataclass(frozen=True, slots=True)
+class Harmonic:
+    """One carrier's daily harmonic, equation (3), and how well it was found."""
+
+    amplitude_db: float
+    phase_rad: float
+    offset_dbm: float
+    period_s: float
+    #: ascending node from which the phase is counted
+    node_epoch_us: int
+    rms_db: float
+    samples_used: int
+    samples_rejected: int
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseComponent:
+    """One coloured part of a carrier's noise."""
+
+    correlation_time_s: float
+    sigma_db: float
+
+
+@dataclass(frozen=True, slots=True)
+class CarrierCalibration:
+    """All that a calibration says about one carrier."""
+
+    id: str
+    level_dbm: float
+    sigma_white_db: float
+    noise: tuple[NoiseComponent, ...]
+    harmonic: Harmonic
+    sensitivity_db_per_deg: Axes
+    sensitivity_plus_db_per_deg: Axes
+    sensitivity_minus_db_per_deg: Axes
+    #: rms of the turn fit
+    residual_db: float
+    stability_residual_rms_db: float
+    drift_db_per_day: float
+    deviation_at_0p5_deg_db: float
+    #: greatest departure from the straight line in deg, and the range it was judged in
+    nonlinearity_deg: float
+    linear_range_deg: float
+    #: roll, pitch, yaw or mixed
+    axis: str
+    axis_ratio: float
+    #: of stable, linear, dominant
+    criteria_met: tuple[str, ...]
+    rejected_because: tuple[str, ...]
+    selected: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Observability:
+    """What the selected carriers can see."""
+
+    condition: float
+    #: deg per dB
+    dop: Axes
+    #: one row, with a common-mode unknown
+    crlb_deg: Axes
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationRequest:
+    """What an operator asks to be calibrated."""
+
+    quiet: Window
+    turns: Window
+    method: CalibrationMethod
+    #: sensor for each angle: star_tracker, earth_sensor, radio_beacon or other
+    source_yaw: str = "star_tracker"
+    source_roll: str = "star_tracker"
+    source_pitch: str = "star_tracker"
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationResult:
+    """Outcome of a fit."""
+
+    carriers: tuple[CarrierCalibration, ...]
+    observability: Observability
+    #: figures of the fit as a whole, by name
+    quality: dict[str, float]
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """One calibration of the archive."""
+
+    id: int
+    plan_id: int
+    ephemeris_id: int
+    state: CalibrationState
+    request: CalibrationRequest
+    created_at_us: int
+    created_by: str
+    #: None while draft work runs or when it failed
+    result: CalibrationResult | None
+    #: why it failed
+    error: str | None = None
+
+    def serves(self, method: Method) -> bool:
+        """Whether this calibration can drive an estimation method by itself."""
+        wanted = CalibrationMethod.GEOMETRY if method is Method.ROBUST else CalibrationMethod.PAPER
+        return self.request.method is wanted
+
+
+@dataclass(frozen=True, slots=True)
+class CarrierReference:
+    """Reference power of one carrier, harmonic removed."""
+
+    carrier: str
+    reference_dbm: float
+    sigma_db: float
+    samples: int
+    change_since_calibration_db: float
+
+
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """An alignment of the archive; sets state and references of every method."""
+
+    id: int
+    epoch_us: int
+    attitude_deg: Axes
+    sigma_deg: Axes
+    calibration_id: int
+    source: str
+    created_at_us: int
+    created_by: str
+    references: tuple[CarrierReference, ...]
+    window: Window | None = None
+    override_reason: str | None = None
+    #: references of each method that had a calibration, where they differ from ``references``
+    references_by_method: dict[str, tuple[CarrierReference, ...]] = field(default_factory=dict)

@@ -1,0 +1,194 @@
+"""Catalogue: what the ground states about a spacecraft, its carriers and its orbit.
+
+Records are immutable. A carrier plan and an ephemeris are versions: a change makes a new one, rows keep the number of
+the one they belong to.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+Matrix3 = tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]
+
+
+class Method(StrEnum):
+    """Estimation method."""
+
+    ROBUST = "robust"
+    PAPER = "paper"
+
+
+class ControlMode(StrEnum):
+    """Where torques are computed."""
+
+    GROUND = "ground"
+    ONBOARD = "onboard"
+    OFF = "off"
+
+
+class Release(StrEnum):
+    """How a computed command becomes an applied one."""
+
+    TWO_STEP = "two_step"
+    AUTOMATIC = "automatic"
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """The receiving site."""
+
+    #: degrees North, -90..90
+    latitude_deg: float
+    #: degrees East
+    longitude_deg: float
+    name: str = ""
+    #: metres above the ellipsoid
+    height_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class WheelSet:
+    """Reaction wheels."""
+
+    #: unit vectors of the spin axes in body axes (x roll, y pitch, z yaw)
+    axes: tuple[tuple[float, float, float], ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    #: greatest torque of one wheel, N m
+    torque_limit_n_m: float = 0.05
+    #: greatest stored momentum of one wheel, N m s
+    momentum_limit_n_m_s: float = 20.0
+    #: smallest step of the drive, N m
+    torque_quantum_n_m: float = 0.002
+
+
+@dataclass(frozen=True, slots=True)
+class FlexibleMode:
+    """One flexible mode, for the schedule check."""
+
+    #: roll, pitch or yaw
+    axis: str
+    omega_rad_s: float
+    damping_ratio: float
+    coupling: float
+
+
+@dataclass(frozen=True, slots=True)
+class Onboard:
+    """What the spacecraft's own control offers."""
+
+    #: the fast loop closes on inertial measurements or their model
+    fast_loop: bool = False
+    #: the on-board Forecast mode takes torques from the ground
+    forecast_mode: bool = False
+    #: roll and yaw exchange at the orbital rate
+    roll_yaw_coupling: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class ControlSettings:
+    """Attitude control of one spacecraft."""
+
+    method: Method = Method.ROBUST
+    mode: ControlMode = ControlMode.GROUND
+    release: Release = Release.TWO_STEP
+    #: period of the closed loop, s
+    period_s: float = 7200.0
+    damping: float = 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class Spacecraft:
+    """One spacecraft of the catalogue."""
+
+    id: str
+    name: str
+    #: degrees East of the nominal sub-satellite point
+    longitude_deg: float
+    receiving_site: Site
+    #: tensor elements, kg m^2; x roll, y pitch, z yaw
+    inertia_kg_m2: Matrix3
+    #: greatest torque on the body an axis, N m
+    torque_limit_n_m: float
+    cospar_id: str | None = None
+    simulated: bool = False
+    wheels: WheelSet = WheelSet()
+    modes: tuple[FlexibleMode, ...] = ()
+    onboard: Onboard = Onboard()
+    control: ControlSettings = ControlSettings()
+
+
+@dataclass(frozen=True, slots=True)
+class Station:
+    """Earth station that radiates a carrier."""
+
+    latitude_deg: float
+    longitude_deg: float
+    name: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Carrier:
+    """One signal of one earth station through one transponder."""
+
+    id: str
+    band: str
+    transponder: str
+    downlink_hz: float
+    bandwidth_hz: float
+    #: None for a beacon: it has a downlink only
+    station: Station | None = None
+    uplink_hz: float | None = None
+    name: str = ""
+    polarization: str | None = None
+    #: centre frequency at the analyzer input, Hz
+    intermediate_hz: float | None = None
+    #: traffic, beacon or pilot
+    kind: str = "traffic"
+    #: none, auto or unknown; auto is never used for attitude
+    uplink_power_control: str = "unknown"
+    #: fixed_gain, alc or unknown
+    transponder_mode: str = "unknown"
+    enabled: bool = True
+
+    @property
+    def is_usable_for_attitude(self) -> bool:
+        """Whether the carrier may enter the sensitivity system at all."""
+        return self.enabled and self.kind != "beacon" and self.uplink_power_control != "auto"
+
+
+@dataclass(frozen=True, slots=True)
+class CarrierPlan:
+    """An immutable, ordered list of carriers; levels of a measurement follow this order."""
+
+    id: int
+    sha256: str
+    carriers: tuple[Carrier, ...]
+
+    @property
+    def carrier_ids(self) -> tuple[str, ...]:
+        """Carrier ids in the order of the levels."""
+        return tuple(carrier.id for carrier in self.carriers)
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """Predicted sub-satellite point."""
+
+    epochs_us: tuple[int, ...]
+    #: degrees North
+    latitude_deg: tuple[float, ...]
+    #: degrees East, absolute
+    longitude_deg: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Ephemeris:
+    """One version of the orbit: node passages, nodal period and, where known, the track."""
+
+    id: int
+    #: northward crossings of the equator, ascending
+    ascending_nodes_us: tuple[int, ...]
+    nodal_period_s: float
+    valid_start_us: int
+    valid_stop_us: int
+    #: nodes, tle or oem
+    form: str
+    track: Track | None = None

@@ -1,0 +1,54 @@
+"""Level L5: torque command. Torque is the torque on the body about roll, pitch, yaw; wheel torque is apart."""
+
+from dataclasses import dataclass
+
+from service.records.attitude import Axes
+
+
+@dataclass(frozen=True, slots=True)
+class Pulse:
+    """One element of a schedule; it ends by itself."""
+
+    start_us: int
+    duration_s: float
+    #: N m on the body
+    torque_n_m: Axes
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueCommand:
+    """What the chain wants the wheels to do from ``epoch_us`` on, for one command period."""
+
+    epoch_us: int
+    #: journal number of the measurement it was computed from
+    number: int
+    attitude_epoch_us: int
+    #: ground, onboard or off
+    mode: str
+    #: N m, impulse over command period
+    torque_n_m: Axes
+    #: (W,) N m, mean command to each wheel
+    wheels_n_m: tuple[float, ...]
+    saturated: bool
+    command_period_s: float
+    valid_until_us: int
+    schedule: tuple[Pulse, ...]
+    impulse_n_m_s: Axes
+    predicted_angle_change_deg: Axes
+    predicted_rate_change_deg_s: Axes
+    #: (W,) N m s, change of stored momentum of each wheel
+    predicted_wheel_momentum_n_m_s: tuple[float, ...]
+    control_allowed: bool
+    inhibitions: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class AppliedCommand:
+    """A command that counts as applied; known input of the filter."""
+
+    command: TorqueCommand
+
+    @property
+    def key(self) -> str:
+        """Natural key within a spacecraft."""
+        return str(self.command.number)

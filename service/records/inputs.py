@@ -1,0 +1,142 @@
+"""Inputs of the chain: everything that the journal numbers, besides carrier powers.
+
+Each record knows its natural key: the same key with the same content again is a duplicate, with another content a
+conflict.
+"""
+
+from dataclasses import dataclass
+
+from service.records.attitude import Axes
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeReference:
+    """Attitude told by a sensor outside this service; NaN = the sensor does not see this angle."""
+
+    #: star_tracker, earth_sensor, radio_beacon or other
+    source: str
+    epoch_us: int
+    attitude_deg: Axes
+    sigma_deg: Axes
+
+    @property
+    def key(self) -> str:
+        """Natural key within a spacecraft."""
+        return f"{self.source}/{self.epoch_us}"
+
+
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """Attitude change commanded through other channels, total over the interval, spread evenly."""
+
+    start_us: int
+    stop_us: int
+    change_deg: Axes
+
+    @property
+    def key(self) -> str:
+        """Natural key within a spacecraft."""
+        return f"{self.start_us}/{self.stop_us}"
+
+
+@dataclass(frozen=True, slots=True)
+class TelemetryRecord:
+    """On-board state told by the control centre."""
+
+    epoch_us: int
+    onboard_mode: str | None = None
+    wheel_momentum_n_m_s: tuple[float, ...] | None = None
+    wheel_speed_rpm: tuple[float, ...] | None = None
+    thrusters_active: bool | None = None
+    body_rate_deg_s: Axes | None = None
+
+    @property
+    def key(self) -> str:
+        """Natural key within a spacecraft."""
+        return str(self.epoch_us)
+
+
+@dataclass(frozen=True, slots=True)
+class Operation:
+    """A declared operation that explains or inhibits."""
+
+    id: int
+    kind: str
+    start_us: int
+    stop_us: int | None
+    carriers: tuple[str, ...] | None = None
+    transponders: tuple[str, ...] | None = None
+    inhibit_control: bool = False
+    attitude_uncertainty_deg: Axes | None = None
+    comment: str = ""
+    #: rises with each change; a change is a new journal entry
+    revision: int = 1
+
+    @property
+    def key(self) -> str:
+        """Natural key within a spacecraft."""
+        return f"{self.id}/{self.revision}"
+
+
+@dataclass(frozen=True, slots=True)
+class PlanChange:
+    """A carrier plan became known."""
+
+    plan_id: int
+
+    @property
+    def key(self) -> str:
+        """Natural key within a spacecraft."""
+        return str(self.plan_id)
+
+
+@dataclass(frozen=True, slots=True)
+class EphemerisChange:
+    """A new ephemeris holds from here."""
+
+    ephemeris_id: int
+
+    @property
+    def key(self) -> str:
+        """Natural key within a spacecraft."""
+        return str(self.ephemeris_id)
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationActivation:
+    """A calibration was made the active one of its method."""
+
+    calibration_id: int
+    #: counts activations of this spacecraft: the same calibration may be activated again
+    count: int
+
+    @property
+    def key(self) -> str:
+        """Natural key within a spacecraft."""
+        return str(self.count)
+
+
+@dataclass(frozen=True, slots=True)
+class AlignmentSet:
+    """An alignment holds from here."""
+
+    alignment_id: int
+
+    @property
+    def key(self) -> str:
+        """Natural key within a spacecraft."""
+        return str(self.alignment_id)
+
+
+@dataclass(frozen=True, slots=True)
+class SourceSelection:
+    """A measurement source became the prime one."""
+
+    source: str
+    #: counts selections of this spacecraft
+    count: int
+
+    @property
+    def key(self) -> str:
+        """Natural key within a spacecraft."""
+        return str(self.count)

@@ -1,0 +1,50 @@
+"""Long work that an operator started, and replays."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from service.records.catalogue import Method
+
+
+class JobState(StrEnum):
+    """Life of a job."""
+
+    QUEUED = "queued"
+    RUNNING = "running"
+    DONE = "done"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One piece of long work."""
+
+    id: str
+    kind: str
+    state: JobState
+    #: 0..1
+    progress: float
+    created_at_us: int
+    error: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """One replay; its rows are read under the version ``replay-<id>``."""
+
+    id: int
+    start_us: int
+    stop_us: int
+    #: None = every method
+    method: Method | None
+    calibration_id: int | None
+    alignment_id: int
+    #: journal or epoch
+    order: str
+    job_id: str
+    created_at_us: int
+
+    @property
+    def version(self) -> str:
+        """Name of the version in the archive."""
+        return f"replay-{self.id}"

@@ -1,0 +1,54 @@
+"""The journal: every accepted input of one spacecraft in the one order in which the chain consumes it."""
+
+from dataclasses import dataclass
+
+from service.records.command import AppliedCommand
+from service.records.inputs import (
+    AlignmentSet,
+    AttitudeReference,
+    CalibrationActivation,
+    Correction,
+    EphemerisChange,
+    Operation,
+    PlanChange,
+    SourceSelection,
+    TelemetryRecord,
+)
+from service.records.measurement import Measurement
+
+#: an input other than a row of carrier powers
+SlowInput = (
+    AttitudeReference
+    | Correction
+    | TelemetryRecord
+    | Operation
+    | PlanChange
+    | EphemerisChange
+    | CalibrationActivation
+    | AlignmentSet
+    | SourceSelection
+    | AppliedCommand
+)
+
+#: name of each kind of slow input in the tables and in the journal
+KINDS: dict[str, type[SlowInput]] = {
+    "reference": AttitudeReference,
+    "correction": Correction,
+    "telemetry": TelemetryRecord,
+    "operation": Operation,
+    "plan": PlanChange,
+    "ephemeris": EphemerisChange,
+    "activation": CalibrationActivation,
+    "alignment": AlignmentSet,
+    "source": SourceSelection,
+    "applied_command": AppliedCommand,
+}
+KIND_OF = {record: kind for kind, record in KINDS.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class JournalEntry:
+    """One numbered input."""
+
+    number: int
+    content: Measurement | SlowInput

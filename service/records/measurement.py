@@ -1,0 +1,73 @@
+"""Level L1: one power per carrier, and what becomes of a batch of them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.records.attitude import FloatArray, IntArray
+
+Float32Array = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """One row as the archive keeps it."""
+
+    epoch_us: int
+    received_at_us: int
+    #: journal number
+    number: int
+    source: str
+    plan_id: int
+    #: (N,) dBm as stored (float32 widened), NaN = absent
+    power_dbm: FloatArray
+    #: (N,) bit masks of QualityFlag, or None when the front end sent none
+    flags: IntArray | None
+    #: whether the row came late or out of order
+    is_late: bool = False
+    #: whether its source was the prime one when it was stored
+    feeds_estimator: bool = True
+    seq: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """One refused row of a batch."""
+
+    index: int
+    seq: int | None
+    #: time.future, time.too_old, value.out_of_range, value.count or measurement.conflict
+    code: str
+    detail: str
+
+
+@dataclass(frozen=True, slots=True)
+class MeasurementBatch:
+    """The rows of one request that passed screening; ``index`` is their place in the request."""
+
+    spacecraft_id: str
+    source: str
+    plan_id: int
+    received_at_us: int
+    #: (T,) place in the request
+    index: IntArray
+    #: (T,) microseconds UTC
+    epochs_us: IntArray
+    #: (T, N) dBm, NaN = absent
+    power_dbm: Float32Array
+    #: (T,) rows of flags, None where none were sent
+    flags: tuple[tuple[int, ...] | None, ...]
+    #: (T,) whether the row is older than the lateness limit of the system clock
+    is_stale: NDArray[np.bool_]
+    first_seq: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class BatchReceipt:
+    """What was committed of a batch; given only after the commit."""
+
+    accepted: int
+    duplicates: int
+    late: int
+    refused: tuple[Refusal, ...]
