@@ -266,7 +266,7 @@ class Results(Protocol):
         ...
 
     def pending(self, spacecraft_id: str, methods: Sequence[Method]) -> int:
-        """Return the stored rows that feed the estimator, later than the alignment's epoch, lacking a result of a method."""
+        """Return how many rows that feed the estimator, later than the alignment's epoch, lack a result of a method."""
         ...
 
     def add_job(self, job: Job) -> None:
