@@ -58,11 +58,11 @@ class Catalogue(Protocol):
     """Spacecraft, carrier plans, ephemerides."""
 
     def add_spacecraft(self, spacecraft: Spacecraft) -> None:
-        """Store a new spacecraft; ConflictError ``spacecraft.exists``."""
+        """Store and journal a new spacecraft; ConflictError ``spacecraft.exists``."""
         ...
 
     def replace_spacecraft(self, spacecraft: Spacecraft) -> None:
-        """Store a changed spacecraft under its id."""
+        """Store and journal a changed spacecraft under its id."""
         ...
 
     def spacecraft(self, spacecraft_id: str) -> Spacecraft:
@@ -131,6 +131,10 @@ class Archive(Protocol):
 
     def journal(self, spacecraft_id: str, after: int, limit: int) -> list[JournalEntry]:
         """Return at most ``limit`` entries with a number above ``after``, in order."""
+        ...
+
+    def slow_inputs_before(self, spacecraft_id: str, number: int, kinds: Sequence[str]) -> list[JournalEntry]:
+        """Return all slow inputs of some kinds with a number below the given one, in order."""
         ...
 
     def inputs(

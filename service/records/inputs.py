@@ -7,6 +7,7 @@ conflict.
 from dataclasses import dataclass
 
 from service.records.attitude import Axes
+from service.records.catalogue import Spacecraft
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +77,20 @@ class Operation:
     def key(self) -> str:
         """Natural key within a spacecraft."""
         return f"{self.id}/{self.revision}"
+
+
+@dataclass(frozen=True, slots=True)
+class SpacecraftChange:
+    """The catalogue's statement about the spacecraft changed; inertia and control settings reach the torques."""
+
+    spacecraft: Spacecraft
+    #: counts changes of this spacecraft, 1 = its creation
+    count: int
+
+    @property
+    def key(self) -> str:
+        """Natural key within a spacecraft."""
+        return str(self.count)
 
 
 @dataclass(frozen=True, slots=True)

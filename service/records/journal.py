@@ -12,6 +12,7 @@ from service.records.inputs import (
     Operation,
     PlanChange,
     SourceSelection,
+    SpacecraftChange,
     TelemetryRecord,
 )
 from service.records.measurement import Measurement
@@ -27,6 +28,7 @@ SlowInput = (
     | CalibrationActivation
     | AlignmentSet
     | SourceSelection
+    | SpacecraftChange
     | AppliedCommand
 )
 
@@ -36,6 +38,7 @@ KINDS: dict[str, type[SlowInput]] = {
     "correction": Correction,
     "telemetry": TelemetryRecord,
     "operation": Operation,
+    "spacecraft": SpacecraftChange,
     "plan": PlanChange,
     "ephemeris": EphemerisChange,
     "activation": CalibrationActivation,
