@@ -102,6 +102,34 @@ class AttitudeRow:
     alignment_id: int | None
 
 
+def row_without_attitude(
+    epoch_us: int, received_at_us: int, number: int, method: Method, inhibitions: tuple[str, ...]
+) -> AttitudeRow:
+    """Return the row of a measurement from which a method could compute nothing, and why."""
+    nan = float("nan")
+    return AttitudeRow(
+        epoch_us=epoch_us,
+        received_at_us=received_at_us,
+        number=number,
+        method=method,
+        attitude_deg=NO_ANGLES,
+        sigma_deg=NO_ANGLES,
+        rates_deg_s=None,
+        status=Status.INVALID,
+        control_allowed=False,
+        control_allowed_axes=(False, False, False),
+        inhibitions=inhibitions,
+        carriers_used=0,
+        excluded=(),
+        downlink_fade=False,
+        downlink_fade_db=nan,
+        common_db=nan,
+        residual_rms_db=nan,
+        calibration_id=None,
+        alignment_id=None,
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class CarrierState:
     """What the chain knows about one carrier after the newest measurement; NaN = not known."""

@@ -1,0 +1,139 @@
+"""Configuration of the stages: frozen, built once by the composition root, every number a setting.
+
+The defaults are those of the published method where it states one, else tuned on the simulator's truth; the
+reference of settings says which.
+"""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class HarmonicConfig:
+    """Least-squares fit of the daily harmonic."""
+
+    #: a sample is used while its residual is within this many sigma
+    gate_sigma: float = 3.0
+    max_iterations: int = 50
+
+
+@dataclass(frozen=True, slots=True)
+class CriteriaConfig:
+    """The three criteria by which carriers are judged."""
+
+    #: stable: rms after the harmonic, dB
+    max_residual_rms_db: float = 0.25
+    #: linear: departure from a straight line, in degrees of the carrier's own axis
+    max_nonlinearity_deg: float = 0.1
+    linear_range_deg: float = 0.5
+    #: dominant: ratio of the greatest coefficient to the others
+    dominance_ratio: float = 2.0
+    #: yaw coefficients are this many times smaller by geometry and are scaled up before the comparison
+    yaw_scale: float = 8.0
+    #: carriers that are selected at least, mixed ones filling up when dominant ones are few
+    min_selected: int = 12
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationConfig:
+    """Calibration of the paper method."""
+
+    harmonic: HarmonicConfig = HarmonicConfig()
+    criteria: CriteriaConfig = CriteriaConfig()
+    #: a row of the turns needs a sensor reading this close in time, s
+    reference_reach_s: float = 120.0
+    #: quiet windows shorter than this many nodal periods are warned of
+    short_quiet_periods: float = 2.0
+    #: fewest rows with powers and angles in the turns
+    min_turn_rows: int = 60
+    #: an axis counts as turned where its angle passed this, deg
+    min_turn_deg: float = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class AlignmentConfig:
+    """Alignment to an outside sensor."""
+
+    #: window of powers before a manual alignment, s
+    manual_window_s: float = 900.0
+    #: fewest rows of a carrier for a reference
+    min_rows: int = 8
+    #: powers contradict the angles below this probability
+    min_probability: float = 1e-4
+    #: wander of a carrier's level since calibration, dB per square root of hour
+    level_walk_db_sqrt_h: float = 0.006
+    #: a carrier whose level changed by more than this many sigma is left out of the contradiction test
+    changed_level_sigma: float = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class EstimationConfig:
+    """The paper method in operation."""
+
+    #: trailing mean of the deviations, s
+    averaging_window_s: float = 900.0
+    #: fewest rows of a carrier in that mean
+    min_rows: int = 8
+    #: uplink rain: a carrier this far below the others is left out, dB
+    uplink_gate_db: float = 1.5
+    gate_sigma: float = 3.0
+    min_carriers: int = 4
+    #: rates are the slope of the fixes over this time, s
+    rate_window_s: float = 1800.0
+    #: a row later than this after its predecessor starts the means anew, s
+    max_gap_s: float = 1800.0
+
+
+@dataclass(frozen=True, slots=True)
+class FadeConfig:
+    """Downlink rain by the rule of one sign and near size."""
+
+    #: carriers must lie below minus this, dB
+    depth_db: float = 0.3
+    #: share of the carriers that must
+    share: float = 0.8
+    #: their spread (1.48 MAD) must stay below this share of the median
+    spread_ratio: float = 0.5
+    #: control stops after the rule has held this long, s
+    entry_s: float = 300.0
+    #: control returns after the median has been above minus depth this long, s
+    exit_s: float = 600.0
+    #: mean of the deviations that the rule looks at, s
+    averaging_window_s: float = 300.0
+
+
+@dataclass(frozen=True, slots=True)
+class InterlockConfig:
+    """What inhibits control."""
+
+    #: validity of the linear model, deg
+    validity_limit_deg: float = 0.4
+    #: greatest own sigma with which an axis is controlled, deg
+    yaw_sigma_limit_deg: float = 0.20
+    roll_sigma_limit_deg: float = 0.06
+    pitch_sigma_limit_deg: float = 0.10
+    #: fewest carriers beyond the three unknowns
+    min_redundancy: int = 2
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueConfig:
+    """Torque pulses of the attitude control law."""
+
+    #: shortest pulse the drive executes, s
+    min_pulse_s: float = 0.1
+    #: pulses are timed to this, s
+    time_step_s: float = 0.001
+    #: command period until row periods are known, s
+    default_period_s: float = 60.0
+    #: rows from whose median the command period is taken
+    period_rows: int = 15
+
+
+@dataclass(frozen=True, slots=True)
+class ChainConfig:
+    """Configuration of the whole chain."""
+
+    estimation: EstimationConfig = EstimationConfig()
+    fade: FadeConfig = FadeConfig()
+    interlock: InterlockConfig = InterlockConfig()
+    torque: TorqueConfig = TorqueConfig()

@@ -1,0 +1,91 @@
+"""Interlock of automatic control, L3 and L4 to a verdict: which reasons forbid a torque on this row.
+
+It stops control, never estimation. Every reason clears by itself when its condition is gone; reasons that concern yaw
+alone withhold the yaw torque and leave roll and pitch to control.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.pipeline.config import InterlockConfig
+from service.records.attitude import AttitudeFix
+
+#: reasons in the order in which they are listed, with what each one says
+INHIBITIONS: dict[str, str] = {
+    "no_calibration": "no calibration serves this method",
+    "not_aligned": "no alignment was made with this calibration",
+    "no_ephemeris": "no ephemeris: the phase of the harmonic is not known",
+    "late": "the row came late or out of order; its fix stands alone",
+    "catch_up": "the row was stored before the alignment that gave it angles",
+    "settling": "fewer rows than the mean needs since the alignment or the last gap",
+    "no_fix": "too few carriers present for an attitude",
+    "redundancy": "too few carriers beyond the unknowns to notice a wrong one",
+    "downlink_fade": "downlink rain or a change of the receiving chain is taken for attitude",
+    "beyond_validity": "an angle lies beyond the range in which the model holds",
+    "sigma_roll": "the roll estimate is too uncertain",
+    "sigma_pitch": "the pitch estimate is too uncertain",
+    "operation": "a declared operation forbids control",
+    "internal_error": "the computation of this row failed; the service log says where",
+}
+
+
+@dataclass(frozen=True)
+class Circumstances:
+    """What the interlock must know about a row beside its fix."""
+
+    is_late: bool
+    is_catch_up: bool
+    is_settled: bool
+    is_fading: bool
+    has_inhibiting_operation: bool
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a torque may follow, axis by axis, and why not."""
+
+    inhibitions: tuple[str, ...]
+    #: yaw, roll, pitch
+    allowed_axes: tuple[bool, bool, bool]
+
+    @property
+    def is_allowed(self) -> bool:
+        """Whether roll and pitch may be controlled."""
+        return not self.inhibitions
+
+
+def judge(fix: AttitudeFix, circumstances: Circumstances, config: InterlockConfig) -> Verdict:
+    """Return the verdict on one fix."""
+    standing = _circumstantial(circumstances) | _of_fix(fix, config)
+    inhibitions = tuple(reason for reason in INHIBITIONS if reason in standing)
+    if inhibitions:
+        return Verdict(inhibitions, (False, False, False))
+    yaw_sigma_deg = float(np.sqrt(fix.covariance_deg2[0, 0]))
+    return Verdict((), (yaw_sigma_deg <= config.yaw_sigma_limit_deg, True, True))
+
+
+def _circumstantial(circumstances: Circumstances) -> set[str]:
+    """Return the reasons that lie outside the fix."""
+    conditions = {
+        "late": circumstances.is_late,
+        "catch_up": circumstances.is_catch_up,
+        "settling": not circumstances.is_settled,
+        "downlink_fade": circumstances.is_fading,
+        "operation": circumstances.has_inhibiting_operation,
+    }
+    return {reason for reason, stands in conditions.items() if stands}
+
+
+def _of_fix(fix: AttitudeFix, config: InterlockConfig) -> set[str]:
+    """Return the reasons that lie in the fix itself."""
+    if not np.isfinite(fix.attitude_deg).all():
+        return {"no_fix"}
+    sigma_deg = np.sqrt(np.diag(fix.covariance_deg2))
+    conditions = {
+        "redundancy": fix.carriers_used - 3 < config.min_redundancy,
+        "beyond_validity": bool(np.abs(fix.attitude_deg).max() > config.validity_limit_deg),
+        "sigma_roll": bool(sigma_deg[1] > config.roll_sigma_limit_deg),
+        "sigma_pitch": bool(sigma_deg[2] > config.pitch_sigma_limit_deg),
+    }
+    return {reason for reason, stands in conditions.items() if stands}

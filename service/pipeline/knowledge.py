@@ -1,0 +1,91 @@
+"""What the chain knows besides carrier powers: learned from the slow inputs of the journal, in their order.
+
+Knowledge is immutable; ``learn`` returns the next one. Documents that entries name by number (plans, ephemerides,
+calibrations, alignments) are immutable in the archive, so looking them up keeps a replay deterministic.
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+from service.records.calibration import Alignment, Calibration, CalibrationMethod
+from service.records.catalogue import CarrierPlan, Ephemeris, Method, Spacecraft
+from service.records.inputs import (
+    AlignmentSet,
+    CalibrationActivation,
+    EphemerisChange,
+    Operation,
+    PlanChange,
+    SpacecraftChange,
+)
+from service.records.journal import SlowInput
+
+
+class Lookup(Protocol):
+    """Documents of one spacecraft by number."""
+
+    def plan(self, plan_id: int) -> CarrierPlan:
+        """Return a carrier plan."""
+        ...
+
+    def ephemeris(self, ephemeris_id: int) -> Ephemeris:
+        """Return an ephemeris."""
+        ...
+
+    def calibration(self, calibration_id: int) -> Calibration:
+        """Return a calibration."""
+        ...
+
+    def alignment(self, alignment_id: int) -> Alignment:
+        """Return an alignment."""
+        ...
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """Slow inputs reduced to what holds now."""
+
+    spacecraft: Spacecraft | None = None
+    plan: CarrierPlan | None = None
+    ephemeris: Ephemeris | None = None
+    #: active calibration of each kind of fit
+    active: dict[CalibrationMethod, Calibration] = field(default_factory=dict)
+    alignment: Alignment | None = None
+    #: newest revision of each operation, by id
+    operations: dict[int, Operation] = field(default_factory=dict)
+
+    def calibration_for(self, method: Method) -> Calibration | None:
+        """Return the calibration of a method; a ``geometry`` one serves ``paper`` while no ``paper`` one is active."""
+        geometry = self.active.get(CalibrationMethod.GEOMETRY)
+        if method is Method.ROBUST:
+            return geometry
+        return self.active.get(CalibrationMethod.PAPER, geometry)
+
+    def inhibiting_operations(self, epoch_us: int) -> tuple[Operation, ...]:
+        """Return the declared operations that forbid control at an epoch."""
+        return tuple(
+            operation
+            for operation in self.operations.values()
+            if operation.inhibit_control
+            and operation.start_us <= epoch_us
+            and (operation.stop_us is None or epoch_us < operation.stop_us)
+        )
+
+
+def learn(knowledge: Knowledge, content: SlowInput, lookup: Lookup) -> Knowledge:
+    """Return the knowledge after one slow input; kinds that the present methods do not use leave it as it is."""
+    match content:
+        case SpacecraftChange():
+            return replace(knowledge, spacecraft=content.spacecraft)
+        case PlanChange():
+            return replace(knowledge, plan=lookup.plan(content.plan_id))
+        case EphemerisChange():
+            return replace(knowledge, ephemeris=lookup.ephemeris(content.ephemeris_id))
+        case CalibrationActivation():
+            calibration = lookup.calibration(content.calibration_id)
+            return replace(knowledge, active={**knowledge.active, calibration.request.method: calibration})
+        case AlignmentSet():
+            return replace(knowledge, alignment=lookup.alignment(content.alignment_id))
+        case Operation():
+            return replace(knowledge, operations={**knowledge.operations, content.id: content})
+        case _:
+            return knowledge

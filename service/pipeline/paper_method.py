@@ -1,0 +1,208 @@
+"""The paper method from L1 to L4: the published equations, with their state made explicit.
+
+Order: harmonic removal, downlink fade rule, trailing mean, fix over the eight octants, rate, interlock verdict. The
+state is a value: a step takes one and returns the next, so that a replay can start from any of them. A late row gets a
+fix of its own and leaves the state alone.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from service.core.estimation.downlink_fade import FadeWatch, fade_sign_test, new_fade_watch, step_fade_watch
+from service.core.estimation.trailing_mean import TrailingWindow, empty_window, push, trailing_mean
+from service.pipeline.attitude_filter import NO_FIXES, FixHistory, rate_deg_s, remember_fix
+from service.pipeline.config import ChainConfig
+from service.pipeline.harmonic_removal import ExpectedPower, expected_power, remove_harmonic
+from service.pipeline.interlock import Circumstances, Verdict, judge
+from service.pipeline.knowledge import Knowledge
+from service.pipeline.solve import SensitivityModel, sensitivity_model, solve_attitude
+from service.records.attitude import AttitudeFix, AttitudeRow, Axes, Deviation, FloatArray, Status
+from service.records.calibration import Calibration
+from service.records.catalogue import Ephemeris, Method
+from service.records.epoch import US_PER_S
+from service.records.measurement import Measurement
+
+
+class PaperState(NamedTuple):
+    """Everything the method remembers from row to row."""
+
+    #: deviations of the averaging window
+    window: TrailingWindow
+    fade_watch: FadeWatch
+    fixes: FixHistory
+    #: epoch of the newest row, None before the first
+    newest_us: int | None
+
+
+@dataclass(frozen=True)
+class PaperModel:
+    """What calibration and alignment give the method; fixed until one of them changes."""
+
+    expected: ExpectedPower
+    sensitivity: SensitivityModel
+    calibration_id: int
+    alignment_id: int
+
+
+class PaperStep(NamedTuple):
+    """One row's outcome and the state after it."""
+
+    row: AttitudeRow
+    deviation: Deviation
+    fix: AttitudeFix
+    state: PaperState
+
+
+def paper_model(knowledge: Knowledge, aligned_with: Calibration) -> PaperModel | None:
+    """Return the model that holds, or None while calibration, ephemeris or alignment is missing."""
+    calibration = knowledge.calibration_for(Method.PAPER)
+    if calibration is None or knowledge.ephemeris is None or knowledge.alignment is None:
+        return None
+    expected = expected_power(calibration, knowledge.alignment, Method.PAPER, knowledge.ephemeris, aligned_with)
+    return PaperModel(expected, sensitivity_model(calibration), calibration.id, knowledge.alignment.id)
+
+
+def initial_state(carriers: int) -> PaperState:
+    """Return the state at an alignment."""
+    return PaperState(empty_window(carriers), new_fade_watch(), NO_FIXES, None)
+
+
+def step_paper(
+    state: PaperState,
+    model: PaperModel,
+    knowledge: Knowledge,
+    ephemeris: Ephemeris,
+    measurement: Measurement,
+    power_dbm: FloatArray,
+    *,
+    is_late: bool,
+    is_catch_up: bool,
+    config: ChainConfig,
+) -> PaperStep:
+    """Take one row whose powers stand in the calibration's order and return its outcome and the next state."""
+    deviation = remove_harmonic(power_dbm, measurement.epoch_us, model.expected, ephemeris)
+    if is_late:
+        after = state
+        fix = solve_attitude(measurement.epoch_us, deviation.deviation_db, 1, 0.0, model.sensitivity, config.estimation)
+    else:
+        after = _remember_row(state, model, deviation, config)
+        fix = _averaged_fix(after, model, deviation.epoch_us, config)
+        after = _remember_fix(after, fix, config)
+    circumstances = Circumstances(
+        is_late=is_late,
+        is_catch_up=is_catch_up,
+        is_settled=is_late or _rows_in_window(after, config) >= config.estimation.min_rows,
+        is_fading=after.fade_watch.is_stopped,
+        has_inhibiting_operation=bool(knowledge.inhibiting_operations(measurement.epoch_us)),
+    )
+    verdict = judge(fix, circumstances, config.interlock)
+    rates = np.full(3, np.nan) if is_late else rate_deg_s(after.fixes, config.estimation.rate_window_s)
+    row = _row(measurement, model, fix, verdict, rates, _fade_db(after, model, config))
+    return PaperStep(row, deviation, fix, after)
+
+
+def _remember_row(state: PaperState, model: PaperModel, deviation: Deviation, config: ChainConfig) -> PaperState:
+    """Add a row to the window and step the fade rule; a long gap empties the window."""
+    gap_us = 0 if state.newest_us is None else deviation.epoch_us - state.newest_us
+    is_fresh = gap_us > config.estimation.max_gap_s * US_PER_S
+    window = empty_window(len(deviation.deviation_db)) if is_fresh else state.window
+    window = push(window, deviation.epoch_us, deviation.deviation_db, window_s=config.estimation.averaging_window_s)
+    test = fade_sign_test(
+        _fade_deviation_db(window, model, config),
+        depth_db=config.fade.depth_db,
+        share=config.fade.share,
+        spread_ratio=config.fade.spread_ratio,
+    )
+    watch = step_fade_watch(
+        state.fade_watch,
+        gap_us / US_PER_S,
+        test,
+        depth_db=config.fade.depth_db,
+        entry_s=config.fade.entry_s,
+        exit_s=config.fade.exit_s,
+    )
+    return PaperState(window, watch, NO_FIXES if is_fresh else state.fixes, deviation.epoch_us)
+
+
+def _averaged_fix(state: PaperState, model: PaperModel, epoch_us: int, config: ChainConfig) -> AttitudeFix:
+    """Solve the trailing mean."""
+    estimation = config.estimation
+    mean_db = trailing_mean(state.window, window_s=estimation.averaging_window_s, min_rows=estimation.min_rows)
+    rows = _rows_in_window(state, config)
+    epochs_us = state.window.epochs_us
+    span_s = float(epochs_us[-1] - epochs_us[-rows]) / US_PER_S
+    return solve_attitude(epoch_us, mean_db, rows, span_s, model.sensitivity, estimation)
+
+
+def _remember_fix(state: PaperState, fix: AttitudeFix, config: ChainConfig) -> PaperState:
+    """Add a fix to the history that rates are taken from."""
+    if not np.isfinite(fix.attitude_deg).all():
+        return state
+    fixes = remember_fix(state.fixes, fix.epoch_us, fix.attitude_deg, config.estimation.rate_window_s)
+    return state._replace(fixes=fixes)
+
+
+def _rows_in_window(state: PaperState, config: ChainConfig) -> int:
+    """Return how many rows the trailing mean rests on."""
+    epochs_us = state.window.epochs_us
+    if len(epochs_us) == 0:
+        return 0
+    oldest_us = epochs_us[-1] - int(config.estimation.averaging_window_s * US_PER_S)
+    return int(np.count_nonzero(epochs_us > oldest_us))
+
+
+def _fade_deviation_db(window: TrailingWindow, model: PaperModel, config: ChainConfig) -> FloatArray:
+    """Return the short mean of the selected carriers that the fade rule looks at."""
+    short_db = trailing_mean(window, window_s=config.fade.averaging_window_s, min_rows=1)
+    return np.where(model.sensitivity.is_selected, short_db, np.nan)
+
+
+def _fade_db(state: PaperState, model: PaperModel, config: ChainConfig) -> float:
+    """Return the size of a standing fade, 0 while none stands."""
+    if not state.fade_watch.is_stopped:
+        return 0.0
+    present_db = _fade_deviation_db(state.window, model, config)
+    present_db = present_db[np.isfinite(present_db)]
+    return max(0.0, -float(np.median(present_db))) if len(present_db) else 0.0
+
+
+def _row(
+    measurement: Measurement,
+    model: PaperModel,
+    fix: AttitudeFix,
+    verdict: Verdict,
+    rates_deg_s: FloatArray,
+    fade_db: float,
+) -> AttitudeRow:
+    """Return the archive's row of one outcome."""
+    is_fix = bool(np.isfinite(fix.attitude_deg).all())
+    sigma_deg = np.sqrt(np.diag(fix.covariance_deg2))
+    used_db = fix.residual_db[np.isfinite(fix.residual_db)]
+    return AttitudeRow(
+        epoch_us=measurement.epoch_us,
+        received_at_us=measurement.received_at_us,
+        number=measurement.number,
+        method=Method.PAPER,
+        attitude_deg=_axes(fix.attitude_deg),
+        sigma_deg=_axes(sigma_deg),
+        rates_deg_s=_axes(rates_deg_s) if np.isfinite(rates_deg_s).all() else None,
+        status=Status.ACQUIRED if is_fix else Status.INVALID,
+        control_allowed=verdict.is_allowed,
+        control_allowed_axes=verdict.allowed_axes,
+        inhibitions=verdict.inhibitions,
+        carriers_used=fix.carriers_used,
+        excluded=fix.excluded,
+        downlink_fade="downlink_fade" in verdict.inhibitions,
+        downlink_fade_db=fade_db,
+        common_db=float("nan"),
+        residual_rms_db=float(np.sqrt(np.mean(used_db**2))) if len(used_db) else float("nan"),
+        calibration_id=model.calibration_id,
+        alignment_id=model.alignment_id,
+    )
+
+
+def _axes(values: FloatArray) -> Axes:
+    """Return yaw, roll, pitch by name."""
+    return Axes(float(values[0]), float(values[1]), float(values[2]))

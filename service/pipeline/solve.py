@@ -1,0 +1,87 @@
+"""Snapshot fix, L2 to L3: the averaged deviation of the selected carriers solved for yaw, roll and pitch.
+
+The paper's system with sign-dependent coefficients, equation (2), by sign-constrained least squares over the eight
+octants; carriers hit by uplink rain are left out first. With fewer carriers than unknowns plus one the fix is NaN.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.core.estimation.noise_model import averaged_sigma_db
+from service.core.estimation.rejection import reject_faded_carriers
+from service.pipeline.config import EstimationConfig
+from service.records.attitude import AttitudeFix, BoolArray, Exclusion, FloatArray
+from service.records.calibration import Calibration
+
+
+@dataclass(frozen=True)
+class SensitivityModel:
+    """What a calibration says about its carriers, as arrays."""
+
+    carrier_ids: tuple[str, ...]
+    #: (N, 3) dB/deg for positive and negative angles
+    plus_db_per_deg: FloatArray
+    minus_db_per_deg: FloatArray
+    #: (N,) whether the carrier enters the fix
+    is_selected: BoolArray
+    #: (N,) dB, dB, s
+    sigma_white_db: FloatArray
+    sigma_coloured_db: FloatArray
+    correlation_time_s: FloatArray
+
+
+def sensitivity_model(calibration: Calibration) -> SensitivityModel:
+    """Return the arrays of a finished calibration."""
+    carriers = calibration.result.carriers if calibration.result else ()
+    coloured = [carrier.noise[0] if carrier.noise else None for carrier in carriers]
+    return SensitivityModel(
+        tuple(carrier.id for carrier in carriers),
+        np.array([carrier.sensitivity_plus_db_per_deg for carrier in carriers], dtype=np.float64).reshape(-1, 3),
+        np.array([carrier.sensitivity_minus_db_per_deg for carrier in carriers], dtype=np.float64).reshape(-1, 3),
+        np.array([carrier.selected for carrier in carriers], dtype=np.bool_),
+        np.array([carrier.sigma_white_db for carrier in carriers], dtype=np.float64),
+        np.array([part.sigma_db if part else 0.0 for part in coloured], dtype=np.float64),
+        np.array([part.correlation_time_s if part else 0.0 for part in coloured], dtype=np.float64),
+    )
+
+
+def solve_attitude(
+    epoch_us: int, deviation_db: FloatArray, rows: int, span_s: float, model: SensitivityModel, config: EstimationConfig
+) -> AttitudeFix:
+    """Return the fix of one deviation that is the mean of some rows over a span."""
+    considered_db = np.where(model.is_selected, deviation_db, np.nan)
+    sigma_db = averaged_sigma_db(
+        model.sigma_white_db, model.sigma_coloured_db, model.correlation_time_s, rows=rows, span_s=span_s
+    )
+    outcome = reject_faded_carriers(
+        model.plus_db_per_deg,
+        model.minus_db_per_deg,
+        considered_db,
+        gate_db=config.uplink_gate_db,
+        gate_sigma=config.gate_sigma,
+        min_carriers=config.min_carriers,
+    )
+    is_used = np.isfinite(considered_db) & ~outcome.rejected
+    # unweighted least squares as printed: its covariance is that of unit noise times the carriers' mean variance
+    variance_db2 = float(np.mean(sigma_db[is_used] ** 2)) if is_used.any() else float("nan")
+    return AttitudeFix(
+        epoch_us,
+        outcome.fix.attitude_deg,
+        outcome.fix.covariance_deg2 * variance_db2,
+        outcome.fix.residual_db,
+        sigma_db,
+        int(np.count_nonzero(is_used)),
+        _exclusions(model, considered_db, outcome.rejected),
+    )
+
+
+def _exclusions(model: SensitivityModel, deviation_db: FloatArray, rejected: BoolArray) -> tuple[Exclusion, ...]:
+    """Return the selected carriers that did not enter, each with its reason."""
+    return tuple(
+        Exclusion(carrier, "absent" if np.isnan(value) else "uplink_fade")
+        for carrier, chosen, value, out in zip(
+            model.carrier_ids, model.is_selected, deviation_db, rejected, strict=True
+        )
+        if chosen and (np.isnan(value) or out)
+    )

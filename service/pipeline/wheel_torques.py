@@ -1,0 +1,152 @@
+"""Wheel torques, L4 to L5: the control law's mean torque as pulses that end by themselves, and each wheel's share.
+
+State kept: the impulse not yet given. Whenever an inhibition stands the command is zero, says why, and the carry is
+dropped: a wish from before an inhibition is not given after it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.core.control.attitude_law import proportional_derivative_torque
+from service.core.control.pulses import PulseTrain, shape_pulses
+from service.core.control.wheels import allocate_to_wheels
+from service.pipeline.config import TorqueConfig
+from service.records.attitude import AttitudeRow, Axes, FloatArray
+from service.records.catalogue import ControlMode, Spacecraft
+from service.records.command import Pulse, TorqueCommand
+from service.records.epoch import US_PER_S
+
+NO_CARRY = np.zeros(3)
+_ZERO = Axes(0.0, 0.0, 0.0)
+#: places of yaw, roll, pitch among the body axes x roll, y pitch, z yaw
+_BODY_FROM_ANGLES = np.array([1, 2, 0])
+
+
+@dataclass(frozen=True)
+class TorqueOutcome:
+    """A command and the impulse that it leaves for later."""
+
+    command: TorqueCommand
+    #: (3,) N m s, yaw, roll, pitch
+    carry_n_m_s: FloatArray
+
+
+def control_inhibitions(row: AttitudeRow, spacecraft: Spacecraft) -> tuple[str, ...]:
+    """Return why this row may not lead to a torque: the row's reasons and those of the spacecraft's settings."""
+    reasons = list(row.inhibitions)
+    if spacecraft.control.mode is not ControlMode.GROUND:
+        reasons.append(f"mode_{spacecraft.control.mode.value}")
+    elif not (spacecraft.onboard.fast_loop and spacecraft.onboard.forecast_mode):
+        reasons.append("no_fast_loop")
+    if not row.inhibitions and row.rates_deg_s is None:
+        reasons.append("no_rate")
+    return tuple(reasons)
+
+
+def compute_command(
+    row: AttitudeRow, spacecraft: Spacecraft, carry_n_m_s: FloatArray, period_s: float, config: TorqueConfig
+) -> TorqueOutcome:
+    """Return the command that follows from one attitude row."""
+    # a simulated spacecraft lives on its own epochs, a real one can be commanded only from the receipt on
+    epoch_us = row.epoch_us if spacecraft.simulated else max(row.epoch_us, row.received_at_us)
+    inhibitions = control_inhibitions(row, spacecraft)
+    if inhibitions or row.rates_deg_s is None:
+        return TorqueOutcome(_zero_command(row, spacecraft, epoch_us, period_s, inhibitions), NO_CARRY)
+    wanted = proportional_derivative_torque(
+        np.array(row.attitude_deg),
+        np.array(row.rates_deg_s),
+        _principal_inertia(spacecraft),
+        spacecraft.control.period_s,
+        spacecraft.control.damping,
+    )
+    is_allowed = np.array(row.control_allowed_axes)
+    pulses = shape_pulses(
+        np.where(is_allowed, wanted, 0.0),
+        np.where(is_allowed, carry_n_m_s, 0.0),
+        period_s=period_s,
+        limit_n_m=min(spacecraft.torque_limit_n_m, spacecraft.wheels.torque_limit_n_m),
+        quantum_n_m=spacecraft.wheels.torque_quantum_n_m,
+        min_pulse_s=config.min_pulse_s,
+        time_step_s=config.time_step_s,
+    )
+    return TorqueOutcome(_command(row, spacecraft, epoch_us, period_s, pulses), pulses.carry_n_m_s)
+
+
+def _principal_inertia(spacecraft: Spacecraft) -> FloatArray:
+    """Return the inertia about yaw, roll and pitch."""
+    x, y, z = (spacecraft.inertia_kg_m2[k][k] for k in range(3))
+    return np.array([z, x, y])
+
+
+def _command(
+    row: AttitudeRow, spacecraft: Spacecraft, epoch_us: int, period_s: float, pulses: PulseTrain
+) -> TorqueCommand:
+    """Return the command of some pulses."""
+    impulse = pulses.impulse_n_m_s
+    rate_change_rad_s = impulse / _principal_inertia(spacecraft)
+    # every pulse starts with the period and is short beside it: the gained rate turns the body until the period ends
+    angle_change_rad = rate_change_rad_s * (period_s - pulses.duration_s / 2.0)
+    axes = np.array(spacecraft.wheels.axes, dtype=np.float64)
+    wheel_impulse = allocate_to_wheels(axes, impulse[_BODY_FROM_ANGLES])
+    return TorqueCommand(
+        epoch_us=epoch_us,
+        number=row.number,
+        attitude_epoch_us=row.epoch_us,
+        mode=spacecraft.control.mode.value,
+        torque_n_m=_axes(impulse / period_s),
+        wheels_n_m=tuple(float(value) for value in wheel_impulse / period_s),
+        saturated=bool(pulses.is_saturated.any()),
+        command_period_s=period_s,
+        valid_until_us=epoch_us + round(period_s * US_PER_S),
+        schedule=_schedule(epoch_us, pulses),
+        impulse_n_m_s=_axes(impulse),
+        predicted_angle_change_deg=_axes(np.rad2deg(angle_change_rad)),
+        predicted_rate_change_deg_s=_axes(np.rad2deg(rate_change_rad_s)),
+        predicted_wheel_momentum_n_m_s=tuple(float(value) for value in wheel_impulse),
+        control_allowed=True,
+        inhibitions=(),
+    )
+
+
+def _zero_command(
+    row: AttitudeRow, spacecraft: Spacecraft, epoch_us: int, period_s: float, inhibitions: tuple[str, ...]
+) -> TorqueCommand:
+    """Return the command that does nothing and says why."""
+    wheels = tuple(0.0 for _ in spacecraft.wheels.axes)
+    return TorqueCommand(
+        epoch_us=epoch_us,
+        number=row.number,
+        attitude_epoch_us=row.epoch_us,
+        mode=spacecraft.control.mode.value,
+        torque_n_m=_ZERO,
+        wheels_n_m=wheels,
+        saturated=False,
+        command_period_s=period_s,
+        valid_until_us=epoch_us + round(period_s * US_PER_S),
+        schedule=(),
+        impulse_n_m_s=_ZERO,
+        predicted_angle_change_deg=_ZERO,
+        predicted_rate_change_deg_s=_ZERO,
+        predicted_wheel_momentum_n_m_s=wheels,
+        control_allowed=False,
+        inhibitions=inhibitions,
+    )
+
+
+def _schedule(epoch_us: int, pulses: PulseTrain) -> tuple[Pulse, ...]:
+    """Return one element an axis that has a pulse."""
+    return tuple(
+        Pulse(
+            epoch_us,
+            float(pulses.duration_s[axis]),
+            _axes(np.where(np.arange(3) == axis, pulses.torque_n_m, 0.0)),
+        )
+        for axis in range(3)
+        if pulses.duration_s[axis] > 0.0
+    )
+
+
+def _axes(values: FloatArray) -> Axes:
+    """Return yaw, roll, pitch by name."""
+    return Axes(float(values[0]), float(values[1]), float(values[2]))

@@ -1,0 +1,182 @@
+"""Live supervisor: one thread that carries every spacecraft's chain along its journal.
+
+It reads like the diagram: entry <- journal; outcome = chain(entry); results.save(outcome); feed.publish(outcome). What
+was accepted is archived before it comes here, so a fault here can delay an answer but lose nothing: after a restart
+the chain is brought back by replaying the journal from the last alignment, silently, to where results were stored.
+"""
+
+import logging
+import threading
+from dataclasses import dataclass, field
+
+from service.pipeline.chain import Chain
+from service.pipeline.config import ChainConfig
+from service.ports import LIVE, Outcome, Storage
+from service.records.attitude import CarrierState
+from service.records.inputs import AlignmentSet
+from service.records.journal import JournalEntry
+from service.records.measurement import Measurement
+from service.runtime.consumer import Documents, consume, prepare
+from service.runtime.live_feed import Cursor, FeedEvent, LiveFeed
+
+_LOG = logging.getLogger("soo.supervisor")
+
+#: entries read from the journal and outcomes stored in one go
+_ENTRIES_AT_ONCE = 256
+#: wait before an entry is tried again after the storage failed, s
+_RETRY_S = 1.0
+
+
+@dataclass
+class _Follower:
+    """One spacecraft's chain and how far it is."""
+
+    spacecraft_id: str
+    chain: Chain
+    consumed_number: int
+    consumed_epoch_us: int | None
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+
+class Supervisor:
+    """Carries the chains of all spacecraft along their journals.
+
+    Parameters
+    ----------
+    storage : Storage
+        Journal to read, results to write.
+    feed : LiveFeed
+        Where outcomes are published after they are stored.
+    config : ChainConfig
+        Configuration of every chain.
+    """
+
+    def __init__(self, storage: Storage, feed: LiveFeed, config: ChainConfig) -> None:
+        self._storage = storage
+        self._feed = feed
+        self._config = config
+        self._followers: dict[str, _Follower] = {}
+        self._wake = threading.Condition()
+        self._due: set[str] = set()
+        self._is_stopping = False
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Bring every chain back to where it was and follow the journals from there."""
+        for spacecraft in self._storage.catalogue.all_spacecraft():
+            self._due.add(spacecraft.id)
+        self._thread = threading.Thread(target=self._run, name="soo-supervisor", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Finish the batch in hand and end the thread."""
+        with self._wake:
+            self._is_stopping = True
+            self._wake.notify()
+        if self._thread is not None:
+            self._thread.join()
+
+    def notify(self, spacecraft_id: str) -> None:
+        """Say that a journal has grown; safe from any thread."""
+        with self._wake:
+            self._due.add(spacecraft_id)
+            self._wake.notify()
+
+    def carrier_states(self, spacecraft_id: str) -> tuple[Measurement, tuple[CarrierState, ...]] | None:
+        """Return the newest consumed row and the state of its carriers; None before the first."""
+        follower = self._followers.get(spacecraft_id)
+        if follower is None:
+            return None
+        with follower.lock:
+            return follower.chain.carrier_states()
+
+    def _run(self) -> None:
+        """Follow journals until stopped."""
+        while True:
+            with self._wake:
+                while not self._due and not self._is_stopping:
+                    self._wake.wait()
+                if self._is_stopping:
+                    return
+                due, self._due = self._due, set()
+            for spacecraft_id in sorted(due):
+                self._follow_guarded(spacecraft_id)
+
+    def _follow_guarded(self, spacecraft_id: str) -> None:
+        """Follow one journal to its end; a fault is logged, the state is rebuilt and the journal tried again."""
+        try:
+            self._follow(spacecraft_id)
+        except Exception:
+            _LOG.exception("following the journal of %s failed; rebuilding its state and trying again", spacecraft_id)
+            self._followers.pop(spacecraft_id, None)
+            timer = threading.Timer(_RETRY_S, self.notify, (spacecraft_id,))
+            timer.daemon = True
+            timer.start()
+
+    def _follow(self, spacecraft_id: str) -> None:
+        """Consume all entries of one journal that are there."""
+        follower = self._followers.get(spacecraft_id) or self._rebuild(spacecraft_id)
+        while not self._is_stopping:
+            entries = self._storage.archive.journal(spacecraft_id, follower.consumed_number, _ENTRIES_AT_ONCE)
+            if not entries:
+                return
+            with follower.lock:
+                outcomes = [
+                    outcome
+                    for entry in entries
+                    for outcome in consume(follower.chain, entry, self._storage.archive, spacecraft_id)
+                ]
+            self._store_and_publish(follower, entries, outcomes)
+
+    def _store_and_publish(self, follower: _Follower, entries: list[JournalEntry], outcomes: list[Outcome]) -> None:
+        """Store a batch in one transaction, then tell the feed."""
+        rows = [entry.content for entry in entries if isinstance(entry.content, Measurement)]
+        epochs_us = [row.epoch_us for row in rows if row.feeds_estimator]
+        if epochs_us:
+            follower.consumed_epoch_us = max(follower.consumed_epoch_us or epochs_us[0], *epochs_us)
+        sequence = self._storage.results.save_outcomes(
+            follower.spacecraft_id, LIVE, outcomes, entries[-1].number, follower.consumed_epoch_us
+        )
+        follower.consumed_number = entries[-1].number
+        self._feed.publish(follower.spacecraft_id, _events(rows, outcomes, entries[-1].number, sequence))
+        if any(outcome.applied is not None for outcome in outcomes):
+            self.notify(follower.spacecraft_id)
+
+    def _rebuild(self, spacecraft_id: str) -> _Follower:
+        """Bring a chain to where its results were stored, without storing or publishing anything."""
+        archive, results = self._storage.archive, self._storage.results
+        head = archive.head(spacecraft_id)
+        chain = Chain(Documents(self._storage.catalogue, results, spacecraft_id), self._config)
+        number = self._last_alignment(spacecraft_id, head.consumed_number)
+        prepare(chain, archive, spacecraft_id, number or head.consumed_number + 1)
+        position = head.consumed_number if number is None else number - 1
+        while position < head.consumed_number:
+            entries = archive.journal(spacecraft_id, position, _ENTRIES_AT_ONCE)
+            for entry in entries:
+                if entry.number <= head.consumed_number:
+                    for _ in consume(chain, entry, archive, spacecraft_id):
+                        pass
+            position = entries[-1].number if entries else head.consumed_number
+        follower = _Follower(spacecraft_id, chain, head.consumed_number, head.consumed_epoch_us)
+        self._followers[spacecraft_id] = follower
+        return follower
+
+    def _last_alignment(self, spacecraft_id: str, consumed_number: int) -> int | None:
+        """Return the journal number of the newest consumed alignment."""
+        entries = self._storage.archive.slow_inputs_before(spacecraft_id, consumed_number + 1, ("alignment",))
+        numbers = [entry.number for entry in entries if isinstance(entry.content, AlignmentSet)]
+        return numbers[-1] if numbers else None
+
+
+def _events(rows: list[Measurement], outcomes: list[Outcome], number: int, sequence: int) -> tuple[FeedEvent, ...]:
+    """Return the events of a batch: its rows, then its results, whose sequences end with the given one."""
+    first = sequence - sum(len(outcome.rows) + (outcome.command is not None) for outcome in outcomes)
+    events = [FeedEvent("measurement", Cursor(row.number, first), row) for row in rows]
+    for outcome in outcomes:
+        for row in outcome.rows:
+            first += 1
+            events.append(FeedEvent("attitude", Cursor(number, first), row))
+        if outcome.command is not None:
+            first += 1
+            events.append(FeedEvent("torque", Cursor(number, first), outcome.command))
+    return tuple(events)
