@@ -1,0 +1,92 @@
+"""The application: routes, layers and handlers put together, nothing else.
+
+Layers from outside in: request ids (and the last 500), packing of answers, body limit, routes.
+"""
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+from fastapi import APIRouter, Depends, FastAPI
+from starlette.middleware.gzip import GZipMiddleware
+
+from service.api import openapi
+from service.api.auth import MAY_READ, BootstrapKey, authenticated
+from service.api.body_limit import BodyLimit
+from service.api.deps import ApiContext, Limits
+from service.api.errors import add_handlers
+from service.api.plan_widths import PlanWidths
+from service.api.request_ids import RequestIds
+from service.api.routes import PUBLIC_ROUTERS, ROUTERS
+
+BASE_PATH = "/api/v1"
+#: answers shorter than this are sent as they are
+_PACK_FROM_BYTES = 1024
+#: half the time of level 9 at nearly its size
+_PACK_LEVEL = 5
+
+
+def create_app(context: ApiContext) -> FastAPI:
+    """Return the application that serves one context.
+
+    Parameters
+    ----------
+    context : ApiContext
+        Ports, limits, key and hooks. ``on_startup`` and ``on_shutdown`` run inside the server's event loop.
+    """
+    app = _bare_app(context.limits)
+    app.state.context = context
+    app.state.plan_widths = PlanWidths(context.storage.catalogue)
+    app.state.key_ring = BootstrapKey(context.bootstrap_key)
+    return app
+
+
+def render_openapi() -> str:
+    """Return the OpenAPI document as it is committed in docs/reference/openapi.json."""
+    document: dict[str, Any] = _bare_app(Limits()).openapi()
+    return openapi.as_text(document)
+
+
+@asynccontextmanager
+async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+    """Run the hooks of the context around the time of serving."""
+    context: ApiContext = app.state.context
+    await context.on_startup()
+    try:
+        yield
+    finally:
+        await context.on_shutdown()
+
+
+class _Application(FastAPI):
+    """FastAPI whose OpenAPI document is ours."""
+
+    def openapi(self) -> dict[str, Any]:
+        """Return the OpenAPI document, made once."""
+        if self.openapi_schema is None:
+            self.openapi_schema = openapi.describe(self)
+        return self.openapi_schema
+
+
+def _bare_app(limits: Limits) -> FastAPI:
+    """Return the application without a context."""
+    app = _Application(
+        title="SOO",
+        docs_url=None,
+        redoc_url=None,
+        openapi_url="/openapi.json",
+        redirect_slashes=False,
+        lifespan=_lifespan,
+    )
+    # the layer added last is the outermost
+    app.add_middleware(BodyLimit, max_body_bytes=limits.max_body_bytes)
+    app.add_middleware(GZipMiddleware, minimum_size=_PACK_FROM_BYTES, compresslevel=_PACK_LEVEL)
+    app.add_middleware(RequestIds)
+    add_handlers(app)
+    for router in PUBLIC_ROUTERS:
+        app.include_router(router)
+    base = APIRouter(prefix=BASE_PATH, dependencies=[Depends(authenticated), MAY_READ], redirect_slashes=False)
+    for router in ROUTERS:
+        base.include_router(router)
+    app.include_router(base)
+    return app

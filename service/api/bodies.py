@@ -1,0 +1,84 @@
+"""Bodies: JSON read raw and validated in one pass.
+
+Strict, finite numbers only, no unknown fields. A body that is no JSON at all (broken text, invalid UTF-8, nested deeper
+than 200) is a 400; JSON that says the wrong thing is a 422.
+"""
+
+from collections.abc import Awaitable, Callable
+from http import HTTPStatus
+from typing import Any, TypeVar
+
+from fastapi import Depends, Request
+from pydantic import BaseModel, TypeAdapter, ValidationError
+
+from service.api.faults import faults_of
+from service.api.problems import ProblemError, invalid_request
+
+M = TypeVar("M", bound=BaseModel)
+_REF_TEMPLATE = "#/components/schemas/{model}Input"
+
+
+def decode(adapter: TypeAdapter[M], raw: bytes, prefix: str = "") -> M:
+    """Return a validated document.
+
+    Parameters
+    ----------
+    adapter : TypeAdapter
+        Of the document's model.
+    raw : bytes
+        JSON.
+    prefix : str
+        Put before the pointers of faults.
+
+    Raises
+    ------
+    ProblemError
+        400 for text that is no JSON, 422 for JSON that does not fit the model.
+    """
+    try:
+        return adapter.validate_json(raw)
+    except ValidationError as error:
+        faults = error.errors(include_url=False, include_context=False, include_input=False)
+    if faults[0]["type"] == "json_invalid":
+        raise ProblemError(HTTPStatus.BAD_REQUEST, "json.malformed", f"the body is not JSON: {faults[0]['msg'][:200]}")
+    raise invalid_request(faults_of(faults, prefix))
+
+
+def media_type(request: Request) -> str:
+    """Return the media type of a body, lower case and without parameters; empty when none is stated."""
+    return request.headers.get("content-type", "").partition(";")[0].strip().lower()
+
+
+def is_json(media: str) -> bool:
+    """Whether a media type is JSON; a body without a type is taken for JSON."""
+    return media in {"", "application/json"} or (media.startswith("application/") and media.endswith("+json"))
+
+
+def unsupported_media(accepted: str) -> ProblemError:
+    """Return the 415 that names what is accepted."""
+    detail = f"send the body as {accepted} and say so in Content-Type"
+    return ProblemError(
+        HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "media_type.unsupported", detail, headers={"Accept": accepted}
+    )
+
+
+def body_of(model: type[M]) -> Any:
+    """Return the dependency that reads the body as a model."""
+    adapter = TypeAdapter(model)
+
+    async def read(request: Request) -> M:
+        if not is_json(media_type(request)):
+            raise unsupported_media("application/json")
+        return decode(adapter, await request.body())
+
+    reader: Callable[[Request], Awaitable[M]] = read
+    return Depends(reader)
+
+
+def accepts(model: type[BaseModel], *, is_csv: bool = False) -> dict[str, Any]:
+    """Return what the OpenAPI document says about a body; ``openapi.py`` lifts the definitions out of it."""
+    schema = model.model_json_schema(ref_template=_REF_TEMPLATE)
+    content: dict[str, Any] = {"application/json": {"schema": schema}}
+    if is_csv:
+        content["text/csv"] = {"schema": {"type": "string"}}
+    return {"requestBody": {"required": True, "content": content}}

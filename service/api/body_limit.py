@@ -1,0 +1,133 @@
+"""Body limit: no request makes the service hold more than the limit, packed or unpacked.
+
+Sizes are counted as bytes arrive, so a body without a length or with a false one is stopped all the same. Bodies with
+``Content-Encoding: gzip`` are unpacked here, never further than one byte beyond the limit, and the inside sees a plain
+body.
+"""
+
+import zlib
+from http import HTTPStatus
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import HTTPConnection
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from service.api.problems import ProblemError, render
+
+#: zlib's word for "expect a gzip header"
+_GZIP_WBITS = 16 + zlib.MAX_WBITS
+
+
+class BodyLimit:
+    """Refuse bodies above a size and unpack gzip.
+
+    Parameters
+    ----------
+    app : ASGIApp
+        What lies inside.
+    max_body_bytes : int
+        Greatest size of a body, before and after unpacking.
+    """
+
+    def __init__(self, app: ASGIApp, max_body_bytes: int) -> None:
+        self._app = app
+        self._max_body_bytes = max_body_bytes
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle one connection."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        headers = Headers(scope=scope)
+        encoding = headers.get("content-encoding", "identity").strip().lower()
+        problem = self._refusal(headers.get("content-length", ""), encoding)
+        if problem is not None:
+            await render(HTTPConnection(scope), problem)(scope, receive, send)
+            return
+        unpacker = None
+        if encoding in {"gzip", "x-gzip"}:
+            unpacker = _Unpacker(self._max_body_bytes)
+            mutable = MutableHeaders(scope=scope)
+            del mutable["content-encoding"]
+            del mutable["content-length"]
+        await self._app(scope, _Counter(receive, self._max_body_bytes, unpacker), send)
+
+    def _refusal(self, length: str, encoding: str) -> ProblemError | None:
+        """Return why a request is refused by its headers alone."""
+        if encoding not in {"identity", "gzip", "x-gzip", ""}:
+            detail = "Content-Encoding may be gzip or identity; send the body packed by gzip or plain"
+            status = HTTPStatus.UNSUPPORTED_MEDIA_TYPE
+            return ProblemError(status, "encoding.unsupported", detail, headers={"Accept-Encoding": "gzip"})
+        if length.isascii() and length.isdigit() and int(length[:20]) > self._max_body_bytes:
+            return too_large(self._max_body_bytes)
+        return None
+
+
+class _Counter:
+    """A receive channel that counts what passes."""
+
+    def __init__(self, receive: Receive, max_body_bytes: int, unpacker: "_Unpacker | None") -> None:
+        self._receive = receive
+        self._max_body_bytes = max_body_bytes
+        self._unpacker = unpacker
+        self._received_bytes = 0
+
+    async def __call__(self) -> Message:
+        """Return the next message."""
+        message = await self._receive()
+        if message["type"] != "http.request":
+            return message
+        body = message.get("body", b"")
+        self._received_bytes += len(body)
+        if self._received_bytes > self._max_body_bytes:
+            raise too_large(self._max_body_bytes)
+        if self._unpacker is None:
+            return message
+        is_last = not message.get("more_body", False)
+        return {**message, "body": self._unpacker.unpack(body, is_last=is_last)}
+
+
+class _Unpacker:
+    """Gzip unpacked piece by piece, members one after another."""
+
+    def __init__(self, max_body_bytes: int) -> None:
+        self._member = zlib.decompressobj(_GZIP_WBITS)
+        self._left = max_body_bytes
+        self._max_body_bytes = max_body_bytes
+        self._is_started = False
+
+    def unpack(self, packed: bytes, *, is_last: bool) -> bytes:
+        """Return what a piece unpacks to."""
+        pieces = []
+        while packed:
+            if self._member.eof:
+                self._member = zlib.decompressobj(_GZIP_WBITS)
+            self._is_started = True
+            piece = self._next(packed)
+            pieces.append(piece)
+            self._left -= len(piece)
+            if self._left < 0:
+                raise too_large(self._max_body_bytes)
+            packed = self._member.unused_data
+        if is_last and self._is_started and not self._member.eof:
+            raise _broken_gzip()
+        return b"".join(pieces)
+
+    def _next(self, packed: bytes) -> bytes:
+        """Return at most one byte more than is left of the limit."""
+        try:
+            return self._member.decompress(packed, self._left + 1)
+        except zlib.error:
+            raise _broken_gzip() from None
+
+
+def too_large(max_body_bytes: int) -> ProblemError:
+    """Return the problem of a body above the limit."""
+    detail = f"the body exceeds the limit of {max_body_bytes} bytes (after unpacking); send it in smaller batches"
+    return ProblemError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "body.too_large", detail)
+
+
+def _broken_gzip() -> ProblemError:
+    """Return the problem of a body that gzip cannot unpack."""
+    detail = "the body is not whole gzip data although Content-Encoding says so"
+    return ProblemError(HTTPStatus.BAD_REQUEST, "body.gzip", detail)

@@ -1,0 +1,88 @@
+"""What routes get handed: the context that the composition root fills, and names for its parts.
+
+Routes see ports only; they never import an adapter and never look anything up globally.
+"""
+
+import re
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from typing import Annotated
+
+from fastapi import Depends, Path, Request
+
+from service.api.plan_widths import PlanWidths
+from service.errors import NotFoundError
+from service.ports import Clock, Storage
+
+#: id of a spacecraft as it stands in paths
+SPACECRAFT_ID_PATTERN = r"^[a-z0-9][a-z0-9-]{0,63}$"
+_SPACECRAFT_ID = re.compile(SPACECRAFT_ID_PATTERN.rstrip("$") + r"\Z", re.ASCII)
+_DAY_S = 86_400.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Limits:
+    """Limits of what may come in."""
+
+    #: how far ahead of the system clock an epoch may lie
+    future_tolerance_s: float = 5.0
+    #: how far ahead of the data clock an epoch may lie
+    future_tolerance_data_s: float = 30 * _DAY_S
+    #: age from which a row counts as late under the system clock
+    late_after_s: float = 300.0
+    #: age from which a row is refused; None = nothing is too old
+    retention_s: float | None = None
+    max_body_bytes: int = 8 * 1024 * 1024
+    max_rows_per_batch: int = 10_000
+
+
+def _ignore(_spacecraft_id: str) -> None:
+    """Tell nobody."""
+
+
+async def _nothing() -> None:
+    """Do nothing."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ApiContext:
+    """All that the interface needs from outside."""
+
+    storage: Storage
+    clock: Clock
+    #: administrator's key; None = every request is refused
+    bootstrap_key: str | None = field(default=None, repr=False)
+    limits: Limits = field(default_factory=Limits)
+    #: told the spacecraft whenever something of it entered the journal
+    on_accepted: Callable[[str], None] = _ignore
+    on_startup: Callable[[], Awaitable[None]] = _nothing
+    on_shutdown: Callable[[], Awaitable[None]] = _nothing
+
+
+async def context_of(request: Request) -> ApiContext:
+    """Return the context of the application that serves a request."""
+    context: ApiContext = request.app.state.context
+    return context
+
+
+async def plan_widths_of(request: Request) -> PlanWidths:
+    """Return the application's memory of plan widths."""
+    widths: PlanWidths = request.app.state.plan_widths
+    return widths
+
+
+async def spacecraft_id_of(
+    spacecraft_id: Annotated[
+        str, Path(description="Id of a spacecraft", json_schema_extra={"pattern": SPACECRAFT_ID_PATTERN})
+    ],
+) -> str:
+    """Return the spacecraft's id of a path; an id that cannot exist is as unknown as one that does not."""
+    if _SPACECRAFT_ID.match(spacecraft_id) is None:
+        detail = f"no spacecraft {spacecraft_id[:64]!r}; GET /api/v1/spacecraft lists them"
+        raise NotFoundError("spacecraft.unknown", detail)
+    return spacecraft_id
+
+
+Context = Annotated[ApiContext, Depends(context_of)]
+Widths = Annotated[PlanWidths, Depends(plan_widths_of)]
+SpacecraftId = Annotated[str, Depends(spacecraft_id_of)]

@@ -1,0 +1,58 @@
+"""Faults: what pydantic found wrong with a request, in the words of this interface.
+
+Codes of our own validators contain a dot and pass unchanged; pydantic's many types fold into a few stable ones.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from service.errors import FieldError
+
+#: an answer names at most so many faults; the rest would only make it long
+MAX_FAULTS = 50
+
+_CODE_OF = {
+    "extra_forbidden": "field.unknown",
+    "missing": "field.missing",
+    "finite_number": "value.not_finite",
+    "too_short": "value.length",
+    "too_long": "value.length",
+    "string_too_short": "value.length",
+    "string_too_long": "value.length",
+    "string_pattern_mismatch": "value.pattern",
+    "literal_error": "value.choice",
+    "enum": "value.choice",
+    "greater_than": "value.range",
+    "greater_than_equal": "value.range",
+    "less_than": "value.range",
+    "less_than_equal": "value.range",
+    "int_parsing_size": "value.range",
+}
+_DETAIL_OF = {
+    "field.unknown": "this field is not known here; check its spelling or leave it out",
+    "field.missing": "this field is required",
+    "value.not_finite": "NaN, Infinity and numbers beyond the range of float64 are not accepted; absent is null",
+}
+
+
+def faults_of(errors: Sequence[Mapping[str, Any]], prefix: str = "") -> tuple[FieldError, ...]:
+    """Return the field errors of a pydantic validation, the first ``MAX_FAULTS`` of them."""
+    return tuple(_fault(error, prefix) for error in errors[:MAX_FAULTS])
+
+
+def pointer_of(location: Sequence[str | int]) -> str:
+    """Return the JSON pointer of RFC 6901 to a place.
+
+    Examples
+    --------
+    >>> pointer_of(("carriers", 3, "a/b"))
+    '/carriers/3/a~1b'
+    """
+    return "".join(f"/{str(part).replace('~', '~0').replace('/', '~1')[:100]}" for part in location)
+
+
+def _fault(error: Mapping[str, Any], prefix: str) -> FieldError:
+    """Return one field error."""
+    kind = str(error["type"])
+    code = kind if "." in kind else _CODE_OF.get(kind, "value.type")
+    return FieldError(prefix + pointer_of(error["loc"]), code, _DETAIL_OF.get(code, str(error["msg"])))

@@ -1,0 +1,139 @@
+"""Paging: intervals, limits and opaque cursors, the same on every list that may grow.
+
+A cursor is the place (start, number) of the last row given, so rows that arrive meanwhile neither shift nor repeat a
+page. It is URL-safe base64 and means nothing to a client.
+"""
+
+import binascii
+import struct
+from base64 import urlsafe_b64decode, urlsafe_b64encode
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Annotated, TypeVar
+
+from fastapi import Depends, Query, Request, Response
+
+from service.api.epochs import LATEST_EPOCH_US
+from service.api.problems import invalid_request
+from service.errors import FieldError
+from service.records.calibration import Window
+from service.records.epoch import EARLIEST_EPOCH_US, parse_epoch
+
+T = TypeVar("T")
+Place = tuple[int, int]
+DEFAULT_LIMIT = 100
+MAX_LIMIT = 10_000
+#: version byte, start in microseconds, number
+_CURSOR = struct.Struct(">Bqq")
+_CURSOR_VERSION = 1
+
+
+@dataclass(frozen=True, slots=True)
+class PageQuery:
+    """What part of a list is asked for."""
+
+    window: Window
+    limit: int
+    after: Place | None
+
+
+def encode_cursor(place: Place) -> str:
+    """Return the cursor that stands behind a place.
+
+    Examples
+    --------
+    >>> decode_cursor(encode_cursor((5, 7)))
+    (5, 7)
+    """
+    return urlsafe_b64encode(_CURSOR.pack(_CURSOR_VERSION, *place)).decode("ascii").rstrip("=")
+
+
+def decode_cursor(text: str) -> Place:
+    """Return the place of a cursor; problem ``cursor.invalid`` for any text that this service did not give."""
+    try:
+        packed = urlsafe_b64decode(text.encode("ascii") + b"=" * (-len(text) % 4))
+        version, start_us, number = _CURSOR.unpack(packed)
+    except (UnicodeEncodeError, binascii.Error, struct.error):
+        version, start_us, number = 0, 0, 0
+    if version != _CURSOR_VERSION or encode_cursor((start_us, number)) != text:
+        detail = "this cursor was not given by this service; take it from next of the page before, or leave it out"
+        raise invalid_request([FieldError("/query/cursor", "cursor.invalid", detail)])
+    return start_us, number
+
+
+def window_of(start: str | None, stop: str | None, default: Window) -> Window:
+    """Return the interval that was asked for.
+
+    Parameters
+    ----------
+    start, stop : str or None
+        RFC 3339, or None for the default's.
+    default : Window
+        Holds where nothing is stated; the answer says so under ``range``.
+
+    Raises
+    ------
+    ProblemError
+        422 ``epoch.malformed`` or ``range.invalid``.
+    """
+    start_us = default.start_us if start is None else _parameter_epoch("start", start)
+    stop_us = default.stop_us if stop is None else _parameter_epoch("stop", stop)
+    if start_us >= stop_us:
+        detail = "start must lie before stop; start is inclusive, stop exclusive"
+        raise invalid_request([FieldError("/query/start", "range.invalid", detail)])
+    return Window(start_us, stop_us)
+
+
+def _parameter_epoch(name: str, text: str) -> int:
+    """Return the epoch of a query parameter."""
+    try:
+        return parse_epoch(text)
+    except ValueError as error:
+        raise invalid_request([FieldError(f"/query/{name}", "epoch.malformed", str(error))]) from None
+
+
+#: all that the archive can hold
+EVERYTHING = Window(EARLIEST_EPOCH_US, LATEST_EPOCH_US)
+StartParameter = Annotated[str | None, Query(description="RFC 3339, inclusive", max_length=64)]
+StopParameter = Annotated[str | None, Query(description="RFC 3339, exclusive", max_length=64)]
+LimitParameter = Annotated[int, Query(ge=1, le=MAX_LIMIT, description="Most rows of one page")]
+CursorParameter = Annotated[str | None, Query(description="next of the page before", max_length=64)]
+
+
+async def page_query(
+    start: StartParameter = None,
+    stop: StopParameter = None,
+    limit: LimitParameter = DEFAULT_LIMIT,
+    cursor: CursorParameter = None,
+) -> PageQuery:
+    """Return the part of a list that is asked for, everything by default."""
+    window = window_of(start, stop, EVERYTHING)
+    return PageQuery(window, limit, None if cursor is None else decode_cursor(cursor))
+
+
+Page = Annotated[PageQuery, Depends(page_query)]
+
+
+def cut_page(
+    rows: Sequence[T], limit: int, place: Callable[[T], Place], request: Request, response: Response
+) -> tuple[Sequence[T], str | None]:
+    """Return the rows of one page and the cursor of the next, and set the Link header.
+
+    Parameters
+    ----------
+    rows : sequence
+        Up to ``limit + 1`` rows; the one too many tells that there is a next page.
+    limit : int
+        Rows of a page.
+    place : callable
+        Gives the place of a row.
+    request, response : Request, Response
+        The link repeats the request's other parameters.
+    """
+    if len(rows) <= limit:
+        return rows, None
+    cursor = encode_cursor(place(rows[limit - 1]))
+    url = request.url.include_query_params(cursor=cursor)
+    # relative: the host that a client reached us by is for the client to know
+    response.headers["Link"] = f'<{url.path}?{url.query}>; rel="next"'
+    return rows[:limit], cursor

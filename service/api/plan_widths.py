@@ -1,0 +1,36 @@
+"""How many carriers a plan has, kept in memory: plans are immutable, and every batch asks."""
+
+from collections import OrderedDict
+
+from starlette.concurrency import run_in_threadpool
+
+from service.ports import Catalogue
+
+_CAPACITY = 4096
+
+
+class PlanWidths:
+    """Widths of the plans asked for last.
+
+    Parameters
+    ----------
+    catalogue : Catalogue
+        Where plans are looked up once.
+    """
+
+    def __init__(self, catalogue: Catalogue) -> None:
+        self._catalogue = catalogue
+        self._widths: OrderedDict[tuple[str, int], int] = OrderedDict()
+
+    async def width(self, spacecraft_id: str, plan_id: int) -> int:
+        """Return the number of carriers; NotFoundError ``spacecraft.unknown`` or ``plan.unknown``."""
+        key = (spacecraft_id, plan_id)
+        known = self._widths.get(key)
+        if known is not None:
+            self._widths.move_to_end(key)
+            return known
+        plan = await run_in_threadpool(self._catalogue.plan, spacecraft_id, plan_id)
+        self._widths[key] = len(plan.carriers)
+        if len(self._widths) > _CAPACITY:
+            self._widths.popitem(last=False)
+        return len(plan.carriers)

@@ -1,0 +1,113 @@
+"""Problems: the one shape in which the interface says that something went wrong (RFC 9457).
+
+Every answer with a status of 400 or more is made here. ``code`` is stable and machine-readable; when exactly one field
+is at fault, it is the code of that fault, otherwise ``request.invalid``. A problem never carries what was sent: bodies
+may hold keys, and they may be large.
+"""
+
+from collections.abc import Mapping, Sequence
+from http import HTTPStatus
+
+from fastapi.responses import JSONResponse
+from pydantic import BaseModel, Field
+from starlette.requests import HTTPConnection
+
+from service.errors import ConflictError, FieldError, InvalidInputError, NotFoundError, SooError, StorageError
+
+PROBLEM_MEDIA_TYPE = "application/problem+json"
+#: seconds after which a client may try again when the archive was not ready
+RETRY_AFTER_S = 5
+
+_STATUS_OF: tuple[tuple[type[SooError], int], ...] = (
+    (NotFoundError, HTTPStatus.NOT_FOUND),
+    (ConflictError, HTTPStatus.CONFLICT),
+    (InvalidInputError, HTTPStatus.UNPROCESSABLE_ENTITY),
+    (StorageError, HTTPStatus.SERVICE_UNAVAILABLE),
+)
+
+
+class FaultSchema(BaseModel):
+    """One fault in one field."""
+
+    pointer: str = Field(description="JSON pointer into the body; parameters stand under /query, /path and /header")
+    code: str
+    detail: str
+
+
+class ProblemSchema(BaseModel):
+    """Problem of RFC 9457; its media type is application/problem+json."""
+
+    type: str
+    title: str
+    status: int
+    detail: str
+    code: str
+    request_id: str
+    errors: list[FaultSchema]
+
+
+class ProblemError(Exception):
+    """A request that the interface itself refuses.
+
+    Parameters
+    ----------
+    status : int
+        HTTP status.
+    code : str
+        Stable machine-readable code.
+    detail : str
+        What happened and what to do next.
+    fields : sequence of FieldError
+        The faulty fields.
+    headers : mapping, optional
+        Further headers of the answer.
+    """
+
+    def __init__(
+        self,
+        status: int,
+        code: str,
+        detail: str,
+        fields: Sequence[FieldError] = (),
+        headers: Mapping[str, str] | None = None,
+    ) -> None:
+        super().__init__(f"{status} {code}: {detail}")
+        self.status = status
+        self.code = code
+        self.detail = detail
+        self.fields = tuple(fields)
+        self.headers = dict(headers or {})
+
+
+def invalid_request(fields: Sequence[FieldError]) -> ProblemError:
+    """Return the 422 that names faulty fields."""
+    if len(fields) == 1:
+        return ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, fields[0].code, fields[0].detail, fields)
+    detail = f"{len(fields)} fields of the request are at fault; see errors"
+    return ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, "request.invalid", detail, fields)
+
+
+def from_soo_error(error: SooError) -> ProblemError:
+    """Return the problem that tells an error of the service."""
+    status = next((status for kind, status in _STATUS_OF if isinstance(error, kind)), HTTPStatus.INTERNAL_SERVER_ERROR)
+    headers = {"Retry-After": str(RETRY_AFTER_S)} if status == HTTPStatus.SERVICE_UNAVAILABLE else None
+    return ProblemError(status, error.code, error.detail, error.fields, headers)
+
+
+def request_id_of(connection: HTTPConnection) -> str:
+    """Return the id under which a request is logged and answered."""
+    return str(connection.scope.get("state", {}).get("request_id", ""))
+
+
+def render(connection: HTTPConnection, error: ProblemError) -> JSONResponse:
+    """Return the answer that carries a problem."""
+    content = {
+        "type": f"urn:soo:problem:{error.code}",
+        "title": HTTPStatus(error.status).phrase,
+        "status": int(error.status),
+        "detail": error.detail,
+        "code": error.code,
+        "request_id": request_id_of(connection),
+        "errors": [{"pointer": f.pointer, "code": f.code, "detail": f.detail} for f in error.fields],
+    }
+    return JSONResponse(content, status_code=int(error.status), headers=error.headers, media_type=PROBLEM_MEDIA_TYPE)

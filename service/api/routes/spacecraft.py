@@ -1,0 +1,102 @@
+"""Spacecraft of the catalogue."""
+
+import json
+from http import HTTPStatus
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Response
+from pydantic import RootModel
+
+from service.api.auth import MAY_OPERATE
+from service.api.bodies import accepts, body_of, decode
+from service.api.deps import Context, SpacecraftId
+from service.api.problems import invalid_request
+from service.api.schemas.base import Answer
+from service.api.schemas.spacecraft import SPACECRAFT_ADAPTER, SpacecraftDocument
+from service.errors import FieldError
+
+router = APIRouter(prefix="/spacecraft", tags=["catalogue"])
+
+
+class SpacecraftPatch(RootModel[dict[str, Any]]):
+    """Fields of a spacecraft to change; objects are merged at every depth, null restores a default (RFC 7396)."""
+
+
+class SpacecraftList(Answer):
+    """All spacecraft in order of id."""
+
+    rows: list[SpacecraftDocument]
+    next: str | None = None
+
+
+@router.post("", status_code=HTTPStatus.CREATED, dependencies=[MAY_OPERATE], openapi_extra=accepts(SpacecraftDocument))
+def create_spacecraft(
+    body: Annotated[SpacecraftDocument, body_of(SpacecraftDocument)], context: Context, response: Response
+) -> SpacecraftDocument:
+    """Add a spacecraft; 409 when its id exists."""
+    if "mode" in body.control.model_fields_set:
+        _check_ground_control(body)
+    context.storage.catalogue.add_spacecraft(body.to_record())
+    context.on_accepted(body.id)
+    response.headers["Location"] = f"/api/v1/spacecraft/{body.id}"
+    return body
+
+
+@router.get("")
+def list_spacecraft(context: Context) -> SpacecraftList:
+    """List all spacecraft."""
+    return SpacecraftList(rows=[SpacecraftDocument.of(record) for record in context.storage.catalogue.all_spacecraft()])
+
+
+@router.get("/{spacecraft_id}")
+def get_spacecraft(spacecraft_id: SpacecraftId, context: Context) -> SpacecraftDocument:
+    """Return one spacecraft with all defaults filled in."""
+    return SpacecraftDocument.of(context.storage.catalogue.spacecraft(spacecraft_id))
+
+
+@router.patch("/{spacecraft_id}", dependencies=[MAY_OPERATE], openapi_extra=accepts(SpacecraftPatch))
+def change_spacecraft(
+    spacecraft_id: SpacecraftId, body: Annotated[SpacecraftPatch, body_of(SpacecraftPatch)], context: Context
+) -> SpacecraftDocument:
+    """Change fields of a spacecraft, the others stay."""
+    stored = SpacecraftDocument.of(context.storage.catalogue.spacecraft(spacecraft_id))
+    # NaN passes through as the token NaN, so that the document's own check names the field
+    merged = json.dumps(_merged(stored.model_dump(mode="json"), body.root))
+    changed = decode(SPACECRAFT_ADAPTER, merged.encode())
+    if changed.id != spacecraft_id:
+        detail = "the id of a spacecraft cannot change; add another spacecraft"
+        raise invalid_request([FieldError("/id", "spacecraft.id_fixed", detail)])
+    if _touches_control(body.root):
+        _check_ground_control(changed)
+    context.storage.catalogue.replace_spacecraft(changed.to_record())
+    context.on_accepted(spacecraft_id)
+    return changed
+
+
+def _merged(target: Any, patch: Any) -> Any:
+    """Return a document with a merge patch applied."""
+    if not isinstance(patch, dict):
+        return patch
+    result = dict(target) if isinstance(target, dict) else {}
+    for key, value in patch.items():
+        if value is None:
+            result.pop(key, None)
+        else:
+            result[key] = _merged(result.get(key), value)
+    return result
+
+
+def _touches_control(patch: dict[str, Any]) -> bool:
+    """Whether a patch says anything about what ground control needs."""
+    control = patch.get("control")
+    return "onboard" in patch or (isinstance(control, dict) and "mode" in control)
+
+
+def _check_ground_control(document: SpacecraftDocument) -> None:
+    """Refuse ground control of a spacecraft without a fast loop of its own."""
+    if document.lacks_fast_loop:
+        detail = (
+            "mode ground needs onboard.fast_loop and onboard.forecast_mode; without a fast loop 1 N m s of stored "
+            "momentum alone turns the craft 0.3 deg in ten minutes"
+        )
+        raise invalid_request([FieldError("/control/mode", "control.no_fast_loop", detail)])

@@ -1,0 +1,93 @@
+"""What all documents share: strictness, text without control characters, epochs, angles by name.
+
+Documents that come in are strict: no unknown fields, no coercion, finite numbers only. Answers turn NaN into null and
+microseconds into RFC 3339 by themselves, so routes hand over records as they are.
+"""
+
+import math
+from typing import Annotated, Any, Self
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints, WithJsonSchema
+
+from service.api.epochs import epoch_of
+from service.records.attitude import Axes
+from service.records.epoch import format_epoch
+
+_EPOCH_SCHEMA = {"type": "string", "format": "date-time", "examples": ["2026-11-21T03:02:32.011250Z"]}
+
+#: one line of text; control characters would break logs, CSV and PostgreSQL
+Text = Annotated[str, StringConstraints(max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")]
+#: a remark of several lines
+Remark = Annotated[str, StringConstraints(max_length=4000, pattern=r"^[^\x00-\x08\x0b\x0c\x0e-\x1f\x7f]*$")]
+#: name of a carrier, transponder, band or front end; it stands in paths and column names
+Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._:-]{0,63}$")]
+EpochText = Annotated[str, AfterValidator(epoch_of), WithJsonSchema(_EPOCH_SCHEMA)]
+LatitudeDeg = Annotated[float, Field(ge=-90, le=90)]
+LongitudeDeg = Annotated[float, Field(ge=-180, le=360)]
+#: whole numbers that the archive counts with
+Number = Annotated[int, Field(ge=1, le=2**62)]
+
+
+class Document(BaseModel):
+    """A document that comes in."""
+
+    model_config = ConfigDict(
+        extra="forbid", strict=True, allow_inf_nan=False, frozen=True, use_attribute_docstrings=True
+    )
+
+
+class Answer(BaseModel):
+    """A document that goes out."""
+
+    model_config = ConfigDict(frozen=True, use_attribute_docstrings=True, from_attributes=True)
+
+
+def _epoch_text(value: Any) -> Any:
+    """Return RFC 3339 for microseconds."""
+    return format_epoch(value) if isinstance(value, int) else value
+
+
+def _finite_or_none(value: Any) -> Any:
+    """Return None for NaN."""
+    return None if isinstance(value, float) and math.isnan(value) else value
+
+
+EpochAnswer = Annotated[str, BeforeValidator(_epoch_text), WithJsonSchema(_EPOCH_SCHEMA)]
+Figure = Annotated[float | None, BeforeValidator(_finite_or_none)]
+
+
+class AnglesDocument(Document):
+    """One value an axis; absent = null."""
+
+    yaw: float | None = None
+    roll: float | None = None
+    pitch: float | None = None
+
+    def to_record(self) -> Axes:
+        """Return the axes, NaN where absent."""
+        return axes_of(self.yaw, self.roll, self.pitch)
+
+
+class AnglesAnswer(Answer):
+    """One value an axis; absent = null."""
+
+    yaw: Figure
+    roll: Figure
+    pitch: Figure
+
+    @classmethod
+    def of(cls, axes: Axes) -> Self:
+        """Return the answer that tells a value of each axis."""
+        return cls(yaw=axes.yaw, roll=axes.roll, pitch=axes.pitch)
+
+
+class WindowAnswer(Answer):
+    """Interval of epochs, start inclusive, stop exclusive."""
+
+    start: EpochAnswer
+    stop: EpochAnswer
+
+
+def axes_of(yaw: float | None, roll: float | None, pitch: float | None) -> Axes:
+    """Return the axes, NaN where absent."""
+    return Axes(*(math.nan if value is None else value for value in (yaw, roll, pitch)))

@@ -1,0 +1,178 @@
+"""Spacecraft as the catalogue takes and tells it, with the checks that physics allows."""
+
+from dataclasses import asdict
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import AfterValidator, Field, StringConstraints, TypeAdapter, model_validator
+from pydantic_core import PydanticCustomError
+
+from service.api.schemas.base import Document, LatitudeDeg, LongitudeDeg, Text
+from service.records.catalogue import (
+    ControlMode,
+    ControlSettings,
+    FlexibleMode,
+    Matrix3,
+    Method,
+    Onboard,
+    Release,
+    Site,
+    Spacecraft,
+    WheelSet,
+)
+
+Vector3 = tuple[float, float, float]
+Positive = Annotated[float, Field(gt=0, le=1e6)]
+#: allowed difference of mirrored tensor elements, and excess of a principal moment over the sum of the others
+_RELATIVE_TOLERANCE = 1e-9
+#: least singular value of the wheel axes: below it one direction would need more than twenty times the torque
+_MIN_SPAN = 0.05
+
+
+def _check_inertia(inertia_kg_m2: Matrix3) -> Matrix3:
+    """Refuse a tensor that no body can have."""
+    tensor = np.array(inertia_kg_m2)
+    scale = float(np.max(np.abs(tensor)))
+    if np.any(np.abs(tensor - tensor.T) > _RELATIVE_TOLERANCE * scale):
+        raise PydanticCustomError("inertia.not_symmetric", "the inertia tensor must be symmetric")
+    moments = np.linalg.eigvalsh(tensor)
+    if moments[0] <= _RELATIVE_TOLERANCE * scale:
+        raise PydanticCustomError("inertia.not_positive", "the principal moments of inertia must be positive")
+    if moments[2] > (moments[0] + moments[1]) * (1 + _RELATIVE_TOLERANCE):
+        message = (
+            "no principal moment of inertia can exceed the sum of the other two; give tensor elements, not products"
+        )
+        raise PydanticCustomError("inertia.triangle", message)
+    return inertia_kg_m2
+
+
+def _unit_axes(axes: tuple[Vector3, ...]) -> tuple[Vector3, ...]:
+    """Return the wheel axes as unit vectors; refuse axes that leave a direction without torque."""
+    array = np.array(axes)
+    lengths = np.linalg.norm(array, axis=1)
+    if np.any(lengths < 1e-6):
+        raise PydanticCustomError("wheels.axis_zero", "a wheel axis must not be the zero vector")
+    # vectors that are unit already stay as they were sent, to the last bit
+    scales = np.where(np.abs(lengths - 1) <= _RELATIVE_TOLERANCE, 1.0, lengths)
+    array = array / scales[:, None]
+    if np.linalg.svd(array, compute_uv=False)[-1] < _MIN_SPAN:
+        raise PydanticCustomError("wheels.axes_span", "the wheel axes must span all three directions")
+    return tuple((float(x), float(y), float(z)) for x, y, z in array)
+
+
+#: bounds keep the checks from overflowing
+InertiaElement = Annotated[float, Field(ge=-1e8, le=1e8)]
+InertiaRow = tuple[InertiaElement, InertiaElement, InertiaElement]
+AxisElement = Annotated[float, Field(ge=-1e3, le=1e3)]
+WheelAxis = tuple[AxisElement, AxisElement, AxisElement]
+
+
+class SiteDocument(Document):
+    """The receiving site."""
+
+    name: Text = ""
+    latitude_deg: LatitudeDeg
+    longitude_deg: LongitudeDeg
+    height_m: Annotated[float, Field(ge=-500, le=9000)] = 0.0
+
+
+class WheelsDocument(Document):
+    """Reaction wheels; one wheel an axis by default."""
+
+    axes: Annotated[tuple[WheelAxis, ...], Field(min_length=3, max_length=16), AfterValidator(_unit_axes)] = (
+        WheelSet().axes
+    )
+    """Directions of the spin axes in body axes; made unit vectors."""
+    torque_limit_n_m: Positive = 0.05
+    momentum_limit_n_m_s: Positive = 20.0
+    torque_quantum_n_m: Annotated[float, Field(ge=0)] = 0.002
+
+    @model_validator(mode="after")
+    def _check_quantum(self) -> Self:
+        """Refuse a step that no torque within the limit can make."""
+        if self.torque_quantum_n_m > self.torque_limit_n_m:
+            raise PydanticCustomError("wheels.quantum", "torque_quantum_n_m must not exceed torque_limit_n_m")
+        return self
+
+
+class FlexibleModeDocument(Document):
+    """One flexible mode, for the schedule check."""
+
+    axis: Literal["roll", "pitch", "yaw"]
+    omega_rad_s: Annotated[float, Field(gt=0, le=1e4)]
+    damping_ratio: Annotated[float, Field(ge=0, lt=1)]
+    coupling: Annotated[float, Field(ge=0, lt=1)]
+    """Share of the mode in the inertia of its axis."""
+
+
+class OnboardDocument(Document):
+    """What the spacecraft's own control offers."""
+
+    fast_loop: bool = False
+    forecast_mode: bool = False
+    roll_yaw_coupling: bool = True
+
+
+class ControlDocument(Document):
+    """Attitude control."""
+
+    method: Method = Method.ROBUST
+    mode: ControlMode = ControlMode.GROUND
+    release: Release = Release.TWO_STEP
+    period_s: Annotated[float, Field(ge=60, le=1e6)] = 7200.0
+    damping: Annotated[float, Field(gt=0, le=5)] = 0.9
+
+
+class SpacecraftDocument(Document):
+    """A spacecraft."""
+
+    id: Annotated[str, StringConstraints(pattern=r"^[a-z0-9][a-z0-9-]{0,63}$")]
+    name: Annotated[Text, StringConstraints(min_length=1)]
+    cospar_id: Annotated[str, StringConstraints(pattern=r"^\d{4}-\d{3}[A-Z]{1,3}$")] | None = None
+    longitude_deg: LongitudeDeg
+    """Degrees East of the nominal sub-satellite point."""
+    simulated: bool = False
+    """Lives under the data clock; never commanded by mistake for a real one."""
+    receiving_site: SiteDocument
+    inertia_kg_m2: Annotated[
+        tuple[InertiaRow, InertiaRow, InertiaRow],
+        Field(description="Tensor elements; x roll, y pitch, z yaw"),
+        AfterValidator(_check_inertia),
+    ]
+    torque_limit_n_m: Positive
+    """Greatest torque on the body an axis."""
+    wheels: WheelsDocument = WheelsDocument()
+    modes: Annotated[tuple[FlexibleModeDocument, ...], Field(max_length=64)] = ()
+    onboard: OnboardDocument = OnboardDocument()
+    control: ControlDocument = ControlDocument()
+
+    @classmethod
+    def of(cls, spacecraft: Spacecraft) -> Self:
+        """Return the document that tells a record."""
+        return cls.model_validate(asdict(spacecraft), strict=False)
+
+    def to_record(self) -> Spacecraft:
+        """Return the record that this document states."""
+        return Spacecraft(
+            id=self.id,
+            name=self.name,
+            cospar_id=self.cospar_id,
+            longitude_deg=self.longitude_deg,
+            simulated=self.simulated,
+            receiving_site=Site(**self.receiving_site.model_dump()),
+            inertia_kg_m2=self.inertia_kg_m2,
+            torque_limit_n_m=self.torque_limit_n_m,
+            wheels=WheelSet(**self.wheels.model_dump()),
+            modes=tuple(FlexibleMode(**mode.model_dump()) for mode in self.modes),
+            onboard=Onboard(**self.onboard.model_dump()),
+            control=ControlSettings(**self.control.model_dump()),
+        )
+
+    @property
+    def lacks_fast_loop(self) -> bool:
+        """Whether ground control is asked of a spacecraft that would not stay still between two commands."""
+        can_follow = self.onboard.fast_loop and self.onboard.forecast_mode
+        return self.control.mode is ControlMode.GROUND and not can_follow
+
+
+SPACECRAFT_ADAPTER = TypeAdapter(SpacecraftDocument)
