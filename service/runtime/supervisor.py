@@ -106,7 +106,7 @@ class Supervisor:
         """Follow one journal to its end; a fault is logged, the state is rebuilt and the journal tried again."""
         try:
             self._follow(spacecraft_id)
-        except Exception:
+        except Exception:  # noqa: BLE001 the supervisor outlives every fault; the chain is rebuilt from the archive
             _LOG.exception("following the journal of %s failed; rebuilding its state and trying again", spacecraft_id)
             self._followers.pop(spacecraft_id, None)
             timer = threading.Timer(_RETRY_S, self.notify, (spacecraft_id,))

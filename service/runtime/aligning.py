@@ -1,0 +1,114 @@
+"""Alignment: the step after which no outside angle reaches the estimator."""
+
+from dataclasses import dataclass
+
+from service.errors import ConflictError, InvalidInputError
+from service.pipeline.alignment import ReferencePowers, StatedAngles, reference_powers, smooth_angles
+from service.pipeline.config import AlignmentConfig
+from service.ports import Clock, Storage
+from service.records.attitude import Axes
+from service.records.calibration import Alignment, Calibration, CalibrationState, Window
+from service.records.epoch import US_PER_S, format_epoch
+
+
+@dataclass(frozen=True, slots=True)
+class AlignmentRequest:
+    """What an operator asks: a window and its sensors, or angles stated by hand."""
+
+    window: Window | None
+    #: sensor of yaw, roll, pitch; used with a window
+    source_of_axis: tuple[str, str, str] | None
+    #: angles by hand
+    stated: tuple[int, Axes, Axes] | None
+    override_reason: str | None
+    created_by: str
+
+
+class Aligner:
+    """Makes alignments from the archive."""
+
+    def __init__(self, storage: Storage, clock: Clock, config: AlignmentConfig) -> None:
+        self._storage = storage
+        self._clock = clock
+        self._config = config
+
+    def align(self, spacecraft_id: str, request: AlignmentRequest) -> Alignment:
+        """Store an alignment and return it.
+
+        Raises
+        ------
+        ConflictError
+            ``alignment.no_calibration``: none is active. ``alignment.inconsistent``: the powers contradict the angles
+            and no reason to override was given.
+        InvalidInputError
+            ``alignment.no_reference``, ``alignment.no_powers``: the window lacks angles or powers.
+        """
+        calibration = self._active_calibration(spacecraft_id)
+        stated, window = self._angles(spacecraft_id, request)
+        carrier_ids = [carrier.id for carrier in calibration.result.carriers] if calibration.result else []
+        series = self._storage.archive.measurement_series(spacecraft_id, window, carrier_ids)
+        ephemeris = self._storage.catalogue.ephemeris(spacecraft_id)
+        powers = reference_powers(series, stated, calibration, ephemeris, self._config)
+        if len(powers.references) < 4:
+            detail = (
+                f"{len(powers.references)} carriers have {self._config.min_rows} rows or more between "
+                f"{format_epoch(window.start_us)} and {format_epoch(window.stop_us)}; 4 are needed: choose a window "
+                "in which measurements arrived"
+            )
+            raise InvalidInputError("alignment.no_powers", detail)
+        self._refuse_contradiction(powers, stated, request)
+        alignment = Alignment(
+            id=0,
+            epoch_us=stated.epoch_us,
+            attitude_deg=stated.attitude_deg,
+            sigma_deg=stated.sigma_deg,
+            calibration_id=calibration.id,
+            source=",".join(sorted(set(request.source_of_axis))) if request.source_of_axis else "manual",
+            created_at_us=self._clock.system_us(),
+            created_by=request.created_by,
+            references=powers.references,
+            window=window,
+            override_reason=request.override_reason,
+        )
+        return self._storage.results.add_alignment(spacecraft_id, alignment)
+
+    def _active_calibration(self, spacecraft_id: str) -> Calibration:
+        """Return the calibration whose carriers get references."""
+        self._storage.catalogue.spacecraft(spacecraft_id)
+        active = self._storage.results.calibrations(spacecraft_id, CalibrationState.ACTIVE)
+        if not active:
+            detail = f"no calibration of {spacecraft_id} is active; calibrate and activate one first"
+            raise ConflictError("alignment.no_calibration", detail)
+        return active[0]
+
+    def _angles(self, spacecraft_id: str, request: AlignmentRequest) -> tuple[StatedAngles, Window]:
+        """Return the angles to start from and the window of powers that belongs to them."""
+        if request.stated is not None:
+            epoch_us, attitude_deg, sigma_deg = request.stated
+            window = Window(epoch_us - int(self._config.manual_window_s * US_PER_S), epoch_us + 1)
+            return StatedAngles(epoch_us, attitude_deg, sigma_deg), window
+        if request.window is None or request.source_of_axis is None:
+            raise InvalidInputError("alignment.shape", "give a window with its sources, or an epoch with its angles")
+        references = self._storage.archive.reference_series(spacecraft_id, request.window)
+        stated, missing = smooth_angles(references, request.source_of_axis)
+        if stated is None:
+            wanted = ", ".join(sorted(set(request.source_of_axis)))
+            detail = (
+                f"no {' and '.join(missing)} of {wanted} between {format_epoch(request.window.start_us)} and "
+                f"{format_epoch(request.window.stop_us)}; send attitude references or name another source"
+            )
+            raise InvalidInputError("alignment.no_reference", detail)
+        return stated, request.window
+
+    def _refuse_contradiction(self, powers: ReferencePowers, stated: StatedAngles, request: AlignmentRequest) -> None:
+        """Refuse angles that the powers speak against, unless the operator overrides."""
+        consistency = powers.consistency
+        if consistency.probability >= self._config.min_probability or request.override_reason:
+            return
+        yaw, roll, pitch = consistency.offset_deg
+        detail = (
+            f"the powers contradict the angles at {format_epoch(stated.epoch_us)} (chi-square "
+            f"{consistency.chi_square:.1f}, p {consistency.probability:.1e}): they tell of yaw {yaw:+.2f}, roll "
+            f"{roll:+.2f}, pitch {pitch:+.2f} deg beside them; check the sensor, or give override_reason"
+        )
+        raise ConflictError("alignment.inconsistent", detail)

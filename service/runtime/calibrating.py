@@ -1,0 +1,82 @@
+"""Calibration jobs: read the windows from the archive, run the fit, store the draft's result."""
+
+from service.errors import ConflictError, InvalidInputError
+from service.pipeline.calibration import calibrate_paper
+from service.pipeline.calibration_rows import CalibrationError, CalibrationInput
+from service.pipeline.config import CalibrationConfig
+from service.ports import Clock, Storage
+from service.records.calibration import Calibration, CalibrationMethod, CalibrationRequest, CalibrationState
+from service.records.job import Job
+from service.runtime.jobs import JobFailedError, JobRunner, Progress
+
+
+class Calibrator:
+    """Starts calibrations and makes them active."""
+
+    def __init__(self, storage: Storage, clock: Clock, jobs: JobRunner, config: CalibrationConfig) -> None:
+        self._storage = storage
+        self._clock = clock
+        self._jobs = jobs
+        self._config = config
+
+    def start(self, spacecraft_id: str, request: CalibrationRequest, created_by: str) -> tuple[Calibration, Job]:
+        """Store a draft and queue its fit.
+
+        Raises
+        ------
+        InvalidInputError
+            ``calibration.method``: a kind of fit that this build does not have.
+        NotFoundError
+            No spacecraft, no carrier plan or no ephemeris.
+        """
+        if request.method is not CalibrationMethod.PAPER:
+            detail = "calibration by station geometry is not part of this version; ask for method 'paper'"
+            raise InvalidInputError("calibration.method", detail)
+        plan = self._storage.catalogue.plan(spacecraft_id)
+        ephemeris = self._storage.catalogue.ephemeris(spacecraft_id)
+        draft = self._storage.results.add_calibration(
+            spacecraft_id, request, plan.id, ephemeris.id, self._clock.system_us(), created_by
+        )
+        job = self._jobs.add("calibration")
+        self._jobs.run(job, lambda report: self._fit(spacecraft_id, draft, report))
+        return draft, job
+
+    def activate(self, spacecraft_id: str, calibration_id: int) -> Calibration:
+        """Make a finished calibration the active one of its method."""
+        calibration = self._storage.results.calibration(spacecraft_id, calibration_id)
+        if calibration.state is CalibrationState.ACTIVE:
+            return calibration
+        if calibration.result is None:
+            detail = f"calibration {calibration_id} has no result ({calibration.state.value}); " + (
+                calibration.error or "wait for its job to end"
+            )
+            raise ConflictError("calibration.unfinished", detail)
+        return self._storage.results.activate_calibration(spacecraft_id, calibration_id)
+
+    def _fit(self, spacecraft_id: str, draft: Calibration, report: Progress) -> None:
+        """Run the fit of one draft."""
+        results = self._storage.results
+        try:
+            data = self._read(spacecraft_id, draft)
+            report(0.3)
+            result = calibrate_paper(data, self._config)
+        except CalibrationError as error:
+            results.finish_calibration(spacecraft_id, draft.id, None, str(error))
+            raise JobFailedError(str(error)) from error
+        except Exception as error:
+            results.finish_calibration(spacecraft_id, draft.id, None, f"internal error: {error!r}")
+            raise
+        results.finish_calibration(spacecraft_id, draft.id, result, None)
+
+    def _read(self, spacecraft_id: str, draft: Calibration) -> CalibrationInput:
+        """Read what the archive holds for a draft."""
+        catalogue, archive, request = self._storage.catalogue, self._storage.archive, draft.request
+        plan = catalogue.plan(spacecraft_id, draft.plan_id)
+        return CalibrationInput(
+            request,
+            plan,
+            catalogue.ephemeris(spacecraft_id, draft.ephemeris_id),
+            archive.measurement_series(spacecraft_id, request.quiet, plan.carrier_ids),
+            archive.measurement_series(spacecraft_id, request.turns, plan.carrier_ids),
+            archive.reference_series(spacecraft_id, request.turns),
+        )

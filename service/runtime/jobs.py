@@ -1,0 +1,80 @@
+"""Jobs: long work started by an operator, one at a time, its progress kept in the archive.
+
+A job ends done or failed with a text; a process that dies leaves none running, for the next start marks what it left
+as failed.
+"""
+
+import logging
+import threading
+import uuid
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+from service.errors import SooError
+from service.ports import Clock, Results
+from service.records.job import Job, JobState
+
+_LOG = logging.getLogger("soo.jobs")
+
+#: tells how far a job is, 0..1
+Progress = Callable[[float], None]
+
+
+class JobFailedError(Exception):
+    """The work cannot be done; the text tells the operator why and what to do."""
+
+
+class JobRunner:
+    """Runs jobs one after another in a thread of its own.
+
+    Parameters
+    ----------
+    results : Results
+        Where jobs are kept.
+    clock : Clock
+        For creation times.
+    """
+
+    def __init__(self, results: Results, clock: Clock) -> None:
+        self._results = results
+        self._clock = clock
+        self._executor = ThreadPoolExecutor(1, thread_name_prefix="soo-job")
+        self._is_stopping = threading.Event()
+
+    def start(self) -> None:
+        """Mark what a former process left unfinished."""
+        self._results.fail_unfinished_jobs("the service was restarted while the job ran; start it again")
+
+    def stop(self) -> None:
+        """Ask the running job to end at its next progress report and wait for it."""
+        self._is_stopping.set()
+        self._executor.shutdown(wait=True, cancel_futures=True)
+
+    def add(self, kind: str) -> Job:
+        """Store a job that waits for its work."""
+        job = Job(f"{kind}-{uuid.uuid4().hex[:12]}", kind, JobState.QUEUED, 0.0, self._clock.system_us())
+        self._results.add_job(job)
+        return job
+
+    def run(self, job: Job, work: Callable[[Progress], None]) -> None:
+        """Queue the work of a job."""
+        self._executor.submit(self._run, job.id, work)
+
+    def _run(self, job_id: str, work: Callable[[Progress], None]) -> None:
+        """Run one job and store how it ended."""
+
+        def report(progress: float) -> None:
+            if self._is_stopping.is_set():
+                message = "the service is stopping; start the job again"
+                raise JobFailedError(message)
+            self._results.update_job(job_id, JobState.RUNNING, progress)
+
+        try:
+            report(0.0)
+            work(report)
+            self._results.update_job(job_id, JobState.DONE, 1.0)
+        except (JobFailedError, SooError) as error:
+            self._results.update_job(job_id, JobState.FAILED, 1.0, str(error))
+        except Exception as error:  # noqa: BLE001 a job's fault must reach its operator, whatever it is
+            _LOG.exception("job %s failed", job_id)
+            self._results.update_job(job_id, JobState.FAILED, 1.0, f"internal error, see the log: {error!r}")
