@@ -1,0 +1,203 @@
+"""Level L0 -> L1 in the front end: the sweeps of one cycle become one row of carrier powers with flags.
+
+Law of this file: a level that is not measured is NaN and has a flag that says why. Weights are made once for each
+setting that the analyzer states; the presence test keeps its state from cycle to cycle.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.core.radio.band_weights import BandWeights, CarrierBands, TraceGrid, weigh_bands
+from service.core.radio.carrier_power import CarrierPower, hide_absent, measure_carriers
+from service.core.radio.decibel import FloatArray, mw_from_dbm
+from service.core.radio.leakage import leakage, leaked_ratio
+from service.core.radio.presence import BoolArray, initial_presence, step_presence
+from service.frontend.measurement_task import CarrierPart, InputPart, MeasurementTask
+from service.records.quality_flag import QualityFlag
+from service.records.sweep import Sweep, SweepSettings
+
+#: what leaks from neighbours above this part of the carrier's power is flagged: 0.1 dB
+LEAK_LIMIT = 10.0**0.01 - 1.0
+#: C/N in the symbol rate below which a level is flagged, dB
+LOW_C_N_DB = 3.0
+#: distance from the analyzer's own noise below which the floor is flagged, dB
+DANL_MARGIN_DB = 6.0
+#: offset of the centre, in symbol rates, above which a carrier is flagged
+OFFSET_PART = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredRow:
+    """One row, in the order of the task's carriers."""
+
+    #: microseconds UTC, middle of the dwell
+    epoch_us: int
+    #: (N,) dBm, NaN = absent or not measured
+    power_dbm: FloatArray
+    #: (N,) masks of QualityFlag
+    flags: NDArray[np.int64]
+    #: (N,) dB, predicted scatter
+    sigma_db: FloatArray
+
+
+class SweepEvaluation:
+    """Carriers of one sweep.
+
+    Parameters
+    ----------
+    carriers : tuple of CarrierPart
+        In the order of the task.
+    path : InputPart
+        What lies before the analyzer.
+    """
+
+    def __init__(self, carriers: tuple[CarrierPart, ...], path: InputPart) -> None:
+        self._carriers = carriers
+        self._path = path
+        center_hz = np.array([carrier.fc_hz for carrier in carriers])
+        self._offset_db = level_offset_db(path, center_hz)
+        self._rolloff = np.array([carrier.rolloff for carrier in carriers])
+        self._presence = initial_presence(len(carriers))
+        self._settings: SweepSettings | None = None
+        self._weights: BandWeights | None = None
+        self._share: FloatArray = np.zeros((len(carriers), len(carriers)))
+
+    def evaluate(self, sweep: Sweep) -> tuple[CarrierPower, NDArray[np.int64]]:
+        """Return the powers of one sweep at the test point, absent ones hidden, and their flags."""
+        weights = self._weights_of(sweep.settings)
+        power = measure_carriers(sweep.power_mw, weights)
+        ratio_db = np.where(sweep.is_stale, np.nan, power.presence_ratio_db)
+        self._presence, is_visible = step_presence(self._presence, ratio_db, power.presence_threshold_db)
+        is_visible = is_visible & ~np.isnan(power.power_dbm)
+        flags = self._flags(power, weights.bands, is_visible) | _sweep_flags(sweep)
+        at_test_point = power._replace(power_dbm=power.power_dbm + self._offset_db)
+        return hide_absent(at_test_point, is_visible), flags
+
+    def _weights_of(self, settings: SweepSettings) -> BandWeights:
+        """Return the weights of these settings, made anew when the analyzer states others."""
+        if self._weights is None or settings != self._settings:
+            bands = self._bands(settings)
+            grid = TraceGrid(
+                settings.start_hz,
+                settings.step_hz,
+                settings.points,
+                settings.enbw_hz,
+                settings.sweep_time_s * settings.count,
+            )
+            self._weights = weigh_bands(grid, bands)
+            self._share = leakage(bands, self._rolloff, settings.rbw_hz)
+            self._settings = settings
+        return self._weights
+
+    def _bands(self, settings: SweepSettings) -> CarrierBands:
+        """Return the carriers' bands in the analyzer's frequencies."""
+        shift_hz = self._path.freq_offset_hz
+        return CarrierBands(
+            np.array([c.fc_hz for c in self._carriers]) + shift_hz,
+            np.array([c.integ_bw_hz for c in self._carriers]),
+            np.array([c.symbol_rate or settings.rbw_hz for c in self._carriers]),
+            np.array([c.kind == "beacon" for c in self._carriers], dtype=np.bool_),
+            tuple(tuple((low + shift_hz, high + shift_hz) for low, high in c.noise) for c in self._carriers),
+        )
+
+    def _flags(self, power: CarrierPower, bands: CarrierBands, is_visible: BoolArray) -> NDArray[np.int64]:
+        """Return what the powers themselves say about their quality."""
+        leak = leaked_ratio(self._share, mw_from_dbm(np.where(is_visible, power.power_dbm, np.nan)))
+        offset = np.abs(power.centroid_hz - bands.center_hz) / bands.symbol_rate_hz
+        is_trusted = is_visible & (power.c_n_db >= LOW_C_N_DB)
+        floor_dbm_hz = np.inf if self._path.danl_dbm_hz is None else self._path.danl_dbm_hz + DANL_MARGIN_DB
+        found = {
+            QualityFlag.NO_CARRIER: ~is_visible & ~power.is_nonfinite,
+            QualityFlag.NONFINITE_VALUE: power.is_nonfinite,
+            QualityFlag.NEIGHBOUR: is_visible & (leak > LEAK_LIMIT),
+            QualityFlag.NOISE_WINDOW_DIRTY: power.is_noise_dirty,
+            QualityFlag.DANL_LIMITED: (power.n0_dbm_hz < floor_dbm_hz) & (self._path.danl_dbm_hz is not None),
+            QualityFlag.LOW_C_N: is_visible & ~is_trusted,
+            QualityFlag.FREQUENCY_OFFSET: is_trusted & ~bands.is_line & (offset > OFFSET_PART),
+        }
+        flags: NDArray[np.int64] = np.sum(
+            [int(flag) * is_set for flag, is_set in found.items()], axis=0, dtype=np.int64
+        )
+        return flags
+
+
+class TaskEvaluation:
+    """All sweeps of a task.
+
+    Parameters
+    ----------
+    task : MeasurementTask
+        Checked by the planner.
+    """
+
+    def __init__(self, task: MeasurementTask) -> None:
+        self._ids = tuple(carrier.id for carrier in task.carriers)
+        self._places = {
+            sweep.id: np.array([k for k, carrier in enumerate(task.carriers) if carrier.sweep == sweep.id], dtype=int)
+            for sweep in task.sweeps
+        }
+        self._evaluations = {
+            sweep.id: SweepEvaluation(task.carriers_of(sweep.id), task.input)
+            for sweep in task.sweeps
+            if task.carriers_of(sweep.id)
+        }
+
+    def row(self, sweeps: Mapping[str, Sweep | None], *, extra: int = 0) -> MeasuredRow:
+        """Return the row of one cycle.
+
+        Parameters
+        ----------
+        sweeps : mapping
+            Sweep id -> sweep; None where it failed while others of the cycle did not.
+        extra : int
+            Mask of QualityFlag set on every carrier.
+
+        Raises
+        ------
+        ValueError
+            No sweep was taken, or the analyzer's span does not hold the carriers.
+        """
+        taken = [sweep for sweep in sweeps.values() if sweep is not None]
+        if not taken:
+            raise ValueError("a cycle without a sweep gives no row")
+        power_dbm = np.full(len(self._ids), np.nan)
+        sigma_db = np.full(len(self._ids), np.nan)
+        of_all = int(extra) | (int(QualityFlag.PARTIAL_CYCLE) if len(taken) < len(sweeps) else 0)
+        flags = np.full(len(self._ids), of_all | int(QualityFlag.NOT_MEASURED), dtype=np.int64)
+        for sweep in taken:
+            evaluation = self._evaluations.get(sweep.sweep_id)
+            if evaluation is None:
+                continue
+            power, own_flags = evaluation.evaluate(sweep)
+            places = self._places[sweep.sweep_id]
+            power_dbm[places], sigma_db[places] = power.power_dbm, power.sigma_db
+            flags[places] = of_all | own_flags
+        epoch_us = (min(sweep.epoch_us for sweep in taken) + max(sweep.epoch_us for sweep in taken)) // 2
+        return MeasuredRow(epoch_us, power_dbm, flags, sigma_db)
+
+
+def level_offset_db(path: InputPart, frequency_hz: FloatArray) -> FloatArray:
+    """Return the calibration of the test point at these frequencies, dB."""
+    table = path.level_offset_db
+    if isinstance(table, tuple):
+        points = sorted(table)
+        return np.interp(frequency_hz, [point[0] for point in points], [point[1] for point in points])
+    return np.full(frequency_hz.shape, table)
+
+
+def _sweep_flags(sweep: Sweep) -> int:
+    """Return the flags that a sweep sets on all of its carriers."""
+    flags = QualityFlag(0)
+    for flag, is_set in (
+        (QualityFlag.OVERRANGE, sweep.is_overrange),
+        (QualityFlag.UNCAL, sweep.is_uncalibrated),
+        (QualityFlag.REFERENCE_UNLOCKED, sweep.is_reference_unlocked),
+        (QualityFlag.STALE_TRACE, sweep.is_stale),
+        (QualityFlag.SETTING_MISMATCH, sweep.is_setting_mismatch),
+    ):
+        if is_set:
+            flags |= flag
+    return int(flags)

@@ -1,0 +1,221 @@
+"""Is the task measurable? Rules that are checked before the analyzer is touched.
+
+=================== =================================================================================== =======
+rule                what it says                                                                        outcome
+=================== =================================================================================== =======
+id.unique           sweeps and carriers have names of their own                                         error
+sweep.unknown       a carrier's sweep exists                                                            error
+sweep.outside       integration band and noise windows lie inside the sweep                             error
+sweep.too_fast      sweep time at least 2.5 span / RBW^2                                                error
+sweep.points        distance of points at most RBW / 2                                                  error
+period.too_short    the sweeps fit into the period                                                      error
+rbw.too_wide        RBW at most B/5                                                                     error
+rbw.wide            RBW at most B/20                                                                    warning
+carriers.overlap    integration bands of one sweep do not overlap                                       error
+noise.overlap       a noise window holds no carrier                                                     error
+noise.close         a noise window keeps two RBW from every carrier                                     warning
+neighbour.close     the next carrier keeps two RBW                                                      warning
+sigma.goal          predicted scatter meets the carrier's goal                                          warning
+=================== =================================================================================== =======
+"""
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from service.core.radio.band_weights import TraceGrid, swept_dof
+from service.core.radio.decibel import ratio_from_db
+from service.core.radio.predicted_sigma import GAUSSIAN_ENBW_RATIO, carrier_sigma_db, line_sigma_db
+from service.frontend.measurement_task import CarrierPart, MeasurementTask, SweepPart
+
+#: bandwidths between a carrier's edge and anything else for the filter's skirt to be down
+GUARD_RBW = 2.0
+#: C/N in the band where the task says nothing about it, dB
+ASSUMED_C_N_DB = 10.0
+#: time for settings, transfer and errors of one sweep, s
+SWEEP_OVERHEAD_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One rule that the task breaks."""
+
+    rule: str
+    #: carrier or sweep
+    subject: str
+    detail: str
+    is_error: bool
+
+    def __str__(self) -> str:
+        return f"{'error' if self.is_error else 'warning'} {self.rule}: {self.subject}: {self.detail}"
+
+
+@dataclass(frozen=True, slots=True)
+class TaskPlan:
+    """What the planner found."""
+
+    findings: tuple[Finding, ...]
+    #: carrier -> predicted standard deviation of its level, dB
+    sigma_db: dict[str, float]
+
+    @property
+    def errors(self) -> tuple[Finding, ...]:
+        """The findings that forbid the task."""
+        return tuple(finding for finding in self.findings if finding.is_error)
+
+    @property
+    def warnings(self) -> tuple[Finding, ...]:
+        """The findings that the operator should know."""
+        return tuple(finding for finding in self.findings if not finding.is_error)
+
+
+def shortest_sweep_s(sweep: SweepPart) -> float:
+    """Return the sweep time below which the filter does not settle, s."""
+    return 2.5 * (sweep.stop_hz - sweep.start_hz) / sweep.rbw_hz**2
+
+
+def sweep_time_s(sweep: SweepPart) -> float:
+    """Return the sweep time that is asked for, or the one the analyzer will couple, s."""
+    return sweep.time_s if sweep.time_s is not None else shortest_sweep_s(sweep)
+
+
+def plan_task(task: MeasurementTask, period_s: float | None = None) -> TaskPlan:
+    """Return what speaks against a task, and the scatter to be expected of every carrier.
+
+    Parameters
+    ----------
+    task : MeasurementTask
+        As loaded.
+    period_s : float, optional
+        In place of the task's; 0 is not checked.
+    """
+    findings = [*_names(task), *_period(task, task.task.period_s if period_s is None else period_s)]
+    sweeps = {sweep.id: sweep for sweep in task.sweeps}
+    for sweep in task.sweeps:
+        findings += _sweep(sweep)
+        findings += _separation(sweep, task.carriers_of(sweep.id))
+    sigma_db: dict[str, float] = {}
+    for carrier in task.carriers:
+        own = sweeps.get(carrier.sweep)
+        if own is None:
+            findings.append(Finding("sweep.unknown", carrier.id, f"there is no sweep {carrier.sweep}", is_error=True))
+            continue
+        findings += _carrier(carrier, own)
+        sigma_db[carrier.id] = predict_sigma_db(carrier, own)
+        findings += _goal(carrier, sigma_db[carrier.id])
+    return TaskPlan(tuple(findings), sigma_db)
+
+
+def predict_sigma_db(carrier: CarrierPart, sweep: SweepPart) -> float:
+    """Return the standard deviation to be expected of a carrier's level, dB.
+
+    Uses ``limits.c_n0_min`` as the worst signal-to-noise ratio, 10 dB in the symbol rate without it.
+    """
+    enbw_hz = sweep.rbw_hz * GAUSSIAN_ENBW_RATIO
+    step_hz = (sweep.stop_hz - sweep.start_hz) / (sweep.points - 1)
+    grid = TraceGrid(sweep.start_hz, step_hz, sweep.points, enbw_hz, sweep_time_s(sweep) * sweep.count)
+    width_hz = carrier.symbol_rate or sweep.rbw_hz
+    c_n0 = carrier.limits.c_n0_min
+    c_n0_ratio = float(ratio_from_db(ASSUMED_C_N_DB)) * width_hz if c_n0 is None else float(ratio_from_db(c_n0))
+    noise_to_carrier = carrier.integ_bw_hz / c_n0_ratio
+    noise_hz = sum(high - low for low, high in carrier.noise)
+    carrier_dof, band_dof, noise_dof = swept_dof(grid, np.array([width_hz, carrier.integ_bw_hz, noise_hz]))
+    if carrier.kind == "beacon":
+        dwell_s = grid.sweep_time_s * enbw_hz / (sweep.stop_hz - sweep.start_hz)
+        ratio = carrier.integ_bw_hz / enbw_hz
+        return float(line_sigma_db(noise_to_carrier, enbw_hz * dwell_s, ratio, band_dof, noise_dof))
+    return float(carrier_sigma_db(noise_to_carrier, carrier_dof, band_dof, noise_dof))
+
+
+def _names(task: MeasurementTask) -> list[Finding]:
+    """Check that names are unique."""
+    findings = []
+    for kind, ids in (("sweep", [s.id for s in task.sweeps]), ("carrier", [c.id for c in task.carriers])):
+        twice = sorted({name for name in ids if ids.count(name) > 1})
+        findings += [Finding("id.unique", name, f"two of the {kind}s have this id", is_error=True) for name in twice]
+    return findings
+
+
+def _period(task: MeasurementTask, period_s: float) -> list[Finding]:
+    """Check that all sweeps fit into the period."""
+    needed_s = sum(sweep_time_s(sweep) * sweep.count + SWEEP_OVERHEAD_S for sweep in task.sweeps)
+    if period_s == 0.0 or needed_s <= period_s:
+        return []
+    detail = f"the sweeps take {needed_s:.2f} s of a period of {period_s:g} s"
+    return [Finding("period.too_short", task.task.id, detail, is_error=True)]
+
+
+def _sweep(sweep: SweepPart) -> list[Finding]:
+    """Check one sweep by itself."""
+    findings = []
+    shortest_s = shortest_sweep_s(sweep)
+    if sweep_time_s(sweep) < 0.999 * shortest_s:
+        detail = f"{sweep.time_s:g} s where span and RBW need {shortest_s:.3g} s"
+        findings.append(Finding("sweep.too_fast", sweep.id, detail, is_error=True))
+    step_hz = (sweep.stop_hz - sweep.start_hz) / (sweep.points - 1)
+    if step_hz > 0.501 * sweep.rbw_hz:
+        detail = f"points lie {step_hz:.0f} Hz apart, RBW {sweep.rbw_hz:.0f} Hz allows half of it"
+        findings.append(Finding("sweep.points", sweep.id, detail, is_error=True))
+    return findings
+
+
+def _carrier(carrier: CarrierPart, sweep: SweepPart) -> list[Finding]:
+    """Check one carrier against its sweep."""
+    findings = []
+    bands = [(carrier.fc_hz - carrier.integ_bw_hz / 2, carrier.fc_hz + carrier.integ_bw_hz / 2), *carrier.noise]
+    step_hz = (sweep.stop_hz - sweep.start_hz) / (sweep.points - 1)
+    for low, high in bands:
+        if low < sweep.start_hz - step_hz / 2 or high > sweep.stop_hz + step_hz / 2:
+            detail = f"{low / 1e6:.4f}-{high / 1e6:.4f} MHz lies outside of sweep {sweep.id}"
+            findings.append(Finding("sweep.outside", carrier.id, detail, is_error=True))
+    width_hz = carrier.symbol_rate if carrier.symbol_rate is not None else 4.0 * carrier.integ_bw_hz
+    if sweep.rbw_hz > width_hz / 5.0:
+        detail = f"RBW {sweep.rbw_hz:.0f} Hz is more than a fifth of {width_hz:.0f} Hz"
+        findings.append(Finding("rbw.too_wide", carrier.id, detail, is_error=True))
+    elif carrier.kind == "modulated" and sweep.rbw_hz > width_hz / 20.0:
+        detail = f"RBW {sweep.rbw_hz:.0f} Hz is more than a twentieth of {width_hz:.0f} Hz: the level is biased low"
+        findings.append(Finding("rbw.wide", carrier.id, detail, is_error=False))
+    return findings
+
+
+def _separation(sweep: SweepPart, carriers: tuple[CarrierPart, ...]) -> list[Finding]:
+    """Check carriers against one another and against noise windows."""
+    findings = []
+    guard_hz = GUARD_RBW * sweep.rbw_hz
+    for one, other in combinations(carriers, 2):
+        distance_hz = abs(one.fc_hz - other.fc_hz)
+        if distance_hz < (one.integ_bw_hz + other.integ_bw_hz) / 2 - 1.0:
+            detail = f"overlaps the integration band of {other.id}"
+            findings.append(Finding("carriers.overlap", one.id, detail, is_error=True))
+        elif distance_hz - (one.occupied_hz + other.occupied_hz) / 2 < guard_hz:
+            detail = f"{other.id} is closer than {GUARD_RBW:g} RBW"
+            findings.append(Finding("neighbour.close", one.id, detail, is_error=False))
+    for carrier in carriers:
+        for neighbour in carriers:
+            findings += _noise_against(carrier, neighbour, guard_hz)
+    return findings
+
+
+def _noise_against(carrier: CarrierPart, neighbour: CarrierPart, guard_hz: float) -> list[Finding]:
+    """Check the noise windows of a carrier against one carrier of the sweep."""
+    findings = []
+    low_edge, high_edge = neighbour.fc_hz - neighbour.occupied_hz / 2, neighbour.fc_hz + neighbour.occupied_hz / 2
+    for low, high in carrier.noise:
+        gap_hz = max(low - high_edge, low_edge - high)
+        where = f"noise window {low / 1e6:.4f}-{high / 1e6:.4f} MHz"
+        if gap_hz < 0.0:
+            findings.append(Finding("noise.overlap", carrier.id, f"{where} holds {neighbour.id}", is_error=True))
+        elif gap_hz < guard_hz:
+            detail = f"{where} is closer than {GUARD_RBW:g} RBW to {neighbour.id}"
+            findings.append(Finding("noise.close", carrier.id, detail, is_error=False))
+    return findings
+
+
+def _goal(carrier: CarrierPart, sigma_db: float) -> list[Finding]:
+    """Check the predicted scatter against the carrier's goal."""
+    goal_db = carrier.limits.sigma_goal_db
+    if goal_db is None or sigma_db <= goal_db:
+        return []
+    detail = f"{sigma_db:.3f} dB predicted, {goal_db:g} dB wanted: give it a longer sweep or a narrow one of its own"
+    return [Finding("sigma.goal", carrier.id, detail, is_error=False)]

@@ -1,0 +1,124 @@
+"""One VISA session to one analyzer: messages out, answers in, every wait bounded.
+
+Law of this file: any failure of transport or framing becomes `AnalyzerIOError`, and after one the session is of no
+use - the caller closes it and opens another. On a raw socket the answer to a query that timed out is still in the
+stream and would be read as the answer to the next one.
+
+What the pyvisa stack does, and what is done about it: opening a closed port succeeds, so nothing is believed before
+``*IDN?`` was answered; a peer that closes in good order is not noticed, so every read has its timeout; a name that
+cannot be resolved raises a bare Exception; a line read has no bound of its own, so it gets one here.
+"""
+
+from typing import Any
+
+import pyvisa
+
+from service.frontend.scpi import AnswerError, block_length, split_block
+
+#: what pyvisa, pyvisa-py and the socket below them raise
+IO_ERRORS = (pyvisa.Error, OSError, ValueError, RuntimeError, UnicodeDecodeError)
+#: longest answer line that is read, bytes; an ASCII trace of 100 001 points takes 1.5 MB
+MAX_LINE_BYTES = 2 << 20
+#: longest block that is read, bytes
+MAX_BLOCK_BYTES = 1 << 20
+
+
+class AnalyzerIOError(Exception):
+    """The session to the analyzer broke: no answer in time, connection lost, or an answer that cannot be framed."""
+
+
+class VisaSession:
+    """Open session to one analyzer.
+
+    Parameters
+    ----------
+    resource : str
+        VISA resource name, for example ``TCPIP::10.0.0.5::5025::SOCKET``.
+    timeout_s : float
+        Bound on connecting and on every answer that names no other.
+    visa_library : str
+        ``@py`` is pyvisa-py; a vendor's library may be named instead.
+
+    Raises
+    ------
+    AnalyzerIOError
+        The resource cannot be opened.
+    """
+
+    def __init__(self, resource: str, timeout_s: float, visa_library: str = "@py") -> None:
+        self.resource = resource
+        self._timeout_s = timeout_s
+        try:
+            self._visa: Any = pyvisa.ResourceManager(visa_library).open_resource(
+                resource,
+                open_timeout=round(1000 * timeout_s),
+                timeout=round(1000 * timeout_s),
+                read_termination="\n",
+                write_termination="\n",
+                chunk_size=MAX_BLOCK_BYTES,
+            )
+        except Exception as error:
+            raise _broken(resource, "cannot be opened", error) from error
+        self._current_timeout_s = timeout_s
+
+    def close(self) -> None:
+        """Close the session; a session that broke may not close in good order, which changes nothing."""
+        try:
+            self._visa.close()
+        except IO_ERRORS:
+            return
+
+    def write(self, message: str) -> None:
+        """Send one message that asks for nothing."""
+        try:
+            self._visa.write(message)
+        except IO_ERRORS as error:
+            raise _broken(self.resource, f"does not take {message!r}", error) from error
+
+    def query(self, message: str, timeout_s: float | None = None) -> str:
+        """Return the answer line of one message."""
+        self._set_timeout(timeout_s)
+        self.write(message)
+        try:
+            return self._line()
+        except IO_ERRORS as error:
+            raise _broken(self.resource, f"does not answer {message!r}", error) from error
+
+    def query_block(self, message: str, timeout_s: float | None = None) -> tuple[bytes | None, str]:
+        """Return the block that opens the answer and the rest of its line.
+
+        The block is None, and the line whole, when the answer does not open with a block.
+        """
+        self._set_timeout(timeout_s)
+        self.write(message)
+        try:
+            head = self._visa.read_bytes(2, break_on_termchar=True)
+            if head[:1] != b"#" or not head[1:2].isdigit() or head == b"#0":
+                return None, head.decode("ascii").removesuffix("\n") + ("" if head.endswith(b"\n") else self._line())
+            digits = self._visa.read_bytes(block_length(head))
+            length = int(digits)
+            if length > MAX_BLOCK_BYTES:
+                raise AnswerError(f"block of {length} bytes announced")
+            payload, _ = split_block(head + digits + self._visa.read_bytes(length))
+            return payload, self._line()
+        except IO_ERRORS as error:
+            raise _broken(self.resource, f"does not answer {message!r}", error) from error
+
+    def _line(self) -> str:
+        """Return the stream up to its next line feed."""
+        line: bytes = self._visa.read_bytes(MAX_LINE_BYTES, break_on_termchar=True)
+        if not line.endswith(b"\n"):
+            raise AnswerError(f"line without an end after {len(line)} bytes")
+        return line.decode("ascii").rstrip("\r\n")
+
+    def _set_timeout(self, timeout_s: float | None) -> None:
+        """Bound the next answers."""
+        wanted_s = self._timeout_s if timeout_s is None else timeout_s
+        if wanted_s != self._current_timeout_s:
+            self._visa.timeout = round(1000 * wanted_s)
+            self._current_timeout_s = wanted_s
+
+
+def _broken(resource: str, what: str, error: Exception) -> AnalyzerIOError:
+    """Return the error that names the analyzer, what it did not do, and why."""
+    return AnalyzerIOError(f"{resource} {what}: {type(error).__name__} {error}")
