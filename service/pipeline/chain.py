@@ -120,18 +120,18 @@ class Chain:
         self._newest_us = alignment.epoch_us
         self._carry_n_m_s = NO_CARRY
         self._recent_us = np.zeros(0, dtype=np.int64)
-        self._model = None
-        self._rebuild_model(alignment)
+        self._model = paper_model(self._knowledge, self._lookup.calibration(alignment.calibration_id))
         self._state = None if self._model is None else initial_state(len(self._model.expected.carrier_ids))
 
     def _rebuild_model(self, alignment: Alignment) -> None:
         """Take over a change of calibration or ephemeris; another set of carriers starts the means anew."""
         former = self._model
         self._model = paper_model(self._knowledge, self._lookup.calibration(alignment.calibration_id))
-        if self._model is None or former is None:
+        if self._model is None:
             return
-        if self._model.expected.carrier_ids != former.expected.carrier_ids:
-            self._state = initial_state(len(self._model.expected.carrier_ids))
+        carrier_ids = self._model.expected.carrier_ids
+        if former is None or former.expected.carrier_ids != carrier_ids:
+            self._state = initial_state(len(carrier_ids))
 
     def _in_calibration_order(self, measurement: Measurement, plan: CarrierPlan) -> FloatArray:
         """Return the powers in the order of the calibration's carriers; NaN where the plan has no such carrier."""

@@ -1,0 +1,73 @@
+# Targets make their own set-up: only Python 3.11+ and make are needed.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+DEV_STAMP := $(VENV)/.installed-dev
+export OPENBLAS_NUM_THREADS := 1
+
+.PHONY: help install install-dev run demo-check test lint types imports locks check coverage bench nightly schema lock clean
+
+help: ## show the targets
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/:/' | column -t -s ':'
+
+$(STAMP): requirements.lock pyproject.toml
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements-build.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	touch $@
+
+$(DEV_STAMP): $(STAMP) requirements-dev.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-dev.lock
+	touch $@
+
+install: $(STAMP) ## install what the service needs
+
+install-dev: $(DEV_STAMP) ## install the tools too
+
+run: $(STAMP) ## start the demonstration: simulated analyzer, front end, service
+	$(BIN)/soo demo
+
+demo-check: $(STAMP) ## two virtual days of operation, figures as JSON, exit 1 when they miss their bounds
+	$(BIN)/soo demo --exit --json
+
+test: $(DEV_STAMP) ## run the whole test suite
+	$(BIN)/python -m pytest -m "not nightly" -n 2 --dist worksteal
+
+lint: $(DEV_STAMP) ## style and format
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(DEV_STAMP) ## static types
+	$(BIN)/mypy
+
+imports: $(DEV_STAMP) ## import rules
+	$(BIN)/lint-imports
+
+locks: ## lock files name no address
+	! grep -n '://' requirements*.lock
+
+check: lint types imports locks test ## all that must hold before a change lands
+
+coverage: $(DEV_STAMP) ## branch coverage of core, pipeline and records
+	$(BIN)/python -m pytest -m "not nightly and not system" -n 2 -q --cov --cov-report=term-missing:skip-covered
+
+bench: $(DEV_STAMP) ## ratios, measured in one run
+	$(BIN)/python -m bench
+
+nightly: $(DEV_STAMP) ## long tests
+	$(BIN)/python -m pytest -m nightly
+
+schema: $(STAMP) ## write the OpenAPI document
+	$(BIN)/soo openapi --output docs/reference/openapi.json
+
+lock: $(DEV_STAMP) ## resolve and pin again
+	$(BIN)/uv pip compile pyproject.toml $(LOCK_OPTIONS) -o requirements.lock
+	$(BIN)/uv pip compile --group dev -c requirements.lock $(LOCK_OPTIONS) -o requirements-dev.lock
+	$(BIN)/uv pip compile --group build -c requirements-dev.lock $(LOCK_OPTIONS) -o requirements-build.lock
+
+LOCK_OPTIONS := --quiet --generate-hashes --no-emit-index-url --no-header --universal --python-version 3.11
+
+clean: ## remove what was built
+	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache

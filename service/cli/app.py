@@ -1,0 +1,19 @@
+"""The command line: every command registered here, one group a file."""
+
+import typer
+
+from service.cli.acquire import acquire
+from service.cli.operate import align, calibrate, export, replay
+from service.cli.reference import openapi
+from service.cli.serve import serve
+
+app = typer.Typer(
+    name="soo",
+    help="Attitude of a geostationary satellite from the powers of the carriers it retransmits.",
+    no_args_is_help=True,
+    pretty_exceptions_show_locals=False,
+    add_completion=False,
+)
+
+for command in (serve, acquire, calibrate, align, replay, export, openapi):
+    app.command()(command)

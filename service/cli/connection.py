@@ -1,0 +1,34 @@
+"""What operators' commands share: the address, the key from the environment, and how a refusal is shown."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Annotated
+
+import typer
+
+from service.client.problem import ClientError
+from service.client.service_client import ServiceClient
+
+ServiceUrl = Annotated[str, typer.Option(help="Address of the service.")]
+KeyEnvironment = Annotated[str, typer.Option(help="Environment variable that holds the key.")]
+SpacecraftOption = Annotated[str, typer.Option(help="Id of the spacecraft.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON only.")]
+
+DEFAULT_SERVICE = "http://127.0.0.1:8000"
+DEFAULT_KEY_ENVIRONMENT = "SOO_KEY"
+
+
+@contextmanager
+def connected(service: str, key_env: str) -> Iterator[ServiceClient]:
+    """Give a client; a refusal of the service ends the command with its words and exit code 1."""
+    key = os.environ.get(key_env)
+    if not key:
+        typer.echo(f"no key: the environment variable {key_env} is empty", err=True)
+        raise typer.Exit(2)
+    try:
+        with ServiceClient(service, key) as client:
+            yield client
+    except ClientError as error:
+        typer.echo(str(error), err=True)
+        raise typer.Exit(1) from error

@@ -1,0 +1,163 @@
+"""Operators' commands over the REST interface: calibrate, align, replay, export."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import Progress
+
+from service.cli.connection import (
+    DEFAULT_KEY_ENVIRONMENT,
+    DEFAULT_SERVICE,
+    JsonOption,
+    KeyEnvironment,
+    ServiceUrl,
+    SpacecraftOption,
+    connected,
+)
+from service.client.service_client import ServiceClient
+
+Start = Annotated[str, typer.Option(help="RFC 3339 start, inclusive.")]
+Stop = Annotated[str, typer.Option(help="RFC 3339 stop, exclusive.")]
+
+
+def calibrate(
+    spacecraft: SpacecraftOption,
+    quiet: Annotated[tuple[str, str], typer.Option(help="Start and stop of the quiet window.")],
+    turns: Annotated[tuple[str, str], typer.Option(help="Start and stop of the calibration turns.")],
+    method: Annotated[str, typer.Option(help="Kind of fit.")] = "paper",
+    source: Annotated[str, typer.Option(help="Sensor of the attitude references.")] = "star_tracker",
+    activate: Annotated[bool, typer.Option("--activate", help="Make it the active one when it is done.")] = False,
+    service: ServiceUrl = DEFAULT_SERVICE,
+    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
+    as_json: JsonOption = False,
+) -> None:
+    """Fit harmonics and sensitivities from quiet days and calibration turns."""
+    body = {
+        "quiet": {"start": quiet[0], "stop": quiet[1]},
+        "turns": {"start": turns[0], "stop": turns[1]},
+        "method": method,
+        "source": source,
+    }
+    with connected(service, key_env) as client:
+        started = client.start_calibration(spacecraft, body)
+        _wait(client, started["job"], "calibration")
+        if activate:
+            client.activate_calibration(spacecraft, started["id"])
+        calibration = client.calibration(spacecraft, started["id"])
+    if as_json:
+        typer.echo(json.dumps(calibration))
+        return
+    selected = [carrier["id"] for carrier in calibration["carriers"] if carrier["selected"]]
+    typer.echo(f"calibration {calibration['id']} is {calibration['state']}; selected: {', '.join(selected)}")
+    for warning in calibration["quality"].get("warnings", []):
+        typer.echo(f"warning: {warning}")
+
+
+def align(
+    spacecraft: SpacecraftOption,
+    start: Start,
+    stop: Stop,
+    source: Annotated[str, typer.Option(help="Sensor of the attitude references.")] = "star_tracker",
+    override_reason: Annotated[str | None, typer.Option(help="Why angles hold that the powers contradict.")] = None,
+    service: ServiceUrl = DEFAULT_SERVICE,
+    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
+    as_json: JsonOption = False,
+) -> None:
+    """Take angles and reference powers from a window; from then on no sensor is used."""
+    body = {"start": start, "stop": stop, "source": source}
+    if override_reason:
+        body["override_reason"] = override_reason
+    with connected(service, key_env) as client:
+        alignment = client.align(spacecraft, body)
+    if as_json:
+        typer.echo(json.dumps(alignment))
+        return
+    angles = ", ".join(f"{name} {alignment[f'{name}_deg']:+.3f}" for name in ("yaw", "roll", "pitch"))
+    typer.echo(f"alignment {alignment['id']} at {alignment['epoch']}: {angles} deg")
+
+
+def replay(
+    spacecraft: SpacecraftOption,
+    start: Start,
+    stop: Stop,
+    method: Annotated[str | None, typer.Option(help="Only this method.")] = None,
+    calibration: Annotated[int | None, typer.Option(help="Use this calibration.")] = None,
+    alignment: Annotated[int | None, typer.Option(help="Start from this alignment.")] = None,
+    order: Annotated[str, typer.Option(help="`journal` as it was, or `epoch` as it would have been.")] = "journal",
+    compare: Annotated[bool, typer.Option("--compare", help="Compare with the live rows; exit 1 on a change.")] = False,
+    service: ServiceUrl = DEFAULT_SERVICE,
+    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
+    as_json: JsonOption = False,
+) -> None:
+    """Run the chain again over the archive, as a new version."""
+    body = {
+        "start": start,
+        "stop": stop,
+        "method": method,
+        "calibration_id": calibration,
+        "alignment_id": alignment,
+        "order": order,
+    }
+    with connected(service, key_env) as client:
+        wanted = {name: value for name, value in body.items() if value is not None}
+        started = client.request("POST", f"/spacecraft/{spacecraft}/replays", wanted)
+        _wait(client, started["job"], "replay")
+        report: dict[str, Any] = {"id": started["id"], "version": started["version"]}
+        if compare:
+            report |= _compare(client, spacecraft, start, stop, method or "paper", started["version"])
+    typer.echo(json.dumps(report) if as_json else ", ".join(f"{name} {value}" for name, value in report.items()))
+    if compare and report["rows_different"]:
+        raise typer.Exit(1)
+
+
+def _compare(
+    client: ServiceClient, spacecraft: str, start: str, stop: str, method: str, version: str
+) -> dict[str, int]:
+    """Count the rows of a replay that equal the live ones to the last bit."""
+    live = {_key(row): row for row in client.attitude_history(spacecraft, start, stop, method=method)}
+    replayed = client.attitude_history(spacecraft, start, stop, method=method, version=version)
+    rows = [(_key(row), {**row, "version": "live"}) for row in replayed]
+    equal = sum(live.get(key) == row for key, row in rows)
+    return {"rows": len(rows), "rows_equal": equal, "rows_different": len(rows) - equal}
+
+
+def _key(row: dict[str, Any]) -> tuple[str, str]:
+    """Return what names a row."""
+    return row["epoch"], row["received_at"]
+
+
+def export(
+    spacecraft: SpacecraftOption,
+    series: Annotated[str, typer.Option(help="measurements or attitude.")],
+    start: Start,
+    stop: Stop,
+    output: Annotated[Path | None, typer.Option(help="File to write; default standard output.")] = None,
+    format_: Annotated[str, typer.Option("--format", help="File format.")] = "csv",
+    method: Annotated[str | None, typer.Option(help="Estimation method of attitude rows.")] = None,
+    version: Annotated[str | None, typer.Option(help="Version: live or that of a replay.")] = None,
+    service: ServiceUrl = DEFAULT_SERVICE,
+    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
+) -> None:
+    """Download a stretch of the archive."""
+    params = {"format": format_, "start": start, "stop": stop, "method": method, "version": version}
+    with connected(service, key_env) as client:
+        path = f"/spacecraft/{spacecraft}/archive/{series}:export"
+        chunks = client.download(path, {name: value for name, value in params.items() if value is not None})
+        if output is None:
+            for chunk in chunks:
+                sys.stdout.buffer.write(chunk)
+            return
+        with output.open("wb") as file:
+            for chunk in chunks:
+                file.write(chunk)
+
+
+def _wait(client: ServiceClient, job_id: str, what: str) -> None:
+    """Wait for a job behind a progress bar on standard error."""
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(what, total=1.0)
+        client.wait_job(job_id, on_progress=lambda share: progress.update(task, completed=share))

@@ -1,0 +1,56 @@
+"""Settings: read once from the environment, prefix ``SOO_``, and turned into frozen configurations.
+
+Nested settings use a double underscore: ``SOO_INTERLOCK__VALIDITY_LIMIT_DEG=0.35``. Defaults are those of the
+publication where it states one, else tuned on the simulator's truth; docs/reference/settings.md lists all.
+"""
+
+from typing import Literal
+
+from pydantic import Field, SecretStr
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from service.pipeline.config import (
+    AlignmentConfig,
+    CalibrationConfig,
+    ChainConfig,
+    EstimationConfig,
+    FadeConfig,
+    InterlockConfig,
+    TorqueConfig,
+)
+
+
+class Settings(BaseSettings):
+    """Everything that can be set from outside."""
+
+    model_config = SettingsConfigDict(
+        env_prefix="SOO_", env_nested_delimiter="__", extra="ignore", frozen=True, arbitrary_types_allowed=False
+    )
+
+    database_url: str = Field("sqlite:///soo.db", description="SQLAlchemy URL of the archive")
+    bootstrap_key: SecretStr | None = Field(
+        None, description="administrator's bearer key, accepted while it is set; without it a fresh one is printed once"
+    )
+    clock: Literal["system", "data"] = Field(
+        "system", description="`data` lets accepted epochs move the clock of simulated spacecraft"
+    )
+    host: str = Field("127.0.0.1", description="address to listen on")
+    port: int = Field(8000, ge=0, le=65535, description="port to listen on; 0 takes a free one and prints it")
+    log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="least severe log line kept")
+    future_tolerance_s: float = Field(5.0, ge=0, description="how far ahead of the system clock an epoch may lie, s")
+    future_tolerance_data_s: float = Field(
+        2_592_000.0, ge=0, description="how far ahead of the data clock an epoch may lie, s"
+    )
+    late_after_s: float = Field(300.0, ge=0, description="age from which a row counts as late, system clock, s")
+    max_body_bytes: int = Field(8_388_608, ge=1024, description="greatest request body after unpacking, bytes")
+    max_rows_per_batch: int = Field(10_000, ge=1, description="most rows of one batch")
+    calibration: CalibrationConfig = Field(CalibrationConfig(), description="calibration jobs")
+    alignment: AlignmentConfig = Field(AlignmentConfig(), description="alignments")
+    estimation: EstimationConfig = Field(EstimationConfig(), description="the paper method in operation")
+    fade: FadeConfig = Field(FadeConfig(), description="downlink rain rule")
+    interlock: InterlockConfig = Field(InterlockConfig(), description="what inhibits control")
+    torque: TorqueConfig = Field(TorqueConfig(), description="torque pulses")
+
+    def chain_config(self) -> ChainConfig:
+        """Return the configuration of every chain."""
+        return ChainConfig(self.estimation, self.fade, self.interlock, self.torque)
