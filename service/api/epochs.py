@@ -85,18 +85,16 @@ def _parse_exact_form(texts: Sequence[str]) -> IntArray | None:
     return np.asarray(moments.astype(np.int64), dtype=np.int64)
 
 
-def epoch_of(text: str) -> int:
-    """Return one epoch for a pydantic validator.
-
-    Raises
-    ------
-    PydanticCustomError
-        ``epoch.malformed`` or ``epoch.range``.
-    """
+def epoch_of(value: object) -> int:
+    """Return one epoch, for a pydantic validator; ``epoch.malformed`` when the value is no RFC 3339 text."""
     try:
-        epoch_us = parse_epoch(text)
+        return parse_epoch(value if isinstance(value, str) else "")
     except ValueError as error:
         raise PydanticCustomError("epoch.malformed", "{reason}", {"reason": str(error)}) from None
+
+
+def plausible_epoch(epoch_us: int) -> int:
+    """Return an epoch of this century, for a pydantic validator; ``epoch.range`` for any other."""
     if not EARLIEST_EPOCH_US <= epoch_us <= LATEST_EPOCH_US:
         bounds = {"first": format_epoch(EARLIEST_EPOCH_US), "last": format_epoch(LATEST_EPOCH_US)}
         raise PydanticCustomError("epoch.range", "the epoch lies outside {first} .. {last}", bounds)

@@ -2,7 +2,14 @@
 
 from fastapi import APIRouter
 
-from service.api.routes import health, spacecraft
+from service.api.routes import carriers, health, inputs, measurements_ingest, operations, sources, spacecraft
 
-ROUTERS: tuple[APIRouter, ...] = (spacecraft.router,)
+ROUTERS: tuple[APIRouter, ...] = (
+    spacecraft.router,
+    carriers.router,
+    measurements_ingest.router,
+    sources.router,
+    inputs.router,
+    operations.router,
+)
 PUBLIC_ROUTERS: tuple[APIRouter, ...] = (health.router,)

@@ -1,25 +1,20 @@
 """Spacecraft of the catalogue."""
 
-import json
 from http import HTTPStatus
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Response
-from pydantic import RootModel
 
 from service.api.auth import MAY_OPERATE
-from service.api.bodies import accepts, body_of, decode
+from service.api.bodies import accepts, body_of
 from service.api.deps import Context, SpacecraftId
+from service.api.merge_patch import MergePatch, patched
 from service.api.problems import invalid_request
 from service.api.schemas.base import Answer
 from service.api.schemas.spacecraft import SPACECRAFT_ADAPTER, SpacecraftDocument
 from service.errors import FieldError
 
 router = APIRouter(prefix="/spacecraft", tags=["catalogue"])
-
-
-class SpacecraftPatch(RootModel[dict[str, Any]]):
-    """Fields of a spacecraft to change; objects are merged at every depth, null restores a default (RFC 7396)."""
 
 
 class SpacecraftList(Answer):
@@ -54,15 +49,13 @@ def get_spacecraft(spacecraft_id: SpacecraftId, context: Context) -> SpacecraftD
     return SpacecraftDocument.of(context.storage.catalogue.spacecraft(spacecraft_id))
 
 
-@router.patch("/{spacecraft_id}", dependencies=[MAY_OPERATE], openapi_extra=accepts(SpacecraftPatch))
+@router.patch("/{spacecraft_id}", dependencies=[MAY_OPERATE], openapi_extra=accepts(MergePatch))
 def change_spacecraft(
-    spacecraft_id: SpacecraftId, body: Annotated[SpacecraftPatch, body_of(SpacecraftPatch)], context: Context
+    spacecraft_id: SpacecraftId, body: Annotated[MergePatch, body_of(MergePatch)], context: Context
 ) -> SpacecraftDocument:
     """Change fields of a spacecraft, the others stay."""
     stored = SpacecraftDocument.of(context.storage.catalogue.spacecraft(spacecraft_id))
-    # NaN passes through as the token NaN, so that the document's own check names the field
-    merged = json.dumps(_merged(stored.model_dump(mode="json"), body.root))
-    changed = decode(SPACECRAFT_ADAPTER, merged.encode())
+    changed = patched(SPACECRAFT_ADAPTER, stored.model_dump(mode="json"), body)
     if changed.id != spacecraft_id:
         detail = "the id of a spacecraft cannot change; add another spacecraft"
         raise invalid_request([FieldError("/id", "spacecraft.id_fixed", detail)])
@@ -71,19 +64,6 @@ def change_spacecraft(
     context.storage.catalogue.replace_spacecraft(changed.to_record())
     context.on_accepted(spacecraft_id)
     return changed
-
-
-def _merged(target: Any, patch: Any) -> Any:
-    """Return a document with a merge patch applied."""
-    if not isinstance(patch, dict):
-        return patch
-    result = dict(target) if isinstance(target, dict) else {}
-    for key, value in patch.items():
-        if value is None:
-            result.pop(key, None)
-        else:
-            result[key] = _merged(result.get(key), value)
-    return result
 
 
 def _touches_control(patch: dict[str, Any]) -> bool:

@@ -9,8 +9,9 @@ from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints, WithJsonSchema
 
-from service.api.epochs import epoch_of
+from service.api.epochs import epoch_of, plausible_epoch
 from service.records.attitude import Axes
+from service.records.calibration import Window
 from service.records.epoch import format_epoch
 
 _EPOCH_SCHEMA = {"type": "string", "format": "date-time", "examples": ["2026-11-21T03:02:32.011250Z"]}
@@ -21,11 +22,14 @@ Text = Annotated[str, StringConstraints(max_length=200, pattern=r"^[^\x00-\x1f\x
 Remark = Annotated[str, StringConstraints(max_length=4000, pattern=r"^[^\x00-\x08\x0b\x0c\x0e-\x1f\x7f]*$")]
 #: name of a carrier, transponder, band or front end; it stands in paths and column names
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._:-]{0,63}$")]
-EpochText = Annotated[str, AfterValidator(epoch_of), WithJsonSchema(_EPOCH_SCHEMA)]
+#: any instant; the route judges whether it is plausible
+AnyEpoch = Annotated[int, BeforeValidator(epoch_of), WithJsonSchema(_EPOCH_SCHEMA)]
+#: an instant of this century
+Epoch = Annotated[AnyEpoch, AfterValidator(plausible_epoch)]
 LatitudeDeg = Annotated[float, Field(ge=-90, le=90)]
 LongitudeDeg = Annotated[float, Field(ge=-180, le=360)]
-#: whole numbers that the archive counts with
-Number = Annotated[int, Field(ge=1, le=2**62)]
+#: number of a version in the archive, which counts with int32
+PlanNumber = Annotated[int, Field(ge=1, le=2**31 - 1)]
 
 
 class Document(BaseModel):
@@ -86,6 +90,11 @@ class WindowAnswer(Answer):
 
     start: EpochAnswer
     stop: EpochAnswer
+
+    @classmethod
+    def of(cls, window: Window) -> Self:
+        """Return the answer that tells a window."""
+        return cls.model_validate({"start": window.start_us, "stop": window.stop_us})
 
 
 def axes_of(yaw: float | None, roll: float | None, pitch: float | None) -> Axes:

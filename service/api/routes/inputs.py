@@ -1,0 +1,148 @@
+"""Slow inputs in batches: attitude references, corrections, telemetry; and the archive of each."""
+
+from collections.abc import Callable, Sequence
+from typing import Annotated, Protocol, TypeVar
+
+from fastapi import APIRouter, Request, Response
+
+from service.api.auth import MAY_SEND
+from service.api.bodies import accepts, body_of
+from service.api.deps import ApiContext, Context, SpacecraftId
+from service.api.paging import Page, PageQuery, Place, cut_page
+from service.api.routes.measurements_ingest import check_batch_size
+from service.api.schemas.base import WindowAnswer
+from service.api.schemas.inputs import (
+    CorrectionAnswer,
+    CorrectionBatchDocument,
+    CorrectionPage,
+    Fault,
+    InputReceiptAnswer,
+    InputRefusalAnswer,
+    ReferenceAnswer,
+    ReferenceBatchDocument,
+    ReferencePage,
+    TelemetryAnswer,
+    TelemetryBatchDocument,
+    TelemetryPage,
+)
+from service.records.inputs import AttitudeReference, Correction, TelemetryRecord
+from service.records.journal import JournalEntry, SlowInput
+from service.records.series import InputReceipt
+
+router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["inputs"])
+_NOTHING_STORED = InputReceipt(0, 0, ())
+
+
+class _Row(Protocol):
+    """A row that knows why it cannot be."""
+
+    def fault(self) -> Fault | None:
+        """Return why the row is refused."""
+        ...
+
+
+R = TypeVar("R", bound=_Row)
+
+
+@router.post("/attitude-references:batch", dependencies=[MAY_SEND], openapi_extra=accepts(ReferenceBatchDocument))
+def send_references(
+    spacecraft_id: SpacecraftId,
+    body: Annotated[ReferenceBatchDocument, body_of(ReferenceBatchDocument)],
+    context: Context,
+) -> InputReceiptAnswer:
+    """Store attitude references of one sensor."""
+    check_batch_size(len(body.references), context, "/references")
+    return _append(spacecraft_id, context, body.references, lambda row: row.to_record(body.source))
+
+
+@router.post("/corrections:batch", dependencies=[MAY_SEND], openapi_extra=accepts(CorrectionBatchDocument))
+def send_corrections(
+    spacecraft_id: SpacecraftId,
+    body: Annotated[CorrectionBatchDocument, body_of(CorrectionBatchDocument)],
+    context: Context,
+) -> InputReceiptAnswer:
+    """Store attitude changes that were commanded through other channels."""
+    check_batch_size(len(body.corrections), context, "/corrections")
+    return _append(spacecraft_id, context, body.corrections, lambda row: row.to_record())
+
+
+@router.post("/telemetry:batch", dependencies=[MAY_SEND], openapi_extra=accepts(TelemetryBatchDocument))
+def send_telemetry(
+    spacecraft_id: SpacecraftId,
+    body: Annotated[TelemetryBatchDocument, body_of(TelemetryBatchDocument)],
+    context: Context,
+) -> InputReceiptAnswer:
+    """Store on-board telemetry."""
+    check_batch_size(len(body.records), context, "/records")
+    return _append(spacecraft_id, context, body.records, lambda row: row.to_record())
+
+
+@router.get("/attitude-references")
+def list_references(
+    spacecraft_id: SpacecraftId, page: Page, context: Context, request: Request, response: Response
+) -> ReferencePage:
+    """List attitude references in order of epoch."""
+    entries, cursor = cut_page(
+        _entries(spacecraft_id, "reference", page, context), page.limit, _place, request, response
+    )
+    rows = [ReferenceAnswer.of(entry.content) for entry in entries if isinstance(entry.content, AttitudeReference)]
+    return ReferencePage(range=WindowAnswer.of(page.window), rows=rows, next=cursor)
+
+
+@router.get("/corrections")
+def list_corrections(
+    spacecraft_id: SpacecraftId, page: Page, context: Context, request: Request, response: Response
+) -> CorrectionPage:
+    """List corrections that overlap the range, in order of start."""
+    entries, cursor = cut_page(
+        _entries(spacecraft_id, "correction", page, context), page.limit, _place, request, response
+    )
+    rows = [CorrectionAnswer.of(entry.content) for entry in entries if isinstance(entry.content, Correction)]
+    return CorrectionPage(range=WindowAnswer.of(page.window), rows=rows, next=cursor)
+
+
+@router.get("/telemetry")
+def list_telemetry(
+    spacecraft_id: SpacecraftId, page: Page, context: Context, request: Request, response: Response
+) -> TelemetryPage:
+    """List telemetry in order of epoch."""
+    entries, cursor = cut_page(
+        _entries(spacecraft_id, "telemetry", page, context), page.limit, _place, request, response
+    )
+    rows = [TelemetryAnswer.of(entry.content) for entry in entries if isinstance(entry.content, TelemetryRecord)]
+    return TelemetryPage(range=WindowAnswer.of(page.window), rows=rows, next=cursor)
+
+
+def _append(
+    spacecraft_id: str, context: ApiContext, rows: Sequence[R], to_record: Callable[[R], SlowInput]
+) -> InputReceiptAnswer:
+    """Store the rows that can be and say what became of all."""
+    faults = [row.fault() for row in rows]
+    kept = [index for index, fault in enumerate(faults) if fault is None]
+    refused = [(index, *fault) for index, fault in enumerate(faults) if fault is not None]
+    # an unknown spacecraft is a 404 whatever the rows say
+    context.storage.catalogue.spacecraft(spacecraft_id)
+    receipt = _NOTHING_STORED
+    if kept:
+        receipt = context.storage.archive.append_inputs(spacecraft_id, [to_record(rows[index]) for index in kept])
+    if receipt.accepted:
+        context.on_accepted(spacecraft_id)
+    refused += [(kept[refusal.index], refusal.code, refusal.detail) for refusal in receipt.refused]
+    return InputReceiptAnswer(
+        received=len(rows),
+        accepted=receipt.accepted,
+        duplicates=receipt.duplicates,
+        refused=[InputRefusalAnswer(index=i, code=code, detail=detail) for i, code, detail in sorted(refused)],
+    )
+
+
+def _entries(spacecraft_id: str, kind: str, page: PageQuery, context: ApiContext) -> list[JournalEntry]:
+    """Return the entries of a page and one more."""
+    return context.storage.archive.inputs(spacecraft_id, kind, page.window, page.limit + 1, page.after)
+
+
+def _place(entry: JournalEntry) -> Place:
+    """Return where an entry stands in the order of its list."""
+    content = entry.content
+    start_us = content.start_us if isinstance(content, Correction) else getattr(content, "epoch_us", 0)
+    return start_us, entry.number

@@ -1,0 +1,99 @@
+"""Measurements on their way in: decoded in one pass, screened as arrays, answered after the commit.
+
+This is the hot path: no thread, no look-up beyond memory, one await.
+"""
+
+import asyncio
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Response
+from starlette.responses import JSONResponse
+
+from service.api.auth import MAY_SEND
+from service.api.bodies import accepts, body_of
+from service.api.deps import ApiContext, Context, SpacecraftId, Widths
+from service.api.epochs import EpochTextError, parse_epochs
+from service.api.problems import ProblemError, invalid_request
+from service.api.schemas.measurements import MeasurementBatchDocument, MeasurementReceiptAnswer
+from service.errors import FieldError
+from service.pipeline.ingest import EpochBounds, ReceivedRows, data_bounds, screen, system_bounds
+from service.records.attitude import IntArray
+from service.records.measurement import BatchReceipt, Refusal
+
+router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["measurements"])
+_NOTHING_STORED = BatchReceipt(0, 0, 0, ())
+
+
+@router.post(
+    "/measurements:batch",
+    dependencies=[MAY_SEND],
+    openapi_extra=accepts(MeasurementBatchDocument),
+    response_model=MeasurementReceiptAnswer,
+)
+async def send_measurements(
+    spacecraft_id: SpacecraftId,
+    body: Annotated[MeasurementBatchDocument, body_of(MeasurementBatchDocument)],
+    context: Context,
+    widths: Widths,
+) -> Response:
+    """Store rows of carrier powers; the answer leaves after the commit that made them durable."""
+    check_batch_size(len(body.measurements), context, "/measurements")
+    width = await widths.width(spacecraft_id, body.plan_id)
+    rows = ReceivedRows(
+        spacecraft_id=spacecraft_id,
+        source=body.source,
+        plan_id=body.plan_id,
+        received_at_us=context.clock.system_us(),
+        first_seq=body.first_seq,
+        epochs_us=_epochs(body),
+        power_dbm=[row.power_dbm for row in body.measurements],
+        flags=[row.flags for row in body.measurements],
+    )
+    batch, screened = screen(rows, width, _bounds(spacecraft_id, context))
+    receipt = _NOTHING_STORED
+    if len(batch.index):
+        receipt = await asyncio.wrap_future(context.storage.archive.append_measurements(batch))
+    if receipt.accepted:
+        context.on_accepted(spacecraft_id)
+    return JSONResponse(_answer(body, receipt, screened))
+
+
+def check_batch_size(size: int, context: ApiContext, pointer: str) -> None:
+    """Refuse a batch of more rows than the limit."""
+    limit = context.limits.max_rows_per_batch
+    if size > limit:
+        detail = f"the batch has {size} rows, the limit is {limit}; send it in smaller batches"
+        raise ProblemError(422, "batch.too_long", detail, [FieldError(pointer, "batch.too_long", detail)])
+
+
+def _epochs(body: MeasurementBatchDocument) -> IntArray:
+    """Return the epochs of a batch; 422 names the first that is none."""
+    try:
+        return parse_epochs([row.epoch for row in body.measurements])
+    except EpochTextError as error:
+        pointer = f"/measurements/{error.index}/epoch"
+        raise invalid_request([FieldError(pointer, "epoch.malformed", error.detail)]) from None
+
+
+def _bounds(spacecraft_id: str, context: ApiContext) -> EpochBounds:
+    """Return what the spacecraft's clock says about epochs."""
+    limits, clock = context.limits, context.clock
+    now_us = clock.now_us(spacecraft_id)
+    if clock.is_data(spacecraft_id) or now_us is None:
+        return data_bounds(now_us, limits.future_tolerance_data_s, limits.retention_s)
+    return system_bounds(now_us, limits.future_tolerance_s, limits.late_after_s, limits.retention_s)
+
+
+def _answer(body: MeasurementBatchDocument, receipt: BatchReceipt, screened: tuple[Refusal, ...]) -> dict[str, Any]:
+    """Return the receipt as it is sent."""
+    received = len(body.measurements)
+    refused = sorted((*screened, *receipt.refused), key=lambda refusal: refusal.index)
+    return {
+        "received": received,
+        "accepted": receipt.accepted,
+        "duplicates": receipt.duplicates,
+        "late": receipt.late,
+        "durable": True,
+        "last_seq": body.first_seq + received - 1 if body.first_seq is not None and received else None,
+        "refused": [{"index": r.index, "seq": r.seq, "code": r.code, "detail": r.detail} for r in refused],
+    }

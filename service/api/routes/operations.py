@@ -1,0 +1,72 @@
+"""Operations declared by the control centre."""
+
+from http import HTTPStatus
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Request, Response
+from pydantic import TypeAdapter
+
+from service.api.auth import MAY_OPERATE
+from service.api.bodies import accepts, body_of
+from service.api.deps import Context, SpacecraftId
+from service.api.merge_patch import MergePatch, patched
+from service.api.paging import Page, Place, cut_page
+from service.api.schemas.base import WindowAnswer
+from service.api.schemas.operations import OperationAnswer, OperationDocument, OperationPage
+from service.records.inputs import Operation
+from service.records.journal import JournalEntry
+
+router = APIRouter(prefix="/spacecraft/{spacecraft_id}/operations", tags=["inputs"])
+_ADAPTER = TypeAdapter(OperationDocument)
+OperationId = Annotated[int, Path(ge=1, le=2**31 - 1)]
+
+
+@router.post("", status_code=HTTPStatus.CREATED, dependencies=[MAY_OPERATE], openapi_extra=accepts(OperationDocument))
+def declare_operation(
+    spacecraft_id: SpacecraftId,
+    body: Annotated[OperationDocument, body_of(OperationDocument)],
+    context: Context,
+    response: Response,
+) -> OperationAnswer:
+    """Declare an operation, past, present or to come."""
+    stored = context.storage.archive.add_operation(spacecraft_id, body.to_record(0))
+    context.on_accepted(spacecraft_id)
+    response.headers["Location"] = f"/api/v1/spacecraft/{spacecraft_id}/operations/{stored.id}"
+    return OperationAnswer.of(stored)
+
+
+@router.get("")
+def list_operations(
+    spacecraft_id: SpacecraftId, page: Page, context: Context, request: Request, response: Response
+) -> OperationPage:
+    """List the newest revision of operations that overlap the range."""
+    found = context.storage.archive.inputs(spacecraft_id, "operation", page.window, page.limit + 1, page.after)
+    entries, cursor = cut_page(found, page.limit, _place, request, response)
+    rows = [OperationAnswer.of(entry.content) for entry in entries if isinstance(entry.content, Operation)]
+    return OperationPage(range=WindowAnswer.of(page.window), rows=rows, next=cursor)
+
+
+@router.get("/{operation_id}")
+def get_operation(spacecraft_id: SpacecraftId, operation_id: OperationId, context: Context) -> OperationAnswer:
+    """Return the newest revision of an operation."""
+    return OperationAnswer.of(context.storage.archive.operation(spacecraft_id, operation_id))
+
+
+@router.patch("/{operation_id}", dependencies=[MAY_OPERATE], openapi_extra=accepts(MergePatch))
+def change_operation(
+    spacecraft_id: SpacecraftId,
+    operation_id: OperationId,
+    body: Annotated[MergePatch, body_of(MergePatch)],
+    context: Context,
+) -> OperationAnswer:
+    """Change fields of an operation; the change is a new revision, the former ones stay in the journal."""
+    stored = OperationAnswer.of(context.storage.archive.operation(spacecraft_id, operation_id))
+    changed = patched(_ADAPTER, stored.model_dump(mode="json", exclude={"id", "revision"}), body)
+    result = context.storage.archive.replace_operation(spacecraft_id, changed.to_record(operation_id))
+    context.on_accepted(spacecraft_id)
+    return OperationAnswer.of(result)
+
+
+def _place(entry: JournalEntry) -> Place:
+    """Return where an entry stands in the order of its list."""
+    return (entry.content.start_us if isinstance(entry.content, Operation) else 0), entry.number

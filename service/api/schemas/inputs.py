@@ -1,0 +1,257 @@
+"""Slow inputs that come in batches: attitude references, corrections, telemetry.
+
+A row that says nothing or something impossible is refused by itself; ``fault`` tells why. What does not fit the form
+at all refuses the batch.
+"""
+
+from collections.abc import Iterable
+from typing import Annotated, Literal, Self
+
+from pydantic import Field
+
+from service.api.epochs import LATEST_EPOCH_US
+from service.api.schemas.base import (
+    AnglesAnswer,
+    AnglesDocument,
+    Answer,
+    AnyEpoch,
+    Document,
+    EpochAnswer,
+    Figure,
+    Text,
+    WindowAnswer,
+    axes_of,
+)
+from service.records.attitude import NO_ANGLES
+from service.records.epoch import EARLIEST_EPOCH_US, format_epoch
+from service.records.inputs import AttitudeReference, Correction, TelemetryRecord
+
+#: code and detail of a refused row
+Fault = tuple[str, str]
+_NO_ANGLE: Fault = ("value.absent", "the row states no angle at all; leave it out")
+_MAX_ANGLE_DEG = 180.0
+#: any wheel and any rate; beyond lies a fault of units or of telemetry, not a spacecraft
+_Telemetered = Annotated[float, Field(ge=-1e6, le=1e6)]
+Wheels = Annotated[tuple[_Telemetered, ...], Field(min_length=1, max_length=16)]
+
+
+def _epoch_fault(epoch_us: int) -> Fault | None:
+    """Return why an epoch cannot be."""
+    if epoch_us < EARLIEST_EPOCH_US:
+        return "time.too_old", f"nothing before {format_epoch(EARLIEST_EPOCH_US)} is kept"
+    if epoch_us > LATEST_EPOCH_US:
+        return "time.future", f"the epoch lies after {format_epoch(LATEST_EPOCH_US)}"
+    return None
+
+
+def _angle_fault(angles_deg: Iterable[float | None], sigmas_deg: Iterable[float | None] = ()) -> Fault | None:
+    """Return why angles or their sigmas cannot be."""
+    stated = [angle for angle in angles_deg if angle is not None]
+    if not stated:
+        return _NO_ANGLE
+    if any(abs(angle) > _MAX_ANGLE_DEG for angle in stated):
+        return "value.out_of_range", f"an angle lies outside -{_MAX_ANGLE_DEG:g}..{_MAX_ANGLE_DEG:g} deg"
+    if any(sigma is not None and not 0 < sigma <= _MAX_ANGLE_DEG for sigma in sigmas_deg):
+        return "value.out_of_range", f"a sigma must lie above 0 and not above {_MAX_ANGLE_DEG:g} deg; null = not stated"
+    return None
+
+
+class ReferenceDocument(Document):
+    """Attitude told by a sensor at one epoch; any angle may be null."""
+
+    epoch: AnyEpoch
+    yaw_deg: float | None = None
+    roll_deg: float | None = None
+    pitch_deg: float | None = None
+    sigma_deg: AnglesDocument | None = None
+    """One standard deviation of each angle."""
+
+    def fault(self) -> Fault | None:
+        """Return why the row is refused, None when it is not."""
+        sigma = self.sigma_deg or AnglesDocument()
+        angles_deg = (self.yaw_deg, self.roll_deg, self.pitch_deg)
+        return _epoch_fault(self.epoch) or _angle_fault(angles_deg, (sigma.yaw, sigma.roll, sigma.pitch))
+
+    def to_record(self, source: str) -> AttitudeReference:
+        """Return the record that this row states."""
+        sigma_deg = NO_ANGLES if self.sigma_deg is None else self.sigma_deg.to_record()
+        return AttitudeReference(source, self.epoch, axes_of(self.yaw_deg, self.roll_deg, self.pitch_deg), sigma_deg)
+
+
+class ReferenceBatchDocument(Document):
+    """References of one sensor."""
+
+    source: Literal["star_tracker", "earth_sensor", "radio_beacon", "other"]
+    references: Annotated[list[ReferenceDocument], Field(fail_fast=True)]
+
+
+class CorrectionDocument(Document):
+    """Attitude change commanded through other channels, total over the interval; an absent angle does not change."""
+
+    start: AnyEpoch
+    stop: AnyEpoch
+    yaw_deg: float | None = None
+    roll_deg: float | None = None
+    pitch_deg: float | None = None
+
+    def fault(self) -> Fault | None:
+        """Return why the row is refused, None when it is not."""
+        fault = _epoch_fault(self.start) or _epoch_fault(self.stop)
+        if fault is None and self.start >= self.stop:
+            fault = "range.invalid", "start must lie before stop"
+        return fault or _angle_fault((self.yaw_deg, self.roll_deg, self.pitch_deg))
+
+    def to_record(self) -> Correction:
+        """Return the record that this row states."""
+        change_deg = axes_of(self.yaw_deg or 0.0, self.roll_deg or 0.0, self.pitch_deg or 0.0)
+        return Correction(self.start, self.stop, change_deg)
+
+
+class CorrectionBatchDocument(Document):
+    """Corrections."""
+
+    corrections: Annotated[list[CorrectionDocument], Field(fail_fast=True)]
+
+
+class TelemetryDocument(Document):
+    """On-board state at one epoch."""
+
+    epoch: AnyEpoch
+    onboard_mode: Text | None = None
+    wheel_momentum_n_m_s: Wheels | None = None
+    wheel_speed_rpm: Wheels | None = None
+    thrusters_active: bool | None = None
+    body_rate_deg_s: AnglesDocument | None = None
+
+    def fault(self) -> Fault | None:
+        """Return why the row is refused, None when it is not."""
+        fault = _epoch_fault(self.epoch)
+        if fault is None and not self.model_dump(exclude={"epoch"}, exclude_none=True):
+            fault = "value.absent", "the row states nothing but its epoch; leave it out"
+        return fault
+
+    def to_record(self) -> TelemetryRecord:
+        """Return the record that this row states."""
+        return TelemetryRecord(
+            epoch_us=self.epoch,
+            onboard_mode=self.onboard_mode,
+            wheel_momentum_n_m_s=self.wheel_momentum_n_m_s,
+            wheel_speed_rpm=self.wheel_speed_rpm,
+            thrusters_active=self.thrusters_active,
+            body_rate_deg_s=None if self.body_rate_deg_s is None else self.body_rate_deg_s.to_record(),
+        )
+
+
+class TelemetryBatchDocument(Document):
+    """Telemetry records."""
+
+    records: Annotated[list[TelemetryDocument], Field(fail_fast=True)]
+
+
+class InputRefusalAnswer(Answer):
+    """A refused row."""
+
+    index: int
+    code: str
+    detail: str
+
+
+class InputReceiptAnswer(Answer):
+    """What was committed; received = accepted + duplicates + len(refused)."""
+
+    received: int
+    accepted: int
+    duplicates: int
+    refused: list[InputRefusalAnswer]
+
+
+class ReferenceAnswer(Answer):
+    """A stored reference."""
+
+    source: str
+    epoch: EpochAnswer
+    yaw_deg: Figure
+    roll_deg: Figure
+    pitch_deg: Figure
+    sigma_deg: AnglesAnswer
+
+    @classmethod
+    def of(cls, record: AttitudeReference) -> Self:
+        """Return the answer that tells a record."""
+        angles = record.attitude_deg
+        return cls.model_validate(
+            {
+                "source": record.source,
+                "epoch": record.epoch_us,
+                "yaw_deg": angles.yaw,
+                "roll_deg": angles.roll,
+                "pitch_deg": angles.pitch,
+                "sigma_deg": AnglesAnswer.of(record.sigma_deg),
+            }
+        )
+
+
+class CorrectionAnswer(Answer):
+    """A stored correction."""
+
+    start: EpochAnswer
+    stop: EpochAnswer
+    yaw_deg: float
+    roll_deg: float
+    pitch_deg: float
+
+    @classmethod
+    def of(cls, record: Correction) -> Self:
+        """Return the answer that tells a record."""
+        change = {f"{axis}_deg": value for axis, value in record.change_deg._asdict().items()}
+        return cls.model_validate({"start": record.start_us, "stop": record.stop_us, **change})
+
+
+class TelemetryAnswer(Answer):
+    """A stored telemetry record."""
+
+    epoch: EpochAnswer
+    onboard_mode: str | None
+    wheel_momentum_n_m_s: list[float] | None
+    wheel_speed_rpm: list[float] | None
+    thrusters_active: bool | None
+    body_rate_deg_s: AnglesAnswer | None
+
+    @classmethod
+    def of(cls, record: TelemetryRecord) -> Self:
+        """Return the answer that tells a record."""
+        rates = record.body_rate_deg_s
+        return cls.model_validate(
+            {
+                "epoch": record.epoch_us,
+                "onboard_mode": record.onboard_mode,
+                "wheel_momentum_n_m_s": record.wheel_momentum_n_m_s,
+                "wheel_speed_rpm": record.wheel_speed_rpm,
+                "thrusters_active": record.thrusters_active,
+                "body_rate_deg_s": None if rates is None else AnglesAnswer.of(rates),
+            }
+        )
+
+
+class ReferencePage(Answer):
+    """References in order of epoch."""
+
+    range: WindowAnswer
+    rows: list[ReferenceAnswer]
+    next: str | None
+
+
+class CorrectionPage(Answer):
+    """Corrections in order of start."""
+
+    range: WindowAnswer
+    rows: list[CorrectionAnswer]
+    next: str | None
+
+
+class TelemetryPage(Answer):
+    """Telemetry in order of epoch."""
+
+    range: WindowAnswer
+    rows: list[TelemetryAnswer]
+    next: str | None

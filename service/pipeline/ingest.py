@@ -1,0 +1,213 @@
+"""Ingest: which rows of a batch may enter the archive (received rows -> L1).
+
+Pure array work: the caller reads the clock and tells the bounds. A row is refused for its first fault, in the order
+``value.count``, ``time.too_old``, ``time.future``, ``value.out_of_range``; every other row of the batch goes on. A
+row of only absent powers is a row.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.records.attitude import FloatArray, IntArray
+from service.records.epoch import EARLIEST_EPOCH_US, US_PER_S, format_epoch
+from service.records.measurement import MeasurementBatch, Refusal
+
+#: no carrier power that an analyzer can see lies outside
+MIN_POWER_DBM = -250.0
+MAX_POWER_DBM = 50.0
+
+BoolArray = NDArray[np.bool_]
+Powers = Sequence[Sequence[float | None]]
+Flags = Sequence[Sequence[int] | None]
+
+
+class EpochBounds(NamedTuple):
+    """Which epochs are accepted, and which of them are late; microseconds UTC."""
+
+    #: smallest accepted epoch
+    earliest_us: int
+    #: greatest accepted epoch; None = no limit
+    latest_us: int | None
+    #: rows below it count as late; None = age makes nothing late
+    stale_before_us: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class ReceivedRows:
+    """The rows of one request as they came, T of them."""
+
+    spacecraft_id: str
+    source: str
+    plan_id: int
+    received_at_us: int
+    first_seq: int | None
+    #: (T,) microseconds UTC
+    epochs_us: IntArray
+    #: T rows of dBm, None = absent
+    power_dbm: Powers
+    #: T rows of bit masks, None where none were sent
+    flags: Flags
+
+
+def system_bounds(
+    now_us: int, future_tolerance_s: float, late_after_s: float, retention_s: float | None
+) -> EpochBounds:
+    """Return the bounds under the system clock.
+
+    Parameters
+    ----------
+    now_us : int
+        Present, microseconds UTC.
+    future_tolerance_s : float
+        How far ahead of the present an epoch may lie.
+    late_after_s : float
+        Age from which a row is late.
+    retention_s : float or None
+        Age from which a row is refused; None = none is.
+
+    Examples
+    --------
+    >>> system_bounds(2_000_000_000_000_000, 5.0, 300.0, None)
+    EpochBounds(earliest_us=946684800000000, latest_us=2000000005000000, stale_before_us=1999999700000000)
+    """
+    return EpochBounds(_earliest_us(now_us, retention_s), now_us + _us(future_tolerance_s), now_us - _us(late_after_s))
+
+
+def data_bounds(now_us: int | None, future_tolerance_s: float, retention_s: float | None) -> EpochBounds:
+    """Return the bounds under the data clock, under which nothing grows late by age.
+
+    Parameters
+    ----------
+    now_us : int or None
+        Newest accepted epoch; None before the first row, when nothing bounds the future.
+    future_tolerance_s : float
+        How far ahead of it an epoch may lie.
+    retention_s : float or None
+        Age from which a row is refused; None = none is.
+    """
+    if now_us is None:
+        return EpochBounds(EARLIEST_EPOCH_US, None, None)
+    return EpochBounds(_earliest_us(now_us, retention_s), now_us + _us(future_tolerance_s), None)
+
+
+def screen(rows: ReceivedRows, width: int, bounds: EpochBounds) -> tuple[MeasurementBatch, tuple[Refusal, ...]]:
+    """Return the rows that may be stored, and why the others may not.
+
+    Parameters
+    ----------
+    rows : ReceivedRows
+        What was received.
+    width : int
+        Number of carriers of the plan.
+    bounds : EpochBounds
+        What the clock says.
+
+    Returns
+    -------
+    MeasurementBatch
+        Accepted rows in the order in which they came.
+    tuple of Refusal
+        In order of place.
+    """
+    has_width = _has_width(rows.power_dbm, rows.flags, width)
+    power_dbm = _as_array(rows.power_dbm, has_width, width)
+    # compared before the rounding to float32, so that nothing overflows; NaN compares false and stays
+    is_outside = np.any((power_dbm < MIN_POWER_DBM) | (power_dbm > MAX_POWER_DBM), axis=1)
+    is_old = rows.epochs_us < bounds.earliest_us
+    is_ahead = rows.epochs_us > bounds.latest_us if bounds.latest_us is not None else np.zeros_like(is_old)
+    index = np.flatnonzero(has_width & ~is_outside & ~is_old & ~is_ahead)
+    refusals: list[Refusal] = []
+    if len(index) < len(has_width):
+        faults = {
+            "value.count": ~has_width,
+            "time.too_old": is_old,
+            "time.future": is_ahead,
+            "value.out_of_range": is_outside,
+        }
+        refusals = [_refusal(rows, place, faults, width, bounds) for place in np.flatnonzero(_any(faults)).tolist()]
+    return _batch(rows, index, power_dbm, bounds), tuple(refusals)
+
+
+def _batch(rows: ReceivedRows, index: IntArray, power_dbm: FloatArray, bounds: EpochBounds) -> MeasurementBatch:
+    """Return the rows at some places as a batch."""
+    epochs_us = rows.epochs_us[index]
+    stale_before_us = bounds.stale_before_us
+    is_stale = np.zeros(len(index), dtype=np.bool_) if stale_before_us is None else epochs_us < stale_before_us
+    return MeasurementBatch(
+        spacecraft_id=rows.spacecraft_id,
+        source=rows.source,
+        plan_id=rows.plan_id,
+        received_at_us=rows.received_at_us,
+        index=index,
+        epochs_us=epochs_us,
+        power_dbm=power_dbm[index].astype(np.float32),
+        flags=tuple(_frozen(rows.flags[place]) for place in index.tolist()),
+        is_stale=is_stale,
+        first_seq=rows.first_seq,
+    )
+
+
+def _has_width(power_dbm: Powers, flags: Flags, width: int) -> BoolArray:
+    """Return which rows have one power, and one mask where any, for each carrier."""
+    return np.array(
+        [
+            len(powers) == width and (masks is None or len(masks) == width)
+            for powers, masks in zip(power_dbm, flags, strict=True)
+        ],
+        dtype=np.bool_,
+    )
+
+
+def _as_array(power_dbm: Powers, has_width: BoolArray, width: int) -> FloatArray:
+    """Return (T, N) powers, NaN where absent and in rows of another width."""
+    if len(has_width) and has_width.all():
+        return np.array(power_dbm, dtype=np.float64).reshape(len(has_width), width)
+    absent = [None] * width
+    kept = [powers if is_kept else absent for powers, is_kept in zip(power_dbm, has_width.tolist(), strict=True)]
+    return np.array(kept, dtype=np.float64).reshape(len(kept), width)
+
+
+def _refusal(rows: ReceivedRows, place: int, faults: dict[str, BoolArray], width: int, bounds: EpochBounds) -> Refusal:
+    """Return why one row is refused."""
+    code = next(code for code, is_faulty in faults.items() if is_faulty[place])
+    seq = None if rows.first_seq is None else rows.first_seq + place
+    return Refusal(place, seq, code, _detail(code, rows, place, width, bounds))
+
+
+def _detail(code: str, rows: ReceivedRows, place: int, width: int, bounds: EpochBounds) -> str:
+    """Return what is wrong with one row and what to do."""
+    if code == "value.count":
+        masks = rows.flags[place]
+        flags = "no flags" if masks is None else f"{len(masks)} flags"
+        powers = len(rows.power_dbm[place])
+        return f"plan {rows.plan_id} has {width} carriers; the row has {powers} powers and {flags}"
+    if code == "time.too_old":
+        return f"nothing before {format_epoch(bounds.earliest_us)} is kept"
+    if code == "time.future":
+        latest = format_epoch(bounds.latest_us) if bounds.latest_us is not None else ""
+        return f"the epoch lies after {latest}; check the clock of source {rows.source!r}"
+    return f"a power lies outside {MIN_POWER_DBM:g}..{MAX_POWER_DBM:g} dBm; send null for an absent carrier"
+
+
+def _any(faults: dict[str, BoolArray]) -> BoolArray:
+    """Return which rows have any fault."""
+    return np.any(np.stack(list(faults.values())), axis=0)
+
+
+def _frozen(masks: Sequence[int] | None) -> tuple[int, ...] | None:
+    """Return bit masks as a tuple."""
+    return None if masks is None else tuple(masks)
+
+
+def _earliest_us(now_us: int, retention_s: float | None) -> int:
+    """Return the smallest epoch that is kept."""
+    return EARLIEST_EPOCH_US if retention_s is None else max(EARLIEST_EPOCH_US, now_us - _us(retention_s))
+
+
+def _us(seconds: float) -> int:
+    """Return microseconds."""
+    return round(seconds * US_PER_S)
