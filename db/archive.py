@@ -1,0 +1,273 @@
+"""Archive: inputs of the chain and the journal that orders them; implements ``service.ports.Archive``."""
+
+from collections.abc import Sequence
+from concurrent.futures import Future
+from typing import Any
+
+import numpy as np
+from sqlalchemy import ColumnElement, Connection, Row, Select, and_, or_, select, update
+
+from db.database import Database, add_entries, beyond, count_entries, lock_head, within
+from db.documents import decode, decode_all, decode_input
+from db.ingest import prepare, store_batch
+from db.mapping import MEASUREMENT_COLUMNS, measurement_of
+from db.slow_inputs import revise_operation, store_inputs, store_operation
+from db.tables import carrier_plan, head, journal, measurement, operation, source
+from service.errors import InvalidInputError, NotFoundError
+from service.records.calibration import Window
+from service.records.catalogue import Carrier
+from service.records.inputs import AttitudeReference, Operation, SourceSelection
+from service.records.journal import JournalEntry, SlowInput
+from service.records.measurement import BatchReceipt, Measurement, MeasurementBatch
+from service.records.series import HeadState, InputReceipt, MeasurementSeries, ReferenceSeries, SourceState
+
+#: kinds of slow inputs that stand at one epoch
+_POINT_KINDS = ("reference", "telemetry")
+
+
+class SqlArchive:
+    """Archive in a relational database."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        #: carriers of the plans met; a stored plan never changes
+        self._carriers: dict[tuple[int, int], tuple[str, ...]] = {}
+
+    def append_measurements(self, batch: MeasurementBatch) -> Future[BatchReceipt]:
+        """Store and journal the rows of a batch; the future resolves after the commit that made them durable."""
+        key = self._database.key(batch.spacecraft_id)
+        expected, sent = len(self._carrier_ids(key, batch.plan_id)), batch.power_dbm.shape[1]
+        if sent != expected:
+            detail = f"Plan {batch.plan_id} of {batch.spacecraft_id!r} has {expected} carriers, the rows have {sent}."
+            raise InvalidInputError("value.count", detail)
+        prepared = prepare(key, batch)
+        return self._database.submit(lambda connection: store_batch(connection, prepared))
+
+    def append_inputs(self, spacecraft_id: str, records: Sequence[SlowInput]) -> InputReceipt:
+        """Store and journal slow inputs; same key, other content: refused ``input.conflict``."""
+        key = self._database.key(spacecraft_id)
+        return self._database.write(lambda connection: store_inputs(connection, key, records))
+
+    def add_operation(self, spacecraft_id: str, operation: Operation) -> Operation:
+        """Store and journal an operation (its id is ignored) and return it with its id."""
+        key = self._database.key(spacecraft_id)
+        return self._database.write(lambda connection: store_operation(connection, key, operation))
+
+    def replace_operation(self, spacecraft_id: str, operation: Operation) -> Operation:
+        """Store and journal a changed operation under the next revision."""
+        key = self._database.key(spacecraft_id)
+        return self._database.write(lambda connection: revise_operation(connection, key, operation))
+
+    def operation(self, spacecraft_id: str, operation_id: int) -> Operation:
+        """Return the newest revision of one operation."""
+        key = self._database.key(spacecraft_id)
+        query = _newest_operations(select(journal.c.document), key).where(operation.c.operation_id == operation_id)
+        row = self._database.fetch_one(query)
+        if row is None:
+            raise NotFoundError("operation.unknown", f"There is no operation {operation_id} of {spacecraft_id!r}.")
+        return decode(Operation, row.document)
+
+    def sources(self, spacecraft_id: str) -> tuple[SourceState, ...]:
+        """Return all measurement sources."""
+        key = self._database.key(spacecraft_id)
+        query = select(source).where(source.c.spacecraft_key == key).order_by(source.c.source_key)
+        return tuple(_source_state(row) for row in self._database.fetch(query))
+
+    def select_source(self, spacecraft_id: str, source: str) -> SourceState:
+        """Make a source the prime one, journaled; rows stored from then on feed the estimator."""
+        key = self._database.key(spacecraft_id)
+        return self._database.write(lambda connection: _select_source(connection, key, source))
+
+    def head(self, spacecraft_id: str) -> HeadState:
+        """Return where journal and consumer stand."""
+        key = self._database.key(spacecraft_id)
+        columns = (
+            head.c.newest_number,
+            head.c.consumed_number,
+            head.c.newest_epoch_us,
+            head.c.consumed_epoch_us,
+            head.c.result_sequence,
+        )
+        with self._database.read() as connection:
+            return HeadState(*connection.execute(select(*columns).where(head.c.spacecraft_key == key)).one())
+
+    def journal(self, spacecraft_id: str, after: int, limit: int) -> list[JournalEntry]:
+        """Return at most ``limit`` entries with a number above ``after``, in order."""
+        key = self._database.key(spacecraft_id)
+
+        # numbers have no gap, so the next entries are a range of numbers in both tables
+        def is_next(number: ColumnElement[int]) -> ColumnElement[bool]:
+            return and_(number > after, number <= after + limit)
+
+        slow = select(journal).where(journal.c.spacecraft_key == key, is_next(journal.c.number))
+        with self._database.read() as connection:
+            rows = connection.execute(_measurements(key).where(is_next(measurement.c.number))).all()
+            entries = [_measurement_entry(row) for row in rows]
+            entries += [_slow_entry(row) for row in connection.execute(slow)]
+        return sorted(entries, key=lambda entry: entry.number)
+
+    def slow_inputs_before(self, spacecraft_id: str, number: int, kinds: Sequence[str]) -> list[JournalEntry]:
+        """Return all slow inputs of some kinds with a number below the given one, in order."""
+        key = self._database.key(spacecraft_id)
+        query = (
+            select(journal)
+            .where(journal.c.spacecraft_key == key, journal.c.kind.in_(kinds), journal.c.number < number)
+            .order_by(journal.c.number)
+        )
+        return [_slow_entry(row) for row in self._database.fetch(query)]
+
+    def inputs(
+        self, spacecraft_id: str, kind: str, window: Window, limit: int, after: tuple[int, int] | None
+    ) -> list[JournalEntry]:
+        """Return slow inputs of a kind that overlap a window, in order of (start, number), beyond a cursor."""
+        key = self._database.key(spacecraft_id)
+        query = (
+            _inputs(key, kind, window)
+            .where(beyond(journal.c.start_us, journal.c.number, after))
+            .order_by(journal.c.start_us, journal.c.number)
+            .limit(limit)
+        )
+        return [_slow_entry(row) for row in self._database.fetch(query)]
+
+    def newest_measurement(self, spacecraft_id: str) -> Measurement | None:
+        """Return the newest row of the prime source."""
+        key = self._database.key(spacecraft_id)
+        is_newest = and_(source.c.is_prime, measurement.c.epoch_us == source.c.newest_epoch_us)
+        row = self._database.fetch_one(_measurements(key).where(is_newest))
+        return None if row is None else measurement_of(row)
+
+    def measurements(
+        self, spacecraft_id: str, window: Window, limit: int, after: tuple[int, int] | None, source: str | None = None
+    ) -> list[Measurement]:
+        """Return rows in order of (epoch, number) beyond a cursor; every source unless one is named."""
+        key = self._database.key(spacecraft_id)
+        query = (
+            _measurements(key, source)
+            .where(within(measurement.c.epoch_us, window))
+            .where(beyond(measurement.c.epoch_us, measurement.c.number, after))
+            .order_by(measurement.c.epoch_us, measurement.c.number)
+            .limit(limit)
+        )
+        return [measurement_of(row) for row in self._database.fetch(query)]
+
+    def measurements_after(self, spacecraft_id: str, epoch_us: int, before_number: int) -> list[Measurement]:
+        """Return rows that feed the estimator, later than an epoch, stored before a journal number, by epoch."""
+        key = self._database.key(spacecraft_id)
+        query = (
+            _measurements(key)
+            .where(measurement.c.feeds, measurement.c.epoch_us > epoch_us, measurement.c.number < before_number)
+            .order_by(measurement.c.epoch_us, measurement.c.number)
+        )
+        return [measurement_of(row) for row in self._database.fetch(query)]
+
+    def measurement_series(self, spacecraft_id: str, window: Window, carrier_ids: Sequence[str]) -> MeasurementSeries:
+        """Return the rows that feed the estimator as arrays, columns matched by carrier id across plans."""
+        key = self._database.key(spacecraft_id)
+        query = (
+            select(measurement.c.epoch_us, measurement.c.plan_id, measurement.c.powers)
+            .where(measurement.c.spacecraft_key == key, measurement.c.feeds, within(measurement.c.epoch_us, window))
+            .order_by(measurement.c.epoch_us, measurement.c.number)
+        )
+        rows = self._database.fetch(query)
+        epochs_us = np.fromiter((row.epoch_us for row in rows), dtype=np.int64, count=len(rows))
+        plan_ids = np.fromiter((row.plan_id for row in rows), dtype=np.int64, count=len(rows))
+        power_dbm = np.full((len(rows), len(carrier_ids)), np.nan)
+        for plan_id in np.unique(plan_ids).tolist():
+            places = np.flatnonzero(plan_ids == plan_id)
+            held = self._carrier_ids(key, plan_id)
+            columns = [(column, held.index(name)) for column, name in enumerate(carrier_ids) if name in held]
+            blob = b"".join(rows[place].powers for place in places.tolist())
+            stored = np.frombuffer(blob, dtype="<f4").reshape(len(places), len(held))
+            for column, place in columns:
+                power_dbm[places, column] = stored[:, place]
+        epochs_us.setflags(write=False)
+        power_dbm.setflags(write=False)
+        return MeasurementSeries(tuple(carrier_ids), epochs_us, power_dbm)
+
+    def reference_series(self, spacecraft_id: str, window: Window) -> tuple[ReferenceSeries, ...]:
+        """Return the attitude references of every sensor in a window."""
+        key = self._database.key(spacecraft_id)
+        query = _inputs(key, "reference", window).order_by(journal.c.start_us, journal.c.number)
+        sensors: dict[str, list[AttitudeReference]] = {}
+        for row in self._database.fetch(query):
+            reference = decode(AttitudeReference, row.document)
+            sensors.setdefault(reference.source, []).append(reference)
+        return tuple(_reference_series(name, sensors[name]) for name in sorted(sensors))
+
+    def _carrier_ids(self, key: int, plan_id: int) -> tuple[str, ...]:
+        """Return the carrier ids of a plan; NotFoundError ``plan.unknown``."""
+        known = self._carriers.get((key, plan_id))
+        if known is None:
+            is_it = (carrier_plan.c.spacecraft_key == key, carrier_plan.c.plan_id == plan_id)
+            row = self._database.fetch_one(select(carrier_plan.c.document).where(*is_it))
+            if row is None:
+                raise NotFoundError("plan.unknown", f"The spacecraft has no carrier plan {plan_id}.")
+            known = tuple(carrier.id for carrier in decode_all(Carrier, row.document))
+            self._carriers[key, plan_id] = known
+        return known
+
+
+def _measurements(key: int, name: str | None = None) -> Select[Any]:
+    is_its_source = and_(
+        source.c.spacecraft_key == measurement.c.spacecraft_key, source.c.source_key == measurement.c.source_key
+    )
+    query = (
+        select(*MEASUREMENT_COLUMNS)
+        .select_from(measurement)
+        .join(source, is_its_source)
+        .where(measurement.c.spacecraft_key == key)
+    )
+    return query if name is None else query.where(source.c.name == name)
+
+
+def _measurement_entry(row: Row[Any]) -> JournalEntry:
+    content = measurement_of(row)
+    return JournalEntry(content.number, content)
+
+
+def _slow_entry(row: Row[Any]) -> JournalEntry:
+    return JournalEntry(row.number, decode_input(row.kind, row.document))
+
+
+def _inputs(key: int, kind: str, window: Window) -> Select[Any]:
+    """Return the query for slow inputs of a kind that overlap a window; of operations the newest revision."""
+    query = select(journal).where(journal.c.spacecraft_key == key, journal.c.kind == kind)
+    if kind in _POINT_KINDS:
+        return query.where(within(journal.c.start_us, window))
+    if kind == "operation":
+        query = _newest_operations(query, key)
+    reaches = or_(
+        journal.c.stop_us.is_(None), journal.c.stop_us > window.start_us, journal.c.start_us >= window.start_us
+    )
+    return query.where(journal.c.start_us < window.stop_us, reaches)
+
+
+def _newest_operations(query: Select[Any], key: int) -> Select[Any]:
+    is_its_entry = and_(journal.c.spacecraft_key == operation.c.spacecraft_key, journal.c.number == operation.c.number)
+    return query.join(operation, is_its_entry).where(operation.c.spacecraft_key == key)
+
+
+def _select_source(connection: Connection, key: int, name: str) -> SourceState:
+    lock_head(connection, key)
+    is_it = (source.c.spacecraft_key == key, source.c.name == name)
+    if connection.execute(select(source).where(*is_it)).first() is None:
+        raise NotFoundError("source.unknown", f"No source {name!r} has sent measurements of this spacecraft.")
+    connection.execute(update(source).where(source.c.spacecraft_key == key).values(is_prime=(source.c.name == name)))
+    count = 1 + count_entries(connection, key, "source")
+    add_entries(connection, key, [(SourceSelection(name, count), None)])
+    return _source_state(connection.execute(select(source).where(*is_it)).one())
+
+
+def _source_state(row: Row[Any]) -> SourceState:
+    return SourceState(row.name, "prime" if row.is_prime else "backup", row.newest_epoch_us, row.row_count)
+
+
+def _reference_series(name: str, references: list[AttitudeReference]) -> ReferenceSeries:
+    arrays = (
+        np.array([reference.epoch_us for reference in references], dtype=np.int64),
+        np.array([reference.attitude_deg for reference in references], dtype=np.float64),
+        np.array([reference.sigma_deg for reference in references], dtype=np.float64),
+    )
+    for array in arrays:
+        array.setflags(write=False)
+    return ReferenceSeries(name, *arrays)

@@ -1,0 +1,195 @@
+"""Calibrations and alignments, the first part of ``service.ports.Results``."""
+
+from dataclasses import replace
+from typing import Any
+
+from sqlalchemy import Connection, Row, Select, select, update
+
+from db.database import Database, Span, add_entries, count_entries, lock_head, next_id
+from db.documents import decode, encode
+from db.tables import alignment as alignment_table
+from db.tables import calibration as calibration_table
+from service.errors import ConflictError, NotFoundError
+from service.records.calibration import (
+    Alignment,
+    Calibration,
+    CalibrationRequest,
+    CalibrationResult,
+    CalibrationState,
+)
+from service.records.inputs import AlignmentSet, CalibrationActivation
+
+
+class SqlCalibrations:
+    """Calibrations and alignments in a relational database."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def add_calibration(
+        self,
+        spacecraft_id: str,
+        request: CalibrationRequest,
+        plan_id: int,
+        ephemeris_id: int,
+        created_at_us: int,
+        created_by: str,
+    ) -> Calibration:
+        """Store a draft without a result and return it with its id."""
+        key = self._database.key(spacecraft_id)
+        draft = Calibration(
+            0, plan_id, ephemeris_id, CalibrationState.DRAFT, request, created_at_us, created_by, result=None
+        )
+        return self._database.write(lambda connection: _insert_calibration(connection, key, draft))
+
+    def finish_calibration(
+        self, spacecraft_id: str, calibration_id: int, result: CalibrationResult | None, error: str | None
+    ) -> Calibration:
+        """Store the result of a draft, or why it failed."""
+        key = self._database.key(spacecraft_id)
+        return self._database.write(lambda connection: _finish(connection, key, calibration_id, result, error))
+
+    def activate_calibration(self, spacecraft_id: str, calibration_id: int) -> Calibration:
+        """Make a calibration the active one of its method, journaled; the former becomes superseded."""
+        key = self._database.key(spacecraft_id)
+        return self._database.write(lambda connection: _activate(connection, key, calibration_id))
+
+    def calibration(self, spacecraft_id: str, calibration_id: int) -> Calibration:
+        """Return one calibration."""
+        key = self._database.key(spacecraft_id)
+        with self._database.read() as connection:
+            return _calibration(connection, key, calibration_id)
+
+    def calibrations(self, spacecraft_id: str, state: CalibrationState | None = None) -> tuple[Calibration, ...]:
+        """Return calibrations, newest first."""
+        key = self._database.key(spacecraft_id)
+        query = _calibrations(key).order_by(calibration_table.c.calibration_id.desc())
+        if state is not None:
+            query = query.where(calibration_table.c.state == state.value)
+        return tuple(_calibration_of(row) for row in self._database.fetch(query))
+
+    def add_alignment(self, spacecraft_id: str, alignment: Alignment) -> Alignment:
+        """Store and journal an alignment (its id is ignored) and return it with its id."""
+        key = self._database.key(spacecraft_id)
+        return self._database.write(lambda connection: _insert_alignment(connection, key, alignment))
+
+    def alignment(self, spacecraft_id: str, alignment_id: int) -> Alignment:
+        """Return one alignment."""
+        return decode(Alignment, self._alignment_row(spacecraft_id, alignment_id).document)
+
+    def alignments(self, spacecraft_id: str) -> tuple[Alignment, ...]:
+        """Return alignments, newest first."""
+        key = self._database.key(spacecraft_id)
+        query = select(alignment_table.c.document).where(alignment_table.c.spacecraft_key == key)
+        rows = self._database.fetch(query.order_by(alignment_table.c.alignment_id.desc()))
+        return tuple(decode(Alignment, row.document) for row in rows)
+
+    def alignment_number(self, spacecraft_id: str, alignment_id: int) -> int:
+        """Return the journal number of an alignment."""
+        return int(self._alignment_row(spacecraft_id, alignment_id).number)
+
+    def _alignment_row(self, spacecraft_id: str, alignment_id: int) -> Row[Any]:
+        key = self._database.key(spacecraft_id)
+        is_it = (alignment_table.c.spacecraft_key == key, alignment_table.c.alignment_id == alignment_id)
+        row = self._database.fetch_one(select(alignment_table).where(*is_it))
+        if row is None:
+            raise NotFoundError("alignment.unknown", f"There is no alignment {alignment_id} of {spacecraft_id!r}.")
+        return row
+
+
+def _calibrations(key: int) -> Select[Any]:
+    return select(calibration_table).where(calibration_table.c.spacecraft_key == key)
+
+
+def _calibration(connection: Connection, key: int, calibration_id: int) -> Calibration:
+    row = connection.execute(_calibrations(key).where(calibration_table.c.calibration_id == calibration_id)).first()
+    if row is None:
+        raise NotFoundError("calibration.unknown", f"There is no calibration {calibration_id} of this spacecraft.")
+    return _calibration_of(row)
+
+
+def _calibration_of(row: Row[Any]) -> Calibration:
+    return Calibration(
+        id=row.calibration_id,
+        plan_id=row.plan_id,
+        ephemeris_id=row.ephemeris_id,
+        state=CalibrationState(row.state),
+        request=decode(CalibrationRequest, row.request),
+        created_at_us=row.created_at_us,
+        created_by=row.created_by,
+        result=None if row.result is None else decode(CalibrationResult, row.result),
+        error=row.error,
+    )
+
+
+def _insert_calibration(connection: Connection, key: int, draft: Calibration) -> Calibration:
+    lock_head(connection, key)
+    stored = replace(draft, id=next_id(connection, calibration_table, "calibration_id", key))
+    values = {
+        "spacecraft_key": key,
+        "calibration_id": stored.id,
+        "method": stored.request.method.value,
+        "state": stored.state.value,
+        "plan_id": stored.plan_id,
+        "ephemeris_id": stored.ephemeris_id,
+        "created_at_us": stored.created_at_us,
+        "created_by": stored.created_by,
+        "request": encode(stored.request),
+    }
+    connection.execute(calibration_table.insert().values(values))
+    return stored
+
+
+def _change_calibration(connection: Connection, key: int, calibration_id: int, values: dict[str, str | None]) -> None:
+    is_it = (calibration_table.c.spacecraft_key == key, calibration_table.c.calibration_id == calibration_id)
+    connection.execute(update(calibration_table).where(*is_it).values(values))
+
+
+def _finish(
+    connection: Connection, key: int, calibration_id: int, result: CalibrationResult | None, error: str | None
+) -> Calibration:
+    lock_head(connection, key)
+    draft = _calibration(connection, key, calibration_id)
+    if draft.state is not CalibrationState.DRAFT or draft.result is not None:
+        raise ConflictError("calibration.finished", f"Calibration {calibration_id} is finished; start a new one.")
+    state = CalibrationState.FAILED if result is None else CalibrationState.DRAFT
+    document = None if result is None else encode(result)
+    _change_calibration(connection, key, calibration_id, {"state": state.value, "result": document, "error": error})
+    return _calibration(connection, key, calibration_id)
+
+
+def _activate(connection: Connection, key: int, calibration_id: int) -> Calibration:
+    lock_head(connection, key)
+    chosen = _calibration(connection, key, calibration_id)
+    if chosen.result is None:
+        detail = f"Calibration {calibration_id} has no result and cannot be activated."
+        raise ConflictError("calibration.no_result", detail)
+    connection.execute(
+        update(calibration_table)
+        .where(
+            calibration_table.c.spacecraft_key == key,
+            calibration_table.c.method == chosen.request.method.value,
+            calibration_table.c.state == CalibrationState.ACTIVE.value,
+        )
+        .values(state=CalibrationState.SUPERSEDED.value)
+    )
+    _change_calibration(connection, key, calibration_id, {"state": CalibrationState.ACTIVE.value})
+    count = 1 + count_entries(connection, key, "activation")
+    add_entries(connection, key, [(CalibrationActivation(calibration_id, count), None)])
+    return replace(chosen, state=CalibrationState.ACTIVE)
+
+
+def _insert_alignment(connection: Connection, key: int, record: Alignment) -> Alignment:
+    lock_head(connection, key)
+    _calibration(connection, key, record.calibration_id)
+    stored = replace(record, id=next_id(connection, alignment_table, "alignment_id", key))
+    span = Span(stored.epoch_us, stored.epoch_us)
+    values = {
+        "spacecraft_key": key,
+        "alignment_id": stored.id,
+        "epoch_us": stored.epoch_us,
+        "number": add_entries(connection, key, [(AlignmentSet(stored.id), span)]),
+        "document": encode(stored),
+    }
+    connection.execute(alignment_table.insert().values(values))
+    return stored

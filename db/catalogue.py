@@ -1,0 +1,132 @@
+"""Catalogue: spacecraft, carrier plans and ephemerides; implements ``service.ports.Catalogue``."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from sqlalchemy import Connection, Row, Select, Table, select, update
+from sqlalchemy.exc import IntegrityError
+
+from db.database import Database, Span, add_entries, count_entries, lock_head, next_id
+from db.documents import decode, decode_all, encode, encode_all
+from db.tables import carrier_plan, ephemeris, head
+from db.tables import spacecraft as spacecraft_table
+from service.errors import ConflictError, NotFoundError
+from service.records.catalogue import Carrier, CarrierPlan, Ephemeris, Spacecraft
+from service.records.inputs import EphemerisChange, PlanChange, SpacecraftChange
+
+
+class SqlCatalogue:
+    """Catalogue in a relational database."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def add_spacecraft(self, spacecraft: Spacecraft) -> None:
+        """Store and journal a new spacecraft; ConflictError ``spacecraft.exists``."""
+        self._database.write(lambda connection: _insert_spacecraft(connection, spacecraft))
+
+    def replace_spacecraft(self, spacecraft: Spacecraft) -> None:
+        """Store and journal a changed spacecraft under its id."""
+        key = self._database.key(spacecraft.id)
+        self._database.write(lambda connection: _replace_spacecraft(connection, key, spacecraft))
+
+    def spacecraft(self, spacecraft_id: str) -> Spacecraft:
+        """Return one spacecraft."""
+        query = select(spacecraft_table.c.document).where(spacecraft_table.c.id == spacecraft_id)
+        row = self._database.fetch_one(query)
+        if row is None:
+            raise NotFoundError("spacecraft.unknown", f"There is no spacecraft {spacecraft_id!r}.")
+        return decode(Spacecraft, row.document)
+
+    def all_spacecraft(self) -> tuple[Spacecraft, ...]:
+        """Return all spacecraft in order of id."""
+        rows = self._database.fetch(select(spacecraft_table.c.document))
+        return tuple(sorted((decode(Spacecraft, row.document) for row in rows), key=lambda found: found.id))
+
+    def put_plan(self, spacecraft_id: str, carriers: Sequence[Carrier], sha256: str) -> CarrierPlan:
+        """Return the plan with this content, storing and journaling it when it is new or no longer the newest."""
+        key = self._database.key(spacecraft_id)
+        return self._database.write(lambda connection: _put_plan(connection, key, tuple(carriers), sha256))
+
+    def plan(self, spacecraft_id: str, plan_id: int | None = None) -> CarrierPlan:
+        """Return one plan, or the one put last; NotFoundError ``plan.unknown`` or ``plan.none``."""
+        key = self._database.key(spacecraft_id)
+        row = self._database.fetch_one(_version(carrier_plan, "plan_id", key, plan_id))
+        if row is None:
+            raise _no_version(spacecraft_id, "plan", "carrier plan", plan_id)
+        return _plan_of(row)
+
+    def put_ephemeris(self, spacecraft_id: str, ephemeris: Ephemeris) -> Ephemeris:
+        """Store and journal an ephemeris (its id is ignored) and return it with its id."""
+        key = self._database.key(spacecraft_id)
+        return self._database.write(lambda connection: _put_ephemeris(connection, key, ephemeris))
+
+    def ephemeris(self, spacecraft_id: str, ephemeris_id: int | None = None) -> Ephemeris:
+        """Return one ephemeris, or the newest; NotFoundError ``ephemeris.unknown`` or ``ephemeris.none``."""
+        key = self._database.key(spacecraft_id)
+        row = self._database.fetch_one(_version(ephemeris, "ephemeris_id", key, ephemeris_id))
+        if row is None:
+            raise _no_version(spacecraft_id, "ephemeris", "ephemeris", ephemeris_id)
+        return decode(Ephemeris, row.document)
+
+
+def _insert_spacecraft(connection: Connection, spacecraft: Spacecraft) -> None:
+    values = {"id": spacecraft.id, "document": encode(spacecraft)}
+    try:
+        insert = spacecraft_table.insert().values(values).returning(spacecraft_table.c.spacecraft_key)
+        key = connection.execute(insert).scalar_one()
+    except IntegrityError as fault:
+        raise ConflictError("spacecraft.exists", f"Spacecraft {spacecraft.id!r} exists already.") from fault
+    start = {"spacecraft_key": key, "newest_number": 0, "consumed_number": 0, "result_sequence": 0}
+    connection.execute(head.insert().values(start))
+    add_entries(connection, key, [(SpacecraftChange(spacecraft, 1), None)])
+
+
+def _replace_spacecraft(connection: Connection, key: int, spacecraft: Spacecraft) -> None:
+    lock_head(connection, key)
+    is_it = spacecraft_table.c.spacecraft_key == key
+    connection.execute(update(spacecraft_table).where(is_it).values(document=encode(spacecraft)))
+    count = 1 + count_entries(connection, key, "spacecraft")
+    add_entries(connection, key, [(SpacecraftChange(spacecraft, count), None)])
+
+
+def _put_plan(connection: Connection, key: int, carriers: tuple[Carrier, ...], sha256: str) -> CarrierPlan:
+    lock_head(connection, key)
+    newest = connection.execute(_version(carrier_plan, "plan_id", key, None)).first()
+    if newest is not None and newest.sha256 == sha256:
+        return _plan_of(newest)
+    plan = CarrierPlan(1 if newest is None else newest.plan_id + 1, sha256, carriers)
+    document = encode_all(Carrier, carriers)
+    values = {"spacecraft_key": key, "plan_id": plan.id, "sha256": sha256, "document": document}
+    connection.execute(carrier_plan.insert().values(values))
+    add_entries(connection, key, [(PlanChange(plan.id), None)])
+    return plan
+
+
+def _put_ephemeris(connection: Connection, key: int, record: Ephemeris) -> Ephemeris:
+    lock_head(connection, key)
+    stored = replace(record, id=next_id(connection, ephemeris, "ephemeris_id", key))
+    values = {"spacecraft_key": key, "ephemeris_id": stored.id, "document": encode(stored)}
+    connection.execute(ephemeris.insert().values(values))
+    span = Span(stored.valid_start_us, stored.valid_stop_us)
+    add_entries(connection, key, [(EphemerisChange(stored.id), span)])
+    return stored
+
+
+def _plan_of(row: Row[Any]) -> CarrierPlan:
+    return CarrierPlan(row.plan_id, row.sha256, decode_all(Carrier, row.document))
+
+
+def _version(table: Table, column: str, key: int, wanted: int | None) -> Select[Any]:
+    """Return the query for one version of a spacecraft's table, or for its newest."""
+    query = select(table).where(table.c.spacecraft_key == key)
+    if wanted is None:
+        return query.order_by(table.c[column].desc()).limit(1)
+    return query.where(table.c[column] == wanted)
+
+
+def _no_version(spacecraft_id: str, code: str, noun: str, wanted: int | None) -> NotFoundError:
+    if wanted is None:
+        return NotFoundError(f"{code}.none", f"Spacecraft {spacecraft_id!r} has no {noun} yet.")
+    return NotFoundError(f"{code}.unknown", f"Spacecraft {spacecraft_id!r} has no {noun} {wanted}.")

@@ -1,0 +1,157 @@
+"""The database as the repositories see it: read transactions, queued writes, keys of spacecraft, journal numbers.
+
+The journal of a spacecraft is gap-free and in the order of commits, because a number is taken by updating the row
+``head`` of the spacecraft in the transaction that uses it: the row stays locked until that transaction ends.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future
+from contextlib import contextmanager
+from typing import Any, NamedTuple, TypeVar
+
+from sqlalchemy import ColumnElement, Connection, Row, Select, Table, and_, func, or_, select, true, update
+from sqlalchemy.dialects import postgresql, sqlite
+
+from db.documents import encode, kind_of
+from db.engine import open_engines, translated_faults
+from db.tables import head, journal, spacecraft
+from db.writer import Writer
+from service.errors import NotFoundError
+from service.records.calibration import Window
+from service.records.journal import SlowInput
+
+Result = TypeVar("Result")
+
+
+class Span(NamedTuple):
+    """Interval that a slow input holds for; ``stop_us`` None = open end."""
+
+    start_us: int
+    stop_us: int | None
+
+
+class Database:
+    """Engines, writer and what every repository needs of them.
+
+    Parameters
+    ----------
+    url : str
+        SQLAlchemy URL of a SQLite file or of a PostgreSQL database.
+    """
+
+    def __init__(self, url: str) -> None:
+        self.engines = open_engines(url)
+        self._writer = Writer(self.engines.write)
+        self._keys: dict[str, int] = {}
+
+    @contextmanager
+    def read(self) -> Iterator[Connection]:
+        """Open a read transaction: one consistent state of the database."""
+        with translated_faults(), self.engines.read.connect() as connection:
+            yield connection
+
+    def submit(self, work: Callable[[Connection], Result]) -> Future[Result]:
+        """Queue a write; the future resolves after its commit."""
+        return self._writer.submit(work)
+
+    def write(self, work: Callable[[Connection], Result]) -> Result:
+        """Do a write and wait for its commit."""
+        return self.submit(work).result()
+
+    def close(self) -> None:
+        """Commit what is queued and let go of the database."""
+        self._writer.close()
+        self.engines.dispose()
+
+    def key(self, spacecraft_id: str) -> int:
+        """Return the key of a spacecraft; NotFoundError ``spacecraft.unknown``."""
+        key = self._keys.get(spacecraft_id)
+        if key is None:
+            # only committed keys are remembered: a spacecraft is never removed, so they stay true
+            with self.read() as connection:
+                key = connection.scalar(select(spacecraft.c.spacecraft_key).where(spacecraft.c.id == spacecraft_id))
+            if key is None:
+                raise NotFoundError("spacecraft.unknown", f"There is no spacecraft {spacecraft_id!r}.")
+            self._keys[spacecraft_id] = key
+        return key
+
+    def fetch(self, statement: Select[Any]) -> Sequence[Row[Any]]:
+        """Return all rows of a query in a transaction of its own."""
+        with self.read() as connection:
+            return connection.execute(statement).all()
+
+    def fetch_one(self, statement: Select[Any]) -> Row[Any] | None:
+        """Return the first row of a query, if any, in a transaction of its own."""
+        with self.read() as connection:
+            return connection.execute(statement).first()
+
+
+def lock_head(connection: Connection, key: int) -> Row[Any]:
+    """Return the head of a spacecraft and keep every other writer of it away until the transaction ends."""
+    return connection.execute(select(head).where(head.c.spacecraft_key == key).with_for_update()).one()
+
+
+def next_id(connection: Connection, table: Table, column: str, key: int) -> int:
+    """Return the next id of a spacecraft's table; the caller holds the head, and rows are never removed."""
+    newest = connection.scalar(select(func.max(table.c[column])).where(table.c.spacecraft_key == key))
+    return 1 + (newest or 0)
+
+
+def insert_new(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Insert rows; those whose primary key exists stay as they are."""
+    if rows:
+        insert = sqlite.insert if connection.dialect.name == "sqlite" else postgresql.insert
+        connection.execute(insert(table).on_conflict_do_nothing(), rows)
+
+
+def beyond(place: ColumnElement[int], number: ColumnElement[int], after: tuple[int, int] | None) -> ColumnElement[bool]:
+    """Return the condition that (place, number) lies behind a cursor."""
+    if after is None:
+        return true()
+    # the first part alone bounds the range of the index
+    return and_(place >= after[0], or_(place > after[0], number > after[1]))
+
+
+def within(epoch_us: ColumnElement[int], window: Window) -> ColumnElement[bool]:
+    """Return the condition that an epoch lies in a window."""
+    return and_(epoch_us >= window.start_us, epoch_us < window.stop_us)
+
+
+def count_entries(connection: Connection, key: int, kind: str) -> int:
+    """Return how many entries of a kind the journal of a spacecraft holds."""
+    query = select(func.count()).where(journal.c.spacecraft_key == key, journal.c.kind == kind)
+    return connection.scalar(query) or 0
+
+
+def add_entries(connection: Connection, key: int, entries: Sequence[tuple[SlowInput, Span | None]]) -> int:
+    """Journal slow inputs under the next numbers and return the number of the last.
+
+    An input without a span of its own stands at the newest epoch of the spacecraft's measurements.
+    """
+    moved = (
+        update(head)
+        .where(head.c.spacecraft_key == key)
+        .values(newest_number=head.c.newest_number + len(entries))
+        .returning(head.c.newest_number, head.c.newest_epoch_us)
+    )
+    newest_number, newest_epoch_us = connection.execute(moved).one()
+    here = Span(newest_epoch_us or 0, newest_epoch_us or 0)
+    rows = [
+        _journal_row(key, newest_number - len(entries) + place, record, span or here)
+        for place, (record, span) in enumerate(entries, start=1)
+    ]
+    if rows:
+        connection.execute(journal.insert(), rows)
+    return int(newest_number)
+
+
+def _journal_row(key: int, number: int, record: SlowInput, span: Span) -> dict[str, Any]:
+    return {
+        "spacecraft_key": key,
+        "number": number,
+        "kind": kind_of(record),
+        "key": record.key,
+        "start_us": span.start_us,
+        "stop_us": span.stop_us,
+        "document": encode(record),
+    }

@@ -1,0 +1,121 @@
+"""Engines: one for the single writer, one for readers, with the same durability on both databases.
+
+SQLite runs in WAL mode with ``synchronous=FULL``, so a commit that returned survives a kill and a power loss.
+Transactions are opened and closed by explicit statements, because the driver's own control would break SAVEPOINT and
+would let a transaction that the database has already given up pass for committed.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import Connection, Engine, create_engine, event
+from sqlalchemy.engine import URL, make_url
+from sqlalchemy.exc import DBAPIError, SQLAlchemyError
+
+from service.errors import StorageError
+
+BUSY_TIMEOUT_MS = 10_000
+READERS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Engines:
+    """The two ways into one database."""
+
+    write: Engine
+    read: Engine
+
+    def dispose(self) -> None:
+        """Close all connections."""
+        self.read.dispose()
+        self.write.dispose()
+
+
+def open_engines(url: str) -> Engines:
+    """Return engines for a database URL; nothing is connected yet.
+
+    Raises
+    ------
+    ValueError
+        The URL names an in-memory SQLite database, which no second connection can see, or another database than
+        SQLite and PostgreSQL.
+    """
+    target = make_url(url)
+    if target.get_backend_name() == "sqlite":
+        return _sqlite_engines(target)
+    if target.get_backend_name() == "postgresql":
+        return _postgresql_engines(target)
+    message = f"database {target.get_backend_name()!r} is not supported: use sqlite:///file or postgresql+psycopg://..."
+    raise ValueError(message)
+
+
+@contextmanager
+def translated_faults() -> Iterator[None]:
+    """Turn whatever the database says into a StorageError."""
+    try:
+        yield
+    except SQLAlchemyError as fault:
+        raise storage_error(fault) from fault
+
+
+def storage_error(fault: SQLAlchemyError) -> StorageError:
+    """Return the error that a caller sees for a fault of the database."""
+    said = str(fault.orig) if isinstance(fault, DBAPIError) else str(fault)
+    detail = f"The database did not carry out the request: {said.strip()}. Nothing was acknowledged; try again later."
+    return StorageError("storage.unavailable", detail)
+
+
+def _sqlite_engines(target: URL) -> Engines:
+    if target.database in (None, "", ":memory:"):
+        message = "an in-memory database keeps nothing: name a file, sqlite:///path/to/file.db"
+        raise ValueError(message)
+    write = create_engine(target, pool_size=1, max_overflow=0)
+    read = create_engine(target, pool_size=READERS, max_overflow=READERS)
+    event.listen(write, "connect", _prepare_writer)
+    event.listen(read, "connect", _prepare_reader)
+    event.listen(write, "begin", _begin_immediate)
+    event.listen(read, "begin", _begin)
+    for engine in (write, read):
+        event.listen(engine, "commit", _commit)
+    return Engines(write, read)
+
+
+def _postgresql_engines(target: URL) -> Engines:
+    write = create_engine(target, pool_size=1, max_overflow=1, pool_pre_ping=True)
+    read = create_engine(target, pool_size=READERS, max_overflow=READERS, pool_pre_ping=True).execution_options(
+        isolation_level="REPEATABLE READ", postgresql_readonly=True
+    )
+    return Engines(write, read)
+
+
+def _prepare(connection: Any) -> None:
+    connection.isolation_level = None
+    connection.execute(f"PRAGMA busy_timeout={BUSY_TIMEOUT_MS}")
+    connection.execute("PRAGMA journal_mode=WAL")
+    connection.execute("PRAGMA synchronous=FULL")
+    connection.execute("PRAGMA foreign_keys=ON")
+
+
+def _prepare_writer(connection: Any, _record: object) -> None:
+    _prepare(connection)
+
+
+def _prepare_reader(connection: Any, _record: object) -> None:
+    _prepare(connection)
+    connection.execute("PRAGMA query_only=ON")
+
+
+def _begin(connection: Connection) -> None:
+    connection.exec_driver_sql("BEGIN")
+
+
+def _begin_immediate(connection: Connection) -> None:
+    # the write lock comes first: a reader that turns writer could only fail, never wait
+    connection.exec_driver_sql("BEGIN IMMEDIATE")
+
+
+def _commit(connection: Connection) -> None:
+    # the driver's commit() succeeds silently when the database has rolled back by itself (disk full); COMMIT fails
+    connection.exec_driver_sql("COMMIT")

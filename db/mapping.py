@@ -1,0 +1,175 @@
+"""Mapping between rows of the tables and records; arrays inside records are read-only."""
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from sqlalchemy import ColumnElement, Row
+
+from db.documents import decode_all, encode_all
+from db.tables import measurement, source
+from service.records.attitude import NO_ANGLES, AttitudeRow, Axes, Exclusion, FloatArray, IntArray, Status
+from service.records.catalogue import Method
+from service.records.command import Pulse, TorqueCommand
+from service.records.measurement import Float32Array, Measurement
+
+#: what ``measurement_of`` reads, in this order
+MEASUREMENT_COLUMNS: tuple[ColumnElement[Any], ...] = (
+    measurement.c.epoch_us,
+    measurement.c.received_at_us,
+    measurement.c.number,
+    source.c.name,
+    measurement.c.plan_id,
+    measurement.c.powers,
+    measurement.c.flags,
+    measurement.c.is_late,
+    measurement.c.feeds,
+    measurement.c.seq,
+)
+
+
+def powers_as_bytes(power_dbm: Float32Array) -> list[bytes]:
+    """Return each row of (T, N) powers as float32 little endian, every NaN the same NaN."""
+    canonical = np.array(power_dbm, dtype="<f4", order="C")
+    canonical[np.isnan(canonical)] = np.nan
+    whole, width = canonical.tobytes(), canonical.shape[1] * 4
+    return [whole[place * width : (place + 1) * width] for place in range(canonical.shape[0])]
+
+
+def flags_as_bytes(flags: Sequence[tuple[int, ...] | None]) -> list[bytes | None]:
+    """Return the bit masks of each row as int32 little endian, None where none were sent."""
+    return [None if row is None else np.asarray(row, dtype="<i4").tobytes() for row in flags]
+
+
+def powers_of(blob: bytes) -> FloatArray:
+    """Return stored powers widened to float64, shape (N,), read-only."""
+    return _read_only(np.frombuffer(blob, dtype="<f4").astype(np.float64))
+
+
+def measurement_of(row: Row[Any]) -> Measurement:
+    """Return the record of a row of ``MEASUREMENT_COLUMNS``."""
+    epoch_us, received_at_us, number, name, plan_id, powers, flags, is_late, feeds, seq = tuple(row)
+    masks: IntArray | None = None
+    if flags is not None:
+        masks = np.frombuffer(flags, dtype="<i4").astype(np.int64)
+        masks.setflags(write=False)
+    return Measurement(epoch_us, received_at_us, number, name, plan_id, powers_of(powers), masks, is_late, feeds, seq)
+
+
+def attitude_values(key: int, version: str, row: AttitudeRow, sequence: int | None) -> dict[str, Any]:
+    """Return the columns of an attitude row."""
+    yaw_allowed, roll_allowed, pitch_allowed = row.control_allowed_axes
+    return {
+        "spacecraft_key": key,
+        "version": version,
+        "method": row.method.value,
+        "epoch_us": row.epoch_us,
+        "number": row.number,
+        "sequence": sequence,
+        "received_at_us": row.received_at_us,
+        **_axes_values("{}_deg", row.attitude_deg),
+        **_axes_values("{}_sigma_deg", row.sigma_deg),
+        "has_rates": row.rates_deg_s is not None,
+        **_axes_values("{}_rate_deg_s", NO_ANGLES if row.rates_deg_s is None else row.rates_deg_s),
+        "status": row.status.value,
+        "control_allowed": row.control_allowed,
+        "yaw_control_allowed": yaw_allowed,
+        "roll_control_allowed": roll_allowed,
+        "pitch_control_allowed": pitch_allowed,
+        "inhibitions": json.dumps(row.inhibitions),
+        "carriers_used": row.carriers_used,
+        "excluded": json.dumps(row.excluded),
+        "downlink_fade": row.downlink_fade,
+        "downlink_fade_db": row.downlink_fade_db,
+        "common_db": row.common_db,
+        "residual_rms_db": row.residual_rms_db,
+        "calibration_id": row.calibration_id,
+        "alignment_id": row.alignment_id,
+    }
+
+
+def attitude_of(row: Row[Any]) -> AttitudeRow:
+    """Return the record of a row that has every column of ``attitude``."""
+    return AttitudeRow(
+        epoch_us=row.epoch_us,
+        received_at_us=row.received_at_us,
+        number=row.number,
+        method=Method(row.method),
+        attitude_deg=Axes(row.yaw_deg, row.roll_deg, row.pitch_deg),
+        sigma_deg=Axes(row.yaw_sigma_deg, row.roll_sigma_deg, row.pitch_sigma_deg),
+        rates_deg_s=Axes(row.yaw_rate_deg_s, row.roll_rate_deg_s, row.pitch_rate_deg_s) if row.has_rates else None,
+        status=Status(row.status),
+        control_allowed=row.control_allowed,
+        control_allowed_axes=(row.yaw_control_allowed, row.roll_control_allowed, row.pitch_control_allowed),
+        inhibitions=tuple(json.loads(row.inhibitions)),
+        carriers_used=row.carriers_used,
+        excluded=tuple(Exclusion(*pair) for pair in json.loads(row.excluded)),
+        downlink_fade=row.downlink_fade,
+        downlink_fade_db=row.downlink_fade_db,
+        common_db=row.common_db,
+        residual_rms_db=row.residual_rms_db,
+        calibration_id=row.calibration_id,
+        alignment_id=row.alignment_id,
+    )
+
+
+def torque_values(key: int, version: str, command: TorqueCommand, sequence: int | None) -> dict[str, Any]:
+    """Return the columns of a torque command."""
+    return {
+        "spacecraft_key": key,
+        "version": version,
+        "epoch_us": command.epoch_us,
+        "number": command.number,
+        "sequence": sequence,
+        "attitude_epoch_us": command.attitude_epoch_us,
+        "mode": command.mode,
+        **_axes_values("{}_n_m", command.torque_n_m),
+        "wheels_n_m": encode_all(float, command.wheels_n_m),
+        "saturated": command.saturated,
+        "command_period_s": command.command_period_s,
+        "valid_until_us": command.valid_until_us,
+        "schedule": encode_all(Pulse, command.schedule),
+        **_axes_values("{}_impulse_n_m_s", command.impulse_n_m_s),
+        **_axes_values("predicted_{}_change_deg", command.predicted_angle_change_deg),
+        **_axes_values("predicted_{}_rate_change_deg_s", command.predicted_rate_change_deg_s),
+        "predicted_wheel_momentum_n_m_s": encode_all(float, command.predicted_wheel_momentum_n_m_s),
+        "control_allowed": command.control_allowed,
+        "inhibitions": json.dumps(command.inhibitions),
+    }
+
+
+def torque_of(row: Row[Any]) -> TorqueCommand:
+    """Return the record of a row of ``torque``."""
+    return TorqueCommand(
+        epoch_us=row.epoch_us,
+        number=row.number,
+        attitude_epoch_us=row.attitude_epoch_us,
+        mode=row.mode,
+        torque_n_m=_axes_of(row, "{}_n_m"),
+        wheels_n_m=decode_all(float, row.wheels_n_m),
+        saturated=row.saturated,
+        command_period_s=row.command_period_s,
+        valid_until_us=row.valid_until_us,
+        schedule=decode_all(Pulse, row.schedule),
+        impulse_n_m_s=_axes_of(row, "{}_impulse_n_m_s"),
+        predicted_angle_change_deg=_axes_of(row, "predicted_{}_change_deg"),
+        predicted_rate_change_deg_s=_axes_of(row, "predicted_{}_rate_change_deg_s"),
+        predicted_wheel_momentum_n_m_s=decode_all(float, row.predicted_wheel_momentum_n_m_s),
+        control_allowed=row.control_allowed,
+        inhibitions=tuple(json.loads(row.inhibitions)),
+    )
+
+
+def _axes_values(pattern: str, axes: Axes) -> dict[str, float]:
+    return {pattern.format(axis): value for axis, value in zip(Axes._fields, axes, strict=True)}
+
+
+def _axes_of(row: Row[Any], pattern: str) -> Axes:
+    yaw, roll, pitch = (getattr(row, pattern.format(axis)) for axis in Axes._fields)
+    return Axes(yaw, roll, pitch)
+
+
+def _read_only(values: FloatArray) -> FloatArray:
+    values.setflags(write=False)
+    return values

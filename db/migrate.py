@@ -1,0 +1,37 @@
+"""Schema changes, driven from code: no configuration file on disk."""
+
+from pathlib import Path
+
+from alembic import command
+from alembic.config import Config
+from sqlalchemy import Engine, text
+
+from db.engine import translated_faults
+
+_SCRIPTS = Path(__file__).parent / "migrations"
+#: any number, the same in every process
+_LOCK = 5_210_119
+
+
+def upgrade(engine: Engine, revision: str = "head") -> None:
+    """Bring the schema up to a revision, all or nothing."""
+    _run(engine, revision, is_up=True)
+
+
+def downgrade(engine: Engine, revision: str = "base") -> None:
+    """Take the schema down to a revision; what the older schema cannot hold is lost."""
+    _run(engine, revision, is_up=False)
+
+
+def _run(engine: Engine, revision: str, *, is_up: bool) -> None:
+    config = Config()
+    config.set_main_option("script_location", str(_SCRIPTS))
+    config.set_main_option("path_separator", "os")
+    with translated_faults(), engine.begin() as connection:
+        if connection.dialect.name == "postgresql":
+            # one process migrates, and it does not wait for ever behind a reader
+            connection.execute(text("SET LOCAL lock_timeout = '30s'"))
+            connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _LOCK})
+        config.attributes["connection"] = connection
+        change = command.upgrade if is_up else command.downgrade
+        change(config, revision)

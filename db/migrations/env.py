@@ -1,0 +1,9 @@
+"""Alembic environment: runs migrations on the connection that ``db.migrate`` hands over, in its transaction."""
+
+from alembic import context
+
+from db.tables import metadata
+
+context.configure(connection=context.config.attributes["connection"], target_metadata=metadata, transactional_ddl=True)
+with context.begin_transaction():
+    context.run_migrations()

@@ -1,0 +1,117 @@
+"""Storing what the chain computed, in the transaction that moves the consumer's head."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+from sqlalchemy import ColumnElement, Connection, Row, Table, select, tuple_, update
+
+from db.database import insert_new, lock_head
+from db.mapping import attitude_values, torque_values
+from db.slow_inputs import store_inputs
+from db.tables import attitude, head, torque
+from service.ports import LIVE, Outcome
+from service.records.attitude import AttitudeRow
+from service.records.command import TorqueCommand
+
+#: key tuples in one query; SQLite before 3.32 binds 999 values at most
+_LOOKUP_CHUNK = 250
+
+Result = AttitudeRow | TorqueCommand
+ResultKey = tuple[Any, ...]
+
+
+class Consumed(NamedTuple):
+    """Where the consumer stands after the outcomes."""
+
+    number: int
+    epoch_us: int | None
+
+
+def store_outcomes(
+    connection: Connection, key: int, version: str, outcomes: Sequence[Outcome], consumed: Consumed
+) -> int:
+    """Store outcomes and return the last result sequence; runs in the writer's transaction."""
+    state = lock_head(connection, key)
+    if version != LIVE:
+        _insert(connection, key, version, [(result, None) for result in _results(outcomes)])
+        return int(state.result_sequence)
+    fresh = _fresh(connection, key, version, list(_results(outcomes)))
+    _insert(connection, key, version, list(zip(fresh, range(state.result_sequence + 1, 1 << 62), strict=False)))
+    applied = [outcome.applied for outcome in outcomes if outcome.applied is not None]
+    if applied:
+        store_inputs(connection, key, applied)
+    sequence = int(state.result_sequence) + len(fresh)
+    _advance(connection, key, state, consumed, sequence)
+    return sequence
+
+
+def _results(outcomes: Sequence[Outcome]) -> Iterator[Result]:
+    for outcome in outcomes:
+        yield from outcome.rows
+        if outcome.command is not None:
+            yield outcome.command
+
+
+def _key_of(result: Result) -> ResultKey:
+    place = (result.epoch_us, result.number)
+    return (result.method.value, *place) if isinstance(result, AttitudeRow) else place
+
+
+def _fresh(connection: Connection, key: int, version: str, results: list[Result]) -> list[Result]:
+    """Return those results that are not stored yet, each once."""
+    rows = [_key_of(result) for result in results if isinstance(result, AttitudeRow)]
+    commands = [_key_of(result) for result in results if isinstance(result, TorqueCommand)]
+    columns = (attitude.c.method, attitude.c.epoch_us, attitude.c.number)
+    seen = set(_stored(connection, key, version, attitude, columns, rows))
+    seen |= set(_stored(connection, key, version, torque, (torque.c.epoch_us, torque.c.number), commands))
+    fresh: list[Result] = []
+    for result in results:
+        name = _key_of(result)
+        if name not in seen:
+            seen.add(name)
+            fresh.append(result)
+    return fresh
+
+
+def _stored(
+    connection: Connection,
+    key: int,
+    version: str,
+    table: Table,
+    columns: tuple[ColumnElement[Any], ...],
+    wanted: list[ResultKey],
+) -> Iterator[ResultKey]:
+    """Yield those of the wanted keys that a table holds."""
+    for start in range(0, len(wanted), _LOOKUP_CHUNK):
+        query = select(*columns).where(
+            table.c.spacecraft_key == key,
+            table.c.version == version,
+            tuple_(*columns).in_(wanted[start : start + _LOOKUP_CHUNK]),
+        )
+        yield from (tuple(row) for row in connection.execute(query))
+
+
+def _insert(connection: Connection, key: int, version: str, numbered: Sequence[tuple[Result, int | None]]) -> None:
+    rows: list[dict[str, Any]] = []
+    commands: list[dict[str, Any]] = []
+    for result, sequence in numbered:
+        if isinstance(result, AttitudeRow):
+            rows.append(attitude_values(key, version, result, sequence))
+        else:
+            commands.append(torque_values(key, version, result, sequence))
+    insert_new(connection, attitude, rows)
+    insert_new(connection, torque, commands)
+
+
+def _advance(connection: Connection, key: int, state: Row[Any], consumed: Consumed, sequence: int) -> None:
+    """Move the consumer's head, never back."""
+    epochs_us = [epoch_us for epoch_us in (state.consumed_epoch_us, consumed.epoch_us) if epoch_us is not None]
+    connection.execute(
+        update(head)
+        .where(head.c.spacecraft_key == key)
+        .values(
+            consumed_number=max(state.consumed_number, consumed.number),
+            consumed_epoch_us=max(epochs_us, default=None),
+            result_sequence=sequence,
+        )
+    )

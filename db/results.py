@@ -1,0 +1,128 @@
+"""Results: everything the service computed; implements ``service.ports.Results``."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from sqlalchemy import ColumnElement, Row, Select, and_, select
+
+from db.calibrations import SqlCalibrations
+from db.database import Database, beyond, within
+from db.jobs import SqlJobs
+from db.mapping import attitude_of, torque_of
+from db.outcomes import Consumed, Result, store_outcomes
+from db.pending import PendingCount
+from db.synthesis import Synthesis
+from db.tables import attitude, torque
+from service.ports import LIVE, Outcome
+from service.records.attitude import AttitudeRow
+from service.records.calibration import Window
+from service.records.catalogue import Method
+from service.records.command import TorqueCommand
+
+
+class SqlResults(SqlCalibrations, SqlJobs):
+    """Results in a relational database."""
+
+    def __init__(self, database: Database) -> None:
+        super().__init__(database)
+        self._pending = PendingCount()
+
+    def save_outcomes(
+        self,
+        spacecraft_id: str,
+        version: str,
+        outcomes: Sequence[Outcome],
+        consumed_number: int,
+        consumed_epoch_us: int | None,
+    ) -> int:
+        """Store outcomes in one transaction and return the last result sequence."""
+        key = self._database.key(spacecraft_id)
+        consumed = Consumed(consumed_number, consumed_epoch_us)
+        return self._database.write(lambda connection: store_outcomes(connection, key, version, outcomes, consumed))
+
+    def attitude_rows(
+        self,
+        spacecraft_id: str,
+        version: str,
+        method: Method,
+        window: Window,
+        limit: int,
+        after: tuple[int, int] | None,
+    ) -> list[AttitudeRow]:
+        """Return rows in order of (epoch, number of the measurement) beyond a cursor.
+
+        Of the live version exactly one row a consumed measurement: what was not computed is told by ``db.synthesis``.
+        """
+        key = self._database.key(spacecraft_id)
+        if version == LIVE:
+            with self._database.read() as connection:
+                return Synthesis(connection, key, method).rows(window, limit, after)
+        query = _of_version(key, version, method).where(within(attitude.c.epoch_us, window))
+        query = query.where(beyond(attitude.c.epoch_us, attitude.c.number, after))
+        ordered = query.order_by(attitude.c.epoch_us, attitude.c.number).limit(limit)
+        return [attitude_of(row) for row in self._database.fetch(ordered)]
+
+    def newest_attitude(self, spacecraft_id: str, version: str, method: Method) -> AttitudeRow | None:
+        """Return the row with the greatest epoch."""
+        key = self._database.key(spacecraft_id)
+        if version == LIVE:
+            with self._database.read() as connection:
+                return Synthesis(connection, key, method).newest()
+        query = _of_version(key, version, method).order_by(attitude.c.epoch_us.desc(), attitude.c.number.desc())
+        row = self._database.fetch_one(query.limit(1))
+        return None if row is None else attitude_of(row)
+
+    def commands(
+        self, spacecraft_id: str, version: str, window: Window, limit: int, after: tuple[int, int] | None
+    ) -> list[TorqueCommand]:
+        """Return computed commands in order of (epoch, number) beyond a cursor."""
+        query = (
+            self._commands(spacecraft_id, version)
+            .where(within(torque.c.epoch_us, window), beyond(torque.c.epoch_us, torque.c.number, after))
+            .order_by(torque.c.epoch_us, torque.c.number)
+            .limit(limit)
+        )
+        return [torque_of(row) for row in self._database.fetch(query)]
+
+    def newest_command(self, spacecraft_id: str, version: str) -> TorqueCommand | None:
+        """Return the newest computed command."""
+        query = self._commands(spacecraft_id, version).order_by(torque.c.epoch_us.desc(), torque.c.number.desc())
+        row = self._database.fetch_one(query.limit(1))
+        return None if row is None else torque_of(row)
+
+    def results_after(
+        self, spacecraft_id: str, sequence: int, limit: int
+    ) -> list[tuple[int, AttitudeRow | TorqueCommand]]:
+        """Return live results with a sequence above the given one, in order: what a resumed stream missed."""
+        key = self._database.key(spacecraft_id)
+
+        # sequences of the live version have no gap, so the next results are a range in both tables
+        def is_next(column: ColumnElement[int | None]) -> ColumnElement[bool]:
+            return and_(column > sequence, column <= sequence + limit)
+
+        with self._database.read() as connection:
+            rows = select(attitude).where(attitude.c.spacecraft_key == key, is_next(attitude.c.sequence))
+            commands = select(torque).where(torque.c.spacecraft_key == key, is_next(torque.c.sequence))
+            found = [_numbered(row, attitude_of(row)) for row in connection.execute(rows)]
+            found += [_numbered(row, torque_of(row)) for row in connection.execute(commands)]
+        return sorted(found, key=lambda result: result[0])
+
+    def pending(self, spacecraft_id: str, methods: Sequence[Method]) -> int:
+        """Return how many rows that feed the estimator, later than the alignment's epoch, lack a result of a method."""
+        key = self._database.key(spacecraft_id)
+        with self._database.read() as connection:
+            return self._pending.count(connection, key, methods)
+
+    def _commands(self, spacecraft_id: str, version: str) -> Select[Any]:
+        key = self._database.key(spacecraft_id)
+        return select(torque).where(torque.c.spacecraft_key == key, torque.c.version == version)
+
+
+def _of_version(key: int, version: str, method: Method) -> Select[Any]:
+    return select(attitude).where(
+        attitude.c.spacecraft_key == key, attitude.c.version == version, attitude.c.method == method.value
+    )
+
+
+def _numbered(row: Row[Any], result: Result) -> tuple[int, Result]:
+    return int(row.sequence), result

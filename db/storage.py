@@ -1,0 +1,50 @@
+"""Storage: the three repositories over one database; implements ``service.ports.Storage``."""
+
+from sqlalchemy import select
+
+from db.archive import SqlArchive
+from db.catalogue import SqlCatalogue
+from db.database import Database
+from db.results import SqlResults
+from db.tables import head
+from service.ports import Archive, Catalogue, Results
+
+
+class SqlStorage:
+    """One SQLite file or PostgreSQL database.
+
+    Parameters
+    ----------
+    url : str
+        SQLAlchemy URL, for example ``sqlite:///soo.db`` or ``postgresql+psycopg://user@host/soo``.
+
+    Raises
+    ------
+    ValueError
+        The URL names a database that cannot keep the promise of the archive.
+    """
+
+    catalogue: Catalogue
+    archive: Archive
+    results: Results
+
+    def __init__(self, url: str) -> None:
+        self._database = Database(url)
+        self.catalogue = SqlCatalogue(self._database)
+        self.archive = SqlArchive(self._database)
+        self.results = SqlResults(self._database)
+
+    def migrate(self) -> None:
+        """Bring the schema to the present version."""
+        # alembic costs a quarter of a second to import, which only this call needs
+        from db.migrate import upgrade
+
+        upgrade(self._database.engines.write)
+
+    def check(self) -> None:
+        """Raise StorageError unless the database answers."""
+        self._database.fetch_one(select(head.c.spacecraft_key).limit(1))
+
+    def close(self) -> None:
+        """Commit what is queued and let go of the database."""
+        self._database.close()

@@ -1,0 +1,263 @@
+"""Tables: one schema for SQLite and PostgreSQL.
+
+Epochs are BIGINT microseconds UTC, powers are float32 little endian in one BLOB a row, records without a query on
+their inside are JSON documents. Tables that grow with every measurement carry no foreign keys: their rows are written
+under the lock of the spacecraft's head by code that has just read the parents.
+"""
+
+import math
+from typing import Any
+
+from sqlalchemy import (
+    BigInteger,
+    Boolean,
+    Column,
+    Double,
+    ForeignKey,
+    Index,
+    Integer,
+    LargeBinary,
+    MetaData,
+    Table,
+    Text,
+    TypeDecorator,
+    UniqueConstraint,
+    types,
+)
+from sqlalchemy.engine import Dialect
+
+metadata = MetaData()
+
+
+class UntypedDouble(types.UserDefinedType[float]):
+    """A double in a SQLite column without affinity, where -0.0 keeps its sign; a REAL column would store 0."""
+
+    cache_ok = True
+
+    def get_col_spec(self, **_: Any) -> str:
+        """Return the name of the type; the part BLOB is what SQLite looks at."""
+        return "DOUBLE_BLOB"
+
+
+class Figure(TypeDecorator[float]):
+    """A float that comes back bit for bit; NaN is NULL in the table."""
+
+    impl = Double
+    cache_ok = True
+
+    def load_dialect_impl(self, dialect: Dialect) -> types.TypeEngine[Any]:
+        """Return the type of the column in a dialect."""
+        return dialect.type_descriptor(UntypedDouble() if dialect.name == "sqlite" else Double())
+
+    def process_bind_param(self, value: float | None, dialect: Dialect) -> float | None:  # noqa: ARG002 - SQLAlchemy's signature
+        """Store NaN as NULL."""
+        return None if value is None or math.isnan(value) else float(value)
+
+    def process_result_value(self, value: float | None, dialect: Dialect) -> float:  # noqa: ARG002 - SQLAlchemy's signature
+        """Read NULL as NaN."""
+        return math.nan if value is None else value
+
+
+def _spacecraft_key(*, is_referencing: bool = True) -> Column[int]:
+    reference = [ForeignKey("spacecraft.spacecraft_key")] if is_referencing else []
+    return Column("spacecraft_key", Integer, *reference, primary_key=True, autoincrement=False)
+
+
+def _axes(pattern: str) -> list[Column[float]]:
+    return [Column(pattern.format(axis), Figure) for axis in ("yaw", "roll", "pitch")]
+
+
+spacecraft = Table(
+    "spacecraft",
+    metadata,
+    Column("spacecraft_key", Integer, primary_key=True),
+    Column("id", Text, nullable=False, unique=True),
+    Column("document", Text, nullable=False),
+)
+
+#: where the journal and its consumer stand; locking this row orders all writers of a spacecraft
+head = Table(
+    "head",
+    metadata,
+    _spacecraft_key(),
+    Column("newest_number", BigInteger, nullable=False),
+    Column("consumed_number", BigInteger, nullable=False),
+    Column("newest_epoch_us", BigInteger),
+    Column("consumed_epoch_us", BigInteger),
+    Column("result_sequence", BigInteger, nullable=False),
+)
+
+carrier_plan = Table(
+    "carrier_plan",
+    metadata,
+    _spacecraft_key(),
+    Column("plan_id", Integer, primary_key=True, autoincrement=False),
+    Column("sha256", Text, nullable=False),
+    Column("document", Text, nullable=False),
+)
+
+ephemeris = Table(
+    "ephemeris",
+    metadata,
+    _spacecraft_key(),
+    Column("ephemeris_id", Integer, primary_key=True, autoincrement=False),
+    Column("document", Text, nullable=False),
+)
+
+source = Table(
+    "source",
+    metadata,
+    _spacecraft_key(),
+    Column("source_key", Integer, primary_key=True, autoincrement=False),
+    Column("name", Text, nullable=False),
+    Column("is_prime", Boolean, nullable=False),
+    Column("newest_epoch_us", BigInteger),
+    Column("row_count", BigInteger, nullable=False),
+    UniqueConstraint("spacecraft_key", "name", name="source_name"),
+)
+
+measurement = Table(
+    "measurement",
+    metadata,
+    _spacecraft_key(is_referencing=False),
+    Column("epoch_us", BigInteger, primary_key=True, autoincrement=False),
+    Column("source_key", Integer, primary_key=True, autoincrement=False),
+    Column("number", BigInteger, nullable=False),
+    Column("plan_id", Integer, nullable=False),
+    Column("seq", BigInteger),
+    Column("received_at_us", BigInteger, nullable=False),
+    Column("is_late", Boolean, nullable=False),
+    Column("feeds", Boolean, nullable=False),
+    Column("powers", LargeBinary, nullable=False),
+    Column("flags", LargeBinary),
+    Index("measurement_number", "spacecraft_key", "number", unique=True),
+    sqlite_with_rowid=False,
+)
+
+journal = Table(
+    "journal",
+    metadata,
+    _spacecraft_key(is_referencing=False),
+    Column("number", BigInteger, primary_key=True, autoincrement=False),
+    Column("kind", Text, nullable=False),
+    Column("key", Text, nullable=False),
+    Column("start_us", BigInteger, nullable=False),
+    Column("stop_us", BigInteger),
+    Column("document", Text, nullable=False),
+    UniqueConstraint("spacecraft_key", "kind", "key", name="journal_key"),
+    Index("journal_start", "spacecraft_key", "kind", "start_us", "number", "stop_us"),
+    sqlite_with_rowid=False,
+)
+
+#: the newest revision of each operation
+operation = Table(
+    "operation",
+    metadata,
+    _spacecraft_key(),
+    Column("operation_id", Integer, primary_key=True, autoincrement=False),
+    Column("revision", Integer, nullable=False),
+    Column("number", BigInteger, nullable=False),
+)
+
+calibration = Table(
+    "calibration",
+    metadata,
+    _spacecraft_key(),
+    Column("calibration_id", Integer, primary_key=True, autoincrement=False),
+    Column("method", Text, nullable=False),
+    Column("state", Text, nullable=False),
+    Column("plan_id", Integer, nullable=False),
+    Column("ephemeris_id", Integer, nullable=False),
+    Column("created_at_us", BigInteger, nullable=False),
+    Column("created_by", Text, nullable=False),
+    Column("request", Text, nullable=False),
+    Column("result", Text),
+    Column("error", Text),
+)
+
+alignment = Table(
+    "alignment",
+    metadata,
+    _spacecraft_key(),
+    Column("alignment_id", Integer, primary_key=True, autoincrement=False),
+    Column("epoch_us", BigInteger, nullable=False),
+    Column("number", BigInteger, nullable=False),
+    Column("document", Text, nullable=False),
+)
+
+attitude = Table(
+    "attitude",
+    metadata,
+    _spacecraft_key(is_referencing=False),
+    Column("version", Text, primary_key=True),
+    Column("method", Text, primary_key=True),
+    Column("epoch_us", BigInteger, primary_key=True, autoincrement=False),
+    Column("number", BigInteger, primary_key=True, autoincrement=False),
+    Column("sequence", BigInteger),
+    Column("received_at_us", BigInteger, nullable=False),
+    *_axes("{}_deg"),
+    *_axes("{}_sigma_deg"),
+    Column("has_rates", Boolean, nullable=False),
+    *_axes("{}_rate_deg_s"),
+    Column("status", Text, nullable=False),
+    Column("control_allowed", Boolean, nullable=False),
+    Column("yaw_control_allowed", Boolean, nullable=False),
+    Column("roll_control_allowed", Boolean, nullable=False),
+    Column("pitch_control_allowed", Boolean, nullable=False),
+    Column("inhibitions", Text, nullable=False),
+    Column("carriers_used", Integer, nullable=False),
+    Column("excluded", Text, nullable=False),
+    Column("downlink_fade", Boolean, nullable=False),
+    Column("downlink_fade_db", Figure),
+    Column("common_db", Figure),
+    Column("residual_rms_db", Figure),
+    Column("calibration_id", Integer),
+    Column("alignment_id", Integer),
+    Index("attitude_sequence", "spacecraft_key", "sequence", unique=True),
+    sqlite_with_rowid=False,
+)
+
+torque = Table(
+    "torque",
+    metadata,
+    _spacecraft_key(is_referencing=False),
+    Column("version", Text, primary_key=True),
+    Column("epoch_us", BigInteger, primary_key=True, autoincrement=False),
+    Column("number", BigInteger, primary_key=True, autoincrement=False),
+    Column("sequence", BigInteger),
+    Column("attitude_epoch_us", BigInteger, nullable=False),
+    Column("mode", Text, nullable=False),
+    *_axes("{}_n_m"),
+    Column("wheels_n_m", Text, nullable=False),
+    Column("saturated", Boolean, nullable=False),
+    Column("command_period_s", Figure),
+    Column("valid_until_us", BigInteger, nullable=False),
+    Column("schedule", Text, nullable=False),
+    *_axes("{}_impulse_n_m_s"),
+    *_axes("predicted_{}_change_deg"),
+    *_axes("predicted_{}_rate_change_deg_s"),
+    Column("predicted_wheel_momentum_n_m_s", Text, nullable=False),
+    Column("control_allowed", Boolean, nullable=False),
+    Column("inhibitions", Text, nullable=False),
+    Index("torque_sequence", "spacecraft_key", "sequence", unique=True),
+    sqlite_with_rowid=False,
+)
+
+job = Table(
+    "job",
+    metadata,
+    Column("job_id", Text, primary_key=True),
+    Column("kind", Text, nullable=False),
+    Column("state", Text, nullable=False),
+    Column("progress", Figure),
+    Column("created_at_us", BigInteger, nullable=False),
+    Column("error", Text),
+)
+
+replay = Table(
+    "replay",
+    metadata,
+    _spacecraft_key(),
+    Column("replay_id", Integer, primary_key=True, autoincrement=False),
+    Column("document", Text, nullable=False),
+)

@@ -1,0 +1,136 @@
+"""The one writer: functions queue up, run one after another, and share a commit.
+
+A future resolves only after the COMMIT of its group has returned, so what a caller hears of is durable. A function that
+fails is rolled back alone to its SAVEPOINT; a COMMIT that fails takes the whole group with it.
+"""
+
+import logging
+from collections.abc import Callable
+from concurrent.futures import Future
+from queue import Empty, SimpleQueue
+from threading import Lock, Thread
+from typing import Any, Generic, TypeVar
+
+from sqlalchemy import Connection, Engine
+from sqlalchemy.exc import InterfaceError, InternalError, OperationalError, SQLAlchemyError
+
+from db.engine import storage_error
+from service.errors import SooError, StorageError
+
+Result = TypeVar("Result")
+GROUP_LIMIT = 64
+
+_log = logging.getLogger(__name__)
+
+
+class _Task(Generic[Result]):
+    """One function on its way through the queue."""
+
+    def __init__(self, work: Callable[[Connection], Result]) -> None:
+        self.work = work
+        self.future: Future[Result] = Future()
+        self.result: Result | None = None
+        self.fault: BaseException | None = None
+
+    def settle(self) -> None:
+        """Tell the caller what became of it."""
+        if self.fault is None:
+            self.future.set_result(self.result)  # type: ignore[arg-type]  # set by the work
+        else:
+            self.future.set_exception(_told(self.fault))
+
+
+class Writer:
+    """Thread that owns all writing to one database.
+
+    Parameters
+    ----------
+    engine : Engine
+        Engine that opens write transactions.
+    """
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        self._queue: SimpleQueue[_Task[Any] | None] = SimpleQueue()
+        self._lock = Lock()
+        self._is_closed = False
+        self._thread = Thread(target=self._serve, name="storage-writer", daemon=True)
+        self._thread.start()
+
+    def submit(self, work: Callable[[Connection], Result]) -> Future[Result]:
+        """Queue a function; its future resolves after the commit."""
+        task = _Task(work)
+        with self._lock:
+            if self._is_closed:
+                raise StorageError("storage.closed", "The archive is closing; send it again after the restart.")
+            self._queue.put(task)
+        return task.future
+
+    def close(self) -> None:
+        """Run what is queued, commit it and stop."""
+        with self._lock:
+            if not self._is_closed:
+                self._is_closed = True
+                self._queue.put(None)
+        self._thread.join()
+
+    def _serve(self) -> None:
+        is_open = True
+        while is_open:
+            group, is_open = self._next_group()
+            running = [task for task in group if task.future.set_running_or_notify_cancel()]
+            if running:
+                self._run(running)
+
+    def _next_group(self) -> tuple[list[_Task[Any]], bool]:
+        """Wait for a first function, take along what else waits already."""
+        task = self._queue.get()
+        group: list[_Task[Any]] = []
+        while task is not None:
+            group.append(task)
+            if len(group) == GROUP_LIMIT:
+                return group, True
+            try:
+                task = self._queue.get_nowait()
+            except Empty:
+                return group, True
+        return group, False
+
+    def _run(self, group: list[_Task[Any]]) -> None:
+        try:
+            with self._engine.begin() as connection:
+                for task in group:
+                    _attempt(connection, task, is_alone=len(group) == 1)
+        except Exception as fault:  # noqa: BLE001 - every fault belongs to the callers, the thread must live on
+            if not isinstance(fault, SooError):
+                _log.warning("a group of %d writes was rolled back: %s", len(group), fault)
+            for task in group:
+                task.fault = task.fault or fault
+        for task in group:
+            task.settle()
+
+
+def _attempt(connection: Connection, task: _Task[Any], *, is_alone: bool) -> None:
+    """Run one function inside the transaction of its group."""
+    if is_alone:
+        task.result = task.work(connection)
+        return
+    try:
+        with connection.begin_nested():
+            task.result = task.work(connection)
+    except Exception as fault:
+        if _has_lost_transaction(connection, fault):
+            raise
+        task.fault = fault
+
+
+def _has_lost_transaction(connection: Connection, fault: Exception) -> bool:
+    """Whether the work of the others in the group may be gone with this fault."""
+    if connection.invalidated or not connection.in_transaction():
+        return True
+    return isinstance(fault, OperationalError | InterfaceError | InternalError)
+
+
+def _told(fault: BaseException) -> BaseException:
+    """Return a fault as the caller shall see it."""
+    return storage_error(fault) if isinstance(fault, SQLAlchemyError) else fault
