@@ -13,8 +13,10 @@ from starlette.middleware.gzip import GZipMiddleware
 from service.api import openapi
 from service.api.auth import MAY_READ, BootstrapKey, authenticated
 from service.api.body_limit import BodyLimit
+from service.api.carrier_names import CarrierNames
 from service.api.deps import ApiContext, Limits
 from service.api.errors import add_handlers
+from service.api.open_streams import OpenStreams
 from service.api.plan_widths import PlanWidths
 from service.api.request_ids import RequestIds
 from service.api.routes import PUBLIC_ROUTERS, ROUTERS
@@ -37,6 +39,8 @@ def create_app(context: ApiContext) -> FastAPI:
     app = _bare_app(context.limits)
     app.state.context = context
     app.state.plan_widths = PlanWidths(context.storage.catalogue)
+    app.state.carrier_names = CarrierNames(context.storage.catalogue)
+    app.state.open_streams = OpenStreams()
     app.state.key_ring = BootstrapKey(context.bootstrap_key)
     return app
 

@@ -10,9 +10,16 @@ from typing import Annotated
 
 from fastapi import Depends, Path, Request
 
+from service.api.carrier_names import CarrierNames
+from service.api.open_streams import OpenStreams
 from service.api.plan_widths import PlanWidths
 from service.errors import NotFoundError
 from service.ports import Clock, Storage
+from service.runtime.aligning import Aligner
+from service.runtime.calibrating import Calibrator
+from service.runtime.live_feed import LiveFeed
+from service.runtime.replaying import Replayer
+from service.runtime.supervisor import Supervisor
 
 #: id of a spacecraft as it stands in paths
 SPACECRAFT_ID_PATTERN = r"^[a-z0-9][a-z0-9-]{0,63}$"
@@ -22,7 +29,7 @@ _DAY_S = 86_400.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Limits:
-    """Limits of what may come in."""
+    """Limits of what may come in, and of how long what goes out holds."""
 
     #: how far ahead of the system clock an epoch may lie
     future_tolerance_s: float = 5.0
@@ -34,6 +41,10 @@ class Limits:
     retention_s: float | None = None
     max_body_bytes: int = 8 * 1024 * 1024
     max_rows_per_batch: int = 10_000
+    #: age from which the newest attitude is no longer valid under the system clock: three row periods and 30 s
+    expired_after_s: float = 210.0
+    #: a silent stream says so this often
+    stream_heartbeat_s: float = 15.0
 
 
 def _ignore(_spacecraft_id: str) -> None:
@@ -50,6 +61,13 @@ class ApiContext:
 
     storage: Storage
     clock: Clock
+    #: knows the newest carriers, and is told when a journal has grown
+    supervisor: Supervisor
+    #: source of live streams
+    feed: LiveFeed
+    calibrator: Calibrator
+    aligner: Aligner
+    replayer: Replayer
     #: administrator's key; None = every request is refused
     bootstrap_key: str | None = field(default=None, repr=False)
     limits: Limits = field(default_factory=Limits)
@@ -71,6 +89,18 @@ async def plan_widths_of(request: Request) -> PlanWidths:
     return widths
 
 
+async def carrier_names_of(request: Request) -> CarrierNames:
+    """Return the application's memory of carrier ids."""
+    names: CarrierNames = request.app.state.carrier_names
+    return names
+
+
+async def open_streams_of(request: Request) -> OpenStreams:
+    """Return the live streams that the application has open."""
+    streams: OpenStreams = request.app.state.open_streams
+    return streams
+
+
 async def spacecraft_id_of(
     spacecraft_id: Annotated[
         str, Path(description="Id of a spacecraft", json_schema_extra={"pattern": SPACECRAFT_ID_PATTERN})
@@ -85,4 +115,6 @@ async def spacecraft_id_of(
 
 Context = Annotated[ApiContext, Depends(context_of)]
 Widths = Annotated[PlanWidths, Depends(plan_widths_of)]
+Names = Annotated[CarrierNames, Depends(carrier_names_of)]
+Streams = Annotated[OpenStreams, Depends(open_streams_of)]
 SpacecraftId = Annotated[str, Depends(spacecraft_id_of)]
