@@ -1,0 +1,149 @@
+"""Export: a whole world as one compressed numpy file, for campaigns that need no instrument.
+
+The powers carry a Gaussian stand-in for the noise of a sweep (`sweep_noise` times the figure of the default sweep), so
+that they look like what a front end would have measured.
+
+==========================  =========  ==============================================================
+key                         shape      meaning
+==========================  =========  ==============================================================
+scenario, seed              ()         what was asked for
+epoch_us                    (T,)       microseconds UTC
+carrier_id                  (N,)       names of the columns
+power_dbm                   (T, N)     measured power, NaN = off or in a gap
+yaw_deg roll_deg pitch_deg  (T,)       truth
+uplink_fade_db              (T, N)     truth, rain over the users' stations
+downlink_fade_db            (T,)       truth, rain over the receiving site
+chain_db                    (T,)       truth, change of the receiving chain
+flags                       (T, N)     truth, sum of flag_value of the faults that act
+flag_name, flag_value       (F,)       bits of `flags`
+sensitivity_db_per_deg      (N, 3)     truth at nominal attitude, order yaw, roll, pitch
+white_db                    (N,)       white noise of a row, the world's and the sweep's together
+phase_name                  (P,)       quiet, turns, alignment, operation
+phase_start_us, _stop_us    (P,)       start inclusive, stop exclusive
+reference_epoch_us          (R,)       star tracker, only while it is on
+reference_{angle}_deg       (R,)
+reference_sigma_deg         (3,)       order yaw, roll, pitch
+correction_start_us, _stop_us  (C,)    corrections announced to the ground
+correction_{angle}_deg      (C,)       total over the interval
+turn_start_us, _stop_us     (M,)       timetable of the calibration turns, after the slews
+turn_{angle}_deg            (M,)
+node_us                     (K,)       ascending nodes
+nodal_period_s              ()
+track_epoch_us              (S,)       predicted track
+track_latitude_deg, track_longitude_deg  (S,)
+catalogue_json              ()         spacecraft, carriers, task and ephemeris as sent by the ground port
+==========================  =========  ==============================================================
+"""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from analyzer_sim.epochs import US_PER_DAY, US_PER_S
+from analyzer_sim.ground import catalogue_lines
+from analyzer_sim.orbit import predicted_track
+from analyzer_sim.payload import sensitivity_db_per_deg
+from analyzer_sim.scenario import Scenario
+from analyzer_sim.star_tracker import SIGMA_DEG
+from analyzer_sim.streams import FloatArray, stream
+from analyzer_sim.turns import SLEW_MIN, TIMETABLE
+from analyzer_sim.world import World, flag_names, sweep_sigma_db, world_white_db
+
+AXES = ("yaw", "roll", "pitch")
+
+
+def measured_dbm(world: World, sweep_noise: float = 1.0) -> FloatArray:
+    """Return the powers (T, N) with a Gaussian stand-in for the noise of a sweep."""
+    noise = np.stack(
+        [stream(world.seed, "sweep", name).normal(size=len(world.rows.epochs_us)) for name in world.carrier_ids], axis=1
+    )
+    return np.asarray(world.rows.power_dbm + sweep_noise * sweep_sigma_db(world.plan) * noise)
+
+
+def export_arrays(world: World, sweep_noise: float = 1.0) -> dict[str, Any]:
+    """Return the arrays of the export by key; the table of the module says what each holds."""
+    return {
+        **_truth(world),
+        "power_dbm": measured_dbm(world, sweep_noise),
+        "white_db": np.hypot(
+            world_white_db(world.plan) * world.scenario.noise.white_scale, sweep_noise * sweep_sigma_db(world.plan)
+        ),
+        **_knowledge(world),
+        **_ballistics(world),
+        "catalogue_json": json.dumps(list(catalogue_lines(world)), allow_nan=False),
+    }
+
+
+def export_npz(world: World, path: Path, sweep_noise: float = 1.0) -> None:
+    """Write a world to a compressed numpy file."""
+    with path.open("wb") as file:
+        np.savez_compressed(file, **export_arrays(world, sweep_noise))
+
+
+def run_export(scenario: Scenario, seed: int, out: Path, sweep_noise: float = 1.0) -> int:
+    """Build the world of a scenario, write it to a file, say so, and return the exit status."""
+    world = World(scenario, seed)
+    export_npz(world, out, sweep_noise)
+    count, carriers = world.rows.power_dbm.shape
+    sys.stdout.write(f"{out}: scenario {scenario.name}, seed {seed}, {count} rows, {carriers} carriers\n")
+    return 0
+
+
+def _by_axis(prefix: str, attitude_deg: FloatArray) -> dict[str, FloatArray]:
+    return {f"{prefix}{axis}_deg": attitude_deg[:, number] for number, axis in enumerate(AXES)}
+
+
+def _truth(world: World) -> dict[str, Any]:
+    rows, names = world.rows, flag_names()
+    return {
+        "scenario": world.scenario.name,
+        "seed": world.seed,
+        "epoch_us": rows.epochs_us,
+        "carrier_id": np.array(world.carrier_ids),
+        **_by_axis("", rows.attitude_deg),
+        "uplink_fade_db": rows.uplink_fade_db,
+        "downlink_fade_db": rows.downlink_fade_db,
+        "chain_db": rows.chain_db,
+        "flags": rows.flags,
+        "flag_name": np.array(list(names)),
+        "flag_value": np.array(list(names.values())),
+        "sensitivity_db_per_deg": sensitivity_db_per_deg(world.plan, world.orbit),
+    }
+
+
+def _knowledge(world: World) -> dict[str, Any]:
+    phases = world.scenario.phases
+    turns_us = next(phase.start_us for phase in phases if phase.name == "turns")
+    turns = [turn for turn in TIMETABLE if any(turn.attitude_deg)]
+    told = np.array([c.attitude_deg for c in world.corrections]).reshape(-1, 3)
+    return {
+        "phase_name": np.array([phase.name for phase in phases]),
+        "phase_start_us": np.array([phase.start_us for phase in phases]),
+        "phase_stop_us": np.array([phase.stop_us for phase in phases]),
+        "reference_epoch_us": world.references.epochs_us,
+        **_by_axis("reference_", world.references.attitude_deg),
+        "reference_sigma_deg": np.array(SIGMA_DEG),
+        "correction_start_us": np.array([c.start_us for c in world.corrections], dtype=np.int64),
+        "correction_stop_us": np.array([c.stop_us for c in world.corrections], dtype=np.int64),
+        **_by_axis("correction_", told),
+        "turn_start_us": np.array([turns_us + (turn.start_min + SLEW_MIN) * 60 * US_PER_S for turn in turns]),
+        "turn_stop_us": np.array([turns_us + turn.stop_min * 60 * US_PER_S for turn in turns]),
+        **_by_axis("turn_", np.array([turn.attitude_deg for turn in turns])),
+    }
+
+
+def _ballistics(world: World) -> dict[str, Any]:
+    start_us = world.scenario.start_us - US_PER_DAY
+    stop_us = world.scenario.phases[-1].stop_us + US_PER_DAY
+    nodes_us = np.array(world.orbit.ascending_nodes_us(start_us, stop_us), dtype=np.int64)
+    track = predicted_track(world.orbit, world.seed, start_us, stop_us)
+    return {
+        "node_us": nodes_us,
+        "nodal_period_s": float(np.mean(np.diff(nodes_us))) / US_PER_S,
+        "track_epoch_us": track.epochs_us,
+        "track_latitude_deg": track.latitude_deg,
+        "track_longitude_deg": track.longitude_deg,
+    }

@@ -1,0 +1,230 @@
+"""Ground: everything the ground knows about a world, as JSON objects shaped like the bodies of the service's interface.
+
+Each object is a line `{"kind": ..., "body": {...}}`; `phase` and `truth` lines have no body. A `truth` line is for the
+judge alone and must never be forwarded. Nothing here is known from the powers.
+"""
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from analyzer_sim.carriers import DOWNLINK_BASE_HZ, ROLLOFF, UPLINK_BASE_HZ, Carrier
+from analyzer_sim.epochs import US_PER_DAY, US_PER_S, rfc3339
+from analyzer_sim.orbit import predicted_track
+from analyzer_sim.scenario import Phase
+from analyzer_sim.spacecraft import Correction
+from analyzer_sim.star_tracker import SIGMA_DEG
+from analyzer_sim.streams import FloatArray
+from analyzer_sim.turns import SLEW_MIN, TIMETABLE
+from analyzer_sim.world import LONGITUDE_DEG, SWEEP_RBW_HZ, SWEEP_TIME_S, World
+
+Line = dict[str, Any]
+
+SPACECRAFT_ID = "yamal-202"
+TASK_ID = "yamal-202-ku"
+SWEEP_ID = "ku"
+SWEEP_POINTS = 2401
+#: rows that one hold of the ground port spans
+ROWS_PER_CHUNK = 60
+
+
+def ground_lines(world: World, rows_per_chunk: int = ROWS_PER_CHUNK) -> Iterator[Line]:
+    """Yield all lines of a world in the order in which the ground port sends them, holds left out."""
+    yield from catalogue_lines(world)
+    for first, last, _phase in chunks_of(world, rows_per_chunk):
+        yield from chunk_lines(world, first, last)
+
+
+def chunks_of(world: World, rows_per_chunk: int = ROWS_PER_CHUNK) -> list[tuple[int, int, str]]:
+    """Return (first row, last row, phase) of each chunk; a chunk never reaches into the next phase."""
+    epochs_us = world.rows.epochs_us
+    chunks = []
+    for phase in world.scenario.phases:
+        begin, end = (int(row) for row in np.searchsorted(epochs_us, [phase.start_us, phase.stop_us]))
+        chunks += [(row, min(row + rows_per_chunk, end) - 1, phase.name) for row in range(begin, end, rows_per_chunk)]
+    return chunks
+
+
+def catalogue_lines(world: World) -> Iterator[Line]:
+    """Yield what is known before the first row: spacecraft, carriers, task, ephemeris."""
+    yield {"kind": "spacecraft", "body": _spacecraft(world)}
+    yield {"kind": "carriers", "body": {"carriers": [_carrier(carrier) for carrier in world.plan.carriers]}}
+    yield {"kind": "task", "body": task(world)}
+    yield {"kind": "ephemeris", "body": _ephemeris(world)}
+
+
+def chunk_lines(world: World, first: int, last: int) -> Iterator[Line]:
+    """Yield what belongs to the rows first..last, both inclusive."""
+    epochs_us = world.rows.epochs_us
+    start_us, stop_us = int(epochs_us[first]), int(epochs_us[last]) + world.scenario.row_period_us
+    for phase in world.scenario.phases:
+        if start_us <= phase.start_us < stop_us:
+            yield _phase(phase)
+            if phase.name == "turns":
+                yield from ({"kind": "operations", "body": operation} for operation in turn_operations(phase))
+    tracked = min(last + 1, len(world.references.epochs_us))
+    if first < tracked:
+        yield {"kind": "references", "body": _references(world, first, tracked)}
+    corrections = [_correction(c) for c in world.corrections if start_us <= c.start_us < stop_us]
+    if corrections:
+        yield {"kind": "corrections", "body": {"corrections": corrections}}
+    yield {"kind": "truth", "rows": truth_rows(world, first, last)}
+
+
+def task(world: World) -> Line:
+    """Return the measurement task of the front end for the plan of a world."""
+    plan = world.plan
+    sweep = {
+        "id": SWEEP_ID,
+        "start_hz": plan.span_hz[0],
+        "stop_hz": plan.span_hz[1],
+        "rbw_hz": SWEEP_RBW_HZ,
+        "vbw_hz": 10.0 * SWEEP_RBW_HZ,
+        "points": SWEEP_POINTS,
+        "time_s": SWEEP_TIME_S,
+        "detector": "RMS",
+        "count": 1,
+    }
+    windows = [list(window) for window in plan.noise_windows_hz]
+    carriers = [
+        {
+            "id": carrier.id,
+            "sweep": SWEEP_ID,
+            "fc_hz": carrier.center_hz,
+            "symbol_rate": carrier.symbol_rate_hz,
+            "rolloff": ROLLOFF,
+            "integ_bw_hz": carrier.bandwidth_hz,
+            "kind": "modulated",
+            "noise": windows,
+            "limits": {"nominal_dbm": carrier.level_dbm, "warn_db": 2.0, "alarm_db": 4.0, "c_n0_min": 68.0},
+        }
+        for carrier in plan.carriers
+    ]
+    levels = {
+        "level_offset_db": 0.0,
+        "freq_offset_hz": 0.0,
+        "attenuation_db": 0.0,
+        "ref_level_dbm": -20.0,
+        "preamp": False,
+    }
+    period_s = world.scenario.row_period_s
+    return {"id": TASK_ID, "period_s": period_s, "input": levels, "sweeps": [sweep], "carriers": carriers}
+
+
+def turn_operations(phase: Phase) -> list[Line]:
+    """Return the timetable of the calibration turns: one operation a turn, its attitude as JSON in the comment."""
+    operations = []
+    for turn in TIMETABLE:
+        if any(turn.attitude_deg):
+            start_us = phase.start_us + (turn.start_min + SLEW_MIN) * 60 * US_PER_S
+            operations.append(
+                {
+                    "kind": "calibration_turn",
+                    "start": rfc3339(start_us),
+                    "stop": rfc3339(phase.start_us + turn.stop_min * 60 * US_PER_S),
+                    "carriers": None,
+                    "transponders": None,
+                    "inhibit_control": True,
+                    "comment": json.dumps(_angles(turn.attitude_deg)),
+                }
+            )
+    return operations
+
+
+def truth_rows(world: World, first: int, last: int) -> list[Line]:
+    """Return the truth of the rows first..last; for the judge alone."""
+    rows = world.rows
+    angles, fades = rows.attitude_deg[first : last + 1].tolist(), rows.downlink_fade_db[first : last + 1].tolist()
+    return [
+        {"epoch": rfc3339(epoch_us), **_angles(angle), "downlink_fade_db": round(fade, 6)}
+        for epoch_us, angle, fade in zip(rows.epochs_us[first : last + 1].tolist(), angles, fades, strict=True)
+    ]
+
+
+def _spacecraft(world: World) -> Line:
+    site = world.plan.receiving_site
+    return {
+        "id": SPACECRAFT_ID,
+        "name": "Yamal-202 (simulated)",
+        "cospar_id": "2003-053B",
+        "longitude_deg": LONGITUDE_DEG,
+        "simulated": True,
+        "receiving_site": {
+            "name": site.name,
+            "latitude_deg": site.latitude_deg,
+            "longitude_deg": site.longitude_deg,
+            "height_m": site.height_m,
+        },
+        "inertia_kg_m2": [[2600.0, 0.0, 0.0], [0.0, 1400.0, 0.0], [0.0, 0.0, 2600.0]],
+        "torque_limit_n_m": 0.05,
+        "onboard": {"fast_loop": True, "forecast_mode": True, "roll_yaw_coupling": world.scenario.keeping.is_coupled},
+        "control": {"method": "paper", "mode": "ground", "release": "automatic"},
+    }
+
+
+def _carrier(carrier: Carrier) -> Line:
+    offset_hz = carrier.center_hz - 954e6
+    station = carrier.station
+    return {
+        "id": carrier.id,
+        "name": f"{station.name} {carrier.symbol_rate_hz / 1e3:.0f}k",
+        "station": {
+            "name": station.name,
+            "latitude_deg": station.latitude_deg,
+            "longitude_deg": station.longitude_deg,
+        },
+        "band": "Ku",
+        "transponder": carrier.transponder,
+        "polarization": carrier.polarization,
+        "uplink_hz": UPLINK_BASE_HZ + offset_hz,
+        "downlink_hz": DOWNLINK_BASE_HZ + offset_hz,
+        "intermediate_hz": carrier.center_hz,
+        "bandwidth_hz": carrier.bandwidth_hz,
+        "kind": "traffic",
+        "uplink_power_control": "none",
+        "transponder_mode": "fixed_gain",
+        "enabled": True,
+    }
+
+
+def _ephemeris(world: World) -> Line:
+    """Return nodes, nodal period and predicted track with a day of margin on both sides."""
+    start_us = world.scenario.start_us - US_PER_DAY
+    stop_us = world.scenario.phases[-1].stop_us + US_PER_DAY
+    nodes_us = world.orbit.ascending_nodes_us(start_us, stop_us)
+    track = predicted_track(world.orbit, world.seed, start_us, stop_us)
+    return {
+        "ascending_nodes": [rfc3339(node_us) for node_us in nodes_us],
+        "nodal_period_s": round(float(np.mean(np.diff(nodes_us))) / US_PER_S, 3),
+        "track": {
+            "epochs": [rfc3339(epoch_us) for epoch_us in track.epochs_us.tolist()],
+            "latitude_deg": track.latitude_deg.tolist(),
+            "longitude_deg": track.longitude_deg.tolist(),
+        },
+    }
+
+
+def _references(world: World, first: int, stop: int) -> Line:
+    told, sigma = world.references, dict(zip(("yaw", "roll", "pitch"), SIGMA_DEG, strict=True))
+    rows = zip(told.epochs_us[first:stop].tolist(), told.attitude_deg[first:stop].tolist(), strict=True)
+    references = [{"epoch": rfc3339(epoch_us), **_angles(angle), "sigma_deg": sigma} for epoch_us, angle in rows]
+    return {"source": "star_tracker", "references": references}
+
+
+def _phase(phase: Phase) -> Line:
+    return {"kind": "phase", "name": phase.name, "start": rfc3339(phase.start_us), "stop": rfc3339(phase.stop_us)}
+
+
+def _correction(correction: Correction) -> Line:
+    return {
+        "start": rfc3339(correction.start_us),
+        "stop": rfc3339(correction.stop_us),
+        **_angles(correction.attitude_deg),
+    }
+
+
+def _angles(attitude_deg: FloatArray | tuple[float, ...] | list[float]) -> dict[str, float]:
+    yaw, roll, pitch = (round(float(angle), 7) for angle in attitude_deg)
+    return {"yaw_deg": yaw, "roll_deg": roll, "pitch_deg": pitch}

@@ -1,0 +1,190 @@
+"""Ground port: what the ground knows, as JSON lines over TCP, in step with the sweeps.
+
+On connection the simulator sends the catalogue lines; then, chunk of rows by chunk of rows, all lines that belong to
+these rows and `{"kind":"hold","until":<epoch of the last row>,"phase":<name>}`. The client answers `{"kind":"proceed"}`
+once it has forwarded them; only then may the world be swept up to that epoch. After the last row: `{"kind":"end"}`.
+A client that comes back receives the catalogue and resumes at the first chunk it has not confirmed. A line that is not
+understood is answered with `{"kind":"error",...}` and changes nothing. One client holds the port at a time.
+"""
+
+import asyncio
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+from analyzer_sim.epochs import rfc3339
+from analyzer_sim.ground import catalogue_lines, chunk_lines, chunks_of
+from analyzer_sim.world import World
+
+#: longest line a client may send, bytes
+MAX_LINE_BYTES = 65_536
+#: larger than any epoch: nothing is held back
+NO_LIMIT_US = 2**63 - 1
+
+
+class Gate:
+    """Permission to sweep rows up to an epoch.
+
+    An open gate lets everything pass. A closed one lets pass what has been granted; a grant never shrinks.
+
+    Parameters
+    ----------
+    is_open : bool
+        Whether rows pass while nobody steers the gate.
+    """
+
+    def __init__(self, *, is_open: bool = True) -> None:
+        self._is_open = is_open
+        self._granted_until_us = -NO_LIMIT_US
+        self._waiting: list[tuple[int, asyncio.Future[None]]] = []
+
+    @property
+    def granted_until_us(self) -> int:
+        """Newest epoch that may be swept, microseconds."""
+        return NO_LIMIT_US if self._is_open else self._granted_until_us
+
+    def is_granted(self, epoch_us: int) -> bool:
+        """Tell whether a row of this epoch may be swept now."""
+        return epoch_us <= self.granted_until_us
+
+    def open(self) -> None:
+        """Let every row pass."""
+        self._is_open = True
+        self._wake()
+
+    def close(self) -> None:
+        """Hold back rows beyond the grants given so far."""
+        self._is_open = False
+
+    def grant_until(self, epoch_us: int) -> None:
+        """Let rows up to and including this epoch pass."""
+        self._granted_until_us = max(self._granted_until_us, epoch_us)
+        self._wake()
+
+    async def wait(self, epoch_us: int) -> None:
+        """Return once a row of this epoch may be swept."""
+        while not self.is_granted(epoch_us):
+            future: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+            self._waiting.append((epoch_us, future))
+            try:
+                await future
+            finally:
+                self._waiting = [entry for entry in self._waiting if entry[1] is not future]
+
+    def _wake(self) -> None:
+        for epoch_us, future in self._waiting:
+            if self.is_granted(epoch_us) and not future.done():
+                future.set_result(None)
+
+
+@dataclass(slots=True)
+class _Session:
+    """State of the port that outlives a connection."""
+
+    world: World
+    gate: Gate
+    #: whether the gate stays closed while nobody is connected
+    await_ground: bool
+    chunks: list[tuple[int, int, str]]
+    #: first chunk that no client has confirmed
+    next_chunk: int = 0
+    is_taken: bool = field(default=False)
+
+
+async def serve_ground(
+    world: World,
+    gate: Gate,
+    *,
+    host: str = "127.0.0.1",
+    port: int = 0,
+    rows_per_chunk: int = 60,
+    await_ground: bool = False,
+) -> asyncio.Server:
+    """Start the ground port and return the listening server; port 0 takes a free one.
+
+    With `await_ground` the gate is closed at once and whenever no client is connected; without it the gate is open
+    until a client connects and again after it has left.
+    """
+    session = _Session(world, gate, await_ground, chunks_of(world, rows_per_chunk))
+    if await_ground:
+        gate.close()
+
+    async def on_connection(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await _converse(session, reader, writer)
+
+    return await asyncio.start_server(on_connection, host, port, limit=MAX_LINE_BYTES)
+
+
+async def _converse(session: _Session, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """Serve one connection from its first line to its last."""
+    is_holder = not session.is_taken
+    try:
+        if is_holder:
+            session.is_taken = True
+            session.gate.close()
+            await _steer(session, reader, writer)
+        else:
+            await _send(writer, [_error("ground.taken", "another ground client holds the port")])
+    except (ConnectionError, asyncio.IncompleteReadError):
+        pass  # the client left; it resumes at the first chunk it has not confirmed
+    finally:
+        if is_holder:
+            session.is_taken = False
+            if not session.await_ground:
+                session.gate.open()
+        writer.close()
+
+
+async def _steer(session: _Session, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """Send catalogue and chunks; move on with each confirmation."""
+    await _send(writer, catalogue_lines(session.world))
+    while session.next_chunk < len(session.chunks):
+        first, last, phase = session.chunks[session.next_chunk]
+        until_us = int(session.world.rows.epochs_us[last])
+        await _send(writer, chunk_lines(session.world, first, last))
+        await _send(writer, [{"kind": "hold", "until": rfc3339(until_us), "phase": phase}])
+        await _await_proceed(reader, writer)
+        session.gate.grant_until(until_us)
+        session.next_chunk += 1
+    await _send(writer, [{"kind": "end"}])
+    while await reader.read(MAX_LINE_BYTES):
+        pass  # nothing is left to say; the client closes
+
+
+async def _await_proceed(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """Read lines until the client confirms; answer every other line with its error."""
+    while True:
+        try:
+            line = await reader.readuntil(b"\n")
+        except asyncio.LimitOverrunError as overrun:
+            await reader.readexactly(overrun.consumed)
+            await _send(writer, [_error("line.too_long", f"a line holds at most {MAX_LINE_BYTES} bytes")])
+            continue
+        problem = _problem_of(line)
+        if problem is None:
+            return
+        await _send(writer, [problem])
+
+
+def _problem_of(line: bytes) -> dict[str, Any] | None:
+    """Return None for a confirmation, else the error line that answers it."""
+    try:
+        message = json.loads(line)
+    except ValueError:
+        return _error("line.not_json", "a line is one JSON object")
+    if not isinstance(message, dict):
+        return _error("line.not_object", "a line is one JSON object")
+    if message.get("kind") != "proceed":
+        return _error("kind.unknown", 'the only kind a client sends is "proceed"')
+    return None
+
+
+def _error(code: str, detail: str) -> dict[str, Any]:
+    return {"kind": "error", "code": code, "detail": detail}
+
+
+async def _send(writer: asyncio.StreamWriter, lines: Iterator[dict[str, Any]] | list[dict[str, Any]]) -> None:
+    for line in lines:
+        writer.write(json.dumps(line, allow_nan=False, separators=(",", ":")).encode() + b"\n")
+        await writer.drain()

@@ -1,0 +1,146 @@
+"""Orbit of the satellite: a circle that is a little inclined and a little eccentric.
+
+    latitude  = ix sin(a) - iy cos(a)                 a = right ascension of the satellite, rad
+    longitude = nominal + 2 e sin(M) - (i^2 / 4) sin 2u
+    ix = i0 cos(node0),  iy = i0 sin(node0) + drift t     Sun and Moon pull the vector towards 90 deg
+
+At 0.05 deg of inclination the drift of 0.0023 deg a day moves the node by degrees a day, so that the time from node to
+node is anything between 23.76 and 24.11 h.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analyzer_sim.epochs import US_PER_DAY, US_PER_H, US_PER_S
+from analyzer_sim.geometry import EARTH_RADIUS_KM, GEO_RADIUS_KM, orbital_from_earth, station_position_km
+from analyzer_sim.streams import FloatArray, stream
+
+#: rotation of the Earth, rad/s
+EARTH_RATE_RAD_S = 7.2921159e-5
+#: mean drift of the inclination vector, deg/day
+INCLINATION_DRIFT_DEG_DAY = 0.0023
+#: error of the predicted track: constant part and daily part, deg, one sigma
+TRACK_BIAS_DEG = 0.0008
+TRACK_WAVE_DEG = 0.0006
+
+EpochArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Orbit:
+    """True motion of the sub-satellite point."""
+
+    longitude_deg: float
+    start_us: int
+    #: inclination at the start, deg
+    inclination_deg: float
+    #: right ascension of the ascending node and of the satellite at the start, rad
+    node_rad: float
+    ascension_rad: float
+    eccentricity: float
+    #: mean anomaly at the start, rad
+    anomaly_rad: float
+
+    @classmethod
+    def drawn(cls, seed: int, longitude_deg: float, start_us: int) -> "Orbit":
+        """Draw an orbit; the node is taken where the drift lowers the inclination at first."""
+        rng = stream(seed, "orbit")
+        return cls(
+            longitude_deg,
+            start_us,
+            inclination_deg=rng.uniform(0.0465, 0.049),
+            node_rad=np.radians(rng.uniform(220.0, 320.0)),
+            ascension_rad=rng.uniform(0.0, 2.0 * np.pi),
+            eccentricity=rng.uniform(0.00013, 0.00022),
+            anomaly_rad=rng.uniform(0.0, 2.0 * np.pi),
+        )
+
+    @cached_property
+    def _vector_start_deg(self) -> tuple[float, float]:
+        return self.inclination_deg * np.cos(self.node_rad), self.inclination_deg * np.sin(self.node_rad)
+
+    def inclination_vector_deg(self, epochs_us: EpochArray) -> tuple[FloatArray, FloatArray]:
+        """Return the components (T,) of the inclination vector towards right ascension 0 and 90 deg."""
+        days = (np.asarray(epochs_us) - self.start_us) / US_PER_DAY
+        ix, iy = self._vector_start_deg
+        return np.full(days.shape, ix), iy + INCLINATION_DRIFT_DEG_DAY * days
+
+    def sub_satellite_deg(self, epochs_us: EpochArray) -> tuple[FloatArray, FloatArray]:
+        """Return latitude and absolute longitude (T,) of the sub-satellite point, deg."""
+        angle = EARTH_RATE_RAD_S * (np.asarray(epochs_us) - self.start_us) / US_PER_S
+        ix, iy = self.inclination_vector_deg(epochs_us)
+        sine, cosine = np.sin(angle + self.ascension_rad), np.cos(angle + self.ascension_rad)
+        latitude = ix * sine - iy * cosine
+        eccentric = np.degrees(2.0 * self.eccentricity * np.sin(angle + self.anomaly_rad))
+        eight = -0.5 * np.radians(1.0) * latitude * (ix * cosine + iy * sine)
+        return latitude, self.longitude_deg + eccentric + eight
+
+    def position_km(self, epochs_us: EpochArray) -> FloatArray:
+        """Return Earth-fixed positions (T, 3), km."""
+        latitude, longitude = (np.radians(angle) for angle in self.sub_satellite_deg(epochs_us))
+        anomaly = EARTH_RATE_RAD_S * (np.asarray(epochs_us) - self.start_us) / US_PER_S + self.anomaly_rad
+        radius = GEO_RADIUS_KM * (1.0 - self.eccentricity * np.cos(anomaly))
+        directions = [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)]
+        return np.asarray(radius[:, None] * np.stack(directions, axis=1))
+
+    def orbital_from_earth(self, epochs_us: EpochArray) -> FloatArray:
+        """Return rotations (T, 3, 3) from the Earth-fixed to the orbital frame."""
+        ix, iy = (np.radians(component) for component in self.inclination_vector_deg(epochs_us))
+        angle = EARTH_RATE_RAD_S * (np.asarray(epochs_us) - self.start_us) / US_PER_S + self.ascension_rad
+        sidereal = angle - np.radians(self.longitude_deg)
+        # orbit normal: the pole, tilted by the inclination at right angles to the node
+        normal_x = iy * np.cos(sidereal) - ix * np.sin(sidereal)
+        normal_y = -iy * np.sin(sidereal) - ix * np.cos(sidereal)
+        normal = np.stack([normal_x, normal_y, np.sqrt(1.0 - normal_x**2 - normal_y**2)], axis=1)
+        return orbital_from_earth(self.position_km(epochs_us), normal)
+
+    @property
+    def nominal_km(self) -> FloatArray:
+        """Place (3,) at which the users' dishes were pointed, km."""
+        return station_position_km(0.0, self.longitude_deg) * (GEO_RADIUS_KM / EARTH_RADIUS_KM)
+
+    def ascending_nodes_us(self, start_us: int, stop_us: int) -> list[int]:
+        """Return the epochs of the northward crossings of the equator in [start, stop)."""
+        grid = np.arange(start_us, stop_us + 10 * 60 * US_PER_S, 10 * 60 * US_PER_S, dtype=np.int64)
+        latitude, _ = self.sub_satellite_deg(grid)
+        rising = np.flatnonzero((latitude[:-1] < 0.0) & (latitude[1:] >= 0.0))
+        nodes = [self._crossing_us(int(grid[k]), int(grid[k + 1])) for k in rising]
+        return [node for node in nodes if start_us <= node < stop_us]
+
+    def _crossing_us(self, before_us: int, after_us: int) -> int:
+        """Halve the interval until the crossing is known to a microsecond."""
+        while after_us - before_us > 1:
+            middle_us = (before_us + after_us) // 2
+            latitude, _ = self.sub_satellite_deg(np.array([middle_us]))
+            if latitude[0] < 0.0:
+                before_us = middle_us
+            else:
+                after_us = middle_us
+        return after_us
+
+
+@dataclass(frozen=True, slots=True)
+class PredictedTrack:
+    """What ballistics tells the ground: the track with a small error."""
+
+    epochs_us: EpochArray
+    latitude_deg: FloatArray
+    longitude_deg: FloatArray
+
+
+def predicted_track(
+    orbit: Orbit, seed: int, start_us: int, stop_us: int, step_us: int = US_PER_H // 2
+) -> PredictedTrack:
+    """Return the predicted track over [start, stop], with a constant and a daily error of some 0.001 deg."""
+    epochs_us = np.arange(start_us, stop_us + step_us, step_us, dtype=np.int64)
+    rng = stream(seed, "track")
+    phase = 2.0 * np.pi * (epochs_us - orbit.start_us) / US_PER_DAY
+    truth = orbit.sub_satellite_deg(epochs_us)
+    tracks = []
+    for angle in truth:
+        bias, cosine, sine = rng.normal(size=3) * [TRACK_BIAS_DEG, TRACK_WAVE_DEG, TRACK_WAVE_DEG]
+        tracks.append(np.round(angle + bias + cosine * np.cos(phase) + sine * np.sin(phase), 6))
+    return PredictedTrack(epochs_us, tracks[0], tracks[1])

@@ -1,0 +1,163 @@
+"""Attitude of the craft in truth.
+
+    roll' = w0 yaw + d_roll + (1 + s_roll) u_roll      d = drift of the inertial model, u = commanded correction
+    yaw'  = -w0 roll + d_yaw + (1 + s_yaw) u_yaw       s = relative error of the effect of a correction
+    pitch' = d_pitch + (1 + s_pitch) u_pitch
+
+holds in `operation`, where the ground knows `u` and nothing else. Before it the star tracker closes the loop on board:
+the craft follows the timetable within a small limit cycle. Angles in deg, rates in deg/h, order yaw, roll, pitch.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from analyzer_sim.epochs import US_PER_S
+from analyzer_sim.manoeuvres import holds_of, piece_edges, planned_deg
+from analyzer_sim.noise import first_order
+from analyzer_sim.orbit import EARTH_RATE_RAD_S, EpochArray
+from analyzer_sim.scenario import KeepingFigures, Scenario
+from analyzer_sim.streams import FloatArray, stream
+from analyzer_sim.turns import SLEW_MIN, TIMETABLE
+
+#: exchange of roll and yaw, 1/h
+ORBITAL_RATE_PER_H = EARTH_RATE_RAD_S * 3600.0
+#: the limit cycle under the star tracker never leaves this, deg
+TRACKER_LIMIT_DEG = 0.095
+AXES = ("yaw", "roll", "pitch")
+
+
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """A change of attitude commanded by the ground, spread evenly over [start, stop)."""
+
+    start_us: int
+    stop_us: int
+    #: yaw, roll, pitch, total over the interval
+    attitude_deg: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeHistory:
+    """What became of the attitude, and what the ground knows about it."""
+
+    #: (T, 3) deg, order yaw, roll, pitch
+    attitude_deg: FloatArray
+    corrections: tuple[Correction, ...]
+
+
+def attitude_history(scenario: Scenario, seed: int, epochs_us: EpochArray) -> AttitudeHistory:
+    """Return the attitude at every epoch of a scenario and the corrections that were announced."""
+    tracked = _tracked_deg(scenario, seed, epochs_us)
+    first = int(np.searchsorted(epochs_us, scenario.operation_start_us))
+    if first >= len(epochs_us):
+        return AttitudeHistory(tracked, ())
+    free, corrections = _free_flight(scenario, seed, epochs_us[first:], tracked[first])
+    return AttitudeHistory(np.concatenate([tracked[:first], free]), corrections)
+
+
+def coupling_step(hours: float, *, is_coupled: bool) -> tuple[FloatArray, FloatArray]:
+    """Return (phi, gamma): attitude after `hours` = phi @ attitude + gamma @ constant rate in deg/h."""
+    rate = ORBITAL_RATE_PER_H if is_coupled else 0.0
+    angle = rate * hours
+    cosine, sine = np.cos(angle), np.sin(angle)
+    phi = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    along = hours * np.sinc(angle / np.pi)
+    across = 0.5 * hours * angle * np.sinc(0.5 * angle / np.pi) ** 2
+    gamma = np.array([[along, -across, 0.0], [across, along, 0.0], [0.0, 0.0, hours]])
+    return phi, gamma
+
+
+def _tracked_deg(scenario: Scenario, seed: int, epochs_us: EpochArray) -> FloatArray:
+    """Return the attitude under the star tracker: the timetable and a bounded limit cycle."""
+    figures = scenario.keeping
+    cycle = np.stack(
+        [
+            first_order(
+                stream(seed, "limit cycle", axis), len(epochs_us), scenario.row_period_s, sigma, figures.tracker_tau_s
+            )
+            for axis, sigma in zip(AXES, figures.tracker_deg, strict=True)
+        ],
+        axis=1,
+    )
+    bounded = TRACKER_LIMIT_DEG * np.tanh(cycle / TRACKER_LIMIT_DEG)
+    turns_start_us = next(phase.start_us for phase in scenario.phases if phase.name == "turns")
+    minutes = (epochs_us - turns_start_us) / (60.0 * US_PER_S)
+    knots_min, knots_deg = [-1e9], [(0.0, 0.0, 0.0)]
+    for turn in TIMETABLE:
+        knots_min += [turn.start_min, turn.start_min + SLEW_MIN]
+        knots_deg += [knots_deg[-1], turn.attitude_deg]
+    table = np.array(knots_deg)
+    turned = np.stack([np.interp(minutes, knots_min, table[:, axis]) for axis in range(3)], axis=1)
+    return np.asarray(bounded + turned)
+
+
+def _noise_series(
+    seed: int, name: str, count: int, step_s: float, sigmas: tuple[float, ...], tau_s: float
+) -> FloatArray:
+    series = [
+        first_order(stream(seed, name, axis), count, step_s, sigma, tau_s)
+        for axis, sigma in zip(AXES, sigmas, strict=True)
+    ]
+    return np.stack(series, axis=1)
+
+
+def _free_flight(
+    scenario: Scenario, seed: int, epochs_us: EpochArray, start_deg: FloatArray
+) -> tuple[FloatArray, tuple[Correction, ...]]:
+    """Fly the operation phase: the ground commands piece by piece, the craft drifts in between."""
+    figures, count, step_s = scenario.keeping, len(epochs_us), scenario.row_period_s
+    holds = holds_of(scenario.manoeuvres, seed, scenario.operation_h)
+    hours = np.asarray(np.arange(count + 1) * step_s / 3600.0, dtype=np.float64)
+    announced = planned_deg([hold for hold in holds if hold.is_announced], hours)
+    secret = planned_deg([hold for hold in holds if not hold.is_announced], hours)
+    drift = _noise_series(seed, "drift", count, step_s, figures.drift_deg_h, figures.drift_tau_s)
+    ignorance = _noise_series(seed, "knowledge", count, step_s, figures.knowledge_deg, figures.knowledge_tau_s)
+    effect = 1.0 + stream(seed, "correction scale").normal(0.0, figures.scale_error, 3)
+    phi, gamma = coupling_step(step_s / 3600.0, is_coupled=figures.is_coupled)
+    attitude = np.empty((count + 1, 3))
+    attitude[0] = start_deg
+    corrections = []
+    for first, last in pairwise(piece_edges(holds, count, step_s).tolist()):
+        span_h = (last - first) * step_s / 3600.0
+        known = attitude[first] + ignorance[first]
+        feedback = _feedback(known - announced[first] - secret[first], span_h, figures)
+        told = _feed_forward(announced[first], announced[last], span_h, figures) + feedback
+        untold = _feed_forward(secret[first], secret[last], span_h, figures)
+        rates = effect * told + untold + drift[first:last]
+        attitude[first + 1 : last + 1] = _propagate(attitude[first], rates @ gamma.T, phi)
+        start_us = int(epochs_us[0]) + first * scenario.row_period_us
+        total = np.round(told * span_h, 7).tolist()
+        corrections.append(
+            Correction(start_us, start_us + (last - first) * scenario.row_period_us, (total[0], total[1], total[2]))
+        )
+    return attitude[:count], tuple(corrections)
+
+
+def _feed_forward(begin: FloatArray, end: FloatArray, span_h: float, figures: KeepingFigures) -> FloatArray:
+    """Return the rate that leads from one planned attitude to the next against the coupling."""
+    rate = ORBITAL_RATE_PER_H if figures.is_coupled else 0.0
+    middle = 0.5 * (begin + end)
+    return np.asarray((end - begin) / span_h - rate * np.array([-middle[1], middle[0], 0.0]))
+
+
+def _feedback(deviation_deg: FloatArray, span_h: float, figures: KeepingFigures) -> FloatArray:
+    """Return the rate that removes the known deviation within the feedback time."""
+    share = -np.expm1(-span_h * 3600.0 / figures.feedback_tau_s)
+    return np.asarray(-share * deviation_deg / span_h)
+
+
+def _propagate(start_deg: FloatArray, increments_deg: FloatArray, phi: FloatArray) -> FloatArray:
+    """Return the attitude (n, 3) after each of n steps."""
+    cosine, sine = float(phi[0, 0]), float(phi[1, 0])
+    yaw, roll, pitch = start_deg.tolist()
+    states = []
+    for yaw_step, roll_step, pitch_step in increments_deg.tolist():
+        yaw, roll, pitch = (
+            cosine * yaw - sine * roll + yaw_step,
+            sine * yaw + cosine * roll + roll_step,
+            pitch + pitch_step,
+        )
+        states.append((yaw, roll, pitch))
+    return np.array(states)
