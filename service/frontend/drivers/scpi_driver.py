@@ -32,7 +32,7 @@ from service.records.sweep import Sweep, SweepSettings
 POWER_BIT, FREQUENCY_BIT, CALIBRATION_BIT = 1 << 3, 1 << 5, 1 << 8
 #: the queue holds 20 to 30 entries; more means that it never empties
 MAX_QUEUE = 64
-#: deviation of a frequency or time that counts as "not what was asked for"
+#: deviation of an edge, in spans, that counts as "not what was asked for"
 SETTING_TOLERANCE = 1e-3
 
 _READBACK = ":FREQ:STAR?;:FREQ:STOP?;:BAND?;:BAND:VID?;:SWE:POIN?;:SWE:TIME?;:SYST:ERR?"
@@ -108,7 +108,21 @@ class ScpiDriver:
             raise SweepRefusedError(f"{self._session.resource} has no clock to take epochs from; use the system's")
 
     def configure(self, sweep: SweepPart, path: InputPart) -> SweepSettings:
-        """Send the settings that differ from those sent last, read all back, and return the actual ones."""
+        """Send the settings that differ from those sent last, read all back, and return the actual ones.
+
+        Settings that somebody else changed meanwhile are sent once more; what the analyzer then still has
+        differently stands as its own choice and is flagged.
+        """
+        self._settings = self._send(sweep, path)
+        self._is_mismatch = _differs(sweep, path, self._settings)
+        if self._is_mismatch:
+            self._sent = {}
+            self._settings = self._send(sweep, path)
+            self._is_mismatch = _differs(sweep, path, self._settings)
+        return self._settings
+
+    def _send(self, sweep: SweepPart, path: InputPart) -> SweepSettings:
+        """Send what is not known to stand, and read everything back."""
         wanted = self._wanted(sweep, path)
         changed = [f"{header} {value}" for header, value in wanted.items() if self._sent.get(header) != value]
         if changed:
@@ -120,11 +134,9 @@ class ScpiDriver:
             raise AnalyzerIOError(f"{self._session.resource} read back {answers}")
         self._raise_on_errors("settings", parse_message(answers[6]))
         start_hz, stop_hz, rbw_hz, vbw_hz, points, time_s = map(parse_number, answers[:6])
-        self._settings = SweepSettings(
+        return SweepSettings(
             start_hz, stop_hz, int(points), rbw_hz, rbw_hz * self.dialect.enbw_ratio, vbw_hz, time_s, "RMS", sweep.count
         )
-        self._is_mismatch = _differs(sweep, self._settings)
-        return self._settings
 
     def take(self, sweep: SweepPart) -> Sweep:
         """Take ``sweep.count`` sweeps and return their mean in milliwatts."""
@@ -262,10 +274,11 @@ class ScpiDriver:
         self.remarks += entries
 
 
-def _differs(sweep: SweepPart, actual: SweepSettings) -> bool:
+def _differs(sweep: SweepPart, path: InputPart, actual: SweepSettings) -> bool:
     """Return whether the analyzer did not take span, points or time; its own RBW steps are no fault."""
-    width_hz = sweep.stop_hz - sweep.start_hz
-    is_span_off = abs((actual.stop_hz - actual.start_hz) - width_hz) > SETTING_TOLERANCE * width_hz
+    tolerance_hz = SETTING_TOLERANCE * (sweep.stop_hz - sweep.start_hz)
+    is_start_off = abs(actual.start_hz - sweep.start_hz - path.freq_offset_hz) > tolerance_hz
+    is_stop_off = abs(actual.stop_hz - sweep.stop_hz - path.freq_offset_hz) > tolerance_hz
     is_time_off = sweep.time_s is not None and abs(actual.sweep_time_s - sweep.time_s) > 0.1 * sweep.time_s
     is_rbw_off = not 0.5 < actual.rbw_hz / sweep.rbw_hz < 2.0
-    return is_span_off or is_time_off or is_rbw_off or actual.points != sweep.points
+    return is_start_off or is_stop_off or is_time_off or is_rbw_off or actual.points != sweep.points

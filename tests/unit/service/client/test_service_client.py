@@ -1,0 +1,105 @@
+"""Methods of the client meet the contract's paths and bodies."""
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import httpx
+import pytest
+
+from service.client.service_client import JobFailedError, ServiceClient, epoch_text
+
+
+def client(handle: Callable[[httpx.Request], httpx.Response]) -> ServiceClient:
+    """Return a client of a scripted service."""
+    return ServiceClient("http://service", "key", http=httpx.MockTransport(handle))
+
+
+@pytest.mark.parametrize(
+    ("call", "method", "path", "body"),
+    [
+        (lambda c: c.create_spacecraft({"id": "x"}), "POST", "/spacecraft", {"id": "x"}),
+        (lambda c: c.spacecraft("x"), "GET", "/spacecraft/x", None),
+        (lambda c: c.put_carriers("x", [{"id": "c"}]), "PUT", "/spacecraft/x/carriers", {"carriers": [{"id": "c"}]}),
+        (lambda c: c.carriers("x"), "GET", "/spacecraft/x/carriers", None),
+        (lambda c: c.put_ephemeris("x", {"tle": []}), "PUT", "/spacecraft/x/ephemeris", {"tle": []}),
+        (
+            lambda c: c.post_measurements("x", 3, [{"epoch": "e"}], source="s", first_seq=2),
+            "POST",
+            "/spacecraft/x/measurements:batch",
+            {"plan_id": 3, "measurements": [{"epoch": "e"}], "source": "s", "first_seq": 2},
+        ),
+        (
+            lambda c: c.post_measurements("x", 3, []),
+            "POST",
+            "/spacecraft/x/measurements:batch",
+            {"plan_id": 3, "measurements": []},
+        ),
+        (
+            lambda c: c.post_references("x", "other", []),
+            "POST",
+            "/spacecraft/x/attitude-references:batch",
+            {"source": "other", "references": []},
+        ),
+        (lambda c: c.post_corrections("x", []), "POST", "/spacecraft/x/corrections:batch", {"corrections": []}),
+        (lambda c: c.post_operation("x", {"kind": "other"}), "POST", "/spacecraft/x/operations", {"kind": "other"}),
+        (lambda c: c.start_calibration("x", {}), "POST", "/spacecraft/x/calibrations", {}),
+        (lambda c: c.calibration("x", 7), "GET", "/spacecraft/x/calibrations/7", None),
+        (lambda c: c.activate_calibration("x", 7), "POST", "/spacecraft/x/calibrations/7:activate", None),
+        (lambda c: c.align("x", {"source": "manual"}), "POST", "/spacecraft/x/alignments", {"source": "manual"}),
+        (lambda c: c.status("x"), "GET", "/spacecraft/x/status", None),
+        (lambda c: c.measurements("x"), "GET", "/spacecraft/x/measurements", None),
+        (lambda c: c.attitude("x", "paper"), "GET", "/spacecraft/x/attitude", None),
+        (lambda c: c.torques("x"), "GET", "/spacecraft/x/torques", None),
+        (lambda c: c.request("DELETE", "/keys/1"), "DELETE", "/keys/1", None),
+    ],
+)
+def test_paths_and_bodies(call: Callable[[ServiceClient], Any], method: str, path: str, body: Any) -> None:
+    seen: list[httpx.Request] = []
+
+    def handle(request: httpx.Request) -> httpx.Response:
+        seen.append(request)
+        return httpx.Response(200, json={"ok": True})
+
+    with client(handle) as made:
+        assert call(made) == {"ok": True}
+    assert (seen[0].method, seen[0].url.path) == (method, "/api/v1" + path)
+    assert (json.loads(seen[0].content) if seen[0].content else None) == body
+
+
+def test_history_follows_the_cursor_and_keeps_the_question() -> None:
+    seen: list[dict[str, str]] = []
+
+    def handle(request: httpx.Request) -> httpx.Response:
+        seen.append(dict(request.url.params))
+        number = len(seen)
+        return httpx.Response(200, json={"rows": [{"n": number}], "next": f"p{number}" if number < 3 else None})
+
+    rows = list(client(handle).attitude_history("x", 0, "2026-11-21T00:00:00Z", method="robust", limit=1))
+    assert [row["n"] for row in rows] == [1, 2, 3]
+    assert [query.get("cursor") for query in seen] == [None, "p1", "p2"]
+    assert all(query["start"] == "1970-01-01T00:00:00.000000Z" for query in seen)
+
+
+def test_waiting_for_a_job_reports_its_progress() -> None:
+    states = iter([("queued", None), ("running", 0.4), ("done", 1.0)])
+    progress: list[float] = []
+
+    def handle(_: httpx.Request) -> httpx.Response:
+        state, part = next(states)
+        return httpx.Response(200, json={"state": state, "progress": part, "error": None})
+
+    assert client(handle).wait_job("j", poll_s=0.0, on_progress=progress.append)["state"] == "done"
+    assert progress == [0.0, 0.4, 1.0]
+
+
+@pytest.mark.parametrize(("state", "match"), [("failed", "too few turns"), ("running", "after 0 s")])
+def test_a_job_that_fails_or_lasts_too_long(state: str, match: str) -> None:
+    answer = {"state": state, "progress": 0.1, "error": "too few turns"}
+    with pytest.raises(JobFailedError, match=match):
+        client(lambda _: httpx.Response(200, json=answer)).wait_job("j", timeout_s=0.0, poll_s=0.0)
+
+
+def test_epochs_as_numbers_or_text() -> None:
+    assert epoch_text(1) == "1970-01-01T00:00:00.000001Z"
+    assert epoch_text("2026-11-21T00:00:00Z") == "2026-11-21T00:00:00Z"
