@@ -1,0 +1,73 @@
+"""A row of a dialect's command table, and how one program message unit runs through it.
+
+Law of this file: a dialect is rows of :class:`Command`; the session knows nothing else of it. A handler takes the call
+and its values and returns the response text, or ``None`` for a command; it fails with :class:`ScpiError`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from analyzer_sim.instrument import Instrument
+from analyzer_sim.scpi_errors import ScpiError
+from analyzer_sim.scpi_parameters import Parameter
+from analyzer_sim.scpi_parser import Unit, parse_data
+
+
+class Call(NamedTuple):
+    """What a handler may touch."""
+
+    instrument: Instrument
+    #: an earlier unit of the same message has answered
+    has_response: bool
+
+
+Writer = Callable[..., None]
+Reader = Callable[..., str | bytes]
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """One row: a header and what its command and its query do."""
+
+    #: header as manuals write it, see ``scpi_tree.py``
+    pattern: str
+    #: what the command does; ``None`` = there is only a query
+    write: Writer | None = None
+    #: what the query answers; ``None`` = there is only a command
+    query: Reader | None = None
+    #: parameters of the command; the last ``optional`` of them may be left out
+    parameters: tuple[Parameter, ...] = ()
+    optional: int = 0
+    #: parameters of the query; those after the first ``query_required`` may be left out
+    query_parameters: tuple[Parameter, ...] = ()
+    query_required: int = 0
+    #: the command, or the query, is held until no sweep is pending
+    write_waits: bool = False
+    query_waits: bool = False
+
+    def waits(self, unit: Unit) -> bool:
+        """Tell whether this unit is held while a sweep is pending."""
+        return self.query_waits if unit.is_query else self.write_waits
+
+    def run(self, unit: Unit, call: Call) -> str | bytes | None:
+        """Execute one unit.
+
+        Raises
+        ------
+        ScpiError
+            -113 the header has no such form, -108 -109 wrong number of parameters, and whatever the handler finds.
+        """
+        handler: Callable[..., Any] | None = self.query if unit.is_query else self.write
+        if handler is None:
+            raise ScpiError(-113, unit.header)
+        parameters = self.query_parameters if unit.is_query else self.parameters
+        required = self.query_required if unit.is_query else len(self.parameters) - self.optional
+        data = parse_data(unit.data)
+        if len(data) > len(parameters):
+            raise ScpiError(-108, unit.header)
+        if len(data) < required:
+            raise ScpiError(-109, unit.header)
+        values = [parameter.read(datum) for parameter, datum in zip(parameters, data, strict=False)]
+        answer: str | bytes | None = handler(call, *values)
+        return answer

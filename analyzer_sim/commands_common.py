@@ -1,0 +1,108 @@
+"""Commands that every dialect has: IEEE 488.2 and the status, system and abort part of SCPI-99."""
+
+from collections.abc import Callable
+
+from analyzer_sim.command_row import Call, Command
+from analyzer_sim.scpi_errors import ScpiError
+from analyzer_sim.scpi_parameters import PURE, Numeric
+from analyzer_sim.status import StatusModel, StatusRegister
+
+_MASK = Numeric(PURE)
+
+
+def _mask_value(value: float | str, limit: int) -> int:
+    if isinstance(value, str):
+        raise ScpiError(-148, value)
+    if not -0.5 <= value < limit + 0.5:
+        raise ScpiError(-222, f"{value:g}")
+    return round(value)
+
+
+def _clear(call: Call) -> None:
+    call.instrument.status.clear()
+
+
+def _reset(call: Call) -> None:
+    call.instrument.reset()
+
+
+def _put_event_enable(call: Call, value: float | str) -> None:
+    call.instrument.status.event_enable = _mask_value(value, 255)
+
+
+def _put_service_enable(call: Call, value: float | str) -> None:
+    call.instrument.status.service_enable = _mask_value(value, 255) & ~0x40
+
+
+def _complete(call: Call) -> None:
+    call.instrument.report_completion()
+
+
+def _initiate(call: Call) -> None:
+    call.instrument.initiate()
+
+
+def _abort(call: Call) -> None:
+    call.instrument.abort()
+
+
+def _wait(_call: Call) -> None:
+    """Nothing is left to do once the row's ``write_waits`` let the unit through."""
+
+
+def _status_byte(call: Call) -> str:
+    return str(call.instrument.status.status_byte(has_response=call.has_response))
+
+
+COMMON_COMMANDS: tuple[Command, ...] = (
+    Command("*CLS", _clear),
+    Command("*RST", _reset),
+    Command("*ESE", _put_event_enable, lambda call: str(call.instrument.status.event_enable), (_MASK,)),
+    Command("*ESR", query=lambda call: str(call.instrument.status.take_event())),
+    Command("*SRE", _put_service_enable, lambda call: str(call.instrument.status.service_enable), (_MASK,)),
+    Command("*STB", query=_status_byte),
+    Command("*OPC", _complete, lambda _call: "1", query_waits=True),
+    Command("*WAI", _wait, write_waits=True),
+    Command("*TST", query=lambda _call: "0"),
+    Command("*TRG", _initiate),
+)
+
+_REGISTERS: tuple[tuple[str, Callable[[StatusModel], StatusRegister]], ...] = (
+    ("STATus:OPERation", lambda status: status.operation),
+    ("STATus:QUEStionable", lambda status: status.questionable),
+    ("STATus:QUEStionable:POWer", lambda status: status.questionable_power),
+)
+
+
+def _register_rows(pattern: str, register_of: Callable[[StatusModel], StatusRegister]) -> tuple[Command, ...]:
+    """Return the rows of one SCPI status register."""
+
+    def put_enable(call: Call, value: float | str) -> None:
+        register_of(call.instrument.status).put_enable(_mask_value(value, 65535))
+
+    return (
+        Command(f"{pattern}[:EVENt]", query=lambda call: str(register_of(call.instrument.status).take_event())),
+        Command(f"{pattern}:CONDition", query=lambda call: str(register_of(call.instrument.status).condition)),
+        Command(
+            f"{pattern}:ENABle",
+            put_enable,
+            lambda call: str(register_of(call.instrument.status).enable),
+            (_MASK,),
+        ),
+    )
+
+
+def _preset_status(call: Call) -> None:
+    call.instrument.status.preset()
+
+
+SYSTEM_COMMANDS: tuple[Command, ...] = (
+    *(row for pattern, register_of in _REGISTERS for row in _register_rows(pattern, register_of)),
+    Command("STATus:PRESet", _preset_status),
+    Command("SYSTem:ERRor[:NEXT]", query=lambda call: call.instrument.status.pop_error()),
+    Command("SYSTem:ERRor:ALL", query=lambda call: call.instrument.status.pop_all_errors()),
+    Command("SYSTem:ERRor:COUNt", query=lambda call: str(call.instrument.status.error_count)),
+    Command("SYSTem:VERSion", query=lambda _call: "1999.0"),
+    Command("SYSTem:PRESet", _reset),
+    Command("ABORt", _abort),
+)

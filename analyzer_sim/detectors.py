@@ -1,0 +1,165 @@
+"""Statistics of a detected trace, drawn per point: the fast method.
+
+The noise-like part of the filter output is a complex Gaussian process whose power has the correlation
+``exp(-4 pi^2 s^2 tau^2)`` in time, s = RBW / sqrt(8 ln 2). The mean of that power over a dwell of t seconds has the
+relative variance::
+
+    1/N(t) = sqrt(pi) erf(x)/x - (1 - exp(-x^2))/x^2,     x = sqrt(2 pi) ENBW t
+
+so a point of the RMS detector is Gamma(N, 1/N) times its mean. Neighbouring dwells touch, hence are correlated: with
+``V(t) = 1/N(t)`` the covariance at lag k is the second difference ``[(k+1)^2 V((k+1)t) - 2 k^2 V(kt) + (k-1)^2
+V((k-1)t)] / 2``. Independent Gamma draws of the long-dwell shape ``N0 = sqrt(2) ENBW t``, smoothed by a kernel of unit
+sum whose autocorrelation is that covariance, give every point its N and every integrated carrier its
+``N_c = 1.505 RBW T B / span``. An FFT analyzer keeps all points for the whole capture; there the correlation runs
+along frequency, ``exp(-(k df)^2 / (4 s^2))``.
+"""
+
+import math
+from collections.abc import Callable
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analyzer_sim.spectrum import ENBW_PER_RBW, RBW_PER_DEVIATION, MeanTrace
+
+FloatArray = NDArray[np.float64]
+
+#: below this part of the noise a line does not change the statistics of a point
+_LINE_MATTERS = 1e-3
+#: longest kernel kept, points to one side
+_MAX_KERNEL_REACH = 64
+#: independent maxima of the envelope per noise bandwidth and second (fitted to the envelope method)
+_PEAKS_PER_ENBW_SECOND = 2.6
+#: mean and deviation of 10 lg of an exponential variable, dB
+_LOG_MEAN_DB = -2.5068
+_LOG_SIGMA_DB = 5.5697
+
+
+class Dwell(NamedTuple):
+    """How long and how densely points are observed; the key of the kernel cache."""
+
+    rbw_hz: float
+    #: time on one point, s
+    time_s: float
+    #: distance of points, Hz
+    spacing_hz: float
+    #: all points share one capture
+    is_fft: bool
+
+    @property
+    def enbw_hz(self) -> float:
+        """Noise bandwidth of the resolution filter."""
+        return ENBW_PER_RBW * self.rbw_hz
+
+
+def dwell_variance(enbw_hz: float, time_s: float) -> float:
+    """Return the relative variance 1/N of the mean noise power over one dwell.
+
+    Examples
+    --------
+    >>> round(1 / dwell_variance(1.0645 * 30e3, 1e-4), 2)
+    5.11
+    """
+    x = math.sqrt(2.0 * math.pi) * enbw_hz * time_s
+    if x < 1e-3:
+        return 1.0 - x * x / 6.0
+    return math.sqrt(math.pi) * math.erf(x) / x + math.expm1(-x * x) / x**2
+
+
+@lru_cache(maxsize=64)
+def correlation_kernel(dwell: Dwell) -> tuple[float, FloatArray]:
+    """Return the shape parameter of the independent draws and the smoothing kernel of odd length and unit sum."""
+    reach = np.arange(_MAX_KERNEL_REACH + 1)
+    if dwell.is_fft:
+        deviation_hz = dwell.rbw_hz / RBW_PER_DEVIATION
+        covariance = dwell_variance(dwell.enbw_hz, dwell.time_s) * np.exp(
+            -np.square(reach * dwell.spacing_hz / (2.0 * deviation_hz))
+        )
+    else:
+        scaled = np.array([k * k * dwell_variance(dwell.enbw_hz, k * dwell.time_s) for k in range(len(reach) + 1)])
+        covariance = 0.5 * (scaled[1:] - 2.0 * scaled[:-1] + np.abs(np.append(scaled[1], scaled[:-2])))
+    return _factor(np.maximum(covariance, 0.0))
+
+
+def _factor(covariance: FloatArray) -> tuple[float, FloatArray]:
+    """Split a covariance at lags >= 0 into the variance of the draws and a kernel, by the root of its spectrum."""
+    circular = np.concatenate([covariance, covariance[:0:-1]])
+    root = np.fft.irfft(np.sqrt(np.maximum(np.fft.rfft(circular).real, 0.0)), len(circular))
+    kernel = np.maximum(np.roll(root, len(covariance) - 1), 0.0)
+    kernel[kernel < 1e-4 * kernel.max()] = 0.0
+    variance = float(covariance[0] + 2.0 * covariance[1:].sum())
+    used = np.flatnonzero(kernel)
+    kernel = kernel[used[0] : used[-1] + 1]
+    return 1.0 / variance, kernel / kernel.sum()
+
+
+def draw_rms(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator) -> FloatArray:
+    """Return one trace of the RMS detector, mW, shape (B,)."""
+    points = len(mean.noise_mw)
+    shape, kernel = correlation_kernel(dwell)
+    draws = rng.standard_gamma(shape, points + len(kernel) - 1) / shape
+    smoothed = draws if len(kernel) == 1 else np.convolve(draws, kernel, mode="valid")
+    trace: FloatArray = mean.noise_mw * smoothed
+    if len(mean.lines_mw):
+        _put_lines(trace, mean, 1.0 / dwell_variance(dwell.enbw_hz, dwell.time_s), rng)
+    return trace
+
+
+def _put_lines(trace: FloatArray, mean: MeanTrace, freedom: float, rng: np.random.Generator) -> None:
+    """Replace the points near lines by non-central draws: mean n + L, variance (n^2 + 2 n L) / N."""
+    line_mw = mean.lines_mw.sum(axis=0)
+    near = np.flatnonzero(line_mw > _LINE_MATTERS * mean.noise_mw)
+    noise_mw = mean.noise_mw[near]
+    ratio = np.minimum(line_mw[near] / noise_mw, 1e12)
+    draws = rng.noncentral_chisquare(2.0 * freedom, 2.0 * freedom * ratio)
+    trace[near] = noise_mw * draws / (2.0 * freedom)
+
+
+def _instants(mean: MeanTrace, rng: np.random.Generator) -> FloatArray:
+    """Return one sample of the power at every point, relative to the noise: exponential, non-central near lines."""
+    ratio = np.minimum(mean.lines_mw.sum(axis=0) / mean.noise_mw, 1e12)
+    return np.asarray(0.5 * rng.noncentral_chisquare(2.0, 2.0 * ratio))
+
+
+def _peak_count(dwell: Dwell) -> float:
+    return 1.0 + _PEAKS_PER_ENBW_SECOND * dwell.enbw_hz * dwell.time_s
+
+
+def _draw_sample(mean: MeanTrace, _dwell: Dwell, rng: np.random.Generator) -> FloatArray:
+    return mean.noise_mw * _instants(mean, rng)
+
+
+def _draw_peak(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator) -> FloatArray:
+    uniform = rng.random(len(mean.noise_mw))
+    highest = -np.log(-np.expm1(np.log(uniform) / _peak_count(dwell)))
+    return _beside_lines(mean, highest, +1.0)
+
+
+def _draw_minimum(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator) -> FloatArray:
+    lowest = rng.standard_exponential(len(mean.noise_mw)) / _peak_count(dwell)
+    return _beside_lines(mean, lowest, -1.0)
+
+
+def _beside_lines(mean: MeanTrace, relative: FloatArray, sign: float) -> FloatArray:
+    """Add the amplitude of lines to that of the noise, in phase for a peak, in opposition for a minimum."""
+    noise = np.sqrt(mean.noise_mw * relative)
+    return np.asarray(np.square(np.sqrt(mean.lines_mw.sum(axis=0)) + sign * noise))
+
+
+def _draw_log_mean(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator) -> FloatArray:
+    freedom = 1.0 / dwell_variance(dwell.enbw_hz, dwell.time_s)
+    level_db = _LOG_MEAN_DB + _LOG_SIGMA_DB / math.sqrt(freedom) * rng.standard_normal(len(mean.noise_mw))
+    return np.asarray(mean.noise_mw * 10.0 ** (0.1 * level_db) + mean.lines_mw.sum(axis=0))
+
+
+#: detector -> draw of one trace
+FAST_DRAWS: dict[str, Callable[[MeanTrace, Dwell, np.random.Generator], FloatArray]] = {
+    "RMS": draw_rms,
+    "SAMP": _draw_sample,
+    "POS": _draw_peak,
+    "APE": _draw_peak,
+    "NEG": _draw_minimum,
+    "AVER": _draw_log_mean,
+}

@@ -1,0 +1,124 @@
+"""What the analyzer itself adds to every level: offset, gain wander, ripple, switching errors. All in dB, all seeded.
+
+Law of this file: an error that is common to a whole trace is a number, one that depends on frequency an array; nothing
+here depends on the emission. The defaults add about 0.03 dB rms from sweep to sweep beside the statistics of noise.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analyzer_sim.streams import stream
+
+FloatArray = NDArray[np.float64]
+
+_US_PER_HOUR = 3.6e9
+_US_PER_DAY = 24 * _US_PER_HOUR
+#: periods of the ripple of the IF filters, Hz
+_RIPPLE_PERIODS_HZ = (61e6, 25e6, 11e6)
+
+
+@dataclass(frozen=True, slots=True)
+class Imperfections:
+    """Figures of one instrument (engineering values); sigmas are one standard deviation."""
+
+    #: noise the analyzer adds at 0 dB attenuation, preamplifier off, dBm/Hz
+    own_noise_dbm_hz: float = -150.0
+    #: how much the preamplifier lowers it, dB
+    preamplifier_gain_db: float = 15.0
+    #: absolute level error, drawn once per instrument
+    absolute_sigma_db: float = 0.25
+    #: repeatability, drawn for each sweep
+    repeatability_sigma_db: float = 0.02
+    #: gain wander: first-order process, its sigma and correlation time
+    wander_sigma_db: float = 0.02
+    wander_tau_h: float = 1.0
+    #: temperature: dB per degC and half the daily swing of the room
+    temperature_db_per_deg_c: float = -0.02
+    daily_swing_deg_c: float = 0.5
+    #: ripple over frequency, static, rms
+    ripple_sigma_db: float = 0.05
+    #: error of each resolution filter and each attenuator step against the reference one
+    rbw_switching_sigma_db: float = 0.05
+    attenuator_sigma_db: float = 0.1
+
+
+#: an instrument without errors of its own; statistics of noise remain
+IDEAL = Imperfections(
+    own_noise_dbm_hz=-400.0,
+    absolute_sigma_db=0.0,
+    repeatability_sigma_db=0.0,
+    wander_sigma_db=0.0,
+    daily_swing_deg_c=0.0,
+    ripple_sigma_db=0.0,
+    rbw_switching_sigma_db=0.0,
+    attenuator_sigma_db=0.0,
+)
+
+
+class LevelErrors:
+    """The errors of one instrument along its virtual time.
+
+    Parameters
+    ----------
+    figures : Imperfections
+        Sizes of the errors.
+    seed : int
+        Two instruments of one seed err alike.
+    """
+
+    def __init__(self, figures: Imperfections, seed: int) -> None:
+        self._figures = figures
+        self._seed = seed
+        self._rng = stream(seed, "analyzer", "level errors")
+        self._absolute_db = figures.absolute_sigma_db * float(stream(seed, "analyzer", "absolute").standard_normal())
+        self._ripple_phases = stream(seed, "analyzer", "ripple").uniform(0.0, 2.0 * math.pi, len(_RIPPLE_PERIODS_HZ))
+        self._wander_db = figures.wander_sigma_db * float(self._rng.standard_normal())
+        self._wander_epoch_us: int | None = None
+
+    def own_noise_dbm_hz(self, attenuation_db: float, *, is_preamplifier_on: bool) -> float:
+        """Return the noise density the analyzer adds, referred to the input."""
+        gain_db = self._figures.preamplifier_gain_db if is_preamplifier_on else 0.0
+        return self._figures.own_noise_dbm_hz + attenuation_db - gain_db
+
+    def sweep_error_db(self, epoch_us: int, rbw_hz: float, attenuation_db: float) -> float:
+        """Return the error common to one sweep at this epoch; draws once per call."""
+        figures = self._figures
+        self._move_wander(epoch_us)
+        phase = 2.0 * math.pi * (epoch_us % _US_PER_DAY) / _US_PER_DAY
+        temperature_db = figures.temperature_db_per_deg_c * figures.daily_swing_deg_c * math.sin(phase)
+        repeatability_db = figures.repeatability_sigma_db * float(self._rng.standard_normal())
+        return (
+            self._absolute_db
+            + self._wander_db
+            + temperature_db
+            + repeatability_db
+            + self._switching_db("rbw", rbw_hz, figures.rbw_switching_sigma_db)
+            + self._switching_db("attenuator", attenuation_db, figures.attenuator_sigma_db)
+        )
+
+    def ripple_db(self, frequency_hz: FloatArray) -> FloatArray:
+        """Return the static ripple at these frequencies, shape (B,)."""
+        scale = self._figures.ripple_sigma_db * math.sqrt(2.0 / len(_RIPPLE_PERIODS_HZ))
+        ripple_db = np.zeros_like(frequency_hz)
+        for period_hz, phase in zip(_RIPPLE_PERIODS_HZ, self._ripple_phases, strict=True):
+            ripple_db += scale * np.cos(2.0 * math.pi * frequency_hz / period_hz + phase)
+        return ripple_db
+
+    def _move_wander(self, epoch_us: int) -> None:
+        """Carry the gain wander to this epoch; time that stands still moves nothing."""
+        last_us = epoch_us if self._wander_epoch_us is None else self._wander_epoch_us
+        self._wander_epoch_us = epoch_us
+        if epoch_us <= last_us:
+            return
+        keep = math.exp(-(epoch_us - last_us) / (self._figures.wander_tau_h * _US_PER_HOUR))
+        shock = math.sqrt(1.0 - keep**2) * float(self._rng.standard_normal())
+        self._wander_db = keep * self._wander_db + self._figures.wander_sigma_db * shock
+
+    def _switching_db(self, part: str, value: float, sigma_db: float) -> float:
+        """Return the fixed error of one position of a switch."""
+        if not sigma_db:
+            return 0.0
+        return sigma_db * float(stream(self._seed, "analyzer", part, f"{value:g}").standard_normal())

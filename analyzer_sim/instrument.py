@@ -1,0 +1,143 @@
+"""The instrument behind the parser: settings, sweep, status. No socket, no SCPI text, no clock but the virtual one.
+
+Sweeps and the virtual clock:
+
+* A single sweep (``INIT:CONT OFF``, then ``INIT``) moves the world to its next row; a count above one combines that
+  many sweeps of the same row. When the row is allowed the sweep is complete at once; otherwise it stays pending
+  (OPERation bit 5, waiting for trigger) until :meth:`Instrument.complete_pending` finds it allowed.
+* In ``INIT:CONT ON`` every trace query shows a fresh sweep of the present row; the clock stands still.
+* After the last row ``INIT`` queues -200 and leaves no trace, so that the next trace query gives -230.
+"""
+
+from collections.abc import Callable
+
+from analyzer_sim.emission import Emission, EmissionSource
+from analyzer_sim.instrument_settings import Settings
+from analyzer_sim.painter import Trace, TracePainter
+from analyzer_sim.scpi_errors import ScpiError
+from analyzer_sim.status import (
+    ESR_OPERATION_COMPLETE,
+    OPERATION_WAITING_FOR_TRIGGER,
+    QUESTIONABLE_CALIBRATION,
+    StatusModel,
+)
+from analyzer_sim.world import EndOfScenario
+
+
+def _always() -> bool:
+    return True
+
+
+class Instrument:
+    """One spectrum analyzer, shared by all sessions.
+
+    Parameters
+    ----------
+    source : EmissionSource
+        The world at the input.
+    painter : TracePainter
+        Draws the traces.
+    may_advance : callable
+        Whether the next row may be swept now.
+    """
+
+    def __init__(
+        self, source: EmissionSource, painter: TracePainter, may_advance: Callable[[], bool] = _always
+    ) -> None:
+        self.settings = Settings()
+        self.status = StatusModel()
+        self._source = source
+        self._painter = painter
+        self._may_advance = may_advance
+        self._trace: Trace | None = None
+        self._is_pending = False
+        self._completion_wanted = False
+
+    @property
+    def is_pending(self) -> bool:
+        """Whether a sweep waits for permission."""
+        return self._is_pending
+
+    def reset(self) -> None:
+        """``*RST``: settings to their defaults; status and queues stay."""
+        self.abort()
+        self._completion_wanted = False
+        self.settings = Settings()
+        self._trace = None
+
+    def initiate(self) -> None:
+        """Start a single sweep.
+
+        Raises
+        ------
+        ScpiError
+            -213 when the instrument sweeps continuously or a sweep is pending.
+        """
+        if self.settings.is_continuous:
+            raise ScpiError(-213, "INIT:CONT is ON")
+        if self._is_pending:
+            raise ScpiError(-213, "a sweep is pending")
+        self._trace = None
+        self._is_pending = True
+        self.status.operation.put_bit(OPERATION_WAITING_FOR_TRIGGER, is_set=True)
+        self.complete_pending()
+
+    def complete_pending(self) -> bool:
+        """Run the pending sweep if its row is allowed; return whether none is pending any more."""
+        if self._is_pending and self._may_advance():
+            try:
+                self._show(self._source.advance())
+            except EndOfScenario:
+                self.status.push_error(-200, "the scenario has ended; there is no further row to sweep")
+            self._end_pending()
+        return not self._is_pending
+
+    def abort(self) -> None:
+        """``ABORt``: forget the pending sweep; operations are then complete."""
+        if self._is_pending:
+            self._end_pending()
+
+    def _end_pending(self) -> None:
+        self._is_pending = False
+        self.status.operation.put_bit(OPERATION_WAITING_FOR_TRIGGER, is_set=False)
+        if self._completion_wanted:
+            self.report_completion()
+
+    def report_completion(self) -> None:
+        """``*OPC``: set the operation-complete bit now, or when the pending sweep ends."""
+        self._completion_wanted = self._is_pending
+        if not self._is_pending:
+            self.status.event |= ESR_OPERATION_COMPLETE
+
+    def invalidate(self) -> None:
+        """Forget the trace: a setting that shapes it has changed."""
+        self._trace = None
+
+    def trace(self) -> Trace:
+        """Return the trace to show.
+
+        Raises
+        ------
+        ScpiError
+            -230 when no sweep has been taken with the present settings.
+        """
+        if self.settings.is_continuous:
+            self._show(self._present())
+        if self._trace is None:
+            raise ScpiError(-230, "no sweep with the present settings")
+        return self._trace
+
+    def epoch_us(self) -> int:
+        """Return the virtual instant: of the trace shown, else of the present row."""
+        return self._present().epoch_us if self._trace is None else self._trace.epoch_us
+
+    def _present(self) -> Emission:
+        try:
+            return self._source.current()
+        except EndOfScenario:
+            raise ScpiError(-230, "the scenario has ended") from None
+
+    def _show(self, emission: Emission) -> None:
+        self._trace = self._painter.paint(emission, self.settings)
+        self.status.put_questionable_power(self._trace.overload)
+        self.status.questionable.put_bit(QUESTIONABLE_CALIBRATION, is_set=self.settings.is_uncalibrated)

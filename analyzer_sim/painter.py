@@ -1,0 +1,133 @@
+"""Emission and settings -> one displayed trace, dBm: mean trace, statistics, instrument errors, overload.
+
+Order of the signal path: input, attenuator and own noise, resolution filter, detector, gain errors, clipping.
+"""
+
+import math
+from collections.abc import Callable
+from enum import Enum
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from analyzer_sim.detectors import FAST_DRAWS, Dwell
+from analyzer_sim.emission import Emission
+from analyzer_sim.envelope import MAX_SAMPLES, draw_envelope, sample_count
+from analyzer_sim.imperfections import Imperfections, LevelErrors
+from analyzer_sim.instrument_settings import Settings
+from analyzer_sim.spectrum import MeanTrace, SweepGrid, mean_trace, milliwatts, too_fast_line_loss
+from analyzer_sim.streams import stream
+
+FloatArray = NDArray[np.float64]
+
+#: level at the mixer above which it is overloaded, dBm
+MIXER_OVERLOAD_DBM = -10.0
+#: the input may exceed the reference level by this much, dB
+HEADROOM_DB = 10.0
+#: bits of QUEStionable:POWer
+RF_OVERLOAD = 1 << 0
+IF_OVERLOAD = 1 << 2
+_LEAST_MW = 1e-30
+
+
+class Detail(Enum):
+    """How the statistics of a trace are made."""
+
+    #: Gamma draws for the RMS detector, the envelope for the others
+    FAST = "fast"
+    #: the envelope for every detector
+    ENVELOPE = "envelope"
+
+
+class Trace(NamedTuple):
+    """One displayed trace."""
+
+    #: shape (B,), dBm
+    level_dbm: FloatArray
+    #: bits of QUEStionable:POWer
+    overload: int
+    epoch_us: int
+
+
+class TracePainter:
+    """Draws traces of emissions as one instrument shows them.
+
+    Parameters
+    ----------
+    seed : int
+        Seed of statistics and instrument errors.
+    imperfections : Imperfections, optional
+        Figures of the instrument.
+    detail : Detail
+        Method of the statistics.
+    """
+
+    def __init__(self, seed: int, imperfections: Imperfections | None = None, detail: Detail = Detail.FAST) -> None:
+        self._errors = LevelErrors(imperfections or Imperfections(), seed)
+        self._rng = stream(seed, "analyzer", "trace statistics")
+        self._detail = detail
+        self._ripple_gain = lru_cache(maxsize=8)(self._compute_ripple_gain)
+
+    def paint(self, emission: Emission, settings: Settings) -> Trace:
+        """Return the trace of one measurement; ``settings.sweeps`` sweeps are combined."""
+        grid = SweepGrid(settings.start_hz, settings.stop_hz, settings.points, settings.rbw_hz)
+        attenuation_db = settings.attenuation_db
+        own_noise = self._errors.own_noise_dbm_hz(attenuation_db, is_preamplifier_on=settings.is_preamplifier_on)
+        loss = 1.0 if settings.is_fft else too_fast_line_loss(settings.span_hz, settings.rbw_hz, settings.time_s)
+        mean = mean_trace(emission, grid, own_noise, loss)
+        power_mw = self._combine(mean, grid, settings)
+        error_db = self._errors.sweep_error_db(emission.epoch_us, settings.rbw_hz, attenuation_db)
+        power_mw *= self._ripple_gain(grid) * milliwatts(error_db)
+        level_dbm = 10.0 * np.log10(np.maximum(power_mw, _LEAST_MW))
+        np.minimum(level_dbm, settings.reference_dbm + HEADROOM_DB, out=level_dbm)
+        return Trace(level_dbm, _overload(emission, settings), emission.epoch_us)
+
+    def _combine(self, mean: MeanTrace, grid: SweepGrid, settings: Settings) -> FloatArray:
+        """Combine the sweeps of one measurement by the average type."""
+        if settings.sweeps == 1:
+            return self._sweep(mean, grid, settings)
+        to_scale, from_scale = COMBINATIONS[settings.combination]
+        total = np.zeros(grid.points)
+        for _ in range(settings.sweeps):
+            total += to_scale(self._sweep(mean, grid, settings))
+        return from_scale(total / settings.sweeps)
+
+    def _sweep(self, mean: MeanTrace, grid: SweepGrid, settings: Settings) -> FloatArray:
+        """Draw the statistics of one sweep, mW."""
+        time_s = settings.time_s
+        wants_envelope = self._detail is Detail.ENVELOPE or settings.detector != "RMS"
+        if wants_envelope and not settings.is_fft and sample_count(grid, time_s) <= MAX_SAMPLES:
+            return draw_envelope(mean, grid, time_s, settings.detector, settings.vbw_hz, self._rng)
+        spacing_hz = settings.span_hz / (grid.points - 1)
+        dwell_s = time_s if settings.is_fft else time_s / grid.points
+        dwell = Dwell(grid.rbw_hz, dwell_s, spacing_hz, settings.is_fft)
+        return FAST_DRAWS[settings.detector](mean, dwell, self._rng)
+
+    def _compute_ripple_gain(self, grid: SweepGrid) -> FloatArray:
+        return np.asarray(10.0 ** (0.1 * self._errors.ripple_db(grid.frequency_hz)))
+
+
+def _overload(emission: Emission, settings: Settings) -> int:
+    """Return the overload bits for the sum of all signals at the input."""
+    total_mw = sum(milliwatts(signal.power_dbm) for signal in emission.signals)
+    if not total_mw:
+        return 0
+    total_dbm = 10.0 * math.log10(total_mw)
+    overload = RF_OVERLOAD if total_dbm - settings.attenuation_db > MIXER_OVERLOAD_DBM else 0
+    if total_dbm > settings.reference_dbm + HEADROOM_DB:
+        overload |= IF_OVERLOAD
+    return overload
+
+
+def _decibels(power_mw: FloatArray) -> FloatArray:
+    return np.log(np.maximum(power_mw, _LEAST_MW))
+
+
+#: average type -> the scale on which sweeps are averaged, and back
+COMBINATIONS: dict[str, tuple[Callable[[FloatArray], FloatArray], Callable[[FloatArray], FloatArray]]] = {
+    "POW": (np.asarray, np.asarray),
+    "LIN": (np.sqrt, np.square),
+    "VID": (_decibels, np.exp),
+}

@@ -1,0 +1,111 @@
+"""Data elements -> values of a command: what each kind of parameter accepts and which error it gives otherwise.
+
+A kind is a small frozen object with ``read(data) -> value``. The error numbers follow SCPI-99, volume 2, 21.8: a type
+that the command does not take is -128, -138, -148, -158 or -168; a word outside the list is -141; a suffix that does
+not fit is -131.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+from analyzer_sim.scpi_errors import ScpiError
+from analyzer_sim.scpi_parser import Block, Character, Datum, Number, Text
+
+HERTZ: Mapping[str, float] = {"HZ": 1.0, "KHZ": 1e3, "MHZ": 1e6, "MAHZ": 1e6, "GHZ": 1e9}
+SECONDS: Mapping[str, float] = {"S": 1.0, "MS": 1e-3, "US": 1e-6, "NS": 1e-9}
+DECIBELS: Mapping[str, float] = {"DB": 1.0}
+DBM: Mapping[str, float] = {"DBM": 1.0}
+PURE: Mapping[str, float] = {}
+
+#: words that stand for a number, short and long form
+KEYWORDS: Mapping[str, str] = {
+    "MIN": "MIN", "MINIMUM": "MIN", "MAX": "MAX", "MAXIMUM": "MAX", "DEF": "DEF", "DEFAULT": "DEF",
+    "UP": "UP", "DOWN": "DOWN", "INF": "INF", "INFINITY": "INF", "NINF": "NINF", "NINFINITY": "NINF",
+}  # fmt: skip
+
+_TYPE_NOT_ALLOWED: Mapping[type[Datum], int] = {Number: -128, Character: -148, Text: -158, Block: -168}
+
+
+class Parameter(Protocol):
+    """A kind of parameter."""
+
+    def read(self, datum: Datum) -> object:
+        """Return the value of one data element or raise :class:`ScpiError`."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Numeric:
+    """A number with a unit, or one of the words MIN MAX DEF UP DOWN, which come back as such."""
+
+    #: legal suffixes and what each multiplies by
+    units: Mapping[str, float]
+
+    def read(self, datum: Datum) -> float | str:
+        """Return the number in the base unit, or the keyword."""
+        if isinstance(datum, Character):
+            return _keyword(datum)
+        if not isinstance(datum, Number):
+            raise ScpiError(_TYPE_NOT_ALLOWED[type(datum)])
+        if not datum.suffix:
+            return datum.value
+        if not self.units:
+            raise ScpiError(-138, datum.suffix)
+        if datum.suffix not in self.units:
+            raise ScpiError(-131, datum.suffix)
+        return datum.value * self.units[datum.suffix]
+
+
+def _keyword(datum: Character) -> float | str:
+    keyword = KEYWORDS.get(datum.text)
+    if keyword is None:
+        raise ScpiError(-141, datum.text)
+    return {"INF": math.inf, "NINF": -math.inf}.get(keyword, keyword)
+
+
+@dataclass(frozen=True, slots=True)
+class Boolean:
+    """ON, OFF or a number; a number is true when it rounds to anything but zero."""
+
+    def read(self, datum: Datum) -> bool:
+        """Return the truth value."""
+        if isinstance(datum, Number):
+            if datum.suffix:
+                raise ScpiError(-138, datum.suffix)
+            return abs(datum.value) >= 0.5
+        if not isinstance(datum, Character):
+            raise ScpiError(_TYPE_NOT_ALLOWED[type(datum)])
+        if datum.text not in {"ON", "OFF"}:
+            raise ScpiError(-141, datum.text)
+        return datum.text == "ON"
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """One word of a list, short or long form; answers are short."""
+
+    #: words as manuals write them: ``POSitive``
+    words: tuple[str, ...]
+
+    def read(self, datum: Datum) -> str:
+        """Return the short form of the word."""
+        if not isinstance(datum, Character):
+            raise ScpiError(_TYPE_NOT_ALLOWED[type(datum)])
+        for word in self.words:
+            short = "".join(c for c in word if not c.islower())
+            if datum.text in {short, word.upper()}:
+                return short
+        raise ScpiError(-141, datum.text)
+
+
+@dataclass(frozen=True, slots=True)
+class Quoted:
+    """A string, or a bare word where clients leave the quotes out."""
+
+    def read(self, datum: Datum) -> str:
+        """Return the text."""
+        if isinstance(datum, Text | Character):
+            return datum.text
+        raise ScpiError(_TYPE_NOT_ALLOWED[type(datum)])

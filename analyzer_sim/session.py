@@ -1,0 +1,97 @@
+"""One client's dialogue: program messages in, response messages out. No socket, no waiting.
+
+Law of this file: a failed unit is queued and answers nothing; the others of its message still run; all answers of a
+message make one response. When a unit is held (``*OPC?``, ``*WAI``, a trace query while a sweep is pending) the session
+stops there and :meth:`Session.run` goes on from the same unit when it is called again.
+"""
+
+from collections import deque
+
+from analyzer_sim.command_row import Call, Command
+from analyzer_sim.dialect import Dialect
+from analyzer_sim.instrument import Instrument
+from analyzer_sim.scpi import ProgramMessage
+from analyzer_sim.scpi_errors import ScpiError
+from analyzer_sim.scpi_parser import Unit, parse_unit, split_units
+from analyzer_sim.scpi_tree import CommandTree
+
+#: units run before the caller gets a turn to serve others
+UNITS_PER_RUN = 256
+
+
+class Session:
+    """Parser state and output of one connection.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        Shared by all sessions.
+    dialect : Dialect
+        The language spoken.
+    tree : CommandTree
+        Built once from the dialect by :func:`command_tree`.
+    """
+
+    def __init__(self, instrument: Instrument, dialect: Dialect, tree: CommandTree[Command]) -> None:
+        self._instrument = instrument
+        self._dialect = dialect
+        self._tree = tree
+        self._units: deque[str] = deque()
+        self._path: tuple[str, ...] = ()
+        self._answers: list[bytes] = []
+        self._is_held = False
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the session waits for the pending sweep."""
+        return self._is_held
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether units of the last message are left."""
+        return bool(self._units)
+
+    def submit(self, message: ProgramMessage) -> None:
+        """Take the next program message; the one before must be finished."""
+        self._path = ()
+        self._answers = []
+        if message.is_overrun:
+            self._instrument.status.push_error(-223, "program message too long")
+        elif message.body.strip() not in self._dialect.interface_messages:
+            self._units.extend(split_units(message.body))
+
+    def run(self) -> bytes | None:
+        """Run units until the message is finished, held, or a turn is over; return its response when finished."""
+        self._is_held = False
+        for _ in range(min(len(self._units), UNITS_PER_RUN)):
+            if not self._run_unit(self._units[0]):
+                self._is_held = True
+                return None
+            self._units.popleft()
+        if self._units or not self._answers:
+            return None
+        return b";".join(self._answers) + b"\n"
+
+    def _run_unit(self, text: str) -> bool:
+        """Run one unit; return whether it could run."""
+        try:
+            unit = parse_unit(text)
+            command, path = self._tree.find(unit, self._path)
+            if command.waits(unit) and self._instrument.is_pending:
+                return False
+            self._path = path
+            self._answer(command, unit)
+        except ScpiError as error:
+            self._instrument.status.push_error(error.code, error.detail)
+        return True
+
+    def _answer(self, command: Command, unit: Unit) -> None:
+        answer = command.run(unit, Call(self._instrument, bool(self._answers)))
+        if answer is not None:
+            self._answers.append(answer if isinstance(answer, bytes) else answer.encode("ascii"))
+
+
+def command_tree(dialect: Dialect) -> CommandTree[Command]:
+    """Return the tree of a dialect's commands."""
+    rows = ((row.pattern, row) for row in dialect.commands)
+    return CommandTree(rows, is_lenient=dialect.is_lenient)
