@@ -195,7 +195,8 @@ def _detail(code: str, rows: ReceivedRows, place: int, width: int, bounds: Epoch
 
 def _any(faults: dict[str, BoolArray]) -> BoolArray:
     """Return which rows have any fault."""
-    return np.any(np.stack(list(faults.values())), axis=0)
+    has_fault: BoolArray = np.any(np.stack(list(faults.values())), axis=0)
+    return has_fault
 
 
 def _frozen(masks: Sequence[int] | None) -> tuple[int, ...] | None:

@@ -2,11 +2,12 @@
 
 from fastapi import APIRouter
 
-from service.api.routes import carriers, health, inputs, measurements_ingest, operations, sources, spacecraft
+from service.api.routes import carriers, ephemeris, health, inputs, measurements_ingest, operations, sources, spacecraft
 
 ROUTERS: tuple[APIRouter, ...] = (
     spacecraft.router,
     carriers.router,
+    ephemeris.router,
     measurements_ingest.router,
     sources.router,
     inputs.router,

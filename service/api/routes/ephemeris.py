@@ -1,0 +1,59 @@
+"""Ephemerides: node passages, two-line elements or OEM in, node passages and track out; versions are kept."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query
+
+from service.api.auth import MAY_OPERATE
+from service.api.bodies import accepts, body_of
+from service.api.deps import Context, SpacecraftId
+from service.api.schemas.ephemeris import EphemerisAnswer, EphemerisDocument, EphemerisReceiptAnswer
+from service.errors import FieldError, InvalidInputError
+from service.formats.oem import read_oem
+from service.formats.orbit import ephemeris_from_nodes
+from service.formats.tle import read_tle
+from service.records.catalogue import Ephemeris
+
+router = APIRouter(prefix="/spacecraft/{spacecraft_id}/ephemeris", tags=["catalogue"])
+
+
+@router.put("", dependencies=[MAY_OPERATE], openapi_extra=accepts(EphemerisDocument))
+def put_ephemeris(
+    spacecraft_id: SpacecraftId, body: Annotated[EphemerisDocument, body_of(EphemerisDocument)], context: Context
+) -> EphemerisReceiptAnswer:
+    """Put an ephemeris; it holds from here on, the former ones stay."""
+    # an unknown spacecraft is a 404 whatever the orbit says
+    context.storage.catalogue.spacecraft(spacecraft_id)
+    stored = context.storage.catalogue.put_ephemeris(spacecraft_id, _ephemeris_of(body))
+    context.on_accepted(spacecraft_id)
+    return EphemerisReceiptAnswer.of(stored)
+
+
+@router.get("")
+def get_ephemeris(
+    spacecraft_id: SpacecraftId,
+    context: Context,
+    ephemeris_id: Annotated[int | None, Query(ge=1, le=2**31 - 1, description="The newest by default")] = None,
+) -> EphemerisAnswer:
+    """Return an ephemeris with its track."""
+    return EphemerisAnswer.of(context.storage.catalogue.ephemeris(spacecraft_id, ephemeris_id))
+
+
+def _ephemeris_of(body: EphemerisDocument) -> Ephemeris:
+    """Return the ephemeris that a document states; faults point to the form that was given."""
+    pointer = "/tle" if body.tle is not None else "/oem" if body.oem is not None else "/ascending_nodes"
+    try:
+        return _read(body)
+    except InvalidInputError as error:
+        field = FieldError("/track" if error.code == "ephemeris.track" else pointer, error.code, error.detail)
+        raise InvalidInputError(error.code, error.detail, (field,)) from None
+
+
+def _read(body: EphemerisDocument) -> Ephemeris:
+    """Return the ephemeris of whichever form was given."""
+    if body.tle is not None:
+        return read_tle(body.tle)
+    if body.oem is not None:
+        return read_oem(body.oem)
+    track = None if body.track is None else body.track.to_record()
+    return ephemeris_from_nodes(body.ascending_nodes or (), body.nodal_period_s, track)
