@@ -1,0 +1,175 @@
+"""``soo demo``: simulated analyzer, front end and service on this machine, from nothing to angles beside the truth."""
+
+import json
+import os
+import tempfile
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import Progress, TaskID
+from rich.table import Table
+
+from service.client.problem import ClientError
+from service.client.service_client import ServiceClient
+from service.records.epoch import parse_epoch
+from service.study.demonstration import Endpoints, Scene, judge_story, run_story, simulated_station, tracked_angles
+from service.study.merit import AXES
+from service.study.processes import ProcessFailedError
+
+#: operation that the endless demonstration can show, days
+_ENDLESS_DAYS = 30.0
+_EXIT_DAYS = 2.0
+#: seconds between two prints of the tracking table
+_PRINT_EVERY_S = 3.0
+
+
+def demo(
+    leave: Annotated[bool, typer.Option("--exit", help="Stop after two virtual days and print figures.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print figures as JSON only.")] = False,
+    seed: Annotated[int, typer.Option(help="Seed of the simulated world.")] = 1,
+    days: Annotated[float | None, typer.Option(help="Virtual days of operation.")] = None,
+    figure: Annotated[Path | None, typer.Option(help="Draw estimate and truth into this PNG file at the end.")] = None,
+    rows_per_second: Annotated[float, typer.Option(help="Pace of tracking; 0 = as fast as it goes.")] = 20.0,
+    service: Annotated[str | None, typer.Option(help="Use a service that runs already (key in SOO_KEY).")] = None,
+    analyzer: Annotated[str | None, typer.Option(help="HOST:PORT of a simulated analyzer that runs already.")] = None,
+    ground: Annotated[str | None, typer.Option(help="HOST:PORT of its ground port.")] = None,
+) -> None:
+    """Show the whole chain: SCPI analyzer to angles and torques, on a virtual clock."""
+    console = Console(stderr=as_json)
+    operation_days = days or (_EXIT_DAYS if leave else _ENDLESS_DAYS)
+    presenter = Presenter(console, 0.0 if leave else rows_per_second)
+    with tempfile.TemporaryDirectory(prefix="soo-demo-") as name:
+        directory = Path(name)
+        try:
+            if service and analyzer and ground:
+                figures = _play(directory, _external(service, analyzer, ground), presenter, figure)
+            else:
+                with simulated_station(directory, seed=seed, operation_days=operation_days) as endpoints:
+                    figures = _play(directory, endpoints, presenter, figure)
+        except KeyboardInterrupt:
+            console.print("stopped")
+            return
+        except (ProcessFailedError, ClientError, TimeoutError, OSError) as error:
+            presenter.close()
+            typer.echo(f"the demonstration failed: {error}", err=True)
+            raise typer.Exit(2) from error
+    typer.echo(json.dumps({"seed": seed, **figures})) if as_json else _print_figures(console, figures)
+    if figures["missed"]:
+        raise typer.Exit(1)
+
+
+class Presenter:
+    """Shows the story: a progress bar until the alignment, then a table every few seconds."""
+
+    def __init__(self, console: Console, rows_per_second: float) -> None:
+        self._console = console
+        self._rows_per_second = rows_per_second
+        self._progress: Progress | None = None
+        self._task: TaskID | None = None
+        self._printed_at = 0.0
+        self._began_at = time.monotonic()
+
+    def show(self, scene: Scene) -> None:
+        """Show one moment."""
+        if scene.phase != "operation":
+            self._show_preparation(scene)
+            return
+        if self._progress is not None:
+            self.close()
+            self._console.print(
+                f"aligned after {time.monotonic() - self._began_at:.0f} s; API: {scene.client.service_url}/docs"
+            )
+        if self._rows_per_second > 0.0:
+            # a chunk holds an hour of rows; the pace is kept by waiting after it
+            time.sleep(60.0 / self._rows_per_second)
+        if time.monotonic() - self._printed_at >= _PRINT_EVERY_S:
+            self._printed_at = time.monotonic()
+            self._console.print(_tracking_table(scene))
+
+    def close(self) -> None:
+        """End the progress bar."""
+        if self._progress is not None:
+            self._progress.stop()
+            self._progress = None
+
+    def _show_preparation(self, scene: Scene) -> None:
+        """Move the progress bar along quiet days, turns and alignment."""
+        phases = scene.story.phases
+        if self._progress is None:
+            self._progress = Progress(console=self._console)
+            self._task = self._progress.add_task("quiet", total=1.0)
+            self._progress.start()
+        if self._task is None or "alignment" not in phases:
+            return
+        start_us, stop_us = parse_epoch(phases["quiet"][0]), parse_epoch(phases["alignment"][1])
+        share = (parse_epoch(scene.until) - start_us) / (stop_us - start_us)
+        self._progress.update(self._task, completed=share, description=f"{scene.phase:9s}")
+
+
+def _external(service: str, analyzer: str, ground: str) -> Endpoints:
+    """Return the addresses of processes that run already."""
+    key = os.environ.get("SOO_KEY")
+    if not key:
+        typer.echo("no key: the environment variable SOO_KEY is empty", err=True)
+        raise typer.Exit(2)
+    host, _, port = analyzer.rpartition(":")
+    ground_host, _, ground_port = ground.rpartition(":")
+    return Endpoints(service, key, (ground_host, int(ground_port)), f"TCPIP::{host}::{port}::SOCKET")
+
+
+def _play(directory: Path, endpoints: Endpoints, presenter: Presenter, figure: Path | None) -> dict[str, Any]:
+    """Run the story to its end and return its figures."""
+    with ServiceClient(endpoints.service_url, endpoints.key) as client:
+        try:
+            story = run_story(directory, endpoints, client, presenter.show)
+        finally:
+            presenter.close()
+        figures = judge_story(story, client, "paper")
+        if figure is not None:
+            # matplotlib costs a second that only a figure needs
+            from service.study.figures import draw_tracking
+
+            draw_tracking(tracked_angles(story, client, "paper"), figure)
+    return figures
+
+
+def _tracking_table(scene: Scene) -> Table:
+    """Return the newest angles beside the truth, the torques and who is left out."""
+    attitude = scene.client.attitude(scene.story.spacecraft_id, "paper")
+    torques = scene.client.torques(scene.story.spacecraft_id)
+    truth = scene.story.truth_deg.get(parse_epoch(attitude["epoch"]))
+    table = Table("axis", "estimate, deg", "sigma, deg", "truth, deg", "torque, N m", title=attitude["epoch"])
+    for k, axis in enumerate(AXES):
+        table.add_row(
+            axis,
+            _signed(attitude[f"{axis}_deg"]),
+            _signed(attitude["sigma_deg"][axis], sign=""),
+            _signed(truth[k] if truth else None),
+            "-" if torques[f"{axis}_n_m"] is None else f"{torques[f'{axis}_n_m']:+.1e}",
+        )
+    reasons = ", ".join(attitude["inhibitions"]) or "control allowed"
+    out = ", ".join(f"{item['carrier']} ({item['reason']})" for item in attitude["excluded"]) or "none"
+    table.caption = f"{reasons}; carriers excluded: {out}; API: {scene.client.service_url}/docs"
+    return table
+
+
+def _signed(value: float | None, sign: str = "+") -> str:
+    """Return an angle with three decimals, a dash for none."""
+    return "-" if value is None else f"{value:{sign}.3f}"
+
+
+def _print_figures(console: Console, figures: dict[str, Any]) -> None:
+    """Print the figures of the operation as a table."""
+    title = f"{figures['method']} method, {figures['rows_judged']} rows"
+    table = Table("axis", "rms, deg", "95 % error, deg", "truth rms, deg", "skill", "slope", title=title)
+    for axis, merit in figures["axes"].items():
+        names = ("rms_deg", "error_95_deg", "truth_rms_deg", "skill", "slope")
+        table.add_row(axis, *(f"{merit[name]:.3f}" for name in names))
+    crlb = ", ".join(f"{axis} {value:.3f}" for axis, value in figures["crlb_deg"].items())
+    table.caption = f"control allowed {figures['availability']:.1%} of the rows; one-row bound {crlb} deg"
+    console.print(table)
+    for text in figures["missed"]:
+        console.print(f"missed: {text}")

@@ -1,0 +1,1 @@
+"""Studies: demonstrations and campaigns on simulated truth."""

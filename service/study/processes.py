@@ -1,0 +1,106 @@
+"""Child processes of a demonstration: started with one line of JSON as sign of life, ended by their own id."""
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Self
+
+_READY_TIMEOUT_S = 60.0
+_STOP_TIMEOUT_S = 15.0
+
+
+class ProcessFailedError(Exception):
+    """A process of the demonstration did not start or ended early; the text names its log."""
+
+
+class ChildProcess:
+    """One process with its log.
+
+    Parameters
+    ----------
+    name : str
+        What it is, for messages.
+    arguments : sequence of str
+        Module and arguments after ``python -m``.
+    log_path : Path
+        File that takes what it writes to standard error.
+    environment : mapping
+        Whole environment of the process.
+    announces : bool
+        Whether its first line of output is a JSON object that says where it listens.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        arguments: Sequence[str],
+        log_path: Path,
+        environment: Mapping[str, str],
+        *,
+        announces: bool = True,
+    ) -> None:
+        self.name = name
+        self.log_path = log_path
+        self._log = log_path.open("wb")
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE if announces else self._log,
+            stderr=self._log,
+            env=dict(environment),
+        )
+        self.announcement: dict[str, Any] = self._await_announcement() if announces else {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def require_alive(self) -> None:
+        """Raise ProcessFailedError when the process has ended."""
+        code = self._process.poll()
+        if code is not None:
+            message = f"{self.name} ended with code {code}; its log is {self.log_path}:\n{self._last_lines()}"
+            raise ProcessFailedError(message)
+
+    def stop(self) -> int:
+        """Ask the process to end, wait, and return its exit code."""
+        if self._process.poll() is None:
+            self._process.send_signal(signal.SIGTERM)
+            try:
+                self._process.wait(_STOP_TIMEOUT_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+        code = self._process.wait()
+        if self._process.stdout is not None:
+            self._process.stdout.close()
+        self._log.close()
+        return code
+
+    def _await_announcement(self) -> dict[str, Any]:
+        """Return the first line of output as JSON."""
+        output = self._process.stdout
+        if output is None:
+            return {}
+        watchdog = threading.Timer(_READY_TIMEOUT_S, self._process.kill)
+        watchdog.start()
+        line = output.readline()
+        watchdog.cancel()
+        if not line:
+            self._process.wait(_STOP_TIMEOUT_S)
+            self._log.close()
+            message = f"{self.name} did not start; its log is {self.log_path}:\n{self._last_lines()}"
+            raise ProcessFailedError(message)
+        # whatever it prints later must not fill the pipe
+        threading.Thread(target=output.read, daemon=True).start()
+        announcement: dict[str, Any] = json.loads(line)
+        return announcement
+
+    def _last_lines(self) -> str:
+        """Return the end of the log."""
+        return "\n".join(self.log_path.read_text(errors="replace").splitlines()[-12:])
