@@ -1,0 +1,195 @@
+"""Spacecraft: what is taken, what is refused and why."""
+
+import math
+from typing import Any
+
+import pytest
+
+pytestmark = pytest.mark.anyio
+URL = "/api/v1/spacecraft"
+
+
+async def test_minimal_spacecraft_gets_the_defaults_of_the_contract(soo, spacecraft):
+    created = await soo.client.post(URL, json=spacecraft)
+    assert created.status_code == 201
+    assert created.headers["location"] == f"{URL}/yamal-202"
+    document = created.json()
+    assert document["simulated"] is False
+    assert document["wheels"] == {
+        "axes": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+        "torque_limit_n_m": 0.05,
+        "momentum_limit_n_m_s": 20,
+        "torque_quantum_n_m": 0.002,
+    }
+    assert document["control"] == {
+        "method": "robust",
+        "mode": "ground",
+        "release": "two_step",
+        "period_s": 7200,
+        "damping": 0.9,
+    }
+    assert document["onboard"] == {"fast_loop": False, "forecast_mode": False, "roll_yaw_coupling": True}
+    assert (await soo.client.get(f"{URL}/yamal-202")).json() == document
+    assert (await soo.client.get(URL)).json() == {"rows": [document], "next": None}
+    assert soo.accepted == ["yamal-202"]
+
+
+async def test_full_spacecraft_reads_back_as_sent(soo, spacecraft):
+    document = spacecraft | {
+        "simulated": True,
+        "wheels": {
+            "axes": [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.6, 0.8, 0]],
+            "torque_limit_n_m": 0.1,
+            "momentum_limit_n_m_s": 18,
+            "torque_quantum_n_m": 0.001,
+        },
+        "modes": [{"axis": "roll", "omega_rad_s": 0.6, "damping_ratio": 0.003, "coupling": 0.4}],
+        "onboard": {"fast_loop": True, "forecast_mode": True, "roll_yaw_coupling": False},
+        "control": {"method": "paper", "mode": "ground", "release": "automatic", "period_s": 3600, "damping": 0.7},
+    }
+    created = await soo.client.post(URL, json=document)
+    assert created.status_code == 201, created.text
+    assert created.json() == document
+
+
+async def test_wheel_axes_become_unit_vectors(soo, spacecraft):
+    wheels = {"axes": [[2, 0, 0], [0, 3, 0], [0, 1, 1]]}
+    created = (await soo.client.post(URL, json=spacecraft | {"wheels": wheels})).json()
+    half = math.sqrt(0.5)
+    # one rounding of a division
+    assert created["wheels"]["axes"] == [
+        [1, 0, 0],
+        [0, 1, 0],
+        [0, pytest.approx(half, abs=1e-15), pytest.approx(half, abs=1e-15)],
+    ]
+
+
+async def test_the_same_id_twice_is_a_conflict(soo, spacecraft):
+    assert (await soo.client.post(URL, json=spacecraft)).status_code == 201
+    again = await soo.client.post(URL, json=spacecraft | {"name": "Other"})
+    assert (again.status_code, again.json()["code"]) == (409, "spacecraft.exists")
+    assert (await soo.client.get(f"{URL}/yamal-202")).json()["name"] == "Yamal-202"
+
+
+def inertia(*diagonal: float, xy: float = 0.0, yx: float | None = None) -> list[list[float]]:
+    x, y, z = diagonal
+    return [[x, xy, 0], [xy if yx is None else yx, y, 0], [0, 0, z]]
+
+
+BAD: list[tuple[str, dict[str, Any], str, str]] = [
+    ("unknown field", {"colour": "red"}, "field.unknown", "/colour"),
+    ("unknown nested field", {"wheels": {"mass_kg": 3}}, "field.unknown", "/wheels/mass_kg"),
+    ("id in capitals", {"id": "Yamal"}, "value.pattern", "/id"),
+    ("id with a line feed", {"id": "yamal\n"}, "value.pattern", "/id"),
+    ("id too long", {"id": "y" * 65}, "value.pattern", "/id"),
+    ("id no text", {"id": 202}, "value.type", "/id"),
+    ("empty name", {"name": ""}, "value.length", "/name"),
+    ("control character", {"name": "a\u0000b"}, "value.pattern", "/name"),
+    ("longitude", {"longitude_deg": 361}, "value.range", "/longitude_deg"),
+    ("number as text", {"longitude_deg": "90"}, "value.type", "/longitude_deg"),
+    ("truth as number", {"longitude_deg": True}, "value.type", "/longitude_deg"),
+    ("site without place", {"receiving_site": {"longitude_deg": 37}}, "field.missing", "/receiving_site/latitude_deg"),
+    (
+        "inertia not symmetric",
+        {"inertia_kg_m2": inertia(3, 3, 3, xy=1, yx=0)},
+        "inertia.not_symmetric",
+        "/inertia_kg_m2",
+    ),
+    ("inertia not positive", {"inertia_kg_m2": inertia(3, -3, 3)}, "inertia.not_positive", "/inertia_kg_m2"),
+    ("inertia zero", {"inertia_kg_m2": inertia(0, 0, 0)}, "inertia.not_positive", "/inertia_kg_m2"),
+    ("inertia triangle", {"inertia_kg_m2": inertia(1, 1, 3)}, "inertia.triangle", "/inertia_kg_m2"),
+    ("inertia shape", {"inertia_kg_m2": [[1, 0], [0, 1]]}, "request.invalid", ""),
+    ("torque limit", {"torque_limit_n_m": 0}, "value.range", "/torque_limit_n_m"),
+    ("wheel axis zero", {"wheels": {"axes": [[0, 0, 0], [0, 1, 0], [0, 0, 1]]}}, "wheels.axis_zero", "/wheels/axes"),
+    ("wheels in a plane", {"wheels": {"axes": [[1, 0, 0], [0, 1, 0], [1, 1, 0]]}}, "wheels.axes_span", "/wheels/axes"),
+    ("two wheels", {"wheels": {"axes": [[1, 0, 0], [0, 1, 0]]}}, "value.length", "/wheels/axes"),
+    ("quantum above limit", {"wheels": {"torque_quantum_n_m": 0.06}}, "wheels.quantum", "/wheels"),
+    ("momentum limit", {"wheels": {"momentum_limit_n_m_s": -1}}, "value.range", "/wheels/momentum_limit_n_m_s"),
+    (
+        "mode axis",
+        {"modes": [{"axis": "x", "omega_rad_s": 1, "damping_ratio": 0, "coupling": 0}]},
+        "value.choice",
+        "/modes/0/axis",
+    ),
+    ("method", {"control": {"method": "best"}}, "value.choice", "/control/method"),
+    ("damping", {"control": {"damping": 0}}, "value.range", "/control/damping"),
+    ("ground without fast loop", {"control": {"mode": "ground"}}, "control.no_fast_loop", "/control/mode"),
+    (
+        "ground without forecast mode",
+        {"control": {"mode": "ground"}, "onboard": {"fast_loop": True}},
+        "control.no_fast_loop",
+        "/control/mode",
+    ),
+    ("cospar id", {"cospar_id": "2003"}, "value.pattern", "/cospar_id"),
+]
+
+
+@pytest.mark.parametrize(("change", "code", "pointer"), [case[1:] for case in BAD], ids=[case[0] for case in BAD])
+async def test_impossible_spacecraft_are_refused_by_code_and_place(soo, spacecraft, change, code, pointer):
+    answer = await soo.client.post(URL, json=spacecraft | change)
+    problem = answer.json()
+    assert (answer.status_code, problem["code"]) == (422, code)
+    assert any(error["pointer"].startswith(pointer) for error in problem["errors"])
+    assert soo.storage.catalogue.all_spacecraft() == ()
+    assert soo.accepted == []
+
+
+@pytest.mark.parametrize("token", ["NaN", "Infinity", "-Infinity", "1e999", "-1e999", "9" * 400])
+async def test_numbers_that_are_not_finite_are_refused(soo, token):
+    raw = '{"id":"y","name":"Y","longitude_deg":%s,"receiving_site":{"latitude_deg":1,"longitude_deg":2},' % token
+    raw += '"inertia_kg_m2":[[1,0,0],[0,1,0],[0,0,1]],"torque_limit_n_m":1}'
+    answer = await soo.client.post(URL, content=raw)
+    assert answer.status_code == 422
+    assert answer.json()["errors"][0]["pointer"] == "/longitude_deg"
+    assert soo.storage.catalogue.all_spacecraft() == ()
+
+
+async def test_patch_merges_at_every_depth_and_null_restores_a_default(soo, spacecraft):
+    await soo.client.post(URL, json=spacecraft | {"wheels": {"torque_limit_n_m": 0.2, "momentum_limit_n_m_s": 5}})
+    patch = {"name": "New", "cospar_id": None, "wheels": {"torque_limit_n_m": 0.1, "momentum_limit_n_m_s": None}}
+    answer = await soo.client.patch(f"{URL}/yamal-202", json=patch)
+    assert answer.status_code == 200, answer.text
+    document = answer.json()
+    assert (document["name"], document["cospar_id"]) == ("New", None)
+    assert (document["wheels"]["torque_limit_n_m"], document["wheels"]["momentum_limit_n_m_s"]) == (0.1, 20)
+    assert document["longitude_deg"] == 90
+    assert (await soo.client.get(f"{URL}/yamal-202")).json() == document
+    assert soo.accepted == ["yamal-202", "yamal-202"]
+
+
+@pytest.mark.parametrize(
+    ("raw", "status", "code"),
+    [
+        ('{"id": "other"}', 422, "spacecraft.id_fixed"),
+        ('{"colour": 1}', 422, "field.unknown"),
+        ('{"name": null}', 422, "field.missing"),
+        ('{"longitude_deg": NaN}', 422, "value.not_finite"),
+        ('{"wheels": {"torque_quantum_n_m": 1}}', 422, "wheels.quantum"),
+        ('{"wheels": 3}', 422, "value.type"),
+        ('{"control": {"mode": "ground"}}', 422, "control.no_fast_loop"),
+        ('{"onboard": {"fast_loop": true}}', 422, "control.no_fast_loop"),
+        ("[]", 422, "value.type"),
+        ("", 400, "json.malformed"),
+    ],
+)
+async def test_patches_are_judged_by_what_they_make(soo, spacecraft, raw, status, code):
+    before = (await soo.client.post(URL, json=spacecraft)).json()
+    answer = await soo.client.patch(f"{URL}/yamal-202", content=raw)
+    assert (answer.status_code, answer.json()["code"]) == (status, code)
+    assert (await soo.client.get(f"{URL}/yamal-202")).json() == before
+
+
+async def test_patch_of_anything_else_leaves_default_ground_mode_alone(soo, spacecraft):
+    await soo.client.post(URL, json=spacecraft)
+    assert (await soo.client.patch(f"{URL}/yamal-202", json={"control": {"release": "automatic"}})).status_code == 200
+    onboard = {"fast_loop": True, "forecast_mode": True}
+    answer = await soo.client.patch(f"{URL}/yamal-202", json={"onboard": onboard, "control": {"mode": "ground"}})
+    assert answer.status_code == 200
+
+
+@pytest.mark.parametrize("spacecraft_id", ["nobody", "No_Body", "a" * 65, "%00", "..%2f", "a%0a"])
+async def test_unknown_spacecraft_are_a_404(soo, spacecraft_id):
+    for method in ("GET", "PATCH"):
+        answer = await soo.client.request(method, f"{URL}/{spacecraft_id}", content="{}" if method == "PATCH" else None)
+        assert answer.status_code == 404
+        assert answer.json()["code"] in {"spacecraft.unknown", "path.unknown"}
