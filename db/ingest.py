@@ -1,45 +1,41 @@
-"""Storing batches of measurements, the hot path: one lock, one look-up, one executemany and two updates a batch.
+"""Storing batches of measurements, the hot path: one query, one insert and two updates a batch.
 
 Of a batch ``received = accepted + duplicates + refused``. Whether a row is known is asked of the table only where its
 epoch is not above the newest stored one of its source.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
-from sqlalchemy import Connection, Row, bindparam, select, update
+import numpy as np
+from sqlalchemy import Connection, Row, and_, bindparam, select, update
 
 from db.compiled import CompiledStatement
+from db.database import lock_head
 from db.mapping import flags_as_bytes, powers_as_bytes
+from db.row_insert import Run, insert_run
 from db.tables import head, measurement, source
+from service.records.attitude import BoolArray, IntArray
 from service.records.measurement import BatchReceipt, MeasurementBatch, Refusal
 
 #: epochs in one query; SQLite before 3.32 binds 999 values at most
 LOOKUP_CHUNK = 500
 
-Content = tuple[bytes, bytes | None]
-
-_ROW = (
-    "spacecraft_key",
-    "epoch_us",
-    "source_key",
-    "number",
-    "plan_id",
-    "seq",
-    "received_at_us",
-    "is_late",
-    "feeds",
-    "powers",
-    "flags",
-)
-_INSERT_ROWS = CompiledStatement(measurement.insert(), *_ROW)
-_LOCK_HEAD = CompiledStatement(
-    select(head).where(head.c.spacecraft_key == bindparam("of_spacecraft")).with_for_update(), "of_spacecraft"
-)
-_READ_SOURCE = CompiledStatement(
-    select(source).where(source.c.spacecraft_key == bindparam("of_spacecraft"), source.c.name == bindparam("of_name")),
+_READ_STATE = CompiledStatement(
+    select(
+        head.c.newest_number,
+        head.c.newest_epoch_us,
+        head.c.consumed_epoch_us,
+        source.c.source_key,
+        source.c.is_prime,
+        source.c.row_count,
+        source.c.newest_epoch_us.label("source_newest_epoch_us"),
+    )
+    .select_from(head)
+    .outerjoin(source, and_(source.c.spacecraft_key == head.c.spacecraft_key, source.c.name == bindparam("of_name")))
+    .where(head.c.spacecraft_key == bindparam("of_spacecraft")),
     "of_spacecraft",
     "of_name",
 )
@@ -62,6 +58,10 @@ _MOVE_SOURCE = CompiledStatement(
 )
 
 
+#: powers and flags of one row
+Content = tuple[bytes, bytes | None]
+
+
 @dataclass(frozen=True, slots=True)
 class PreparedBatch:
     """A batch as the writer needs it; made outside the writer's thread."""
@@ -69,9 +69,19 @@ class PreparedBatch:
     spacecraft_key: int
     batch: MeasurementBatch
     epochs_us: list[int]
-    contents: list[Content]
-    is_stale: list[bool]
+    #: bytes of one row of powers, and of one row of flags
+    width: int
+    powers: bytes
+    #: zeros where a row has none
+    flags: bytes
+    #: (T,)
+    has_flags: BoolArray
     is_ascending: bool
+
+    def content(self, place: int) -> Content:
+        """Return what a row holds, to be compared with what is stored."""
+        row = slice(place * self.width, (place + 1) * self.width)
+        return self.powers[row], self.flags[row] if self.has_flags[place] else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,72 +89,83 @@ class _Sorted:
     """What becomes of each row of a batch."""
 
     #: places of the rows to store
-    accepted: Sequence[int]
+    accepted: IntArray
     duplicates: int
     refused: tuple[Refusal, ...]
 
 
 def prepare(spacecraft_key: int, batch: MeasurementBatch) -> PreparedBatch:
     """Return the batch with its rows as bytes."""
-    epochs_us: list[int] = batch.epochs_us.tolist()
-    contents = list(zip(powers_as_bytes(batch.power_dbm), flags_as_bytes(batch.flags), strict=True))
-    is_ascending = all(earlier < later for earlier, later in pairwise(epochs_us))
-    return PreparedBatch(spacecraft_key, batch, epochs_us, contents, batch.is_stale.tolist(), is_ascending)
+    has_flags = np.array([row is not None for row in batch.flags], dtype=np.bool_)
+    return PreparedBatch(
+        spacecraft_key,
+        batch,
+        epochs_us=batch.epochs_us.tolist(),
+        width=4 * batch.power_dbm.shape[1],
+        powers=powers_as_bytes(batch.power_dbm),
+        flags=flags_as_bytes(batch.flags, batch.power_dbm.shape[1]) if has_flags.any() else b"",
+        has_flags=has_flags,
+        is_ascending=bool(np.all(batch.epochs_us[1:] > batch.epochs_us[:-1])),
+    )
 
 
 def store_batch(connection: Connection, prepared: PreparedBatch) -> BatchReceipt:
     """Store and journal the new rows of a batch; runs in the writer's transaction."""
     if not prepared.epochs_us:
         return BatchReceipt(0, 0, 0, ())
-    state = _LOCK_HEAD.run(connection, prepared.spacecraft_key).one()
-    origin = _source(connection, prepared.spacecraft_key, prepared.batch.source)
-    outcome = _sort(connection, prepared, origin)
-    if not outcome.accepted:
+    state = _state(connection, prepared.spacecraft_key, prepared.batch.source)
+    outcome = _sort(connection, prepared, state)
+    if not len(outcome.accepted):
         return BatchReceipt(0, outcome.duplicates, 0, outcome.refused)
-    is_late = _lateness(prepared, outcome.accepted, state.consumed_epoch_us)
-    _INSERT_ROWS.run_many(connection, _rows(prepared, outcome.accepted, is_late, state, origin))
-    _advance(connection, prepared, outcome.accepted, state, origin)
-    return BatchReceipt(len(is_late), outcome.duplicates, sum(is_late), outcome.refused)
+    is_late = _lateness(prepared.batch, state.consumed_epoch_us)[outcome.accepted]
+    for run in _runs(prepared, outcome.accepted, is_late, state):
+        insert_run(connection, run)
+    _advance(connection, prepared, outcome.accepted, state)
+    return BatchReceipt(len(outcome.accepted), outcome.duplicates, int(is_late.sum()), outcome.refused)
 
 
-def _source(connection: Connection, key: int, name: str) -> Row[Any]:
-    """Return the source of a name; the first of a spacecraft becomes the prime one."""
-    found = _READ_SOURCE.run(connection, key, name).first()
-    if found is not None:
-        return found
+def _state(connection: Connection, key: int, name: str) -> Row[Any]:
+    """Return head and source; the first source of a spacecraft becomes the prime one."""
+    if connection.dialect.name != "sqlite":
+        # elsewhere other processes write too: what is read before the lock is granted could be stale
+        lock_head(connection, key)
+    state = _READ_STATE.run(connection, key, name).one()
+    if state.source_key is not None:
+        return state
     known = connection.execute(select(source.c.source_key).where(source.c.spacecraft_key == key)).all()
     values = {"spacecraft_key": key, "source_key": len(known) + 1, "name": name, "is_prime": not known, "row_count": 0}
     connection.execute(source.insert().values(values))
-    return _READ_SOURCE.run(connection, key, name).one()
+    return _READ_STATE.run(connection, key, name).one()
 
 
-def _sort(connection: Connection, prepared: PreparedBatch, origin: Row[Any]) -> _Sorted:
+def _sort(connection: Connection, prepared: PreparedBatch, state: Row[Any]) -> _Sorted:
     """Tell new rows, duplicates and conflicts apart."""
-    newest_us = origin.newest_epoch_us
+    newest_us = state.source_newest_epoch_us
     if prepared.is_ascending and (newest_us is None or prepared.epochs_us[0] > newest_us):
-        return _Sorted(range(len(prepared.epochs_us)), 0, ())
-    known = _stored(connection, origin, [] if newest_us is None else [e for e in prepared.epochs_us if e <= newest_us])
+        return _Sorted(np.arange(len(prepared.epochs_us)), 0, ())
+    known = _stored(connection, prepared, state)
     accepted: list[int] = []
     refused: list[Refusal] = []
-    duplicates = 0
-    for place, (epoch_us, content) in enumerate(zip(prepared.epochs_us, prepared.contents, strict=True)):
+    for place, epoch_us in enumerate(prepared.epochs_us):
+        content = prepared.content(place)
         earlier = known.setdefault(epoch_us, content)
         if earlier is content:
             accepted.append(place)
-        elif earlier == content:
-            duplicates += 1
-        else:
+        elif earlier != content:
             refused.append(_conflict(prepared.batch, place))
-    return _Sorted(accepted, duplicates, tuple(refused))
+    duplicates = len(prepared.epochs_us) - len(accepted) - len(refused)
+    return _Sorted(np.array(accepted, dtype=np.int64), duplicates, tuple(refused))
 
 
-def _stored(connection: Connection, origin: Row[Any], epochs_us: list[int]) -> dict[int, Content]:
+def _stored(connection: Connection, prepared: PreparedBatch, state: Row[Any]) -> dict[int, Content]:
     """Return the content of those epochs of a source that are stored."""
+    newest_us = state.source_newest_epoch_us
+    epochs_us = [] if newest_us is None else [epoch_us for epoch_us in prepared.epochs_us if epoch_us <= newest_us]
     known: dict[int, Content] = {}
     for start in range(0, len(epochs_us), LOOKUP_CHUNK):
         query = select(measurement.c.epoch_us, measurement.c.powers, measurement.c.flags).where(
-            measurement.c.spacecraft_key == origin.spacecraft_key,
-            measurement.c.source_key == origin.source_key,
+            measurement.c.spacecraft_key == prepared.spacecraft_key,
+            measurement.c.source_key == state.source_key,
             measurement.c.epoch_us.in_(epochs_us[start : start + LOOKUP_CHUNK]),
         )
         known.update((epoch_us, (powers, flags)) for epoch_us, powers, flags in connection.execute(query))
@@ -163,45 +184,42 @@ def _seq(batch: MeasurementBatch, place: int) -> int | None:
     return None if batch.first_seq is None else batch.first_seq + int(batch.index[place])
 
 
-def _lateness(prepared: PreparedBatch, accepted: Sequence[int], consumed_us: int | None) -> list[bool]:
-    """Return which of the accepted rows are late: stale, or below the newest epoch that the chain has consumed."""
-    if consumed_us is None:
-        return [prepared.is_stale[place] for place in accepted]
-    return [prepared.is_stale[place] or prepared.epochs_us[place] < consumed_us for place in accepted]
+def _lateness(batch: MeasurementBatch, consumed_us: int | None) -> BoolArray:
+    """Return which rows are late: stale, or below the newest epoch that the chain has consumed."""
+    return batch.is_stale if consumed_us is None else batch.is_stale | (batch.epochs_us < consumed_us)
 
 
-def _rows(
-    prepared: PreparedBatch, accepted: Sequence[int], is_late: Sequence[bool], state: Row[Any], origin: Row[Any]
-) -> list[tuple[Any, ...]]:
-    """Return the values of ``_ROW`` to insert, numbered on from the head."""
-    batch, key, feeds = prepared.batch, prepared.spacecraft_key, bool(origin.is_prime)
-    return [
-        (
-            key,
-            prepared.epochs_us[place],
-            origin.source_key,
-            number,
-            batch.plan_id,
-            _seq(batch, place),
-            batch.received_at_us,
-            late,
-            feeds,
-            *prepared.contents[place],
+def _runs(prepared: PreparedBatch, accepted: IntArray, is_late: BoolArray, state: Row[Any]) -> Iterator[Run]:
+    """Yield the accepted rows as runs, numbered on from the head."""
+    batch, width = prepared.batch, prepared.width
+    alike = (accepted, batch.index[accepted], is_late.astype(np.int64), prepared.has_flags[accepted].astype(np.int64))
+    steps = np.diff(np.stack(alike), axis=1) != [[1], [1], [0], [0]]
+    starts = [0, *(np.flatnonzero(steps.any(axis=0)) + 1).tolist(), len(accepted)]
+    for start, stop in pairwise(starts):
+        place = int(accepted[start])
+        after = place + stop - start
+        yield Run(
+            spacecraft_key=prepared.spacecraft_key,
+            source_key=state.source_key,
+            plan_id=batch.plan_id,
+            received_at_us=batch.received_at_us,
+            feeds=bool(state.is_prime),
+            is_late=bool(is_late[start]),
+            first_number=state.newest_number + 1 + start,
+            first_seq=_seq(batch, place),
+            epochs_us=prepared.epochs_us[place:after],
+            powers=prepared.powers[place * width : after * width],
+            flags=prepared.flags[place * width : after * width] if prepared.has_flags[place] else None,
         )
-        for number, (place, late) in enumerate(zip(accepted, is_late, strict=True), start=state.newest_number + 1)
-    ]
 
 
-def _advance(
-    connection: Connection, prepared: PreparedBatch, accepted: Sequence[int], state: Row[Any], origin: Row[Any]
-) -> None:
+def _advance(connection: Connection, prepared: PreparedBatch, accepted: IntArray, state: Row[Any]) -> None:
     """Move the head of the spacecraft and the figures of the source past the stored rows."""
     key, stored = prepared.spacecraft_key, len(accepted)
-    newest_us = max(prepared.epochs_us[place] for place in accepted)
+    newest_us = int(prepared.batch.epochs_us[accepted].max())
     _MOVE_HEAD.run(connection, key, state.newest_number + stored, _later(newest_us, state.newest_epoch_us))
-    _MOVE_SOURCE.run(
-        connection, key, origin.source_key, origin.row_count + stored, _later(newest_us, origin.newest_epoch_us)
-    )
+    source_newest_us = _later(newest_us, state.source_newest_epoch_us)
+    _MOVE_SOURCE.run(connection, key, state.source_key, state.row_count + stored, source_newest_us)
 
 
 def _later(epoch_us: int, other_us: int | None) -> int:

@@ -29,17 +29,17 @@ MEASUREMENT_COLUMNS: tuple[ColumnElement[Any], ...] = (
 )
 
 
-def powers_as_bytes(power_dbm: Float32Array) -> list[bytes]:
-    """Return each row of (T, N) powers as float32 little endian, every NaN the same NaN."""
+def powers_as_bytes(power_dbm: Float32Array) -> bytes:
+    """Return (T, N) powers row by row as float32 little endian, every NaN the same NaN."""
     canonical = np.array(power_dbm, dtype="<f4", order="C")
     canonical[np.isnan(canonical)] = np.nan
-    whole, width = canonical.tobytes(), canonical.shape[1] * 4
-    return [whole[place * width : (place + 1) * width] for place in range(canonical.shape[0])]
+    return canonical.tobytes()
 
 
-def flags_as_bytes(flags: Sequence[tuple[int, ...] | None]) -> list[bytes | None]:
-    """Return the bit masks of each row as int32 little endian, None where none were sent."""
-    return [None if row is None else np.asarray(row, dtype="<i4").tobytes() for row in flags]
+def flags_as_bytes(flags: Sequence[tuple[int, ...] | None], carriers: int) -> bytes:
+    """Return the bit masks row by row as int32 little endian, zeros where none were sent."""
+    blank = (0,) * carriers
+    return np.array([blank if row is None else row for row in flags], dtype="<i4").tobytes()
 
 
 def powers_of(blob: bytes) -> FloatArray:
