@@ -136,6 +136,15 @@ class MeasurementTask(_Part):
     sweeps: Annotated[tuple[SweepPart, ...], Field(min_length=1, max_length=32)]
     carriers: Annotated[tuple[CarrierPart, ...], Field(min_length=1, max_length=512)]
 
+    @model_validator(mode="before")
+    @classmethod
+    def _gather_head(cls, document: object) -> object:
+        """Let ``id``, ``period_s`` and ``analyzer`` stand at the top as well as under ``task``."""
+        if not isinstance(document, dict) or "task" in document:
+            return document
+        head = {name: document[name] for name in TaskHead.model_fields if name in document}
+        return {"task": head} | {name: value for name, value in document.items() if name not in head}
+
     def carriers_of(self, sweep_id: str) -> tuple[CarrierPart, ...]:
         """Return the carriers of one sweep, in the order of the task."""
         return tuple(carrier for carrier in self.carriers if carrier.sweep == sweep_id)

@@ -135,6 +135,18 @@ def parse_message(text: str) -> AnalyzerMessage:
     return AnalyzerMessage(int(match.group(1)), quoted.replace('""', '"') if quoted is not None else match.group(3))
 
 
+def is_message(text: str) -> bool:
+    """Return whether a text is an entry of the error queue, with its text in quotes.
+
+    Examples
+    --------
+    >>> is_message('0,"No error"'), is_message("-90,-80")
+    (True, False)
+    """
+    match = _ERROR.fullmatch(text)
+    return match is not None and match.group(2) is not None
+
+
 def block_length(header: bytes) -> int:
     """Return how many digits of length follow ``#<d>``; 0 for an indefinite block.
 

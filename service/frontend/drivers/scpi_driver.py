@@ -17,6 +17,7 @@ from service.frontend.scpi import (
     AnswerError,
     FloatArray,
     Identity,
+    is_message,
     levels_of_block,
     levels_of_text,
     parse_date_time,
@@ -197,6 +198,8 @@ class ScpiDriver:
         answers = split_answers(line)
         due = ";".join(queries).count("?")
         if len(answers) != due:
+            if is_message(answers[-1]):
+                self._raise_on_errors("the trace", parse_message(answers[-1]))
             reason = f"{len(answers)} answers to {due} queries: {line[-120:]!r}"
             raise AnalyzerIOError(f"{self._session.resource} gave {reason}")
         first = answers.pop(0)
@@ -248,10 +251,10 @@ class ScpiDriver:
 
     def _answers(self, query: str) -> bool:
         """Return whether the analyzer knows a query, without waiting for an answer that never comes."""
-        known = len(split_answers(self._session.query(f"*OPC?;{query}"))) > 1
-        if not known:
-            self._drain()
-        return known
+        if len(split_answers(self._session.query(f"*OPC?;{query}"))) > 1:
+            return True
+        # A query that is known but has nothing to say now leaves an execution error, not a command error.
+        return not any(entry.is_command_error for entry in self._drain())
 
     def _drain(self, first: AnalyzerMessage | None = None) -> list[AnalyzerMessage]:
         """Return all entries of the error queue."""

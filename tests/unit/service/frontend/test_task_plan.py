@@ -113,6 +113,12 @@ def test_what_is_no_task_is_refused(content: bytes) -> None:
         parse_task(content)
 
 
+def test_the_head_may_stand_at_the_top() -> None:
+    flat = document()
+    head = flat.pop("task")
+    assert parse_task(json.dumps(head | flat).encode())[0] == task()
+
+
 def test_the_hash_is_that_of_the_bytes() -> None:
     one, other = json.dumps(document()).encode(), json.dumps(document(), indent=1).encode()
     assert parse_task(one)[1] != parse_task(other)[1]

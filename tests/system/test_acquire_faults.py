@@ -1,0 +1,385 @@
+"""The front end over real sockets: whatever line or service does, it says so, waits, goes on, counts every row once.
+
+The analyzer is the simulator in a thread with armed line faults. The service is a small recorder that keeps the
+contract's promise: it knows a row by its epoch, and what it has taken once is a duplicate the second time.
+"""
+
+import json
+import logging
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from analyzer_sim import ground
+from analyzer_sim.imperfections import Imperfections
+from analyzer_sim.instrument import Instrument
+from analyzer_sim.line_faults import LineFault
+from analyzer_sim.painter import Detail, TracePainter
+from analyzer_sim.scenario import scenario_named
+from analyzer_sim.server import AnalyzerThread, start_in_thread
+from analyzer_sim.world import EndOfScenario, World
+from service.client.backoff import Backoff
+from service.client.service_client import ServiceClient
+from service.frontend.acquisition import AcquisitionSettings
+from service.frontend.measurement_task import MeasurementTask, parse_task
+from service.frontend.station import Station, StationSummary
+from service.frontend.uploader import UploadSettings
+from service.records.quality_flag import QualityFlag
+
+pytestmark = pytest.mark.system
+
+#: the shortest sweep that settles at 30 kHz over 36 MHz, so that a lost answer is noticed after half a second
+SWEEP_TIME_S = 0.1
+IO_TIMEOUT_S = 0.3
+SEED = 20261121
+
+
+class Recorder:
+    """A service that keeps rows by epoch and misbehaves on demand."""
+
+    def __init__(self, carriers: list[str]) -> None:
+        self.carriers = carriers
+        self.rows: dict[str, dict[str, Any]] = {}
+        self.duplicates = 0
+        self.conflicts = 0
+        self.seqs: list[tuple[int, int]] = []
+        self.faults: list[str] = []
+        self.lock = threading.Lock()
+        self.port = 0
+        self._server: ThreadingHTTPServer | None = None
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Listen, the second time on the same port."""
+        recorder = self
+
+        class Handler(BaseHTTPRequestHandler):
+            protocol_version = "HTTP/1.1"
+            timeout = 5.0
+            # Two writes an answer wait for the client's delayed acknowledgement without this.
+            disable_nagle_algorithm = True
+
+            def do_GET(self) -> None:
+                recorder.answer(self, 200, {"plan_id": 1, "carriers": [{"id": each} for each in recorder.carriers]})
+
+            def do_POST(self) -> None:
+                body = json.loads(self.rfile.read(int(self.headers["content-length"])))
+                recorder.take(self, body)
+
+            def log_message(self, *_: Any) -> None:
+                """Stay silent."""
+
+        class Server(ThreadingHTTPServer):
+            daemon_threads = True
+            allow_reuse_address = True
+
+        self._server = Server(("127.0.0.1", self.port), Handler)
+        self.port = self._server.server_port
+        self._thread = threading.Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.01})
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Stop listening; open connections end with their next answer."""
+        if self._server is not None and self._thread is not None:
+            self.faults.insert(0, "drop")
+            self._server.shutdown()
+            self._server.server_close()
+            self._thread.join()
+            self._server = None
+
+    def take(self, handler: BaseHTTPRequestHandler, body: dict[str, Any]) -> None:
+        """Store a batch, before or instead of the armed fault."""
+        with self.lock:
+            fault = self.faults.pop(0) if self.faults else ""
+            if fault not in {"drop", "500", "slow"}:
+                reply = self._store(body)
+            if fault in {"500", "stored_500"}:
+                self.answer(handler, 500, {"code": "internal", "detail": "armed"})
+            elif fault in {"drop", "stored_drop"}:
+                handler.close_connection = True
+                handler.connection.shutdown(socket.SHUT_RDWR)
+            elif fault == "slow":
+                time.sleep(0.8)  # longer than the client waits
+                handler.close_connection = True
+            else:
+                self.answer(handler, 200, reply)
+
+    def _store(self, body: dict[str, Any]) -> dict[str, Any]:
+        accepted = duplicates = 0
+        for each in body["measurements"]:
+            if each["epoch"] not in self.rows:
+                self.rows[each["epoch"]] = each
+                accepted += 1
+            elif self.rows[each["epoch"]] == each:
+                duplicates += 1
+            else:
+                self.conflicts += 1
+        self.duplicates += duplicates
+        self.seqs.append((body["first_seq"], len(body["measurements"])))
+        return {"accepted": accepted, "duplicates": duplicates, "late": 0, "refused": []}
+
+    def answer(self, handler: BaseHTTPRequestHandler, status: int, document: dict[str, Any]) -> None:
+        """Send one JSON answer."""
+        content = json.dumps(document).encode()
+        handler.send_response(status)
+        handler.send_header("content-type", "application/json")
+        handler.send_header("content-length", str(len(content)))
+        handler.end_headers()
+        handler.wfile.write(content)
+
+
+class Bench:
+    """World, analyzer, recorder and station of one test."""
+
+    def __init__(self, **upload: Any) -> None:
+        print(f"seed {SEED}")
+        self.world = World(scenario_named("nominal"), SEED)
+        painter = TracePainter(SEED, Imperfections(), Detail.FAST)
+        self.instrument = Instrument(self.world, painter)
+        self.analyzer: AnalyzerThread = start_in_thread(self.instrument)
+        self.task = quick_task(self.world)
+        self.recorder = Recorder([carrier.id for carrier in self.task.carriers])
+        self.recorder.start()
+        self.client = ServiceClient(f"http://127.0.0.1:{self.recorder.port}", "key", retries=0, timeout_s=0.4)
+        self.station = Station(
+            self.task,
+            AcquisitionSettings(
+                f"TCPIP::127.0.0.1::{self.analyzer.port}::SOCKET",
+                period_s=0.0,
+                use_analyzer_clock=True,
+                io_timeout_s=IO_TIMEOUT_S,
+            ),
+            UploadSettings("sc", "sa-1", **({"drain_s": 3.0} | upload)),
+            self.client,
+            lambda: 0,
+            lambda: Backoff(first_s=0.02, limit_s=0.1),
+        )
+        self.summary: StationSummary | None = None
+        self._thread = threading.Thread(target=self._run)
+
+    def _run(self) -> None:
+        self.summary = self.station.run()
+
+    def start(self) -> None:
+        """Start the station."""
+        self._thread.start()
+
+    def finish(self) -> StationSummary:
+        """Stop the station and return what it came to."""
+        self.station.stop()
+        self._thread.join(10.0)
+        assert self.summary is not None
+        return self.summary
+
+    def close(self) -> None:
+        """Stop everything."""
+        self.station.stop()
+        if self._thread.is_alive():
+            self._thread.join(10.0)
+        self.client.close()
+        self.recorder.stop()
+        self.analyzer.stop()
+
+    def await_rows(self, more: int) -> None:
+        """Wait until the recorder has taken this many more rows."""
+        wanted = len(self.recorder.rows) + more
+        wait_until(lambda: len(self.recorder.rows) >= wanted, f"{wanted} rows, {len(self.recorder.rows)} came")
+
+    def swept(self) -> int:
+        """Return how many sweeps the world has made."""
+        return int(self.world.row_index) + 1
+
+
+def wait_until(is_true: Callable[[], bool], what: str, patience_s: float = 8.0) -> None:
+    """Wait, in small steps, until something is true."""
+    deadline = time.monotonic() + patience_s
+    while not is_true():
+        assert time.monotonic() < deadline, f"waited {patience_s} s for {what}"
+        time.sleep(0.01)
+
+
+def quick_task(world: World) -> MeasurementTask:
+    """Return the task of a world with a short sweep."""
+    document = ground.task(world)
+    document["sweeps"][0]["time_s"] = SWEEP_TIME_S
+    return parse_task(json.dumps(document).encode())[0]
+
+
+@contextmanager
+def bench(**upload: Any) -> Iterator[Bench]:
+    """Return a running bench and stop it at the end."""
+    made = Bench(**upload)
+    try:
+        made.start()
+        made.await_rows(5)
+        yield made
+    finally:
+        made.close()
+
+
+def assert_all_counted_once(made: Bench, summary: StationSummary, lost_sweeps: int = 0) -> None:
+    """Check rows against sweeps: every sweep that was read is a row, once, in order, and nothing else is."""
+    recorder = made.recorder
+    epochs = list(recorder.rows)
+    assert summary.undelivered == 0
+    assert recorder.conflicts == 0
+    assert epochs == sorted(epochs)
+    assert len(epochs) == summary.acquisition.rows
+    assert 0 <= made.swept() - len(epochs) <= lost_sweeps
+    covered = {first + k for first, count in recorder.seqs for k in range(count)}
+    assert covered == set(range(1, len(epochs) + 1))
+
+
+def test_undisturbed_every_sweep_is_a_row_with_the_levels_of_the_plan() -> None:
+    with bench() as made:
+        made.await_rows(100)
+        summary = made.finish()
+        assert_all_counted_once(made, summary)
+        assert summary.acquisition.faults == 0
+        levels = np.array([row["power_dbm"] for row in made.recorder.rows.values()], dtype=float)
+        nominal = [carrier.limits.nominal_dbm for carrier in made.task.carriers]
+        # 1 dB: the analyzer's own offsets (0.25 dB sigma), chain drift (0.3 dB) and the attitude's effect
+        np.testing.assert_allclose(np.median(levels, axis=0), nominal, atol=1.0)
+        assert all(flag == QualityFlag.SIMULATED for row in made.recorder.rows.values() for flag in row["flags"])
+
+
+@pytest.mark.parametrize("fault", list(LineFault))
+def test_a_fault_of_the_line_costs_its_own_sweep_at_most(fault: LineFault, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, logger="service.frontend")
+    with bench() as made:
+        made.analyzer.faults.arm(fault)
+        wait_until(lambda: made.station.acquisition.counters.faults >= 1, f"the fault {fault.value} to be noticed")
+        made.await_rows(20)
+        summary = made.finish()
+        # the sweep whose trace was spoiled, and one that a reset found running
+        assert_all_counted_once(made, summary, lost_sweeps=2)
+        assert summary.acquisition.sessions == 2
+        assert any(row["flags"][0] & QualityFlag.RECONNECTED for row in made.recorder.rows.values())
+    assert "fault while in MEASURE" in caplog.text
+    assert "next attempt in" in caplog.text
+
+
+def test_faults_one_after_another_are_outlasted() -> None:
+    with bench() as made:
+        for fault in LineFault:
+            made.analyzer.faults.arm(fault)
+        wait_until(lambda: made.analyzer.faults.remaining == 0, "all faults to be spent", 12.0)
+        made.await_rows(10)
+        summary = made.finish()
+        assert_all_counted_once(made, summary, lost_sweeps=2 * len(LineFault))
+        assert summary.acquisition.faults >= 3
+
+
+def test_an_analyzer_that_goes_and_comes_back(caplog: pytest.LogCaptureFixture) -> None:
+    with bench() as made:
+        port = made.analyzer.port
+        made.analyzer.stop()
+        wait_until(lambda: made.station.acquisition.counters.faults >= 3, "attempts to be refused")
+        made.analyzer = start_in_thread(made.instrument, port=port)
+        made.await_rows(20)
+        assert_all_counted_once(made, made.finish(), lost_sweeps=2)
+    assert "ConnectionRefusedError" in caplog.text
+
+
+def test_a_scenario_that_ends_is_a_fault_and_never_a_repeated_row(caplog: pytest.LogCaptureFixture) -> None:
+    with bench() as made:
+        made.instrument._source = _Ended()
+        wait_until(lambda: made.station.acquisition.counters.faults >= 2, "the end to be noticed")
+        rows = len(made.recorder.rows)
+        wait_until(lambda: made.station.acquisition.counters.faults >= 4, "the next attempts")
+        assert len(made.recorder.rows) <= rows + 1
+        summary = made.finish()
+        assert "scenario has ended" in caplog.text
+        assert summary.undelivered == 0
+
+
+class _Ended:
+    """A world after its last row."""
+
+    def advance(self) -> Any:
+        raise EndOfScenario
+
+    current = advance
+
+
+def test_a_service_that_goes_and_comes_back_has_every_row_once(caplog: pytest.LogCaptureFixture) -> None:
+    with bench() as made:
+        made.recorder.stop()
+        wait_until(lambda: made.station.uploader.waiting > 150, "rows to gather")
+        assert made.station.uploader.counters.failures >= 1
+        made.recorder.start()
+        made.await_rows(200)
+        summary = made.finish()
+        assert_all_counted_once(made, summary)
+        assert summary.acquisition.faults == 0
+    assert "service does not answer" in caplog.text
+    assert "rows wait" in caplog.text
+
+
+@pytest.mark.parametrize("fault", ["500", "stored_500", "drop", "stored_drop", "slow"])
+def test_a_service_that_fails_in_the_middle_neither_loses_nor_doubles(fault: str) -> None:
+    with bench() as made:
+        made.recorder.faults += [fault] * 2
+        wait_until(lambda: not made.recorder.faults, f"{fault} to happen")
+        made.await_rows(30)
+        summary = made.finish()
+        assert_all_counted_once(made, summary)
+        assert summary.upload.failures >= 2
+        if fault.startswith("stored"):
+            assert made.recorder.duplicates >= 1
+
+
+def test_a_full_queue_stops_the_sweeping_and_not_the_counting(caplog: pytest.LogCaptureFixture) -> None:
+    with bench(queue_rows=20) as made:
+        made.recorder.stop()
+        wait_until(lambda: made.station.uploader.waiting >= 20, "the queue to fill")
+        wait_until(lambda: "queue is full" in caplog.text, "the queue to be reported full")
+        swept = made.swept()
+        time.sleep(0.2)
+        assert made.swept() == swept
+        made.recorder.start()
+        made.await_rows(60)
+        assert_all_counted_once(made, made.finish())
+
+
+def test_a_stop_without_a_service_says_what_was_left() -> None:
+    with bench(drain_s=0.2) as made:
+        made.recorder.stop()
+        wait_until(lambda: made.station.uploader.waiting > 5, "rows to gather")
+        summary = made.finish()
+        assert summary.undelivered == summary.acquisition.rows - len(made.recorder.rows)
+        assert summary.undelivered > 0
+
+
+def test_the_command_measures_until_sigterm_and_ends_with_zero(tmp_path: Path) -> None:
+    made = Bench()
+    try:
+        (tmp_path / "task.json").write_text(made.task.model_dump_json())
+        command = [sys.executable, "-m", "service", "acquire", "--task", str(tmp_path / "task.json")]
+        command += ["--resource", f"TCPIP::127.0.0.1::{made.analyzer.port}::SOCKET", "--spacecraft", "sc"]
+        command += ["--service", f"http://127.0.0.1:{made.recorder.port}", "--epoch", "analyzer", "--period", "0"]
+        process = subprocess.Popen(
+            [*command, "--json-log"], env=os.environ | {"SOO_KEY": "secret-key"}, stderr=subprocess.PIPE, text=True
+        )
+        made.await_rows(50)
+        process.send_signal(signal.SIGTERM)
+        _, log = process.communicate(timeout=10.0)
+        assert process.returncode == 0, log
+        assert len(made.recorder.rows) == made.swept()
+        messages = [json.loads(line)["message"] for line in log.splitlines()]
+        assert f"{made.swept()} accepted" in messages[-1]
+        assert "secret-key" not in log
+    finally:
+        made.close()

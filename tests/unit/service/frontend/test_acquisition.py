@@ -1,0 +1,220 @@
+"""The acquisition's state machine and its pace, with a scripted analyzer."""
+
+import json
+import logging
+import threading
+from typing import Any
+
+import numpy as np
+import pytest
+
+from service.client.backoff import Backoff
+from service.frontend import acquisition as module
+from service.frontend.acquisition import TRANSITIONS, Acquisition, AcquisitionSettings, Event, State
+from service.frontend.drivers.base import Features, SweepRefusedError
+from service.frontend.evaluation import MeasuredRow
+from service.frontend.measurement_task import MeasurementTask, parse_task
+from service.frontend.scpi import AnalyzerMessage, Identity
+from service.frontend.visa_session import AnalyzerIOError
+from service.records.quality_flag import QualityFlag
+from service.records.sweep import Sweep, SweepSettings
+
+
+def task() -> MeasurementTask:
+    """Return a task of two sweeps with a carrier each."""
+    sweep = {"start_hz": 950e6, "stop_hz": 990e6, "rbw_hz": 40e3, "points": 2001, "time_s": 2.0}
+    carrier = {"symbol_rate": 1e6, "integ_bw_hz": 1.25e6, "noise": [[951e6, 954e6]]}
+    document = {
+        "task": {"id": "t"},
+        "sweeps": [sweep | {"id": "a"}, sweep | {"id": "b"}],
+        "carriers": [
+            carrier | {"id": "c00", "sweep": "a", "fc_hz": 960e6},
+            carrier | {"id": "c01", "sweep": "b", "fc_hz": 965e6},
+        ],
+    }
+    return parse_task(json.dumps(document).encode())[0]
+
+
+class Script:
+    """What the scripted analyzer does next, and what was asked of it."""
+
+    def __init__(self) -> None:
+        self.open_faults: list[Exception] = []
+        self.take_faults: dict[str, list[Exception | None]] = {"a": [], "b": []}
+        self.opened = 0
+        self.closed = 0
+        self.configured: list[str] = []
+        self.taken = 0
+        self.remarks: list[AnalyzerMessage] = []
+
+
+class ScriptedSession:
+    """Session that opens or not."""
+
+    def __init__(self, script: Script) -> None:
+        if script.open_faults:
+            raise script.open_faults.pop(0)
+        script.opened += 1
+        self._script = script
+
+    def close(self) -> None:
+        self._script.closed += 1
+
+
+class ScriptedDriver:
+    """Driver that gives a carrier of -45 dBm in every sweep."""
+
+    def __init__(self, script: Script) -> None:
+        self._script = script
+        self.features = Features(has_status=True, has_dwell_epoch=True, has_clock=True)
+        self.remarks = script.remarks
+
+    def preset(self) -> None:
+        pass
+
+    def configure(self, sweep: Any, path: Any) -> None:
+        self._script.configured.append(sweep.id)
+
+    def take(self, sweep: Any) -> Sweep:
+        faults = self._script.take_faults[sweep.id]
+        fault = faults.pop(0) if faults else None
+        if fault is not None:
+            raise fault
+        self._script.taken += 1
+        axis = np.linspace(950e6, 990e6, 2001)
+        power = np.full(axis.size, 1e-7)
+        power[np.abs(axis - (960e6 if sweep.id == "a" else 965e6)) < 0.5e6] = 1e-4
+        settings = SweepSettings(950e6, 990e6, 2001, 40e3, 42.6e3, 400e3, 2.0, "RMS")
+        return Sweep(sweep.id, 1000 * self._script.taken, settings, power)
+
+
+def acquisition(
+    monkeypatch: pytest.MonkeyPatch, script: Script, period_s: float = 0.0
+) -> tuple[Acquisition, list[MeasuredRow], threading.Event]:
+    """Return an acquisition on a scripted analyzer, the rows it hands over, and its stop."""
+    monkeypatch.setattr(module, "VisaSession", lambda *_: ScriptedSession(script))
+    monkeypatch.setattr(module, "identify", lambda _: Identity("Rohde&Schwarz", "FSW", "", ""))
+    monkeypatch.setattr(module, "make_driver", lambda *_, **__: ScriptedDriver(script))
+    rows: list[MeasuredRow] = []
+    stop = threading.Event()
+
+    def hand_over(row: MeasuredRow) -> bool:
+        rows.append(row)
+        return True
+
+    settings = AcquisitionSettings("TCPIP::analyzer::5025::SOCKET", period_s)
+    made = Acquisition(task(), settings, hand_over, lambda: 0, stop, Backoff(first_s=0.001, limit_s=0.002))
+    return made, rows, stop
+
+
+def test_the_table_is_complete_and_every_fault_leads_to_the_wait() -> None:
+    assert set(TRANSITIONS) == set(State)
+    assert all(set(row) == set(Event) for row in TRANSITIONS.values())
+    assert {state: row[Event.FAULT] for state, row in TRANSITIONS.items() if state is not State.BACKOFF} == {
+        state: State.BACKOFF for state in State if state is not State.BACKOFF
+    }
+    assert set(TRANSITIONS[State.BACKOFF].values()) == {State.CONNECT}
+
+
+def test_the_way_to_the_first_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    made, rows, _ = acquisition(monkeypatch, Script())
+    assert [made.step() for _ in range(4)] == [State.IDENTIFY, State.CONFIGURE, State.MEASURE, State.MEASURE]
+    assert len(rows) == 1
+    assert np.isfinite(rows[0].power_dbm).all()
+    assert rows[0].flags.tolist() == [QualityFlag.SIMULATED] * 2
+
+
+@pytest.mark.parametrize("fault", [AnalyzerIOError("gone"), ValueError("garbage")])
+def test_a_fault_opens_another_session_and_marks_the_next_row(
+    monkeypatch: pytest.MonkeyPatch, fault: Exception
+) -> None:
+    script = Script()
+    script.take_faults["b"] = [None, fault]
+    made, rows, _ = acquisition(monkeypatch, script)
+    while len(rows) < 3:
+        made.step()
+    assert (script.opened, script.closed) == (2, 1)
+    assert [bool(row.flags[0] & QualityFlag.RECONNECTED) for row in rows] == [False, True, False]
+    assert made.counters.faults == 1
+    assert made.counters.last_fault == str(fault)
+
+
+def test_connecting_is_tried_again_with_growing_waits(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, logger="service.frontend.acquisition")
+    script = Script()
+    script.open_faults = [AnalyzerIOError("refused")] * 3
+    made, rows, _ = acquisition(monkeypatch, script)
+    while not rows:
+        made.step()
+    assert caplog.text.count("fault while in CONNECT: refused") == 3
+    assert caplog.text.count("next attempt in") == 3
+
+
+def test_one_refused_sweep_leaves_the_other_good(monkeypatch: pytest.MonkeyPatch) -> None:
+    script = Script()
+    script.take_faults["a"] = [SweepRefusedError("-221 Settings conflict")]
+    made, rows, _ = acquisition(monkeypatch, script)
+    while not rows:
+        made.step()
+    assert np.isnan(rows[0].power_dbm).tolist() == [True, False]
+    assert all(flag & QualityFlag.PARTIAL_CYCLE for flag in rows[0].flags)
+    assert made.counters.faults == 0
+
+
+def test_all_sweeps_refused_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    script = Script()
+    script.take_faults = {"a": [SweepRefusedError("end")], "b": [SweepRefusedError("end")]}
+    made, rows, _ = acquisition(monkeypatch, script)
+    while made.counters.faults == 0:
+        made.step()
+    assert rows == []
+    assert made.counters.state is State.BACKOFF
+
+
+def test_settings_are_sent_when_the_sweep_changes(monkeypatch: pytest.MonkeyPatch) -> None:
+    script = Script()
+    made, rows, _ = acquisition(monkeypatch, script)
+    while len(rows) < 2:
+        made.step()
+    assert script.configured == ["a", "b", "a", "b"]
+
+
+def test_a_stop_ends_the_run_with_the_session_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    script = Script()
+    made, rows, stop = acquisition(monkeypatch, script, period_s=0.005)
+    thread = threading.Thread(target=made.run)
+    thread.start()
+    while len(rows) < 3:
+        thread.join(0.005)
+    stop.set()
+    thread.join(5.0)
+    assert not thread.is_alive()
+    assert script.opened == script.closed == 1
+    assert len(rows) == made.counters.rows == script.taken // 2
+
+
+def test_an_overrun_is_counted_and_not_caught_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    made, rows, _ = acquisition(monkeypatch, Script(), period_s=10.0)
+    now = {"s": 0.0}
+    monkeypatch.setattr(module.time, "monotonic", lambda: now["s"])
+    waits: list[float] = []
+    monkeypatch.setattr(made._stop, "wait", lambda wait_s: waits.append(wait_s))
+    while not rows:
+        made.step()
+    for now["s"] in (25.0, 26.0):
+        made.step()
+    assert made.counters.overruns == 1
+    # due at 0, late at 25, then at 35: nine seconds of waiting from 26
+    assert waits == [pytest.approx(9.0, abs=1e-9)]
+
+
+def test_what_the_analyzer_remarks_is_logged(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    script = Script()
+    script.remarks.append(AnalyzerMessage(-222, "Data out of range"))
+    made, rows, _ = acquisition(monkeypatch, script)
+    while not rows:
+        made.step()
+    assert "analyzer says -222 Data out of range" in caplog.text
+    assert script.remarks == []
