@@ -46,13 +46,14 @@ class Orbit:
 
     @classmethod
     def drawn(cls, seed: int, longitude_deg: float, start_us: int) -> "Orbit":
-        """Draw an orbit; the node is taken where the drift lowers the inclination at first."""
+        """Draw an orbit whose inclination the drift lowers at first, yet not to nothing within a month."""
         rng = stream(seed, "orbit")
+        node_deg = 270.0 + rng.choice([-1.0, 1.0]) * rng.uniform(22.0, 36.0)
         return cls(
             longitude_deg,
             start_us,
             inclination_deg=rng.uniform(0.0465, 0.049),
-            node_rad=np.radians(rng.uniform(220.0, 320.0)),
+            node_rad=float(np.radians(node_deg)),
             ascension_rad=rng.uniform(0.0, 2.0 * np.pi),
             eccentricity=rng.uniform(0.00013, 0.00022),
             anomaly_rad=rng.uniform(0.0, 2.0 * np.pi),

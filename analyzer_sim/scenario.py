@@ -125,16 +125,22 @@ _CLOSE_KEEPING = KeepingFigures(knowledge_deg=(0.018, 0.012, 0.014), feedback_ta
 _TOUR = Tour("tour")
 
 
-def downlink_rain(slope_db_min: float, depth_db: float, duration_min: float = 60.0) -> Scenario:
-    """Return a day with one rain over the receiving site of this slope and depth."""
+def downlink_rain(
+    slope_db_min: float, depth_db: float, duration_min: float = 60.0, name: str = "downlink_rain"
+) -> Scenario:
+    """Return two days with one rain over the receiving site of this slope and depth."""
     rain = DownlinkRain(
         "downlink rain",
         depth_db=(depth_db, depth_db),
         slope_db_min=(slope_db_min, slope_db_min),
         duration_min=(duration_min, duration_min),
     )
-    return Scenario("downlink_rain", "Rain over the receiving site, common to all carriers.", faults=(rain,))
+    summary = f"Rain over the receiving site: all carriers fade by {depth_db:g} dB at {slope_db_min:g} dB/min."
+    return Scenario(name, summary, faults=(rain,))
 
+
+#: slope, dB/min, and depth, dB, of the rains in the catalogue beside the plain one
+_RAINS = ((0.02, 2.0), (0.05, 3.0), (0.3, 4.0), (1.0, 5.0), (3.0, 6.0))
 
 _CATALOGUE = (
     Scenario("nominal", "Two days of ordinary keeping, no fault."),
@@ -164,6 +170,7 @@ _CATALOGUE = (
     Scenario("steps", "Six users change their level for good.", faults=(Step("steps", 6),)),
     Scenario("uplink_rain", "Ten showers over users' stations.", faults=(UplinkRain("showers", 10),)),
     downlink_rain(0.1, 3.0),
+    *(downlink_rain(slope, depth, name=f"downlink_rain_{slope:g}".replace(".", "p")) for slope, depth in _RAINS),
     Scenario(
         "mixed",
         "Four days with every kind of fault.",

@@ -1,0 +1,229 @@
+"""World: noise that faults do not touch, seeds, emissions, the end."""
+
+import time
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from analyzer_sim.emission import EmissionSource
+from analyzer_sim.events import (
+    ChainStep,
+    DownlinkRain,
+    Fault,
+    Gap,
+    GroupStep,
+    Interference,
+    Step,
+    SwitchOff,
+    UplinkRain,
+)
+from analyzer_sim.faults import FaultFlag, apply_fault
+from analyzer_sim.scenario import SCENARIOS, Scenario, downlink_rain, scenario_named
+from analyzer_sim.world import EndOfScenario, World, flag_names, sweep_sigma_db, world_white_db
+
+SHORT = Scenario("short", "for tests", quiet_h=1.0, alignment_h=0.75, operation_h=6.0)
+HIT = 3  # index of the carrier that the faults of these tests hit
+NAME = "c03"
+
+
+@cache
+def built(*faults: Fault, seed: int = 1) -> World:
+    return World(replace(SHORT, faults=faults), seed)
+
+
+def difference_db(*faults: Fault) -> np.ndarray:
+    """Return what faults change in the carriers' own powers, in operation."""
+    world = built(*faults)
+    rows = world.rows.epochs_us >= world.scenario.operation_start_us
+    return (world.rows.carrier_dbm - built().rows.carrier_dbm)[rows]
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        UplinkRain("f", 1, (NAME,), start_h=(1.0, 1.0)),
+        SwitchOff("f", (NAME,), start_h=(1.0, 1.0), duration_h=(2.0, 2.0), level_after_db=(1.5, 1.5)),
+        Step("f", 1, (NAME,), start_h=(1.0, 2.0)),
+        Interference("f", 1, (NAME,), start_h=(1.0, 2.0)),
+    ],
+    ids=lambda fault: type(fault).__name__,
+)
+def test_a_fault_of_one_carrier_leaves_the_others_bit_identical(fault: Fault) -> None:
+    hit, clean = built(fault).rows, built().rows
+    others = [k for k in range(16) if k != HIT]
+    assert hit.power_dbm[:, others].tobytes() == clean.power_dbm[:, others].tobytes()
+    assert hit.attitude_deg.tobytes() == clean.attitude_deg.tobytes()
+    assert not np.array_equal(hit.power_dbm[:, HIT], clean.power_dbm[:, HIT], equal_nan=True)
+
+
+def test_adding_a_fault_does_not_move_another_one() -> None:
+    rain, step = UplinkRain("rain", 2, start_h=(0.5, 5.0)), Step("step", 2, start_h=(0.5, 5.0))
+    together, alone = built(step, rain).rows, built(rain).rows
+    assert together.uplink_fade_db.tobytes() == alone.uplink_fade_db.tobytes()
+
+
+def test_same_seed_same_world_other_seed_other_world() -> None:
+    first, again, other = World(SHORT, 5).rows, World(SHORT, 5).rows, World(SHORT, 6).rows
+    assert first.power_dbm.tobytes() == again.power_dbm.tobytes()
+    assert first.attitude_deg.tobytes() == again.attitude_deg.tobytes()
+    assert not np.array_equal(first.power_dbm, other.power_dbm)
+
+
+def test_a_longer_operation_begins_like_the_shorter_one() -> None:
+    short, long = built().rows, World(replace(SHORT, operation_h=9.0), 1).rows
+    count = len(short.epochs_us)
+    np.testing.assert_array_equal(long.carrier_dbm[:count], short.carrier_dbm)
+
+
+def test_downlink_rain_is_common_and_raises_the_noise() -> None:
+    rain = DownlinkRain("rain", (2.0, 2.0), (3.0, 3.0), (0.1, 0.1), (60.0, 60.0))
+    change = difference_db(rain)
+    assert float(np.ptp(change, axis=1).max()) < 1e-9  # rounding
+    fade = built(rain).rows.downlink_fade_db
+    assert fade.max() == pytest.approx(3.0, rel=0.25)  # breathes by 6 %, four sigmas
+    full = fade > 2.5
+    raised = built(rain).rows.noise_dbm_hz - built().rows.noise_dbm_hz
+    assert np.all(raised[full] > 2.0)  # 120 K become some 255 K
+    assert np.all(raised[fade == 0.0] == 0.0)
+
+
+def test_uplink_rain_rises_with_its_slope_to_its_depth() -> None:
+    rain = UplinkRain("rain", 1, (NAME,), (1.0, 1.0), (2.0, 2.0), (0.1, 0.1), (30.0, 30.0))
+    fade = -difference_db(rain)[:, HIT]
+    assert fade[60:].argmax() > 0
+    assert fade[69] == pytest.approx(0.9, abs=0.25)  # nine minutes after the onset, breath of 6 %
+    assert np.median(fade[85:105]) == pytest.approx(2.0, rel=0.15)
+    assert np.all(fade[fade > 0.0] >= 0.0)
+    assert np.all(np.abs(fade[131:]) < 1e-9)
+
+
+def test_steps_of_users_transponders_and_the_chain() -> None:
+    user = difference_db(Step("s", 1, (NAME,), (2.0, 2.0), (1.5, 1.5)))
+    assert np.abs(user[121, HIT]) == pytest.approx(1.5, abs=1e-9)
+    group = difference_db(GroupStep("g", "Ku2", (2.0, 2.0), (1.0, 1.0), duration_h=1.0))
+    assert np.count_nonzero(np.abs(np.abs(group[150]) - 1.0) < 1e-9) == 4  # the carriers of one transponder
+    assert np.all(np.abs(group[190]) < 1e-9)  # an hour later it is over
+    chain = difference_db(ChainStep("c", (2.0, 2.0), (-0.5, -0.5)))
+    np.testing.assert_allclose(chain[121], -0.5, atol=1e-9)
+
+
+def test_a_carrier_that_is_off_is_neither_measured_nor_emitted() -> None:
+    world = built(SwitchOff("off", (NAME,), (1.0, 1.0), (2.0, 2.0)))
+    row = int(np.searchsorted(world.rows.epochs_us, world.scenario.operation_start_us)) + 90
+    assert np.isnan(world.rows.power_dbm[row, HIT])
+    assert NAME not in {signal.carrier for signal in world.emission(row).signals}
+    assert world.rows.flags[row, HIT] & FaultFlag.OFF
+    assert not world.rows.flags[row, HIT - 1]
+
+
+def test_interference_is_a_line_inside_the_band_and_adds_power() -> None:
+    world = built(Interference("i", 1, (NAME,), (1.0, 1.0), (60.0, 60.0), (-3.0, -3.0)))
+    row = int(np.searchsorted(world.rows.epochs_us, world.scenario.operation_start_us)) + 90
+    carrier = world.plan.carriers[HIT]
+    line = next(signal for signal in world.emission(row).signals if signal.carrier == f"interference {NAME}")
+    assert abs(line.center_hz - carrier.center_hz) < carrier.symbol_rate_hz / 2
+    assert line.symbol_rate_hz == 0.0
+    # 3 dB below the carrier adds 1.76 dB; the carrier's own level wanders by a few tenths
+    assert world.rows.power_dbm[row, HIT] - world.rows.carrier_dbm[row, HIT] == pytest.approx(1.76, abs=0.5)
+
+
+def test_rows_of_a_gap_are_passed_over() -> None:
+    world = World(replace(SHORT, faults=(Gap("gap", 1, (1.0, 1.0), (30.0, 30.0)),)), 1)
+    epochs = []
+    while world.next_epoch_us is not None:
+        epochs.append(world.advance().epoch_us)
+    assert max(np.diff(epochs)) == 31 * 60_000_000  # thirty rows are missing
+    assert len(epochs) == len(world.rows.epochs_us) - 30
+    assert np.all(np.isnan(world.rows.power_dbm[world.rows.is_gap]))
+
+
+def test_the_clock_moves_by_advance_alone_and_ends() -> None:
+    world = World(replace(SHORT, operation_h=0.5), 1)
+    source: EmissionSource = world
+    first_us = int(world.rows.epochs_us[0])
+    assert source.current().epoch_us == first_us
+    assert source.advance().epoch_us == first_us
+    assert source.current().epoch_us == first_us
+    for _ in range(len(world.rows.epochs_us) - 1):
+        last_us = source.advance().epoch_us
+    assert world.next_epoch_us is None
+    with pytest.raises(EndOfScenario):
+        source.advance()
+    assert source.current().epoch_us == last_us
+
+
+def test_an_emission_says_what_the_rows_say() -> None:
+    world = built()
+    emission = world.emission(17)
+    np.testing.assert_array_equal([signal.power_dbm for signal in emission.signals], world.rows.power_dbm[17])
+    assert emission.noise_dbm_hz == world.rows.noise_dbm_hz[17]
+    assert [signal.carrier for signal in emission.signals] == list(world.carrier_ids)
+
+
+def test_references_exist_only_while_the_tracker_is_on() -> None:
+    world = built()
+    assert world.references.epochs_us[-1] == world.scenario.operation_start_us - world.scenario.row_period_us
+    error = world.references.attitude_deg - world.rows.attitude_deg[: len(world.references.epochs_us)]
+    # 615 rows: the spread of a standard deviation is 3 %, five sigmas allowed
+    np.testing.assert_allclose(error.std(axis=0), [0.015, 0.008, 0.008], rtol=0.15)
+
+
+def test_white_noise_has_the_planned_size() -> None:
+    world = World(replace(scenario_named("white"), operation_h=0.1), 1)
+    quiet = world.rows.power_dbm[: 71 * 60]
+    # differences of neighbours see the white part alone; 4260 rows give 1.5 %, unstable c08 left out
+    seen = np.delete(np.diff(quiet, axis=0).std(axis=0) / np.sqrt(2.0), 8)
+    expected = np.delete(world_white_db(world.plan), 8)
+    np.testing.assert_allclose(seen, expected, rtol=0.08)
+    total = np.hypot(world_white_db(world.plan), sweep_sigma_db(world.plan))
+    assert np.all((total >= 0.13) & (total <= 0.17))  # dB, figures of the method
+
+
+def test_total_noise_is_near_the_measured_figure() -> None:
+    world = World(replace(scenario_named("nominal"), operation_h=0.1), 1)
+    quiet = world.rows.power_dbm[: 71 * 60] + 0.0
+    total = np.hypot(np.diff(quiet[::30], axis=0).std(axis=0) / np.sqrt(2.0), sweep_sigma_db(world.plan))
+    assert 0.14 < float(np.median(total)) < 0.24  # dB; 0.18 in the method's description
+
+
+@pytest.mark.parametrize("name", sorted(SCENARIOS))
+def test_every_scenario_builds_and_most_of_it_is_measured(name: str) -> None:
+    world = World(scenario_named(name, operation_days=1.0), 2)
+    assert np.isfinite(world.rows.power_dbm).mean() > 0.7
+    assert np.all(np.isfinite(world.rows.carrier_dbm))
+    assert np.abs(world.rows.attitude_deg).max() < 0.8  # turns of 0.5 deg and a tour of 0.4 deg with their margins
+
+
+def test_six_days_build_quickly() -> None:
+    begin = time.perf_counter()
+    World(scenario_named("mixed"), 1)
+    elapsed_s = time.perf_counter() - begin
+    print(f"mixed, 7.4 days: {elapsed_s:.2f} s")
+    assert elapsed_s < 1.5  # the campaign's budget for a world of six days
+
+
+def test_scenario_parameters_reach_the_rows() -> None:
+    world = World(scenario_named("nominal", operation_days=0.25, row_period_s=300.0, start_us=0), 1)
+    assert world.rows.epochs_us[0] == 0
+    assert np.all(np.diff(world.rows.epochs_us) == 300_000_000)
+    assert world.scenario.phases[-1].stop_us - world.scenario.operation_start_us == 6 * 3_600_000_000
+    rain = downlink_rain(1.0, 4.0).faults[0]
+    assert isinstance(rain, DownlinkRain)
+    assert rain.slope_db_min == (1.0, 1.0)
+
+
+def test_an_unknown_scenario_names_those_that_exist() -> None:
+    with pytest.raises(KeyError, match="nominal"):
+        scenario_named("no such story")
+
+
+def test_an_unknown_fault_is_refused() -> None:
+    with pytest.raises(TypeError, match="str"):
+        apply_fault("rain", built().rows, np.random.default_rng(0))
+
+
+def test_flags_have_names() -> None:
+    assert flag_names()["uplink_rain"] == 1
+    assert sum(flag_names().values()) == 255
