@@ -1,0 +1,129 @@
+"""Levels measured through SCPI against the truth of an ideal analyzer: bias, scatter and presence, over sockets."""
+
+import json
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from itertools import count
+
+import numpy as np
+import pytest
+
+from analyzer_sim.emission import Emission, Signal
+from analyzer_sim.imperfections import IDEAL
+from analyzer_sim.instrument import Instrument
+from analyzer_sim.painter import Detail, TracePainter
+from analyzer_sim.server import start_in_thread
+from service.frontend.drivers.choice import dialect_of, identify, make_driver
+from service.frontend.drivers.scpi_driver import ScpiDriver
+from service.frontend.evaluation import MeasuredRow, TaskEvaluation
+from service.frontend.measurement_task import MeasurementTask, parse_task
+from service.frontend.visa_session import VisaSession
+from service.records.quality_flag import QualityFlag
+
+pytestmark = pytest.mark.system
+
+SEED = 31
+NOISE_DBM_HZ = -120.0
+NOISE = [[954.1e6, 954.9e6], [989.0e6, 989.9e6]]
+#: centre MHz, symbol rate Hz, dBm: strong, with a neighbour 6 dB stronger, at C/N 3 dB, a beacon
+CARRIERS = {
+    "strong": (960.0e6, 1.0e6, -42.9),
+    "beside": (965.0e6, 1.0e6, -50.0),
+    "louder": (966.32e6, 1.0e6, -44.0),
+    "weak": (972.0e6, 1.2e6, NOISE_DBM_HZ + 10 * math.log10(1.2e6) + 3.0),
+    "beacon": (980.0e6, 0.0, -65.0),
+}
+
+
+class Steady:
+    """A world in which nothing changes but the time."""
+
+    def __init__(self) -> None:
+        signals = tuple(Signal(name, centre, rate, 0.25, level) for name, (centre, rate, level) in CARRIERS.items())
+        self.emission = Emission(0, signals, NOISE_DBM_HZ)
+        self.epochs = count(1_793_491_200_000_000, 60_000_000)
+
+    def advance(self) -> Emission:
+        self.emission = replace(self.emission, epoch_us=next(self.epochs))
+        return self.emission
+
+    def current(self) -> Emission:
+        return self.emission
+
+    def switch_off(self, name: str) -> None:
+        """Take a carrier off the air."""
+        kept = tuple(signal for signal in self.emission.signals if signal.carrier != name)
+        self.emission = replace(self.emission, signals=kept)
+
+
+def task() -> MeasurementTask:
+    """Return the task of these carriers."""
+    sweep = {"id": "a", "start_hz": 954e6, "stop_hz": 990e6, "rbw_hz": 30e3, "points": 2401, "time_s": 1.0}
+    carriers = [
+        {"id": name, "sweep": "a", "fc_hz": centre, "noise": NOISE}
+        | (
+            {"symbol_rate": rate, "integ_bw_hz": 1.25 * rate, "kind": "modulated"}
+            if rate
+            else {"integ_bw_hz": 300e3, "kind": "beacon"}
+        )
+        for name, (centre, rate, _) in CARRIERS.items()
+    ]
+    return parse_task(json.dumps({"id": "t", "sweeps": [sweep], "carriers": carriers}).encode())[0]
+
+
+@contextmanager
+def measuring(detail: Detail) -> Iterator[tuple[Steady, ScpiDriver, MeasurementTask]]:
+    """Return world and configured driver of an ideal analyzer."""
+    print(f"seed {SEED}")
+    world = Steady()
+    made = task()
+    with start_in_thread(Instrument(world, TracePainter(SEED, IDEAL, detail))) as analyzer:
+        session = VisaSession(f"TCPIP::127.0.0.1::{analyzer.port}::SOCKET", 5.0)
+        try:
+            identity = identify(session)
+            driver = make_driver(
+                session, identity, dialect_of(identity), lambda: 0, use_analyzer_clock=True, io_timeout_s=5.0
+            )
+            driver.preset()
+            driver.configure(made.sweeps[0], made.input)
+            yield world, driver, made
+        finally:
+            session.close()
+
+
+def rows_of(driver: ScpiDriver, made: MeasurementTask, rows: int) -> list[MeasuredRow]:
+    """Return this many rows."""
+    evaluation = TaskEvaluation(made)
+    return [evaluation.row({"a": driver.take(made.sweeps[0])}) for _ in range(rows)]
+
+
+# The envelope interpolates the amplitude of a line between points, which loses a quarter of a decibel of its sum at
+# two points an RBW: the beacon is judged by the other method.
+@pytest.mark.parametrize(("detail", "rows", "judged"), [(Detail.FAST, 300, 5), (Detail.ENVELOPE, 120, 4)])
+def test_bias_and_scatter(detail: Detail, rows: int, judged: int) -> None:
+    with measuring(detail) as (_, driver, made):
+        taken = rows_of(driver, made, rows)
+    levels = np.array([row.power_dbm for row in taken])[:, :judged]
+    predicted = np.mean([row.sigma_db for row in taken], axis=0)[:judged]
+    truth = np.array([level for _, _, level in CARRIERS.values()])[:judged]
+    error_db = 10 * np.log10(np.mean(10 ** (levels / 10), axis=0)) - truth
+    # 0.03 dB of bias as claimed, and three standard errors of the mean of these rows
+    assert (np.abs(error_db) < 0.03 + 3 * predicted / math.sqrt(rows)).all(), error_db
+    # 15% as claimed, and three standard errors of a standard deviation
+    ratio = levels.std(axis=0) / predicted
+    assert (np.abs(ratio - 1) < 0.15 + 3 / math.sqrt(2 * rows)).all(), ratio
+    assert all(row.epoch_us == 1_793_491_200_000_000 + 60_000_000 * k for k, row in enumerate(taken))
+
+
+def test_a_carrier_taken_off_the_air_is_null_at_once_and_the_others_stay() -> None:
+    with measuring(Detail.FAST) as (world, driver, made):
+        evaluation = TaskEvaluation(made)
+        before = evaluation.row({"a": driver.take(made.sweeps[0])})
+        world.switch_off("weak")
+        after = [evaluation.row({"a": driver.take(made.sweeps[0])}) for _ in range(50)]
+    assert np.isfinite(before.power_dbm).all()
+    for row in after:
+        assert np.isnan(row.power_dbm).tolist() == [False, False, False, True, False]
+        assert row.flags[3] & QualityFlag.NO_CARRIER
