@@ -12,7 +12,7 @@ from service.core.estimation.criteria import CarrierVerdicts, judge_carriers
 from service.core.estimation.harmonic import HarmonicFits, evaluate_harmonic, fit_harmonics
 from service.core.estimation.noise_model import NoiseSplit, split_noise
 from service.core.estimation.observability import condition_number, crlb_deg, dilution_of_precision_deg_per_db
-from service.core.estimation.sensitivity import TurnSensitivity, fit_turn_sensitivity
+from service.core.estimation.sensitivity import TurnSensitivity, fit_turn_sensitivity, level_knots
 from service.core.geometry.node_phase import latest_node_us
 from service.pipeline.calibration_rows import CalibrationError, CalibrationInput, phase_rad, turn_rows
 from service.pipeline.config import CalibrationConfig, CriteriaConfig
@@ -55,7 +55,12 @@ def calibrate_paper(data: CalibrationInput, config: CalibrationConfig) -> Calibr
     fits = quiet.fits
     rows = turn_rows(data, fits.offset_dbm, fits.amplitude_db, fits.phase_rad, config)
     turn_angles_deg, turn_deviation_db = rows.angles_deg, rows.deviation_db
-    sensitivity = fit_turn_sensitivity(turn_angles_deg, turn_deviation_db)
+    sensitivity = fit_turn_sensitivity(
+        turn_angles_deg,
+        turn_deviation_db,
+        gate_sigma=config.harmonic.gate_sigma,
+        baseline=level_knots(rows.time_s, config.level_knot_s),
+    )
     criteria = config.criteria
     verdicts = judge_carriers(
         quiet.fits.rms_db,

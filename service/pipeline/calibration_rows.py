@@ -36,6 +36,8 @@ class CalibrationInput:
 class TurnRows:
     """Rows of the turns with known angles."""
 
+    #: (K,) s since the first row
+    time_s: FloatArray
     #: (K, 3) deg, yaw, roll, pitch
     angles_deg: FloatArray
     #: (K, N) dB, level and harmonic removed
@@ -81,7 +83,8 @@ def turn_rows(
     _require_turned_axes(angles[present], config)
     harmonic = evaluate_harmonic(phase_rad(data.ephemeris, epochs_us), amplitude_db, harmonic_phase_rad)
     deviation = data.turns.power_dbm - offset_dbm - harmonic
-    return TurnRows(angles[present], deviation[present])
+    time_s = (epochs_us - epochs_us[0]) / US_PER_S
+    return TurnRows(time_s[present], angles[present], deviation[present])
 
 
 def _interpolate(

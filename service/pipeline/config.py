@@ -45,6 +45,8 @@ class CalibrationConfig:
     short_quiet_periods: float = 2.0
     #: fewest rows with powers and angles in the turns
     min_turn_rows: int = 60
+    #: distance of the knots of a carrier's level over the turns, s
+    level_knot_s: float = 3000.0
     #: an axis counts as turned where its angle passed this, deg
     min_turn_deg: float = 0.1
 
@@ -97,6 +99,8 @@ class FadeConfig:
     entry_s: float = 300.0
     #: control returns after the median has been above minus depth this long, s
     exit_s: float = 600.0
+    #: a longer pause between rows starts the count of wet time anew, s
+    max_gap_s: float = 300.0
     #: mean of the deviations that the rule looks at, s
     averaging_window_s: float = 300.0
 

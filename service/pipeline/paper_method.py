@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.downlink_fade import FadeWatch, fade_sign_test, new_fade_watch, step_fade_watch
-from service.core.estimation.trailing_mean import TrailingWindow, empty_window, push, trailing_mean
+from service.core.estimation import trailing_mean
+from service.core.estimation.downlink_fade import FadeWatch, fade_sign_test, step_fade_watch
+from service.core.estimation.trailing_mean import TrailingMean
 from service.pipeline.attitude_filter import NO_FIXES, FixHistory, rate_deg_s, remember_fix
 from service.pipeline.config import ChainConfig
 from service.pipeline.harmonic_removal import ExpectedPower, expected_power, remove_harmonic
@@ -29,7 +30,7 @@ class PaperState(NamedTuple):
     """Everything the method remembers from row to row."""
 
     #: deviations of the averaging window
-    window: TrailingWindow
+    window: TrailingMean
     fade_watch: FadeWatch
     fixes: FixHistory
     #: epoch of the newest row, None before the first
@@ -64,9 +65,15 @@ def paper_model(knowledge: Knowledge, aligned_with: Calibration) -> PaperModel |
     return PaperModel(expected, sensitivity_model(calibration), calibration.id, knowledge.alignment.id)
 
 
-def initial_state(carriers: int) -> PaperState:
+def initial_state(carriers: int, config: ChainConfig) -> PaperState:
     """Return the state at an alignment."""
-    return PaperState(empty_window(carriers), new_fade_watch(), NO_FIXES, None)
+    return PaperState(_empty_window(carriers, config), FadeWatch(), NO_FIXES, None)
+
+
+def _empty_window(carriers: int, config: ChainConfig) -> TrailingMean:
+    """Return a window that reaches back as far as the longest mean taken of it."""
+    longest_s = max(config.estimation.averaging_window_s, config.fade.averaging_window_s)
+    return trailing_mean.empty_window(carriers, longest_s)
 
 
 def step_paper(
@@ -107,8 +114,8 @@ def _remember_row(state: PaperState, model: PaperModel, deviation: Deviation, co
     """Add a row to the window and step the fade rule; a long gap empties the window."""
     gap_us = 0 if state.newest_us is None else deviation.epoch_us - state.newest_us
     is_fresh = gap_us > config.estimation.max_gap_s * US_PER_S
-    window = empty_window(len(deviation.deviation_db)) if is_fresh else state.window
-    window = push(window, deviation.epoch_us, deviation.deviation_db, window_s=config.estimation.averaging_window_s)
+    window = _empty_window(len(deviation.deviation_db), config) if is_fresh else state.window
+    window = trailing_mean.push(window, deviation.epoch_us, deviation.deviation_db)
     test = fade_sign_test(
         _fade_deviation_db(window, model, config),
         depth_db=config.fade.depth_db,
@@ -120,8 +127,9 @@ def _remember_row(state: PaperState, model: PaperModel, deviation: Deviation, co
         gap_us / US_PER_S,
         test,
         depth_db=config.fade.depth_db,
-        entry_s=config.fade.entry_s,
-        exit_s=config.fade.exit_s,
+        stop_after_s=config.fade.entry_s,
+        return_after_s=config.fade.exit_s,
+        max_gap_s=config.fade.max_gap_s,
     )
     return PaperState(window, watch, NO_FIXES if is_fresh else state.fixes, deviation.epoch_us)
 
@@ -129,9 +137,9 @@ def _remember_row(state: PaperState, model: PaperModel, deviation: Deviation, co
 def _averaged_fix(state: PaperState, model: PaperModel, epoch_us: int, config: ChainConfig) -> AttitudeFix:
     """Solve the trailing mean."""
     estimation = config.estimation
-    mean_db = trailing_mean(state.window, window_s=estimation.averaging_window_s, min_rows=estimation.min_rows)
+    mean_db = trailing_mean.mean(state.window, window_s=estimation.averaging_window_s, min_rows=estimation.min_rows)
     rows = _rows_in_window(state, config)
-    epochs_us = state.window.epochs_us
+    epochs_us = state.window.epoch_us
     span_s = float(epochs_us[-1] - epochs_us[-rows]) / US_PER_S
     return solve_attitude(epoch_us, mean_db, rows, span_s, model.sensitivity, estimation)
 
@@ -146,16 +154,16 @@ def _remember_fix(state: PaperState, fix: AttitudeFix, config: ChainConfig) -> P
 
 def _rows_in_window(state: PaperState, config: ChainConfig) -> int:
     """Return how many rows the trailing mean rests on."""
-    epochs_us = state.window.epochs_us
+    epochs_us = state.window.epoch_us
     if len(epochs_us) == 0:
         return 0
     oldest_us = epochs_us[-1] - int(config.estimation.averaging_window_s * US_PER_S)
     return int(np.count_nonzero(epochs_us > oldest_us))
 
 
-def _fade_deviation_db(window: TrailingWindow, model: PaperModel, config: ChainConfig) -> FloatArray:
+def _fade_deviation_db(window: TrailingMean, model: PaperModel, config: ChainConfig) -> FloatArray:
     """Return the short mean of the selected carriers that the fade rule looks at."""
-    short_db = trailing_mean(window, window_s=config.fade.averaging_window_s, min_rows=1)
+    short_db = trailing_mean.mean(window, window_s=config.fade.averaging_window_s, min_rows=1)
     return np.where(model.sensitivity.is_selected, short_db, np.nan)
 
 

@@ -57,7 +57,7 @@ def compare_with_angles(change_db: FloatArray, sensitivity_db_per_deg: FloatArra
     cost_common = float(np.sum((wanted - ones[:, 0] * common) ** 2))
     cost_full = float(np.sum((wanted - full @ solution) ** 2))
     chi_square = max(0.0, cost_common - cost_full)
-    return Consistency(chi_square, chi_square_tail_3(chi_square), solution[:3], count)
+    return Consistency(chi_square, chi_square_tail_3(chi_square), np.asarray(solution[:3], dtype=np.float64), count)
 
 
 def chi_square_tail_3(chi_square: float) -> float:

@@ -76,7 +76,7 @@ def one_sided_columns(angle_deg: FloatArray) -> FloatArray:
 
 
 def fit_turn_sensitivity(
-    angle_deg: FloatArray, deviation_db: FloatArray, *, gate_sigma: float = 3.0
+    angle_deg: FloatArray, deviation_db: FloatArray, *, gate_sigma: float = 3.0, baseline: FloatArray | None = None
 ) -> TurnSensitivity:
     """Return the sensitivity of every carrier to each sign of each angle.
 
@@ -88,6 +88,10 @@ def fit_turn_sensitivity(
         Powers with harmonic and level removed. NaN marks an absent sample.
     gate_sigma : float
         Samples beyond this many sigmas are rejected until nothing changes (``sigma_clip``).
+    baseline : ndarray, shape (K, B), optional
+        Basis of the level of a carrier over the turns, its rows adding up to one (``level_knots``); without it the
+        level is one constant. What a harmonic fit leaves is slow and, over hours of turns, larger than what a quarter
+        of a degree of yaw does: a level that may wander keeps it out of the slopes.
 
     Returns
     -------
@@ -111,8 +115,9 @@ def fit_turn_sensitivity(
     is_present = np.isfinite(deviation_db) & is_row[:, np.newaxis]
     columns = one_sided_columns(np.where(is_row[:, np.newaxis], angle_deg, 0.0))
     is_turned: BoolArray = np.asarray(np.abs(columns) >= MIN_EXCURSION_DEG)
+    level = np.ones((len(columns), 1)) if baseline is None else baseline
     fits = [
-        _fit_carrier(columns, deviation_db[:, carrier], is_present[:, carrier], is_turned, gate_sigma)
+        _fit_carrier(columns, level, deviation_db[:, carrier], is_present[:, carrier], is_turned, gate_sigma)
         for carrier in range(deviation_db.shape[1])
     ]
     slope = np.array([fit.slope for fit in fits]).reshape(-1, 2, 3)
@@ -155,14 +160,52 @@ class _CarrierFit(NamedTuple):
     samples_used: int
 
 
+def level_knots(time_s: FloatArray, spacing_s: float) -> FloatArray:
+    """Return hat functions over a stretch of time: a level that is a straight line between knots.
+
+    Parameters
+    ----------
+    time_s : ndarray, shape (K,), s
+        Instants of the rows.
+    spacing_s : float, s
+        Distance between knots at least; the stretch is divided evenly.
+
+    Returns
+    -------
+    ndarray, shape (K, B)
+        Each row adds up to one.
+
+    Examples
+    --------
+    >>> level_knots(np.array([0.0, 5.0, 10.0]), 10.0)
+    array([[1. , 0. ],
+           [0.5, 0.5],
+           [0. , 1. ]])
+    """
+    start_s, span_s = float(time_s.min()), float(np.ptp(time_s))
+    pieces = max(1, int(span_s / spacing_s))
+    place = (time_s - start_s) / max(span_s, 1e-9) * pieces
+    return np.clip(1.0 - np.abs(place[:, np.newaxis] - np.arange(pieces + 1)), 0.0, None)
+
+
 def _fit_carrier(
-    columns: FloatArray, deviation_db: FloatArray, is_present: BoolArray, is_turned: BoolArray, gate_sigma: float
+    columns: FloatArray,
+    level: FloatArray,
+    deviation_db: FloatArray,
+    is_present: BoolArray,
+    is_turned: BoolArray,
+    gate_sigma: float,
 ) -> _CarrierFit:
     """Fit one carrier on the sides it saw turned; a missing side follows the slope of the other."""
+    slope, sigma = np.full(6, math.nan), np.full(6, math.nan)
+    if is_present.sum() < MIN_SAMPLES:
+        return _CarrierFit(slope, sigma, math.nan, math.nan, 0)
     is_seen = np.asarray(is_turned[is_present].any(axis=0))
     opposite = np.roll(np.arange(6), 3)
     folded = columns + np.where(is_seen[opposite], 0.0, columns[:, opposite])
-    basis = np.column_stack([folded[:, is_seen], np.ones(len(columns))])
+    # a knot without a sample has no level; its column would make the system singular
+    is_level = np.asarray((level[is_present] > 0.0).any(axis=0))
+    basis = np.column_stack([folded[:, is_seen], level[:, is_level]])
     fit = fit_clipped(
         basis,
         np.where(is_present, deviation_db, math.nan)[:, np.newaxis],
@@ -170,8 +213,8 @@ def _fit_carrier(
         min_samples=MIN_SAMPLES,
     )
     used = int(fit.is_used.sum())
-    slope, sigma = np.full(6, math.nan), np.full(6, math.nan)
-    slope[is_seen] = fit.coefficients[0, :-1]
+    sides = int(np.count_nonzero(is_seen))
+    slope[is_seen] = fit.coefficients[0, :sides]
     variance_db2 = fit.rms_db[0] ** 2 * used / max(used - basis.shape[1], 1)
-    sigma[is_seen] = np.sqrt(np.diagonal(fit.normal_inverse[0])[:-1] * variance_db2)
-    return _CarrierFit(slope, sigma, float(fit.coefficients[0, -1]), float(fit.rms_db[0]), used)
+    sigma[is_seen] = np.sqrt(np.diagonal(fit.normal_inverse[0])[:sides] * variance_db2)
+    return _CarrierFit(slope, sigma, float(fit.coefficients[0, sides:].mean()), float(fit.rms_db[0]), used)
