@@ -10,6 +10,7 @@ understood is answered with `{"kind":"error",...}` and changes nothing. One clie
 import asyncio
 import json
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -111,7 +112,9 @@ async def serve_ground(
         gate.close()
 
     async def on_connection(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        await _converse(session, reader, writer)
+        # the loop cancels connections when the simulator stops; asyncio's own callback would report that as an error
+        with suppress(asyncio.CancelledError):
+            await _converse(session, reader, writer)
 
     return await asyncio.start_server(on_connection, host, port, limit=MAX_LINE_BYTES)
 

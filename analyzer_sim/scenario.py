@@ -41,7 +41,8 @@ class NoiseFigures:
     chain_daily_db: float = 0.02
     #: amplitude of each user's day of temperature
     thermal_db: float = 0.04
-    #: correlation time of an unstable user's wander
+    #: scale of an unstable user's wander and its correlation time
+    wander_scale: float = 1.0
     wander_tau_s: float = 3 * 3600.0
 
 
@@ -189,7 +190,7 @@ _CATALOGUE = (
     Scenario(
         "white",
         "White noise only, of the sizes of the plan; no drift of the chain.",
-        noise=NoiseFigures(coloured_db=(0.0, 0.0), chain_db=0.0, chain_daily_db=0.0, thermal_db=0.0),
+        noise=NoiseFigures(coloured_db=(0.0, 0.0), chain_db=0.0, chain_daily_db=0.0, thermal_db=0.0, wander_scale=0.0),
     ),
     Scenario("gaps", "Six gaps of ten minutes to three hours.", faults=(Gap("gaps", 6),)),
 )

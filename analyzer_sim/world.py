@@ -231,7 +231,8 @@ def _user_noise_db(carrier: Carrier, scenario: Scenario, seed: int, seconds: Flo
     sigma_db = float(coloured_rng.uniform(*figures.coloured_db))
     coloured = first_order(coloured_rng, count, step_s, sigma_db, figures.coloured_tau_s)
     thermal = daily_wave(stream(seed, "thermal", carrier.id), seconds, figures.thermal_db)
-    wander = first_order(stream(seed, "wander", carrier.id), count, step_s, carrier.wander_db, figures.wander_tau_s)
+    wander_db = carrier.wander_db * figures.wander_scale
+    wander = first_order(stream(seed, "wander", carrier.id), count, step_s, wander_db, figures.wander_tau_s)
     return np.asarray(white + coloured + thermal + wander)
 
 

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import socket
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from dataclasses import replace
@@ -214,3 +215,17 @@ def test_with_await_ground_the_gate_stays_closed_when_the_client_leaves() -> Non
         assert not gate.is_granted(int(world().rows.epochs_us[0]))
 
     run(story)
+
+
+def test_stopping_the_simulator_with_a_client_connected_is_silent(caplog: pytest.LogCaptureFixture) -> None:
+    with socket.socket() as raw:
+
+        async def told() -> None:
+            gate = Gate()
+            server = await serve_ground(world(), gate, port=0)
+            async with server:
+                raw.connect(server.sockets[0].getsockname())
+                await settled(lambda: not gate.is_granted(10**18))
+
+        asyncio.run(told())
+    assert not caplog.records
