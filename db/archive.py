@@ -150,6 +150,17 @@ class SqlArchive:
         )
         return [measurement_of(row) for row in self._database.fetch(query)]
 
+    def plan_ids(self, spacecraft_id: str, window: Window) -> tuple[int, ...]:
+        """Return the numbers of the carrier plans under which the rows of a window were stored, ascending."""
+        key = self._database.key(spacecraft_id)
+        query = (
+            select(measurement.c.plan_id)
+            .where(measurement.c.spacecraft_key == key, within(measurement.c.epoch_us, window))
+            .distinct()
+            .order_by(measurement.c.plan_id)
+        )
+        return tuple(row.plan_id for row in self._database.fetch(query))
+
     def measurements_after(self, spacecraft_id: str, epoch_us: int, before_number: int) -> list[Measurement]:
         """Return rows that feed the estimator, later than an epoch, stored before a journal number, by epoch."""
         key = self._database.key(spacecraft_id)

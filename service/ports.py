@@ -160,6 +160,10 @@ class Archive(Protocol):
         """Return rows in order of (epoch, number) beyond a cursor; every source unless one is named."""
         ...
 
+    def plan_ids(self, spacecraft_id: str, window: Window) -> tuple[int, ...]:
+        """Return the numbers of the carrier plans under which the rows of a window were stored, ascending."""
+        ...
+
     def measurements_after(self, spacecraft_id: str, epoch_us: int, before_number: int) -> list[Measurement]:
         """Return rows that feed the estimator, later than an epoch, stored before a journal number, by epoch."""
         ...

@@ -1,4 +1,4 @@
-"""Ids of the carriers of a plan, kept in memory: plans are immutable, and every row that goes out names its carriers."""
+"""Ids of the carriers of a plan, kept in memory: plans are immutable, and every row sent out names its carriers."""
 
 import threading
 
@@ -18,6 +18,11 @@ class CarrierNames:
         self._catalogue = catalogue
         self._lock = threading.Lock()
         self._names: dict[tuple[str, int], tuple[str, ...]] = {}
+
+    def knows(self, spacecraft_id: str, plan_id: int) -> bool:
+        """Whether the carrier ids of a plan need no look-up."""
+        with self._lock:
+            return (spacecraft_id, plan_id) in self._names
 
     def of(self, spacecraft_id: str, plan_id: int) -> tuple[str, ...]:
         """Return the carrier ids in the order of a row's powers; NotFoundError ``plan.unknown``."""

@@ -14,6 +14,7 @@ from service.api.carrier_names import CarrierNames
 from service.api.open_streams import OpenStreams
 from service.api.plan_widths import PlanWidths
 from service.errors import NotFoundError
+from service.pipeline.config import CalibrationConfig
 from service.ports import Clock, Storage
 from service.runtime.aligning import Aligner
 from service.runtime.calibrating import Calibrator
@@ -68,6 +69,8 @@ class ApiContext:
     calibrator: Calibrator
     aligner: Aligner
     replayer: Replayer
+    #: how harmonics are fitted and carriers judged on demand
+    calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
     #: administrator's key; None = every request is refused
     bootstrap_key: str | None = field(default=None, repr=False)
     limits: Limits = field(default_factory=Limits)

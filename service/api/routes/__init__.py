@@ -2,7 +2,28 @@
 
 from fastapi import APIRouter
 
-from service.api.routes import carriers, ephemeris, health, inputs, measurements_ingest, operations, sources, spacecraft
+from service.api.routes import (
+    alignments,
+    attitude,
+    calibrations,
+    carrier_selection,
+    carriers,
+    ephemeris,
+    export,
+    harmonics,
+    health,
+    inputs,
+    jobs,
+    measurements,
+    measurements_ingest,
+    operations,
+    replays,
+    sources,
+    spacecraft,
+    status,
+    stream,
+    torques,
+)
 
 ROUTERS: tuple[APIRouter, ...] = (
     spacecraft.router,
@@ -12,5 +33,17 @@ ROUTERS: tuple[APIRouter, ...] = (
     sources.router,
     inputs.router,
     operations.router,
+    calibrations.router,
+    alignments.router,
+    harmonics.router,
+    carrier_selection.router,
+    status.router,
+    measurements.router,
+    attitude.router,
+    torques.router,
+    stream.router,
+    export.router,
+    replays.router,
+    jobs.router,
 )
 PUBLIC_ROUTERS: tuple[APIRouter, ...] = (health.router,)

@@ -1,0 +1,53 @@
+"""Alignments: the step after which no outside angle reaches the estimator."""
+
+from http import HTTPStatus
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Response
+
+from service.api.auth import MAY_OPERATE, CurrentPrincipal, Permission, Principal
+from service.api.bodies import accepts, body_of
+from service.api.deps import Context, SpacecraftId
+from service.api.problems import ProblemError
+from service.api.schemas.alignments import AlignmentAnswer, AlignmentDocument, AlignmentList
+
+router = APIRouter(prefix="/spacecraft/{spacecraft_id}/alignments", tags=["calibration"])
+
+
+@router.post("", status_code=HTTPStatus.CREATED, dependencies=[MAY_OPERATE], openapi_extra=accepts(AlignmentDocument))
+def align(
+    spacecraft_id: SpacecraftId,
+    body: Annotated[AlignmentDocument, body_of(AlignmentDocument)],
+    context: Context,
+    principal: CurrentPrincipal,
+    response: Response,
+) -> AlignmentAnswer:
+    """Set angles and reference powers of every method; angles by hand need an approver's key."""
+    if body.is_manual:
+        _require_approver(principal)
+    alignment = context.aligner.align(spacecraft_id, body.to_request(principal.name))
+    context.supervisor.notify(spacecraft_id)
+    response.headers["Location"] = f"/api/v1/spacecraft/{spacecraft_id}/alignments/{alignment.id}"
+    return AlignmentAnswer.of(alignment)
+
+
+@router.get("")
+def list_alignments(spacecraft_id: SpacecraftId, context: Context) -> AlignmentList:
+    """List alignments, newest first; the newest holds."""
+    found = context.storage.results.alignments(spacecraft_id)
+    return AlignmentList(rows=[AlignmentAnswer.of(alignment) for alignment in found])
+
+
+@router.get("/{alignment_id}")
+def get_alignment(
+    spacecraft_id: SpacecraftId, alignment_id: Annotated[int, Path(ge=1, le=2**31 - 1)], context: Context
+) -> AlignmentAnswer:
+    """Return one alignment."""
+    return AlignmentAnswer.of(context.storage.results.alignment(spacecraft_id, alignment_id))
+
+
+def _require_approver(principal: Principal) -> None:
+    """Refuse angles by hand from a key that may not approve."""
+    if not principal.may(Permission.APPROVE):
+        detail = f"angles by hand need an approver's key, this one has the role {principal.role}"
+        raise ProblemError(HTTPStatus.FORBIDDEN, "key.forbidden", detail)

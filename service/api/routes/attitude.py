@@ -1,0 +1,44 @@
+"""Attitude: the newest row and the history of a method."""
+
+from fastapi import APIRouter, Request, Response
+
+from service.api.deps import Context, SpacecraftId
+from service.api.methods import WantedMethod, WantedVersion
+from service.api.paging import Page, cut_page
+from service.api.schemas.attitude import AttitudeAnswer, AttitudePage
+from service.api.schemas.base import WindowAnswer
+from service.api.validity import newest_attitude
+from service.ports import LIVE
+
+router = APIRouter(prefix="/spacecraft/{spacecraft_id}/attitude", tags=["attitude"])
+
+
+@router.get("")
+def get_attitude(spacecraft_id: SpacecraftId, method: WantedMethod, context: Context) -> AttitudeAnswer:
+    """Return the newest attitude; status NOT_RECEIVED before the first row, EXPIRED when the newest is too old."""
+    row = newest_attitude(context, spacecraft_id, method)
+    return AttitudeAnswer.not_received(method, LIVE) if row is None else AttitudeAnswer.of(row, LIVE)
+
+
+@router.get("/history")
+def list_attitude(
+    spacecraft_id: SpacecraftId,
+    method: WantedMethod,
+    version: WantedVersion,
+    page: Page,
+    context: Context,
+    request: Request,
+    response: Response,
+) -> AttitudePage:
+    """List attitude rows in order of epoch, exactly one a measurement and method."""
+    found = context.storage.results.attitude_rows(
+        spacecraft_id, version, method, page.window, page.limit + 1, page.after
+    )
+    rows, cursor = cut_page(found, page.limit, lambda row: (row.epoch_us, row.number), request, response)
+    return AttitudePage(
+        range=WindowAnswer.of(page.window),
+        method=method,
+        version=version,
+        rows=[AttitudeAnswer.of(row, version) for row in rows],
+        next=cursor,
+    )

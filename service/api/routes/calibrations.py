@@ -1,0 +1,62 @@
+"""Calibrations: made by a job, looked at, then made the active one."""
+
+from http import HTTPStatus
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Response
+
+from service.api.auth import MAY_OPERATE, CurrentPrincipal
+from service.api.bodies import accepts, body_of
+from service.api.deps import Context, SpacecraftId
+from service.api.schemas.calibrations import (
+    CalibrationAnswer,
+    CalibrationDocument,
+    CalibrationList,
+    CalibrationStartedAnswer,
+)
+
+router = APIRouter(prefix="/spacecraft/{spacecraft_id}/calibrations", tags=["calibration"])
+CalibrationId = Annotated[int, Path(ge=1, le=2**31 - 1)]
+
+
+@router.post(
+    "",
+    status_code=HTTPStatus.ACCEPTED,
+    dependencies=[MAY_OPERATE],
+    openapi_extra=accepts(CalibrationDocument),
+)
+def start_calibration(
+    spacecraft_id: SpacecraftId,
+    body: Annotated[CalibrationDocument, body_of(CalibrationDocument)],
+    context: Context,
+    principal: CurrentPrincipal,
+    response: Response,
+) -> CalibrationStartedAnswer:
+    """Start a calibration; its job tells when the draft has its figures."""
+    context.storage.catalogue.spacecraft(spacecraft_id)
+    draft, job = context.calibrator.start(spacecraft_id, body.to_record(), principal.name)
+    response.headers["Location"] = f"/api/v1/spacecraft/{spacecraft_id}/calibrations/{draft.id}"
+    return CalibrationStartedAnswer(id=draft.id, job=job.id)
+
+
+@router.get("")
+def list_calibrations(spacecraft_id: SpacecraftId, context: Context) -> CalibrationList:
+    """List calibrations, newest first."""
+    found = context.storage.results.calibrations(spacecraft_id)
+    return CalibrationList(rows=[CalibrationAnswer.of(calibration) for calibration in found])
+
+
+@router.get("/{calibration_id}")
+def get_calibration(spacecraft_id: SpacecraftId, calibration_id: CalibrationId, context: Context) -> CalibrationAnswer:
+    """Return one calibration."""
+    return CalibrationAnswer.of(context.storage.results.calibration(spacecraft_id, calibration_id))
+
+
+@router.post("/{calibration_id}:activate", dependencies=[MAY_OPERATE])
+def activate_calibration(
+    spacecraft_id: SpacecraftId, calibration_id: CalibrationId, context: Context
+) -> CalibrationAnswer:
+    """Make a calibration the active one of its method; the one before it is superseded, history stays."""
+    calibration = context.calibrator.activate(spacecraft_id, calibration_id)
+    context.supervisor.notify(spacecraft_id)
+    return CalibrationAnswer.of(calibration)

@@ -1,0 +1,31 @@
+"""Harmonics: the fit of any window of the archive, on demand."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query
+
+from service.api.deps import Context, SpacecraftId
+from service.api.methods import refuse_method
+from service.api.paging import EVERYTHING, window_of
+from service.api.schemas.inspection import WindowHarmonicsAnswer
+from service.records.catalogue import Method
+from service.runtime.inspection import window_harmonics
+
+router = APIRouter(prefix="/spacecraft/{spacecraft_id}/harmonics", tags=["calibration"])
+
+
+@router.get("")
+def get_harmonics(
+    spacecraft_id: SpacecraftId,
+    context: Context,
+    start: Annotated[str, Query(max_length=64, description="RFC 3339, inclusive")],
+    stop: Annotated[str, Query(max_length=64, description="RFC 3339, exclusive")],
+    carrier: Annotated[str | None, Query(max_length=64, description="Default: all carriers of the newest plan")] = None,
+    method: Method = Method.PAPER,
+) -> WindowHarmonicsAnswer:
+    """Fit the daily harmonic of a window; nothing is stored."""
+    window = window_of(start, stop, EVERYTHING)
+    context.storage.catalogue.spacecraft(spacecraft_id)
+    refuse_method(method, "harmonics.method")
+    harmonics = window_harmonics(context.storage, spacecraft_id, window, carrier, context.calibration)
+    return WindowHarmonicsAnswer.of(window, method, harmonics)

@@ -1,0 +1,16 @@
+"""Jobs: how far long work is."""
+
+from typing import Annotated
+
+from fastapi import APIRouter, Path
+
+from service.api.deps import Context
+from service.api.schemas.jobs import JobAnswer
+
+router = APIRouter(prefix="/jobs", tags=["jobs"])
+
+
+@router.get("/{job_id}")
+def get_job(job_id: Annotated[str, Path(max_length=64)], context: Context) -> JobAnswer:
+    """Return how far a job is."""
+    return JobAnswer.of(context.storage.results.job(job_id))

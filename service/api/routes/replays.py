@@ -1,0 +1,37 @@
+"""Replays: the chain run again over the archive, its rows kept as a version of their own."""
+
+from http import HTTPStatus
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Response
+
+from service.api.auth import MAY_OPERATE
+from service.api.bodies import accepts, body_of
+from service.api.deps import Context, SpacecraftId
+from service.api.methods import refuse_method
+from service.api.schemas.replays import ReplayAnswer, ReplayDocument, ReplayStartedAnswer
+
+router = APIRouter(prefix="/spacecraft/{spacecraft_id}/replays", tags=["replay"])
+
+
+@router.post("", status_code=HTTPStatus.ACCEPTED, dependencies=[MAY_OPERATE], openapi_extra=accepts(ReplayDocument))
+def start_replay(
+    spacecraft_id: SpacecraftId,
+    body: Annotated[ReplayDocument, body_of(ReplayDocument)],
+    context: Context,
+    response: Response,
+) -> ReplayStartedAnswer:
+    """Start a replay; its rows are read by ?version= on history and export."""
+    context.storage.catalogue.spacecraft(spacecraft_id)
+    refuse_method(body.method, "replay.method")
+    replay, job = context.replayer.start(spacecraft_id, body.to_record())
+    response.headers["Location"] = f"/api/v1/spacecraft/{spacecraft_id}/replays/{replay.id}"
+    return ReplayStartedAnswer(id=replay.id, job=job.id, version=replay.version)
+
+
+@router.get("/{replay_id}")
+def get_replay(
+    spacecraft_id: SpacecraftId, replay_id: Annotated[int, Path(ge=1, le=2**31 - 1)], context: Context
+) -> ReplayAnswer:
+    """Return one replay."""
+    return ReplayAnswer.of(context.storage.results.replay(spacecraft_id, f"replay-{replay_id}"))

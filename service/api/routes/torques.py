@@ -1,0 +1,43 @@
+"""Torques: the newest computed command and those before it."""
+
+from fastapi import APIRouter, Request, Response
+
+from service.api.deps import Context, SpacecraftId
+from service.api.methods import WantedVersion
+from service.api.paging import Page, cut_page
+from service.api.schemas.base import WindowAnswer
+from service.api.schemas.torques import TorqueAnswer, TorquePage
+from service.api.validity import newest_attitude, newest_command
+
+router = APIRouter(prefix="/spacecraft/{spacecraft_id}/torques", tags=["torques"])
+
+
+@router.get("")
+def get_torques(spacecraft_id: SpacecraftId, context: Context) -> TorqueAnswer:
+    """Return the newest command: zero with its reasons while control is inhibited, null before the first."""
+    spacecraft = context.storage.catalogue.spacecraft(spacecraft_id)
+    row = newest_attitude(context, spacecraft_id, spacecraft.control.method)
+    command = newest_command(context, spacecraft, row)
+    if command is None:
+        return TorqueAnswer.before_the_first(spacecraft.control.mode, None if row is None else row.epoch_us)
+    return TorqueAnswer.of(command)
+
+
+@router.get("/history")
+def list_torques(
+    spacecraft_id: SpacecraftId,
+    version: WantedVersion,
+    page: Page,
+    context: Context,
+    request: Request,
+    response: Response,
+) -> TorquePage:
+    """List computed commands in order of epoch."""
+    found = context.storage.results.commands(spacecraft_id, version, page.window, page.limit + 1, page.after)
+    rows, cursor = cut_page(found, page.limit, lambda row: (row.epoch_us, row.number), request, response)
+    return TorquePage(
+        range=WindowAnswer.of(page.window),
+        version=version,
+        rows=[TorqueAnswer.of(row) for row in rows],
+        next=cursor,
+    )

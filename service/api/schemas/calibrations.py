@@ -1,0 +1,267 @@
+"""Calibrations: what is asked for, and what came of it with every figure by which carriers were judged."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from service.api.schemas.base import AnglesAnswer, Answer, Document, Epoch, EpochAnswer, Figure, WindowAnswer
+from service.records.calibration import (
+    Calibration,
+    CalibrationMethod,
+    CalibrationRequest,
+    CalibrationResult,
+    CalibrationState,
+    CarrierCalibration,
+    Harmonic,
+    Window,
+)
+
+Sensor = Literal["star_tracker", "earth_sensor", "radio_beacon", "other"]
+#: what an operation of the archive is named by; it counts with int32
+Identifier = Annotated[int, Field(ge=1, le=2**31 - 1)]
+
+
+class WindowDocument(Document):
+    """Interval of epochs, start inclusive, stop exclusive."""
+
+    start: Epoch
+    stop: Epoch
+
+    @model_validator(mode="after")
+    def _check_order(self) -> Self:
+        """Refuse an interval without content."""
+        if self.start >= self.stop:
+            raise PydanticCustomError("range.invalid", "start must lie before stop; start is inclusive, stop exclusive")
+        return self
+
+    def to_record(self) -> Window:
+        """Return the window that this document states."""
+        return Window(self.start, self.stop)
+
+
+class SensorsDocument(Document):
+    """The sensor that tells each angle."""
+
+    yaw: Sensor
+    roll: Sensor
+    pitch: Sensor
+
+
+class SensorChoice(Document):
+    """One sensor for all angles, or one for each."""
+
+    source: Sensor | None = None
+    sources: SensorsDocument | None = None
+
+    @model_validator(mode="after")
+    def _check_choice(self) -> Self:
+        """Refuse both at once."""
+        if self.source is not None and self.sources is not None:
+            raise PydanticCustomError("sources.ambiguous", "give source for all angles or sources for each, not both")
+        return self
+
+    @property
+    def of_axis(self) -> tuple[str, str, str]:
+        """Sensor of yaw, roll, pitch; the star tracker unless another is named."""
+        if self.sources is not None:
+            return self.sources.yaw, self.sources.roll, self.sources.pitch
+        sensor = self.source or "star_tracker"
+        return sensor, sensor, sensor
+
+
+class CalibrationDocument(SensorChoice):
+    """A calibration to be made."""
+
+    quiet: WindowDocument
+    """Days without turns: give harmonics and levels."""
+    turns: WindowDocument
+    """Calibration turns: give sensitivities."""
+    method: CalibrationMethod
+
+    def to_record(self) -> CalibrationRequest:
+        """Return the request that this document states."""
+        return CalibrationRequest(self.quiet.to_record(), self.turns.to_record(), self.method, *self.of_axis)
+
+
+class CalibrationStartedAnswer(Answer):
+    """A calibration that is being made."""
+
+    id: int
+    job: str
+
+
+class HarmonicAnswer(Answer):
+    """Daily harmonic of a carrier and how well it was found."""
+
+    amplitude_db: Figure
+    phase_rad: Figure
+    offset_dbm: Figure
+    period_s: float
+    node_epoch: EpochAnswer
+    """Ascending node from which the phase is counted."""
+    rms_db: Figure
+    samples_used: int
+    samples_rejected: int
+
+    @classmethod
+    def of(cls, harmonic: Harmonic) -> Self:
+        """Return the answer that tells a harmonic."""
+        return cls.model_validate(
+            {
+                "amplitude_db": harmonic.amplitude_db,
+                "phase_rad": harmonic.phase_rad,
+                "offset_dbm": harmonic.offset_dbm,
+                "period_s": harmonic.period_s,
+                "node_epoch": harmonic.node_epoch_us,
+                "rms_db": harmonic.rms_db,
+                "samples_used": harmonic.samples_used,
+                "samples_rejected": harmonic.samples_rejected,
+            }
+        )
+
+
+class NoiseAnswer(Answer):
+    """One coloured part of a carrier's noise."""
+
+    correlation_time_s: Figure
+    sigma_db: Figure
+
+
+class StabilityAnswer(Answer):
+    """First criterion: what the harmonic leaves."""
+
+    residual_rms_db: Figure
+    drift_db_per_day: Figure
+
+
+class LinearityAnswer(Answer):
+    """Second criterion: departure from a straight line."""
+
+    deviation_at_0p5_deg_db: Figure
+    departure_deg: Figure
+    """Greatest departure, in degrees of the carrier's own axis."""
+    range_deg: Figure
+    """Range in which it was judged."""
+
+
+class CarrierCalibrationAnswer(Answer):
+    """All that a calibration says about one carrier."""
+
+    id: str
+    level_dbm: Figure
+    sigma_white_db: Figure
+    noise: list[NoiseAnswer]
+    harmonic: HarmonicAnswer
+    sensitivity_db_per_deg: AnglesAnswer
+    sensitivity_plus_db_per_deg: AnglesAnswer
+    sensitivity_minus_db_per_deg: AnglesAnswer
+    residual_db: Figure
+    stability: StabilityAnswer
+    linearity: LinearityAnswer
+    axis: str
+    """roll, pitch, yaw or mixed."""
+    axis_ratio: Figure
+    """Third criterion: greatest coefficient over the others."""
+    criteria_met: list[str]
+    rejected_because: list[str]
+    selected: bool
+
+    @classmethod
+    def of(cls, carrier: CarrierCalibration) -> Self:
+        """Return the answer that tells the calibration of a carrier."""
+        return cls.model_validate(
+            {
+                "id": carrier.id,
+                "level_dbm": carrier.level_dbm,
+                "sigma_white_db": carrier.sigma_white_db,
+                "noise": carrier.noise,
+                "harmonic": HarmonicAnswer.of(carrier.harmonic),
+                "sensitivity_db_per_deg": carrier.sensitivity_db_per_deg,
+                "sensitivity_plus_db_per_deg": carrier.sensitivity_plus_db_per_deg,
+                "sensitivity_minus_db_per_deg": carrier.sensitivity_minus_db_per_deg,
+                "residual_db": carrier.residual_db,
+                "stability": {
+                    "residual_rms_db": carrier.stability_residual_rms_db,
+                    "drift_db_per_day": carrier.drift_db_per_day,
+                },
+                "linearity": {
+                    "deviation_at_0p5_deg_db": carrier.deviation_at_0p5_deg_db,
+                    "departure_deg": carrier.nonlinearity_deg,
+                    "range_deg": carrier.linear_range_deg,
+                },
+                "axis": carrier.axis,
+                "axis_ratio": carrier.axis_ratio,
+                "criteria_met": carrier.criteria_met,
+                "rejected_because": carrier.rejected_because,
+                "selected": carrier.selected,
+            }
+        )
+
+
+class ObservabilityAnswer(Answer):
+    """What the selected carriers can see."""
+
+    condition: Figure
+    dop: AnglesAnswer
+    """deg per dB"""
+    crlb_deg: AnglesAnswer
+    """One row, with a common-mode unknown."""
+
+
+class CalibrationAnswer(Answer):
+    """One calibration; figures are there when its job has ended well."""
+
+    id: int
+    plan_id: int
+    ephemeris_id: int
+    state: CalibrationState
+    method: CalibrationMethod
+    quiet: WindowAnswer
+    turns: WindowAnswer
+    sources: SensorsDocument
+    created_at: EpochAnswer
+    created_by: str
+    error: str | None
+    """Why it failed."""
+    quality: dict[str, Figure | list[str]]
+    """Figures of the fit as a whole, and `warnings`."""
+    observability: ObservabilityAnswer | None
+    carriers: list[CarrierCalibrationAnswer]
+
+    @classmethod
+    def of(cls, calibration: Calibration) -> Self:
+        """Return the answer that tells a calibration."""
+        request, result = calibration.request, calibration.result
+        return cls.model_validate(
+            {
+                "id": calibration.id,
+                "plan_id": calibration.plan_id,
+                "ephemeris_id": calibration.ephemeris_id,
+                "state": calibration.state,
+                "method": request.method,
+                "quiet": WindowAnswer.of(request.quiet),
+                "turns": WindowAnswer.of(request.turns),
+                "sources": {"yaw": request.source_yaw, "roll": request.source_roll, "pitch": request.source_pitch},
+                "created_at": calibration.created_at_us,
+                "created_by": calibration.created_by,
+                "error": calibration.error,
+                "quality": _quality(result),
+                "observability": None if result is None else result.observability,
+                "carriers": [] if result is None else [CarrierCalibrationAnswer.of(c) for c in result.carriers],
+            }
+        )
+
+
+class CalibrationList(Answer):
+    """Calibrations, newest first."""
+
+    rows: list[CalibrationAnswer]
+    next: str | None = None
+
+
+def _quality(result: CalibrationResult | None) -> dict[str, float | list[str]]:
+    """Return the figures of the whole and the warnings."""
+    if result is None:
+        return {"warnings": []}
+    return {**result.quality, "warnings": list(result.warnings)}

@@ -1,0 +1,33 @@
+"""Long work as it is told."""
+
+from typing import Self
+
+from service.api.schemas.base import Answer, EpochAnswer
+from service.records.job import Job, JobState
+
+
+class JobAnswer(Answer):
+    """One piece of long work."""
+
+    id: str
+    kind: str
+    state: JobState
+    progress: float
+    """0..1"""
+    created_at: EpochAnswer
+    error: str | None
+    """Why it failed, and what to do."""
+
+    @classmethod
+    def of(cls, job: Job) -> Self:
+        """Return the answer that tells a job."""
+        return cls.model_validate(
+            {
+                "id": job.id,
+                "kind": job.kind,
+                "state": job.state,
+                "progress": job.progress,
+                "created_at": job.created_at_us,
+                "error": job.error,
+            }
+        )

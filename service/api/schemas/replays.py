@@ -1,0 +1,86 @@
+"""Replays: what to run again, and the version under which its rows are read."""
+
+from typing import Literal, Self
+
+from pydantic import model_validator
+from pydantic_core import PydanticCustomError
+
+from service.api.schemas.base import Answer, Document, Epoch, EpochAnswer
+from service.api.schemas.calibrations import Identifier
+from service.records.catalogue import Method
+from service.records.job import Replay
+
+
+class ReplayDocument(Document):
+    """A stretch of the archive to run again."""
+
+    start: Epoch
+    stop: Epoch
+    method: Method | None = None
+    """Null: every method."""
+    calibration_id: Identifier | None = None
+    """In place of those that the journal activates."""
+    alignment_id: Identifier | None = None
+    """In place of the one that held at start."""
+    order: Literal["journal", "epoch"] = "journal"
+    """As it was, or as it would have been with late rows in their place."""
+
+    @model_validator(mode="after")
+    def _check_order(self) -> Self:
+        """Refuse an interval without content."""
+        if self.start >= self.stop:
+            raise PydanticCustomError("range.invalid", "start must lie before stop; start is inclusive, stop exclusive")
+        return self
+
+    def to_record(self) -> Replay:
+        """Return the replay that this document asks for; number, job and time are given later."""
+        return Replay(
+            id=0,
+            start_us=self.start,
+            stop_us=self.stop,
+            method=self.method,
+            calibration_id=self.calibration_id,
+            alignment_id=self.alignment_id or 0,
+            order=self.order,
+            job_id="",
+            created_at_us=0,
+        )
+
+
+class ReplayStartedAnswer(Answer):
+    """A replay that is running."""
+
+    id: int
+    job: str
+    version: str
+    """Name under which its rows are read on history and export."""
+
+
+class ReplayAnswer(ReplayStartedAnswer):
+    """One replay."""
+
+    start: EpochAnswer
+    stop: EpochAnswer
+    method: Method | None
+    calibration_id: int | None
+    alignment_id: int
+    order: str
+    created_at: EpochAnswer
+
+    @classmethod
+    def of(cls, replay: Replay) -> Self:
+        """Return the answer that tells a replay."""
+        return cls.model_validate(
+            {
+                "id": replay.id,
+                "job": replay.job_id,
+                "version": replay.version,
+                "start": replay.start_us,
+                "stop": replay.stop_us,
+                "method": replay.method,
+                "calibration_id": replay.calibration_id,
+                "alignment_id": replay.alignment_id,
+                "order": replay.order,
+                "created_at": replay.created_at_us,
+            }
+        )

@@ -1,0 +1,48 @@
+"""State of one spacecraft, put together from what archive, results and clock say; the stream tells the same."""
+
+from service.api.deps import ApiContext
+from service.api.methods import RUNNING_METHODS
+from service.api.schemas.status import StatusAnswer
+from service.api.validity import newest_attitude, newest_command
+from service.records.attitude import AttitudeRow
+from service.records.calibration import CalibrationState
+from service.records.catalogue import Release, Spacecraft
+from service.records.command import TorqueCommand
+
+
+def status_of(context: ApiContext, spacecraft_id: str) -> StatusAnswer:
+    """Return the present state; NotFoundError ``spacecraft.unknown``."""
+    storage, clock = context.storage, context.clock
+    spacecraft = storage.catalogue.spacecraft(spacecraft_id)
+    row = newest_attitude(context, spacecraft_id, spacecraft.control.method)
+    command = newest_command(context, spacecraft, row)
+    reasons = _reasons(spacecraft, row if command is None else command)
+    alignments = storage.results.alignments(spacecraft_id)
+    active = storage.results.calibrations(spacecraft_id, CalibrationState.ACTIVE)
+    return StatusAnswer.model_validate(
+        {
+            "newest_measurement": storage.archive.head(spacecraft_id).newest_epoch_us,
+            "newest_attitude": None if row is None else row.epoch_us,
+            "pending": storage.results.pending(spacecraft_id, RUNNING_METHODS),
+            "aligned": bool(alignments),
+            "realignment_advised": False,
+            "clock": "data" if clock.is_data(spacecraft_id) else "system",
+            "now": clock.now_us(spacecraft_id),
+            "links": [
+                {"source": link.id, "role": link.role, "newest_epoch": link.newest_epoch_us, "rows": link.rows}
+                for link in storage.archive.sources(spacecraft_id)
+            ],
+            "interlock": {"state": "INHIBITED" if reasons else "ENGAGED", "reasons": reasons},
+            "method": spacecraft.control.method,
+            "calibration_id": active[0].id if active else None,
+            "alignment_id": alignments[0].id if alignments else None,
+        }
+    )
+
+
+def _reasons(spacecraft: Spacecraft, newest: TorqueCommand | AttitudeRow | None) -> list[str]:
+    """Return why no torque reaches the spacecraft by itself; none when the newest command may be applied."""
+    reasons = ["no_attitude"] if newest is None else list(newest.inhibitions)
+    if spacecraft.control.release is not Release.AUTOMATIC:
+        reasons.append("release_two_step")
+    return reasons

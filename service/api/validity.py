@@ -1,0 +1,58 @@
+"""Validity of what is newest: under the system clock an old row is no longer the present.
+
+History is not rewritten: only the newest answer says EXPIRED, from the limit on and until a newer row comes.
+"""
+
+from dataclasses import replace
+
+from service.api.deps import ApiContext
+from service.pipeline.config import TorqueConfig
+from service.pipeline.wheel_torques import NO_CARRY, compute_command
+from service.ports import LIVE
+from service.records.attitude import AttitudeRow, Status
+from service.records.catalogue import Method, Spacecraft
+from service.records.command import TorqueCommand
+from service.records.epoch import US_PER_S
+
+#: the reason of an answer that outlived its row
+EXPIRED = "expired"
+
+
+def newest_attitude(context: ApiContext, spacecraft_id: str, method: Method) -> AttitudeRow | None:
+    """Return the newest live row of a method as it holds now; None before the first."""
+    row = context.storage.results.newest_attitude(spacecraft_id, LIVE, method)
+    return row if row is None or not _is_expired(context, spacecraft_id, row) else _expired(row)
+
+
+def newest_command(context: ApiContext, spacecraft: Spacecraft, row: AttitudeRow | None) -> TorqueCommand | None:
+    """Return the newest command as it holds now, given the newest row of the method that drives control.
+
+    A row from which nothing was computed stores no command, yet it ends the one before: the answer is then the zero
+    command that follows from that row, with its reasons. None before the first command.
+    """
+    # read after the row: a row and its command are stored together, so this one is as new as the row or newer
+    command = context.storage.results.newest_command(spacecraft.id, LIVE)
+    if command is None or row is None or not row.inhibitions:
+        return command
+    if command.attitude_epoch_us >= row.epoch_us and EXPIRED not in row.inhibitions:
+        return command
+    return compute_command(row, spacecraft, NO_CARRY, command.command_period_s, TorqueConfig()).command
+
+
+def _is_expired(context: ApiContext, spacecraft_id: str, row: AttitudeRow) -> bool:
+    """Whether a row is too old to be the present."""
+    if context.clock.is_data(spacecraft_id):
+        return False
+    now_us = context.clock.now_us(spacecraft_id)
+    return now_us is not None and now_us - row.epoch_us > context.limits.expired_after_s * US_PER_S
+
+
+def _expired(row: AttitudeRow) -> AttitudeRow:
+    """Return a row as it holds after its time."""
+    return replace(
+        row,
+        status=Status.EXPIRED,
+        control_allowed=False,
+        control_allowed_axes=(False, False, False),
+        inhibitions=(*row.inhibitions, EXPIRED),
+    )
