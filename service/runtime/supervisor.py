@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
 from service.ports import LIVE, Outcome, Storage
-from service.records.attitude import CarrierState
-from service.records.inputs import AlignmentSet
+from service.records.attitude import AttitudeRow, CarrierState
+from service.records.command import TorqueCommand
+from service.records.inputs import AlignmentSet, CalibrationActivation
 from service.records.journal import JournalEntry
 from service.records.measurement import Measurement
 from service.runtime.consumer import Documents, consume, prepare
@@ -35,6 +36,8 @@ class _Follower:
     chain: Chain
     consumed_number: int
     consumed_epoch_us: int | None
+    #: sequence of the newest stored result
+    sequence: int
     lock: threading.Lock = field(default_factory=threading.Lock)
 
 
@@ -138,7 +141,9 @@ class Supervisor:
             follower.spacecraft_id, LIVE, outcomes, entries[-1].number, follower.consumed_epoch_us
         )
         follower.consumed_number = entries[-1].number
-        self._feed.publish(follower.spacecraft_id, _events(rows, outcomes, entries[-1].number, sequence))
+        events = _events(entries, outcomes, follower.sequence, sequence)
+        follower.sequence = sequence
+        self._feed.publish(follower.spacecraft_id, events)
         if any(outcome.applied is not None for outcome in outcomes):
             self.notify(follower.spacecraft_id)
 
@@ -157,7 +162,7 @@ class Supervisor:
                     for _ in consume(chain, entry, archive, spacecraft_id):
                         pass
             position = entries[-1].number if entries else head.consumed_number
-        follower = _Follower(spacecraft_id, chain, head.consumed_number, head.consumed_epoch_us)
+        follower = _Follower(spacecraft_id, chain, head.consumed_number, head.consumed_epoch_us, head.result_sequence)
         self._followers[spacecraft_id] = follower
         return follower
 
@@ -168,15 +173,28 @@ class Supervisor:
         return numbers[-1] if numbers else None
 
 
-def _events(rows: list[Measurement], outcomes: list[Outcome], number: int, sequence: int) -> tuple[FeedEvent, ...]:
-    """Return the events of a batch: its rows, then its results, whose sequences end with the given one."""
-    first = sequence - sum(len(outcome.rows) + (outcome.command is not None) for outcome in outcomes)
+def _events(entries: list[JournalEntry], outcomes: list[Outcome], first: int, last: int) -> tuple[FeedEvent, ...]:
+    """Return the events of a batch: its rows, then its results, stored under the sequences after ``first``.
+
+    Of rows that an alignment ran again some results may have been stored before. Which ones the archive knows alone, so
+    subscribers are told, by a status event without content, to read there; the same says that a new alignment or
+    calibration holds.
+    """
+    number = entries[-1].number
+    rows = [entry.content for entry in entries if isinstance(entry.content, Measurement)]
     events = [FeedEvent("measurement", Cursor(row.number, first), row) for row in rows]
-    for outcome in outcomes:
-        for row in outcome.rows:
-            first += 1
-            events.append(FeedEvent("attitude", Cursor(number, first), row))
-        if outcome.command is not None:
-            first += 1
-            events.append(FeedEvent("torque", Cursor(number, first), outcome.command))
+    results = [result for outcome in outcomes for result in (*outcome.rows, outcome.command) if result is not None]
+    is_whole = len(results) == last - first
+    if is_whole:
+        events += [
+            FeedEvent(_kind(result), Cursor(number, sequence), result)
+            for sequence, result in enumerate(results, start=first + 1)
+        ]
+    if not is_whole or any(isinstance(entry.content, AlignmentSet | CalibrationActivation) for entry in entries):
+        events.append(FeedEvent("status", Cursor(number, last), None))
     return tuple(events)
+
+
+def _kind(result: AttitudeRow | TorqueCommand) -> str:
+    """Return the kind of event that tells a result."""
+    return "attitude" if isinstance(result, AttitudeRow) else "torque"
