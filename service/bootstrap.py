@@ -78,5 +78,6 @@ def build_app(settings: Settings, storage: Storage, key: str) -> FastAPI:
         calibrator=Calibrator(storage, clock, jobs, settings.calibration),
         aligner=Aligner(storage, clock, settings.alignment),
         replayer=Replayer(storage, clock, jobs, settings.chain_config()),
+        calibration=settings.calibration,
     )
     return create_app(context)

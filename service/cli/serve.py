@@ -37,6 +37,7 @@ def _serve(settings: Settings) -> None:
     # imported here so that other commands start without the web framework and the database
     import uvicorn
 
+    from service.api.server import StreamingServer
     from service.bootstrap import administrator_key, build_app, build_storage
 
     key, is_fresh = administrator_key(settings)
@@ -56,7 +57,7 @@ def _serve(settings: Settings) -> None:
             app, log_level=settings.log_level, access_log=False, timeout_graceful_shutdown=5, server_header=False
         )
 
-        class AnnouncedServer(uvicorn.Server):
+        class AnnouncedServer(StreamingServer):
             """Says where it listens once it does."""
 
             async def startup(self, sockets: list[socket.socket] | None = None) -> None:
@@ -66,4 +67,4 @@ def _serve(settings: Settings) -> None:
                     typer.echo(json.dumps({"url": address, "api": f"{address}/api/v1"}))
                     sys.stdout.flush()
 
-        AnnouncedServer(config).run(sockets=[listener])
+        AnnouncedServer(config, app).run(sockets=[listener])
