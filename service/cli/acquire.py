@@ -73,6 +73,9 @@ def acquire(
     batch_s: Annotated[
         float, typer.Option(min=0.0, help="Shortest time between requests that are not full, s; 0 = send at once.")
     ] = 0.0,
+    hold_s: Annotated[
+        float, typer.Option(min=0.0, help="Further wait for a sweep that a trigger or a simulator holds back, s.")
+    ] = 0.0,
     queue_rows: Annotated[int, typer.Option(min=1, help="Rows kept while the service is away.")] = 10_000,
     json_log: Annotated[bool, typer.Option("--json-log", help="Log one JSON object a line.")] = False,
 ) -> None:
@@ -94,7 +97,13 @@ def acquire(
     with ServiceClient(service, key, retries=0) as client:
         station = Station(
             task,
-            AcquisitionSettings(analyzer, period_s, epoch is EpochClock.ANALYZER, task.task.analyzer.io_timeout_s),
+            AcquisitionSettings(
+                analyzer,
+                period_s,
+                epoch is EpochClock.ANALYZER,
+                task.task.analyzer.io_timeout_s,
+                hold_s,
+            ),
             UploadSettings(spacecraft, source, batch_rows, batch_s, queue_rows),
             client,
             system_now_us,

@@ -74,8 +74,10 @@ class AcquisitionSettings:
     period_s: float
     #: take epochs from the analyzer's clock
     use_analyzer_clock: bool = False
-    #: bound on connecting and on every answer beyond one and a half sweep times, s
+    #: bound on connecting and on every answer, of a sweep beyond one and a half sweep times, s
     io_timeout_s: float = 5.0
+    #: further wait for a sweep that a trigger, or a simulator in step with others, holds back, s
+    hold_s: float = 0.0
     #: settings of an unchanged sweep are read back this often, s
     readback_s: float = 10.0
 
@@ -166,7 +168,7 @@ class Acquisition:
 
     def _connect(self) -> None:
         self.counters.sessions += 1
-        self._session = VisaSession(self._settings.resource, self._settings.io_timeout_s)
+        self._session = VisaSession(self._settings.resource, self._settings.io_timeout_s, self._stop.is_set)
 
     def _identify(self) -> None:
         if self._session is None:
@@ -180,6 +182,7 @@ class Acquisition:
             self._now_us,
             use_analyzer_clock=self._settings.use_analyzer_clock,
             io_timeout_s=self._settings.io_timeout_s,
+            hold_s=self._settings.hold_s,
         )
         self._driver.preset()
         self._configured = _Configured()

@@ -5,13 +5,18 @@ use - the caller closes it and opens another. On a raw socket the answer to a qu
 stream and would be read as the answer to the next one.
 
 What the pyvisa stack does, and what is done about it: opening a closed port succeeds, so nothing is believed before
-``*IDN?`` was answered; a peer that closes in good order is not noticed, so every read has its timeout; a name that
-cannot be resolved raises a bare Exception; a line read has no bound of its own, so it gets one here.
+``*IDN?`` was answered; a peer that closes in good order is not noticed, so every read has its timeout, and a long wait
+looks at the socket itself between slices; a name that cannot be resolved raises a bare Exception; a line read has no
+bound of its own, so it gets one here.
 """
 
+import socket
+import time
+from collections.abc import Callable
 from typing import Any
 
 import pyvisa
+from pyvisa.constants import StatusCode
 
 from service.frontend.scpi import AnswerError, block_length, split_block
 
@@ -19,6 +24,8 @@ from service.frontend.scpi import AnswerError, block_length, split_block
 IO_ERRORS = (pyvisa.Error, OSError, ValueError, RuntimeError, UnicodeDecodeError)
 #: longest answer line that is read, bytes; an ASCII trace of 100 001 points takes 1.5 MB
 MAX_LINE_BYTES = 2 << 20
+#: a wait for a sweep looks for a stop and for a lost peer this often, s
+SLICE_S = 0.5
 #: longest block that is read, bytes
 MAX_BLOCK_BYTES = 1 << 20
 
@@ -36,6 +43,8 @@ class VisaSession:
         VISA resource name, for example ``TCPIP::10.0.0.5::5025::SOCKET``.
     timeout_s : float
         Bound on connecting and on every answer that names no other.
+    is_stopping : callable
+        Whether the acquisition is to end; shortens `await_answer`.
     visa_library : str
         ``@py`` is pyvisa-py; a vendor's library may be named instead.
 
@@ -45,8 +54,15 @@ class VisaSession:
         The resource cannot be opened.
     """
 
-    def __init__(self, resource: str, timeout_s: float, visa_library: str = "@py") -> None:
+    def __init__(
+        self,
+        resource: str,
+        timeout_s: float,
+        is_stopping: Callable[[], bool] = lambda: False,
+        visa_library: str = "@py",
+    ) -> None:
         self.resource = resource
+        self._is_stopping = is_stopping
         self._timeout_s = timeout_s
         try:
             self._visa: Any = pyvisa.ResourceManager(visa_library).open_resource(
@@ -84,6 +100,40 @@ class VisaSession:
         except IO_ERRORS as error:
             raise _broken(self.resource, f"does not answer {message!r}", error) from error
 
+    def await_answer(self, message: str, timeout_s: float, grace_s: float) -> str:
+        """Return the answer line of a message that takes long; a stop leaves it ``grace_s`` more.
+
+        Only a raw socket is waited on in slices: on other transports a read that timed out must not be repeated.
+        """
+        self.write(message)
+        slice_s = SLICE_S if self.resource.upper().endswith("::SOCKET") else timeout_s
+        deadline_s = time.monotonic() + timeout_s
+        is_stopping = False
+        while True:
+            remaining_s = deadline_s - time.monotonic()
+            self._set_timeout(max(min(slice_s, remaining_s), 0.001))
+            try:
+                return self._line()
+            except IO_ERRORS as error:
+                is_over = remaining_s <= slice_s or not _is_timeout(error) or self._is_left()
+                if is_over:
+                    raise _broken(self.resource, f"does not answer {message!r}", error) from error
+            if self._is_stopping() and not is_stopping:
+                is_stopping, deadline_s = True, min(deadline_s, time.monotonic() + grace_s)
+
+    def _is_left(self) -> bool:
+        """Return whether the peer closed the connection, as far as pyvisa-py shows its socket."""
+        sessions = getattr(self._visa.visalib, "sessions", {})
+        line = getattr(sessions.get(self._visa.session), "interface", None)
+        if not isinstance(line, socket.socket):
+            return False
+        try:
+            return line.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT) == b""
+        except BlockingIOError:
+            return False
+        except OSError:
+            return True
+
     def query_block(self, message: str, timeout_s: float | None = None) -> tuple[bytes | None, str]:
         """Return the block that opens the answer and the rest of its line.
 
@@ -117,6 +167,11 @@ class VisaSession:
         if wanted_s != self._current_timeout_s:
             self._visa.timeout = round(1000 * wanted_s)
             self._current_timeout_s = wanted_s
+
+
+def _is_timeout(error: Exception) -> bool:
+    """Return whether nothing came in time, as opposed to a fault of the line."""
+    return isinstance(error, pyvisa.VisaIOError) and error.error_code == StatusCode.error_timeout
 
 
 def _broken(resource: str, what: str, error: Exception) -> AnalyzerIOError:

@@ -143,7 +143,7 @@ class Recorder:
 class Bench:
     """World, analyzer, recorder and station of one test."""
 
-    def __init__(self, **upload: Any) -> None:
+    def __init__(self, hold_s: float = 0.0, **upload: Any) -> None:
         print(f"seed {SEED}")
         self.world = World(scenario_named("nominal"), SEED)
         painter = TracePainter(SEED, Imperfections(), Detail.FAST)
@@ -160,6 +160,7 @@ class Bench:
                 period_s=0.0,
                 use_analyzer_clock=True,
                 io_timeout_s=IO_TIMEOUT_S,
+                hold_s=hold_s,
             ),
             UploadSettings("sc", "sa-1", **({"drain_s": 3.0} | upload)),
             self.client,
@@ -218,9 +219,9 @@ def quick_task(world: World) -> MeasurementTask:
 
 
 @contextmanager
-def bench(**upload: Any) -> Iterator[Bench]:
+def bench(**settings: Any) -> Iterator[Bench]:
     """Return a running bench and stop it at the end."""
-    made = Bench(**upload)
+    made = Bench(**settings)
     try:
         made.start()
         made.await_rows(5)
@@ -303,6 +304,36 @@ def test_a_scenario_that_ends_is_a_fault_and_never_a_repeated_row(caplog: pytest
         summary = made.finish()
         assert "scenario has ended" in caplog.text
         assert summary.undelivered == 0
+
+
+def test_a_held_sweep_is_waited_for_and_a_stop_does_not_wait_for_ever() -> None:
+    is_allowed = threading.Event()
+    is_allowed.set()
+    with bench(hold_s=30.0) as made:
+        made.instrument._may_advance = is_allowed.is_set
+        is_allowed.clear()
+        wait_until(lambda: made.instrument.is_pending, "a sweep to be held")
+        time.sleep(0.7)  # longer than one slice of the wait
+        is_allowed.set()
+        made.await_rows(10)
+        assert made.station.acquisition.counters.faults == 0
+        is_allowed.clear()
+        wait_until(lambda: made.instrument.is_pending, "a sweep to be held")
+        begun_s = time.monotonic()
+        summary = made.finish()
+        # half a second of sweep and answer, one slice, and the time of a loaded machine; far below thirty seconds
+        assert time.monotonic() - begun_s < 5.0
+        assert_all_counted_once(made, summary)
+
+
+def test_a_peer_that_leaves_during_a_long_wait_is_noticed() -> None:
+    with bench(hold_s=30.0) as made:
+        begun_s = time.monotonic()
+        made.analyzer.faults.arm(LineFault.CLOSE)
+        wait_until(lambda: made.station.acquisition.counters.faults >= 1, "the fault to be noticed")
+        # one slice of half a second, and the time of a loaded machine; far below thirty seconds
+        assert time.monotonic() - begun_s < 5.0
+        made.await_rows(10)
 
 
 class _Ended:

@@ -50,8 +50,15 @@ def make_driver(
     *,
     use_analyzer_clock: bool,
     io_timeout_s: float,
+    hold_s: float = 0.0,
 ) -> ScpiDriver:
     """Return the driver of an analyzer that was identified."""
     return ScpiDriver(
-        session, identity, dialect, now_us, use_analyzer_clock=use_analyzer_clock, io_timeout_s=io_timeout_s
+        session,
+        identity,
+        dialect,
+        now_us,
+        use_analyzer_clock=use_analyzer_clock,
+        io_timeout_s=io_timeout_s,
+        hold_s=hold_s,
     )

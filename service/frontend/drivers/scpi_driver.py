@@ -55,7 +55,9 @@ class ScpiDriver:
     use_analyzer_clock : bool
         Take epochs from the analyzer where it has a clock.
     io_timeout_s : float
-        Bound on an answer beyond one and a half sweep times.
+        Bound on an answer; of a sweep, beyond one and a half sweep times.
+    hold_s : float
+        Further wait for a sweep that a trigger holds back.
     """
 
     def __init__(
@@ -67,6 +69,7 @@ class ScpiDriver:
         *,
         use_analyzer_clock: bool = False,
         io_timeout_s: float = 5.0,
+        hold_s: float = 0.0,
     ) -> None:
         self.identity = identity
         self.dialect = dialect
@@ -77,6 +80,7 @@ class ScpiDriver:
         self._now_us = now_us
         self._use_analyzer_clock = use_analyzer_clock
         self._io_timeout_s = io_timeout_s
+        self._hold_s = hold_s
         self._is_binary = bool(dialect.binary_format)
         self._sent: dict[str, str] = {}
         self._settings: SweepSettings | None = None
@@ -163,7 +167,10 @@ class ScpiDriver:
         if settings is None:
             raise SweepRefusedError(f"sweep {sweep_id} was not configured")
         begun_us = self._now_us()
-        done = self._session.query(":INIT;*OPC?", 1.5 * settings.sweep_time_s + self._io_timeout_s)
+        sweep_s = 1.5 * settings.sweep_time_s
+        done = self._session.await_answer(
+            ":INIT;*OPC?", sweep_s + self._io_timeout_s + self._hold_s, sweep_s + self._io_timeout_s
+        )
         ended_us = self._now_us()
         if done.strip() != "1":
             raise AnalyzerIOError(f"{self._session.resource} answered *OPC? with {done[:40]!r}")

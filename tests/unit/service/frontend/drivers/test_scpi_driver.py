@@ -50,6 +50,10 @@ class ScriptedSession:
             return ",".join(IDENTITY)
         return ";".join(self._answers(message))
 
+    def await_answer(self, message: str, timeout_s: float, grace_s: float) -> str:
+        assert grace_s <= timeout_s
+        return self.query(message, timeout_s)
+
     def query_block(self, message: str, timeout_s: float | None = None) -> tuple[bytes | None, str]:
         self.told.append(message)
         rest = ";".join(self._answers(message.split(";", 1)[1]))
