@@ -37,7 +37,16 @@ _DETAIL_OF = {
 
 def faults_of(errors: Sequence[Mapping[str, Any]], prefix: str = "") -> tuple[FieldError, ...]:
     """Return the field errors of a pydantic validation, the first ``MAX_FAULTS`` of them."""
-    return tuple(_fault(error, prefix) for error in errors[:MAX_FAULTS])
+    shown = errors[:MAX_FAULTS]
+    return tuple(_fault(error, prefix) for error in shown if not _is_echo(error, shown))
+
+
+def _is_echo(error: Mapping[str, Any], errors: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether a sequence is called too short only because its elements failed and were not counted."""
+    place = tuple(error["loc"])
+    if error["type"] != "too_short":
+        return False
+    return any(len(other["loc"]) > len(place) and tuple(other["loc"])[: len(place)] == place for other in errors)
 
 
 def pointer_of(location: Sequence[str | int]) -> str:

@@ -136,7 +136,7 @@ async def test_impossible_spacecraft_are_refused_by_code_and_place(soo, spacecra
 
 @pytest.mark.parametrize("token", ["NaN", "Infinity", "-Infinity", "1e999", "-1e999", "9" * 400])
 async def test_numbers_that_are_not_finite_are_refused(soo, token):
-    raw = '{"id":"y","name":"Y","longitude_deg":%s,"receiving_site":{"latitude_deg":1,"longitude_deg":2},' % token
+    raw = '{"id":"y","name":"Y","receiving_site":{"latitude_deg":1,"longitude_deg":2},"longitude_deg":' + token + ","
     raw += '"inertia_kg_m2":[[1,0,0],[0,1,0],[0,0,1]],"torque_limit_n_m":1}'
     answer = await soo.client.post(URL, content=raw)
     assert answer.status_code == 422

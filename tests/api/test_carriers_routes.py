@@ -1,0 +1,138 @@
+"""Carrier plans: the same content is the same plan, in JSON and in CSV."""
+
+import json
+
+import pytest
+
+pytestmark = pytest.mark.anyio
+SC = "/api/v1/spacecraft"
+URL = f"{SC}/yamal-202/carriers"
+
+
+async def test_the_same_content_keeps_its_number_and_a_change_makes_a_new_one(soo, spacecraft, carriers):
+    await soo.client.post(SC, json=spacecraft)
+    first = (await soo.client.put(URL, json={"carriers": carriers})).json()
+    assert set(first) == {"plan_id", "sha256", "carriers"}
+    assert (first["carriers"], len(first["sha256"])) == (4, 64)
+    # written otherwise, with defaults spelled out and whole numbers for fractions: still the same
+    spelled = [c | {"enabled": True, "bandwidth_hz": int(c["bandwidth_hz"])} for c in carriers]
+    assert (await soo.client.put(URL, content=json.dumps({"carriers": spelled}, indent=3))).json() == first
+    changed = [carriers[1], carriers[0], *carriers[2:]]
+    second = (await soo.client.put(URL, json={"carriers": changed})).json()
+    assert second["plan_id"] != first["plan_id"], "the order of the carriers is part of a plan"
+    newest = (await soo.client.get(URL)).json()
+    assert [c["id"] for c in newest["carriers"]] == ["c01", "c00", "c02", "b0"]
+    older = (await soo.client.get(URL, params={"plan_id": first["plan_id"]})).json()
+    assert older["sha256"] == first["sha256"]
+    assert older["carriers"][0] == carriers[0] | {
+        "kind": "traffic",
+        "uplink_power_control": "unknown",
+        "transponder_mode": "unknown",
+        "enabled": True,
+    }
+    assert older["carriers"][3]["station"] is None
+
+
+async def test_a_plan_survives_the_way_through_csv(soo, spacecraft, carriers):
+    await soo.client.post(SC, json=spacecraft)
+    carriers[0]["name"] = 'Quotes "and", commas\u00e9'
+    put = (await soo.client.put(URL, json={"carriers": carriers})).json()
+    exported = await soo.client.get(URL, headers={"Accept": "text/csv"})
+    assert exported.headers["content-type"].startswith("text/csv")
+    assert "yamal-202-plan-1.csv" in exported.headers["content-disposition"]
+    assert (await soo.client.get(URL, params={"format": "csv"})).content == exported.content
+    again = await soo.client.put(URL, content=exported.content, headers={"Content-Type": "text/csv; charset=utf-8"})
+    assert again.json() == put
+    # what a spreadsheet in Europe makes of it
+    semicolons = (
+        b"\xef\xbb\xbfid;band;transponder;downlink_hz;bandwidth_hz;kind\r\nb0;Ku;Ku1;11199e6;1e3;beacon\r\n\r\n"
+    )
+    answer = await soo.client.put(URL, content=semicolons, headers={"Content-Type": "text/csv"})
+    assert (answer.status_code, answer.json()["carriers"]) == (200, 1)
+
+
+def drop(carrier: dict, *names: str) -> dict:
+    return {name: value for name, value in carrier.items() if name not in names}
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "pointer"),
+    [
+        (lambda c: [], "value.length", "/carriers"),
+        (lambda c: c * 200, "value.length", "/carriers"),
+        (lambda c: [*c, c[0]], "carrier.duplicate", ""),
+        (lambda c: [drop(c[0], "station")], "carrier.station_missing", "/carriers/0"),
+        (lambda c: [c[0] | {"uplink_hz": None}], "carrier.uplink_missing", "/carriers/0"),
+        (lambda c: [drop(c[0], "band")], "field.missing", "/carriers/0/band"),
+        (lambda c: [drop(c[0], "bandwidth_hz")], "field.missing", "/carriers/0/bandwidth_hz"),
+        (lambda c: [c[0], c[1] | {"bandwidth_hz": 0}], "value.range", "/carriers/1/bandwidth_hz"),
+        (lambda c: [c[0] | {"downlink_hz": -1}], "value.range", "/carriers/0/downlink_hz"),
+        (lambda c: [c[0] | {"id": "c 0"}], "value.pattern", "/carriers/0/id"),
+        (lambda c: [c[0] | {"id": 0}], "value.type", "/carriers/0/id"),
+        (lambda c: [c[0] | {"kind": "noise"}], "value.choice", "/carriers/0/kind"),
+        (lambda c: [c[0] | {"colour": 1}], "field.unknown", "/carriers/0/colour"),
+        (
+            lambda c: [c[0] | {"station": {"latitude_deg": 91, "longitude_deg": 0}}],
+            "value.range",
+            "/carriers/0/station/latitude_deg",
+        ),
+        (lambda c: [c[0] | {"enabled": "yes"}], "value.type", "/carriers/0/enabled"),
+        (lambda c: {}, "value.type", "/carriers"),
+        (lambda c: [[]], "value.type", "/carriers/0"),
+    ],
+)
+async def test_bad_plans_are_refused_by_code_and_place(soo, spacecraft, carriers, change, code, pointer):
+    await soo.client.post(SC, json=spacecraft)
+    soo.accepted.clear()
+    answer = await soo.client.put(URL, json={"carriers": change(carriers)})
+    problem = answer.json()
+    assert (answer.status_code, problem["code"]) == (422, code), problem
+    assert problem["errors"][0]["pointer"] == pointer
+    missing = await soo.client.get(URL)
+    assert (missing.status_code, missing.json()["code"]) == (404, "plan.none")
+    assert soo.accepted == []
+
+
+HEADER = "id,band,transponder,downlink_hz,bandwidth_hz,kind,enabled\n"
+
+
+@pytest.mark.parametrize(
+    ("raw", "code", "pointer"),
+    [
+        (b"", "csv.malformed", ""),
+        (b"\xff\xfe", "csv.malformed", ""),
+        (b'id,"band\n', "csv.malformed", ""),
+        (b"id,colour\n", "csv.malformed", ""),
+        (b"id,id\n", "csv.malformed", ""),
+        (b"id,band\n", "csv.malformed", ""),
+        (HEADER.encode(), "value.length", "/carriers"),
+        ((HEADER + "b0,Ku\n").encode(), "csv.malformed", "/carriers/0"),
+        ((HEADER + "b0,Ku,Ku1,high,1,beacon,\n").encode(), "csv.malformed", "/carriers/0/downlink_hz"),
+        ((HEADER + "b0,Ku,Ku1,nan,1,beacon,\n").encode(), "value.not_finite", "/carriers/0/downlink_hz"),
+        ((HEADER + "b0,Ku,Ku1,inf,1,beacon,\n").encode(), "value.not_finite", "/carriers/0/downlink_hz"),
+        ((HEADER + "b0,Ku,Ku1,1,1,beacon,maybe\n").encode(), "csv.malformed", "/carriers/0/enabled"),
+        ((HEADER + "b0,Ku,Ku1,1,1,traffic,true\n").encode(), "carrier.station_missing", "/carriers/0"),
+        ((HEADER + "b0,,Ku1,1,1,beacon,true\n").encode(), "field.missing", "/carriers/0/band"),
+        ((HEADER + "b0,K\x00u,Ku1,1,1,beacon,true\n").encode(), "value.pattern", "/carriers/0/band"),
+    ],
+)
+async def test_bad_csv_is_refused_by_code_and_place(soo, spacecraft, raw, code, pointer):
+    await soo.client.post(SC, json=spacecraft)
+    answer = await soo.client.put(URL, content=raw, headers={"Content-Type": "text/csv"})
+    problem = answer.json()
+    assert (answer.status_code, problem["code"]) == (422, code), problem
+    assert problem["errors"][0]["pointer"] == pointer
+    assert (await soo.client.get(URL)).status_code == 404
+
+
+async def test_other_media_and_other_plans_are_refused(soo, spacecraft, carriers):
+    await soo.with_plan(spacecraft, carriers)
+    xml = await soo.client.put(URL, content=b"<plan/>", headers={"Content-Type": "application/xml"})
+    assert (xml.status_code, xml.json()["code"]) == (415, "media_type.unsupported")
+    unknown = await soo.client.get(URL, params={"plan_id": 9})
+    assert (unknown.status_code, unknown.json()["code"]) == (404, "plan.unknown")
+    for text in ("0", "x", "99999999999999999999", "1.5"):
+        bad = await soo.client.get(URL, params={"plan_id": text})
+        assert (bad.status_code, bad.json()["errors"][0]["pointer"]) == (422, "/query/plan_id")
+    nobody = await soo.client.put(f"{SC}/nobody/carriers", json={"carriers": carriers})
+    assert (nobody.status_code, nobody.json()["code"]) == (404, "spacecraft.unknown")

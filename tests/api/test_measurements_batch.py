@@ -1,0 +1,279 @@
+"""Batches of measurements: what is stored, counted, refused, and what nothing is stored of."""
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from service.records.calibration import Window
+from service.records.epoch import format_epoch
+
+pytestmark = pytest.mark.anyio
+URL = "/api/v1/spacecraft/yamal-202/measurements:batch"
+NOW_US = 1_795_230_000_000_000
+ALL = Window(0, 4 * 10**15)
+
+
+def row(offset_s: float = 0.0, powers: list[Any] | None = None, **more: Any) -> dict[str, Any]:
+    """A row so many seconds after the present."""
+    powers = [-42.1, None, -43.25, -60.0] if powers is None else powers
+    return {"epoch": format_epoch(NOW_US + round(offset_s * 1e6)), "power_dbm": powers, **more}
+
+
+def stored(soo) -> list[Any]:
+    return soo.storage.archive.measurements("yamal-202", ALL, 1000, None)
+
+
+async def test_accepted_rows_are_stored_as_sent_and_told_to_the_supervisor(soo, spacecraft, carriers):
+    plan_id = await soo.with_plan(spacecraft, carriers)
+    body = {
+        "plan_id": plan_id,
+        "source": "sa-1",
+        "first_seq": 1042,
+        "measurements": [row(-2, flags=[0, 16, 0, 0]), row(-1)],
+    }
+    answer = await soo.client.post(URL, json=body)
+    assert answer.status_code == 200
+    assert answer.json() == {
+        "received": 2,
+        "accepted": 2,
+        "duplicates": 0,
+        "late": 0,
+        "durable": True,
+        "last_seq": 1043,
+        "refused": [],
+    }
+    rows = stored(soo)
+    assert [(r.epoch_us, r.seq, r.source) for r in rows] == [
+        (NOW_US - 2_000_000, 1042, "sa-1"),
+        (NOW_US - 1_000_000, 1043, "sa-1"),
+    ]
+    # stored as float32, given back widened: equal bit for bit
+    np.testing.assert_array_equal(rows[0].power_dbm, np.float32([-42.1, np.nan, -43.25, -60.0]).astype(float))
+    assert rows[0].flags.tolist() == [0, 16, 0, 0]
+    assert rows[1].flags is None
+    assert soo.accepted == ["yamal-202"]
+
+
+async def test_every_kind_of_row_is_counted_once(soo, spacecraft, carriers):
+    plan_id = await soo.with_plan(spacecraft, carriers)
+    await soo.client.post(URL, json={"plan_id": plan_id, "source": "s", "measurements": [row(-10), row(-9)]})
+    rows = [
+        row(-10),  # duplicate
+        row(-9, [-1.0, None, -43.25, -60.0]),  # conflict
+        row(6),  # future
+        row(-8, [None] * 4),  # a row of only nulls is a row
+        row(-7, [-42.0]),  # count
+        row(-6, [-250.01, None, None, None]),  # range
+        row(-5, [50.01, None, None, None]),
+        row(-4, [-250.0, 50.0, None, 0]),  # the ends belong to the range
+        row(-400),  # late
+        {"epoch": "1999-12-31T23:59:59.999999Z", "power_dbm": [None] * 4},
+        row(-3, flags=[0]),
+    ]
+    soo.accepted.clear()
+    answer = (
+        await soo.client.post(URL, json={"plan_id": plan_id, "source": "s", "first_seq": 7, "measurements": rows})
+    ).json()
+    assert answer["received"] == answer["accepted"] + answer["duplicates"] + len(answer["refused"])
+    assert (answer["accepted"], answer["duplicates"], answer["late"], answer["last_seq"]) == (3, 1, 1, 17)
+    assert [(r["index"], r["seq"], r["code"]) for r in answer["refused"]] == [
+        (1, 8, "measurement.conflict"),
+        (2, 9, "time.future"),
+        (4, 11, "value.count"),
+        (5, 12, "value.out_of_range"),
+        (6, 13, "value.out_of_range"),
+        (9, 16, "time.too_old"),
+        (10, 17, "value.count"),
+    ]
+    assert all(r["detail"] for r in answer["refused"])
+    assert [r.epoch_us for r in stored(soo)] == [NOW_US + s * 1_000_000 for s in (-400, -10, -9, -8, -4)]
+    assert soo.accepted == ["yamal-202"]
+
+
+async def test_the_same_after_rounding_to_float32_is_a_duplicate(soo, spacecraft, carriers):
+    plan_id = await soo.with_plan(spacecraft, carriers)
+    for power in (-42.1, float(np.float32(-42.1))):
+        body = {"plan_id": plan_id, "measurements": [row(-1, [power, None, None, None])]}
+        answer = (await soo.client.post(URL, json=body)).json()
+    assert (answer["accepted"], answer["duplicates"]) == (0, 1)
+    assert len(stored(soo)) == 1
+
+
+async def test_a_batch_of_nothing_and_a_batch_of_refused_rows_store_nothing(soo, spacecraft, carriers):
+    plan_id = await soo.with_plan(spacecraft, carriers)
+    for rows, refused in (([], 0), ([row(60)], 1)):
+        answer = (await soo.client.post(URL, json={"plan_id": plan_id, "measurements": rows})).json()
+        assert (answer["received"], answer["accepted"], len(answer["refused"])) == (len(rows), 0, refused)
+        assert answer["last_seq"] is None
+    assert stored(soo) == []
+    assert soo.accepted == []
+
+
+async def test_under_the_data_clock_age_makes_nothing_late_and_the_future_is_thirty_days_away(
+    soo, spacecraft, carriers
+):
+    plan_id = await soo.with_plan(spacecraft, carriers)
+    soo.clock.data["yamal-202"] = None
+    body = {"plan_id": plan_id, "measurements": [row(-3 * 365 * 86_400), row(50 * 365 * 86_400)]}
+    first = (await soo.client.post(URL, json=body)).json()
+    assert (first["accepted"], first["late"]) == (2, 0), "nothing bounds the first row"
+    soo.clock.data["yamal-202"] = NOW_US
+    body["measurements"] = [row(-1000), row(30 * 86_400), row(30 * 86_400 + 1)]
+    second = (await soo.client.post(URL, json=body)).json()
+    assert (second["accepted"], second["late"]) == (2, 0)
+    assert [r["code"] for r in second["refused"]] == ["time.future"]
+
+
+async def test_offsets_and_other_forms_of_the_same_instant_are_understood(soo, spacecraft, carriers):
+    plan_id = await soo.with_plan(spacecraft, carriers)
+    epochs = ["2026-11-21T02:59:58Z", "2026-11-21t02:59:57.5z", "2026-11-21T05:59:59.000000+03:00"]
+    rows = [{"epoch": epoch, "power_dbm": [None] * 4} for epoch in epochs]
+    answer = (await soo.client.post(URL, json={"plan_id": plan_id, "measurements": rows})).json()
+    assert answer["accepted"] == 3, answer
+    assert [format_epoch(r.epoch_us)[17:] for r in stored(soo)] == ["57.500000Z", "58.000000Z", "59.000000Z"]
+
+
+def raw(measurements: str, plan_id: str = "1", more: str = "") -> str:
+    return f'{{"plan_id":{plan_id},"measurements":{measurements}{more}}}'
+
+
+def at(epoch: str) -> str:
+    """A batch of one row with this text in place of the epoch."""
+    return raw(f'[{{"epoch":"{epoch}","power_dbm":[]}}]')
+
+
+def powers(text: str) -> str:
+    """A batch of one row with this text in place of the powers."""
+    return raw(f'[{{"epoch":"2026-11-21T02:59:59.000000Z","power_dbm":{text}}}]')
+
+
+def flags(text: str) -> str:
+    """A batch of one row with this text in place of the flags."""
+    return powers(f'[1],"flags":{text}')
+
+
+GOOD = '{"epoch":"2026-11-21T02:59:59.000000Z","power_dbm":[-1,-1,-1,-1]}'
+EPOCH, POWERS, FLAGS = (f"/measurements/0/{name}" for name in ("epoch", "power_dbm", "flags"))
+BAD = [
+    ("empty body", "", 400, "json.malformed", None),
+    ("no JSON", "plan_id=1", 400, "json.malformed", None),
+    ("cut off", raw("[" + GOOD)[:-4], 400, "json.malformed", None),
+    ("array", "[]", 422, "value.type", ""),
+    ("null", "null", 422, "value.type", ""),
+    ("text", '"plan"', 422, "value.type", ""),
+    ("deep", "[" * 5000, 400, "json.malformed", None),
+    ("deep inside", raw("[" * 5000 + "]" * 5000), 400, "json.malformed", None),
+    ("lone surrogate", raw("[]", more=',"source":"\\ud800"'), 400, "json.malformed", None),
+    ("no plan", '{"measurements":[]}', 422, "field.missing", "/plan_id"),
+    ("no rows", '{"plan_id":1}', 422, "field.missing", "/measurements"),
+    ("rows no array", raw("{}"), 422, "value.type", "/measurements"),
+    ("unknown field", raw("[]", more=',"plan":2'), 422, "field.unknown", "/plan"),
+    ("unknown row field", powers('[],"level":1'), 422, "field.unknown", "/measurements/0/level"),
+    ("row no object", raw("[[]]"), 422, "value.type", "/measurements/0"),
+    ("row without epoch", raw('[{"power_dbm":[]}]'), 422, "field.missing", EPOCH),
+    ("row without powers", raw('[{"epoch":"2026-11-21T02:59:59.000000Z"}]'), 422, "field.missing", POWERS),
+    ("NaN", powers("[1,NaN]"), 422, "value.not_finite", POWERS + "/1"),
+    ("Infinity", powers("[Infinity]"), 422, "value.not_finite", POWERS + "/0"),
+    ("-Infinity", powers("[-Infinity]"), 422, "value.not_finite", POWERS + "/0"),
+    ("1e999", powers("[1e999]"), 422, "value.not_finite", POWERS + "/0"),
+    ("power as text", powers('["-1"]'), 422, "value.type", POWERS + "/0"),
+    ("power as truth", powers("[true]"), 422, "value.type", POWERS + "/0"),
+    ("powers no array", powers("{}"), 422, "value.type", POWERS),
+    ("flag negative", flags("[-1]"), 422, "value.range", FLAGS + "/0"),
+    ("flag too large", flags("[2147483648]"), 422, "value.range", FLAGS + "/0"),
+    ("flag fraction", flags("[1.5]"), 422, "value.type", FLAGS + "/0"),
+    ("epoch a number", raw('[{"epoch":1795230000,"power_dbm":[]}]'), 422, "value.type", EPOCH),
+    ("epoch no instant", at("yesterday"), 422, "epoch.malformed", EPOCH),
+    ("second", raw(f'[{GOOD},{{"epoch":"now","power_dbm":[]}}]'), 422, "epoch.malformed", EPOCH.replace("0", "1")),
+    ("epoch without offset", at("2026-11-21T03:00:00.000000"), 422, "epoch.malformed", EPOCH),
+    ("30 February", at("2026-02-30T03:00:00.000000Z"), 422, "epoch.malformed", EPOCH),
+    ("year 0", at("0000-01-01T03:00:00.000000Z"), 422, "epoch.malformed", EPOCH),
+    ("other digits", at("２026-02-20T03:00:00.000000Z"), 422, "epoch.malformed", EPOCH),
+    ("epoch very long", at("2" * 5000), 422, "value.length", EPOCH),
+    ("plan zero", raw("[]", "0"), 422, "value.range", "/plan_id"),
+    ("plan huge", raw("[]", "9" * 40), 422, "value.range", "/plan_id"),
+    ("plan as text", raw("[]", '"1"'), 422, "value.type", "/plan_id"),
+    ("plan fraction", raw("[]", "1.0"), 422, "value.type", "/plan_id"),
+    ("plan NaN", raw("[]", "NaN"), 422, "value.type", "/plan_id"),
+    ("plan unknown", raw("[" + GOOD + "]", "77"), 404, "plan.unknown", None),
+    ("source with a slash", raw("[]", more=',"source":"a/b"'), 422, "value.pattern", "/source"),
+    ("source empty", raw("[]", more=',"source":""'), 422, "value.pattern", "/source"),
+    ("source with NUL", raw("[]", more=',"source":"a\\u0000"'), 422, "value.pattern", "/source"),
+    ("seq negative", raw("[]", more=',"first_seq":-1'), 422, "value.range", "/first_seq"),
+    ("seq huge", raw("[]", more=',"first_seq":99999999999999999999'), 422, "value.range", "/first_seq"),
+    ("too many rows", raw("[" + ",".join([GOOD] * 201) + "]"), 422, "batch.too_long", "/measurements"),
+    ("too many bytes", raw("[" + ",".join([GOOD] * 4000) + "]"), 413, "body.too_large", None),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("body", "status", "code", "pointer"), [c[1:] for c in BAD], ids=[c[0] for c in BAD])
+async def test_bad_batches_are_refused_whole(soo, spacecraft, carriers, body, status, code, pointer):
+    assert await soo.with_plan(spacecraft, carriers) == 1
+    answer = await soo.client.post(URL, content=body.encode())
+    problem = answer.json()
+    assert (answer.status_code, problem["code"]) == (status, code), problem
+    assert answer.headers["content-type"] == "application/problem+json"
+    assert set(problem) == {"type", "title", "status", "detail", "code", "request_id", "errors"}
+    assert problem["request_id"] == answer.headers["x-request-id"]
+    if pointer is not None:
+        assert problem["errors"][0]["pointer"] == pointer
+    assert stored(soo) == []
+    assert soo.accepted == []
+
+
+async def test_invalid_utf8_is_no_json(soo, spacecraft, carriers):
+    await soo.with_plan(spacecraft, carriers)
+    answer = await soo.client.post(URL, content=b'{"plan_id":1,"source":"\xff","measurements":[]}')
+    assert (answer.status_code, answer.json()["code"]) == (400, "json.malformed")
+
+
+async def test_an_unknown_spacecraft_is_a_404(soo, spacecraft, carriers):
+    await soo.with_plan(spacecraft, carriers)
+    answer = await soo.client.post(URL.replace("yamal-202", "yamal-300"), content=raw("[" + GOOD + "]"))
+    assert (answer.status_code, answer.json()["code"]) == (404, "spacecraft.unknown")
+    assert stored(soo) == []
+
+
+async def test_a_body_full_of_faults_gets_a_short_answer(soo, spacecraft, carriers):
+    await soo.with_plan(spacecraft, carriers)
+    answer = await soo.client.post(URL, content=raw("[" + ",".join(["0"] * 50_000) + "]"))
+    assert answer.status_code == 422
+    assert len(answer.content) < 10_000
+
+
+async def test_an_older_plan_is_accepted_from_memory_and_from_the_archive(soo, spacecraft, carriers):
+    first = await soo.with_plan(spacecraft, carriers)
+    second = (await soo.client.put("/api/v1/spacecraft/yamal-202/carriers", json={"carriers": carriers[:2]})).json()[
+        "plan_id"
+    ]
+    assert second != first
+    for k, (plan_id, width) in enumerate([(first, 4), (second, 2), (first, 4)]):
+        body = {"plan_id": plan_id, "measurements": [row(-9 + k, [-40.0] * width)]}
+        assert (await soo.client.post(URL, json=body)).json()["accepted"] == 1
+
+
+async def test_sources_are_listed_and_selected(soo, spacecraft, carriers):
+    plan_id = await soo.with_plan(spacecraft, carriers)
+    base = "/api/v1/spacecraft/yamal-202/sources"
+    assert (await soo.client.get(base)).json()["rows"] == []
+    for source, offset in (("sa-1", -2), ("sa:2", -1)):
+        await soo.client.post(URL, json={"plan_id": plan_id, "source": source, "measurements": [row(offset)]})
+    rows = (await soo.client.get(base)).json()["rows"]
+    assert [(r["id"], r["role"], r["rows"]) for r in rows] == [("sa-1", "prime", 1), ("sa:2", "backup", 1)]
+    assert rows[1]["newest_epoch"] == format_epoch(NOW_US - 1_000_000)
+    soo.accepted.clear()
+    answer = await soo.client.post(f"{base}/sa:2:select")
+    assert (answer.status_code, answer.json()["role"]) == (200, "prime")
+    assert soo.accepted == ["yamal-202"]
+    unknown = await soo.client.post(f"{base}/sa-9:select")
+    assert (unknown.status_code, unknown.json()["code"]) == (404, "source.unknown")
+    assert [r["role"] for r in (await soo.client.get(base)).json()["rows"]] == ["backup", "prime"]
+
+
+async def test_the_receipt_is_plain_json(soo, spacecraft, carriers):
+    plan_id = await soo.with_plan(spacecraft, carriers)
+    answer = await soo.client.post(URL, json={"plan_id": plan_id, "measurements": [row(-1)]})
+    assert answer.headers["content-type"] == "application/json"
+    assert json.loads(answer.content)["durable"] is True
