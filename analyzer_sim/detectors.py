@@ -30,8 +30,9 @@ FloatArray = NDArray[np.float64]
 _LINE_MATTERS = 1e-3
 #: longest kernel kept, points to one side
 _MAX_KERNEL_REACH = 64
-#: independent maxima of the envelope per noise bandwidth and second (fitted to the envelope method)
+#: independent maxima and minima of the envelope per noise bandwidth and second (fitted to the envelope method)
 _PEAKS_PER_ENBW_SECOND = 2.6
+_NULLS_PER_ENBW_SECOND = 3.7
 #: mean and deviation of 10 lg of an exponential variable, dB
 _LOG_MEAN_DB = -2.5068
 _LOG_SIGMA_DB = 5.5697
@@ -59,8 +60,8 @@ def dwell_variance(enbw_hz: float, time_s: float) -> float:
 
     Examples
     --------
-    >>> round(1 / dwell_variance(1.0645 * 30e3, 1e-4), 2)
-    5.11
+    >>> round(1 / dwell_variance(1.0645 * 30e3, 1e-4), 1)
+    4.9
     """
     x = math.sqrt(2.0 * math.pi) * enbw_hz * time_s
     if x < 1e-3:
@@ -95,24 +96,31 @@ def _factor(covariance: FloatArray) -> tuple[float, FloatArray]:
     return 1.0 / variance, kernel / kernel.sum()
 
 
-def draw_rms(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator) -> FloatArray:
-    """Return one trace of the RMS detector, mW, shape (B,)."""
+def draw_rms(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator, sweeps: int = 1) -> FloatArray:
+    """Return the mean of some traces of the RMS detector, mW, shape (B,); Gamma draws add up exactly."""
     points = len(mean.noise_mw)
-    shape, kernel = correlation_kernel(dwell)
+    single_shape, kernel = correlation_kernel(dwell)
+    shape = single_shape * sweeps
     draws = rng.standard_gamma(shape, points + len(kernel) - 1) / shape
     smoothed = draws if len(kernel) == 1 else np.convolve(draws, kernel, mode="valid")
     trace: FloatArray = mean.noise_mw * smoothed
     if len(mean.lines_mw):
-        _put_lines(trace, mean, 1.0 / dwell_variance(dwell.enbw_hz, dwell.time_s), rng)
+        _put_lines(trace, mean, dwell, rng, sweeps)
     return trace
 
 
-def _put_lines(trace: FloatArray, mean: MeanTrace, freedom: float, rng: np.random.Generator) -> None:
-    """Replace the points near lines by non-central draws: mean n + L, variance (n^2 + 2 n L) / N."""
+def _put_lines(trace: FloatArray, mean: MeanTrace, dwell: Dwell, rng: np.random.Generator, sweeps: int) -> None:
+    """Replace the points near lines by non-central draws: mean n + L, variance n^2 / N(t) + 2 n L / N(t / sqrt 2).
+
+    The beat of line and noise is correlated for sqrt(2) times as long as the noise power.
+    """
+    power_variance = dwell_variance(dwell.enbw_hz, dwell.time_s)
+    beat_variance = dwell_variance(dwell.enbw_hz, dwell.time_s / math.sqrt(2.0))
     line_mw = mean.lines_mw.sum(axis=0)
     near = np.flatnonzero(line_mw > _LINE_MATTERS * mean.noise_mw)
     noise_mw = mean.noise_mw[near]
     ratio = np.minimum(line_mw[near] / noise_mw, 1e12)
+    freedom = sweeps * (1.0 + 2.0 * ratio) / (power_variance + 2.0 * ratio * beat_variance)
     draws = rng.noncentral_chisquare(2.0 * freedom, 2.0 * freedom * ratio)
     trace[near] = noise_mw * draws / (2.0 * freedom)
 
@@ -123,22 +131,20 @@ def _instants(mean: MeanTrace, rng: np.random.Generator) -> FloatArray:
     return np.asarray(0.5 * rng.noncentral_chisquare(2.0, 2.0 * ratio))
 
 
-def _peak_count(dwell: Dwell) -> float:
-    return 1.0 + _PEAKS_PER_ENBW_SECOND * dwell.enbw_hz * dwell.time_s
-
-
 def _draw_sample(mean: MeanTrace, _dwell: Dwell, rng: np.random.Generator) -> FloatArray:
     return mean.noise_mw * _instants(mean, rng)
 
 
 def _draw_peak(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator) -> FloatArray:
+    count = 1.0 + _PEAKS_PER_ENBW_SECOND * dwell.enbw_hz * dwell.time_s
     uniform = rng.random(len(mean.noise_mw))
-    highest = -np.log(-np.expm1(np.log(uniform) / _peak_count(dwell)))
+    highest = -np.log(-np.expm1(np.log(uniform) / count))
     return _beside_lines(mean, highest, +1.0)
 
 
 def _draw_minimum(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator) -> FloatArray:
-    lowest = rng.standard_exponential(len(mean.noise_mw)) / _peak_count(dwell)
+    count = 1.0 + _NULLS_PER_ENBW_SECOND * dwell.enbw_hz * dwell.time_s
+    lowest = rng.standard_exponential(len(mean.noise_mw)) / count
     return _beside_lines(mean, lowest, -1.0)
 
 

@@ -3,7 +3,7 @@
 Unit complex Gaussian noise g(t) with the power spectrum of the resolution filter is drawn at about four samples per
 RBW and second for the whole sweep. With f(t) the frequency swept at t, L(f) the lines and n(f) the noise seen there::
 
-    p(t) = |sqrt(n(f(t))) g(t) + sum_k sqrt(L_k(f(t))) exp(j phi_k(t))|^2
+    p(t) = |sqrt(n(f(t))) g(t) + sum_k sqrt(L_k(f(t))) exp(j phi_k(t))|^2,   d phi_k / dt = 2 pi (f_k - f(t))
 
 is low-passed by the video filter (one pole, on power; not with the RMS detector) and cut into one bucket per point:
 RMS = mean, SAMP = last, POS = largest, NEG = smallest, AVER = mean of the level in dB.
@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from analyzer_sim.spectrum import RBW_PER_DEVIATION, MeanTrace, SweepGrid
+from analyzer_sim.spectrum import RBW_PER_DEVIATION, MeanTrace, SweepGrid, filter_response
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -44,11 +44,14 @@ def draw_envelope(
     """Return one detected trace, mW, shape (B,)."""
     count = sample_count(grid, time_s)
     position = (np.arange(count) + 0.5) * (grid.points / count) - 0.5
+    seconds = (np.arange(count) + 0.5) * (time_s / count)
     noise_mw = np.interp(position, np.arange(grid.points), mean.noise_mw)
     field = np.sqrt(noise_mw) * _filtered_noise(count, grid.rbw_hz * time_s / count, rng)
-    for line_mw in mean.lines_mw:
-        amplitude = np.interp(position, np.arange(grid.points), np.sqrt(line_mw))
-        field += amplitude * np.exp(1j * _line_phase(amplitude, grid, time_s, rng))
+    swept_hz = grid.start_hz + position * ((grid.stop_hz - grid.start_hz) / (grid.points - 1))
+    for line_hz, peak_mw in zip(mean.line_hz.tolist(), mean.line_peak_mw.tolist(), strict=True):
+        amplitude = np.sqrt(peak_mw * filter_response(swept_hz - line_hz, grid.rbw_hz))
+        turns = rng.random() + ((line_hz - swept_hz[0]) - 0.5 * (swept_hz - swept_hz[0])) * seconds
+        field += amplitude * np.exp(2j * math.pi * turns)
     power_mw = np.square(field.real) + np.square(field.imag)
     if detector != "RMS" and vbw_hz < _VIDEO_MATTERS_BELOW * grid.rbw_hz:
         power_mw = _video_filtered(power_mw, vbw_hz * time_s / count)
@@ -69,14 +72,6 @@ def _filtered_noise(count: int, rbw_per_rate: float, rng: np.random.Generator) -
     weight *= length / math.sqrt(2.0 * float(np.square(weight).sum()))
     drawn = rng.standard_normal((2, length))
     return np.fft.ifft((drawn[0] + 1j * drawn[1]) * weight)[:count]
-
-
-def _line_phase(amplitude: FloatArray, grid: SweepGrid, time_s: float, rng: np.random.Generator) -> FloatArray:
-    """Return the phase of a line at every sample: drawn at the start, turning with its distance from the centre."""
-    peak = int(np.argmax(amplitude)) / len(amplitude)
-    offset_hz = (peak - 0.5) * (grid.stop_hz - grid.start_hz)
-    seconds = np.linspace(0.0, time_s, len(amplitude))
-    return np.asarray(rng.uniform(0.0, 2.0 * math.pi) + 2.0 * math.pi * offset_hz * seconds)
 
 
 def _video_filtered(power_mw: FloatArray, vbw_per_rate: float) -> FloatArray:

@@ -77,6 +77,7 @@ class LevelErrors:
         self._ripple_phases = stream(seed, "analyzer", "ripple").uniform(0.0, 2.0 * math.pi, len(_RIPPLE_PERIODS_HZ))
         self._wander_db = figures.wander_sigma_db * float(self._rng.standard_normal())
         self._wander_epoch_us: int | None = None
+        self._switches_db: dict[tuple[str, float], float] = {}
 
     def own_noise_dbm_hz(self, attenuation_db: float, *, is_preamplifier_on: bool) -> float:
         """Return the noise density the analyzer adds, referred to the input."""
@@ -119,6 +120,8 @@ class LevelErrors:
 
     def _switching_db(self, part: str, value: float, sigma_db: float) -> float:
         """Return the fixed error of one position of a switch."""
-        if not sigma_db:
-            return 0.0
-        return sigma_db * float(stream(self._seed, "analyzer", part, f"{value:g}").standard_normal())
+        key = part, value
+        if key not in self._switches_db:
+            drawn = float(stream(self._seed, "analyzer", part, f"{value:g}").standard_normal())
+            self._switches_db[key] = sigma_db * drawn
+        return self._switches_db[key]

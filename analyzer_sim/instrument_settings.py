@@ -229,7 +229,7 @@ _FILTER_LIMITS = _fixed(FILTER_STEPS_HZ[0], FILTER_STEPS_HZ[-1], 3e6)
 
 QUANTITIES: dict[str, Quantity] = {
     "center_hz": Quantity(
-        _fixed(0.0, MAX_FREQUENCY_HZ, 0.5 * MAX_FREQUENCY_HZ),
+        _fixed(0.5 * MIN_SPAN_HZ, MAX_FREQUENCY_HZ - 0.5 * MIN_SPAN_HZ, 0.5 * MAX_FREQUENCY_HZ),
         lambda s: s.center_hz,
         lambda s, value: _store_window(s, value, s.span_hz),
         _axis_step,

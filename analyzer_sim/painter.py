@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analyzer_sim.detectors import FAST_DRAWS, Dwell
+from analyzer_sim.detectors import FAST_DRAWS, Dwell, draw_rms
 from analyzer_sim.emission import Emission
 from analyzer_sim.envelope import MAX_SAMPLES, draw_envelope, sample_count
 from analyzer_sim.imperfections import Imperfections, LevelErrors
@@ -88,6 +88,8 @@ class TracePainter:
         """Combine the sweeps of one measurement by the average type."""
         if settings.sweeps == 1:
             return self._sweep(mean, grid, settings)
+        if settings.combination == "POW" and settings.detector == "RMS" and not self._wants_envelope(grid, settings):
+            return draw_rms(mean, _dwell(grid, settings), self._rng, settings.sweeps)
         to_scale, from_scale = COMBINATIONS[settings.combination]
         total = np.zeros(grid.points)
         for _ in range(settings.sweeps):
@@ -96,17 +98,23 @@ class TracePainter:
 
     def _sweep(self, mean: MeanTrace, grid: SweepGrid, settings: Settings) -> FloatArray:
         """Draw the statistics of one sweep, mW."""
-        time_s = settings.time_s
-        wants_envelope = self._detail is Detail.ENVELOPE or settings.detector != "RMS"
-        if wants_envelope and not settings.is_fft and sample_count(grid, time_s) <= MAX_SAMPLES:
-            return draw_envelope(mean, grid, time_s, settings.detector, settings.vbw_hz, self._rng)
-        spacing_hz = settings.span_hz / (grid.points - 1)
-        dwell_s = time_s if settings.is_fft else time_s / grid.points
-        dwell = Dwell(grid.rbw_hz, dwell_s, spacing_hz, settings.is_fft)
-        return FAST_DRAWS[settings.detector](mean, dwell, self._rng)
+        if self._wants_envelope(grid, settings):
+            return draw_envelope(mean, grid, settings.time_s, settings.detector, settings.vbw_hz, self._rng)
+        return FAST_DRAWS[settings.detector](mean, _dwell(grid, settings), self._rng)
+
+    def _wants_envelope(self, grid: SweepGrid, settings: Settings) -> bool:
+        """Tell whether statistics are drawn in time: wanted or needed, and not beyond the longest envelope."""
+        if settings.is_fft or sample_count(grid, settings.time_s) > MAX_SAMPLES:
+            return False
+        return self._detail is Detail.ENVELOPE or settings.detector != "RMS"
 
     def _compute_ripple_gain(self, grid: SweepGrid) -> FloatArray:
         return np.asarray(10.0 ** (0.1 * self._errors.ripple_db(grid.frequency_hz)))
+
+
+def _dwell(grid: SweepGrid, settings: Settings) -> Dwell:
+    dwell_s = settings.time_s if settings.is_fft else settings.time_s / grid.points
+    return Dwell(grid.rbw_hz, dwell_s, settings.span_hz / (grid.points - 1), settings.is_fft)
 
 
 def _overload(emission: Emission, settings: Settings) -> int:

@@ -56,8 +56,8 @@ class MessageFramer:
     Examples
     --------
     >>> framer = MessageFramer()
-    >>> [m.body for m in framer.feed(b"*IDN?\\r\\nDISP:TEXT 'a\\nb'\\nFR")]
-    [b'*IDN?', b"DISP:TEXT 'a\\nb'"]
+    >>> [m.body for m in framer.feed(b"*IDN?\r\nDISP:TEXT 'a\nb'\nFR")]
+    [b'*IDN?', b"DISP:TEXT 'a\nb'"]
     >>> framer.pending_bytes
     2
     """

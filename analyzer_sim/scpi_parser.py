@@ -83,12 +83,12 @@ class Unit:
 
 
 def split_outside(text: str, separator: str) -> list[str]:
-    r"""Split at a separator that stands outside quotes and blocks.
+    """Split at a separator that stands outside quotes and blocks.
 
     Examples
     --------
     >>> split_outside("A 'x;y';B #13;;;;C", ";")
-    ['A \\'x;y\\'', 'B #13;;;', 'C']
+    ["A 'x;y'", 'B #13;;;', 'C']
     """
     if "'" not in text and '"' not in text and "#" not in text:
         return text.split(separator)

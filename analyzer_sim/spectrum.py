@@ -61,6 +61,9 @@ class MeanTrace(NamedTuple):
     noise_mw: FloatArray
     #: unmodulated lines, one row each, shape (L, B): steady
     lines_mw: FloatArray
+    #: their frequencies, shape (L,), Hz, and powers at the top of the filter, shape (L,)
+    line_hz: FloatArray
+    line_peak_mw: FloatArray
 
     @property
     def total_mw(self) -> FloatArray:
@@ -161,8 +164,10 @@ def mean_trace(emission: Emission, grid: SweepGrid, own_noise_dbm_hz: float, lin
     noise_mw = np.full(grid.points, floor_mw_hz * grid.enbw_hz)
     if modulated:
         noise_mw += _powers_mw(modulated) @ _shape_matrix(_keys(modulated), grid)
-    lines_mw = _powers_mw(lines)[:, np.newaxis] * _shape_matrix(_keys(lines), grid) * line_loss
-    return MeanTrace(noise_mw, lines_mw)
+    line_peak_mw = _powers_mw(lines) * line_loss
+    lines_mw = line_peak_mw[:, np.newaxis] * _shape_matrix(_keys(lines), grid)
+    line_hz = np.array([signal.center_hz for signal in lines], dtype=np.float64)
+    return MeanTrace(noise_mw, lines_mw, line_hz, line_peak_mw)
 
 
 def _keys(signals: list[Signal]) -> tuple[tuple[float, float, float], ...]:

@@ -1,0 +1,93 @@
+"""A world that stands still, an instrument on it and a line to talk to it, without a socket."""
+
+from collections.abc import Callable
+
+import pytest
+
+from analyzer_sim.dialect_rs import RS
+from analyzer_sim.emission import Emission, Signal
+from analyzer_sim.imperfections import IDEAL
+from analyzer_sim.instrument import Instrument
+from analyzer_sim.painter import TracePainter
+from analyzer_sim.scpi import MessageFramer
+from analyzer_sim.session import Session, command_tree
+from analyzer_sim.world import EndOfScenario
+
+START_US = 1_793_491_200_000_000
+ROW_US = 60_000_000
+CARRIERS = (
+    Signal("a", 1012e6, 1e6, 0.25, -40.0),
+    Signal("b", 1017e6, 2e6, 0.20, -43.0),
+    Signal("c", 1022e6, 0.5e6, 0.35, -46.0),
+)
+
+
+class StandingSource:
+    """The same three carriers in every row, until the last one."""
+
+    def __init__(self, rows: int = 1000, signals: tuple[Signal, ...] = CARRIERS, noise_dbm_hz: float = -120.0) -> None:
+        self.row = 0
+        self.rows = rows
+        self.signals = signals
+        self.noise_dbm_hz = noise_dbm_hz
+
+    def advance(self) -> Emission:
+        if self.row >= self.rows:
+            raise EndOfScenario
+        self.row += 1
+        return self.current()
+
+    def current(self) -> Emission:
+        return Emission(START_US + ROW_US * self.row, self.signals, self.noise_dbm_hz)
+
+
+class Bench:
+    """An instrument and one session, as a client sees them; counts what the world was asked."""
+
+    def __init__(self, source: StandingSource, *, may_advance: Callable[[], bool] = lambda: True) -> None:
+        self.source = source
+        self.instrument = Instrument(source, TracePainter(7, IDEAL), may_advance)
+        self.framer = MessageFramer()
+        self.session = self.new_session()
+
+    def new_session(self) -> Session:
+        return Session(self.instrument, RS, command_tree(RS))
+
+    def send(self, data: bytes | str) -> bytes:
+        """Feed bytes, return all that came back; a held session stays held."""
+        out = b""
+        for message in self.framer.feed(data if isinstance(data, bytes) else data.encode() + b"\n"):
+            self.session.submit(message)
+            out += self.go_on()
+        return out
+
+    def go_on(self) -> bytes:
+        """Run the session until it is finished or held."""
+        out = self.session.run() or b""
+        while self.session.is_busy and not self.session.is_held:
+            out += self.session.run() or b""
+        return out
+
+    def ask(self, text: str) -> str:
+        """Return the one line that answers; empty when nothing does."""
+        return self.send(text).decode("latin-1").removesuffix("\n")
+
+    def errors(self) -> list[int]:
+        """Empty the error queue and return its codes."""
+        codes = []
+        while (code := int(self.ask("SYST:ERR?").split(",", 1)[0])) != 0:
+            codes.append(code)
+        return codes
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench(StandingSource())
+
+
+@pytest.fixture
+def make_bench() -> Callable[..., Bench]:
+    def make(may_advance: Callable[[], bool] = lambda: True, **source: object) -> Bench:
+        return Bench(StandingSource(**source), may_advance=may_advance)
+
+    return make

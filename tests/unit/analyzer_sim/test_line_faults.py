@@ -1,0 +1,21 @@
+"""Faults are spent in order, one an answer, and wait for the answer they fit."""
+
+from analyzer_sim.line_faults import LineFault, LineFaults
+
+
+def test_fault_that_needs_a_block_waits_for_one() -> None:
+    faults = LineFaults()
+    faults.arm(LineFault.HALF_BLOCK)
+    faults.arm(LineFault.RESET)
+    assert faults.take(b"1\n") is None
+    assert faults.take(b"#11a\n") is LineFault.HALF_BLOCK
+    assert faults.take(b"1\n") is LineFault.RESET
+    assert faults.take(b"1\n") is None
+
+
+def test_disarmed_faults_do_nothing() -> None:
+    faults = LineFaults()
+    faults.arm(LineFault.SILENT, times=3)
+    assert faults.remaining == 3
+    faults.disarm()
+    assert faults.take(b"1\n") is None
