@@ -2,11 +2,14 @@
 
 A row of power deviations dP_i (dB) is a fade when ``share`` of the carriers lie below ``-depth`` and the spread
 ``1.48 median |dP_i - median dP|`` is below ``spread_ratio |median|``. The watch stops control when the condition has
-stood for five minutes and lets it return when the median has been above ``-depth`` for ten. The law of this file: the
-test is blind to attitude. It looks at raw deviations, as the paper does, and a roll to which every carrier answers
-alike looks to it like rain; it is the spread between stations North and South, East and West of the beams that tells
-them apart. The rule knows nothing of a common drift of the receiving chain either: a fall of 0.3 dB that stays keeps
-control stopped until a new alignment.
+stood for five minutes and lets it return when the median has been above ``-depth`` for ten.
+
+The law of this file: the paper's rule looks at raw deviations and is blind to attitude; a roll to which all carriers
+answer alike looks to it like rain. Where the stations stand on all sides of the beams it never mistakes turns of
+0.3 deg for rain, but where an attitude can imitate more than about half of a common change
+(``observability.common_share``) it does. Given the residuals of the attitude fix, the rule therefore asks one question
+more: a row that an attitude explains better than a common change is no fade. A fall of the receiving chain that stays
+is a fade to this rule in any case and keeps control stopped until a new alignment.
 """
 
 import math
@@ -19,6 +22,8 @@ FloatArray = NDArray[np.float64]
 
 #: Fewer carriers than this cannot show a common change.
 MIN_CARRIERS = 4
+#: Angles that the fix took from the row.
+FITTED_ANGLES = 3
 #: Standard deviation of a normal distribution over its median absolute deviation.
 SIGMA_OF_MAD = 1.4826
 
@@ -66,7 +71,12 @@ class FadeWatch(NamedTuple):
 
 
 def fade_sign_test(
-    deviation_db: FloatArray, *, depth_db: float = 0.3, share: float = 0.8, spread_ratio: float = 0.5
+    deviation_db: FloatArray,
+    *,
+    depth_db: float = 0.3,
+    share: float = 0.8,
+    spread_ratio: float = 0.5,
+    fix_residual_db: FloatArray | None = None,
 ) -> FadeTest:
     """Return whether one row of deviations looks like rain on the downlink.
 
@@ -81,6 +91,9 @@ def fade_sign_test(
         Least share of the present carriers that must take part.
     spread_ratio : float
         The spread must be below this times the median's size.
+    fix_residual_db : ndarray, shape (N,), dB, or None
+        What the attitude fix of the same row leaves of the deviations (NaN = not used). The row is a fade only if it
+        leaves more than the common change does. None, or fewer than four residuals: the paper's rule alone.
 
     Returns
     -------
@@ -104,7 +117,18 @@ def fade_sign_test(
     spread_db = SIGMA_OF_MAD * float(np.median(np.abs(present - median_db)))
     share_below = float(np.count_nonzero(present < -depth_db)) / present.size
     is_fade = share_below >= share and spread_db < spread_ratio * abs(median_db)
+    if is_fade and fix_residual_db is not None:
+        is_fade = not _explains_better(fix_residual_db, spread_db)
     return FadeTest(is_fade, median_db, spread_db, share_below)
+
+
+def _explains_better(fix_residual_db: FloatArray, spread_db: float) -> bool:
+    """Return whether the residuals of a fix, freed from its three unknowns, are smaller than the spread."""
+    present = fix_residual_db[np.isfinite(fix_residual_db)]
+    if present.size < MIN_CARRIERS:
+        return False
+    freedom = math.sqrt(present.size / (present.size - FITTED_ANGLES))
+    return SIGMA_OF_MAD * float(np.median(np.abs(present))) * freedom < spread_db
 
 
 def step_fade_watch(
