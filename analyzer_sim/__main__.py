@@ -116,9 +116,12 @@ async def _serve(options: argparse.Namespace) -> None:
     stop_wanted = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, stop_wanted.set)
-    async with ground, analyzer:
-        _announce(options, analyzer.port, ground.sockets[0].getsockname()[1])
-        await stop_wanted.wait()
+    try:
+        async with analyzer:
+            _announce(options, analyzer.port, ground.sockets[0].getsockname()[1])
+            await stop_wanted.wait()
+    finally:
+        ground.close()  # not waited for: a connected ground client must not keep the process alive
 
 
 def _painter(options: argparse.Namespace) -> TracePainter:

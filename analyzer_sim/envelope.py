@@ -21,8 +21,9 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 SAMPLES_PER_RBW_SECOND = 4.0
-#: longest envelope drawn; longer sweeps use the fast method
+#: longest envelope drawn for one sweep and for all sweeps of a trace; beyond, the fast method serves
 MAX_SAMPLES = 1_000_000
+MAX_SAMPLES_ALL_SWEEPS = 10 * MAX_SAMPLES
 #: a video filter this much wider than the resolution filter does nothing
 _VIDEO_MATTERS_BELOW = 10.0
 _LEAST_MW = 1e-30

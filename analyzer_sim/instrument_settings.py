@@ -20,6 +20,8 @@ MAX_FREQUENCY_HZ = 26.5e9
 MIN_SPAN_HZ = 10.0
 #: steps of the resolution and the video filter, Hz
 FILTER_STEPS_HZ = (*tuple(m * 10.0**e for e in range(7) for m in (1, 2, 3, 5)), 10000000.0)
+#: sweeps combined into one trace; fewer than real instruments take, so that no trace costs more than seconds to draw
+MAX_SWEEPS = 1000
 #: a sweep faster than this part of the automatic time is not calibrated
 UNCALIBRATED_BELOW = 0.8
 _MIXER_LIMIT_DBM = -10.0
@@ -259,9 +261,9 @@ QUANTITIES: dict[str, Quantity] = {
         _fixed(101, 100001, 1001), lambda s: s.points, _store_points, lambda s: 0.5 * s.points, is_integer=True
     ),
     "time_s": Quantity(_fixed(1e-3, 16000.0, 1.0), lambda s: s.time_s, _store_time, lambda s: 0.5 * s.time_s),
-    "count": Quantity(_fixed(0, 32767, 0), lambda s: s.count, _store_count, lambda _s: 1.0, is_integer=True),
+    "count": Quantity(_fixed(0, MAX_SWEEPS, 0), lambda s: s.count, _store_count, lambda _s: 1.0, is_integer=True),
     "average_count": Quantity(
-        _fixed(0, 32767, 0), lambda s: s.average_count, _store_average_count, lambda _s: 1.0, is_integer=True
+        _fixed(0, MAX_SWEEPS, 0), lambda s: s.average_count, _store_average_count, lambda _s: 1.0, is_integer=True
     ),
     "reference_dbm": Quantity(_fixed(-130.0, 30.0, 0.0), lambda s: s.reference_dbm, _store_reference, lambda _s: 10.0),
     "attenuation_db": Quantity(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from analyzer_sim.detectors import FAST_DRAWS, Dwell, draw_rms
 from analyzer_sim.emission import Emission
-from analyzer_sim.envelope import MAX_SAMPLES, draw_envelope, sample_count
+from analyzer_sim.envelope import MAX_SAMPLES, MAX_SAMPLES_ALL_SWEEPS, draw_envelope, sample_count
 from analyzer_sim.imperfections import Imperfections, LevelErrors
 from analyzer_sim.instrument_settings import Settings
 from analyzer_sim.spectrum import MeanTrace, SweepGrid, mean_trace, milliwatts, too_fast_line_loss
@@ -104,7 +104,8 @@ class TracePainter:
 
     def _wants_envelope(self, grid: SweepGrid, settings: Settings) -> bool:
         """Tell whether statistics are drawn in time: wanted or needed, and not beyond the longest envelope."""
-        if settings.is_fft or sample_count(grid, settings.time_s) > MAX_SAMPLES:
+        samples = sample_count(grid, settings.time_s)
+        if settings.is_fft or samples > MAX_SAMPLES or samples * settings.sweeps > MAX_SAMPLES_ALL_SWEEPS:
             return False
         return self._detail is Detail.ENVELOPE or settings.detector != "RMS"
 

@@ -1,0 +1,285 @@
+"""The simulated analyzer on a real socket: third-party client, several sessions, faults of the line, the process."""
+
+import json
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from analyzer_sim.dialect_rs import IDENTITY
+from analyzer_sim.emission import Emission, Signal
+from analyzer_sim.instrument import Instrument
+from analyzer_sim.line_faults import GARBAGE_BYTES, LineFault
+from analyzer_sim.painter import TracePainter
+from analyzer_sim.server import AnalyzerThread, start_in_thread
+
+pytestmark = pytest.mark.system
+
+SETUP = (
+    b"*RST;*CLS;:INIT:CONT OFF;:FREQ:STAR 954 MHZ;STOP 990 MHZ;:BAND 30 KHZ;:SWE:POIN 2401;TIME 2;:DET RMS;"
+    b":FORM REAL,32\n"
+)
+BLOCK_BYTES = len("#49604") + 4 * 2401 + 1
+
+
+class StandingSource:
+    """Sixteen carriers, the same in every row."""
+
+    def __init__(self) -> None:
+        self.row = 0
+        self.signals = tuple(Signal(f"c{n}", 956e6 + 2e6 * n, 1.2e6, 0.2, -45.0) for n in range(16))
+
+    def advance(self) -> Emission:
+        self.row += 1
+        return self.current()
+
+    def current(self) -> Emission:
+        return Emission(1_793_491_200_000_000 + 60_000_000 * self.row, self.signals, -135.0)
+
+
+@pytest.fixture
+def analyzer() -> Iterator[AnalyzerThread]:
+    with start_in_thread(Instrument(StandingSource(), TracePainter(1))) as handle:
+        yield handle
+
+
+def connect(port: int) -> socket.socket:
+    line = socket.create_connection(("127.0.0.1", port), timeout=5.0)
+    line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return line
+
+
+def receive(line: socket.socket, count: int) -> bytes:
+    data = b""
+    while len(data) < count:
+        piece = line.recv(1 << 16)
+        if not piece:
+            break
+        data += piece
+    return data
+
+
+def ask(line: socket.socket, question: bytes) -> bytes:
+    line.sendall(question + b"\n")
+    answer = b""
+    while not answer.endswith(b"\n"):
+        answer += line.recv(1 << 16)
+    return answer[:-1]
+
+
+def test_pyvisa_reads_the_same_trace_in_both_formats(analyzer: AnalyzerThread) -> None:
+    # the first script of section 8 of the analyzer specification, its socket part, word for word
+    import pyvisa
+
+    manager = pyvisa.ResourceManager("@py")
+    i = manager.open_resource(
+        f"TCPIP::127.0.0.1::{analyzer.port}::SOCKET",
+        read_termination="\n",
+        write_termination="\n",
+        timeout=5000,
+        chunk_size=1 << 20,
+    )
+    i.write("*CLS;:INIT:CONT OFF;:FREQ:CENT 1017 MHZ;SPAN 20e6;:BAND 30 KHZ;:SWE:POIN 2001;TIME 0.2;:DET RMS")
+    assert i.query("INIT;*OPC?").strip() == "1"
+    i.write("FORM REAL,32")
+    y = i.query_binary_values("TRAC? TRACE1", "f", is_big_endian=False, container=np.array)
+    i.write("FORM ASC")
+    a = np.array(i.query_ascii_values("TRAC:DATA? TRACE1"))
+    assert len(y) == len(a) == 2001
+    assert np.max(np.abs(y - a)) < 1e-4  # the specification's figure: seven digits against 24 bits
+    assert i.query("SYST:ERR?").startswith("0,")
+    i.close()
+
+
+def test_sweep_and_trace_take_less_than_two_milliseconds(analyzer: AnalyzerThread) -> None:
+    with connect(analyzer.port) as line:
+        line.sendall(SETUP)
+        times_s = []
+        for _ in range(200):
+            start_s = time.perf_counter()
+            line.sendall(b"INIT;*OPC?\n")
+            assert receive(line, 2) == b"1\n"
+            line.sendall(b"TRAC? TRACE1\n")
+            assert len(receive(line, BLOCK_BYTES)) == BLOCK_BYTES
+            times_s.append(time.perf_counter() - start_s)
+    # the quickest tenth: the tests share two cores with everything else, the instrument is what is judged
+    assert np.quantile(times_s, 0.1) < 2e-3
+
+
+def test_line_feeds_inside_a_block_do_not_end_it(analyzer: AnalyzerThread) -> None:
+    with connect(analyzer.port) as line:
+        line.sendall(SETUP + b"SWE:POIN 32001;:INIT\nTRAC? TRACE1\n")
+        block = receive(line, 8 + 4 * 32001 + 1)
+        assert block[:8] == b"#6128004"
+        assert block.count(b"\n") > 50  # about one byte in 500
+        levels_dbm = np.frombuffer(block[8:-1], "<f4")
+        assert np.all(np.isfinite(levels_dbm))
+        assert ask(line, b"*OPC?") == b"1"
+
+
+def test_ten_sessions_at_once_get_their_own_answers(analyzer: AnalyzerThread) -> None:
+    def talk(number: int) -> int:
+        with connect(analyzer.port) as line:
+            right = 0
+            for turn in range(30):
+                mask = (number * 7 + turn) % 128
+                answer = ask(line, f"*IDN?;:STAT:QUES:ENAB?;:FORM?;*ESE {mask}".encode())
+                right += answer.decode().startswith(IDENTITY + ";0;")
+            return right
+
+    with ThreadPoolExecutor(10) as pool:
+        assert list(pool.map(talk, range(10))) == [30] * 10
+    with connect(analyzer.port) as line:
+        assert ask(line, b"SYST:ERR:COUN?") == b"0"
+
+
+def test_garbage_never_ends_the_connection(analyzer: AnalyzerThread) -> None:
+    with connect(analyzer.port) as line:
+        line.sendall(bytes(range(256)).replace(b"'", b"").replace(b'"', b"") * 20 + b"\n")
+        line.sendall(b"x" * 3_000_000 + b"\n")
+        assert ask(line, b"*IDN?").decode() == IDENTITY
+        assert int(ask(line, b"SYST:ERR:COUN?")) > 1
+
+
+def test_message_may_arrive_byte_by_byte_and_several_at_once(analyzer: AnalyzerThread) -> None:
+    with connect(analyzer.port) as line:
+        for byte in b"*ID":
+            line.sendall(bytes([byte]))
+            time.sleep(0.002)
+        line.sendall(b"N?\r\n*OPC?\n*OPC?\n")
+        expected = IDENTITY.encode() + b"\n1\n1\n"
+        assert receive(line, len(expected)) == expected
+
+
+def test_reset_fault_breaks_the_connection_and_the_next_one_works(analyzer: AnalyzerThread) -> None:
+    with connect(analyzer.port) as line:
+        line.sendall(SETUP + b"INIT\n")
+        analyzer.faults.arm(LineFault.RESET_IN_BLOCK)
+        line.sendall(b"*OPC?\n")
+        assert receive(line, 2) == b"1\n", "a fault of blocks leaves other answers alone"
+        line.sendall(b"TRAC? TRACE1\n")
+        try:
+            data = receive(line, BLOCK_BYTES)
+        except ConnectionResetError:
+            data = b""
+        assert len(data) < BLOCK_BYTES
+    with connect(analyzer.port) as line:
+        assert ask(line, b"*OPC?") == b"1"
+
+
+@pytest.mark.parametrize("fault", [LineFault.RESET, LineFault.CLOSE])
+def test_answer_lost_with_its_connection(analyzer: AnalyzerThread, fault: LineFault) -> None:
+    analyzer.faults.arm(fault)
+    with connect(analyzer.port) as line:
+        line.sendall(b"*IDN?\n")
+        try:
+            data = line.recv(100)
+        except ConnectionResetError:
+            assert fault is LineFault.RESET
+        else:
+            assert data == b""
+            assert fault is LineFault.CLOSE
+    assert analyzer.faults.remaining == 0
+
+
+def test_silence_half_a_block_and_garbage_keep_the_connection(analyzer: AnalyzerThread) -> None:
+    with connect(analyzer.port) as line:
+        line.sendall(SETUP + b"INIT\n")
+        line.settimeout(0.2)
+        analyzer.faults.arm(LineFault.SILENT)
+        line.sendall(b"*IDN?\n")
+        with pytest.raises(TimeoutError):
+            line.recv(100)
+        analyzer.faults.arm(LineFault.HALF_BLOCK)
+        line.sendall(b"TRAC? TRACE1\n")
+        assert len(receive(line, BLOCK_BYTES // 2)) == BLOCK_BYTES // 2
+        with pytest.raises(TimeoutError):
+            line.recv(100)
+        analyzer.faults.arm(LineFault.GARBAGE)
+        line.sendall(b"*IDN?\n")
+        assert receive(line, len(GARBAGE_BYTES)) == GARBAGE_BYTES
+        assert ask(line, b"*OPC?") == b"1"
+
+
+def test_sweep_waits_for_permission_while_others_are_served() -> None:
+    allowed = threading.Event()
+    instrument = Instrument(StandingSource(), TracePainter(1), may_advance=allowed.is_set)
+    with start_in_thread(instrument) as handle, connect(handle.port) as waiting, connect(handle.port) as other:
+        waiting.settimeout(0.2)
+        waiting.sendall(SETUP + b"INIT;*OPC?\n")
+        with pytest.raises(TimeoutError):
+            waiting.recv(10)
+        assert ask(other, b"STAT:OPER:COND?;*STB?") == b"32;16"
+        allowed.set()
+        waiting.settimeout(5.0)
+        assert receive(waiting, 2) == b"1\n"
+        assert ask(other, b"STAT:OPER:COND?") == b"0"
+
+
+def test_abort_from_another_session_releases_the_one_that_waits() -> None:
+    instrument = Instrument(StandingSource(), TracePainter(1), may_advance=lambda: False)
+    with start_in_thread(instrument) as handle, connect(handle.port) as waiting, connect(handle.port) as other:
+        waiting.sendall(SETUP + b"INIT;*OPC?\n")
+        while ask(other, b"STAT:OPER:COND?") != b"32":
+            time.sleep(0.005)
+        other.sendall(b"ABOR\n")
+        assert receive(waiting, 2) == b"1\n"
+
+
+def test_client_that_resets_does_not_harm_the_server(analyzer: AnalyzerThread) -> None:
+    for _ in range(5):
+        line = connect(analyzer.port)
+        line.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        line.sendall(SETUP + b"INIT;*OPC?\nTRAC? TRACE1\n" * 20)
+        line.close()
+    with connect(analyzer.port) as line:
+        assert ask(line, b"*OPC?") == b"1"
+
+
+def test_taken_port_is_an_error(analyzer: AnalyzerThread) -> None:
+    with pytest.raises(OSError, match="address already in use"):
+        start_in_thread(Instrument(StandingSource(), TracePainter(1)), port=analyzer.port)
+
+
+@pytest.fixture
+def simulator() -> Iterator[subprocess.Popen[str]]:
+    command = [sys.executable, "-m", "analyzer_sim", "--port", "0", "--ground-port", "0", "--seed", "3"]
+    command += ["--scenario", "demo", "--operation-days", "0.1", "--await-ground"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        yield process
+        process.kill()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_process_tells_its_ports_steps_with_the_ground_and_ends_cleanly(
+    simulator: subprocess.Popen[str], number: signal.Signals
+) -> None:
+    assert simulator.stdout is not None
+    ready = json.loads(simulator.stdout.readline())
+    assert (ready["scenario"], ready["seed"]) == ("demo", 3)
+    with connect(ready["scpi_port"]) as line, connect(ready["ground_port"]) as ground:
+        line.sendall(SETUP + b"INIT;*OPC?\n")
+        lines = ground.makefile("rw")
+        while json.loads(lines.readline())["kind"] != "hold":
+            pass
+        line.settimeout(0.3)
+        with pytest.raises(TimeoutError):
+            line.recv(10)
+        line.settimeout(5.0)
+        lines.write('{"kind":"proceed"}\n')
+        lines.flush()
+        assert receive(line, 2) == b"1\n"
+        assert ask(line, b"SIM:EPOCH?") == b"2026-11-01T00:00:00.000000Z"
+        assert ask(line, b"SYST:ERR?") == b'0,"No error"'
+        simulator.send_signal(number)
+        assert simulator.wait(5.0) == 0
+    assert simulator.stderr is not None
+    assert simulator.stderr.read() == ""
