@@ -72,7 +72,7 @@ def acquire(
     batch_rows: Annotated[int, typer.Option(min=1, max=10_000, help="Rows of one request at most.")] = 100,
     batch_s: Annotated[
         float, typer.Option(min=0.0, help="Shortest time between requests that are not full, s; 0 = send at once.")
-    ] = 0.0,
+    ] = 0.05,
     hold_s: Annotated[
         float, typer.Option(min=0.0, help="Further wait for a sweep that a trigger or a simulator holds back, s.")
     ] = 0.0,

@@ -39,7 +39,7 @@ class UploadSettings:
     #: rows of one request at most
     batch_rows: int = 100
     #: shortest time between requests that are not full, s; a row after a pause is sent at once
-    batch_s: float = 0.0
+    batch_s: float = 0.05
     #: rows kept while the service is away; then sweeping waits
     queue_rows: int = 10_000
     #: time to deliver the rest after a stop, s
