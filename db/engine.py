@@ -118,4 +118,9 @@ def _begin_immediate(connection: Connection) -> None:
 
 def _commit(connection: Connection) -> None:
     # the driver's commit() succeeds silently when the database has rolled back by itself (disk full); COMMIT fails
-    connection.exec_driver_sql("COMMIT")
+    try:
+        connection.exec_driver_sql("COMMIT")
+    except DBAPIError:
+        # a refused COMMIT leaves the transaction open, where it would stop every later one
+        connection.connection.rollback()
+        raise

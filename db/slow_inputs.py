@@ -35,12 +35,12 @@ def store_inputs(connection: Connection, key: int, records: Sequence[SlowInput])
     known = _stored(connection, key, records)
     accepted: list[tuple[SlowInput, Span | None]] = []
     refused: list[Refusal] = []
-    for place, record in enumerate(records):
+    for place, record in enumerate(map(_keyed, records)):
         name, document = (kind_of(record), record.key), encode(record)
         stored = known.get(name)
         if stored is None:
             known[name] = document
-            accepted.append((record, span_of(_keyed(record))))
+            accepted.append((record, span_of(record)))
         elif not is_same_input(name[0], stored, document):
             detail = f"Another {name[0]} with the key {name[1]!r} is stored already; the first one stays."
             refused.append(Refusal(place, None, "input.conflict", detail))

@@ -9,10 +9,10 @@ import math
 from typing import Any
 
 from sqlalchemy import (
+    DOUBLE_PRECISION,
     BigInteger,
     Boolean,
     Column,
-    Double,
     ForeignKey,
     Index,
     Integer,
@@ -42,12 +42,12 @@ class UntypedDouble(types.UserDefinedType[float]):
 class Figure(TypeDecorator[float]):
     """A float that comes back bit for bit; NaN is NULL in the table."""
 
-    impl = Double
+    impl = DOUBLE_PRECISION
     cache_ok = True
 
     def load_dialect_impl(self, dialect: Dialect) -> types.TypeEngine[Any]:
         """Return the type of the column in a dialect."""
-        return dialect.type_descriptor(UntypedDouble() if dialect.name == "sqlite" else Double())
+        return dialect.type_descriptor(UntypedDouble() if dialect.name == "sqlite" else DOUBLE_PRECISION())
 
     def process_bind_param(self, value: float | None, dialect: Dialect) -> float | None:  # noqa: ARG002 - SQLAlchemy's signature
         """Store NaN as NULL."""

@@ -13,7 +13,7 @@ from threading import Lock, Thread
 from typing import Any, Generic, TypeVar
 
 from sqlalchemy import Connection, Engine
-from sqlalchemy.exc import InterfaceError, InternalError, OperationalError, SQLAlchemyError
+from sqlalchemy.exc import SQLAlchemyError
 
 from db.engine import storage_error
 from service.errors import StorageError
@@ -139,20 +139,17 @@ def _run_apart(connection: Connection, group: list[_Task[Any]]) -> None:
 
 def _attempt(connection: Connection, task: _Task[Any]) -> None:
     """Run one function inside the transaction of its group."""
+    savepoint = connection.begin_nested()
     try:
-        with connection.begin_nested():
-            task.result = task.work(connection)
+        task.result = task.work(connection)
     except Exception as fault:
-        if _has_lost_transaction(connection, fault):
+        # raises when the transaction went with the fault: then nothing of the group may pass for stored
+        savepoint.rollback()
+        if connection.invalidated:
             raise
         task.fault = fault
-
-
-def _has_lost_transaction(connection: Connection, fault: Exception) -> bool:
-    """Whether the work of the others in the group may be gone with this fault."""
-    if connection.invalidated or not connection.in_transaction():
-        return True
-    return isinstance(fault, OperationalError | InterfaceError | InternalError)
+    else:
+        savepoint.commit()
 
 
 def _told(fault: BaseException) -> BaseException:

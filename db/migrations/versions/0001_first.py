@@ -38,7 +38,7 @@ class _UntypedDouble(sa.types.UserDefinedType[float]):
         return "DOUBLE_BLOB"
 
 
-_FIGURE: sa.types.TypeEngine[float] = sa.Double().with_variant(_UntypedDouble(), "sqlite")
+_FIGURE: sa.types.TypeEngine[float] = sa.DOUBLE_PRECISION().with_variant(_UntypedDouble(), "sqlite")
 
 
 def upgrade() -> None:

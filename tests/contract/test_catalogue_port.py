@@ -1,0 +1,106 @@
+"""Every storage keeps the catalogue: what was put comes back equal, versions are kept, changes are journaled."""
+
+from dataclasses import replace
+
+import pytest
+
+from service.errors import ConflictError, NotFoundError
+from service.records.catalogue import (
+    Carrier,
+    ControlSettings,
+    Ephemeris,
+    FlexibleMode,
+    Method,
+    Site,
+    Spacecraft,
+    Station,
+    Track,
+)
+from service.records.inputs import EphemerisChange, PlanChange, SpacecraftChange
+
+INERTIA = ((4000.0, 1.5, 0.0), (1.5, 2000.0, -0.0), (0.0, 0.0, 4000.1))
+CRAFT = Spacecraft(
+    "yamal",
+    "Ямал",
+    90.0,
+    Site(55.0, 38.0, "Dolgoprudny", 180.0),
+    INERTIA,
+    0.05,
+    cospar_id="2003-053A",
+    modes=(FlexibleMode("roll", 0.6, 0.005, 0.1),),
+    control=ControlSettings(method=Method.PAPER, period_s=3600.0),
+)
+
+
+def test_a_spacecraft_comes_back_equal(storage):
+    storage.catalogue.add_spacecraft(CRAFT)
+    assert storage.catalogue.spacecraft("yamal") == CRAFT
+
+
+def test_all_spacecraft_come_in_order_of_id(storage):
+    for name in ("b", "c", "a"):
+        storage.catalogue.add_spacecraft(replace(CRAFT, id=name))
+    assert [craft.id for craft in storage.catalogue.all_spacecraft()] == ["a", "b", "c"]
+
+
+def test_a_second_spacecraft_of_the_same_id_is_a_conflict_and_changes_nothing(storage):
+    storage.catalogue.add_spacecraft(CRAFT)
+    with pytest.raises(ConflictError) as caught:
+        storage.catalogue.add_spacecraft(replace(CRAFT, name="other"))
+    assert caught.value.code == "spacecraft.exists"
+    assert storage.catalogue.spacecraft("yamal") == CRAFT
+
+
+def test_creation_and_change_of_a_spacecraft_are_journaled(storage):
+    changed = replace(CRAFT, name="Yamal 202")
+    storage.catalogue.add_spacecraft(CRAFT)
+    storage.catalogue.replace_spacecraft(changed)
+    assert storage.catalogue.spacecraft("yamal") == changed
+    contents = [entry.content for entry in storage.archive.journal("yamal", 0, 10)]
+    assert contents == [SpacecraftChange(CRAFT, 1), SpacecraftChange(changed, 2)]
+
+
+def test_a_plan_put_again_is_the_same_plan_and_a_former_plan_put_again_a_new_one(storage):
+    storage.catalogue.add_spacecraft(CRAFT)
+    station = Station(55.0, 37.0, "Moscow")
+    first = [Carrier("c00", "C", "t1", 3.7e9, 5e6, station, 6.0e9)]
+    second = [*first, Carrier("c01", "Ku", "t2", 11.7e9, 5e6, intermediate_hz=1.2e9, enabled=False)]
+    put = storage.catalogue.put_plan
+    plans = [put("yamal", first, "f"), put("yamal", first, "f"), put("yamal", second, "s"), put("yamal", first, "f")]
+    assert [plan.id for plan in plans] == [1, 1, 2, 3]
+    assert storage.catalogue.plan("yamal", 2) == plans[2]
+    assert storage.catalogue.plan("yamal", 2).carriers == tuple(second)
+    assert storage.catalogue.plan("yamal") == plans[3]
+    journaled = [entry.content for entry in storage.archive.journal("yamal", 1, 10)]
+    assert journaled == [PlanChange(1), PlanChange(2), PlanChange(3)]
+
+
+def test_every_ephemeris_is_a_new_version(storage):
+    storage.catalogue.add_spacecraft(CRAFT)
+    nodes = Ephemeris(9, (10, 20, 30), 86_164.1, 5, 35, "nodes", Track((1, 2), (0.1, -0.1), (90.01, 89.99)))
+    first = storage.catalogue.put_ephemeris("yamal", nodes)
+    second = storage.catalogue.put_ephemeris("yamal", nodes)
+    assert (first, second) == (replace(nodes, id=1), replace(nodes, id=2))
+    assert storage.catalogue.ephemeris("yamal") == second
+    assert storage.catalogue.ephemeris("yamal", 1) == first
+    entries = storage.archive.journal("yamal", 1, 10)
+    assert [entry.content for entry in entries] == [EphemerisChange(1), EphemerisChange(2)]
+
+
+@pytest.mark.parametrize(
+    ("call", "code"),
+    [
+        (lambda catalogue: catalogue.spacecraft("none"), "spacecraft.unknown"),
+        (lambda catalogue: catalogue.replace_spacecraft(replace(CRAFT, id="none")), "spacecraft.unknown"),
+        (lambda catalogue: catalogue.put_plan("none", [], "s"), "spacecraft.unknown"),
+        (lambda catalogue: catalogue.plan("yamal"), "plan.none"),
+        (lambda catalogue: catalogue.plan("yamal", 1), "plan.unknown"),
+        (lambda catalogue: catalogue.ephemeris("yamal"), "ephemeris.none"),
+        (lambda catalogue: catalogue.ephemeris("yamal", 1), "ephemeris.unknown"),
+    ],
+)
+def test_what_is_not_there_is_named(storage, call, code):
+    storage.catalogue.add_spacecraft(CRAFT)
+    with pytest.raises(NotFoundError) as caught:
+        call(storage.catalogue)
+    assert caught.value.code == code

@@ -1,0 +1,176 @@
+"""Every storage keeps calibrations, alignments, jobs and replays with their states and ids."""
+
+from dataclasses import replace
+
+import pytest
+
+from service.errors import ConflictError, NotFoundError
+from service.records.attitude import NO_ANGLES, Axes
+from service.records.calibration import (
+    Alignment,
+    CalibrationMethod,
+    CalibrationRequest,
+    CalibrationResult,
+    CalibrationState,
+    CarrierCalibration,
+    CarrierReference,
+    Harmonic,
+    NoiseComponent,
+    Observability,
+    Window,
+)
+from service.records.catalogue import Method
+from service.records.inputs import AlignmentSet, CalibrationActivation
+from service.records.job import Job, JobState, Replay
+
+AXES = Axes(0.1, -0.2, 0.3)
+REQUEST = CalibrationRequest(Window(0, 10), Window(10, 20), CalibrationMethod.GEOMETRY, source_yaw="radio_beacon")
+CARRIER = CarrierCalibration(
+    id="c00",
+    level_dbm=-50.123456789,
+    sigma_white_db=0.05,
+    noise=(NoiseComponent(60.0, 0.02), NoiseComponent(3600.0, 0.1)),
+    harmonic=Harmonic(0.3, 1.0, -50.0, 86_164.1, 5, 0.04, 8640, 12),
+    sensitivity_db_per_deg=AXES,
+    sensitivity_plus_db_per_deg=AXES,
+    sensitivity_minus_db_per_deg=AXES,
+    residual_db=0.01,
+    stability_residual_rms_db=0.02,
+    drift_db_per_day=1e-17,
+    deviation_at_0p5_deg_db=0.03,
+    nonlinearity_deg=0.004,
+    linear_range_deg=0.5,
+    axis="roll",
+    axis_ratio=4.5,
+    criteria_met=("stable", "linear"),
+    rejected_because=("mixed",),
+    selected=True,
+)
+RESULT = CalibrationResult((CARRIER,), Observability(4.0, AXES, AXES), {"chi_square": float("inf")}, ("few rows",))
+
+
+def states(setting):
+    return {found.id: found.state.value for found in setting.storage.results.calibrations(setting.id)}
+
+
+def test_a_calibration_lives_from_draft_to_superseded(setting):
+    results = setting.storage.results
+    draft = results.add_calibration(setting.id, REQUEST, 1, 1, 55, "engineer")
+    assert (draft.id, draft.state, draft.result) == (1, CalibrationState.DRAFT, None)
+    finished = results.finish_calibration(setting.id, 1, RESULT, None)
+    assert finished == replace(draft, result=RESULT)
+    assert results.calibration(setting.id, 1) == finished
+    assert results.activate_calibration(setting.id, 1).state is CalibrationState.ACTIVE
+    setting.calibrate(CalibrationMethod.PAPER)
+    assert states(setting) == {1: "active", 2: "active"}
+    setting.calibrate(CalibrationMethod.GEOMETRY)
+    assert states(setting) == {1: "superseded", 2: "active", 3: "active"}
+    results.activate_calibration(setting.id, 1)
+    assert states(setting) == {1: "active", 2: "active", 3: "superseded"}
+    journaled = [entry.content for entry in setting.storage.archive.journal(setting.id, 3, 99)]
+    expected = [(1, 1), (2, 2), (3, 3), (1, 4)]
+    assert journaled == [CalibrationActivation(calibration_id, count) for calibration_id, count in expected]
+
+
+def test_calibrations_are_listed_newest_first_and_by_state(setting):
+    setting.calibrate()
+    setting.calibrate()
+    setting.storage.results.add_calibration(setting.id, REQUEST, 1, 1, 55, "engineer")
+    listed = setting.storage.results.calibrations
+    assert [found.id for found in listed(setting.id)] == [3, 2, 1]
+    assert [found.id for found in listed(setting.id, CalibrationState.SUPERSEDED)] == [1]
+
+
+def test_a_failed_calibration_says_why_and_cannot_be_activated_or_finished_again(setting):
+    results = setting.storage.results
+    results.add_calibration(setting.id, REQUEST, 1, 1, 55, "engineer")
+    failed = results.finish_calibration(setting.id, 1, None, "no turns in the window")
+    assert (failed.state, failed.error) == (CalibrationState.FAILED, "no turns in the window")
+    with pytest.raises(ConflictError) as caught:
+        results.activate_calibration(setting.id, 1)
+    assert caught.value.code == "calibration.no_result"
+    with pytest.raises(ConflictError) as caught:
+        results.finish_calibration(setting.id, 1, RESULT, None)
+    assert caught.value.code == "calibration.finished"
+
+
+def test_an_alignment_is_stored_and_journaled(setting):
+    results = setting.storage.results
+    calibration = setting.calibrate()
+    references = (CarrierReference("c00", -50.1, 0.02, 60, float("inf")),)
+    wanted = Alignment(
+        0,
+        15,
+        AXES,
+        NO_ANGLES,
+        calibration.id,
+        "manual",
+        6,
+        "approver",
+        references,
+        Window(1, 2),
+        "rain",
+        {"paper": references},
+    )
+    first, second = (
+        results.add_alignment(setting.id, wanted),
+        results.add_alignment(setting.id, replace(wanted, epoch_us=5)),
+    )
+    assert (first.id, second.id) == (1, 2)
+    # repr, because NaN is not equal to itself
+    assert repr(results.alignment(setting.id, 1)) == repr(replace(wanted, id=1))
+    assert [found.id for found in results.alignments(setting.id)] == [2, 1]
+    entries = setting.storage.archive.journal(setting.id, 4, 9)
+    assert [entry.content for entry in entries] == [AlignmentSet(1), AlignmentSet(2)]
+    assert results.alignment_number(setting.id, 2) == entries[1].number
+    with pytest.raises(NotFoundError) as caught:
+        results.add_alignment(setting.id, replace(wanted, calibration_id=9))
+    assert caught.value.code == "calibration.unknown"
+
+
+def test_jobs_are_followed_and_those_of_a_dead_process_fail(storage):
+    results = storage.results
+    for place, state in enumerate((JobState.QUEUED, JobState.RUNNING, JobState.DONE)):
+        results.add_job(Job(f"job-{place}", "calibration", state, 0.0, 5))
+    results.update_job("job-1", JobState.RUNNING, 0.1 + 0.2)
+    # the progress is stored, not computed: equal without tolerance
+    assert results.job("job-1") == Job("job-1", "calibration", JobState.RUNNING, 0.1 + 0.2, 5)
+    with pytest.raises(ConflictError) as caught:
+        results.add_job(Job("job-1", "replay", JobState.QUEUED, 0.0, 5))
+    assert caught.value.code == "job.exists"
+    assert results.fail_unfinished_jobs("the service was stopped") == 2
+    assert [results.job(f"job-{place}").state.value for place in range(3)] == ["failed", "failed", "done"]
+    assert results.job("job-0").error == "the service was stopped"
+    for call in (lambda: results.job("none"), lambda: results.update_job("none", JobState.DONE, 1.0)):
+        with pytest.raises(NotFoundError) as unknown:
+            call()
+        assert unknown.value.code == "job.unknown"
+
+
+def test_a_replay_is_found_by_the_version_it_writes(setting):
+    results = setting.storage.results
+    wanted = Replay(0, 1, 2, Method.PAPER, None, 3, "journal", "job-1", 9)
+    stored = results.add_replay(setting.id, wanted)
+    assert stored == replace(wanted, id=1)
+    assert results.replay(setting.id, "replay-1") == stored
+    for version in ("replay-2", "replay-01", "live", "1", "replay-", "replay-99999999999999999999"):
+        with pytest.raises(NotFoundError) as caught:
+            results.replay(setting.id, version)
+        assert caught.value.code == "replay.unknown"
+
+
+@pytest.mark.parametrize(
+    ("call", "code"),
+    [
+        (lambda results, name: results.calibration(name, 1), "calibration.unknown"),
+        (lambda results, name: results.activate_calibration(name, 1), "calibration.unknown"),
+        (lambda results, name: results.finish_calibration(name, 1, RESULT, None), "calibration.unknown"),
+        (lambda results, name: results.alignment(name, 1), "alignment.unknown"),
+        (lambda results, name: results.alignment_number(name, 1), "alignment.unknown"),
+        (lambda results, name: results.pending("none", []), "spacecraft.unknown"),
+    ],
+)
+def test_what_is_not_there_is_named(setting, call, code):
+    with pytest.raises(NotFoundError) as caught:
+        call(setting.storage.results, setting.id)
+    assert caught.value.code == code

@@ -1,0 +1,71 @@
+"""Migrations go up, down and up again, and what they make is what the tables say."""
+
+import pytest
+from alembic.autogenerate import compare_metadata
+from alembic.migration import MigrationContext
+from sqlalchemy import inspect
+
+from db.engine import open_engines
+from db.migrate import downgrade, upgrade
+from db.tables import metadata
+
+
+@pytest.fixture
+def engine(tmp_path):
+    engines = open_engines(f"sqlite:///{tmp_path / 'soo.db'}")
+    yield engines.write
+    engines.dispose()
+
+
+def schema(engine):
+    with engine.connect() as connection:
+        rows = connection.exec_driver_sql("SELECT name, sql FROM sqlite_master ORDER BY name").all()
+    return {name: sql for name, sql in rows if not name.startswith("alembic")}
+
+
+def test_up_down_up_leaves_the_same_schema(engine):
+    upgrade(engine)
+    first = schema(engine)
+    downgrade(engine)
+    assert {name for name in schema(engine) if not name.startswith("sqlite_")} == set()
+    upgrade(engine)
+    assert schema(engine) == first
+
+
+def test_migrating_twice_changes_nothing(engine):
+    upgrade(engine)
+    first = schema(engine)
+    upgrade(engine)
+    assert schema(engine) == first
+
+
+def test_the_migrations_make_the_tables_of_the_code(engine):
+    upgrade(engine)
+    with engine.connect() as connection:
+        context = MigrationContext.configure(connection, opts={"compare_type": False})
+        assert compare_metadata(context, metadata) == []
+        metadata.drop_all(connection)
+        metadata.create_all(connection)
+        made = inspect(connection)
+        declared = {name: [repr(column["type"]) for column in made.get_columns(name)] for name in metadata.tables}
+        connection.rollback()
+        built = inspect(connection)
+        migrated = {name: [repr(column["type"]) for column in built.get_columns(name)] for name in metadata.tables}
+    assert migrated == declared
+
+
+def test_tables_that_grow_have_no_second_key(engine):
+    upgrade(engine)
+    made = schema(engine)
+    for name in ("measurement", "journal", "attitude", "torque"):
+        assert made[name].rstrip().endswith("WITHOUT ROWID")
+
+
+def test_a_migration_that_fails_leaves_nothing_behind(engine, monkeypatch):
+    def fail(*_args, **_options):
+        raise RuntimeError("on purpose")
+
+    monkeypatch.setattr("alembic.operations.base.Operations.create_index", fail)
+    with pytest.raises(RuntimeError, match="on purpose"):
+        upgrade(engine)
+    assert schema(engine) == {}
