@@ -6,8 +6,6 @@ from starlette.concurrency import run_in_threadpool
 
 from service.ports import Catalogue
 
-_CAPACITY = 4096
-
 
 class PlanWidths:
     """Widths of the plans asked for last.
@@ -16,10 +14,13 @@ class PlanWidths:
     ----------
     catalogue : Catalogue
         Where plans are looked up once.
+    capacity : int
+        Plans kept; the one unused longest makes room.
     """
 
-    def __init__(self, catalogue: Catalogue) -> None:
+    def __init__(self, catalogue: Catalogue, capacity: int = 4096) -> None:
         self._catalogue = catalogue
+        self._capacity = capacity
         self._widths: OrderedDict[tuple[str, int], int] = OrderedDict()
 
     async def width(self, spacecraft_id: str, plan_id: int) -> int:
@@ -31,6 +32,6 @@ class PlanWidths:
             return known
         plan = await run_in_threadpool(self._catalogue.plan, spacecraft_id, plan_id)
         self._widths[key] = len(plan.carriers)
-        if len(self._widths) > _CAPACITY:
+        if len(self._widths) > self._capacity:
             self._widths.popitem(last=False)
         return len(plan.carriers)

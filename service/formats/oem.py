@@ -124,6 +124,9 @@ def _epoch_us(text: str) -> int:
     date, _, clock = plain.partition("T")
     if len(date) == len("2026-325"):
         day = datetime(int(date[:4]), 1, 1, tzinfo=UTC) + timedelta(days=int(date[5:]) - 1)
+        if day.year != int(date[:4]):
+            message = f"{date} is no day of its year"
+            raise ValueError(message)
         date = day.strftime("%Y-%m-%d")
     return parse_epoch(f"{date}T{clock}Z")
 

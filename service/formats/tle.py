@@ -26,9 +26,12 @@ _SMALL = r"[ +-]\d{5}[ +-]\d"
 _LINES = (
     re.compile(
         rf"1 [ 0-9A-Z]\d{{4}}[A-Z ] [\d ]{{5}}[A-Z ]{{3}} \d\d[ \d]{{3}}\.\d{{8}} [ +-][ \d]?\.\d{{8}} "
-        rf"{_SMALL} {_SMALL} [\d ] [ \d]{{4}}\d"
+        rf"{_SMALL} {_SMALL} [\d ] [ \d]{{4}}\d",
+        re.ASCII,
     ),
-    re.compile(rf"2 [ 0-9A-Z]\d{{4}} {_ANGLE} {_ANGLE} \d{{7}} {_ANGLE} {_ANGLE} [ \d]{{2}}\.\d{{8}}[ \d]{{5}}\d"),
+    re.compile(
+        rf"2 [ 0-9A-Z]\d{{4}} {_ANGLE} {_ANGLE} \d{{7}} {_ANGLE} {_ANGLE} [ \d]{{2}}\.\d{{8}}[ \d]{{5}}\d", re.ASCII
+    ),
 )
 
 

@@ -1,0 +1,68 @@
+"""Epochs at the border: the fast way and the careful way say the same."""
+
+import random
+
+import numpy as np
+import pytest
+
+from service.api.epochs import EpochTextError, parse_epochs
+from service.records.epoch import format_epoch, parse_epoch
+
+
+def test_exact_forms_read_as_one_by_one():
+    seed = 20261121
+    print("seed", seed)
+    rng = random.Random(seed)
+    # year 1 to year 9999
+    texts = [format_epoch(rng.randrange(-62_135_596_800_000_000, 253_402_300_800_000_000)) for _ in range(2000)]
+    assert parse_epochs(texts).tolist() == [parse_epoch(text) for text in texts]
+    assert parse_epochs(texts).dtype == np.int64
+
+
+def test_an_empty_sequence_has_no_epochs():
+    assert parse_epochs([]).tolist() == []
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("2026-11-21T03:02:32Z", "2026-11-21T03:02:32.000000Z"),
+        ("2026-11-21t03:02:32.5z", "2026-11-21T03:02:32.500000Z"),
+        ("2026-11-21T06:02:32.123456+03:00", "2026-11-21T03:02:32.123456Z"),
+        ("2016-12-31T23:59:60.500000Z", "2017-01-01T00:00:00.000000Z"),
+        ("2026-11-21T03:02:32.123456789Z", "2026-11-21T03:02:32.123457Z"),
+    ],
+)
+def test_other_forms_among_exact_ones_are_understood(text, expected):
+    exact = "2026-11-21T03:02:32.011250Z"
+    assert parse_epochs([exact, text]).tolist() == [parse_epoch(exact), parse_epoch(expected)]
+    assert parse_epochs([text]).tolist() == [parse_epoch(expected)]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "2026-11-21T03:02:32.011250",
+        "2026-11-21 03:02:32.011250Z",
+        "2026-11-21T03:02:32,011250Z",
+        "2026-W47-6T03:02:32.011250Z",
+        "2026-13-21T03:02:32.011250Z",
+        "2026-02-29T03:02:32.011250Z",
+        "2026-11-21T24:02:32.011250Z",
+        "2026-11-21T03:60:32.011250Z",
+        "2026-11-21T03:02:61.011250Z",
+        "0000-11-21T03:02:32.011250Z",
+        "-026-11-21T03:02:32.011250Z",
+        "2026-11-21T03:02:32.01125\u0660Z",
+        "2026-11-21T03:02:32.01125 Z",
+        "2026-11-21T03:02:32.011250Z\x00",
+        "2026-11-21T03:02:32.011250\x00",
+        "NaT                        ",
+    ],
+)
+def test_what_is_no_instant_is_named_by_its_place(text):
+    with pytest.raises(EpochTextError) as caught:
+        parse_epochs(["2026-11-21T03:02:32.011250Z", "2026-11-21T03:02:33.011250Z", text])
+    assert caught.value.index == 2
+    assert "RFC 3339" in caught.value.detail or caught.value.detail
