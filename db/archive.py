@@ -132,9 +132,13 @@ class SqlArchive:
     def newest_measurement(self, spacecraft_id: str) -> Measurement | None:
         """Return the newest row of the prime source."""
         key = self._database.key(spacecraft_id)
-        is_newest = and_(source.c.is_prime, measurement.c.epoch_us == source.c.newest_epoch_us)
-        row = self._database.fetch_one(_measurements(key).where(is_newest))
-        return None if row is None else measurement_of(row)
+        prime = select(source.c.source_key, source.c.newest_epoch_us).where(source.c.spacecraft_key == key)
+        with self._database.read() as connection:
+            newest = connection.execute(prime.where(source.c.is_prime)).first()
+            if newest is None:
+                return None
+            is_it = (measurement.c.source_key == newest.source_key, measurement.c.epoch_us == newest.newest_epoch_us)
+            return measurement_of(connection.execute(_measurements(key).where(*is_it)).one())
 
     def measurements(
         self, spacecraft_id: str, window: Window, limit: int, after: tuple[int, int] | None, source: str | None = None
@@ -174,23 +178,23 @@ class SqlArchive:
     def measurement_series(self, spacecraft_id: str, window: Window, carrier_ids: Sequence[str]) -> MeasurementSeries:
         """Return the rows that feed the estimator as arrays, columns matched by carrier id across plans."""
         key = self._database.key(spacecraft_id)
-        query = (
-            select(measurement.c.epoch_us, measurement.c.plan_id, measurement.c.powers)
-            .where(measurement.c.spacecraft_key == key, measurement.c.feeds, within(measurement.c.epoch_us, window))
-            .order_by(measurement.c.epoch_us, measurement.c.number)
+        query = select(measurement.c.epoch_us, measurement.c.number, measurement.c.plan_id, measurement.c.powers).where(
+            measurement.c.spacecraft_key == key, measurement.c.feeds, within(measurement.c.epoch_us, window)
         )
         rows = self._database.fetch(query)
-        epochs_us = np.fromiter((row.epoch_us for row in rows), dtype=np.int64, count=len(rows))
-        plan_ids = np.fromiter((row.plan_id for row in rows), dtype=np.int64, count=len(rows))
+        # numpy sorts a long window faster than the database does
+        figures = np.array([tuple(row)[:3] for row in rows], dtype=np.int64).reshape(-1, 3)
+        order = np.lexsort((figures[:, 1], figures[:, 0]))
+        epochs_us, plan_ids = figures[order, 0], figures[order, 2]
         power_dbm = np.full((len(rows), len(carrier_ids)), np.nan)
         for plan_id in np.unique(plan_ids).tolist():
             places = np.flatnonzero(plan_ids == plan_id)
             held = self._carrier_ids(key, plan_id)
-            columns = [(column, held.index(name)) for column, name in enumerate(carrier_ids) if name in held]
-            blob = b"".join(rows[place].powers for place in places.tolist())
+            blob = b"".join(tuple(rows[place])[3] for place in order[places].tolist())
             stored = np.frombuffer(blob, dtype="<f4").reshape(len(places), len(held))
-            for column, place in columns:
-                power_dbm[places, column] = stored[:, place]
+            for column, name in enumerate(carrier_ids):
+                if name in held:
+                    power_dbm[places, column] = stored[:, held.index(name)]
         epochs_us.setflags(write=False)
         power_dbm.setflags(write=False)
         return MeasurementSeries(tuple(carrier_ids), epochs_us, power_dbm)

@@ -38,7 +38,8 @@ class PendingCount:
         lacking = (
             select(func.count(), func.min(measurement.c.number))
             .where(measurement.c.spacecraft_key == key, measurement.c.number > self._complete.get(known, 0))
-            .where(measurement.c.feeds, measurement.c.epoch_us > aligned.epoch_us)
+            # the sum keeps the planner on the index by number, where only what has come since is read
+            .where(measurement.c.feeds, measurement.c.epoch_us + 0 > aligned.epoch_us)
             .where(or_(*(not_(_has_result(name)) for name in names)))
         )
         count, first = connection.execute(lacking).one()
