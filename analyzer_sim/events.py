@@ -34,8 +34,8 @@ class Tour:
     yaw_deg: Range = (0.2, 0.3)
     roll_deg: Range = (0.2, 0.33)
     pitch_deg: Range = (0.2, 0.33)
-    hold_h: Range = (1.2, 2.2)
-    slew_min: Range = (15.0, 30.0)
+    hold_h: Range = (2.5, 3.5)
+    slew_min: Range = (60.0, 90.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -121,7 +121,9 @@ class Chain:
         self._carry_n_m_s = NO_CARRY
         self._recent_us = np.zeros(0, dtype=np.int64)
         self._model = paper_model(self._knowledge, self._lookup.calibration(alignment.calibration_id))
-        self._state = None if self._model is None else initial_state(len(self._model.expected.carrier_ids), self._config)
+        self._state = (
+            None if self._model is None else initial_state(len(self._model.expected.carrier_ids), self._config)
+        )
 
     def _rebuild_model(self, alignment: Alignment) -> None:
         """Take over a change of calibration or ephemeris; another set of carriers starts the means anew."""

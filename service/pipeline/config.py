@@ -30,7 +30,7 @@ class CriteriaConfig:
     #: yaw coefficients are this many times smaller by geometry and are scaled up before the comparison
     yaw_scale: float = 8.0
     #: carriers that are selected at least, mixed ones filling up when dominant ones are few
-    min_selected: int = 12
+    min_selected: int = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +45,8 @@ class CalibrationConfig:
     short_quiet_periods: float = 2.0
     #: fewest rows with powers and angles in the turns
     min_turn_rows: int = 60
-    #: distance of the knots of a carrier's level over the turns, s
-    level_knot_s: float = 3000.0
+    #: knots of a carrier's level over the turns are at least this far apart, s; the default gives one straight line
+    level_knot_s: float = 36_000.0
     #: an axis counts as turned where its angle passed this, deg
     min_turn_deg: float = 0.1
 
@@ -109,7 +109,7 @@ class FadeConfig:
 class InterlockConfig:
     """What inhibits control."""
 
-    #: validity of the linear model, deg
+    #: validity of the linear model in roll and pitch, deg; yaw beyond it withholds the yaw torque only
     validity_limit_deg: float = 0.4
     #: greatest own sigma with which an axis is controlled, deg
     yaw_sigma_limit_deg: float = 0.20

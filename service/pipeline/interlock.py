@@ -22,7 +22,7 @@ INHIBITIONS: dict[str, str] = {
     "no_fix": "too few carriers present for an attitude",
     "redundancy": "too few carriers beyond the unknowns to notice a wrong one",
     "downlink_fade": "downlink rain or a change of the receiving chain is taken for attitude",
-    "beyond_validity": "an angle lies beyond the range in which the model holds",
+    "beyond_validity": "roll or pitch lies beyond the range in which the model holds",
     "sigma_roll": "the roll estimate is too uncertain",
     "sigma_pitch": "the pitch estimate is too uncertain",
     "operation": "a declared operation forbids control",
@@ -61,8 +61,9 @@ def judge(fix: AttitudeFix, circumstances: Circumstances, config: InterlockConfi
     inhibitions = tuple(reason for reason in INHIBITIONS if reason in standing)
     if inhibitions:
         return Verdict(inhibitions, (False, False, False))
-    yaw_sigma_deg = float(np.sqrt(fix.covariance_deg2[0, 0]))
-    return Verdict((), (yaw_sigma_deg <= config.yaw_sigma_limit_deg, True, True))
+    is_yaw_known = float(np.sqrt(fix.covariance_deg2[0, 0])) <= config.yaw_sigma_limit_deg
+    is_yaw_valid = abs(float(fix.attitude_deg[0])) <= config.validity_limit_deg
+    return Verdict((), (is_yaw_known and is_yaw_valid, True, True))
 
 
 def _circumstantial(circumstances: Circumstances) -> set[str]:
@@ -84,7 +85,7 @@ def _of_fix(fix: AttitudeFix, config: InterlockConfig) -> set[str]:
     sigma_deg = np.sqrt(np.diag(fix.covariance_deg2))
     conditions = {
         "redundancy": fix.carriers_used - 3 < config.min_redundancy,
-        "beyond_validity": bool(np.abs(fix.attitude_deg).max() > config.validity_limit_deg),
+        "beyond_validity": bool(np.abs(fix.attitude_deg[1:]).max() > config.validity_limit_deg),
         "sigma_roll": bool(sigma_deg[1] > config.roll_sigma_limit_deg),
         "sigma_pitch": bool(sigma_deg[2] > config.pitch_sigma_limit_deg),
     }

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.core.estimation.noise_model import averaged_sigma_db
+from service.core.estimation.octants import OctantFix
 from service.core.estimation.rejection import reject_faded_carriers
 from service.pipeline.config import EstimationConfig
 from service.records.attitude import AttitudeFix, BoolArray, Exclusion, FloatArray
@@ -63,17 +64,26 @@ def solve_attitude(
         min_carriers=config.min_carriers,
     )
     is_used = np.isfinite(considered_db) & ~outcome.rejected
-    # unweighted least squares as printed: its covariance is that of unit noise times the carriers' mean variance
-    variance_db2 = float(np.mean(sigma_db[is_used] ** 2)) if is_used.any() else float("nan")
     return AttitudeFix(
         epoch_us,
         outcome.fix.attitude_deg,
-        outcome.fix.covariance_deg2 * variance_db2,
-        outcome.fix.residual_db,
+        outcome.fix.covariance_deg2 * _variance_ratio(outcome.fix, sigma_db[is_used]),
+        outcome.residual_db,
         sigma_db,
         int(np.count_nonzero(is_used)),
         _exclusions(model, considered_db, outcome.rejected),
     )
+
+
+def _variance_ratio(fix: OctantFix, sigma_db: FloatArray) -> float:
+    """Return by how much the covariance of a fix must grow to be honest, 1 at least.
+
+    Unweighted least squares scales its covariance by the scatter of the residuals. Where a few of them happen to agree
+    better than the learned noise of the carriers allows, the learned noise holds.
+    """
+    scatter_db2 = fix.cost / max(fix.carriers_used - 3, 1)
+    learned_db2 = float(np.mean(sigma_db**2)) if len(sigma_db) else float("nan")
+    return max(1.0, learned_db2 / scatter_db2) if scatter_db2 > 0.0 else 1.0
 
 
 def _exclusions(model: SensitivityModel, deviation_db: FloatArray, rejected: BoolArray) -> tuple[Exclusion, ...]:

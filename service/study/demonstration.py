@@ -98,7 +98,7 @@ def front_end(directory: Path, endpoints: Endpoints, story: Story) -> Iterator[C
     arguments = [
         *("service", "acquire", "--task", str(task_path), "--resource", endpoints.resource),
         *("--service", endpoints.service_url, "--spacecraft", story.spacecraft_id, "--epoch", "analyzer"),
-        *("--period", "0", "--json-log"),
+        *("--period", "0", "--hold-s", "600", "--json-log"),
     ]
     with ChildProcess("front end", arguments, directory / "acquire.log", environment, announces=False) as process:
         yield process
