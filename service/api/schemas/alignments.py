@@ -15,7 +15,7 @@ from service.api.schemas.base import (
     Remark,
     WindowAnswer,
 )
-from service.api.schemas.calibrations import Sensor, SensorsDocument
+from service.api.schemas.calibrations import SensorsDocument
 from service.records.attitude import Axes
 from service.records.calibration import Alignment, Window
 from service.runtime.aligning import AlignmentRequest
@@ -40,7 +40,7 @@ class AlignmentDocument(Document):
 
     start: Epoch | None = None
     stop: Epoch | None = None
-    source: Sensor | Literal["manual"] | None = None
+    source: Literal["star_tracker", "earth_sensor", "radio_beacon", "other", "manual"] | None = None
     sources: SensorsDocument | None = None
     """Sensor of each angle, in place of source."""
     epoch: Epoch | None = None

@@ -1,0 +1,318 @@
+"""The application with all that computes behind it, over a real SQLite archive that tests fill through the ports."""
+
+import asyncio
+from collections.abc import AsyncIterator, Sequence
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Any
+
+import httpx
+import numpy as np
+import pytest
+from fastapi import FastAPI
+
+from db.storage import SqlStorage
+from service.api.app import create_app
+from service.api.deps import ApiContext, Limits
+from service.pipeline.config import AlignmentConfig, CalibrationConfig, ChainConfig
+from service.ports import LIVE, Outcome
+from service.records.attitude import AttitudeRow, Axes, Exclusion, Status
+from service.records.calibration import (
+    Alignment,
+    Calibration,
+    CalibrationMethod,
+    CalibrationRequest,
+    CalibrationResult,
+    CarrierCalibration,
+    CarrierReference,
+    Harmonic,
+    NoiseComponent,
+    Observability,
+    Window,
+)
+from service.records.catalogue import (
+    Carrier,
+    ControlSettings,
+    Ephemeris,
+    Method,
+    Onboard,
+    Release,
+    Site,
+    Spacecraft,
+    Station,
+)
+from service.records.command import Pulse, TorqueCommand
+from service.records.job import Replay
+from service.records.measurement import Measurement, MeasurementBatch
+from service.runtime.aligning import Aligner
+from service.runtime.calibrating import Calibrator
+from service.runtime.jobs import JobRunner
+from service.runtime.live_feed import LiveFeed
+from service.runtime.replaying import Replayer
+from service.runtime.supervisor import Supervisor
+
+KEY = "key-of-the-results"
+#: 2026-11-21T03:00:00Z
+NOW_US = 1_795_230_000_000_000
+S = 1_000_000
+NAN = float("nan")
+SC = "yamal-202"
+INERTIA = ((2600.0, 0.0, 0.0), (0.0, 1400.0, 0.0), (0.0, 0.0, 2600.0))
+
+
+@dataclass
+class SetClock:
+    """A clock that stands where a test puts it."""
+
+    system: int = NOW_US
+    data: dict[str, int | None] = field(default_factory=dict)
+
+    def now_us(self, spacecraft_id: str) -> int | None:
+        return self.data.get(spacecraft_id, self.system)
+
+    def is_data(self, spacecraft_id: str) -> bool:
+        return spacecraft_id in self.data
+
+    def system_us(self) -> int:
+        return self.system
+
+
+def carrier(k: int, **changes: Any) -> Carrier:
+    """Return one carrier of traffic."""
+    plain = Carrier(
+        f"c{k:02d}", "Ku", "Ku1", 11200e6 + k * 2e6, 1e6, Station(50.0, 40.0 + k), 14250e6, uplink_power_control="none"
+    )
+    return replace(plain, **changes)
+
+
+def attitude_row(of: Measurement, **changes: Any) -> AttitudeRow:
+    """Return a row with plain figures of the paper method."""
+    row = AttitudeRow(
+        epoch_us=of.epoch_us,
+        received_at_us=of.received_at_us,
+        number=of.number,
+        method=Method.PAPER,
+        attitude_deg=Axes(0.1, -0.02, 0.03),
+        sigma_deg=Axes(0.2, 0.01, 0.02),
+        rates_deg_s=Axes(1e-6, -2e-6, 3e-6),
+        status=Status.ACQUIRED,
+        control_allowed=True,
+        control_allowed_axes=(False, True, True),
+        inhibitions=(),
+        carriers_used=14,
+        excluded=(Exclusion("c03", "uplink_fade"), Exclusion("c05", "absent")),
+        downlink_fade=False,
+        downlink_fade_db=0.0,
+        common_db=0.02,
+        residual_rms_db=0.15,
+        calibration_id=1,
+        alignment_id=1,
+    )
+    return replace(row, **changes)
+
+
+def torque_command(of: Measurement, **changes: Any) -> TorqueCommand:
+    """Return a command with plain figures."""
+    command = TorqueCommand(
+        epoch_us=of.epoch_us,
+        number=of.number,
+        attitude_epoch_us=of.epoch_us,
+        mode="ground",
+        torque_n_m=Axes(0.0, -0.002, 0.003),
+        wheels_n_m=(0.002, -0.003, 0.0),
+        saturated=False,
+        command_period_s=60.0,
+        valid_until_us=of.epoch_us + 60 * S,
+        schedule=(Pulse(of.epoch_us, 2.5, Axes(0.0, -0.05, 0.0)),),
+        impulse_n_m_s=Axes(0.0, -0.12, 0.18),
+        predicted_angle_change_deg=Axes(0.0, -0.1, 0.2),
+        predicted_rate_change_deg_s=Axes(0.0, -1e-5, 2e-5),
+        predicted_wheel_momentum_n_m_s=(0.12, -0.18, 0.0),
+        control_allowed=True,
+        inhibitions=(),
+    )
+    return replace(command, **changes)
+
+
+def carrier_calibration(k: int, sensitivity: Axes, **changes: Any) -> CarrierCalibration:
+    """Return the calibration of one carrier."""
+    harmonic = Harmonic(0.35, -0.6, -42.0 - k, 86_328.0, NOW_US - 90_000 * S, 0.05 + 0.01 * k, 2800, 12)
+    plain = CarrierCalibration(
+        id=f"c{k:02d}",
+        level_dbm=-42.0 - k,
+        sigma_white_db=0.03,
+        noise=(NoiseComponent(1200.0, 0.04),),
+        harmonic=harmonic,
+        sensitivity_db_per_deg=sensitivity,
+        sensitivity_plus_db_per_deg=sensitivity,
+        sensitivity_minus_db_per_deg=sensitivity,
+        residual_db=0.06,
+        stability_residual_rms_db=0.05 + 0.01 * k,
+        drift_db_per_day=NAN,
+        deviation_at_0p5_deg_db=0.02,
+        nonlinearity_deg=0.03,
+        linear_range_deg=0.5,
+        axis="roll",
+        axis_ratio=3.5,
+        criteria_met=("stable", "linear", "dominant"),
+        rejected_because=(),
+        selected=True,
+    )
+    return replace(plain, **changes)
+
+
+@dataclass
+class Bench:
+    """The service under test, and short words for filling its archive."""
+
+    app: FastAPI
+    context: ApiContext
+    client: httpx.AsyncClient
+    storage: SqlStorage
+    clock: SetClock
+    jobs: JobRunner
+
+    @property
+    def url(self) -> str:
+        """Base of the spacecraft's paths."""
+        return f"/api/v1/spacecraft/{SC}"
+
+    async def get(self, path: str = "", **params: Any) -> Any:
+        """Return the document under a path of the spacecraft."""
+        answer = await self.client.get(self.url + path, params=params)
+        assert answer.status_code == 200, answer.text
+        return answer.json()
+
+    async def refused(self, method: str, path: str, **options: Any) -> tuple[int, str, list[str]]:
+        """Return status, code and pointers of a refusal."""
+        answer = await self.client.request(method, f"/api/v1{path}", **options)
+        problem = answer.json()
+        assert answer.headers["content-type"] == "application/problem+json", answer.text
+        assert problem["status"] == answer.status_code
+        return answer.status_code, problem["code"], [error["pointer"] for error in problem["errors"]]
+
+    def append(
+        self,
+        epochs_us: Sequence[int],
+        power_dbm: Any = -42.1,
+        *,
+        source: str = "sa-1",
+        plan_id: int = 1,
+        flags: tuple[int, ...] | None = None,
+    ) -> list[Measurement]:
+        """Store rows and return those of the archive in order of epoch."""
+        rows, width = len(epochs_us), len(self.storage.catalogue.plan(SC, plan_id).carriers)
+        batch = MeasurementBatch(
+            SC,
+            source,
+            plan_id,
+            received_at_us=max(epochs_us) + 2 * S,
+            index=np.arange(rows),
+            epochs_us=np.asarray(epochs_us, dtype=np.int64),
+            power_dbm=np.array(np.broadcast_to(np.asarray(power_dbm, dtype=np.float32), (rows, width))),
+            flags=(flags,) * rows,
+            is_stale=np.zeros(rows, dtype=bool),
+        )
+        receipt = self.storage.archive.append_measurements(batch).result(timeout=10)
+        assert receipt.accepted == rows
+        window = Window(min(epochs_us), max(epochs_us) + 1)
+        return self.storage.archive.measurements(SC, window, 100_000, None, source)
+
+    def consume(self, outcomes: Sequence[Outcome] = (), version: str = LIVE) -> int:
+        """Store outcomes as if the chain had consumed all there is."""
+        head = self.storage.archive.head(SC)
+        return self.storage.results.save_outcomes(SC, version, outcomes, head.newest_number, head.newest_epoch_us)
+
+    def calibrate(self, carriers: Sequence[CarrierCalibration], *, is_active: bool = True) -> Calibration:
+        """Store a calibration with its figures."""
+        results = self.storage.results
+        request = CalibrationRequest(
+            Window(NOW_US - 10, NOW_US), Window(NOW_US, NOW_US + 10), CalibrationMethod.PAPER, source_yaw="radio_beacon"
+        )
+        draft = results.add_calibration(SC, request, 1, 1, NOW_US, "engineer")
+        observability = Observability(9.5, Axes(4.0, 0.5, 0.6), Axes(NAN, 0.02, 0.03))
+        result = CalibrationResult(
+            tuple(carriers), observability, {"quiet_rows": 2880.0, "turn_reach_deg": NAN}, ("few turns",)
+        )
+        done = results.finish_calibration(SC, draft.id, result, None)
+        return results.activate_calibration(SC, draft.id) if is_active else done
+
+    def align(self, epoch_us: int) -> Alignment:
+        """Store an alignment under the newest calibration."""
+        calibration = self.storage.results.calibrations(SC)[0]
+        references = (CarrierReference("c00", -42.1, 0.01, 15, NAN),)
+        wanted = Alignment(
+            id=0,
+            epoch_us=epoch_us,
+            attitude_deg=Axes(0.1, 0.0, -0.1),
+            sigma_deg=Axes(NAN, 0.01, 0.01),
+            calibration_id=calibration.id,
+            source="star_tracker",
+            created_at_us=NOW_US,
+            created_by="approver",
+            references=references,
+            window=Window(epoch_us - 900 * S, epoch_us + 1),
+        )
+        return self.storage.results.add_alignment(SC, wanted)
+
+    def replay(self) -> str:
+        """Store a replay and return its version."""
+        wanted = Replay(0, 0, NOW_US, None, None, 1, "journal", "replay-job", NOW_US)
+        return self.storage.results.add_replay(SC, wanted).version
+
+
+@pytest.fixture
+async def bench(storage: SqlStorage) -> AsyncIterator[Bench]:
+    """A spacecraft with six carriers and an ephemeris; the supervisor is there but does not run."""
+    storage.catalogue.add_spacecraft(
+        Spacecraft(
+            SC,
+            "Yamal-202",
+            90.0,
+            Site(56.74, 37.19),
+            INERTIA,
+            0.05,
+            onboard=Onboard(fast_loop=True, forecast_mode=True),
+            control=ControlSettings(Method.PAPER, release=Release.AUTOMATIC),
+        )
+    )
+    storage.catalogue.put_plan(SC, [carrier(k) for k in range(6)], "first")
+    nodes_us = tuple(NOW_US + k * 86_328 * S for k in range(-3, 1))
+    storage.catalogue.put_ephemeris(SC, Ephemeris(0, nodes_us, 86_328.0, nodes_us[0], nodes_us[-1], "nodes"))
+    clock, feed, config = SetClock(), LiveFeed(capacity=50), ChainConfig()
+    jobs = JobRunner(storage.results, clock)
+    context = ApiContext(
+        storage=storage,
+        clock=clock,
+        supervisor=Supervisor(storage, feed, config),
+        feed=feed,
+        calibrator=Calibrator(storage, clock, jobs, CalibrationConfig()),
+        aligner=Aligner(storage, clock, AlignmentConfig()),
+        replayer=Replayer(storage, clock, jobs, config),
+        bootstrap_key=KEY,
+        limits=Limits(stream_heartbeat_s=0.3),
+    )
+    app = create_app(context)
+    headers = {"Authorization": f"Bearer {KEY}"}
+    transport = httpx.ASGITransport(app=app)
+    async with httpx.AsyncClient(transport=transport, base_url="http://soo.test", headers=headers) as client:
+        yield Bench(app, context, client, storage, clock, jobs)
+    context.supervisor.stop()
+    jobs.stop()
+    await asyncio.get_running_loop().shutdown_default_executor()
+
+
+@pytest.fixture
+def make() -> SimpleNamespace:
+    """Makers of records, and the instants and names that tests share."""
+    return SimpleNamespace(
+        key=KEY,
+        now_us=NOW_US,
+        sc=SC,
+        row=attitude_row,
+        command=torque_command,
+        carrier=carrier,
+        carrier_calibration=carrier_calibration,
+        nan=NAN,
+        s=S,
+    )

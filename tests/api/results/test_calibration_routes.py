@@ -1,0 +1,226 @@
+"""Calibrations, alignments, jobs, replays: shapes and steps over stored figures."""
+
+import asyncio
+
+import pytest
+
+from service.api.auth import Principal, Role
+from service.records.attitude import Axes
+from service.records.epoch import format_epoch
+
+pytestmark = pytest.mark.anyio
+SC = "/spacecraft/yamal-202"
+QUIET = {"start": "2026-11-17T03:00:00Z", "stop": "2026-11-19T03:00:00Z"}
+TURNS = {"start": "2026-11-19T03:00:00Z", "stop": "2026-11-20T03:00:00Z"}
+ASKED = {"quiet": QUIET, "turns": TURNS, "method": "paper"}
+MANUAL = {
+    "epoch": "2026-11-21T03:00:00Z",
+    "yaw_deg": 0.5,
+    "roll_deg": 0.0,
+    "pitch_deg": -0.1,
+    "sigma_deg": {"yaw": 0.1, "roll": 0.02, "pitch": 0.02},
+    "source": "manual",
+}
+
+
+class Ring:
+    """Every key has one role."""
+
+    def __init__(self, role: Role) -> None:
+        self.role = role
+
+    def principal(self, key: str) -> Principal:
+        return Principal("somebody", self.role)
+
+
+async def job_of(bench, job: str) -> dict:
+    """Return a job that has ended."""
+    while True:
+        answer = (await bench.client.get(f"/api/v1/jobs/{job}")).json()
+        if answer["state"] in {"done", "failed"}:
+            return answer
+        await asyncio.sleep(0.01)
+
+
+async def test_figures_of_a_calibration_are_told_by_name(bench, make):
+    carrier = make.carrier_calibration(
+        0,
+        Axes(0.11, 1.9, -0.4),
+        sensitivity_plus_db_per_deg=Axes(0.12, 1.8, make.nan),
+        axis_ratio=float("inf"),
+        rejected_because=("no dominant axis: ratio 1.10",),
+        selected=False,
+    )
+    bench.calibrate([carrier])
+    told = await bench.get("/calibrations/1")
+    assert told == {
+        "id": 1,
+        "plan_id": 1,
+        "ephemeris_id": 1,
+        "state": "active",
+        "method": "paper",
+        "quiet": {"start": "2026-11-21T02:59:59.999990Z", "stop": "2026-11-21T03:00:00.000000Z"},
+        "turns": {"start": "2026-11-21T03:00:00.000000Z", "stop": "2026-11-21T03:00:00.000010Z"},
+        "sources": {"yaw": "radio_beacon", "roll": "star_tracker", "pitch": "star_tracker"},
+        "created_at": "2026-11-21T03:00:00.000000Z",
+        "created_by": "engineer",
+        "error": None,
+        "quality": {"quiet_rows": 2880.0, "turn_reach_deg": None, "warnings": ["few turns"]},
+        "observability": {
+            "condition": 9.5,
+            "dop": {"yaw": 4.0, "roll": 0.5, "pitch": 0.6},
+            "crlb_deg": {"yaw": None, "roll": 0.02, "pitch": 0.03},
+        },
+        "carriers": [
+            {
+                "id": "c00",
+                "level_dbm": -42.0,
+                "sigma_white_db": 0.03,
+                "noise": [{"correlation_time_s": 1200.0, "sigma_db": 0.04}],
+                "harmonic": {
+                    "amplitude_db": 0.35,
+                    "phase_rad": -0.6,
+                    "offset_dbm": -42.0,
+                    "period_s": 86328.0,
+                    "node_epoch": "2026-11-20T02:00:00.000000Z",
+                    "rms_db": 0.05,
+                    "samples_used": 2800,
+                    "samples_rejected": 12,
+                },
+                "sensitivity_db_per_deg": {"yaw": 0.11, "roll": 1.9, "pitch": -0.4},
+                "sensitivity_plus_db_per_deg": {"yaw": 0.12, "roll": 1.8, "pitch": None},
+                "sensitivity_minus_db_per_deg": {"yaw": 0.11, "roll": 1.9, "pitch": -0.4},
+                "residual_db": 0.06,
+                "stability": {"residual_rms_db": 0.05, "drift_db_per_day": None},
+                "linearity": {"deviation_at_0p5_deg_db": 0.02, "departure_deg": 0.03, "range_deg": 0.5},
+                "axis": "roll",
+                "axis_ratio": None,
+                "criteria_met": ["stable", "linear", "dominant"],
+                "rejected_because": ["no dominant axis: ratio 1.10"],
+                "selected": False,
+            }
+        ],
+    }
+    assert (await bench.get("/calibrations"))["rows"] == [told]
+
+
+async def test_calibration_without_data_fails_with_a_reason(bench):
+    answer = await bench.client.post(f"/api/v1{SC}/calibrations", json=ASKED)
+    assert answer.status_code == 202, answer.text
+    assert answer.headers["location"] == f"/api/v1{SC}/calibrations/1"
+    started = answer.json()
+    assert started.keys() == {"id", "job"}
+    job = await job_of(bench, started["job"])
+    assert (job["state"], job["progress"], job["kind"]) == ("failed", 1.0, "calibration")
+    assert "quiet window" in job["error"]
+    failed = await bench.get("/calibrations/1")
+    assert (failed["state"], failed["observability"], failed["carriers"]) == ("failed", None, [])
+    assert failed["quality"] == {"warnings": []}
+    assert failed["error"] == job["error"]
+    assert failed["sources"] == {"yaw": "star_tracker", "roll": "star_tracker", "pitch": "star_tracker"}
+    assert failed["created_by"] == "bootstrap"
+    refusal = await bench.refused("POST", f"{SC}/calibrations/1:activate")
+    assert refusal == (409, "calibration.unfinished", [])
+
+
+async def test_sources_of_each_axis_are_kept(bench):
+    sources = {"yaw": "radio_beacon", "roll": "earth_sensor", "pitch": "other"}
+    started = (await bench.client.post(f"/api/v1{SC}/calibrations", json=ASKED | {"sources": sources})).json()
+    assert (await bench.get(f"/calibrations/{started['id']}"))["sources"] == sources
+    await job_of(bench, started["job"])
+
+
+async def test_activation_supersedes_the_one_before(bench, make):
+    for _ in range(2):
+        bench.calibrate([make.carrier_calibration(0, Axes(0.1, 1.0, 0.2))], is_active=False)
+    for number in (1, 2, 2):
+        answer = await bench.client.post(f"{bench.url}/calibrations/{number}:activate")
+        assert (answer.status_code, answer.json()["state"]) == (200, "active"), answer.text
+    states = [row["state"] for row in (await bench.get("/calibrations"))["rows"]]
+    assert states == ["active", "superseded"], "newest first"
+
+
+async def test_alignment_is_told_field_by_field(bench, make):
+    bench.calibrate([make.carrier_calibration(0, Axes(0.1, 1.0, 0.2))])
+    bench.align(make.now_us)
+    told = await bench.get("/alignments/1")
+    assert told == {
+        "id": 1,
+        "epoch": format_epoch(make.now_us),
+        "yaw_deg": 0.1,
+        "roll_deg": 0.0,
+        "pitch_deg": -0.1,
+        "sigma_deg": {"yaw": None, "roll": 0.01, "pitch": 0.01},
+        "calibration_id": 1,
+        "source": "star_tracker",
+        "window": {"start": "2026-11-21T02:45:00.000000Z", "stop": "2026-11-21T03:00:00.000001Z"},
+        "override_reason": None,
+        "created_at": format_epoch(make.now_us),
+        "created_by": "approver",
+        "references": [
+            {
+                "carrier": "c00",
+                "reference_dbm": -42.1,
+                "sigma_db": 0.01,
+                "samples": 15,
+                "change_since_calibration_db": None,
+            }
+        ],
+    }
+    bench.align(make.now_us + 1)
+    assert [row["id"] for row in (await bench.get("/alignments"))["rows"]] == [2, 1], "newest first"
+
+
+async def test_alignment_says_what_it_lacks(bench, make):
+    window = {"start": "2026-11-21T02:00:00Z", "stop": "2026-11-21T03:00:00Z", "source": "earth_sensor"}
+    assert await bench.refused("POST", f"{SC}/alignments", json=window) == (409, "alignment.no_calibration", [])
+    bench.calibrate([make.carrier_calibration(0, Axes(0.1, 1.0, 0.2))])
+    assert await bench.refused("POST", f"{SC}/alignments", json=window) == (422, "alignment.no_reference", [])
+    assert await bench.refused("POST", f"{SC}/alignments", json=MANUAL) == (422, "alignment.no_powers", [])
+
+
+async def test_angles_by_hand_need_an_approver(bench):
+    for role, expected in (
+        (Role.VIEWER, (403, "key.forbidden")),
+        (Role.OPERATOR, (403, "key.forbidden")),
+        (Role.APPROVER, (409, "alignment.no_calibration")),
+    ):
+        bench.app.state.key_ring = Ring(role)
+        assert (await bench.refused("POST", f"{SC}/alignments", json=MANUAL))[:2] == expected, role
+
+
+@pytest.mark.parametrize(
+    ("method", "path"),
+    [("POST", "/calibrations"), ("POST", "/calibrations/1:activate"), ("POST", "/alignments"), ("POST", "/replays")],
+)
+async def test_viewer_may_not_change_anything(bench, method, path):
+    bench.app.state.key_ring = Ring(Role.VIEWER)
+    assert (await bench.refused(method, SC + path, json={}))[:2] == (403, "key.forbidden")
+
+
+async def test_replay_needs_an_alignment(bench, make):
+    span = {"start": "2026-11-21T02:00:00Z", "stop": "2026-11-21T04:00:00Z"}
+    assert await bench.refused("POST", f"{SC}/replays", json=span) == (409, "replay.not_aligned", [])
+    bench.calibrate([make.carrier_calibration(0, Axes(0.1, 1.0, 0.2))], is_active=False)
+    bench.align(make.now_us)
+    assert await bench.refused("POST", f"{SC}/replays", json=span | {"alignment_id": 7}) == (
+        404,
+        "alignment.unknown",
+        [],
+    )
+    answer = await bench.client.post(f"/api/v1{SC}/replays", json=span | {"order": "epoch", "method": "paper"})
+    assert answer.status_code == 202, answer.text
+    started = answer.json()
+    assert (started["id"], started["version"]) == (1, "replay-1")
+    assert answer.headers["location"] == f"/api/v1{SC}/replays/1"
+    assert (await job_of(bench, started["job"]))["state"] == "done"
+    assert await bench.get("/replays/1") == started | {
+        "start": "2026-11-21T02:00:00.000000Z",
+        "stop": "2026-11-21T04:00:00.000000Z",
+        "method": "paper",
+        "calibration_id": None,
+        "alignment_id": 1,
+        "order": "epoch",
+        "created_at": format_epoch(make.now_us),
+    }
+    assert (await bench.get("/attitude/history", version="replay-1"))["rows"] == []
