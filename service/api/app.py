@@ -7,11 +7,11 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
 
-from fastapi import APIRouter, Depends, FastAPI
+from fastapi import FastAPI
 from starlette.middleware.gzip import GZipMiddleware
 
 from service.api import openapi
-from service.api.auth import MAY_READ, BootstrapKey, authenticated
+from service.api.auth import MAY_READ, BootstrapKey
 from service.api.body_limit import BodyLimit
 from service.api.carrier_names import CarrierNames
 from service.api.deps import ApiContext, Limits
@@ -87,10 +87,9 @@ def _bare_app(limits: Limits) -> FastAPI:
     app.add_middleware(GZipMiddleware, minimum_size=_PACK_FROM_BYTES, compresslevel=_PACK_LEVEL)
     app.add_middleware(RequestIds)
     add_handlers(app)
+    # each router by itself: a router of routers would be searched on every request
+    for router in ROUTERS:
+        app.include_router(router, prefix=BASE_PATH, dependencies=[MAY_READ])
     for router in PUBLIC_ROUTERS:
         app.include_router(router)
-    base = APIRouter(prefix=BASE_PATH, dependencies=[Depends(authenticated), MAY_READ], redirect_slashes=False)
-    for router in ROUTERS:
-        base.include_router(router)
-    app.include_router(base)
     return app

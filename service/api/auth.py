@@ -13,12 +13,10 @@ from http import HTTPStatus
 from typing import Annotated, Protocol
 
 from fastapi import Depends, Request
-from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
 from service.api.problems import ProblemError, request_id_of
 
 _LOG = logging.getLogger(__name__)
-_BEARER = HTTPBearer(auto_error=False, description="Key of this service")
 
 
 class Role(StrEnum):
@@ -94,12 +92,19 @@ class BootstrapKey:
         return Principal("bootstrap", Role.ADMIN) if self._digest and is_same else None
 
 
-async def authenticated(
-    request: Request, credentials: Annotated[HTTPAuthorizationCredentials | None, Depends(_BEARER)]
-) -> Principal:
-    """Return the holder of the request's key."""
+async def authenticated(request: Request) -> Principal:
+    """Return the holder of the request's key; looked up once a request."""
+    known: Principal | None = getattr(request.state, "principal", None)
+    if known is None:
+        known = request.state.principal = _holder(request)
+    return known
+
+
+def _holder(request: Request) -> Principal:
+    """Return the holder of the key in the Authorization header; problem 401 without a valid one."""
     ring: KeyRing = request.app.state.key_ring
-    principal = ring.principal(credentials.credentials) if credentials is not None else None
+    scheme, _, key = request.headers.get("authorization", "").partition(" ")
+    principal = ring.principal(key.strip()) if scheme.lower() == "bearer" else None
     if principal is None:
         _LOG.warning("request %s %s: no valid key", request_id_of(request), request.url.path)
         detail = "send a valid key as Authorization: Bearer <key>"
@@ -123,8 +128,9 @@ class Requires:
     def __init__(self, permission: Permission) -> None:
         self._permission = permission
 
-    async def __call__(self, request: Request, principal: CurrentPrincipal) -> None:
-        """Raise 403 unless the holder of the key has the permission."""
+    async def __call__(self, request: Request) -> None:
+        """Raise 401 without a valid key, 403 unless its holder has the permission."""
+        principal = await authenticated(request)
         if not principal.may(self._permission):
             _LOG.warning("request %s: %s lacks %s", request_id_of(request), principal.name, self._permission)
             detail = f"a key of role {principal.role} may not {self._permission}; ask an administrator for another key"

@@ -4,7 +4,6 @@ Strict, finite numbers only, no unknown fields. A body that is no JSON at all (b
 than 200) is a 400; JSON that says the wrong thing is a 422.
 """
 
-from collections.abc import Awaitable, Callable
 from http import HTTPStatus
 from typing import Any, TypeVar
 
@@ -62,17 +61,21 @@ def unsupported_media(accepted: str) -> ProblemError:
     )
 
 
+async def read_body(request: Request, adapter: TypeAdapter[M]) -> M:
+    """Return the validated JSON body of a request."""
+    if not is_json(media_type(request)):
+        raise unsupported_media("application/json")
+    return decode(adapter, await request.body())
+
+
 def body_of(model: type[M]) -> Any:
     """Return the dependency that reads the body as a model."""
     adapter = TypeAdapter(model)
 
     async def read(request: Request) -> M:
-        if not is_json(media_type(request)):
-            raise unsupported_media("application/json")
-        return decode(adapter, await request.body())
+        return await read_body(request, adapter)
 
-    reader: Callable[[Request], Awaitable[M]] = read
-    return Depends(reader)
+    return Depends(read)
 
 
 def accepts(model: type[BaseModel], *, is_csv: bool = False) -> dict[str, Any]:

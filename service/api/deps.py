@@ -104,16 +104,22 @@ async def open_streams_of(request: Request) -> OpenStreams:
     return streams
 
 
-async def spacecraft_id_of(
-    spacecraft_id: Annotated[
-        str, Path(description="Id of a spacecraft", json_schema_extra={"pattern": SPACECRAFT_ID_PATTERN})
-    ],
-) -> str:
+SpacecraftIdText = Annotated[
+    str, Path(description="Id of a spacecraft", json_schema_extra={"pattern": SPACECRAFT_ID_PATTERN})
+]
+
+
+def checked_spacecraft_id(spacecraft_id: str) -> str:
     """Return the spacecraft's id of a path; an id that cannot exist is as unknown as one that does not."""
     if _SPACECRAFT_ID.match(spacecraft_id) is None:
         detail = f"no spacecraft {spacecraft_id[:64]!r}; GET /api/v1/spacecraft lists them"
         raise NotFoundError("spacecraft.unknown", detail)
     return spacecraft_id
+
+
+async def spacecraft_id_of(spacecraft_id: SpacecraftIdText) -> str:
+    """Return the checked id of a path, for a dependency."""
+    return checked_spacecraft_id(spacecraft_id)
 
 
 Context = Annotated[ApiContext, Depends(context_of)]

@@ -10,6 +10,9 @@ from service.api.problems import PROBLEM_MEDIA_TYPE, ProblemSchema
 
 API_VERSION = "1.0"
 _REF = "#/components/schemas/"
+_BEARER = "HTTPBearer"
+#: what stands below needs a key
+_PROTECTED = "/api/"
 _DESCRIPTION = (
     "Attitude of a geostationary satellite from the powers of the carriers it retransmits. "
     "Times are RFC 3339 UTC; intervals include their start and exclude their stop; absent values are null; "
@@ -28,12 +31,17 @@ def describe(app: FastAPI) -> dict[str, Any]:
     )
     schemas: dict[str, Any] = document.setdefault("components", {}).setdefault("schemas", {})
     schemas.update(_definitions(ProblemSchema.model_json_schema(ref_template=_REF + "{model}"), "ProblemSchema"))
-    for operations in document["paths"].values():
+    for path, operations in document["paths"].items():
         for operation in operations.values():
             _lift_body(operation, schemas)
             _state_problems(operation)
+            if path.startswith(_PROTECTED):
+                operation["security"] = [{_BEARER: []}]
     for unused in ("HTTPValidationError", "ValidationError"):
         schemas.pop(unused, None)
+    document["components"]["securitySchemes"] = {
+        _BEARER: {"type": "http", "scheme": "bearer", "description": "Key of this service"}
+    }
     document["components"]["schemas"] = dict(sorted(schemas.items()))
     return document
 

@@ -267,8 +267,9 @@ async def test_sources_are_listed_and_selected(soo, spacecraft, carriers):
     answer = await soo.client.post(f"{base}/sa:2:select")
     assert (answer.status_code, answer.json()["role"]) == (200, "prime")
     assert soo.accepted == ["yamal-202"]
-    unknown = await soo.client.post(f"{base}/sa-9:select")
-    assert (unknown.status_code, unknown.json()["code"]) == (404, "source.unknown")
+    for name in ("sa-9", "%00", "a%20b", "x" * 500):
+        unknown = await soo.client.post(f"{base}/{name}:select")
+        assert (unknown.status_code, unknown.json()["code"]) == (404, "source.unknown")
     assert [r["role"] for r in (await soo.client.get(base)).json()["rows"]] == ["backup", "prime"]
 
 

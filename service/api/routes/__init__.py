@@ -26,10 +26,11 @@ from service.api.routes import (
 )
 
 ROUTERS: tuple[APIRouter, ...] = (
+    # the first router is matched first: this one takes nearly all requests
+    measurements_ingest.router,
     spacecraft.router,
     carriers.router,
     ephemeris.router,
-    measurements_ingest.router,
     sources.router,
     inputs.router,
     operations.router,

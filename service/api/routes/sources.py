@@ -1,14 +1,18 @@
 """Sources: the front ends that send measurements of a spacecraft."""
 
+import re
 from typing import Annotated
 
 from fastapi import APIRouter, Path
 
 from service.api.auth import MAY_OPERATE
 from service.api.deps import Context, SpacecraftId
+from service.api.schemas.base import NAME_PATTERN
 from service.api.schemas.measurements import SourceAnswer, SourceListAnswer
+from service.errors import NotFoundError
 from service.records.series import SourceState
 
+_NAME = re.compile(NAME_PATTERN.strip("^$"), re.ASCII)
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/sources", tags=["measurements"])
 
 
@@ -20,9 +24,11 @@ def list_sources(spacecraft_id: SpacecraftId, context: Context) -> SourceListAns
 
 @router.post("/{source}:select", dependencies=[MAY_OPERATE])
 def select_source(
-    spacecraft_id: SpacecraftId, source: Annotated[str, Path(max_length=64)], context: Context
+    spacecraft_id: SpacecraftId, source: Annotated[str, Path(description="Id of a source")], context: Context
 ) -> SourceAnswer:
     """Make a source the prime one; its rows feed the estimator from now on."""
+    if _NAME.fullmatch(source) is None:  # a name that cannot exist never reaches the database
+        raise NotFoundError("source.unknown", f"no source {source[:64]!r}; GET .../sources lists them")
     state = context.storage.archive.select_source(spacecraft_id, source)
     context.on_accepted(spacecraft_id)
     return _answer(state)

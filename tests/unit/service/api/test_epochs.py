@@ -34,8 +34,8 @@ def test_an_empty_sequence_has_no_epochs():
     ],
 )
 def test_other_forms_among_exact_ones_are_understood(text, expected):
-    exact = "2026-11-21T03:02:32.011250Z"
-    assert parse_epochs([exact, text]).tolist() == [parse_epoch(exact), parse_epoch(expected)]
+    exact = ["2026-11-21T03:02:32.011250Z"] * 20
+    assert parse_epochs([*exact, text]).tolist() == [parse_epoch(exact[0])] * 20 + [parse_epoch(expected)]
     assert parse_epochs([text]).tolist() == [parse_epoch(expected)]
 
 
@@ -61,8 +61,9 @@ def test_other_forms_among_exact_ones_are_understood(text, expected):
         "NaT                        ",
     ],
 )
-def test_what_is_no_instant_is_named_by_its_place(text):
+@pytest.mark.parametrize("before", [2, 20])
+def test_what_is_no_instant_is_named_by_its_place(text, before):
     with pytest.raises(EpochTextError) as caught:
-        parse_epochs(["2026-11-21T03:02:32.011250Z", "2026-11-21T03:02:33.011250Z", text])
-    assert caught.value.index == 2
-    assert "RFC 3339" in caught.value.detail or caught.value.detail
+        parse_epochs(["2026-11-21T03:02:32.011250Z"] * before + [text])
+    assert caught.value.index == before
+    assert caught.value.detail
