@@ -1,0 +1,312 @@
+"""Live stream over a real server: order, resume, slow clients, stop."""
+
+import json
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import httpx
+import pytest
+import uvicorn
+
+from service.api.server import StreamingServer
+from service.ports import Outcome
+from service.records.epoch import format_epoch
+from service.runtime.live_feed import Cursor, FeedEvent
+
+pytestmark = pytest.mark.anyio
+STREAM = "/api/v1/spacecraft/yamal-202/stream"
+#: small buffers, so that a client that does not read is felt by the service after some hundred events
+BUFFER_BYTES = 8192
+
+
+@dataclass(frozen=True)
+class Event:
+    """One event as a client sees it."""
+
+    id: str
+    kind: str
+    data: Any
+
+
+class Reader:
+    """One client of a stream."""
+
+    def __init__(self, response: httpx.Response) -> None:
+        self._lines = response.iter_lines()
+        self.comments = 0
+
+    def take(self, count: int, *kinds: str) -> list[Event]:
+        """Return the next events of some kinds, of all but status by default."""
+        events: list[Event] = []
+        while len(events) < count:
+            event = self._next()
+            if event.kind in kinds or (not kinds and event.kind != "status"):
+                events.append(event)
+        return events
+
+    def _next(self) -> Event:
+        fields: dict[str, str] = {}
+        for line in self._lines:
+            if line.startswith(":"):
+                self.comments += 1
+            elif line:
+                name, _, value = line.partition(": ")
+                fields[name] = value
+            elif "data" in fields:
+                return Event(fields["id"], fields["event"], json.loads(fields["data"]))
+            else:
+                fields.clear()
+        pytest.fail("the stream ended")
+
+
+@dataclass
+class Served:
+    """A server in a thread."""
+
+    url: str
+    key: str
+    server: StreamingServer
+    thread: threading.Thread
+
+    @contextmanager
+    def open(self, last_event_id: str | None = None) -> Iterator[httpx.Response]:
+        """Give a stream's response while it is open."""
+        headers = {"Authorization": f"Bearer {self.key}"}
+        if last_event_id is not None:
+            headers["Last-Event-ID"] = last_event_id
+        transport = httpx.HTTPTransport(socket_options=[(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)])
+        with (
+            httpx.Client(transport=transport, timeout=10) as client,
+            client.stream("GET", self.url + STREAM, headers=headers) as response,
+        ):
+            yield response
+
+
+@pytest.fixture
+def served(bench, make) -> Iterator[Served]:
+    listener = socket.create_server(("127.0.0.1", 0))
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER_BYTES)
+    config = uvicorn.Config(bench.app, log_level="warning", access_log=False)
+    server = StreamingServer(config, bench.app)
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
+    thread.start()
+    wait_until(lambda: server.started)
+    yield Served(f"http://127.0.0.1:{listener.getsockname()[1]}", make.key, server, thread)
+    server.should_exit = True
+    thread.join(10)
+    listener.close()
+    assert not thread.is_alive()
+
+
+def wait_until(is_true: Callable[[], Any]) -> None:
+    """Wait for something that comes within moments."""
+    deadline = time.monotonic() + 10
+    while not is_true():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+class Source:
+    """Plays the supervisor: stores rows with their results and publishes them."""
+
+    def __init__(self, bench: Any, make: Any) -> None:
+        self._bench = bench
+        self._make = make
+        self._count = 0
+
+    def store(self, rows: int) -> tuple[FeedEvent, ...]:
+        """Store rows, one attitude and one command each, and return the events that tell them."""
+        make, count = self._make, self._count
+        measured = self._bench.append([make.now_us + (count + k) * 60 * make.s for k in range(rows)])
+        self._count += rows
+        first = self._bench.storage.archive.head(make.sc).result_sequence
+        outcomes = [Outcome((make.row(row),), make.command(row)) for row in measured]
+        self._bench.consume(outcomes)
+        last = measured[-1].number
+        events = [FeedEvent("measurement", Cursor(row.number, first), row) for row in measured]
+        for k, outcome in enumerate(outcomes):
+            events.append(FeedEvent("attitude", Cursor(last, first + 2 * k + 1), outcome.rows[0]))
+            events.append(FeedEvent("torque", Cursor(last, first + 2 * k + 2), outcome.command))
+        return tuple(events)
+
+    def publish(self, *batches: tuple[FeedEvent, ...]) -> None:
+        """Tell subscribers."""
+        for batch in batches:
+            self._bench.context.feed.publish(self._make.sc, batch)
+
+    def subscribers(self) -> int:
+        """Return how many streams are open."""
+        return len(self._bench.context.feed._subscribers.get(self._make.sc, ()))
+
+
+@pytest.fixture
+def source(bench, make) -> Source:
+    return Source(bench, make)
+
+
+def named(events: list[Event]) -> list[tuple[str, str]]:
+    """Return what each event is about."""
+    return [(event.kind, event.data["epoch"]) for event in events]
+
+
+async def test_stream_tells_what_the_rest_interface_tells(served, source, bench, make):
+    source.store(1)
+    with served.open() as response:
+        assert response.headers["content-type"].startswith("text/event-stream")
+        assert response.headers["cache-control"] == "no-store"
+        reader = Reader(response)
+        (status,) = reader.take(1, "status")
+        assert status.data == await bench.get("/status")
+        events = source.store(1)
+        source.publish(events)
+        measurement, attitude, torque = reader.take(3)
+        assert measurement.data == (await bench.get("/measurements/history"))["rows"][-1]
+        assert attitude.data == await bench.get("/attitude")
+        assert torque.data == await bench.get("/torques")
+        assert [event.kind for event in (measurement, attitude, torque)] == ["measurement", "attitude", "torque"]
+        number = events[0].cursor.number
+        assert [event.id for event in (status, measurement, attitude, torque)] == [
+            f"{number - 1}.2",
+            f"{number}.2",
+            f"{number}.3",
+            f"{number}.4",
+        ]
+        wait_until(lambda: (reader.take(1, "status"), reader.comments)[1] >= 1)
+    wait_until(lambda: source.subscribers() == 0)
+
+
+async def test_stream_without_an_id_starts_with_the_present(served, source):
+    published = source.store(3)
+    with served.open() as response:
+        reader = Reader(response)
+        reader.take(1, "status")
+        source.publish(published)
+        fresh = source.store(1)
+        source.publish(fresh)
+        assert named(reader.take(3)) == [(event.kind, format_epoch(event.content.epoch_us)) for event in fresh]
+
+
+@pytest.mark.parametrize("cut", range(10))
+async def test_resume_anywhere_loses_and_doubles_nothing(served, source, cut):
+    with served.open() as response:
+        reader = Reader(response)
+        (status,) = reader.take(1, "status")
+        events = source.store(3)
+        source.publish(events)
+        seen = reader.take(cut)
+    last = seen[-1].id if seen else status.id
+    # more comes while nobody listens, and is published late, when the client is back
+    missed = source.store(2)
+    with served.open(last) as response:
+        reader = Reader(response)
+        (status,) = reader.take(1, "status")
+        assert status.id == last
+        source.publish(events, missed)
+        fresh = source.store(1)
+        source.publish(fresh)
+        seen += reader.take(18 - cut)
+    for kind in ("measurement", "attitude", "torque"):
+        epochs = [event.data["epoch"] for event in seen if event.kind == kind]
+        told = [format_epoch(e.content.epoch_us) for e in (*events, *missed, *fresh) if e.kind == kind]
+        assert epochs == told, kind
+
+
+async def test_hole_in_the_feed_is_filled_from_the_archive(served, source):
+    with served.open() as response:
+        reader = Reader(response)
+        reader.take(1, "status")
+        source.publish(source.store(1))
+        before = reader.take(3)
+        lost = source.store(2)
+        fresh = source.store(1)
+        source.publish(fresh)
+        told = named(reader.take(9))
+    assert len(before) == 3
+    assert sorted(told) == sorted((e.kind, format_epoch(e.content.epoch_us)) for e in (*lost, *fresh))
+
+
+async def test_event_without_content_sends_streams_to_the_archive(served, source):
+    with served.open() as response:
+        reader = Reader(response)
+        reader.take(1, "status")
+        stored = source.store(2)
+        last = stored[-1].cursor
+        source.publish((*stored[:2], FeedEvent("status", last, None)))
+        assert named(reader.take(6)) == [(e.kind, format_epoch(e.content.epoch_us)) for e in stored]
+        (status,) = reader.take(1, "status")
+        assert status.id == f"{last.number}.{last.sequence}"
+        assert status.data["newest_attitude"] == format_epoch(stored[-1].content.epoch_us)
+
+
+async def test_slow_client_is_told_and_gets_everything(served, source):
+    with served.open() as response:
+        reader = Reader(response)
+        reader.take(1, "status")
+        batches = [source.store(5) for _ in range(40)]
+        for batch in batches:
+            source.publish(batch)
+            time.sleep(0.002)
+        events = reader.take(601, "measurement", "attitude", "torque", "missed")
+        while sum(event.kind != "missed" for event in events) < 600:
+            events += reader.take(1, "measurement", "attitude", "torque", "missed")
+    missed = [event.data["count"] for event in events if event.kind == "missed"]
+    # the queue holds 50 events, the buffers some tens of kilobytes: of 600 events most were dropped
+    assert sum(missed) > 100
+    for kind in ("measurement", "attitude", "torque"):
+        epochs = [event.data["epoch"] for event in events if event.kind == kind]
+        told = [format_epoch(e.content.epoch_us) for batch in batches for e in batch if e.kind == kind]
+        assert epochs == told, kind
+
+
+async def test_id_beyond_the_archive_starts_with_the_present(served, source):
+    source.store(1)
+    with served.open("900.900") as response:
+        reader = Reader(response)
+        (status,) = reader.take(1, "status")
+        assert status.id.endswith(".2")
+        fresh = source.store(1)
+        source.publish(fresh)
+        assert len(reader.take(3)) == 3
+
+
+async def test_plan_put_while_streaming_names_its_carriers(served, source, bench, make):
+    with served.open() as response:
+        reader = Reader(response)
+        reader.take(1, "status")
+        plan = bench.storage.catalogue.put_plan(make.sc, [make.carrier(8)], "second")
+        (row,) = bench.append([make.now_us], plan_id=plan.id)
+        source.publish((FeedEvent("measurement", Cursor(row.number, 0), row),))
+        (event,) = reader.take(1)
+        assert event.data["power_dbm"] == {"c08": -42.1}
+
+
+async def test_open_stream_does_not_hold_up_a_stop(served, source):
+    with served.open() as response:
+        reader = Reader(response)
+        reader.take(1, "status")
+        begun = time.monotonic()
+        served.server.should_exit = True
+        rest = list(reader._lines)
+        served.thread.join(10)
+        # the server looks every tenth of a second whether it is to stop
+        assert time.monotonic() - begun < 3
+        assert not any(line.startswith("event: error") for line in rest)
+    assert source.subscribers() == 0
+
+
+async def test_many_clients_get_the_same(served, source):
+    with ExitStack() as stack:
+        readers = [Reader(stack.enter_context(served.open())) for _ in range(5)]
+        for reader in readers:
+            reader.take(1, "status")
+        events = source.store(4)
+        source.publish(events)
+        told = [reader.take(12) for reader in readers]
+    assert all(seen == told[0] for seen in told)
+    assert named(told[0]) == [(e.kind, format_epoch(e.content.epoch_us)) for e in events]
+    wait_until(lambda: source.subscribers() == 0)
