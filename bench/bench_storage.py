@@ -9,7 +9,8 @@ import argparse
 import sqlite3
 import tempfile
 import time
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from collections import deque
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -79,16 +80,17 @@ def measure(path: Path, options: argparse.Namespace) -> float:
     def feed(worker: int) -> int:
         """Send batches of one front end in order of epoch and return how many."""
         templates = [batch(worker, plan_id, seed, options) for seed in range(16)]
-        waiting: set[Future[BatchReceipt]] = set()
+        waiting: deque[Future[BatchReceipt]] = deque()
         sent = 0
         while time.perf_counter() < until:
             epochs_us = START_US + (sent * options.rows + np.arange(options.rows)) * STEP_US
             template = templates[sent % len(templates)]
-            waiting.add(storage.archive.append_measurements(replace(template, epochs_us=epochs_us)))
+            waiting.append(storage.archive.append_measurements(replace(template, epochs_us=epochs_us)))
             sent += 1
             if len(waiting) == DEPTH:
-                _, waiting = wait(waiting, return_when="FIRST_COMPLETED")
-        wait(waiting)
+                waiting.popleft().result()
+        for future in waiting:
+            future.result()
         return sent
 
     started = time.perf_counter()
