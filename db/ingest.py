@@ -77,6 +77,8 @@ class PreparedBatch:
     #: (T,)
     has_flags: BoolArray
     is_ascending: bool
+    #: places in the request without gap, and flags with every row or with none
+    is_even: bool
 
     def content(self, place: int) -> Content:
         """Return what a row holds, to be compared with what is stored."""
@@ -106,6 +108,7 @@ def prepare(spacecraft_key: int, batch: MeasurementBatch) -> PreparedBatch:
         flags=flags_as_bytes(batch.flags, batch.power_dbm.shape[1]) if has_flags.any() else b"",
         has_flags=has_flags,
         is_ascending=bool(np.all(batch.epochs_us[1:] > batch.epochs_us[:-1])),
+        is_even=bool(np.all(np.diff(batch.index) == 1) and has_flags.all() == has_flags.any()),
     )
 
 
@@ -192,10 +195,9 @@ def _lateness(batch: MeasurementBatch, consumed_us: int | None) -> BoolArray:
 def _runs(prepared: PreparedBatch, accepted: IntArray, is_late: BoolArray, state: Row[Any]) -> Iterator[Run]:
     """Yield the accepted rows as runs, numbered on from the head."""
     batch, width = prepared.batch, prepared.width
-    alike = (accepted, batch.index[accepted], is_late.astype(np.int64), prepared.has_flags[accepted].astype(np.int64))
-    steps = np.diff(np.stack(alike), axis=1) != [[1], [1], [0], [0]]
-    starts = [0, *(np.flatnonzero(steps.any(axis=0)) + 1).tolist(), len(accepted)]
-    for start, stop in pairwise(starts):
+    is_whole = prepared.is_even and len(accepted) == len(prepared.epochs_us) and is_late.all() == is_late.any()
+    breaks = [] if is_whole else _breaks(prepared, accepted, is_late)
+    for start, stop in pairwise([0, *breaks, len(accepted)]):
         place = int(accepted[start])
         after = place + stop - start
         yield Run(
@@ -211,6 +213,15 @@ def _runs(prepared: PreparedBatch, accepted: IntArray, is_late: BoolArray, state
             powers=prepared.powers[place * width : after * width],
             flags=prepared.flags[place * width : after * width] if prepared.has_flags[place] else None,
         )
+
+
+def _breaks(prepared: PreparedBatch, accepted: IntArray, is_late: BoolArray) -> list[int]:
+    """Return where a row does not follow the one before it as the rows of a run do."""
+    places = (accepted, prepared.batch.index[accepted])
+    claims = (is_late.astype(np.int64), prepared.has_flags[accepted].astype(np.int64))
+    is_break = np.diff(np.stack((*places, *claims)), axis=1) != [[1], [1], [0], [0]]
+    found: list[int] = (np.flatnonzero(is_break.any(axis=0)) + 1).tolist()
+    return found
 
 
 def _advance(connection: Connection, prepared: PreparedBatch, accepted: IntArray, state: Row[Any]) -> None:
