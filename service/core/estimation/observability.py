@@ -67,7 +67,10 @@ def angle_dilution_deg_per_db(sensitivity: FloatArray) -> float:
     >>> round(angle_dilution_deg_per_db(np.diag([0.25, 1.0, 4.0])), 12)
     1.0
     """
-    return float(np.linalg.det(normal_inverse(_present(sensitivity))) ** (1.0 / 6.0))
+    inverse = normal_inverse(_present(sensitivity))
+    if np.isnan(inverse).any():
+        return math.nan
+    return math.pow(float(np.linalg.det(inverse)), 1.0 / 6.0)
 
 
 def condition_number(sensitivity: FloatArray) -> float:
@@ -96,7 +99,7 @@ def common_share(sensitivity: FloatArray) -> float:
     1.0
     """
     design = _present(sensitivity)
-    if not np.isfinite(normal_inverse(design)).all():
+    if np.isnan(normal_inverse(design)).any():
         return math.nan
     ones = np.ones(len(design))
     projection = np.linalg.qr(design)[0].T @ ones

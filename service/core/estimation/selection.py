@@ -1,10 +1,12 @@
 """The paper's choice of carriers: for each axis those that answer mostly to it.
 
 ``s_ij = |a_ij| u_j``: a the symmetric sensitivity in dB/deg, u = (yaw_scale, 1, 1), because every carrier answers to
-yaw about eight times less than to roll. The dominance of carrier i for axis j is ``s_ij / max over the others``. The
-axes take turns (roll, pitch, yaw, in the order in which the paper names them), each taking its most dominant carrier
-that is still free. The law of this file: the choice depends on the carriers, not on their order; of equal dominance the
-stronger carrier wins, then the first.
+yaw about eight times less than to roll. The margin of carrier i for axis j, in dB/deg, is ``s_ij - max over the
+others``: by how much it answers more to this axis than to any other. The axes take turns (roll, pitch, yaw, in the
+order in which the paper names them), each taking the carrier of largest margin that is still free. A ranking by the
+ratio instead of the margin also likes carriers that answer to nothing: of 40 stations it costs 69 per cent in the bound
+of yaw at 8 carriers, 22 per cent at 16. The law of this file: the choice depends on the carriers, not on their order;
+of equal margins the first carrier wins.
 """
 
 import math
@@ -64,6 +66,18 @@ class AxisSelection(NamedTuple):
     dilution_deg_per_db: FloatArray
 
 
+def axis_margin(symmetric: FloatArray, *, yaw_scale: float = 8.0) -> FloatArray:
+    """Return for each carrier and axis the scaled sensitivity minus the largest of the other two, shape (N, 3), dB/deg.
+
+    Examples
+    --------
+    >>> axis_margin(np.array([[0.1, 2.0, -0.5]]))
+    array([[-1.2,  1.2, -1.5]])
+    """
+    scaled, others = _scaled_and_others(symmetric, yaw_scale)
+    return np.where(np.isnan(scaled).any(axis=1, keepdims=True), math.nan, scaled - others)
+
+
 def axis_dominance(symmetric: FloatArray, *, yaw_scale: float = 8.0) -> FloatArray:
     """Return for each carrier and axis the scaled sensitivity over the largest of the other two, shape (N, 3).
 
@@ -72,11 +86,16 @@ def axis_dominance(symmetric: FloatArray, *, yaw_scale: float = 8.0) -> FloatArr
     >>> axis_dominance(np.array([[0.1, 2.0, -0.5]]))
     array([[0.4 , 2.5 , 0.25]])
     """
-    scaled = np.abs(symmetric) * np.array([yaw_scale, 1.0, 1.0])
-    others = np.stack([np.maximum(scaled[:, j - 2], scaled[:, j - 1]) for j in range(3)], axis=1)
+    scaled, others = _scaled_and_others(symmetric, yaw_scale)
     alone = np.where(scaled > 0.0, math.inf, 0.0)
     dominance = np.where(others > 0.0, scaled / np.where(others > 0.0, others, 1.0), alone)
     return np.where(np.isnan(scaled).any(axis=1, keepdims=True), math.nan, dominance)
+
+
+def _scaled_and_others(symmetric: FloatArray, yaw_scale: float) -> tuple[FloatArray, FloatArray]:
+    """Return sizes of the sensitivities, yaw scaled up, and for each axis the larger of the other two."""
+    scaled = np.abs(symmetric) * np.array([yaw_scale, 1.0, 1.0])
+    return scaled, np.stack([np.maximum(scaled[:, j - 2], scaled[:, j - 1]) for j in range(3)], axis=1)
 
 
 def select_by_axis(symmetric: FloatArray, eligible: BoolArray, count: int, *, yaw_scale: float = 8.0) -> AxisSelection:
@@ -110,10 +129,10 @@ def select_by_axis(symmetric: FloatArray, eligible: BoolArray, count: int, *, ya
     array([0, 1, 2])
     """
     dominance = axis_dominance(symmetric, yaw_scale=yaw_scale)
-    strength = np.abs(symmetric) * np.array([yaw_scale, 1.0, 1.0])
+    margin = axis_margin(symmetric, yaw_scale=yaw_scale)
     is_measured: BoolArray = np.asarray(np.isfinite(symmetric).all(axis=1))
     is_free = eligible & is_measured
-    axis = np.where(is_measured, np.argmax(np.where(np.isnan(strength), 0.0, strength), axis=1), -1)
+    axis = np.where(is_measured, np.argmax(np.where(np.isnan(margin), 0.0, margin), axis=1), -1)
     reason = np.where(
         is_measured,
         np.where(eligible, SelectionReason.NOT_NEEDED, SelectionReason.NOT_ELIGIBLE),
@@ -122,9 +141,7 @@ def select_by_axis(symmetric: FloatArray, eligible: BoolArray, count: int, *, ya
     chosen: list[int] = []
     for turn in range(min(count, int(is_free.sum()))):
         taking = TURN_ORDER[turn % 3]
-        candidates = np.flatnonzero(is_free)
-        order = np.lexsort((-strength[candidates, taking], -dominance[candidates, taking]))
-        best = int(candidates[order[0]])
+        best = int(np.argmax(np.where(is_free, margin[:, taking], -math.inf)))
         axis[best], reason[best], is_free[best] = taking, SelectionReason.CHOSEN, False
         chosen.append(best)
     rank = np.full(len(symmetric), -1, dtype=np.int64)

@@ -23,7 +23,7 @@ BoolArray = NDArray[np.bool_]
 
 #: deg, rows further than this from the first row of a level begin a new one.
 LEVEL_WIDTH_DEG = 0.05
-#: Levels with fewer rows than this share of the median level are slews and are left out.
+#: A level of fewer rows than this share of the level to which the median row belongs is a slew and is left out.
 MIN_LEVEL_SHARE = 0.5
 #: Levels up to this many times the range take part in the fit.
 RANGE_MARGIN = 1.1
@@ -92,12 +92,9 @@ def reduce_to_levels(angle_deg: FloatArray, deviation_db: FloatArray) -> TurnLev
     for row in range(1, len(angles)):
         if np.abs(angles[row] - angles[starts[-1]]).max() > LEVEL_WIDTH_DEG:
             starts.append(row)
-    counts = np.diff([*starts, len(angles)]) if starts else np.zeros(0)
-    spans = [
-        slice(start, start + int(count))
-        for start, count in zip(starts, counts, strict=True)
-        if count >= MIN_LEVEL_SHARE * np.median(counts)
-    ]
+    counts = np.diff([*starts, len(angles)]) if starts else np.zeros(0, dtype=np.int64)
+    least = MIN_LEVEL_SHARE * np.median(np.repeat(counts, counts)) if starts else 0.0
+    spans = [slice(start, start + int(count)) for start, count in zip(starts, counts, strict=True) if count >= least]
     return TurnLevels(
         angle_deg=np.array([angles[span].mean(axis=0) for span in spans]).reshape(-1, 3),
         deviation_db=np.array([_column_medians(deviations[span]) for span in spans]).reshape(-1, deviations.shape[1]),

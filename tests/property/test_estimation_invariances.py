@@ -1,0 +1,216 @@
+"""Invariances of the paper method that must hold for any data."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from service.core.estimation.downlink_fade import fade_sign_test
+from service.core.estimation.harmonic import fit_harmonic, fit_harmonics
+from service.core.estimation.octants import predict_deviation_db, solve_octants
+from service.core.estimation.rejection import RejectionReason, reject_faded_carriers
+from service.core.estimation.sensitivity import fit_turn_sensitivity
+from service.core.estimation.trailing_mean import empty_window, mean, push
+from service.core.geometry.frames import AntennaDirection, antenna_direction, body_from_nadir, direction_vector
+from service.core.geometry.node_phase import latest_node_us, node_phase_rad
+
+SEEDS = st.integers(0, 2**32 - 1)
+CARRIERS = st.integers(4, 24)
+steady = settings(derandomize=True, deadline=None, max_examples=60)
+
+
+def random_row(seed, carriers, noise_db=0.1):
+    rng = np.random.default_rng(seed)
+    steep, bend = rng.normal(0.0, [0.16, 1.4, 1.2], (carriers, 3)), rng.normal([0.0, 0.5, 0.3], 0.1, (carriers, 3))
+    plus, minus = steep - bend, steep + bend
+    deviation_db = predict_deviation_db(plus, minus, rng.uniform(-0.4, 0.4, 3)) + noise_db * rng.standard_normal(
+        carriers
+    )
+    deviation_db[rng.random(carriers) < 0.1] = np.nan
+    return rng, plus, minus, deviation_db
+
+
+def assert_same_fix(one, other):
+    # 1e-9 is asked for; rounding at a condition of 1e3 is 1e-13
+    np.testing.assert_allclose(one.attitude_deg, other.attitude_deg, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(one.covariance_deg2, other.covariance_deg2, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(one.cost, other.cost, rtol=1e-9, atol=1e-12)
+
+
+@steady
+@given(SEEDS, CARRIERS)
+def test_permuting_carriers_permutes_nothing_else(seed, carriers):
+    rng, plus, minus, deviation_db = random_row(seed, carriers)
+    sigma_db, order = rng.uniform(0.05, 0.3, carriers), rng.permutation(carriers)
+    fix = solve_octants(plus, minus, deviation_db, sigma_db)
+    shuffled = solve_octants(plus[order], minus[order], deviation_db[order], sigma_db[order])
+    assert_same_fix(fix, shuffled)
+    np.testing.assert_allclose(shuffled.residual_db, fix.residual_db[order], rtol=0.0, atol=1e-9)
+
+
+@steady
+@given(SEEDS, CARRIERS)
+def test_turning_all_signs_turns_the_fix(seed, carriers):
+    _, plus, minus, deviation_db = random_row(seed, carriers)
+    fix = solve_octants(plus, minus, deviation_db, None)
+    mirrored = solve_octants(minus, plus, -deviation_db, None)
+    np.testing.assert_allclose(mirrored.attitude_deg, -fix.attitude_deg, rtol=0.0, atol=1e-9)
+
+
+@steady
+@given(SEEDS, CARRIERS, st.floats(0.01, 100.0))
+def test_the_fix_scales_with_the_deviations(seed, carriers, factor):
+    _, plus, minus, deviation_db = random_row(seed, carriers)
+    fix = solve_octants(plus, minus, deviation_db, None)
+    scaled = solve_octants(plus, minus, factor * deviation_db, None)
+    # the model is linear on rays; rounding grows with the factor
+    np.testing.assert_allclose(scaled.attitude_deg, factor * fix.attitude_deg, rtol=1e-9, atol=1e-9 * factor)
+
+
+@steady
+@given(SEEDS, CARRIERS)
+def test_a_common_factor_of_the_sigmas_only_scales_the_covariance(seed, carriers):
+    rng, plus, minus, deviation_db = random_row(seed, carriers)
+    sigma_db = rng.uniform(0.05, 0.3, carriers)
+    fix = solve_octants(plus, minus, deviation_db, sigma_db)
+    wider = solve_octants(plus, minus, deviation_db, 3.0 * sigma_db)
+    np.testing.assert_allclose(wider.attitude_deg, fix.attitude_deg, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(wider.covariance_deg2, 9.0 * fix.covariance_deg2, rtol=1e-6, atol=1e-12)
+
+
+@steady
+@given(SEEDS, CARRIERS)
+def test_the_covariance_is_symmetric_and_positive(seed, carriers):
+    rng, plus, minus, deviation_db = random_row(seed, carriers)
+    fix = solve_octants(plus, minus, deviation_db, rng.uniform(0.05, 0.3, carriers))
+    if fix.octant >= 0:
+        np.testing.assert_allclose(fix.covariance_deg2, fix.covariance_deg2.T, rtol=1e-9, atol=0.0)  # rounding
+        assert np.all(np.linalg.eigvalsh(fix.covariance_deg2) > 0.0)
+
+
+@steady
+@given(SEEDS, CARRIERS)
+def test_no_other_attitude_is_cheaper(seed, carriers):
+    rng, plus, minus, deviation_db = random_row(seed, carriers)
+    fix = solve_octants(plus, minus, deviation_db, None)
+    if fix.octant < 0:
+        return
+    near = fix.attitude_deg + 10.0 ** rng.uniform(-6.0, 0.0, (500, 1)) * rng.standard_normal((500, 3))
+    residual_db = np.nan_to_num(deviation_db - predict_deviation_db(plus, minus, near))
+    assert np.all((residual_db**2).sum(axis=1) >= fix.cost - 1e-12)  # rounding
+    assert fix.second_best_cost >= fix.cost
+
+
+@settings(parent=steady, max_examples=40)
+@given(SEEDS, st.integers(4, 16), st.floats(0.3, 3.0), st.floats(0.2, 3.0))
+def test_rejection_ends_is_repeatable_and_ignores_the_order(seed, carriers, gate_db, gate_sigma):
+    rng, plus, minus, deviation_db = random_row(seed, carriers, noise_db=0.3)
+    deviation_db -= rng.exponential(2.0, carriers) * (rng.random(carriers) < 0.3)
+    order = rng.permutation(carriers)
+    result = reject_faded_carriers(plus, minus, deviation_db, gate_db=gate_db, gate_sigma=gate_sigma)
+    shuffled = reject_faded_carriers(
+        plus[order], minus[order], deviation_db[order], gate_db=gate_db, gate_sigma=gate_sigma
+    )
+    assert np.array_equal(shuffled.reason, result.reason[order])
+    assert np.array_equal(
+        result.rejected, (result.reason == RejectionReason.GATE) | (result.reason == RejectionReason.SIGMA)
+    )
+    present = np.isfinite(deviation_db).sum()
+    assert result.fix.carriers_used == present - result.rejected.sum() >= min(4, present)
+
+
+@steady
+@given(SEEDS, st.integers(8, 200), st.floats(0.5, 5.0))
+def test_the_harmonic_ends_and_follows_level_and_scale(seed, samples, gate_sigma):
+    rng = np.random.default_rng(seed)
+    phase_rad = rng.uniform(0.0, 2.0 * np.pi, samples)
+    power_dbm = rng.standard_t(2, samples)
+    fit = fit_harmonic(phase_rad, power_dbm, gate_sigma=gate_sigma)
+    moved = fit_harmonic(phase_rad, 2.0 * power_dbm - 40.0, gate_sigma=gate_sigma)
+    assert fit.samples_used == moved.samples_used
+    if fit.samples_used:
+        assert fit.samples_used + fit.samples_rejected == samples
+        # rounding at a level of 40 dBm, times a condition of up to 1e4 for few samples on part of the turn
+        np.testing.assert_allclose(
+            [moved.amplitude_db, moved.offset_dbm, moved.rms_db],
+            [2.0 * fit.amplitude_db, 2.0 * fit.offset_dbm - 40.0, 2.0 * fit.rms_db],
+            rtol=1e-8,
+            atol=1e-8,
+        )
+        assert np.all(np.linalg.eigvalsh(fit.covariance) >= -1e-12 * np.trace(fit.covariance))
+
+
+@steady
+@given(SEEDS, st.floats(-10.0, 10.0))
+def test_counting_the_phase_from_elsewhere_turns_the_fitted_phase_alone(seed, shift_rad):
+    rng = np.random.default_rng(seed)
+    phase_rad = rng.uniform(0.0, 2.0 * np.pi, 100)
+    power_dbm = 0.3 * np.cos(phase_rad + 1.0)[:, None] + 0.1 * rng.standard_normal((100, 3)) - 40.0
+    fits, turned = fit_harmonics(phase_rad, power_dbm), fit_harmonics(phase_rad + shift_rad, power_dbm)
+    np.testing.assert_allclose(turned.amplitude_db, fits.amplitude_db, rtol=0.0, atol=1e-9)
+    turn = np.angle(np.exp(1j * (turned.phase_rad + shift_rad - fits.phase_rad)))
+    np.testing.assert_allclose(turn, 0.0, rtol=0.0, atol=1e-9)
+
+
+@settings(parent=steady, max_examples=30)
+@given(SEEDS)
+def test_slopes_of_turns_are_linear_in_the_powers(seed):
+    rng = np.random.default_rng(seed)
+    angle_deg = rng.uniform(-0.5, 0.5, (80, 3))
+    one, other = rng.standard_normal((80, 2)), rng.standard_normal((80, 2))
+    slopes = [
+        fit_turn_sensitivity(angle_deg, part, gate_sigma=1e6).plus for part in (one, other, 2.0 * one - 3.0 * other)
+    ]
+    np.testing.assert_allclose(slopes[2], 2.0 * slopes[0] - 3.0 * slopes[1], rtol=0.0, atol=1e-9)  # rounding
+
+
+@steady
+@given(SEEDS, st.integers(1, 40))
+def test_the_fade_test_ignores_the_order_and_absent_carriers(seed, carriers):
+    rng = np.random.default_rng(seed)
+    deviation_db = rng.normal(-1.0, 0.4, carriers)
+    padded = np.concatenate([deviation_db, np.full(3, np.nan)])
+    assert str(fade_sign_test(deviation_db)) == str(fade_sign_test(rng.permutation(padded)))
+
+
+@steady
+@given(SEEDS, st.integers(1, 60), st.floats(60.0, 3600.0))
+def test_a_trailing_mean_lies_between_its_rows(seed, count, window_s):
+    rng = np.random.default_rng(seed)
+    epochs_us = np.cumsum(rng.integers(1, 300_000_000, count))
+    state = empty_window(3)
+    rows = np.where(rng.random((count, 3)) < 0.2, np.nan, rng.standard_normal((count, 3)))
+    for epoch_us, row in zip(epochs_us.tolist(), rows, strict=True):
+        state = push(state, epoch_us, row)
+    inside = rows[epochs_us > epochs_us[-1] - round(window_s * 1e6)]
+    result = mean(state, window_s=window_s, min_rows=1)
+    for carrier in range(3):
+        present = inside[np.isfinite(inside[:, carrier]), carrier]
+        if present.size == 0:
+            assert np.isnan(result[carrier])
+        else:
+            assert present.min() - 1e-12 <= result[carrier] <= present.max() + 1e-12  # rounding
+
+
+@steady
+@given(st.integers(-(10**17), 10**17), st.integers(-500, 500), st.integers(80_000, 90_000), st.integers(1, 6))
+def test_whole_periods_change_no_phase(epoch_us, periods, period_s, nodes):
+    period_us = period_s * 1_000_000
+    nodes_us = 1_700_000_000_000_000 + period_us * np.arange(nodes)
+    epochs_us = np.array([epoch_us])
+    phase_rad = node_phase_rad(epochs_us, nodes_us, float(period_s))
+    assert np.array_equal(phase_rad, node_phase_rad(epochs_us + periods * period_us, nodes_us, float(period_s)))
+    assert 0.0 <= phase_rad[0] < 2.0 * np.pi
+    node_us = latest_node_us(epochs_us, nodes_us, float(period_s))
+    assert 0 <= epoch_us - node_us[0] < period_us
+
+
+@steady
+@given(*[st.floats(-180.0, 180.0)] * 3, *[st.floats(-80.0, 80.0)] * 2)
+def test_rotations_are_orthogonal_and_angles_survive(yaw, roll, pitch, azimuth_deg, elevation_deg):
+    matrix = body_from_nadir([yaw, roll, pitch])
+    np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), rtol=0.0, atol=1e-14)  # rounding
+    assert abs(np.linalg.det(matrix) - 1.0) < 1e-14
+    direction = AntennaDirection(np.array(azimuth_deg), np.array(elevation_deg))
+    np.testing.assert_allclose(
+        antenna_direction(direction_vector(direction)), direction, rtol=0.0, atol=1e-11
+    )  # tan 80
