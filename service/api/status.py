@@ -14,6 +14,9 @@ def status_of(context: ApiContext, spacecraft_id: str) -> StatusAnswer:
     """Return the present state; NotFoundError ``spacecraft.unknown``."""
     storage, clock = context.storage, context.clock
     spacecraft = storage.catalogue.spacecraft(spacecraft_id)
+    # in this order: with nothing pending, the newest attitude is that of the newest measurement told, or of a later one
+    newest_us = storage.archive.head(spacecraft_id).newest_epoch_us
+    pending = storage.results.pending(spacecraft_id, RUNNING_METHODS)
     row = newest_attitude(context, spacecraft_id, spacecraft.control.method)
     command = newest_command(context, spacecraft, row)
     reasons = _reasons(spacecraft, row if command is None else command)
@@ -21,9 +24,9 @@ def status_of(context: ApiContext, spacecraft_id: str) -> StatusAnswer:
     active = storage.results.calibrations(spacecraft_id, CalibrationState.ACTIVE)
     return StatusAnswer.model_validate(
         {
-            "newest_measurement": storage.archive.head(spacecraft_id).newest_epoch_us,
+            "newest_measurement": newest_us,
             "newest_attitude": None if row is None else row.epoch_us,
-            "pending": storage.results.pending(spacecraft_id, RUNNING_METHODS),
+            "pending": pending,
             "aligned": bool(alignments),
             "realignment_advised": False,
             "clock": "data" if clock.is_data(spacecraft_id) else "system",

@@ -1,0 +1,55 @@
+"""What the supervisor publishes of a batch: sequences that are those of the archive, or a word to read there."""
+
+import numpy as np
+
+from service.ports import Outcome
+from service.records.attitude import AttitudeRow, row_without_attitude
+from service.records.catalogue import Method
+from service.records.inputs import AlignmentSet, SpacecraftChange
+from service.records.journal import JournalEntry
+from service.records.measurement import Measurement
+from service.runtime.live_feed import Cursor
+from service.runtime.supervisor import _events
+
+
+def entry(number: int) -> JournalEntry:
+    """Return a journal entry with a row of powers."""
+    return JournalEntry(number, Measurement(number, number, number, "sa-1", 1, np.zeros(2), None))
+
+
+def row(number: int) -> AttitudeRow:
+    """Return a result of a row."""
+    return row_without_attitude(number, number, number, Method.PAPER, ("late",))
+
+
+def told(*batch: object) -> list[tuple[str, Cursor]]:
+    """Return kind and cursor of each event of a batch."""
+    return [(event.kind, event.cursor) for event in _events(*batch)]  # type: ignore[arg-type]
+
+
+def test_rows_come_first_then_results_under_their_sequences():
+    outcomes = [Outcome((row(5),), None), Outcome((row(6),), None)]
+    assert told([entry(5), entry(6)], outcomes, 10, 12) == [
+        ("measurement", Cursor(5, 10)),
+        ("measurement", Cursor(6, 10)),
+        ("attitude", Cursor(6, 11)),
+        ("attitude", Cursor(6, 12)),
+    ]
+
+
+def test_results_stored_before_are_not_published_under_sequences_of_others():
+    alignment = JournalEntry(6, AlignmentSet(2))
+    # two rows run again were stored by an earlier alignment; of three results only one is new
+    outcomes = [Outcome((row(number),), None) for number in (5, 3, 4)]
+    assert told([entry(5), alignment], outcomes, 10, 11) == [
+        ("measurement", Cursor(5, 10)),
+        ("status", Cursor(6, 11)),
+    ]
+
+
+def test_alignment_is_news_of_its_own():
+    assert told([JournalEntry(6, AlignmentSet(2))], [], 10, 10) == [("status", Cursor(6, 10))]
+
+
+def test_other_slow_inputs_are_silent():
+    assert told([JournalEntry(6, SpacecraftChange(None, 2))], [], 10, 10) == []  # type: ignore[arg-type]
