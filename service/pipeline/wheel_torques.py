@@ -10,12 +10,20 @@ import numpy as np
 
 from service.core.control.attitude_law import proportional_derivative_torque
 from service.core.control.pulses import PulseTrain, shape_pulses
-from service.core.control.wheels import allocate_to_wheels
+from service.core.control.wheels import allocate_to_wheels, body_torque_limit_n_m
 from service.pipeline.config import TorqueConfig
 from service.records.attitude import AttitudeRow, Axes, FloatArray
 from service.records.catalogue import ControlMode, Spacecraft
 from service.records.command import Pulse, TorqueCommand
 from service.records.epoch import US_PER_S
+
+#: reasons beside those of the interlock for which a command stays zero, with what each one says
+CONTROL_INHIBITIONS: dict[str, str] = {
+    "mode_onboard": "torques are computed on board",
+    "mode_off": "attitude control is switched off",
+    "no_fast_loop": "the catalogue states no fast loop or no Forecast mode on board",
+    "no_rate": "too few fixes yet for an angular rate",
+}
 
 NO_CARRY = np.zeros(3)
 _ZERO = Axes(0.0, 0.0, 0.0)
@@ -65,12 +73,18 @@ def compute_command(
         np.where(is_allowed, wanted, 0.0),
         np.where(is_allowed, carry_n_m_s, 0.0),
         period_s=period_s,
-        limit_n_m=min(spacecraft.torque_limit_n_m, spacecraft.wheels.torque_limit_n_m),
+        limit_n_m=min(spacecraft.torque_limit_n_m, _wheels_limit_n_m(spacecraft)),
         quantum_n_m=spacecraft.wheels.torque_quantum_n_m,
         min_pulse_s=config.min_pulse_s,
         time_step_s=config.time_step_s,
     )
     return TorqueOutcome(_command(row, spacecraft, epoch_us, period_s, pulses), pulses.carry_n_m_s)
+
+
+def _wheels_limit_n_m(spacecraft: Spacecraft) -> float:
+    """Return the body torque up to which no wheel exceeds its own limit."""
+    axes = np.array(spacecraft.wheels.axes, dtype=np.float64)
+    return body_torque_limit_n_m(axes, spacecraft.wheels.torque_limit_n_m)
 
 
 def _principal_inertia(spacecraft: Spacecraft) -> FloatArray:

@@ -60,17 +60,19 @@ def shape_pulses(
     -------
     PulseTrain
         The impulse given plus the new carry equals the wanted impulse plus the old carry wherever nothing saturated;
-        where it did, the carry is zero: a saturated wish is not saved up (no wind-up).
+        where it did, the carry is zero: a saturated wish is not saved up (no wind-up). A limit below the quantum
+        allows no pulse at all.
     """
     wanted = torque_n_m * period_s + carry_n_m_s
-    steps_at_limit = max(1.0, np.floor(limit_n_m / quantum_n_m * (1.0 + 1e-12)))
+    steps_at_limit = np.floor(limit_n_m / quantum_n_m * (1.0 + 1e-12))
     longest_s = np.floor(period_s / time_step_s * (1.0 + 1e-12)) * time_step_s
-    steps = np.ceil(np.abs(wanted) / (quantum_n_m * longest_s))
+    # a period shorter than the grid of durations has room for no pulse; its wish is carried on
+    steps = np.ceil(np.abs(wanted) / (quantum_n_m * max(longest_s, time_step_s)))
     is_saturated = steps > steps_at_limit
-    steps = np.clip(steps, 1.0, steps_at_limit)
+    steps = np.clip(steps, 1.0, max(steps_at_limit, 1.0))
     ideal_s = np.minimum(np.abs(wanted) / (steps * quantum_n_m), longest_s)
     duration_s = np.floor(ideal_s / time_step_s * (1.0 + 1e-12)) * time_step_s
-    is_given = duration_s >= min_pulse_s
+    is_given = (duration_s >= min_pulse_s) & (steps <= steps_at_limit)
     duration_s = np.where(is_given, duration_s, 0.0)
     torque = np.where(is_given, np.sign(wanted) * steps * quantum_n_m, 0.0)
     impulse = torque * duration_s

@@ -30,6 +30,34 @@ def allocate_to_wheels(axes: FloatArray, torque_n_m: FloatArray) -> FloatArray:
     >>> allocate_to_wheels(np.eye(3), np.array([0.01, 0.0, -0.02])).tolist()
     [-0.01, 0.0, 0.02]
     """
-    unit_axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
-    wheels: FloatArray = -torque_n_m @ np.linalg.pinv(unit_axes)
+    wheels: FloatArray = -torque_n_m @ _allocation(axes)
     return wheels + 0.0
+
+
+def body_torque_limit_n_m(axes: FloatArray, wheel_limit_n_m: float) -> float:
+    """Return the torque that may be asked for about all three body axes at once without overloading a wheel.
+
+    Parameters
+    ----------
+    axes : ndarray, shape (W, 3)
+        Spin axes in body axes; they must span the space.
+    wheel_limit_n_m : float, N m
+        Greatest torque of one wheel.
+
+    Returns
+    -------
+    float, N m
+        The limit on each body axis: the hardest-worked wheel at the worst signs is just at its own.
+
+    Examples
+    --------
+    >>> body_torque_limit_n_m(np.eye(3), 0.05)
+    0.05
+    """
+    return float(wheel_limit_n_m / np.abs(_allocation(axes)).sum(axis=0).max())
+
+
+def _allocation(axes: FloatArray) -> FloatArray:
+    """Return the pseudo-inverse (3, W) of the normalised axes."""
+    unit_axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
+    return np.asarray(np.linalg.pinv(unit_axes), dtype=np.float64)

@@ -47,7 +47,7 @@ def split_noise(residual_db: FloatArray, row_period_s: float) -> NoiseSplit:
     centred = residual_db - np.nanmean(residual_db)
     variance = float(np.nanmean(centred**2))
     lags = np.arange(_FIRST_LAG, _LAST_LAG + 1)
-    covariance = np.array([float(np.nanmean(centred[lag:] * centred[:-lag])) for lag in lags])
+    covariance = np.array([_mean_present(centred[lag:] * centred[:-lag]) for lag in lags])
     usable = covariance > 0.02 * variance
     if np.count_nonzero(usable) < 3:
         return NoiseSplit(float(np.sqrt(variance)), 0.0, 0.0)
@@ -56,6 +56,12 @@ def split_noise(residual_db: FloatArray, row_period_s: float) -> NoiseSplit:
     # a slope that is not a decay means a correlation longer than the lags can show
     correlation_time_s = -1.0 / slope if slope < 0.0 else _LAST_LAG * row_period_s * 10.0
     return NoiseSplit(float(np.sqrt(variance - coloured)), float(np.sqrt(coloured)), float(correlation_time_s))
+
+
+def _mean_present(values: FloatArray) -> float:
+    """Return the mean of the values that are not NaN, NaN when there are none."""
+    present = values[np.isfinite(values)]
+    return float(present.mean()) if present.size else float("nan")
 
 
 def averaged_sigma_db(
