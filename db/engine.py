@@ -12,7 +12,7 @@ from typing import Any
 
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.engine import URL, make_url
-from sqlalchemy.exc import DBAPIError, SQLAlchemyError
+from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
 
 from service.errors import StorageError
 
@@ -39,10 +39,14 @@ def open_engines(url: str) -> Engines:
     Raises
     ------
     ValueError
-        The URL names an in-memory SQLite database, which no second connection can see, or another database than
-        SQLite and PostgreSQL.
+        The URL cannot be read, or names an in-memory SQLite database, which no second connection can see, or another
+        database than SQLite and PostgreSQL.
     """
-    target = make_url(url)
+    try:
+        target = make_url(url)
+    except ArgumentError as fault:
+        message = "the database's URL cannot be read; write sqlite:///file or postgresql+psycopg://user@host/name"
+        raise ValueError(message) from fault
     if target.get_backend_name() == "sqlite":
         return _sqlite_engines(target)
     if target.get_backend_name() == "postgresql":

@@ -37,9 +37,10 @@ def build_clock(settings: Settings, storage: Storage) -> Clock:
 
 
 def administrator_key(settings: Settings) -> tuple[str, bool]:
-    """Return the administrator's key and whether it was made just now."""
-    if settings.bootstrap_key is not None:
-        return settings.bootstrap_key.get_secret_value(), False
+    """Return the administrator's key and whether it was made just now; an empty setting is none."""
+    given = settings.bootstrap_key.get_secret_value() if settings.bootstrap_key is not None else ""
+    if given:
+        return given, False
     return secrets.token_urlsafe(32), True
 
 

@@ -1,0 +1,128 @@
+"""The service as a process of its own, started and ended by tests; spoken to over real sockets on 127.0.0.1."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+KEY = "a-key-for-tests-only"
+#: a start takes 2 s alone; the machine may be busy with other tests
+START_TIMEOUT_S = 60.0
+
+
+class ServiceProcess:
+    """One ``soo serve``; what it writes goes to files, so that no pipe fills."""
+
+    def __init__(self, folder: Path, database: Path, arguments: list[str], environment: dict[str, str]) -> None:
+        number = len(list(folder.glob("service-*.out")))
+        self.output, self.log = folder / f"service-{number}.out", folder / f"service-{number}.err"
+        command = [sys.executable, "-m", "service", "serve", "--database", f"sqlite:///{database}", *arguments]
+        with self.output.open("wb") as output, self.log.open("wb") as log:
+            self.process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=output, stderr=log, env=environment
+            )
+
+    def await_announcement(self) -> dict[str, Any]:
+        """Return the line that tells where it listens."""
+        deadline = time.monotonic() + START_TIMEOUT_S
+        while time.monotonic() < deadline:
+            text = self.output.read_text()
+            if text.endswith("\n"):
+                return dict(json.loads(text.splitlines()[0]))
+            if self.process.poll() is not None:
+                break
+            time.sleep(0.02)
+        raise AssertionError(f"no announcement, exit code {self.process.poll()}:\n{self.log.read_text()}")
+
+    @property
+    def url(self) -> str:
+        """Address, known once it listens."""
+        return str(self.await_announcement()["url"])
+
+    def client(self) -> httpx.Client:
+        """Return a client with the key of the tests."""
+        return httpx.Client(
+            base_url=self.url, headers={"Authorization": f"Bearer {KEY}"}, timeout=10.0, trust_env=False
+        )
+
+    def end(self, number: signal.Signals = signal.SIGTERM, timeout_s: float = 15.0) -> tuple[int, float]:
+        """Send a signal and return exit code and seconds until the end."""
+        began = time.monotonic()
+        self.process.send_signal(number)
+        return self.process.wait(timeout_s), time.monotonic() - began
+
+    def written(self) -> str:
+        """Return all that it wrote so far."""
+        return self.output.read_text() + self.log.read_text()
+
+
+#: starts a service on a database, with further arguments
+StartService = Callable[..., ServiceProcess]
+
+
+@pytest.fixture(scope="session")
+def compiled_environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Return an environment in which modules are compiled once a session: a start takes half the time."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    return {**environment, "PYTHONPYCACHEPREFIX": str(tmp_path_factory.mktemp("compiled"))}
+
+
+@pytest.fixture
+def start_service(tmp_path: Path, compiled_environment: dict[str, str]) -> Iterator[StartService]:
+    """Give a function that starts services; those still running at the end are killed."""
+    started: list[ServiceProcess] = []
+
+    def start(
+        *arguments: str, database: Path | None = None, environment: dict[str, str] | None = None
+    ) -> ServiceProcess:
+        given = arguments or ("--port", "0", "--clock", "data")
+        chosen = {"SOO_BOOTSTRAP_KEY": KEY} if environment is None else environment
+        whole = {**compiled_environment, **chosen}
+        service = ServiceProcess(tmp_path, database or tmp_path / "soo.db", list(given), whole)
+        started.append(service)
+        return service
+
+    yield start
+    for service in started:
+        if service.process.poll() is None:
+            service.process.kill()
+        service.process.wait()
+
+
+@pytest.fixture
+def spacecraft() -> dict[str, Any]:
+    """Return the body of a simulated spacecraft."""
+    return {
+        "id": "sim-1",
+        "name": "Simulated",
+        "longitude_deg": 90.0,
+        "simulated": True,
+        "receiving_site": {"name": "Moscow", "latitude_deg": 55.7, "longitude_deg": 37.6, "height_m": 200.0},
+        "inertia_kg_m2": [[2600, 0, 0], [0, 1400, 0], [0, 0, 2600]],
+        "torque_limit_n_m": 0.05,
+    }
+
+
+@pytest.fixture
+def carriers() -> list[dict[str, Any]]:
+    """Return sixteen carriers."""
+    return [
+        {
+            "id": f"c{k:02d}",
+            "station": {"name": f"station {k}", "latitude_deg": 45.0 + k, "longitude_deg": 40.0 + 5 * k},
+            "band": "Ku",
+            "transponder": f"Ku{k // 4}",
+            "uplink_hz": 14.0e9 + k * 2e6,
+            "downlink_hz": 11.0e9 + k * 2e6,
+            "bandwidth_hz": 1.25e6,
+        }
+        for k in range(16)
+    ]
