@@ -102,7 +102,7 @@ class FadeConfig:
     #: a longer pause between rows starts the count of wet time anew, s
     max_gap_s: float = 300.0
     #: mean of the deviations that the rule looks at, s
-    averaging_window_s: float = 300.0
+    averaging_window_s: float = 600.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -86,7 +86,8 @@ def _of_fix(fix: AttitudeFix, config: InterlockConfig) -> set[str]:
     conditions = {
         "redundancy": fix.carriers_used - 3 < config.min_redundancy,
         "beyond_validity": bool(np.abs(fix.attitude_deg[1:]).max() > config.validity_limit_deg),
-        "sigma_roll": bool(sigma_deg[1] > config.roll_sigma_limit_deg),
-        "sigma_pitch": bool(sigma_deg[2] > config.pitch_sigma_limit_deg),
+        # negated, so that a sigma that is not known forbids control
+        "sigma_roll": not bool(sigma_deg[1] <= config.roll_sigma_limit_deg),
+        "sigma_pitch": not bool(sigma_deg[2] <= config.pitch_sigma_limit_deg),
     }
     return {reason for reason, stands in conditions.items() if stands}

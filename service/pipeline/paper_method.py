@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.estimation import trailing_mean
-from service.core.estimation.downlink_fade import FadeWatch, fade_sign_test, step_fade_watch
+from service.core.estimation.downlink_fade import FadeTest, FadeWatch, fade_sign_test, step_fade_watch
+from service.core.estimation.rejection import reject_faded_carriers
 from service.core.estimation.trailing_mean import TrailingMean
 from service.pipeline.attitude_filter import NO_FIXES, FixHistory, rate_deg_s, remember_fix
 from service.pipeline.config import ChainConfig
@@ -116,12 +117,7 @@ def _remember_row(state: PaperState, model: PaperModel, deviation: Deviation, co
     is_fresh = gap_us > config.estimation.max_gap_s * US_PER_S
     window = _empty_window(len(deviation.deviation_db), config) if is_fresh else state.window
     window = trailing_mean.push(window, deviation.epoch_us, deviation.deviation_db)
-    test = fade_sign_test(
-        _fade_deviation_db(window, model, config),
-        depth_db=config.fade.depth_db,
-        share=config.fade.share,
-        spread_ratio=config.fade.spread_ratio,
-    )
+    test = _test_fade(_fade_deviation_db(window, model, config), model, config)
     watch = step_fade_watch(
         state.fade_watch,
         gap_us / US_PER_S,
@@ -132,6 +128,24 @@ def _remember_row(state: PaperState, model: PaperModel, deviation: Deviation, co
         max_gap_s=config.fade.max_gap_s,
     )
     return PaperState(window, watch, NO_FIXES if is_fresh else state.fixes, deviation.epoch_us)
+
+
+def _test_fade(deviation_db: FloatArray, model: PaperModel, config: ChainConfig) -> FadeTest:
+    """Apply the rule of one sign and near size, and ask whether a turn would not explain the row better."""
+    rule = {"depth_db": config.fade.depth_db, "share": config.fade.share, "spread_ratio": config.fade.spread_ratio}
+    test = fade_sign_test(deviation_db, **rule)
+    if not test.is_fade:
+        # the fix is costly and most rows need none
+        return test
+    turn = reject_faded_carriers(
+        model.sensitivity.plus_db_per_deg,
+        model.sensitivity.minus_db_per_deg,
+        deviation_db,
+        gate_db=config.estimation.uplink_gate_db,
+        gate_sigma=config.estimation.gate_sigma,
+        min_carriers=config.estimation.min_carriers,
+    )
+    return fade_sign_test(deviation_db, **rule, fix_residual_db=turn.fix.residual_db)
 
 
 def _averaged_fix(state: PaperState, model: PaperModel, epoch_us: int, config: ChainConfig) -> AttitudeFix:

@@ -63,7 +63,8 @@ def solve_attitude(
         gate_sigma=config.gate_sigma,
         min_carriers=config.min_carriers,
     )
-    is_used = np.isfinite(considered_db) & ~outcome.rejected
+    # a carrier without all its coefficients took no part, whatever its level
+    is_used = np.isfinite(outcome.residual_db) & ~outcome.rejected
     return AttitudeFix(
         epoch_us,
         outcome.fix.attitude_deg,
@@ -71,7 +72,7 @@ def solve_attitude(
         outcome.residual_db,
         sigma_db,
         int(np.count_nonzero(is_used)),
-        _exclusions(model, considered_db, outcome.rejected),
+        _exclusions(model, outcome.residual_db, outcome.rejected),
     )
 
 
@@ -82,16 +83,15 @@ def _variance_ratio(fix: OctantFix, sigma_db: FloatArray) -> float:
     better than the learned noise of the carriers allows, the learned noise holds.
     """
     scatter_db2 = fix.cost / max(fix.carriers_used - 3, 1)
-    learned_db2 = float(np.mean(sigma_db**2)) if len(sigma_db) else float("nan")
+    known_db = sigma_db[np.isfinite(sigma_db)]
+    learned_db2 = float(np.mean(known_db**2)) if len(known_db) else 0.0
     return max(1.0, learned_db2 / scatter_db2) if scatter_db2 > 0.0 else 1.0
 
 
-def _exclusions(model: SensitivityModel, deviation_db: FloatArray, rejected: BoolArray) -> tuple[Exclusion, ...]:
-    """Return the selected carriers that did not enter, each with its reason."""
+def _exclusions(model: SensitivityModel, residual_db: FloatArray, rejected: BoolArray) -> tuple[Exclusion, ...]:
+    """Return the selected carriers that did not enter, each with its reason; NaN residual = not present."""
     return tuple(
         Exclusion(carrier, "absent" if np.isnan(value) else "uplink_fade")
-        for carrier, chosen, value, out in zip(
-            model.carrier_ids, model.is_selected, deviation_db, rejected, strict=True
-        )
+        for carrier, chosen, value, out in zip(model.carrier_ids, model.is_selected, residual_db, rejected, strict=True)
         if chosen and (np.isnan(value) or out)
     )
