@@ -15,7 +15,6 @@ from service.records.attitude import AttitudeFix
 INHIBITIONS: dict[str, str] = {
     "no_calibration": "no calibration serves this method",
     "not_aligned": "no alignment was made with this calibration",
-    "no_ephemeris": "no ephemeris: the phase of the harmonic is not known",
     "late": "the row came late or out of order; its fix stands alone",
     "catch_up": "the row was stored before the alignment that gave it angles",
     "settling": "fewer rows than the mean needs since the alignment or the last gap",

@@ -10,9 +10,9 @@ import numpy as np
 
 from service.core.estimation.noise_model import averaged_sigma_db
 from service.core.estimation.octants import OctantFix
-from service.core.estimation.rejection import reject_faded_carriers
+from service.core.estimation.rejection import RejectionReason, reject_faded_carriers
 from service.pipeline.config import EstimationConfig
-from service.records.attitude import AttitudeFix, BoolArray, Exclusion, FloatArray
+from service.records.attitude import AttitudeFix, BoolArray, Exclusion, FloatArray, IntArray
 from service.records.calibration import Calibration
 
 
@@ -64,7 +64,7 @@ def solve_attitude(
         min_carriers=config.min_carriers,
     )
     # a carrier without all its coefficients took no part, whatever its level
-    is_used = np.isfinite(outcome.residual_db) & ~outcome.rejected
+    is_used = outcome.reason == RejectionReason.USED
     return AttitudeFix(
         epoch_us,
         outcome.fix.attitude_deg,
@@ -72,7 +72,7 @@ def solve_attitude(
         outcome.residual_db,
         sigma_db,
         int(np.count_nonzero(is_used)),
-        _exclusions(model, outcome.residual_db, outcome.rejected),
+        _exclusions(model, outcome.reason),
     )
 
 
@@ -88,10 +88,10 @@ def _variance_ratio(fix: OctantFix, sigma_db: FloatArray) -> float:
     return max(1.0, learned_db2 / scatter_db2) if scatter_db2 > 0.0 else 1.0
 
 
-def _exclusions(model: SensitivityModel, residual_db: FloatArray, rejected: BoolArray) -> tuple[Exclusion, ...]:
-    """Return the selected carriers that did not enter, each with its reason; NaN residual = not present."""
+def _exclusions(model: SensitivityModel, reason: IntArray) -> tuple[Exclusion, ...]:
+    """Return the selected carriers that did not enter, each with its reason."""
     return tuple(
-        Exclusion(carrier, "absent" if np.isnan(value) else "uplink_fade")
-        for carrier, chosen, value, out in zip(model.carrier_ids, model.is_selected, residual_db, rejected, strict=True)
-        if chosen and (np.isnan(value) or out)
+        Exclusion(carrier, "absent" if why == RejectionReason.ABSENT else "uplink_fade")
+        for carrier, chosen, why in zip(model.carrier_ids, model.is_selected, reason, strict=True)
+        if chosen and why != RejectionReason.USED
     )

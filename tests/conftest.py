@@ -1,0 +1,34 @@
+"""Fixtures that several trees of tests share; the makers themselves lie in tests/fakes."""
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+
+def _load(name: str) -> ModuleType:
+    """Return a module of tests/fakes, which lies on no import path."""
+    full_name = f"soo_fakes_{name}"
+    if full_name not in sys.modules:
+        path = Path(__file__).parent / "fakes" / f"{name}.py"
+        spec = importlib.util.spec_from_file_location(full_name, path)
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[full_name] = module
+        spec.loader.exec_module(module)
+    return sys.modules[full_name]
+
+
+@pytest.fixture(scope="session")
+def synthetic() -> ModuleType:
+    """Makers of a small payload whose every figure is chosen."""
+    return _load("synthetic_payload")
+
+
+@pytest.fixture
+def payload(synthetic):
+    """Twelve carriers with known slopes and harmonics."""
+    return synthetic.SyntheticPayload.make()

@@ -1,0 +1,85 @@
+"""Knowledge: each slow input changes what it speaks of, the rest stays."""
+
+from dataclasses import replace
+
+import pytest
+
+from service.pipeline.knowledge import Knowledge, learn
+from service.records.attitude import Axes
+from service.records.calibration import CalibrationMethod
+from service.records.catalogue import Method
+from service.records.inputs import CalibrationActivation, Correction, Operation, SourceSelection
+
+
+@pytest.fixture
+def documents(payload, synthetic):
+    """Documents of a spacecraft; calibration 2 is one by station geometry."""
+    held = synthetic.FixedDocuments(payload, synthetic.START_US)
+    request = replace(payload.request, method=CalibrationMethod.GEOMETRY)
+    held.calibrations[2] = replace(payload.calibration(2), request=request)
+    return held
+
+
+@pytest.fixture
+def knowledge(payload, synthetic, documents):
+    """What the opening of a journal tells."""
+    known = Knowledge()
+    for content in synthetic.opening(payload.spacecraft()):
+        known = learn(known, content, documents)
+    return known
+
+
+def test_the_opening_tells_everything(knowledge, payload):
+    assert knowledge.spacecraft == payload.spacecraft()
+    assert knowledge.plan.carrier_ids == payload.ids
+    assert knowledge.ephemeris == payload.ephemeris()
+    assert knowledge.alignment.id == 1
+    assert knowledge.calibration_for(Method.PAPER).id == 1
+    assert knowledge.calibration_for(Method.ROBUST) is None
+
+
+def test_knowledge_before_is_not_changed_by_what_comes_after(knowledge, documents):
+    later = learn(knowledge, CalibrationActivation(2, 2), documents)
+    assert knowledge.calibration_for(Method.ROBUST) is None
+    assert later.calibration_for(Method.ROBUST).id == 2
+
+
+def test_geometry_serves_paper_only_while_no_paper_one_is_active(documents, knowledge):
+    alone = learn(Knowledge(), CalibrationActivation(2, 1), documents)
+    assert alone.calibration_for(Method.PAPER).id == 2
+    both = learn(knowledge, CalibrationActivation(2, 2), documents)
+    assert both.calibration_for(Method.PAPER).id == 1
+
+
+def test_nothing_is_known_before_the_first_input():
+    assert Knowledge().calibration_for(Method.PAPER) is None
+
+
+@pytest.mark.parametrize("content", [Correction(1, 2, Axes(0.1, 0.1, 0.1)), SourceSelection("sa-2", 1)])
+def test_inputs_that_no_method_uses_yet_change_nothing(knowledge, documents, content):
+    assert learn(knowledge, content, documents) is knowledge
+
+
+@pytest.mark.parametrize(
+    ("changes", "at_us", "stands"),
+    [
+        ({}, 100, True),
+        ({}, 99, False),
+        ({}, 200, False),
+        ({}, 199, True),
+        ({"stop_us": None}, 10**18, True),
+        ({"inhibit_control": False}, 150, False),
+    ],
+)
+def test_an_operation_forbids_control_from_start_to_stop(documents, changes, at_us, stands):
+    operation = replace(Operation(4, "eclipse", 100, 200, inhibit_control=True), **changes)
+    known = learn(Knowledge(), operation, documents)
+    assert bool(known.inhibiting_operations(at_us)) == stands
+
+
+def test_the_newest_revision_of_an_operation_holds(documents):
+    first = Operation(4, "eclipse", 100, 200, inhibit_control=True)
+    known = learn(Knowledge(), first, documents)
+    known = learn(known, replace(first, stop_us=120, revision=2), documents)
+    known = learn(known, Operation(5, "other", 140, 160, inhibit_control=True), documents)
+    assert [known.inhibiting_operations(t) != () for t in (110, 130, 150)] == [True, False, True]
