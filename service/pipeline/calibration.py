@@ -119,7 +119,7 @@ def _fit_quiet(data: CalibrationInput, config: CalibrationConfig) -> _Quiet:
     """Fit the harmonic of every carrier over the quiet window and look at what it leaves."""
     epochs_us = data.quiet.epochs_us
     if len(epochs_us) < 3:
-        message = "the quiet window holds no measurements; choose a window of the archive that does"
+        message = f"the quiet window holds {len(epochs_us)} measurements; choose a window of the archive that has more"
         raise CalibrationError(message)
     phase = phase_rad(data.ephemeris, epochs_us)
     fits = fit_harmonics(

@@ -9,12 +9,14 @@ The chain reads no clock and no random number: what it returns follows from the 
 """
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from service.pipeline.config import ChainConfig
 from service.pipeline.knowledge import Knowledge, Lookup, learn
 from service.pipeline.paper_method import PaperModel, PaperState, PaperStep, initial_state, paper_model, step_paper
+from service.pipeline.solve import SensitivityModel
 from service.pipeline.wheel_torques import NO_CARRY, compute_command
 from service.ports import Outcome
 from service.records.attitude import AttitudeRow, CarrierState, FloatArray, IntArray, row_without_attitude
@@ -25,6 +27,13 @@ from service.records.epoch import US_PER_S
 from service.records.inputs import AlignmentSet, CalibrationActivation, EphemerisChange
 from service.records.journal import SlowInput
 from service.records.measurement import Measurement
+
+
+class _Step(NamedTuple):
+    """One row's outcome and the model that it was computed with, which a later activation may have replaced."""
+
+    outcome: PaperStep
+    sensitivity: SensitivityModel
 
 
 class Chain:
@@ -51,7 +60,7 @@ class Chain:
         self._newest_us: int | None = None
         self._recent_us: IntArray = np.zeros(0, dtype=np.int64)
         self._columns: dict[tuple[int, int], IntArray] = {}
-        self._last: tuple[Measurement, PaperStep | None] | None = None
+        self._last: tuple[Measurement, _Step | None] | None = None
 
     @property
     def knowledge(self) -> Knowledge:
@@ -85,7 +94,8 @@ class Chain:
         if self._model is None or self._state is None or self._knowledge.ephemeris is None:
             self._last = (measurement, None)
             return None
-        is_late = not is_catch_up and (measurement.is_late or measurement.epoch_us <= (self._newest_us or 0))
+        # of two rows of one epoch, from two sources, the second is late also where rows are caught up with
+        is_late = measurement.epoch_us <= (self._newest_us or 0) or (measurement.is_late and not is_catch_up)
         outcome = step_paper(
             self._state,
             self._model,
@@ -100,7 +110,7 @@ class Chain:
         self._state = outcome.state
         if is_late:
             return Outcome((outcome.row,), None)
-        self._last = (measurement, outcome)
+        self._last = (measurement, _Step(outcome, self._model.sensitivity))
         self._remember_epoch(measurement.epoch_us)
         return self._with_command(outcome.row)
 
@@ -108,9 +118,9 @@ class Chain:
         """Return the newest consumed row and what is known of each of its carriers; None before the first."""
         if self._last is None:
             return None
-        measurement, outcome = self._last
+        measurement, step = self._last
         plan = self._lookup.plan(measurement.plan_id)
-        known = self._known_states(outcome) if outcome is not None else {}
+        known = _known_states(*step) if step is not None else {}
         return measurement, tuple(
             _carrier_state(measurement, k, name, known) for k, name in enumerate(plan.carrier_ids)
         )
@@ -170,26 +180,24 @@ class Chain:
         is_applied = torque.command.control_allowed and spacecraft.control.release is Release.AUTOMATIC
         return Outcome((row,), torque.command, AppliedCommand(torque.command) if is_applied else None)
 
-    def _known_states(self, outcome: PaperStep) -> dict[str, CarrierState]:
-        """Return what the paper method says of each carrier of its calibration."""
-        if self._model is None:
-            return {}
-        excluded = {item.carrier for item in outcome.fix.excluded}
-        sensitivity = self._model.sensitivity
-        return {
-            name: CarrierState(
-                carrier=name,
-                power_dbm=float("nan"),
-                expected_dbm=float(outcome.deviation.expected_dbm[k]),
-                deviation_db=float(outcome.deviation.deviation_db[k]),
-                residual_db=float(outcome.fix.residual_db[k]),
-                sigma_db=float(outcome.fix.sigma_db[k]),
-                c_n0_db_hz=float("nan"),
-                flags=0,
-                state="unselected" if not sensitivity.is_selected[k] else ("excluded" if name in excluded else "used"),
-            )
-            for k, name in enumerate(sensitivity.carrier_ids)
-        }
+
+def _known_states(outcome: PaperStep, sensitivity: SensitivityModel) -> dict[str, CarrierState]:
+    """Return what the paper method says of each carrier of the calibration that a row was computed with."""
+    excluded = {item.carrier for item in outcome.fix.excluded}
+    return {
+        name: CarrierState(
+            carrier=name,
+            power_dbm=float("nan"),
+            expected_dbm=float(outcome.deviation.expected_dbm[k]),
+            deviation_db=float(outcome.deviation.deviation_db[k]),
+            residual_db=float(outcome.fix.residual_db[k]),
+            sigma_db=float(outcome.fix.sigma_db[k]),
+            c_n0_db_hz=float("nan"),
+            flags=0,
+            state="unselected" if not sensitivity.is_selected[k] else ("excluded" if name in excluded else "used"),
+        )
+        for k, name in enumerate(sensitivity.carrier_ids)
+    }
 
 
 def _row_of_other_method(row: AttitudeRow, method: Method) -> AttitudeRow:

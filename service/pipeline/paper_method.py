@@ -6,6 +6,7 @@ fix of its own and leaves the state alone.
 """
 
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -132,8 +133,14 @@ def _remember_row(state: PaperState, model: PaperModel, deviation: Deviation, co
 
 def _test_fade(deviation_db: FloatArray, model: PaperModel, config: ChainConfig) -> FadeTest:
     """Apply the rule of one sign and near size, and ask whether a turn would not explain the row better."""
-    rule = {"depth_db": config.fade.depth_db, "share": config.fade.share, "spread_ratio": config.fade.spread_ratio}
-    test = fade_sign_test(deviation_db, **rule)
+    rule = partial(
+        fade_sign_test,
+        deviation_db,
+        depth_db=config.fade.depth_db,
+        share=config.fade.share,
+        spread_ratio=config.fade.spread_ratio,
+    )
+    test = rule()
     if not test.is_fade:
         # the fix is costly and most rows need none
         return test
@@ -145,7 +152,7 @@ def _test_fade(deviation_db: FloatArray, model: PaperModel, config: ChainConfig)
         gate_sigma=config.estimation.gate_sigma,
         min_carriers=config.estimation.min_carriers,
     )
-    return fade_sign_test(deviation_db, **rule, fix_residual_db=turn.fix.residual_db)
+    return rule(fix_residual_db=turn.fix.residual_db)
 
 
 def _averaged_fix(state: PaperState, model: PaperModel, epoch_us: int, config: ChainConfig) -> AttitudeFix:
