@@ -32,3 +32,9 @@ def synthetic() -> ModuleType:
 def payload(synthetic):
     """Twelve carriers with known slopes and harmonics."""
     return synthetic.SyntheticPayload.make()
+
+
+@pytest.fixture(scope="session")
+def exported_world() -> ModuleType:
+    """The chain over worlds of the simulator."""
+    return _load("exported_world")
