@@ -100,7 +100,7 @@ async def test_roles_decide_who_may_write(soo, spacecraft):
         ("GET", "/", 404, "path.unknown"),
         ("GET", "/api/v1/nothing", 404, "path.unknown"),
         ("GET", "/api/v1/spacecraft/", 404, "path.unknown"),
-        ("GET", "/docs", 404, "path.unknown"),
+        ("GET", "/redoc", 404, "path.unknown"),
         ("DELETE", SC, 405, "method.not_allowed"),
         ("PUT", f"{SC}/yamal-202/measurements:batch", 405, "method.not_allowed"),
     ],
@@ -227,3 +227,10 @@ def test_every_reference_of_the_openapi_document_leads_somewhere():
             assert "default" in operation["responses"], (method, path)
             if path.startswith("/api/"):
                 assert operation["security"] == [{"HTTPBearer": []}], (method, path)
+
+
+async def test_the_reference_page_needs_no_key(soo):
+    answer = await soo.client.get("/docs")
+    assert answer.status_code == 200
+    assert answer.headers["content-type"].startswith("text/html")
+    assert "/api/v1/spacecraft/{spacecraft_id}/attitude" in answer.text
