@@ -129,9 +129,9 @@ def _consistency(
     hours = max(0.0, (stated.epoch_us - calibration.request.quiet.stop_us) / _HOUR_US)
     carriers = calibration.result.carriers if calibration.result else ()
     residual_db = np.array([carrier.harmonic.rms_db for carrier in carriers])
-    sigma_db = np.sqrt(
-        residual_db**2 + config.level_walk_db_sqrt_h**2 * hours + (slopes**2) @ (np.array(stated.sigma_deg) ** 2)
-    )
+    stated_deg = np.array(stated.sigma_deg)
+    angle_deg = np.where(np.isfinite(stated_deg), stated_deg, _UNSTATED_SIGMA_DEG)
+    sigma_db = np.sqrt(residual_db**2 + config.level_walk_db_sqrt_h**2 * hours + (slopes**2) @ (angle_deg**2))
     is_tested = model.is_selected & np.isfinite(left_db)
     if not is_tested.any():
         return compare_with_angles(np.full(len(left_db), np.nan), slopes, sigma_db), ()

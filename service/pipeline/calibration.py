@@ -220,10 +220,16 @@ def _quality(
         "quiet_rows": float(len(quiet.residual_db)),
         "turn_rows": float(len(angles_deg)),
         "turn_reach_deg": float(np.abs(angles_deg).max()),
-        "median_residual_rms_db": float(np.nanmedian(quiet.fits.rms_db)),
-        "median_turn_residual_db": float(np.nanmedian(sensitivity.residual_db)),
+        "median_residual_rms_db": _median_present(quiet.fits.rms_db),
+        "median_turn_residual_db": _median_present(sensitivity.residual_db),
         "carriers_selected": float(np.count_nonzero(is_selected)),
     }
+
+
+def _median_present(values: FloatArray) -> float:
+    """Return the median of the figures that are there, NaN when there are none."""
+    present = values[np.isfinite(values)]
+    return float(np.median(present)) if len(present) else float("nan")
 
 
 def _warnings(

@@ -102,7 +102,7 @@ class Chain:
             self._knowledge,
             self._knowledge.ephemeris,
             measurement,
-            self._in_calibration_order(measurement, plan),
+            self._in_calibration_order(measurement, plan, self._model),
             is_late=is_late,
             is_catch_up=is_catch_up,
             config=self._config,
@@ -145,14 +145,12 @@ class Chain:
         if former is None or former.expected.carrier_ids != carrier_ids:
             self._state = initial_state(len(carrier_ids), self._config)
 
-    def _in_calibration_order(self, measurement: Measurement, plan: CarrierPlan) -> FloatArray:
+    def _in_calibration_order(self, measurement: Measurement, plan: CarrierPlan, model: PaperModel) -> FloatArray:
         """Return the powers in the order of the calibration's carriers; NaN where the plan has no such carrier."""
-        if self._model is None:
-            return measurement.power_dbm
-        key = (plan.id, self._model.calibration_id)
+        key = (plan.id, model.calibration_id)
         if key not in self._columns:
             place = {carrier: k for k, carrier in enumerate(plan.carrier_ids)}
-            self._columns[key] = np.array([place.get(c, -1) for c in self._model.expected.carrier_ids], dtype=np.int64)
+            self._columns[key] = np.array([place.get(c, -1) for c in model.expected.carrier_ids], dtype=np.int64)
         columns = self._columns[key]
         return np.where(columns >= 0, np.append(measurement.power_dbm, np.nan)[columns], np.nan)
 

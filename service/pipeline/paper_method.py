@@ -174,10 +174,8 @@ def _remember_fix(state: PaperState, fix: AttitudeFix, config: ChainConfig) -> P
 
 
 def _rows_in_window(state: PaperState, config: ChainConfig) -> int:
-    """Return how many rows the trailing mean rests on."""
+    """Return how many rows the trailing mean of a window with rows rests on."""
     epochs_us = state.window.epoch_us
-    if len(epochs_us) == 0:
-        return 0
     oldest_us = epochs_us[-1] - int(config.estimation.averaging_window_s * US_PER_S)
     return int(np.count_nonzero(epochs_us > oldest_us))
 

@@ -1,0 +1,313 @@
+"""The chain: journal entries in, outcomes out; what moves its state, and what must not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.pipeline.chain import Chain
+from service.pipeline.config import ChainConfig
+from service.records.attitude import Axes
+from service.records.catalogue import CarrierPlan, Method, Release
+from service.records.inputs import (
+    AlignmentSet,
+    AttitudeReference,
+    CalibrationActivation,
+    EphemerisChange,
+    PlanChange,
+    SpacecraftChange,
+)
+
+TRUTH = (0.1, -0.15, 0.2)
+CONFIG = ChainConfig()
+
+
+class Flight:
+    """A chain over an exact payload, aligned one hour after the start."""
+
+    def __init__(self, payload, synthetic, *, spacecraft=None, calibration=None, opening=True):
+        self.payload, self.synthetic = payload, synthetic
+        self.aligned_us = synthetic.START_US + synthetic.HOUR
+        self.documents = synthetic.FixedDocuments(payload, self.aligned_us)
+        self.chain = Chain(self.documents, CONFIG, calibration)
+        if opening:
+            for content in synthetic.opening(spacecraft or payload.spacecraft()):
+                self.chain.learn(content)
+
+    def at(self, minute):
+        return self.aligned_us + minute * self.synthetic.MINUTE
+
+    def row(self, minute, angles=TRUTH, **changes):
+        return self.payload.measurement(self.at(minute), angles, **changes)
+
+    def step(self, minute, angles=TRUTH, *, is_catch_up=False, **changes):
+        return self.chain.step(self.row(minute, angles, **changes), is_catch_up=is_catch_up)
+
+    def run(self, minutes, angles=TRUTH, **changes):
+        return [self.step(minute, angles, **changes) for minute in minutes]
+
+
+@pytest.fixture
+def flight(payload, synthetic):
+    """An aligned chain before its first row."""
+    return Flight(payload, synthetic)
+
+
+def test_before_an_alignment_rows_lead_to_nothing(payload, synthetic):
+    flight = Flight(payload, synthetic, opening=False)
+    assert flight.chain.carrier_states() is None
+    assert flight.step(1) is None
+    for content in synthetic.opening(payload.spacecraft())[:-1]:
+        flight.chain.learn(content)
+    assert flight.step(2) is None
+    assert not flight.chain.is_running
+    measurement, states = flight.chain.carrier_states()
+    assert measurement.epoch_us == flight.at(2)
+    assert {state.state for state in states} == {"uncalibrated"}
+    flight.chain.learn(AlignmentSet(1))
+    assert flight.chain.is_running
+    assert flight.chain.knowledge.alignment.id == 1
+    assert flight.step(3) is not None
+
+
+def test_a_row_of_a_backup_source_does_not_exist_for_the_chain(flight):
+    assert flight.step(1, feeds_estimator=False) is None
+    assert flight.chain.carrier_states() is None
+
+
+def test_every_row_has_one_attitude_and_one_command(flight):
+    outcomes = flight.run(range(1, 40))
+    assert all(len(outcome.rows) == 1 for outcome in outcomes)
+    assert outcomes[0].command.inhibitions == ("settling", "no_fix")
+    assert outcomes[12].command.inhibitions == ("no_rate",)
+    last = outcomes[-1]
+    np.testing.assert_allclose(last.rows[0].attitude_deg, TRUTH, atol=1e-9)  # exact payload, rounding
+    assert last.command.control_allowed
+    assert (last.command.number, last.command.attitude_epoch_us) == (last.rows[0].number, last.rows[0].epoch_us)
+    # positive roll is answered by negative torque: summed, for single periods may be without a pulse
+    total = sum(np.array(outcome.command.impulse_n_m_s) for outcome in outcomes)
+    assert (np.sign(total) == -np.sign(TRUTH)).all()
+
+
+def test_released_by_itself_a_command_counts_as_applied_in_two_steps_it_does_not(payload, synthetic):
+    automatic = Flight(payload, synthetic).run(range(1, 40))
+    assert [outcome.applied is not None for outcome in automatic] == [
+        outcome.command.control_allowed for outcome in automatic
+    ]
+    assert automatic[-1].applied.command is automatic[-1].command
+    craft = payload.spacecraft(release=Release.TWO_STEP)
+    stepped = Flight(payload, synthetic, spacecraft=craft).run(range(1, 40))
+    assert stepped[-1].command.control_allowed
+    assert all(outcome.applied is None for outcome in stepped)
+
+
+def test_a_spacecraft_that_is_not_known_gets_angles_but_no_command(payload, synthetic):
+    flight = Flight(payload, synthetic, opening=False)
+    for content in synthetic.opening(payload.spacecraft())[1:]:
+        flight.chain.learn(content)
+    outcome = flight.run(range(1, 20))[-1]
+    assert outcome.command is None
+    assert outcome.rows[0].control_allowed
+
+
+def test_a_method_without_calibration_drives_a_zero_torque_that_says_so(payload, synthetic):
+    craft = payload.spacecraft(method=Method.ROBUST)
+    outcomes = Flight(payload, synthetic, spacecraft=craft).run(range(1, 40))
+    assert outcomes[-1].rows[0].control_allowed
+    assert outcomes[-1].command.inhibitions == ("no_calibration",)
+    assert not any(outcome.command.schedule for outcome in outcomes)
+    assert outcomes[-1].applied is None
+
+
+def test_the_command_period_is_the_median_row_period(flight):
+    periods = [outcome.command.command_period_s for outcome in flight.run(range(0, 60, 2)[1:])]
+    assert periods[0] == 60.0  # the default until there are two rows
+    assert set(periods[1:]) == {120.0}
+
+
+# ---- late, doubled, missing -----------------------------------------------------------------------------------------
+
+
+def same(one, other):
+    """Whether two outcomes are equal bit for bit, NaN included."""
+    return repr(one) == repr(other)
+
+
+@pytest.mark.parametrize(
+    "odd_row",
+    [
+        pytest.param((25, {"is_late": True}), id="late when stored"),
+        pytest.param((12, {}), id="older than the newest"),
+        pytest.param((30, {"number": 5000}), id="the newest epoch again, from another source"),
+        pytest.param((-10, {}), id="before the alignment"),
+    ],
+)
+def test_a_late_row_leaves_everything_after_it_bit_for_bit(payload, synthetic, odd_row):
+    plain, disturbed = Flight(payload, synthetic), Flight(payload, synthetic)
+    for flight in (plain, disturbed):
+        flight.run(range(1, 31))
+    minute, changes = odd_row
+    late = disturbed.step(minute, (0.0, 0.3, 0.3), **changes)
+    assert late.rows[0].inhibitions == ("late",)
+    assert (late.command, late.applied) == (None, None)
+    assert disturbed.chain.carrier_states()[0].epoch_us == disturbed.at(30)
+    for minute in range(31, 60):
+        assert same(disturbed.step(minute), plain.step(minute))
+
+
+def test_rows_caught_up_with_feed_the_state_but_no_torque(flight):
+    outcomes = flight.run(range(1, 40), is_catch_up=True, is_late=True)
+    assert {reason for outcome in outcomes[15:] for reason in outcome.command.inhibitions} == {"catch_up"}
+    np.testing.assert_allclose(outcomes[-1].rows[0].attitude_deg, TRUTH, atol=1e-9)
+    live = flight.step(40)
+    assert live.command.control_allowed
+
+
+def test_of_two_rows_of_one_epoch_caught_up_with_the_second_is_late(flight):
+    flight.run(range(1, 30), is_catch_up=True)
+    twin = flight.step(29, (0.0, 0.3, 0.3), is_catch_up=True, number=9999)
+    assert twin.rows[0].inhibitions == ("late", "catch_up")
+    assert twin.command is None
+    np.testing.assert_allclose(flight.step(30).rows[0].attitude_deg, TRUTH, atol=1e-9)
+
+
+def test_after_a_long_gap_the_means_start_anew(flight):
+    flight.run(range(1, 40))
+    outcome = flight.step(39 + 31)
+    assert outcome.command.inhibitions == ("settling", "no_fix")
+    assert not outcome.command.schedule
+
+
+def test_an_alignment_starts_anew(flight):
+    flight.run(range(1, 40))
+    flight.documents.alignments[2] = flight.payload.alignment(flight.at(40), alignment_id=2)
+    flight.chain.learn(AlignmentSet(2))
+    assert flight.step(41).rows[0].inhibitions == ("settling", "no_fix")
+    assert flight.step(39).rows[0].inhibitions == ("late",)
+
+
+# ---- changes of plan, calibration, ephemeris ------------------------------------------------------------------------
+
+
+def test_a_new_plan_keeps_the_references_of_the_carriers_that_stay(flight, payload):
+    flight.run(range(1, 40))
+    carriers = payload.carriers()
+    newcomer = replace(carriers[0], id="new")
+    flight.documents.plans[2] = CarrierPlan(2, "sha-2", (newcomer, *carriers[:4:-1], *carriers[1:4]))
+    flight.chain.learn(PlanChange(2))
+    places = [None, *range(11, 4, -1), 1, 2, 3]
+    for minute in range(40, 70):
+        row = flight.row(minute)
+        power = np.array([-30.0 if k is None else row.power_dbm[k] for k in places])
+        outcome = flight.chain.step(replace(row, plan_id=2, power_dbm=power))
+    found = outcome.rows[0]
+    np.testing.assert_allclose(found.attitude_deg, TRUTH, atol=1e-9)
+    assert found.carriers_used == 10
+    assert {(item.carrier, item.reason) for item in found.excluded} == {("c00", "absent"), ("c04", "absent")}
+    states = {state.carrier: state.state for state in flight.chain.carrier_states()[1]}
+    assert states["new"] == "uncalibrated"
+    assert states["c05"] == "used"
+
+
+def test_an_activation_re_derives_references_and_keeps_the_state(flight, payload):
+    flight.run(range(1, 40))
+    amplitude = payload.amplitude_db.copy()
+    wrong = replace(payload, amplitude_db=0.9 * amplitude)
+    flight.documents.calibrations[2] = wrong.calibration(2)
+    flight.chain.learn(CalibrationActivation(2, 2))
+    found = flight.step(40).rows[0]
+    assert (found.calibration_id, found.inhibitions) == (2, ())
+    # one of fifteen rows with a harmonic that differs by 10 % since an alignment 40 minutes ago
+    np.testing.assert_allclose(found.attitude_deg, TRUTH, atol=0.02)
+
+
+def test_states_of_carriers_survive_an_activation_with_other_carriers(flight, payload, synthetic):
+    flight.run(range(1, 20))
+    wider = synthetic.SyntheticPayload.make(14)
+    flight.documents.calibrations[2] = wider.calibration(2)
+    flight.chain.learn(CalibrationActivation(2, 2))
+    _, states = flight.chain.carrier_states()
+    assert {state.state for state in states} == {"used"}
+    assert flight.step(20).rows[0].inhibitions[0] == "settling"
+
+
+def test_an_ephemeris_with_other_nodes_moves_the_harmonic(flight, payload, synthetic):
+    flight.run(range(1, 40))
+    nodes_us = tuple(node + 6 * synthetic.HOUR for node in payload.ephemeris().ascending_nodes_us)
+    flight.documents.ephemerides[2] = replace(payload.ephemeris(), id=2, ascending_nodes_us=nodes_us)
+    flight.chain.learn(EphemerisChange(2))
+    flight.run(range(40, 60))
+    moved = flight.chain.carrier_states()[1]
+    assert max(abs(state.deviation_db) for state in moved) > 0.1
+
+
+def test_an_ephemeris_after_an_alignment_without_calibration_changes_nothing(payload, synthetic):
+    flight = Flight(payload, synthetic, opening=False)
+    flight.chain.learn(SpacecraftChange(payload.spacecraft(), 1))
+    flight.chain.learn(AlignmentSet(1))
+    flight.chain.learn(EphemerisChange(1))
+    assert not flight.chain.is_running
+    flight.chain.learn(CalibrationActivation(1, 1))
+    assert flight.chain.is_running
+    assert flight.step(1).rows[0].inhibitions == ("settling", "no_fix")
+
+
+def test_a_replay_may_bring_its_own_calibration(payload, synthetic):
+    other = replace(payload, plus=2.0 * payload.plus, minus=2.0 * payload.minus).calibration(9)
+    flight = Flight(payload, synthetic, calibration=other)
+    found = flight.run(range(1, 30))[-1].rows[0]
+    assert found.calibration_id == 9
+    # twice the sensitivity halves every angle
+    np.testing.assert_allclose(found.attitude_deg, np.array(TRUTH) / 2.0, atol=1e-9)
+
+
+# ---- what must not reach the estimator ------------------------------------------------------------------------------
+
+
+def test_a_star_tracker_gone_mad_after_the_alignment_changes_nothing(payload, synthetic):
+    plain, poisoned = Flight(payload, synthetic), Flight(payload, synthetic)
+    mad = Axes(1e9, -1e9, 1e9)
+    for minute in range(1, 50):
+        poisoned.chain.learn(AttitudeReference("star_tracker", poisoned.at(minute), mad, Axes(1e-9, 1e-9, 1e-9)))
+        assert same(poisoned.step(minute), plain.step(minute))
+
+
+def test_the_order_of_the_carriers_does_not_matter(payload, synthetic):
+    order = np.random.default_rng(4).permutation(12)
+    rng = np.random.default_rng(5)
+    straight, shuffled = Flight(payload, synthetic), Flight(payload.permuted(order), synthetic)
+    for minute in range(1, 40):
+        noise = 0.1 * rng.normal(size=12)
+        row = straight.row(minute)
+        one = straight.chain.step(replace(row, power_dbm=row.power_dbm + noise)).rows[0]
+        other = shuffled.chain.step(replace(row, power_dbm=(row.power_dbm + noise)[order])).rows[0]
+        # sums in another order: the stated bound of 1e-9
+        np.testing.assert_allclose(other.attitude_deg, one.attitude_deg, atol=1e-9)
+        np.testing.assert_allclose(other.sigma_deg, one.sigma_deg, atol=1e-9)
+        assert other.inhibitions == one.inhibitions
+
+
+def test_states_of_carriers_tell_what_became_of_each(flight, payload):
+    flight.documents.calibrations[1] = payload.calibration()
+    carriers = flight.documents.calibrations[1].result.carriers
+    result = replace(
+        flight.documents.calibrations[1].result, carriers=(replace(carriers[0], selected=False), *carriers[1:])
+    )
+    flight.documents.calibrations[1] = replace(flight.documents.calibrations[1], result=result)
+    flight.chain.learn(CalibrationActivation(1, 2))
+    for minute in range(1, 30):
+        row = flight.row(minute)
+        power = row.power_dbm.copy()
+        power[1], power[2] = np.nan, power[2] - 5.0
+        flight.chain.step(replace(row, power_dbm=power, flags=np.arange(12)))
+    measurement, states = flight.chain.carrier_states()
+    words = {state.carrier: state.state for state in states}
+    assert words == {
+        **dict.fromkeys(payload.ids, "used"),
+        "c00": "unselected",
+        "c01": "absent",
+        "c02": "excluded",
+    }
+    assert [state.flags for state in states] == list(range(12))
+    np.testing.assert_array_equal([state.power_dbm for state in states], measurement.power_dbm)
+    assert states[3].deviation_db == pytest.approx(measurement.power_dbm[3] - states[3].expected_dbm, abs=1e-12)
