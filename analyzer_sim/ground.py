@@ -13,10 +13,12 @@ import numpy as np
 from analyzer_sim.carriers import DOWNLINK_BASE_HZ, ROLLOFF, UPLINK_BASE_HZ, Carrier
 from analyzer_sim.epochs import US_PER_DAY, US_PER_S, rfc3339
 from analyzer_sim.orbit import predicted_track
+from analyzer_sim.payload import sensitivity_db_per_deg
 from analyzer_sim.scenario import Phase
 from analyzer_sim.spacecraft import Correction
 from analyzer_sim.star_tracker import SIGMA_DEG
 from analyzer_sim.streams import FloatArray
+from analyzer_sim.structure import crlb_deg
 from analyzer_sim.turns import SLEW_MIN, TIMETABLE
 from analyzer_sim.world import LONGITUDE_DEG, SWEEP_RBW_HZ, SWEEP_TIME_S, World
 
@@ -48,11 +50,18 @@ def chunks_of(world: World, rows_per_chunk: int = ROWS_PER_CHUNK) -> list[tuple[
 
 
 def catalogue_lines(world: World) -> Iterator[Line]:
-    """Yield what is known before the first row: spacecraft, carriers, task, ephemeris."""
+    """Yield what is known before the first row: spacecraft, carriers, task, ephemeris, and for the judge the bound."""
     yield {"kind": "spacecraft", "body": _spacecraft(world)}
     yield {"kind": "carriers", "body": {"carriers": [_carrier(carrier) for carrier in world.plan.carriers]}}
     yield {"kind": "task", "body": task(world)}
     yield {"kind": "ephemeris", "body": _ephemeris(world)}
+    yield {"kind": "truth", "rows": [], "crlb_deg": _bound(world)}
+
+
+def _bound(world: World) -> dict[str, float]:
+    """Return the one-row bound of the true beams with a common unknown, deg."""
+    bound_deg = crlb_deg(sensitivity_db_per_deg(world.plan, world.orbit))
+    return {axis: round(float(value), 6) for axis, value in zip(("yaw", "roll", "pitch"), bound_deg, strict=True)}
 
 
 def chunk_lines(world: World, first: int, last: int) -> Iterator[Line]:

@@ -51,6 +51,8 @@ class Story:
     #: epoch to angles (yaw, roll, pitch), deg
     truth_deg: dict[int, tuple[float, float, float]] = field(default_factory=dict)
     catalogue: dict[str, Any] = field(default_factory=dict)
+    #: one-row bound of the true beams with a common unknown, deg
+    bound_deg: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -133,6 +135,7 @@ def _learn(story: Story, client: ServiceClient, message: dict[str, Any]) -> None
     if kind == "phase":
         story.phases[message["name"]] = (message["start"], message["stop"])
     elif kind == "truth":
+        story.bound_deg = message.get("crlb_deg", story.bound_deg)
         for row in message["rows"]:
             story.truth_deg[parse_epoch(row["epoch"])] = (row["yaw_deg"], row["roll_deg"], row["pitch_deg"])
     elif kind == "task":
@@ -234,7 +237,7 @@ def judge_story(story: Story, client: ServiceClient, method: str) -> dict[str, A
         "availability": round(float(allowed.mean()), 4) if len(allowed) else 0.0,
         "axes": {axis: _figures(merit) for axis, merit in merits.items()},
         "zero_answer": {axis: _figures(merit) for axis, merit in zeros.items()},
-        "crlb_deg": story.catalogue["calibration"]["observability"]["crlb_deg"],
+        "crlb_deg": story.bound_deg,
         "missed": missed_bounds(merits),
         "zero_answer_misses": missed_bounds(zeros),
     }

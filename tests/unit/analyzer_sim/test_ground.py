@@ -143,4 +143,6 @@ def test_chunks_cover_all_rows_and_end_with_the_phases() -> None:
 
 
 def test_the_catalogue_alone_can_be_had() -> None:
-    assert [line["kind"] for line in catalogue_lines(world())] == ["spacecraft", "carriers", "task", "ephemeris"]
+    assert [line["kind"] for line in catalogue_lines(world())] == [
+        *("spacecraft", "carriers", "task", "ephemeris", "truth")
+    ]
