@@ -55,7 +55,7 @@ def catalogue_lines(world: World) -> Iterator[Line]:
     yield {"kind": "carriers", "body": {"carriers": [_carrier(carrier) for carrier in world.plan.carriers]}}
     yield {"kind": "task", "body": task(world)}
     yield {"kind": "ephemeris", "body": _ephemeris(world)}
-    yield {"kind": "truth", "rows": [], "crlb_deg": _bound(world)}
+    yield {"kind": "bound", "crlb_deg": _bound(world)}
 
 
 def _bound(world: World) -> dict[str, float]:

@@ -135,9 +135,10 @@ def _learn(story: Story, client: ServiceClient, message: dict[str, Any]) -> None
     if kind == "phase":
         story.phases[message["name"]] = (message["start"], message["stop"])
     elif kind == "truth":
-        story.bound_deg = message.get("crlb_deg", story.bound_deg)
         for row in message["rows"]:
             story.truth_deg[parse_epoch(row["epoch"])] = (row["yaw_deg"], row["roll_deg"], row["pitch_deg"])
+    elif kind == "bound":
+        story.bound_deg = message["crlb_deg"]
     elif kind == "task":
         story.catalogue["task"] = message["body"]
     elif kind == "spacecraft":

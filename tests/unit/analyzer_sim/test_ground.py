@@ -144,5 +144,5 @@ def test_chunks_cover_all_rows_and_end_with_the_phases() -> None:
 
 def test_the_catalogue_alone_can_be_had() -> None:
     assert [line["kind"] for line in catalogue_lines(world())] == [
-        *("spacecraft", "carriers", "task", "ephemeris", "truth")
+        *("spacecraft", "carriers", "task", "ephemeris", "bound")
     ]
