@@ -1,12 +1,11 @@
 """The tutorial's blocks run as they stand against a real service, and answer what the tutorial shows."""
 
-import json
 import re
 import subprocess
-import urllib.request
 from pathlib import Path
 from typing import Any
 
+import httpx
 import numpy as np
 import pytest
 
@@ -74,12 +73,9 @@ def test_tutorial_runs_and_answers_what_it_shows(service: Any, tmp_path: Path) -
 
 def check_against_truth(service: Any, world_path: Path) -> None:
     """Compare the newest attitude with the simulator's truth by a way of our own."""
-    request = urllib.request.Request(
-        f"{service.url}/api/v1/spacecraft/yamal-202/attitude",
-        headers={"Authorization": f"Bearer {service.environment['SOO_KEY']}"},
-    )
-    with urllib.request.urlopen(request, timeout=10) as answer:
-        row = json.load(answer)
+    headers = {"Authorization": f"Bearer {service.environment['SOO_KEY']}"}
+    url = f"{service.url}/api/v1/spacecraft/yamal-202/attitude"
+    row = httpx.get(url, headers=headers, timeout=10.0, trust_env=False).json()
     assert row["status"] == "ACQUIRED"
     world = np.load(world_path)
     assert np.datetime64(row["epoch"].removesuffix("Z"), "us").astype(np.int64) == world["epoch_us"][-1]
