@@ -5,7 +5,7 @@ import typer
 from service.cli.acquire import acquire
 from service.cli.demo import demo
 from service.cli.operate import align, calibrate, export, replay
-from service.cli.reference import openapi
+from service.cli.reference import openapi, settings
 from service.cli.serve import serve
 
 app = typer.Typer(
@@ -16,5 +16,5 @@ app = typer.Typer(
     add_completion=False,
 )
 
-for command in (demo, serve, acquire, calibrate, align, replay, export, openapi):
+for command in (demo, serve, acquire, calibrate, align, replay, export, openapi, settings):
     app.command()(command)

@@ -1,0 +1,163 @@
+"""Reference of settings: every setting by the name of its environment variable, its default, meaning and origin.
+
+Law of this file: a setting that is not in the tables cannot be rendered, so none stays undocumented.
+"""
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from pydantic import SecretStr
+
+from service.settings import Settings
+
+PUBLISHED = "publication"
+TUNED = "simulated truth"
+CHOSEN = "operation"
+
+#: what each word of the column "origin" means
+ORIGINS: dict[str, str] = {
+    PUBLISHED: "stated in the publication of the method (Sevast'yanov 2013)",
+    TUNED: "the publication gives no number; tuned on the simulator's truth",
+    CHOSEN: "a matter of running the service; no figure of the estimate depends on it",
+}
+
+#: settings that are plain fields: origin only, the meaning stands with the field
+_PLAIN_ORIGINS: dict[str, str] = {
+    "database_url": CHOSEN,
+    "bootstrap_key": CHOSEN,
+    "clock": CHOSEN,
+    "host": CHOSEN,
+    "port": CHOSEN,
+    "log_level": CHOSEN,
+    "future_tolerance_s": CHOSEN,
+    "future_tolerance_data_s": CHOSEN,
+    "late_after_s": CHOSEN,
+    "max_body_bytes": CHOSEN,
+    "max_rows_per_batch": CHOSEN,
+}
+
+#: settings inside a stage's configuration: meaning with unit, origin of the default
+_STAGE_MEANINGS: dict[str, tuple[str, str]] = {
+    "calibration.harmonic.gate_sigma": ("a sample is used while its residual is within this many sigma", PUBLISHED),
+    "calibration.harmonic.max_iterations": ("passes of that rejection before the fit gives up", CHOSEN),
+    "calibration.criteria.max_residual_rms_db": ("stable: rms after the harmonic at most this, dB", TUNED),
+    "calibration.criteria.max_nonlinearity_deg": ("linear: departure from a straight line at most this, deg", TUNED),
+    "calibration.criteria.linear_range_deg": ("linear: angles within which the line is judged, deg", PUBLISHED),
+    "calibration.criteria.dominance_ratio": ("dominant: greatest coefficient this many times the others", TUNED),
+    "calibration.criteria.yaw_scale": ("yaw coefficients are multiplied by this before the comparison", TUNED),
+    "calibration.criteria.min_selected": ("carriers selected at least; mixed ones fill up", TUNED),
+    "calibration.reference_reach_s": ("a row of the turns needs a sensor reading this close, s", TUNED),
+    "calibration.short_quiet_periods": ("quiet windows shorter than this many nodal periods are warned of", TUNED),
+    "calibration.min_turn_rows": ("fewest rows with powers and angles in the turns", TUNED),
+    "calibration.level_knot_s": ("knots of a carrier's level over the turns are this far apart at least, s", TUNED),
+    "calibration.min_turn_deg": ("an axis counts as turned where its angle passed this, deg", TUNED),
+    "alignment.manual_window_s": ("window of powers before a manual alignment, s", TUNED),
+    "alignment.min_rows": ("fewest rows of a carrier for a reference power", TUNED),
+    "alignment.min_probability": ("powers contradict the stated angles below this probability", TUNED),
+    "alignment.level_walk_db_sqrt_h": ("wander of a level since calibration, dB per square root of hour", TUNED),
+    "alignment.changed_level_sigma": ("a level changed by more sigma is left out of that test", TUNED),
+    "estimation.averaging_window_s": ("trailing mean of the deviations, s", TUNED),
+    "estimation.min_rows": ("fewest rows of a carrier in that mean", TUNED),
+    "estimation.uplink_gate_db": ("uplink rain: a carrier this far below the others is left out, dB", TUNED),
+    "estimation.gate_sigma": ("a carrier is used while its residual is within this many sigma", PUBLISHED),
+    "estimation.min_carriers": ("fewest carriers of a fix", TUNED),
+    "estimation.rate_window_s": ("rates are the slope of the fixes over this time, s", TUNED),
+    "estimation.max_gap_s": ("a row later than this after its predecessor starts the means anew, s", TUNED),
+    "fade.depth_db": ("downlink rain: carriers lie below minus this, dB", TUNED),
+    "fade.share": ("share of the carriers that must", TUNED),
+    "fade.spread_ratio": ("their spread (1.48 MAD) stays below this share of the median", TUNED),
+    "fade.entry_s": ("control stops after the rule has held this long, s", TUNED),
+    "fade.exit_s": ("control returns after the median has been above minus depth this long, s", TUNED),
+    "fade.max_gap_s": ("a longer pause between rows starts the count of wet time anew, s", TUNED),
+    "fade.averaging_window_s": ("mean of the deviations that the rule looks at, s", TUNED),
+    "interlock.validity_limit_deg": (
+        "roll or pitch beyond this inhibits control, yaw beyond it its own, deg",
+        PUBLISHED,
+    ),
+    "interlock.yaw_sigma_limit_deg": ("greatest sigma with which yaw is controlled, deg", TUNED),
+    "interlock.roll_sigma_limit_deg": ("greatest sigma of roll with which control is allowed, deg", TUNED),
+    "interlock.pitch_sigma_limit_deg": ("greatest sigma of pitch with which control is allowed, deg", TUNED),
+    "interlock.min_redundancy": ("fewest carriers beyond the three unknowns", TUNED),
+    "torque.min_pulse_s": ("shortest pulse the drive executes, s", TUNED),
+    "torque.time_step_s": ("pulses are timed to this, s", TUNED),
+    "torque.default_period_s": ("command period until row periods are known, s", CHOSEN),
+    "torque.period_rows": ("rows from whose median the command period is taken", CHOSEN),
+}
+
+
+class SettingEntry(NamedTuple):
+    """One setting as it is documented."""
+
+    #: environment variable
+    name: str
+    default: str
+    meaning: str
+    origin: str
+    #: value in force, secrets hidden
+    value: str
+
+
+def setting_entries(settings: Settings) -> Iterator[SettingEntry]:
+    """Yield every setting in the order of its declaration, with the value that some settings give it."""
+    for name, field in Settings.model_fields.items():
+        value = getattr(settings, name)
+        if dataclasses.is_dataclass(value):
+            yield from _stage_entries(name, field.default, value)
+        else:
+            meaning = field.description or ""
+            yield SettingEntry(_variable(name), _shown(field.default), meaning, _PLAIN_ORIGINS[name], _shown(value))
+
+
+def settings_markdown() -> str:
+    """Return the page of settings: defaults, whatever the environment says."""
+    origins = "\n".join(f"* *{word}*: {meaning}" for word, meaning in ORIGINS.items())
+    rows = "\n".join(
+        f"| `{entry.name}` | {entry.default} | {entry.meaning} | {entry.origin} |"
+        for entry in setting_entries(Settings.model_construct())
+    )
+    return f"{_HEAD}\n{origins}\n\n| variable | default | meaning | origin |\n|---|---|---|---|\n{rows}\n"
+
+
+def settings_text(settings: Settings) -> str:
+    """Return the values in force, one line a setting; what differs from its default is marked."""
+    entries = list(setting_entries(settings))
+    width = max(len(entry.name) for entry in entries)
+    return "\n".join(
+        f"{'*' if entry.value != entry.default else ' '} {entry.name:{width}} {entry.value}" for entry in entries
+    )
+
+
+def _stage_entries(path: str, default: Any, value: Any) -> Iterator[SettingEntry]:
+    """Yield the settings of a stage's configuration at every depth."""
+    for field in dataclasses.fields(value):
+        inner = f"{path}.{field.name}"
+        inner_default, inner_value = getattr(default, field.name), getattr(value, field.name)
+        if dataclasses.is_dataclass(inner_value):
+            yield from _stage_entries(inner, inner_default, inner_value)
+        else:
+            meaning, origin = _STAGE_MEANINGS[inner]
+            yield SettingEntry(_variable(inner), _shown(inner_default), meaning, origin, _shown(inner_value))
+
+
+def _variable(path: str) -> str:
+    """Return the environment variable of a setting."""
+    return "SOO_" + path.replace(".", "__").upper()
+
+
+def _shown(value: object) -> str:
+    """Return a value as it is printed; a secret only says that it is set."""
+    if isinstance(value, SecretStr):
+        return "(set)"
+    return "none" if value is None else str(value)
+
+
+_HEAD = """# Settings
+
+Made by `soo settings --markdown`; `tests/docs/test_settings.py` holds page and code together. Settings are read once,
+from the environment. A double underscore leads into the configuration of a stage:
+`SOO_INTERLOCK__VALIDITY_LIMIT_DEG=0.35`. `soo settings` prints the values in force and marks what was changed; the
+database, address, port and clock can be given to `soo serve` as options, which win.
+
+The column *origin* says where a default comes from:
+"""
