@@ -1,0 +1,196 @@
+"""Motion of the satellite, from ballistics: in the sky of each earth station, and of each station in the antenna frame.
+
+A dish points at the satellite's nominal place and stays there; the satellite wanders some hundredths of a degree a day
+about it. *Sight motion* m = (m1, m2) is where it stands then, in deg, along the horizontal of the station (East
+positive) and across it (up positive): the argument of the dish law. *Antenna motion* is the reverse view: where the
+station appears in the nadir frame of the wandering satellite, against where it appears from the nominal place. The
+nadir frame follows the orbit: its y axis is opposite to the orbit normal, so an inclination of 0.05 deg turns it by
+0.05 deg about nadir twice a day, which looks like yaw to every carrier. The law of this file: both are counted from one
+fixed nominal place (on the equator, at the nominal radius), never from the mean of the data at hand, so that a
+calibration and the operation months later mean the same by m. The satellite's distance is taken as nominal: at the
+eccentricity of a kept satellite (2e-4) this changes m by less than 1e-5 deg and the antenna angles by less than 0.002.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.core.geometry.frames import (
+    EARTH_EQUATORIAL_RADIUS_M,
+    EARTH_FLATTENING,
+    GEOSTATIONARY_RADIUS_M,
+    antenna_direction,
+)
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+#: rad/s, rotation of the Earth (IERS conventions 2010).
+EARTH_RATE_RAD_S = 7.292115e-5
+#: us, half the stretch over which the rate of the track is taken.
+_RATE_STEP_US = 300_000_000
+
+
+class Track(NamedTuple):
+    """Predicted sub-satellite point at M >= 4 epochs in ascending order.
+
+    Parameters
+    ----------
+    epoch_us : ndarray of int, shape (M,), microseconds UTC
+        Epochs.
+    latitude_deg, longitude_deg : ndarray, shape (M,), deg
+        Geocentric latitude and absolute East longitude.
+    """
+
+    epoch_us: IntArray
+    latitude_deg: FloatArray
+    longitude_deg: FloatArray
+
+
+class Places(NamedTuple):
+    """Geodetic coordinates of N stations: latitude_deg, longitude_deg in deg, height_m in m, each of shape (N,)."""
+
+    latitude_deg: FloatArray
+    longitude_deg: FloatArray
+    height_m: FloatArray
+
+
+def track_position_deg(track: Track, epoch_us: IntArray) -> FloatArray:
+    """Return latitude and longitude of the sub-satellite point, shape (T, 2), deg.
+
+    Parameters
+    ----------
+    track : Track
+        Prediction of ballistics.
+    epoch_us : ndarray of int, shape (T,), microseconds UTC
+        Epochs in any order.
+
+    Returns
+    -------
+    ndarray, shape (T, 2), deg
+        Cubic through the four nearest points. NaN outside the track, and everywhere with fewer than four points.
+
+    Notes
+    -----
+    With points 30 min apart the error is below 1e-6 deg for daily motion of 0.05 deg.
+
+    Examples
+    --------
+    >>> track = Track(np.arange(5) * 10, np.arange(5.0) ** 2, np.full(5, 90.0))
+    >>> track_position_deg(track, np.array([25, 99]))
+    array([[ 6.25, 90.  ],
+           [  nan,   nan]])
+    """
+    count = len(track.epoch_us)
+    if count < 4:
+        return np.full((len(epoch_us), 2), math.nan)
+    points = np.stack([track.latitude_deg, track.longitude_deg], axis=1)
+    first = np.clip(np.searchsorted(track.epoch_us, epoch_us, side="right") - 2, 0, count - 4)
+    nodes = first[:, np.newaxis] + np.arange(4)
+    # microseconds are subtracted as integers; seconds since the first node are exact enough for a cubic
+    offset = (track.epoch_us[nodes] - epoch_us[:, np.newaxis]) / 1e6
+    place = np.zeros((len(epoch_us), 2))
+    for k in range(4):
+        others = [j for j in range(4) if j != k]
+        ratios = [-offset[:, j] / (offset[:, k] - offset[:, j]) for j in others]
+        place += np.prod(ratios, axis=0)[:, np.newaxis] * points[nodes[:, k]]
+    is_covered = (epoch_us >= track.epoch_us[0]) & (epoch_us <= track.epoch_us[-1])
+    return np.where(is_covered[:, np.newaxis], place, math.nan)
+
+
+def sight_motion_deg(position_deg: FloatArray, stations: Places, nominal_longitude_deg: float) -> FloatArray:
+    """Return where the satellite stands in the sky of each station, counted from its nominal place.
+
+    Parameters
+    ----------
+    position_deg : ndarray, shape (T, 2), deg
+        Latitude and longitude of the sub-satellite point.
+    stations : Places
+        N stations.
+    nominal_longitude_deg : float, deg
+        East longitude at which the dishes were pointed.
+
+    Returns
+    -------
+    ndarray, shape (T, N, 2), deg
+        m1 along the station's horizontal, East positive, and m2 across it, up positive.
+
+    Examples
+    --------
+    >>> below = Places(np.zeros(1), np.array([90.0]), np.zeros(1))
+    >>> sight_motion_deg(np.array([[0.0, 90.05]]), below, 90.0).round(4)
+    array([[[0.0589, 0.    ]]])
+    """
+    places_m = _station_vectors(stations)
+    nominal_m = _satellite_vectors(np.array([[0.0, nominal_longitude_deg]]))[0]
+    boresight = _unit(nominal_m - places_m)
+    # the nominal place is on the equator, so the pole is never along a boresight
+    along = _unit(np.cross(np.array([0.0, 0.0, 1.0]), boresight))
+    across = np.cross(boresight, along)
+    sight = _satellite_vectors(position_deg)[:, np.newaxis] - places_m
+    depth = np.vecdot(sight, boresight)
+    return np.degrees(np.stack([np.arctan2(np.vecdot(sight, axis), depth) for axis in (along, across)], axis=-1))
+
+
+def antenna_motion_deg(track: Track, epoch_us: IntArray, stations: Places, nominal_longitude_deg: float) -> FloatArray:
+    """Return by how much each station moves in the antenna frame of a body held to the nadir frame.
+
+    Parameters
+    ----------
+    track : Track
+        Prediction of ballistics.
+    epoch_us : ndarray of int, shape (T,), microseconds UTC
+        Epochs.
+    stations : Places
+        N stations.
+    nominal_longitude_deg : float, deg
+        East longitude of the nominal place.
+
+    Returns
+    -------
+    ndarray, shape (T, N, 2), deg
+        Change of azimuth and elevation against the nominal place; NaN within 5 minutes of the ends of the track.
+    """
+    ahead, behind = (
+        _satellite_vectors(track_position_deg(track, epoch_us + step)) for step in (_RATE_STEP_US, -_RATE_STEP_US)
+    )
+    here = _satellite_vectors(track_position_deg(track, epoch_us))
+    seconds = 2.0 * _RATE_STEP_US / 1e6
+    velocity = (ahead - behind) / seconds + EARTH_RATE_RAD_S * np.cross(np.array([0.0, 0.0, 1.0]), here)
+    nominal = _satellite_vectors(np.array([[0.0, nominal_longitude_deg]]))
+    rest = EARTH_RATE_RAD_S * np.cross(np.array([0.0, 0.0, 1.0]), nominal)
+    places_m = _station_vectors(stations)
+    return _antenna_angles_deg(here, velocity, places_m) - _antenna_angles_deg(nominal, rest, places_m)
+
+
+def _antenna_angles_deg(satellite_m: FloatArray, velocity_m_s: FloatArray, places_m: FloatArray) -> FloatArray:
+    """Return azimuth and elevation (T, N, 2) of places seen in the nadir frame of a moving satellite."""
+    nadir = -_unit(satellite_m)
+    south = -_unit(np.cross(satellite_m, velocity_m_s))
+    frame = np.stack([np.cross(south, nadir), south, nadir], axis=1)
+    sight = places_m - satellite_m[:, np.newaxis]
+    return np.asarray(np.stack(antenna_direction(np.einsum("tij,tnj->tni", frame, sight)), axis=-1))
+
+
+def _satellite_vectors(position_deg: FloatArray) -> FloatArray:
+    """Return Earth-fixed vectors (T, 3) at the nominal radius, m."""
+    latitude, longitude = np.radians(position_deg).T
+    directions = [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)]
+    return np.asarray(GEOSTATIONARY_RADIUS_M * np.stack(directions, axis=-1))
+
+
+def _station_vectors(stations: Places) -> FloatArray:
+    """Return Earth-fixed vectors (N, 3) of geodetic places, m."""
+    latitude, longitude = np.radians(stations.latitude_deg), np.radians(stations.longitude_deg)
+    eccentricity_2 = EARTH_FLATTENING * (2.0 - EARTH_FLATTENING)
+    prime_vertical = EARTH_EQUATORIAL_RADIUS_M / np.sqrt(1.0 - eccentricity_2 * np.sin(latitude) ** 2)
+    across = (prime_vertical + stations.height_m) * np.cos(latitude)
+    north = (prime_vertical * (1.0 - eccentricity_2) + stations.height_m) * np.sin(latitude)
+    return np.stack([across * np.cos(longitude), across * np.sin(longitude), north], axis=-1)
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    """Scale vectors (..., 3) to length one."""
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
