@@ -60,7 +60,7 @@ class Calibrator:
             data = self._read(spacecraft_id, draft)
             report(0.3)
             result = calibrate_paper(data, self._config)
-        except CalibrationError as error:
+        except (CalibrationError, JobFailedError) as error:
             results.finish_calibration(spacecraft_id, draft.id, None, str(error))
             raise JobFailedError(str(error)) from error
         except Exception as error:

@@ -64,7 +64,19 @@ class Replayer:
             detail = f"{spacecraft_id} was never aligned, so there is nothing to replay from; align it first"
             raise ConflictError("replay.not_aligned", detail)
         earlier = [alignment for alignment in newest_first if alignment.epoch_us <= wanted.start_us]
-        return earlier[0] if earlier else newest_first[-1]
+        held = (
+            one for one in earlier if wanted.order == "epoch" or not self._came_after_rows(spacecraft_id, one, wanted)
+        )
+        return next(held, newest_first[-1])
+
+    def _came_after_rows(self, spacecraft_id: str, alignment: Alignment, wanted: Replay) -> bool:
+        """Return whether rows of the span were stored, and so consumed under a former alignment, before this one.
+
+        What the live run made of them stands; only a replay that starts with the former alignment makes it again.
+        """
+        number = self._storage.results.alignment_number(spacecraft_id, alignment.id)
+        rows = self._storage.archive.measurements_after(spacecraft_id, wanted.start_us - 1, number)
+        return any(row.epoch_us < wanted.stop_us for row in rows)
 
     def _calibration(self, spacecraft_id: str, calibration_id: int | None) -> Calibration | None:
         """Return the calibration that replaces the journal's, if one was asked for."""

@@ -1,0 +1,72 @@
+"""Calibration jobs: drafts end with a result or with the reason why not."""
+
+from dataclasses import replace
+from unittest.mock import patch
+
+import pytest
+
+import service.runtime.calibrating as calibrating
+from service.errors import ConflictError, InvalidInputError, NotFoundError
+from service.records.calibration import CalibrationMethod, CalibrationState, Window
+from service.records.job import JobState
+from service.runtime.jobs import JobFailedError
+
+
+@pytest.fixture
+def ground(new_ground):
+    """A station; no alignment is needed."""
+    return new_ground()
+
+
+def run(ground, request):
+    draft, job = ground.calibrator.start(ground.id, request, "engineer")
+    assert (draft.state, draft.created_by) == (CalibrationState.DRAFT, "engineer")
+    ground.finish(job.id)
+    return ground.storage.results.calibration(ground.id, draft.id), ground.storage.results.job(job.id)
+
+
+def test_a_fit_ends_with_a_result_that_can_be_activated(ground):
+    calibration, job = run(ground, ground.payload.request)
+    assert job.state is JobState.DONE
+    assert [carrier.id for carrier in calibration.result.carriers] == list(ground.payload.ids)
+    active = ground.calibrator.activate(ground.id, calibration.id)
+    assert active.state is CalibrationState.ACTIVE
+    assert ground.calibrator.activate(ground.id, calibration.id) == active
+    assert ground.storage.results.calibration(ground.id, 1).state is CalibrationState.SUPERSEDED
+
+
+def test_windows_without_what_is_needed_fail_with_the_same_text_in_job_and_calibration(ground):
+    calibration, job = run(ground, replace(ground.payload.request, turns=Window(0, 1)))
+    assert job.state is JobState.FAILED
+    assert job.error == calibration.error
+    assert "the window of turns holds 0 measurements" in job.error
+    assert calibration.state is CalibrationState.FAILED
+    with pytest.raises(ConflictError, match="the window of turns holds 0 measurements"):
+        ground.calibrator.activate(ground.id, calibration.id)
+
+
+def test_a_fault_of_the_fit_fails_calibration_and_job(ground):
+    with patch.object(calibrating, "calibrate_paper", side_effect=ZeroDivisionError("x")):
+        calibration, job = run(ground, ground.payload.request)
+    assert calibration.error == "internal error: ZeroDivisionError('x')"
+    assert "ZeroDivisionError" in job.error
+
+
+def test_a_stop_of_the_service_is_not_called_an_internal_error(ground):
+    with patch.object(calibrating, "calibrate_paper", side_effect=JobFailedError("the service is stopping")):
+        calibration, job = run(ground, ground.payload.request)
+    assert calibration.error == job.error == "the service is stopping"
+
+
+def test_a_draft_cannot_be_activated(ground):
+    draft = ground.storage.results.add_calibration(ground.id, ground.payload.request, 1, 1, 0, "engineer")
+    with pytest.raises(ConflictError, match="wait for its job to end"):
+        ground.calibrator.activate(ground.id, draft.id)
+
+
+def test_what_cannot_begin_is_refused_at_once(ground):
+    geometry = replace(ground.payload.request, method=CalibrationMethod.GEOMETRY)
+    with pytest.raises(InvalidInputError, match="ask for method 'paper'"):
+        ground.calibrator.start(ground.id, geometry, "engineer")
+    with pytest.raises(NotFoundError):
+        ground.calibrator.start("nobody", ground.payload.request, "engineer")

@@ -1,0 +1,74 @@
+"""Live feed: every subscriber has what it kept up with, and is told what it lost."""
+
+import asyncio
+import threading
+
+import pytest
+
+from service.runtime.live_feed import Cursor, FeedEvent, LiveFeed, Subscription
+
+pytestmark = pytest.mark.anyio
+
+
+def events(*numbers):
+    return tuple(FeedEvent("status", Cursor(number, number), None) for number in numbers)
+
+
+def numbers(found):
+    return [event.cursor.number for event in found]
+
+
+async def test_events_arrive_in_order_and_none_is_lost():
+    feed = LiveFeed()
+    one, two = feed.subscribe("a"), feed.subscribe("a")
+    feed.publish("a", events(1, 2))
+    feed.publish("a", events(3))
+    await asyncio.sleep(0)
+    for subscription in (one, two):
+        found, missed = await subscription.next_events(1.0)
+        assert (numbers(found), missed) == ([1, 2, 3], 0)
+    assert await one.next_events(0.01) == ((), 0)
+
+
+async def test_a_waiting_subscriber_wakes_up_for_events_from_another_thread():
+    feed = LiveFeed()
+    subscription = feed.subscribe("a")
+    threading.Timer(0.05, feed.publish, ("a", events(7))).start()
+    found, _ = await subscription.next_events(5.0)
+    assert numbers(found) == [7]
+
+
+async def test_a_slow_subscriber_loses_the_oldest_and_is_told_how_many():
+    feed = LiveFeed(capacity=3)
+    slow, quick = feed.subscribe("a"), feed.subscribe("a")
+    feed.publish("a", events(1, 2))
+    await asyncio.sleep(0)
+    assert numbers((await quick.next_events(1.0))[0]) == [1, 2]
+    feed.publish("a", events(3, 4, 5))
+    await asyncio.sleep(0)
+    found, missed = await slow.next_events(1.0)
+    assert (numbers(found), missed) == ([3, 4, 5], 2)
+    assert (numbers((await quick.next_events(1.0))[0])) == [3, 4, 5]
+    feed.publish("a", events(6))
+    await asyncio.sleep(0)
+    # what was told once is not told again
+    assert await slow.next_events(1.0) == (events(6), 0)
+
+
+async def test_others_spacecraft_and_former_subscribers_hear_nothing():
+    feed = LiveFeed()
+    other, gone = feed.subscribe("b"), feed.subscribe("a")
+    feed.unsubscribe("a", gone)
+    feed.unsubscribe("nobody", gone)
+    feed.publish("a", events(1))
+    await asyncio.sleep(0)
+    assert await other.next_events(0.01) == ((), 0)
+    assert await gone.next_events(0.01) == ((), 0)
+
+
+async def test_a_subscriber_whose_loop_is_closed_is_passed_over():
+    loop = asyncio.new_event_loop()
+    subscription = Subscription(loop, 5)
+    loop.close()
+    subscription.offer(events(1))
+    assert await subscription.next_events(0.01) == ((), 0)

@@ -1,0 +1,299 @@
+"""The supervisor over a real archive: whatever happens on the way, the rows are those of an undisturbed run."""
+
+import asyncio
+from dataclasses import replace
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+
+import service.runtime.supervisor as supervisor_module
+from service.errors import StorageError
+from service.pipeline.chain import Chain
+from service.records.attitude import Status
+from service.records.catalogue import Release
+from service.records.command import AppliedCommand
+from service.records.inputs import Operation
+from service.runtime.live_feed import LiveFeed
+
+
+def unnumbered(results):
+    """Return results without journal numbers, which applied commands shift about."""
+    return repr([replace(result, number=0) for result in results])
+
+
+def test_a_day_is_tracked_from_the_archive_alone(ground):
+    with ground.supervised() as supervisor:
+        ground.append(range(1, 241))
+        ground.settle(supervisor)
+    rows = ground.rows()
+    assert [row.epoch_us for row in rows] == [ground.at(minute) for minute in range(1, 241)]
+    assert all(row.control_allowed for row in rows[20:])
+    estimate = np.array([row.attitude_deg for row in rows[20:]])
+    # the mean of fifteen rows is seven minutes old
+    truth = ground.angles(range(21 - 7, 241 - 7))
+    error = estimate - truth
+    # 0.05 dB of noise over twelve carriers and fifteen rows, references of thirty: 0.06 / 0.01 / 0.015 deg, three sigma
+    np.testing.assert_array_less(np.sqrt(np.mean(error**2, axis=0)), [0.2, 0.03, 0.04])
+    assert len(ground.commands()) == 240
+    applied = [e for e in ground.storage.archive.journal(ground.id, 0, 10_000) if isinstance(e.content, AppliedCommand)]
+    assert len(applied) == sum(command.control_allowed for command in ground.commands()) > 200
+
+
+def test_a_restart_in_the_middle_changes_no_row(new_ground):
+    through, broken = new_ground(), new_ground()
+    for ground in (through, broken):
+        ground.align()
+    with through.supervised() as supervisor:
+        through.append(range(1, 121))
+        through.settle(supervisor)
+    for first in range(1, 121, 40):
+        with broken.supervised() as supervisor:
+            broken.append(range(first, first + 40))
+            broken.settle(supervisor)
+    assert unnumbered(broken.rows()) == unnumbered(through.rows())
+    assert unnumbered(broken.commands()) == unnumbered(through.commands())
+
+
+def test_a_stop_before_all_is_consumed_loses_nothing(new_ground):
+    through, broken = new_ground(), new_ground()
+    for ground in (through, broken):
+        ground.align()
+        ground.append(range(1, 121))
+    with through.supervised() as supervisor:
+        through.settle(supervisor)
+    with patch.object(supervisor_module, "_ENTRIES_AT_ONCE", 16):
+        for _ in range(3):
+            with broken.supervised() as supervisor:
+                supervisor.notify(broken.id)
+        with broken.supervised() as supervisor:
+            broken.settle(supervisor)
+    assert unnumbered(broken.rows()) == unnumbered(through.rows())
+
+
+def test_late_and_doubled_rows_leave_the_others_alone(new_ground):
+    plain, disturbed = new_ground(), new_ground()
+    for ground in (plain, disturbed):
+        ground.align()
+    with plain.supervised() as supervisor:
+        plain.append([minute for minute in range(1, 91) if minute != 20])
+        plain.settle(supervisor)
+    with disturbed.supervised() as supervisor:
+        disturbed.append([minute for minute in range(1, 61) if minute != 20])
+        disturbed.settle(supervisor)
+        assert disturbed.append(range(41, 61)).duplicates == 20
+        receipt = disturbed.append([20])
+        assert (receipt.accepted, receipt.late) == (1, 1)
+        disturbed.append(range(61, 91))
+        disturbed.settle(supervisor)
+    rows = disturbed.rows()
+    late = next(row for row in rows if row.epoch_us == disturbed.at(20))
+    assert late.inhibitions == ("late",)
+    assert unnumbered([row for row in rows if row is not late]) == unnumbered(plain.rows())
+    assert unnumbered(disturbed.commands()) == unnumbered(plain.commands())
+
+
+# ---- catching up ----------------------------------------------------------------------------------------------------
+
+
+def test_rows_stored_before_the_alignment_are_caught_up_with(new_ground):
+    ground = new_ground()
+    with ground.supervised() as supervisor:
+        ground.append(range(1, 61))
+        ground.settle(supervisor)
+        assert {row.inhibitions for row in ground.rows()} == {("not_aligned",)}
+        ground.align()
+        ground.settle(supervisor)
+        ground.append(range(61, 81))
+        ground.settle(supervisor)
+    rows = ground.rows()
+    assert len(rows) == 80
+    assert all("catch_up" in row.inhibitions for row in rows[:60])
+    assert all(row.status is Status.ACQUIRED for row in rows[8:])
+    assert all(row.inhibitions == () for row in rows[60:])
+    assert ground.storage.results.pending(ground.id, [rows[0].method]) == 0
+    assert not any(command.schedule for command in ground.commands()[:60])
+    assert ground.commands()[-1].control_allowed
+
+
+def test_pending_counts_what_is_to_be_caught_up_with(new_ground):
+    ground = new_ground()
+    ground.append(range(1, 31))
+    method = ground.payload.spacecraft().control.method
+    assert ground.storage.results.pending(ground.id, [method]) == 0
+    ground.align()
+    assert ground.storage.results.pending(ground.id, [method]) == 31
+    with ground.supervised() as supervisor:
+        ground.settle(supervisor)
+    assert ground.storage.results.pending(ground.id, [method]) == 0
+
+
+def test_a_second_alignment_keeps_earlier_rows_and_starts_the_means_anew(ground):
+    with ground.supervised() as supervisor:
+        ground.append(range(1, 61))
+        ground.settle(supervisor)
+        before = repr(ground.rows(stop=61))
+        second = ground.align()
+        ground.settle(supervisor)
+        assert repr(ground.rows(stop=61)) == before
+        ground.append(range(61, 91))
+        ground.settle(supervisor)
+    assert repr(ground.rows(stop=61)) == before
+    # rows caught up with fill the means: the first new row is settled
+    assert {row.alignment_id for row in ground.rows(start=61)} == {second.id}
+    assert all(row.inhibitions == () for row in ground.rows(start=61))
+
+
+# ---- faults ---------------------------------------------------------------------------------------------------------
+
+
+class FailingOnce:
+    """A part of a storage one of whose methods fails at some of its calls."""
+
+    def __init__(self, inner, method, calls):
+        self._inner, self._method, self._calls, self._count = inner, method, calls, 0
+
+    def __getattr__(self, name):
+        found = getattr(self._inner, name)
+        if name != self._method:
+            return found
+
+        def guarded(*arguments):
+            self._count += 1
+            if self._count in self._calls:
+                raise StorageError("storage.unavailable", "the disk is full; make room")
+            return found(*arguments)
+
+        return guarded
+
+
+class Faulty:
+    """A storage with one failing part."""
+
+    def __init__(self, inner, part, method, calls):
+        self.catalogue, self.archive, self.results = inner.catalogue, inner.archive, inner.results
+        setattr(self, part, FailingOnce(getattr(inner, part), method, calls))
+
+
+@pytest.mark.parametrize(
+    ("part", "method", "calls"),
+    [
+        ("results", "save_outcomes", {1}),
+        ("results", "save_outcomes", {2, 3}),
+        ("archive", "journal", {2}),
+        ("archive", "measurements_after", {1}),
+        ("catalogue", "plan", {1}),
+    ],
+)
+def test_a_storage_that_fails_delays_rows_and_loses_none(new_ground, caplog, part, method, calls):
+    plain, faulty = new_ground(), new_ground()
+    for ground in (plain, faulty):
+        ground.align()
+    with plain.supervised() as supervisor:
+        plain.append(range(1, 61))
+        plain.settle(supervisor)
+    with (
+        patch.object(supervisor_module, "_RETRY_S", 0.02),
+        patch.object(supervisor_module, "_ENTRIES_AT_ONCE", 400),
+        faulty.supervised(Faulty(faulty.storage, part, method, calls)) as supervisor,
+    ):
+        faulty.append(range(1, 61))
+        faulty.settle(supervisor)
+    assert unnumbered(faulty.rows()) == unnumbered(plain.rows())
+    assert unnumbered(faulty.commands()) == unnumbered(plain.commands())
+    assert "rebuilding its state and trying again" in caplog.text
+
+
+def test_a_row_that_breaks_the_computation_says_so_and_the_stream_goes_on(ground, caplog):
+    step = Chain.step
+
+    def breaking(chain, measurement, **options):
+        if measurement.epoch_us == ground.at(30):
+            raise FloatingPointError("overflow")
+        return step(chain, measurement, **options)
+
+    with patch.object(Chain, "step", breaking), ground.supervised() as supervisor:
+        ground.append(range(1, 41))
+        ground.settle(supervisor)
+    rows = {row.epoch_us: row for row in ground.rows()}
+    assert rows[ground.at(30)].inhibitions == ("internal_error",)
+    assert not rows[ground.at(30)].control_allowed
+    assert rows[ground.at(31)].control_allowed
+    assert "failed" in caplog.text
+
+
+# ---- what others see ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.anyio
+async def test_the_feed_tells_every_row_and_result_once_in_order(ground):
+    feed = LiveFeed()
+    subscription = feed.subscribe(ground.id)
+    with ground.supervised(feed=feed) as supervisor:
+        await asyncio.to_thread(ground.settle, supervisor)
+        await subscription.next_events(2.0)
+        for first in range(1, 61, 20):
+            ground.append(range(first, first + 20))
+            await asyncio.to_thread(ground.settle, supervisor)
+    events = []
+    while found := (await subscription.next_events(0.2))[0]:
+        events += found
+    rows = [event for event in events if event.kind == "measurement"]
+    assert [event.content.epoch_us for event in rows] == [ground.at(minute) for minute in range(1, 61)]
+    results = [event for event in events if event.kind in ("attitude", "torque")]
+    sequences = [event.cursor.sequence for event in results]
+    assert sequences == list(range(sequences[0], sequences[0] + 120))
+    stored = dict(ground.storage.results.results_after(ground.id, sequences[0] - 1, 1000))
+    assert all(repr(stored[event.cursor.sequence]) == repr(event.content) for event in results)
+
+
+@pytest.mark.anyio
+async def test_a_new_alignment_is_told_as_a_status(ground):
+    feed = LiveFeed()
+    with ground.supervised(feed=feed) as supervisor:
+        ground.append(range(1, 31))
+        await asyncio.to_thread(ground.settle, supervisor)
+        subscription = feed.subscribe(ground.id)
+        ground.align()
+        await asyncio.to_thread(ground.settle, supervisor)
+        events, missed = await subscription.next_events(2.0)
+    # its rows had their results before, so there is nothing new but the alignment itself
+    assert ([event.kind for event in events], missed) == (["status"], 0)
+
+
+def test_states_of_carriers_are_those_of_the_newest_row(ground):
+    with ground.supervised() as supervisor:
+        assert supervisor.carrier_states("nobody") is None
+        ground.append(range(1, 21))
+        ground.settle(supervisor)
+        measurement, states = supervisor.carrier_states(ground.id)
+    assert measurement.epoch_us == ground.at(20)
+    assert [state.carrier for state in states] == list(ground.payload.ids)
+    assert {state.state for state in states} == {"used"}
+
+
+def test_released_in_two_steps_nothing_counts_as_applied(ground):
+    craft = ground.storage.catalogue.spacecraft(ground.id)
+    two_step = replace(craft, control=replace(craft.control, release=Release.TWO_STEP))
+    ground.storage.catalogue.replace_spacecraft(two_step)
+    with ground.supervised() as supervisor:
+        ground.append(range(1, 41))
+        ground.settle(supervisor)
+    entries = ground.storage.archive.journal(ground.id, 0, 10_000)
+    assert not any(isinstance(entry.content, AppliedCommand) for entry in entries)
+    assert ground.commands()[-1].control_allowed
+
+
+def test_a_declared_operation_holds_control_in_the_live_run(ground):
+    operation = Operation(0, "eclipse", ground.at(30), ground.at(35), inhibit_control=True)
+    ground.storage.archive.add_operation(ground.id, operation)
+    with ground.supervised() as supervisor:
+        ground.append(range(1, 41))
+        ground.settle(supervisor)
+    held = [row.epoch_us for row in ground.rows(start=21) if "operation" in row.inhibitions]
+    assert held == [ground.at(minute) for minute in range(30, 35)]
+
+
+def test_a_supervisor_that_was_never_started_can_be_stopped(ground):
+    supervisor_module.Supervisor(ground.storage, LiveFeed(), ground.config).stop()
+    assert not ground.rows()
