@@ -24,7 +24,13 @@ class Settings(BaseSettings):
     """Everything that can be set from outside."""
 
     model_config = SettingsConfigDict(
-        env_prefix="SOO_", env_nested_delimiter="__", extra="ignore", frozen=True, arbitrary_types_allowed=False
+        env_prefix="SOO_",
+        env_nested_delimiter="__",
+        # an empty variable, as compose files pass on unset ones, counts as not set: no empty administrator key
+        env_ignore_empty=True,
+        extra="ignore",
+        frozen=True,
+        arbitrary_types_allowed=False,
     )
 
     database_url: str = Field("sqlite:///soo.db", description="SQLAlchemy URL of the archive")

@@ -93,12 +93,19 @@ class ChildProcess:
         watchdog.cancel()
         if not line:
             self._process.wait(_STOP_TIMEOUT_S)
+            output.close()
             self._log.close()
             message = f"{self.name} did not start; its log is {self.log_path}:\n{self._last_lines()}"
             raise ProcessFailedError(message)
+        try:
+            announcement: dict[str, Any] = json.loads(line)
+        except ValueError:
+            self._process.kill()
+            self.stop()
+            message = f"{self.name} said {line.decode(errors='replace').strip()!r} in place of where it listens"
+            raise ProcessFailedError(message) from None
         # whatever it prints later must not fill the pipe
         threading.Thread(target=output.read, daemon=True).start()
-        announcement: dict[str, Any] = json.loads(line)
         return announcement
 
     def _last_lines(self) -> str:

@@ -1,0 +1,114 @@
+"""Settings: every one can be set from the environment, nested ones by a double underscore, and reaches its stage."""
+
+from dataclasses import fields, is_dataclass
+
+import pytest
+from pydantic import ValidationError
+
+from service.settings import Settings
+
+PLAIN = {
+    "SOO_DATABASE_URL": ("database_url", "sqlite:///elsewhere.db", "sqlite:///elsewhere.db"),
+    "SOO_CLOCK": ("clock", "data", "data"),
+    "SOO_HOST": ("host", "0.0.0.0", "0.0.0.0"),  # noqa: S104 - a value to read, nothing listens
+    "SOO_PORT": ("port", "0", 0),
+    "SOO_LOG_LEVEL": ("log_level", "debug", "debug"),
+    "SOO_FUTURE_TOLERANCE_S": ("future_tolerance_s", "7.5", 7.5),
+    "SOO_FUTURE_TOLERANCE_DATA_S": ("future_tolerance_data_s", "60", 60.0),
+    "SOO_LATE_AFTER_S": ("late_after_s", "120", 120.0),
+    "SOO_MAX_BODY_BYTES": ("max_body_bytes", "2048", 2048),
+    "SOO_MAX_ROWS_PER_BATCH": ("max_rows_per_batch", "5", 5),
+}
+
+
+def leaves(value, path):
+    """Yield (path, value) of every number of nested configurations."""
+    for field in fields(value):
+        found = getattr(value, field.name)
+        if is_dataclass(found):
+            yield from leaves(found, (*path, field.name))
+        else:
+            yield (*path, field.name), found
+
+
+GROUPS = [name for name in Settings.model_fields if is_dataclass(getattr(Settings(), name))]
+NESTED = [leaf for name in GROUPS for leaf in leaves(getattr(Settings(), name), (name,))]
+
+
+def read(settings, path):
+    for name in path:
+        settings = getattr(settings, name)
+    return settings
+
+
+@pytest.mark.parametrize("variable", PLAIN)
+def test_a_plain_setting_comes_from_its_variable(monkeypatch, variable):
+    name, text, expected = PLAIN[variable]
+    assert getattr(Settings(), name) != expected
+    monkeypatch.setenv(variable, text)
+    assert getattr(Settings(), name) == expected
+
+
+def test_the_key_is_read_and_never_shown(monkeypatch):
+    monkeypatch.setenv("SOO_BOOTSTRAP_KEY", "top-secret")
+    settings = Settings()
+    assert settings.bootstrap_key.get_secret_value() == "top-secret"
+    assert "top-secret" not in repr(settings)
+
+
+def test_an_empty_variable_counts_as_not_set(monkeypatch):
+    for variable in ("SOO_BOOTSTRAP_KEY", "SOO_PORT", "SOO_CLOCK"):
+        monkeypatch.setenv(variable, "")
+    assert (Settings().bootstrap_key, Settings().port, Settings().clock) == (None, 8000, "system")
+
+
+@pytest.mark.parametrize(
+    ("path", "default"), NESTED, ids=lambda value: "__".join(value) if isinstance(value, tuple) else ""
+)
+def test_a_nested_setting_comes_from_its_variable_and_moves_nothing_else(monkeypatch, path, default):
+    changed = default + 1
+    monkeypatch.setenv("SOO_" + "__".join(path).upper(), str(changed))
+    settings = Settings()
+    assert read(settings, path) == changed
+    others = {other: read(settings, other) for other, _ in NESTED if other != path}
+    assert others == {other: value for other, value in NESTED if other != path}
+
+
+def test_every_setting_is_tried_here_and_says_what_it_is():
+    tried = {name for name, _, _ in PLAIN.values()} | set(GROUPS) | {"bootstrap_key"}
+    assert tried == set(Settings.model_fields)
+    assert all(field.description for field in Settings.model_fields.values())
+
+
+def test_the_chain_gets_the_settings_of_its_stages(monkeypatch):
+    monkeypatch.setenv("SOO_INTERLOCK__VALIDITY_LIMIT_DEG", "0.35")
+    monkeypatch.setenv("SOO_TORQUE__MIN_PULSE_S", "0.2")
+    monkeypatch.setenv("SOO_FADE__DEPTH_DB", "0.4")
+    monkeypatch.setenv("SOO_ESTIMATION__MIN_ROWS", "5")
+    chain = Settings().chain_config()
+    assert chain.interlock.validity_limit_deg == 0.35
+    assert (chain.torque.min_pulse_s, chain.fade.depth_db, chain.estimation.min_rows) == (0.2, 0.4, 5)
+
+
+@pytest.mark.parametrize(
+    ("variable", "text"),
+    [
+        ("SOO_CLOCK", "sundial"),
+        ("SOO_PORT", "70000"),
+        ("SOO_PORT", "http"),
+        ("SOO_LATE_AFTER_S", "-1"),
+        ("SOO_MAX_BODY_BYTES", "10"),
+        ("SOO_MAX_ROWS_PER_BATCH", "0"),
+        ("SOO_LOG_LEVEL", "loud"),
+        ("SOO_INTERLOCK__VALIDITY_LIMIT_DEG", "wide"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_by_name(monkeypatch, variable, text):
+    monkeypatch.setenv(variable, text)
+    with pytest.raises(ValidationError, match=variable.removeprefix("SOO_").lower().split("__", maxsplit=1)[-1]):
+        Settings()
+
+
+def test_settings_cannot_be_changed_after_they_were_read():
+    with pytest.raises(ValidationError):
+        Settings().port = 1
