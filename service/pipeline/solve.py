@@ -90,8 +90,8 @@ def _variance_ratio(fix: OctantFix, sigma_db: FloatArray) -> float:
 
 def _exclusions(model: SensitivityModel, reason: IntArray) -> tuple[Exclusion, ...]:
     """Return the selected carriers that did not enter, each with its reason."""
+    is_out = model.is_selected & (reason != RejectionReason.USED)
+    is_absent = reason == RejectionReason.ABSENT
     return tuple(
-        Exclusion(carrier, "absent" if why == RejectionReason.ABSENT else "uplink_fade")
-        for carrier, chosen, why in zip(model.carrier_ids, model.is_selected, reason, strict=True)
-        if chosen and why != RejectionReason.USED
+        Exclusion(model.carrier_ids[k], "absent" if is_absent[k] else "uplink_fade") for k in np.flatnonzero(is_out)
     )

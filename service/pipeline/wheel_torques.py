@@ -5,6 +5,7 @@ dropped: a wish from before an inhibition is not given after it.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from service.core.control.pulses import PulseTrain, shape_pulses
 from service.core.control.wheels import allocate_to_wheels, body_torque_limit_n_m
 from service.pipeline.config import TorqueConfig
 from service.records.attitude import AttitudeRow, Axes, FloatArray
-from service.records.catalogue import ControlMode, Spacecraft
+from service.records.catalogue import ControlMode, Spacecraft, WheelSet
 from service.records.command import Pulse, TorqueCommand
 from service.records.epoch import US_PER_S
 
@@ -73,7 +74,7 @@ def compute_command(
         np.where(is_allowed, wanted, 0.0),
         np.where(is_allowed, carry_n_m_s, 0.0),
         period_s=period_s,
-        limit_n_m=min(spacecraft.torque_limit_n_m, _wheels_limit_n_m(spacecraft)),
+        limit_n_m=min(spacecraft.torque_limit_n_m, _wheels_limit_n_m(spacecraft.wheels)),
         quantum_n_m=spacecraft.wheels.torque_quantum_n_m,
         min_pulse_s=config.min_pulse_s,
         time_step_s=config.time_step_s,
@@ -81,10 +82,10 @@ def compute_command(
     return TorqueOutcome(_command(row, spacecraft, epoch_us, period_s, pulses), pulses.carry_n_m_s)
 
 
-def _wheels_limit_n_m(spacecraft: Spacecraft) -> float:
-    """Return the body torque up to which no wheel exceeds its own limit."""
-    axes = np.array(spacecraft.wheels.axes, dtype=np.float64)
-    return body_torque_limit_n_m(axes, spacecraft.wheels.torque_limit_n_m)
+@lru_cache(maxsize=64)
+def _wheels_limit_n_m(wheels: WheelSet) -> float:
+    """Return the body torque up to which no wheel exceeds its own limit; a set of wheels hardly ever changes."""
+    return body_torque_limit_n_m(np.array(wheels.axes, dtype=np.float64), wheels.torque_limit_n_m)
 
 
 def _principal_inertia(spacecraft: Spacecraft) -> FloatArray:
