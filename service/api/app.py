@@ -15,6 +15,7 @@ from service.api.auth import MAY_READ, BootstrapKey
 from service.api.body_limit import BodyLimit
 from service.api.carrier_names import CarrierNames
 from service.api.deps import ApiContext, Limits
+from service.api.epoch_limits import EpochLimits
 from service.api.errors import add_handlers
 from service.api.open_streams import OpenStreams
 from service.api.plan_widths import PlanWidths
@@ -40,6 +41,7 @@ def create_app(context: ApiContext) -> FastAPI:
     app.state.context = context
     app.state.plan_widths = PlanWidths(context.storage.catalogue)
     app.state.carrier_names = CarrierNames(context.storage.catalogue)
+    app.state.epoch_limits = EpochLimits(context.clock, context.limits)
     app.state.open_streams = OpenStreams()
     app.state.key_ring = BootstrapKey(context.bootstrap_key)
     return app

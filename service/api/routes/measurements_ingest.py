@@ -14,12 +14,13 @@ from starlette.responses import JSONResponse
 from service.api.auth import MAY_SEND
 from service.api.bodies import accepts, read_body
 from service.api.deps import ApiContext, SpacecraftIdText, checked_spacecraft_id
+from service.api.epoch_limits import EpochLimits
 from service.api.epochs import EpochTextError, parse_epochs
 from service.api.plan_widths import PlanWidths
 from service.api.problems import ProblemError, invalid_request
 from service.api.schemas.measurements import MeasurementBatchDocument, MeasurementReceiptAnswer
 from service.errors import FieldError
-from service.pipeline.ingest import EpochBounds, ReceivedRows, data_bounds, screen, system_bounds
+from service.pipeline.ingest import ReceivedRows, screen
 from service.records.attitude import IntArray
 from service.records.measurement import BatchReceipt, Refusal
 
@@ -52,7 +53,10 @@ async def send_measurements(spacecraft_id: SpacecraftIdText, request: Request) -
         power_dbm=[row.power_dbm for row in body.measurements],
         flags=[row.flags for row in body.measurements],
     )
-    batch, screened = screen(rows, width, _bounds(spacecraft_id, context))
+    epoch_limits: EpochLimits = request.app.state.epoch_limits
+    batch, screened = screen(rows, width, await epoch_limits.known(spacecraft_id))
+    if any(refusal.code == "time.future" for refusal in screened):
+        batch, screened = screen(rows, width, await epoch_limits.present(spacecraft_id))
     receipt = _NOTHING_STORED
     if len(batch.index):
         receipt = await asyncio.wrap_future(context.storage.archive.append_measurements(batch))
@@ -76,15 +80,6 @@ def _epochs(body: MeasurementBatchDocument) -> IntArray:
     except EpochTextError as error:
         pointer = f"/measurements/{error.index}/epoch"
         raise invalid_request([FieldError(pointer, "epoch.malformed", error.detail)]) from None
-
-
-def _bounds(spacecraft_id: str, context: ApiContext) -> EpochBounds:
-    """Return what the spacecraft's clock says about epochs."""
-    limits, clock = context.limits, context.clock
-    now_us = clock.now_us(spacecraft_id)
-    if clock.is_data(spacecraft_id) or now_us is None:
-        return data_bounds(now_us, limits.future_tolerance_data_s, limits.retention_s)
-    return system_bounds(now_us, limits.future_tolerance_s, limits.late_after_s, limits.retention_s)
 
 
 def _answer(body: MeasurementBatchDocument, receipt: BatchReceipt, screened: tuple[Refusal, ...]) -> dict[str, Any]:

@@ -3,11 +3,12 @@
 from http import HTTPStatus
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Response
+from fastapi import APIRouter, Request, Response
 
 from service.api.auth import MAY_OPERATE
 from service.api.bodies import accepts, body_of
 from service.api.deps import Context, SpacecraftId
+from service.api.epoch_limits import EpochLimits
 from service.api.merge_patch import MergePatch, patched
 from service.api.problems import invalid_request
 from service.api.schemas.base import Answer
@@ -51,7 +52,7 @@ def get_spacecraft(spacecraft_id: SpacecraftId, context: Context) -> SpacecraftD
 
 @router.patch("/{spacecraft_id}", dependencies=[MAY_OPERATE], openapi_extra=accepts(MergePatch))
 def change_spacecraft(
-    spacecraft_id: SpacecraftId, body: Annotated[MergePatch, body_of(MergePatch)], context: Context
+    spacecraft_id: SpacecraftId, body: Annotated[MergePatch, body_of(MergePatch)], context: Context, request: Request
 ) -> SpacecraftDocument:
     """Change fields of a spacecraft, the others stay."""
     stored = SpacecraftDocument.of(context.storage.catalogue.spacecraft(spacecraft_id))
@@ -62,6 +63,8 @@ def change_spacecraft(
     if _touches_control(body.root):
         _check_ground_control(changed)
     context.storage.catalogue.replace_spacecraft(changed.to_record())
+    epoch_limits: EpochLimits = request.app.state.epoch_limits
+    epoch_limits.forget(spacecraft_id)
     context.on_accepted(spacecraft_id)
     return changed
 

@@ -1,0 +1,16 @@
+"""All benchmarks, one after another: ``python -m bench``. Exit code 1 when a goal is missed."""
+
+import sys
+
+from bench import bench_chain, bench_ingest, bench_storage
+
+
+def main() -> int:
+    """Run them and return the exit code."""
+    bench_storage.main()
+    is_met = [bench_ingest.main(), bench_chain.main()]
+    return 0 if all(is_met) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,119 @@
+"""Load of the ingest benchmark: connections that post batches one after another, each batch with epochs of its own.
+
+A request is one join of prepared pieces and one write, so that one process of this can fill the server. Answers are
+checked by their bytes: every row of every batch must have been accepted.
+"""
+
+import asyncio
+import json
+import time
+from dataclasses import dataclass, field
+from typing import NamedTuple
+from urllib.parse import urlsplit
+
+#: where the epoch's second goes into the prepared text
+_MARK = "@@@@"
+#: 2027-01-15T08:00:00Z; the data clock follows
+_START_S = 1_800_000_000
+
+
+class Shape(NamedTuple):
+    """What is sent."""
+
+    rows: int
+    carriers: int
+    connections: int
+
+
+class Rate(NamedTuple):
+    """What came of one measurement."""
+
+    requests: int
+    seconds: float
+    #: slowest but one in a hundred, s
+    p99_s: float
+
+    @property
+    def per_second(self) -> float:
+        """Requests a second."""
+        return self.requests / self.seconds
+
+
+@dataclass
+class Load:
+    """Connections to one server that go on where the last measurement ended.
+
+    Parameters
+    ----------
+    url, key : str
+        Address and bearer key.
+    plan_id : int
+        Carrier plan of the rows.
+    shape : Shape
+        Rows, carriers and connections.
+    """
+
+    url: str
+    key: str
+    plan_id: int
+    shape: Shape
+    #: seconds of rows each connection has sent
+    sent: list[int] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.sent = [0] * self.shape.connections
+
+    async def run(self, seconds: float) -> Rate:
+        """Post on all connections for some seconds."""
+        until = time.perf_counter() + seconds
+        began = time.perf_counter()
+        delays = await asyncio.gather(*(self._post(number, until) for number in range(self.shape.connections)))
+        elapsed_s = time.perf_counter() - began
+        every = sorted(delay for part in delays for delay in part)
+        return Rate(len(every), elapsed_s, every[int(0.99 * (len(every) - 1))])
+
+    async def _post(self, number: int, until: float) -> list[float]:
+        """Post batches on one connection and return how long each answer took."""
+        address = urlsplit(self.url)
+        reader, writer = await asyncio.open_connection(address.hostname, address.port)
+        pieces = self._pieces(number)
+        accepted = f'"accepted":{self.shape.rows},'.encode()
+        delays = []
+        try:
+            while (began := time.perf_counter()) < until:
+                second = time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(_START_S + self.sent[number])).encode()
+                writer.write(second.join(pieces))
+                answer = await _answer(reader)
+                if accepted not in answer:
+                    raise RuntimeError(f"the server answered {answer[:300]!r}")
+                self.sent[number] += 1
+                delays.append(time.perf_counter() - began)
+        finally:
+            writer.close()
+        return delays
+
+    def _pieces(self, number: int) -> list[bytes]:
+        """Return the parts of a request between the seconds of its epochs."""
+        shape = self.shape
+        measurements = [
+            {
+                "epoch": f"{_MARK}.{row * (1_000_000 // shape.rows):06d}Z",
+                "power_dbm": [round(-40 - number - row / 100 - carrier / 10, 2) for carrier in range(shape.carriers)],
+            }
+            for row in range(shape.rows)
+        ]
+        document = {"plan_id": self.plan_id, "source": f"sa-{number}", "first_seq": 0, "measurements": measurements}
+        body = json.dumps(document, separators=(",", ":"))
+        length = len(body) + shape.rows * (len("2027-01-15T08:00:00") - len(_MARK))
+        head = (
+            "POST /api/v1/spacecraft/bench/measurements:batch HTTP/1.1\r\nHost: bench\r\n"
+            f"Authorization: Bearer {self.key}\r\nContent-Type: application/json\r\nContent-Length: {length}\r\n\r\n"
+        )
+        return (head + body).encode().split(_MARK.encode())
+
+
+async def _answer(reader: asyncio.StreamReader) -> bytes:
+    """Return one whole answer."""
+    head = await reader.readuntil(b"\r\n\r\n")
+    _, _, rest = head.lower().partition(b"content-length:")
+    return head + await reader.readexactly(int(rest.partition(b"\r\n")[0]))

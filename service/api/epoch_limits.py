@@ -1,0 +1,70 @@
+"""Which epochs a spacecraft's clock accepts, remembered for a second where the clock has to ask the database.
+
+Under the data clock the present is the newest stored epoch, which only grows: what was accepted under a remembered one
+is accepted under the present one. A caller that is about to refuse an epoch asks for the present bounds first.
+"""
+
+from typing import NamedTuple
+
+from starlette.concurrency import run_in_threadpool
+
+from service.api.deps import Limits
+from service.pipeline.ingest import EpochBounds, data_bounds, system_bounds
+from service.ports import Clock
+from service.records.epoch import US_PER_S
+
+
+class _Known(NamedTuple):
+    """What a clock said."""
+
+    read_at_us: int
+    is_data: bool
+    now_us: int | None
+
+
+class EpochLimits:
+    """Bounds of epochs by spacecraft.
+
+    Parameters
+    ----------
+    clock : Clock
+        Clock of the service.
+    limits : Limits
+        Tolerances.
+    """
+
+    def __init__(self, clock: Clock, limits: Limits) -> None:
+        self._clock = clock
+        self._limits = limits
+        self._known: dict[str, _Known] = {}
+
+    async def known(self, spacecraft_id: str) -> EpochBounds:
+        """Return bounds at most a second old."""
+        known = self._known.get(spacecraft_id)
+        now_us = self._clock.system_us()
+        # before its first row nothing bounds a spacecraft, so that is never remembered
+        if known is None or known.now_us is None or not 0 <= now_us - known.read_at_us < US_PER_S:
+            return await self.present(spacecraft_id)
+        return self._bounds(known if known.is_data else known._replace(now_us=now_us))
+
+    async def present(self, spacecraft_id: str) -> EpochBounds:
+        """Return the bounds of this moment."""
+        known = await run_in_threadpool(self._read, spacecraft_id)
+        self._known[spacecraft_id] = known
+        return self._bounds(known)
+
+    def forget(self, spacecraft_id: str) -> None:
+        """Forget a spacecraft that was changed: it may live under another clock now."""
+        self._known.pop(spacecraft_id, None)
+
+    def _read(self, spacecraft_id: str) -> _Known:
+        """Ask the clock."""
+        clock = self._clock
+        return _Known(clock.system_us(), clock.is_data(spacecraft_id), clock.now_us(spacecraft_id))
+
+    def _bounds(self, known: _Known) -> EpochBounds:
+        """Return what the clock's word means for epochs."""
+        limits = self._limits
+        if known.is_data or known.now_us is None:
+            return data_bounds(known.now_us, limits.future_tolerance_data_s, limits.retention_s)
+        return system_bounds(known.now_us, limits.future_tolerance_s, limits.late_after_s, limits.retention_s)
