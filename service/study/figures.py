@@ -23,6 +23,7 @@ def draw_tracking(tracked: TrackedAngles, path: Path) -> None:
             held = np.where(tracked.is_control_allowed, np.nan, 0.0)
             plot.plot(hours, held, color="#d62728", linewidth=3.0, alpha=0.6, label="control inhibited")
             plot.set_ylabel(f"{name}, deg")
-        axes[0].legend(loc="upper right", ncols=3, frameon=False)
+        # above the plots: an excursion may reach any corner of them
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
         axes[-1].set_xlabel("hours of operation")
         figure.savefig(path, dpi=120)
