@@ -2,13 +2,16 @@
 
 import json
 import os
+import signal
 import tempfile
 import time
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
+from rich.live import Live
 from rich.progress import Progress, TaskID
 from rich.table import Table
 
@@ -22,8 +25,9 @@ from service.study.processes import ProcessFailedError
 #: operation that the endless demonstration can show, days
 _ENDLESS_DAYS = 30.0
 _EXIT_DAYS = 2.0
-#: seconds between two prints of the tracking table
+#: seconds between two prints of the tracking table away from a terminal
 _PRINT_EVERY_S = 3.0
+_ROWS_A_CHUNK = 60.0
 
 
 def demo(
@@ -32,81 +36,144 @@ def demo(
     seed: Annotated[int, typer.Option(help="Seed of the simulated world.")] = 1,
     days: Annotated[float | None, typer.Option(help="Virtual days of operation.")] = None,
     figure: Annotated[Path | None, typer.Option(help="Draw estimate and truth into this PNG file at the end.")] = None,
+    keep: Annotated[Path | None, typer.Option(help="Keep database and logs in this folder.", file_okay=False)] = None,
     rows_per_second: Annotated[float, typer.Option(help="Pace of tracking; 0 = as fast as it goes.")] = 20.0,
     service: Annotated[str | None, typer.Option(help="Use a service that runs already (key in SOO_KEY).")] = None,
     analyzer: Annotated[str | None, typer.Option(help="HOST:PORT of a simulated analyzer that runs already.")] = None,
     ground: Annotated[str | None, typer.Option(help="HOST:PORT of its ground port.")] = None,
 ) -> None:
     """Show the whole chain: SCPI analyzer to angles and torques, on a virtual clock."""
+    _end_on_signals()
     console = Console(stderr=as_json)
     operation_days = days or (_EXIT_DAYS if leave else _ENDLESS_DAYS)
-    presenter = Presenter(console, 0.0 if leave else rows_per_second)
-    with tempfile.TemporaryDirectory(prefix="soo-demo-") as name:
-        directory = Path(name)
+    presenter = Presenter(console, 0.0 if leave else rows_per_second, with_table=not leave and not as_json)
+    with ExitStack() as stack:
+        directory = _directory(stack, keep)
         try:
             if service and analyzer and ground:
-                figures = _play(directory, _external(service, analyzer, ground), presenter, figure)
+                endpoints = _external(service, analyzer, ground)
             else:
-                with simulated_station(directory, seed=seed, operation_days=operation_days) as endpoints:
-                    figures = _play(directory, endpoints, presenter, figure)
+                endpoints = stack.enter_context(simulated_station(directory, seed=seed, operation_days=operation_days))
+                presenter.key = endpoints.key
+            figures = _play(directory, endpoints, presenter, figure)
         except KeyboardInterrupt:
             console.print("stopped")
             return
         except (ProcessFailedError, ClientError, TimeoutError, OSError) as error:
-            presenter.close()
             typer.echo(f"the demonstration failed: {error}", err=True)
             raise typer.Exit(2) from error
-    typer.echo(json.dumps({"seed": seed, **figures})) if as_json else _print_figures(console, figures)
+    typer.echo(json.dumps({"seed": seed, **figures}, allow_nan=False)) if as_json else _print_figures(console, figures)
     if figures["missed"]:
         raise typer.Exit(1)
 
 
-class Presenter:
-    """Shows the story: a progress bar until the alignment, then a table every few seconds."""
+def _end_on_signals() -> None:
+    """Let the first signal end the demonstration; further ones do not disturb the end of its processes."""
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
-    def __init__(self, console: Console, rows_per_second: float) -> None:
+    def end(*_: object) -> NoReturn:
+        for number in numbers:
+            signal.signal(number, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    for number in numbers:
+        signal.signal(number, end)
+
+
+def _directory(stack: ExitStack, keep: Path | None) -> Path:
+    """Return the folder of database and logs; it goes with the demonstration unless it is to be kept."""
+    if keep is None:
+        return Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="soo-demo-")))
+    if (keep / "soo.db").exists():
+        typer.echo(f"{keep} holds the database of an earlier demonstration; name another folder", err=True)
+        raise typer.Exit(2)
+    keep.mkdir(parents=True, exist_ok=True)
+    return keep
+
+
+class Presenter:
+    """Shows the story: a progress bar, and in place of it a table of angles while it tracks without an end.
+
+    Parameters
+    ----------
+    console : Console
+        Where to show it.
+    rows_per_second : float
+        Pace of tracking; 0 = as fast as it goes.
+    with_table : bool
+        Whether tracking is shown as a table.
+    """
+
+    def __init__(self, console: Console, rows_per_second: float, *, with_table: bool) -> None:
         self._console = console
         self._rows_per_second = rows_per_second
+        self._with_table = with_table
         self._progress: Progress | None = None
+        self._live: Live | None = None
         self._task: TaskID | None = None
         self._printed_at = 0.0
         self._began_at = time.monotonic()
+        #: of the demonstration's own service, made for this run
+        self.key: str | None = None
 
     def show(self, scene: Scene) -> None:
         """Show one moment."""
-        if scene.phase != "operation":
-            self._show_preparation(scene)
-            return
-        if self._progress is not None:
-            self.close()
-            self._console.print(
-                f"aligned after {time.monotonic() - self._began_at:.0f} s; API: {scene.client.service_url}/docs"
-            )
-        if self._rows_per_second > 0.0:
+        if scene.phase == "operation" and self._with_table:
+            self._show_tracking(scene)
+        else:
+            self._show_progress(scene)
+        if scene.phase == "operation" and self._rows_per_second > 0.0:
             # a chunk holds an hour of rows; the pace is kept by waiting after it
-            time.sleep(60.0 / self._rows_per_second)
-        if time.monotonic() - self._printed_at >= _PRINT_EVERY_S:
-            self._printed_at = time.monotonic()
-            self._console.print(_tracking_table(scene))
+            time.sleep(_ROWS_A_CHUNK / self._rows_per_second)
 
     def close(self) -> None:
-        """End the progress bar."""
+        """End what moves on the screen."""
         if self._progress is not None:
             self._progress.stop()
             self._progress = None
+        if self._live is not None:
+            self._live.stop()
+            self._live = None
 
-    def _show_preparation(self, scene: Scene) -> None:
-        """Move the progress bar along quiet days, turns and alignment."""
+    def _show_progress(self, scene: Scene) -> None:
+        """Move the progress bar along quiet days, turns, alignment and operation."""
         phases = scene.story.phases
         if self._progress is None:
-            self._progress = Progress(console=self._console)
+            # away from a terminal a bar is only noise, unless the user waits for nothing else
+            self._progress = Progress(console=self._console, disable=not self._console.is_terminal)
             self._task = self._progress.add_task("quiet", total=1.0)
             self._progress.start()
-        if self._task is None or "alignment" not in phases:
+        last = "alignment" if self._with_table else "operation"
+        if self._task is None or last not in phases:
             return
-        start_us, stop_us = parse_epoch(phases["quiet"][0]), parse_epoch(phases["alignment"][1])
+        start_us, stop_us = parse_epoch(phases["quiet"][0]), parse_epoch(phases[last][1])
         share = (parse_epoch(scene.until) - start_us) / (stop_us - start_us)
         self._progress.update(self._task, completed=share, description=f"{scene.phase:9s}")
+
+    def _show_tracking(self, scene: Scene) -> None:
+        """Show the newest angles, in place on a terminal, else every few seconds."""
+        if self._progress is not None:
+            self.close()
+            self._say_where(scene)
+        if self._console.is_terminal:
+            if self._live is None:
+                self._live = Live(console=self._console, auto_refresh=False)
+                self._live.start()
+            self._live.update(_tracking_table(scene), refresh=True)
+        elif time.monotonic() - self._printed_at >= _PRINT_EVERY_S:
+            self._printed_at = time.monotonic()
+            self._console.print(_tracking_table(scene))
+
+    def _say_where(self, scene: Scene) -> None:
+        """Say how to reach the service from elsewhere."""
+        url = scene.client.service_url
+        self._console.print(f"aligned after {time.monotonic() - self._began_at:.0f} s; tracking; Ctrl-C ends it")
+        if self.key is not None:
+            self._console.print(
+                f"REST interface {url}/api/v1, described in {url}/openapi.json; for example", soft_wrap=True
+            )
+            path = f"{url}/api/v1/spacecraft/{scene.story.spacecraft_id}/attitude"
+            self._console.print(f"  curl -H 'Authorization: Bearer {self.key}' {path}", soft_wrap=True, highlight=False)
 
 
 def _external(service: str, analyzer: str, ground: str) -> Endpoints:
@@ -152,7 +219,7 @@ def _tracking_table(scene: Scene) -> Table:
         )
     reasons = ", ".join(attitude["inhibitions"]) or "control allowed"
     out = ", ".join(f"{item['carrier']} ({item['reason']})" for item in attitude["excluded"]) or "none"
-    table.caption = f"{reasons}; carriers excluded: {out}; API: {scene.client.service_url}/docs"
+    table.caption = f"{reasons}; carriers excluded: {out}"
     return table
 
 
@@ -167,9 +234,13 @@ def _print_figures(console: Console, figures: dict[str, Any]) -> None:
     table = Table("axis", "rms, deg", "95 % error, deg", "truth rms, deg", "skill", "slope", title=title)
     for axis, merit in figures["axes"].items():
         names = ("rms_deg", "error_95_deg", "truth_rms_deg", "skill", "slope")
-        table.add_row(axis, *(f"{merit[name]:.3f}" for name in names))
+        table.add_row(axis, *("-" if merit[name] is None else f"{merit[name]:.3f}" for name in names))
     crlb = ", ".join(f"{axis} {value:.3f}" for axis, value in figures["crlb_deg"].items())
     table.caption = f"control allowed {figures['availability']:.1%} of the rows; one-row bound {crlb} deg"
     console.print(table)
+    console.print(
+        f"{figures['rows_archived']} rows in the archive, {figures['rows_lost']} lost; "
+        f"{figures['replay_rows']} rows replayed, {figures['replay_rows_different']} differ from live"
+    )
     for text in figures["missed"]:
         console.print(f"missed: {text}")

@@ -19,6 +19,7 @@ from service.cli.connection import (
     connected,
 )
 from service.client.service_client import ServiceClient
+from service.study.replay_check import compare_with_live
 
 Start = Annotated[str, typer.Option(help="RFC 3339 start, inclusive.")]
 Stop = Annotated[str, typer.Option(help="RFC 3339 stop, exclusive.")]
@@ -108,26 +109,10 @@ def replay(
         _wait(client, started["job"], "replay")
         report: dict[str, Any] = {"id": started["id"], "version": started["version"]}
         if compare:
-            report |= _compare(client, spacecraft, start, stop, method or "paper", started["version"])
+            report |= compare_with_live(client, spacecraft, start, stop, method or "paper", started["version"])
     typer.echo(json.dumps(report) if as_json else ", ".join(f"{name} {value}" for name, value in report.items()))
     if compare and report["rows_different"]:
         raise typer.Exit(1)
-
-
-def _compare(
-    client: ServiceClient, spacecraft: str, start: str, stop: str, method: str, version: str
-) -> dict[str, int]:
-    """Count the rows of a replay that equal the live ones to the last bit."""
-    live = {_key(row): row for row in client.attitude_history(spacecraft, start, stop, method=method)}
-    replayed = client.attitude_history(spacecraft, start, stop, method=method, version=version)
-    rows = [(_key(row), {**row, "version": "live"}) for row in replayed]
-    equal = sum(live.get(key) == row for key, row in rows)
-    return {"rows": len(rows), "rows_equal": equal, "rows_different": len(rows) - equal}
-
-
-def _key(row: dict[str, Any]) -> tuple[str, str]:
-    """Return what names a row."""
-    return row["epoch"], row["received_at"]
 
 
 def export(

@@ -6,7 +6,7 @@ when the connection was never made. A request that may have been carried out is 
 
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Self
 
 import httpx
@@ -118,6 +118,34 @@ class Transport:
                     raise
                 self._sleep(error.retry_after_s or backoff.next_s())
         raise AssertionError  # pragma: no cover - the loop returns or raises
+
+    def download(self, path: str, params: Mapping[str, Any] | None = None) -> Iterator[bytes]:
+        """Yield the body of a GET as it comes, never the whole of it; asked once, for a part cannot be taken back.
+
+        Parameters
+        ----------
+        path : str
+            Below ``/api/v1``.
+        params : mapping, optional
+            Query; None values are left out.
+
+        Raises
+        ------
+        ProblemError
+            The service refused.
+        ServiceUnavailableError
+            No answer, or the answer broke off.
+        """
+        query = {name: value for name, value in (params or {}).items() if value is not None}
+        try:
+            with self._http.stream("GET", BASE_PATH + path, params=query, headers={"Accept": "*/*"}) as response:
+                if not response.is_success:
+                    response.read()
+                    raise error_of(response)
+                yield from response.iter_bytes()
+        except httpx.TransportError as error:
+            message = f"the download of {path} broke off: {type(error).__name__} {error}".rstrip()
+            raise ServiceUnavailableError(message) from error
 
     def _send(self, method: str, path: str, content: bytes | None, query: Mapping[str, Any]) -> Any:
         """Send once."""

@@ -5,6 +5,7 @@ before the rows it belongs to, as a control centre would. The truth comes the sa
 """
 
 import json
+import math
 import os
 import secrets
 import time
@@ -19,6 +20,7 @@ import numpy as np
 from service.client.service_client import ServiceClient
 from service.records.attitude import BoolArray, FloatArray, IntArray
 from service.records.epoch import parse_epoch
+from service.study.archive_check import check_archive, check_replay, missed_promises
 from service.study.ground_link import GroundLink
 from service.study.merit import AXES, AxisMerit, judge_axis, missed_bounds
 from service.study.processes import ChildProcess
@@ -224,13 +226,15 @@ def tracked_angles(story: Story, client: ServiceClient, method: str) -> TrackedA
 
 
 def judge_story(story: Story, client: ServiceClient, method: str) -> dict[str, Any]:
-    """Return the figures of the operation phase, and of the answer that never moves."""
+    """Return the figures of the operation phase, of the answer that never moves, and of what the archive keeps."""
     tracked = tracked_angles(story, client, method)
     is_judged = tracked.epochs_us >= parse_epoch(story.phases["operation"][0]) + _SETTLING_US
     estimate, truth = tracked.estimate_deg[is_judged], tracked.truth_deg[is_judged]
     merits = {axis: judge_axis(estimate[:, k], truth[:, k]) for k, axis in enumerate(AXES)}
     zeros = {axis: judge_axis(np.zeros(len(truth)), truth[:, k]) for k, axis in enumerate(AXES)}
     allowed = tracked.is_control_allowed[is_judged]
+    kept = check_archive(client, story.spacecraft_id, story.truth_deg)
+    kept |= check_replay(client, story.spacecraft_id, story.phases["operation"], method)
     return {
         "method": method,
         "rows": len(tracked.epochs_us),
@@ -239,7 +243,8 @@ def judge_story(story: Story, client: ServiceClient, method: str) -> dict[str, A
         "axes": {axis: _figures(merit) for axis, merit in merits.items()},
         "zero_answer": {axis: _figures(merit) for axis, merit in zeros.items()},
         "crlb_deg": story.bound_deg,
-        "missed": missed_bounds(merits),
+        **kept,
+        "missed": missed_bounds(merits) + missed_promises(kept),
         "zero_answer_misses": missed_bounds(zeros),
     }
 
@@ -249,6 +254,6 @@ def _number(value: float | None) -> float:
     return float("nan") if value is None else value
 
 
-def _figures(merit: AxisMerit) -> dict[str, float]:
-    """Return figures that print well."""
-    return {name: round(value, 4) for name, value in merit._asdict().items()}
+def _figures(merit: AxisMerit) -> dict[str, float | None]:
+    """Return figures that print well; None where there was nothing to judge."""
+    return {name: round(value, 4) if math.isfinite(value) else None for name, value in merit._asdict().items()}

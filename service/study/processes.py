@@ -52,6 +52,8 @@ class ChildProcess:
             stdout=subprocess.PIPE if announces else self._log,
             stderr=self._log,
             env=dict(environment),
+            # Ctrl-C at the terminal is for the demonstration, which ends its processes in their order
+            start_new_session=True,
         )
         self.announcement: dict[str, Any] = self._await_announcement() if announces else {}
 

@@ -128,3 +128,20 @@ def test_jitter_shortens_and_reset_starts_again() -> None:
     assert [backoff.next_s() for _ in range(4)] == [0.5, 1.0, 2.0, 2.0]
     backoff.reset()
     assert backoff.next_s() == 0.5
+
+
+def test_a_download_is_given_piece_by_piece_and_asked_once() -> None:
+    made, requests = transport(httpx.Response(200, content=iter([b"epoch,", b"source\r\n"])))
+    with made:
+        pieces = list(made.download("/archive", {"format": "csv", "version": None}))
+    assert b"".join(pieces) == b"epoch,source\r\n"
+    assert [str(request.url) for request in requests] == ["http://service/api/v1/archive?format=csv"]
+
+
+def test_a_refused_download_is_its_problem_and_a_broken_one_says_so() -> None:
+    made, _ = transport(httpx.Response(404, json=PROBLEM), httpx.ReadError("gone"))
+    with made:
+        with pytest.raises(ProblemError, match="no plan 9"):
+            list(made.download("/archive"))
+        with pytest.raises(ServiceUnavailableError, match="broke off"):
+            list(made.download("/archive"))

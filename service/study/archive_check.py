@@ -1,0 +1,60 @@
+"""What the service keeps of a story beside what was measured: no row lost, none invented, live equal to its replay."""
+
+import time
+from collections.abc import Mapping
+from typing import Any
+
+from service.client.service_client import ServiceClient
+from service.records.epoch import format_epoch
+from service.study.replay_check import compare_with_live
+
+
+def check_archive(client: ServiceClient, spacecraft_id: str, truth_deg: Mapping[int, object]) -> dict[str, int]:
+    """Compare the epochs of the exported measurements with those that the simulator swept.
+
+    Parameters
+    ----------
+    client : ServiceClient
+        Of the service that was fed.
+    spacecraft_id : str
+        Spacecraft.
+    truth_deg : mapping
+        Keyed by the epoch, microseconds UTC, of every row swept.
+    """
+    measured = {format_epoch(epoch_us) for epoch_us in truth_deg}
+    window = {"start": format_epoch(min(truth_deg)), "stop": format_epoch(max(truth_deg) + 1)}
+    path = f"/spacecraft/{spacecraft_id}/archive/measurements:export"
+    text = b"".join(client.download(path, {"format": "csv", **window})).decode()
+    archived = [line.partition(",")[0] for line in text.splitlines()[1:]]
+    return {
+        "rows_measured": len(measured),
+        "rows_archived": len(archived),
+        "rows_lost": len(measured - set(archived)),
+        "rows_not_measured": len(archived) - len(measured & set(archived)),
+    }
+
+
+def check_replay(client: ServiceClient, spacecraft_id: str, window: tuple[str, str], method: str) -> dict[str, Any]:
+    """Replay a stretch of the archive in order of the journal and compare it with live operation."""
+    start, stop = window
+    began = time.monotonic()
+    wanted = {"start": start, "stop": stop, "method": method}
+    started = client.request("POST", f"/spacecraft/{spacecraft_id}/replays", wanted)
+    client.wait_job(started["job"])
+    elapsed_s = time.monotonic() - began
+    found = compare_with_live(client, spacecraft_id, start, stop, method, started["version"])
+    return {
+        "replay_rows": found["rows"],
+        "replay_rows_different": found["rows_different"],
+        "replay_rows_per_s": round(found["rows"] / elapsed_s),
+    }
+
+
+def missed_promises(figures: Mapping[str, Any]) -> list[str]:
+    """Return which promises of the archive the figures break, in words."""
+    missed = [
+        f"{name} is {figures[name]}, not 0"
+        for name in ("rows_lost", "rows_not_measured", "replay_rows_different")
+        if figures[name] != 0
+    ]
+    return missed if figures["replay_rows"] else [*missed, "the replay has no rows"]

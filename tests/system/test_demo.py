@@ -1,0 +1,121 @@
+"""``soo demo`` as a user starts it, shortened: what is measured is kept, what is kept replays to the last bit."""
+
+import csv
+import json
+import signal
+import subprocess
+import sys
+import time
+from datetime import datetime, timedelta
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(180)]
+
+KEY = "a-key-for-tests-only"
+SEED = 1
+#: an hour and a half beyond the settling hour; too short for the bounds of accuracy, which the full demonstration keeps
+DAYS = 0.1
+
+
+def soo(environment: dict[str, str], *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run one command to its end."""
+    command = [sys.executable, "-m", "service", *arguments]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=150, check=False)
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory, compiled_environment) -> tuple[Path, dict]:
+    """Run the demonstration once; give the folder it kept and its figures."""
+    print(f"seed {SEED}")
+    folder = tmp_path_factory.mktemp("demo")
+    ran = soo(
+        compiled_environment,
+        *("demo", "--exit", "--json", "--seed", str(SEED), "--days", str(DAYS), "--keep", str(folder)),
+    )
+    # 1: the short operation misses bounds of accuracy
+    assert ran.returncode in (0, 1), ran.stderr
+    assert ran.stderr == ""
+    assert len(ran.stdout.splitlines()) == 1
+    return folder, json.loads(ran.stdout)
+
+
+def test_no_row_is_lost_and_live_equals_its_replay(kept):
+    _, figures = kept
+    assert figures["seed"] == SEED
+    assert figures["rows"] == round(DAYS * 1440)
+    assert figures["rows_measured"] == figures["rows_archived"] > figures["rows"]
+    assert (figures["rows_lost"], figures["rows_not_measured"]) == (0, 0)
+    assert figures["replay_rows"] == figures["rows"]
+    assert figures["replay_rows_different"] == 0
+    # the only bounds that may be missed are those of accuracy
+    assert all("rms" in text or "slope" in text for text in figures["missed"])
+
+
+def test_the_kept_database_serves_exports_and_replays(kept, start_service, compiled_environment, tmp_path):
+    folder, figures = kept
+    service = start_service(database=folder / "soo.db")
+    environment = {**compiled_environment, "SOO_KEY": KEY}
+    with service.client() as client:
+        known = client.get("/api/v1/spacecraft").json()["rows"][0]["id"]
+        carriers = client.get(f"/api/v1/spacecraft/{known}/carriers").json()["carriers"]
+        newest = client.get(f"/api/v1/spacecraft/{known}/status").json()["newest_measurement"]
+        alignment = client.get(f"/api/v1/spacecraft/{known}/alignments").json()["rows"][0]["epoch"]
+    where = ("--service", service.url, "--spacecraft", known)
+    wide = ("--start", "2020-01-01T00:00:00Z", "--stop", "2040-01-01T00:00:00Z")
+    table = tmp_path / "measurements.csv"
+    ran = soo(environment, "export", *where, "--series", "measurements", *wide, "--output", str(table))
+    assert ran.returncode == 0, ran.stderr
+    with table.open(newline="") as file:
+        rows = list(csv.reader(file))
+    assert rows[0] == ["epoch", "source", *(f"{carrier['id']}_dbm" for carrier in carriers)]
+    assert len(rows) == 1 + figures["rows_archived"]
+    # one row a minute, none left out, from the first to the newest
+    assert rows[-1][0] == newest
+    instants = [datetime.fromisoformat(row[0]) for row in rows[1:]]
+    assert {later - earlier for earlier, later in pairwise(instants)} == {timedelta(minutes=1)}
+    ran = soo(
+        environment, "replay", *where, "--start", alignment, "--stop", "2040-01-01T00:00:00Z", "--compare", "--json"
+    )
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    report = json.loads(ran.stdout)
+    assert report["rows_different"] == 0
+    assert report["rows_equal"] == report["rows"] >= figures["rows"]
+
+
+def test_a_folder_with_a_database_is_not_used_again(kept, compiled_environment):
+    folder, _ = kept
+    ran = soo(compiled_environment, "demo", "--exit", "--keep", str(folder))
+    assert ran.returncode == 2
+    assert "name another folder" in ran.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_it_with_all_its_processes(number, compiled_environment, tmp_path):
+    command = [sys.executable, "-m", "service", "demo", "--keep", str(tmp_path / "kept")]
+    with (tmp_path / "out").open("wb") as output:
+        process = subprocess.Popen(command, env=compiled_environment, stdout=output, stderr=output)
+    log = tmp_path / "kept" / "acquire.log"
+    try:
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline and not (log.exists() and log.stat().st_size):
+            time.sleep(0.05)
+        assert log.exists(), (tmp_path / "out").read_text()
+        children = children_of(process.pid)
+        assert len(children) == 3
+        process.send_signal(number)
+        assert process.wait(40) == 0, (tmp_path / "out").read_text()
+    finally:
+        process.kill()
+        process.wait()
+    assert not [child for child in children if Path(f"/proc/{child}").exists()]
+    assert "stopped" in (tmp_path / "out").read_text()
+    assert "Traceback" not in (tmp_path / "out").read_text()
+
+
+def children_of(pid: int) -> list[int]:
+    """Return the ids of the processes that a process has started."""
+    tasks = Path(f"/proc/{pid}/task").glob("*/children")
+    return [int(child) for task in tasks for child in task.read_text().split()]
