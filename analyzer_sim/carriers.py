@@ -7,15 +7,32 @@ never be: with gradients p along pitch and r along roll the geometry gives 8 yaw
 analyzer_sim.structure` prints the table.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+
+import numpy as np
 
 from analyzer_sim.beams import Beam, Ripple
+from analyzer_sim.carrier_rows import C8, KU16, KU_MORE, Row
+from analyzer_sim.streams import FloatArray
 
 #: signal bandwidth over symbol rate is one plus this
 ROLLOFF = 0.25
-#: uplink and downlink of the first carrier's band, Hz
-UPLINK_BASE_HZ = 14_036e6
-DOWNLINK_BASE_HZ = 11_486e6
+#: left edge of the analyzer's span, Hz
+SPAN_START_HZ = 954e6
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """A frequency band: where its converted span begins on the air, and how much of the Ku band's rain it feels."""
+
+    name: str
+    uplink_base_hz: float
+    downlink_base_hz: float
+    rain_share: float
+
+
+#: both converters lead to one span
+BANDS = {"Ku": Band("Ku", 14_036e6, 11_486e6, 1.0), "C": Band("C", 5_950e6, 3_625e6, 0.1)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +64,7 @@ class Carrier:
     #: further slow wander of an unstable user, dB
     wander_db: float = 0.0
     polarization: str = "H"
+    band: str = "Ku"
 
     @property
     def bandwidth_hz(self) -> float:
@@ -63,12 +81,28 @@ class CarrierPlan:
     beams: dict[str, Beam]
     carriers: tuple[Carrier, ...]
     receiving_site: Station
-    #: common gain of the downlink beam around the receiving site
+    #: gain of the Ku band's downlink beam around the receiving site, common to its carriers
     downlink_beam: Beam
     span_hz: tuple[float, float] = (954e6, 990e6)
     noise_windows_hz: tuple[tuple[float, float], ...] = ((954.05e6, 954.75e6), (971.7e6, 972.3e6), (989.25e6, 989.95e6))
     #: noise density at the analyzer input in clear sky, dBm/Hz
     noise_dbm_hz: float = -120.0
+    #: downlink beams of other bands by name
+    other_downlink_beams: dict[str, Beam] = field(default_factory=dict)
+
+    @property
+    def rain_share(self) -> FloatArray:
+        """(N,) share of the Ku band's rain that each carrier feels."""
+        return np.array([BANDS[carrier.band].rain_share for carrier in self.carriers])
+
+    @property
+    def downlink_beams(self) -> dict[str, Beam]:
+        """Downlink beam of each band."""
+        return {"Ku": self.downlink_beam, **self.other_downlink_beams}
+
+    def column(self, carrier_id: str) -> int:
+        """Return the column of a carrier."""
+        return [carrier.id for carrier in self.carriers].index(carrier_id)
 
 
 def _ripples(number: int) -> tuple[Ripple, Ripple]:
@@ -81,26 +115,6 @@ _BEAMS = {
     "Ku3": Beam("Siberia", 0.07, 8.60, 1.32, 2.34, 0.04, _ripples(2)),
     "Ku4": Beam("East", 3.73, 6.90, 1.20, 2.47, 0.25, _ripples(3)),
 }
-
-# station, latitude, longitude, transponder, symbol rate kHz, level dBm, dish width deg, white dB, wander dB
-_ROWS = (
-    ("Rostov-on-Don", 47.23, 39.72, "Ku1", 1000, -42.9, 0.62, 0.150, 0.0),
-    ("Saint Petersburg", 59.94, 30.31, "Ku1", 1200, -42.4, 0.36, 0.140, 0.0),
-    ("Kaliningrad", 54.71, 20.51, "Ku1", 720, -43.5, 0.88, 0.155, 0.0),
-    ("Moscow", 55.75, 37.62, "Ku1", 1200, -42.2, 0.31, 0.135, 0.0),
-    ("Yekaterinburg", 56.84, 60.61, "Ku2", 1000, -42.8, 0.48, 0.150, 0.0),
-    ("Vorkuta", 67.50, 64.05, "Ku2", 640, -43.8, 0.95, 0.165, 0.0),
-    ("Omsk", 54.99, 73.37, "Ku2", 880, -43.1, 0.55, 0.150, 0.0),
-    ("Tyumen", 57.15, 65.53, "Ku2", 1120, -42.6, 0.33, 0.145, 0.0),
-    ("Krasnoyarsk", 56.01, 92.87, "Ku3", 800, -43.2, 0.72, 0.160, 0.30),
-    ("Gorno-Altaysk", 51.96, 85.96, "Ku3", 560, -43.9, 0.90, 0.165, 0.0),
-    ("Tiksi", 71.64, 128.87, "Ku3", 640, -43.6, 0.78, 0.165, 0.0),
-    ("Kyzyl", 51.72, 94.44, "Ku3", 1120, -42.7, 0.42, 0.140, 0.0),
-    ("Blagoveshchensk", 50.27, 127.54, "Ku4", 960, -43.0, 0.40, 0.150, 0.0),
-    ("Yuzhno-Sakhalinsk", 46.96, 142.73, "Ku4", 720, -43.4, 0.65, 0.160, 0.0),
-    ("Petropavlovsk-Kamchatsky", 53.02, 158.65, "Ku4", 640, -43.7, 0.82, 0.165, 0.0),
-    ("Khabarovsk", 48.48, 135.07, "Ku4", 1200, -42.5, 0.32, 0.140, 0.0),
-)
 
 #: left edge of the first carrier and free room beyond it, on each side of the noise window in the middle, Hz
 _HALVES = ((955.0e6, 971.4e6), (972.6e6, 989.0e6))
@@ -120,28 +134,68 @@ def _centers_hz(symbol_rates_hz: list[float]) -> list[float]:
     return centers
 
 
-def _ku16() -> CarrierPlan:
-    """Build the default plan."""
-    centers_hz = _centers_hz([row[4] * 1e3 for row in _ROWS])
-    carriers = tuple(
-        Carrier(
-            id=f"c{number:02d}",
-            station=Station(row[0], row[1], row[2]),
-            transponder=row[3],
-            center_hz=center_hz,
-            symbol_rate_hz=row[4] * 1e3,
-            level_dbm=row[5],
-            dish_width_deg=row[6],
-            white_db=row[7],
-            wander_db=row[8],
-            polarization="H" if row[3] in {"Ku1", "Ku3"} else "V",
-        )
-        for number, (row, center_hz) in enumerate(zip(_ROWS, centers_hz, strict=True))
-    )
-    site = Station("Shchyolkovo", 55.92, 38.00, 160.0)
-    downlink = Beam("downlink", -3.60, 7.10, 0.15, 0.25, 0.02, (Ripple(0.04, 1.3, 1.7, 0.6),))
-    return CarrierPlan("ku16", dict(_BEAMS), carriers, site, downlink)
+_SITE = Station("Shchyolkovo", 55.92, 38.00, 160.0)
+_DOWNLINK = Beam("downlink", -3.60, 7.10, 0.15, 0.25, 0.02, (Ripple(0.04, 1.3, 1.7, 0.6),))
+_C_BEAMS = {
+    "C1": Beam("C West", -2.90, 7.30, 1.05, 2.10, 0.10, _ripples(4)),
+    "C2": Beam("C East", 1.60, 7.35, 0.80, 2.00, -0.05, _ripples(5)),
+}
+_C_DOWNLINK = Beam("C downlink", -3.10, 7.40, 0.10, 0.18, 0.0, (Ripple(0.03, 1.1, 1.4, 1.9),))
+#: transponders of the horizontal polarization
+_HORIZONTAL = {"Ku1", "Ku3", "C1"}
 
+
+def _carrier(carrier_id: str, row: Row, center_hz: float) -> Carrier:
+    return Carrier(
+        id=carrier_id,
+        station=Station(row[0], row[1], row[2]),
+        transponder=row[3],
+        center_hz=center_hz,
+        symbol_rate_hz=row[4] * 1e3,
+        level_dbm=row[5],
+        dish_width_deg=row[6],
+        white_db=row[7],
+        wander_db=row[8],
+        polarization="H" if row[3] in _HORIZONTAL else "V",
+        band="C" if row[3].startswith("C") else "Ku",
+    )
+
+
+def _plan(name: str, rows: tuple[Row, ...], *, rate_share: float = 1.0) -> CarrierPlan:
+    """Lay rows out over the span, from left to right in their order."""
+    scaled = [(*row[:4], round(row[4] * rate_share), *row[5:]) for row in rows]
+    centers_hz = _centers_hz([row[4] * 1e3 for row in scaled])
+    carriers = tuple(
+        _carrier(f"c{number:02d}", row, center_hz)
+        for number, (row, center_hz) in enumerate(zip(scaled, centers_hz, strict=True))
+    )
+    used = {row[3] for row in rows}
+    beams = {transponder: beam for transponder, beam in {**_BEAMS, **_C_BEAMS}.items() if transponder in used}
+    others = {"C": _C_DOWNLINK} if used & set(_C_BEAMS) else {}
+    return CarrierPlan(name, beams, carriers, _SITE, _DOWNLINK, other_downlink_beams=others)
+
+
+def _with_successors(plan: CarrierPlan, name: str, successors: dict[str, tuple[str, Row]]) -> CarrierPlan:
+    """Add carriers that take over the places of others in the span once those have left it."""
+    added = []
+    for gone, (carrier_id, row) in successors.items():
+        place = plan.carriers[plan.column(gone)]
+        rate_khz = min(row[4], round(place.symbol_rate_hz / 1e3))
+        added.append(_carrier(carrier_id, (*row[:4], rate_khz, *row[5:]), place.center_hz))
+    return replace(plan, name=name, carriers=(*plan.carriers, *added))
+
+
+#: the eight of `ku16` whose bound is nearest the published figure for eight carriers
+_KU8 = tuple(KU16[number] for number in (0, 1, 4, 5, 9, 10, 12, 14))
+_KU16 = _plan("ku16", KU16)
+#: who takes over from whom when the plan changes
+SUCCESSORS = {"c06": ("c16", KU_MORE[8]), "c13": ("c17", KU_MORE[12])}
 
 #: all plans by name
-PLANS: dict[str, CarrierPlan] = {"ku16": _ku16()}
+PLANS: dict[str, CarrierPlan] = {
+    "ku16": _KU16,
+    "ku8": _plan("ku8", _KU8),
+    "ku32": _plan("ku32", KU16 + KU_MORE, rate_share=0.7),
+    "kuc16": _plan("kuc16", _KU8 + C8),
+    "ku16_changed": _with_successors(_KU16, "ku16_changed", SUCCESSORS),
+}

@@ -23,6 +23,8 @@ class Hold:
     pitch_deg: float = 0.0
     #: whether the ground was told by corrections
     is_announced: bool = True
+    #: whether of an unannounced hold at least the corrections against the exchange of roll and yaw were told
+    is_balance_announced: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +38,39 @@ class Tour:
     pitch_deg: Range = (0.2, 0.33)
     hold_h: Range = (2.5, 3.5)
     slew_min: Range = (60.0, 90.0)
+
+
+@dataclass(frozen=True, slots=True)
+class FalseReport:
+    """A slew that the ground announces in full and the craft follows by a share; later it slews back as announced."""
+
+    name: str
+    start_h: float
+    #: what the craft does of it: 0 = nothing, -1 = the opposite
+    executed_share: float
+    #: size of the announced change; its signs are drawn
+    yaw_deg: float = 0.15
+    roll_deg: float = 0.15
+    pitch_deg: float = 0.15
+    duration_h: float = 2.0
+    #: from the start until the craft slews back
+    hold_h: float = 8.0
+
+
+@dataclass(frozen=True, slots=True)
+class Burn:
+    """Station keeping: the orbit changes at once, the ground has its new ephemeris some time later."""
+
+    name: str
+    start_h: Range
+    #: size of the change of the inclination vector, deg; its direction follows from the place of the burn
+    inclination_deg: Range = (0.02, 0.035)
+    #: change of the drift in longitude without its sign, deg/day
+    drift_deg_day: Range = (0.0, 0.0)
+    duration_min: float = 40.0
+    ephemeris_after_h: float = 6.0
+    #: what the declared operation says, yaw, roll, pitch, deg; none = nothing
+    attitude_uncertainty_deg: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +110,8 @@ class SwitchOff:
     start_h: Range = (4.0, 40.0)
     duration_h: Range = (2.0, 8.0)
     level_after_db: Range = (0.0, 0.0)
+    #: whether an operation is declared
+    is_announced: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +137,8 @@ class GroupStep:
     size_db: Range = (0.8, 2.0)
     #: 0 = for good
     duration_h: float = 0.0
+    #: whether an operation is declared
+    is_announced: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +148,8 @@ class ChainStep:
     name: str
     start_h: Range = (12.0, 12.0)
     size_db: Range = (0.5, 0.5)
+    #: whether an operation is declared
+    is_announced: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,5 +175,82 @@ class Gap:
     duration_min: Range = (10.0, 180.0)
 
 
-Fault = UplinkRain | DownlinkRain | SwitchOff | Step | GroupStep | ChainStep | Interference | Gap
-Manoeuvre = Hold | Tour
+@dataclass(frozen=True, slots=True)
+class Storm:
+    """Rain cells; each takes several stations one after another, and their wet antennas dry slowly."""
+
+    name: str
+    #: number of cells
+    count: int
+    start_h: Range = (0.5, 44.0)
+    #: fewest and most stations of a cell, neighbours in longitude
+    stations: tuple[int, int] = (3, 6)
+    #: from one station to the next
+    between_min: Range = (10.0, 40.0)
+    depth_db: Range = (1.5, 6.0)
+    slope_db_min: Range = (0.1, 0.6)
+    duration_min: Range = (10.0, 40.0)
+    #: loss of the wet antenna, gone to a twentieth an hour after the rain
+    wet_db: Range = (0.8, 2.0)
+    dry_tau_min: float = 20.0
+
+
+@dataclass(frozen=True, slots=True)
+class Relevel:
+    """All users' levels are set anew, each by a Gaussian step of its own."""
+
+    name: str
+    start_h: float
+    sigma_db: float = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class PlanChange:
+    """Carriers leave for good and others come; the ground publishes a new plan."""
+
+    name: str
+    start_h: float
+    gone: tuple[str, ...]
+    new: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Eclipse:
+    """The craft cools in the Earth's shadow: gains of the transponders fall, the receiving reflector bends."""
+
+    name: str
+    start_h: Range
+    duration_min: Range = (55.0, 72.0)
+    #: fall of a transponder's gain, drawn for each
+    gain_db: Range = (0.2, 0.5)
+    #: shift of the uplink pattern, in a drawn direction
+    shift_deg: Range = (0.02, 0.05)
+    tau_min: float = 20.0
+
+
+@dataclass(frozen=True, slots=True)
+class SunOutage:
+    """The Sun stands behind the satellite: the noise at the receiving site rises."""
+
+    name: str
+    start_h: Range
+    duration_min: Range = (8.0, 15.0)
+    rise_db: Range = (3.0, 10.0)
+
+
+Fault = (
+    UplinkRain
+    | DownlinkRain
+    | SwitchOff
+    | Step
+    | GroupStep
+    | ChainStep
+    | Interference
+    | Gap
+    | Storm
+    | Relevel
+    | PlanChange
+    | Eclipse
+    | SunOutage
+)
+Manoeuvre = Hold | Tour | FalseReport

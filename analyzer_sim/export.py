@@ -12,13 +12,19 @@ carrier_id                  (N,)       names of the columns
 power_dbm                   (T, N)     measured power, NaN = off or in a gap
 yaw_deg roll_deg pitch_deg  (T,)       truth
 uplink_fade_db              (T, N)     truth, rain over the users' stations
-downlink_fade_db            (T,)       truth, rain over the receiving site
+downlink_fade_db            (T,)       truth, rain over the receiving site, in the band that feels it in full
+rain_share                  (N,)       share of that rain which a carrier's band feels
 chain_db                    (T,)       truth, change of the receiving chain
+level_db                    (T, N)     truth, changes of level: steps, gains, power and level control
+pattern_shift_deg           (T, 2)     truth, shift of the uplink patterns, azimuth and elevation
+sun_noise_db                (T,)       truth, rise of the noise density by the Sun
+burn_us                     (B,)       truth, burns of the orbit
+burn_inclination_deg        (B, 2)     truth, their changes of the inclination vector
 flags                       (T, N)     truth, sum of flag_value of the faults that act
 flag_name, flag_value       (F,)       bits of `flags`
 sensitivity_db_per_deg      (N, 3)     truth at nominal attitude, order yaw, roll, pitch
 white_db                    (N,)       white noise of a row, the world's and the sweep's together
-phase_name                  (P,)       quiet, turns, alignment, operation
+phase_name                  (P,)       quiet, turns, perhaps pause, alignment, operation
 phase_start_us, _stop_us    (P,)       start inclusive, stop exclusive
 reference_epoch_us          (R,)       star tracker, only while it is on
 reference_{angle}_deg       (R,)
@@ -32,6 +38,8 @@ nodal_period_s              ()
 track_epoch_us              (S,)       predicted track
 track_latitude_deg, track_longitude_deg  (S,)
 catalogue_json              ()         spacecraft, carriers, task and ephemeris as sent by the ground port
+news_us                     (L,)       epochs from which the ground knows more
+news_json                   ()         L lines as sent by the ground port: plans, tasks, ephemerides, operations
 ==========================  =========  ==============================================================
 """
 
@@ -42,25 +50,35 @@ from typing import Any
 
 import numpy as np
 
-from analyzer_sim.epochs import US_PER_DAY, US_PER_S
-from analyzer_sim.ground import catalogue_lines
+from analyzer_sim.epochs import US_PER_S
+from analyzer_sim.ground import catalogue_lines, news
 from analyzer_sim.orbit import predicted_track
 from analyzer_sim.payload import sensitivity_db_per_deg
-from analyzer_sim.scenario import Scenario
 from analyzer_sim.star_tracker import SIGMA_DEG
+from analyzer_sim.story import Scenario
 from analyzer_sim.streams import FloatArray, stream
 from analyzer_sim.turns import SLEW_MIN, TIMETABLE
-from analyzer_sim.world import World, flag_names, sweep_sigma_db, world_white_db
+from analyzer_sim.user_noise import sweep_sigma_db, world_white_db
+from analyzer_sim.world import World, flag_names
 
 AXES = ("yaw", "roll", "pitch")
 
 
 def measured_dbm(world: World, sweep_noise: float = 1.0) -> FloatArray:
-    """Return the powers (T, N) with a Gaussian stand-in for the noise of a sweep."""
+    """Return the powers (T, N) with a Gaussian stand-in for the noise of a sweep; it grows when the Sun raises it."""
     noise = np.stack(
         [stream(world.seed, "sweep", name).normal(size=len(world.rows.epochs_us)) for name in world.carrier_ids], axis=1
     )
-    return np.asarray(world.rows.power_dbm + sweep_noise * sweep_sigma_db(world.plan) * noise)
+    return np.asarray(world.rows.power_dbm + sweep_noise * sweep_sigma_db(world.plan) * _growth(world) * noise)
+
+
+def _growth(world: World) -> FloatArray:
+    """Return by how much (T, N) the Sun's noise spreads a carrier's power: (C + N) / C against the clear sky's."""
+    plan = world.plan
+    over_noise_db = [c.level_dbm - 10.0 * np.log10(c.symbol_rate_hz) - plan.noise_dbm_hz for c in plan.carriers]
+    clear = 10.0 ** (-np.array(over_noise_db) / 10.0)
+    risen = 10.0 ** (world.rows.sun_noise_db / 10.0)
+    return np.asarray((1.0 + clear * risen[:, None]) / (1.0 + clear))
 
 
 def export_arrays(world: World, sweep_noise: float = 1.0) -> dict[str, Any]:
@@ -74,6 +92,7 @@ def export_arrays(world: World, sweep_noise: float = 1.0) -> dict[str, Any]:
         **_knowledge(world),
         **_ballistics(world),
         "catalogue_json": json.dumps(list(catalogue_lines(world)), allow_nan=False),
+        **_news(world),
     }
 
 
@@ -106,7 +125,13 @@ def _truth(world: World) -> dict[str, Any]:
         **_by_axis("", rows.attitude_deg),
         "uplink_fade_db": rows.uplink_fade_db,
         "downlink_fade_db": rows.downlink_fade_db,
+        "rain_share": world.plan.rain_share,
         "chain_db": rows.chain_db,
+        "level_db": rows.level_db,
+        "pattern_shift_deg": rows.pattern_shift_deg,
+        "sun_noise_db": rows.sun_noise_db,
+        "burn_us": np.array([impulse.epoch_us for impulse in world.orbit.impulses], dtype=np.int64),
+        "burn_inclination_deg": np.array([i.inclination_deg for i in world.orbit.impulses]).reshape(-1, 2),
         "flags": rows.flags,
         "flag_name": np.array(list(names)),
         "flag_value": np.array(list(names.values())),
@@ -114,9 +139,17 @@ def _truth(world: World) -> dict[str, Any]:
     }
 
 
+def _news(world: World) -> dict[str, Any]:
+    told = sorted(news(world), key=lambda item: item[0])
+    return {
+        "news_us": np.array([epoch_us for epoch_us, _line in told], dtype=np.int64),
+        "news_json": json.dumps([line for _epoch_us, line in told], allow_nan=False),
+    }
+
+
 def _knowledge(world: World) -> dict[str, Any]:
     phases = world.scenario.phases
-    turns_us = next(phase.start_us for phase in phases if phase.name == "turns")
+    turns_us = world.scenario.phase("turns").start_us
     turns = [turn for turn in TIMETABLE if any(turn.attitude_deg)]
     told = np.array([c.attitude_deg for c in world.corrections]).reshape(-1, 3)
     return {
@@ -136,13 +169,11 @@ def _knowledge(world: World) -> dict[str, Any]:
 
 
 def _ballistics(world: World) -> dict[str, Any]:
-    start_us = world.scenario.start_us - US_PER_DAY
-    stop_us = world.scenario.phases[-1].stop_us + US_PER_DAY
-    nodes_us = np.array(world.orbit.ascending_nodes_us(start_us, stop_us), dtype=np.int64)
-    track = predicted_track(world.orbit, world.seed, start_us, stop_us)
+    told = world.ephemerides[0]
+    track = predicted_track(told.orbit, world.seed, told.start_us, told.stop_us, name=told.stream_name)
     return {
-        "node_us": nodes_us,
-        "nodal_period_s": float(np.mean(np.diff(nodes_us))) / US_PER_S,
+        "node_us": np.array(told.nodes_us, dtype=np.int64),
+        "nodal_period_s": told.nodal_period_s,
         "track_epoch_us": track.epochs_us,
         "track_latitude_deg": track.latitude_deg,
         "track_longitude_deg": track.longitude_deg,

@@ -10,17 +10,21 @@ from typing import Any
 
 import numpy as np
 
-from analyzer_sim.carriers import DOWNLINK_BASE_HZ, ROLLOFF, UPLINK_BASE_HZ, Carrier
-from analyzer_sim.epochs import US_PER_DAY, US_PER_S, rfc3339
+from analyzer_sim.ballistics import Ephemeris
+from analyzer_sim.carriers import BANDS, ROLLOFF, SPAN_START_HZ, Carrier
+from analyzer_sim.effects import FaultFlag, Operation
+from analyzer_sim.epochs import US_PER_S, rfc3339
 from analyzer_sim.orbit import predicted_track
 from analyzer_sim.payload import sensitivity_db_per_deg
-from analyzer_sim.scenario import Phase
+from analyzer_sim.plan_versions import PlanVersion
 from analyzer_sim.spacecraft import Correction
 from analyzer_sim.star_tracker import SIGMA_DEG
+from analyzer_sim.story import Phase
 from analyzer_sim.streams import FloatArray
 from analyzer_sim.structure import crlb_deg
 from analyzer_sim.turns import SLEW_MIN, TIMETABLE
-from analyzer_sim.world import LONGITUDE_DEG, SWEEP_RBW_HZ, SWEEP_TIME_S, World
+from analyzer_sim.user_noise import SWEEP_RBW_HZ, SWEEP_TIME_S
+from analyzer_sim.world import LONGITUDE_DEG, World
 
 Line = dict[str, Any]
 
@@ -52,15 +56,34 @@ def chunks_of(world: World, rows_per_chunk: int = ROWS_PER_CHUNK) -> list[tuple[
 def catalogue_lines(world: World) -> Iterator[Line]:
     """Yield what is known before the first row: spacecraft, carriers, task, ephemeris, and for the judge the bound."""
     yield {"kind": "spacecraft", "body": _spacecraft(world)}
-    yield {"kind": "carriers", "body": {"carriers": [_carrier(carrier) for carrier in world.plan.carriers]}}
-    yield {"kind": "task", "body": task(world)}
-    yield {"kind": "ephemeris", "body": _ephemeris(world)}
+    yield from _plan_lines(world, world.plan_versions[0].carriers)
+    yield {"kind": "ephemeris", "body": _ephemeris(world, world.ephemerides[0])}
     yield {"kind": "bound", "crlb_deg": _bound(world)}
 
 
+def news(world: World, start_us: int = -(2**63), stop_us: int = 2**63 - 1) -> Iterator[tuple[int, Line]]:
+    """Yield the plans, ephemerides and operations of which the ground learns in [start, stop), with the epochs."""
+
+    def is_new(item: PlanVersion | Ephemeris | Operation) -> bool:
+        return start_us <= item.told_us < stop_us
+
+    for version in filter(is_new, world.plan_versions[1:]):
+        yield from ((version.told_us, line) for line in _plan_lines(world, version.carriers))
+    for ephemeris in filter(is_new, world.ephemerides[1:]):
+        yield ephemeris.told_us, {"kind": "ephemeris", "body": _ephemeris(world, ephemeris)}
+    for operation in filter(is_new, world.operations):
+        yield operation.told_us, {"kind": "operations", "body": _operation(operation)}
+
+
+def _plan_lines(world: World, carriers: tuple[Carrier, ...]) -> Iterator[Line]:
+    yield {"kind": "carriers", "body": {"carriers": [_carrier(world, carrier) for carrier in carriers]}}
+    yield {"kind": "task", "body": task(world, carriers)}
+
+
 def _bound(world: World) -> dict[str, float]:
-    """Return the one-row bound of the true beams with a common unknown, deg."""
-    bound_deg = crlb_deg(sensitivity_db_per_deg(world.plan, world.orbit))
+    """Return the one-row bound of the true beams with a common unknown for the first plan's carriers, deg."""
+    columns = [world.plan.column(carrier.id) for carrier in world.plan_versions[0].carriers]
+    bound_deg = crlb_deg(sensitivity_db_per_deg(world.plan, world.orbit)[columns])
     return {axis: round(float(value), 6) for axis, value in zip(("yaw", "roll", "pitch"), bound_deg, strict=True)}
 
 
@@ -68,6 +91,7 @@ def chunk_lines(world: World, first: int, last: int) -> Iterator[Line]:
     """Yield what belongs to the rows first..last, both inclusive."""
     epochs_us = world.rows.epochs_us
     start_us, stop_us = int(epochs_us[first]), int(epochs_us[last]) + world.scenario.row_period_us
+    yield from _chunk_news(world, first, stop_us)
     for phase in world.scenario.phases:
         if start_us <= phase.start_us < stop_us:
             yield _phase(phase)
@@ -82,8 +106,14 @@ def chunk_lines(world: World, first: int, last: int) -> Iterator[Line]:
     yield {"kind": "truth", "rows": truth_rows(world, first, last)}
 
 
-def task(world: World) -> Line:
-    """Return the measurement task of the front end for the plan of a world."""
+def _chunk_news(world: World, first: int, stop_us: int) -> Iterator[Line]:
+    """Yield what becomes known before `stop_us` and was not known when the row before the chunk was swept."""
+    known_us = int(world.rows.epochs_us[first - 1]) + world.scenario.row_period_us if first else world.scenario.start_us
+    yield from (line for _told_us, line in news(world, known_us, stop_us))
+
+
+def task(world: World, carriers: tuple[Carrier, ...]) -> Line:
+    """Return the measurement task of the front end for some carriers of a world."""
     plan = world.plan
     sweep = {
         "id": SWEEP_ID,
@@ -97,7 +127,7 @@ def task(world: World) -> Line:
         "count": 1,
     }
     windows = [list(window) for window in plan.noise_windows_hz]
-    carriers = [
+    measured = [
         {
             "id": carrier.id,
             "sweep": SWEEP_ID,
@@ -109,7 +139,7 @@ def task(world: World) -> Line:
             "noise": windows,
             "limits": {"nominal_dbm": carrier.level_dbm, "warn_db": 2.0, "alarm_db": 4.0, "c_n0_min": 68.0},
         }
-        for carrier in plan.carriers
+        for carrier in carriers
     ]
     levels = {
         "level_offset_db": 0.0,
@@ -119,7 +149,7 @@ def task(world: World) -> Line:
         "preamp": False,
     }
     period_s = world.scenario.row_period_s
-    return {"id": TASK_ID, "period_s": period_s, "input": levels, "sweeps": [sweep], "carriers": carriers}
+    return {"id": TASK_ID, "period_s": period_s, "input": levels, "sweeps": [sweep], "carriers": measured}
 
 
 def turn_operations(phase: Phase) -> list[Line]:
@@ -144,12 +174,20 @@ def turn_operations(phase: Phase) -> list[Line]:
 
 def truth_rows(world: World, first: int, last: int) -> list[Line]:
     """Return the truth of the rows first..last; for the judge alone."""
+    return [_truth_row(world, row) for row in range(first, last + 1)]
+
+
+def _truth_row(world: World, row: int) -> Line:
     rows = world.rows
-    angles, fades = rows.attitude_deg[first : last + 1].tolist(), rows.downlink_fade_db[first : last + 1].tolist()
-    return [
-        {"epoch": rfc3339(epoch_us), **_angles(angle), "downlink_fade_db": round(fade, 6)}
-        for epoch_us, angle, fade in zip(rows.epochs_us[first : last + 1].tolist(), angles, fades, strict=True)
-    ]
+    line = {
+        "epoch": rfc3339(int(rows.epochs_us[row])),
+        **_angles(rows.attitude_deg[row].tolist()),
+        "downlink_fade_db": round(float(rows.downlink_fade_db[row]), 6),
+        "chain_db": round(float(rows.chain_db[row]), 6),
+    }
+    flags = zip(world.carrier_ids, rows.flags[row].tolist(), strict=True)
+    faults = {name: [flag.name.lower() for flag in FaultFlag(bits) if flag.name] for name, bits in flags if bits}
+    return {**line, "faults": faults} if faults else line
 
 
 def _spacecraft(world: World) -> Line:
@@ -168,14 +206,19 @@ def _spacecraft(world: World) -> Line:
         },
         "inertia_kg_m2": [[2600.0, 0.0, 0.0], [0.0, 1400.0, 0.0], [0.0, 0.0, 2600.0]],
         "torque_limit_n_m": 0.05,
-        "onboard": {"fast_loop": True, "forecast_mode": True, "roll_yaw_coupling": world.scenario.keeping.is_coupled},
+        "onboard": {
+            "fast_loop": True,
+            "forecast_mode": True,
+            "roll_yaw_coupling": world.scenario.keeping.is_coupled_told,
+        },
         "control": {"method": "paper", "mode": "ground", "release": "automatic"},
     }
 
 
-def _carrier(carrier: Carrier) -> Line:
-    offset_hz = carrier.center_hz - 954e6
-    station = carrier.station
+def _carrier(world: World, carrier: Carrier) -> Line:
+    offset_hz = carrier.center_hz - SPAN_START_HZ
+    station, band, figures = carrier.station, BANDS[carrier.band], world.scenario.repeater
+    controlled = "auto" if figures.is_power_control_told else "unknown"
     return {
         "id": carrier.id,
         "name": f"{station.name} {carrier.symbol_rate_hz / 1e3:.0f}k",
@@ -184,35 +227,51 @@ def _carrier(carrier: Carrier) -> Line:
             "latitude_deg": station.latitude_deg,
             "longitude_deg": station.longitude_deg,
         },
-        "band": "Ku",
+        "band": band.name,
         "transponder": carrier.transponder,
         "polarization": carrier.polarization,
-        "uplink_hz": UPLINK_BASE_HZ + offset_hz,
-        "downlink_hz": DOWNLINK_BASE_HZ + offset_hz,
+        "uplink_hz": band.uplink_base_hz + offset_hz,
+        "downlink_hz": band.downlink_base_hz + offset_hz,
         "intermediate_hz": carrier.center_hz,
         "bandwidth_hz": carrier.bandwidth_hz,
         "kind": "traffic",
-        "uplink_power_control": "none",
-        "transponder_mode": "fixed_gain",
+        "uplink_power_control": controlled if carrier.id in figures.power_controlled else "none",
+        "transponder_mode": "alc" if carrier.transponder in figures.alc_transponders else "fixed_gain",
         "enabled": True,
     }
 
 
-def _ephemeris(world: World) -> Line:
+def _ephemeris(world: World, ephemeris: Ephemeris) -> Line:
     """Return nodes, nodal period and predicted track with a day of margin on both sides."""
-    start_us = world.scenario.start_us - US_PER_DAY
-    stop_us = world.scenario.phases[-1].stop_us + US_PER_DAY
-    nodes_us = world.orbit.ascending_nodes_us(start_us, stop_us)
-    track = predicted_track(world.orbit, world.seed, start_us, stop_us)
+    track = predicted_track(
+        ephemeris.orbit, world.seed, ephemeris.start_us, ephemeris.stop_us, name=ephemeris.stream_name
+    )
     return {
-        "ascending_nodes": [rfc3339(node_us) for node_us in nodes_us],
-        "nodal_period_s": round(float(np.mean(np.diff(nodes_us))) / US_PER_S, 3),
+        "ascending_nodes": [rfc3339(node_us) for node_us in ephemeris.nodes_us],
+        "nodal_period_s": round(ephemeris.nodal_period_s, 3),
         "track": {
             "epochs": [rfc3339(epoch_us) for epoch_us in track.epochs_us.tolist()],
             "latitude_deg": track.latitude_deg.tolist(),
             "longitude_deg": track.longitude_deg.tolist(),
         },
     }
+
+
+def _operation(operation: Operation) -> Line:
+    """Return the body of a declared operation."""
+    body: Line = {
+        "kind": operation.kind,
+        "start": rfc3339(operation.start_us),
+        "stop": rfc3339(operation.stop_us),
+        "carriers": operation.carriers and list(operation.carriers),
+        "transponders": operation.transponders and list(operation.transponders),
+        "inhibit_control": operation.inhibit_control,
+        "comment": operation.comment,
+    }
+    if operation.attitude_uncertainty_deg is not None:
+        angles = zip(("yaw", "roll", "pitch"), operation.attitude_uncertainty_deg, strict=True)
+        body["attitude_uncertainty_deg"] = dict(angles)
+    return body
 
 
 def _references(world: World, first: int, stop: int) -> Line:

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from analyzer_sim.events import Hold, Manoeuvre, Range, Tour
+from analyzer_sim.events import FalseReport, Hold, Manoeuvre, Range, Tour
 from analyzer_sim.streams import FloatArray, stream
 
 #: a slew is commanded in pieces no longer than this, a hold in pieces no longer than that, s
@@ -20,9 +20,29 @@ def holds_of(manoeuvres: Sequence[Manoeuvre], seed: int, operation_h: float) -> 
     for manoeuvre in manoeuvres:
         if isinstance(manoeuvre, Hold):
             holds.append(manoeuvre)
+        elif isinstance(manoeuvre, FalseReport):
+            holds.append(_reported_hold(manoeuvre, seed, manoeuvre.executed_share))
         else:
             holds.extend(_tour_holds(manoeuvre, seed, operation_h))
     return tuple(holds)
+
+
+def unexecuted_deg(manoeuvres: Sequence[Manoeuvre], seed: int, hours: FloatArray) -> FloatArray:
+    """Return how far (T, 3) the announced attitude has run ahead of the executed one by false reports, deg."""
+    lead = np.zeros((len(hours), 3))
+    for report in manoeuvres:
+        if isinstance(report, FalseReport):
+            missing = _reported_hold(report, seed, 1.0 - report.executed_share)
+            share = _ramp(hours, report.start_h, report.duration_h)
+            lead += share[:, None] * np.array([missing.yaw_deg, missing.roll_deg, missing.pitch_deg])
+    return lead
+
+
+def _reported_hold(report: FalseReport, seed: int, share: float) -> Hold:
+    """Return this share of the announced hold; its signs are drawn once."""
+    signs = stream(seed, "false report", report.name).choice([-1.0, 1.0], size=3)
+    yaw, roll, pitch = (share * signs * [report.yaw_deg, report.roll_deg, report.pitch_deg]).tolist()
+    return Hold(report.start_h, report.hold_h, 60.0 * report.duration_h, yaw, roll, pitch)
 
 
 def _tour_holds(tour: Tour, seed: int, operation_h: float) -> list[Hold]:

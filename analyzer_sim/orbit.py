@@ -29,6 +29,17 @@ TRACK_WAVE_DEG = 0.0006
 EpochArray = NDArray[np.int64]
 
 
+@dataclass(frozen=True, slots=True)
+class Impulse:
+    """A burn that changes the orbit at once and leaves the satellite where it is."""
+
+    epoch_us: int
+    #: change of the inclination vector towards right ascension 0 and 90 deg
+    inclination_deg: tuple[float, float]
+    #: change of the drift in longitude
+    drift_deg_day: float = 0.0
+
+
 @dataclass(frozen=True)
 class Orbit:
     """True motion of the sub-satellite point."""
@@ -43,6 +54,8 @@ class Orbit:
     eccentricity: float
     #: mean anomaly at the start, rad
     anomaly_rad: float
+    #: burns in order of time
+    impulses: tuple[Impulse, ...] = ()
 
     @classmethod
     def drawn(cls, seed: int, longitude_deg: float, start_us: int) -> "Orbit":
@@ -67,7 +80,17 @@ class Orbit:
         """Return the components (T,) of the inclination vector towards right ascension 0 and 90 deg."""
         days = (np.asarray(epochs_us) - self.start_us) / US_PER_DAY
         ix, iy = self._vector_start_deg
-        return np.full(days.shape, ix), iy + INCLINATION_DRIFT_DEG_DAY * days
+        components = np.full(days.shape, ix), iy + INCLINATION_DRIFT_DEG_DAY * days
+        for impulse in self.impulses:
+            is_after = np.asarray(epochs_us) >= impulse.epoch_us
+            for component, change_deg in zip(components, impulse.inclination_deg, strict=True):
+                component[is_after] += change_deg
+        return components
+
+    def right_ascension_rad(self, epochs_us: EpochArray) -> FloatArray:
+        """Return the right ascension (T,) of the satellite."""
+        angle = EARTH_RATE_RAD_S * (np.asarray(epochs_us) - self.start_us) / US_PER_S
+        return np.asarray(angle + self.ascension_rad)
 
     def sub_satellite_deg(self, epochs_us: EpochArray) -> tuple[FloatArray, FloatArray]:
         """Return latitude and absolute longitude (T,) of the sub-satellite point, deg."""
@@ -77,7 +100,11 @@ class Orbit:
         latitude = ix * sine - iy * cosine
         eccentric = np.degrees(2.0 * self.eccentricity * np.sin(angle + self.anomaly_rad))
         eight = -0.5 * np.radians(1.0) * latitude * (ix * cosine + iy * sine)
-        return latitude, self.longitude_deg + eccentric + eight
+        longitude = self.longitude_deg + eccentric + eight
+        for impulse in self.impulses:
+            days = np.maximum(0, np.asarray(epochs_us) - impulse.epoch_us) / US_PER_DAY
+            longitude = longitude + impulse.drift_deg_day * days
+        return latitude, longitude
 
     def position_km(self, epochs_us: EpochArray) -> FloatArray:
         """Return Earth-fixed positions (T, 3), km."""
@@ -133,11 +160,14 @@ class PredictedTrack:
 
 
 def predicted_track(
-    orbit: Orbit, seed: int, start_us: int, stop_us: int, step_us: int = US_PER_H // 2
+    orbit: Orbit, seed: int, start_us: int, stop_us: int, step_us: int = US_PER_H // 2, *, name: str = "track"
 ) -> PredictedTrack:
-    """Return the predicted track over [start, stop], with a constant and a daily error of some 0.001 deg."""
+    """Return the predicted track over [start, stop], with a constant and a daily error of some 0.001 deg.
+
+    `name` is the stream of the errors; each prediction has its own.
+    """
     epochs_us = np.arange(start_us, stop_us + step_us, step_us, dtype=np.int64)
-    rng = stream(seed, "track")
+    rng = stream(seed, name)
     phase = 2.0 * np.pi * (epochs_us - orbit.start_us) / US_PER_DAY
     truth = orbit.sub_satellite_deg(epochs_us)
     tracks = []

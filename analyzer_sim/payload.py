@@ -3,7 +3,7 @@
     change_i = G_uplink(az_i, el_i) - G_uplink(nominal)
              + G_downlink(site) - G_downlink(nominal) - loss of the user's dish
 
-The downlink term is one and the same for all carriers.
+The downlink term is one and the same for all carriers of a band.
 """
 
 from collections.abc import Sequence
@@ -28,12 +28,27 @@ def plan_positions_km(plan: CarrierPlan) -> FloatArray:
     return positions_km([*(carrier.station for carrier in plan.carriers), plan.receiving_site])
 
 
-def pattern_gain_db(plan: CarrierPlan, azimuth_deg: FloatArray, elevation_deg: FloatArray) -> FloatArray:
-    """Return gains (T, N): uplink beam of each carrier plus the common downlink; angles (T, N + 1), the site last."""
+def uplink_gain_db(plan: CarrierPlan, azimuth_deg: FloatArray, elevation_deg: FloatArray) -> FloatArray:
+    """Return gains (T, N) of each carrier's uplink beam; angles (T, N + 1), the site last."""
     beams: list[Beam] = [plan.beams[carrier.transponder] for carrier in plan.carriers]
-    uplink = np.stack([beam.gain_db(azimuth_deg[:, k], elevation_deg[:, k]) for k, beam in enumerate(beams)], axis=1)
-    downlink = plan.downlink_beam.gain_db(azimuth_deg[:, -1], elevation_deg[:, -1])
-    return np.asarray(uplink + downlink[:, None])
+    gains = [beam.gain_db(azimuth_deg[:, k], elevation_deg[:, k]) for k, beam in enumerate(beams)]
+    return np.stack(gains, axis=1)
+
+
+def pattern_gain_db(
+    plan: CarrierPlan, azimuth_deg: FloatArray, elevation_deg: FloatArray, shift_deg: FloatArray | None = None
+) -> FloatArray:
+    """Return gains (T, N): uplink beam of each carrier plus its band's downlink; angles (T, N + 1), the site last.
+
+    `shift_deg` (T, 2) turns the uplink patterns against the body.
+    """
+    if shift_deg is None:
+        uplink = uplink_gain_db(plan, azimuth_deg, elevation_deg)
+    else:
+        uplink = uplink_gain_db(plan, azimuth_deg - shift_deg[:, :1], elevation_deg - shift_deg[:, 1:])
+    site = azimuth_deg[:, -1], elevation_deg[:, -1]
+    downlinks = {band: beam.gain_db(*site) for band, beam in plan.downlink_beams.items()}
+    return np.asarray(uplink + np.stack([downlinks[carrier.band] for carrier in plan.carriers], axis=1))
 
 
 def nominal_gain_db(plan: CarrierPlan, orbit: Orbit, attitude_deg: FloatArray) -> FloatArray:
@@ -52,11 +67,33 @@ def sensitivity_db_per_deg(plan: CarrierPlan, orbit: Orbit, step_deg: float = 0.
     return np.asarray((gains[:3] - gains[3:]).T / (2.0 * step_deg))
 
 
-def attitude_gain_db(plan: CarrierPlan, orbit: Orbit, epochs_us: EpochArray, attitude_deg: FloatArray) -> FloatArray:
-    """Return the change of gain (T, N) against nominal attitude and place."""
+def attitude_gain_db(
+    plan: CarrierPlan,
+    orbit: Orbit,
+    epochs_us: EpochArray,
+    attitude_deg: FloatArray,
+    shift_deg: FloatArray | None = None,
+) -> FloatArray:
+    """Return the change of gain (T, N) against nominal attitude and place; `shift_deg` as in `pattern_gain_db`."""
+    angles = _antenna_angles_deg(plan, orbit, epochs_us, attitude_deg)
+    return pattern_gain_db(plan, *angles, shift_deg) - nominal_gain_db(plan, orbit, np.zeros((1, 3)))
+
+
+def uplink_change_db(plan: CarrierPlan, orbit: Orbit, epochs_us: EpochArray, attitude_deg: FloatArray) -> FloatArray:
+    """Return the change (T, N) of the uplink beams' gain alone: what the satellite's receivers see."""
+    angles = _antenna_angles_deg(plan, orbit, epochs_us, attitude_deg)
+    start = np.array([orbit.start_us])
+    still = Orbit(orbit.longitude_deg, orbit.start_us, 0.0, 0.0, 0.0, 0.0, 0.0)
+    nominal = _antenna_angles_deg(plan, still, start, np.zeros((1, 3)))
+    return uplink_gain_db(plan, *angles) - uplink_gain_db(plan, *nominal)
+
+
+def _antenna_angles_deg(
+    plan: CarrierPlan, orbit: Orbit, epochs_us: EpochArray, attitude_deg: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return azimuth and elevation (T, N + 1) of the stations and the site in the antenna frame."""
     body_from_earth = body_from_orbital(attitude_deg) @ orbit.orbital_from_earth(epochs_us)
-    angles = antenna_frame_deg(body_from_earth, orbit.position_km(epochs_us), plan_positions_km(plan))
-    return pattern_gain_db(plan, *angles) - nominal_gain_db(plan, orbit, np.zeros((1, 3)))
+    return antenna_frame_deg(body_from_earth, orbit.position_km(epochs_us), plan_positions_km(plan))
 
 
 def dishes_loss_db(plan: CarrierPlan, orbit: Orbit, epochs_us: EpochArray, seed: int) -> FloatArray:

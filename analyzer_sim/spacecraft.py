@@ -14,18 +14,20 @@ from itertools import pairwise
 import numpy as np
 
 from analyzer_sim.epochs import US_PER_S
-from analyzer_sim.manoeuvres import holds_of, piece_edges, planned_deg
+from analyzer_sim.manoeuvres import holds_of, piece_edges, planned_deg, unexecuted_deg
 from analyzer_sim.noise import first_order
 from analyzer_sim.orbit import EARTH_RATE_RAD_S, EpochArray
-from analyzer_sim.scenario import KeepingFigures, Scenario
+from analyzer_sim.story import KeepingFigures, Scenario
 from analyzer_sim.streams import FloatArray, stream
-from analyzer_sim.turns import SLEW_MIN, TIMETABLE
+from analyzer_sim.turns import SLEW_MIN, TIMETABLE, TURNS_H
 
 #: exchange of roll and yaw, 1/h
 ORBITAL_RATE_PER_H = EARTH_RATE_RAD_S * 3600.0
 #: the limit cycle under the star tracker never leaves this, deg
 TRACKER_LIMIT_DEG = 0.095
 AXES = ("yaw", "roll", "pitch")
+#: a slew to the attitude of the alignment begins so long before it
+ALIGNMENT_SLEW_MIN = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,12 +84,17 @@ def _tracked_deg(scenario: Scenario, seed: int, epochs_us: EpochArray) -> FloatA
         axis=1,
     )
     bounded = TRACKER_LIMIT_DEG * np.tanh(cycle / TRACKER_LIMIT_DEG)
-    turns_start_us = next(phase.start_us for phase in scenario.phases if phase.name == "turns")
-    minutes = (epochs_us - turns_start_us) / (60.0 * US_PER_S)
+    minutes = (epochs_us - scenario.phase("turns").start_us) / (60.0 * US_PER_S)
     knots_min, knots_deg = [-1e9], [(0.0, 0.0, 0.0)]
     for turn in TIMETABLE:
         knots_min += [turn.start_min, turn.start_min + SLEW_MIN]
         knots_deg += [knots_deg[-1], turn.attitude_deg]
+    if any(figures.alignment_deg):
+        signs = stream(seed, "alignment attitude").choice([-1.0, 1.0], size=3)
+        yaw, roll, pitch = (signs * np.array(figures.alignment_deg)).tolist()
+        slew_min = 60.0 * TURNS_H - ALIGNMENT_SLEW_MIN
+        knots_min += [slew_min, slew_min + SLEW_MIN]
+        knots_deg += [knots_deg[-1], (yaw, roll, pitch)]
     table = np.array(knots_deg)
     turned = np.stack([np.interp(minutes, knots_min, table[:, axis]) for axis in range(3)], axis=1)
     return np.asarray(bounded + turned)
@@ -112,6 +119,8 @@ def _free_flight(
     hours = np.asarray(np.arange(count + 1) * step_s / 3600.0, dtype=np.float64)
     announced = planned_deg([hold for hold in holds if hold.is_announced], hours)
     secret = planned_deg([hold for hold in holds if not hold.is_announced], hours)
+    balanced = planned_deg([hold for hold in holds if hold.is_balance_announced and not hold.is_announced], hours)
+    lead = unexecuted_deg(scenario.manoeuvres, seed, hours)
     drift = _noise_series(seed, "drift", count, step_s, figures.drift_deg_h, figures.drift_tau_s)
     ignorance = _noise_series(seed, "knowledge", count, step_s, figures.knowledge_deg, figures.knowledge_tau_s)
     effect = 1.0 + stream(seed, "correction scale").normal(0.0, figures.scale_error, 3)
@@ -123,12 +132,13 @@ def _free_flight(
         span_h = (last - first) * step_s / 3600.0
         known = attitude[first] + ignorance[first]
         feedback = _feedback(known - announced[first] - secret[first], span_h, figures)
-        told = _feed_forward(announced[first], announced[last], span_h, figures) + feedback
-        untold = _feed_forward(secret[first], secret[last], span_h, figures)
+        balance = _balance(balanced[first], balanced[last], figures)
+        told = _feed_forward(announced[first], announced[last], span_h, figures) + feedback + balance
+        untold = _feed_forward(secret[first], secret[last], span_h, figures) - balance
         rates = effect * told + untold + drift[first:last]
         attitude[first + 1 : last + 1] = _propagate(attitude[first], rates @ gamma.T, phi)
         start_us = int(epochs_us[0]) + first * scenario.row_period_us
-        total = np.round(told * span_h, 7).tolist()
+        total = np.round(told * span_h + (lead[last] - lead[first]), 7).tolist()
         corrections.append(
             Correction(start_us, start_us + (last - first) * scenario.row_period_us, (total[0], total[1], total[2]))
         )
@@ -137,9 +147,14 @@ def _free_flight(
 
 def _feed_forward(begin: FloatArray, end: FloatArray, span_h: float, figures: KeepingFigures) -> FloatArray:
     """Return the rate that leads from one planned attitude to the next against the coupling."""
-    rate = ORBITAL_RATE_PER_H if figures.is_coupled else 0.0
+    return np.asarray((end - begin) / span_h + _balance(begin, end, figures))
+
+
+def _balance(begin: FloatArray, end: FloatArray, figures: KeepingFigures) -> FloatArray:
+    """Return the rate against the coupling, as far as those who plan believe in it."""
+    rate = ORBITAL_RATE_PER_H if figures.is_coupled_told else 0.0
     middle = 0.5 * (begin + end)
-    return np.asarray((end - begin) / span_h - rate * np.array([-middle[1], middle[0], 0.0]))
+    return -rate * np.array([-middle[1], middle[0], 0.0])
 
 
 def _feedback(deviation_deg: FloatArray, span_h: float, figures: KeepingFigures) -> FloatArray:

@@ -1,7 +1,7 @@
 """World: a scenario and a seed become series of powers at the analyzer input, row by row.
 
     P_i = level_i + pattern change - dish loss - uplink fade + steps + noise of the user
-          + receiving chain - downlink fade
+          + power and level control + receiving chain - downlink fade
 
 Everything is computed at construction; `advance` only moves a pointer. Rows inside a gap are passed over. A row is
 measured at its epoch, the middle of its dwell. After the last row `advance` raises `EndOfScenario`.
@@ -12,29 +12,31 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analyzer_sim.carriers import PLANS, ROLLOFF, Carrier, CarrierPlan
+from analyzer_sim.ballistics import Ephemeris, burn_operations, burnt_orbit, ephemerides
+from analyzer_sim.carriers import PLANS, ROLLOFF, CarrierPlan
+from analyzer_sim.effects import Effects, FaultFlag, Operation
 from analyzer_sim.emission import Emission, Signal
 from analyzer_sim.epochs import US_PER_S
-from analyzer_sim.faults import Effects, FaultFlag, effects_of
-from analyzer_sim.noise import daily_wave, first_order
+from analyzer_sim.faults import effects_of
 from analyzer_sim.orbit import EpochArray, Orbit
-from analyzer_sim.payload import attitude_gain_db, dishes_loss_db
-from analyzer_sim.scenario import NoiseFigures, Scenario
+from analyzer_sim.payload import attitude_gain_db, dishes_loss_db, uplink_change_db
+from analyzer_sim.plan_versions import PlanVersion, plan_versions
+from analyzer_sim.repeater import repeater_db
 from analyzer_sim.spacecraft import Correction, attitude_history
 from analyzer_sim.star_tracker import References, references
-from analyzer_sim.streams import FloatArray, stream
+from analyzer_sim.story import Scenario
+from analyzer_sim.streams import FloatArray
+from analyzer_sim.user_noise import chain_noise_db, users_noise_db
 
 #: longitude of the satellite, deg East
 LONGITUDE_DEG = 90.0
-#: the sweep for which the plan's white noise is split: RBW, duration, span
-SWEEP_RBW_HZ = 30e3
-SWEEP_TIME_S = 2.0
 #: an interfering line stands this share of the symbol rate off the carrier's centre
 INTERFERENCE_OFFSET_SHARE = 0.2
 #: noise temperature of the receiving site in clear sky and of the rain, K
 CLEAR_SKY_K = 120.0
 RAIN_K = 270.0
-_MIN_WHITE_DB = 0.05
+#: level and power control count as acting from here on, dB
+_CONTROL_DB = 0.1
 
 
 class EndOfScenario(Exception):  # noqa: N818 - it ends a story, as StopIteration ends a loop, and is no error
@@ -66,8 +68,14 @@ class Rows:
     downlink_fade_db: FloatArray
     #: (T,) change of the receiving chain, dB
     chain_db: FloatArray
+    #: (T, N) changes of level by faults, by power control and by level control, dB
+    level_db: FloatArray
+    #: (T,) rise of the noise density by the Sun, dB
+    sun_noise_db: FloatArray
+    #: (T, 2) shift of the uplink patterns against the body, azimuth and elevation, deg
+    pattern_shift_deg: FloatArray
     #: (T, N) bits of FaultFlag
-    flags: NDArray[np.uint8]
+    flags: NDArray[np.uint16]
 
 
 class World:
@@ -86,19 +94,32 @@ class World:
         All series at once, for exports and tests.
     corrections, references
         What the ground was told by command and by the star tracker.
+    operations, ephemerides, plan_versions
+        What the ground declares and publishes, each with the epoch from which it knows.
     """
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
         self.scenario = scenario
         self.seed = seed
         self.plan: CarrierPlan = PLANS[scenario.plan]
-        self.orbit = Orbit.drawn(seed, LONGITUDE_DEG, scenario.start_us)
-        stop_us = scenario.phases[-1].stop_us
-        epochs_us = np.arange(scenario.start_us, stop_us, scenario.row_period_us, dtype=np.int64)
+        self.orbit = burnt_orbit(scenario, seed, Orbit.drawn(seed, LONGITUDE_DEG, scenario.start_us))
+        epochs_us = row_epochs_us(scenario)
         history = attitude_history(scenario, seed, epochs_us)
         self.corrections: tuple[Correction, ...] = history.corrections
         self.references: References = references(seed, epochs_us, history.attitude_deg, scenario.operation_start_us)
-        self.rows: Rows = self._series(epochs_us, history.attitude_deg)
+        effects = effects_of(
+            scenario.faults,
+            seed,
+            self.plan,
+            epochs_us,
+            scenario.operation_start_us,
+            scenario.row_period_s / 3600.0,
+        )
+        self.rows: Rows = self._series(epochs_us, history.attitude_deg, effects)
+        declared = [*burn_operations(scenario.burns, self.orbit), *effects.operations]
+        self.operations: tuple[Operation, ...] = tuple(sorted(declared, key=lambda item: (item.told_us, item.start_us)))
+        self.ephemerides: tuple[Ephemeris, ...] = ephemerides(scenario, self.orbit)
+        self.plan_versions: tuple[PlanVersion, ...] = plan_versions(scenario, self.plan)
         self._measured = np.flatnonzero(~self.rows.is_gap)
         self._position = -1
 
@@ -149,26 +170,29 @@ class World:
                 signals.append(Signal(f"interference {carrier.id}", carrier.center_hz + offset_hz, 0.0, 0.0, line_dbm))
         return Emission(int(rows.epochs_us[row]), tuple(signals), float(rows.noise_dbm_hz[row]))
 
-    def _series(self, epochs_us: EpochArray, attitude_deg: FloatArray) -> Rows:
+    def _series(self, epochs_us: EpochArray, attitude_deg: FloatArray, effects: Effects) -> Rows:
         """Add up all terms of the model equation."""
         scenario, plan = self.scenario, self.plan
-        effects = effects_of(
-            scenario.faults, self.seed, plan, epochs_us, scenario.operation_start_us, scenario.row_period_s / 3600.0
-        )
         seconds = (epochs_us - scenario.start_us) / US_PER_S
-        chain_db = effects.chain_db + _chain_db(scenario, self.seed, seconds)
-        common_db = chain_db - effects.downlink_fade_db
+        chain_db = effects.chain_db + chain_noise_db(scenario, self.seed, seconds)
+        common_db = chain_db[:, None] - effects.downlink_fade_db[:, None] * plan.rain_share
         levels = np.array([carrier.level_dbm for carrier in plan.carriers])
-        carrier_dbm = (
+        shift_deg = effects.pattern_shift_deg if np.any(effects.pattern_shift_deg) else None
+        dish_db = dishes_loss_db(plan, self.orbit, epochs_us, self.seed)
+        users_db = users_noise_db(plan, scenario, self.seed, seconds)
+        own_dbm = (
             levels
-            + attitude_gain_db(plan, self.orbit, epochs_us, attitude_deg)
-            - dishes_loss_db(plan, self.orbit, epochs_us, self.seed)
-            + np.stack([_user_noise_db(carrier, scenario, self.seed, seconds) for carrier in plan.carriers], axis=1)
+            + attitude_gain_db(plan, self.orbit, epochs_us, attitude_deg, shift_deg)
+            - dish_db
+            + users_db
             + effects.level_db
             - effects.uplink_fade_db
-            + common_db[:, None]
         )
-        interference_dbm = effects.interference_db + levels + common_db[:, None]
+        arriving_db = users_db - dish_db + effects.level_db - effects.uplink_fade_db
+        control_db = self._control_db(levels + arriving_db, epochs_us, attitude_deg, effects)
+        carrier_dbm = _on_grid(own_dbm + control_db + common_db, scenario.noise.quantum_db)
+        interference_dbm = effects.interference_db + levels + common_db
+        rain_noise_db = _rain_noise_db(effects.downlink_fade_db)
         return Rows(
             epochs_us=epochs_us,
             power_dbm=_measurable_dbm(carrier_dbm, interference_dbm, effects),
@@ -176,29 +200,37 @@ class World:
             interference_dbm=interference_dbm,
             is_on=effects.is_on,
             is_gap=effects.is_gap,
-            noise_dbm_hz=plan.noise_dbm_hz + chain_db + _rain_noise_db(effects.downlink_fade_db),
+            noise_dbm_hz=plan.noise_dbm_hz + chain_db + rain_noise_db + effects.sun_noise_db,
             attitude_deg=attitude_deg,
             uplink_fade_db=effects.uplink_fade_db,
             downlink_fade_db=effects.downlink_fade_db,
             chain_db=chain_db,
+            level_db=effects.level_db + control_db,
+            sun_noise_db=effects.sun_noise_db,
+            pattern_shift_deg=effects.pattern_shift_deg,
             flags=effects.flags,
         )
 
+    def _control_db(
+        self, arriving_dbm: FloatArray, epochs_us: EpochArray, attitude_deg: FloatArray, effects: Effects
+    ) -> FloatArray:
+        """Return what power and level control add (T, N), and flag it; `arriving_dbm` lacks the attitude's part."""
+        figures = self.scenario.repeater
+        if not (figures.alc_transponders or figures.power_controlled):
+            return np.zeros_like(arriving_dbm)
+        arriving = arriving_dbm + uplink_change_db(self.plan, self.orbit, epochs_us, attitude_deg)
+        power_db, level_db = repeater_db(figures, self.plan, arriving, effects.is_on, self.scenario.row_period_s)
+        for change_db, flag in ((power_db, FaultFlag.POWER_CONTROL), (level_db, FaultFlag.LEVEL_CONTROL)):
+            effects.flags[np.abs(change_db) > _CONTROL_DB] |= np.uint16(flag)
+        return np.asarray(power_db + level_db)
 
-def sweep_sigma_db(plan: CarrierPlan) -> FloatArray:
-    """Return the noise (N,) that the default sweep itself adds to each carrier's power, dB.
 
-    `4.343 / sqrt(1.505 RBW T B / span)`, B = symbol rate.
-    """
-    span_hz = plan.span_hz[1] - plan.span_hz[0]
-    rates = np.array([carrier.symbol_rate_hz for carrier in plan.carriers])
-    return np.asarray(4.343 / np.sqrt(1.505 * SWEEP_RBW_HZ * SWEEP_TIME_S * rates / span_hz))
-
-
-def world_white_db(plan: CarrierPlan) -> FloatArray:
-    """Return the white noise (N,) that with the sweep's own share makes up the plan's figure, dB."""
-    total = np.array([carrier.white_db for carrier in plan.carriers])
-    return np.sqrt(np.maximum(total**2 - sweep_sigma_db(plan) ** 2, _MIN_WHITE_DB**2))
+def row_epochs_us(scenario: Scenario) -> EpochArray:
+    """Return the epochs (T,) of all rows; a pause has none."""
+    starts_us = [scenario.start_us, *(p.stop_us for p in scenario.phases if p.name == "pause")]
+    stops_us = [*(p.start_us for p in scenario.phases if p.name == "pause"), scenario.stop_us]
+    spans = zip(starts_us, stops_us, strict=True)
+    return np.concatenate([np.arange(start, stop, scenario.row_period_us, dtype=np.int64) for start, stop in spans])
 
 
 def flag_names() -> dict[str, int]:
@@ -213,27 +245,9 @@ def _measurable_dbm(carrier_dbm: FloatArray, interference_dbm: FloatArray, effec
     return np.where(effects.is_on & ~effects.is_gap[:, None], power_dbm, np.nan)
 
 
-def _chain_db(scenario: Scenario, seed: int, seconds: FloatArray) -> FloatArray:
-    """Return the drift (T,) of the receiving chain."""
-    figures: NoiseFigures = scenario.noise
-    rng = stream(seed, "chain")
-    wave = daily_wave(rng, seconds, figures.chain_daily_db)
-    return wave + first_order(rng, len(seconds), scenario.row_period_s, figures.chain_db, figures.chain_tau_s)
-
-
-def _user_noise_db(carrier: Carrier, scenario: Scenario, seed: int, seconds: FloatArray) -> FloatArray:
-    """Return the noise (T,) of one user: white, coloured, day of temperature, wander."""
-    figures, count, step_s = scenario.noise, len(seconds), scenario.row_period_s
-    plan = PLANS[scenario.plan]
-    white_db = float(world_white_db(plan)[[c.id for c in plan.carriers].index(carrier.id)]) * figures.white_scale
-    white = white_db * stream(seed, "white", carrier.id).normal(size=count)
-    coloured_rng = stream(seed, "coloured", carrier.id)
-    sigma_db = float(coloured_rng.uniform(*figures.coloured_db))
-    coloured = first_order(coloured_rng, count, step_s, sigma_db, figures.coloured_tau_s)
-    thermal = daily_wave(stream(seed, "thermal", carrier.id), seconds, figures.thermal_db)
-    wander_db = carrier.wander_db * figures.wander_scale
-    wander = first_order(stream(seed, "wander", carrier.id), count, step_s, wander_db, figures.wander_tau_s)
-    return np.asarray(white + coloured + thermal + wander)
+def _on_grid(level_dbm: FloatArray, quantum_db: float) -> FloatArray:
+    """Return levels on whole multiples of a quantum; 0 = as they are."""
+    return np.asarray(np.round(level_dbm / quantum_db) * quantum_db) if quantum_db > 0.0 else level_dbm
 
 
 def _rain_noise_db(fade_db: FloatArray) -> FloatArray:

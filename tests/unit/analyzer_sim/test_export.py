@@ -13,7 +13,8 @@ import analyzer_sim.export as export_module
 from analyzer_sim.events import SwitchOff
 from analyzer_sim.export import export_arrays, export_npz, run_export
 from analyzer_sim.scenario import Scenario
-from analyzer_sim.world import World, sweep_sigma_db
+from analyzer_sim.user_noise import sweep_sigma_db
+from analyzer_sim.world import World
 
 SHORT = Scenario(
     "short",
@@ -85,7 +86,7 @@ def test_knowledge_is_that_of_the_world() -> None:
     assert found["correction_start_us"].tolist() == [c.start_us for c in world().corrections]
     assert found["phase_name"].tolist() == ["quiet", "turns", "alignment", "operation"]
     kinds = [line["kind"] for line in json.loads(found["catalogue_json"])]
-    assert kinds == ["spacecraft", "carriers", "task", "ephemeris"]
+    assert kinds == ["spacecraft", "carriers", "task", "ephemeris", "bound"]
 
 
 def test_the_file_reads_back_without_pickle(tmp_path: Path) -> None:

@@ -1,0 +1,179 @@
+"""Catalogue, first part: the stories by which the method is measured, and the demonstration."""
+
+from dataclasses import replace
+
+from analyzer_sim.events import (
+    Burn,
+    ChainStep,
+    DownlinkRain,
+    Gap,
+    GroupStep,
+    Hold,
+    Interference,
+    Step,
+    SwitchOff,
+    Tour,
+    UplinkRain,
+)
+from analyzer_sim.story import KeepingFigures, NoiseFigures, Scenario
+
+#: the carriers of the default plan
+ALL16 = tuple(f"c{number:02d}" for number in range(16))
+#: attitude kept closely enough for an announced tour to stay within 0.42 deg
+_CLOSE_KEEPING = KeepingFigures(knowledge_deg=(0.018, 0.012, 0.014), feedback_tau_s=0.5 * 3600.0, scale_error=0.01)
+_TOUR = Tour("tour")
+
+
+def downlink_rain(
+    slope_db_min: float, depth_db: float, duration_min: float = 60.0, name: str = "downlink_rain"
+) -> Scenario:
+    """Return two days with one rain over the receiving site of this slope and depth."""
+    rain = DownlinkRain(
+        "downlink rain",
+        depth_db=(depth_db, depth_db),
+        slope_db_min=(slope_db_min, slope_db_min),
+        duration_min=(duration_min, duration_min),
+    )
+    summary = f"Rain over the receiving site: all carriers fade by {depth_db:g} dB at {slope_db_min:g} dB/min."
+    return Scenario(name, summary, faults=(rain,))
+
+
+#: slope, dB/min, and depth, dB, of the rains in the catalogue beside the plain one
+_RAINS = ((0.02, 2.0), (0.05, 3.0), (0.3, 4.0), (1.0, 5.0), (3.0, 6.0))
+
+PLAIN: tuple[Scenario, ...] = (
+    Scenario("nominal", "Two days of ordinary keeping, no fault."),
+    Scenario(
+        "demo",
+        "A tour of all octants by 0.2-0.33 deg with mild uplink rain and one carrier off for some hours.",
+        keeping=_CLOSE_KEEPING,
+        manoeuvres=(_TOUR,),
+        faults=(
+            UplinkRain(
+                "mild rain",
+                3,
+                ("c02", "c07", "c13"),
+                depth_db=(1.0, 2.5),
+                slope_db_min=(0.05, 0.3),
+                start_h=(3.0, 40.0),
+            ),
+            SwitchOff("carrier off", ("c05",), start_h=(12.0, 14.0), duration_h=(4.0, 6.0)),
+        ),
+    ),
+    Scenario(
+        "octants",
+        "A tour of all octants by 0.1-0.4 deg, no fault.",
+        keeping=_CLOSE_KEEPING,
+        manoeuvres=(replace(_TOUR, yaw_deg=(0.1, 0.4), roll_deg=(0.1, 0.4), pitch_deg=(0.1, 0.4)),),
+    ),
+    Scenario("steps", "Six users change their level for good.", faults=(Step("steps", 6),)),
+    Scenario("uplink_rain", "Ten showers over users' stations.", faults=(UplinkRain("showers", 10),)),
+    downlink_rain(0.1, 3.0),
+    *(downlink_rain(slope, depth, name=f"downlink_rain_{slope:g}".replace(".", "p")) for slope, depth in _RAINS),
+    Scenario(
+        "mixed",
+        "Four days with every kind of fault.",
+        operation_h=96.0,
+        faults=(
+            UplinkRain("showers", 8, start_h=(1.0, 94.0)),
+            DownlinkRain("downlink rain", (20.0, 40.0), (1.5, 5.0), (0.03, 0.5), (30.0, 150.0)),
+            Step("steps", 4, start_h=(1.0, 94.0)),
+            SwitchOff("carrier off", start_h=(10.0, 80.0), level_after_db=(-1.0, 1.5)),
+            GroupStep("transponder", start_h=(45.0, 70.0)),
+            ChainStep("recalibration", (75.0, 85.0), (-0.6, 0.6)),
+            Interference("interference", 2, start_h=(1.0, 90.0)),
+            Gap("gap", 2, start_h=(5.0, 90.0)),
+        ),
+    ),
+    Scenario(
+        "white",
+        "White noise only, of the sizes of the plan; no drift of the chain.",
+        noise=NoiseFigures(coloured_db=(0.0, 0.0), chain_db=0.0, chain_daily_db=0.0, thermal_db=0.0, wander_scale=0.0),
+    ),
+    Scenario("gaps", "Six gaps of ten minutes to three hours.", faults=(Gap("gaps", 6),)),
+    Scenario("few8", "Eight carriers, no fault.", plan="ku8"),
+    Scenario("many32", "Thirty-two carriers, no fault.", plan="ku32"),
+    Scenario(
+        "steps_heavy",
+        "Three days in which each of the sixteen users changes the level for good, once.",
+        operation_h=72.0,
+        faults=(Step("steps", 16, ALL16, start_h=(1.0, 70.0)),),
+    ),
+    Scenario(
+        "downlink_slow",
+        "Two slow rains over the receiving site, 0.02 and 0.03 dB/min, hours long.",
+        faults=(
+            DownlinkRain("drizzle", (5.0, 7.0), (1.5, 2.0), (0.02, 0.02), (60.0, 120.0)),
+            DownlinkRain("long rain", (26.0, 29.0), (2.0, 3.0), (0.03, 0.03), (60.0, 120.0)),
+        ),
+    ),
+    Scenario(
+        "downlink_slew",
+        "Rain over the receiving site while the craft slews by 0.3 deg, once out and once back.",
+        keeping=_CLOSE_KEEPING,
+        manoeuvres=(
+            Hold(8.0, 6.0, 60.0, yaw_deg=0.2, roll_deg=-0.3, pitch_deg=0.25),
+            Hold(26.0, 6.0, 60.0, yaw_deg=-0.2, roll_deg=0.25, pitch_deg=-0.3),
+        ),
+        faults=(
+            DownlinkRain("rain on the way out", (8.1, 8.5), (2.0, 4.0), (0.05, 0.2), (30.0, 60.0)),
+            DownlinkRain("rain on the way back", (32.1, 32.5), (2.0, 4.0), (0.05, 0.2), (30.0, 60.0)),
+        ),
+    ),
+    Scenario(
+        "dual_band",
+        "Eight carriers in Ku and eight in C band, which feels a tenth of the rain; one rain over the receiving site.",
+        plan="kuc16",
+        faults=(DownlinkRain("downlink rain", (8.0, 20.0), (2.5, 4.0), (0.05, 0.3), (60.0, 90.0)),),
+    ),
+    Scenario(
+        "transponder",
+        "Four steps of gain, each of a whole transponder; one of them is undone after six hours.",
+        faults=(
+            GroupStep("gain 1", start_h=(3.0, 9.0)),
+            GroupStep("gain 2", start_h=(13.0, 19.0), duration_h=6.0),
+            GroupStep("gain 3", start_h=(26.0, 32.0)),
+            GroupStep("gain 4", start_h=(36.0, 44.0)),
+        ),
+    ),
+    Scenario(
+        "drift",
+        "The receiving chain drifts by some 0.25 dB and is recalibrated four times by 0.2-0.6 dB.",
+        noise=NoiseFigures(chain_db=0.25),
+        faults=(
+            ChainStep("recalibration 1", (4.0, 9.0), (0.2, 0.6)),
+            ChainStep("recalibration 2", (14.0, 20.0), (-0.6, -0.2)),
+            ChainStep("recalibration 3", (25.0, 31.0), (-0.6, -0.2)),
+            ChainStep("recalibration 4", (36.0, 43.0), (0.2, 0.6)),
+        ),
+    ),
+    Scenario(
+        "maneuver",
+        "A planned burn turns the plane of the orbit; its ephemeris is there at once, the attitude is not disturbed.",
+        burns=(Burn("station keeping", (10.0, 16.0), ephemeris_after_h=0.0),),
+    ),
+    Scenario("long14", "Fourteen days of ordinary keeping, no fault.", operation_h=14 * 24.0),
+    Scenario(
+        "init_bias",
+        "Aligned while the craft stands at 0.25/0.16/0.13 deg instead of zero.",
+        keeping=KeepingFigures(alignment_deg=(0.25, 0.16, 0.13)),
+    ),
+    Scenario("interference", "Eight narrow signals inside carriers' bands.", faults=(Interference("signals", 8),)),
+    Scenario(
+        "mixed32",
+        "Four days with every kind of fault on thirty-two carriers.",
+        operation_h=96.0,
+        plan="ku32",
+        faults=(
+            UplinkRain("showers", 16, start_h=(1.0, 94.0)),
+            DownlinkRain("downlink rain", (20.0, 40.0), (1.5, 5.0), (0.03, 0.5), (30.0, 150.0)),
+            Step("steps", 8, start_h=(1.0, 94.0)),
+            SwitchOff("carrier off", start_h=(10.0, 80.0), level_after_db=(-1.0, 1.5)),
+            SwitchOff("another off", start_h=(10.0, 80.0), level_after_db=(-1.0, 1.5)),
+            GroupStep("transponder", start_h=(45.0, 70.0)),
+            ChainStep("recalibration", (75.0, 85.0), (-0.6, 0.6)),
+            Interference("interference", 4, start_h=(1.0, 90.0)),
+            Gap("gap", 2, start_h=(5.0, 90.0)),
+        ),
+    ),
+)

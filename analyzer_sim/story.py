@@ -1,0 +1,162 @@
+"""Stories as data: phases, figures of noise and of attitude keeping, events; no scenario is named here.
+
+Phases follow one another: `quiet` (star tracker on, harmonics are learned), `turns` (star tracker on, the craft is
+turned by the timetable of `turns.py`), perhaps `pause` (nothing is measured), `alignment` (star tracker on, an attitude
+that is held), `operation` (star tracker off).
+"""
+
+from dataclasses import dataclass, field
+
+from analyzer_sim.epochs import US_PER_H, US_PER_S, epoch_us_from_text
+from analyzer_sim.events import Burn, Fault, Manoeuvre
+from analyzer_sim.turns import TURNS_H
+
+DEFAULT_START_US = epoch_us_from_text("2026-11-01T00:00:00Z")
+
+#: sigma and correlation time of one first-order part of a noise, dB and s
+Part = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseFigures:
+    """Noise beyond what each carrier's plan says; sigmas in dB."""
+
+    #: scale of the carriers' white noise
+    white_scale: float = 1.0
+    #: range of the AR(1) part of the carriers and its correlation time
+    coloured_db: tuple[float, float] = (0.06, 0.11)
+    coloured_tau_s: float = 1200.0
+    #: receiving chain, common to all carriers
+    chain_db: float = 0.08
+    chain_tau_s: float = 12 * 3600.0
+    chain_daily_db: float = 0.02
+    #: amplitude of each user's day of temperature
+    thermal_db: float = 0.04
+    #: scale of an unstable user's wander and its correlation time
+    wander_scale: float = 1.0
+    wander_tau_s: float = 3 * 3600.0
+    #: further parts of each carrier and of the chain; several of them add up to flicker noise
+    flicker: tuple[Part, ...] = ()
+    chain_flicker: tuple[Part, ...] = ()
+    #: range from which each carrier's scale of its flicker parts is drawn
+    flicker_scale: tuple[float, float] = (1.0, 1.0)
+    #: levels stand on whole multiples of this; 0 = they do not
+    quantum_db: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class KeepingFigures:
+    """How the attitude is kept; triples in the order yaw, roll, pitch."""
+
+    #: limit cycle under the star tracker, deg
+    tracker_deg: tuple[float, float, float] = (0.025, 0.018, 0.018)
+    tracker_tau_s: float = 7200.0
+    #: error of the angles from which corrections are computed in operation, deg
+    knowledge_deg: tuple[float, float, float] = (0.105, 0.038, 0.052)
+    knowledge_tau_s: float = 3 * 3600.0
+    #: time in which a correction removes the known deviation
+    feedback_tau_s: float = 1.5 * 3600.0
+    #: drift of the inertial model, deg/h
+    drift_deg_h: tuple[float, float, float] = (0.04, 0.025, 0.025)
+    drift_tau_s: float = 8 * 3600.0
+    #: error of the effect of a correction, one sigma, relative
+    scale_error: float = 0.015
+    #: whether roll and yaw exchange with the orbital rate
+    is_coupled: bool = True
+    #: what the catalogue says about it, and what slews are planned with
+    is_coupled_told: bool = True
+    #: size of the angles held in the alignment, deg; their signs are drawn
+    alignment_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class RepeaterFigures:
+    """What else stands between a user's transmitter and the receiving site."""
+
+    #: transponders whose automatic level control holds their total power
+    alc_transponders: tuple[str, ...] = ()
+    #: carriers whose station steers its power by what comes back
+    power_controlled: tuple[str, ...] = ()
+    #: whether the catalogue says so; otherwise it says `unknown`
+    is_power_control_told: bool = True
+    #: time in which a station makes up for a change, and how far it can
+    power_control_tau_s: float = 300.0
+    power_control_limit_db: float = 6.0
+
+
+@dataclass(frozen=True, slots=True)
+class Phase:
+    """One stretch of the story, [start, stop)."""
+
+    name: str
+    start_us: int
+    stop_us: int
+    is_tracker_on: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """One story."""
+
+    name: str
+    summary: str
+    start_us: int = DEFAULT_START_US
+    row_period_s: float = 60.0
+    quiet_h: float = 72.0
+    alignment_h: float = 1.0
+    operation_h: float = 48.0
+    plan: str = "ku16"
+    noise: NoiseFigures = field(default_factory=NoiseFigures)
+    keeping: KeepingFigures = field(default_factory=KeepingFigures)
+    manoeuvres: tuple[Manoeuvre, ...] = ()
+    faults: tuple[Fault, ...] = ()
+    repeater: RepeaterFigures = field(default_factory=RepeaterFigures)
+    burns: tuple[Burn, ...] = ()
+    #: time between turns and alignment in which nothing is measured
+    pause_h: float = 0.0
+
+    @property
+    def row_period_us(self) -> int:
+        """Time between rows, microseconds."""
+        return round(self.row_period_s * US_PER_S)
+
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        """The phases in order; each begins where the one before it ends, and none is empty."""
+        durations_h = {
+            "quiet": self.quiet_h,
+            "turns": TURNS_H,
+            "pause": self.pause_h,
+            "alignment": self.alignment_h,
+            "operation": self.operation_h,
+        }
+        phases, start_us = [], self.start_us
+        for name, duration_h in durations_h.items():
+            stop_us = start_us + round(duration_h * US_PER_H)
+            if name != "pause" or stop_us > start_us:
+                phases.append(Phase(name, start_us, stop_us, is_tracker_on=name != "operation"))
+            start_us = stop_us
+        return tuple(phases)
+
+    def phase(self, name: str) -> Phase:
+        """Return the phase of this name.
+
+        Raises
+        ------
+        KeyError
+            The story has no such phase.
+        """
+        for phase in self.phases:
+            if phase.name == name:
+                return phase
+        raise KeyError(f"scenario {self.name} has no phase {name!r}")
+
+    @property
+    def operation_start_us(self) -> int:
+        """Epoch from which the star tracker is off."""
+        return self.phases[-1].start_us
+
+    @property
+    def stop_us(self) -> int:
+        """First epoch after the story."""
+        return self.phases[-1].stop_us
