@@ -12,7 +12,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 from rich.console import Console
 from rich.live import Live
-from rich.progress import Progress, TaskID
+from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from service.client.problem import ClientError
@@ -49,6 +49,8 @@ def demo(
     presenter = Presenter(console, 0.0 if leave else rows_per_second, with_table=not leave and not as_json)
     with ExitStack() as stack:
         directory = _directory(stack, keep)
+        stack.callback(presenter.close)
+        presenter.open()
         try:
             if service and analyzer and ground:
                 endpoints = _external(service, analyzer, ground)
@@ -57,9 +59,11 @@ def demo(
                 presenter.key = endpoints.key
             figures = _play(directory, endpoints, presenter, figure)
         except KeyboardInterrupt:
+            presenter.close()
             console.print("stopped")
             return
         except (ProcessFailedError, ClientError, TimeoutError, OSError) as error:
+            presenter.close()
             typer.echo(f"the demonstration failed: {error}", err=True)
             raise typer.Exit(2) from error
     typer.echo(json.dumps({"seed": seed, **figures}, allow_nan=False)) if as_json else _print_figures(console, figures)
@@ -135,20 +139,22 @@ class Presenter:
             self._live.stop()
             self._live = None
 
+    def open(self) -> None:
+        """Start the progress bar; away from a terminal it would be noise."""
+        columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+        self._progress = Progress(*columns, console=self._console, disable=not self._console.is_terminal)
+        self._task = self._progress.add_task(f"{'start':11s}", total=1.0)
+        self._progress.start()
+
     def _show_progress(self, scene: Scene) -> None:
         """Move the progress bar along quiet days, turns, alignment and operation."""
         phases = scene.story.phases
-        if self._progress is None:
-            # away from a terminal a bar is only noise, unless the user waits for nothing else
-            self._progress = Progress(console=self._console, disable=not self._console.is_terminal)
-            self._task = self._progress.add_task("quiet", total=1.0)
-            self._progress.start()
         last = "alignment" if self._with_table else "operation"
-        if self._task is None or last not in phases:
+        if self._progress is None or self._task is None or last not in phases:
             return
         start_us, stop_us = parse_epoch(phases["quiet"][0]), parse_epoch(phases[last][1])
         share = (parse_epoch(scene.until) - start_us) / (stop_us - start_us)
-        self._progress.update(self._task, completed=share, description=f"{scene.phase:9s}")
+        self._progress.update(self._task, completed=share, description=f"{scene.phase:11s}")
 
     def _show_tracking(self, scene: Scene) -> None:
         """Show the newest angles, in place on a terminal, else every few seconds."""

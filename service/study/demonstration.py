@@ -67,7 +67,7 @@ class Scene:
     client: ServiceClient
 
 
-#: called after each chunk of rows was let go
+#: called while rows arrive, and after each chunk of operation has its results
 Show = Callable[[Scene], None]
 
 
@@ -123,11 +123,11 @@ def run_story(directory: Path, endpoints: Endpoints, client: ServiceClient, show
             for process in processes:
                 process.require_alive()
             if message["phase"] == "operation" and "calibration" not in story.catalogue:
-                _calibrate_and_align(story, client)
+                _calibrate_and_align(story, client, show)
             link.proceed()
             if message["phase"] == "operation":
                 await_results(client, story.spacecraft_id, message["until"])
-            show(Scene(message["phase"], message["until"], story, client))
+                show(Scene("operation", message["until"], story, client))
     return story
 
 
@@ -160,11 +160,13 @@ _FORWARD: dict[str, Callable[[ServiceClient, str, dict[str, Any]], Any]] = {
 }
 
 
-def _calibrate_and_align(story: Story, client: ServiceClient) -> None:
+def _calibrate_and_align(story: Story, client: ServiceClient, show: Show) -> None:
     """Do what an operator does after the turns: calibrate, activate, align."""
     spacecraft_id = story.spacecraft_id
     windows = {name: {"start": start, "stop": stop} for name, (start, stop) in story.phases.items()}
-    _await_measurement(client, spacecraft_id, story.phases["alignment"][1])
+    stop = story.phases["alignment"][1]
+    _await_measurement(story, client, stop, show)
+    show(Scene("calibration", stop, story, client))
     started = client.start_calibration(
         spacecraft_id,
         {"quiet": windows["quiet"], "turns": windows["turns"], "method": "paper", "source": "star_tracker"},
@@ -175,16 +177,21 @@ def _calibrate_and_align(story: Story, client: ServiceClient) -> None:
     story.catalogue["alignment"] = client.align(spacecraft_id, {**windows["alignment"], "source": "star_tracker"})
 
 
-def _await_measurement(client: ServiceClient, spacecraft_id: str, stop: str) -> None:
-    """Wait until the last row before an epoch has arrived."""
+def _await_measurement(story: Story, client: ServiceClient, stop: str, show: Show) -> None:
+    """Wait until the last row before an epoch has arrived; the ground's messages run ahead of the rows."""
     row_period_us = 60_000_000
-    deadline = time.monotonic() + _ARRIVAL_TIMEOUT_S
+    deadline, former = time.monotonic() + _ARRIVAL_TIMEOUT_S, None
     while time.monotonic() < deadline:
-        newest = client.status(spacecraft_id)["newest_measurement"]
-        if newest is not None and parse_epoch(newest) + row_period_us >= parse_epoch(stop):
-            return
+        newest = client.status(story.spacecraft_id)["newest_measurement"]
+        if newest is not None and newest != former:
+            # a slow machine may take its time as long as rows arrive
+            deadline, former = time.monotonic() + _ARRIVAL_TIMEOUT_S, newest
+            if parse_epoch(newest) + row_period_us >= parse_epoch(stop):
+                return
+            began = [name for name, (start, _) in story.phases.items() if start <= newest]
+            show(Scene(began[-1] if began else "start", newest, story, client))
         time.sleep(_POLL_S)
-    message = f"the rows up to {stop} did not arrive within {_ARRIVAL_TIMEOUT_S:.0f} s"
+    message = f"the rows up to {stop} did not arrive, nothing new for {_ARRIVAL_TIMEOUT_S:.0f} s"
     raise TimeoutError(message)
 
 

@@ -1,0 +1,80 @@
+"""Epoch limits: what the clock said is remembered for a second, and never makes a row fit that does not."""
+
+import asyncio
+
+from service.api.deps import Limits
+from service.api.epoch_limits import EpochLimits
+
+S = 1_000_000
+NOW_US = 1_800_000_000 * S
+LIMITS = Limits(future_tolerance_s=5.0, future_tolerance_data_s=3600.0, late_after_s=300.0)
+
+
+class CountingClock:
+    """A clock that counts how often it is asked."""
+
+    def __init__(self, *, is_data: bool, newest_us: int | None = None) -> None:
+        self.data, self.newest_us, self.system, self.asked = is_data, newest_us, NOW_US, 0
+
+    def system_us(self) -> int:
+        return self.system
+
+    def is_data(self, spacecraft_id: str) -> bool:
+        self.asked += 1
+        return self.data
+
+    def now_us(self, spacecraft_id: str) -> int | None:
+        return self.newest_us if self.data else self.system
+
+
+def known(limits: EpochLimits):
+    return asyncio.run(limits.known("sc"))
+
+
+def test_the_data_clock_is_asked_once_a_second():
+    clock = CountingClock(is_data=True, newest_us=1000 * S)
+    limits = EpochLimits(clock, LIMITS)
+    assert [known(limits).latest_us for _ in range(3)] == [4600 * S] * 3
+    assert clock.asked == 1
+    clock.newest_us, clock.system = 2000 * S, NOW_US + S
+    assert known(limits).latest_us == 5600 * S
+    assert clock.asked == 2
+
+
+def test_a_caller_that_would_refuse_gets_the_bounds_of_the_moment():
+    clock = CountingClock(is_data=True, newest_us=1000 * S)
+    limits = EpochLimits(clock, LIMITS)
+    known(limits)
+    clock.newest_us = 2000 * S
+    assert asyncio.run(limits.present("sc")).latest_us == 5600 * S
+    assert known(limits).latest_us == 5600 * S
+
+
+def test_before_the_first_row_nothing_is_remembered():
+    clock = CountingClock(is_data=True)
+    limits = EpochLimits(clock, LIMITS)
+    assert known(limits).latest_us is None
+    clock.newest_us = 1000 * S
+    assert known(limits).latest_us == 4600 * S
+
+
+def test_under_the_system_clock_the_bounds_move_with_the_time():
+    clock = CountingClock(is_data=False)
+    limits = EpochLimits(clock, LIMITS)
+    assert known(limits).latest_us == NOW_US + 5 * S
+    clock.system += S // 2
+    assert known(limits).latest_us == NOW_US + 5 * S + S // 2
+    assert known(limits).stale_before_us == NOW_US - 300 * S + S // 2
+    assert clock.asked == 1
+
+
+def test_a_changed_spacecraft_and_a_clock_set_back_are_asked_about_again():
+    clock = CountingClock(is_data=True, newest_us=1000 * S)
+    limits = EpochLimits(clock, LIMITS)
+    known(limits)
+    clock.data = False
+    limits.forget("sc")
+    assert known(limits).latest_us == NOW_US + 5 * S
+    clock.system = NOW_US - 10 * S
+    known(limits)
+    assert clock.asked == 3
