@@ -138,7 +138,14 @@ async def test_bodies_above_the_limit_are_refused_and_the_limit_is_told(soo, bod
 
 @pytest.mark.parametrize(
     "body",
-    [b"{}", b"", gzip.compress(b"{}", mtime=0)[:-1], gzip.compress(b"{}", mtime=0) + b"rest", b"\x1f\x8b", b"\x1f\x8b" + b"\xff" * 60],
+    [
+        b"{}",
+        b"",
+        gzip.compress(b"{}", mtime=0)[:-1],
+        gzip.compress(b"{}", mtime=0) + b"rest",
+        b"\x1f\x8b",
+        b"\x1f\x8b" + b"\xff" * 60,
+    ],
 )
 async def test_what_is_not_gzip_is_refused(soo, body):
     answer = await soo.client.post(SC, content=body, headers={"Content-Encoding": "gzip"})
