@@ -131,7 +131,8 @@ def sight_motion_deg(position_deg: FloatArray, stations: Places, nominal_longitu
     across = np.cross(boresight, along)
     sight = _satellite_vectors(position_deg)[:, np.newaxis] - places_m
     depth = np.vecdot(sight, boresight)
-    return np.degrees(np.stack([np.arctan2(np.vecdot(sight, axis), depth) for axis in (along, across)], axis=-1))
+    angles = [np.arctan2(np.vecdot(sight, axis), depth) for axis in (along, across)]
+    return np.asarray(np.degrees(np.stack(angles, axis=-1)))
 
 
 def antenna_motion_deg(track: Track, epoch_us: IntArray, stations: Places, nominal_longitude_deg: float) -> FloatArray:

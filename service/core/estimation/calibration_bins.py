@@ -1,0 +1,163 @@
+"""Rows of a calibration thinned by averaging stretches over which the attitude stands still.
+
+A stretch ends when it is ``stretch_s`` long, or when an angle has moved from its first row by more than
+``STILL_LIMIT_DEG``. Averaging loses nothing: the model is linear in its columns, so columns are averaged as the powers
+are, over the same samples, and what two rows a minute apart know of noise with correlation times of many minutes they
+know together. It gains twice: the fit is ten times shorter, and the noise of the attitude sensor, which on its own row
+would shrink the slopes (errors in variables), is averaged before it enters. The law of this file: a sample far from the
+median of its own stretch is an impulse and no part of the mean.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+#: deg, yaw, roll, pitch: a stretch ends beyond this; yaw moves a station eight times less.
+STILL_LIMIT_DEG = (0.12, 0.06, 0.06)
+#: A sample this many robust sigmas from the median of its stretch is an impulse.
+IMPULSE_SIGMAS = 6.0
+_MAD_TO_SIGMA = 1.4826
+#: dB, below this a spread is rounding.
+_MIN_SPREAD_DB = 1e-6
+
+
+class Stretches(NamedTuple):
+    """Rows by stretch: B stretches of at most L rows.
+
+    Parameters
+    ----------
+    rows : ndarray of int, shape (B, L)
+        Indices of the rows, the last one repeated where the stretch is shorter.
+    is_filled : ndarray of bool, shape (B, L)
+        False for the repetitions.
+    """
+
+    rows: IntArray
+    is_filled: BoolArray
+
+
+class Means(NamedTuple):
+    """Means of N carriers over B stretches.
+
+    Parameters
+    ----------
+    power_db : ndarray, shape (N, B), dB
+        Mean of the samples kept; 0 where there is none.
+    columns : ndarray, shape (N, B, K)
+        Means of the model's columns over the same samples.
+    rows_used : ndarray of int, shape (N, B)
+        Samples in the mean.
+    is_kept : ndarray of bool, shape (T, N)
+        Samples that take part.
+    white_db : ndarray, shape (N,), dB
+        Scatter of single samples within stretches.
+    """
+
+    power_db: FloatArray
+    columns: FloatArray
+    rows_used: IntArray
+    is_kept: BoolArray
+    white_db: FloatArray
+
+
+def still_stretches(epoch_s: FloatArray, attitude_deg: FloatArray, stretch_s: float) -> Stretches:
+    """Return the stretches of rows in order of time.
+
+    Parameters
+    ----------
+    epoch_s : ndarray, shape (T,), s
+        Ascending.
+    attitude_deg : ndarray, shape (T, 3), deg
+        Yaw, roll, pitch. Rows with NaN belong to no stretch.
+    stretch_s : float, s
+        Longest stretch.
+
+    Returns
+    -------
+    Stretches
+
+    Examples
+    --------
+    >>> angles = np.array([[0, 0, 0], [0, 0, 0], [0, 0.5, 0], [0, 0.5, 0], [0, 0.5, 0]])
+    >>> still_stretches(np.arange(5) * 60.0, angles, 120.0).rows
+    array([[0, 1],
+           [2, 3],
+           [4, 4]])
+    """
+    known = np.flatnonzero(np.isfinite(attitude_deg).all(axis=1))
+    place = np.concatenate([epoch_s[known, np.newaxis] / stretch_s, attitude_deg[known] / STILL_LIMIT_DEG], axis=1)
+    starts: list[int] = []
+    first = [-math.inf] * 4
+    for row, (time, yaw, roll, pitch) in enumerate(place.tolist()):
+        moved = max(abs(yaw - first[1]), abs(roll - first[2]), abs(pitch - first[3]))
+        if time - first[0] >= 1.0 or moved > 1.0:
+            starts.append(row)
+            first = [time, yaw, roll, pitch]
+    lengths = np.diff([*starts, len(known)]).astype(np.int64)
+    longest = int(lengths.max(initial=0))
+    steps = np.arange(longest)
+    offsets = np.minimum(steps, lengths[:, np.newaxis] - 1)
+    rows = known[np.array(starts, dtype=np.int64)[:, np.newaxis] + offsets]
+    return Stretches(rows.astype(np.int64), steps < lengths[:, np.newaxis])
+
+
+def stretch_means(stretches: Stretches, power_db: FloatArray, columns: FloatArray) -> Means:
+    """Return the means of powers and columns over the samples that are no impulses.
+
+    Parameters
+    ----------
+    stretches : Stretches
+        B stretches.
+    power_db : ndarray, shape (T, N), dB
+        Powers less a rough level. NaN marks an absent sample.
+    columns : ndarray, shape (T, N, K)
+        Columns of the model. A sample whose columns are not finite is absent.
+
+    Returns
+    -------
+    Means
+    """
+    is_present = np.isfinite(power_db) & np.isfinite(columns).all(axis=2)
+    samples = np.where(is_present, power_db, math.nan)[stretches.rows]
+    samples[~stretches.is_filled] = math.nan
+    centre, count = _ordered_medians(samples)
+    distance = np.abs(samples - centre[:, np.newaxis])
+    spread = _MAD_TO_SIGMA * _small_sample_mad(distance, count)
+    is_kept_there = distance <= np.maximum(IMPULSE_SIGMAS * spread, _MIN_SPREAD_DB)
+    is_kept = np.zeros_like(is_present)
+    filled = np.broadcast_to(is_kept_there, samples.shape)[stretches.is_filled]
+    is_kept[stretches.rows[stretches.is_filled]] = filled
+    kept_count = is_kept_there.sum(axis=1)
+    weight = np.where(is_kept, 1.0, 0.0)
+    values = np.concatenate(
+        [np.where(is_kept, power_db, 0.0)[..., np.newaxis], np.where(is_kept[..., np.newaxis], columns, 0.0)], axis=2
+    )
+    gathered = values[stretches.rows] * (weight[stretches.rows] * stretches.is_filled[..., np.newaxis])[..., np.newaxis]
+    means = gathered.sum(axis=1) / np.maximum(kept_count, 1)[..., np.newaxis]
+    means = np.ascontiguousarray(means.transpose(1, 0, 2))
+    return Means(means[..., 0], means[..., 1:], kept_count.T.astype(np.int64), is_kept, spread)
+
+
+def _ordered_medians(samples: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Return medians (B, N) over axis 1 of (B, L, N), NaN where nothing is present, and counts."""
+    ordered = np.sort(samples, axis=1)  # NaN goes last
+    count = np.isfinite(samples).sum(axis=1)
+    last = samples.shape[1] - 1
+    lower = np.take_along_axis(ordered, np.clip((count - 1) // 2, 0, last)[:, np.newaxis], axis=1)[:, 0]
+    upper = np.take_along_axis(ordered, np.clip(count // 2, 0, last)[:, np.newaxis], axis=1)[:, 0]
+    return 0.5 * (lower + upper), count.astype(np.int64)
+
+
+def _small_sample_mad(distance: FloatArray, count: IntArray) -> FloatArray:
+    """Return the median distance (N,) from the median, freed from what short stretches hide of it."""
+    # a median of n samples follows them: distances are short by sqrt(1 - 1.57 / n) or so; single samples say nothing
+    share = np.where(count >= 3, np.sqrt(1.0 - 1.0 / np.maximum(count, 3)), math.nan)
+    scaled = (distance / share[:, np.newaxis]).reshape(-1, distance.shape[2])
+    median, _ = _ordered_medians(scaled[np.newaxis])
+    return np.where(np.isnan(median[0]), 0.0, median[0])

@@ -1,0 +1,228 @@
+"""Which carriers to measure and which turns to make: weighted A-optimal choice by exchange.
+
+``minimise sum_j u_j^2 C_jj``: C the covariance in deg^2 of (yaw, roll, pitch) from the rows ``[a_i 1] / sigma_i`` of
+the chosen carriers (a in dB/deg), u the weights. Yaw weighs 0.05 because no choice makes it good and any choice that serves
+it alone spoils the rest. Search: greedy growth from a weak prior, then the best exchange of a chosen carrier for a free
+one until none helps. The law of this file: a choice leaves at least ``MIN_REDUNDANCY`` carriers beyond the five
+unknowns that a moved transponder needs, and no transponder holds more than its share, because it fails as one.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.core.estimation.observability import crlb_deg, leverages
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+#: Weights of yaw, roll, pitch.
+AXIS_WEIGHTS = (0.05, 1.0, 1.0)
+#: Attitude, common level, level of one moved transponder.
+_UNKNOWNS = 5
+#: Carriers beyond these that a choice keeps for mutual checks.
+MIN_REDUNDANCY = 6
+#: Largest share of the chosen carriers in one transponder.
+MAX_TRANSPONDER_SHARE = 0.35
+#: 1/deg^2 and 1/dB^2, prior that lets the first four carriers be compared.
+_PRIOR = np.diag([1e-2, 1e-2, 1e-2, 1e-4])
+_MIN_GAIN = 1e-9
+
+#: deg and minutes, the turns of a calibration: levels on each side of each axis, then the corners of all octants.
+TURN_LEVELS_DEG = (0.125, 0.25, 0.375, 0.5)
+TURN_CORNER_DEG = 0.3
+TURN_MINUTES = 15.0
+REST_MINUTES = 10.0
+#: deg, yaw is turned this far where the craft allows it: it is eight times less visible.
+FAR_YAW_DEG = 1.0
+
+
+class Design(NamedTuple):
+    """Choice among N carriers.
+
+    Parameters
+    ----------
+    chosen : ndarray of int, shape (C,)
+        Carriers in ascending order; fewer than asked for where shares or eligibility forbid more.
+    crlb_deg : ndarray, shape (3,), deg
+        Bound of yaw, roll, pitch for one row with a common level; NaN when not determined.
+    cost_deg2 : float, deg^2
+        Weighted sum of variances; infinite when not determined.
+    leverage : ndarray, shape (N,)
+        Of the chosen carriers, NaN for the others.
+    redundancy : int
+        Chosen carriers beyond five unknowns.
+    is_sufficient : bool
+        Whether the redundancy is at least ``MIN_REDUNDANCY`` and the attitude determined.
+    """
+
+    chosen: IntArray
+    crlb_deg: FloatArray
+    cost_deg2: float
+    leverage: FloatArray
+    redundancy: int
+    is_sufficient: bool
+
+
+class TurnLevel(NamedTuple):
+    """One recommended level: yaw, roll, pitch in deg, held for some minutes."""
+
+    attitude_deg: tuple[float, float, float]
+    minutes: float
+
+
+def choose_carriers(
+    sensitivity: FloatArray,
+    sigma_db: FloatArray,
+    transponder: IntArray,
+    count: int,
+    *,
+    eligible: BoolArray | None = None,
+    axis_weights: tuple[float, float, float] = AXIS_WEIGHTS,
+) -> Design:
+    """Return the carriers that determine the attitude best.
+
+    Parameters
+    ----------
+    sensitivity : ndarray, shape (N, 3), dB/deg
+        Columns yaw, roll, pitch; NaN excludes a carrier.
+    sigma_db : ndarray, shape (N,), dB
+        Noise of one row; NaN or not positive excludes a carrier.
+    transponder : ndarray of int, shape (N,)
+        Label of each carrier's transponder.
+    count : int
+        How many are wanted; at least eleven keep the redundancy.
+    eligible : ndarray of bool, shape (N,), optional
+        Carriers that may be chosen.
+    axis_weights : tuple of float
+        Weights of yaw, roll, pitch.
+
+    Returns
+    -------
+    Design
+
+    References
+    ----------
+    .. [1] Fedorov, V. V., "Theory of Optimal Experiments", 1972 (exchange).
+
+    Examples
+    --------
+    >>> sensitivity = np.array([[0.2, 1, 0], [0.2, -1, 0], [-0.2, 0, 1], [0.2, 0, -1], [0.0, 0, 0], [-0.2, 1, 1]])
+    >>> choose_carriers(sensitivity, np.full(6, 0.1), np.arange(6), 5).chosen  # the flat one tells the common level
+    array([0, 1, 3, 4, 5])
+    """
+    is_free = np.isfinite(sensitivity).all(axis=1) & np.isfinite(sigma_db) & (sigma_db > 0.0)
+    if eligible is not None:
+        is_free = is_free & eligible
+    rows = np.column_stack([np.where(is_free[:, np.newaxis], sensitivity, 0.0), np.ones(len(sensitivity))])
+    rows /= np.where(is_free, sigma_db, 1.0)[:, np.newaxis]
+    limit = max(1, math.floor(MAX_TRANSPONDER_SHARE * count))
+    weights = np.square(np.array(axis_weights))
+    chosen = _grown(rows, transponder, is_free, count, limit, weights)
+    chosen = _exchanged(rows, transponder, is_free, chosen, limit, weights)
+    picked = np.flatnonzero(chosen)
+    bound = crlb_deg(sensitivity[picked], sigma_db[picked], with_common=True)
+    leverage = np.full(len(chosen), math.nan)
+    leverage[picked] = leverages(sensitivity[picked])
+    is_determined = bool(np.isfinite(bound).all())
+    redundancy = len(picked) - _UNKNOWNS
+    return Design(
+        chosen=picked.astype(np.int64),
+        crlb_deg=bound,
+        cost_deg2=float(np.sum(weights * bound**2)) if is_determined else math.inf,
+        leverage=leverage,
+        redundancy=redundancy,
+        is_sufficient=is_determined and redundancy >= MIN_REDUNDANCY,
+    )
+
+
+def recommended_turns(*, far_yaw: bool = False) -> tuple[TurnLevel, ...]:
+    """Return the turns of a calibration in order, with rests at zero.
+
+    Parameters
+    ----------
+    far_yaw : bool
+        The craft may turn 1 deg about yaw; the yaw levels are then doubled.
+
+    Returns
+    -------
+    tuple of TurnLevel
+        8.5 hours: plus and minus four levels for each axis, then the eight corners of 0.3 deg, one sign at a time.
+
+    Examples
+    --------
+    >>> turns = recommended_turns()
+    >>> len(turns), sum(turn.minutes for turn in turns) / 60.0
+    (39, 8.5)
+    """
+    scale = (FAR_YAW_DEG / TURN_LEVELS_DEG[-1] if far_yaw else 1.0, 1.0, 1.0)
+    rest = TurnLevel((0.0, 0.0, 0.0), REST_MINUTES)
+    turns = []
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            sizes = [sign * level * scale[axis] for level in TURN_LEVELS_DEG]
+            turns += [TurnLevel(_about(axis, size), TURN_MINUTES) for size in sizes]
+            turns.append(rest)
+    for number in range(8):
+        # Gray code: consecutive corners differ in one sign
+        code = number ^ (number >> 1)
+        yaw, roll, pitch = (TURN_CORNER_DEG * (-1.0 if code >> bit & 1 else 1.0) for bit in (2, 1, 0))
+        turns.append(TurnLevel((yaw, roll, pitch), REST_MINUTES))
+    return (*turns, rest)
+
+
+def _about(axis: int, size_deg: float) -> tuple[float, float, float]:
+    """Return an attitude about one axis."""
+    yaw, roll, pitch = (size_deg if axis == k else 0.0 for k in range(3))
+    return yaw, roll, pitch
+
+
+def _costs(normal: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return the weighted sums of variances (...) of normal matrices (..., 4, 4)."""
+    inverse = np.linalg.inv(normal + _PRIOR)
+    return np.asarray(np.diagonal(inverse, axis1=-2, axis2=-1)[..., :3] @ weights)
+
+
+def _normals(rows: FloatArray) -> FloatArray:
+    """Return what each row adds to the normal matrix."""
+    return rows[:, :, np.newaxis] * rows[:, np.newaxis]
+
+
+def _grown(
+    rows: FloatArray, transponder: IntArray, is_free: BoolArray, count: int, limit: int, weights: FloatArray
+) -> BoolArray:
+    """Return a first choice: the carrier that helps most, one after another."""
+    chosen = np.zeros(len(rows), dtype=np.bool_)
+    added = _normals(rows)
+    for _ in range(count):
+        full = transponder[chosen]
+        is_open = np.array([np.count_nonzero(full == label) < limit for label in transponder], dtype=np.bool_)
+        candidates = np.flatnonzero(is_free & ~chosen & is_open)
+        if not candidates.size:
+            break
+        cost = _costs(added[chosen].sum(axis=0) + added[candidates], weights)
+        chosen[candidates[int(np.argmin(cost))]] = True
+    return chosen
+
+
+def _exchanged(
+    rows: FloatArray, transponder: IntArray, is_free: BoolArray, chosen: BoolArray, limit: int, weights: FloatArray
+) -> BoolArray:
+    """Return the choice after the best exchanges, until none lowers the cost."""
+    chosen, added = chosen.copy(), _normals(rows)
+    while True:
+        inside, outside = np.flatnonzero(chosen), np.flatnonzero(is_free & ~chosen)
+        if not inside.size or not outside.size:
+            return chosen
+        total = added[inside].sum(axis=0)
+        held = np.array([np.count_nonzero(transponder[inside] == label) for label in transponder[outside]])
+        is_same = transponder[inside][:, np.newaxis] == transponder[outside]
+        cost = _costs(total - added[inside][:, np.newaxis] + added[outside], weights)
+        cost = np.where(is_same | (held < limit), cost, math.inf)
+        leaving, coming = np.unravel_index(int(np.argmin(cost)), cost.shape)
+        if not cost[leaving, coming] < float(_costs(total, weights)) * (1.0 - _MIN_GAIN):
+            return chosen
+        chosen[inside[leaving]], chosen[outside[coming]] = False, True
