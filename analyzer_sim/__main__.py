@@ -1,4 +1,4 @@
-"""Command line of the simulator: ``serve`` (the default) and ``export``.
+"""Command line of the simulator: ``serve`` (the default), ``export`` and ``scenarios``.
 
 ``serve`` prints one line of JSON when both ports are open, then serves until SIGTERM or SIGINT and ends with 0::
 
@@ -21,10 +21,11 @@ from analyzer_sim.imperfections import IDEAL, Imperfections
 from analyzer_sim.instrument import Instrument
 from analyzer_sim.painter import Detail, TracePainter
 from analyzer_sim.scenario import SCENARIOS, Scenario, scenario_named
+from analyzer_sim.scenario_table import markdown_page, plain_table
 from analyzer_sim.server import SimulatedAnalyzer
 from analyzer_sim.world import World
 
-_SUBCOMMANDS = ("serve", "export")
+_SUBCOMMANDS = ("serve", "export", "scenarios")
 
 
 def _epoch_us(text: str) -> int:
@@ -86,6 +87,8 @@ def build_parser() -> argparse.ArgumentParser:
     _add_story(export)
     export.add_argument("--out", type=Path, required=True, help="file to write, .npz")
     export.add_argument("--sweep-noise", type=float, default=1.0, help="scale of the sweep's own noise (default: 1)")
+    scenarios = commands.add_parser("scenarios", help="list the stories that can be told")
+    scenarios.add_argument("--markdown", action="store_true", help="as the page of the reference")
     return parser
 
 
@@ -152,6 +155,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not given or (given[0] not in _SUBCOMMANDS and given[0] not in {"-h", "--help"}):
         given.insert(0, "serve")
     options = build_parser().parse_args(given)
+    if options.command == "scenarios":
+        sys.stdout.write(markdown_page() if options.markdown else plain_table())
+        return 0
     if options.command == "export":
         return run_export(_scenario(options), options.seed, options.out, options.sweep_noise)
     try:

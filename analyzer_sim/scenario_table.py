@@ -1,0 +1,112 @@
+"""Table of the scenarios and of the carrier plans: what `python -m analyzer_sim scenarios` prints."""
+
+from collections.abc import Callable, Iterator
+
+from analyzer_sim.carriers import PLANS, CarrierPlan
+from analyzer_sim.events import ChainStep, Eclipse, Fault, GroupStep, PlanChange, SunOutage, SwitchOff
+from analyzer_sim.orbit import Orbit
+from analyzer_sim.payload import sensitivity_db_per_deg
+from analyzer_sim.scenario import SCENARIOS
+from analyzer_sim.story import DEFAULT_START_US, Scenario
+from analyzer_sim.structure import crlb_deg
+from analyzer_sim.world import LONGITUDE_DEG
+
+#: where the table is kept, and what keeps it there
+MARKDOWN_COMMAND = "python -m analyzer_sim scenarios --markdown"
+
+#: what the ground is told of an event, if it is
+_TOLD: dict[type[Fault], Callable[[Fault], str]] = {
+    SwitchOff: lambda fault: "carrier_work" if isinstance(fault, SwitchOff) and fault.is_announced else "",
+    GroupStep: lambda fault: "gain_change" if isinstance(fault, GroupStep) and fault.is_announced else "",
+    ChainStep: lambda fault: "receive_chain_work" if isinstance(fault, ChainStep) and fault.is_announced else "",
+    Eclipse: lambda _fault: "eclipse",
+    SunOutage: lambda _fault: "sun_outage",
+    PlanChange: lambda _fault: "new plan",
+}
+
+
+def plain_table() -> str:
+    """Return one line a scenario."""
+    width = max(len(name) for name in SCENARIOS)
+    return "\n".join(f"{name:<{width}}  {scenario.summary}" for name, scenario in SCENARIOS.items()) + "\n"
+
+
+def markdown_page() -> str:
+    """Return the reference page of the scenarios."""
+    return "\n".join([*_HEAD, *_scenario_rows(), *_PLAN_HEAD, *_plan_rows(), *_FOOT]) + "\n"
+
+
+def told(scenario: Scenario) -> str:
+    """Return what the ground learns beside references and corrections; a dash for nothing."""
+    kinds = [_TOLD[type(fault)](fault) for fault in scenario.faults if type(fault) in _TOLD]
+    for burn in scenario.burns:
+        delay = f"{burn.ephemeris_after_h:g} h after the burn" if burn.ephemeris_after_h else "with the burn"
+        kinds += ["station_keeping", f"new ephemeris {delay}"]
+    if scenario.pause_h > 0.0:
+        kinds.append("new ephemeris after the pause")
+    figures = scenario.repeater
+    if figures.alc_transponders:
+        kinds.append("catalogue: transponder_mode alc")
+    if figures.power_controlled:
+        kinds.append(f"catalogue: uplink_power_control {'auto' if figures.is_power_control_told else 'unknown'}")
+    if not scenario.keeping.is_coupled:
+        kinds.append(f"catalogue: roll_yaw_coupling {str(scenario.keeping.is_coupled_told).lower()}")
+    return ", ".join(dict.fromkeys(kind for kind in kinds if kind)) or "-"
+
+
+_HEAD = (
+    "# Scenarios of the simulated analyzer",
+    "",
+    f"Made by `{MARKDOWN_COMMAND}`; a test keeps it current.",
+    "",
+    "A scenario and a seed make a world: `soo-analyzer serve --scenario NAME --seed N` lets it be measured through",
+    "SCPI, `soo-analyzer export --scenario NAME --seed N --out F.npz` writes the same world as arrays.",
+    "`--operation-days`, `--row-period` and `--start` change length, cadence and first epoch of any of them. Each has",
+    "three quiet days, the turns of 8.5 h and an hour of alignment before its operation phase, whose length is given.",
+    "The ground always knows references (until the operation phase) and announced corrections; the last column names",
+    "what else it is told.",
+    "",
+    "| scenario | days | plan | row | what happens | the ground is also told |",
+    "|---|---|---|---|---|---|",
+)
+_PLAN_HEAD = (
+    "",
+    "## Carrier plans",
+    "",
+    "Bound (CRLB) of the angles from one row with 0.1857 dB of noise a carrier and an unknown common to all of them;",
+    "published figures: 1.46/0.061/0.209 deg for 8 carriers, 1.01/0.044/0.144 for 16, 0.77/0.035/0.108 for 32.",
+    "",
+    "| plan | carriers | bands | transponders | yaw, deg | roll, deg | pitch, deg |",
+    "|---|---|---|---|---|---|---|",
+)
+_FOOT = (
+    "",
+    "## Simplifications",
+    "",
+    "* The beams are invented, wide enough for the published 1.2 dB/deg; there is no polarization.",
+    "* Roll and yaw exchange kinematically; nothing is integrated from torques here.",
+    "* Noise is written row by row: a row of 10 s has the white noise of a row of 300 s.",
+    "* A pause is passed over: noise goes on after it as if it had not been.",
+    "* `eclipse` has its shadow in the operation phase only, not on the quiet days before it.",
+    "* In `dual_band` both bands share one span and one noise density, that of the band which rain raises.",
+    "* The levels of `flicker` stand on multiples of 0.15 dB before the sweep adds its noise; `--sweep-noise 0` keeps",
+    "  the grid in an export.",
+    "* The ground port sends what the ground learns with the chunk of rows in which it does, so up to a chunk early.",
+)
+
+
+def _scenario_rows() -> Iterator[str]:
+    for name, scenario in SCENARIOS.items():
+        days, row = f"{scenario.operation_h / 24.0:g}", f"{scenario.row_period_s:g} s"
+        yield f"| `{name}` | {days} | {scenario.plan} | {row} | {scenario.summary} | {told(scenario)} |"
+
+
+def _plan_rows() -> Iterator[str]:
+    orbit = Orbit.drawn(1, LONGITUDE_DEG, DEFAULT_START_US)
+    for plan in PLANS.values():
+        bound = " | ".join(f"{angle:.3f}" for angle in crlb_deg(sensitivity_db_per_deg(plan, orbit)))
+        yield f"| {plan.name} | {len(plan.carriers)} | {_bands(plan)} | {len(plan.beams)} | {bound} |"
+
+
+def _bands(plan: CarrierPlan) -> str:
+    return ", ".join(dict.fromkeys(carrier.band for carrier in plan.carriers))
