@@ -38,3 +38,15 @@ def payload(synthetic):
 def exported_world() -> ModuleType:
     """The chain over worlds of the simulator."""
     return _load("exported_world")
+
+
+@pytest.fixture(scope="session")
+def filter_models() -> ModuleType:
+    """Small carrier models for the attitude filter."""
+    return _load("filter_models")
+
+
+@pytest.fixture(scope="session")
+def robust_world() -> ModuleType:
+    """The attitude filter over worlds of the simulator."""
+    return _load("robust_world")

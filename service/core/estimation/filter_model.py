@@ -1,0 +1,162 @@
+"""Measurement model and settings of the attitude filter.
+
+    y_i = g_i l + l' H_i l / 2 + c - kappa_i r + sum_k a_ik + b_i + white_i
+
+y deviation in dB (power minus reference minus harmonic), l = (yaw, roll, pitch) in deg, g dB/deg, H dB/deg^2, c gain of
+the receiving chain, r >= 0 rain over the receiving site, a_ik coloured noise of several correlation times, b error of
+the reference. The law of this file: what a carrier does is told by arrays, what the craft does by settings.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+#: the correlation time whose coloured part also carries the error of the calibration, s
+_MODEL_ERROR_TAU_S = 3600.0
+
+
+class CarrierModel(NamedTuple):
+    """What N carriers do; K correlation times a carrier, G common parts."""
+
+    #: (N, 3) dB/deg at nominal attitude, columns yaw, roll, pitch
+    gradient_db_deg: FloatArray
+    #: (N, 3, 3) dB/deg^2, symmetric
+    hessian_db_deg2: FloatArray
+    #: (N,) share of the receiving site's rain that a carrier's band takes: Ku 1, C 0.1
+    rain_share: FloatArray
+    #: (N,) number of each carrier's transponder
+    transponder: IntArray
+    #: (N,) dB, of one row
+    white_sigma_db: FloatArray
+    #: (N, K) dB and s, K >= 1
+    coloured_sigma_db: FloatArray
+    coloured_tau_s: FloatArray
+    #: (N,) dB/sqrt(h)
+    reference_walk_db: FloatArray
+    #: (G,) dB and s, noise that all carriers share
+    common_sigma_db: FloatArray
+    common_tau_s: FloatArray
+    #: (N, 9, 9) covariance of gradient (3) and Hessian (yy, yr, yp, rr, rp, pp) in their units
+    coefficient_covariance: FloatArray
+
+    @property
+    def carriers(self) -> int:
+        """Number of carriers N."""
+        return len(self.rain_share)
+
+    @property
+    def components(self) -> int:
+        """Number of coloured components K of a carrier."""
+        return int(self.coloured_sigma_db.shape[1])
+
+    @property
+    def is_full_band(self) -> BoolArray:
+        """(N,) carriers of the band that rain over the receiving site takes fully."""
+        return np.asarray(self.rain_share >= 0.5 * self.rain_share.max())
+
+
+class FilterSettings(NamedTuple):
+    """What the craft and the receiving chain do; triples in the order yaw, roll, pitch; rates in deg/h."""
+
+    #: exchange of roll and yaw at the orbital rate, 1/h; 0 where the on-board mode does not follow it
+    coupling_per_h: float = 0.2625162
+    #: drift of the inertial model and its correlation time, h
+    drift_deg_h: tuple[float, float, float] = (0.04, 0.025, 0.025)
+    drift_tau_h: float = 8.0
+    #: error of the effect of a commanded correction, relative, and how long one error lasts, s
+    correction_scale: float = 0.05
+    correction_span_s: float = 1800.0
+    #: error of the effect of a torque, relative
+    torque_scale: float = 0.02
+    #: random walk of the receiving chain, dB/sqrt(h)
+    chain_walk_db: float = 0.03
+    #: rain: variance rate in rain mode and in the dry, dB a row of a minute
+    rain_wet_db: float = 0.25
+    rain_dry_db: float = 0.004
+    #: time in which rain that is none is forgotten in the dry, s
+    rain_dry_tau_s: float = 1800.0
+    #: drift during an alarm about motion that nobody announced, deg/sqrt(h)
+    unannounced_walk_deg: tuple[float, float, float] = (0.3, 0.15, 0.15)
+
+
+class KnownMotion(NamedTuple):
+    """What the ground knows about a step; triples (3,) in the order yaw, roll, pitch."""
+
+    #: commanded through other channels, spread evenly over the step, deg
+    correction_deg: FloatArray
+    #: of corrections that became known after their time, applied at once, deg
+    late_correction_deg: FloatArray
+    #: rates that torques added within the step, deg/h
+    rate_change_deg_h: FloatArray
+
+
+def no_motion() -> KnownMotion:
+    """Return the knowledge of a step in which nothing was commanded."""
+    zeros = np.zeros(3)
+    return KnownMotion(zeros, zeros, zeros)
+
+
+class PatternChange(NamedTuple):
+    """Levels that an attitude makes."""
+
+    #: (N,) dB
+    deviation_db: FloatArray
+    #: (N, 3) dB/deg at this attitude
+    gradient_db_deg: FloatArray
+
+
+def pattern_change(model: CarrierModel, attitude_deg: FloatArray) -> PatternChange:
+    """Return what the quadratic patterns make of an attitude.
+
+    Parameters
+    ----------
+    model : CarrierModel
+        Gradients and Hessians.
+    attitude_deg : ndarray, shape (3,), deg
+        Yaw, roll, pitch.
+
+    Returns
+    -------
+    PatternChange
+        Deviations in dB and gradients in dB/deg at the attitude.
+    """
+    bend = model.hessian_db_deg2 @ attitude_deg
+    gradient = model.gradient_db_deg + bend
+    return PatternChange((model.gradient_db_deg + 0.5 * bend) @ attitude_deg, gradient)
+
+
+def model_variance_db2(model: CarrierModel, attitude_deg: FloatArray) -> FloatArray:
+    """Return how much the error of the calibrated coefficients adds at an attitude, shape (N,), dB^2.
+
+    Notes
+    -----
+    ``J C J'`` with J the levels' derivative by the nine coefficients: zero at nominal attitude.
+    """
+    yaw, roll, pitch = attitude_deg.tolist()
+    slope = np.array(
+        [
+            yaw,
+            roll,
+            pitch,
+            yaw * yaw / 2.0,
+            yaw * roll,
+            yaw * pitch,
+            roll * roll / 2.0,
+            roll * pitch,
+            pitch * pitch / 2.0,
+        ]
+    )
+    return np.asarray((model.coefficient_covariance @ slope) @ slope)
+
+
+def model_error_component(model: CarrierModel) -> IntArray:
+    """Return the coloured component (N,) of each carrier that also carries the error of the calibration.
+
+    An error of the coefficients stays as long as an attitude does, so the component of about an hour is the nearest.
+    """
+    return np.asarray(np.abs(np.log(model.coloured_tau_s / _MODEL_ERROR_TAU_S)).argmin(axis=1))

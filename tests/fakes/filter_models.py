@@ -1,0 +1,36 @@
+"""Small carrier models for the tests of the attitude filter: every figure is chosen."""
+
+import numpy as np
+
+from service.core.estimation.filter_model import CarrierModel
+from service.core.estimation.filter_state import Gaussian, initial_gaussian
+
+MINUTE_US = 60_000_000
+
+
+def carrier_model(carriers: int = 12, *, components: int = 2, common: int = 0, seed: int = 4, groups: int = 3):
+    """Return a model of the payload's usual sizes."""
+    rng = np.random.default_rng(seed)
+    bend = rng.normal(0.0, 0.1, (carriers, 3, 3))
+    hessian = 0.5 * (bend + bend.transpose(0, 2, 1)) + np.diag([0.0, -2.7, -1.5])
+    shares = np.ones(carriers)
+    shares[carriers - carriers // 4 :] = 0.1
+    return CarrierModel(
+        rng.normal(0.0, [0.16, 1.4, 1.2], (carriers, 3)),
+        hessian,
+        shares,
+        np.arange(carriers, dtype=np.int64) % groups,
+        np.full(carriers, 0.15),
+        np.tile(np.array([0.07, 0.03, 0.02])[:components], (carriers, 1)),
+        np.tile(np.array([1200.0, 7200.0, 36000.0])[:components], (carriers, 1)),
+        np.full(carriers, 0.006),
+        np.full(common, 0.05),
+        np.full(common, 3600.0),
+        np.tile(np.diag([0.02] * 3 + [0.1] * 6) ** 2, (carriers, 1, 1)),
+    )
+
+
+def aligned(model: CarrierModel, drift_deg_h=(0.04, 0.025, 0.025)) -> Gaussian:
+    """Return the state at a good alignment at nominal attitude."""
+    sigma = np.array([0.01, 0.005, 0.005])
+    return initial_gaussian(model, np.zeros(3), sigma, np.full(model.carriers, 0.03), drift_deg_h=drift_deg_h)
