@@ -169,3 +169,66 @@ def test_a_tour_is_the_same_for_the_same_seed_and_fits_the_phase() -> None:
     assert holds == holds_of(tour, 1, 48.0)
     assert holds != holds_of(tour, 2, 48.0)
     assert holds[-1].start_h + holds[-1].hold_h + holds[-1].slew_min / 60.0 <= 48.0
+
+
+@pytest.mark.parametrize(
+    ("name", "share"),
+    [
+        ("corrections_flipped", -1.0),
+        ("corrections_halved", 0.5),
+        ("corrections_lost", 0.0),
+        ("corrections_doubled", 2.0),
+    ],
+)
+def test_false_reports_tell_the_whole_slew_and_the_craft_does_its_share(name: str, share: float) -> None:
+    scenario, honest = replace(scenario_named(name), quiet_h=1.0), replace(scenario_named("nominal"), quiet_h=1.0)
+    begin_us = scenario.operation_start_us + 9 * 3_600_000_000
+    end_us = begin_us + 2 * 3_600_000_000
+    rows = [int(np.searchsorted(epochs_of(scenario), epoch)) for epoch in (begin_us, end_us)]
+    done = np.diff(flown(scenario).attitude_deg[rows] - flown(honest).attitude_deg[rows], axis=0)[0]
+    told = np.sum(
+        [c.attitude_deg for c in flown(scenario).corrections if begin_us <= c.start_us < end_us], axis=0
+    ) - np.sum([c.attitude_deg for c in flown(honest).corrections if begin_us <= c.start_us < end_us], axis=0)
+    print(f"{name}: told {told.round(3)} done {done.round(3)} deg")
+    # both worlds feed back what they know of their own attitude at other instants: a tenth of a degree of yaw
+    np.testing.assert_allclose(np.abs(told), 0.15, atol=0.09)
+    np.testing.assert_allclose(done, share * 0.15 * np.sign(told), atol=0.09)
+
+
+def test_false_reports_end_with_an_honest_slew_back() -> None:
+    scenario, honest = replace(scenario_named("corrections_doubled"), quiet_h=1.0), replace(QUIET, operation_h=48.0)
+    late = epochs_of(scenario) >= scenario.operation_start_us + 22 * 3_600_000_000
+    quiet = flown(scenario).attitude_deg[late][: 7 * 60]
+    assert np.abs(quiet).max() < 0.35  # no 0.3 deg of an unfinished hold remain on any axis together
+    assert np.sqrt(np.mean(quiet**2)) < 0.15
+    assert honest.operation_h == scenario.operation_h
+
+
+def test_a_hidden_yaw_with_told_balance_keeps_roll_and_yaw_in_step() -> None:
+    figures = replace(KNOWN, knowledge_deg=(0.0, 0.0, 0.0))
+    secret = Hold(1.0, 6.0, 20.0, yaw_deg=0.4, is_announced=False, is_balance_announced=True)
+    scenario = replace(QUIET, keeping=figures, manoeuvres=(secret,))
+    history = flown(scenario)
+    between = [
+        c.attitude_deg for c in history.corrections if 3 * 3.6e9 <= c.start_us - scenario.operation_start_us < 6 * 3.6e9
+    ]
+    # three hours of roll against the exchange: 0.2625 /h times 0.4 deg
+    assert np.sum(between, axis=0)[1] == pytest.approx(-3.0 * ORBITAL_RATE_PER_H * 0.4, abs=0.02)
+    assert abs(np.sum(between, axis=0)[0]) < 0.03  # the turn itself is told to nobody
+
+
+def test_init_bias_aligns_off_zero_with_drawn_signs() -> None:
+    signs = set()
+    for seed in range(6):
+        scenario = replace(scenario_named("init_bias"), quiet_h=1.0, operation_h=1.0)
+        phase = scenario.phase("alignment")
+        epochs = epochs_of(scenario)
+        held = flown(scenario, seed).attitude_deg[(epochs >= phase.start_us) & (epochs < phase.stop_us)]
+        np.testing.assert_allclose(np.abs(held.mean(axis=0)), [0.25, 0.16, 0.13], atol=0.06)  # a limit cycle around it
+        signs.add(tuple(np.sign(held.mean(axis=0)).tolist()))
+    assert len(signs) > 2
+
+
+def test_a_story_without_a_pause_has_no_such_phase() -> None:
+    with pytest.raises(KeyError, match="pause"):
+        QUIET.phase("pause")
