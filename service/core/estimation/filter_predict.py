@@ -143,16 +143,16 @@ def predict(
     motion = motion_over(step_us, settings)
     hours, core = step_us / 1e6 / _S_PER_H, core_size(model)
     factor = _decay(model, settings, hours, is_raining=weather.is_raining)
-    mean, covariance = state.mean * factor, state.covariance * np.multiply.outer(factor, factor)
+    mean, covariance = state.mean * factor, state.covariance * factor
+    covariance *= factor[:, None]
     covariance[:9] = motion.transition @ covariance[:9]
     covariance[:, :9] = covariance[:, :9] @ motion.transition.T
     mean[:9] = motion.transition @ mean[:9]
     mean[ATTITUDE] += known.correction_deg + known.late_correction_deg + 0.5 * hours * known.rate_change_deg_h
     mean[RATE] += known.rate_change_deg_h
     covariance[:9, :9] += motion.noise
-    at = np.arange(len(mean))
     added, variance = _added_noise(model, settings, mean, hours, known, weather, factor[core:])
-    covariance[at, at] += added
+    covariance.ravel()[:: len(mean) + 1] += added
     return Gaussian(mean, covariance), variance
 
 

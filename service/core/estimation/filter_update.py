@@ -172,11 +172,17 @@ def _gain(innovation: Innovation) -> tuple[FloatArray, FloatArray]:
 
 def _joseph(model: CarrierModel, covariance: FloatArray, innovation: Innovation, gain: FloatArray) -> FloatArray:
     """Return the covariance after an update; `gain` is K' of shape (n, D)."""
-    left = covariance - gain.T @ innovation.cross
+    # matrices of this size cost more to allocate than to add up: two are made, the rest is done in place
+    left = gain.T @ innovation.cross
+    np.subtract(covariance, left, out=left)
     across = left[:, : core_size(model)] @ innovation.core_jacobian.T
     across += _own_columns(model, left, innovation.carriers)
-    left -= (across - gain.T * innovation.white_db2) @ gain
-    return np.asarray(0.5 * (left + left.T))
+    across -= gain.T * innovation.white_db2
+    right = across @ gain
+    left -= right
+    np.add(left, left.T, out=right)
+    right *= 0.5
+    return right
 
 
 def _with_rain_above_zero(mean: FloatArray, covariance: FloatArray) -> Gaussian:
