@@ -72,7 +72,7 @@ def still_stretches(epoch_s: FloatArray, attitude_deg: FloatArray, stretch_s: fl
     Parameters
     ----------
     epoch_s : ndarray, shape (T,), s
-        Ascending.
+        Ascending, T >= 1.
     attitude_deg : ndarray, shape (T, 3), deg
         Yaw, roll, pitch. Rows with NaN belong to no stretch.
     stretch_s : float, s
@@ -91,16 +91,18 @@ def still_stretches(epoch_s: FloatArray, attitude_deg: FloatArray, stretch_s: fl
            [4, 4]])
     """
     known = np.flatnonzero(np.isfinite(attitude_deg).all(axis=1))
-    place = np.concatenate([epoch_s[known, np.newaxis] / stretch_s, attitude_deg[known] / STILL_LIMIT_DEG], axis=1)
+    place = np.concatenate([epoch_s[known, np.newaxis], attitude_deg[known] / STILL_LIMIT_DEG], axis=1)
     starts: list[int] = []
     first = [-math.inf] * 4
     for row, (time, yaw, roll, pitch) in enumerate(place.tolist()):
         moved = max(abs(yaw - first[1]), abs(roll - first[2]), abs(pitch - first[3]))
-        if time - first[0] >= 1.0 or moved > 1.0:
+        if time - first[0] >= stretch_s or moved > 1.0:
             starts.append(row)
             first = [time, yaw, roll, pitch]
+    if not starts:  # one stretch of no row keeps every shape downstream
+        return Stretches(np.zeros((1, 1), dtype=np.int64), np.zeros((1, 1), dtype=np.bool_))
     lengths = np.diff([*starts, len(known)]).astype(np.int64)
-    longest = int(lengths.max(initial=0))
+    longest = int(lengths.max())
     steps = np.arange(longest)
     offsets = np.minimum(steps, lengths[:, np.newaxis] - 1)
     rows = known[np.array(starts, dtype=np.int64)[:, np.newaxis] + offsets]

@@ -1,9 +1,9 @@
 """Which carriers to measure and which turns to make: weighted A-optimal choice by exchange.
 
 ``minimise sum_j u_j^2 C_jj``: C the covariance in deg^2 of (yaw, roll, pitch) from the rows ``[a_i 1] / sigma_i`` of
-the chosen carriers (a in dB/deg), u the weights. Yaw weighs 0.05 because no choice makes it good and any choice that serves
-it alone spoils the rest. Search: greedy growth from a weak prior, then the best exchange of a chosen carrier for a free
-one until none helps. The law of this file: a choice leaves at least ``MIN_REDUNDANCY`` carriers beyond the five
+the chosen carriers (a in dB/deg), u the weights. Yaw weighs 0.05 because no choice makes it good and any choice that
+serves it alone spoils the rest. Search: greedy growth from a weak prior, then the best exchange of a chosen carrier for
+a free one until none helps. The law of this file: a choice leaves at least ``MIN_REDUNDANCY`` carriers beyond the five
 unknowns that a moved transponder needs, and no transponder holds more than its share, because it fails as one.
 """
 

@@ -77,9 +77,10 @@ def fit_jointly(problem: JointProblem, prior: FloatArray, white_db: FloatArray) 
     is_quiet = is_present & problem.is_near_zero
     start = trimmed_fit(problem.own[..., :base], problem.value, is_quiet)
     misfit = problem.value - np.einsum("nbk,nk->nb", problem.own[..., :base], start)
-    # the level is fitted once more beside the beam: stage one has seen no turn
-    beam = np.concatenate([problem.own[..., :1], problem.own[..., base:]], axis=2)
-    misfit = misfit - np.einsum("nbk,nk->nb", beam, trimmed_fit(beam, misfit, is_present))
+    # quiet rows outnumber the turns: trimmed together, the turns could go as outliers and nobody would know the beam
+    is_turned = is_present & ~problem.is_near_zero
+    beam = problem.own[..., base:]
+    misfit = misfit - np.einsum("nbk,nk->nb", beam, trimmed_fit(beam, misfit, is_turned))
     white = np.maximum(white_db, 1e-4)[:, np.newaxis] ** 2 / np.maximum(problem.rows_used, 1)
     fit, weight = None, np.zeros_like(white)
     for _ in range(_TUKEY_PASSES):

@@ -116,7 +116,7 @@ def solve_snapshots(
     sigma_db: FloatArray,
     orders: IntArray,
     *,
-    model_error_db: float = 0.02,
+    model_error_db: float = 0.01,
     group: IntArray | None = None,
 ) -> Snapshots:
     """Return the attitude of every row of deviations.
