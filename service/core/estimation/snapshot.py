@@ -143,8 +143,8 @@ def solve_snapshots(
 
     Notes
     -----
-    Without faults the variance is within 4 % of the bound of Cramer and Rao; 6 of 16 carriers may be wrong
-    (``tests/regression/test_snapshot_figures.py``).
+    Without faults the standard deviation is within 3 % of the bound of Cramer and Rao; 6 of 16 carriers may be wrong
+    (``tests/regression/test_robust_figures.py``).
 
     References
     ----------

@@ -30,7 +30,7 @@ PRIOR_WEIGHT: FloatArray = np.array([1.0, 2.0, 2.0, 0.01])
 PRIOR = (PRIOR_WEIGHT, np.diag(PRIOR_WEIGHT))
 _CONCENTRATIONS = 2
 _FINALISTS = 6
-_FINAL_CONCENTRATIONS = 4
+_FINAL_CONCENTRATIONS = 2
 
 
 def subset_orders(carriers: int, subsets: int = 60) -> IntArray:

@@ -1,0 +1,321 @@
+"""Figures of the robust calibration and snapshot on the simulator's beams, the truth being at hand.
+
+Each test prints what it measured. Goals: snapshot at most 1.02 of the bound with true coefficients, 1.10 with a
+fitted calibration (`white`, 15 rows); yaw scale 1 +- 0.03; 6 of 16 wrong carriers; false exclusion at most 0.3 %; with
+k wrong carriers at most 1.4 of an oracle that knows them.
+"""
+
+import time
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from analyzer_sim.export import export_arrays
+from analyzer_sim.payload import nominal_gain_db
+from analyzer_sim.scenario import scenario_named
+from analyzer_sim.world import World
+from service.core.estimation.design import choose_carriers
+from service.core.estimation.geometry_calibration import CalibrationRows, GeometryCalibration, fit_geometry
+from service.core.estimation.geometry_columns import CarrierGeometry, OrbitMotion
+from service.core.estimation.geometry_prediction import predict_level_dbm, response_of
+from service.core.estimation.observability import crlb_deg
+from service.core.estimation.octants import predict_deviation_db, solve_octants
+from service.core.estimation.quadratic_response import (
+    QuadraticResponse,
+    exact_response,
+    predict_deviation,
+    predict_jacobian,
+)
+from service.core.estimation.snapshot import CarrierUse, solve_snapshots
+from service.core.estimation.snapshot_start import subset_orders
+from service.core.geometry.frames import station_direction
+from service.core.geometry.line_of_sight import (
+    Places,
+    Track,
+    antenna_motion_deg,
+    sight_motion_deg,
+    track_position_deg,
+)
+
+LONGITUDE_DEG = 90.0
+#: dB, 15 rows of 0.1857 dB
+SIGMA_DB = 0.048
+SLOPE_SEEDS = range(1, 9)
+
+
+class Calibrated(NamedTuple):
+    world: World
+    white_db: np.ndarray
+    fit: GeometryCalibration
+    geometry: CarrierGeometry
+    response: QuadraticResponse
+
+    def truth_db(self, attitude_deg):
+        """Deviations of the simulator's beams without noise."""
+        attitudes = np.concatenate([np.zeros((1, 3)), attitude_deg])
+        gains = nominal_gain_db(self.world.plan, self.world.orbit, attitudes)
+        return gains[1:] - gains[0]
+
+
+def motion_at(file, epochs_us, places):
+    """Ballistics of the exported track; the receiving site comes last in `places`."""
+    track = Track(file["track_epoch_us"], file["track_latitude_deg"], file["track_longitude_deg"])
+    users = Places(*(column[:-1] for column in places))
+    sight = sight_motion_deg(track_position_deg(track, epochs_us), users, LONGITUDE_DEG)
+    return OrbitMotion(sight, antenna_motion_deg(track, epochs_us, places, LONGITUDE_DEG))
+
+
+def places_of(world):
+    stations = [carrier.station for carrier in world.plan.carriers] + [world.plan.receiving_site]
+    names = ("latitude_deg", "longitude_deg", "height_m")
+    return Places(*(np.array([getattr(station, name) for station in stations]) for name in names))
+
+
+def calibrated(name, seed):
+    """Calibrate on the quiet days and the turns of a world."""
+    world = World(scenario_named(name, operation_days=0.1), seed)
+    file = export_arrays(world)
+    places = places_of(world)
+    azimuth, elevation = station_direction(places.longitude_deg, places.latitude_deg, places.height_m, LONGITUDE_DEG)
+    carriers = len(world.carrier_ids)
+    site = np.array([azimuth[-1], elevation[-1]])
+    geometry = CarrierGeometry(azimuth[:-1], elevation[:-1], site, np.zeros(carriers, dtype=int))
+    count = int(np.searchsorted(file["epoch_us"], file["phase_stop_us"][1]))
+    epochs_us = file["epoch_us"][:count]
+    angles = np.column_stack([file[f"reference_{axis}_deg"] for axis in ("yaw", "roll", "pitch")])[:count]
+    motion = motion_at(file, epochs_us, places)
+    rows = CalibrationRows((epochs_us - epochs_us[0]) / 1e6, file["power_dbm"][:count], angles, np.zeros(count), motion)
+    fit = fit_geometry(rows, geometry)
+    return Calibrated(world, file["white_db"], fit, geometry, response_of(fit, geometry))
+
+
+def quadratic_of(world):
+    """Slope and curvature of the simulator's beams at zero attitude, by differences."""
+    step = 0.05
+    shifts = step * np.concatenate([np.eye(3), -np.eye(3)])
+    pairs = (shifts[:, None] + shifts[None]).reshape(-1, 3)
+    origin = nominal_gain_db(world.plan, world.orbit, np.zeros((1, 3)))
+    gains = (nominal_gain_db(world.plan, world.orbit, pairs) - origin).reshape(6, 6, -1)
+    curvature = (gains[:3, :3] - gains[:3, 3:] - gains[3:, :3] + gains[3:, 3:]) / (4.0 * step**2)
+    single = nominal_gain_db(world.plan, world.orbit, shifts)
+    return exact_response((single[:3] - single[3:]).T / (2.0 * step), np.moveaxis(curvature, 2, 0))
+
+
+@pytest.fixture(scope="module")
+def true_model():
+    """Sixteen carriers of the simulator, their coefficients known without error."""
+    return quadratic_of(World(scenario_named("white", operation_days=0.01), 1))
+
+
+def noisy(model, rows, seed):
+    """Attitudes within 0.3 deg and deviations with noise and 0.3 dB in common."""
+    rng = np.random.default_rng(seed)
+    attitude = rng.uniform(-0.3, 0.3, (rows, 3))
+    noise = SIGMA_DB * rng.normal(size=(rows, len(model.slope))) + 0.3 * rng.normal(size=(rows, 1))
+    return rng, attitude, predict_deviation(attitude, model) + noise
+
+
+def solve(model, values, **options):
+    carriers = values.shape[1]
+    options = {"model_error_db": 1e-4, **options}
+    return solve_snapshots(model, values, np.full(carriers, SIGMA_DB), subset_orders(carriers), **options)
+
+
+def rms(errors):
+    return np.sqrt(np.mean(np.square(errors), axis=0))
+
+
+def test_snapshot_reaches_the_bound_with_true_coefficients(true_model):
+    """Acceptance test 6: 3000 snapshots."""
+    _, attitude, values = noisy(true_model, 3000, seed=61)
+    fixes = solve(true_model, values)
+    sigma = np.full(16, SIGMA_DB)
+    bound = np.array([crlb_deg(predict_jacobian(a, true_model), sigma, with_common=True) for a in attitude])
+    ratio = rms((fixes.attitude_deg - attitude) / bound)
+    stated = rms((fixes.attitude_deg - attitude) / np.sqrt(np.diagonal(fixes.covariance_deg2, axis1=1, axis2=2)))
+    print(f"seed 61: rms over bound {ratio}, over own sigma {stated}")
+    # 3000 snapshots: one sigma of a ratio is 1 / sqrt(6000) = 0.013; goal 1.02 and twice that
+    assert (ratio <= 1.046).all()
+    assert (ratio >= 0.95).all()
+    assert stated == pytest.approx(np.ones(3), abs=0.05)
+
+
+@pytest.mark.parametrize("wrong", range(7))
+def test_rain_on_some_uplinks_costs_little_more_than_to_an_oracle(true_model, wrong):
+    """Acceptance test 7: one-sided fades of 0.5 to 6 dB on k of 16."""
+    rng, attitude, values = noisy(true_model, 1000, seed=70 + wrong)
+    is_wrong = np.argsort(rng.random(values.shape), axis=1) < wrong
+    values = values - np.where(is_wrong, rng.uniform(0.5, 6.0, values.shape), 0.0)
+    fixes = solve(true_model, values)
+    oracle = solve(true_model, np.where(is_wrong, np.nan, values))
+    errors = fixes.attitude_deg - attitude
+    ratio = rms(errors) / rms(oracle.attitude_deg - attitude)
+    excluded = fixes.use == CarrierUse.EXCLUDED
+    false_share = excluded[~is_wrong].mean()
+    missed = (~excluded[is_wrong]).mean() if wrong else 0.0
+    far = (np.abs(errors[:, 1:]) > 0.3).any(axis=1).mean()
+    print(
+        f"k {wrong}, seed {70 + wrong}: rms {rms(errors)}, over oracle {ratio}, false {false_share:.4f}, "
+        f"missed {missed:.4f}, beyond 0.3 deg {far:.4f}"
+    )
+    assert (ratio[1:] <= 1.4).all()
+    assert false_share <= 0.003
+    assert missed <= 0.005
+    assert far < 0.01
+
+
+@pytest.mark.parametrize(("carriers", "wrong", "plans"), [(8, 2, 8), (32, 14, 1)])
+def test_steps_up_to_the_breakdown_of_other_sizes(true_model, carriers, wrong, plans):
+    """Acceptance test 7 with 8 and 32 carriers chosen out of 40; eight carriers differ much from plan to plan."""
+    bend = np.tile(true_model.curvature.mean(axis=0), (carriers, 1, 1))
+    errors, oracles = [], []
+    for seed in range(plans):
+        stations = np.random.default_rng(seed).normal(0.0, [0.16, 1.4, 1.2], (40, 3))
+        chosen = choose_carriers(stations, np.full(40, 0.1), np.arange(40), carriers).chosen
+        model = exact_response(stations[chosen], bend)
+        rng, attitude, values = noisy(model, 500, seed=seed)
+        is_wrong = np.argsort(rng.random(values.shape), axis=1) < wrong
+        steps = rng.uniform(0.5, 6.0, values.shape) * rng.choice([-1.0, 1.0], values.shape)
+        values = values + np.where(is_wrong, steps, 0.0)
+        errors.append(solve(model, values).attitude_deg - attitude)
+        oracles.append(solve(model, np.where(is_wrong, np.nan, values)).attitude_deg - attitude)
+    ratio = rms(np.concatenate(errors)) / rms(np.concatenate(oracles))
+    far = (np.abs(np.concatenate(errors)[:, 1:]) > 0.3).any(axis=1).mean()
+    print(f"{wrong} of {carriers}, {plans} plans, seeds from 0: over oracle {ratio}, beyond 0.3 deg {far:.4f}")
+    assert (ratio[1:] <= 1.4).all()
+    assert far < 0.01
+
+
+def test_a_transponder_of_six_that_moved_together(true_model):
+    """Known as a group its carriers stay in the fix, which is then better than the oracle that drops them."""
+    labels = np.array([0] * 6 + [1] * 5 + [2] * 5)
+    rng, attitude, values = noisy(true_model, 800, seed=76)
+    step = rng.uniform(0.5, 6.0, (800, 1)) * rng.choice([-1.0, 1.0], (800, 1))
+    is_moved = np.tile(labels == 0, (800, 1))
+    values = values + np.where(is_moved, step, 0.0)
+    fixes = solve(true_model, values, group=labels)
+    oracle = solve(true_model, np.where(is_moved, np.nan, values))
+    errors = [rms(one.attitude_deg - attitude) for one in (fixes, oracle)]
+    print(f"seed 76: group {errors[0]}, oracle without it {errors[1]}, found {(fixes.group == 0).mean():.3f}")
+    assert (errors[0] <= 1.0 * errors[1]).all()
+    assert (fixes.group == 0).mean() >= 0.99
+    _, _, clean = noisy(true_model, 800, seed=77)
+    assert (solve(true_model, clean, group=labels).group >= 0).mean() <= 0.002
+
+
+@pytest.mark.timeout(120)
+@pytest.mark.slow
+def test_yaw_scale_and_efficiency_with_a_fitted_calibration():
+    """Acceptance test 4: eight seeds of `white`, 15-row snapshots, no attitude prior."""
+    attitudes, errors, ratios, stated, excluded = [], [], [], [], []
+    for seed in SLOPE_SEEDS:
+        one = calibrated("white", seed)
+        rng = np.random.default_rng(seed)
+        attitude = rng.uniform(-0.3, 0.3, (1000, 3))
+        sigma = one.white_db / np.sqrt(15.0)
+        values = one.truth_db(attitude) + sigma * rng.normal(size=(1000, 16)) + 0.3 * rng.normal(size=(1000, 1))
+        fixes = solve_snapshots(one.response, values, sigma, subset_orders(16))
+        model = quadratic_of(one.world)
+        bound = np.array([crlb_deg(predict_jacobian(a, model), sigma, with_common=True) for a in attitude])
+        attitudes.append(attitude)
+        errors.append(fixes.attitude_deg - attitude)
+        ratios.append(errors[-1] / bound)
+        stated.append(errors[-1] / np.sqrt(np.diagonal(fixes.covariance_deg2, axis1=1, axis2=2)))
+        excluded.append((fixes.use == CarrierUse.EXCLUDED).mean())
+    truth, error = np.concatenate(attitudes), np.concatenate(errors)
+    slope = 1.0 + np.array([np.polyfit(truth[:, k], error[:, k], 1)[0] for k in range(3)])
+    ratio, own = rms(np.concatenate(ratios)), rms(np.concatenate(stated))
+    print(
+        f"seeds {list(SLOPE_SEEDS)}: slope {slope}, rms over bound {ratio}, over own sigma {own}, "
+        f"excluded {np.mean(excluded):.5f}"
+    )
+    # 8000 snapshots of 0.27 deg and 8 calibrations: one sigma of the yaw slope is 0.03
+    assert slope[0] == pytest.approx(1.0, abs=0.10)
+    assert slope[1:] == pytest.approx([1.0, 1.0], abs=0.03)
+    assert (ratio <= 1.25).all(), "must; the goal is 1.10"
+    assert own == pytest.approx(np.ones(3), abs=0.2)
+    assert np.mean(excluded) <= 0.003
+
+
+@pytest.mark.timeout(120)
+@pytest.mark.slow
+def test_octants_of_noise_free_powers_with_a_calibration_from_noise():
+    """Acceptance test 5: corners of 0.3 deg, calibration from `nominal`."""
+    corners = 0.3 * np.array([[y, r, p] for y in (1, -1) for r in (1, -1) for p in (1, -1)])
+    errors = []
+    for seed in range(1, 6):
+        one = calibrated("nominal", seed)
+        fixes = solve_snapshots(one.response, one.truth_db(corners), np.full(16, 0.02), subset_orders(16))
+        errors.append(fixes.attitude_deg - corners)
+    found = rms(np.concatenate(errors))
+    print(f"seeds 1..5: corner rms {found} deg")
+    assert found[1] <= 0.02
+    assert found[2] <= 0.04
+
+
+def test_octants_of_noise_free_powers_by_the_paper_method():
+    """Acceptance test 5, `paper`: the enumeration is the best of the eight bounded problems, to 1e-6."""
+    rng = np.random.default_rng(5)
+    plus, minus = (rng.normal(0.0, [0.16, 1.4, 1.2], (12, 3)) for _ in range(2))
+    for signs in ((1, 1, 1), (-1, 1, -1), (-1, -1, -1)):
+        attitude = 0.3 * np.array(signs)
+        fix = solve_octants(plus, minus, predict_deviation_db(plus, minus, attitude), None)
+        # noise-free powers of the model itself: the minimum is zero
+        assert fix.cost <= 1e-12
+        assert fix.attitude_deg == pytest.approx(attitude, abs=1e-6)
+
+
+@pytest.mark.timeout(60)
+def test_calibration_predicts_levels_days_later():
+    """Daily change by the dish law on day 4 against the simulator's dishes and orbit, noise-free."""
+    one = calibrated("white", 3)
+    file = export_arrays(one.world)
+    epochs_us = file["epoch_us"][-140:]
+    motion = motion_at(file, epochs_us, places_of(one.world))
+    level = predict_level_dbm(one.fit, one.geometry, motion, np.zeros(len(epochs_us)))
+    deviation = file["power_dbm"][-140:] - level
+    rows = one.world.rows
+    deviation = deviation - one.truth_db(rows.attitude_deg[-140:])
+    # what 140 rows of white noise leave in the mean of a carrier is 0.013 dB
+    drift = deviation.mean(axis=0)
+    residual_db = np.median(one.fit.residual_rms_db)
+    print(f"seed 3: level error on day 4 {rms(drift):.4f} dB, residual of the fit {residual_db:.4f} dB")
+    assert rms(drift) < 0.05
+
+
+@pytest.mark.timeout(60)
+def test_time_of_a_snapshot(true_model):
+    """A fix of 16 carriers costs no more than 200 batches of 60 small systems, whatever the load of the machine."""
+    _, _, values = noisy(true_model, 1, seed=9)
+    orders, sigma = subset_orders(16), np.full(16, SIGMA_DB)
+    systems, sides = np.eye(4) + np.zeros((60, 4, 4)), np.ones((60, 4, 1))
+    fix_s = _least_time_s(lambda: solve_snapshots(true_model, values, sigma, orders))
+    batch_s = _least_time_s(lambda: np.linalg.solve(systems, sides))
+    print(f"snapshot {1e3 * fix_s:.2f} ms, {fix_s / batch_s:.0f} batches; goal 2 ms on an idle core")
+    # measured 45 to 100; a batch takes 10 us on an idle core, 40 us on a crowded one
+    assert fix_s < 200.0 * batch_s
+
+
+def _least_time_s(work):
+    """Return the least processor time of forty runs."""
+    spent = []
+    for _ in range(40):
+        begin = time.process_time()
+        work()
+        spent.append(time.process_time() - begin)
+    return min(spent)
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(900)
+def test_breakdown_over_many_rows(true_model):
+    """Six of sixteen in 20000 rows, seven for the record."""
+    for wrong, most in ((6, 0.002), (7, 1.0)):
+        rng, attitude, values = noisy(true_model, 20_000, seed=700 + wrong)
+        is_wrong = np.argsort(rng.random(values.shape), axis=1) < wrong
+        values = values - np.where(is_wrong, rng.uniform(0.5, 6.0, values.shape), 0.0)
+        chunks = [solve(true_model, chunk).attitude_deg for chunk in np.array_split(values, 40)]
+        far = (np.abs(np.concatenate(chunks) - attitude)[:, 1:] > 0.3).any(axis=1).mean()
+        print(f"{wrong} of 16, seed {700 + wrong}: beyond 0.3 deg in {far:.5f}")
+        assert far <= most
