@@ -1,7 +1,7 @@
 """Rows of a calibration thinned by averaging stretches over which the attitude stands still.
 
 A stretch ends when it is ``stretch_s`` long, or when an angle has moved from its first row by more than
-``STILL_LIMIT_DEG``. Averaging loses nothing: the model is linear in its columns, so columns are averaged as the powers
+``STILL_LIMIT_DEG``. Averaging loses little: the model is linear in its columns, so columns are averaged as the powers
 are, over the same samples, and what two rows a minute apart know of noise with correlation times of many minutes they
 know together. It gains twice: the fit is ten times shorter, and the noise of the attitude sensor, which on its own row
 would shrink the slopes (errors in variables), is averaged before it enters. The law of this file: a sample far from the

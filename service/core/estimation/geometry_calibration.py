@@ -138,8 +138,8 @@ def fit_geometry(rows: CalibrationRows, geometry: CarrierGeometry) -> GeometryCa
 
     Notes
     -----
-    Three days and the turns (4830 rows of 16 carriers) take about 0.25 s on one idle
-    core. Stretches of 5, 10 and 20 min predict deviations of `nominal` to 0.025, 0.026 and 0.026 dB. With the fitted coefficients a
+    Three days and the turns (4830 rows of 16 carriers) take about 0.25 s on one idle core. Stretches of 5, 10 and
+    20 min predict deviations of `nominal` to 0.025, 0.026 and 0.026 dB. With the fitted coefficients of `white` a
     snapshot of 15 rows is within 5 % of the bound of Cramer and Rao (``tests/regression/test_robust_figures.py``).
 
     References
