@@ -213,7 +213,7 @@ def wait_until(is_true: Callable[[], bool], what: str, patience_s: float = 8.0) 
 
 def quick_task(world: World) -> MeasurementTask:
     """Return the task of a world with a short sweep."""
-    document = ground.task(world)
+    document = ground.task(world, world.plan_versions[0].carriers)
     document["sweeps"][0]["time_s"] = SWEEP_TIME_S
     return parse_task(json.dumps(document).encode())[0]
 
