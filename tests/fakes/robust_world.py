@@ -57,7 +57,8 @@ class Filtered:
             "truth": np.sqrt((truth**2).mean(0)),
             "skill": 1.0 - (error**2).mean(0) / (truth**2).mean(0),
             "ratio": np.sqrt((error**2).mean(0) / (sigma**2).mean(0)),
-            "wrong": int(wrong.any(axis=1).sum()),
+            "wrong_yaw": int(wrong[:, 0].sum()),
+            "wrong_roll_pitch": int(wrong[:, 1:].any(axis=1).sum()),
             "available": float(allowed[dry, 1].mean()),
         }
 

@@ -12,6 +12,7 @@ import numpy as np
 from service.core.estimation.carrier_faults import (
     SKIPPED,
     CarrierWatch,
+    count_absence,
     count_skips,
     flag_failed,
     healthy,
@@ -179,10 +180,10 @@ def _judged(
     excess = np.abs(second.innovation_db) / second.sigma_db
     trusted = _trusted(second, excess)
     watch = count_skips(freed.carriers, present, excess, minutes)
+    watch = count_absence(watch, np.isfinite(deviation_db), minutes)
     if values is not None:
         watch = push_carrier_values(watch, values)
-    updated = None
-    after = freed
+    updated, after = None, freed
     if len(trusted.carriers) >= MIN_CARRIERS:
         updated = update(model, freed.gaussian, deviation_db, trusted)
         after = freed._replace(gaussian=updated.state, motion=_moved(freed, updated, is_common=is_common))
@@ -228,9 +229,8 @@ def _common_first(
 
 def _moved(state: FilterState, updated: Updated, *, is_common: bool) -> MotionWatch:
     """Return the watch on motion after an update."""
-    if is_common:
-        return forget_shifts(state.motion, state.epoch_us)
-    return push_shift(state.motion, state.epoch_us, updated.attitude_shift)
+    motion, epoch_us = state.motion, state.epoch_us
+    return forget_shifts(motion, epoch_us) if is_common else push_shift(motion, epoch_us, updated.attitude_shift)
 
 
 def _trusted(innovation: Innovation, excess: FloatArray) -> Innovation:

@@ -3,7 +3,9 @@
 u = |innovation| / sigma: above 2 a carrier is trusted less (Huber), above 4 it is skipped; four skips in a row, or a
 cumulative sum beyond its threshold (slow fades never reach 4 sigma at once), flag it. A flagged carrier is out until 30
 minutes have passed and its last 20 rows are quiet; then its reference is learned anew, or restored where the carrier
-came back to within 0.2 dB of what it was. The law of this file: times are minutes of data, never rows or clocks.
+came back to within 0.2 dB of what it was. A carrier that was off for half an hour is flagged too: users who switch on
+again often do so at another level, too near for 4 sigma and far enough to turn the attitude. The law of this file:
+times are minutes of data, never rows or clocks.
 """
 
 from typing import NamedTuple
@@ -18,12 +20,14 @@ LESS_TRUSTED = 2.0
 SKIPPED = 4.0
 SKIPS_TO_FLAG = 4
 MIN_FLAGGED_MINUTES = 30.0
+#: a carrier that was off for longer must show its level first
+ABSENT_MINUTES = 30.0
 QUIET_ROWS = 20
 QUIET_STD_DB = 0.32
 QUIET_SHIFT_DB = 0.22
 SAME_LEVEL_DB = 0.2
 #: what a restored reference may have moved meanwhile, dB
-_RESTORED_SIGMA_DB = 0.05
+_RESTORED_SIGMA_DB = 0.1
 _LARGEST_VALUE = 3.0
 #: counters are sums of fractions of a minute
 _ROUNDING = 1e-6
@@ -43,6 +47,8 @@ class CarrierWatch(NamedTuple):
     #: (QUIET_ROWS, N) newest last, measured minus what the site explains, dB
     residuals_db: FloatArray
     cusum: Cusum
+    #: (N,) minutes without the carrier while the others were measured
+    absent_minutes: FloatArray
     #: (N,) whether the reference was learned anew since the alignment
     is_relearned: BoolArray
 
@@ -51,7 +57,7 @@ def healthy(carriers: int) -> CarrierWatch:
     """Return the watch of carriers that have not failed yet."""
     zeros, never = np.zeros(carriers), np.zeros(carriers, dtype=np.bool_)
     return CarrierWatch(
-        zeros, never, zeros, zeros, zeros, np.full((QUIET_ROWS, carriers), np.nan), quiet_cusum(carriers), never
+        zeros, never, zeros, zeros, zeros, np.full((QUIET_ROWS, carriers), np.nan), quiet_cusum(carriers), zeros, never
     )
 
 
@@ -87,10 +93,15 @@ def count_skips(watch: CarrierWatch, present: IntArray, excess: FloatArray, minu
     return watch._replace(skip_minutes=skips)
 
 
+def count_absence(watch: CarrierWatch, is_measured: BoolArray, minutes: float) -> CarrierWatch:
+    """Return the watch after a row in which some carriers (N,) were not measured."""
+    return watch._replace(absent_minutes=np.where(is_measured, 0.0, watch.absent_minutes + minutes))
+
+
 def flag_failed(
     model: CarrierModel, state: Gaussian, watch: CarrierWatch, before: Gaussian
 ) -> tuple[Gaussian, CarrierWatch]:
-    """Flag the carriers whose skips or sums are beyond their limits.
+    """Flag the carriers whose skips, sums or absence are beyond their limits.
 
     Parameters
     ----------
@@ -112,6 +123,7 @@ def flag_failed(
     """
     is_failed = watch.skip_minutes >= SKIPS_TO_FLAG - _ROUNDING
     is_failed |= np.maximum(watch.cusum.up, watch.cusum.down) > THRESHOLD
+    is_failed |= watch.absent_minutes >= ABSENT_MINUTES - _ROUNDING
     is_failed &= ~watch.is_flagged
     if not is_failed.any():
         return state, watch

@@ -96,6 +96,7 @@ def motion_over(step_us: int, settings: FilterSettings) -> Motion:
         response[ATTITUDE] = _drift_to_attitude(elapsed, settings.coupling_per_h, settings.drift_tau_h)
         response[DRIFT] = math.exp(-elapsed / settings.drift_tau_h) * np.eye(3)
         noise += 0.5 * hours * weight * (response * intensity) @ response.T
+    noise = 0.5 * (noise + noise.T)
     transition.setflags(write=False)
     noise.setflags(write=False)
     return Motion(transition, noise)
@@ -143,10 +144,13 @@ def predict(
     motion = motion_over(step_us, settings)
     hours, core = step_us / 1e6 / _S_PER_H, core_size(model)
     factor = _decay(model, settings, hours, is_raining=weather.is_raining)
-    mean, covariance = state.mean * factor, state.covariance * factor
-    covariance *= factor[:, None]
-    covariance[:9] = motion.transition @ covariance[:9]
-    covariance[:, :9] = covariance[:, :9] @ motion.transition.T
+    mean, covariance = state.mean * factor, np.multiply.outer(factor, factor)
+    covariance *= state.covariance
+    moved = motion.transition @ covariance[:9]
+    own = moved[:, :9] @ motion.transition.T
+    moved[:, :9] = 0.5 * (own + own.T)
+    # one product serves both sides: symmetric to the last bit
+    covariance[:9], covariance[:, :9] = moved, moved.T
     mean[:9] = motion.transition @ mean[:9]
     mean[ATTITUDE] += known.correction_deg + known.late_correction_deg + 0.5 * hours * known.rate_change_deg_h
     mean[RATE] += known.rate_change_deg_h

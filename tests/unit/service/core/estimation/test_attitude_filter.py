@@ -193,3 +193,23 @@ def test_ten_second_rows_are_flagged_by_the_minute(filter_models, model):
     assert not run.state.carriers.is_flagged[5]
     run.rows(18, change_db)
     assert run.state.carriers.is_flagged[5]
+
+
+def test_a_carrier_that_was_off_shows_its_level_first(run):
+    run.rows(60)
+    run.rows(40, absent(5))
+    assert run.state.carriers.is_flagged[5]
+    before = run.told[-1].attitude_deg
+    change_db = np.where(EVERYONE == 5, 0.45, 0.0)  # 2.5 sigma
+    run.rows(1, change_db)
+    assert 5 not in run.told[-1].used
+    assert (np.abs(run.told[-1].attitude_deg - before) < [0.02, 0.005, 0.005]).all()
+    told = run.rows(40, change_db)
+    assert 5 in told.used
+    assert told.state.carriers.is_relearned[5]
+
+
+def test_a_gap_of_all_carriers_flags_nobody(run):
+    run.rows(60)
+    run.rows(60, absent(*EVERYONE))
+    assert len(run.rows(2).used) >= CARRIERS - 1

@@ -89,3 +89,15 @@ def test_rain_never_falls_below_zero(filter_models):
     row = expected_db(model, state.mean, np.arange(model.carriers)) + 1.0
     told = update(model, state, row, innovate(model, state, row, np.arange(model.carriers), model.white_sigma_db**2))
     assert told.state.mean[RAIN] == 0.0
+
+
+def test_passes_of_linearisation_are_limited(filter_models):
+    model = filter_models.carrier_model(carriers=24)
+    state = filter_models.aligned(model)
+    wide = state.covariance + 0.0
+    wide[ATTITUDE, ATTITUDE] += 4.0 * np.eye(3)
+    row = 20.0 * (-1.0) ** np.arange(24)  # no attitude makes these
+    lost = Gaussian(state.mean, wide)
+    told = update(model, lost, row, innovate(model, lost, row, np.arange(24), model.white_sigma_db**2))
+    assert np.isfinite(told.state.mean).all()
+    assert np.linalg.eigvalsh(told.state.covariance).min() > 0.0
