@@ -10,7 +10,7 @@ from sqlalchemy import ColumnElement, Connection, Row, Select, and_, or_, select
 from db.database import Database, add_entries, beyond, count_entries, lock_head, within
 from db.documents import decode, decode_all, decode_input
 from db.ingest import prepare, store_batch
-from db.mapping import MEASUREMENT_COLUMNS, measurement_of
+from db.mapping import MEASUREMENT_COLUMNS, measurement_of, measurements_of
 from db.slow_inputs import revise_operation, store_inputs, store_operation
 from db.tables import carrier_plan, head, journal, measurement, operation, source
 from service.errors import InvalidInputError, NotFoundError
@@ -102,7 +102,7 @@ class SqlArchive:
         slow = select(journal).where(journal.c.spacecraft_key == key, is_next(journal.c.number))
         with self._database.read() as connection:
             rows = connection.execute(_measurements(key).where(is_next(measurement.c.number))).all()
-            entries = [_measurement_entry(row) for row in rows]
+            entries = [JournalEntry(record.number, record) for record in measurements_of(rows)]
             entries += [_slow_entry(row) for row in connection.execute(slow)]
         return sorted(entries, key=lambda entry: entry.number)
 
@@ -152,7 +152,7 @@ class SqlArchive:
             .order_by(measurement.c.epoch_us, measurement.c.number)
             .limit(limit)
         )
-        return [measurement_of(row) for row in self._database.fetch(query)]
+        return measurements_of(self._database.fetch(query))
 
     def plan_ids(self, spacecraft_id: str, window: Window) -> tuple[int, ...]:
         """Return the numbers of the carrier plans under which the rows of a window were stored, ascending."""
@@ -173,7 +173,7 @@ class SqlArchive:
             .where(measurement.c.feeds, measurement.c.epoch_us > epoch_us, measurement.c.number < before_number)
             .order_by(measurement.c.epoch_us, measurement.c.number)
         )
-        return [measurement_of(row) for row in self._database.fetch(query)]
+        return measurements_of(self._database.fetch(query))
 
     def measurement_series(self, spacecraft_id: str, window: Window, carrier_ids: Sequence[str]) -> MeasurementSeries:
         """Return the rows that feed the estimator as arrays, columns matched by carrier id across plans."""
@@ -233,11 +233,6 @@ def _measurements(key: int, name: str | None = None) -> Select[Any]:
         .where(measurement.c.spacecraft_key == key)
     )
     return query if name is None else query.where(source.c.name == name)
-
-
-def _measurement_entry(row: Row[Any]) -> JournalEntry:
-    content = measurement_of(row)
-    return JournalEntry(content.number, content)
 
 
 def _slow_entry(row: Row[Any]) -> JournalEntry:

@@ -7,10 +7,10 @@ epoch is not above the newest stored one of its source.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
-from sqlalchemy import Connection, Row, and_, bindparam, select, update
+from sqlalchemy import Connection, and_, bindparam, select, update
 
 from db.compiled import CompiledStatement
 from db.database import lock_head
@@ -86,6 +86,18 @@ class PreparedBatch:
         return self.powers[row], self.flags[row] if self.has_flags[place] else None
 
 
+class _State(NamedTuple):
+    """Head of a spacecraft and figures of a source; the columns of ``_READ_STATE``."""
+
+    newest_number: int
+    newest_epoch_us: int | None
+    consumed_epoch_us: int | None
+    source_key: int
+    is_prime: bool
+    row_count: int
+    source_newest_epoch_us: int | None
+
+
 @dataclass(frozen=True, slots=True)
 class _Sorted:
     """What becomes of each row of a batch."""
@@ -127,21 +139,21 @@ def store_batch(connection: Connection, prepared: PreparedBatch) -> BatchReceipt
     return BatchReceipt(len(outcome.accepted), outcome.duplicates, int(is_late.sum()), outcome.refused)
 
 
-def _state(connection: Connection, key: int, name: str) -> Row[Any]:
+def _state(connection: Connection, key: int, name: str) -> _State:
     """Return head and source; the first source of a spacecraft becomes the prime one."""
     if connection.dialect.name != "sqlite":
         # elsewhere other processes write too: what is read before the lock is granted could be stale
         lock_head(connection, key)
-    state = _READ_STATE.run(connection, key, name).one()
-    if state.source_key is not None:
-        return state
+    row = _READ_STATE.run(connection, key, name).fetchone()
+    if row[_State._fields.index("source_key")] is not None:
+        return _State(*row)
     known = connection.execute(select(source.c.source_key).where(source.c.spacecraft_key == key)).all()
     values = {"spacecraft_key": key, "source_key": len(known) + 1, "name": name, "is_prime": not known, "row_count": 0}
     connection.execute(source.insert().values(values))
-    return _READ_STATE.run(connection, key, name).one()
+    return _State(*_READ_STATE.run(connection, key, name).fetchone())
 
 
-def _sort(connection: Connection, prepared: PreparedBatch, state: Row[Any]) -> _Sorted:
+def _sort(connection: Connection, prepared: PreparedBatch, state: _State) -> _Sorted:
     """Tell new rows, duplicates and conflicts apart."""
     newest_us = state.source_newest_epoch_us
     if prepared.is_ascending and (newest_us is None or prepared.epochs_us[0] > newest_us):
@@ -160,7 +172,7 @@ def _sort(connection: Connection, prepared: PreparedBatch, state: Row[Any]) -> _
     return _Sorted(np.array(accepted, dtype=np.int64), duplicates, tuple(refused))
 
 
-def _stored(connection: Connection, prepared: PreparedBatch, state: Row[Any]) -> dict[int, Content]:
+def _stored(connection: Connection, prepared: PreparedBatch, state: _State) -> dict[int, Content]:
     """Return the content of those epochs of a source that are stored."""
     newest_us = state.source_newest_epoch_us
     epochs_us = [] if newest_us is None else [epoch_us for epoch_us in prepared.epochs_us if epoch_us <= newest_us]
@@ -192,7 +204,7 @@ def _lateness(batch: MeasurementBatch, consumed_us: int | None) -> BoolArray:
     return batch.is_stale if consumed_us is None else batch.is_stale | (batch.epochs_us < consumed_us)
 
 
-def _runs(prepared: PreparedBatch, accepted: IntArray, is_late: BoolArray, state: Row[Any]) -> Iterator[Run]:
+def _runs(prepared: PreparedBatch, accepted: IntArray, is_late: BoolArray, state: _State) -> Iterator[Run]:
     """Yield the accepted rows as runs, numbered on from the head."""
     batch, width = prepared.batch, prepared.width
     is_whole = prepared.is_even and len(accepted) == len(prepared.epochs_us) and is_late.all() == is_late.any()
@@ -224,7 +236,7 @@ def _breaks(prepared: PreparedBatch, accepted: IntArray, is_late: BoolArray) -> 
     return found
 
 
-def _advance(connection: Connection, prepared: PreparedBatch, accepted: IntArray, state: Row[Any]) -> None:
+def _advance(connection: Connection, prepared: PreparedBatch, accepted: IntArray, state: _State) -> None:
     """Move the head of the spacecraft and the figures of the source past the stored rows."""
     key, stored = prepared.spacecraft_key, len(accepted)
     newest_us = int(prepared.batch.epochs_us[accepted].max())

@@ -47,14 +47,24 @@ def powers_of(blob: bytes) -> FloatArray:
     return _read_only(np.frombuffer(blob, dtype="<f4").astype(np.float64))
 
 
-def measurement_of(row: Row[Any]) -> Measurement:
-    """Return the record of a row of ``MEASUREMENT_COLUMNS``."""
+def measurement_of(row: Row[Any], power_dbm: FloatArray | None = None) -> Measurement:
+    """Return the record of a row of ``MEASUREMENT_COLUMNS``, with its powers where they were read already."""
     epoch_us, received_at_us, number, name, plan_id, powers, flags, is_late, feeds, seq = tuple(row)
     masks: IntArray | None = None
     if flags is not None:
         masks = np.frombuffer(flags, dtype="<i4").astype(np.int64)
         masks.setflags(write=False)
-    return Measurement(epoch_us, received_at_us, number, name, plan_id, powers_of(powers), masks, is_late, feeds, seq)
+    values = powers_of(powers) if power_dbm is None else power_dbm
+    return Measurement(epoch_us, received_at_us, number, name, plan_id, values, masks, is_late, feeds, seq)
+
+
+def measurements_of(rows: Sequence[Row[Any]]) -> list[Measurement]:
+    """Return the records of many rows of ``MEASUREMENT_COLUMNS``; powers of one width are read in one go."""
+    blobs = [row.powers for row in rows]
+    if not rows or len(set(map(len, blobs))) > 1:
+        return [measurement_of(row) for row in rows]
+    power_dbm = powers_of(b"".join(blobs)).reshape(len(rows), -1)
+    return [measurement_of(row, values) for row, values in zip(rows, power_dbm, strict=True)]
 
 
 def attitude_values(key: int, version: str, row: AttitudeRow, sequence: int | None) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 from sqlalchemy import Connection
 
+from db.compiled import run_bare
 from db.tables import measurement
 
 _AT_ONCE = """
@@ -45,7 +46,7 @@ def insert_run(connection: Connection, run: Run) -> None:
     """Insert the rows of a run."""
     if connection.dialect.name == "sqlite":
         width = len(run.powers) // len(run.epochs_us)
-        connection.exec_driver_sql(_AT_ONCE, (*run[:8], run.powers, width, run.flags, json.dumps(run.epochs_us)))
+        run_bare(connection, _AT_ONCE, (*run[:8], run.powers, width, run.flags, json.dumps(run.epochs_us)))
     else:
         connection.execute(measurement.insert(), _values(run))
 

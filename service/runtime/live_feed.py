@@ -96,6 +96,14 @@ class LiveFeed:
         with self._lock:
             self._subscribers.get(spacecraft_id, set()).discard(subscription)
 
+    def has_subscribers(self, spacecraft_id: str) -> bool:
+        """Return whether anybody listens.
+
+        Who subscribes after this was False finds in the archive what had been stored before it was asked.
+        """
+        with self._lock:
+            return bool(self._subscribers.get(spacecraft_id))
+
     def publish(self, spacecraft_id: str, events: tuple[FeedEvent, ...]) -> None:
         """Hand events to every subscriber of a spacecraft; called from the supervisor's thread."""
         with self._lock:

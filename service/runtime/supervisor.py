@@ -141,9 +141,10 @@ class Supervisor:
             follower.spacecraft_id, LIVE, outcomes, entries[-1].number, follower.consumed_epoch_us
         )
         follower.consumed_number = entries[-1].number
-        events = _events(entries, outcomes, follower.sequence, sequence)
+        # asked after the rows were stored: whoever subscribes from here on finds them in the archive
+        if self._feed.has_subscribers(follower.spacecraft_id):
+            self._feed.publish(follower.spacecraft_id, _events(entries, outcomes, follower.sequence, sequence))
         follower.sequence = sequence
-        self._feed.publish(follower.spacecraft_id, events)
         if any(outcome.applied is not None for outcome in outcomes):
             self.notify(follower.spacecraft_id)
 
