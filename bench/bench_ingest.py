@@ -2,7 +2,7 @@
 
 Run ``python -m bench.bench_ingest``. Two servers run, one over a SQLite file with ``synchronous=FULL``, one whose
 archive answers at once; they are loaded in turn, several times, and the median of the ratios of the pairs counts. The
-durable one also carries its journal consumer, as in operation. At the end every acknowledged row must be in the archive.
+durable one also carries its journal consumer, as in operation. At the end the archive must hold every acknowledged row.
 """
 
 import argparse
