@@ -60,6 +60,7 @@ class Filtered:
             "wrong_yaw": int(wrong[:, 0].sum()),
             "wrong_roll_pitch": int(wrong[:, 1:].any(axis=1).sum()),
             "available": float(allowed[dry, 1].mean()),
+            "yaw_available": float(allowed[dry, 0].mean()),
         }
 
 
@@ -125,11 +126,10 @@ class RobustWorld:
         self.deviation_db = self.deviation_db - slow_db
         white, coloured = learned_noise(residual_db, row_s)
         count, labels = len(levels), sorted({c.transponder for c in world.plan.carriers})
-        shares = np.array([0.1 if getattr(c, "band", "Ku") == "C" else 1.0 for c in world.plan.carriers])
         self.model = CarrierModel(
             gradient,
             hessian,
-            shares,
+            world.plan.rain_share,
             np.array([labels.index(c.transponder) for c in world.plan.carriers]),
             white,
             coloured,

@@ -5,7 +5,7 @@ import pytest
 
 from service.core.estimation.integrity import Evidence, IntegrityLimits, assess
 
-CALM = Evidence(np.array([0.1, 0.01, 0.02]), 16, False, False, 1.0, (False, False, False), 0, 16)
+CALM = Evidence(np.array([0.09, 0.01, 0.02]), 16, False, False, 1.0, (False, False, False), 0, 16)
 
 
 def test_a_calm_row_allows_all_axes():
@@ -21,9 +21,9 @@ def test_a_calm_row_allows_all_axes():
     [
         ({"is_raining": True}, "downlink_fade"),
         ({"is_chain_held": True}, "chain_step"),
-        ({"sigma_deg": np.array([0.1, 0.06, 0.02])}, "sigma_roll"),
-        ({"sigma_deg": np.array([0.1, 0.01, 0.1])}, "sigma_pitch"),
-        ({"sigma_deg": np.array([0.1, 0.01, np.nan])}, "sigma_pitch"),
+        ({"sigma_deg": np.array([0.09, 0.06, 0.02])}, "sigma_roll"),
+        ({"sigma_deg": np.array([0.09, 0.01, 0.1])}, "sigma_pitch"),
+        ({"sigma_deg": np.array([0.09, 0.01, np.nan])}, "sigma_pitch"),
         ({"carriers_used": 5}, "redundancy"),
         ({"nis_ratio": 2.1}, "innovations"),
         ({"is_unannounced": (False, True, False)}, "unannounced_motion"),
@@ -36,7 +36,7 @@ def test_each_condition_withholds_control_and_says_so(change, reason):
 
 
 @pytest.mark.parametrize(
-    "change", [{"sigma_deg": np.array([0.15, 0.01, 0.02])}, {"is_unannounced": (True, False, False)}]
+    "change", [{"sigma_deg": np.array([0.14, 0.01, 0.02])}, {"is_unannounced": (True, False, False)}]
 )
 def test_yaw_alone_may_be_withheld(change):
     verdict = assess(CALM._replace(**change), IntegrityLimits())
