@@ -16,7 +16,7 @@ from service.core.estimation.sensitivity import TurnSensitivity, fit_turn_sensit
 from service.core.geometry.node_phase import latest_node_us
 from service.pipeline.calibration_rows import CalibrationError, CalibrationInput, phase_rad, turn_rows
 from service.pipeline.config import CalibrationConfig, CriteriaConfig
-from service.records.attitude import Axes, BoolArray, FloatArray
+from service.records.attitude import Axes, BoolArray, FloatArray, named_axes
 from service.records.calibration import (
     CalibrationResult,
     CarrierCalibration,
@@ -110,8 +110,8 @@ def observe(sensitivity_db_per_deg: FloatArray, sigma_db: FloatArray) -> Observa
         return Observability(float("nan"), unseen, unseen)
     return Observability(
         float(condition_number(sensitivity_db_per_deg)),
-        _axes(dilution_of_precision_deg_per_db(sensitivity_db_per_deg)),
-        _axes(crlb_deg(sensitivity_db_per_deg, sigma_db, with_common=True)),
+        named_axes(dilution_of_precision_deg_per_db(sensitivity_db_per_deg)),
+        named_axes(crlb_deg(sensitivity_db_per_deg, sigma_db, with_common=True)),
     )
 
 
@@ -184,9 +184,9 @@ def _carrier(
         sigma_white_db=noise.sigma_white_db,
         noise=(coloured,) if noise.sigma_coloured_db > 0.0 else (),
         harmonic=harmonic,
-        sensitivity_db_per_deg=_axes(sensitivity.symmetric[k]),
-        sensitivity_plus_db_per_deg=_axes(sensitivity.plus[k]),
-        sensitivity_minus_db_per_deg=_axes(sensitivity.minus[k]),
+        sensitivity_db_per_deg=named_axes(sensitivity.symmetric[k]),
+        sensitivity_plus_db_per_deg=named_axes(sensitivity.plus[k]),
+        sensitivity_minus_db_per_deg=named_axes(sensitivity.minus[k]),
         residual_db=float(sensitivity.residual_db[k]),
         stability_residual_rms_db=harmonic.rms_db,
         drift_db_per_day=float(quiet.drift_db_per_day[k]),
@@ -252,8 +252,3 @@ def _warnings(
     if silent:
         warnings.append(f"no fit for {', '.join(silent)}: absent in the quiet window")
     return tuple(warnings)
-
-
-def _axes(values: FloatArray) -> Axes:
-    """Return yaw, roll, pitch by name."""
-    return Axes(float(values[0]), float(values[1]), float(values[2]))

@@ -21,7 +21,7 @@ from service.pipeline.harmonic_removal import ExpectedPower, expected_power, rem
 from service.pipeline.interlock import Circumstances, Verdict, judge
 from service.pipeline.knowledge import Knowledge
 from service.pipeline.solve import SensitivityModel, sensitivity_model, solve_attitude
-from service.records.attitude import AttitudeFix, AttitudeRow, Axes, Deviation, FloatArray, Status
+from service.records.attitude import AttitudeFix, AttitudeRow, Deviation, FloatArray, Status, named_axes
 from service.records.calibration import Calibration
 from service.records.catalogue import Ephemeris, Method
 from service.records.epoch import US_PER_S
@@ -212,9 +212,9 @@ def _row(
         received_at_us=measurement.received_at_us,
         number=measurement.number,
         method=Method.PAPER,
-        attitude_deg=_axes(fix.attitude_deg),
-        sigma_deg=_axes(sigma_deg),
-        rates_deg_s=_axes(rates_deg_s) if np.isfinite(rates_deg_s).all() else None,
+        attitude_deg=named_axes(fix.attitude_deg),
+        sigma_deg=named_axes(sigma_deg),
+        rates_deg_s=named_axes(rates_deg_s) if np.isfinite(rates_deg_s).all() else None,
         status=Status.ACQUIRED if is_fix else Status.INVALID,
         control_allowed=verdict.is_allowed,
         control_allowed_axes=verdict.allowed_axes,
@@ -228,8 +228,3 @@ def _row(
         calibration_id=model.calibration_id,
         alignment_id=model.alignment_id,
     )
-
-
-def _axes(values: FloatArray) -> Axes:
-    """Return yaw, roll, pitch by name."""
-    return Axes(float(values[0]), float(values[1]), float(values[2]))

@@ -13,7 +13,7 @@ from service.core.control.attitude_law import proportional_derivative_torque
 from service.core.control.pulses import PulseTrain, shape_pulses
 from service.core.control.wheels import allocate_to_wheels, body_torque_limit_n_m
 from service.pipeline.config import TorqueConfig
-from service.records.attitude import AttitudeRow, Axes, FloatArray
+from service.records.attitude import AttitudeRow, Axes, FloatArray, named_axes
 from service.records.catalogue import ControlMode, Spacecraft, WheelSet
 from service.records.command import Pulse, TorqueCommand
 from service.records.epoch import US_PER_S
@@ -109,15 +109,15 @@ def _command(
         number=row.number,
         attitude_epoch_us=row.epoch_us,
         mode=spacecraft.control.mode.value,
-        torque_n_m=_axes(impulse / period_s),
+        torque_n_m=named_axes(impulse / period_s),
         wheels_n_m=tuple(float(value) for value in wheel_impulse / period_s),
         saturated=bool(pulses.is_saturated.any()),
         command_period_s=period_s,
         valid_until_us=epoch_us + round(period_s * US_PER_S),
         schedule=_schedule(epoch_us, pulses),
-        impulse_n_m_s=_axes(impulse),
-        predicted_angle_change_deg=_axes(np.rad2deg(angle_change_rad)),
-        predicted_rate_change_deg_s=_axes(np.rad2deg(rate_change_rad_s)),
+        impulse_n_m_s=named_axes(impulse),
+        predicted_angle_change_deg=named_axes(np.rad2deg(angle_change_rad)),
+        predicted_rate_change_deg_s=named_axes(np.rad2deg(rate_change_rad_s)),
         predicted_wheel_momentum_n_m_s=tuple(float(value) for value in wheel_impulse),
         control_allowed=True,
         inhibitions=(),
@@ -155,13 +155,8 @@ def _schedule(epoch_us: int, pulses: PulseTrain) -> tuple[Pulse, ...]:
         Pulse(
             epoch_us,
             float(pulses.duration_s[axis]),
-            _axes(np.where(np.arange(3) == axis, pulses.torque_n_m, 0.0)),
+            named_axes(np.where(np.arange(3) == axis, pulses.torque_n_m, 0.0)),
         )
         for axis in range(3)
         if pulses.duration_s[axis] > 0.0
     )
-
-
-def _axes(values: FloatArray) -> Axes:
-    """Return yaw, roll, pitch by name."""
-    return Axes(float(values[0]), float(values[1]), float(values[2]))

@@ -26,6 +26,11 @@ class Axes(NamedTuple):
     pitch: float
 
 
+def named_axes(values: FloatArray) -> Axes:
+    """Return an array (3,) in the order yaw, roll, pitch by name."""
+    return Axes(float(values[0]), float(values[1]), float(values[2]))
+
+
 NO_ANGLES = Axes(float("nan"), float("nan"), float("nan"))
 
 

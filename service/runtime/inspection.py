@@ -15,7 +15,7 @@ from service.core.geometry.node_phase import latest_node_us, node_phase_rad
 from service.errors import ConflictError, NotFoundError
 from service.pipeline.config import CalibrationConfig
 from service.ports import Storage
-from service.records.attitude import Axes, FloatArray
+from service.records.attitude import Axes, named_axes
 from service.records.calibration import Calibration, CarrierCalibration, Harmonic, Window
 from service.records.catalogue import CarrierPlan
 
@@ -120,8 +120,8 @@ def recommend_carriers(
     return CarrierRecommendation(
         calibration.id,
         choice.condition,
-        _axes(choice.dilution_deg_per_db),
-        _axes(crlb_deg(symmetric[choice.chosen], sigma_db[choice.chosen], with_common=True)),
+        named_axes(choice.dilution_deg_per_db),
+        named_axes(crlb_deg(symmetric[choice.chosen], sigma_db[choice.chosen], with_common=True)),
         tuple(_recommended(k, carrier, choice, usable) for k, carrier in enumerate(carriers)),
     )
 
@@ -206,8 +206,3 @@ def _reasons(
         ("linear" in carrier.criteria_met, f"not linear: departs {carrier.nonlinearity_deg:.3f} deg"),
     )
     return tuple(text for is_met, text in texts if not is_met)
-
-
-def _axes(values: FloatArray) -> Axes:
-    """Return yaw, roll, pitch by name."""
-    return Axes(float(values[0]), float(values[1]), float(values[2]))
