@@ -203,7 +203,8 @@ def test_an_overrun_is_counted_and_not_caught_up(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(made._stop, "wait", lambda wait_s: waits.append(wait_s))
     while not rows:
         made.step()
-    for now["s"] in (25.0, 26.0):
+    for instant_s in (25.0, 26.0):
+        now["s"] = instant_s
         made.step()
     assert made.counters.overruns == 1
     # due at 0, late at 25, then at 35: nine seconds of waiting from 26
