@@ -175,9 +175,7 @@ class Presenter:
         url = scene.client.service_url
         self._console.print(f"aligned after {time.monotonic() - self._began_at:.0f} s; tracking; Ctrl-C ends it")
         if self.key is not None:
-            self._console.print(
-                f"REST interface {url}/api/v1, described in {url}/openapi.json; for example", soft_wrap=True
-            )
+            self._console.print(f"REST interface {url}/api/v1, described in {url}/docs; for example", soft_wrap=True)
             path = f"{url}/api/v1/spacecraft/{scene.story.spacecraft_id}/attitude"
             self._console.print(f"  curl -H 'Authorization: Bearer {self.key}' {path}", soft_wrap=True, highlight=False)
 
@@ -225,7 +223,7 @@ def _tracking_table(scene: Scene) -> Table:
         )
     reasons = ", ".join(attitude["inhibitions"]) or "control allowed"
     out = ", ".join(f"{item['carrier']} ({item['reason']})" for item in attitude["excluded"]) or "none"
-    table.caption = f"{reasons}; carriers excluded: {out}"
+    table.caption = f"{reasons}; carriers excluded: {out}\nreference of the interface: {scene.client.service_url}/docs"
     return table
 
 
