@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.consistency import Consistency, compare_with_angles
 from service.core.estimation.noise_model import averaged_sigma_db
+from service.core.estimation.paper.consistency import Consistency, compare_with_angles
 from service.pipeline.config import AlignmentConfig
 from service.pipeline.harmonic_removal import harmonic_db
 from service.pipeline.solve import SensitivityModel, sensitivity_model

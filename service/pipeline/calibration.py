@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.core.estimation.criteria import CarrierVerdicts, judge_carriers
-from service.core.estimation.harmonic import HarmonicFits, evaluate_harmonic, fit_harmonics
 from service.core.estimation.noise_model import NoiseSplit, split_noise
 from service.core.estimation.observability import condition_number, crlb_deg, dilution_of_precision_deg_per_db
-from service.core.estimation.sensitivity import TurnSensitivity, fit_turn_sensitivity, level_knots
+from service.core.estimation.paper.criteria import CarrierVerdicts, judge_carriers
+from service.core.estimation.paper.harmonic import HarmonicFits, evaluate_harmonic, fit_harmonics
+from service.core.estimation.paper.sensitivity import TurnSensitivity, fit_turn_sensitivity, level_knots
 from service.core.geometry.node_phase import latest_node_us
 from service.pipeline.calibration_rows import CalibrationError, CalibrationInput, phase_rad, turn_rows
 from service.pipeline.config import CalibrationConfig, CriteriaConfig

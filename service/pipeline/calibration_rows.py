@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.core.estimation.harmonic import evaluate_harmonic
+from service.core.estimation.paper.harmonic import evaluate_harmonic
 from service.core.geometry.node_phase import node_phase_rad
 from service.pipeline.config import CalibrationConfig
 from service.records.attitude import FloatArray, IntArray

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.core.estimation.harmonic import evaluate_harmonic
+from service.core.estimation.paper.harmonic import evaluate_harmonic
 from service.core.geometry.node_phase import node_phase_rad
 from service.records.attitude import Deviation, FloatArray
 from service.records.calibration import Alignment, Calibration, CarrierReference

@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation import trailing_mean
-from service.core.estimation.downlink_fade import FadeTest, FadeWatch, fade_sign_test, step_fade_watch
-from service.core.estimation.rejection import reject_faded_carriers
-from service.core.estimation.trailing_mean import TrailingMean
+from service.core.estimation.paper import trailing_mean
+from service.core.estimation.paper.downlink_fade import FadeTest, FadeWatch, fade_sign_test, step_fade_watch
+from service.core.estimation.paper.rejection import reject_faded_carriers
+from service.core.estimation.paper.trailing_mean import TrailingMean
 from service.pipeline.attitude_filter import NO_FIXES, FixHistory, rate_deg_s, remember_fix
 from service.pipeline.config import ChainConfig
 from service.pipeline.harmonic_removal import ExpectedPower, expected_power, remove_harmonic

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.core.estimation.noise_model import averaged_sigma_db
-from service.core.estimation.octants import OctantFix
-from service.core.estimation.rejection import RejectionReason, reject_faded_carriers
+from service.core.estimation.paper.octants import OctantFix
+from service.core.estimation.paper.rejection import RejectionReason, reject_faded_carriers
 from service.pipeline.config import EstimationConfig
 from service.records.attitude import AttitudeFix, BoolArray, Exclusion, FloatArray, IntArray
 from service.records.calibration import Calibration

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.harmonic import HarmonicFits, fit_harmonics
 from service.core.estimation.observability import crlb_deg
-from service.core.estimation.selection import AxisSelection, SelectionReason, select_by_axis
+from service.core.estimation.paper.harmonic import HarmonicFits, fit_harmonics
+from service.core.estimation.paper.selection import AxisSelection, SelectionReason, select_by_axis
 from service.core.geometry.node_phase import latest_node_us, node_phase_rad
 from service.errors import ConflictError, NotFoundError
 from service.pipeline.config import CalibrationConfig

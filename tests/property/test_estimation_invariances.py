@@ -4,12 +4,12 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from service.core.estimation.downlink_fade import fade_sign_test
-from service.core.estimation.harmonic import fit_harmonic, fit_harmonics
-from service.core.estimation.octants import predict_deviation_db, solve_octants
-from service.core.estimation.rejection import RejectionReason, reject_faded_carriers
-from service.core.estimation.sensitivity import fit_turn_sensitivity
-from service.core.estimation.trailing_mean import empty_window, mean, push
+from service.core.estimation.paper.downlink_fade import fade_sign_test
+from service.core.estimation.paper.harmonic import fit_harmonic, fit_harmonics
+from service.core.estimation.paper.octants import predict_deviation_db, solve_octants
+from service.core.estimation.paper.rejection import RejectionReason, reject_faded_carriers
+from service.core.estimation.paper.sensitivity import fit_turn_sensitivity
+from service.core.estimation.paper.trailing_mean import empty_window, mean, push
 from service.core.geometry.frames import AntennaDirection, antenna_direction, body_from_nadir, direction_vector
 from service.core.geometry.node_phase import latest_node_us, node_phase_rad
 

@@ -4,9 +4,9 @@ import hypothesis.strategies as st
 import numpy as np
 from hypothesis import given, settings
 
-from service.core.estimation.quadratic_response import exact_response, predict_deviation
-from service.core.estimation.snapshot import solve_snapshots
-from service.core.estimation.snapshot_start import subset_orders
+from service.core.estimation.calibration.quadratic_response import exact_response, predict_deviation
+from service.core.estimation.snapshot.snapshot import solve_snapshots
+from service.core.estimation.snapshot.snapshot_start import subset_orders
 
 CARRIERS = 14
 ORDERS = subset_orders(CARRIERS)

@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from service.core.estimation.harmonic import fit_harmonic, fit_harmonics
+from service.core.estimation.paper.harmonic import fit_harmonic, fit_harmonics
 from service.core.geometry.node_phase import node_phase_rad
 
 AMPLITUDE_DB, PHI_RAD, OFFSET_DBM, RMS_DB = 0.3489, -0.6178, -72.8866 + 30.0, 0.1857

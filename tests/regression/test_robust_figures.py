@@ -15,20 +15,20 @@ from analyzer_sim.export import export_arrays
 from analyzer_sim.payload import nominal_gain_db
 from analyzer_sim.scenario import scenario_named
 from analyzer_sim.world import World
-from service.core.estimation.design import choose_carriers
-from service.core.estimation.geometry_calibration import CalibrationRows, GeometryCalibration, fit_geometry
-from service.core.estimation.geometry_columns import CarrierGeometry, OrbitMotion
-from service.core.estimation.geometry_prediction import predict_level_dbm, response_of
-from service.core.estimation.observability import crlb_deg
-from service.core.estimation.octants import predict_deviation_db, solve_octants
-from service.core.estimation.quadratic_response import (
+from service.core.estimation.calibration.geometry_calibration import CalibrationRows, GeometryCalibration, fit_geometry
+from service.core.estimation.calibration.geometry_columns import CarrierGeometry, OrbitMotion
+from service.core.estimation.calibration.geometry_prediction import predict_level_dbm, response_of
+from service.core.estimation.calibration.quadratic_response import (
     QuadraticResponse,
     exact_response,
     predict_deviation,
     predict_jacobian,
 )
-from service.core.estimation.snapshot import CarrierUse, solve_snapshots
-from service.core.estimation.snapshot_start import subset_orders
+from service.core.estimation.design import choose_carriers
+from service.core.estimation.observability import crlb_deg
+from service.core.estimation.paper.octants import predict_deviation_db, solve_octants
+from service.core.estimation.snapshot.snapshot import CarrierUse, solve_snapshots
+from service.core.estimation.snapshot.snapshot_start import subset_orders
 from service.core.geometry.frames import station_direction
 from service.core.geometry.line_of_sight import (
     Places,

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from service.core.estimation.criteria import CarrierVerdicts
+from service.core.estimation.paper.criteria import CarrierVerdicts
 from service.pipeline.calibration import calibrate_paper, observe, select_carriers
 from service.pipeline.calibration_rows import CalibrationError
 from service.pipeline.config import CalibrationConfig, CriteriaConfig

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.core.estimation.octants import predict_deviation_db
+from service.core.estimation.paper.octants import predict_deviation_db
 from service.pipeline.config import EstimationConfig
 from service.pipeline.solve import sensitivity_model, solve_attitude
 from service.records.attitude import Axes, Exclusion

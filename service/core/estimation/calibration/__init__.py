@@ -1,0 +1,1 @@
+"""Calibration of all carriers in one fit tied by the geometry of their stations."""

@@ -1,0 +1,1 @@
+"""The attitude filter: prediction, common changes, carrier faults, rain, integrity."""

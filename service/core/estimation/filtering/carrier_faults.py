@@ -1,0 +1,213 @@
+"""Faults of single carriers: weight, skip, flag, release.
+
+u = |innovation| / sigma: above 2 a carrier is trusted less (Huber), above 4 it is skipped; four skips in a row, or a
+cumulative sum beyond its threshold (slow fades never reach 4 sigma at once), flag it. A flagged carrier is out until 30
+minutes have passed and its last 20 rows are quiet; then its reference is learned anew, or restored where the carrier
+came back to within 0.2 dB of what it was. A carrier that was off for half an hour is flagged too: users who switch on
+again often do so at another level, too near for 4 sigma and far enough to turn the attitude. The law of this file:
+times are minutes of data, never rows or clocks.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from service.core.estimation.filtering.common_change import THRESHOLD, Cusum, push_cusum, quiet_cusum, reset_cusum
+from service.core.estimation.filtering.filter_model import BoolArray, CarrierModel, FloatArray, IntArray
+from service.core.estimation.filtering.filter_state import (
+    FREE_REFERENCE_DB2,
+    Gaussian,
+    reference_states,
+    reset_carriers,
+)
+
+LESS_TRUSTED = 2.0
+SKIPPED = 4.0
+SKIPS_TO_FLAG = 4
+MIN_FLAGGED_MINUTES = 30.0
+#: a carrier that was off for longer must show its level first
+ABSENT_MINUTES = 30.0
+QUIET_ROWS = 20
+QUIET_STD_DB = 0.32
+QUIET_SHIFT_DB = 0.22
+SAME_LEVEL_DB = 0.2
+#: what a restored reference may have moved meanwhile, dB
+_RESTORED_SIGMA_DB = 0.1
+_LARGEST_VALUE = 3.0
+#: counters are sums of fractions of a minute
+_ROUNDING = 1e-6
+
+
+class CarrierWatch(NamedTuple):
+    """What is known about the health of N carriers."""
+
+    #: (N,) minutes of skips in a row
+    skip_minutes: FloatArray
+    is_flagged: BoolArray
+    #: (N,) minutes since the flag
+    flagged_minutes: FloatArray
+    #: (N,) reference error and its variance before the flag, dB and dB^2
+    saved_reference_db: FloatArray
+    saved_variance_db2: FloatArray
+    #: (QUIET_ROWS, N) newest last, measured minus what the site explains, dB
+    residuals_db: FloatArray
+    cusum: Cusum
+    #: (N,) minutes without the carrier while the others were measured
+    absent_minutes: FloatArray
+    #: (N,) whether the reference was learned anew since the alignment
+    is_relearned: BoolArray
+
+
+def healthy(carriers: int) -> CarrierWatch:
+    """Return the watch of carriers that have not failed yet."""
+    zeros, never = np.zeros(carriers), np.zeros(carriers, dtype=np.bool_)
+    return CarrierWatch(
+        zeros, never, zeros, zeros, zeros, np.full((QUIET_ROWS, carriers), np.nan), quiet_cusum(carriers), zeros, never
+    )
+
+
+def trusted_white_db2(white_db2: FloatArray, excess: FloatArray) -> FloatArray:
+    """Return the white noise of each carrier raised by Huber's weight.
+
+    Parameters
+    ----------
+    white_db2 : ndarray, shape (n,), dB^2
+        White noise.
+    excess : ndarray, shape (n,)
+        abs(innovation) / sigma.
+    """
+    return np.asarray(white_db2 * np.maximum(1.0, excess / LESS_TRUSTED))
+
+
+def count_skips(watch: CarrierWatch, present: IntArray, excess: FloatArray, minutes: float) -> CarrierWatch:
+    """Return the watch after a row's skips.
+
+    Parameters
+    ----------
+    watch : CarrierWatch
+        Before the row.
+    present : ndarray, shape (n,)
+        Carriers judged; the counters of the others stand.
+    excess : ndarray, shape (n,)
+        abs(innovation) / sigma of them.
+    minutes : float
+        Minutes for which the row stands, at most 1.
+    """
+    skips = watch.skip_minutes.copy()
+    skips[present] = np.where(excess > SKIPPED, skips[present] + minutes, 0.0)
+    return watch._replace(skip_minutes=skips)
+
+
+def count_absence(watch: CarrierWatch, is_measured: BoolArray, minutes: float) -> CarrierWatch:
+    """Return the watch after a row in which some carriers (N,) were not measured."""
+    return watch._replace(absent_minutes=np.where(is_measured, 0.0, watch.absent_minutes + minutes))
+
+
+def flag_failed(
+    model: CarrierModel, state: Gaussian, watch: CarrierWatch, before: Gaussian
+) -> tuple[Gaussian, CarrierWatch]:
+    """Flag the carriers whose skips, sums or absence are beyond their limits.
+
+    Parameters
+    ----------
+    model : CarrierModel
+        The carriers.
+    state : Gaussian
+        State after the row.
+    watch : CarrierWatch
+        Watch with the row counted.
+    before : Gaussian
+        State from which the old references are kept.
+
+    Returns
+    -------
+    Gaussian
+        The same state where nothing failed; else the failed carriers' states begin anew with a free reference.
+    CarrierWatch
+        Watch after.
+    """
+    is_failed = watch.skip_minutes >= SKIPS_TO_FLAG - _ROUNDING
+    is_failed |= np.maximum(watch.cusum.up, watch.cusum.down) > THRESHOLD
+    is_failed |= watch.absent_minutes >= ABSENT_MINUTES - _ROUNDING
+    is_failed &= ~watch.is_flagged
+    if not is_failed.any():
+        return state, watch
+    failed = np.flatnonzero(is_failed)
+    places = reference_states(model, failed)
+    saved, variance = watch.saved_reference_db.copy(), watch.saved_variance_db2.copy()
+    saved[failed], variance[failed] = before.mean[places], before.covariance[places, places]
+    return (
+        reset_carriers(model, state, failed, np.zeros(len(failed)), np.full(len(failed), FREE_REFERENCE_DB2)),
+        watch._replace(
+            skip_minutes=np.where(is_failed, 0.0, watch.skip_minutes),
+            is_flagged=watch.is_flagged | is_failed,
+            flagged_minutes=np.where(is_failed, 0.0, watch.flagged_minutes),
+            saved_reference_db=saved,
+            saved_variance_db2=variance,
+            residuals_db=np.where(is_failed, np.nan, watch.residuals_db),
+            cusum=reset_cusum(watch.cusum, is_failed),
+        ),
+    )
+
+
+def watch_flagged(watch: CarrierWatch, residual_db: FloatArray, minutes: float) -> CarrierWatch:
+    """Return the watch with one minute more of what the flagged carriers do.
+
+    Parameters
+    ----------
+    watch : CarrierWatch
+        Before the minute.
+    residual_db : ndarray, shape (N,), dB
+        Measured minus what attitude, chain and rain explain; NaN = absent.
+    minutes : float
+        Minutes that have passed.
+    """
+    rows = np.concatenate([watch.residuals_db[1:], residual_db[None, :]])
+    return watch._replace(
+        residuals_db=rows, flagged_minutes=np.where(watch.is_flagged, watch.flagged_minutes + minutes, 0.0)
+    )
+
+
+def push_carrier_values(watch: CarrierWatch, values: FloatArray) -> CarrierWatch:
+    """Return the watch with one minute's test values (N,) of unit variance, NaN = none.
+
+    A value counts for three at most: an impulse is skipped, not flagged, and a jump takes four minutes either way.
+    """
+    return watch._replace(cusum=push_cusum(watch.cusum, np.clip(values, -_LARGEST_VALUE, _LARGEST_VALUE)))
+
+
+def release_quiet(model: CarrierModel, state: Gaussian, watch: CarrierWatch) -> tuple[Gaussian, CarrierWatch]:
+    """Release the flagged carriers that are quiet again.
+
+    Returns
+    -------
+    Gaussian
+        The same state where none is released; else the released begin with the old reference, or a free one at the new
+        level.
+    CarrierWatch
+        Watch after; references that were learned anew are marked.
+    """
+    half = QUIET_ROWS // 2
+    rows = watch.residuals_db
+    is_quiet = watch.is_flagged & (watch.flagged_minutes >= MIN_FLAGGED_MINUTES) & np.isfinite(rows).all(axis=0)
+    if not is_quiet.any():
+        return state, watch
+    is_quiet &= rows.std(axis=0) < QUIET_STD_DB
+    is_quiet &= np.abs(rows[half:].mean(axis=0) - rows[:half].mean(axis=0)) < QUIET_SHIFT_DB
+    if not is_quiet.any():
+        return state, watch
+    chosen = np.flatnonzero(is_quiet)
+    level_db = rows[:, chosen].mean(axis=0)
+    is_back = np.abs(level_db - watch.saved_reference_db[chosen]) < SAME_LEVEL_DB
+    reference_db = np.where(is_back, watch.saved_reference_db[chosen], level_db)
+    variance = np.where(is_back, watch.saved_variance_db2[chosen] + _RESTORED_SIGMA_DB**2, FREE_REFERENCE_DB2)
+    relearned = watch.is_relearned.copy()
+    relearned[chosen] |= ~is_back
+    return (
+        reset_carriers(model, state, chosen, reference_db, variance),
+        watch._replace(
+            is_flagged=watch.is_flagged & ~is_quiet,
+            cusum=reset_cusum(watch.cusum, is_quiet),
+            is_relearned=relearned,
+        ),
+    )

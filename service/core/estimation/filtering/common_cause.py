@@ -1,0 +1,111 @@
+"""What moved several carriers in one row, and which unknown is set free for it.
+
+The common level is tested before any single carrier. Several suspects at once, or a sudden common value, go to the
+chooser; a cumulative sum beyond its limit is a common change. The law of this file: what is freed is one unknown for
+all that moved together, so that the carriers keep what they know relative to one another.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from service.core.estimation.filtering.carrier_faults import CarrierWatch
+from service.core.estimation.filtering.common_change import common_value, quiet_cusum
+from service.core.estimation.filtering.fault_hypotheses import GROUP_STEP_DB, JUMP_DEG, Cause, Choice, Chooser
+from service.core.estimation.filtering.filter_model import CarrierModel
+from service.core.estimation.filtering.filter_state import ATTITUDE, Gaussian, freed, reference_states
+from service.core.estimation.filtering.filter_update import Innovation
+from service.core.estimation.filtering.rain_state import SUDDEN, RainWatch, common_fell, common_rose, is_down, is_up
+
+#: carriers beyond this many sigma are suspects; this many at once have a common cause
+_SUSPECT = 3.0
+_SEVERAL = 3
+
+
+class CommonInnovation(NamedTuple):
+    """Median innovation of the fully affected band; NaN with too few of them."""
+
+    median_db: float
+    #: in units of its sigma
+    value: float
+
+
+class Widened(NamedTuple):
+    """State in which the cause's unknown is free."""
+
+    gaussian: Gaussian
+    carriers: CarrierWatch
+    rain: RainWatch
+
+
+def common_innovation(model: CarrierModel, innovation: Innovation) -> CommonInnovation:
+    """Return the common part of a row's innovations."""
+    full = np.flatnonzero(model.is_full_band[innovation.carriers])
+    if len(full) < _SEVERAL:
+        return CommonInnovation(float("nan"), float("nan"))
+    spread = innovation.covariance_db2[full][:, full]
+    return CommonInnovation(*common_value(innovation.innovation_db[full], spread))
+
+
+def find_cause(
+    model: CarrierModel, rain: RainWatch, innovation: Innovation, common: CommonInnovation, chooser: Chooser
+) -> Choice | None:
+    """Return what moved the carriers of a row together, None = nothing did.
+
+    Parameters
+    ----------
+    model : CarrierModel
+        The carriers.
+    rain : RainWatch
+        Sums of the common level, this row included.
+    innovation : Innovation
+        Of all carriers that are not flagged.
+    common : CommonInnovation
+        Common part of them.
+    chooser : callable
+        ``chooser(model, innovation) -> Choice``.
+    """
+    suspects = np.count_nonzero(np.abs(innovation.innovation_db) > _SUSPECT * innovation.sigma_db)
+    if suspects >= _SEVERAL or abs(common.value) > SUDDEN:
+        return chooser(model, innovation)
+    return Choice(Cause.COMMON) if is_down(rain) or is_up(rain) else None
+
+
+def widen(
+    model: CarrierModel,
+    gaussian: Gaussian,
+    carriers: CarrierWatch,
+    rain: RainWatch,
+    choice: Choice,
+    common: CommonInnovation,
+) -> Widened:
+    """Return the state in which the unknown of a cause is free.
+
+    Parameters
+    ----------
+    model : CarrierModel
+        The carriers.
+    gaussian, carriers, rain : Gaussian, CarrierWatch, RainWatch
+        Predicted state and watches.
+    choice : Choice
+        Cause, not `INDEPENDENT`.
+    common : CommonInnovation
+        Common part of the row.
+
+    Returns
+    -------
+    Widened
+        The sums of single carriers begin anew: what they had gathered belongs to the common cause.
+    """
+    calm = carriers._replace(cusum=quiet_cusum(model.carriers))
+    if choice.cause is Cause.GROUP:
+        members = np.flatnonzero((model.transponder == choice.transponder) & ~carriers.is_flagged)
+        return Widened(freed(gaussian, reference_states(model, members), GROUP_STEP_DB**2), calm, rain)
+    if choice.cause is Cause.ATTITUDE:
+        for axis in range(ATTITUDE.start, ATTITUDE.stop):
+            gaussian = freed(gaussian, np.array([axis]), JUMP_DEG**2)
+        return Widened(gaussian, calm, rain)
+    # the sums decide where they spoke, else the row itself
+    falls = is_down(rain) or (common.median_db < 0.0 and not is_up(rain))
+    changed, watch = (common_fell if falls else common_rose)(gaussian, rain, common.median_db)
+    return Widened(changed, calm, watch)

@@ -1,0 +1,95 @@
+"""Integrity: may control use this attitude, and if not, why.
+
+The law of this file: every condition that fails is named; nothing is latched, each reason stands as long as its cause.
+"""
+
+from typing import NamedTuple
+
+from service.core.estimation.filtering.filter_model import FloatArray
+
+#: unknowns of a row beside the carriers' own: three angles and the common level
+_UNKNOWNS = 4
+
+
+class IntegrityLimits(NamedTuple):
+    """When control may use the attitude."""
+
+    #: quiet carriers leave 0.12-0.13 and keep yaw controlled, flicker leaves 0.14 and does not; at 0.10 yaw is never
+    #: wrong by 0.3 and hardly ever controlled
+    sigma_yaw_deg: float = 0.135
+    sigma_roll_deg: float = 0.06
+    sigma_pitch_deg: float = 0.10
+    redundancy: int = 2
+    #: largest running mean of normalised innovation squared a degree of freedom
+    nis_ratio: float = 2.0
+    #: share of references learned anew above which a new alignment is advised
+    relearned_share: float = 1.0 / 3.0
+
+
+class Evidence(NamedTuple):
+    """What integrity looks at."""
+
+    #: (3,) deg
+    sigma_deg: FloatArray
+    carriers_used: int
+    is_raining: bool
+    is_chain_held: bool
+    nis_ratio: float
+    #: (3,) whether motion that nobody announced is suspected
+    is_unannounced: tuple[bool, bool, bool]
+    relearned: int
+    carriers: int
+
+
+class Integrity(NamedTuple):
+    """Verdict on a row."""
+
+    is_control_allowed: bool
+    #: (yaw, roll, pitch)
+    is_axis_allowed: tuple[bool, bool, bool]
+    #: why not, in a fixed order
+    reasons: tuple[str, ...]
+    is_realignment_advised: bool
+
+
+def assess(evidence: Evidence, limits: IntegrityLimits) -> Integrity:
+    """Return whether control may use an attitude.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        Of the row.
+    limits : IntegrityLimits
+        Settings.
+
+    Returns
+    -------
+    Integrity
+        Control is allowed when no reason stands against roll and pitch; yaw alone may be withheld.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> calm = Evidence(np.array([0.3, 0.01, 0.02]), 16, False, False, 1.0, (False, False, False), 0, 16)
+    >>> assess(calm, IntegrityLimits()).is_axis_allowed
+    (False, True, True)
+    """
+    yaw, roll, pitch = evidence.sigma_deg.tolist()
+    checks = (
+        ("downlink_fade", evidence.is_raining),
+        ("chain_step", evidence.is_chain_held),
+        ("sigma_roll", not roll < limits.sigma_roll_deg),
+        ("sigma_pitch", not pitch < limits.sigma_pitch_deg),
+        ("redundancy", evidence.carriers_used - _UNKNOWNS < limits.redundancy),
+        ("innovations", evidence.nis_ratio > limits.nis_ratio),
+        ("unannounced_motion", any(evidence.is_unannounced[1:])),
+    )
+    reasons = tuple(name for name, fails in checks if fails)
+    is_allowed = not reasons
+    is_yaw_allowed = is_allowed and yaw < limits.sigma_yaw_deg and not evidence.is_unannounced[0]
+    return Integrity(
+        is_allowed,
+        (is_yaw_allowed, is_allowed, is_allowed),
+        reasons,
+        evidence.relearned > limits.relearned_share * evidence.carriers,
+    )

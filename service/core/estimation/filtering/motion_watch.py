@@ -1,0 +1,64 @@
+"""Motion that nobody announced: the attitude's own shifts, watched for one sign.
+
+While the model holds, what a row adds to an angle, in units of its sigma, is white and of unit variance. A correction
+that was lost, doubled or turned round, or a coupling that does not act, makes shifts of one sign: the two-sided sum
+finds them, the axis is followed with a wide drift for an hour and control is told. The law of this file: one value a
+minute and axis, order yaw, roll, pitch.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from service.core.estimation.filtering.common_change import THRESHOLD, Cusum, push_cusum, quiet_cusum, reset_cusum
+from service.core.estimation.filtering.filter_model import FloatArray
+from service.core.estimation.filtering.minute_sums import MinuteSums, empty_minute, push_minute
+
+#: minutes for which an axis is followed after an alarm
+FOLLOWED_MINUTES = 60.0
+
+
+class MotionWatch(NamedTuple):
+    """Shifts seen so far."""
+
+    minute: MinuteSums
+    cusum: Cusum
+    #: (3,) minutes for which each axis is still followed
+    minutes_left: FloatArray
+
+    @property
+    def is_unannounced(self) -> tuple[bool, bool, bool]:
+        """Whether each axis is suspected to move as nobody announced."""
+        yaw, roll, pitch = (self.minutes_left > 0.0).tolist()
+        return yaw, roll, pitch
+
+
+def still_watch(epoch_us: int) -> MotionWatch:
+    """Return the watch of a craft that does what it is told."""
+    return MotionWatch(empty_minute(3, epoch_us), quiet_cusum(3), np.zeros(3))
+
+
+def push_shift(watch: MotionWatch, epoch_us: int, shift: FloatArray) -> MotionWatch:
+    """Return the watch with the shifts (3,) of one row, in sigmas."""
+    sums, values = push_minute(watch.minute, epoch_us, shift)
+    if values is None:
+        return watch._replace(minute=sums)
+    pushed = push_cusum(watch.cusum, values)
+    is_alarm = np.maximum(pushed.up, pushed.down) > THRESHOLD
+    left = np.where(is_alarm, FOLLOWED_MINUTES, watch.minutes_left)
+    return MotionWatch(sums, reset_cusum(pushed, is_alarm), left)
+
+
+def forget_shifts(watch: MotionWatch, epoch_us: int) -> MotionWatch:
+    """Return the watch with sums of nothing: what moved the row is known and was no motion."""
+    return watch._replace(minute=empty_minute(3, epoch_us), cusum=quiet_cusum(3))
+
+
+def follow_all(watch: MotionWatch) -> MotionWatch:
+    """Return the watch of a craft that has jumped: all axes are followed."""
+    return watch._replace(cusum=quiet_cusum(3), minutes_left=np.full(3, FOLLOWED_MINUTES))
+
+
+def pass_motion(watch: MotionWatch, minutes: float) -> MotionWatch:
+    """Return the watch some minutes of data later."""
+    return watch._replace(minutes_left=np.maximum(0.0, watch.minutes_left - minutes))

@@ -1,0 +1,1 @@
+"""The published method: harmonics, sensitivities by sign, octants, the fade rule."""

@@ -1,0 +1,204 @@
+"""Rejection of carriers hit by rain on their uplinks, around the paper's fix.
+
+Model and units as in ``octants``; all carriers weigh alike. The *misfit* of carrier i, in dB, is
+``sign(e_i) sqrt(J - J_i)``: J is the cost with it, J_i the cost without it, e_i its residual from the fix made without
+it. In a linear fit this is ``r_i / sqrt(1 - h_i)``, the residual freed from what the carrier itself pulled away, h_i
+being its leverage. A faded carrier biases the fix and hides; the misfit undoes that for one carrier, and removing the
+worst one first undoes it for several. The law of this file: three bounded passes, each deterministic, none able to
+cycle.
+
+1. Gate. While the most negative misfit is below ``-gate_db``, its carrier goes. Rain only takes power away, so a
+   carrier that is too strong is no matter of this gate.
+2. Return. Each carrier gone is tried again once, in the order of rejection, and stays if its misfit now passes: the
+   first ones may have been blamed for a fault found later.
+3. The paper's rule, ``|r_i| < gate_sigma sigma`` with ``sigma^2 = sum r^2 / N``: all carriers that the gate left are
+   re-tested on every pass, so they may come back, until nothing changes. A cycle ends at its smallest set.
+
+Never fewer than ``min_carriers`` are left; when the rules want more gone than that, ``is_exhausted`` says so, and the
+fix must not be trusted.
+"""
+
+import math
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.core.estimation.paper.octants import OctantFix, predict_deviation_db, solve_octants, solve_octants_rows
+from service.core.estimation.paper.sigma_clip import ROUNDING_DB
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+class RejectionReason(IntEnum):
+    """Why a carrier took no part in the fix."""
+
+    USED = 0
+    ABSENT = 1
+    GATE = 2
+    SIGMA = 3
+
+
+class RejectedFix(NamedTuple):
+    """Fix of the carriers that were left.
+
+    Parameters
+    ----------
+    fix : OctantFix
+        Fix over the carriers used.
+    rejected : ndarray of bool, shape (N,)
+        Carriers present but rejected.
+    reason : ndarray of int, shape (N,)
+        :class:`RejectionReason` of every carrier.
+    residual_db : ndarray, shape (N,), dB
+        Measured minus model for all carriers present, the rejected ones too.
+    is_exhausted : bool
+        More carriers are suspect than may be removed.
+    """
+
+    fix: OctantFix
+    rejected: BoolArray
+    reason: IntArray
+    residual_db: FloatArray
+    is_exhausted: bool
+
+
+class _Row(NamedTuple):
+    """One row of deviations with its model and limits."""
+
+    plus: FloatArray
+    minus: FloatArray
+    deviation_db: FloatArray
+    min_carriers: int
+
+    def solve(self, is_used: BoolArray) -> OctantFix:
+        """Return the fix over some carriers."""
+        return solve_octants(self.plus, self.minus, np.where(is_used, self.deviation_db, math.nan), None)
+
+    def residual_db(self, fix: OctantFix) -> FloatArray:
+        """Return measured minus model of all carriers present."""
+        return self.deviation_db - predict_deviation_db(self.plus, self.minus, fix.attitude_deg)
+
+
+def reject_faded_carriers(
+    plus: FloatArray,
+    minus: FloatArray,
+    deviation_db: FloatArray,
+    *,
+    gate_db: float = 1.5,
+    gate_sigma: float = 3.0,
+    min_carriers: int = 4,
+) -> RejectedFix:
+    """Return the paper's fix without the carriers that rain on their uplinks has hit.
+
+    Parameters
+    ----------
+    plus, minus : ndarray, shape (N, 3), dB/deg
+        Sensitivities for positive and negative yaw, roll, pitch. NaN makes the carrier absent.
+    deviation_db : ndarray, shape (N,), dB
+        Measured minus reference power, harmonic removed. NaN marks an absent carrier.
+    gate_db : float, dB
+        A misfit below minus this is rain.
+    gate_sigma : float
+        Half width of the second gate in sigmas.
+    min_carriers : int
+        As many carriers are always left.
+
+    Returns
+    -------
+    RejectedFix
+        The fix is NaN where :func:`solve_octants` has none.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(1)
+    >>> plus = rng.normal(0.0, [0.2, 1.4, 1.2], (12, 3))
+    >>> faded_db = predict_deviation_db(plus, plus, np.array([0.1, -0.1, 0.2])) - 3.0 * (np.arange(12) == 5)
+    >>> result = reject_faded_carriers(plus, plus, faded_db)
+    >>> np.flatnonzero(result.rejected), result.fix.attitude_deg.round(9)
+    (array([5]), array([ 0.1, -0.1,  0.2]))
+    """
+    row = _Row(plus, minus, deviation_db, min_carriers)
+    is_present: BoolArray = np.isfinite(deviation_db) & np.isfinite(plus).all(axis=1) & np.isfinite(minus).all(axis=1)
+    is_kept, is_exhausted = _gate(row, is_present, gate_db)
+    is_used, fix, is_sigma_exhausted = _sigma_rule(row, is_kept, gate_sigma)
+    reason = np.select(
+        [is_used, ~is_present, ~is_kept],
+        [RejectionReason.USED, RejectionReason.ABSENT, RejectionReason.GATE],
+        RejectionReason.SIGMA,
+    )
+    return RejectedFix(
+        fix=fix,
+        rejected=is_present & ~is_used,
+        reason=reason.astype(np.int64),
+        residual_db=np.where(is_present, row.residual_db(fix), math.nan),
+        is_exhausted=is_exhausted or is_sigma_exhausted,
+    )
+
+
+def _gate(row: _Row, is_present: BoolArray, gate_db: float) -> tuple[BoolArray, bool]:
+    """Return the carriers that passes 1 and 2 leave, and whether pass 1 had to stop early."""
+    is_kept = is_present.copy()
+    gone: list[int] = []
+    worst, misfit_db = _worst_misfit(row, is_kept, gate_db)
+    while misfit_db < -gate_db and is_kept.sum() > row.min_carriers:
+        is_kept[worst] = False
+        gone.append(worst)
+        worst, misfit_db = _worst_misfit(row, is_kept, gate_db)
+    for carrier in gone[:-1]:
+        is_kept[carrier] = _single_misfit(row, is_kept, carrier) >= -gate_db
+    return is_kept, misfit_db < -gate_db
+
+
+def _worst_misfit(row: _Row, is_kept: BoolArray, gate_db: float) -> tuple[int, float]:
+    """Return the carrier with the most negative misfit, and the misfit; 0 dB where none can be below the gate."""
+    full = row.solve(is_kept)
+    if not full.cost > gate_db**2:  # no misfit exceeds the root of the cost; NaN has nothing to judge
+        return 0, 0.0
+    carriers = np.flatnonzero(is_kept)
+    left_out = np.where(is_kept, row.deviation_db, math.nan) + np.zeros((carriers.size, 1))
+    left_out[np.arange(carriers.size), carriers] = math.nan
+    others = solve_octants_rows(row.plus, row.minus, left_out, None)
+    model_db = np.vecdot(np.maximum(others.attitude_deg, 0.0), row.plus[carriers]) + np.vecdot(
+        np.minimum(others.attitude_deg, 0.0), row.minus[carriers]
+    )
+    misfit_db = _misfit_db(row.deviation_db[carriers] - model_db, full.cost - others.cost)
+    worst = int(np.argmin(misfit_db))
+    return int(carriers[worst]), float(misfit_db[worst])
+
+
+def _single_misfit(row: _Row, is_kept: BoolArray, carrier: int) -> float:
+    """Return the misfit of a carrier that is not among those kept."""
+    without = row.solve(is_kept)
+    with_it = row.solve(is_kept | (np.arange(is_kept.size) == carrier))
+    return float(_misfit_db(row.residual_db(without)[carrier], np.asarray(with_it.cost - without.cost)))
+
+
+def _misfit_db(residual_db: FloatArray, cost_reduction: FloatArray) -> FloatArray:
+    """Return the signed root of the reduction of the cost; 0 where the fix without the carrier does not exist."""
+    size_db = np.sqrt(np.maximum(cost_reduction, 0.0))
+    return np.where(np.isnan(cost_reduction), 0.0, np.copysign(size_db, residual_db))
+
+
+def _sigma_rule(row: _Row, is_kept: BoolArray, gate_sigma: float) -> tuple[BoolArray, OctantFix, bool]:
+    """Return the carriers that the paper's rule uses, their fix, and whether it wanted fewer than may be left."""
+    is_used, seen = is_kept, [is_kept]
+    while True:
+        fix = row.solve(is_used)
+        residual_db = np.abs(row.residual_db(fix))
+        sigma_db = np.sqrt(np.square(residual_db[is_used]).sum() / max(int(is_used.sum()), 1))
+        # negated, so that without a fix (NaN) nothing is rejected
+        tested = is_kept & ~(residual_db >= max(gate_sigma * sigma_db, ROUNDING_DB))
+        if np.array_equal(tested, is_used):
+            return is_used, fix, False
+        if tested.sum() < row.min_carriers:
+            return is_used, fix, True
+        is_used = tested
+        repeats = [k for k, one in enumerate(seen) if np.array_equal(one, tested)]
+        if repeats:
+            smallest = min(seen[repeats[0] :], key=lambda one: int(one.sum()))
+            return smallest, row.solve(smallest), False
+        seen.append(tested)

@@ -1,0 +1,1 @@
+"""Attitude of one epoch alone, robust against several wrong carriers."""

@@ -1,0 +1,190 @@
+"""Gauss-Newton steps of the snapshot fix, for any number of hypotheses at once.
+
+``y_i = f_i(l) + E_i e + noise``: y in dB, f the quadratic response to l = (yaw, roll, pitch) in deg, e levels in dB
+that several carriers have in common (columns E, the first one all ones). Unknowns are ``theta = (l, e)``. The law of
+this file: leading axes are hypotheses and rows of measurements, the last one carriers or unknowns; an absent carrier
+has weight zero and value zero.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.core.estimation.calibration.quadratic_response import QuadraticResponse, predict_jacobian
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+#: Sigmas at which Tukey's weight becomes zero; 95 % efficient on normal noise.
+TUKEY_SIGMAS = 4.685
+#: Sigmas up to which a carrier keeps its full weight at the end.
+CORE_SIGMAS = 2.5
+#: 1/deg^2 and 1/dB^2, added to normal matrices of 4 and 5 unknowns: a thousand degrees, so it moves no figure.
+_RIDGE = {unknowns: 1e-6 * np.eye(unknowns) for unknowns in (4, 5)}
+#: Passes with Tukey's weight before the efficient one takes over.
+_TUKEY_PASSES = 4
+#: deg, no step and no answer goes further than this: the quadratic means nothing there.
+ATTITUDE_LIMIT_DEG = 3.0
+
+
+class Measured(NamedTuple):
+    """Values (..., N) with their common columns (..., N, E)."""
+
+    value_db: FloatArray
+    common: FloatArray
+
+
+class Linearised(NamedTuple):
+    """Model at some unknowns: derivative (..., N, U) and measured minus model (..., N), dB."""
+
+    design: FloatArray
+    residual_db: FloatArray
+
+
+def linearised(model: QuadraticResponse, measured: Measured, theta: FloatArray) -> Linearised:
+    """Return the derivative of the model by the unknowns, and what it leaves of the values.
+
+    Parameters
+    ----------
+    model : QuadraticResponse
+        N carriers, no NaN.
+    measured : Measured
+        Values.
+    theta : ndarray, shape (..., U)
+        Attitude in deg and common levels in dB, U = 3 + E.
+
+    Returns
+    -------
+    Linearised
+    """
+    jacobian = predict_jacobian(theta[..., :3], model)
+    design = np.empty((*jacobian.shape[:-1], theta.shape[-1]))
+    design[..., :3] = jacobian
+    design[..., 3:] = measured.common
+    # a quadratic is its derivative at half the way times the way
+    jacobian += model.slope
+    jacobian *= 0.5
+    answer = jacobian @ theta[..., :3, np.newaxis] + measured.common @ theta[..., 3:, np.newaxis]
+    return Linearised(design, measured.value_db - answer[..., 0])
+
+
+def normal_matrix(design: FloatArray, weight: FloatArray) -> FloatArray:
+    """Return ``B' W B``, shape (..., U, U), of designs (..., N, U) and weights (..., N), kept regular."""
+    normal = np.swapaxes(design * weight[..., np.newaxis], -1, -2) @ design
+    return np.asarray(normal + _RIDGE[design.shape[-1]])
+
+
+def newton_step(
+    at: Linearised, theta: FloatArray, weight: FloatArray, prior: tuple[FloatArray, FloatArray] | None = None
+) -> FloatArray:
+    """Return the unknowns after one step of Gauss and Newton.
+
+    Parameters
+    ----------
+    at : Linearised
+        Model at the present unknowns.
+    theta : ndarray, shape (..., U)
+        Present unknowns.
+    weight : ndarray, shape (..., N), 1/dB^2
+        Weights of the carriers.
+    prior : tuple of ndarray, shapes (U,) and (U, U), optional
+        1 / sigma^2 of a pull of each unknown towards zero, and the same as a diagonal matrix.
+
+    Returns
+    -------
+    ndarray, shape (..., U)
+        Attitude within ``ATTITUDE_LIMIT_DEG``.
+    """
+    weighted = at.design * weight[..., np.newaxis]
+    transposed = np.swapaxes(weighted, -1, -2)
+    normal = transposed @ at.design + _RIDGE[theta.shape[-1]]
+    right = transposed @ at.residual_db[..., np.newaxis]
+    if prior is not None:
+        normal = normal + prior[1]
+        right = right - (prior[0] * theta)[..., np.newaxis]
+    moved = theta + np.linalg.solve(normal, right)[..., 0]
+    angles = moved[..., :3]
+    np.maximum(np.minimum(angles, ATTITUDE_LIMIT_DEG, out=angles), -ATTITUDE_LIMIT_DEG, out=angles)
+    return np.asarray(moved)
+
+
+def tukey_weight(standardised: FloatArray) -> FloatArray:
+    """Return Tukey's biweight, 1 in the middle and 0 from ``TUKEY_SIGMAS`` on.
+
+    Examples
+    --------
+    >>> tukey_weight(np.array([0.0, 4.685, 9.0]))
+    array([1., 0., 0.])
+    """
+    inside = np.maximum(1.0 - np.square(standardised / TUKEY_SIGMAS), 0.0)
+    return np.asarray(inside**2)
+
+
+def efficient_weight(standardised: FloatArray) -> FloatArray:
+    """Return a weight that is 1 up to ``CORE_SIGMAS`` and falls to 0 at ``TUKEY_SIGMAS``.
+
+    Good carriers weigh alike, which saves the 5 % of variance that Tukey's weight gives away; outliers weigh nothing.
+
+    Examples
+    --------
+    >>> efficient_weight(np.array([0.0, 2.4, 4.685]))
+    array([1., 1., 0.])
+    """
+    beyond = np.maximum(np.abs(standardised) - CORE_SIGMAS, 0.0) / (TUKEY_SIGMAS - CORE_SIGMAS)
+    return np.asarray(np.maximum(1.0 - beyond**2, 0.0) ** 2)
+
+
+def tukey_cost(standardised: FloatArray) -> FloatArray:
+    """Return Tukey's cost of each carrier: half the square near zero, TUKEY_SIGMAS^2 / 6 for outliers.
+
+    Examples
+    --------
+    >>> tukey_cost(np.array([0.0, 9.0])).round(4)
+    array([0.    , 3.6582])
+    """
+    inside = np.maximum(1.0 - np.square(standardised / TUKEY_SIGMAS), 0.0)
+    return np.asarray(TUKEY_SIGMAS**2 / 6.0 * (1.0 - inside**3))
+
+
+def robust_fit(
+    model: QuadraticResponse,
+    measured: Measured,
+    theta: FloatArray,
+    inverse_sigma: FloatArray,
+    tolerance: float = 1e-10,
+    passes: int = 40,
+) -> FloatArray:
+    """Return the unknowns of the M-estimate nearest to a start: Tukey's weights first, then the efficient ones.
+
+    Parameters
+    ----------
+    model : QuadraticResponse
+        N carriers.
+    measured : Measured
+        Values.
+    theta : ndarray, shape (..., U)
+        Start, good enough to tell the outliers.
+    inverse_sigma : ndarray, shape (..., N), 1/dB
+        Zero for absent carriers.
+    tolerance : float
+        Largest last step, deg and dB.
+    passes : int
+        Limit of steps.
+
+    Returns
+    -------
+    ndarray, shape (..., U)
+    """
+    square = np.square(inverse_sigma)
+    for pass_number in range(passes):
+        at = linearised(model, measured, theta)
+        standardised = at.residual_db * inverse_sigma
+        weigh = tukey_weight if pass_number < _TUKEY_PASSES else efficient_weight
+        moved = newton_step(at, theta, weigh(standardised) * square)
+        step = float(np.abs(moved - theta).max(initial=0.0))
+        theta = moved
+        if step < tolerance and pass_number > _TUKEY_PASSES:
+            break
+    return theta

@@ -1,0 +1,128 @@
+"""Claims about faults of single carriers."""
+
+import numpy as np
+import pytest
+
+from service.core.estimation.filtering.carrier_faults import (
+    MIN_FLAGGED_MINUTES,
+    QUIET_ROWS,
+    count_skips,
+    flag_failed,
+    healthy,
+    push_carrier_values,
+    release_quiet,
+    trusted_white_db2,
+    watch_flagged,
+)
+from service.core.estimation.filtering.filter_state import reference_states
+
+EVERYONE = np.arange(6)
+
+
+@pytest.fixture
+def model(filter_models):
+    return filter_models.carrier_model(carriers=6)
+
+
+@pytest.fixture
+def state(filter_models, model):
+    return filter_models.aligned(model)
+
+
+def flagged(model, state, carrier=2):
+    watch = healthy(6)
+    watch = watch._replace(skip_minutes=np.where(carrier == EVERYONE, 4.0, 0.0))
+    return flag_failed(model, state, watch, state)
+
+
+def test_huber_trusts_less_beyond_two_sigma():
+    raised = trusted_white_db2(np.full(4, 0.02), np.array([0.0, 2.0, 3.0, 4.0]))
+    np.testing.assert_allclose(raised, [0.02, 0.02, 0.03, 0.04])
+
+
+def test_four_minutes_of_skips_flag_and_a_good_row_forgives(model, state):
+    excess = np.array([0.0, 0.0, 5.0, 0.0, 5.0, 0.0])
+    watch = healthy(6)
+    for row in range(4):
+        assert flag_failed(model, state, watch, state)[1] is watch
+        watch = count_skips(watch, EVERYONE, excess if row != 2 else excess * [1, 1, 1, 1, 0, 1], 1.0)
+    after, told = flag_failed(model, state, watch, state)
+    assert np.flatnonzero(told.is_flagged).tolist() == [2]
+    place = reference_states(model, np.array([2]))
+    assert after.covariance[place, place] == 9.0
+    # absent carriers keep their count
+    assert count_skips(watch, np.array([0]), np.zeros(1), 1.0).skip_minutes[2] == 4.0
+
+
+def test_rows_of_ten_seconds_take_the_same_minutes(model, state):
+    watch = healthy(6)
+    for _ in range(24):
+        assert not flag_failed(model, state, watch, state)[1].is_flagged.any()
+        watch = count_skips(watch, np.array([1]), np.array([9.0]), 10.0 / 60.0)
+    assert flag_failed(model, state, watch, state)[1].is_flagged[1]
+
+
+def test_a_slow_fade_that_is_never_skipped_is_flagged_by_its_sum(model, state):
+    watch = healthy(6)
+    minute = 0
+    while not watch.is_flagged.any():
+        watch = push_carrier_values(watch, np.array([0.0, 0.0, 0.0, -1.8, 0.0, np.nan]))
+        watch = flag_failed(model, state, watch, state)[1]
+        minute += 1
+    assert minute == 8  # 8 (1.8 - 0.6) > 9
+    assert watch.is_flagged[3]
+    assert watch.cusum.down[3] == 0.0
+
+
+def test_one_impulse_is_no_fault(model, state):
+    watch = push_carrier_values(healthy(6), np.full(6, 40.0))
+    assert flag_failed(model, state, watch, state)[1] is watch
+
+
+def test_a_flagged_carrier_returns_after_half_an_hour_of_quiet(model, state):
+    _, watch = flagged(model, state)
+    row = np.array([0.0, 0.0, 1.5, 0.0, 0.0, 0.0])
+    minute = 0
+    while watch.is_flagged.any():
+        watch = watch_flagged(watch, row, 1.0)
+        after, watch = release_quiet(model, state, watch)
+        minute += 1
+    assert minute == MIN_FLAGGED_MINUTES
+    place = reference_states(model, np.array([2]))
+    assert after.mean[place] == 1.5
+    assert after.covariance[place, place] == 9.0
+    assert watch.is_relearned.tolist() == [False, False, True, False, False, False]
+
+
+def test_a_carrier_that_comes_back_to_its_level_gets_its_old_reference(model, state):
+    place = reference_states(model, np.array([2]))[0]
+    mean = state.mean.copy()
+    mean[place] = 0.05
+    before = state._replace(mean=mean)
+    gaussian, watch = flagged(model, before)
+    assert watch.saved_reference_db[2] == 0.05
+    for _ in range(30):
+        watch = watch_flagged(watch, np.full(6, 0.15), 1.0)
+    after, watch = release_quiet(model, gaussian, watch)
+    assert not watch.is_flagged.any()
+    assert not watch.is_relearned.any()
+    assert after.mean[place] == 0.05
+    np.testing.assert_allclose(after.covariance[place, place], 0.03**2 + 0.1**2, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        np.linspace(0.0, 1.0, QUIET_ROWS),
+        np.tile([-0.4, 0.4], QUIET_ROWS // 2),
+        np.append(np.zeros(QUIET_ROWS - 1), np.nan),
+    ],
+    ids=["shifting", "noisy", "absent"],
+)
+def test_a_restless_carrier_stays_out(model, state, rows):
+    _, watch = flagged(model, state)
+    for value in rows:
+        watch = watch_flagged(watch, np.full(6, value), 3.0)
+    after, told = release_quiet(model, state, watch)
+    assert told.is_flagged[2]
+    assert after is state

@@ -1,0 +1,155 @@
+"""Claims about the motion of the craft between rows."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from service.core.estimation.filtering.filter_model import FilterSettings, KnownMotion, no_motion
+from service.core.estimation.filtering.filter_predict import Weather, motion_over, predict
+from service.core.estimation.filtering.filter_state import ATTITUDE, CHAIN, DRIFT, RAIN, RATE, carrier_states
+
+HOUR_US = 3_600_000_000
+
+
+def generator(settings):
+    rate = settings.coupling_per_h
+    matrix = np.zeros((9, 9))
+    matrix[0, 1], matrix[1, 0] = -rate, rate
+    matrix[0:3, 3:6] = matrix[0:3, 6:9] = np.eye(3)
+    matrix[3:6, 3:6] = -np.eye(3) / settings.drift_tau_h
+    return matrix
+
+
+@pytest.mark.parametrize("coupling", [0.2625162, 0.0])
+@pytest.mark.parametrize("step_us", [1_000_000, 60_000_000, 600_000_000, HOUR_US, 12 * HOUR_US])
+def test_the_transition_is_the_matrix_exponential(coupling, step_us):
+    settings = FilterSettings(coupling_per_h=coupling)
+    expected = expm(generator(settings) * step_us / HOUR_US)
+    # rounding, and 1e-6 squared where a quotient is taken by its series
+    np.testing.assert_allclose(motion_over(step_us, settings).transition, expected, rtol=0.0, atol=1e-11)
+
+
+@pytest.mark.parametrize("step_us", [1_000_000, 60_000_000, 3 * HOUR_US, 12 * HOUR_US])
+def test_the_noise_of_the_drifts_is_that_of_van_loan(step_us):
+    settings = FilterSettings()
+    matrix, hours = generator(settings), step_us / HOUR_US
+    intensity = np.zeros((9, 9))
+    intensity[3:6, 3:6] = np.diag(2.0 * np.array(settings.drift_deg_h) ** 2 / settings.drift_tau_h)
+    block = expm(np.block([[-matrix, intensity], [np.zeros((9, 9)), matrix.T]]) * hours)
+    expected = block[9:, 9:].T @ block[:9, 9:]
+    noise = motion_over(step_us, settings).noise
+    # ten Gauss points; rounding of the drift's variance
+    np.testing.assert_allclose(noise, expected, rtol=1e-7, atol=1e-15)
+
+
+def test_a_minute_sixty_times_is_an_hour():
+    settings = FilterSettings()
+    minute, hour = motion_over(60_000_000, settings), motion_over(HOUR_US, settings)
+    transition, noise = np.eye(9), np.zeros((9, 9))
+    for _ in range(60):
+        transition = minute.transition @ transition
+        noise = minute.transition @ noise @ minute.transition.T + minute.noise
+    np.testing.assert_allclose(transition, hour.transition, rtol=0.0, atol=1e-12)  # sixty roundings
+    np.testing.assert_allclose(noise, hour.noise, rtol=1e-9, atol=1e-14)
+
+
+def quiet_weather(model, **changes):
+    calm = Weather(
+        is_raining=False,
+        is_unannounced=(False, False, False),
+        slow_scale=1.0,
+        model_variance_db2=np.zeros(model.carriers),
+    )
+    return calm._replace(**changes)
+
+
+def variances(model, aligned, settings, step_us, known, weather):
+    state, _ = predict(model, settings, aligned, step_us, known, weather)
+    return np.diagonal(state.covariance)
+
+
+def test_commanded_corrections_move_the_attitude_and_cost_their_scale(filter_models):
+    model = filter_models.carrier_model()
+    aligned, settings = filter_models.aligned(model), FilterSettings(coupling_per_h=0.0)
+    zeros = np.zeros(3)
+    piece = KnownMotion(np.array([0.0, 0.01, 0.0]), zeros, zeros)
+    state, weather = aligned, quiet_weather(model)
+    for _ in range(30):  # half an hour of one command: 0.3 deg in all
+        state, variance = predict(model, settings, state, 60_000_000, piece, weather)
+        weather = weather._replace(model_variance_db2=variance)
+    still = aligned
+    for _ in range(30):
+        still, _ = predict(model, settings, still, 60_000_000, no_motion(), quiet_weather(model))
+    np.testing.assert_allclose(state.mean[ATTITUDE], [0.0, 0.3, 0.0], rtol=0.0, atol=1e-12)
+    added = state.covariance[1, 1] - still.covariance[1, 1]
+    np.testing.assert_allclose(np.sqrt(added), 0.05 * 0.3, rtol=1e-6)  # five percent of the whole command
+
+
+def test_a_late_correction_raises_sigma_by_its_size(filter_models):
+    model = filter_models.carrier_model()
+    aligned, settings, zeros = filter_models.aligned(model), FilterSettings(), np.zeros(3)
+    late = KnownMotion(zeros, np.array([0.2, 0.0, 0.0]), zeros)
+    state, _ = predict(model, settings, aligned, 60_000_000, late, quiet_weather(model))
+    still, _ = predict(model, settings, aligned, 60_000_000, no_motion(), quiet_weather(model))
+    np.testing.assert_allclose(state.mean[0], 0.2, atol=1e-12)
+    np.testing.assert_allclose(state.covariance[0, 0] - still.covariance[0, 0], 0.04, rtol=1e-9)
+
+
+def test_a_torque_leaves_a_rate_that_stays(filter_models):
+    model = filter_models.carrier_model()
+    settings, zeros = FilterSettings(coupling_per_h=0.0), np.zeros(3)
+    pushed = KnownMotion(zeros, zeros, np.array([0.0, 0.0, 0.6]))
+    state, _ = predict(model, settings, filter_models.aligned(model), 60_000_000, pushed, quiet_weather(model))
+    np.testing.assert_allclose(state.mean[2], 0.6 / 120.0, rtol=1e-12)  # half a minute of the new rate
+    later, _ = predict(model, settings, state, HOUR_US, no_motion(), quiet_weather(model))
+    np.testing.assert_allclose(later.mean[RATE], [0.0, 0.0, 0.6], rtol=1e-12)
+    np.testing.assert_allclose(later.mean[2] - state.mean[2], 0.6, rtol=1e-9)
+    np.testing.assert_allclose(np.sqrt(later.covariance[8, 8]), 0.02 * 0.6, rtol=1e-3)  # and the floor of the rate
+
+
+def test_rain_walks_widely_only_in_rain_mode(filter_models):
+    model = filter_models.carrier_model(common=1)
+    aligned, settings = filter_models.aligned(model), FilterSettings()
+    dry = variances(model, aligned, settings, 60_000_000, no_motion(), quiet_weather(model))
+    wet = variances(model, aligned, settings, 60_000_000, no_motion(), quiet_weather(model, is_raining=True))
+    np.testing.assert_allclose(np.sqrt(wet[RAIN]), 0.25, rtol=1e-4)
+    assert np.sqrt(dry[RAIN]) < 0.005
+    assert dry[CHAIN] == wet[CHAIN]
+
+
+def test_stationary_parts_stay_stationary_and_scale_with_what_was_learned(filter_models):
+    model = filter_models.carrier_model(common=2)
+    aligned, settings = filter_models.aligned(model), FilterSettings()
+    places = carrier_states(model, np.arange(model.carriers))
+    for step_us in (1_000_000, 60_000_000, 6 * HOUR_US):
+        after = variances(model, aligned, settings, step_us, no_motion(), quiet_weather(model))
+        np.testing.assert_allclose(after[places[0]], 0.07**2, rtol=1e-9)
+        np.testing.assert_allclose(after[11:13], 0.05**2, rtol=1e-9)
+        louder = variances(model, aligned, settings, step_us, no_motion(), quiet_weather(model, slow_scale=2.0))
+        assert (louder[places[0]] > after[places[0]]).all()
+
+
+def test_the_calibrations_error_grows_with_the_attitude_at_once(filter_models):
+    model = filter_models.carrier_model()
+    aligned = filter_models.aligned(model)
+    turned = aligned._replace(mean=np.concatenate([[0.0, 0.4, 0.0], aligned.mean[3:]]))
+    settings = FilterSettings(coupling_per_h=0.0)
+    places = carrier_states(model, np.arange(model.carriers))
+    state, variance = predict(model, settings, turned, 60_000_000, no_motion(), quiet_weather(model))
+    own = np.diagonal(state.covariance)
+    np.testing.assert_allclose(own[places[1]] - 0.03**2, variance, rtol=1e-9)
+    again, _ = predict(
+        model, settings, state, 60_000_000, no_motion(), quiet_weather(model, model_variance_db2=variance)
+    )
+    np.testing.assert_allclose(np.diagonal(again.covariance)[places[1]], own[places[1]], rtol=1e-9)
+
+
+def test_suspected_motion_is_followed_with_a_wide_drift(filter_models):
+    model = filter_models.carrier_model()
+    aligned, settings = filter_models.aligned(model), FilterSettings()
+    calm = variances(model, aligned, settings, HOUR_US, no_motion(), quiet_weather(model))
+    suspected = quiet_weather(model, is_unannounced=(False, True, False))
+    wide = variances(model, aligned, settings, HOUR_US, no_motion(), suspected)
+    np.testing.assert_allclose(wide[1] - calm[1], 0.15**2, rtol=1e-9)
+    assert wide[2] == calm[2]
+    assert (wide[DRIFT] == calm[DRIFT]).all()
