@@ -8,6 +8,8 @@ from enum import StrEnum
 
 from service.records.attitude import Axes
 from service.records.catalogue import Method
+from service.records.geometry import GeometryFit
+from service.records.noise import NoiseComponent
 
 
 class CalibrationMethod(StrEnum):
@@ -47,14 +49,6 @@ class Harmonic:
     rms_db: float
     samples_used: int
     samples_rejected: int
-
-
-@dataclass(frozen=True, slots=True)
-class NoiseComponent:
-    """One coloured part of a carrier's noise."""
-
-    correlation_time_s: float
-    sigma_db: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +113,8 @@ class CalibrationResult:
     #: figures of the fit as a whole, by name
     quality: dict[str, float]
     warnings: tuple[str, ...]
+    #: what the robust method computes with; None from a calibration of the paper method
+    geometry: GeometryFit | None = None
 
 
 @dataclass(frozen=True, slots=True)
