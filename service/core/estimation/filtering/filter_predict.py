@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.estimation.filtering.declared import Declared
 from service.core.estimation.filtering.filter_model import (
     CarrierModel,
     FilterSettings,
@@ -31,6 +32,7 @@ from service.core.estimation.filtering.filter_state import (
     RATE,
     Gaussian,
     core_size,
+    reference_states,
 )
 
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
@@ -112,6 +114,8 @@ class Weather(NamedTuple):
     slow_scale: float
     #: (N,) error of the calibration that the state holds already, dB^2
     model_variance_db2: FloatArray
+    #: what the ground declared about the step; None = nothing
+    declared: Declared | None = None
 
 
 def predict(
@@ -132,7 +136,7 @@ def predict(
     known : KnownMotion
         Commanded corrections and torques of the step.
     weather : Weather
-        Rain, suspicion, scale of noise.
+        Rain, suspicion, scale of noise, declared operations.
 
     Returns
     -------
@@ -156,7 +160,11 @@ def predict(
     mean[RATE] += known.rate_change_deg_h
     covariance[:9, :9] += motion.noise
     added, variance = _added_noise(model, settings, mean, hours, known, weather, factor[core:])
-    covariance.ravel()[:: len(mean) + 1] += added
+    diagonal = covariance.ravel()[:: len(mean) + 1]
+    diagonal += added
+    if weather.declared is not None:
+        diagonal += _declared_variance(model, weather.declared, hours)
+        _move_together(model, covariance, weather.declared.group_step_db)
     return Gaussian(mean, covariance), variance
 
 
@@ -203,6 +211,22 @@ def _added_noise(
     coloured[at, component] += np.maximum(grown, (1.0 - keep2[at, component]) * variance)
     walk = (weather.slow_scale * model.reference_walk_db) ** 2 * hours
     return np.concatenate([core, coloured.T.ravel(), walk]), variance
+
+
+def _declared_variance(model: CarrierModel, declared: Declared, hours: float) -> FloatArray:
+    """Return the variance (D,) that declared operations add to single states."""
+    added = np.zeros(core_size(model) + model.carriers * (model.components + 1))
+    added[ATTITUDE] = declared.attitude_walk_deg**2 * hours + declared.attitude_step_deg**2
+    added[CHAIN] = declared.chain_walk_db**2 * hours + declared.chain_step_db**2
+    added[-model.carriers :] = declared.reference_walk_db**2 * hours + declared.reference_step_db**2
+    return added
+
+
+def _move_together(model: CarrierModel, covariance: FloatArray, group_step_db: FloatArray) -> None:
+    """Add to a covariance, in place, that the references of each transponder moved by one and the same amount."""
+    for transponder in np.flatnonzero(group_step_db).tolist():
+        places = reference_states(model, np.flatnonzero(model.transponder == transponder))
+        covariance[np.ix_(places, places)] += group_step_db[transponder] ** 2
 
 
 def _commanded_variance(settings: FilterSettings, hours: float, known: KnownMotion) -> FloatArray:

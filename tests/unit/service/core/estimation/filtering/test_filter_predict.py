@@ -4,9 +4,18 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from service.core.estimation.filtering.declared import nothing_declared
 from service.core.estimation.filtering.filter_model import FilterSettings, KnownMotion, no_motion
 from service.core.estimation.filtering.filter_predict import Weather, motion_over, predict
-from service.core.estimation.filtering.filter_state import ATTITUDE, CHAIN, DRIFT, RAIN, RATE, carrier_states
+from service.core.estimation.filtering.filter_state import (
+    ATTITUDE,
+    CHAIN,
+    DRIFT,
+    RAIN,
+    RATE,
+    carrier_states,
+    reference_states,
+)
 
 HOUR_US = 3_600_000_000
 
@@ -153,3 +162,56 @@ def test_suspected_motion_is_followed_with_a_wide_drift(filter_models):
     np.testing.assert_allclose(wide[1] - calm[1], 0.15**2, rtol=1e-9)
     assert wide[2] == calm[2]
     assert (wide[DRIFT] == calm[DRIFT]).all()
+
+
+def declared_covariance(filter_models, step_us, **changes):
+    """Covariance after a step with a declaration minus the one without."""
+    model = filter_models.carrier_model()
+    aligned, settings = filter_models.aligned(model), FilterSettings()
+    declared = nothing_declared(model.carriers, int(model.transponder.max()) + 1)._replace(**changes)
+    with_it, _ = predict(model, settings, aligned, step_us, no_motion(), quiet_weather(model, declared=declared))
+    without, _ = predict(model, settings, aligned, step_us, no_motion(), quiet_weather(model))
+    return model, with_it.covariance - without.covariance
+
+
+def test_declared_walks_add_variance_by_the_hour(filter_models):
+    walk_db = np.linspace(0.0, 0.3, 12)
+    model, more = declared_covariance(
+        filter_models,
+        2 * HOUR_US,
+        attitude_walk_deg=np.array([0.3, 0.0, 0.2]),
+        chain_walk_db=0.1,
+        reference_walk_db=walk_db,
+    )
+    expected = np.zeros(len(more))
+    expected[[0, 2, CHAIN]] = [0.18, 0.08, 0.02]
+    expected[reference_states(model, np.arange(12))] = 2.0 * walk_db**2
+    np.testing.assert_allclose(more, np.diag(expected), rtol=0.0, atol=1e-15)  # rounding of sums below one
+
+
+def test_declared_steps_do_not_grow_with_the_step(filter_models):
+    steps_db = np.linspace(0.0, 0.6, 12)
+    for step_us in (1_000_000, 6 * HOUR_US):
+        model, more = declared_covariance(
+            filter_models,
+            step_us,
+            attitude_step_deg=np.array([0.0, 0.05, 0.02]),
+            chain_step_db=0.4,
+            reference_step_db=steps_db,
+        )
+        expected = np.zeros(len(more))
+        expected[[1, 2, CHAIN]] = [0.0025, 0.0004, 0.16]
+        expected[reference_states(model, np.arange(12))] = steps_db**2
+        np.testing.assert_allclose(more, np.diag(expected), rtol=0.0, atol=1e-15)  # rounding of sums below one
+
+
+def test_a_declared_step_of_a_transponder_moves_its_references_together(filter_models):
+    model = filter_models.carrier_model()
+    groups = np.zeros(int(model.transponder.max()) + 1)
+    groups[1] = 0.5
+    _, more = declared_covariance(filter_models, 60_000_000, group_step_db=groups)
+    members = reference_states(model, np.flatnonzero(model.transponder == 1))
+    expected = np.zeros_like(more)
+    expected[np.ix_(members, members)] = 0.25
+    assert len(members) > 1
+    np.testing.assert_allclose(more, expected, rtol=0.0, atol=1e-15)  # rounding of sums below one
