@@ -1,0 +1,144 @@
+"""A change of the carrier plan in operation: the filter goes on with the carriers that stay.
+
+Attitude, drift, commanded rate, chain and rain belong to the craft and the site and are kept with what they share with
+the carriers that stay. The law of this file: nothing is learned here; what the new plan does not know begins as wide
+as it is.
+"""
+
+import numpy as np
+
+from service.core.estimation.filtering.attitude_filter import FilterState
+from service.core.estimation.filtering.carrier_faults import CarrierWatch
+from service.core.estimation.filtering.common_change import Cusum
+from service.core.estimation.filtering.filter_model import BoolArray, CarrierModel, FloatArray, IntArray
+from service.core.estimation.filtering.filter_state import (
+    FIRST_COMMON,
+    FREE_REFERENCE_DB2,
+    Gaussian,
+    carrier_states,
+    core_size,
+)
+
+
+def carry_over(
+    old: CarrierModel,
+    new: CarrierModel,
+    state: FilterState,
+    place: IntArray,
+    reference_db: FloatArray,
+    reference_sigma_db: FloatArray,
+    is_unknown: BoolArray,
+) -> FilterState:
+    """Return the state of a filter whose carrier plan has changed.
+
+    Parameters
+    ----------
+    old, new : CarrierModel
+        The N carriers before and the M carriers from now on.
+    state : FilterState
+        State under the old plan; it is not changed.
+    place : ndarray, shape (M,)
+        Number that each new carrier had in the old plan, -1 = it is new.
+    reference_db : ndarray, shape (M,), dB
+        What is added to the reference error of each: where a reference level was lowered by 0.2 dB all deviations of
+        the carrier are 0.2 dB more from now on, and so is its reference error.
+    reference_sigma_db : ndarray, shape (M,), dB
+        One standard deviation of the references of new carriers; not used for those that stay.
+    is_unknown : ndarray, shape (M,)
+        Carriers whose level nobody knows: they are flagged and show it first.
+
+    Returns
+    -------
+    FilterState
+        Same epoch, attitude and covariance of it.
+
+    Notes
+    -----
+    Coloured parts of a staying carrier go on where both plans have the same number of correlation times, and common
+    parts likewise; else they begin at zero with stationary variance.
+    """
+    is_kept = (place >= 0) & ~is_unknown
+    source = np.where(is_kept, place, -1)
+    watch = _carried_watch(state.carriers, source, reference_db, is_unknown)
+    noise = state.noise._replace(
+        white_scale=_picked(state.noise.white_scale, source, 1.0),
+        running_mean=_picked(state.noise.running_mean, source, 0.0),
+    )
+    # the common value stands behind those of the carriers
+    series = np.append(source, old.carriers)
+    minute = state.minute._replace(
+        total=_picked(state.minute.total, series, 0.0), rows=_picked(state.minute.rows, series, 0.0)
+    )
+    sigma_db = np.where(is_unknown, np.sqrt(FREE_REFERENCE_DB2), reference_sigma_db)
+    return state._replace(
+        gaussian=_carried_gaussian(old, new, state.gaussian, source, reference_db, sigma_db),
+        carriers=watch,
+        noise=noise,
+        minute=minute,
+        model_variance_db2=_picked(state.model_variance_db2, source, 0.0),
+    )
+
+
+def _picked(values: FloatArray, source: IntArray, fill: float) -> FloatArray:
+    """Return the columns `source` of values (..., N), `fill` where it is -1."""
+    return np.where(source >= 0, values[..., np.maximum(source, 0)], fill)
+
+
+def _carried_watch(
+    watch: CarrierWatch, source: IntArray, reference_db: FloatArray, is_unknown: BoolArray
+) -> CarrierWatch:
+    """Return the health of the carriers of the new plan; levels move with the references."""
+    is_flagged = _picked(watch.is_flagged.astype(np.float64), source, 0.0) > 0.0
+    return CarrierWatch(
+        _picked(watch.skip_minutes, source, 0.0),
+        is_flagged | is_unknown,
+        _picked(watch.flagged_minutes, source, 0.0),
+        # a carrier that nobody knows has no level to come back to
+        np.where(is_unknown, np.nan, _picked(watch.saved_reference_db, source, 0.0) + reference_db),
+        _picked(watch.saved_variance_db2, source, 0.0),
+        _picked(watch.residuals_db, source, np.nan) + reference_db,
+        Cusum(_picked(watch.cusum.up, source, 0.0), _picked(watch.cusum.down, source, 0.0)),
+        _picked(watch.absent_minutes, source, 0.0),
+        _picked(watch.is_relearned.astype(np.float64), source, 0.0) > 0.0,
+    )
+
+
+def _carried_gaussian(
+    old: CarrierModel,
+    new: CarrierModel,
+    gaussian: Gaussian,
+    source: IntArray,
+    reference_db: FloatArray,
+    sigma_db: FloatArray,
+) -> Gaussian:
+    """Return the state vector of the new plan."""
+    origin = _origins(old, new, source)
+    fresh = np.concatenate(
+        [
+            np.zeros(FIRST_COMMON),
+            new.common_sigma_db**2,
+            (new.coloured_sigma_db.T**2).ravel(),
+            np.asarray(sigma_db) ** 2,
+        ]
+    )
+    is_kept = origin >= 0
+    rows = np.maximum(origin, 0)
+    both = is_kept[:, None] & is_kept[None, :]
+    covariance = np.where(both, gaussian.covariance[np.ix_(rows, rows)], np.diag(np.where(is_kept, 0.0, fresh)))
+    mean = np.where(is_kept, gaussian.mean[rows], 0.0)
+    mean[-new.carriers :] += reference_db
+    return Gaussian(mean, covariance)
+
+
+def _origins(old: CarrierModel, new: CarrierModel, source: IntArray) -> IntArray:
+    """Return where each state of the new plan (D,) stood in the old one, -1 = nowhere."""
+    origin = np.full(core_size(new) + new.carriers * (new.components + 1), -1, dtype=np.int64)
+    origin[:FIRST_COMMON] = np.arange(FIRST_COMMON)
+    if core_size(old) == core_size(new):
+        origin[FIRST_COMMON : core_size(new)] = np.arange(FIRST_COMMON, core_size(old))
+    staying = np.flatnonzero(source >= 0)
+    there, here = carrier_states(old, source[staying]), carrier_states(new, staying)
+    origin[here[-1]] = there[-1]
+    if old.components == new.components:
+        origin[here[:-1]] = there[:-1]
+    return origin
