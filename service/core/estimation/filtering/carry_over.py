@@ -7,10 +7,10 @@ as it is.
 
 import numpy as np
 
-from service.core.estimation.filtering.attitude_filter import FilterState
 from service.core.estimation.filtering.carrier_faults import CarrierWatch
 from service.core.estimation.filtering.common_change import Cusum
 from service.core.estimation.filtering.filter_model import BoolArray, CarrierModel, FloatArray, IntArray
+from service.core.estimation.filtering.filter_records import FilterState
 from service.core.estimation.filtering.filter_state import (
     FIRST_COMMON,
     FREE_REFERENCE_DB2,

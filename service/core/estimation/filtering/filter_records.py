@@ -1,0 +1,74 @@
+"""What one step of the attitude filter hands to the next, and what it tells.
+
+The law of this file: values only; a step never changes the state it was given.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from service.core.estimation.filtering.carrier_faults import CarrierWatch, healthy
+from service.core.estimation.filtering.fault_hypotheses import Cause
+from service.core.estimation.filtering.filter_model import CarrierModel, FloatArray, IntArray
+from service.core.estimation.filtering.filter_state import Gaussian
+from service.core.estimation.filtering.integrity import Integrity
+from service.core.estimation.filtering.minute_sums import MinuteSums, empty_minute
+from service.core.estimation.filtering.motion_watch import MotionWatch, still_watch
+from service.core.estimation.filtering.noise_watch import NoiseWatch, calm_watch
+from service.core.estimation.filtering.rain_state import RainWatch, dry_watch
+
+
+class FilterState(NamedTuple):
+    """Everything that the next step needs."""
+
+    epoch_us: int
+    gaussian: Gaussian
+    carriers: CarrierWatch
+    rain: RainWatch
+    noise: NoiseWatch
+    #: test values of the carriers, the common one last
+    minute: MinuteSums
+    motion: MotionWatch
+    model_variance_db2: FloatArray
+
+
+class FilterStep(NamedTuple):
+    """State after a row and what is told about it."""
+
+    state: FilterState
+    #: (3,) deg and (3, 3) deg^2
+    attitude_deg: FloatArray
+    covariance_deg2: FloatArray
+    #: (N,) dB, NaN = absent or flagged
+    innovation_db: FloatArray
+    #: (n,) carriers used
+    used: IntArray
+    cause: Cause | None
+    common_db: float
+    rain_db: float
+    integrity: Integrity
+
+
+def start(model: CarrierModel, epoch_us: int, gaussian: Gaussian) -> FilterState:
+    """Return the state of a filter that was just aligned.
+
+    Parameters
+    ----------
+    model : CarrierModel
+        The carriers.
+    epoch_us : int, microseconds UTC
+        Epoch of the alignment.
+    gaussian : Gaussian
+        From `initial_gaussian`.
+    """
+    count = model.carriers
+    return FilterState(
+        epoch_us,
+        gaussian,
+        healthy(count),
+        dry_watch(),
+        calm_watch(count),
+        empty_minute(count + 1, epoch_us),
+        still_watch(epoch_us),
+        np.zeros(count),
+    )

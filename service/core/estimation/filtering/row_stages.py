@@ -1,0 +1,120 @@
+"""Stages of a row that has enough carriers: common changes first, then single carriers, then the watch on both.
+
+The law of this file: each stage takes a state and returns another; their order is written in `attitude_filter`.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from service.core.estimation.filtering.carrier_faults import SKIPPED, release_quiet, trusted_white_db2, watch_flagged
+from service.core.estimation.filtering.common_cause import common_innovation, find_cause, widen
+from service.core.estimation.filtering.fault_hypotheses import Cause, Choice, Chooser
+from service.core.estimation.filtering.filter_model import BoolArray, CarrierModel, FloatArray
+from service.core.estimation.filtering.filter_records import FilterState
+from service.core.estimation.filtering.filter_state import CHAIN
+from service.core.estimation.filtering.filter_update import Innovation, Updated, site_db
+from service.core.estimation.filtering.minute_sums import empty_minute, push_minute
+from service.core.estimation.filtering.motion_watch import MotionWatch, follow_all, forget_shifts, push_shift
+from service.core.estimation.filtering.noise_watch import push_values
+from service.core.estimation.filtering.rain_state import push_common
+
+
+class Heard(NamedTuple):
+    """State after the tests of all carriers together."""
+
+    state: FilterState
+    #: None = nothing moved them together
+    choice: Choice | None
+    #: (N,) values of a closed minute for the tests of single carriers; None while a minute lasts, and in a row whose
+    #: innovations belong to a common cause
+    values: FloatArray | None
+
+
+def common_first(model: CarrierModel, state: FilterState, innovation: Innovation, chooser: Chooser) -> Heard:
+    """Return the state after the tests of all carriers together, with the unknown of their cause set free."""
+    common = common_innovation(model, innovation)
+    row = np.full(model.carriers + 1, np.nan)
+    row[innovation.carriers] = innovation.innovation_db / innovation.sigma_db
+    row[-1] = common.value
+    sums, values = push_minute(state.minute, state.epoch_us, row)
+    rain = state.rain
+    if values is not None:
+        rain = push_common(rain, float(values[-1]), float(state.gaussian.mean[CHAIN]))
+    choice = find_cause(model, rain, innovation, common, chooser)
+    if choice is None or choice.cause is Cause.INDEPENDENT:
+        # what single carriers did says nothing about the common level
+        heard = state._replace(minute=sums, rain=rain if choice is None else state.rain)
+        return Heard(heard, choice, None if values is None else values[:-1])
+    widened = widen(model, state.gaussian, state.carriers, rain, choice, common)
+    motion = follow_all(state.motion) if choice.cause is Cause.ATTITUDE else state.motion
+    minute = empty_minute(model.carriers + 1, state.epoch_us)
+    freed = state._replace(
+        gaussian=widened.gaussian, carriers=widened.carriers, rain=widened.rain, motion=motion, minute=minute
+    )
+    return Heard(freed, choice, None)
+
+
+def is_shared(choice: Choice | None) -> bool:
+    """Return whether one cause moved all that moved."""
+    return choice is not None and choice.cause is not Cause.INDEPENDENT
+
+
+def moved(state: FilterState, updated: Updated, choice: Choice | None) -> MotionWatch:
+    """Return the watch on motion after an update."""
+    motion, epoch_us = state.motion, state.epoch_us
+    return (
+        forget_shifts(motion, epoch_us) if is_shared(choice) else push_shift(motion, epoch_us, updated.attitude_shift)
+    )
+
+
+def trusted(innovation: Innovation) -> Innovation:
+    """Return the innovations of the carriers that are not skipped, with Huber's weights."""
+    excess = np.abs(innovation.innovation_db) / innovation.sigma_db
+    kept = np.flatnonzero(excess <= SKIPPED)
+    return Innovation(
+        innovation.carriers[kept],
+        innovation.innovation_db[kept],
+        innovation.predicted_db2[kept][:, kept],
+        trusted_white_db2(innovation.white_db2[kept], excess[kept]),
+        innovation.core_jacobian[kept],
+        innovation.cross[kept],
+    )
+
+
+def watched(
+    model: CarrierModel,
+    state: FilterState,
+    deviation_db: FloatArray,
+    values: FloatArray | None,
+    updated: Updated | None,
+    is_noise_declared: BoolArray | None,
+) -> FilterState:
+    """Return the state after what is done once a minute: noise and flagged carriers.
+
+    Parameters
+    ----------
+    model : CarrierModel
+        The carriers.
+    state : FilterState
+        State after the update.
+    deviation_db : ndarray, shape (N,), dB
+        The row.
+    values : ndarray, shape (N,), optional
+        Values of a closed minute; without them nothing is done.
+    updated : Updated, optional
+        The update, where there was one.
+    is_noise_declared : ndarray, shape (N,), optional
+        Carriers whose noise is declared: nothing is learned from them.
+    """
+    if values is None:
+        return state
+    noise = state.noise
+    if updated is not None:
+        own = values if is_noise_declared is None else np.where(is_noise_declared, np.nan, values)
+        noise = push_values(noise, own, updated.nis, updated.degrees)
+    if not state.carriers.is_flagged.any():
+        return state._replace(noise=noise)
+    residual_db = deviation_db - site_db(model, state.gaussian.mean)
+    gaussian, watch = release_quiet(model, state.gaussian, watch_flagged(state.carriers, residual_db, 1.0))
+    return state._replace(gaussian=gaussian, carriers=watch, noise=noise)
