@@ -51,9 +51,27 @@ def calibrate_paper(data: CalibrationInput, config: CalibrationConfig) -> Calibr
     CalibrationError
         No rows in a window, no sensor angles in the turns, or an axis that was never turned.
     """
+    return paper_part(data, config, is_every_axis_needed=True)
+
+
+def paper_part(data: CalibrationInput, config: CalibrationConfig, *, is_every_axis_needed: bool) -> CalibrationResult:
+    """Return the calibration of the paper method; where an axis may be missing its sensitivities are NaN.
+
+    Raises
+    ------
+    CalibrationError
+        As :func:`calibrate_paper`.
+    """
     quiet = _fit_quiet(data, config)
     fits = quiet.fits
-    rows = turn_rows(data, fits.offset_dbm, fits.amplitude_db, fits.phase_rad, config)
+    rows = turn_rows(
+        data,
+        fits.offset_dbm,
+        fits.amplitude_db,
+        fits.phase_rad,
+        config,
+        is_every_axis_needed=is_every_axis_needed,
+    )
     turn_angles_deg, turn_deviation_db = rows.angles_deg, rows.deviation_db
     sensitivity = fit_turn_sensitivity(
         turn_angles_deg,

@@ -35,7 +35,7 @@ class CriteriaConfig:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationConfig:
-    """Calibration of the paper method."""
+    """Calibration from quiet days and turns."""
 
     harmonic: HarmonicConfig = HarmonicConfig()
     criteria: CriteriaConfig = CriteriaConfig()
@@ -45,6 +45,8 @@ class CalibrationConfig:
     short_quiet_periods: float = 2.0
     #: fewest rows with powers and angles in the turns
     min_turn_rows: int = 60
+    #: fewest rows with powers and angles in the quiet window of a calibration by geometry
+    min_quiet_rows: int = 200
     #: knots of a carrier's level over the turns are at least this far apart, s; the default gives one straight line
     level_knot_s: float = 36_000.0
     #: an axis counts as turned where its angle passed this, deg
@@ -106,6 +108,51 @@ class FadeConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class RobustConfig:
+    """The robust method in operation."""
+
+    #: drift of the inertial model, one standard deviation, deg/h, and its correlation time, h
+    yaw_drift_deg_h: float = 0.05
+    roll_drift_deg_h: float = 0.035
+    pitch_drift_deg_h: float = 0.035
+    drift_time_h: float = 8.0
+    #: relative error of the effect of an announced correction and of a torque
+    correction_scale_error: float = 0.05
+    torque_scale_error: float = 0.02
+    #: random walk of the receiving chain, dB per square root of hour
+    chain_walk_db_sqrt_h: float = 0.03
+    #: what all references may have wrong together at an alignment, dB
+    common_reference_sigma_db: float = 0.1
+    #: white noise of a carrier is never believed to be below this, dB
+    min_white_db: float = 0.02
+    #: greatest own sigma of yaw with which it is controlled, deg
+    yaw_sigma_limit_deg: float = 0.135
+    #: running mean of the normalised innovation squared above which the model is not believed
+    innovation_limit: float = 2.0
+    #: share of references learned anew above which an alignment is advised
+    relearned_share: float = 1.0 / 3.0
+    #: methods that differ by this in roll or pitch for this long disagree, deg and s
+    disagreement_deg: float = 0.15
+    disagreement_s: float = 900.0
+
+
+@dataclass(frozen=True, slots=True)
+class OperationConfig:
+    """What declared operations mean to the robust method."""
+
+    #: one standard deviation of each angle where an operation states none, deg
+    station_keeping_deg: float = 0.1
+    momentum_unloading_deg: float = 0.05
+    #: eclipse: change of a transponder's gain and shift of the patterns, dB and deg per square root of hour
+    eclipse_gain_db_sqrt_h: float = 0.3
+    eclipse_shift_deg_sqrt_h: float = 0.03
+    #: a gain or the receiving chain is taken to move by this when it is worked on, dB
+    gain_step_db: float = 2.0
+    #: a carrier that was worked on comes back within this, dB
+    carrier_step_db: float = 3.0
+
+
+@dataclass(frozen=True, slots=True)
 class InterlockConfig:
     """What inhibits control."""
 
@@ -141,3 +188,5 @@ class ChainConfig:
     fade: FadeConfig = FadeConfig()
     interlock: InterlockConfig = InterlockConfig()
     torque: TorqueConfig = TorqueConfig()
+    robust: RobustConfig = RobustConfig()
+    operations: OperationConfig = OperationConfig()

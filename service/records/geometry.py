@@ -63,3 +63,7 @@ class GeometryFit:
     common_noise: tuple[NoiseComponent, ...]
     #: (N,) whether the robust method uses the carrier
     is_used: tuple[bool, ...]
+    #: (N,) number of the group whose level control couples the carrier, -1 = none; empty = no carrier is coupled.
+    #: Only differences within a group are known: subtract from each row's deviations the mean over the group's present
+    #: carriers, and from the model's gradients the same mean
+    alc_group: tuple[int, ...] = ()

@@ -1,13 +1,24 @@
 """Calibration jobs: read the windows from the archive, run the fit, store the draft's result."""
 
-from service.errors import ConflictError, InvalidInputError
+from service.errors import ConflictError
 from service.pipeline.calibration import calibrate_paper
 from service.pipeline.calibration_rows import CalibrationError, CalibrationInput
 from service.pipeline.config import CalibrationConfig
+from service.pipeline.geometry_calibration import calibrate_geometry
 from service.ports import Clock, Storage
-from service.records.calibration import Calibration, CalibrationMethod, CalibrationRequest, CalibrationState
+from service.records.calibration import (
+    Calibration,
+    CalibrationMethod,
+    CalibrationRequest,
+    CalibrationResult,
+    CalibrationState,
+)
+from service.records.inputs import Operation
 from service.records.job import Job
 from service.runtime.jobs import JobFailedError, JobRunner, Progress
+
+#: operations that a calibration looks at, at most
+_MAX_OPERATIONS = 1000
 
 
 class Calibrator:
@@ -24,14 +35,9 @@ class Calibrator:
 
         Raises
         ------
-        InvalidInputError
-            ``calibration.method``: a kind of fit that this build does not have.
         NotFoundError
             No spacecraft, no carrier plan or no ephemeris.
         """
-        if request.method is not CalibrationMethod.PAPER:
-            detail = "calibration by station geometry is not part of this version; ask for method 'paper'"
-            raise InvalidInputError("calibration.method", detail)
         plan = self._storage.catalogue.plan(spacecraft_id)
         ephemeris = self._storage.catalogue.ephemeris(spacecraft_id)
         draft = self._storage.results.add_calibration(
@@ -59,7 +65,7 @@ class Calibrator:
         try:
             data = self._read(spacecraft_id, draft)
             report(0.3)
-            result = calibrate_paper(data, self._config)
+            result = self._fitted(data)
         except (CalibrationError, JobFailedError) as error:
             results.finish_calibration(spacecraft_id, draft.id, None, str(error))
             raise JobFailedError(str(error)) from error
@@ -67,6 +73,12 @@ class Calibrator:
             results.finish_calibration(spacecraft_id, draft.id, None, f"internal error: {error!r}")
             raise
         results.finish_calibration(spacecraft_id, draft.id, result, None)
+
+    def _fitted(self, data: CalibrationInput) -> CalibrationResult:
+        """Return the result of the method that was asked for."""
+        if data.request.method is CalibrationMethod.GEOMETRY:
+            return calibrate_geometry(data, self._config)
+        return calibrate_paper(data, self._config)
 
     def _read(self, spacecraft_id: str, draft: Calibration) -> CalibrationInput:
         """Read what the archive holds for a draft."""
@@ -79,4 +91,16 @@ class Calibrator:
             archive.measurement_series(spacecraft_id, request.quiet, plan.carrier_ids),
             archive.measurement_series(spacecraft_id, request.turns, plan.carrier_ids),
             archive.reference_series(spacecraft_id, request.turns),
+            archive.reference_series(spacecraft_id, request.quiet),
+            catalogue.spacecraft(spacecraft_id),
+            self._operations(spacecraft_id, request),
         )
+
+    def _operations(self, spacecraft_id: str, request: CalibrationRequest) -> tuple[Operation, ...]:
+        """Return the declared operations that overlap a window, each once, by number."""
+        found: dict[int, Operation] = {}
+        for window in (request.quiet, request.turns):
+            for entry in self._storage.archive.inputs(spacecraft_id, "operation", window, _MAX_OPERATIONS, None):
+                if isinstance(entry.content, Operation):
+                    found[entry.content.id] = entry.content
+        return tuple(found[number] for number in sorted(found))

@@ -177,7 +177,6 @@ BODIES = {
         ["/quiet/start"],
     ),
     "calibration, method": ("/calibrations", CALIBRATION | {"method": "best"}, "value.choice", ["/method"]),
-    "calibration, geometry": ("/calibrations", CALIBRATION | {"method": "geometry"}, "calibration.method", []),
     "calibration, source": ("/calibrations", CALIBRATION | {"source": "moon"}, "value.choice", ["/source"]),
     "calibration, sources": (
         "/calibrations",

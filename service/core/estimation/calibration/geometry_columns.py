@@ -34,7 +34,7 @@ class CarrierGeometry(NamedTuple):
     Parameters
     ----------
     azimuth_deg, elevation_deg : ndarray, shape (N,), deg
-        Stations, from ``station_direction``.
+        Stations, from ``station_direction``; NaN for a beacon, which has no beam of its own to move in.
     site_deg : ndarray, shape (2,), deg
         Azimuth and elevation of the receiving site.
     band : ndarray of int, shape (N,)
@@ -52,9 +52,10 @@ class CarrierGeometry(NamedTuple):
         return int(self.band.max(initial=0)) + 1
 
     def displacement(self) -> FloatArray:
-        """Return D of the stations and, last, of the site, shape (N + 1, 2, 3)."""
+        """Return D of the stations and, last, of the site, shape (N + 1, 2, 3); zeros for a beacon."""
         azimuth_deg = np.append(self.azimuth_deg, self.site_deg[0])
-        return displacement_matrix(azimuth_deg, np.append(self.elevation_deg, self.site_deg[1]))
+        matrix = displacement_matrix(azimuth_deg, np.append(self.elevation_deg, self.site_deg[1]))
+        return np.where(np.isnan(matrix), 0.0, matrix)
 
 
 class OrbitMotion(NamedTuple):

@@ -6,7 +6,7 @@ from unittest.mock import patch
 import pytest
 
 import service.runtime.calibrating as calibrating
-from service.errors import ConflictError, InvalidInputError, NotFoundError
+from service.errors import ConflictError, NotFoundError
 from service.records.calibration import CalibrationMethod, CalibrationState, Window
 from service.records.job import JobState
 from service.runtime.jobs import JobFailedError
@@ -52,6 +52,14 @@ def test_a_fault_of_the_fit_fails_calibration_and_job(ground):
     assert "ZeroDivisionError" in job.error
 
 
+def test_a_calibration_by_geometry_says_what_its_windows_lack(ground):
+    """The archive of this station has readings of the turns alone."""
+    geometry = replace(ground.payload.request, method=CalibrationMethod.GEOMETRY)
+    calibration, job = run(ground, geometry)
+    assert (calibration.state, job.state) == (CalibrationState.FAILED, JobState.FAILED)
+    assert "only 0 rows of the quiet window have angles of star_tracker" in job.error
+
+
 def test_a_stop_of_the_service_is_not_called_an_internal_error(ground):
     with patch.object(calibrating, "calibrate_paper", side_effect=JobFailedError("the service is stopping")):
         calibration, job = run(ground, ground.payload.request)
@@ -65,8 +73,5 @@ def test_a_draft_cannot_be_activated(ground):
 
 
 def test_what_cannot_begin_is_refused_at_once(ground):
-    geometry = replace(ground.payload.request, method=CalibrationMethod.GEOMETRY)
-    with pytest.raises(InvalidInputError, match="ask for method 'paper'"):
-        ground.calibrator.start(ground.id, geometry, "engineer")
     with pytest.raises(NotFoundError):
         ground.calibrator.start("nobody", ground.payload.request, "engineer")

@@ -1,0 +1,206 @@
+"""Rows of a calibration by geometry: both windows joined, angles of the sensors, motion by ballistics, places.
+
+The quiet window and the turns may overlap; an epoch counts once. The law of this file: what a declared operation
+disturbs takes no part, carrier by carrier, and a beacon moves with nothing: its station is NaN and its own motion zero.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from service.core.estimation.calibration.geometry_calibration import CalibrationRows
+from service.core.estimation.calibration.geometry_columns import CarrierGeometry, OrbitMotion, is_known_orbit
+from service.core.estimation.calibration.sensor_smoothing import SmoothedAngles, smoothed_angles
+from service.core.geometry.frames import station_direction
+from service.core.geometry.line_of_sight import Places, Track, antenna_motion_deg, sight_motion_deg, track_position_deg
+from service.pipeline.calibration_rows import CalibrationError, CalibrationInput, phase_rad
+from service.pipeline.config import CalibrationConfig
+from service.pipeline.sensor_angles import angles_at
+from service.records.attitude import BoolArray, FloatArray, IntArray
+from service.records.calibration import Window
+from service.records.catalogue import CarrierPlan, Spacecraft
+from service.records.epoch import US_PER_S
+from service.records.inputs import Operation
+from service.records.series import ReferenceSeries
+
+#: kinds of operation during which powers say nothing certain; turns are what a calibration is made of
+DISTURBING = frozenset(
+    {
+        "station_keeping",
+        "momentum_unloading",
+        "eclipse",
+        "sun_outage",
+        "carrier_work",
+        "gain_change",
+        "receive_chain_work",
+        "other",
+    }
+)
+
+
+class PlanPlaces(NamedTuple):
+    """Where the stations of a plan stand; NaN for a beacon.
+
+    Parameters
+    ----------
+    geometry : CarrierGeometry
+        Antenna angles and bands.
+    stations : Places
+        Stations and, last, the receiving site.
+    bands : tuple of str
+        Names of the bands.
+    is_beacon : ndarray of bool, shape (N,)
+        Carriers without a station.
+    """
+
+    geometry: CarrierGeometry
+    stations: Places
+    bands: tuple[str, ...]
+    is_beacon: BoolArray
+
+
+@dataclass(frozen=True)
+class GeometryRows:
+    """Rows (T,) of both windows in order of time."""
+
+    epochs_us: IntArray
+    rows: CalibrationRows
+    places: PlanPlaces
+    angles: SmoothedAngles
+    #: (T,) whether the row belongs to the quiet window alone
+    is_quiet: BoolArray
+    #: (T,) whether ballistics covers the row
+    is_tracked: BoolArray
+
+
+def geometry_rows(data: CalibrationInput, config: CalibrationConfig) -> GeometryRows:
+    """Return the rows of both windows.
+
+    Raises
+    ------
+    CalibrationError
+        The place of the satellite is not known, or a window has too few rows with powers and angles.
+    """
+    if data.spacecraft is None:
+        message = "the spacecraft of the calibration is not known; the geometry of the stations needs its longitude"
+        raise CalibrationError(message)
+    epochs_us, power_dbm = _joined(data)
+    is_turn = _inside(epochs_us, data.request.turns)
+    if not len(epochs_us):
+        message = "neither window holds a measurement; choose windows of the archive that have some"
+        raise CalibrationError(message)
+    angles = smoothed_angles(
+        (epochs_us - epochs_us[0]) / US_PER_S, angles_at(epochs_us, _references(data), data.sensors, config)
+    )
+    _require_rows(data, angles.attitude_deg, is_turn, config)
+    places = plan_places(data.plan, data.spacecraft)
+    motion = orbit_motion(data, epochs_us, places)
+    rows = CalibrationRows(
+        (epochs_us - epochs_us[0]) / US_PER_S,
+        _undisturbed(power_dbm, epochs_us, data.plan, data.operations),
+        angles.attitude_deg,
+        phase_rad(data.ephemeris, epochs_us),
+        motion,
+    )
+    is_tracked = np.zeros(len(epochs_us), dtype=np.bool_)
+    if motion is not None and is_known_orbit(motion):
+        is_tracked = np.asarray(np.isfinite(motion.sight_deg).all(axis=(1, 2)))
+    return GeometryRows(epochs_us, rows, places, angles, ~is_turn, is_tracked)
+
+
+def plan_places(plan: CarrierPlan, spacecraft: Spacecraft) -> PlanPlaces:
+    """Return where stations and receiving site stand, on the ground and in the antenna frame."""
+    site = spacecraft.receiving_site
+    stations = [carrier.station for carrier in plan.carriers]
+    is_beacon = np.array([station is None for station in stations], dtype=np.bool_)
+    latitude_deg = np.array([np.nan if s is None else s.latitude_deg for s in stations] + [site.latitude_deg])
+    longitude_deg = np.array([np.nan if s is None else s.longitude_deg for s in stations] + [site.longitude_deg])
+    height_m = np.append(np.zeros(len(stations)), site.height_m)
+    azimuth_deg, elevation_deg = station_direction(longitude_deg, latitude_deg, height_m, spacecraft.longitude_deg)
+    bands = tuple(sorted({carrier.band for carrier in plan.carriers}))
+    band = np.array([bands.index(carrier.band) for carrier in plan.carriers], dtype=np.int64)
+    site_deg = np.array([azimuth_deg[-1], elevation_deg[-1]])
+    if np.isnan(site_deg).any():
+        message = f"the receiving site does not see a satellite at {spacecraft.longitude_deg:g} degrees East"
+        raise CalibrationError(message)
+    geometry = CarrierGeometry(azimuth_deg[:-1], elevation_deg[:-1], site_deg, band)
+    return PlanPlaces(geometry, Places(latitude_deg, longitude_deg, height_m), bands, is_beacon)
+
+
+def orbit_motion(data: CalibrationInput, epochs_us: IntArray, places: PlanPlaces) -> OrbitMotion | None:
+    """Return what ballistics says at some epochs; None without a track."""
+    told, spacecraft = data.ephemeris.track, data.spacecraft
+    if told is None or spacecraft is None or len(told.epochs_us) < 4:
+        return None
+    track = Track(np.array(told.epochs_us, dtype=np.int64), np.array(told.latitude_deg), np.array(told.longitude_deg))
+    stations = Places(*(values[:-1] for values in places.stations))
+    is_placeless = np.isnan(places.geometry.azimuth_deg)
+    sight = sight_motion_deg(track_position_deg(track, epochs_us), stations, spacecraft.longitude_deg)
+    antenna = antenna_motion_deg(track, epochs_us, places.stations, spacecraft.longitude_deg)
+    # a beacon has no dish and no beam of its own to move in; it is as little known as the rest outside the track
+    still = (0.0 * antenna[:, -1:]).sum(axis=-1, keepdims=True)
+    sight[:, is_placeless] = still
+    antenna[:, np.append(is_placeless, False)] = still
+    return OrbitMotion(sight, antenna)
+
+
+def _joined(data: CalibrationInput) -> tuple[IntArray, FloatArray]:
+    """Return epochs and powers of both windows, each epoch once."""
+    epochs_us = np.concatenate([data.quiet.epochs_us, data.turns.epochs_us])
+    power_dbm = np.concatenate([data.quiet.power_dbm, data.turns.power_dbm])
+    unique_us, first = np.unique(epochs_us, return_index=True)
+    return unique_us, power_dbm[first].astype(np.float64)
+
+
+def _references(data: CalibrationInput) -> tuple[ReferenceSeries, ...]:
+    """Return the readings of each sensor over both windows."""
+    return data.quiet_references + data.references
+
+
+def _inside(epochs_us: IntArray, window: Window) -> BoolArray:
+    """Return which epochs lie in a window."""
+    return np.asarray((epochs_us >= window.start_us) & (epochs_us < window.stop_us))
+
+
+def _require_rows(
+    data: CalibrationInput, attitude_deg: FloatArray, is_turn: BoolArray, config: CalibrationConfig
+) -> None:
+    """Refuse windows without enough rows that have angles."""
+    has_angles = np.isfinite(attitude_deg).all(axis=1)
+    for name, is_in, least in (
+        ("quiet window", ~is_turn, config.min_quiet_rows),
+        ("window of turns", is_turn, config.min_turn_rows),
+    ):
+        rows, known = int(np.count_nonzero(is_in)), int(np.count_nonzero(is_in & has_angles))
+        if rows < least:
+            message = f"the {name} holds {rows} measurements, {least} are needed"
+            raise CalibrationError(message)
+        if known < least:
+            sensors = ", ".join(sorted(set(data.sensors)))
+            message = (
+                f"only {known} rows of the {name} have angles of {sensors}; {least} are needed: "
+                "send the sensor's references or name another source"
+            )
+            raise CalibrationError(message)
+
+
+def _undisturbed(
+    power_dbm: FloatArray, epochs_us: IntArray, plan: CarrierPlan, operations: tuple[Operation, ...]
+) -> FloatArray:
+    """Return the powers with NaN where a declared operation disturbs them."""
+    power_dbm = power_dbm.copy()
+    for operation in operations:
+        if operation.kind in DISTURBING:
+            stop_us = operation.start_us if operation.stop_us is None else operation.stop_us
+            is_during = (epochs_us >= operation.start_us) & (epochs_us < stop_us)
+            power_dbm[np.ix_(is_during, touched_carriers(plan, operation))] = np.nan
+    return power_dbm
+
+
+def touched_carriers(plan: CarrierPlan, operation: Operation) -> BoolArray:
+    """Return which carriers (N,) an operation names; one that names none touches all."""
+    if operation.carriers is None and operation.transponders is None:
+        return np.ones(len(plan.carriers), dtype=np.bool_)
+    names, groups = operation.carriers or (), operation.transponders or ()
+    return np.array([carrier.id in names or carrier.transponder in groups for carrier in plan.carriers], dtype=np.bool_)
