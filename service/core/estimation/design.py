@@ -3,8 +3,10 @@
 ``minimise sum_j u_j^2 C_jj``: C the covariance in deg^2 of (yaw, roll, pitch) from the rows ``[a_i 1] / sigma_i`` of
 the chosen carriers (a in dB/deg), u the weights. Yaw weighs 0.05 because no choice makes it good and any choice that
 serves it alone spoils the rest. Search: greedy growth from a weak prior, then the best exchange of a chosen carrier for
-a free one until none helps. The law of this file: a choice leaves at least ``MIN_REDUNDANCY`` carriers beyond the five
-unknowns that a moved transponder needs, and no transponder holds more than its share, because it fails as one.
+a free one until none helps. The law of this file: no transponder holds more than its share of a choice, because it
+fails as one, wherever the plan offers that many carriers elsewhere; where it does not, the share is exceeded as little
+as possible and the choice does not count as sufficient. Neither does one of fewer than ``MIN_CARRIERS``, or with fewer
+than ``MIN_REDUNDANCY`` carriers beyond the five unknowns that a moved transponder needs.
 """
 
 import math
@@ -25,6 +27,8 @@ AXIS_WEIGHTS = (0.05, 1.0, 1.0)
 _UNKNOWNS = 5
 #: Carriers beyond these that a choice keeps for mutual checks.
 MIN_REDUNDANCY = 6
+#: Fewest carriers of a choice that counts as sufficient.
+MIN_CARRIERS = 12
 #: Largest share of the chosen carriers in one transponder.
 MAX_TRANSPONDER_SHARE = 0.35
 #: 1/deg^2 and 1/dB^2, prior that lets the first four carriers be compared.
@@ -46,17 +50,20 @@ class Design(NamedTuple):
     Parameters
     ----------
     chosen : ndarray of int, shape (C,)
-        Carriers in ascending order; fewer than asked for where shares or eligibility forbid more.
+        Carriers in ascending order; fewer than asked for where fewer are eligible.
     crlb_deg : ndarray, shape (3,), deg
         Bound of yaw, roll, pitch for one row with a common level; NaN when not determined.
     cost_deg2 : float, deg^2
         Weighted sum of variances; infinite when not determined.
     leverage : ndarray, shape (N,)
-        Of the chosen carriers, NaN for the others.
+        Of the chosen carriers, weighted by their noise; NaN for the others.
     redundancy : int
         Chosen carriers beyond five unknowns.
+    transponder_share : float
+        Largest share of the chosen carriers in one transponder; 0 without carriers.
     is_sufficient : bool
-        Whether the redundancy is at least ``MIN_REDUNDANCY`` and the attitude determined.
+        Whether the attitude is determined by at least ``MIN_CARRIERS`` carriers with ``MIN_REDUNDANCY`` beyond five
+        unknowns, and no transponder holds more than ``MAX_TRANSPONDER_SHARE`` of them.
     """
 
     chosen: IntArray
@@ -64,6 +71,7 @@ class Design(NamedTuple):
     cost_deg2: float
     leverage: FloatArray
     redundancy: int
+    transponder_share: float
     is_sufficient: bool
 
 
@@ -94,7 +102,7 @@ def choose_carriers(
     transponder : ndarray of int, shape (N,)
         Label of each carrier's transponder.
     count : int
-        How many are wanted; at least eleven keep the redundancy.
+        How many are wanted; at least twelve suffice.
     eligible : ndarray of bool, shape (N,), optional
         Carriers that may be chosen.
     axis_weights : tuple of float
@@ -119,23 +127,54 @@ def choose_carriers(
         is_free = is_free & eligible
     rows = np.column_stack([np.where(is_free[:, np.newaxis], sensitivity, 0.0), np.ones(len(sensitivity))])
     rows /= np.where(is_free, sigma_db, 1.0)[:, np.newaxis]
-    limit = max(1, math.floor(MAX_TRANSPONDER_SHARE * count))
+    limit = _transponder_limit(transponder[is_free], count)
     weights = np.square(np.array(axis_weights))
     chosen = _grown(rows, transponder, is_free, count, limit, weights)
     chosen = _exchanged(rows, transponder, is_free, chosen, limit, weights)
-    picked = np.flatnonzero(chosen)
+    return _judged(sensitivity, sigma_db, transponder, np.flatnonzero(chosen), weights)
+
+
+def largest_share(transponder: IntArray) -> float:
+    """Return the largest share of some carriers in one transponder; 0 without carriers.
+
+    Examples
+    --------
+    >>> largest_share(np.array([1, 1, 1, 2]))
+    0.75
+    """
+    if not len(transponder):
+        return 0.0
+    return float(np.unique_counts(transponder).counts.max() / len(transponder))
+
+
+def _transponder_limit(transponder: IntArray, count: int) -> int:
+    """Return how many carriers one transponder may hold: its share, or as little more as the plan forces."""
+    held = np.unique_counts(transponder).counts
+    wanted = min(count, len(transponder))
+    limit = max(1, math.floor(MAX_TRANSPONDER_SHARE * wanted))
+    while int(np.minimum(held, limit).sum()) < wanted:
+        limit += 1
+    return limit
+
+
+def _judged(
+    sensitivity: FloatArray, sigma_db: FloatArray, transponder: IntArray, picked: IntArray, weights: FloatArray
+) -> Design:
+    """Return the design of the picked carriers with its figures."""
     bound = crlb_deg(sensitivity[picked], sigma_db[picked], with_common=True)
-    leverage = np.full(len(chosen), math.nan)
-    leverage[picked] = leverages(sensitivity[picked])
+    leverage = np.full(len(sensitivity), math.nan)
+    leverage[picked] = leverages(sensitivity[picked], sigma_db[picked])
     is_determined = bool(np.isfinite(bound).all())
-    redundancy = len(picked) - _UNKNOWNS
+    redundancy, share = len(picked) - _UNKNOWNS, largest_share(transponder[picked])
+    is_redundant = len(picked) >= MIN_CARRIERS and redundancy >= MIN_REDUNDANCY
     return Design(
         chosen=picked.astype(np.int64),
         crlb_deg=bound,
         cost_deg2=float(np.sum(weights * bound**2)) if is_determined else math.inf,
         leverage=leverage,
         redundancy=redundancy,
-        is_sufficient=is_determined and redundancy >= MIN_REDUNDANCY,
+        transponder_share=share,
+        is_sufficient=is_determined and is_redundant and share <= MAX_TRANSPONDER_SHARE,
     )
 
 
@@ -217,12 +256,29 @@ def _exchanged(
         inside, outside = np.flatnonzero(chosen), np.flatnonzero(is_free & ~chosen)
         if not inside.size or not outside.size:
             return chosen
-        total = added[inside].sum(axis=0)
         held = np.array([np.count_nonzero(transponder[inside] == label) for label in transponder[outside]])
         is_same = transponder[inside][:, np.newaxis] == transponder[outside]
-        cost = _costs(total - added[inside][:, np.newaxis] + added[outside], weights)
-        cost = np.where(is_same | (held < limit), cost, math.inf)
-        leaving, coming = np.unravel_index(int(np.argmin(cost)), cost.shape)
-        if not cost[leaving, coming] < float(_costs(total, weights)) * (1.0 - _MIN_GAIN):
+        inverse = np.linalg.inv(added[inside].sum(axis=0) + _PRIOR)
+        gain = np.where(is_same | (held < limit), _exchange_gains(rows, inside, outside, inverse, weights), -math.inf)
+        leaving, coming = np.unravel_index(int(np.argmax(gain)), gain.shape)
+        if not gain[leaving, coming] > _MIN_GAIN * float(np.diagonal(inverse)[:3] @ weights):
             return chosen
         chosen[inside[leaving]], chosen[outside[coming]] = False, True
+
+
+def _exchange_gains(
+    rows: FloatArray, inside: IntArray, outside: IntArray, inverse: FloatArray, weights: FloatArray
+) -> FloatArray:
+    """Return by how much each exchange lowers the cost, shape (inside, outside).
+
+    With C the inverse, x the leaving and y the coming row, ``(C^-1 - x x' + y y')^-1`` is C less a term of rank two
+    (Woodbury); ``d = x' C y`` and ``q`` the same with C W C, W the weights, give the trace of that term.
+    """
+    leaving, coming = rows[inside] @ inverse, rows[outside] @ inverse
+    weighted = np.append(weights, 0.0)
+    d_xx = np.vecdot(leaving, rows[inside])[:, np.newaxis]
+    d_yy, d_xy = np.vecdot(coming, rows[outside]), leaving @ rows[outside].T
+    q_xx = (leaving**2 @ weighted)[:, np.newaxis]
+    q_yy, q_xy = coming**2 @ weighted, (leaving * weighted) @ coming.T
+    determinant = (d_xx - 1.0) * (1.0 + d_yy) - d_xy**2
+    return np.asarray(((1.0 + d_yy) * q_xx - 2.0 * d_xy * q_xy + (d_xx - 1.0) * q_yy) / determinant)

@@ -106,20 +106,34 @@ def common_share(sensitivity: FloatArray) -> float:
     return float(projection @ projection) / len(design)
 
 
-def leverages(sensitivity: FloatArray, *, with_common: bool = True) -> FloatArray:
+def leverages(sensitivity: FloatArray, sigma_db: FloatArray | None = None, *, with_common: bool = True) -> FloatArray:
     """Return how much of each carrier's own error its model follows, shape (N,), 0 to 1; NaN = absent.
 
-    A carrier of leverage 1 is checked by no other: a fault of it is invisible in the residuals.
+    ``h_i = b_i' (B' W B)^-1 b_i / sigma_i^2``; they add up to the number of unknowns. A carrier of leverage 1 is
+    checked by no other: a fault of it is invisible in the residuals.
+
+    Parameters
+    ----------
+    sensitivity : ndarray, shape (N, 3), dB/deg
+        Columns yaw, roll, pitch.
+    sigma_db : ndarray, shape (N,), dB, optional
+        Noise of each carrier; without it all weigh alike.
+    with_common : bool
+        A level common to all carriers is estimated as well.
 
     Examples
     --------
     >>> leverages(np.vstack([np.eye(3), np.eye(3)]), with_common=False).round(12)
     array([0.5, 0.5, 0.5, 0.5, 0.5, 0.5])
+    >>> leverages(np.vstack([np.eye(3), np.eye(3)]), np.array([1, 1, 1, 2, 2, 2.0]), with_common=False).round(12)
+    array([0.8, 0.8, 0.8, 0.2, 0.2, 0.2])
     """
-    is_present = np.isfinite(sensitivity).all(axis=1)
+    sigma = np.ones(len(sensitivity)) if sigma_db is None else sigma_db
+    is_present = np.isfinite(sensitivity).all(axis=1) & np.isfinite(sigma) & (sigma > 0.0)
     design = sensitivity[is_present]
     if with_common:
         design = np.column_stack([design, np.ones(len(design))])
+    design = design / sigma[is_present, np.newaxis]
     leverage = np.full(len(sensitivity), math.nan)
     leverage[is_present] = np.einsum("ni,ij,nj->n", design, normal_inverse(design), design)
     return leverage

@@ -1,0 +1,226 @@
+"""Planning: the carriers that two rules choose from what is known of them, and what each set can see.
+
+Known are sensitivities and noise, from a calibration or assumed for a craft that was never calibrated (assumed_beams).
+The rule ``optimal`` is the weighted A-optimal choice for the robust method; ``paper`` takes for each axis the carriers
+that answer mostly to it and asks for stable, linear ones. Both are judged by the same figures, beside the set of all
+usable carriers. Nothing is read or kept here; every carrier is told why it was chosen or left out.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from service.core.estimation.calibration.coloured_rows import ColouredNoise
+from service.core.estimation.carrier_sets import SetFigures, averaged_crlb_deg, judge_set
+from service.core.estimation.design import (
+    AXIS_WEIGHTS,
+    MAX_TRANSPONDER_SHARE,
+    MIN_CARRIERS,
+    MIN_REDUNDANCY,
+    choose_carriers,
+    largest_share,
+    recommended_turns,
+)
+from service.core.estimation.observability import crlb_deg
+from service.core.estimation.paper.selection import AxisSelection, SelectionReason, axis_dominance, select_by_axis
+from service.pipeline.planning_candidates import NOT_MEASURED, Candidates
+from service.records.attitude import Axes, FloatArray, IntArray, named_axes
+from service.records.epoch import US_PER_S
+
+#: spans over which averages are told, s
+AVERAGING_SPANS_S = (900.0, 3600.0, 14_400.0, 43_200.0)
+#: time between rows for which averages are told, s
+ROW_PERIOD_S = 60.0
+_AXIS_NAMES = ("yaw", "roll", "pitch")
+
+
+class Rule(StrEnum):
+    """How carriers are chosen."""
+
+    PAPER = "paper"
+    OPTIMAL = "optimal"
+
+
+@dataclass(frozen=True)
+class CarrierSet:
+    """C carriers and what they see."""
+
+    #: in the order of choice
+    chosen: IntArray
+    figures: SetFigures
+    transponder_share: float
+    #: what the set lacks for the robust method; empty = sufficient
+    shortcomings: tuple[str, ...]
+    #: sigma after each of AVERAGING_SPANS_S, deg
+    averaged_deg: tuple[Axes, ...]
+
+
+class CarrierWord(NamedTuple):
+    """What a rule says about one carrier."""
+
+    #: place in the order of choice, None = left out
+    rank: int | None
+    #: axis it was chosen for or answers to most, and how many times more than to the others
+    axis: str | None
+    dominance: float
+    reasons: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Recommendation:
+    """What a rule recommends, beside the other sets."""
+
+    rule: Rule
+    candidates: Candidates
+    #: by name: optimal, paper, all
+    sets: dict[str, CarrierSet]
+    #: (N,)
+    words: tuple[CarrierWord, ...]
+
+    @property
+    def chosen_set(self) -> CarrierSet:
+        """The set that the rule asked for recommends."""
+        return self.sets[self.rule.value]
+
+
+class TurnStep(NamedTuple):
+    """One level of the calibration turns."""
+
+    start_us: int
+    stop_us: int
+    attitude_deg: Axes
+
+
+def recommend(candidates: Candidates, count: int, rule: Rule, *, yaw_scale: float = 8.0) -> Recommendation:
+    """Return the recommendation of a rule for some number of carriers, and the sets to compare it with.
+
+    With fewer than MIN_USABLE usable carriers every set is there, but its figures are NaN.
+    """
+    usable = candidates.is_usable
+    sensitivity, sigma = candidates.sensitivity_db_per_deg, candidates.sigma_db
+    numbers = candidates.transponder_numbers
+    design = choose_carriers(sensitivity, sigma, numbers, count, eligible=usable)
+    is_sound = usable & np.array([not refusal for refusal in candidates.paper_refusals], dtype=np.bool_)
+    by_axis = select_by_axis(sensitivity, is_sound, count, yaw_scale=yaw_scale)
+    losses = _left_out_costs(candidates, design.chosen)
+    ordered = design.chosen[np.argsort(-losses, kind="stable")]
+    sets = {
+        Rule.OPTIMAL.value: judged_set(candidates, ordered),
+        Rule.PAPER.value: judged_set(candidates, by_axis.chosen),
+        "all": judged_set(candidates, np.flatnonzero(usable)),
+    }
+    if rule is Rule.PAPER:
+        words = tuple(_paper_word(k, candidates, by_axis) for k in range(len(usable)))
+    else:
+        words = tuple(_optimal_word(k, candidates, ordered, yaw_scale) for k in range(len(usable)))
+    return Recommendation(rule, candidates, sets, words)
+
+
+def judged_set(candidates: Candidates, chosen: IntArray) -> CarrierSet:
+    """Return the figures of a set of carriers."""
+    sensitivity, sigma = candidates.sensitivity_db_per_deg[chosen], candidates.sigma_db[chosen]
+    noise = ColouredNoise(*(part[chosen] for part in candidates.noise))
+    figures = judge_set(sensitivity, sigma)
+    averaged = averaged_crlb_deg(sensitivity, noise, np.array(AVERAGING_SPANS_S), ROW_PERIOD_S)
+    numbers = candidates.transponder_numbers[chosen]
+    share = largest_share(numbers)
+    return CarrierSet(
+        chosen,
+        figures,
+        share,
+        _shortcomings(figures, [candidates.transponders[k] for k in chosen], share),
+        tuple(named_axes(row) for row in averaged),
+    )
+
+
+def _shortcomings(figures: SetFigures, transponders: list[str], share: float) -> tuple[str, ...]:
+    """Return what a set lacks, with its figures and what is asked for."""
+    count = len(transponders)
+    fullest = max(sorted(set(transponders)), key=transponders.count, default="")
+    texts = (
+        (
+            bool(np.isfinite(figures.crlb_deg).all()),
+            "the carriers do not determine three angles and a level common to all of them",
+        ),
+        (count >= MIN_CARRIERS, f"{count} carriers; the robust method wants at least {MIN_CARRIERS}"),
+        (
+            figures.redundancy >= MIN_REDUNDANCY,
+            f"{figures.redundancy} carriers beyond the five unknowns; {MIN_REDUNDANCY} keep faults from hiding",
+        ),
+        (
+            share <= MAX_TRANSPONDER_SHARE,
+            f"transponder {fullest} holds {share:.0%} of the carriers; more than {MAX_TRANSPONDER_SHARE:.0%} fail "
+            "together when it changes",
+        ),
+    )
+    return tuple(text for is_met, text in texts if not is_met)
+
+
+def _left_out_costs(candidates: Candidates, chosen: IntArray) -> FloatArray:
+    """Return the weighted sum of variances (C,) when each carrier of a set is left out; infinite = all is lost."""
+    costs = []
+    for k in chosen:
+        bound = _bound_deg(candidates, chosen[chosen != k])
+        costs.append(float(np.sum(np.square(AXIS_WEIGHTS * bound))) if np.isfinite(bound).all() else math.inf)
+    return np.array(costs)
+
+
+def _bound_deg(candidates: Candidates, chosen: IntArray) -> FloatArray:
+    """Return the bound (3,) of one row by some carriers, common level free."""
+    return crlb_deg(candidates.sensitivity_db_per_deg[chosen], candidates.sigma_db[chosen], with_common=True)
+
+
+def _optimal_word(k: int, candidates: Candidates, chosen: IntArray, yaw_scale: float) -> CarrierWord:
+    """Return what the optimal rule says about the k-th carrier: what the bounds would be with the other answer."""
+    dominance_of = axis_dominance(candidates.sensitivity_db_per_deg[k : k + 1], yaw_scale=yaw_scale)[0]
+    is_measured = bool(np.isfinite(candidates.sensitivity_db_per_deg[k]).all())
+    name = _AXIS_NAMES[int(np.argmax(dominance_of))] if is_measured else None
+    dominance = float(dominance_of.max())
+    if candidates.refusals[k]:
+        return CarrierWord(None, name, dominance, candidates.refusals[k])
+    place = np.flatnonzero(chosen == k)
+    if place.size:
+        ratio = _bound_deg(candidates, chosen[chosen != k]) / _bound_deg(candidates, chosen)
+        return CarrierWord(int(place[0]), name, dominance, (f"chosen: without it {_changes(ratio)}",))
+    ratio = _bound_deg(candidates, np.append(chosen, k)) / _bound_deg(candidates, chosen)
+    reason = f"as one more it would give {_changes(ratio)}; the {len(chosen)} chosen do more"
+    return CarrierWord(None, name, dominance, (reason,))
+
+
+def _changes(ratio: FloatArray) -> str:
+    """Return by how much bounds change, in words."""
+    if not np.isfinite(ratio).all():
+        return "the attitude is not determined"
+    return "bounds of " + ", ".join(
+        f"{axis} {change - 1.0:+.1%}" for axis, change in zip(_AXIS_NAMES, ratio, strict=True)
+    )
+
+
+def _paper_word(k: int, candidates: Candidates, by_axis: AxisSelection) -> CarrierWord:
+    """Return what the paper's rule says about the k-th carrier, with figures."""
+    reason, axis = SelectionReason(int(by_axis.reason[k])), int(by_axis.axis[k])
+    name = _AXIS_NAMES[axis] if axis >= 0 else None
+    dominance = float(by_axis.dominance[k])
+    rank = int(by_axis.rank[k]) if by_axis.rank[k] >= 0 else None
+    told = f"answers {dominance:.2f} times more to {name} than to any other axis"
+    if reason is SelectionReason.CHOSEN:
+        reasons: tuple[str, ...] = (f"chosen for {name}: {told}",)
+    elif reason is SelectionReason.NOT_NEEDED:
+        reasons = (f"{told}; {len(by_axis.chosen)} carriers before it do more",)
+    elif reason is SelectionReason.NOT_MEASURED:
+        reasons = (NOT_MEASURED,)
+    else:
+        reasons = candidates.refusals[k] + candidates.paper_refusals[k]
+    return CarrierWord(rank, name, dominance, reasons)
+
+
+def turn_timetable(start_us: int, *, far_yaw: bool = False) -> tuple[TurnStep, ...]:
+    """Return the recommended calibration turns from a start on, level after level, rests at zero included."""
+    steps: list[TurnStep] = []
+    for turn in recommended_turns(far_yaw=far_yaw):
+        begin_us = steps[-1].stop_us if steps else start_us
+        steps.append(TurnStep(begin_us, begin_us + round(turn.minutes * 60.0 * US_PER_S), Axes(*turn.attitude_deg)))
+    return tuple(steps)
