@@ -1,0 +1,66 @@
+"""Answers that need no powers, beside which every figure is printed.
+
+An estimator is worth something where it beats all of them: the answer that the craft never moves, the sum of the
+announced corrections, and the alignment's attitude carried on by the exchange of roll and yaw with these corrections.
+"""
+
+import numpy as np
+
+from service.records.attitude import FloatArray, IntArray
+from service.records.inputs import Correction
+
+#: rate of the exchange of roll and yaw, rad/h: one turn in a sidereal day
+COUPLING_RAD_H = 0.2625162
+_HOUR_US = 3.6e9
+
+BASELINES = ("zero", "corrections", "coupling")
+
+
+def baseline_answers(
+    epochs_us: IntArray, start_us: int, attitude_deg: FloatArray, corrections: tuple[Correction, ...]
+) -> dict[str, FloatArray]:
+    """Return the answer (T, 3) in deg of every baseline.
+
+    Parameters
+    ----------
+    epochs_us : ndarray, shape (T,)
+        Epochs of the rows, later than the alignment.
+    start_us : int
+        Epoch of the alignment.
+    attitude_deg : ndarray, shape (3,), deg
+        Attitude at the alignment, yaw, roll, pitch.
+    corrections : tuple of Correction
+        As announced, each spread evenly over its interval.
+    """
+    instants_us: IntArray = np.append(np.int64(start_us), epochs_us)
+    commanded = commanded_deg(instants_us, corrections)
+    steps = np.diff(commanded, axis=0)
+    hours = np.diff((instants_us - start_us) / _HOUR_US)
+    return {
+        "zero": np.zeros((len(epochs_us), 3)),
+        "corrections": attitude_deg + commanded[1:] - commanded[0],
+        "coupling": _coupled(attitude_deg, steps, hours),
+    }
+
+
+def commanded_deg(epochs_us: IntArray, corrections: tuple[Correction, ...]) -> FloatArray:
+    """Return the sum (T, 3) in deg of what the corrections have commanded up to each epoch."""
+    total = np.zeros((len(epochs_us), 3))
+    for correction in corrections:
+        share = np.clip((epochs_us - correction.start_us) / (correction.stop_us - correction.start_us), 0.0, 1.0)
+        total += share[:, np.newaxis] * np.array(correction.change_deg)
+    return total
+
+
+def _coupled(attitude_deg: FloatArray, steps_deg: FloatArray, hours: FloatArray) -> FloatArray:
+    """Return the attitude (T, 3) in deg that turns with the orbit; a step's correction acts in its middle."""
+    cosine, sine = np.cos(COUPLING_RAD_H * hours), np.sin(COUPLING_RAD_H * hours)
+    yaw, roll, pitch = attitude_deg.tolist()
+    answers = np.empty_like(steps_deg)
+    for k, (c, s) in enumerate(zip(cosine.tolist(), sine.tolist(), strict=True)):
+        yaw_step, roll_step, pitch_step = (0.5 * steps_deg[k]).tolist()
+        yaw, roll = yaw + yaw_step, roll + roll_step
+        yaw, roll = c * yaw - s * roll + yaw_step, s * yaw + c * roll + roll_step
+        pitch += 2.0 * pitch_step
+        answers[k] = yaw, roll, pitch
+    return answers

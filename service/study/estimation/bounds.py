@@ -1,0 +1,147 @@
+"""Bounds of figures and the marks that they earn.
+
+A bound names a scenario, a method and a figure, what it must reach to be accepted and what is the ambitious goal. A
+figure that is not a number misses; one that was not measured, because its scenario was not run, is not judged.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import NamedTuple
+
+from service.study.estimation.accuracy import Figures
+
+#: figures of an answer's errors: those that an answer without any powers can be held to as well
+_ACCURACY = ("rms_deg", "p95_deg", "max_deg", "skill", "slope")
+
+
+class Mark(StrEnum):
+    """What a figure earned."""
+
+    GOAL = "goal"
+    MUST = "must"
+    #: only a goal was set, and it was not reached
+    SHORT = "short"
+    MISSED = "missed"
+    OPEN = "not judged"
+
+
+class Limit(NamedTuple):
+    """Interval in which a figure must lie, both ends inclusive."""
+
+    low: float
+    high: float
+
+    def holds(self, value: float) -> bool:
+        """Whether a figure lies inside; NaN never does."""
+        return self.low <= value <= self.high
+
+    def __str__(self) -> str:
+        """Return the interval as a reader would write it."""
+        if self.low == -math.inf:
+            return f"<= {self.high:g}"
+        return f">= {self.low:g}" if self.high == math.inf else f"{self.low:g}..{self.high:g}"
+
+
+def at_most(high: float) -> Limit:
+    """Return the limit from above."""
+    return Limit(-math.inf, high)
+
+
+def at_least(low: float) -> Limit:
+    """Return the limit from below."""
+    return Limit(low, math.inf)
+
+
+def around(centre: float, reach: float) -> Limit:
+    """Return the limit to both sides."""
+    return Limit(round(centre - reach, 9), round(centre + reach, 9))
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """What one figure should reach."""
+
+    scenario: str
+    figure: str
+    must: Limit | None
+    goal: Limit | None
+    #: who set it
+    source: str
+    method: str = "robust"
+    #: whether this version was asked to reach the goal
+    is_goal_asked: bool = False
+
+    def mark(self, value: float | None) -> Mark:
+        """Return what a value earns; None = not measured."""
+        if value is None:
+            return Mark.OPEN
+        if self.must is not None and not self.must.holds(value):
+            return Mark.MISSED
+        if self.goal is not None and self.goal.holds(value):
+            return Mark.GOAL
+        return Mark.SHORT if self.must is None else Mark.MUST
+
+    @property
+    def is_of_accuracy(self) -> bool:
+        """Whether an answer without powers can be held to it."""
+        return self.figure.partition(".")[0] in _ACCURACY
+
+
+class Judged(NamedTuple):
+    """A bound with the value that was measured."""
+
+    bound: Bound
+    #: None = not measured
+    value: float | None
+    mark: Mark
+
+
+#: figures by scenario and method or baseline
+FiguresOf = Mapping[tuple[str, str], Figures]
+
+
+def judge(bounds: Iterable[Bound], figures: FiguresOf) -> tuple[Judged, ...]:
+    """Return every bound with its value and mark, in the order of the bounds.
+
+    A scenario that was run and lacks a figure that is bounded has missed it: a method that did not answer, a rain that
+    did not come.
+    """
+    run = {scenario for scenario, _method in figures}
+    judged = []
+    for bound in bounds:
+        value = figures.get((bound.scenario, bound.method), {}).get(bound.figure)
+        if value is None and bound.scenario in run and not bound.figure.startswith(OPTIONAL_FIGURES):
+            value = math.nan
+        judged.append(Judged(bound, value, bound.mark(value)))
+    return tuple(judged)
+
+
+#: figures that need another scenario beside their own, or an operation of full length
+OPTIONAL_FIGURES = ("shift_deg", "left_deg", "alarm_delay", "rain_delay", "rain_coverage", "rain_wrong", "night_off")
+
+
+def idle_baselines(
+    bounds: Sequence[Bound], figures: FiguresOf, baselines: Iterable[str]
+) -> tuple[tuple[str, str], ...]:
+    """Return scenario and baseline wherever an answer without powers keeps every bound of accuracy.
+
+    There the bounds prove nothing about an estimator.
+    """
+    needed: dict[str, list[Bound]] = {}
+    for bound in bounds:
+        if bound.is_of_accuracy and bound.must is not None and bound.method == "robust":
+            needed.setdefault(bound.scenario, []).append(bound)
+    return tuple(
+        (scenario, baseline)
+        for scenario, own in needed.items()
+        for baseline in baselines
+        if (scenario, baseline) in figures
+        and all(_keeps(bound, figures[scenario, baseline].get(bound.figure)) for bound in own)
+    )
+
+
+def _keeps(bound: Bound, value: float | None) -> bool:
+    """Whether a value keeps what a bound demands."""
+    return value is not None and (bound.must is None or bound.must.holds(value))

@@ -1,0 +1,92 @@
+"""Lines of the simulator's ground as records of the service.
+
+What ``docs/reference/scenarios.md`` calls the ground's knowledge comes as JSON objects shaped like the bodies of the
+REST interface. A study stands beside that interface and feeds the pipeline directly, so it reads them itself; the lines
+come from a program of this repository and are taken at their word.
+"""
+
+from typing import Any
+
+from service.formats.orbit import ephemeris_from_nodes
+from service.records.attitude import Axes
+from service.records.catalogue import (
+    Carrier,
+    ControlMode,
+    ControlSettings,
+    Ephemeris,
+    Method,
+    Onboard,
+    Release,
+    Site,
+    Spacecraft,
+    Station,
+    Track,
+)
+from service.records.epoch import parse_epoch
+from service.records.inputs import Operation
+
+#: one JSON object
+Body = dict[str, Any]
+
+
+def read_spacecraft(body: Body) -> Spacecraft:
+    """Return the spacecraft of a ``spacecraft`` line."""
+    control = body["control"]
+    first, second, third = (tuple(float(element) for element in row) for row in body["inertia_kg_m2"])
+    return Spacecraft(
+        id=body["id"],
+        name=body["name"],
+        longitude_deg=float(body["longitude_deg"]),
+        receiving_site=Site(**body["receiving_site"]),
+        inertia_kg_m2=(
+            (first[0], first[1], first[2]),
+            (second[0], second[1], second[2]),
+            (third[0], third[1], third[2]),
+        ),
+        torque_limit_n_m=float(body["torque_limit_n_m"]),
+        cospar_id=body["cospar_id"],
+        simulated=body["simulated"],
+        onboard=Onboard(**body["onboard"]),
+        control=ControlSettings(Method(control["method"]), ControlMode(control["mode"]), Release(control["release"])),
+    )
+
+
+def read_carriers(body: Body) -> tuple[Carrier, ...]:
+    """Return the carriers of a ``carriers`` line in their order."""
+    return tuple(
+        Carrier(**{**carrier, "station": None if carrier["station"] is None else Station(**carrier["station"])})
+        for carrier in body["carriers"]
+    )
+
+
+def read_ephemeris(body: Body) -> Ephemeris:
+    """Return the ephemeris of an ``ephemeris`` line."""
+    told = body["track"]
+    track = Track(
+        tuple(parse_epoch(epoch) for epoch in told["epochs"]),
+        tuple(told["latitude_deg"]),
+        tuple(told["longitude_deg"]),
+    )
+    nodes_us = [parse_epoch(epoch) for epoch in body["ascending_nodes"]]
+    return ephemeris_from_nodes(nodes_us, body["nodal_period_s"], track)
+
+
+def read_operation(body: Body, number: int) -> Operation:
+    """Return the operation of an ``operations`` line under a number of the study's own."""
+    angles = body.get("attitude_uncertainty_deg")
+    return Operation(
+        id=number,
+        kind=body["kind"],
+        start_us=parse_epoch(body["start"]),
+        stop_us=parse_epoch(body["stop"]),
+        carriers=_names(body["carriers"]),
+        transponders=_names(body["transponders"]),
+        inhibit_control=body["inhibit_control"],
+        attitude_uncertainty_deg=None if angles is None else Axes(**angles),
+        comment=body["comment"],
+    )
+
+
+def _names(names: list[str] | None) -> tuple[str, ...] | None:
+    """Return names as a record keeps them."""
+    return None if names is None else tuple(names)

@@ -1,0 +1,294 @@
+"""The product's own pipeline over one world: calibrate, align, then the chain over every row of the operation phase.
+
+The journal is written here as a control centre would fill it: corrections when they begin, plans, ephemerides and
+operations when the ground learns of them, each before the first row that is not older. Rows without any power were
+never measured and are left out. Nothing of the truth is at hand in this module.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from service.pipeline.alignment import align_methods
+from service.pipeline.calibration_rows import CalibrationError, CalibrationInput
+from service.pipeline.chain import Chain
+from service.pipeline.config import AlignmentConfig, CalibrationConfig, ChainConfig
+from service.pipeline.geometry_calibration import calibrate_geometry
+from service.pipeline.stated_angles import smooth_angles
+from service.records.attitude import AttitudeRow, BoolArray, FloatArray, IntArray
+from service.records.calibration import (
+    Alignment,
+    Calibration,
+    CalibrationMethod,
+    CalibrationRequest,
+    CalibrationState,
+)
+from service.records.catalogue import Carrier, CarrierPlan, Ephemeris, Method
+from service.records.inputs import AlignmentSet, CalibrationActivation, EphemerisChange, PlanChange, SpacecraftChange
+from service.records.journal import SlowInput
+from service.records.measurement import Measurement
+from service.study.estimation.world import SENSOR, Ground
+
+_SENSOR_OF_AXIS = (SENSOR, SENSOR, SENSOR)
+#: what a row says, among its inhibitions or as advice, when the craft moves other than it was told to, or the powers
+#: do not fit the model
+ALARMS = frozenset({"unannounced_motion", "innovations", "disagreement"})
+
+
+@dataclass(frozen=True)
+class MethodSeries:
+    """What one method said of the T rows measured in operation; N carriers as in ``Ground``."""
+
+    #: (T, 3) deg, yaw, roll, pitch; NaN = none
+    estimate_deg: FloatArray
+    sigma_deg: FloatArray
+    #: (T, 3) whether control may use the axis
+    is_axis_allowed: BoolArray
+    #: (T,)
+    is_control_allowed: BoolArray
+    is_fade: BoolArray
+    is_alarm: BoolArray
+    #: (T, N) carriers present and left out
+    is_excluded: BoolArray
+    #: (N,) carriers that the method uses at all
+    is_carrier_used: BoolArray
+
+
+@dataclass(frozen=True)
+class Driven:
+    """What the product made of one world."""
+
+    #: (T,) rows of the world that were measured in operation
+    rows: IntArray
+    alignment_epoch_us: int
+    #: (3,) deg
+    alignment_deg: FloatArray
+    #: keyed by the name of the method
+    methods: dict[str, MethodSeries]
+
+
+class UndrivenError(Exception):
+    """The product refused to calibrate or to align in a world; the text is its own."""
+
+
+@dataclass
+class _Documents:
+    """Documents that journal entries name by number."""
+
+    plans: dict[int, CarrierPlan] = field(default_factory=dict)
+    ephemerides: dict[int, Ephemeris] = field(default_factory=dict)
+    calibrations: dict[int, Calibration] = field(default_factory=dict)
+    alignments: dict[int, Alignment] = field(default_factory=dict)
+
+    def plan(self, plan_id: int) -> CarrierPlan:
+        """Return a carrier plan."""
+        return self.plans[plan_id]
+
+    def ephemeris(self, ephemeris_id: int) -> Ephemeris:
+        """Return an ephemeris."""
+        return self.ephemerides[ephemeris_id]
+
+    def calibration(self, calibration_id: int) -> Calibration:
+        """Return a calibration."""
+        return self.calibrations[calibration_id]
+
+    def alignment(self, alignment_id: int) -> Alignment:
+        """Return an alignment."""
+        return self.alignments[alignment_id]
+
+    def add_plan(self, carriers: tuple[Carrier, ...]) -> PlanChange:
+        """Keep a plan and return its journal entry."""
+        number = len(self.plans) + 1
+        self.plans[number] = CarrierPlan(number, "", carriers)
+        return PlanChange(number)
+
+    def add_ephemeris(self, ephemeris: Ephemeris) -> EphemerisChange:
+        """Keep an ephemeris and return its journal entry."""
+        number = len(self.ephemerides) + 1
+        self.ephemerides[number] = ephemeris
+        return EphemerisChange(number)
+
+
+class _Entry(NamedTuple):
+    """A slow input and when the ground hands it over."""
+
+    epoch_us: int
+    content: SlowInput
+
+
+def drive(ground: Ground, config: ChainConfig | None = None) -> Driven:
+    """Calibrate, align and run the chain over the operation phase.
+
+    Parameters
+    ----------
+    ground : Ground
+        What the ground knows and measures.
+    config : ChainConfig, optional
+        Every number of every stage; the product's defaults.
+
+    Raises
+    ------
+    UndrivenError
+        The calibration or the alignment was refused.
+    """
+    documents = _Documents()
+    opening: list[SlowInput] = [SpacecraftChange(ground.spacecraft, 1), documents.add_plan(ground.carriers)]
+    opening.append(documents.add_ephemeris(ground.ephemeris))
+    documents.calibrations[1] = _calibrate(ground, documents)
+    entries = _entries(ground, documents)
+    start_us = ground.phases["operation"].start_us
+    before = [entry.content for entry in entries if entry.epoch_us < start_us]
+    documents.alignments[1] = _align(ground, documents)
+    chain = Chain(documents, config or ChainConfig())
+    for content in (*opening, CalibrationActivation(1, 1), *before, AlignmentSet(1)):
+        chain.learn(content)
+    return _operate(chain, ground, documents, entries[len(before) :])
+
+
+def _calibrate(ground: Ground, documents: _Documents) -> Calibration:
+    """Return the calibration from the quiet days and the turns."""
+    quiet, turns = ground.phases["quiet"], ground.phases["turns"]
+    request = CalibrationRequest(quiet, turns, CalibrationMethod.GEOMETRY)
+    plan = documents.plans[1]
+    data = CalibrationInput(
+        request,
+        plan,
+        documents.ephemerides[1],
+        ground.series(quiet, plan.carrier_ids),
+        ground.series(turns, plan.carrier_ids),
+        ground.references_in(turns),
+        ground.references_in(quiet),
+        ground.spacecraft,
+    )
+    try:
+        result = calibrate_geometry(data, CalibrationConfig())
+    except CalibrationError as error:
+        message = f"calibration refused: {error}"
+        raise UndrivenError(message) from error
+    return Calibration(1, 1, 1, CalibrationState.ACTIVE, request, 0, "study", result)
+
+
+def _align(ground: Ground, documents: _Documents) -> Alignment:
+    """Return the alignment from the last hour in which the sensor is on."""
+    window = ground.phases["alignment"]
+    calibration, ephemeris = documents.calibrations[1], documents.ephemerides[max(documents.ephemerides)]
+    stated, missing = smooth_angles(ground.references_in(window), _SENSOR_OF_AXIS)
+    if stated is None or calibration.result is None:
+        message = f"alignment refused: no {' and '.join(missing)} of {SENSOR}"
+        raise UndrivenError(message)
+    carrier_ids = tuple(carrier.id for carrier in calibration.result.carriers)
+    active = {calibration.request.method: calibration}
+    aligned = align_methods(ground.series(window, carrier_ids), stated, active, ephemeris, AlignmentConfig())
+    return Alignment(
+        id=1,
+        epoch_us=stated.epoch_us,
+        attitude_deg=stated.attitude_deg,
+        sigma_deg=stated.sigma_deg,
+        calibration_id=aligned.calibration.id,
+        source=SENSOR,
+        created_at_us=0,
+        created_by="study",
+        references=aligned.references,
+        window=window,
+        references_by_method=aligned.references_by_method,
+        calibration_by_method=aligned.calibration_by_method,
+    )
+
+
+def _entries(ground: Ground, documents: _Documents) -> list[_Entry]:
+    """Return the slow inputs in the order in which the ground hands them over."""
+    entries = [_Entry(correction.start_us, correction) for correction in ground.corrections]
+    for told_us, content in ground.news:
+        if isinstance(content, tuple):
+            entries.append(_Entry(told_us, documents.add_plan(content)))
+        elif isinstance(content, Ephemeris):
+            entries.append(_Entry(told_us, documents.add_ephemeris(content)))
+        else:
+            entries.append(_Entry(told_us, content))
+    return sorted(entries, key=lambda entry: entry.epoch_us)
+
+
+def _operate(chain: Chain, ground: Ground, documents: _Documents, entries: list[_Entry]) -> Driven:
+    """Run the chain over the rows of operation and keep what every method says."""
+    is_measured = np.isfinite(ground.power_dbm).any(axis=1)
+    rows = np.flatnonzero(is_measured & (ground.epochs_us >= ground.phases["operation"].start_us))
+    told: list[tuple[AttitudeRow, ...]] = []
+    for measurement in _journal(chain, ground, documents, entries, rows):
+        outcome = chain.step(measurement)
+        told.append(() if outcome is None else outcome.rows)
+    names = sorted({row.method.value for some in told for row in some})
+    by_method = {name: [next((row for row in some if row.method == name), None) for some in told] for name in names}
+    alignment = documents.alignments[1]
+    used = {name: _used(documents.calibrations[1], Method(name), ground.carrier_ids) for name in names}
+    return Driven(
+        rows,
+        alignment.epoch_us,
+        np.array(alignment.attitude_deg),
+        {name: _series(of_method, ground.carrier_ids, used[name]) for name, of_method in by_method.items()},
+    )
+
+
+def _used(calibration: Calibration, method: Method, carrier_ids: tuple[str, ...]) -> BoolArray:
+    """Return the carriers (N,) that a method uses at all."""
+    result = calibration.result
+    if result is None:
+        return np.zeros(len(carrier_ids), dtype=np.bool_)
+    is_used = [carrier.selected for carrier in result.carriers]
+    if method is Method.ROBUST and result.geometry is not None:
+        is_used = list(result.geometry.is_used)
+    names = {carrier.id for carrier, used in zip(result.carriers, is_used, strict=True) if used}
+    return np.array([name in names for name in carrier_ids], dtype=np.bool_)
+
+
+def _journal(
+    chain: Chain, ground: Ground, documents: _Documents, entries: list[_Entry], rows: IntArray
+) -> Iterator[Measurement]:
+    """Yield the measurements in order, teaching the chain what comes before each of them."""
+    waiting = entries[::-1]
+    plan_id = max((1, *(content.plan_id for content in _plan_changes(documents, entries))))
+    columns = _columns(ground, documents.plans[plan_id])
+    for number, row in enumerate(rows.tolist(), start=1):
+        epoch_us = int(ground.epochs_us[row])
+        while waiting and waiting[-1].epoch_us <= epoch_us:
+            content = waiting.pop().content
+            chain.learn(content)
+            if isinstance(content, PlanChange):
+                plan_id, columns = content.plan_id, _columns(ground, documents.plans[content.plan_id])
+        yield Measurement(epoch_us, epoch_us, number, "sa-1", plan_id, ground.power_dbm[row, columns], None)
+
+
+def _plan_changes(documents: _Documents, coming: list[_Entry]) -> Iterator[PlanChange]:
+    """Yield the plans that are known before the first row of operation."""
+    later = {entry.content.plan_id for entry in coming if isinstance(entry.content, PlanChange)}
+    yield from (PlanChange(number) for number in documents.plans if number not in later)
+
+
+def _columns(ground: Ground, plan: CarrierPlan) -> list[int]:
+    """Return the columns of the world in the order of a plan."""
+    return [ground.carrier_ids.index(name) for name in plan.carrier_ids]
+
+
+def _series(rows: list[AttitudeRow | None], carrier_ids: tuple[str, ...], is_carrier_used: BoolArray) -> MethodSeries:
+    """Return the rows of one method as arrays; where it said nothing, nothing is allowed."""
+    place = {name: k for k, name in enumerate(carrier_ids)}
+    nothing, count = (float("nan"),) * 3, len(rows)
+    is_excluded = np.zeros((count, len(carrier_ids)), dtype=np.bool_)
+    for k, row in enumerate(rows):
+        for carrier, reason in () if row is None else row.excluded:
+            is_excluded[k, place[carrier]] = reason != "absent"
+
+    def claims(told: list[bool]) -> BoolArray:
+        return np.array(told, dtype=np.bool_)
+
+    return MethodSeries(
+        np.array([nothing if row is None else row.attitude_deg for row in rows]).reshape(-1, 3),
+        np.array([nothing if row is None else row.sigma_deg for row in rows]).reshape(-1, 3),
+        np.array([(False,) * 3 if row is None else row.control_allowed_axes for row in rows]).reshape(-1, 3),
+        claims([row is not None and row.control_allowed for row in rows]),
+        claims([row is not None and row.downlink_fade for row in rows]),
+        claims([row is not None and not ALARMS.isdisjoint(row.inhibitions + row.advice) for row in rows]),
+        is_excluded,
+        is_carrier_used,
+    )

@@ -1,0 +1,189 @@
+"""Everything that is measured of one answer in one world, and its figures over the seeds of a scenario.
+
+A figure is a number under the name that the table of bounds uses. The mean over seeds is taken where the bounds ask
+for one; delays and what happens to a single rain count by their worst case, shares are pooled. What did not occur has
+no figure.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from service.records.attitude import BoolArray, FloatArray
+from service.study.estimation.accuracy import Accuracy, Figures, accuracy_figures, measure_accuracy
+from service.study.estimation.drive import Driven, MethodSeries
+from service.study.estimation.episodes import (
+    FOUND_WITHIN_MIN,
+    FaultFigures,
+    RainFigures,
+    measure_alarms,
+    measure_faults,
+    measure_rain,
+    stretches,
+)
+from service.study.estimation.world import World
+
+#: rows of this time after the start of operation are not judged, s
+SETTLING_S = 3600.0
+#: errors that turn a torque the wrong way, yaw, roll, pitch, deg
+WRONG_DEG = np.array([0.3, 0.15, 0.15])
+#: hours of operation from which the craft does other than it is told; the page of the scenarios tells the deed
+WRONG_FROM_H = {
+    **dict.fromkeys(
+        ("corrections_flipped", "corrections_halved", "corrections_lost", "corrections_doubled"), (9.0, 30.0)
+    ),
+    "nominal_uncoupled": (0.0,),
+}
+_US_PER_S = 1_000_000
+
+
+class Control(NamedTuple):
+    """What control would have done with an answer."""
+
+    #: minutes in which any allowed torque would be wrong, one of roll and pitch, that of yaw
+    wrong_min: float
+    wrong_roll_pitch_min: float
+    wrong_yaw_min: float
+    #: share of the rows without rain over the receiving site in which roll and pitch may be controlled, and yaw
+    available_dry: float
+    yaw_available_dry: float
+    #: (E,) minutes without control in each of the declared nights
+    night_off_min: FloatArray
+
+
+class Measures(NamedTuple):
+    """One answer in one world."""
+
+    accuracy: Accuracy
+    control: Control
+    rain: RainFigures
+    faults: FaultFigures
+    #: (E,) min, and how many begin a day
+    alarm_delay_min: FloatArray
+    alarms_per_day: float
+
+
+def judged_rows(world: World, driven: Driven) -> BoolArray:
+    """Return which rows of operation are judged."""
+    epochs_us = world.ground.epochs_us[driven.rows]
+    settled_us = world.ground.phases["operation"].start_us + int(SETTLING_S * _US_PER_S)
+    return np.asarray(epochs_us >= settled_us)
+
+
+def measure_method(world: World, driven: Driven, series: MethodSeries) -> Measures:
+    """Return the measures of a method of the product."""
+    judged = judged_rows(world, driven)
+    rows = driven.rows[judged]
+    truth_deg = world.truth.attitude_deg[rows]
+    epochs_us, row_min = world.ground.epochs_us[rows], world.row_period_s / 60.0
+    error_deg = np.abs(series.estimate_deg[judged] - truth_deg)
+    # a comparison with NaN is false: what has no angle has no torque
+    is_wrong: BoolArray = np.asarray((error_deg > WRONG_DEG) & series.is_axis_allowed[judged])
+    fade_db = world.truth.downlink_fade_db[rows]
+    is_wrong_row: BoolArray = np.asarray(is_wrong.any(axis=1))
+    alarm_delays, alarms_per_day = measure_alarms(
+        epochs_us,
+        series.is_alarm[judged],
+        world.ground.phases["operation"].start_us,
+        WRONG_FROM_H.get(world.scenario, ()),
+    )
+    return Measures(
+        measure_accuracy(series.estimate_deg[judged], series.sigma_deg[judged], truth_deg),
+        _control(series, judged, is_wrong, fade_db, _nights(world, driven)[judged], row_min),
+        measure_rain(epochs_us, fade_db, series.is_fade[judged], is_wrong_row, row_min),
+        measure_faults(epochs_us, world.truth, rows, series.is_excluded[judged], series.is_carrier_used),
+        alarm_delays,
+        alarms_per_day,
+    )
+
+
+def _nights(world: World, driven: Driven) -> BoolArray:
+    """Return which rows (T,) of operation lie in the shadow or shortly after it."""
+    return np.asarray(world.truth.has_flag("eclipse")[driven.rows].any(axis=1))
+
+
+def _control(
+    series: MethodSeries,
+    judged: BoolArray,
+    is_wrong: BoolArray,
+    fade_db: FloatArray,
+    is_night: BoolArray,
+    row_min: float,
+) -> Control:
+    """Return what control would have done."""
+    is_allowed, is_dry = series.is_control_allowed[judged], fade_db == 0.0
+    nights = stretches(is_night)
+    return Control(
+        row_min * float(np.count_nonzero(is_wrong.any(axis=1))),
+        row_min * float(np.count_nonzero(is_wrong[:, 1:].any(axis=1))),
+        row_min * float(np.count_nonzero(is_wrong[:, 0])),
+        _share(is_allowed, is_dry),
+        _share(series.is_axis_allowed[judged][:, 0], is_dry),
+        np.array([row_min * np.count_nonzero(~is_allowed[first:last]) for first, last in nights]),
+    )
+
+
+def _share(is_so: BoolArray, among: BoolArray) -> float:
+    """Return the share of some rows, NaN of none."""
+    return float(is_so[among].mean()) if among.any() else float("nan")
+
+
+def figures_of(seeds: Sequence[Measures]) -> Figures:
+    """Return the figures of one method over the seeds of a scenario."""
+    figures = accuracy_figures([seed.accuracy for seed in seeds])
+    controls = [seed.control for seed in seeds]
+    figures |= {
+        "wrong_min": _mean([control.wrong_min for control in controls]),
+        "wrong_min.roll_pitch": _mean([control.wrong_roll_pitch_min for control in controls]),
+        "wrong_min.yaw": _mean([control.wrong_yaw_min for control in controls]),
+        "available_dry": _mean([control.available_dry for control in controls]),
+        "yaw_available_dry": _mean([control.yaw_available_dry for control in controls]),
+        "alarms_per_day": _mean([seed.alarms_per_day for seed in seeds]),
+    }
+    figures |= _worst("alarm_delay_min", [seed.alarm_delay_min for seed in seeds])
+    figures |= _worst("night_off_min", [control.night_off_min for control in controls])
+    return {**figures, **_rain_figures(seeds), **_fault_figures(seeds)}
+
+
+def _mean(values: Sequence[float]) -> float:
+    """Return the mean of the seeds."""
+    return float(np.mean(values))
+
+
+def _worst(name: str, seeds: Sequence[FloatArray]) -> Figures:
+    """Return the worst case of all seeds, nothing where there was none."""
+    together = np.concatenate(seeds)
+    return {name: float(together.max())} if len(together) else {}
+
+
+def _rain_figures(seeds: Sequence[Measures]) -> Figures:
+    """Return the figures of rain over the receiving site; the false share counts where it is dry throughout, too."""
+    rains = [seed.rain for seed in seeds]
+    dry = sum(rain.dry_rows for rain in rains)
+    figures = {"rain_false_share": sum(rain.false_rows for rain in rains) / dry} if dry else {}
+    delay_min = np.concatenate([rain.delay_min for rain in rains])
+    if len(delay_min):
+        figures |= {
+            "rain_delay_median_min": float(np.median(delay_min)),
+            "rain_delay_min": float(delay_min.max()),
+            "rain_coverage": float(np.mean(np.concatenate([rain.coverage for rain in rains]))),
+            "rain_wrong_min": float(np.concatenate([rain.wrong_min for rain in rains]).max()),
+        }
+    return figures
+
+
+def _fault_figures(seeds: Sequence[Measures]) -> Figures:
+    """Return the figures of faults of single carriers."""
+    faults = [seed.faults for seed in seeds]
+    clean = sum(fault.clean_pairs for fault in faults)
+    figures = {"false_exclusion_share": sum(fault.false_pairs for fault in faults) / clean} if clean else {}
+    delay_min = np.concatenate([fault.delay_min for fault in faults])
+    if len(delay_min):
+        found = delay_min <= FOUND_WITHIN_MIN
+        figures |= {
+            "faults": float(len(delay_min)),
+            "faults_found_share": float(found.mean()),
+            "fault_delay_median_min": float(np.median(delay_min)),
+        }
+    return figures
