@@ -1,5 +1,7 @@
 """Carrier plans: which station radiates which carrier through which beam, and where it lies in the analyzer's span.
 
+A beacon is an unmodulated line of the satellite itself: no station, no uplink beam, no symbol rate.
+
 Of the sixteen carriers of `ku16` five are dominant in roll, six have at least twice as much pitch as roll, and four
 have their largest figure in yaw scaled by eight. Twice the others, as the rule of the method asks, scaled yaw can
 never be: with gradients p along pitch and r along roll the geometry gives 8 yaw = 8 (el p - az r), at most 1.2 |p| +
@@ -19,6 +21,8 @@ from analyzer_sim.streams import FloatArray
 ROLLOFF = 0.25
 #: left edge of the analyzer's span, Hz
 SPAN_START_HZ = 954e6
+#: band in which a beacon's power is integrated, Hz
+BEACON_BAND_HZ = 100e3
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +35,8 @@ class Band:
     rain_share: float
 
 
+#: noise density at the analyzer input in clear sky, dBm/Hz
+CLEAR_NOISE_DBM_HZ = -120.0
 #: both converters lead to one span
 BANDS = {"Ku": Band("Ku", 14_036e6, 11_486e6, 1.0), "C": Band("C", 5_950e6, 3_625e6, 0.1)}
 
@@ -65,11 +71,18 @@ class Carrier:
     wander_db: float = 0.0
     polarization: str = "H"
     band: str = "Ku"
+    #: a line of the satellite itself; `station` is then the receiving site
+    is_beacon: bool = False
 
     @property
     def bandwidth_hz(self) -> float:
-        """Occupied bandwidth, Hz."""
-        return self.symbol_rate_hz * (1.0 + ROLLOFF)
+        """Occupied bandwidth, of a beacon the band of integration, Hz."""
+        return BEACON_BAND_HZ if self.is_beacon else self.symbol_rate_hz * (1.0 + ROLLOFF)
+
+    @property
+    def c_n0_db_hz(self) -> float:
+        """Level over the noise density of the clear sky."""
+        return self.level_dbm - CLEAR_NOISE_DBM_HZ
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +99,7 @@ class CarrierPlan:
     span_hz: tuple[float, float] = (954e6, 990e6)
     noise_windows_hz: tuple[tuple[float, float], ...] = ((954.05e6, 954.75e6), (971.7e6, 972.3e6), (989.25e6, 989.95e6))
     #: noise density at the analyzer input in clear sky, dBm/Hz
-    noise_dbm_hz: float = -120.0
+    noise_dbm_hz: float = CLEAR_NOISE_DBM_HZ
     #: downlink beams of other bands by name
     other_downlink_beams: dict[str, Beam] = field(default_factory=dict)
 
@@ -99,6 +112,11 @@ class CarrierPlan:
     def downlink_beams(self) -> dict[str, Beam]:
         """Downlink beam of each band."""
         return {"Ku": self.downlink_beam, **self.other_downlink_beams}
+
+    @property
+    def users(self) -> list[int]:
+        """Columns of the carriers that come up from stations: all but beacons."""
+        return [k for k, carrier in enumerate(self.carriers) if not carrier.is_beacon]
 
     def column(self, carrier_id: str) -> int:
         """Return the column of a carrier."""
@@ -185,6 +203,25 @@ def _with_successors(plan: CarrierPlan, name: str, successors: dict[str, tuple[s
     return replace(plan, name=name, carriers=(*plan.carriers, *added))
 
 
+def _with_beacons(plan: CarrierPlan, name: str, centers_hz: dict[str, float]) -> CarrierPlan:
+    """Add beacons of the Ku band after the users' carriers."""
+    beacons = (
+        Carrier(
+            id=carrier_id,
+            station=plan.receiving_site,
+            transponder="Ku beacon",
+            center_hz=center_hz,
+            symbol_rate_hz=0.0,
+            level_dbm=-50.0,
+            dish_width_deg=np.inf,
+            white_db=0.06,
+            is_beacon=True,
+        )
+        for carrier_id, center_hz in centers_hz.items()
+    )
+    return replace(plan, name=name, carriers=(*plan.carriers, *beacons))
+
+
 #: the eight of `ku16` whose bound is nearest the published figure for eight carriers
 _KU8 = tuple(KU16[number] for number in (0, 1, 4, 5, 9, 10, 12, 14))
 _KU16 = _plan("ku16", KU16)
@@ -197,5 +234,6 @@ PLANS: dict[str, CarrierPlan] = {
     "ku8": _plan("ku8", _KU8),
     "ku32": _plan("ku32", KU16 + KU_MORE, rate_share=0.7),
     "kuc16": _plan("kuc16", _KU8 + C8),
+    "ku16_beacons": _with_beacons(_KU16, "ku16_beacons", {"b00": 955.1e6, "b01": 988.9e6}),
     "ku16_changed": _with_successors(_KU16, "ku16_changed", SUCCESSORS),
 }

@@ -19,6 +19,8 @@ from analyzer_sim.streams import FloatArray
 
 #: an operation is declared this long before it begins
 NOTICE_H = 2.0
+#: names of the analyzers: prime, backup
+SOURCES = ("sa-1", "sa-2")
 
 
 class FaultFlag(IntFlag):
@@ -37,6 +39,7 @@ class FaultFlag(IntFlag):
     SUN_OUTAGE = 1024
     LEVEL_CONTROL = 2048
     POWER_CONTROL = 4096
+    BACKUP_CHAIN = 8192
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,10 +83,14 @@ class Effects:
     sun_noise_db: FloatArray
     #: (T, 2) shift of the uplink patterns against the body, azimuth and elevation, deg
     pattern_shift_deg: FloatArray
+    #: (T,) number of the analyzer in SOURCES
+    source: NDArray[np.uint8]
     #: (T, N) FaultFlag
     flags: NDArray[np.uint16]
     #: what is declared, in the order of the events
     operations: list[Operation] = field(default_factory=list)
+    #: epochs at which another analyzer takes over, and its name
+    source_switches: list[tuple[int, str]] = field(default_factory=list)
 
     @classmethod
     def none(cls, plan: CarrierPlan, epochs_us: EpochArray, start_us: int, row_h: float) -> "Effects":
@@ -101,6 +108,7 @@ class Effects:
             interference_db=np.full(shape, np.nan),
             sun_noise_db=np.zeros(count),
             pattern_shift_deg=np.zeros((count, 2)),
+            source=np.zeros(count, dtype=np.uint8),
             flags=np.zeros(shape, dtype=np.uint16),
         )
 

@@ -212,6 +212,19 @@ class PlanChange:
     start_h: float
     gone: tuple[str, ...]
     new: tuple[str, ...]
+    #: whether the new plan names its carriers the other way round
+    is_order_reversed: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class SourceSwitch:
+    """Measuring goes over to the second analyzer, behind a receiving chain of its own, and back; the ground does it."""
+
+    name: str
+    start_h: Range
+    duration_h: Range
+    #: gain of the second chain against the first
+    gain_db: Range = (-0.4, -0.4)
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,5 +265,6 @@ Fault = (
     | PlanChange
     | Eclipse
     | SunOutage
+    | SourceSwitch
 )
 Manoeuvre = Hold | Tour | FalseReport

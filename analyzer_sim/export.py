@@ -9,7 +9,7 @@ key                         shape      meaning
 scenario, seed              ()         what was asked for
 epoch_us                    (T,)       microseconds UTC
 carrier_id                  (N,)       names of the columns
-power_dbm                   (T, N)     measured power, NaN = off or in a gap
+power_dbm                   (T, N)     measured power, NaN = off, outside its plan or in a gap
 yaw_deg roll_deg pitch_deg  (T,)       truth
 uplink_fade_db              (T, N)     truth, rain over the users' stations
 downlink_fade_db            (T,)       truth, rain over the receiving site, in the band that feels it in full
@@ -20,17 +20,22 @@ pattern_shift_deg           (T, 2)     truth, shift of the uplink patterns, azim
 sun_noise_db                (T,)       truth, rise of the noise density by the Sun
 burn_us                     (B,)       truth, burns of the orbit
 burn_inclination_deg        (B, 2)     truth, their changes of the inclination vector
+source                      (T,)       number of the analyzer that measured, place in source_name
+source_name                 (2,)       prime, backup
 flags                       (T, N)     truth, sum of flag_value of the faults that act
 flag_name, flag_value       (F,)       bits of `flags`
 sensitivity_db_per_deg      (N, 3)     truth at nominal attitude, order yaw, roll, pitch
 white_db                    (N,)       white noise of a row, the world's and the sweep's together
 phase_name                  (P,)       quiet, turns, perhaps pause, alignment, operation
 phase_start_us, _stop_us    (P,)       start inclusive, stop exclusive
-reference_epoch_us          (R,)       star tracker, only while it is on
-reference_{angle}_deg       (R,)
-reference_sigma_deg         (3,)       order yaw, roll, pitch
+reference_epoch_us          (R,)       references of all sensors, in order of epoch, until operation begins
+reference_source            (R,)       star_tracker, earth_sensor or radio_beacon
+reference_{angle}_deg       (R,)       NaN = the sensor does not tell it
+reference_sigma_{angle}_deg  (R,)      NaN likewise
+reference_sigma_deg         (3,)       the same by axis, order yaw, roll, pitch: an axis has one sensor
 correction_start_us, _stop_us  (C,)    corrections announced to the ground
 correction_{angle}_deg      (C,)       total over the interval
+correction_told_us          (C,)       when the ground is told: at the start, or late (then in news_json too)
 turn_start_us, _stop_us     (M,)       timetable of the calibration turns, after the slews
 turn_{angle}_deg            (M,)
 node_us                     (K,)       ascending nodes
@@ -39,7 +44,7 @@ track_epoch_us              (S,)       predicted track
 track_latitude_deg, track_longitude_deg  (S,)
 catalogue_json              ()         spacecraft, carriers, task and ephemeris as sent by the ground port
 news_us                     (L,)       epochs from which the ground knows more
-news_json                   ()         L lines as sent by the ground port: plans, tasks, ephemerides, operations
+news_json                   ()         L lines as the ground port sends them: plans, tasks, ephemerides, operations ...
 ==========================  =========  ==============================================================
 """
 
@@ -50,11 +55,12 @@ from typing import Any
 
 import numpy as np
 
+from analyzer_sim.carriers import ROLLOFF
+from analyzer_sim.effects import SOURCES
 from analyzer_sim.epochs import US_PER_S
 from analyzer_sim.ground import catalogue_lines, news
 from analyzer_sim.orbit import predicted_track
 from analyzer_sim.payload import sensitivity_db_per_deg
-from analyzer_sim.star_tracker import SIGMA_DEG
 from analyzer_sim.story import Scenario
 from analyzer_sim.streams import FloatArray, stream
 from analyzer_sim.turns import SLEW_MIN, TIMETABLE
@@ -75,7 +81,7 @@ def measured_dbm(world: World, sweep_noise: float = 1.0) -> FloatArray:
 def _growth(world: World) -> FloatArray:
     """Return by how much (T, N) the Sun's noise spreads a carrier's power: (C + N) / C against the clear sky's."""
     plan = world.plan
-    over_noise_db = [c.level_dbm - 10.0 * np.log10(c.symbol_rate_hz) - plan.noise_dbm_hz for c in plan.carriers]
+    over_noise_db = [c.c_n0_db_hz - 10.0 * np.log10(c.bandwidth_hz / (1.0 + ROLLOFF)) for c in plan.carriers]
     clear = 10.0 ** (-np.array(over_noise_db) / 10.0)
     risen = 10.0 ** (world.rows.sun_noise_db / 10.0)
     return np.asarray((1.0 + clear * risen[:, None]) / (1.0 + clear))
@@ -132,6 +138,8 @@ def _truth(world: World) -> dict[str, Any]:
         "sun_noise_db": rows.sun_noise_db,
         "burn_us": np.array([impulse.epoch_us for impulse in world.orbit.impulses], dtype=np.int64),
         "burn_inclination_deg": np.array([i.inclination_deg for i in world.orbit.impulses]).reshape(-1, 2),
+        "source": rows.source,
+        "source_name": np.array(SOURCES),
         "flags": rows.flags,
         "flag_name": np.array(list(names)),
         "flag_value": np.array(list(names.values())),
@@ -158,10 +166,13 @@ def _knowledge(world: World) -> dict[str, Any]:
         "phase_stop_us": np.array([phase.stop_us for phase in phases]),
         "reference_epoch_us": world.references.epochs_us,
         **_by_axis("reference_", world.references.attitude_deg),
-        "reference_sigma_deg": np.array(SIGMA_DEG),
+        "reference_source": world.references.source,
+        **_by_axis("reference_sigma_", world.references.sigma_deg),
+        "reference_sigma_deg": np.nanmax([sensor.sigma_deg for sensor in world.scenario.sensors], axis=0),
         "correction_start_us": np.array([c.start_us for c in world.corrections], dtype=np.int64),
         "correction_stop_us": np.array([c.stop_us for c in world.corrections], dtype=np.int64),
         **_by_axis("correction_", told),
+        "correction_told_us": np.array([c.told_us for c in world.corrections], dtype=np.int64),
         "turn_start_us": np.array([turns_us + (turn.start_min + SLEW_MIN) * 60 * US_PER_S for turn in turns]),
         "turn_stop_us": np.array([turns_us + turn.stop_min * 60 * US_PER_S for turn in turns]),
         **_by_axis("turn_", np.array([turn.attitude_deg for turn in turns])),

@@ -124,5 +124,5 @@ def _(fault: Gap, effects: Effects, rng: np.random.Generator) -> None:
 
 def _pick(rng: np.random.Generator, effects: Effects, carriers: tuple[str, ...], number: int) -> int:
     """Return the number-th of the named carriers, or a drawn one where none is named."""
-    drawn = int(rng.integers(len(effects.ids)))
+    drawn = effects.plan.users[int(rng.integers(len(effects.plan.users)))]
     return effects.ids.index(carriers[number % len(carriers)]) if carriers else drawn

@@ -29,10 +29,12 @@ def plan_positions_km(plan: CarrierPlan) -> FloatArray:
 
 
 def uplink_gain_db(plan: CarrierPlan, azimuth_deg: FloatArray, elevation_deg: FloatArray) -> FloatArray:
-    """Return gains (T, N) of each carrier's uplink beam; angles (T, N + 1), the site last."""
-    beams: list[Beam] = [plan.beams[carrier.transponder] for carrier in plan.carriers]
-    gains = [beam.gain_db(azimuth_deg[:, k], elevation_deg[:, k]) for k, beam in enumerate(beams)]
-    return np.stack(gains, axis=1)
+    """Return gains (T, N) of each carrier's uplink beam, 0 for a beacon; angles (T, N + 1), the site last."""
+    gains = np.zeros((len(azimuth_deg), len(plan.carriers)))
+    for k in plan.users:
+        beam: Beam = plan.beams[plan.carriers[k].transponder]
+        gains[:, k] = beam.gain_db(azimuth_deg[:, k], elevation_deg[:, k])
+    return gains
 
 
 def pattern_gain_db(
@@ -97,11 +99,13 @@ def _antenna_angles_deg(
 
 
 def dishes_loss_db(plan: CarrierPlan, orbit: Orbit, epochs_us: EpochArray, seed: int) -> FloatArray:
-    """Return the losses (T, N) of the users' fixed dishes."""
+    """Return the losses (T, N) of the users' fixed dishes; a beacon has none."""
     satellite_km, nominal_km = orbit.position_km(epochs_us), orbit.nominal_km
-    losses = []
-    for carrier, station_km in zip(plan.carriers, plan_positions_km(plan), strict=False):  # the site comes last, unused
-        motion = dish_motion_deg(station_km, nominal_km, satellite_km)
+    stations_km = plan_positions_km(plan)
+    losses = np.zeros((len(epochs_us), len(plan.carriers)))
+    for k in plan.users:
+        carrier = plan.carriers[k]
+        motion = dish_motion_deg(stations_km[k], nominal_km, satellite_km)
         offset = mispointing_deg(seed, carrier.id, carrier.dish_width_deg)
-        losses.append(dish_loss_db(motion, offset, carrier.dish_width_deg))
-    return np.stack(losses, axis=1)
+        losses[:, k] = dish_loss_db(motion, offset, carrier.dish_width_deg)
+    return losses

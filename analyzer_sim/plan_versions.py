@@ -24,7 +24,9 @@ def plan_versions(scenario: Scenario, plan: CarrierPlan) -> tuple[PlanVersion, .
     versions = [_version(scenario.start_us, plan, on_air)]
     for change in changes:
         on_air = (on_air - set(change.gone)) | set(change.new)
-        versions.append(_version(scenario.operation_start_us + round(change.start_h * US_PER_H), plan, on_air))
+        version = _version(scenario.operation_start_us + round(change.start_h * US_PER_H), plan, on_air)
+        ordered = version.carriers[::-1] if change.is_order_reversed else version.carriers
+        versions.append(PlanVersion(version.told_us, ordered))
     return tuple(versions)
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from analyzer_sim.catalogue_hard import HARD
 from analyzer_sim.catalogue_plain import PLAIN, downlink_rain
+from analyzer_sim.catalogue_sources import SOURCES_OF_REALITY
 from analyzer_sim.catalogue_wrong import WRONG
 from analyzer_sim.story import DEFAULT_START_US, KeepingFigures, NoiseFigures, Phase, RepeaterFigures, Scenario
 
@@ -20,7 +21,7 @@ __all__ = [
 ]
 
 #: every scenario by name
-SCENARIOS: dict[str, Scenario] = {scenario.name: scenario for scenario in (*PLAIN, *HARD, *WRONG)}
+SCENARIOS: dict[str, Scenario] = {scenario.name: scenario for scenario in (*PLAIN, *HARD, *WRONG, *SOURCES_OF_REALITY)}
 
 
 def scenario_named(

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 
 from analyzer_sim.carriers import PLANS, CarrierPlan
-from analyzer_sim.events import ChainStep, Eclipse, Fault, GroupStep, PlanChange, SunOutage, SwitchOff
+from analyzer_sim.events import ChainStep, Eclipse, Fault, GroupStep, PlanChange, SourceSwitch, SunOutage, SwitchOff
 from analyzer_sim.orbit import Orbit
 from analyzer_sim.payload import sensitivity_db_per_deg
 from analyzer_sim.scenario import SCENARIOS
@@ -22,6 +22,7 @@ _TOLD: dict[type[Fault], Callable[[Fault], str]] = {
     Eclipse: lambda _fault: "eclipse",
     SunOutage: lambda _fault: "sun_outage",
     PlanChange: lambda _fault: "new plan",
+    SourceSwitch: lambda _fault: "which analyzer measures",
 }
 
 
@@ -44,14 +45,22 @@ def told(scenario: Scenario) -> str:
         kinds += ["station_keeping", f"new ephemeris {delay}"]
     if scenario.pause_h > 0.0:
         kinds.append("new ephemeris after the pause")
-    figures = scenario.repeater
+    kinds += _told_figures(scenario)
+    return ", ".join(dict.fromkeys(kind for kind in kinds if kind)) or "-"
+
+
+def _told_figures(scenario: Scenario) -> list[str]:
+    """Return what the ground learns by catalogue and habit."""
+    kinds, figures = [], scenario.repeater
     if figures.alc_transponders:
         kinds.append("catalogue: transponder_mode alc")
     if figures.power_controlled:
         kinds.append(f"catalogue: uplink_power_control {'auto' if figures.is_power_control_told else 'unknown'}")
     if not scenario.keeping.is_coupled:
         kinds.append(f"catalogue: roll_yaw_coupling {str(scenario.keeping.is_coupled_told).lower()}")
-    return ", ".join(dict.fromkeys(kind for kind in kinds if kind)) or "-"
+    if scenario.keeping.corrections_late_min is not None:
+        kinds.append(f"corrections {scenario.keeping.corrections_late_min:g} min after their end")
+    return kinds
 
 
 _HEAD = (
@@ -63,8 +72,8 @@ _HEAD = (
     "SCPI, `soo-analyzer export --scenario NAME --seed N --out F.npz` writes the same world as arrays.",
     "`--operation-days`, `--row-period` and `--start` change length, cadence and first epoch of any of them. Each has",
     "three quiet days, the turns of 8.5 h and an hour of alignment before its operation phase, whose length is given.",
-    "The ground always knows references (until the operation phase) and announced corrections; the last column names",
-    "what else it is told.",
+    "The ground always knows references (until the operation phase, of a star tracker unless said otherwise), hourly",
+    "telemetry and announced corrections; the last column names what else it is told.",
     "",
     "| scenario | days | plan | row | what happens | the ground is also told |",
     "|---|---|---|---|---|---|",
@@ -84,7 +93,8 @@ _FOOT = (
     "## Simplifications",
     "",
     "* The beams are invented, wide enough for the published 1.2 dB/deg; there is no polarization.",
-    "* Roll and yaw exchange kinematically; nothing is integrated from torques here.",
+    "* Roll and yaw exchange kinematically. Torques act in `plant` alone, where no manoeuvre of the story is flown.",
+    "* Telemetry is for show: wheel momentum and mode act on nothing.",
     "* Noise is written row by row: a row of 10 s has the white noise of a row of 300 s.",
     "* A pause is passed over: noise goes on after it as if it had not been.",
     "* `eclipse` has its shadow in the operation phase only, not on the quiet days before it.",

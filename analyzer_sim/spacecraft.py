@@ -38,6 +38,13 @@ class Correction:
     stop_us: int
     #: yaw, roll, pitch, total over the interval
     attitude_deg: tuple[float, float, float]
+    #: epoch at which the ground is told: the start, or some time after the end
+    told_us: int
+
+    @property
+    def is_late(self) -> bool:
+        """Whether the ground hears of it only afterwards."""
+        return self.told_us > self.start_us
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,12 +144,16 @@ def _free_flight(
         untold = _feed_forward(secret[first], secret[last], span_h, figures) - balance
         rates = effect * told + untold + drift[first:last]
         attitude[first + 1 : last + 1] = _propagate(attitude[first], rates @ gamma.T, phi)
-        start_us = int(epochs_us[0]) + first * scenario.row_period_us
+        start_us, stop_us = (int(epochs_us[0]) + row * scenario.row_period_us for row in (first, last))
         total = np.round(told * span_h + (lead[last] - lead[first]), 7).tolist()
-        corrections.append(
-            Correction(start_us, start_us + (last - first) * scenario.row_period_us, (total[0], total[1], total[2]))
-        )
+        told_us = _told_us(start_us, stop_us, figures)
+        corrections.append(Correction(start_us, stop_us, (total[0], total[1], total[2]), told_us))
     return attitude[:count], tuple(corrections)
+
+
+def _told_us(start_us: int, stop_us: int, figures: KeepingFigures) -> int:
+    late_min = figures.corrections_late_min
+    return start_us if late_min is None else stop_us + round(60.0 * late_min) * US_PER_S
 
 
 def _feed_forward(begin: FloatArray, end: FloatArray, span_h: float, figures: KeepingFigures) -> FloatArray:

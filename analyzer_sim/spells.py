@@ -1,9 +1,10 @@
-"""Spells that come over many carriers at once: storms, eclipses, the Sun in the beam, a new plan, new levels."""
+"""Spells that come over many carriers at once: storms, eclipses, the Sun, new plans, new levels, another analyzer."""
 
 import numpy as np
 
-from analyzer_sim.effects import Effects, FaultFlag, draw
-from analyzer_sim.events import Eclipse, PlanChange, Relevel, Storm, SunOutage
+from analyzer_sim.effects import SOURCES, Effects, FaultFlag, draw
+from analyzer_sim.epochs import US_PER_H
+from analyzer_sim.events import Eclipse, PlanChange, Relevel, SourceSwitch, Storm, SunOutage
 from analyzer_sim.streams import FloatArray
 from analyzer_sim.weather import shower_db, wet_antenna_db
 
@@ -14,7 +15,7 @@ _OVER_SHARE = 0.05
 def storm(fault: Storm, effects: Effects, rng: np.random.Generator) -> None:
     """Let rain cells take neighbouring stations one after another; wet antennas dry slowly."""
     carriers = effects.plan.carriers
-    along = sorted(range(len(carriers)), key=lambda k: carriers[k].station.longitude_deg)
+    along = sorted(effects.plan.users, key=lambda k: carriers[k].station.longitude_deg)
     for _cell in range(fault.count):
         count = int(rng.integers(fault.stations[0], fault.stations[1] + 1))
         first = int(rng.integers(len(along) - count + 1))
@@ -31,9 +32,9 @@ def storm(fault: Storm, effects: Effects, rng: np.random.Generator) -> None:
 
 def relevel(fault: Relevel, effects: Effects, rng: np.random.Generator) -> None:
     """Set every user's level anew."""
-    after = effects.hours >= fault.start_h
-    effects.level_db[after] += fault.sigma_db * rng.normal(size=len(effects.ids))
-    effects.add_flag(after, range(len(effects.ids)), FaultFlag.STEP)
+    after, users = effects.hours >= fault.start_h, effects.plan.users
+    effects.level_db[np.ix_(after, np.array(users))] += fault.sigma_db * rng.normal(size=len(users))
+    effects.add_flag(after, users, FaultFlag.STEP)
 
 
 def change_plan(fault: PlanChange, effects: Effects, rng: np.random.Generator) -> None:  # noqa: ARG001 - nothing is left open
@@ -80,5 +81,17 @@ def sun_outage(fault: SunOutage, effects: Effects, rng: np.random.Generator) -> 
     effects.declare("sun_outage", start_h - margin_h, start_h + duration_h + margin_h, comment="Sun in the beam")
 
 
+def switch_source(fault: SourceSwitch, effects: Effects, rng: np.random.Generator) -> None:
+    """Let the second analyzer measure for some hours; its chain has another gain."""
+    start_h = draw(rng, fault.start_h)
+    edges_us = [effects.epoch_us(hours) for hours in (start_h, start_h + draw(rng, fault.duration_h))]
+    begin_h, end_h = ((edge_us - effects.start_us) / US_PER_H for edge_us in edges_us)
+    is_backup = (effects.hours >= begin_h) & (effects.hours < end_h)
+    effects.chain_db[is_backup] += draw(rng, fault.gain_db)
+    effects.source[is_backup] = 1
+    effects.add_flag(is_backup, range(len(effects.ids)), FaultFlag.BACKUP_CHAIN)
+    effects.source_switches.extend(zip(edges_us, SOURCES[::-1], strict=True))
+
+
 #: every effect of this module
-SPELLS = (storm, relevel, change_plan, eclipse, sun_outage)
+SPELLS = (storm, relevel, change_plan, eclipse, sun_outage, switch_source)

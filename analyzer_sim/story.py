@@ -1,14 +1,15 @@
 """Stories as data: phases, figures of noise and of attitude keeping, events; no scenario is named here.
 
-Phases follow one another: `quiet` (star tracker on, harmonics are learned), `turns` (star tracker on, the craft is
-turned by the timetable of `turns.py`), perhaps `pause` (nothing is measured), `alignment` (star tracker on, an attitude
-that is held), `operation` (star tracker off).
+Phases follow one another: `quiet` (sensors on, harmonics are learned), `turns` (sensors on, the craft is turned by the
+timetable of `turns.py`), perhaps `pause` (nothing is measured), `alignment` (sensors on, an attitude that is held),
+`operation` (sensors off).
 """
 
 from dataclasses import dataclass, field
 
 from analyzer_sim.epochs import US_PER_H, US_PER_S, epoch_us_from_text
 from analyzer_sim.events import Burn, Fault, Manoeuvre
+from analyzer_sim.sensors import STAR_TRACKER, Sensor
 from analyzer_sim.turns import TURNS_H
 
 DEFAULT_START_US = epoch_us_from_text("2026-11-01T00:00:00Z")
@@ -67,6 +68,8 @@ class KeepingFigures:
     is_coupled_told: bool = True
     #: size of the angles held in the alignment, deg; their signs are drawn
     alignment_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    #: time after the end of a correction at which the ground is told of it, min; none = told before it begins
+    corrections_late_min: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +94,7 @@ class Phase:
     name: str
     start_us: int
     stop_us: int
-    is_tracker_on: bool
+    are_sensors_on: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +117,8 @@ class Scenario:
     burns: tuple[Burn, ...] = ()
     #: time between turns and alignment in which nothing is measured
     pause_h: float = 0.0
+    #: what tells attitude until the operation phase
+    sensors: tuple[Sensor, ...] = (STAR_TRACKER,)
 
     @property
     def row_period_us(self) -> int:
@@ -134,7 +139,7 @@ class Scenario:
         for name, duration_h in durations_h.items():
             stop_us = start_us + round(duration_h * US_PER_H)
             if name != "pause" or stop_us > start_us:
-                phases.append(Phase(name, start_us, stop_us, is_tracker_on=name != "operation"))
+                phases.append(Phase(name, start_us, stop_us, are_sensors_on=name != "operation"))
             start_us = stop_us
         return tuple(phases)
 
@@ -153,7 +158,7 @@ class Scenario:
 
     @property
     def operation_start_us(self) -> int:
-        """Epoch from which the star tracker is off."""
+        """Epoch from which the sensors are off."""
         return self.phases[-1].start_us
 
     @property

@@ -1,4 +1,4 @@
-"""Noise of the users' levels and of the receiving chain: white, coloured, flicker, days of temperature, wander.
+"""Noise of the levels and of the receiving chain: white, coloured, flicker, days of temperature, wander.
 
 Flicker noise is a sum of first-order parts whose correlation times reach from minutes to a day; each part of each
 carrier draws from a stream of its own, so that a part more or less moves no other.
@@ -8,6 +8,7 @@ import numpy as np
 
 from analyzer_sim.carriers import Carrier, CarrierPlan
 from analyzer_sim.noise import daily_wave, first_order
+from analyzer_sim.spectrum import ENBW_PER_RBW
 from analyzer_sim.story import Part, Scenario
 from analyzer_sim.streams import FloatArray, stream
 
@@ -15,22 +16,30 @@ from analyzer_sim.streams import FloatArray, stream
 SWEEP_RBW_HZ = 30e3
 SWEEP_TIME_S = 2.0
 _MIN_WHITE_DB = 0.05
+#: what the temperature of the satellite does to a beacon: a typical change from day to day, dB
+BEACON_DRIFT_DB_DAY = 0.05
 
 
 def sweep_sigma_db(plan: CarrierPlan) -> FloatArray:
     """Return the noise (N,) that the default sweep itself adds to each carrier's power, dB.
 
-    `4.343 / sqrt(1.505 RBW T B / span)`, B = symbol rate.
+    `4.343 / sqrt(1.505 RBW T B / span)`, B = symbol rate; of a beacon `4.343 sqrt(2 / (C/N0 t))`, t = the dwell of one
+    noise bandwidth.
     """
-    span_hz = plan.span_hz[1] - plan.span_hz[0]
-    rates = np.array([carrier.symbol_rate_hz for carrier in plan.carriers])
-    return np.asarray(4.343 / np.sqrt(1.505 * SWEEP_RBW_HZ * SWEEP_TIME_S * rates / span_hz))
+    dwell_s_hz = SWEEP_TIME_S / (plan.span_hz[1] - plan.span_hz[0])
+    sigma = []
+    for carrier in plan.carriers:
+        c_n0 = 10.0 ** (carrier.c_n0_db_hz / 10.0)
+        line = 0.5 * c_n0 * dwell_s_hz * ENBW_PER_RBW * SWEEP_RBW_HZ
+        sigma.append(line if carrier.is_beacon else 1.505 * SWEEP_RBW_HZ * dwell_s_hz * carrier.symbol_rate_hz)
+    return np.asarray(4.343 / np.sqrt(sigma))
 
 
 def world_white_db(plan: CarrierPlan) -> FloatArray:
     """Return the white noise (N,) that with the sweep's own share makes up the plan's figure, dB."""
     total = np.array([carrier.white_db for carrier in plan.carriers])
-    return np.sqrt(np.maximum(total**2 - sweep_sigma_db(plan) ** 2, _MIN_WHITE_DB**2))
+    least = np.array([0.0 if carrier.is_beacon else _MIN_WHITE_DB for carrier in plan.carriers])
+    return np.asarray(np.sqrt(np.maximum(total**2 - sweep_sigma_db(plan) ** 2, least**2)))
 
 
 def chain_noise_db(scenario: Scenario, seed: int, seconds: FloatArray) -> FloatArray:
@@ -43,10 +52,25 @@ def chain_noise_db(scenario: Scenario, seed: int, seconds: FloatArray) -> FloatA
 
 
 def users_noise_db(plan: CarrierPlan, scenario: Scenario, seed: int, seconds: FloatArray) -> FloatArray:
-    """Return the noise (T, N) of all users."""
+    """Return the noise (T, N) of all users, and of the beacons."""
     white_db = world_white_db(plan) * scenario.noise.white_scale
-    columns = zip(plan.carriers, white_db.tolist(), strict=True)
-    return np.stack([_user_noise_db(carrier, sigma, scenario, seed, seconds) for carrier, sigma in columns], axis=1)
+    columns = [
+        (_beacon_noise_db if carrier.is_beacon else _user_noise_db)(carrier, sigma_db, scenario, seed, seconds)
+        for carrier, sigma_db in zip(plan.carriers, white_db.tolist(), strict=True)
+    ]
+    return np.stack(columns, axis=1)
+
+
+def _beacon_noise_db(
+    carrier: Carrier, white_db: float, scenario: Scenario, seed: int, seconds: FloatArray
+) -> FloatArray:
+    """Return the noise (T,) of a beacon: white, and the drift of the satellite's own transmitter."""
+    white = white_db * stream(seed, "white", carrier.id).normal(size=len(seconds))
+    day_s = 86_400.0
+    # two values a correlation time apart differ by sigma sqrt(2 - 2 / e)
+    sigma_db = BEACON_DRIFT_DB_DAY / float(np.sqrt(2.0 - 2.0 / np.e))
+    drift = first_order(stream(seed, "beacon", carrier.id), len(seconds), scenario.row_period_s, sigma_db, day_s)
+    return np.asarray(white + drift)
 
 
 def _user_noise_db(carrier: Carrier, white_db: float, scenario: Scenario, seed: int, seconds: FloatArray) -> FloatArray:

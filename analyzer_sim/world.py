@@ -1,7 +1,4 @@
-"""World: a scenario and a seed become series of powers at the analyzer input, row by row.
-
-    P_i = level_i + pattern change - dish loss - uplink fade + steps + noise of the user
-          + power and level control + receiving chain - downlink fade
+"""World: a scenario and a seed become series of powers at the analyzer input, row by row (`level_terms.py`).
 
 Everything is computed at construction; `advance` only moves a pointer. Rows inside a gap are passed over. A row is
 measured at its epoch, the middle of its dwell. After the last row `advance` raises `EndOfScenario`.
@@ -16,25 +13,20 @@ from analyzer_sim.ballistics import Ephemeris, burn_operations, burnt_orbit, eph
 from analyzer_sim.carriers import PLANS, ROLLOFF, CarrierPlan
 from analyzer_sim.effects import Effects, FaultFlag, Operation
 from analyzer_sim.emission import Emission, Signal
-from analyzer_sim.epochs import US_PER_S
 from analyzer_sim.faults import effects_of
+from analyzer_sim.level_terms import LevelTerms
 from analyzer_sim.orbit import EpochArray, Orbit
-from analyzer_sim.payload import attitude_gain_db, dishes_loss_db, uplink_change_db
 from analyzer_sim.plan_versions import PlanVersion, plan_versions
-from analyzer_sim.repeater import repeater_db
+from analyzer_sim.sensors import References, references
 from analyzer_sim.spacecraft import Correction, attitude_history
-from analyzer_sim.star_tracker import References, references
 from analyzer_sim.story import Scenario
 from analyzer_sim.streams import FloatArray
-from analyzer_sim.user_noise import chain_noise_db, users_noise_db
+from analyzer_sim.telemetry import TelemetryRecord, telemetry
 
 #: longitude of the satellite, deg East
 LONGITUDE_DEG = 90.0
 #: an interfering line stands this share of the symbol rate off the carrier's centre
 INTERFERENCE_OFFSET_SHARE = 0.2
-#: noise temperature of the receiving site in clear sky and of the rain, K
-CLEAR_SKY_K = 120.0
-RAIN_K = 270.0
 #: level and power control count as acting from here on, dB
 _CONTROL_DB = 0.1
 
@@ -74,6 +66,8 @@ class Rows:
     sun_noise_db: FloatArray
     #: (T, 2) shift of the uplink patterns against the body, azimuth and elevation, deg
     pattern_shift_deg: FloatArray
+    #: (T,) number of the analyzer in `SOURCES`
+    source: NDArray[np.uint8]
     #: (T, N) bits of FaultFlag
     flags: NDArray[np.uint16]
 
@@ -93,9 +87,11 @@ class World:
     rows : Rows
         All series at once, for exports and tests.
     corrections, references
-        What the ground was told by command and by the star tracker.
-    operations, ephemerides, plan_versions
-        What the ground declares and publishes, each with the epoch from which it knows.
+        What the ground was told about commands, and by the sensors.
+    operations, ephemerides, plan_versions, telemetry, source_switches
+        What the ground declares, publishes and hears, each with the epoch from which it knows.
+    terms : LevelTerms
+        The levels without the attitude.
     """
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
@@ -106,7 +102,9 @@ class World:
         epochs_us = row_epochs_us(scenario)
         history = attitude_history(scenario, seed, epochs_us)
         self.corrections: tuple[Correction, ...] = history.corrections
-        self.references: References = references(seed, epochs_us, history.attitude_deg, scenario.operation_start_us)
+        self.references: References = references(
+            scenario.sensors, seed, epochs_us, history.attitude_deg, scenario.operation_start_us
+        )
         effects = effects_of(
             scenario.faults,
             seed,
@@ -115,11 +113,15 @@ class World:
             scenario.operation_start_us,
             scenario.row_period_s / 3600.0,
         )
+        self.terms = LevelTerms(scenario, seed, self.plan, self.orbit, epochs_us, effects)
         self.rows: Rows = self._series(epochs_us, history.attitude_deg, effects)
         declared = [*burn_operations(scenario.burns, self.orbit), *effects.operations]
         self.operations: tuple[Operation, ...] = tuple(sorted(declared, key=lambda item: (item.told_us, item.start_us)))
         self.ephemerides: tuple[Ephemeris, ...] = ephemerides(scenario, self.orbit)
         self.plan_versions: tuple[PlanVersion, ...] = plan_versions(scenario, self.plan)
+        self.source_switches: tuple[tuple[int, str], ...] = tuple(sorted(effects.source_switches))
+        burns_us = tuple(impulse.epoch_us for impulse in self.orbit.impulses)
+        self.telemetry: tuple[TelemetryRecord, ...] = telemetry(scenario, seed, burns_us)
         self._measured = np.flatnonzero(~self.rows.is_gap)
         self._position = -1
 
@@ -172,57 +174,32 @@ class World:
 
     def _series(self, epochs_us: EpochArray, attitude_deg: FloatArray, effects: Effects) -> Rows:
         """Add up all terms of the model equation."""
-        scenario, plan = self.scenario, self.plan
-        seconds = (epochs_us - scenario.start_us) / US_PER_S
-        chain_db = effects.chain_db + chain_noise_db(scenario, self.seed, seconds)
-        common_db = chain_db[:, None] - effects.downlink_fade_db[:, None] * plan.rain_share
-        levels = np.array([carrier.level_dbm for carrier in plan.carriers])
-        shift_deg = effects.pattern_shift_deg if np.any(effects.pattern_shift_deg) else None
-        dish_db = dishes_loss_db(plan, self.orbit, epochs_us, self.seed)
-        users_db = users_noise_db(plan, scenario, self.seed, seconds)
-        own_dbm = (
-            levels
-            + attitude_gain_db(plan, self.orbit, epochs_us, attitude_deg, shift_deg)
-            - dish_db
-            + users_db
-            + effects.level_db
-            - effects.uplink_fade_db
-        )
-        arriving_db = users_db - dish_db + effects.level_db - effects.uplink_fade_db
-        control_db = self._control_db(levels + arriving_db, epochs_us, attitude_deg, effects)
-        carrier_dbm = _on_grid(own_dbm + control_db + common_db, scenario.noise.quantum_db)
-        interference_dbm = effects.interference_db + levels + common_db
-        rain_noise_db = _rain_noise_db(effects.downlink_fade_db)
+        terms, levels = self.terms, self.terms.levels(attitude_deg)
+        if terms.has_control:
+            controls = (
+                (levels.power_control_db, FaultFlag.POWER_CONTROL),
+                (levels.level_control_db, FaultFlag.LEVEL_CONTROL),
+            )
+            for change_db, flag in controls:
+                effects.flags[np.abs(change_db) > _CONTROL_DB] |= np.uint16(flag)
         return Rows(
             epochs_us=epochs_us,
-            power_dbm=_measurable_dbm(carrier_dbm, interference_dbm, effects),
-            carrier_dbm=carrier_dbm,
-            interference_dbm=interference_dbm,
+            power_dbm=terms.measurable_dbm(levels.carrier_dbm),
+            carrier_dbm=levels.carrier_dbm,
+            interference_dbm=terms.interference_dbm,
             is_on=effects.is_on,
             is_gap=effects.is_gap,
-            noise_dbm_hz=plan.noise_dbm_hz + chain_db + rain_noise_db + effects.sun_noise_db,
+            noise_dbm_hz=terms.noise_dbm_hz,
             attitude_deg=attitude_deg,
             uplink_fade_db=effects.uplink_fade_db,
             downlink_fade_db=effects.downlink_fade_db,
-            chain_db=chain_db,
-            level_db=effects.level_db + control_db,
+            chain_db=terms.chain_db,
+            level_db=effects.level_db + levels.power_control_db + levels.level_control_db,
             sun_noise_db=effects.sun_noise_db,
             pattern_shift_deg=effects.pattern_shift_deg,
+            source=effects.source,
             flags=effects.flags,
         )
-
-    def _control_db(
-        self, arriving_dbm: FloatArray, epochs_us: EpochArray, attitude_deg: FloatArray, effects: Effects
-    ) -> FloatArray:
-        """Return what power and level control add (T, N), and flag it; `arriving_dbm` lacks the attitude's part."""
-        figures = self.scenario.repeater
-        if not (figures.alc_transponders or figures.power_controlled):
-            return np.zeros_like(arriving_dbm)
-        arriving = arriving_dbm + uplink_change_db(self.plan, self.orbit, epochs_us, attitude_deg)
-        power_db, level_db = repeater_db(figures, self.plan, arriving, effects.is_on, self.scenario.row_period_s)
-        for change_db, flag in ((power_db, FaultFlag.POWER_CONTROL), (level_db, FaultFlag.LEVEL_CONTROL)):
-            effects.flags[np.abs(change_db) > _CONTROL_DB] |= np.uint16(flag)
-        return np.asarray(power_db + level_db)
 
 
 def row_epochs_us(scenario: Scenario) -> EpochArray:
@@ -236,21 +213,3 @@ def row_epochs_us(scenario: Scenario) -> EpochArray:
 def flag_names() -> dict[str, int]:
     """Return the bits of `Rows.flags` by name."""
     return {flag.name.lower(): int(flag) for flag in FaultFlag if flag.name}
-
-
-def _measurable_dbm(carrier_dbm: FloatArray, interference_dbm: FloatArray, effects: Effects) -> FloatArray:
-    """Return the power inside each carrier's band, NaN where the carrier is off or nothing is measured."""
-    line_mw = np.where(np.isnan(interference_dbm), 0.0, 10.0 ** (interference_dbm / 10.0))
-    power_dbm = np.where(line_mw > 0.0, 10.0 * np.log10(10.0 ** (carrier_dbm / 10.0) + line_mw), carrier_dbm)
-    return np.where(effects.is_on & ~effects.is_gap[:, None], power_dbm, np.nan)
-
-
-def _on_grid(level_dbm: FloatArray, quantum_db: float) -> FloatArray:
-    """Return levels on whole multiples of a quantum; 0 = as they are."""
-    return np.asarray(np.round(level_dbm / quantum_db) * quantum_db) if quantum_db > 0.0 else level_dbm
-
-
-def _rain_noise_db(fade_db: FloatArray) -> FloatArray:
-    """Return how much the rain over the receiving site raises the noise, dB."""
-    rain_k = RAIN_K * (1.0 - 10.0 ** (-fade_db / 10.0))
-    return np.asarray(10.0 * np.log10((CLEAR_SKY_K + rain_k) / CLEAR_SKY_K))

@@ -84,7 +84,7 @@ def test_the_ground_port_and_the_export_tell_the_same_news_once(name: str) -> No
         line
         for line in lines
         if id(line) not in initial
-        and line["kind"] in {"carriers", "task", "ephemeris", "operations"}
+        and line["kind"] in {"carriers", "task", "ephemeris", "operations", "telemetry"}
         and line["body"].get("kind") != "calibration_turn"
     ]
     arrays = export_arrays(story)

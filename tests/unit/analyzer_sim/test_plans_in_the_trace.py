@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analyzer_sim.ground import task
+from analyzer_sim.ground_bodies import task
 from analyzer_sim.imperfections import IDEAL
 from analyzer_sim.instrument_settings import Settings, store
 from analyzer_sim.painter import TracePainter
@@ -38,7 +38,7 @@ def mean_power_dbm(world: World, rows: range, columns: list[int]) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    "name", ["nominal", "few8", "many32", "dual_band", "stale_calibration", "flicker", "sun_outage"]
+    "name", ["nominal", "few8", "many32", "dual_band", "stale_calibration", "flicker", "sun_outage", "beacons"]
 )
 def test_a_sweep_reads_the_powers_of_the_world(name: str) -> None:
     world = World(replace(scenario_named(name), quiet_h=1.0, operation_h=24.0), SEED)

@@ -226,4 +226,4 @@ def test_an_unknown_fault_is_refused() -> None:
 
 def test_flags_have_names() -> None:
     assert flag_names()["uplink_rain"] == 1
-    assert sum(flag_names().values()) == 2**13 - 1  # thirteen bits, none twice
+    assert sum(flag_names().values()) == 2**14 - 1  # fourteen bits, none twice

@@ -1,0 +1,203 @@
+"""Bodies of the ground's lines: shaped like the bodies of the service's interface, made from a world."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from analyzer_sim.ballistics import Ephemeris
+from analyzer_sim.carriers import BANDS, ROLLOFF, SPAN_START_HZ, Carrier
+from analyzer_sim.effects import Operation
+from analyzer_sim.epochs import rfc3339
+from analyzer_sim.orbit import predicted_track
+from analyzer_sim.spacecraft import Correction
+from analyzer_sim.streams import FloatArray
+from analyzer_sim.telemetry import TelemetryRecord
+from analyzer_sim.user_noise import SWEEP_RBW_HZ, SWEEP_TIME_S
+from analyzer_sim.world import LONGITUDE_DEG, World
+
+Line = dict[str, Any]
+
+SPACECRAFT_ID = "yamal-202"
+TASK_ID = "yamal-202-ku"
+SWEEP_ID = "ku"
+SWEEP_POINTS = 2401
+#: moments of inertia, kg m2, about roll, pitch, yaw
+INERTIA_KG_M2 = (2600.0, 1400.0, 2600.0)
+AXES = ("yaw", "roll", "pitch")
+
+
+def task(world: World, carriers: tuple[Carrier, ...]) -> Line:
+    """Return the measurement task of the front end for some carriers of a world."""
+    plan = world.plan
+    sweep = {
+        "id": SWEEP_ID,
+        "start_hz": plan.span_hz[0],
+        "stop_hz": plan.span_hz[1],
+        "rbw_hz": SWEEP_RBW_HZ,
+        "vbw_hz": 10.0 * SWEEP_RBW_HZ,
+        "points": SWEEP_POINTS,
+        "time_s": SWEEP_TIME_S,
+        "detector": "RMS",
+        "count": 1,
+    }
+    windows = [list(window) for window in plan.noise_windows_hz]
+    measured = [
+        {
+            "id": carrier.id,
+            "sweep": SWEEP_ID,
+            "fc_hz": carrier.center_hz,
+            "symbol_rate": None if carrier.is_beacon else carrier.symbol_rate_hz,
+            "rolloff": ROLLOFF,
+            "integ_bw_hz": carrier.bandwidth_hz,
+            "kind": "beacon" if carrier.is_beacon else "modulated",
+            "noise": windows,
+            "limits": {"nominal_dbm": carrier.level_dbm, "warn_db": 2.0, "alarm_db": 4.0, "c_n0_min": 68.0},
+        }
+        for carrier in carriers
+    ]
+    levels = {
+        "level_offset_db": 0.0,
+        "freq_offset_hz": 0.0,
+        "attenuation_db": 0.0,
+        "ref_level_dbm": -20.0,
+        "preamp": False,
+    }
+    period_s = world.scenario.row_period_s
+    return {"id": TASK_ID, "period_s": period_s, "input": levels, "sweeps": [sweep], "carriers": measured}
+
+
+def spacecraft_body(world: World) -> Line:
+    """Return the body of the spacecraft."""
+    site = world.plan.receiving_site
+    return {
+        "id": SPACECRAFT_ID,
+        "name": "Yamal-202 (simulated)",
+        "cospar_id": "2003-053B",
+        "longitude_deg": LONGITUDE_DEG,
+        "simulated": True,
+        "receiving_site": {
+            "name": site.name,
+            "latitude_deg": site.latitude_deg,
+            "longitude_deg": site.longitude_deg,
+            "height_m": site.height_m,
+        },
+        "inertia_kg_m2": np.diag(INERTIA_KG_M2).tolist(),
+        "torque_limit_n_m": 0.05,
+        "onboard": {
+            "fast_loop": True,
+            "forecast_mode": True,
+            "roll_yaw_coupling": world.scenario.keeping.is_coupled_told,
+        },
+        "control": {"method": "paper", "mode": "ground", "release": "automatic"},
+    }
+
+
+def carrier_body(world: World, carrier: Carrier) -> Line:
+    """Return one carrier of a plan; a beacon has neither station nor uplink."""
+    offset_hz = carrier.center_hz - SPAN_START_HZ
+    station, band, figures = carrier.station, BANDS[carrier.band], world.scenario.repeater
+    controlled = "auto" if figures.is_power_control_told else "unknown"
+    return {
+        "id": carrier.id,
+        "name": "beacon" if carrier.is_beacon else f"{station.name} {carrier.symbol_rate_hz / 1e3:.0f}k",
+        "station": None
+        if carrier.is_beacon
+        else {
+            "name": station.name,
+            "latitude_deg": station.latitude_deg,
+            "longitude_deg": station.longitude_deg,
+        },
+        "band": band.name,
+        "transponder": carrier.transponder,
+        "polarization": carrier.polarization,
+        "uplink_hz": None if carrier.is_beacon else band.uplink_base_hz + offset_hz,
+        "downlink_hz": band.downlink_base_hz + offset_hz,
+        "intermediate_hz": carrier.center_hz,
+        "bandwidth_hz": carrier.bandwidth_hz,
+        "kind": "beacon" if carrier.is_beacon else "traffic",
+        "uplink_power_control": controlled if carrier.id in figures.power_controlled else "none",
+        "transponder_mode": "alc" if carrier.transponder in figures.alc_transponders else "fixed_gain",
+        "enabled": True,
+    }
+
+
+def ephemeris_body(world: World, ephemeris: Ephemeris) -> Line:
+    """Return nodes, nodal period and predicted track with a day of margin on both sides."""
+    track = predicted_track(
+        ephemeris.orbit, world.seed, ephemeris.start_us, ephemeris.stop_us, name=ephemeris.stream_name
+    )
+    return {
+        "ascending_nodes": [rfc3339(node_us) for node_us in ephemeris.nodes_us],
+        "nodal_period_s": round(ephemeris.nodal_period_s, 3),
+        "track": {
+            "epochs": [rfc3339(epoch_us) for epoch_us in track.epochs_us.tolist()],
+            "latitude_deg": track.latitude_deg.tolist(),
+            "longitude_deg": track.longitude_deg.tolist(),
+        },
+    }
+
+
+def operation_body(operation: Operation) -> Line:
+    """Return the body of a declared operation."""
+    body: Line = {
+        "kind": operation.kind,
+        "start": rfc3339(operation.start_us),
+        "stop": rfc3339(operation.stop_us),
+        "carriers": operation.carriers and list(operation.carriers),
+        "transponders": operation.transponders and list(operation.transponders),
+        "inhibit_control": operation.inhibit_control,
+        "comment": operation.comment,
+    }
+    if operation.attitude_uncertainty_deg is not None:
+        angles = zip(AXES, operation.attitude_uncertainty_deg, strict=True)
+        body["attitude_uncertainty_deg"] = dict(angles)
+    return body
+
+
+def reference_bodies(world: World, start_us: int, stop_us: int) -> list[Line]:
+    """Return the references of [start, stop), one body a sensor; an axis that a sensor does not tell is null."""
+    told = world.references
+    first, stop = (int(row) for row in np.searchsorted(told.epochs_us, [start_us, stop_us]))
+    bodies = []
+    for source in dict.fromkeys(told.source[first:stop].tolist()):
+        rows = [row for row in range(first, stop) if told.source[row] == source]
+        references = [
+            {
+                "epoch": rfc3339(int(told.epochs_us[row])),
+                **angles(told.attitude_deg[row].tolist()),
+                "sigma_deg": dict(zip(AXES, map(_present, told.sigma_deg[row].tolist()), strict=True)),
+            }
+            for row in rows
+        ]
+        bodies.append({"source": source, "references": references})
+    return bodies
+
+
+def corrections_body(corrections: Sequence[Correction]) -> Line:
+    """Return a batch of corrections."""
+    entries = [
+        {"start": rfc3339(one.start_us), "stop": rfc3339(one.stop_us), **angles(one.attitude_deg)}
+        for one in corrections
+    ]
+    return {"corrections": entries}
+
+
+def telemetry_body(record: TelemetryRecord) -> Line:
+    """Return a batch of one record."""
+    entry = {
+        "epoch": rfc3339(record.told_us),
+        "onboard_mode": record.onboard_mode,
+        "wheel_momentum_n_m_s": list(record.wheel_momentum_n_m_s),
+        "thrusters_active": record.thrusters_active,
+    }
+    return {"records": [entry]}
+
+
+def angles(attitude_deg: FloatArray | Iterable[float]) -> dict[str, float | None]:
+    """Return yaw, roll, pitch by name; NaN is null."""
+    return {f"{axis}_deg": _present(round(float(angle), 7)) for axis, angle in zip(AXES, attitude_deg, strict=True)}
+
+
+def _present(value: float) -> float | None:
+    return None if np.isnan(value) else value

@@ -1,0 +1,60 @@
+"""Telemetry: what the craft says about itself once an hour: on-board mode, wheel momentum, thrusters.
+
+    roll  h = a cos(w0 t + p)      what the Sun gives and takes in a day
+    yaw   h = a sin(w0 t + p)
+    pitch h = b + r t, back to b at each unloading by thrusters, twelve hours apart
+
+None of it acts on the attitude; it only looks like the real thing.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from analyzer_sim.epochs import US_PER_H, US_PER_S
+from analyzer_sim.orbit import EARTH_RATE_RAD_S
+from analyzer_sim.story import Scenario
+from analyzer_sim.streams import stream
+
+#: time between two records and between two unloadings, h
+PERIOD_H = 1
+UNLOADING_H = 12
+#: mode of the phases with sensors, and of operation
+SENSOR_MODE = "sensor_pointing"
+FORECAST_MODE = "inertial_forecast"
+
+
+@dataclass(frozen=True, slots=True)
+class TelemetryRecord:
+    """One record; the ground has it at its epoch."""
+
+    told_us: int
+    onboard_mode: str
+    #: wheels along roll, pitch, yaw
+    wheel_momentum_n_m_s: tuple[float, float, float]
+    thrusters_active: bool
+
+
+def telemetry(scenario: Scenario, seed: int, burns_us: tuple[int, ...]) -> tuple[TelemetryRecord, ...]:
+    """Return one record an hour from the first row to the last; nothing is sent in a pause."""
+    epochs_us = np.arange(scenario.start_us, scenario.stop_us, PERIOD_H * US_PER_H, dtype=np.int64)
+    pauses = [phase for phase in scenario.phases if phase.name == "pause"]
+    hours = (epochs_us - scenario.start_us) / US_PER_H
+    rng = stream(seed, "telemetry")
+    swing, bias, rate, phase_rad = (float(rng.uniform(*r)) for r in ((1.0, 2.0), (-9.0, -7.0), (0.02, 0.05), (0, 6.28)))
+    angle = EARTH_RATE_RAD_S * 3600.0 * hours + phase_rad
+    momentum = np.stack(
+        [swing * np.cos(angle), bias + rate * (hours % UNLOADING_H), swing * np.sin(angle)], axis=1
+    ) + 0.01 * rng.normal(size=(len(hours), 3))
+    half_us = 20 * 60 * US_PER_S
+    return tuple(
+        TelemetryRecord(
+            epoch_us,
+            FORECAST_MODE if epoch_us >= scenario.operation_start_us else SENSOR_MODE,
+            (round(roll, 3), round(pitch, 3), round(yaw, 3)),
+            (number > 0 and number % UNLOADING_H == 0)
+            or any(abs(epoch_us - burn_us) <= half_us for burn_us in burns_us),
+        )
+        for number, (epoch_us, (roll, pitch, yaw)) in enumerate(zip(epochs_us.tolist(), momentum.tolist(), strict=True))
+        if not any(pause.start_us <= epoch_us < pause.stop_us for pause in pauses)
+    )
