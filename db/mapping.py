@@ -96,6 +96,7 @@ def attitude_values(key: int, version: str, row: AttitudeRow, sequence: int | No
         "residual_rms_db": row.residual_rms_db,
         "calibration_id": row.calibration_id,
         "alignment_id": row.alignment_id,
+        "advice": json.dumps(row.advice) if row.advice else None,
     }
 
 
@@ -121,6 +122,7 @@ def attitude_of(row: Row[Any]) -> AttitudeRow:
         residual_rms_db=row.residual_rms_db,
         calibration_id=row.calibration_id,
         alignment_id=row.alignment_id,
+        advice=tuple(json.loads(row.advice)) if row.advice is not None else (),
     )
 
 

@@ -213,6 +213,8 @@ attitude = Table(
     Column("residual_rms_db", Figure),
     Column("calibration_id", Integer),
     Column("alignment_id", Integer),
+    # null where nothing is advised, as nearly always
+    Column("advice", Text),
     Index("attitude_sequence", "spacecraft_key", "sequence", unique=True),
     sqlite_with_rowid=False,
 )

@@ -1,143 +1,81 @@
-"""Alignment: outside angles and the powers of the same minutes become the references of the estimator.
+"""Alignment: outside angles and the powers of the same minutes become the references of every method."""
 
-Angles are the references of each axis smoothed by a straight line over the window and read at the newest reference;
-the paper method's reference power is the mean of a carrier's power with its harmonic removed, as published. Powers
-that tell of other angles than the stated ones are reported with a probability; the caller refuses.
-"""
-
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.noise_model import averaged_sigma_db
-from service.core.estimation.paper.consistency import Consistency, compare_with_angles
+from service.core.estimation.paper.consistency import Consistency
 from service.pipeline.config import AlignmentConfig
-from service.pipeline.harmonic_removal import harmonic_db
-from service.pipeline.solve import SensitivityModel, sensitivity_model
-from service.records.attitude import Axes, FloatArray, IntArray
-from service.records.calibration import Calibration, CarrierReference
-from service.records.catalogue import Ephemeris
-from service.records.epoch import US_PER_S
-from service.records.series import MeasurementSeries, ReferenceSeries
-
-_HOUR_US = 3600 * US_PER_S
-#: sigma of a sensor that states none, deg
-_UNSTATED_SIGMA_DEG = 0.05
-
-
-class StatedAngles(NamedTuple):
-    """Attitude that an alignment starts from."""
-
-    epoch_us: int
-    attitude_deg: Axes
-    sigma_deg: Axes
+from service.pipeline.paper_alignment import ReferencePowers, reference_powers
+from service.pipeline.robust_alignment import robust_references
+from service.pipeline.stated_angles import StatedAngles
+from service.records.calibration import Calibration, CalibrationMethod, CarrierReference
+from service.records.catalogue import Ephemeris, Method
+from service.records.series import MeasurementSeries
 
 
 @dataclass(frozen=True)
-class ReferencePowers:
-    """References of one method and how they agree with the angles."""
+class AlignedPowers:
+    """References of every method that has a calibration."""
 
+    #: calibration of the robust method where it has one, else of the paper method
+    calibration: Calibration
+    #: references of that method
     references: tuple[CarrierReference, ...]
+    references_by_method: dict[str, tuple[CarrierReference, ...]]
+    calibration_by_method: dict[str, int]
     consistency: Consistency
     #: carriers whose level changed by more than the limit since the calibration
     changed: tuple[str, ...]
 
 
-def smooth_angles(
-    references: tuple[ReferenceSeries, ...], source_of_axis: tuple[str, str, str]
-) -> tuple[StatedAngles | None, tuple[str, ...]]:
-    """Return the angles at the newest reference, or None and the names of the axes that no reference covers."""
-    by_source = {series.source: series for series in references}
-    columns: list[tuple[IntArray, FloatArray, FloatArray] | None] = []
-    for axis, source in enumerate(source_of_axis):
-        series = by_source.get(source)
-        seen = np.isfinite(series.attitude_deg[:, axis]) if series is not None else np.zeros(0, dtype=np.bool_)
-        if series is None or not seen.any():
-            columns.append(None)
-            continue
-        columns.append((series.epochs_us[seen], series.attitude_deg[seen, axis], series.sigma_deg[seen, axis]))
-    found = [column for column in columns if column is not None]
-    missing = tuple(name for name, column in zip(("yaw", "roll", "pitch"), columns, strict=True) if column is None)
-    if missing:
-        return None, missing
-    epoch_us = int(max(column[0][-1] for column in found))
-    angles = [_line_at(epoch_us, *column) for column in found]
-    return StatedAngles(epoch_us, Axes(*(a for a, _ in angles)), Axes(*(s for _, s in angles))), ()
-
-
-def _line_at(epoch_us: int, at_us: IntArray, angle_deg: FloatArray, sigma_deg: FloatArray) -> tuple[float, float]:
-    """Return a straight line through some readings at an epoch and its sigma."""
-    each_deg = float(np.median(np.where(np.isfinite(sigma_deg), sigma_deg, _UNSTATED_SIGMA_DEG)))
-    time_s = (at_us - epoch_us) / US_PER_S
-    if len(at_us) < 8 or np.ptp(time_s) == 0.0:
-        return float(angle_deg.mean()), each_deg / float(np.sqrt(len(at_us)))
-    design = np.column_stack([np.ones(len(at_us)), time_s / float(np.ptp(time_s))])
-    gram_inverse = np.linalg.inv(design.T @ design)
-    coefficients = gram_inverse @ (design.T @ angle_deg)
-    return float(coefficients[0]), each_deg * float(np.sqrt(gram_inverse[0, 0]))
-
-
-def reference_powers(
+def align_methods(
     series: MeasurementSeries,
     stated: StatedAngles,
-    calibration: Calibration,
+    active: Mapping[CalibrationMethod, Calibration],
     ephemeris: Ephemeris,
     config: AlignmentConfig,
-) -> ReferencePowers:
-    """Return the paper method's references from the powers of the window (columns in the calibration's order)."""
-    removed = series.power_dbm - harmonic_db(calibration, ephemeris, series.epochs_us.astype(np.float64))
-    samples = np.count_nonzero(np.isfinite(removed), axis=0)
-    is_enough = samples >= config.min_rows
-    totals = np.nansum(removed, axis=0)
-    mean_dbm = np.where(is_enough, totals / np.maximum(samples, 1), np.nan)
-    model = sensitivity_model(calibration)
-    span_s = float(np.ptp(series.epochs_us)) / US_PER_S if len(series.epochs_us) else 0.0
-    sigma_db = averaged_sigma_db(
-        model.sigma_white_db,
-        model.sigma_coloured_db,
-        model.correlation_time_s,
-        rows=max(1, int(samples.max(initial=0))),
-        span_s=span_s,
-    )
-    carriers = calibration.result.carriers if calibration.result else ()
-    change_db = mean_dbm - np.array([carrier.level_dbm for carrier in carriers])
-    references = tuple(
-        CarrierReference(carrier.id, float(mean_dbm[k]), float(sigma_db[k]), int(samples[k]), float(change_db[k]))
-        for k, carrier in enumerate(carriers)
-        if is_enough[k]
-    )
-    consistency, changed = _consistency(change_db, stated, calibration, model, config)
-    return ReferencePowers(references, consistency, changed)
+) -> AlignedPowers:
+    """Return the references that follow from the powers of a window and the stated angles.
 
-
-def _consistency(
-    change_db: FloatArray,
-    stated: StatedAngles,
-    calibration: Calibration,
-    model: SensitivityModel,
-    config: AlignmentConfig,
-) -> tuple[Consistency, tuple[str, ...]]:
-    """Test whether the changes of level since the calibration tell of other angles than the stated ones.
-
-    A change is believed to within the residual of the harmonic fit, which holds the second harmonic and the slow
-    noise that a mean does not remove, the wander since calibration and what the angles' sigma is worth.
+    Parameters
+    ----------
+    series : MeasurementSeries
+        Powers of the window; every carrier of the calibrations has a column, which may be empty.
+    stated : StatedAngles
+        Outside angles.
+    active : mapping
+        The active calibration of each kind of fit, at least one.
+    ephemeris : Ephemeris
+        Orbit that holds.
+    config : AlignmentConfig
+        Limits.
     """
-    angles = np.array(stated.attitude_deg)
-    slopes = np.where(angles >= 0.0, model.plus_db_per_deg, model.minus_db_per_deg)
-    left_db = change_db - slopes @ angles
-    hours = max(0.0, (stated.epoch_us - calibration.request.quiet.stop_us) / _HOUR_US)
-    carriers = calibration.result.carriers if calibration.result else ()
-    residual_db = np.array([carrier.harmonic.rms_db for carrier in carriers])
-    stated_deg = np.array(stated.sigma_deg)
-    angle_deg = np.where(np.isfinite(stated_deg), stated_deg, _UNSTATED_SIGMA_DEG)
-    sigma_db = np.sqrt(residual_db**2 + config.level_walk_db_sqrt_h**2 * hours + (slopes**2) @ (angle_deg**2))
-    is_tested = model.is_selected & np.isfinite(left_db)
-    if not is_tested.any():
-        return compare_with_angles(np.full(len(left_db), np.nan), slopes, sigma_db), ()
-    centre_db = float(np.median(left_db[is_tested]))
-    is_changed = is_tested & (np.abs(left_db - centre_db) > config.changed_level_sigma * sigma_db)
-    # when most levels moved it is not single users who re-levelled: then all take part in the test
-    kept = is_tested & ~is_changed if np.count_nonzero(is_changed) * 3 < np.count_nonzero(is_tested) else is_tested
-    outcome = compare_with_angles(np.where(kept, left_db, np.nan), slopes, sigma_db)
-    return outcome, tuple(name for name, out in zip(model.carrier_ids, is_changed, strict=True) if out)
+    geometry = active.get(CalibrationMethod.GEOMETRY)
+    paper = active.get(CalibrationMethod.PAPER, geometry)
+    found: dict[Method, tuple[Calibration, ReferencePowers]] = {}
+    if geometry is not None:
+        columns = columns_of(series, geometry)
+        found[Method.ROBUST] = (geometry, robust_references(columns, stated, geometry, ephemeris, config))
+    if paper is not None:
+        columns = columns_of(series, paper)
+        found[Method.PAPER] = (paper, reference_powers(columns, stated, paper, ephemeris, config))
+    calibration, powers = next(iter(found.values()))
+    return AlignedPowers(
+        calibration,
+        powers.references,
+        {method.value: told.references for method, (_calibration, told) in found.items()},
+        {method.value: used.id for method, (used, _told) in found.items()},
+        powers.consistency,
+        powers.changed,
+    )
+
+
+def columns_of(series: MeasurementSeries, calibration: Calibration) -> MeasurementSeries:
+    """Return a series in the order of a calibration's carriers; NaN for one that the series does not have."""
+    wanted = tuple(carrier.id for carrier in calibration.result.carriers) if calibration.result else ()
+    place = {carrier: k for k, carrier in enumerate(series.carrier_ids)}
+    columns = np.array([place.get(carrier, -1) for carrier in wanted], dtype=np.int64)
+    blank = np.full((len(series.epochs_us), 1), np.nan)
+    return MeasurementSeries(wanted, series.epochs_us, np.hstack([series.power_dbm, blank])[:, columns])

@@ -5,35 +5,37 @@
     slow input  -> knowledge
     measurement -> each method: deviation, fix, attitude row -> wheel torques of the method that drives control
 
-The chain reads no clock and no random number: what it returns follows from the journal alone, bit for bit.
+The chain reads no clock and no random number: what it returns follows from the journal alone, bit for bit. A method
+that fails on a row says so in its row and goes on with the next; the other method is not touched.
 """
 
+import logging
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from service.pipeline.config import ChainConfig
+from service.pipeline.disagreement import Disagreement, compare
 from service.pipeline.knowledge import Knowledge, Lookup, learn
-from service.pipeline.paper_method import PaperModel, PaperState, PaperStep, initial_state, paper_model, step_paper
-from service.pipeline.solve import SensitivityModel
+from service.pipeline.method_runner import MethodRunner
+from service.pipeline.paper_runner import PaperRunner
+from service.pipeline.robust_runner import RobustRunner
 from service.pipeline.wheel_torques import NO_CARRY, compute_command
 from service.ports import Outcome
-from service.records.attitude import AttitudeRow, CarrierState, FloatArray, IntArray, row_without_attitude
-from service.records.calibration import Alignment, Calibration
+from service.records.attitude import AttitudeRow, CarrierState, IntArray, row_without_attitude
+from service.records.calibration import Calibration
 from service.records.catalogue import CarrierPlan, Method, Release
 from service.records.command import AppliedCommand
 from service.records.epoch import US_PER_S
-from service.records.inputs import AlignmentSet, CalibrationActivation, EphemerisChange
+from service.records.inputs import AlignmentSet, CalibrationActivation, EphemerisChange, SpacecraftChange
 from service.records.journal import SlowInput
 from service.records.measurement import Measurement
 
+_LOG = logging.getLogger("soo.chain")
 
-class _Step(NamedTuple):
-    """One row's outcome and the model that it was computed with, which a later activation may have replaced."""
-
-    outcome: PaperStep
-    sensitivity: SensitivityModel
+#: in the order in which their rows are written
+METHODS = (Method.ROBUST, Method.PAPER)
 
 
 class Chain:
@@ -47,20 +49,31 @@ class Chain:
         Every number of every stage.
     calibration : Calibration, optional
         Calibration that a replay uses in place of those the journal activates.
+    methods : sequence of Method
+        Methods to run; commands are computed where the one that drives control is among them.
     """
 
-    def __init__(self, lookup: Lookup, config: ChainConfig, calibration: Calibration | None = None) -> None:
+    def __init__(
+        self,
+        lookup: Lookup,
+        config: ChainConfig,
+        calibration: Calibration | None = None,
+        methods: Sequence[Method] = METHODS,
+    ) -> None:
         self._lookup = lookup
         self._config = config
         self._override = calibration
         self._knowledge = Knowledge()
-        self._model: PaperModel | None = None
-        self._state: PaperState | None = None
+        kinds: dict[Method, Callable[[Lookup, ChainConfig], MethodRunner]] = {
+            Method.ROBUST: RobustRunner,
+            Method.PAPER: PaperRunner,
+        }
+        self._runners: tuple[MethodRunner, ...] = tuple(kinds[m](lookup, config) for m in METHODS if m in methods)
         self._carry_n_m_s = NO_CARRY
         self._newest_us: int | None = None
         self._recent_us: IntArray = np.zeros(0, dtype=np.int64)
-        self._columns: dict[tuple[int, int], IntArray] = {}
-        self._last: tuple[Measurement, _Step | None] | None = None
+        self._disagreement = Disagreement()
+        self._last: tuple[Measurement, bool] | None = None
 
     @property
     def knowledge(self) -> Knowledge:
@@ -70,7 +83,12 @@ class Chain:
     @property
     def is_running(self) -> bool:
         """Whether rows lead to angles."""
-        return self._model is not None
+        return any(runner.is_running for runner in self._runners)
+
+    @property
+    def is_disagreeing(self) -> bool:
+        """Whether the methods have told different roll or pitch angles for long."""
+        return self._newest_us is not None and self._disagreement.is_standing(self._newest_us, self._config.robust)
 
     def learn(self, content: SlowInput) -> None:
         """Consume a slow input; an alignment starts the methods anew, an activation keeps their state."""
@@ -78,81 +96,66 @@ class Chain:
         if self._override is not None:
             active = {**self._knowledge.active, self._override.request.method: self._override}
             self._knowledge = replace(self._knowledge, active=active)
+        for runner in self._runners:
+            runner.hear(content, self._knowledge)
         alignment = self._knowledge.alignment
         if alignment is None:
             return
         if isinstance(content, AlignmentSet):
-            self._start(alignment)
-        elif isinstance(content, CalibrationActivation | EphemerisChange):
-            self._rebuild_model(alignment)
+            self._newest_us = alignment.epoch_us
+            self._carry_n_m_s = NO_CARRY
+            self._recent_us = np.zeros(0, dtype=np.int64)
+            self._disagreement = Disagreement()
+            for runner in self._runners:
+                runner.start(self._knowledge)
+        elif isinstance(content, CalibrationActivation | EphemerisChange | SpacecraftChange):
+            for runner in self._runners:
+                runner.rebuild(self._knowledge)
 
     def step(self, measurement: Measurement, *, is_catch_up: bool = False) -> Outcome | None:
         """Consume a row of powers; None while nothing can be computed or the row does not feed the estimator."""
         if not measurement.feeds_estimator:
             return None
         plan = self._lookup.plan(measurement.plan_id)
-        if self._model is None or self._state is None or self._knowledge.ephemeris is None:
-            self._last = (measurement, None)
+        if not self.is_running:
+            self._last = (measurement, False)
             return None
         # of two rows of one epoch, from two sources, the second is late also where rows are caught up with
         is_late = measurement.epoch_us <= (self._newest_us or 0) or (measurement.is_late and not is_catch_up)
-        outcome = step_paper(
-            self._state,
-            self._model,
-            self._knowledge,
-            self._knowledge.ephemeris,
-            measurement,
-            self._in_calibration_order(measurement, plan, self._model),
-            is_late=is_late,
-            is_catch_up=is_catch_up,
-            config=self._config,
+        rows = tuple(
+            self._row(runner, measurement, plan, is_late=is_late, is_catch_up=is_catch_up)
+            for runner in self._runners
+            if runner.is_running
         )
-        self._state = outcome.state
         if is_late:
-            return Outcome((outcome.row,), None)
-        self._last = (measurement, _Step(outcome, self._model.sensitivity))
+            return Outcome(rows, None)
+        self._last = (measurement, True)
         self._remember_epoch(measurement.epoch_us)
-        return self._with_command(outcome.row)
+        self._disagreement = compare(self._disagreement, rows, self._config.robust)
+        return self._with_command(rows)
 
     def carrier_states(self) -> tuple[Measurement, tuple[CarrierState, ...]] | None:
         """Return the newest consumed row and what is known of each of its carriers; None before the first."""
         if self._last is None:
             return None
-        measurement, step = self._last
+        measurement, is_computed = self._last
         plan = self._lookup.plan(measurement.plan_id)
-        known = _known_states(*step) if step is not None else {}
+        running = [runner for runner in self._runners if runner.is_running]
+        known = running[0].carrier_states() if is_computed and running else {}
         return measurement, tuple(
             _carrier_state(measurement, k, name, known) for k, name in enumerate(plan.carrier_ids)
         )
 
-    def _start(self, alignment: Alignment) -> None:
-        """Set the state of every method to an alignment."""
-        self._newest_us = alignment.epoch_us
-        self._carry_n_m_s = NO_CARRY
-        self._recent_us = np.zeros(0, dtype=np.int64)
-        self._model = paper_model(self._knowledge, self._lookup.calibration(alignment.calibration_id))
-        self._state = (
-            None if self._model is None else initial_state(len(self._model.expected.carrier_ids), self._config)
-        )
-
-    def _rebuild_model(self, alignment: Alignment) -> None:
-        """Take over a change of calibration or ephemeris; another set of carriers starts the means anew."""
-        former = self._model
-        self._model = paper_model(self._knowledge, self._lookup.calibration(alignment.calibration_id))
-        if self._model is None:
-            return
-        carrier_ids = self._model.expected.carrier_ids
-        if former is None or former.expected.carrier_ids != carrier_ids:
-            self._state = initial_state(len(carrier_ids), self._config)
-
-    def _in_calibration_order(self, measurement: Measurement, plan: CarrierPlan, model: PaperModel) -> FloatArray:
-        """Return the powers in the order of the calibration's carriers; NaN where the plan has no such carrier."""
-        key = (plan.id, model.calibration_id)
-        if key not in self._columns:
-            place = {carrier: k for k, carrier in enumerate(plan.carrier_ids)}
-            self._columns[key] = np.array([place.get(c, -1) for c in model.expected.carrier_ids], dtype=np.int64)
-        columns = self._columns[key]
-        return np.where(columns >= 0, np.append(measurement.power_dbm, np.nan)[columns], np.nan)
+    def _row(
+        self, runner: MethodRunner, measurement: Measurement, plan: CarrierPlan, *, is_late: bool, is_catch_up: bool
+    ) -> AttitudeRow:
+        """Return a method's row; numbers that break the computation make a row that says so."""
+        try:
+            return runner.step(measurement, plan, self._knowledge, is_late=is_late, is_catch_up=is_catch_up)
+        except (ArithmeticError, ValueError):
+            _LOG.exception("method %s failed on the row at journal number %d", runner.method, measurement.number)
+            number, epoch_us, received_us = measurement.number, measurement.epoch_us, measurement.received_at_us
+            return row_without_attitude(epoch_us, received_us, number, runner.method, ("internal_error",))
 
     def _remember_epoch(self, epoch_us: int) -> None:
         """Keep the newest epoch and the epochs from which the row period is taken."""
@@ -165,37 +168,19 @@ class Chain:
             return self._config.torque.default_period_s
         return float(np.median(np.diff(self._recent_us))) / US_PER_S
 
-    def _with_command(self, row: AttitudeRow) -> Outcome:
+    def _with_command(self, rows: tuple[AttitudeRow, ...]) -> Outcome:
         """Return the outcome of a row with the torque command that follows from it."""
         spacecraft = self._knowledge.spacecraft
         if spacecraft is None:
-            return Outcome((row,), None)
-        driving = (
-            row if spacecraft.control.method is row.method else _row_of_other_method(row, spacecraft.control.method)
-        )
+            return Outcome(rows, None)
+        wanted = spacecraft.control.method
+        if all(runner.method is not wanted for runner in self._runners):
+            return Outcome(rows, None)
+        driving = next((row for row in rows if row.method is wanted), None) or _row_of_other_method(rows[0], wanted)
         torque = compute_command(driving, spacecraft, self._carry_n_m_s, self._command_period_s(), self._config.torque)
         self._carry_n_m_s = torque.carry_n_m_s
         is_applied = torque.command.control_allowed and spacecraft.control.release is Release.AUTOMATIC
-        return Outcome((row,), torque.command, AppliedCommand(torque.command) if is_applied else None)
-
-
-def _known_states(outcome: PaperStep, sensitivity: SensitivityModel) -> dict[str, CarrierState]:
-    """Return what the paper method says of each carrier of the calibration that a row was computed with."""
-    excluded = {item.carrier for item in outcome.fix.excluded}
-    return {
-        name: CarrierState(
-            carrier=name,
-            power_dbm=float("nan"),
-            expected_dbm=float(outcome.deviation.expected_dbm[k]),
-            deviation_db=float(outcome.deviation.deviation_db[k]),
-            residual_db=float(outcome.fix.residual_db[k]),
-            sigma_db=float(outcome.fix.sigma_db[k]),
-            c_n0_db_hz=float("nan"),
-            flags=0,
-            state="unselected" if not sensitivity.is_selected[k] else ("excluded" if name in excluded else "used"),
-        )
-        for k, name in enumerate(sensitivity.carrier_ids)
-    }
+        return Outcome(rows, torque.command, AppliedCommand(torque.command) if is_applied else None)
 
 
 def _row_of_other_method(row: AttitudeRow, method: Method) -> AttitudeRow:

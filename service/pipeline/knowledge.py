@@ -9,6 +9,7 @@ from typing import Protocol
 
 from service.records.calibration import Alignment, Calibration, CalibrationMethod
 from service.records.catalogue import CarrierPlan, Ephemeris, Method, Spacecraft
+from service.records.epoch import US_PER_S
 from service.records.inputs import (
     AlignmentSet,
     CalibrationActivation,
@@ -68,6 +69,14 @@ class Knowledge:
             if operation.inhibit_control
             and operation.start_us <= epoch_us
             and (operation.stop_us is None or epoch_us < operation.stop_us)
+        )
+
+    def live_operations(self, from_us: int) -> tuple[Operation, ...]:
+        """Return the operations that had not ended an hour before an epoch: some leave their mark for that long."""
+        return tuple(
+            operation
+            for operation in self.operations.values()
+            if operation.stop_us is None or operation.stop_us + 3600 * US_PER_S > from_us
         )
 
 

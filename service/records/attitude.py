@@ -105,6 +105,8 @@ class AttitudeRow:
     residual_rms_db: float
     calibration_id: int | None
     alignment_id: int | None
+    #: what the operator is advised while control goes on
+    advice: tuple[str, ...] = ()
 
 
 def row_without_attitude(

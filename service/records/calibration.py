@@ -167,3 +167,5 @@ class Alignment:
     override_reason: str | None = None
     #: references of each method that had a calibration, where they differ from ``references``
     references_by_method: dict[str, tuple[CarrierReference, ...]] = field(default_factory=dict)
+    #: calibration that the references of each method were made with
+    calibration_by_method: dict[str, int] = field(default_factory=dict)

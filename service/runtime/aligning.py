@@ -3,11 +3,12 @@
 from dataclasses import dataclass
 
 from service.errors import ConflictError, InvalidInputError
-from service.pipeline.alignment import ReferencePowers, StatedAngles, reference_powers, smooth_angles
+from service.pipeline.alignment import AlignedPowers, align_methods
 from service.pipeline.config import AlignmentConfig
+from service.pipeline.stated_angles import StatedAngles, smooth_angles
 from service.ports import Clock, Storage
 from service.records.attitude import Axes
-from service.records.calibration import Alignment, Calibration, CalibrationState, Window
+from service.records.calibration import Alignment, Calibration, CalibrationMethod, CalibrationState, Window
 from service.records.epoch import US_PER_S, format_epoch
 
 
@@ -43,12 +44,13 @@ class Aligner:
         InvalidInputError
             ``alignment.no_reference``, ``alignment.no_powers``: the window lacks angles or powers.
         """
-        calibration = self._active_calibration(spacecraft_id)
+        active = self._active_calibrations(spacecraft_id)
         stated, window = self._angles(spacecraft_id, request)
-        carrier_ids = [carrier.id for carrier in calibration.result.carriers] if calibration.result else []
+        results = [calibration.result for calibration in active.values() if calibration.result is not None]
+        carrier_ids = list(dict.fromkeys(carrier.id for result in results for carrier in result.carriers))
         series = self._storage.archive.measurement_series(spacecraft_id, window, carrier_ids)
         ephemeris = self._storage.catalogue.ephemeris(spacecraft_id)
-        powers = reference_powers(series, stated, calibration, ephemeris, self._config)
+        powers = align_methods(series, stated, active, ephemeris, self._config)
         if len(powers.references) < 4:
             detail = (
                 f"{len(powers.references)} carriers have {self._config.min_rows} rows or more between "
@@ -62,24 +64,26 @@ class Aligner:
             epoch_us=stated.epoch_us,
             attitude_deg=stated.attitude_deg,
             sigma_deg=stated.sigma_deg,
-            calibration_id=calibration.id,
+            calibration_id=powers.calibration.id,
             source=",".join(sorted(set(request.source_of_axis))) if request.source_of_axis else "manual",
             created_at_us=self._clock.system_us(),
             created_by=request.created_by,
             references=powers.references,
             window=window,
             override_reason=request.override_reason,
+            references_by_method=powers.references_by_method,
+            calibration_by_method=powers.calibration_by_method,
         )
         return self._storage.results.add_alignment(spacecraft_id, alignment)
 
-    def _active_calibration(self, spacecraft_id: str) -> Calibration:
-        """Return the calibration whose carriers get references."""
+    def _active_calibrations(self, spacecraft_id: str) -> dict[CalibrationMethod, Calibration]:
+        """Return the active calibration of each kind of fit."""
         self._storage.catalogue.spacecraft(spacecraft_id)
         active = self._storage.results.calibrations(spacecraft_id, CalibrationState.ACTIVE)
         if not active:
             detail = f"no calibration of {spacecraft_id} is active; calibrate and activate one first"
             raise ConflictError("alignment.no_calibration", detail)
-        return active[0]
+        return {calibration.request.method: calibration for calibration in active}
 
     def _angles(self, spacecraft_id: str, request: AlignmentRequest) -> tuple[StatedAngles, Window]:
         """Return the angles to start from and the window of powers that belongs to them."""
@@ -100,7 +104,7 @@ class Aligner:
             raise InvalidInputError("alignment.no_reference", detail)
         return stated, request.window
 
-    def _refuse_contradiction(self, powers: ReferencePowers, stated: StatedAngles, request: AlignmentRequest) -> None:
+    def _refuse_contradiction(self, powers: AlignedPowers, stated: StatedAngles, request: AlignmentRequest) -> None:
         """Refuse angles that the powers speak against, unless the operator overrides."""
         consistency = powers.consistency
         if consistency.probability >= self._config.min_probability or request.override_reason:

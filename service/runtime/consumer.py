@@ -4,22 +4,23 @@ An alignment entry makes the chain run the rows already stored after its epoch, 
 one call. Because both run this very code on the same stored values, a replay equals the live run bit for bit.
 """
 
-import logging
 from collections.abc import Iterator
 
 from service.pipeline.chain import Chain
 from service.ports import Archive, Catalogue, Outcome, Results
-from service.records.attitude import row_without_attitude
-from service.records.calibration import Alignment, Calibration
-from service.records.catalogue import CarrierPlan, Ephemeris, Method
-from service.records.inputs import AlignmentSet
+from service.records.calibration import Alignment, Calibration, Window
+from service.records.catalogue import CarrierPlan, Ephemeris
+from service.records.command import AppliedCommand
+from service.records.inputs import AlignmentSet, Correction
 from service.records.journal import JournalEntry
 from service.records.measurement import Measurement
 
-_LOG = logging.getLogger("soo.consumer")
-
 #: kinds of slow input that the chain must know from before an alignment; the others concern rows after it
 STANDING_KINDS = ("spacecraft", "plan", "ephemeris", "activation", "operation")
+#: kinds that the chain must know as far as they reach beyond an alignment
+MOTION_KINDS = ("correction", "applied_command")
+_INPUTS_AT_ONCE = 1000
+_FOR_EVER_US = 1 << 62
 
 
 class Documents:
@@ -73,20 +74,45 @@ def consume(chain: Chain, entry: JournalEntry, archive: Archive, spacecraft_id: 
 
 
 def _step(chain: Chain, measurement: Measurement, *, is_catch_up: bool) -> Iterator[Outcome]:
-    """Feed one row; numbers that break the computation make a row that says so, and the stream goes on."""
-    try:
-        outcome = chain.step(measurement, is_catch_up=is_catch_up)
-    except (ArithmeticError, ValueError):
-        _LOG.exception("computing the row at journal number %d failed", measurement.number)
-        number, epoch_us, received_us = measurement.number, measurement.epoch_us, measurement.received_at_us
-        row = row_without_attitude(epoch_us, received_us, number, Method.PAPER, ("internal_error",))
-        outcome = Outcome((row,), None)
+    """Feed one row."""
+    outcome = chain.step(measurement, is_catch_up=is_catch_up)
     if outcome is not None:
         yield outcome
 
 
-def prepare(chain: Chain, archive: Archive, spacecraft_id: str, before_number: int) -> None:
-    """Tell the chain all standing slow inputs from before a journal number."""
-    for entry in archive.slow_inputs_before(spacecraft_id, before_number, STANDING_KINDS):
+def prepare(chain: Chain, archive: Archive, spacecraft_id: str, before_number: int, since_us: int | None) -> None:
+    """Tell the chain all that was said before a journal number.
+
+    Standing inputs are told from the beginning, commanded motion as far as it ends after ``since_us``, the epoch from
+    which rows will be run; None when no row will.
+    """
+    entries = archive.slow_inputs_before(spacecraft_id, before_number, STANDING_KINDS)
+    if since_us is not None:
+        window = Window(since_us, _FOR_EVER_US)
+        for kind in MOTION_KINDS:
+            entries += [e for e in _inputs(archive, spacecraft_id, kind, window) if e.number < before_number]
+    for entry in sorted(entries, key=lambda entry: entry.number):
         if not isinstance(entry.content, Measurement):
             chain.learn(entry.content)
+
+
+def _inputs(archive: Archive, spacecraft_id: str, kind: str, window: Window) -> Iterator[JournalEntry]:
+    """Yield the slow inputs of a kind that overlap a window."""
+    after: tuple[int, int] | None = None
+    while True:
+        page = archive.inputs(spacecraft_id, kind, window, _INPUTS_AT_ONCE, after)
+        yield from page
+        if len(page) < _INPUTS_AT_ONCE:
+            return
+        after = (_start_us(page[-1]), page[-1].number)
+
+
+def _start_us(entry: JournalEntry) -> int:
+    """Return where a commanded motion starts, by which pages are ordered."""
+    content = entry.content
+    if isinstance(content, Correction):
+        return content.start_us
+    if isinstance(content, AppliedCommand):
+        return content.command.epoch_us
+    message = f"journal entry {entry.number} is no commanded motion"
+    raise TypeError(message)

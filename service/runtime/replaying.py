@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from service.errors import ConflictError, InvalidInputError
-from service.pipeline.chain import Chain
+from service.pipeline.chain import METHODS, Chain
 from service.pipeline.config import ChainConfig
 from service.ports import Clock, Outcome, Storage
 from service.records.calibration import Alignment, Calibration
@@ -91,7 +91,8 @@ class Replayer:
         """Run one replay and store what falls into its span."""
         replay, results = plan.replay, self._storage.results
         documents = Documents(self._storage.catalogue, results, plan.spacecraft_id)
-        chain = Chain(documents, self._config, plan.calibration)
+        methods = METHODS if replay.method is None else (replay.method,)
+        chain = Chain(documents, self._config, plan.calibration, methods)
         newest_number = self._storage.archive.head(plan.spacecraft_id).newest_number
         outcomes = self._by_epoch if replay.order == "epoch" else self._by_journal
         chosen: list[Outcome] = []
@@ -109,7 +110,7 @@ class Replayer:
         """Yield progress and outcomes in the order of the journal from the alignment on."""
         archive = self._storage.archive
         first = self._storage.results.alignment_number(plan.spacecraft_id, plan.alignment.id)
-        prepare(chain, archive, plan.spacecraft_id, first)
+        prepare(chain, archive, plan.spacecraft_id, first, plan.alignment.epoch_us)
         position = first - 1
         while position < newest_number:
             entries = archive.journal(plan.spacecraft_id, position, _ENTRIES_AT_ONCE)
@@ -124,7 +125,7 @@ class Replayer:
     def _by_epoch(self, chain: Chain, plan: "_Plan", newest_number: int) -> Iterator[tuple[float, Outcome]]:
         """Yield progress and outcomes in order of epoch; what is known now holds from the alignment on."""
         archive = self._storage.archive
-        prepare(chain, archive, plan.spacecraft_id, newest_number + 1)
+        prepare(chain, archive, plan.spacecraft_id, newest_number + 1, plan.alignment.epoch_us)
         chain.learn(AlignmentSet(plan.alignment.id))
         rows = archive.measurements_after(plan.spacecraft_id, plan.alignment.epoch_us, newest_number + 1)
         for k, measurement in enumerate(rows):

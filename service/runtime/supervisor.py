@@ -153,8 +153,8 @@ class Supervisor:
         archive, results = self._storage.archive, self._storage.results
         head = archive.head(spacecraft_id)
         chain = Chain(Documents(self._storage.catalogue, results, spacecraft_id), self._config)
-        number = self._last_alignment(spacecraft_id, head.consumed_number)
-        prepare(chain, archive, spacecraft_id, number or head.consumed_number + 1)
+        number, aligned_us = self._last_alignment(spacecraft_id, head.consumed_number)
+        prepare(chain, archive, spacecraft_id, number or head.consumed_number + 1, aligned_us)
         position = head.consumed_number if number is None else number - 1
         while position < head.consumed_number:
             entries = archive.journal(spacecraft_id, position, _ENTRIES_AT_ONCE)
@@ -167,11 +167,14 @@ class Supervisor:
         self._followers[spacecraft_id] = follower
         return follower
 
-    def _last_alignment(self, spacecraft_id: str, consumed_number: int) -> int | None:
-        """Return the journal number of the newest consumed alignment."""
+    def _last_alignment(self, spacecraft_id: str, consumed_number: int) -> tuple[int | None, int | None]:
+        """Return journal number and epoch of the newest consumed alignment."""
         entries = self._storage.archive.slow_inputs_before(spacecraft_id, consumed_number + 1, ("alignment",))
-        numbers = [entry.number for entry in entries if isinstance(entry.content, AlignmentSet)]
-        return numbers[-1] if numbers else None
+        for entry in reversed(entries):
+            if isinstance(entry.content, AlignmentSet):
+                alignment = self._storage.results.alignment(spacecraft_id, entry.content.alignment_id)
+                return entry.number, alignment.epoch_us
+        return None, None
 
 
 def _events(entries: list[JournalEntry], outcomes: list[Outcome], first: int, last: int) -> tuple[FeedEvent, ...]:

@@ -11,11 +11,12 @@ import numpy as np
 
 from analyzer_sim.export import export_npz
 from analyzer_sim.world import World
-from service.pipeline.alignment import reference_powers, smooth_angles
 from service.pipeline.calibration import calibrate_paper
 from service.pipeline.calibration_rows import CalibrationInput
 from service.pipeline.chain import Chain
 from service.pipeline.config import AlignmentConfig, CalibrationConfig, ChainConfig
+from service.pipeline.paper_alignment import reference_powers
+from service.pipeline.stated_angles import smooth_angles
 from service.records.calibration import (
     Alignment,
     Calibration,

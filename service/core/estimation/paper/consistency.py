@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
+#: mean square of the residuals, in sigmas, above which levels have moved on their own
+_MOVED_SCATTER = 4.0
+
 
 class Consistency(NamedTuple):
     """Test of stated angles against levels."""
@@ -56,7 +59,8 @@ def compare_with_angles(change_db: FloatArray, sensitivity_db_per_deg: FloatArra
     common = float(ones[:, 0] @ wanted / (ones[:, 0] @ ones[:, 0]))
     cost_common = float(np.sum((wanted - ones[:, 0] * common) ** 2))
     cost_full = float(np.sum((wanted - full @ solution) ** 2))
-    chi_square = max(0.0, cost_common - cost_full)
+    scatter = cost_full / (count - 4)
+    chi_square = max(0.0, cost_common - cost_full) / (scatter if scatter > _MOVED_SCATTER else 1.0)
     return Consistency(chi_square, chi_square_tail_3(chi_square), np.asarray(solution[:3], dtype=np.float64), count)
 
 

@@ -34,8 +34,9 @@ CAUSES = [
     ("sigma_pitch", fix(sigma=(0.1, 0.03, NAN)), CALM),
     ("operation", fix(), replace(CALM, has_inhibiting_operation=True)),
 ]
-#: rows without angles: written by the archive's synthesis and by the consumer, not by the verdict on a fix
+#: rows without angles, written by the archive's synthesis and by the chain, and what the robust method's filter says
 ELSEWHERE = {"no_calibration", "not_aligned", "internal_error"}
+ELSEWHERE |= {"chain_step", "innovations", "unannounced_motion", "no_ephemeris"}
 
 
 @pytest.mark.parametrize(("reason", "of_fix", "circumstances"), CAUSES)

@@ -7,9 +7,10 @@ import pytest
 
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
-from service.records.inputs import AlignmentSet, Operation
+from service.records.attitude import Axes
+from service.records.inputs import AlignmentSet, Correction, Operation, PlanChange
 from service.records.journal import JournalEntry
-from service.runtime.consumer import STANDING_KINDS, Documents, consume, prepare
+from service.runtime.consumer import MOTION_KINDS, STANDING_KINDS, Documents, consume, prepare
 
 
 @pytest.fixture
@@ -24,7 +25,7 @@ def opened(payload, synthetic):
     archive.slow_inputs_before.return_value = [JournalEntry(k, content) for k, content in enumerate(contents)]
     # a port that gave a row among the slow inputs would not confuse the chain
     archive.slow_inputs_before.return_value.append(JournalEntry(40, stored[0]))
-    prepare(chain, archive, "y", 50)
+    prepare(chain, archive, "y", 50, None)
     return SimpleNamespace(chain=chain, archive=archive, stored=stored, aligned_us=aligned_us)
 
 
@@ -49,6 +50,20 @@ def test_standing_inputs_are_asked_for_without_alignments(opened):
     opened.archive.slow_inputs_before.assert_called_once_with("y", 50, STANDING_KINDS)
     assert "alignment" not in STANDING_KINDS
     assert not opened.chain.is_running
+
+
+def test_commanded_motion_is_told_as_far_as_it_reaches_beyond_the_alignment_in_the_order_of_the_journal(
+    payload, synthetic
+):
+    chain, archive = Mock(), Mock()
+    plan, correction = PlanChange(1), Correction(100, 200, Axes(0.1, 0.0, 0.0))
+    archive.slow_inputs_before.return_value = [JournalEntry(7, plan)]
+    pages = {"correction": [JournalEntry(5, correction), JournalEntry(60, correction)], "applied_command": []}
+    archive.inputs.side_effect = lambda _craft, kind, _window, _limit, _after: pages[kind]
+    prepare(chain, archive, "y", 50, 150)
+    assert [call.args[0] for call in chain.learn.call_args_list] == [correction, plan]
+    assert {call.args[1] for call in archive.inputs.call_args_list} == set(MOTION_KINDS)
+    assert all(call.args[2].start_us == 150 for call in archive.inputs.call_args_list)
 
 
 def test_each_document_is_read_once():

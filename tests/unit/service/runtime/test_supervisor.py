@@ -9,7 +9,7 @@ import pytest
 
 import service.runtime.supervisor as supervisor_module
 from service.errors import StorageError
-from service.pipeline.chain import Chain
+from service.pipeline.paper_runner import PaperRunner
 from service.records.attitude import Status
 from service.records.catalogue import Release
 from service.records.command import AppliedCommand
@@ -205,14 +205,14 @@ def test_a_storage_that_fails_delays_rows_and_loses_none(new_ground, caplog, par
 
 
 def test_a_row_that_breaks_the_computation_says_so_and_the_stream_goes_on(ground, caplog):
-    step = Chain.step
+    step = PaperRunner.step
 
-    def breaking(chain, measurement, **options):
+    def breaking(runner, measurement, *known, **options):
         if measurement.epoch_us == ground.at(30):
             raise FloatingPointError("overflow")
-        return step(chain, measurement, **options)
+        return step(runner, measurement, *known, **options)
 
-    with patch.object(Chain, "step", breaking), ground.supervised() as supervisor:
+    with patch.object(PaperRunner, "step", breaking), ground.supervised() as supervisor:
         ground.append(range(1, 41))
         ground.settle(supervisor)
     rows = {row.epoch_us: row for row in ground.rows()}

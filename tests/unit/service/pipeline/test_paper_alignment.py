@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.pipeline.alignment import StatedAngles, reference_powers, smooth_angles
 from service.pipeline.config import AlignmentConfig, EstimationConfig
 from service.pipeline.harmonic_removal import expected_power, remove_harmonic
+from service.pipeline.paper_alignment import reference_powers
 from service.pipeline.solve import sensitivity_model, solve_attitude
+from service.pipeline.stated_angles import StatedAngles, smooth_angles
 from service.records.attitude import Axes
 from service.records.calibration import Window
 from service.records.catalogue import Method

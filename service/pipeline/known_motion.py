@@ -1,0 +1,107 @@
+"""What the ground commanded: corrections through other channels and released torques, as input of the attitude filter.
+
+A correction is spread evenly over its interval; a pulse changes the rate for good and acts from its middle on. What
+falls into rows that were consumed before it became known is applied to the state at once. The law of this file: the
+same journal gives the same input, and nothing counts twice.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from service.core.estimation.filtering.filter_model import KnownMotion
+from service.records.attitude import FloatArray
+from service.records.catalogue import Spacecraft
+from service.records.command import AppliedCommand
+from service.records.epoch import US_PER_S
+from service.records.inputs import Correction
+
+_US_PER_H = 3600 * US_PER_S
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """One commanded change; triples in the order yaw, roll, pitch."""
+
+    start_us: int
+    stop_us: int
+    #: (3,) deg, spread over the interval
+    change_deg: FloatArray
+    #: (3,) deg/h, gained in the middle of the interval
+    rate_change_deg_h: FloatArray
+
+
+@dataclass(frozen=True)
+class CommandedMotion:
+    """Commanded changes from an alignment on, and the part that is still to be applied late."""
+
+    #: changes before this epoch are part of the alignment
+    since_us: int
+    motions: tuple[_Motion, ...] = ()
+    late_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    late_rate_deg_h: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+def heard(
+    commanded: CommandedMotion, content: Correction | AppliedCommand, craft: Spacecraft | None, newest_us: int
+) -> CommandedMotion:
+    """Return the changes with one more, which became known when rows up to ``newest_us`` had been consumed."""
+    told = _of_correction(content) if isinstance(content, Correction) else _of_command(content, craft)
+    late_deg, late_rate = np.array(commanded.late_deg), np.array(commanded.late_rate_deg_h)
+    for motion in told:
+        change_deg, rate_deg_h, lag_deg = _between(motion, commanded.since_us, newest_us)
+        late_deg = late_deg + change_deg + lag_deg
+        late_rate = late_rate + rate_deg_h
+    kept = tuple(motion for motion in (*commanded.motions, *told) if motion.stop_us > newest_us)
+    return replace(commanded, motions=kept, late_deg=_triple(late_deg), late_rate_deg_h=_triple(late_rate))
+
+
+def take(commanded: CommandedMotion, from_us: int, to_us: int) -> tuple[KnownMotion, CommandedMotion]:
+    """Return what was commanded between two epochs with all that is late, and the changes that are left."""
+    correction, rate = np.zeros(3), np.array(commanded.late_rate_deg_h)
+    late = np.array(commanded.late_deg)
+    # the filter lets a gained rate act for half of the step: a late one acted for all of it, a pulse from its middle on
+    half_h = 0.5 * (to_us - from_us) / _US_PER_H
+    late = late + half_h * rate
+    for motion in commanded.motions:
+        change_deg, rate_deg_h, lag_deg = _between(motion, max(from_us, commanded.since_us), to_us)
+        correction = correction + change_deg + lag_deg - half_h * rate_deg_h
+        rate = rate + rate_deg_h
+    left = tuple(motion for motion in commanded.motions if motion.stop_us > to_us)
+    return KnownMotion(correction, late, rate), CommandedMotion(commanded.since_us, left)
+
+
+def _between(motion: _Motion, from_us: int, to_us: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return change, rate and what the rate has turned until the end, of the part of a motion between two epochs."""
+    start_us, stop_us = max(motion.start_us, from_us), min(motion.stop_us, to_us)
+    nothing = np.zeros(3)
+    if stop_us <= start_us:
+        return nothing, nothing, nothing
+    share = (stop_us - start_us) / (motion.stop_us - motion.start_us)
+    rate_deg_h = share * motion.rate_change_deg_h
+    acted_h = (to_us - 0.5 * (start_us + stop_us)) / _US_PER_H
+    return share * motion.change_deg, rate_deg_h, rate_deg_h * acted_h
+
+
+def _of_correction(correction: Correction) -> tuple[_Motion, ...]:
+    """Return a correction; an angle that is not told does not move, an instant lasts a microsecond."""
+    change_deg = np.nan_to_num(np.array(correction.change_deg, dtype=np.float64))
+    return (_Motion(correction.start_us, max(correction.stop_us, correction.start_us + 1), change_deg, np.zeros(3)),)
+
+
+def _of_command(applied: AppliedCommand, craft: Spacecraft | None) -> tuple[_Motion, ...]:
+    """Return the pulses of a command; without a spacecraft nothing is known of their effect."""
+    if craft is None:
+        return ()
+    x, y, z = (craft.inertia_kg_m2[k][k] for k in range(3))
+    inertia = np.array([z, x, y])
+    motions = []
+    for pulse in applied.command.schedule:
+        gained_deg_h = np.rad2deg(np.array(pulse.torque_n_m) * pulse.duration_s / inertia) * 3600.0
+        stop_us = pulse.start_us + max(1, round(pulse.duration_s * US_PER_S))
+        motions.append(_Motion(pulse.start_us, stop_us, np.zeros(3), gained_deg_h))
+    return tuple(motions)
+
+
+def _triple(values: FloatArray) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])

@@ -1,0 +1,103 @@
+"""What the chain asks of an estimation method: to be started, told of changes, and stepped row by row."""
+
+from typing import Protocol
+
+import numpy as np
+
+from service.pipeline.knowledge import Knowledge
+from service.records.attitude import AttitudeRow, CarrierState, FloatArray, IntArray
+from service.records.catalogue import Carrier, CarrierPlan, Method
+from service.records.journal import SlowInput
+from service.records.measurement import Measurement
+
+
+class MethodRunner(Protocol):
+    """One method with its model and its state."""
+
+    @property
+    def method(self) -> Method:
+        """Which method this is."""
+        ...
+
+    @property
+    def is_running(self) -> bool:
+        """Whether rows lead to angles."""
+        ...
+
+    def hear(self, content: SlowInput, knowledge: Knowledge) -> None:
+        """Take in a slow input that concerns the motion of the craft."""
+        ...
+
+    def start(self, knowledge: Knowledge) -> None:
+        """Begin at the alignment that holds."""
+        ...
+
+    def rebuild(self, knowledge: Knowledge) -> None:
+        """Take over a change of calibration, ephemeris or spacecraft; the state is kept."""
+        ...
+
+    def step(
+        self, measurement: Measurement, plan: CarrierPlan, knowledge: Knowledge, *, is_late: bool, is_catch_up: bool
+    ) -> AttitudeRow:
+        """Return the row of a measurement; the state moves on unless the row is late."""
+        ...
+
+    def carrier_states(self) -> dict[str, CarrierState]:
+        """Return what is known of each carrier of the calibration after the newest row."""
+        ...
+
+
+class CalibratedColumns:
+    """Brings the powers of a row into the order of a calibration's carriers.
+
+    Carriers are matched by id; one that is another signal than the calibrated one (moved to another station,
+    transponder or frequency) counts as absent.
+
+    Parameters
+    ----------
+    carrier_ids : tuple of str
+        Carriers of the calibration.
+    calibrated : CarrierPlan
+        Plan that the calibration was made with.
+    """
+
+    def __init__(self, carrier_ids: tuple[str, ...], calibrated: CarrierPlan) -> None:
+        self._carrier_ids = carrier_ids
+        self._calibrated = {carrier.id: carrier for carrier in calibrated.carriers}
+        self._columns: dict[int, IntArray] = {}
+
+    def power_dbm(self, measurement: Measurement, plan: CarrierPlan) -> FloatArray:
+        """Return the powers (N,) in dBm, NaN where the plan has no such carrier."""
+        columns = self._of(plan)
+        return np.where(columns >= 0, np.append(measurement.power_dbm, np.nan)[columns], np.nan)
+
+    def flags(self, measurement: Measurement, plan: CarrierPlan) -> IntArray:
+        """Return the quality flags (N,), zero where none came."""
+        if measurement.flags is None:
+            return np.zeros(len(self._carrier_ids), dtype=np.int64)
+        columns = self._of(plan)
+        return np.where(columns >= 0, np.append(measurement.flags, 0)[columns], 0)
+
+    def _of(self, plan: CarrierPlan) -> IntArray:
+        if plan.id not in self._columns:
+            place = {
+                carrier.id: k
+                for k, carrier in enumerate(plan.carriers)
+                if _is_same_signal(carrier, self._calibrated.get(carrier.id))
+            }
+            self._columns[plan.id] = np.array([place.get(c, -1) for c in self._carrier_ids], dtype=np.int64)
+        return self._columns[plan.id]
+
+
+def _is_same_signal(carrier: Carrier, calibrated: Carrier | None) -> bool:
+    """Return whether two entries of plans are one signal of one station through one transponder."""
+    return calibrated is not None and (
+        (carrier.station, carrier.transponder, carrier.band, carrier.uplink_hz, carrier.downlink_hz)
+        == (
+            calibrated.station,
+            calibrated.transponder,
+            calibrated.band,
+            calibrated.uplink_hz,
+            calibrated.downlink_hz,
+        )
+    )

@@ -1,0 +1,107 @@
+"""The paper method in the chain: its model, its state, and what is known of each carrier."""
+
+from service.pipeline.config import ChainConfig
+from service.pipeline.knowledge import Knowledge, Lookup
+from service.pipeline.method_runner import CalibratedColumns
+from service.pipeline.paper_method import PaperModel, PaperState, PaperStep, initial_state, paper_model, step_paper
+from service.records.attitude import AttitudeRow, CarrierState
+from service.records.catalogue import CarrierPlan, Method
+from service.records.journal import SlowInput
+from service.records.measurement import Measurement
+
+
+class PaperRunner:
+    """Runs the paper method; `MethodRunner`."""
+
+    method = Method.PAPER
+
+    def __init__(self, lookup: Lookup, config: ChainConfig) -> None:
+        self._lookup = lookup
+        self._config = config
+        self._model: PaperModel | None = None
+        self._state: PaperState | None = None
+        self._columns: CalibratedColumns | None = None
+        self._last: tuple[PaperStep, PaperModel] | None = None
+
+    @property
+    def is_running(self) -> bool:
+        """Whether rows lead to angles."""
+        return self._model is not None
+
+    def hear(self, content: SlowInput, knowledge: Knowledge) -> None:
+        """Commanded motion does not enter this method."""
+
+    def start(self, knowledge: Knowledge) -> None:
+        """Begin at the alignment that holds."""
+        self._model, self._columns = self._model_of(knowledge)
+        self._state = (
+            None if self._model is None else initial_state(len(self._model.expected.carrier_ids), self._config)
+        )
+        self._last = None
+
+    def rebuild(self, knowledge: Knowledge) -> None:
+        """Take over a change; another set of carriers starts the means anew."""
+        former = self._model
+        self._model, self._columns = self._model_of(knowledge)
+        if self._model is None:
+            return
+        carrier_ids = self._model.expected.carrier_ids
+        if former is None or former.expected.carrier_ids != carrier_ids:
+            self._state = initial_state(len(carrier_ids), self._config)
+
+    def step(
+        self, measurement: Measurement, plan: CarrierPlan, knowledge: Knowledge, *, is_late: bool, is_catch_up: bool
+    ) -> AttitudeRow:
+        """Return the row of a measurement; the state moves on unless the row is late."""
+        if self._model is None or self._state is None or self._columns is None or knowledge.ephemeris is None:
+            message = "the paper method was stepped without a model"
+            raise ValueError(message)
+        outcome = step_paper(
+            self._state,
+            self._model,
+            knowledge,
+            knowledge.ephemeris,
+            measurement,
+            self._columns.power_dbm(measurement, plan),
+            is_late=is_late,
+            is_catch_up=is_catch_up,
+            config=self._config,
+        )
+        self._state = outcome.state
+        if not is_late:
+            self._last = (outcome, self._model)
+        return outcome.row
+
+    def carrier_states(self) -> dict[str, CarrierState]:
+        """Return what is known of each carrier of the calibration after the newest row."""
+        if self._last is None:
+            return {}
+        outcome, model = self._last
+        sensitivity = model.sensitivity
+        excluded = {item.carrier for item in outcome.fix.excluded}
+        return {
+            name: CarrierState(
+                carrier=name,
+                power_dbm=float("nan"),
+                expected_dbm=float(outcome.deviation.expected_dbm[k]),
+                deviation_db=float(outcome.deviation.deviation_db[k]),
+                residual_db=float(outcome.fix.residual_db[k]),
+                sigma_db=float(outcome.fix.sigma_db[k]),
+                c_n0_db_hz=float("nan"),
+                flags=0,
+                state="unselected" if not sensitivity.is_selected[k] else ("excluded" if name in excluded else "used"),
+            )
+            for k, name in enumerate(sensitivity.carrier_ids)
+        }
+
+    def _model_of(self, knowledge: Knowledge) -> tuple[PaperModel | None, CalibratedColumns | None]:
+        """Return the model that holds and the order of its carriers."""
+        alignment, calibration = knowledge.alignment, knowledge.calibration_for(Method.PAPER)
+        if alignment is None or calibration is None:
+            return None, None
+        aligned_id = alignment.calibration_by_method.get(Method.PAPER.value, alignment.calibration_id)
+        model = paper_model(knowledge, self._lookup.calibration(aligned_id))
+        if model is None:
+            return None, None
+        plan = self._lookup.plan(calibration.plan_id)
+        return model, CalibratedColumns(model.expected.carrier_ids, plan)

@@ -1,0 +1,171 @@
+"""The robust method from L1 to L4: expected level, attitude filter, integrity, with its state made explicit.
+
+The state is a value: a step takes one and returns the next. A late row gets a snapshot fix of its own and leaves the
+state alone. Without an ephemeris that reaches the row, or with fewer than four carriers, the filter coasts: angles go
+on with an honest sigma, and control waits.
+"""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from service.core.estimation.filtering.attitude_filter import FilterState, FilterStep, start, step
+from service.core.estimation.filtering.carry_over import carry_over
+from service.core.estimation.filtering.declared import Declared
+from service.core.estimation.filtering.filter_state import (
+    ATTITUDE,
+    DRIFT,
+    FREE_REFERENCE_DB2,
+    RATE,
+    initial_gaussian,
+)
+from service.core.estimation.snapshot.snapshot import Snapshots, solve_snapshots
+from service.pipeline.config import ChainConfig
+from service.pipeline.declared_operations import declared_between, with_chain_step
+from service.pipeline.knowledge import Knowledge
+from service.pipeline.known_motion import CommandedMotion, take
+from service.pipeline.robust_model import RobustModel
+from service.pipeline.robust_row import Fixed, filtered_row, late_row
+from service.pipeline.stated_angles import usual_sigma_deg
+from service.records.attitude import AttitudeRow, FloatArray
+from service.records.calibration import Alignment
+from service.records.measurement import Measurement
+
+
+@dataclass(frozen=True)
+class RobustState:
+    """Everything the method remembers from row to row."""
+
+    filter: FilterState
+    commanded: CommandedMotion
+    #: source of the newest row, None before the first
+    source: str | None = None
+
+
+class RobustStep(NamedTuple):
+    """One row's outcome and the state after it."""
+
+    row: AttitudeRow
+    #: (N,) dBm and dB
+    expected_dbm: FloatArray
+    deviation_db: FloatArray
+    residual_db: FloatArray
+    state: RobustState
+
+
+def initial_state(
+    model: RobustModel, alignment: Alignment, commanded: CommandedMotion, config: ChainConfig
+) -> RobustState:
+    """Return the state at an alignment; a carrier without a reference must show its level before it counts."""
+    sigma_db = np.where(model.is_referenced, model.reference_sigma_db, np.sqrt(FREE_REFERENCE_DB2))
+    gaussian = initial_gaussian(
+        model.filter,
+        np.array(alignment.attitude_deg, dtype=np.float64),
+        usual_sigma_deg(np.array(alignment.sigma_deg)),
+        sigma_db,
+        drift_deg_h=model.settings.drift_deg_h,
+        chain_sigma_db=config.robust.common_reference_sigma_db,
+    )
+    state = start(model.filter, alignment.epoch_us, gaussian)
+    watch = state.carriers._replace(is_flagged=state.carriers.is_flagged | ~model.is_referenced)
+    return RobustState(state._replace(carriers=watch), replace(commanded, since_us=alignment.epoch_us))
+
+
+def carried_state(state: RobustState, old: RobustModel, new: RobustModel) -> RobustState:
+    """Return the state under another calibration: the craft and the carriers that stay keep what is known of them."""
+    if old.carrier_ids == new.carrier_ids and old.calibration_id == new.calibration_id:
+        return state
+    place_of = {carrier: k for k, carrier in enumerate(old.carrier_ids)}
+    place = np.array([place_of.get(carrier, -1) for carrier in new.carrier_ids], dtype=np.int64)
+    carried = carry_over(
+        old.filter,
+        new.filter,
+        state.filter,
+        place,
+        np.zeros(len(place)),
+        np.where(new.is_referenced, new.reference_sigma_db, np.sqrt(FREE_REFERENCE_DB2)),
+        ~new.is_referenced,
+    )
+    return replace(state, filter=carried)
+
+
+def step_robust(
+    state: RobustState,
+    model: RobustModel,
+    knowledge: Knowledge,
+    measurement: Measurement,
+    power_dbm: FloatArray,
+    *,
+    is_late: bool,
+    is_catch_up: bool,
+    config: ChainConfig,
+) -> RobustStep:
+    """Take one row whose powers stand in the calibration's order and return its outcome and the next state."""
+    expected_dbm = model.expected_dbm(measurement.epoch_us)
+    deviation_db = np.where(model.is_used, power_dbm - expected_dbm, np.nan)
+    if is_late:
+        fixes = _snapshot(model, deviation_db)
+        row = late_row(measurement, model, fixes, is_absent=np.isnan(deviation_db))
+        return RobustStep(row, expected_dbm, deviation_db, fixes.residual_db[0], state)
+    from_us = state.filter.epoch_us
+    known, commanded = take(state.commanded, from_us, measurement.epoch_us)
+    declared = _declared(state, model, knowledge, measurement, config)
+    told = step(
+        model.filter,
+        model.settings,
+        state.filter,
+        measurement.epoch_us,
+        deviation_db,
+        known,
+        limits=model.limits,
+        declared=declared,
+    )
+    fixed = Fixed(told, deviation_db, rates_deg_s(model, told), declared, not bool(np.isfinite(expected_dbm).any()))
+    row = filtered_row(
+        measurement,
+        model,
+        fixed,
+        is_catch_up=is_catch_up,
+        has_inhibiting_operation=bool(knowledge.inhibiting_operations(measurement.epoch_us)),
+        validity_limit_deg=config.interlock.validity_limit_deg,
+    )
+    after = RobustState(told.state, commanded, measurement.source)
+    return RobustStep(row, expected_dbm, deviation_db, fixed.residual_db(model), after)
+
+
+def rates_deg_s(model: RobustModel, told: FilterStep) -> FloatArray:
+    """Return the rates (3,) of yaw, roll and pitch that the state implies, deg/s."""
+    mean, turn = told.state.gaussian.mean, model.settings.coupling_per_h
+    yaw, roll, _pitch = mean[ATTITUDE].tolist()
+    exchanged = np.array([-turn * roll, turn * yaw, 0.0])
+    return np.asarray((exchanged + mean[DRIFT] + mean[RATE]) / 3600.0)
+
+
+def _declared(
+    state: RobustState, model: RobustModel, knowledge: Knowledge, measurement: Measurement, config: ChainConfig
+) -> Declared | None:
+    """Return what was declared about the step, a change of the measuring source included."""
+    declared = declared_between(
+        knowledge.live_operations(state.filter.epoch_us),
+        model.names,
+        state.filter.epoch_us,
+        measurement.epoch_us,
+        config.operations,
+    )
+    if state.source is None or state.source == measurement.source:
+        return declared
+    return with_chain_step(declared, model.names, config.operations.gain_step_db)
+
+
+def _snapshot(model: RobustModel, deviation_db: FloatArray) -> Snapshots:
+    """Return the fix of a row alone."""
+    filtered = model.filter
+    variance = filtered.white_sigma_db**2 + (filtered.coloured_sigma_db**2).sum(axis=1) + model.reference_sigma_db**2
+    return solve_snapshots(
+        model.response,
+        deviation_db[None, :],
+        np.sqrt(variance),
+        model.orders,
+        group=filtered.transponder,
+    )

@@ -1,0 +1,177 @@
+"""What calibration, alignment and ephemeris give the robust method; fixed until one of them changes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.core.estimation.calibration.quadratic_response import QuadraticResponse, predict_deviation
+from service.core.estimation.filtering.filter_model import CarrierModel, FilterSettings
+from service.core.estimation.filtering.integrity import IntegrityLimits
+from service.core.estimation.snapshot.snapshot_start import subset_orders
+from service.pipeline.config import ChainConfig, InterlockConfig, RobustConfig
+from service.pipeline.declared_operations import CarrierNames
+from service.pipeline.expected_level import ExpectedLevel
+from service.pipeline.geometry_model import GeometryModel, carrier_model, geometry_model
+from service.pipeline.knowledge import Knowledge
+from service.records.attitude import BoolArray, FloatArray, IntArray
+from service.records.calibration import Alignment, Calibration, CalibrationResult
+from service.records.catalogue import Ephemeris, Method, Spacecraft
+from service.records.geometry import GeometryFit
+
+#: exchange of roll and yaw at the orbital rate, 1/h
+_ORBITAL_RATE_PER_H = 0.2625162
+#: subsets from which the fix of a late row starts
+_SUBSETS = 60
+#: instants over the alignment window at which two calibrations are compared when references are re-derived
+_REDERIVE_INSTANTS = 60
+
+
+@dataclass(frozen=True)
+class RobustModel:
+    """Everything that a step computes with; N carriers in the calibration's order."""
+
+    carrier_ids: tuple[str, ...]
+    filter: CarrierModel
+    settings: FilterSettings
+    limits: IntegrityLimits
+    response: QuadraticResponse
+    orders: IntArray
+    level: ExpectedLevel
+    fit: GeometryFit
+    names: CarrierNames
+    #: (N,) dB, reference level minus the calibration's level
+    reference_offset_db: FloatArray
+    #: (N,) dB
+    reference_sigma_db: FloatArray
+    #: (N,) whether the method uses the carrier, and whether its reference is known
+    is_used: BoolArray
+    is_referenced: BoolArray
+    calibration_id: int
+    alignment_id: int
+
+    def expected_dbm(self, epoch_us: int) -> FloatArray:
+        """Return the level (N,) at zero attitude by calibration, ephemeris and references."""
+        return self.level(epoch_us) + self.reference_offset_db
+
+
+def robust_model(knowledge: Knowledge, aligned_with: Calibration | None, config: ChainConfig) -> RobustModel | None:
+    """Return the model that holds, or None while calibration, ephemeris or alignment is missing.
+
+    Parameters
+    ----------
+    knowledge : Knowledge
+        What the slow inputs told.
+    aligned_with : Calibration or None
+        Calibration that the references of the alignment were made with.
+    config : ChainConfig
+        Settings.
+    """
+    calibration = knowledge.calibration_for(Method.ROBUST)
+    alignment, ephemeris = knowledge.alignment, knowledge.ephemeris
+    if calibration is None or calibration.result is None or alignment is None or ephemeris is None:
+        return None
+    result = calibration.result
+    fit = result.geometry
+    if fit is None or Method.ROBUST.value not in alignment.references_by_method:
+        return None
+    arrays = geometry_model(fit, result.carriers)
+    level = ExpectedLevel(arrays, fit, ephemeris)
+    offset_db, sigma_db = _references(calibration, arrays, level, alignment, aligned_with, ephemeris)
+    carrier_ids = tuple(carrier.id for carrier in result.carriers)
+    is_known = np.isfinite(arrays.response.slope).all(axis=1) & np.isfinite(np.array(fit.level_dbm))
+    return RobustModel(
+        carrier_ids=carrier_ids,
+        filter=carrier_model(arrays, fit, result.carriers, config.robust),
+        settings=_filter_settings(knowledge.spacecraft, config.robust),
+        limits=_limits(config.interlock, config.robust),
+        response=arrays.response,
+        orders=subset_orders(len(carrier_ids), _SUBSETS),
+        level=level,
+        fit=fit,
+        names=CarrierNames(carrier_ids, fit.transponders, np.array(fit.transponder, dtype=np.int64)),
+        reference_offset_db=np.nan_to_num(offset_db),
+        reference_sigma_db=sigma_db,
+        is_used=np.array(fit.is_used, dtype=np.bool_) & is_known,
+        is_referenced=np.isfinite(offset_db),
+        calibration_id=calibration.id,
+        alignment_id=alignment.id,
+    )
+
+
+def _references(
+    calibration: Calibration,
+    arrays: GeometryModel,
+    level: ExpectedLevel,
+    alignment: Alignment,
+    aligned_with: Calibration | None,
+    ephemeris: Ephemeris,
+) -> tuple[FloatArray, FloatArray]:
+    """Return reference minus level (N,) and its sigma; NaN for a carrier that the alignment did not see.
+
+    References made with another calibration are moved so that each mean power of the alignment window stays what it
+    was: by the difference of the two expected levels there, and of what the two say the attitude did.
+    """
+    told = {item.carrier: item for item in alignment.references_by_method.get(Method.ROBUST.value, ())}
+    result = calibration.result
+    ids = [carrier.id for carrier in result.carriers] if result else []
+    level_dbm = np.array(arrays.calibration.level_dbm)
+    reference_dbm = np.array([told[c].reference_dbm if c in told else np.nan for c in ids])
+    sigma_db = np.array([told[c].sigma_db if c in told else np.nan for c in ids])
+    offset_db = reference_dbm - level_dbm
+    if aligned_with is not None and aligned_with.id != calibration.id and aligned_with.result is not None:
+        former = _at_alignment(aligned_with.result, alignment, ephemeris)
+        now = _window_levels(arrays, level, alignment)
+        moved = {name: float(value) for name, value in zip(ids, now, strict=True)}
+        for k, name in enumerate(ids):
+            if name in former:
+                former_level_dbm, former_now_dbm = former[name]
+                offset_db[k] = reference_dbm[k] - former_level_dbm + former_now_dbm - moved[name]
+            else:
+                offset_db[k] = np.nan
+    return offset_db, np.where(np.isfinite(sigma_db), sigma_db, 1.0)
+
+
+def _at_alignment(
+    result: CalibrationResult, alignment: Alignment, ephemeris: Ephemeris
+) -> dict[str, tuple[float, float]]:
+    """Return level and expected mean over the alignment window of each carrier of the calibration aligned with."""
+    fit = result.geometry
+    if fit is None:
+        return {}
+    arrays = geometry_model(fit, result.carriers)
+    means = _window_levels(arrays, ExpectedLevel(arrays, fit, ephemeris), alignment)
+    return {carrier.id: (float(fit.level_dbm[k]), float(means[k])) for k, carrier in enumerate(result.carriers)}
+
+
+def _window_levels(arrays: GeometryModel, level: ExpectedLevel, alignment: Alignment) -> FloatArray:
+    """Return the mean level (N,) over the alignment window at the alignment's attitude."""
+    window = alignment.window
+    start_us, stop_us = (window.start_us, window.stop_us) if window else (alignment.epoch_us, alignment.epoch_us)
+    instants = np.linspace(start_us, stop_us, _REDERIVE_INSTANTS).astype(np.int64)
+    attitude = np.nan_to_num(np.array(alignment.attitude_deg))
+    return level.mean_dbm(instants) + predict_deviation(attitude, arrays.response)
+
+
+def _filter_settings(spacecraft: Spacecraft | None, config: RobustConfig) -> FilterSettings:
+    """Return what is known of the craft."""
+    is_coupled = spacecraft is None or spacecraft.onboard.roll_yaw_coupling
+    return FilterSettings(
+        coupling_per_h=_ORBITAL_RATE_PER_H if is_coupled else 0.0,
+        drift_deg_h=(config.yaw_drift_deg_h, config.roll_drift_deg_h, config.pitch_drift_deg_h),
+        drift_tau_h=config.drift_time_h,
+        correction_scale=config.correction_scale_error,
+        torque_scale=config.torque_scale_error,
+        chain_walk_db=config.chain_walk_db_sqrt_h,
+    )
+
+
+def _limits(interlock: InterlockConfig, config: RobustConfig) -> IntegrityLimits:
+    """Return when control may use the attitude."""
+    return IntegrityLimits(
+        sigma_yaw_deg=config.yaw_sigma_limit_deg,
+        sigma_roll_deg=interlock.roll_sigma_limit_deg,
+        sigma_pitch_deg=interlock.pitch_sigma_limit_deg,
+        redundancy=interlock.min_redundancy,
+        nis_ratio=config.innovation_limit,
+        relearned_share=config.relearned_share,
+    )

@@ -1,0 +1,173 @@
+"""Rows of the robust method: what the filter or a snapshot says, in the words of the archive."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from service.core.estimation.filtering.attitude_filter import MIN_CARRIERS, FilterStep
+from service.core.estimation.filtering.carrier_faults import QUIET_ROWS, QUIET_STD_DB
+from service.core.estimation.filtering.declared import Declared
+from service.core.estimation.filtering.filter_state import FIRST_COMMON, core_size
+from service.core.estimation.filtering.filter_update import site_db
+from service.core.estimation.snapshot.snapshot import CarrierUse, Snapshots
+from service.pipeline.interlock import INHIBITIONS
+from service.pipeline.robust_model import RobustModel
+from service.records.attitude import AttitudeRow, BoolArray, Exclusion, FloatArray, Status, named_axes
+from service.records.catalogue import Method
+from service.records.measurement import Measurement
+
+#: fewest rows of a flagged carrier from which its kind of fault is told
+_TELLING_ROWS = QUIET_ROWS // 2
+_MIN_GROUP = 3
+
+
+class Fixed(NamedTuple):
+    """A filtered row before it is put into words."""
+
+    told: FilterStep
+    #: (N,) dB
+    deviation_db: FloatArray
+    #: (3,) deg/s
+    rates_deg_s: FloatArray
+    declared: Declared | None
+    #: whether the ephemeris does not reach the row
+    is_without_ephemeris: bool
+
+    def residual_db(self, model: RobustModel) -> FloatArray:
+        """Return what attitude and common level do not explain (N,), dB."""
+        return np.asarray(self.deviation_db - site_db(model.filter, self.told.state.gaussian.mean))
+
+
+def filtered_row(
+    measurement: Measurement,
+    model: RobustModel,
+    fixed: Fixed,
+    *,
+    is_catch_up: bool,
+    has_inhibiting_operation: bool,
+    validity_limit_deg: float,
+) -> AttitudeRow:
+    """Return the archive's row of one step of the filter."""
+    told = fixed.told
+    attitude = told.attitude_deg
+    verdict = told.integrity
+    conditions = {
+        "catch_up": is_catch_up,
+        "operation": has_inhibiting_operation,
+        "no_ephemeris": fixed.is_without_ephemeris,
+        "beyond_validity": bool(np.abs(attitude[1:]).max() > validity_limit_deg),
+    }
+    standing = {reason for reason, stands in conditions.items() if stands} | set(verdict.reasons)
+    inhibitions = tuple(reason for reason in INHIBITIONS if reason in standing)
+    is_yaw_valid = bool(abs(float(attitude[0])) <= validity_limit_deg)
+    allowed = (
+        (False, False, False)
+        if inhibitions
+        else (verdict.is_axis_allowed[0] and is_yaw_valid, *verdict.is_axis_allowed[1:])
+    )
+    residual_db = fixed.residual_db(model)[told.used]
+    is_raining = told.state.rain.is_raining
+    common = told.state.gaussian.mean[FIRST_COMMON : core_size(model.filter)]
+    return AttitudeRow(
+        epoch_us=measurement.epoch_us,
+        received_at_us=measurement.received_at_us,
+        number=measurement.number,
+        method=Method.ROBUST,
+        attitude_deg=named_axes(attitude),
+        sigma_deg=named_axes(np.sqrt(np.diag(told.covariance_deg2))),
+        rates_deg_s=named_axes(fixed.rates_deg_s),
+        status=Status.ACQUIRED if len(told.used) >= MIN_CARRIERS else Status.EXPIRED,
+        control_allowed=not inhibitions,
+        control_allowed_axes=allowed,
+        inhibitions=inhibitions,
+        carriers_used=len(told.used),
+        excluded=_exclusions(model, fixed),
+        downlink_fade=is_raining,
+        downlink_fade_db=float(told.rain_db) if is_raining else 0.0,
+        common_db=float(told.common_db + common.sum()),
+        residual_rms_db=_rms(residual_db),
+        calibration_id=model.calibration_id,
+        alignment_id=model.alignment_id,
+        advice=("realign",) if verdict.is_realignment_advised else (),
+    )
+
+
+def late_row(measurement: Measurement, model: RobustModel, fixes: Snapshots, *, is_absent: BoolArray) -> AttitudeRow:
+    """Return the archive's row of a snapshot; its angles stand alone and never lead to a torque."""
+    is_fix = bool(np.isfinite(fixes.attitude_deg[0]).all())
+    is_out = model.is_used & (fixes.use[0] == CarrierUse.EXCLUDED)
+    excluded = [Exclusion(model.carrier_ids[k], "absent") for k in np.flatnonzero(model.is_used & is_absent)]
+    excluded += [
+        Exclusion(model.carrier_ids[k], "uplink_fade" if fixes.residual_db[0, k] < 0.0 else "step")
+        for k in np.flatnonzero(is_out)
+    ]
+    used = np.isin(fixes.use[0], (CarrierUse.USED, CarrierUse.GROUP_MOVED))
+    return AttitudeRow(
+        epoch_us=measurement.epoch_us,
+        received_at_us=measurement.received_at_us,
+        number=measurement.number,
+        method=Method.ROBUST,
+        attitude_deg=named_axes(fixes.attitude_deg[0]),
+        sigma_deg=named_axes(np.sqrt(np.diag(fixes.covariance_deg2[0]))),
+        rates_deg_s=None,
+        status=Status.ACQUIRED if is_fix else Status.INVALID,
+        control_allowed=False,
+        control_allowed_axes=(False, False, False),
+        inhibitions=("late",) if is_fix else ("late", "no_fix"),
+        carriers_used=int(fixes.carriers_used[0]),
+        excluded=tuple(sorted(excluded)),
+        downlink_fade=False,
+        downlink_fade_db=0.0,
+        common_db=float(fixes.common_db[0]),
+        residual_rms_db=_rms(fixes.residual_db[0][used]),
+        calibration_id=model.calibration_id,
+        alignment_id=model.alignment_id,
+    )
+
+
+def _exclusions(model: RobustModel, fixed: Fixed) -> tuple[Exclusion, ...]:
+    """Return the carriers of the method that did not enter, each with its reason."""
+    is_out = model.is_used.copy()
+    is_out[fixed.told.used] = False
+    if not is_out.any():
+        return ()
+    residual_db = fixed.residual_db(model)
+    moved = _moved_groups(model, fixed)
+    return tuple(
+        Exclusion(model.carrier_ids[k], _reason(model, fixed, residual_db, moved, int(k)))
+        for k in np.flatnonzero(is_out)
+    )
+
+
+def _reason(model: RobustModel, fixed: Fixed, residual_db: FloatArray, moved: set[int], k: int) -> str:
+    """Return why one carrier is out."""
+    watch = fixed.told.state.carriers
+    if fixed.declared is not None and fixed.declared.is_masked[k]:
+        return "manual"
+    if np.isnan(fixed.deviation_db[k]):
+        return "absent"
+    if watch.is_flagged[k] and int(model.filter.transponder[k]) in moved:
+        return "group"
+    seen_db = watch.residuals_db[:, k]
+    seen_db = seen_db[np.isfinite(seen_db)]
+    if watch.is_flagged[k] and len(seen_db) >= _TELLING_ROWS:
+        if float(seen_db.std()) < QUIET_STD_DB:
+            return "step"
+        return "uplink_fade" if float(seen_db.mean()) < 0.0 else "interference"
+    return "uplink_fade" if residual_db[k] < 0.0 else "interference"
+
+
+def _moved_groups(model: RobustModel, fixed: Fixed) -> set[int]:
+    """Return the transponders all of whose carriers are flagged."""
+    flagged, labels = fixed.told.state.carriers.is_flagged, model.filter.transponder
+    return {
+        int(label)
+        for label in np.unique(labels[flagged])
+        if flagged[labels == label].all() and np.count_nonzero(labels == label) >= _MIN_GROUP
+    }
+
+
+def _rms(values: FloatArray) -> float:
+    """Return the root mean square of the figures that are there, NaN when there are none."""
+    present = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(present**2))) if len(present) else float("nan")

@@ -1,0 +1,154 @@
+"""The robust method in the chain: its model, its state, commanded motion, and what is known of each carrier."""
+
+import numpy as np
+
+from service.pipeline.config import ChainConfig
+from service.pipeline.knowledge import Knowledge, Lookup
+from service.pipeline.known_motion import CommandedMotion, heard
+from service.pipeline.method_runner import CalibratedColumns
+from service.pipeline.robust_method import RobustState, RobustStep, carried_state, initial_state, step_robust
+from service.pipeline.robust_model import RobustModel, robust_model
+from service.records.attitude import AttitudeRow, CarrierState
+from service.records.calibration import Alignment, Calibration
+from service.records.catalogue import CarrierPlan, Method, Spacecraft
+from service.records.command import AppliedCommand
+from service.records.epoch import US_PER_S
+from service.records.inputs import Correction
+from service.records.journal import SlowInput
+from service.records.measurement import Measurement
+from service.records.quality_flag import QualityFlag
+
+#: a level with one of these is not used
+_UNFIT = int(
+    QualityFlag.OVERRANGE
+    | QualityFlag.UNCAL
+    | QualityFlag.NO_CARRIER
+    | QualityFlag.INTERFERENCE
+    | QualityFlag.EXPIRED
+    | QualityFlag.SETTING_MISMATCH
+    | QualityFlag.STALE_TRACE
+    | QualityFlag.NONFINITE_VALUE
+    | QualityFlag.NOT_MEASURED
+)
+#: commanded motion is kept this long for alignments that reach back, us
+_KEPT_US = 7 * 86_400 * US_PER_S
+
+
+class RobustRunner:
+    """Runs the robust method; `MethodRunner`."""
+
+    method = Method.ROBUST
+
+    def __init__(self, lookup: Lookup, config: ChainConfig) -> None:
+        self._lookup = lookup
+        self._config = config
+        self._model: RobustModel | None = None
+        self._state: RobustState | None = None
+        self._columns: CalibratedColumns | None = None
+        self._last: tuple[RobustStep, RobustModel] | None = None
+        self._told: list[tuple[Correction | AppliedCommand, Spacecraft | None]] = []
+
+    @property
+    def is_running(self) -> bool:
+        """Whether rows lead to angles."""
+        return self._model is not None
+
+    def hear(self, content: SlowInput, knowledge: Knowledge) -> None:
+        """Take in a correction or an applied command."""
+        if not isinstance(content, Correction | AppliedCommand):
+            return
+        self._told.append((content, knowledge.spacecraft))
+        if self._state is not None:
+            commanded = heard(self._state.commanded, content, knowledge.spacecraft, self._state.filter.epoch_us)
+            self._state = RobustState(self._state.filter, commanded, self._state.source)
+
+    def start(self, knowledge: Knowledge) -> None:
+        """Begin at the alignment that holds."""
+        self._model, self._columns = self._model_of(knowledge)
+        self._state, self._last = None, None
+        if self._model is not None and knowledge.alignment is not None:
+            self._state = self._initial(self._model, knowledge.alignment)
+
+    def rebuild(self, knowledge: Knowledge) -> None:
+        """Take over a change of calibration, ephemeris or spacecraft; attitude and references are kept."""
+        former = self._model
+        self._model, self._columns = self._model_of(knowledge)
+        if self._model is None or knowledge.alignment is None:
+            return
+        if self._state is None or former is None:
+            self._state = self._initial(self._model, knowledge.alignment)
+        else:
+            self._state = carried_state(self._state, former, self._model)
+
+    def step(
+        self, measurement: Measurement, plan: CarrierPlan, knowledge: Knowledge, *, is_late: bool, is_catch_up: bool
+    ) -> AttitudeRow:
+        """Return the row of a measurement; the state moves on unless the row is late."""
+        if self._model is None or self._state is None or self._columns is None:
+            message = "the robust method was stepped without a model"
+            raise ValueError(message)
+        is_unfit = (self._columns.flags(measurement, plan) & _UNFIT) != 0
+        outcome = step_robust(
+            self._state,
+            self._model,
+            knowledge,
+            measurement,
+            np.where(is_unfit, np.nan, self._columns.power_dbm(measurement, plan)),
+            is_late=is_late,
+            is_catch_up=is_catch_up,
+            config=self._config,
+        )
+        self._state = outcome.state
+        if not is_late:
+            self._last = (outcome, self._model)
+        return outcome.row
+
+    def carrier_states(self) -> dict[str, CarrierState]:
+        """Return what is known of each carrier of the calibration after the newest row."""
+        if self._last is None:
+            return {}
+        outcome, model = self._last
+        out = {item.carrier for item in outcome.row.excluded}
+        sigma_db = np.sqrt(model.filter.white_sigma_db**2 + (model.filter.coloured_sigma_db**2).sum(axis=1))
+        return {
+            name: CarrierState(
+                carrier=name,
+                power_dbm=float("nan"),
+                expected_dbm=float(outcome.expected_dbm[k]),
+                deviation_db=float(outcome.deviation_db[k]),
+                residual_db=float(outcome.residual_db[k]),
+                sigma_db=float(sigma_db[k]),
+                c_n0_db_hz=float("nan"),
+                flags=0,
+                state="unselected" if not model.is_used[k] else ("excluded" if name in out else "used"),
+            )
+            for k, name in enumerate(model.carrier_ids)
+        }
+
+    def _initial(self, model: RobustModel, alignment: Alignment) -> RobustState:
+        """Return the state at an alignment, with what was commanded after its epoch."""
+        since_us = alignment.epoch_us
+        self._told = [told for told in self._told if _stop_us(told[0]) > since_us - _KEPT_US]
+        commanded = CommandedMotion(since_us)
+        for content, craft in self._told:
+            commanded = heard(commanded, content, craft, since_us)
+        return initial_state(model, alignment, commanded, self._config)
+
+    def _model_of(self, knowledge: Knowledge) -> tuple[RobustModel | None, CalibratedColumns | None]:
+        """Return the model that holds and the order of its carriers."""
+        calibration = knowledge.calibration_for(Method.ROBUST)
+        model = robust_model(knowledge, self._aligned_with(knowledge.alignment), self._config)
+        if model is None or calibration is None:
+            return None, None
+        return model, CalibratedColumns(model.carrier_ids, self._lookup.plan(calibration.plan_id))
+
+    def _aligned_with(self, alignment: Alignment | None) -> Calibration | None:
+        """Return the calibration that the references were made with, None where the method had none."""
+        if alignment is None or Method.ROBUST.value not in alignment.calibration_by_method:
+            return None
+        return self._lookup.calibration(alignment.calibration_by_method[Method.ROBUST.value])
+
+
+def _stop_us(content: Correction | AppliedCommand) -> int:
+    """Return when a commanded motion ends."""
+    return content.stop_us if isinstance(content, Correction) else content.command.valid_until_us
