@@ -5,12 +5,8 @@ from typing import Annotated
 from fastapi import Depends, Query
 
 from service.api.deps import Context, SpacecraftId
-from service.errors import InvalidInputError
 from service.ports import LIVE, Results
 from service.records.catalogue import Method
-
-#: methods that this version of the service can run
-RUNNING_METHODS = (Method.PAPER,)
 
 MethodParameter = Annotated[Method | None, Query(description="Default: the method that drives control")]
 VersionParameter = Annotated[str, Query(max_length=64, description="`live`, or the version of a replay")]
@@ -32,13 +28,6 @@ def check_version(results: Results, spacecraft_id: str, version: str) -> None:
     """Raise NotFoundError unless a version exists."""
     if version != LIVE:
         results.replay(spacecraft_id, version)
-
-
-def refuse_method(method: Method | None, code: str) -> None:
-    """Refuse a method that this version cannot run."""
-    if method is not None and method not in RUNNING_METHODS:
-        names = ", ".join(running.value for running in RUNNING_METHODS)
-        raise InvalidInputError(code, f"this version runs the method {names} only; ask for it or name none")
 
 
 WantedMethod = Annotated[Method, Depends(wanted_method)]

@@ -1,13 +1,13 @@
 """State of one spacecraft, put together from what archive, results and clock say; the stream tells the same."""
 
 from service.api.deps import ApiContext
-from service.api.methods import RUNNING_METHODS
 from service.api.schemas.status import StatusAnswer
 from service.api.validity import newest_attitude, newest_command
 from service.records.attitude import AttitudeRow
 from service.records.calibration import CalibrationState
 from service.records.catalogue import Release, Spacecraft
 from service.records.command import TorqueCommand
+from service.runtime.inspection import realignment_advised, runnable_methods
 
 
 def status_of(context: ApiContext, spacecraft_id: str) -> StatusAnswer:
@@ -16,7 +16,7 @@ def status_of(context: ApiContext, spacecraft_id: str) -> StatusAnswer:
     spacecraft = storage.catalogue.spacecraft(spacecraft_id)
     # in this order: with nothing pending, the newest attitude is that of the newest measurement told, or of a later one
     newest_us = storage.archive.head(spacecraft_id).newest_epoch_us
-    pending = storage.results.pending(spacecraft_id, RUNNING_METHODS)
+    pending = storage.results.pending(spacecraft_id, runnable_methods(storage, spacecraft_id))
     row = newest_attitude(context, spacecraft_id, spacecraft.control.method)
     command = newest_command(context, spacecraft, row)
     reasons = _reasons(spacecraft, row if command is None else command)
@@ -28,7 +28,7 @@ def status_of(context: ApiContext, spacecraft_id: str) -> StatusAnswer:
             "newest_attitude": None if row is None else row.epoch_us,
             "pending": pending,
             "aligned": bool(alignments),
-            "realignment_advised": False,
+            "realignment_advised": realignment_advised(storage, spacecraft_id),
             "clock": "data" if clock.is_data(spacecraft_id) else "system",
             "now": clock.now_us(spacecraft_id),
             "links": [

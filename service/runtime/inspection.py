@@ -1,4 +1,4 @@
-"""Looks at the archive on demand: harmonics of any window, and the carriers that a rule recommends.
+"""Looks at the archive on demand: daily change of any window, carriers that a rule recommends, advice, methods.
 
 Nothing is stored: an operator looks before deciding on a calibration or on which carriers to measure.
 """
@@ -6,36 +6,31 @@ Nothing is stored: an operator looks before deciding on a calibration or on whic
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-
-from service.core.estimation.observability import crlb_deg
-from service.core.estimation.paper.harmonic import HarmonicFits, fit_harmonics
-from service.core.estimation.paper.selection import AxisSelection, SelectionReason, select_by_axis
-from service.core.geometry.node_phase import latest_node_us, node_phase_rad
-from service.errors import ConflictError, NotFoundError
+from service.errors import ConflictError, InvalidInputError, NotFoundError
 from service.pipeline.config import CalibrationConfig
-from service.ports import Storage
-from service.records.attitude import Axes, named_axes
-from service.records.calibration import Calibration, CarrierCalibration, Harmonic, Window
-from service.records.catalogue import CarrierPlan
+from service.pipeline.planning import Recommendation, Rule, recommend
+from service.pipeline.planning_candidates import MIN_USABLE, candidates_of
+from service.pipeline.window_harmonics import CarrierHarmonic, paper_harmonics, robust_harmonics
+from service.ports import LIVE, Storage
+from service.records.calibration import (
+    Calibration,
+    CalibrationMethod,
+    CalibrationResult,
+    CalibrationState,
+    Window,
+)
+from service.records.catalogue import CarrierPlan, Method
 
-_AXIS_NAMES = ("yaw", "roll", "pitch")
-
-
-class CarrierHarmonic(NamedTuple):
-    """Harmonic of one carrier in a window; sigmas hold for independent residuals."""
-
-    carrier: str
-    harmonic: Harmonic
-    amplitude_sigma_db: float
-    phase_sigma_rad: float
-    offset_sigma_db: float
-    #: whether the rejection of outliers came to rest
-    is_converged: bool
+#: fewest carriers that a choice may be asked for: three angles, a common level and one that checks them
+MIN_COUNT = 5
+#: carriers chosen when no count is asked for
+DEFAULT_COUNT = 16
+#: word among the advice of a row that says so much was learned anew that the references should be taken again
+_REALIGN = "realign"
 
 
 class WindowHarmonics(NamedTuple):
-    """Harmonics of a window under the newest ephemeris."""
+    """Daily change of a window under the newest ephemeris."""
 
     plan_id: int
     ephemeris_id: int
@@ -45,37 +40,22 @@ class WindowHarmonics(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class RecommendedCarrier:
-    """What a rule says about one carrier."""
+class CarrierRecommendation:
+    """What a rule recommends by a calibration."""
 
-    carrier: str
-    is_selected: bool
-    #: place in the order of choice, 0 = first; None when it was not chosen
-    rank: int | None
-    #: axis it was chosen for, else the one it answers to most; None when not measured
-    axis: str | None
-    dominance: float
-    sensitivity_db_per_deg: Axes
-    residual_rms_db: float
-    nonlinearity_deg: float
-    reasons: tuple[str, ...]
-
-
-class CarrierRecommendation(NamedTuple):
-    """A recommended subset and what it can see."""
-
-    calibration_id: int
-    condition: float
-    dop_deg_per_db: Axes
-    #: one row, with a common-mode unknown
-    crlb_deg: Axes
-    carriers: tuple[RecommendedCarrier, ...]
+    #: None when carriers were judged by assumptions
+    calibration_id: int | None
+    calibration_method: str | None
+    count: int
+    recommendation: Recommendation
+    #: what to know before trusting the figures
+    notes: tuple[str, ...]
 
 
 def window_harmonics(
-    storage: Storage, spacecraft_id: str, window: Window, carrier: str | None, config: CalibrationConfig
+    storage: Storage, spacecraft_id: str, window: Window, carrier: str | None, method: Method, config: CalibrationConfig
 ) -> WindowHarmonics:
-    """Return the harmonics of a window for one carrier of the newest plan or for all.
+    """Return the daily change in a window for one carrier of the newest plan or for all.
 
     Raises
     ------
@@ -86,44 +66,65 @@ def window_harmonics(
     ephemeris = storage.catalogue.ephemeris(spacecraft_id)
     names = _wanted_carriers(plan, carrier)
     series = storage.archive.measurement_series(spacecraft_id, window, names)
-    nodes_us = np.array(ephemeris.ascending_nodes_us, dtype=np.int64)
-    fits = fit_harmonics(
-        node_phase_rad(series.epochs_us, nodes_us, ephemeris.nodal_period_s),
-        series.power_dbm,
-        max_iterations=config.harmonic.max_iterations,
-        gate_sigma=config.harmonic.gate_sigma,
-    )
-    last_us = np.array([window.stop_us - 1]) if len(series.epochs_us) == 0 else series.epochs_us[-1:]
-    node_us = int(latest_node_us(last_us, nodes_us, ephemeris.nodal_period_s)[0])
-    carriers = tuple(_carrier_harmonic(k, n, fits, ephemeris.nodal_period_s, node_us) for k, n in enumerate(names))
-    return WindowHarmonics(plan.id, ephemeris.id, len(series.epochs_us), carriers)
+    if method is Method.PAPER:
+        fits = paper_harmonics(series, ephemeris, window.stop_us, config)
+    else:
+        longitude_deg = storage.catalogue.spacecraft(spacecraft_id).longitude_deg
+        wanted = [one for one in plan.carriers if one.id in names]
+        fits = robust_harmonics(series, ephemeris, window.stop_us, wanted, longitude_deg)
+    return WindowHarmonics(plan.id, ephemeris.id, len(series.epochs_us), fits)
 
 
 def recommend_carriers(
-    storage: Storage, spacecraft_id: str, count: int, config: CalibrationConfig
+    storage: Storage, spacecraft_id: str, count: int | None, rule: Rule, config: CalibrationConfig
 ) -> CarrierRecommendation:
-    """Return the carriers that the paper's rule recommends by the newest calibration with figures.
+    """Return the carriers that a rule recommends, by the active calibration by geometry or else the newest one.
 
     Raises
     ------
     ConflictError
-        ``selection.no_calibration``: no calibration has figures yet.
+        ``selection.no_calibration``: no calibration has figures yet; ``selection.too_few``: fewer than four of its
+        carriers can be used.
+    InvalidInputError
+        ``selection.count``: more carriers asked for than the calibration has.
     """
-    calibration = _newest_with_result(storage, spacecraft_id)
-    carriers = calibration.result.carriers if calibration.result else ()
+    calibration, result = _judging(storage, spacecraft_id)
     plan = storage.catalogue.plan(spacecraft_id, calibration.plan_id)
-    usable = {carrier.id for carrier in plan.carriers if carrier.is_usable_for_attitude}
-    symmetric = np.array([carrier.sensitivity_db_per_deg for carrier in carriers], dtype=np.float64).reshape(-1, 3)
-    eligible = np.array([c.id in usable and {"stable", "linear"} <= set(c.criteria_met) for c in carriers], dtype=bool)
-    choice = select_by_axis(symmetric, eligible, count, yaw_scale=config.criteria.yaw_scale)
-    sigma_db = np.array([carrier.harmonic.rms_db for carrier in carriers], dtype=np.float64)
+    candidates = candidates_of(result, plan)
+    total, usable = len(candidates.carrier_ids), int(candidates.is_usable.sum())
+    if count is not None and count > total:
+        raise InvalidInputError("selection.count", f"calibration {calibration.id} has {total} carriers; ask for fewer")
+    if usable < MIN_USABLE:
+        detail = (
+            f"only {usable} carriers of calibration {calibration.id} can be used, {MIN_USABLE} are needed for three "
+            "angles and the common level; calibrate a plan with more users"
+        )
+        raise ConflictError("selection.too_few", detail)
+    wanted = min(DEFAULT_COUNT, total) if count is None else count
+    recommendation = recommend(candidates, wanted, rule, yaw_scale=config.criteria.yaw_scale)
     return CarrierRecommendation(
-        calibration.id,
-        choice.condition,
-        named_axes(choice.dilution_deg_per_db),
-        named_axes(crlb_deg(symmetric[choice.chosen], sigma_db[choice.chosen], with_common=True)),
-        tuple(_recommended(k, carrier, choice, usable) for k, carrier in enumerate(carriers)),
+        calibration.id, calibration.request.method.value, wanted, recommendation, _notes(calibration, result)
     )
+
+
+def realignment_advised(storage: Storage, spacecraft_id: str) -> bool:
+    """Return whether the newest row of the robust method advises to take angles and references anew."""
+    row = storage.results.newest_attitude(spacecraft_id, LIVE, Method.ROBUST)
+    return row is not None and _REALIGN in row.advice
+
+
+def runnable_methods(storage: Storage, spacecraft_id: str) -> tuple[Method, ...]:
+    """Return the methods that run on every row since the newest alignment: those that it took references for.
+
+    A method whose first calibration came after the alignment runs from then on, but rows before it never get its
+    result; what waits for it waits for the other method's result too, for both are stored together.
+    """
+    alignments = storage.results.alignments(spacecraft_id)
+    if not alignments:
+        return ()
+    named = alignments[0].calibration_by_method
+    # alignments of versions that ran one method name none
+    return tuple(method for method in Method if method.value in named) or (Method.PAPER,)
 
 
 def _wanted_carriers(plan: CarrierPlan, carrier: str | None) -> tuple[str, ...]:
@@ -136,73 +137,30 @@ def _wanted_carriers(plan: CarrierPlan, carrier: str | None) -> tuple[str, ...]:
     return (carrier,)
 
 
-def _carrier_harmonic(k: int, name: str, fits: HarmonicFits, period_s: float, node_us: int) -> CarrierHarmonic:
-    """Return the harmonic of the k-th carrier with its sigmas."""
-    amplitude_db, phase_rad = float(fits.amplitude_db[k]), float(fits.phase_rad[k])
-    # a1 = am cos phi, a2 = -am sin phi: an error along the vector (a1, a2) is one of am, across it one of phi
-    along = np.array([0.0, np.cos(phase_rad), -np.sin(phase_rad)])
-    across = np.array([0.0, np.sin(phase_rad), np.cos(phase_rad)])
-    covariance = fits.covariance[k]
-    harmonic = Harmonic(
-        amplitude_db,
-        phase_rad,
-        float(fits.offset_dbm[k]),
-        period_s,
-        node_us,
-        float(fits.rms_db[k]),
-        int(fits.samples_used[k]),
-        int(fits.samples_rejected[k]),
-    )
-    return CarrierHarmonic(
-        name,
-        harmonic,
-        amplitude_sigma_db=float(np.sqrt(along @ covariance @ along)),
-        phase_sigma_rad=float(np.sqrt(across @ covariance @ across)) / amplitude_db if amplitude_db else float("nan"),
-        offset_sigma_db=float(np.sqrt(covariance[0, 0])),
-        is_converged=bool(fits.converged[k]),
-    )
-
-
-def _newest_with_result(storage: Storage, spacecraft_id: str) -> Calibration:
-    """Return the newest calibration that has figures."""
-    for calibration in storage.results.calibrations(spacecraft_id):
+def _judging(storage: Storage, spacecraft_id: str) -> tuple[Calibration, CalibrationResult]:
+    """Return the calibration by which carriers are judged, with its figures."""
+    active = storage.results.calibrations(spacecraft_id, CalibrationState.ACTIVE)
+    by_geometry = tuple(one for one in active if one.request.method is CalibrationMethod.GEOMETRY)
+    for calibration in by_geometry + storage.results.calibrations(spacecraft_id):
         if calibration.result is not None:
-            return calibration
+            return calibration, calibration.result
     detail = f"no calibration of {spacecraft_id} has figures to choose carriers by; calibrate it first"
     raise ConflictError("selection.no_calibration", detail)
 
 
-def _recommended(k: int, carrier: CarrierCalibration, choice: AxisSelection, usable: set[str]) -> RecommendedCarrier:
-    """Return what the rule says about the k-th carrier."""
-    axis, is_selected = int(choice.axis[k]), int(choice.rank[k]) >= 0
-    return RecommendedCarrier(
-        carrier=carrier.id,
-        is_selected=is_selected,
-        rank=int(choice.rank[k]) if is_selected else None,
-        axis=_AXIS_NAMES[axis] if axis >= 0 else None,
-        dominance=float(choice.dominance[k]),
-        sensitivity_db_per_deg=carrier.sensitivity_db_per_deg,
-        residual_rms_db=carrier.stability_residual_rms_db,
-        nonlinearity_deg=carrier.nonlinearity_deg,
-        reasons=_reasons(k, carrier, choice, len(choice.chosen), is_usable=carrier.id in usable),
-    )
-
-
-def _reasons(
-    k: int, carrier: CarrierCalibration, choice: AxisSelection, chosen: int, *, is_usable: bool
-) -> tuple[str, ...]:
-    """Return why the k-th carrier was chosen or left out, with figures."""
-    reason, axis = SelectionReason(int(choice.reason[k])), _AXIS_NAMES[int(choice.axis[k])]
-    dominance = f"answers {choice.dominance[k]:.2f} times more to {axis} than to any other axis"
-    if reason is SelectionReason.CHOSEN:
-        return (f"chosen for {axis}: {dominance}",)
-    if reason is SelectionReason.NOT_NEEDED:
-        return (f"{dominance}; {chosen} carriers before it do more",)
-    if reason is SelectionReason.NOT_MEASURED:
-        return ("the calibration has no sensitivity of it for every axis",)
-    texts = (
-        (is_usable, "not usable for attitude: disabled, a beacon, or under uplink power control"),
-        ("stable" in carrier.criteria_met, f"not stable: rms {carrier.stability_residual_rms_db:.3f} dB"),
-        ("linear" in carrier.criteria_met, f"not linear: departs {carrier.nonlinearity_deg:.3f} deg"),
-    )
-    return tuple(text for is_met, text in texts if not is_met)
+def _notes(calibration: Calibration, result: CalibrationResult) -> tuple[str, ...]:
+    """Return what to know before trusting the figures."""
+    notes = []
+    if calibration.request.method is CalibrationMethod.PAPER:
+        notes.append(
+            "coefficients were fitted freely: their errors make yaw look better than it is; a calibration by geometry "
+            "is free of that"
+        )
+    groups = result.geometry.alc_group if result.geometry is not None else ()
+    coupled = [carrier.id for carrier, group in zip(result.carriers, groups, strict=False) if group >= 0]
+    if coupled:
+        notes.append(
+            f"{', '.join(coupled)} share a level control, so only their differences count; the figures take them as "
+            "independent and flatter"
+        )
+    return tuple(notes)

@@ -1,13 +1,13 @@
-"""Carrier selection: which carriers a rule recommends, and why."""
+"""Carrier selection: which carriers a rule recommends, and why; what they see beside the other sets."""
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from fastapi import APIRouter, Query
 
 from service.api.deps import Context, SpacecraftId
-from service.api.schemas.inspection import CarrierSelectionAnswer
-from service.errors import InvalidInputError
-from service.runtime.inspection import recommend_carriers
+from service.api.schemas.carrier_selection import CarrierSelectionAnswer, Turns
+from service.pipeline.planning import Rule
+from service.runtime.inspection import MIN_COUNT, recommend_carriers
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/carrier-selection", tags=["calibration"])
 
@@ -16,12 +16,13 @@ router = APIRouter(prefix="/spacecraft/{spacecraft_id}/carrier-selection", tags=
 def get_carrier_selection(
     spacecraft_id: SpacecraftId,
     context: Context,
-    count: Annotated[int, Query(ge=3, le=1000, description="Carriers wanted")] = 16,
-    rule: Literal["paper", "optimal"] = "paper",
+    count: Annotated[
+        int | None, Query(ge=MIN_COUNT, le=1000, description="Carriers wanted; default 16, or all when there are fewer")
+    ] = None,
+    rule: Annotated[Rule, Query(description="The publication's rule, or the weighted A-optimal choice")] = Rule.PAPER,
+    turns: Annotated[Turns, Query(description="Add the recommended calibration turns")] = Turns.NONE,
 ) -> CarrierSelectionAnswer:
-    """Recommend carriers by the newest calibration that has figures; nothing is stored."""
+    """Recommend carriers by the active calibration by geometry, else by the newest with figures; nothing is stored."""
     context.storage.catalogue.spacecraft(spacecraft_id)
-    if rule != "paper":
-        raise InvalidInputError("selection.rule", "this version has the rule paper only; ask for it or name none")
-    recommendation = recommend_carriers(context.storage, spacecraft_id, count, context.calibration)
-    return CarrierSelectionAnswer.of(rule, count, recommendation)
+    found = recommend_carriers(context.storage, spacecraft_id, count, rule, context.calibration)
+    return CarrierSelectionAnswer.of(found, turns)

@@ -5,7 +5,6 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 
 from service.api.deps import Context, SpacecraftId
-from service.api.methods import refuse_method
 from service.api.paging import EVERYTHING, window_of
 from service.api.schemas.inspection import WindowHarmonicsAnswer
 from service.records.catalogue import Method
@@ -23,9 +22,12 @@ def get_harmonics(
     carrier: Annotated[str | None, Query(max_length=64, description="Default: all carriers of the newest plan")] = None,
     method: Method = Method.PAPER,
 ) -> WindowHarmonicsAnswer:
-    """Fit the daily harmonic of a window; nothing is stored."""
+    """Fit the daily change of a window; nothing is stored.
+
+    `paper`: one harmonic, 3 sigma. `robust`: trimmed start and Tukey's estimate of the dish law where the ephemeris has
+    a track over the window, else of two harmonics.
+    """
     window = window_of(start, stop, EVERYTHING)
     context.storage.catalogue.spacecraft(spacecraft_id)
-    refuse_method(method, "harmonics.method")
-    harmonics = window_harmonics(context.storage, spacecraft_id, window, carrier, context.calibration)
+    harmonics = window_harmonics(context.storage, spacecraft_id, window, carrier, method, context.calibration)
     return WindowHarmonicsAnswer.of(window, method, harmonics)

@@ -20,6 +20,7 @@ class ExclusionAnswer(Answer):
 
     carrier: str
     reason: str
+    """uplink_fade, step, absent, interference, group or manual."""
 
 
 class AttitudeAnswer(Answer):
@@ -49,6 +50,8 @@ class AttitudeAnswer(Answer):
     residual_rms_db: Figure
     calibration_id: int | None
     alignment_id: int | None
+    advice: list[str]
+    """What the operator is advised while control goes on: `realign`, `disagreement`, `coupling_doubted`."""
     version: str
     """`live`, or the replay that made the row."""
 
@@ -79,6 +82,7 @@ class AttitudeAnswer(Answer):
                 "residual_rms_db": row.residual_rms_db,
                 "calibration_id": row.calibration_id,
                 "alignment_id": row.alignment_id,
+                "advice": row.advice,
                 "version": version,
             }
         )
@@ -107,6 +111,7 @@ class AttitudeAnswer(Answer):
             residual_rms_db=None,
             calibration_id=None,
             alignment_id=None,
+            advice=[],
             version=version,
         )
 

@@ -1,23 +1,41 @@
-"""What inspection of the archive tells: harmonics of a window, recommended carriers."""
+"""What a fit of a window on demand tells: the daily change of each carrier."""
 
 from typing import Self
 
-from service.api.schemas.base import AnglesAnswer, Answer, Figure, WindowAnswer
+from service.api.schemas.base import Answer, Figure, WindowAnswer
 from service.api.schemas.calibrations import HarmonicAnswer
+from service.pipeline.window_harmonics import CarrierHarmonic
 from service.records.calibration import Window
 from service.records.catalogue import Method
-from service.runtime.inspection import CarrierHarmonic, CarrierRecommendation, RecommendedCarrier, WindowHarmonics
+from service.runtime.inspection import WindowHarmonics
+
+
+class DishLawAnswer(Answer):
+    """`b1 m1 + b2 m2 - k |m|^2` dB: what a fixed dish makes of the satellite's motion m in its sky, deg."""
+
+    b1_db_per_deg: Figure
+    b2_db_per_deg: Figure
+    k_db_per_deg2: Figure
+    b1_sigma_db_per_deg: Figure
+    b2_sigma_db_per_deg: Figure
+    k_sigma_db_per_deg2: Figure
 
 
 class CarrierHarmonicAnswer(HarmonicAnswer):
-    """Harmonic of one carrier; sigmas hold for independent residuals."""
+    """Daily change of one carrier; sigmas hold for independent residuals."""
 
     carrier: str
+    law: str
+    """one_harmonic, two_harmonics or dish_law; of a dish law the harmonics are those of its curve in the window."""
+    second_amplitude_db: Figure
+    """Of the harmonic of half the period; null where the law has none."""
+    second_phase_rad: Figure
+    dish_law: DishLawAnswer | None
     amplitude_sigma_db: Figure
     phase_sigma_rad: Figure
     offset_sigma_db: Figure
     converged: bool
-    """Whether the rejection of outliers came to rest."""
+    """Whether the iteration came to rest."""
 
     @classmethod
     def of_carrier(cls, fit: CarrierHarmonic) -> Self:
@@ -26,6 +44,10 @@ class CarrierHarmonicAnswer(HarmonicAnswer):
             {
                 **HarmonicAnswer.of(fit.harmonic).model_dump(),
                 "carrier": fit.carrier,
+                "law": fit.law,
+                "second_amplitude_db": fit.second_amplitude_db,
+                "second_phase_rad": fit.second_phase_rad,
+                "dish_law": None if fit.dish is None else fit.dish._asdict(),
                 "amplitude_sigma_db": fit.amplitude_sigma_db,
                 "phase_sigma_rad": fit.phase_sigma_rad,
                 "offset_sigma_db": fit.offset_sigma_db,
@@ -35,7 +57,7 @@ class CarrierHarmonicAnswer(HarmonicAnswer):
 
 
 class WindowHarmonicsAnswer(Answer):
-    """Harmonics of a window, phase from the newest ephemeris."""
+    """Daily change in a window, phase and motion from the newest ephemeris."""
 
     range: WindowAnswer
     method: Method
@@ -55,71 +77,4 @@ class WindowHarmonicsAnswer(Answer):
             ephemeris_id=harmonics.ephemeris_id,
             rows=harmonics.rows,
             carriers=[CarrierHarmonicAnswer.of_carrier(fit) for fit in harmonics.carriers],
-        )
-
-
-class RecommendedCarrierAnswer(Answer):
-    """What the rule says about one carrier."""
-
-    carrier: str
-    selected: bool
-    rank: int | None
-    """Place in the order of choice, 0 = first."""
-    axis: str | None
-    """Axis it was chosen for, else the one it answers to most."""
-    dominance: Figure
-    """Scaled answer to that axis over the greatest of the others."""
-    sensitivity_db_per_deg: AnglesAnswer
-    residual_rms_db: Figure
-    departure_deg: Figure
-    """Greatest departure from a straight line."""
-    reasons: list[str]
-
-    @classmethod
-    def of(cls, carrier: RecommendedCarrier) -> Self:
-        """Return the answer that tells a recommendation."""
-        return cls.model_validate(
-            {
-                "carrier": carrier.carrier,
-                "selected": carrier.is_selected,
-                "rank": carrier.rank,
-                "axis": carrier.axis,
-                "dominance": carrier.dominance,
-                "sensitivity_db_per_deg": carrier.sensitivity_db_per_deg,
-                "residual_rms_db": carrier.residual_rms_db,
-                "departure_deg": carrier.nonlinearity_deg,
-                "reasons": carrier.reasons,
-            }
-        )
-
-
-class CarrierSelectionAnswer(Answer):
-    """A recommended subset of the carriers of the newest calibration that has figures."""
-
-    rule: str
-    count: int
-    """Carriers asked for."""
-    calibration_id: int
-    selected: list[str]
-    """In the order of choice; fewer than asked for when there are not enough."""
-    condition: Figure
-    dop: AnglesAnswer
-    """deg per dB"""
-    crlb_deg: AnglesAnswer
-    """One row, with a common-mode unknown."""
-    carriers: list[RecommendedCarrierAnswer]
-
-    @classmethod
-    def of(cls, rule: str, count: int, recommendation: CarrierRecommendation) -> Self:
-        """Return the answer that tells a recommendation."""
-        chosen = [(carrier.rank, carrier.carrier) for carrier in recommendation.carriers if carrier.rank is not None]
-        return cls(
-            rule=rule,
-            count=count,
-            calibration_id=recommendation.calibration_id,
-            selected=[name for _, name in sorted(chosen)],
-            condition=recommendation.condition,
-            dop=AnglesAnswer.of(recommendation.dop_deg_per_db),
-            crlb_deg=AnglesAnswer.of(recommendation.crlb_deg),
-            carriers=[RecommendedCarrierAnswer.of(carrier) for carrier in recommendation.carriers],
         )

@@ -223,13 +223,20 @@ class Bench:
         head = self.storage.archive.head(SC)
         return self.storage.results.save_outcomes(SC, version, outcomes, head.newest_number, head.newest_epoch_us)
 
-    def calibrate(self, carriers: Sequence[CarrierCalibration], *, is_active: bool = True) -> Calibration:
+    def calibrate(
+        self,
+        carriers: Sequence[CarrierCalibration],
+        *,
+        is_active: bool = True,
+        plan_id: int = 1,
+        method: CalibrationMethod = CalibrationMethod.PAPER,
+    ) -> Calibration:
         """Store a calibration with its figures."""
         results = self.storage.results
         request = CalibrationRequest(
-            Window(NOW_US - 10, NOW_US), Window(NOW_US, NOW_US + 10), CalibrationMethod.PAPER, source_yaw="radio_beacon"
+            Window(NOW_US - 10, NOW_US), Window(NOW_US, NOW_US + 10), method, source_yaw="radio_beacon"
         )
-        draft = results.add_calibration(SC, request, 1, 1, NOW_US, "engineer")
+        draft = results.add_calibration(SC, request, plan_id, 1, NOW_US, "engineer")
         observability = Observability(9.5, Axes(4.0, 0.5, 0.6), Axes(NAN, 0.02, 0.03))
         result = CalibrationResult(
             tuple(carriers), observability, {"quiet_rows": 2880.0, "turn_reach_deg": NAN}, ("few turns",)

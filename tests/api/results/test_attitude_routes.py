@@ -5,7 +5,7 @@ from itertools import pairwise
 import pytest
 
 from service.ports import LIVE, Outcome
-from service.records.attitude import NO_ANGLES, Status
+from service.records.attitude import NO_ANGLES, Exclusion, Status
 from service.records.catalogue import Method
 from service.records.epoch import format_epoch
 
@@ -48,8 +48,36 @@ async def test_row_is_told_field_by_field(bench, make):
         "residual_rms_db": 0.15,
         "calibration_id": 1,
         "alignment_id": 1,
+        "advice": [],
         "version": "live",
     }
+
+
+async def test_row_of_the_robust_method_tells_levels_reasons_and_advice(bench, make):
+    (row,) = bench.append([make.now_us - 30 * make.s])
+    words = ("uplink_fade", "step", "absent", "interference", "group", "manual")
+    told = make.row(
+        row,
+        method=Method.ROBUST,
+        excluded=tuple(Exclusion(f"c{k:02d}", word) for k, word in enumerate(words)),
+        downlink_fade=True,
+        downlink_fade_db=1.75,
+        common_db=-0.125,
+        rates_deg_s=None,
+        inhibitions=("downlink_fade",),
+        control_allowed=False,
+        control_allowed_axes=(False, False, False),
+        advice=("realign", "disagreement"),
+    )
+    bench.consume([Outcome((make.row(row), told), None)])
+    newest = await bench.get("/attitude", method="robust")
+    assert [item["reason"] for item in newest["excluded"]] == list(words)
+    assert (newest["downlink_fade"], newest["downlink_fade_db"], newest["common_db"]) == (True, 1.75, -0.125)
+    assert newest["advice"] == ["realign", "disagreement"]
+    (row_of_history,) = (await bench.get("/attitude/history", method="robust"))["rows"]
+    assert row_of_history == newest
+    assert (await bench.get("/status"))["realignment_advised"] is True
+    assert (await bench.get("/attitude"))["advice"] == [], "the paper method has its own"
 
 
 async def test_row_without_a_fix_has_nulls_and_its_reasons(bench, make):

@@ -142,8 +142,8 @@ async def test_from_powers_to_torques(bench, make):
     assert all(abs(row["deviation_db"]) < 1.0 and row["epoch"] == newest["epoch"] for row in used)
 
     await replay_equals_live(bench, live_us)
-    told = await bench.get("/carrier-selection", count=4)
-    assert len(told["selected"]) == 4
+    told = await bench.get("/carrier-selection", count=5)
+    assert len(told["selected"]) == 5
 
 
 async def replay_equals_live(bench: Any, live_us: np.ndarray) -> None:

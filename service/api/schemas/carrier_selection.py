@@ -1,0 +1,246 @@
+"""What a choice of carriers tells: the carriers with reasons, what they see, the sets beside them, and turns."""
+
+from enum import StrEnum
+from typing import Self
+
+from service.api.schemas.base import AnglesAnswer, Answer, Figure
+from service.pipeline.planning import (
+    AVERAGING_SPANS_S,
+    CarrierSet,
+    Recommendation,
+    TurnStep,
+    turn_timetable,
+)
+from service.pipeline.planning_candidates import Candidates
+from service.records.attitude import named_axes
+from service.records.epoch import US_PER_S
+from service.runtime.inspection import CarrierRecommendation
+
+
+class Turns(StrEnum):
+    """Which calibration turns an answer carries."""
+
+    NONE = "none"
+    STANDARD = "standard"
+    #: yaw to 1 deg, where the craft allows it
+    FAR_YAW = "far_yaw"
+
+
+class RecommendedCarrierAnswer(Answer):
+    """What the rule says about one carrier."""
+
+    carrier: str
+    transponder: str
+    selected: bool
+    rank: int | None
+    """Place in the order of choice, 0 = first."""
+    axis: str | None
+    """Axis it was chosen for, else the one it answers to most."""
+    dominance: Figure
+    """Scaled answer to that axis over the greatest of the others."""
+    sensitivity_db_per_deg: AnglesAnswer
+    sigma_db: Figure
+    """Noise of one row, correlated parts included."""
+    residual_rms_db: Figure
+    departure_deg: Figure
+    """Greatest departure from a straight line."""
+    reasons: list[str]
+
+    @classmethod
+    def of(cls, recommendation: Recommendation, k: int) -> Self:
+        """Return the answer that tells what is recommended of the k-th carrier."""
+        candidates, word = recommendation.candidates, recommendation.words[k]
+        return cls.model_validate(
+            {
+                "carrier": candidates.carrier_ids[k],
+                "transponder": candidates.transponders[k],
+                "selected": word.rank is not None,
+                "rank": word.rank,
+                "axis": word.axis,
+                "dominance": word.dominance,
+                "sensitivity_db_per_deg": named_axes(candidates.sensitivity_db_per_deg[k]),
+                "sigma_db": float(candidates.sigma_db[k]),
+                "residual_rms_db": float(candidates.residual_rms_db[k]),
+                "departure_deg": float(candidates.nonlinearity_deg[k]),
+                "reasons": word.reasons,
+            }
+        )
+
+
+class SetCarrierAnswer(Answer):
+    """A carrier as a member of a set."""
+
+    carrier: str
+    leverage: Figure
+    """How much of the carrier's own error the fix follows, 0 to 1; the leverages of a set add up to four."""
+    undetectable_fault_db: Figure
+    """Fault that one row overlooks in one case of ten; null where no other carrier checks it."""
+    fault_shift_deg: AnglesAnswer
+    """What that fault moves."""
+
+
+class AveragedSigmaAnswer(Answer):
+    """Bound after averaging rows of a minute while the attitude stands still, with the learned noise."""
+
+    span_s: float
+    sigma_deg: AnglesAnswer
+
+
+class CarrierSetAnswer(Answer):
+    """What a set of carriers sees."""
+
+    selected: list[str]
+    """In the order of choice."""
+    condition: Figure
+    """Of the sensitivities; null = infinite."""
+    dop: AnglesAnswer
+    """deg per dB, without a common level."""
+    dop_with_common: AnglesAnswer
+    angle_dop: Figure
+    """deg per dB, of the three angles together."""
+    crlb_deg: AnglesAnswer
+    """Smallest sigma of one row, with a common-mode unknown."""
+    crlb_without_common_deg: AnglesAnswer
+    averaged: list[AveragedSigmaAnswer]
+    common_share: Figure
+    """Share of a change common to all carriers that some attitude explains, 0 to 1."""
+    redundancy: int
+    """Carriers beyond five unknowns: three angles, common level, level of one moved transponder."""
+    transponder_share: float
+    """Largest share of the carriers in one transponder."""
+    sufficient: bool
+    shortcomings: list[str]
+    """What the set lacks for the robust method."""
+    carriers: list[SetCarrierAnswer]
+
+    @classmethod
+    def of(cls, found: CarrierSet, candidates: Candidates) -> Self:
+        """Return the answer that tells a set."""
+        figures = found.figures
+        names = [candidates.carrier_ids[k] for k in found.chosen]
+        return cls(
+            selected=names,
+            condition=figures.condition,
+            dop=AnglesAnswer.of(named_axes(figures.dop_deg_per_db)),
+            dop_with_common=AnglesAnswer.of(named_axes(figures.dop_with_common_deg_per_db)),
+            angle_dop=figures.angle_dop_deg_per_db,
+            crlb_deg=AnglesAnswer.of(named_axes(figures.crlb_deg)),
+            crlb_without_common_deg=AnglesAnswer.of(named_axes(figures.crlb_without_common_deg)),
+            averaged=[
+                AveragedSigmaAnswer(span_s=span_s, sigma_deg=AnglesAnswer.of(sigma))
+                for span_s, sigma in zip(AVERAGING_SPANS_S, found.averaged_deg, strict=True)
+            ],
+            common_share=figures.common_share,
+            redundancy=figures.redundancy,
+            transponder_share=found.transponder_share,
+            sufficient=not found.shortcomings,
+            shortcomings=list(found.shortcomings),
+            carriers=[
+                SetCarrierAnswer(
+                    carrier=name,
+                    leverage=float(figures.leverage[k]),
+                    undetectable_fault_db=float(figures.undetectable_fault_db[k]),
+                    fault_shift_deg=AnglesAnswer.of(named_axes(figures.fault_shift_deg[k])),
+                )
+                for k, name in enumerate(names)
+            ],
+        )
+
+
+class CarrierSetsAnswer(Answer):
+    """Three sets side by side."""
+
+    optimal: CarrierSetAnswer
+    """Weighted A-optimal by exchange, for the robust method."""
+    paper: CarrierSetAnswer
+    """For each axis the stable and linear carriers that answer mostly to it."""
+    all: CarrierSetAnswer
+    """Every carrier that can be used."""
+
+
+class TurnStepAnswer(Answer):
+    """One level of the calibration turns."""
+
+    offset_s: float
+    """From the start of the turns."""
+    duration_s: float
+    yaw_deg: float
+    roll_deg: float
+    pitch_deg: float
+
+    @classmethod
+    def of(cls, step: TurnStep) -> Self:
+        """Return the answer that tells a level of turns that start at 0."""
+        yaw_deg, roll_deg, pitch_deg = step.attitude_deg
+        return cls(
+            offset_s=step.start_us / US_PER_S,
+            duration_s=(step.stop_us - step.start_us) / US_PER_S,
+            yaw_deg=yaw_deg,
+            roll_deg=roll_deg,
+            pitch_deg=pitch_deg,
+        )
+
+
+class TurnsAnswer(Answer):
+    """Recommended calibration turns."""
+
+    total_s: float
+    steps: list[TurnStepAnswer]
+
+    @classmethod
+    def of(cls, turns: Turns) -> Self | None:
+        """Return the answer that tells the turns asked for."""
+        if turns is Turns.NONE:
+            return None
+        steps = turn_timetable(0, far_yaw=turns is Turns.FAR_YAW)
+        return cls(total_s=steps[-1].stop_us / US_PER_S, steps=[TurnStepAnswer.of(step) for step in steps])
+
+
+class CarrierSelectionAnswer(Answer):
+    """A recommended subset of the carriers of a calibration."""
+
+    rule: str
+    count: int
+    """Carriers asked for."""
+    calibration_id: int | None
+    """null: nothing was calibrated, beams and noise are assumed."""
+    calibration_method: str | None
+    selected: list[str]
+    """In the order of choice; fewer than asked for when there are not enough."""
+    condition: Figure
+    dop: AnglesAnswer
+    """deg per dB"""
+    crlb_deg: AnglesAnswer
+    """One row, with a common-mode unknown."""
+    sufficient: bool
+    """Whether the subset has all that the robust method wants."""
+    shortcomings: list[str]
+    notes: list[str]
+    """What to know before trusting the figures."""
+    carriers: list[RecommendedCarrierAnswer]
+    sets: CarrierSetsAnswer
+    turns: TurnsAnswer | None
+
+    @classmethod
+    def of(cls, found: CarrierRecommendation, turns: Turns) -> Self:
+        """Return the answer that tells a recommendation."""
+        recommendation = found.recommendation
+        candidates = recommendation.candidates
+        sets = {name: CarrierSetAnswer.of(one, candidates) for name, one in recommendation.sets.items()}
+        chosen = sets[recommendation.rule.value]
+        return cls(
+            rule=recommendation.rule.value,
+            count=found.count,
+            calibration_id=found.calibration_id,
+            calibration_method=found.calibration_method,
+            selected=chosen.selected,
+            condition=chosen.condition,
+            dop=chosen.dop,
+            crlb_deg=chosen.crlb_deg,
+            sufficient=chosen.sufficient,
+            shortcomings=chosen.shortcomings,
+            notes=list(found.notes),
+            carriers=[RecommendedCarrierAnswer.of(recommendation, k) for k in range(len(candidates.carrier_ids))],
+            sets=CarrierSetsAnswer(**sets),
+            turns=TurnsAnswer.of(turns),
+        )

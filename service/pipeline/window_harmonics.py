@@ -1,0 +1,224 @@
+"""Daily change of any stretch of the archive, on demand: what an operator looks at before deciding on a calibration.
+
+``paper`` is the published fit, one harmonic and 3 sigma. ``robust`` is a trimmed start and Tukey's estimate: of the
+dish law where ballistics covers at least half of the rows and the carrier has a station, else of two harmonics. Both
+are told as harmonics of the node's phase; those of a dish law are the harmonics of its curve over these rows. Nothing
+is refused: what was not fitted is NaN.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from service.core.estimation.calibration.daily_fit import DailyFits, fit_daily
+from service.core.estimation.calibration.geometry_columns import OrbitMotion, daily_columns
+from service.core.estimation.paper.harmonic import HarmonicFits, fit_harmonics
+from service.core.geometry.line_of_sight import Places, Track, sight_motion_deg, track_position_deg
+from service.core.geometry.node_phase import latest_node_us, node_phase_rad
+from service.pipeline.config import CalibrationConfig
+from service.records.attitude import FloatArray, IntArray
+from service.records.calibration import Harmonic
+from service.records.catalogue import Carrier, Ephemeris
+from service.records.series import MeasurementSeries
+
+#: share of the rows that ballistics must cover for the dish law
+_MIN_COVERED = 0.5
+
+
+class DishLaw(NamedTuple):
+    """``b1 m1 + b2 m2 - k |m|^2``: what a fixed dish makes of the satellite's motion m in its sky, with sigmas."""
+
+    b1_db_per_deg: float
+    b2_db_per_deg: float
+    k_db_per_deg2: float
+    b1_sigma_db_per_deg: float
+    b2_sigma_db_per_deg: float
+    k_sigma_db_per_deg2: float
+
+
+class CarrierHarmonic(NamedTuple):
+    """Daily change of one carrier in a window; sigmas hold for independent residuals."""
+
+    carrier: str
+    #: one_harmonic, two_harmonics or dish_law
+    law: str
+    harmonic: Harmonic
+    amplitude_sigma_db: float
+    phase_sigma_rad: float
+    offset_sigma_db: float
+    #: ``am2 cos(2 w t + phi2)``; NaN where the law has none
+    second_amplitude_db: float
+    second_phase_rad: float
+    #: None where it was not fitted
+    dish: DishLaw | None
+    #: whether the iteration came to rest
+    is_converged: bool
+
+
+class _Waves(NamedTuple):
+    """Level, first and second harmonic of one carrier with their covariance, and how they were found."""
+
+    #: (5,) h, cosine and sine of the phase, cosine and sine of twice the phase
+    value: FloatArray
+    #: (5, 5)
+    covariance: FloatArray
+
+
+def paper_harmonics(
+    series: MeasurementSeries, ephemeris: Ephemeris, stop_us: int, config: CalibrationConfig
+) -> tuple[CarrierHarmonic, ...]:
+    """Return the published fit of every carrier; ``stop_us`` is the end of the window."""
+    fits = fit_harmonics(
+        _phase_rad(series, ephemeris),
+        series.power_dbm,
+        max_iterations=config.harmonic.max_iterations,
+        gate_sigma=config.harmonic.gate_sigma,
+    )
+    node_us = _node_us(series, ephemeris, stop_us)
+    return tuple(
+        _paper_carrier(k, n, fits, ephemeris.nodal_period_s, node_us) for k, n in enumerate(series.carrier_ids)
+    )
+
+
+def robust_harmonics(
+    series: MeasurementSeries,
+    ephemeris: Ephemeris,
+    stop_us: int,
+    carriers: Sequence[Carrier],
+    longitude_deg: float,
+) -> tuple[CarrierHarmonic, ...]:
+    """Return the robust fit of every carrier; ``carriers`` are those of the series, in its order."""
+    phase_rad = _phase_rad(series, ephemeris)
+    power_dbm = series.power_dbm.astype(np.float64)
+    waves = daily_columns(None, phase_rad, len(carriers))
+    sight = _sight_deg(series.epochs_us, ephemeris, carriers, longitude_deg)
+    is_dish = (np.isfinite(sight).all(axis=2).mean(axis=0) >= _MIN_COVERED) if len(sight) else np.zeros(len(carriers))
+    by_waves = fit_daily(waves, power_dbm)
+    dish = daily_columns(OrbitMotion(sight, sight), phase_rad, len(carriers))
+    by_dish = fit_daily(dish, power_dbm)
+    node_us = _node_us(series, ephemeris, stop_us)
+    told = []
+    for k, carrier in enumerate(carriers):
+        fits, columns = (by_dish, dish) if is_dish[k] else (by_waves, waves)
+        harmonic = _as_waves(fits, columns[:, k], waves[:, k], k)
+        law = _dish_law(by_dish, k) if is_dish[k] else None
+        told.append(_robust_carrier(carrier.id, harmonic, fits, law, k, ephemeris.nodal_period_s, node_us))
+    return tuple(told)
+
+
+def _phase_rad(series: MeasurementSeries, ephemeris: Ephemeris) -> FloatArray:
+    """Return the node's phase (T,) of the rows."""
+    nodes_us = np.array(ephemeris.ascending_nodes_us, dtype=np.int64)
+    return node_phase_rad(series.epochs_us, nodes_us, ephemeris.nodal_period_s)
+
+
+def _node_us(series: MeasurementSeries, ephemeris: Ephemeris, stop_us: int) -> int:
+    """Return the ascending node from which the phase of the newest row is counted."""
+    last_us = series.epochs_us[-1:] if len(series.epochs_us) else np.array([stop_us - 1])
+    nodes_us = np.array(ephemeris.ascending_nodes_us, dtype=np.int64)
+    return int(latest_node_us(last_us, nodes_us, ephemeris.nodal_period_s)[0])
+
+
+def _sight_deg(
+    epochs_us: IntArray, ephemeris: Ephemeris, carriers: Sequence[Carrier], longitude_deg: float
+) -> FloatArray:
+    """Return the satellite's motion in the sky of each carrier's station (T, N, 2); NaN where it is not known."""
+    told = ephemeris.track
+    if told is None:
+        return np.full((len(epochs_us), len(carriers), 2), np.nan)
+    track = Track(np.array(told.epochs_us, dtype=np.int64), np.array(told.latitude_deg), np.array(told.longitude_deg))
+    placed = [
+        (np.nan, np.nan) if carrier.station is None else (carrier.station.latitude_deg, carrier.station.longitude_deg)
+        for carrier in carriers
+    ]
+    latitudes, longitudes = np.array(placed, dtype=np.float64).reshape(-1, 2).T
+    places = Places(latitudes, longitudes, np.zeros(len(carriers)))
+    return sight_motion_deg(track_position_deg(track, epochs_us), places, longitude_deg)
+
+
+def _as_waves(fits: DailyFits, columns: FloatArray, waves: FloatArray, k: int) -> _Waves:
+    """Return a fit as level and two harmonics: those of its curve over the rows that it covers."""
+    is_known = np.isfinite(columns).all(axis=1) & np.isfinite(waves).all(axis=1)
+    if not is_known.any() or np.isnan(fits.coefficients[k]).any():
+        return _Waves(np.full(5, np.nan), np.full((5, 5), np.nan))
+    ones = np.ones((int(np.count_nonzero(is_known)), 1))
+    basis = np.concatenate([ones, waves[is_known]], axis=1)
+    own = np.concatenate([ones, columns[is_known]], axis=1)
+    change = np.linalg.lstsq(basis, own, rcond=None)[0]
+    return _Waves(change @ fits.coefficients[k], change @ fits.covariance[k] @ change.T)
+
+
+def _dish_law(fits: DailyFits, k: int) -> DishLaw | None:
+    """Return the coefficients of a fitted dish law."""
+    if np.isnan(fits.coefficients[k]).any():
+        return None
+    b1, b2, bend = fits.coefficients[k, 1:].tolist()
+    return DishLaw(b1, b2, bend, *np.sqrt(np.diagonal(fits.covariance[k])[1:]).tolist())
+
+
+def _robust_carrier(
+    name: str, waves: _Waves, fits: DailyFits, dish: DishLaw | None, k: int, period_s: float, node_us: int
+) -> CarrierHarmonic:
+    """Return the k-th carrier's daily change as it is told."""
+    amplitude_db, phase_rad = _polar(waves.value[1:3])
+    second_db, second_rad = _polar(waves.value[3:5])
+    harmonic = Harmonic(
+        amplitude_db,
+        phase_rad,
+        float(waves.value[0]),
+        period_s,
+        node_us,
+        float(fits.rms_db[k]),
+        int(fits.samples_used[k]),
+        int(fits.samples_rejected[k]),
+    )
+    return CarrierHarmonic(
+        name,
+        "two_harmonics" if dish is None else "dish_law",
+        harmonic,
+        *_sigmas(waves.covariance[:3, :3], amplitude_db, phase_rad),
+        second_amplitude_db=second_db,
+        second_phase_rad=second_rad,
+        dish=dish,
+        is_converged=bool(fits.converged[k]),
+    )
+
+
+def _paper_carrier(k: int, name: str, fits: HarmonicFits, period_s: float, node_us: int) -> CarrierHarmonic:
+    """Return the k-th carrier's published harmonic as it is told."""
+    amplitude_db, phase_rad = float(fits.amplitude_db[k]), float(fits.phase_rad[k])
+    harmonic = Harmonic(
+        amplitude_db,
+        phase_rad,
+        float(fits.offset_dbm[k]),
+        period_s,
+        node_us,
+        float(fits.rms_db[k]),
+        int(fits.samples_used[k]),
+        int(fits.samples_rejected[k]),
+    )
+    return CarrierHarmonic(
+        name,
+        "one_harmonic",
+        harmonic,
+        *_sigmas(fits.covariance[k], amplitude_db, phase_rad),
+        second_amplitude_db=float("nan"),
+        second_phase_rad=float("nan"),
+        dish=None,
+        is_converged=bool(fits.converged[k]),
+    )
+
+
+def _polar(wave: FloatArray) -> tuple[float, float]:
+    """Return amplitude and phase of ``a1 cos + a2 sin = am cos(. + phi)``."""
+    return float(np.hypot(wave[0], wave[1])), float(np.arctan2(-wave[1], wave[0]))
+
+
+def _sigmas(covariance: FloatArray, amplitude_db: float, phase_rad: float) -> tuple[float, float, float]:
+    """Return the sigmas of amplitude, phase and offset from the covariance (3, 3) of h, a1, a2."""
+    # a1 = am cos phi, a2 = -am sin phi: an error along the vector (a1, a2) is one of am, across it one of phi
+    along = np.array([0.0, np.cos(phase_rad), -np.sin(phase_rad)])
+    across = np.array([0.0, np.sin(phase_rad), np.cos(phase_rad)])
+    phase_sigma = float(np.sqrt(across @ covariance @ across)) / amplitude_db if amplitude_db else float("nan")
+    return float(np.sqrt(along @ covariance @ along)), phase_sigma, float(np.sqrt(covariance[0, 0]))
