@@ -89,12 +89,20 @@ def geometry_record(
         covariance=tuple(_table(one) for one in fit.covariance),
         downlink_covariance=_table(fit.downlink_covariance),
         downlink_gain=tuple(_table(one) for one in fit.downlink_gain),
-        solar_day_db=_table(np.zeros((len(carriers), 2))),
+        solar_day_db=_table(np.zeros((len(carriers), 2)) if fit.solar_db is None else fit.solar_db),
         quantisation_db=_row(np.zeros(len(carriers))),
         reference_walk_db=_row(np.full(len(carriers), 0.006)),
-        common_noise=(),
+        common_noise=_common_noise(fit),
         is_used=tuple(bool(used) for used in is_used),
     )
+
+
+def _common_noise(fit: GeometryCalibration) -> tuple[NoiseComponent, ...]:
+    """Return the parts of the noise that all carriers share."""
+    if fit.learned is None:
+        return ()
+    parts = zip(fit.learned.tau_s.tolist(), fit.learned.common_db.tolist(), strict=True)
+    return tuple(NoiseComponent(tau_s, sigma_db) for tau_s, sigma_db in parts if sigma_db > 0.0)
 
 
 def _row(values: FloatArray) -> Row:

@@ -24,6 +24,7 @@ from service.records.epoch import US_PER_S
 from service.records.inputs import Operation
 from service.records.series import ReferenceSeries
 
+_DAY_US = 86_400 * US_PER_S
 #: kinds of operation during which powers say nothing certain; turns are what a calibration is made of
 DISTURBING = frozenset(
     {
@@ -102,6 +103,8 @@ def geometry_rows(data: CalibrationInput, config: CalibrationConfig) -> Geometry
         angles.attitude_deg,
         phase_rad(data.ephemeris, epochs_us),
         motion,
+        ~is_turn,
+        float(epochs_us[0] % _DAY_US) / US_PER_S,
     )
     is_tracked = np.zeros(len(epochs_us), dtype=np.bool_)
     if motion is not None and is_known_orbit(motion):

@@ -2,11 +2,10 @@
 
 Model: ``geometry_columns``. Steps: rows thinned to stretches (``calibration_bins``); a trimmed start for each carrier,
 first of level and daily change from the rows near zero attitude, then of the beam from all (``trimmed_start``); Tukey's
-M-estimate of everything jointly (``separable_fit``); noise split from the residuals; a last fit with rows whitened by
-that noise (``coloured_rows``), from which coefficients and their covariance come. The law of this file: nothing is
-rejected for good before the joint fit, so a step inside the quiet days costs its rows and not the carrier.
-
-Where the dish law is fitted and k comes out negative, which no dish does, the carrier is fitted again with k = 0.
+M-estimate of everything jointly (``joint_tukey``); noise learned from the residuals of the quiet rows; a last fit with
+rows whitened by that noise (``whitened_fit``), from which coefficients and their covariance come. The law of this
+file: nothing is rejected for good before the joint fit, so a step inside the quiet days costs its rows and not the
+carrier.
 """
 
 import math
@@ -16,25 +15,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.core.estimation.calibration.calibration_bins import Means, Stretches, still_stretches, stretch_means
-from service.core.estimation.calibration.coloured_rows import (
-    MIN_SIGMA_DB,
-    ColouredNoise,
-    stretch_variance_db2,
-    whitened_rows,
-)
+from service.core.estimation.calibration.coloured_rows import ColouredNoise
 from service.core.estimation.calibration.geometry_columns import (
     BEAM_SIZE,
-    DOWNLINK_PRIOR_DB_PER_DEG,
+    SOLAR_SIZE,
     CarrierGeometry,
     OrbitMotion,
     beam_columns,
     daily_columns,
     is_known_orbit,
     own_prior,
+    solar_columns,
 )
 from service.core.estimation.calibration.joint_tukey import JointProblem, fit_jointly
-from service.core.estimation.calibration.separable_fit import SeparableFit, fit_separable
-from service.core.estimation.noise_model import split_noise
+from service.core.estimation.calibration.separable_fit import SeparableFit
+from service.core.estimation.calibration.whitened_fit import coloured_noise, whitened_fit
+from service.core.estimation.noise_identification import LearnedNoise, identify_noise
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -65,6 +61,10 @@ class CalibrationRows(NamedTuple):
         Phase since the ascending node; read only without ``motion``.
     motion : OrbitMotion or None
         From ballistics. Rows that it does not cover take no part, unless it covers none: then two harmonics are fitted.
+    is_quiet : ndarray of bool, shape (T,), or None
+        Rows from which the noise is learned; None takes all rows near zero attitude.
+    midnight_s : float, s
+        Time of ``epoch_s = 0`` since a midnight UTC, for the wave of the solar day.
     """
 
     epoch_s: FloatArray
@@ -72,6 +72,8 @@ class CalibrationRows(NamedTuple):
     attitude_deg: FloatArray
     phase_rad: FloatArray
     motion: OrbitMotion | None
+    is_quiet: BoolArray | None = None
+    midnight_s: float = 0.0
 
 
 class GeometryCalibration(NamedTuple):
@@ -96,7 +98,7 @@ class GeometryCalibration(NamedTuple):
     downlink_gain : ndarray, shape (N, K, 2 R)
         Change of a carrier's coefficients with the downlink gradients.
     noise : ColouredNoise
-        White part and one correlated part of each carrier's rows.
+        White part and correlated parts of each carrier's own; what all share is in ``learned``.
     residual_rms_db : ndarray, shape (N,), dB
         Of the stretches, weighted as in the fit.
     residual_db : ndarray, shape (T, N), dB
@@ -107,6 +109,10 @@ class GeometryCalibration(NamedTuple):
         Stretches with a weight above one half.
     is_dish_law : bool
         Whether ``daily`` is the dish law.
+    learned : LearnedNoise or None
+        Noise of the quiet rows with its common part; None when the figures come from an archive.
+    solar_db : ndarray, shape (N, 2), dB, or None
+        Cosine and sine of the solar day; None when the figures come from an archive.
     """
 
     level_dbm: FloatArray
@@ -123,6 +129,8 @@ class GeometryCalibration(NamedTuple):
     weight: FloatArray
     stretches_used: IntArray
     is_dish_law: bool
+    learned: LearnedNoise | None = None
+    solar_db: FloatArray | None = None
 
 
 def fit_geometry(rows: CalibrationRows, geometry: CarrierGeometry) -> GeometryCalibration:
@@ -157,7 +165,8 @@ def fit_geometry(rows: CalibrationRows, geometry: CarrierGeometry) -> GeometryCa
     carriers = rows.power_dbm.shape[1]
     daily = daily_columns(motion, rows.phase_rad, carriers)
     beam, downlink = beam_columns(rows.attitude_deg, geometry, motion)
-    own = np.concatenate([np.ones((*daily.shape[:2], 1)), daily, beam], axis=-1)
+    day = solar_columns(rows.midnight_s + rows.epoch_s, carriers)
+    own = np.concatenate([np.ones((*daily.shape[:2], 1)), daily, day, beam], axis=-1)
     columns = np.concatenate([own, downlink], axis=-1)
     rough_dbm = _rough_level_dbm(rows.power_dbm)
     stretches = still_stretches(rows.epoch_s, rows.attitude_deg, STRETCH_S)
@@ -167,9 +176,10 @@ def fit_geometry(rows: CalibrationRows, geometry: CarrierGeometry) -> GeometryCa
     prior = own_prior(carriers, daily.shape[-1])
     fit, weight = fit_jointly(problem, prior, means.white_db)
     residual = _row_residuals(rows.power_dbm - rough_dbm, columns, fit)
-    noise = _split(residual, means.is_kept, rows.epoch_s, stretches, weight)
-    fit, weight = _whitened_fit(problem, prior, noise, weight, is_dish_law=is_dish_law)
-    return _result(rows, columns, (stretches, means), (fit, weight, noise), (rough_dbm, is_seen, is_dish_law))
+    is_good = means.is_kept & (_row_weights(residual.shape, stretches, weight) > _NOISE_WEIGHT)
+    learned = _learned(residual, is_good, rows)
+    fit = whitened_fit(problem, prior, learned, weight, is_dish_law=is_dish_law)
+    return _result(rows, columns, (stretches, means), (fit, weight, learned), (rough_dbm, is_seen, is_dish_law))
 
 
 def _rough_level_dbm(power_dbm: FloatArray) -> FloatArray:
@@ -218,69 +228,48 @@ def _row_weights(shape: tuple[int, ...], stretches: Stretches, weight: FloatArra
     return out
 
 
-def _split(
-    residual: FloatArray, is_kept: BoolArray, epoch_s: FloatArray, stretches: Stretches, weight: FloatArray
-) -> ColouredNoise:
-    """Return the noise of each carrier from the residuals of the rows that count."""
-    is_good = is_kept & (_row_weights(residual.shape, stretches, weight) > _NOISE_WEIGHT)
-    good = np.where(is_good, residual, math.nan)
-    period_s = _row_period_s(epoch_s)
-    parts = [split_noise(one, period_s) for one in good.T]
-    count = np.maximum(is_good.sum(axis=0), 1)
-    spread = np.sqrt(np.square(np.where(is_good, residual, 0.0)).sum(axis=0) / count)
-    white = np.array([part.sigma_white_db for part in parts])
-    coloured = np.nan_to_num(np.array([part.sigma_coloured_db for part in parts]))
-    tau_s = np.maximum(np.array([part.correlation_time_s for part in parts]), period_s)
-    white = np.maximum(np.where(np.isnan(white), spread, white), MIN_SIGMA_DB)
-    return ColouredNoise(white, coloured[:, np.newaxis], tau_s[:, np.newaxis])
+def _learned(residual: FloatArray, is_good: BoolArray, rows: CalibrationRows) -> LearnedNoise:
+    """Return the noise of each carrier from the residuals of the quiet rows that count."""
+    is_near = np.asarray((np.abs(rows.attitude_deg) < _NEAR_ZERO_DEG).all(axis=1))
+    quiet = np.flatnonzero(is_near if rows.is_quiet is None else rows.is_quiet)
+    return identify_noise(np.where(is_good, residual, math.nan)[quiet], rows.epoch_s[quiet])
 
 
-def _whitened_fit(
-    problem: JointProblem, prior: FloatArray, noise: ColouredNoise, weight: FloatArray, *, is_dish_law: bool
-) -> tuple[SeparableFit, FloatArray]:
-    """Return the fit on whitened rows, once more with k = 0 where k came out negative."""
-    variance = stretch_variance_db2(noise, problem.rows_used, problem.span_s)
-    stacked = np.concatenate([problem.own, problem.shared, problem.value[..., np.newaxis]], axis=2)
-    white = whitened_rows(stacked, problem.centre_s, variance, noise, weight)
-    size = problem.own.shape[2]
-
-    def fit_with(chosen: FloatArray) -> SeparableFit:
-        return fit_separable(white[..., :size], white[..., size:-1], white[..., -1], chosen, DOWNLINK_PRIOR_DB_PER_DEG)
-
-    fit = fit_with(prior)
-    if is_dish_law and (fit.own[:, 3] < 0.0).any():
-        held = prior.copy()
-        held[fit.own[:, 3] < 0.0, 3] = 0.0
-        fit = fit_with(held)
-    return fit, weight
+def _kept_places(own_size: int) -> IntArray:
+    """Return the places of level, daily, gradient and Hessian among the own coefficients."""
+    solar = own_size - BEAM_SIZE - SOLAR_SIZE
+    return np.delete(np.arange(own_size), [solar, solar + 1])
 
 
 def _result(
     rows: CalibrationRows,
     columns: FloatArray,
     thinned: tuple[Stretches, Means],
-    fitted: tuple[SeparableFit, FloatArray, ColouredNoise],
+    fitted: tuple[SeparableFit, FloatArray, LearnedNoise],
     facts: tuple[FloatArray, BoolArray, bool],
 ) -> GeometryCalibration:
     """Return the calibration, carriers seen too little as NaN."""
-    (stretches, means), (fit, weight, noise), (rough_dbm, is_seen, is_dish_law) = thinned, fitted, facts
+    (stretches, means), (fit, weight, learned), (rough_dbm, is_seen, is_dish_law) = thinned, fitted, facts
     residual = _row_residuals(rows.power_dbm - rough_dbm, columns, fit)
     misfit = means.power_db - (means.columns @ _all_coefficients(fit)[..., np.newaxis])[..., 0]
     rms = np.sqrt((weight * misfit**2).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9))
     own = np.where(is_seen[:, np.newaxis], fit.own, math.nan)
+    kept = _kept_places(own.shape[1])
     return GeometryCalibration(
         level_dbm=own[:, 0] + rough_dbm,
-        daily=own[:, 1:-BEAM_SIZE],
+        daily=own[:, 1 : -BEAM_SIZE - SOLAR_SIZE],
+        solar_db=own[:, -BEAM_SIZE - SOLAR_SIZE : -BEAM_SIZE],
         gradient=own[:, -BEAM_SIZE:-3],
         hessian=own[:, -3:],
         downlink=fit.shared.reshape(-1, 2),
-        covariance=np.where(is_seen[:, np.newaxis, np.newaxis], fit.own_covariance, math.nan),
+        covariance=np.where(is_seen[:, np.newaxis, np.newaxis], fit.own_covariance[:, kept][:, :, kept], math.nan),
         downlink_covariance=fit.shared_covariance,
-        downlink_gain=fit.gain,
-        noise=noise,
+        downlink_gain=fit.gain[:, kept],
+        noise=coloured_noise(learned),
         residual_rms_db=np.where(is_seen, rms, math.nan),
         residual_db=residual,
         weight=_row_weights(residual.shape, stretches, weight) * means.is_kept,
         stretches_used=(weight > 0.5).sum(axis=1).astype(np.int64),
         is_dish_law=is_dish_law,
+        learned=learned,
     )

@@ -12,7 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.core.estimation.calibration.geometry_columns import BEAM_SIZE, DOWNLINK_PRIOR_DB_PER_DEG
+from service.core.estimation.calibration.geometry_columns import (
+    BEAM_SIZE,
+    DOWNLINK_PRIOR_DB_PER_DEG,
+    SOLAR_SIZE,
+)
 from service.core.estimation.calibration.separable_fit import SeparableFit, fit_separable
 from service.core.estimation.calibration.trimmed_start import trimmed_fit
 
@@ -75,8 +79,9 @@ def fit_jointly(problem: JointProblem, prior: FloatArray, white_db: FloatArray) 
     is_present = problem.rows_used > 0
     base = problem.own.shape[2] - BEAM_SIZE
     is_quiet = is_present & problem.is_near_zero
-    start = trimmed_fit(problem.own[..., :base], problem.value, is_quiet)
-    misfit = problem.value - np.einsum("nbk,nk->nb", problem.own[..., :base], start)
+    # the solar day looks like the dish's; the start does without
+    first = problem.own[..., : base - SOLAR_SIZE]
+    misfit = problem.value - np.einsum("nbk,nk->nb", first, trimmed_fit(first, problem.value, is_quiet))
     # quiet rows outnumber the turns: trimmed together, the turns could go as outliers and nobody would know the beam
     is_turned = is_present & ~problem.is_near_zero
     beam = problem.own[..., base:]

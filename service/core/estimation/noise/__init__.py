@@ -1,0 +1,1 @@
+"""Noise of the carriers' levels, identified from quiet days."""
