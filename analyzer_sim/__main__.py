@@ -1,4 +1,4 @@
-"""Command line of the simulator: ``serve`` (the default), ``export`` and ``scenarios``.
+"""Command line of the simulator: ``serve`` (the default), ``export``, ``plant`` and ``scenarios``.
 
 ``serve`` prints one line of JSON when both ports are open, then serves until SIGTERM or SIGINT and ends with 0::
 
@@ -7,7 +7,9 @@
 
 import argparse
 import asyncio
+import io
 import json
+import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -20,12 +22,13 @@ from analyzer_sim.ground_port import Gate, serve_ground
 from analyzer_sim.imperfections import IDEAL, Imperfections
 from analyzer_sim.instrument import Instrument
 from analyzer_sim.painter import Detail, TracePainter
+from analyzer_sim.plant import run_plant
 from analyzer_sim.scenario import SCENARIOS, Scenario, scenario_named
 from analyzer_sim.scenario_table import markdown_page, plain_table
 from analyzer_sim.server import SimulatedAnalyzer
 from analyzer_sim.world import World
 
-_SUBCOMMANDS = ("serve", "export", "scenarios")
+_SUBCOMMANDS = ("serve", "export", "plant", "scenarios")
 
 
 def _epoch_us(text: str) -> int:
@@ -86,7 +89,12 @@ def build_parser() -> argparse.ArgumentParser:
     export = commands.add_parser("export", help="write a whole scenario as arrays, without SCPI")
     _add_story(export)
     export.add_argument("--out", type=Path, required=True, help="file to write, .npz")
-    export.add_argument("--sweep-noise", type=float, default=1.0, help="scale of the sweep's own noise (default: 1)")
+    plant = commands.add_parser("plant", help="close a loop: powers to standard output, torque schedules from input")
+    _add_story(plant)
+    for command in (export, plant):
+        command.add_argument(
+            "--sweep-noise", type=float, default=1.0, help="scale of the sweep's own noise (default: 1)"
+        )
     scenarios = commands.add_parser("scenarios", help="list the stories that can be told")
     scenarios.add_argument("--markdown", action="store_true", help="as the page of the reference")
     return parser
@@ -142,6 +150,18 @@ async def _permission(world: World, gate: Gate) -> None:
         await gate.wait(world.next_epoch_us)
 
 
+def _run_plant(options: argparse.Namespace) -> int:
+    """Close a loop over the standard streams; a reader that leaves ends it without a complaint."""
+    # bytes that are no text must reach the parser of lines, which answers them
+    source = io.TextIOWrapper(sys.stdin.buffer, encoding="utf-8", errors="replace")
+    try:
+        return run_plant(_scenario(options), options.seed, options.sweep_noise, source, sys.stdout)
+    except BrokenPipeError:
+        # the interpreter flushes once more at its end
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
 def _announce(options: argparse.Namespace, scpi_port: int, ground_port: int) -> None:
     """Tell the parent process where to connect."""
     line = {"scpi_port": scpi_port, "ground_port": ground_port, "scenario": options.scenario, "seed": options.seed}
@@ -160,6 +180,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     if options.command == "export":
         return run_export(_scenario(options), options.seed, options.out, options.sweep_noise)
+    if options.command == "plant":
+        return _run_plant(options)
     try:
         asyncio.run(_serve(options))
     except OSError as error:

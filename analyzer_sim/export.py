@@ -71,11 +71,16 @@ AXES = ("yaw", "roll", "pitch")
 
 
 def measured_dbm(world: World, sweep_noise: float = 1.0) -> FloatArray:
-    """Return the powers (T, N) with a Gaussian stand-in for the noise of a sweep; it grows when the Sun raises it."""
+    """Return the powers (T, N) with a Gaussian stand-in for the noise of a sweep."""
+    return np.asarray(world.rows.power_dbm + sweep_noise_db(world, sweep_noise))
+
+
+def sweep_noise_db(world: World, sweep_noise: float = 1.0) -> FloatArray:
+    """Return the stand-in (T, N) for the noise of a sweep; it grows when the Sun raises the noise."""
     noise = np.stack(
         [stream(world.seed, "sweep", name).normal(size=len(world.rows.epochs_us)) for name in world.carrier_ids], axis=1
     )
-    return np.asarray(world.rows.power_dbm + sweep_noise * sweep_sigma_db(world.plan) * _growth(world) * noise)
+    return np.asarray(sweep_noise * sweep_sigma_db(world.plan) * _growth(world) * noise)
 
 
 def _growth(world: World) -> FloatArray:

@@ -5,7 +5,7 @@ judge alone and must never be forwarded. Nothing here is known from the powers.
 """
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from itertools import pairwise
 
@@ -29,6 +29,7 @@ from analyzer_sim.ground_bodies import (
 )
 from analyzer_sim.payload import sensitivity_db_per_deg
 from analyzer_sim.story import Phase
+from analyzer_sim.streams import FloatArray
 from analyzer_sim.structure import crlb_deg
 from analyzer_sim.turns import SLEW_MIN, TIMETABLE
 from analyzer_sim.world import World
@@ -117,6 +118,12 @@ def _bound(world: World) -> dict[str, float]:
 
 def chunk_lines(world: World, first: int, last: int) -> Iterator[Line]:
     """Yield what belongs to the rows first..last, both inclusive."""
+    yield from told_lines(world, first, last)
+    yield {"kind": "truth", "rows": truth_rows(world, first, last)}
+
+
+def told_lines(world: World, first: int, last: int) -> Iterator[Line]:
+    """Yield what the ground is told with the rows first..last: all but the truth."""
     epochs_us = world.rows.epochs_us
     start_us, stop_us = int(epochs_us[first]), int(epochs_us[last]) + world.scenario.row_period_us
     yield from _chunk_news(world, first, stop_us)
@@ -129,7 +136,6 @@ def chunk_lines(world: World, first: int, last: int) -> Iterator[Line]:
     timely = [c for c in world.corrections if start_us <= c.start_us < stop_us and not c.is_late]
     if timely:
         yield {"kind": "corrections", "body": corrections_body(timely)}
-    yield {"kind": "truth", "rows": truth_rows(world, first, last)}
 
 
 def _chunk_news(world: World, first: int, stop_us: int) -> Iterator[Line]:
@@ -160,14 +166,15 @@ def turn_operations(phase: Phase) -> list[Line]:
 
 def truth_rows(world: World, first: int, last: int) -> list[Line]:
     """Return the truth of the rows first..last; for the judge alone."""
-    return [_truth_row(world, row) for row in range(first, last + 1)]
+    return [truth_row(world, row, world.rows.attitude_deg[row]) for row in range(first, last + 1)]
 
 
-def _truth_row(world: World, row: int) -> Line:
+def truth_row(world: World, row: int, attitude_deg: FloatArray | Iterable[float]) -> Line:
+    """Return the truth of a row at an attitude, which in closed loop is not the story's."""
     rows = world.rows
     line = {
         "epoch": rfc3339(int(rows.epochs_us[row])),
-        **angles(rows.attitude_deg[row].tolist()),
+        **angles(attitude_deg),
         "downlink_fade_db": round(float(rows.downlink_fade_db[row]), 6),
         "chain_db": round(float(rows.chain_db[row]), 6),
     }

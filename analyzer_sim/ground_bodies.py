@@ -24,6 +24,8 @@ SWEEP_ID = "ku"
 SWEEP_POINTS = 2401
 #: moments of inertia, kg m2, about roll, pitch, yaw
 INERTIA_KG_M2 = (2600.0, 1400.0, 2600.0)
+#: largest torque on the body about an axis
+TORQUE_LIMIT_N_M = 0.05
 AXES = ("yaw", "roll", "pitch")
 
 
@@ -83,7 +85,7 @@ def spacecraft_body(world: World) -> Line:
             "height_m": site.height_m,
         },
         "inertia_kg_m2": np.diag(INERTIA_KG_M2).tolist(),
-        "torque_limit_n_m": 0.05,
+        "torque_limit_n_m": TORQUE_LIMIT_N_M,
         "onboard": {
             "fast_loop": True,
             "forecast_mode": True,
