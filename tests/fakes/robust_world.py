@@ -20,6 +20,8 @@ from service.core.estimation.filtering.filter_state import initial_gaussian
 TAUS_S = (300.0, 1200.0, 7200.0, 36000.0)
 AXES = ("yaw", "roll", "pitch")
 SETTLING_ROWS = 60
+#: what a level that nobody touches may still wander beyond the learned noise, dB/sqrt(h)
+REFERENCE_WALK_DB = 0.002
 #: sigma of the attitude at the alignment, deg: an hour of a star tracker
 ALIGNED_SIGMA_DEG = np.array([0.004, 0.002, 0.002])
 
@@ -102,6 +104,14 @@ def learned_noise(residual_db: np.ndarray, row_s: float) -> tuple[np.ndarray, np
     return np.array(white), np.array(coloured)
 
 
+def level_sigma_db(white_db: np.ndarray, coloured_db: np.ndarray, row_s: float, rows: int) -> np.ndarray:
+    """Return what noise leaves uncertain (N,) about a level and its day, fitted to a quiet phase of so many rows."""
+    spans = rows * row_s / np.array(TAUS_S)
+    mean = 2.0 * (spans - 1.0 + np.exp(-spans)) / spans**2
+    # level, cosine and sine: three times the variance of a mean, for the slow parts less
+    return np.sqrt(3.0 * (white_db**2 / rows + coloured_db**2 @ mean))
+
+
 class RobustWorld:
     """One world with everything a filter is told, errors of calibration left out."""
 
@@ -134,12 +144,12 @@ class RobustWorld:
             white,
             coloured,
             np.tile(TAUS_S, (count, 1)),
-            np.full(count, 0.006),
+            np.full(count, REFERENCE_WALK_DB),
             np.empty(0),
             np.empty(0),
             np.zeros((count, 9, 9)),
         )
-        self.reference_sigma_db = np.full(count, 0.03)
+        self.reference_sigma_db = level_sigma_db(white, coloured, row_s, int(kept.sum()))
 
     def _daily_db(self, residual_db: np.ndarray, epochs_us: np.ndarray) -> np.ndarray:
         """Return level and solar day (T, N) of every carrier, fitted to the quiet phase and carried on."""

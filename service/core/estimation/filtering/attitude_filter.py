@@ -17,6 +17,7 @@ from service.core.estimation.filtering.carrier_faults import (
 )
 from service.core.estimation.filtering.declared import Declared
 from service.core.estimation.filtering.declared_effects import with_declared
+from service.core.estimation.filtering.drift_watch import push_drift, scaled_settings
 from service.core.estimation.filtering.fault_hypotheses import Cause, Chooser, choose_cause
 from service.core.estimation.filtering.filter_model import (
     BoolArray,
@@ -103,7 +104,7 @@ def step(
     row = _row(ahead, deviation_db, minutes, declared)
     if len(row.present) < MIN_CARRIERS:
         return _told(model, ahead, nothing, row.present[:0], None, limits)
-    return _judged(model, ahead, row, limits, chooser)
+    return _judged(model, settings, ahead, row, limits, chooser)
 
 
 def _ahead(
@@ -123,7 +124,9 @@ def _ahead(
         state.model_variance_db2,
         declared,
     )
-    predicted, variance = predict(model, settings, state.gaussian, step_us, known, weather)
+    predicted, variance = predict(
+        model, scaled_settings(settings, state.drift), state.gaussian, step_us, known, weather
+    )
     ahead = state._replace(
         epoch_us=state.epoch_us + step_us,
         gaussian=predicted,
@@ -145,7 +148,12 @@ def _row(ahead: FilterState, deviation_db: FloatArray, minutes: float, declared:
 
 
 def _judged(
-    model: CarrierModel, ahead: FilterState, row: _Row, limits: IntegrityLimits, chooser: Chooser
+    model: CarrierModel,
+    settings: FilterSettings,
+    ahead: FilterState,
+    row: _Row,
+    limits: IntegrityLimits,
+    chooser: Chooser,
 ) -> FilterStep:
     """Test, update and watch a row of enough carriers."""
     white_db2 = (model.white_sigma_db * ahead.noise.white_scale) ** 2
@@ -172,7 +180,8 @@ def _judged(
     if row.declared is not None and row.declared.chain_step_db > 0.0:
         # a fall that begins now is counted from where the chain stands now
         rain = rain._replace(base_chain_db=float(gaussian.mean[CHAIN]))
-    after = after._replace(gaussian=gaussian, rain=rain)
+    drift, gaussian = push_drift(after.drift, settings, gaussian, row.minutes)
+    after = after._replace(gaussian=gaussian, rain=rain, drift=drift)
     innovation_db = np.full(model.carriers, np.nan)
     innovation_db[row.present] = first.innovation_db
     return _told(model, after, innovation_db, kept.carriers, choice.cause if choice else None, limits)

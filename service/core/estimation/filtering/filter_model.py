@@ -66,7 +66,7 @@ class FilterSettings(NamedTuple):
     #: exchange of roll and yaw at the orbital rate, 1/h; 0 where the on-board mode does not follow it
     coupling_per_h: float = 0.2625162
     #: drift of the inertial model and its correlation time, h
-    drift_deg_h: tuple[float, float, float] = (0.05, 0.035, 0.035)
+    drift_deg_h: tuple[float, float, float] = (0.04, 0.025, 0.025)
     drift_tau_h: float = 8.0
     #: error of the effect of a commanded correction, relative, and how long one error lasts, s
     correction_scale: float = 0.05

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.estimation.filtering.carrier_faults import CarrierWatch, healthy
+from service.core.estimation.filtering.drift_watch import DriftWatch, usual_drift
 from service.core.estimation.filtering.fault_hypotheses import Cause
 from service.core.estimation.filtering.filter_model import CarrierModel, FloatArray, IntArray
 from service.core.estimation.filtering.filter_state import Gaussian
@@ -30,6 +31,7 @@ class FilterState(NamedTuple):
     minute: MinuteSums
     motion: MotionWatch
     model_variance_db2: FloatArray
+    drift: DriftWatch = usual_drift()
 
 
 class FilterStep(NamedTuple):

@@ -1,0 +1,88 @@
+"""Drift of the inertial model watched in operation: whether the craft drifts as the settings say.
+
+    E[d^2] = Var(d_hat) + P          so      d_hat^2 / (sigma^2 - P) averages one while the model holds
+
+d_hat and P are the filter's drift and its variance, sigma what the settings say (times the factor learned so far). The
+factor moves in small steps of its logarithm. The law of this file: one factor for the three axes, never below one; a
+craft that drifts less than it may is no reason to believe less in the measurements.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from service.core.estimation.filtering.filter_model import FilterSettings
+from service.core.estimation.filtering.filter_state import DRIFT, Gaussian
+
+#: time in which the factor follows, minutes
+FOLLOW_MINUTES = 600.0
+LARGEST = 4.0
+#: the prediction keeps its matrices by settings: the factor it sees moves in steps of this ratio
+_STEP = 2.0**0.125
+#: one axis counts for so much at most
+_CUT = 12.0
+#: an axis of whose drift less than this share is known says nothing, share of its variance
+_LEAST_KNOWN = 0.02
+
+
+class DriftWatch(NamedTuple):
+    """Factor on the drift of the settings."""
+
+    #: logarithm of the factor, >= 0
+    log_scale: float
+
+    @property
+    def scale(self) -> float:
+        """Factor in the steps that the prediction sees, >= 1."""
+        return float(_STEP ** math.floor(self.log_scale / math.log(_STEP) + 1e-9))
+
+
+def usual_drift() -> DriftWatch:
+    """Return the watch of a craft that drifts as its settings say."""
+    return DriftWatch(0.0)
+
+
+def scaled_settings(settings: FilterSettings, watch: DriftWatch) -> FilterSettings:
+    """Return the settings with the drift that was learned."""
+    scale = watch.scale
+    if scale == 1.0:
+        return settings
+    yaw, roll, pitch = settings.drift_deg_h
+    return settings._replace(drift_deg_h=(scale * yaw, scale * roll, scale * pitch))
+
+
+def push_drift(
+    watch: DriftWatch, settings: FilterSettings, state: Gaussian, minutes: float
+) -> tuple[DriftWatch, Gaussian]:
+    """Return the watch after some minutes, and the state, whose drift is wider where the factor grew a step.
+
+    Parameters
+    ----------
+    watch : DriftWatch
+        Before.
+    settings : FilterSettings
+        As configured, without the factor.
+    state : Gaussian
+        State after the update.
+    minutes : float
+        Minutes of data that have passed.
+    """
+    sigma2 = (watch.scale * np.array(settings.drift_deg_h)) ** 2
+    known = sigma2 - np.diagonal(state.covariance)[DRIFT]
+    is_known = known > _LEAST_KNOWN * sigma2
+    if not is_known.any():
+        return watch, state
+    ratio = np.minimum(state.mean[DRIFT][is_known] ** 2 / known[is_known], _CUT)
+    # an axis speaks as far as it is known
+    weight = known[is_known] / sigma2[is_known]
+    surplus = float((weight * (ratio - 1.0)).sum() / 3.0)
+    log_scale = watch.log_scale + surplus * minutes / FOLLOW_MINUTES
+    pushed = DriftWatch(min(math.log(LARGEST), max(0.0, log_scale)))
+    if pushed.scale <= watch.scale:
+        return pushed, state
+    covariance = state.covariance.copy()
+    growth = (pushed.scale / watch.scale) ** 2 - 1.0
+    places = np.arange(DRIFT.start, DRIFT.stop)
+    covariance[places, places] += growth * sigma2
+    return pushed, Gaussian(state.mean, covariance)
