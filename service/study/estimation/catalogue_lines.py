@@ -23,7 +23,7 @@ from service.records.catalogue import (
     Track,
 )
 from service.records.epoch import parse_epoch
-from service.records.inputs import Operation
+from service.records.inputs import Operation, TelemetryRecord
 
 #: one JSON object
 Body = dict[str, Any]
@@ -84,6 +84,19 @@ def read_operation(body: Body, number: int) -> Operation:
         inhibit_control=body["inhibit_control"],
         attitude_uncertainty_deg=None if angles is None else Axes(**angles),
         comment=body["comment"],
+    )
+
+
+def read_telemetry(body: Body) -> tuple[TelemetryRecord, ...]:
+    """Return the records of a ``telemetry`` line."""
+    return tuple(
+        TelemetryRecord(
+            parse_epoch(record["epoch"]),
+            record["onboard_mode"],
+            tuple(record["wheel_momentum_n_m_s"]),
+            thrusters_active=record["thrusters_active"],
+        )
+        for record in body["records"]
     )
 
 

@@ -1,13 +1,9 @@
 """The product's own pipeline over one world: calibrate, align, then the chain over every row of the operation phase.
 
-The journal is written here as a control centre would fill it: corrections when they begin, plans, ephemerides and
-operations when the ground learns of them, each before the first row that is not older. Rows without any power were
-never measured and are left out. Nothing of the truth is at hand in this module.
+Nothing of the truth is at hand in this module.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -25,13 +21,16 @@ from service.records.calibration import (
     CalibrationRequest,
     CalibrationState,
 )
-from service.records.catalogue import Carrier, CarrierPlan, Ephemeris, Method
-from service.records.inputs import AlignmentSet, CalibrationActivation, EphemerisChange, PlanChange, SpacecraftChange
+from service.records.catalogue import CarrierPlan, Ephemeris, Method
+from service.records.inputs import (
+    AlignmentSet,
+    CalibrationActivation,
+    SpacecraftChange,
+)
 from service.records.journal import SlowInput
-from service.records.measurement import Measurement
-from service.study.estimation.world import SENSOR, Ground
+from service.study.estimation.journal import Documents, Entry, measurements, slow_entries
+from service.study.estimation.world import Ground
 
-_SENSOR_OF_AXIS = (SENSOR, SENSOR, SENSOR)
 #: what a row says, among its inhibitions or as advice, when the craft moves other than it was told to, or the powers
 #: do not fit the model
 ALARMS = frozenset({"unannounced_motion", "innovations", "disagreement"})
@@ -73,51 +72,6 @@ class UndrivenError(Exception):
     """The product refused to calibrate or to align in a world; the text is its own."""
 
 
-@dataclass
-class _Documents:
-    """Documents that journal entries name by number."""
-
-    plans: dict[int, CarrierPlan] = field(default_factory=dict)
-    ephemerides: dict[int, Ephemeris] = field(default_factory=dict)
-    calibrations: dict[int, Calibration] = field(default_factory=dict)
-    alignments: dict[int, Alignment] = field(default_factory=dict)
-
-    def plan(self, plan_id: int) -> CarrierPlan:
-        """Return a carrier plan."""
-        return self.plans[plan_id]
-
-    def ephemeris(self, ephemeris_id: int) -> Ephemeris:
-        """Return an ephemeris."""
-        return self.ephemerides[ephemeris_id]
-
-    def calibration(self, calibration_id: int) -> Calibration:
-        """Return a calibration."""
-        return self.calibrations[calibration_id]
-
-    def alignment(self, alignment_id: int) -> Alignment:
-        """Return an alignment."""
-        return self.alignments[alignment_id]
-
-    def add_plan(self, carriers: tuple[Carrier, ...]) -> PlanChange:
-        """Keep a plan and return its journal entry."""
-        number = len(self.plans) + 1
-        self.plans[number] = CarrierPlan(number, "", carriers)
-        return PlanChange(number)
-
-    def add_ephemeris(self, ephemeris: Ephemeris) -> EphemerisChange:
-        """Keep an ephemeris and return its journal entry."""
-        number = len(self.ephemerides) + 1
-        self.ephemerides[number] = ephemeris
-        return EphemerisChange(number)
-
-
-class _Entry(NamedTuple):
-    """A slow input and when the ground hands it over."""
-
-    epoch_us: int
-    content: SlowInput
-
-
 def drive(ground: Ground, config: ChainConfig | None = None) -> Driven:
     """Calibrate, align and run the chain over the operation phase.
 
@@ -133,11 +87,11 @@ def drive(ground: Ground, config: ChainConfig | None = None) -> Driven:
     UndrivenError
         The calibration or the alignment was refused.
     """
-    documents = _Documents()
+    documents = Documents()
     opening: list[SlowInput] = [SpacecraftChange(ground.spacecraft, 1), documents.add_plan(ground.carriers)]
     opening.append(documents.add_ephemeris(ground.ephemeris))
-    documents.calibrations[1] = _calibrate(ground, documents)
-    entries = _entries(ground, documents)
+    documents.calibrations[1] = calibrate(ground, documents.plans[1], documents.ephemerides[1])
+    entries = slow_entries(ground, documents)
     start_us = ground.phases["operation"].start_us
     before = [entry.content for entry in entries if entry.epoch_us < start_us]
     documents.alignments[1] = _align(ground, documents)
@@ -147,15 +101,20 @@ def drive(ground: Ground, config: ChainConfig | None = None) -> Driven:
     return _operate(chain, ground, documents, entries[len(before) :])
 
 
-def _calibrate(ground: Ground, documents: _Documents) -> Calibration:
-    """Return the calibration from the quiet days and the turns."""
+def calibrate(ground: Ground, plan: CarrierPlan, ephemeris: Ephemeris) -> Calibration:
+    """Return the calibration from the quiet days and the turns.
+
+    Raises
+    ------
+    UndrivenError
+        The product refused it.
+    """
     quiet, turns = ground.phases["quiet"], ground.phases["turns"]
-    request = CalibrationRequest(quiet, turns, CalibrationMethod.GEOMETRY)
-    plan = documents.plans[1]
+    request = CalibrationRequest(quiet, turns, CalibrationMethod.GEOMETRY, *ground.sensors)
     data = CalibrationInput(
         request,
         plan,
-        documents.ephemerides[1],
+        ephemeris,
         ground.series(quiet, plan.carrier_ids),
         ground.series(turns, plan.carrier_ids),
         ground.references_in(turns),
@@ -170,13 +129,13 @@ def _calibrate(ground: Ground, documents: _Documents) -> Calibration:
     return Calibration(1, 1, 1, CalibrationState.ACTIVE, request, 0, "study", result)
 
 
-def _align(ground: Ground, documents: _Documents) -> Alignment:
+def _align(ground: Ground, documents: Documents) -> Alignment:
     """Return the alignment from the last hour in which the sensor is on."""
     window = ground.phases["alignment"]
     calibration, ephemeris = documents.calibrations[1], documents.ephemerides[max(documents.ephemerides)]
-    stated, missing = smooth_angles(ground.references_in(window), _SENSOR_OF_AXIS)
+    stated, missing = smooth_angles(ground.references_in(window), ground.sensors)
     if stated is None or calibration.result is None:
-        message = f"alignment refused: no {' and '.join(missing)} of {SENSOR}"
+        message = f"alignment refused: no {' and '.join(missing)} of {', '.join(ground.sensors)}"
         raise UndrivenError(message)
     carrier_ids = tuple(carrier.id for carrier in calibration.result.carriers)
     active = {calibration.request.method: calibration}
@@ -187,7 +146,7 @@ def _align(ground: Ground, documents: _Documents) -> Alignment:
         attitude_deg=stated.attitude_deg,
         sigma_deg=stated.sigma_deg,
         calibration_id=aligned.calibration.id,
-        source=SENSOR,
+        source=",".join(sorted(set(ground.sensors))),
         created_at_us=0,
         created_by="study",
         references=aligned.references,
@@ -197,25 +156,11 @@ def _align(ground: Ground, documents: _Documents) -> Alignment:
     )
 
 
-def _entries(ground: Ground, documents: _Documents) -> list[_Entry]:
-    """Return the slow inputs in the order in which the ground hands them over."""
-    entries = [_Entry(correction.start_us, correction) for correction in ground.corrections]
-    for told_us, content in ground.news:
-        if isinstance(content, tuple):
-            entries.append(_Entry(told_us, documents.add_plan(content)))
-        elif isinstance(content, Ephemeris):
-            entries.append(_Entry(told_us, documents.add_ephemeris(content)))
-        else:
-            entries.append(_Entry(told_us, content))
-    return sorted(entries, key=lambda entry: entry.epoch_us)
-
-
-def _operate(chain: Chain, ground: Ground, documents: _Documents, entries: list[_Entry]) -> Driven:
+def _operate(chain: Chain, ground: Ground, documents: Documents, entries: list[Entry]) -> Driven:
     """Run the chain over the rows of operation and keep what every method says."""
-    is_measured = np.isfinite(ground.power_dbm).any(axis=1)
-    rows = np.flatnonzero(is_measured & (ground.epochs_us >= ground.phases["operation"].start_us))
+    rows = np.flatnonzero(ground.is_measured & (ground.epochs_us >= ground.phases["operation"].start_us))
     told: list[tuple[AttitudeRow, ...]] = []
-    for measurement in _journal(chain, ground, documents, entries, rows):
+    for measurement in measurements(chain, ground, documents, entries, rows):
         outcome = chain.step(measurement)
         told.append(() if outcome is None else outcome.rows)
     names = sorted({row.method.value for some in told for row in some})
@@ -240,34 +185,6 @@ def _used(calibration: Calibration, method: Method, carrier_ids: tuple[str, ...]
         is_used = list(result.geometry.is_used)
     names = {carrier.id for carrier, used in zip(result.carriers, is_used, strict=True) if used}
     return np.array([name in names for name in carrier_ids], dtype=np.bool_)
-
-
-def _journal(
-    chain: Chain, ground: Ground, documents: _Documents, entries: list[_Entry], rows: IntArray
-) -> Iterator[Measurement]:
-    """Yield the measurements in order, teaching the chain what comes before each of them."""
-    waiting = entries[::-1]
-    plan_id = max((1, *(content.plan_id for content in _plan_changes(documents, entries))))
-    columns = _columns(ground, documents.plans[plan_id])
-    for number, row in enumerate(rows.tolist(), start=1):
-        epoch_us = int(ground.epochs_us[row])
-        while waiting and waiting[-1].epoch_us <= epoch_us:
-            content = waiting.pop().content
-            chain.learn(content)
-            if isinstance(content, PlanChange):
-                plan_id, columns = content.plan_id, _columns(ground, documents.plans[content.plan_id])
-        yield Measurement(epoch_us, epoch_us, number, "sa-1", plan_id, ground.power_dbm[row, columns], None)
-
-
-def _plan_changes(documents: _Documents, coming: list[_Entry]) -> Iterator[PlanChange]:
-    """Yield the plans that are known before the first row of operation."""
-    later = {entry.content.plan_id for entry in coming if isinstance(entry.content, PlanChange)}
-    yield from (PlanChange(number) for number in documents.plans if number not in later)
-
-
-def _columns(ground: Ground, plan: CarrierPlan) -> list[int]:
-    """Return the columns of the world in the order of a plan."""
-    return [ground.carrier_ids.index(name) for name in plan.carrier_ids]
 
 
 def _series(rows: list[AttitudeRow | None], carrier_ids: tuple[str, ...], is_carrier_used: BoolArray) -> MethodSeries:

@@ -8,6 +8,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,13 +18,17 @@ import numpy as np
 from service.records.attitude import Axes, BoolArray, FloatArray, IntArray
 from service.records.calibration import Window
 from service.records.catalogue import Carrier, Ephemeris, Spacecraft
-from service.records.inputs import Correction, Operation
+from service.records.inputs import Correction, Operation, SourceSelection, TelemetryRecord
 from service.records.series import MeasurementSeries, ReferenceSeries
-from service.study.estimation.catalogue_lines import read_carriers, read_ephemeris, read_operation, read_spacecraft
+from service.study.estimation.catalogue_lines import (
+    read_carriers,
+    read_ephemeris,
+    read_operation,
+    read_spacecraft,
+    read_telemetry,
+)
 
 AXES = ("yaw", "roll", "pitch")
-#: sensor whose angles calibrate and align
-SENSOR = "star_tracker"
 
 Arrays = dict[str, Any]
 
@@ -36,7 +41,7 @@ class News(NamedTuple):
     """Something of which the ground learns after the start."""
 
     told_us: int
-    content: tuple[Carrier, ...] | Ephemeris | Operation
+    content: tuple[Carrier, ...] | Ephemeris | Operation | TelemetryRecord | SourceSelection | Correction
 
 
 @dataclass(frozen=True)
@@ -47,7 +52,7 @@ class Ground:
     #: plan and ephemeris at the start
     carriers: tuple[Carrier, ...]
     ephemeris: Ephemeris
-    #: in order of time
+    #: corrections among them
     news: tuple[News, ...]
     corrections: tuple[Correction, ...]
     phases: dict[str, Window]
@@ -57,19 +62,35 @@ class Ground:
     epochs_us: IntArray
     #: (T, N) dBm as the archive keeps them, float32 widened; NaN = absent
     power_dbm: FloatArray
-    references: ReferenceSeries
+    #: (T,) whether an analyzer measured, and the number of its name
+    is_measured: BoolArray
+    source: IntArray
+    source_names: tuple[str, ...]
+    #: of every sensor
+    references: tuple[ReferenceSeries, ...]
+
+    @property
+    def sensors(self) -> tuple[str, str, str]:
+        """Sensor that tells yaw, roll, pitch: the first one that does."""
+        yaw, roll, pitch = (
+            next(told.source for told in self.references if np.isfinite(told.attitude_deg[:, axis]).any())
+            for axis in range(3)
+        )
+        return yaw, roll, pitch
 
     def series(self, window: Window, carrier_ids: tuple[str, ...]) -> MeasurementSeries:
-        """Return the powers of some carriers in a window, rows without any left out."""
-        rows = _within(self.epochs_us, window) & np.isfinite(self.power_dbm).any(axis=1)
+        """Return the powers of some carriers in a window."""
+        rows = _within(self.epochs_us, window) & self.is_measured
         columns = [self.carrier_ids.index(name) for name in carrier_ids]
         return MeasurementSeries(carrier_ids, self.epochs_us[rows], self.power_dbm[rows][:, columns])
 
     def references_in(self, window: Window) -> tuple[ReferenceSeries, ...]:
-        """Return the sensor's angles of a window."""
-        told = self.references
-        rows = _within(told.epochs_us, window)
-        return (ReferenceSeries(told.source, told.epochs_us[rows], told.attitude_deg[rows], told.sigma_deg[rows]),)
+        """Return the sensors' angles of a window."""
+        inside = [(told, _within(told.epochs_us, window)) for told in self.references]
+        return tuple(
+            ReferenceSeries(told.source, told.epochs_us[rows], told.attitude_deg[rows], told.sigma_deg[rows])
+            for told, rows in inside
+        )
 
 
 @dataclass(frozen=True)
@@ -85,6 +106,9 @@ class Truth:
     #: (T, N) sums of bits of ``flag_bits``
     flags: IntArray
     flag_bits: dict[str, int]
+    #: (N, 3) dB/deg at nominal attitude, and (N,) dB, white noise of a row
+    sensitivity_db_per_deg: FloatArray
+    white_db: FloatArray
 
     def has_flag(self, *names: str) -> BoolArray:
         """Return where (T, N) any of the named faults acts."""
@@ -140,45 +164,70 @@ def _ground(arrays: Arrays) -> Ground:
     """Return what the ground knows."""
     lines = {line["kind"]: line.get("body") for line in json.loads(str(arrays["catalogue_json"]))}
     spans = zip(arrays["phase_name"], arrays["phase_start_us"], arrays["phase_stop_us"], strict=True)
-    angles = _by_axis(arrays, "reference_")
+    corrections = _corrections(arrays)
     return Ground(
         spacecraft=read_spacecraft(lines["spacecraft"]),
         carriers=read_carriers(lines["carriers"]),
         ephemeris=read_ephemeris(lines["ephemeris"]),
-        news=_news(arrays),
-        corrections=_corrections(arrays),
+        news=(*corrections, *_news(arrays)),
+        corrections=tuple(news.content for news in corrections if isinstance(news.content, Correction)),
         phases={str(name): Window(int(start), int(stop)) for name, start, stop in spans},
         carrier_ids=tuple(str(name) for name in arrays["carrier_id"]),
         epochs_us=arrays["epoch_us"],
         power_dbm=arrays["power_dbm"].astype(np.float32).astype(np.float64),
-        references=ReferenceSeries(
-            SENSOR, arrays["reference_epoch_us"], angles, np.tile(arrays["reference_sigma_deg"], (len(angles), 1))
-        ),
+        is_measured=_is_measured(arrays),
+        source=arrays["source"].astype(np.int64),
+        source_names=tuple(str(name) for name in arrays["source_name"]),
+        references=_references(arrays),
     )
 
 
-def _news(arrays: Arrays) -> tuple[News, ...]:
-    """Return what the ground learns later; measurement tasks are for the front end."""
+def _is_measured(arrays: Arrays) -> BoolArray:
+    """Return in which rows an analyzer measured at all, even if no carrier was on the air."""
+    gap = next(value for name, value in zip(arrays["flag_name"], arrays["flag_value"], strict=True) if name == "gap")
+    return np.asarray(((arrays["flags"] & gap) == 0).any(axis=1))
+
+
+def _references(arrays: Arrays) -> tuple[ReferenceSeries, ...]:
+    """Return the angles of every sensor."""
+    angles, sigmas, source = (
+        _by_axis(arrays, "reference_"),
+        _by_axis(arrays, "reference_sigma_"),
+        arrays["reference_source"],
+    )
+    names = dict.fromkeys(str(name) for name in source)
+    return tuple(
+        ReferenceSeries(
+            name, arrays["reference_epoch_us"][source == name], angles[source == name], sigmas[source == name]
+        )
+        for name in names
+    )
+
+
+def _news(arrays: Arrays) -> Iterator[News]:
+    """Yield what the ground learns later; tasks are for the front end, late corrections stand among the others."""
     lines = json.loads(str(arrays["news_json"]))
-    news = []
-    for number, (told_us, line) in enumerate(zip(arrays["news_us"], lines, strict=True), start=1):
+    for number, (told_us, line) in enumerate(zip(arrays["news_us"].tolist(), lines, strict=True), start=1):
         body, kind = line["body"], line["kind"]
         if kind == "carriers":
-            news.append(News(int(told_us), read_carriers(body)))
+            yield News(told_us, read_carriers(body))
         elif kind == "ephemeris":
-            news.append(News(int(told_us), read_ephemeris(body)))
+            yield News(told_us, read_ephemeris(body))
         elif kind == "operations":
-            news.append(News(int(told_us), read_operation(body, number)))
-    return tuple(news)
+            yield News(told_us, read_operation(body, number))
+        elif kind == "telemetry":
+            yield from (News(told_us, record) for record in read_telemetry(body))
+        elif kind == "source":
+            yield News(told_us, SourceSelection(body["source"], number))
 
 
-def _corrections(arrays: Arrays) -> tuple[Correction, ...]:
-    """Return the announced corrections in order of their start."""
-    spans = zip(arrays["correction_start_us"], arrays["correction_stop_us"], strict=True)
+def _corrections(arrays: Arrays) -> tuple[News, ...]:
+    """Return the announced corrections with the epochs at which they are announced."""
+    spans = zip(arrays["correction_start_us"].tolist(), arrays["correction_stop_us"].tolist(), strict=True)
     changes = _by_axis(arrays, "correction_").tolist()
-    return tuple(
-        Correction(int(start), int(stop), Axes(*change)) for (start, stop), change in zip(spans, changes, strict=True)
-    )
+    records = [Correction(*span, Axes(*change)) for span, change in zip(spans, changes, strict=True)]
+    told_us = arrays["correction_told_us"].tolist()
+    return tuple(News(told, record) for told, record in zip(told_us, records, strict=True))
 
 
 def _truth(arrays: Arrays) -> Truth:
@@ -189,7 +238,9 @@ def _truth(arrays: Arrays) -> Truth:
         downlink_fade_db=arrays["downlink_fade_db"],
         level_db=arrays["level_db"] - arrays["uplink_fade_db"],
         flags=arrays["flags"].astype(np.int64),
-        flag_bits={str(name).lower(): int(value) for name, value in names},
+        flag_bits={str(name): int(value) for name, value in names},
+        sensitivity_db_per_deg=arrays["sensitivity_db_per_deg"],
+        white_db=arrays["white_db"],
     )
 
 

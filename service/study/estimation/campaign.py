@@ -1,0 +1,194 @@
+"""The campaign: units spread over processes, their results put together and held against the bounds.
+
+Processes are started afresh, with one thread a matrix product, and leave signals to their parent; whatever ends the
+campaign early ends them and the simulators that they wait for.
+"""
+
+import multiprocessing
+import os
+import platform
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.metadata import version
+from types import FrameType
+from typing import NamedTuple, NoReturn
+
+from service.study.estimation.accuracy import Figures, accuracy_figures
+from service.study.estimation.baselines import BASELINES
+from service.study.estimation.bound_table import BOUNDS
+from service.study.estimation.bounds import Bound, Judged, Mark, idle_baselines, judge
+from service.study.estimation.measures import figures_of
+from service.study.estimation.nights import night_figures
+from service.study.estimation.scenarios import SNAPSHOT
+from service.study.estimation.snapshot_trials import SnapshotTrials, run_trials, trial_figures
+from service.study.estimation.unit import Course, Unit, UnitResult, run_unit
+
+METHODS = ("robust", "paper")
+#: the yaw scale and the efficiency of the snapshot need this many calibrations
+_SNAPSHOT_SEEDS = 8
+_THREADS = "OPENBLAS_NUM_THREADS"
+
+
+class Plan(NamedTuple):
+    """What to run."""
+
+    scenarios: tuple[str, ...]
+    seeds: int
+    workers: int = 2
+    #: None = as long as each scenario is
+    operation_days: float | None = None
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """What came out of a campaign."""
+
+    plan: Plan
+    seconds: float
+    #: of every unit, in the order of scenarios and seeds
+    results: tuple[UnitResult, ...]
+    #: by scenario and method or baseline
+    figures: dict[tuple[str, str], Figures]
+    judged: tuple[Judged, ...]
+    #: scenario and baseline that keeps all its bounds of accuracy
+    idle: tuple[tuple[str, str], ...]
+
+    @property
+    def missed(self) -> tuple[Judged, ...]:
+        """Bounds that were missed."""
+        return tuple(judged for judged in self.judged if judged.mark is Mark.MISSED)
+
+    @property
+    def refusals(self) -> tuple[UnitResult, ...]:
+        """Units in which the product refused to calibrate or to align."""
+        return tuple(result for result in self.results if result.refusal)
+
+
+#: called after each piece of work with how many are done and how many there are
+Show = Callable[[int, int], None]
+
+
+def run_campaign(plan: Plan, show: Show) -> Campaign:
+    """Run every unit of a plan and judge the figures.
+
+    Raises
+    ------
+    ExportFailedError
+        The simulator does not know a scenario, or failed.
+    """
+    began_s = time.monotonic()
+    seeds = range(1, plan.seeds + 1)
+    units = [Unit(name, seed, plan.operation_days) for name in plan.scenarios if name != SNAPSHOT for seed in seeds]
+    trials = range(1, max(plan.seeds, _SNAPSHOT_SEEDS) + 1) if SNAPSHOT in plan.scenarios else range(0)
+    with _pool(plan.workers) as pool:
+        told: dict[Future[UnitResult], Unit] = {pool.submit(run_unit, unit): unit for unit in _longest_first(units)}
+        tried = [pool.submit(run_trials, seed) for seed in trials]
+        everything: list[Future[UnitResult] | Future[SnapshotTrials]] = [*told, *tried]
+        for number, done in enumerate(as_completed(everything), start=1):
+            done.result()
+            show(number, len(everything))
+    by_unit = {unit: future.result() for future, unit in told.items()}
+    results = tuple(by_unit[unit] for unit in units)
+    figures = collect_figures(results)
+    if tried:
+        figures[SNAPSHOT, "robust"] = trial_figures([future.result() for future in tried])
+    return assess(plan, time.monotonic() - began_s, results, figures)
+
+
+def assess(
+    plan: Plan,
+    seconds: float,
+    results: tuple[UnitResult, ...],
+    figures: dict[tuple[str, str], Figures],
+    bounds: Sequence[Bound] = BOUNDS,
+) -> Campaign:
+    """Return a campaign with its figures held against the bounds; what was not run is left out."""
+    run = {scenario for scenario, _method in figures} | {result.unit.scenario for result in results}
+    own = [bound for bound in bounds if bound.scenario in run]
+    silent = {(scenario, method): Figures() for scenario in run for method in METHODS}
+    judged = judge(own, {**silent, **figures})
+    return Campaign(plan, seconds, results, figures, judged, idle_baselines(own, figures, BASELINES))
+
+
+def collect_figures(results: Sequence[UnitResult]) -> dict[tuple[str, str], Figures]:
+    """Return the figures of every method and baseline over the seeds of each scenario.
+
+    A method that did not answer in one of the seeds has no figures of the scenario.
+    """
+    figures: dict[tuple[str, str], Figures] = {}
+    by_scenario: dict[str, list[UnitResult]] = {}
+    for result in results:
+        by_scenario.setdefault(result.unit.scenario, []).append(result)
+    for scenario, seeds in by_scenario.items():
+        figures |= {(scenario, name): told for name, told in _figures_by_answer(seeds).items()}
+    for method in METHODS:
+        if ("eclipse", method) in figures:
+            figures["eclipse", method] |= night_figures(_courses(by_scenario, "eclipse", "nominal"), method)
+    return figures
+
+
+def _figures_by_answer(seeds: Sequence[UnitResult]) -> dict[str, Figures]:
+    """Return the figures of one scenario by method or baseline."""
+    methods = [method for method in METHODS if all(method in seed.methods for seed in seeds)]
+    baselines = [baseline for baseline in BASELINES if all(baseline in seed.baselines for seed in seeds)]
+    return {
+        **{method: figures_of([seed.methods[method] for seed in seeds]) for method in methods},
+        **{baseline: accuracy_figures([seed.baselines[baseline] for seed in seeds]) for baseline in baselines},
+    }
+
+
+def _courses(by_scenario: Mapping[str, Sequence[UnitResult]], one: str, other: str) -> list[tuple[Course, Course]]:
+    """Return the courses of two scenarios, seed by seed where both were run."""
+    first, second = (
+        {result.unit.seed: result.course for result in by_scenario.get(name, ()) if result.course}
+        for name in (one, other)
+    )
+    return [(first[seed], second[seed]) for seed in sorted(first.keys() & second.keys())]
+
+
+def versions() -> dict[str, str]:
+    """Return what the figures were made with."""
+    return {"python": platform.python_version(), **{name: version(name) for name in ("soo", "numpy", "scipy")}}
+
+
+def _longest_first(units: Sequence[Unit]) -> list[Unit]:
+    """Return the units so that no long one is left to the end."""
+    slow = {"long14": 0, "nominal_10s": 1}
+    return sorted(units, key=lambda unit: slow.get(unit.scenario, 2))
+
+
+@contextmanager
+def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """Give processes, and end them with what they have started when the campaign ends early."""
+    former = os.environ.get(_THREADS)
+    os.environ[_THREADS] = "1"
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(max_workers=workers, mp_context=context, initializer=_prepare_worker)
+    try:
+        yield pool
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for child in multiprocessing.active_children():
+            child.terminate()
+        raise
+    finally:
+        pool.shutdown(wait=True)
+        if former is None:
+            del os.environ[_THREADS]
+        else:
+            os.environ[_THREADS] = former
+
+
+def _prepare_worker() -> None:
+    """Leave Ctrl-C to the parent; asked to end, end in order, so that a simulator that runs is ended too."""
+
+    def end(_number: int, _frame: FrameType | None) -> NoReturn:
+        sys.exit(1)
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, end)

@@ -1,0 +1,102 @@
+"""The journal of one world, written as a control centre would fill it.
+
+Corrections stand where they are announced, plans, ephemerides, operations and telemetry where the ground learns of
+them, each before the first row that is not older.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from service.pipeline.chain import Chain
+from service.records.attitude import IntArray
+from service.records.calibration import Alignment, Calibration
+from service.records.catalogue import Carrier, CarrierPlan, Ephemeris
+from service.records.inputs import EphemerisChange, PlanChange, SourceSelection
+from service.records.journal import SlowInput
+from service.records.measurement import Measurement
+from service.study.estimation.world import Ground
+
+
+@dataclass
+class Documents:
+    """Documents that journal entries name by number."""
+
+    plans: dict[int, CarrierPlan] = field(default_factory=dict)
+    ephemerides: dict[int, Ephemeris] = field(default_factory=dict)
+    calibrations: dict[int, Calibration] = field(default_factory=dict)
+    alignments: dict[int, Alignment] = field(default_factory=dict)
+
+    def plan(self, plan_id: int) -> CarrierPlan:
+        """Return a carrier plan."""
+        return self.plans[plan_id]
+
+    def ephemeris(self, ephemeris_id: int) -> Ephemeris:
+        """Return an ephemeris."""
+        return self.ephemerides[ephemeris_id]
+
+    def calibration(self, calibration_id: int) -> Calibration:
+        """Return a calibration."""
+        return self.calibrations[calibration_id]
+
+    def alignment(self, alignment_id: int) -> Alignment:
+        """Return an alignment."""
+        return self.alignments[alignment_id]
+
+    def add_plan(self, carriers: tuple[Carrier, ...]) -> PlanChange:
+        """Keep a plan and return its journal entry."""
+        number = len(self.plans) + 1
+        self.plans[number] = CarrierPlan(number, "", carriers)
+        return PlanChange(number)
+
+    def add_ephemeris(self, ephemeris: Ephemeris) -> EphemerisChange:
+        """Keep an ephemeris and return its journal entry."""
+        number = len(self.ephemerides) + 1
+        self.ephemerides[number] = ephemeris
+        return EphemerisChange(number)
+
+
+class Entry(NamedTuple):
+    """A slow input and when the ground hands it over."""
+
+    epoch_us: int
+    content: SlowInput
+
+
+def slow_entries(ground: Ground, documents: Documents) -> list[Entry]:
+    """Return the slow inputs in the order in which the ground hands them over."""
+    entries = []
+    for told_us, content in ground.news:
+        if isinstance(content, tuple):
+            entries.append(Entry(told_us, documents.add_plan(content)))
+        elif isinstance(content, Ephemeris):
+            entries.append(Entry(told_us, documents.add_ephemeris(content)))
+        else:
+            entries.append(Entry(told_us, content))
+    return sorted(entries, key=lambda entry: entry.epoch_us)
+
+
+def measurements(
+    chain: Chain, ground: Ground, documents: Documents, entries: list[Entry], rows: IntArray
+) -> Iterator[Measurement]:
+    """Yield the measurements in order, teaching the chain what comes before each of them."""
+    waiting = entries[::-1]
+    later = [entry.content.plan_id for entry in entries if isinstance(entry.content, PlanChange)]
+    plan_id, prime = min(later, default=len(documents.plans) + 1) - 1, ground.source_names[0]
+    columns = _columns(ground, documents.plans[plan_id])
+    for number, row in enumerate(rows.tolist(), start=1):
+        epoch_us, source = int(ground.epochs_us[row]), ground.source_names[ground.source[row]]
+        while waiting and waiting[-1].epoch_us <= epoch_us:
+            content = waiting.pop().content
+            chain.learn(content)
+            if isinstance(content, PlanChange):
+                plan_id, columns = content.plan_id, _columns(ground, documents.plans[content.plan_id])
+            elif isinstance(content, SourceSelection):
+                prime = content.source
+        power_dbm = ground.power_dbm[row, columns]
+        yield Measurement(epoch_us, epoch_us, number, source, plan_id, power_dbm, None, feeds_estimator=source == prime)
+
+
+def _columns(ground: Ground, plan: CarrierPlan) -> list[int]:
+    """Return the columns of the world in the order of a plan."""
+    return [ground.carrier_ids.index(name) for name in plan.carrier_ids]

@@ -1,0 +1,273 @@
+"""What a campaign tells: tables for people, one document for programs.
+
+Angles stand as yaw/roll/pitch in one cell. Numbers that are not there, or that a mean cannot hold, are a dash in a
+table and null in the document.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+from typing import Any, NamedTuple
+
+from service.study.estimation.accuracy import AXES, Figures
+from service.study.estimation.bounds import Judged, Limit, Mark
+from service.study.estimation.campaign import METHODS, Campaign, versions
+
+MARKER_BEGIN = "<!-- soo study estimation: begin -->"
+MARKER_END = "<!-- soo study estimation: end -->"
+_DASH = "-"
+
+
+class Table(NamedTuple):
+    """Rows under a title."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+def tables(campaign: Campaign) -> tuple[Table, ...]:
+    """Return the tables of a campaign; what was not run has no row, a table without rows is left out."""
+    made = (_accuracy(campaign), _baselines(campaign), _control(campaign), _events(campaign), _bounds(campaign))
+    return tuple(table for table in made if table.rows)
+
+
+def verdict_lines(campaign: Campaign) -> list[str]:
+    """Return what was missed, in words."""
+    counts = {mark: sum(judged.mark is mark for judged in campaign.judged) for mark in Mark}
+    lines = [
+        f"{len(campaign.judged)} bounds: " + ", ".join(f"{count} {mark}" for mark, count in counts.items() if count)
+    ]
+    lines += [
+        f"missed: {judged.bound.scenario}, {judged.bound.method}, {judged.bound.figure} = {_number(judged.value)}, "
+        f"must be {judged.bound.must}"
+        for judged in campaign.missed
+    ]
+    lines += [
+        f"goal asked for and not reached: {judged.bound.scenario}, {judged.bound.figure} = {_number(judged.value)}, "
+        f"goal {judged.bound.goal}"
+        for judged in campaign.judged
+        if judged.bound.is_goal_asked and judged.mark is Mark.MUST
+    ]
+    lines += [f"refused: {run.unit.scenario}, seed {run.unit.seed}: {run.refusal}" for run in campaign.refusals]
+    lines += [f"the bounds of {scenario} prove nothing: '{name}' keeps them all" for scenario, name in campaign.idle]
+    return lines
+
+
+def as_document(campaign: Campaign, command: str) -> dict[str, Any]:
+    """Return everything a program may want, fit for JSON."""
+    plan = campaign.plan
+    figures: dict[str, dict[str, dict[str, float | None]]] = {}
+    for (scenario, answer), told in campaign.figures.items():
+        figures.setdefault(scenario, {})[answer] = {name: _finite(value) for name, value in told.items()}
+    return {
+        "command": command,
+        "versions": versions(),
+        "seeds": list(range(1, plan.seeds + 1)),
+        "operation_days": plan.operation_days,
+        "seconds": round(campaign.seconds, 1),
+        "figures": figures,
+        "bounds": [_bound_document(judged) for judged in campaign.judged],
+        "missed": len(campaign.missed),
+        "refusals": [
+            {"scenario": run.unit.scenario, "seed": run.unit.seed, "detail": run.refusal} for run in campaign.refusals
+        ],
+        "baselines_that_keep_all_bounds": [
+            {"scenario": scenario, "baseline": baseline} for scenario, baseline in campaign.idle
+        ],
+    }
+
+
+def markdown(campaign: Campaign, command: str) -> str:
+    """Return the tables as a section of a page, between markers."""
+    made_with = ", ".join(f"{name} {number}" for name, number in versions().items())
+    seeds = f"seed 1 to {campaign.plan.seeds}" if campaign.plan.seeds > 1 else "seed 1"
+    lines = [MARKER_BEGIN, "", f"Made by `{command}` with {made_with}; {seeds}; angles yaw/roll/pitch, deg.", ""]
+    for table in tables(campaign):
+        lines += [f"### {table.title}", "", _line(table.columns), _line(["---"] * len(table.columns))]
+        lines += [*(_line(row) for row in table.rows), ""]
+    return "\n".join([*lines, *(f"* {line}" for line in verdict_lines(campaign)), "", MARKER_END, ""])
+
+
+def _line(cells: Sequence[str]) -> str:
+    """Return one line of a table in Markdown."""
+    return f"| {' | '.join(cells)} |"
+
+
+def _bound_document(judged: Judged) -> dict[str, Any]:
+    """Return one bound with its mark."""
+    bound = judged.bound
+    return {
+        "scenario": bound.scenario,
+        "method": bound.method,
+        "figure": bound.figure,
+        "value": None if judged.value is None else _finite(judged.value),
+        "must": _interval(bound.must),
+        "goal": _interval(bound.goal),
+        "goal_asked": bound.is_goal_asked,
+        "source": bound.source,
+        "mark": judged.mark.value,
+    }
+
+
+def _interval(limit: Limit | None) -> list[float | None] | None:
+    """Return a limit as its two ends, None for an open one."""
+    return None if limit is None else [_finite(limit.low), _finite(limit.high)]
+
+
+def _finite(value: float) -> float | None:
+    """Return a number that JSON can hold."""
+    return value if math.isfinite(value) else None
+
+
+def _answers(campaign: Campaign) -> Iterator[tuple[str, str, Figures]]:
+    """Yield scenario, method and figures of everything driven."""
+    for (scenario, answer), figures in campaign.figures.items():
+        if answer in METHODS and "answered" in figures:
+            yield scenario, answer, figures
+
+
+def _accuracy(campaign: Campaign) -> Table:
+    """Return the errors of both methods."""
+    rows = tuple(
+        (
+            scenario,
+            method,
+            _angles(figures, "rms_deg", 3),
+            _angles(figures, "p95_deg", 3),
+            _angles(figures, "max_deg", 2),
+            _angles(figures, "skill", 2),
+            _angles(figures, "slope", 2),
+            _angles(figures, "rms_over_sigma", 2),
+        )
+        for scenario, method, figures in _answers(campaign)
+    )
+    return Table("Errors", ("scenario", "method", "rms", "p95", "max", "skill", "slope", "rms/sigma"), rows)
+
+
+def _baselines(campaign: Campaign) -> Table:
+    """Return the errors of the answers that need no powers; that of zero is the truth's own size."""
+    rows = []
+    for (scenario, answer), figures in campaign.figures.items():
+        if answer == "zero":
+            others = [campaign.figures.get((scenario, name), {}) for name in ("robust", "corrections", "coupling")]
+            robust, corrections, coupling = (_angles(other, "rms_deg", 3) for other in others)
+            rows.append((scenario, _angles(figures, "rms_deg", 3), corrections, coupling, robust))
+    columns = ("scenario", "zero = truth", "corrections only", "coupling only", "robust")
+    return Table("Rms of answers without powers", columns, tuple(rows))
+
+
+def _control(campaign: Campaign) -> Table:
+    """Return what control would have done."""
+    rows = tuple(
+        (
+            scenario,
+            method,
+            _number(figures.get("wrong_min.roll_pitch"), 1),
+            _number(figures.get("wrong_min.yaw"), 1),
+            _number(figures.get("available_dry"), 4),
+            _number(figures.get("yaw_available_dry"), 3),
+            _number(figures.get("alarms_per_day"), 2),
+            _number(figures.get("alarm_delay_min"), 0),
+        )
+        for scenario, method, figures in _answers(campaign)
+    )
+    columns = (
+        "scenario",
+        "method",
+        "wrong r/p, min",
+        "wrong yaw, min",
+        "control in the dry",
+        "yaw",
+        "alarms a day",
+        "alarm after, min",
+    )
+    return Table("Control", columns, rows)
+
+
+def _events(campaign: Campaign) -> Table:
+    """Return how rain and faults were noticed; a scenario that has neither has no row."""
+    rows = tuple(
+        (
+            scenario,
+            method,
+            f"{_number(figures.get('rain_delay_median_min'), 0)}/{_number(figures.get('rain_delay_min'), 0)}",
+            _number(figures.get("rain_coverage"), 3),
+            _number(figures.get("rain_false_share"), 4),
+            _number(figures.get("faults"), 0),
+            _number(figures.get("faults_found_share"), 3),
+            _number(figures.get("fault_delay_median_min"), 0),
+            _number(figures.get("false_exclusion_share"), 4),
+        )
+        for scenario, method, figures in _answers(campaign)
+        if "rain_delay_min" in figures or "faults" in figures
+    )
+    columns = (
+        "scenario",
+        "method",
+        "rain after, min (median/worst)",
+        "covered",
+        "false",
+        "faults",
+        "found",
+        "after, min",
+        "false exclusion",
+    )
+    return Table("Rain and faults", columns, rows)
+
+
+def _bounds(campaign: Campaign) -> Table:
+    """Return every bound with its mark, the axes of a figure in one row."""
+    rows = []
+    for (scenario, method, figure), group in groupby(campaign.judged, key=_figure_of):
+        axes = list(group)
+        asked = " (asked)" if any(judged.bound.is_goal_asked for judged in axes) else ""
+        rows.append(
+            (
+                scenario,
+                method,
+                figure + _named_axes(axes),
+                "/".join(_number(judged.value) for judged in axes),
+                _joined([str(judged.bound.must or _DASH) for judged in axes]),
+                _joined([str(judged.bound.goal or _DASH) for judged in axes]) + asked,
+                _joined([judged.mark.value for judged in axes]),
+            )
+        )
+    return Table("Bounds", ("scenario", "method", "figure", "value", "must", "goal", "mark"), tuple(rows))
+
+
+def _figure_of(judged: Judged) -> tuple[str, str, str]:
+    """Return what the axes of one figure have in common."""
+    return judged.bound.scenario, judged.bound.method, judged.bound.figure.partition(".")[0]
+
+
+def _named_axes(axes: Sequence[Judged]) -> str:
+    """Return the names of the axes of a row, nothing where they are all three or none."""
+    names = [judged.bound.figure.partition(".")[2] for judged in axes]
+    return "" if not any(names) or tuple(names) == AXES else f" {'/'.join(names)}"
+
+
+def _joined(parts: Sequence[str]) -> str:
+    """Return what several axes say, once where they agree; a relation that they share stands in front."""
+    if len(set(parts)) == 1:
+        return parts[0]
+    relation, _, _ = parts[0].partition(" ")
+    if all(part.startswith(f"{relation} ") for part in parts):
+        return f"{relation} {'/'.join(part.partition(' ')[2] for part in parts)}"
+    return "/".join(parts)
+
+
+def _angles(figures: Figures, name: str, digits: int) -> str:
+    """Return a figure of the three axes."""
+    return "/".join(_number(figures.get(f"{name}.{axis}"), digits) for axis in AXES)
+
+
+def _number(value: float | None, digits: int = 4) -> str:
+    """Return a number without needless characters."""
+    if value is None or math.isnan(value):
+        return _DASH
+    if math.isinf(value):
+        return "never" if value > 0 else _DASH
+    text = f"{value:.{digits}f}"
+    text = text.rstrip("0").rstrip(".") if digits == 4 and "." in text else text
+    return text.replace("0.", ".", 1) if text.startswith(("0.", "-0.")) else text

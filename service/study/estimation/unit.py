@@ -1,0 +1,113 @@
+"""One scenario with one seed: the world exported, the product driven over it, everything measured.
+
+A unit is what a process of the campaign works on, so what it returns travels between processes and stays small.
+"""
+
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from service.records.attitude import BoolArray
+from service.records.measurement import Float32Array
+from service.study.estimation.accuracy import Accuracy, measure_accuracy
+from service.study.estimation.baselines import baseline_answers
+from service.study.estimation.drive import Driven, UndrivenError, drive
+from service.study.estimation.measures import Measures, judged_rows, measure_method
+from service.study.estimation.world import World, export_world, read_world
+
+
+class Unit(NamedTuple):
+    """What to run."""
+
+    scenario: str
+    seed: int
+    #: None = as long as the scenario is
+    operation_days: float | None = None
+
+
+class Drawn(NamedTuple):
+    """Answer of one method as it is drawn; T rows."""
+
+    #: (T, 3) deg, yaw, roll, pitch
+    estimate_deg: Float32Array
+    sigma_deg: Float32Array
+    #: (T,)
+    is_control_allowed: BoolArray
+
+
+class Course(NamedTuple):
+    """Operation phase of one world as it is drawn; T rows."""
+
+    #: (T,) since the start of operation
+    hours: Float32Array
+    #: (T, 3) deg
+    truth_deg: Float32Array
+    #: (T,) whether the craft is in the shadow or has not warmed yet
+    is_night: BoolArray
+    methods: dict[str, Drawn]
+
+
+@dataclass(frozen=True)
+class UnitResult:
+    """What came out of a unit."""
+
+    unit: Unit
+    seconds: float
+    #: why nothing could be driven, empty where it could
+    refusal: str = ""
+    methods: dict[str, Measures] = field(default_factory=dict)
+    baselines: dict[str, Accuracy] = field(default_factory=dict)
+    course: Course | None = None
+
+
+def run_unit(unit: Unit) -> UnitResult:
+    """Export the world of a unit, drive the product over it and measure what it said.
+
+    Raises
+    ------
+    ExportFailedError
+        The simulator wrote no world.
+    """
+    began_s = time.monotonic()
+    with tempfile.TemporaryDirectory(prefix="soo-study-") as folder:
+        path = Path(folder) / "world.npz"
+        export_world(unit.scenario, unit.seed, path, unit.operation_days)
+        world = read_world(path)
+    try:
+        driven = drive(world.ground)
+    except UndrivenError as error:
+        return UnitResult(unit, time.monotonic() - began_s, str(error))
+    methods = {name: measure_method(world, driven, series) for name, series in driven.methods.items()}
+    baselines, course = _baselines(world, driven), _course(world, driven)
+    return UnitResult(unit, time.monotonic() - began_s, "", methods, baselines, course)
+
+
+def _baselines(world: World, driven: Driven) -> dict[str, Accuracy]:
+    """Return what the answers without powers amount to."""
+    judged = judged_rows(world, driven)
+    epochs_us = world.ground.epochs_us[driven.rows]
+    answers = baseline_answers(epochs_us, driven.alignment_epoch_us, driven.alignment_deg, world.ground.corrections)
+    truth_deg = world.truth.attitude_deg[driven.rows[judged]]
+    unknown = np.full(truth_deg.shape, np.nan)
+    return {name: measure_accuracy(answer[judged], unknown, truth_deg) for name, answer in answers.items()}
+
+
+def _course(world: World, driven: Driven) -> Course:
+    """Return what is drawn."""
+    rows = driven.rows
+    hours = (world.ground.epochs_us[rows] - world.ground.phases["operation"].start_us) / 3.6e9
+    return Course(
+        hours.astype(np.float32),
+        world.truth.attitude_deg[rows].astype(np.float32),
+        np.asarray(world.truth.has_flag("eclipse")[rows].any(axis=1)),
+        {
+            name: Drawn(
+                series.estimate_deg.astype(np.float32), series.sigma_deg.astype(np.float32), series.is_control_allowed
+            )
+            for name, series in driven.methods.items()
+        },
+    )
