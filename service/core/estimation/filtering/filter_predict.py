@@ -21,19 +21,17 @@ from service.core.estimation.filtering.filter_model import (
     FloatArray,
     KnownMotion,
     model_error_component,
-    model_variance_db2,
 )
 from service.core.estimation.filtering.filter_state import (
     ATTITUDE,
     CHAIN,
     DRIFT,
-    FIRST_COMMON,
-    RAIN,
     RATE,
     Gaussian,
     core_size,
     reference_states,
 )
+from service.core.estimation.filtering.kernels import ARRAYS, Kernels
 
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
 #: below this product of rate and time the quotients of exponentials lose digits
@@ -119,7 +117,13 @@ class Weather(NamedTuple):
 
 
 def predict(
-    model: CarrierModel, settings: FilterSettings, state: Gaussian, step_us: int, known: KnownMotion, weather: Weather
+    model: CarrierModel,
+    settings: FilterSettings,
+    state: Gaussian,
+    step_us: int,
+    known: KnownMotion,
+    weather: Weather,
+    kernels: Kernels = ARRAYS,
 ) -> tuple[Gaussian, FloatArray]:
     """Return the state after a step, before its measurement.
 
@@ -137,6 +141,8 @@ def predict(
         Commanded corrections and torques of the step.
     weather : Weather
         Rain, suspicion, scale of noise, declared operations.
+    kernels : Kernels
+        Who does the arithmetic.
 
     Returns
     -------
@@ -146,71 +152,60 @@ def predict(
         Error of the calibration that the state holds now, for the next step's `Weather`.
     """
     motion = motion_over(step_us, settings)
-    hours, core = step_us / 1e6 / _S_PER_H, core_size(model)
-    factor = _decay(model, settings, hours, is_raining=weather.is_raining)
-    mean, covariance = state.mean * factor, np.multiply.outer(factor, factor)
-    covariance *= state.covariance
-    moved = motion.transition @ covariance[:9]
-    own = moved[:, :9] @ motion.transition.T
-    moved[:, :9] = 0.5 * (own + own.T)
-    # one product serves both sides: symmetric to the last bit
-    covariance[:9], covariance[:, :9] = moved, moved.T
-    mean[:9] = motion.transition @ mean[:9]
-    mean[ATTITUDE] += known.correction_deg + known.late_correction_deg + 0.5 * hours * known.rate_change_deg_h
-    mean[RATE] += known.rate_change_deg_h
-    covariance[:9, :9] += motion.noise
-    added, variance = _added_noise(model, settings, mean, hours, known, weather, factor[core:])
-    diagonal = covariance.ravel()[:: len(mean) + 1]
-    diagonal += added
+    seconds = step_us / 1e6
+    hours, scale2 = seconds / _S_PER_H, weather.slow_scale**2
+    # rain that is none is forgotten
+    rain_factor = 1.0 if weather.is_raining else math.exp(-seconds / settings.rain_dry_tau_s)
+    mean, covariance, factor = kernels.fade(
+        state.mean, state.covariance, rain_factor, seconds, model.common_tau_s, model.coloured_tau_s
+    )
+    kernels.turn(mean, covariance, motion.transition, motion.noise, _push(hours, known))
+    variance = kernels.model_variance(model.coefficient_covariance, mean[ATTITUDE])
+    kernels.grow(
+        covariance,
+        factor,
+        np.array(_core_variance(settings, hours, known, weather)),
+        model.common_sigma_db**2,
+        scale2 * model.coloured_sigma_db**2,
+        model_error_component(model),
+        scale2 * hours * model.reference_walk_db**2,
+        weather.model_variance_db2,
+        variance,
+    )
     if weather.declared is not None:
-        diagonal += _declared_variance(model, weather.declared, hours)
+        covariance.ravel()[:: len(mean) + 1] += _declared_variance(model, weather.declared, hours)
         _move_together(model, covariance, weather.declared.group_step_db)
     return Gaussian(mean, covariance), variance
 
 
-def _decay(model: CarrierModel, settings: FilterSettings, hours: float, *, is_raining: bool) -> FloatArray:
-    """Return the factor (D,) on every state; attitude, drift and rate keep theirs for the motion."""
-    core = np.ones(FIRST_COMMON)
-    if not is_raining:
-        core[RAIN] = math.exp(-hours * _S_PER_H / settings.rain_dry_tau_s)
-    seconds = hours * _S_PER_H
-    return np.concatenate(
-        [
-            core,
-            np.exp(-seconds / model.common_tau_s),
-            np.exp(-seconds / model.coloured_tau_s).T.ravel(),
-            np.ones(model.carriers),
-        ]
-    )
+def _push(hours: float, known: KnownMotion) -> FloatArray:
+    """Return what commands add to attitude, drift and rate (9,)."""
+    push = np.zeros(9)
+    push[ATTITUDE] = known.correction_deg + known.late_correction_deg + 0.5 * hours * known.rate_change_deg_h
+    push[RATE] = known.rate_change_deg_h
+    return push
 
 
-def _added_noise(
-    model: CarrierModel,
-    settings: FilterSettings,
-    mean: FloatArray,
-    hours: float,
-    known: KnownMotion,
-    weather: Weather,
-    carrier_decay: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Return the variance (D,) that a step adds beside the drifts, and the calibration's error now."""
-    core = np.zeros(core_size(model))
-    core[ATTITUDE] = _commanded_variance(settings, hours, known)
-    core[ATTITUDE] += np.array(weather.is_unannounced) * np.array(settings.unannounced_walk_deg) ** 2 * hours
-    core[RATE] = (settings.torque_scale * known.rate_change_deg_h) ** 2
-    core[CHAIN] = settings.chain_walk_db**2 * hours
-    core[RAIN] = (settings.rain_wet_db if weather.is_raining else settings.rain_dry_db) ** 2 * 60.0 * hours
-    core[FIRST_COMMON:] = model.common_sigma_db**2 * -np.expm1(-2.0 * hours * _S_PER_H / model.common_tau_s)
-    component = model_error_component(model)
-    variance = model_variance_db2(model, mean[ATTITUDE])
-    keep2 = carrier_decay[: model.carriers * model.components].reshape(model.components, model.carriers).T ** 2
-    coloured = (weather.slow_scale * model.coloured_sigma_db) ** 2 * (1.0 - keep2)
-    at = np.arange(model.carriers)
-    # a growing error is added at once: the attitude has moved, and the error with it
-    grown = variance - keep2[at, component] * weather.model_variance_db2
-    coloured[at, component] += np.maximum(grown, (1.0 - keep2[at, component]) * variance)
-    walk = (weather.slow_scale * model.reference_walk_db) ** 2 * hours
-    return np.concatenate([core, coloured.T.ravel(), walk]), variance
+def _core_variance(settings: FilterSettings, hours: float, known: KnownMotion, weather: Weather) -> list[float]:
+    """Return the variance that a step adds to the first eleven states beside what the drifts do.
+
+    Commanded angles have an error of scale that lasts for a whole command; late ones may be wrong altogether.
+    """
+    rows = max(1.0, settings.correction_span_s / (hours * _S_PER_H))
+    walks = zip(settings.unannounced_walk_deg, weather.is_unannounced, strict=True)
+    rates = [settings.torque_scale * rate for rate in known.rate_change_deg_h.tolist()]
+    attitude = [
+        settings.correction_scale**2 * rows * correction**2
+        + late**2
+        + (0.5 * hours * rate) ** 2
+        + (walk**2 * hours if is_followed else 0.0)
+        for correction, late, rate, (walk, is_followed) in zip(
+            known.correction_deg.tolist(), known.late_correction_deg.tolist(), rates, walks, strict=True
+        )
+    ]
+    rain_db = settings.rain_wet_db if weather.is_raining else settings.rain_dry_db
+    rest = [settings.chain_walk_db**2 * hours, rain_db**2 * 60.0 * hours]
+    return attitude + [0.0] * (DRIFT.stop - DRIFT.start) + [rate**2 for rate in rates] + rest
 
 
 def _declared_variance(model: CarrierModel, declared: Declared, hours: float) -> FloatArray:
@@ -227,11 +222,3 @@ def _move_together(model: CarrierModel, covariance: FloatArray, group_step_db: F
     for transponder in np.flatnonzero(group_step_db).tolist():
         places = reference_states(model, np.flatnonzero(model.transponder == transponder))
         covariance[np.ix_(places, places)] += group_step_db[transponder] ** 2
-
-
-def _commanded_variance(settings: FilterSettings, hours: float, known: KnownMotion) -> FloatArray:
-    """Return the variance (3,) of commanded angles: one error of scale lasts for a whole command."""
-    rows = max(1.0, settings.correction_span_s / (hours * _S_PER_H))
-    scale = settings.correction_scale**2 * rows * known.correction_deg**2
-    torque = (0.5 * hours * settings.torque_scale * known.rate_change_deg_h) ** 2
-    return np.asarray(scale + known.late_correction_deg**2 + torque)

@@ -1,11 +1,13 @@
 """Measurement update of the attitude filter.
 
-    nu = y - h(x),   S = H P H' + R,   K = P H' S^-1,   x += K nu
-    P' = (I - K H) P (I - K H)' + K R K'        (Joseph)
+    nu = y - h(x),   S = H P H' + R = L L',   W = L^-1 H P,   w = L^-1 nu
+    x' = x + W' w,   P' = P - W' W
 
 H has three columns of attitude, one each of chain and rain, and ones at the carrier's own states, so that H P is a sum
 of rows and nothing of size (D, D) is ever multiplied with another of that size. The law of this file: the covariance
-stays symmetric and positive definite, whatever rounding does.
+stays symmetric, to the last bit, and positive definite. What W' W loses to rounding in row i and column j is some
+n eps sqrt(P_ii P_jj), 1e-14 of the two sigmas; every step adds far more than that to each state that rows tell about,
+and the white noise keeps what is left of it large against that.
 """
 
 from typing import NamedTuple
@@ -14,6 +16,7 @@ import numpy as np
 
 from service.core.estimation.filtering.filter_model import CarrierModel, FloatArray, IntArray, pattern_change
 from service.core.estimation.filtering.filter_state import ATTITUDE, CHAIN, FIRST_COMMON, RAIN, Gaussian, core_size
+from service.core.estimation.filtering.kernels import ARRAYS, Kernels
 
 #: an update that moves the attitude by more than this is linearised again where it leads, deg
 _RELINEARISE_DEG = 0.05
@@ -65,6 +68,7 @@ def innovate(
     carriers: IntArray,
     white_db2: FloatArray,
     at_deg: FloatArray | None = None,
+    kernels: Kernels = ARRAYS,
 ) -> Innovation:
     """Return the innovations of some carriers.
 
@@ -82,35 +86,27 @@ def innovate(
         White noise of every carrier.
     at_deg : ndarray, shape (3,), deg, optional
         Attitude at which the patterns are linearised; default the predicted one.
+    kernels : Kernels
+        Who does the arithmetic.
 
     Returns
     -------
     Innovation
         Of the carriers in the order given.
     """
-    core = core_size(model)
-    attitude = state.mean[ATTITUDE]
-    pattern = pattern_change(model, attitude if at_deg is None else at_deg)
-    jacobian = np.ones((len(carriers), core))
-    jacobian[:, ATTITUDE] = pattern.gradient_db_deg[carriers]
-    jacobian[:, ATTITUDE.stop : CHAIN] = 0.0
-    jacobian[:, RAIN] = -model.rain_share[carriers]
-    innovation = deviation_db[carriers] - expected_db(model, state.mean, carriers)
-    if at_deg is not None:
-        straight = pattern.deviation_db + pattern.gradient_db_deg @ (attitude - at_deg)
-        innovation += (pattern_change(model, attitude).deviation_db - straight)[carriers]
-    rows = state.covariance[core:].reshape(-1, model.carriers, len(state.mean)).sum(axis=0)
-    cross = jacobian @ state.covariance[:core]
-    cross += rows[carriers]
-    predicted = cross[:, :core] @ jacobian.T
-    predicted += _own_columns(model, cross, carriers)
-    return Innovation(carriers, innovation, 0.5 * (predicted + predicted.T), white_db2[carriers], jacobian, cross)
-
-
-def _own_columns(model: CarrierModel, matrix: FloatArray, carriers: IntArray) -> FloatArray:
-    """Return (M, n): the columns of every carrier's own states added up."""
-    own = matrix[:, core_size(model) :].reshape(len(matrix), -1, model.carriers).sum(axis=1)
-    return np.asarray(own[:, carriers])
+    innovation_db, jacobian = kernels.linearise(
+        state.mean,
+        state.mean[ATTITUDE] if at_deg is None else at_deg,
+        model.gradient_db_deg,
+        model.hessian_db_deg2,
+        model.rain_share,
+        deviation_db,
+        carriers,
+        len(model.common_sigma_db),
+    )
+    cross = kernels.project(state.covariance, jacobian, carriers, model.carriers)
+    predicted = kernels.spread(cross, jacobian, carriers, model.carriers)
+    return Innovation(carriers, innovation_db, predicted, white_db2[carriers], jacobian, cross)
 
 
 class Updated(NamedTuple):
@@ -124,7 +120,13 @@ class Updated(NamedTuple):
     degrees: int
 
 
-def update(model: CarrierModel, state: Gaussian, deviation_db: FloatArray, innovation: Innovation) -> Updated:
+def update(
+    model: CarrierModel,
+    state: Gaussian,
+    deviation_db: FloatArray,
+    innovation: Innovation,
+    kernels: Kernels = ARRAYS,
+) -> Updated:
     """Return the state after its measurement.
 
     Parameters
@@ -137,52 +139,35 @@ def update(model: CarrierModel, state: Gaussian, deviation_db: FloatArray, innov
         The measurement.
     innovation : Innovation
         Of the carriers to be used, white noise raised where one is trusted less; n >= 1.
+    kernels : Kernels
+        Who does the arithmetic.
 
     Returns
     -------
     Updated
         New state. Rain below zero is put to zero along its correlations.
     """
-    carriers, nu, _, white, _, _ = innovation
-    gain, whitened = _gain(innovation)
-    attitude_variance = (gain[:, ATTITUDE] * innovation.cross[:, ATTITUDE]).sum(axis=0)
-    shift = nu @ gain[:, ATTITUDE] / np.sqrt(attitude_variance)
-    nis = float(nu @ whitened)
-    mean = state.mean + nu @ gain
-    all_white = np.zeros(model.carriers)
-    all_white[carriers] = white
-    at_deg, last = state.mean[ATTITUDE], innovation
+    carriers, white = innovation.carriers, innovation.white_db2
+    mean, whitened, residual = _absorbed(state, innovation, kernels)
+    own = whitened[:, ATTITUDE]
+    shift, nis = (residual @ own) / np.sqrt(np.square(own).sum(axis=0)), float(residual @ residual)
+    at_deg = state.mean[ATTITUDE]
     for _ in range(_MAX_PASSES):
         if float(np.abs(mean[ATTITUDE] - at_deg).max()) <= _RELINEARISE_DEG:
             break
         at_deg = mean[ATTITUDE]
-        last = innovate(model, state, deviation_db, carriers, all_white, at_deg)
-        gain, _ = _gain(last)
-        mean = state.mean + last.innovation_db @ gain
-    covariance = _joseph(model, state.covariance, last, gain)
+        all_white = np.zeros(model.carriers)
+        all_white[carriers] = white
+        again = innovate(model, state, deviation_db, carriers, all_white, at_deg, kernels)
+        mean, whitened, residual = _absorbed(state, again, kernels)
+    covariance = kernels.reduce(state.covariance, whitened)
     return Updated(_with_rain_above_zero(mean, covariance), shift, nis, len(carriers))
 
 
-def _gain(innovation: Innovation) -> tuple[FloatArray, FloatArray]:
-    """Return K' (n, D) and S^-1 nu (n,)."""
-    right = np.column_stack([innovation.cross, innovation.innovation_db])
-    solved = np.linalg.solve(innovation.covariance_db2, right)
-    return np.asarray(solved[:, :-1]), np.asarray(solved[:, -1])
-
-
-def _joseph(model: CarrierModel, covariance: FloatArray, innovation: Innovation, gain: FloatArray) -> FloatArray:
-    """Return the covariance after an update; `gain` is K' of shape (n, D)."""
-    # matrices of this size cost more to allocate than to add up: two are made, the rest is done in place
-    left = gain.T @ innovation.cross
-    np.subtract(covariance, left, out=left)
-    across = left[:, : core_size(model)] @ innovation.core_jacobian.T
-    across += _own_columns(model, left, innovation.carriers)
-    across -= gain.T * innovation.white_db2
-    right = across @ gain
-    left -= right
-    np.add(left, left.T, out=right)
-    right *= 0.5
-    return right
+def _absorbed(state: Gaussian, innovation: Innovation, kernels: Kernels) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the mean after the innovations, W and w."""
+    _, nu, predicted, white, _, cross = innovation
+    return kernels.absorb(state.mean, nu, predicted, white, cross)
 
 
 def _with_rain_above_zero(mean: FloatArray, covariance: FloatArray) -> Gaussian:

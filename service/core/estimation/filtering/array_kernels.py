@@ -1,0 +1,141 @@
+"""Kernels of the filter step in numpy; `kernels` holds their shapes and how a set is chosen.
+
+The law of this file: plain arithmetic of arrays; what a number means is the callers' business. `fade` returns arrays of
+its own, which `turn` and `grow` then change in place; nothing else is written.
+"""
+
+import numpy as np
+
+from service.core.estimation.filtering.filter_model import FloatArray, IntArray
+from service.core.estimation.filtering.filter_state import ATTITUDE, CHAIN, FIRST_COMMON, RAIN
+
+#: attitude, drifts and rates move into one another
+_MOVING = 9
+
+
+def fade(
+    mean: FloatArray,
+    covariance: FloatArray,
+    rain_factor: float,
+    seconds: float,
+    common_tau_s: FloatArray,
+    coloured_tau_s: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return mean, covariance and factors (D,) after every state has decayed by its own correlation time."""
+    core = np.ones(FIRST_COMMON)
+    core[RAIN] = rain_factor
+    parts = [np.exp(-seconds / common_tau_s), np.exp(-seconds / coloured_tau_s).T.ravel()]
+    factor = np.concatenate([core, *parts, np.ones(len(coloured_tau_s))])
+    faded = np.multiply.outer(factor, factor)
+    faded *= covariance
+    return mean * factor, faded, factor
+
+
+def turn(
+    mean: FloatArray, covariance: FloatArray, transition: FloatArray, drift_noise: FloatArray, push: FloatArray
+) -> None:
+    """Move the first nine states: mean to ``T mean + push``, covariance to ``T P T' + noise``, in place."""
+    moved = transition @ covariance[:_MOVING]
+    own = moved[:, :_MOVING] @ transition.T
+    moved[:, :_MOVING] = 0.5 * (own + own.T) + drift_noise
+    # one product serves both sides: symmetric to the last bit
+    covariance[:_MOVING], covariance[:, :_MOVING] = moved, moved.T
+    mean[:_MOVING] = transition @ mean[:_MOVING] + push
+
+
+def model_variance(coefficient_covariance: FloatArray, attitude_deg: FloatArray) -> FloatArray:
+    """Return (N,) dB^2: what errors of the calibrated coefficients (N, 9, 9) add at an attitude (3,)."""
+    yaw, roll, pitch = attitude_deg.tolist()
+    squares = [yaw * yaw / 2.0, yaw * roll, yaw * pitch, roll * roll / 2.0, roll * pitch, pitch * pitch / 2.0]
+    slope = np.array([yaw, roll, pitch, *squares])
+    return np.asarray((coefficient_covariance @ slope) @ slope)
+
+
+def grow(
+    covariance: FloatArray,
+    factor: FloatArray,
+    core_added: FloatArray,
+    common_variance: FloatArray,
+    coloured_variance: FloatArray,
+    error_component: IntArray,
+    reference_added: FloatArray,
+    held_variance: FloatArray,
+    variance: FloatArray,
+) -> None:
+    """Add to the diagonal, in place, what a step brings.
+
+    Core (11,) and references (N,) as they are; common (G,) and coloured (N, K) parts what keeps their variance
+    stationary. The part `error_component` (N,) also carries an error of variance `variance` (N,), of which the state
+    held `held_variance` (N,) before the step. A growing error is added at once: the attitude has moved, and the error
+    with it.
+    """
+    first = FIRST_COMMON + len(common_variance)
+    carriers, components = coloured_variance.shape
+    lost = 1.0 - factor[first:-carriers].reshape(components, carriers).T ** 2
+    coloured = coloured_variance * lost
+    at = np.arange(carriers)
+    gone = lost[at, error_component]
+    coloured[at, error_component] += np.maximum(variance - (1.0 - gone) * held_variance, gone * variance)
+    common = common_variance * (1.0 - factor[FIRST_COMMON:first] ** 2)
+    covariance.ravel()[:: len(covariance) + 1] += np.concatenate(
+        [core_added, common, coloured.T.ravel(), reference_added]
+    )
+
+
+def linearise(
+    mean: FloatArray,
+    at_deg: FloatArray,
+    gradient_db_deg: FloatArray,
+    hessian_db_deg2: FloatArray,
+    rain_share: FloatArray,
+    deviation_db: FloatArray,
+    carriers: IntArray,
+    common: int,
+) -> tuple[FloatArray, FloatArray]:
+    """Return innovations (n,) in dB and Jacobian (n, C) of the core states, patterns linearised at `at_deg` (3,)."""
+    core = FIRST_COMMON + common
+    bend = hessian_db_deg2[carriers] @ at_deg
+    gradient = gradient_db_deg[carriers] + bend
+    jacobian = np.ones((len(carriers), core))
+    jacobian[:, ATTITUDE] = gradient
+    jacobian[:, ATTITUDE.stop : CHAIN] = 0.0
+    jacobian[:, RAIN] = -rain_share[carriers]
+    # gradient l - half of bend at: the pattern where it is linearised and its slope from there on
+    own = mean[core:].reshape(-1, len(rain_share)).sum(axis=0)[carriers]
+    return deviation_db[carriers] + 0.5 * (bend @ at_deg) - jacobian @ mean[:core] - own, jacobian
+
+
+def project(covariance: FloatArray, jacobian: FloatArray, carriers: IntArray, count: int) -> FloatArray:
+    """Return ``H P`` (n, D); `count` is N."""
+    core = jacobian.shape[1]
+    own = covariance[core:].reshape(-1, count, len(covariance)).sum(axis=0)
+    return np.asarray(jacobian @ covariance[:core] + own[carriers])
+
+
+def spread(cross: FloatArray, jacobian: FloatArray, carriers: IntArray, count: int) -> FloatArray:
+    """Return ``H P H'`` (n, n) of ``H P``, symmetric to the last bit."""
+    core = jacobian.shape[1]
+    own = cross[:, core:].reshape(len(cross), -1, count).sum(axis=1)
+    product = cross[:, :core] @ jacobian.T + own[:, carriers]
+    return np.asarray(0.5 * (product + product.T))
+
+
+def absorb(
+    mean: FloatArray, innovation_db: FloatArray, spread_db2: FloatArray, white_db2: FloatArray, cross: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return mean, ``L^-1 H P`` (n, D) and ``L^-1 nu`` (n,), L the Cholesky factor of the innovations' covariance.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The covariance of the innovations is not positive definite.
+    """
+    factor = np.linalg.cholesky(spread_db2 + np.diag(white_db2))
+    solved = np.linalg.solve(factor, np.column_stack([cross, innovation_db]))
+    whitened, residual = np.ascontiguousarray(solved[:, :-1]), solved[:, -1].copy()
+    return mean + residual @ whitened, whitened, residual
+
+
+def reduce(covariance: FloatArray, whitened: FloatArray) -> FloatArray:
+    """Return ``P - W' W`` (D, D) for W of `absorb`, symmetric to the last bit."""
+    return np.asarray(covariance - whitened.T @ whitened)

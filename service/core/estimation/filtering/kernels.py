@@ -1,0 +1,63 @@
+"""Kernels of the filter step: the arithmetic that every row costs, in two sets that do the same.
+
+``ARRAYS`` needs numpy alone; ``compiled_kernels()`` compiles the same arithmetic written as loops and costs the import
+of numba. The law of this file: a set is chosen once, where the program is put together, and handed down; the sets agree
+to rounding, and each gives the same bits for the same row: no sum is reordered, nothing runs in parallel.
+
+Shapes: D states, of them C in front that no single carrier owns, G of these common parts; N carriers of K components
+each, n of them used in a row.
+"""
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import NamedTuple
+
+from service.core.estimation.filtering import array_kernels, loop_kernels
+from service.core.estimation.filtering.filter_model import FloatArray, IntArray
+
+
+class Kernels(NamedTuple):
+    """What a set offers; the functions of `array_kernels` say what each one does."""
+
+    fade: Callable[
+        [FloatArray, FloatArray, float, float, FloatArray, FloatArray], tuple[FloatArray, FloatArray, FloatArray]
+    ]
+    turn: Callable[[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray], None]
+    model_variance: Callable[[FloatArray, FloatArray], FloatArray]
+    grow: Callable[
+        [FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, IntArray, FloatArray, FloatArray, FloatArray], None
+    ]
+    linearise: Callable[
+        [FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, IntArray, int],
+        tuple[FloatArray, FloatArray],
+    ]
+    project: Callable[[FloatArray, FloatArray, IntArray, int], FloatArray]
+    spread: Callable[[FloatArray, FloatArray, IntArray, int], FloatArray]
+    absorb: Callable[
+        [FloatArray, FloatArray, FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray, FloatArray]
+    ]
+    reduce: Callable[[FloatArray, FloatArray], FloatArray]
+
+
+ARRAYS = Kernels(*(getattr(array_kernels, name) for name in Kernels._fields))
+
+
+@lru_cache(maxsize=2)
+def compiled_kernels(*, is_cached: bool = True) -> Kernels:
+    """Return the compiled set; a kernel is compiled at its first call, or read from numba's cache.
+
+    Parameters
+    ----------
+    is_cached : bool
+        Keep the machine code beside the source or in the user's cache; False where neither can be written.
+
+    Raises
+    ------
+    RuntimeError
+        There is no place for the cache.
+    """
+    # the import costs a quarter of a second: only a program that filters pays it
+    from numba import njit
+
+    compiler = njit(cache=is_cached, nogil=True, error_model="numpy")
+    return Kernels(*(compiler(getattr(loop_kernels, name)) for name in Kernels._fields))

@@ -1,0 +1,107 @@
+"""Claims about the two sets of kernels: the same arithmetic, once in numpy and once as compiled loops."""
+
+import numpy as np
+import pytest
+
+from service.core.estimation.filtering import loop_kernels
+from service.core.estimation.filtering.filter_model import FilterSettings, KnownMotion, model_variance_db2
+from service.core.estimation.filtering.filter_predict import Weather, predict
+from service.core.estimation.filtering.filter_update import innovate, update
+from service.core.estimation.filtering.kernels import ARRAYS, Kernels, compiled_kernels
+
+MINUTE_US = 60_000_000
+#: the loops as Python runs them: slow, but every line of them is seen by the coverage
+UNCOMPILED = Kernels(*(getattr(loop_kernels, name) for name in Kernels._fields))
+
+
+@pytest.fixture(scope="module")
+def compiled():
+    """The compiled set; the first run after a change of the loops compiles for some seconds."""
+    return compiled_kernels()
+
+
+def walk(model, state, kernels, rows):
+    """Return the states of some rows with rain, commands, a jump and carriers that come and go."""
+    rng, settings, states = np.random.default_rng(11), FilterSettings(), []
+    variance = np.zeros(model.carriers)
+    for row in range(rows):
+        known = KnownMotion(*(0.01 * rng.standard_normal((3, 3))))
+        weather = Weather(row % 5 == 0, (False, row % 3 == 0, False), 1.3, variance)
+        state, variance = predict(model, settings, state, MINUTE_US * (1 + row % 4), known, weather, kernels)
+        deviation_db = 0.2 * rng.standard_normal(model.carriers) - 3.0 * (row == rows // 2)
+        carriers = np.flatnonzero(rng.random(model.carriers) < 0.8)
+        innovation = innovate(model, state, deviation_db, carriers, model.white_sigma_db**2, None, kernels)
+        state = update(model, state, deviation_db, innovation, kernels).state
+        states.append((state.mean, state.covariance, variance))
+    return states
+
+
+def assert_alike(first, second, tolerance):
+    for (mean, covariance, variance), (other_mean, other, other_variance) in zip(first, second, strict=True):
+        sigma = np.sqrt(np.diagonal(covariance))
+        # relative to the sigmas: an element that happens to be near zero has no relative accuracy of its own
+        assert np.abs((mean - other_mean) / sigma).max() <= tolerance
+        assert np.abs((covariance - other) / np.outer(sigma, sigma)).max() <= tolerance
+        np.testing.assert_allclose(variance, other_variance, rtol=1e-10, atol=1e-20)
+
+
+@pytest.mark.parametrize(("components", "common"), [(1, 0), (3, 2)])
+def test_both_sets_agree(filter_models, compiled, components, common):
+    model = filter_models.carrier_model(components=components, common=common)
+    model = model._replace(coefficient_covariance=model.coefficient_covariance + 1e-5)
+    start = filter_models.aligned(model)
+    arrays, loops = walk(model, start, ARRAYS, 40), walk(model, start, compiled, 40)
+    assert_alike(arrays, loops, 1e-10)  # 1e-12 of one row, and forty rows build upon one another
+    assert_alike(arrays[:1], loops[:1], 1e-12)
+
+
+def test_the_loops_are_python_too(filter_models, compiled):
+    model = filter_models.carrier_model(carriers=6, components=2, common=1)
+    start = filter_models.aligned(model)
+    # the processor's own exponential and root may differ from the library's in the last place
+    assert_alike(walk(model, start, UNCOMPILED, 3), walk(model, start, compiled, 3), 1e-12)
+
+
+@pytest.mark.parametrize("name", ["arrays", "compiled"])
+def test_a_set_gives_the_same_bits_twice_and_a_covariance_that_stays_one(filter_models, compiled, name):
+    kernels = {"arrays": ARRAYS, "compiled": compiled}[name]
+    model = filter_models.carrier_model(common=1)
+    first, second = (walk(model, filter_models.aligned(model), kernels, 60) for _ in range(2))
+    for (mean, covariance, _), (other_mean, other, _) in zip(first, second, strict=True):
+        np.testing.assert_array_equal(mean, other_mean)
+        np.testing.assert_array_equal(covariance, other)
+        np.testing.assert_array_equal(covariance, covariance.T)
+        scale = np.sqrt(np.diagonal(covariance))
+        assert np.linalg.eigvalsh(covariance / np.outer(scale, scale)).min() > 1e-9
+
+
+@pytest.mark.parametrize("name", ["arrays", "compiled"])
+def test_a_precise_row_on_free_references_leaves_a_positive_covariance(filter_models, compiled, name):
+    kernels = {"arrays": ARRAYS, "compiled": compiled}[name]
+    model = filter_models.carrier_model()._replace(white_sigma_db=np.full(12, 1e-4))
+    state = filter_models.aligned(model)
+    wide = state.covariance.copy()
+    wide[-12:, -12:] += 9.0 * (np.eye(12) + 1.0)
+    state = state._replace(covariance=wide)
+    for _ in range(200):
+        row = innovate(model, state, np.zeros(12), np.arange(12), model.white_sigma_db**2, None, kernels)
+        state = update(model, state, np.zeros(12), row, kernels).state
+    assert (np.diagonal(state.covariance) > 0.0).all()
+    scale = np.sqrt(np.diagonal(state.covariance))
+    # nothing is added between the rows, which operation never does
+    assert np.linalg.eigvalsh(state.covariance / np.outer(scale, scale)).min() > -1e-12
+
+
+@pytest.mark.parametrize("name", ["arrays", "compiled", "uncompiled"])
+def test_innovations_without_a_covariance_are_refused(compiled, name):
+    kernels = {"arrays": ARRAYS, "compiled": compiled, "uncompiled": UNCOMPILED}[name]
+    with pytest.raises(np.linalg.LinAlgError):
+        kernels.absorb(np.zeros(2), np.zeros(2), np.array([[1.0, 2.0], [2.0, 1.0]]), np.zeros(2), np.zeros((2, 2)))
+
+
+def test_the_error_of_the_calibration_is_that_of_the_model(filter_models):
+    model, attitude_deg = filter_models.carrier_model(), np.array([0.2, -0.1, 0.3])
+    expected = model_variance_db2(model, attitude_deg)
+    for kernels in (ARRAYS, UNCOMPILED):
+        variance = kernels.model_variance(model.coefficient_covariance, attitude_deg)
+        np.testing.assert_allclose(variance, expected, rtol=1e-13)  # sums of 81 products
