@@ -178,6 +178,8 @@ def truth_row(world: World, row: int, attitude_deg: FloatArray | Iterable[float]
         "downlink_fade_db": round(float(rows.downlink_fade_db[row]), 6),
         "chain_db": round(float(rows.chain_db[row]), 6),
     }
+    if rows.is_gap[row]:
+        line["is_gap"] = True
     flags = zip(world.carrier_ids, rows.flags[row].tolist(), strict=True)
     faults = {name: [flag.name.lower() for flag in FaultFlag(bits) if flag.name] for name, bits in flags if bits}
     return {**line, "faults": faults} if faults else line

@@ -2,9 +2,10 @@
 
 The simulator tells the ground's knowledge on its second port; it is forwarded through the public REST interface
 before the rows it belongs to, as a control centre would. The truth comes the same way and goes to the judge only.
+A new carrier plan or another analyzer ends the front end once its rows have arrived; the next one starts on the new
+task.
 """
 
-import json
 import math
 import os
 import secrets
@@ -19,11 +20,11 @@ import numpy as np
 
 from service.client.service_client import ServiceClient
 from service.records.attitude import BoolArray, FloatArray, IntArray
-from service.records.epoch import parse_epoch
+from service.records.epoch import format_epoch, parse_epoch
 from service.study.archive_check import check_archive, check_replay, missed_promises
 from service.study.ground_link import GroundLink
 from service.study.merit import AXES, AxisMerit, judge_axis, missed_bounds
-from service.study.processes import ChildProcess
+from service.study.processes import ChildProcess, FrontEnd
 
 #: wait for rows that are on their way, s
 _ARRIVAL_TIMEOUT_S = 120.0
@@ -50,11 +51,18 @@ class Story:
 
     spacecraft_id: str = ""
     phases: dict[str, tuple[str, str]] = field(default_factory=dict)
-    #: epoch to angles (yaw, roll, pitch), deg
+    #: epoch of every row that is swept to angles (yaw, roll, pitch), deg
     truth_deg: dict[int, tuple[float, float, float]] = field(default_factory=dict)
     catalogue: dict[str, Any] = field(default_factory=dict)
     #: one-row bound of the true beams with a common unknown, deg
     bound_deg: dict[str, float] = field(default_factory=dict)
+    #: the sensor that told each axis first
+    sensors: dict[str, str] = field(default_factory=dict)
+    #: the analyzer that measures, and those that have sent rows
+    source: str = "sa-1"
+    heard: set[str] = field(default_factory=set)
+    #: newest row that may have been swept, microseconds UTC
+    granted_us: int = 0
 
 
 @dataclass(frozen=True)
@@ -72,13 +80,15 @@ Show = Callable[[Scene], None]
 
 
 @contextmanager
-def simulated_station(directory: Path, *, seed: int, operation_days: float) -> Iterator[Endpoints]:
+def simulated_station(
+    directory: Path, *, seed: int, operation_days: float, scenario: str = "demo"
+) -> Iterator[Endpoints]:
     """Start simulator and service, give their addresses, and end them."""
     key = secrets.token_urlsafe(24)
     environment = {**os.environ, "SOO_BOOTSTRAP_KEY": key, "SOO_KEY": key, "OPENBLAS_NUM_THREADS": "1"}
     simulator = [
         *("analyzer_sim", "serve", "--dialect", "rs", "--port", "0", "--ground-port", "0", "--await-ground"),
-        *("--scenario", "demo", "--seed", str(seed), "--operation-days", str(operation_days)),
+        *("--scenario", scenario, "--seed", str(seed), "--operation-days", str(operation_days)),
     ]
     database = f"sqlite:///{directory / 'soo.db'}"
     server = ["service", "serve", "--port", "0", "--clock", "data", "--database", database]
@@ -93,19 +103,14 @@ def simulated_station(directory: Path, *, seed: int, operation_days: float) -> I
         yield Endpoints(url, key, ("127.0.0.1", int(ports["ground_port"])), resource, (analyzer, service))
 
 
-@contextmanager
-def front_end(directory: Path, endpoints: Endpoints, story: Story) -> Iterator[ChildProcess]:
-    """Start the front end on the measurement task that the story told."""
-    task_path = directory / "task.json"
-    task_path.write_text(json.dumps(story.catalogue["task"]))
+def front_end(directory: Path, endpoints: Endpoints, spacecraft_id: str) -> FrontEnd:
+    """Return the front end of a spacecraft, not yet started."""
     environment = {**os.environ, "SOO_KEY": endpoints.key, "OPENBLAS_NUM_THREADS": "1"}
     arguments = [
-        *("service", "acquire", "--task", str(task_path), "--resource", endpoints.resource),
-        *("--service", endpoints.service_url, "--spacecraft", story.spacecraft_id, "--epoch", "analyzer"),
-        *("--period", "0", "--hold-s", "600", "--json-log"),
+        *("--resource", endpoints.resource, "--service", endpoints.service_url, "--spacecraft", spacecraft_id),
+        *("--epoch", "analyzer", "--period", "0", "--hold-s", "600", "--json-log"),
     ]
-    with ChildProcess("front end", arguments, directory / "acquire.log", environment, announces=False) as process:
-        yield process
+    return FrontEnd(directory, arguments, environment)
 
 
 def run_story(directory: Path, endpoints: Endpoints, client: ServiceClient, show: Show) -> Story:
@@ -113,43 +118,97 @@ def run_story(directory: Path, endpoints: Endpoints, client: ServiceClient, show
     story = Story()
     with ExitStack() as stack:
         link = stack.enter_context(GroundLink(*endpoints.ground))
-        processes = list(endpoints.processes)
+        station: FrontEnd | None = None
         for message in link.messages():
+            if message["kind"] in _ENDS_A_TASK and station is not None and station.is_running:
+                _await_rows(story, client, show)
+                station.stop()
+                if message["kind"] == "carriers" and "calibration" not in story.catalogue and _is_turned(story):
+                    # what the turns taught belongs to the plan under which they were flown
+                    _calibrate(story, client, show)
             _learn(story, client, message)
             if message["kind"] != "hold":
                 continue
-            if len(processes) == len(endpoints.processes):
-                processes.append(stack.enter_context(front_end(directory, endpoints, story)))
-            for process in processes:
+            station = station or stack.enter_context(front_end(directory, endpoints, story.spacecraft_id))
+            if not station.is_running:
+                station.start(story.catalogue["task"], story.source)
+            station.require_alive()
+            for process in endpoints.processes:
                 process.require_alive()
-            if message["phase"] == "operation" and "calibration" not in story.catalogue:
-                _calibrate_and_align(story, client, show)
-            link.proceed()
-            if message["phase"] == "operation":
-                await_results(client, story.spacecraft_id, message["until"])
-                show(Scene("operation", message["until"], story, client))
+            _sweep_chunk(story, client, show, link, message)
     return story
+
+
+#: lines after which the front end has something else to do
+_ENDS_A_TASK = frozenset({"carriers", "source"})
+
+
+def _sweep_chunk(story: Story, client: ServiceClient, show: Show, link: GroundLink, message: dict[str, Any]) -> None:
+    """Let the rows of a chunk be swept; in operation wait for their results."""
+    is_operation = message["phase"] == "operation"
+    if is_operation and "alignment" not in story.catalogue:
+        _await_rows(story, client, show)
+        if "calibration" not in story.catalogue:
+            _calibrate(story, client, show)
+        _align(story, client)
+    is_new_source = story.source not in story.heard
+    if story.heard and not is_new_source:
+        _select_source(story, client)
+    link.proceed()
+    story.granted_us = max(story.truth_deg, default=0)
+    if story.heard and is_new_source:
+        # the service knows a source by its rows; this chunk holds the first one
+        _await_rows(story, client, show)
+        _select_source(story, client)
+    elif is_operation and story.granted_us:
+        await_results(client, story.spacecraft_id, format_epoch(story.granted_us))
+        show(Scene("operation", message["until"], story, client))
+    story.heard.add(story.source)
+
+
+def _select_source(story: Story, client: ServiceClient) -> None:
+    """Make the analyzer that measures the prime one, unless it is."""
+    if story.catalogue.get("prime", story.source) != story.source:
+        client.request("POST", f"/spacecraft/{story.spacecraft_id}/sources/{story.source}:select")
+    story.catalogue["prime"] = story.source
 
 
 def _learn(story: Story, client: ServiceClient, message: dict[str, Any]) -> None:
     """Forward one line to the service; the truth is kept for the judge, the task for the front end."""
     kind = message["kind"]
-    if kind == "phase":
-        story.phases[message["name"]] = (message["start"], message["stop"])
-    elif kind == "truth":
-        for row in message["rows"]:
-            story.truth_deg[parse_epoch(row["epoch"])] = (row["yaw_deg"], row["roll_deg"], row["pitch_deg"])
-    elif kind == "bound":
-        story.bound_deg = message["crlb_deg"]
-    elif kind == "task":
-        story.catalogue["task"] = message["body"]
-    elif kind == "spacecraft":
-        story.spacecraft_id = message["body"]["id"]
+    if kind in _KEEP:
+        _KEEP[kind](story, message)
+    if kind == "spacecraft":
         client.create_spacecraft(message["body"])
     elif kind in _FORWARD:
         _FORWARD[kind](client, story.spacecraft_id, message["body"])
 
 
+def _keep_truth(story: Story, message: dict[str, Any]) -> None:
+    """Keep the rows that are swept; those of a gap never reach the service."""
+    for row in message["rows"]:
+        if not row.get("is_gap"):
+            story.truth_deg[parse_epoch(row["epoch"])] = (row["yaw_deg"], row["roll_deg"], row["pitch_deg"])
+
+
+def _keep_sensors(story: Story, message: dict[str, Any]) -> None:
+    """Note which sensor tells which axis."""
+    body = message["body"]
+    for axis in AXES:
+        if any(row[f"{axis}_deg"] is not None for row in body["references"]):
+            story.sensors.setdefault(axis, body["source"])
+
+
+#: what is remembered of each kind of line
+_KEEP: dict[str, Callable[[Story, dict[str, Any]], Any]] = {
+    "phase": lambda story, line: story.phases.update({line["name"]: (line["start"], line["stop"])}),
+    "truth": _keep_truth,
+    "references": _keep_sensors,
+    "bound": lambda story, line: story.bound_deg.update(line["crlb_deg"]),
+    "task": lambda story, line: story.catalogue.update(task=line["body"]),
+    "spacecraft": lambda story, line: setattr(story, "spacecraft_id", line["body"]["id"]),
+    "source": lambda story, line: setattr(story, "source", line["body"]["source"]),
+}
 #: how each kind of line enters the service
 _FORWARD: dict[str, Callable[[ServiceClient, str, dict[str, Any]], Any]] = {
     "carriers": lambda client, sc, body: client.put_carriers(sc, body["carriers"]),
@@ -157,41 +216,56 @@ _FORWARD: dict[str, Callable[[ServiceClient, str, dict[str, Any]], Any]] = {
     "references": lambda client, sc, body: client.post_references(sc, body["source"], body["references"]),
     "corrections": lambda client, sc, body: client.post_corrections(sc, body["corrections"]),
     "operations": lambda client, sc, body: client.post_operation(sc, body),
+    "telemetry": lambda client, sc, body: client.request("POST", f"/spacecraft/{sc}/telemetry:batch", body),
 }
 
 
-def _calibrate_and_align(story: Story, client: ServiceClient, show: Show) -> None:
-    """Do what an operator does after the turns: calibrate, activate, align."""
+def _is_turned(story: Story) -> bool:
+    """Tell whether the last row of the turns has been granted."""
+    period_us = round(1e6 * story.catalogue["task"]["period_s"])
+    return "turns" in story.phases and story.granted_us + period_us >= parse_epoch(story.phases["turns"][1])
+
+
+def _calibrate(story: Story, client: ServiceClient, show: Show) -> None:
+    """Do what an operator does after the turns: calibrate and activate."""
     spacecraft_id = story.spacecraft_id
     windows = {name: {"start": start, "stop": stop} for name, (start, stop) in story.phases.items()}
-    stop = story.phases["alignment"][1]
-    _await_measurement(story, client, stop, show)
-    show(Scene("calibration", stop, story, client))
-    started = client.start_calibration(
-        spacecraft_id,
-        {"quiet": windows["quiet"], "turns": windows["turns"], "method": "paper", "source": "star_tracker"},
-    )
+    show(Scene("calibration", format_epoch(story.granted_us), story, client))
+    request = {"quiet": windows["quiet"], "turns": windows["turns"], "method": "paper", **_sensor_choice(story)}
+    started = client.start_calibration(spacecraft_id, request)
     client.wait_job(started["job"])
     client.activate_calibration(spacecraft_id, started["id"])
     story.catalogue["calibration"] = client.calibration(spacecraft_id, started["id"])
-    story.catalogue["alignment"] = client.align(spacecraft_id, {**windows["alignment"], "source": "star_tracker"})
 
 
-def _await_measurement(story: Story, client: ServiceClient, stop: str, show: Show) -> None:
-    """Wait until the last row before an epoch has arrived; the ground's messages run ahead of the rows."""
-    row_period_us = 60_000_000
+def _align(story: Story, client: ServiceClient) -> None:
+    """Align over the phase that is meant for it."""
+    start, stop = story.phases["alignment"]
+    request = {"start": start, "stop": stop, **_sensor_choice(story)}
+    story.catalogue["alignment"] = client.align(story.spacecraft_id, request)
+
+
+def _sensor_choice(story: Story) -> dict[str, Any]:
+    """Return one sensor for all axes, or one for each."""
+    names = set(story.sensors.values())
+    return {"source": names.pop()} if len(names) == 1 else {"sources": dict(story.sensors)}
+
+
+def _await_rows(story: Story, client: ServiceClient, show: Show) -> None:
+    """Wait until every row that was granted has arrived; the ground's messages run ahead of the rows."""
     deadline, former = time.monotonic() + _ARRIVAL_TIMEOUT_S, None
     while time.monotonic() < deadline:
         newest = client.status(story.spacecraft_id)["newest_measurement"]
         if newest is not None and newest != former:
             # a slow machine may take its time as long as rows arrive
             deadline, former = time.monotonic() + _ARRIVAL_TIMEOUT_S, newest
-            if parse_epoch(newest) + row_period_us >= parse_epoch(stop):
+            if parse_epoch(newest) >= story.granted_us:
                 return
             began = [name for name, (start, _) in story.phases.items() if start <= newest]
             show(Scene(began[-1] if began else "start", newest, story, client))
         time.sleep(_POLL_S)
-    message = f"the rows up to {stop} did not arrive, nothing new for {_ARRIVAL_TIMEOUT_S:.0f} s"
+    until = format_epoch(story.granted_us)
+    message = f"the rows up to {until} did not arrive, nothing new for {_ARRIVAL_TIMEOUT_S:.0f} s"
     raise TimeoutError(message)
 
 

@@ -1,4 +1,7 @@
-"""Child processes of a demonstration: started with one line of JSON as sign of life, ended by their own id."""
+"""Child processes of a demonstration: started with one line of JSON as sign of life, ended by their own id.
+
+The front end is one of them; it is replaced when the ground has another task or another analyzer for it.
+"""
 
 import json
 import signal
@@ -113,3 +116,56 @@ class ChildProcess:
     def _last_lines(self) -> str:
         """Return the end of the log."""
         return "\n".join(self.log_path.read_text(errors="replace").splitlines()[-12:])
+
+
+class FrontEnd:
+    """The front end that measures now; at most one runs.
+
+    Parameters
+    ----------
+    directory : Path
+        Takes its tasks and its logs.
+    arguments : sequence of str
+        Arguments that never change: analyzer, service.
+    environment : mapping
+        Whole environment of the process.
+    """
+
+    def __init__(self, directory: Path, arguments: Sequence[str], environment: Mapping[str, str]) -> None:
+        self._directory = directory
+        self._arguments = tuple(arguments)
+        self._environment = environment
+        self._process: ChildProcess | None = None
+        self._started = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    @property
+    def is_running(self) -> bool:
+        """Whether one was started and not stopped."""
+        return self._process is not None
+
+    def start(self, task: Mapping[str, Any], source: str) -> None:
+        """Measure this task under the name of this source."""
+        self._started += 1
+        suffix = f"-{self._started}" if self._started > 1 else ""
+        task_path = self._directory / f"task{suffix}.json"
+        task_path.write_text(json.dumps(task))
+        arguments = ["service", "acquire", "--task", str(task_path), "--source", source, *self._arguments]
+        log_path = self._directory / f"acquire{suffix}.log"
+        self._process = ChildProcess("front end", arguments, log_path, self._environment, announces=False)
+
+    def require_alive(self) -> None:
+        """Raise ProcessFailedError when it has ended by itself."""
+        if self._process is not None:
+            self._process.require_alive()
+
+    def stop(self) -> None:
+        """Let it deliver what it has and end it."""
+        if self._process is not None:
+            self._process.stop()
+            self._process = None
