@@ -5,6 +5,7 @@ import typer
 from service.cli.acquire import acquire
 from service.cli.demo import demo
 from service.cli.operate import align, calibrate, export, replay
+from service.cli.plan import plan
 from service.cli.reference import openapi, settings
 from service.cli.serve import serve
 
@@ -16,5 +17,5 @@ app = typer.Typer(
     add_completion=False,
 )
 
-for command in (demo, serve, acquire, calibrate, align, replay, export, openapi, settings):
+for command in (demo, serve, acquire, calibrate, align, replay, export, plan, openapi, settings):
     app.command()(command)

@@ -5,8 +5,8 @@ of ``-24 (az - az0) / w_az^2`` dB/deg at the station and, with the station's dis
 sensitivity. The downlink to the receiving site changes all carriers alike and is left to the common level. The law of
 this file: whatever was assumed stands in ``assumptions``, in words that can be printed beside the figures.
 
-One parabolic beam with a free common level does not show yaw: its gradient is linear in the station's place, so yaw
-looks like a mixture of roll, pitch and common level. Plans of one beam say so; real shaped beams are better than this.
+One round parabolic beam shows no yaw: turned about nadir only its centre moves, so ``yaw = el0 pitch - az0 roll`` in
+the sensitivities of every station. Plans of one beam say so; shaped beams and several beams are better than this.
 """
 
 from collections.abc import Mapping
@@ -144,9 +144,11 @@ def _beams_of(
             f"{width_el:.1f} deg, {origin}; parabolic"
         )
     if len(set(beams.values())) == 1:
+        beam = next(iter(beams.values()))
         told.append(
-            "one parabolic beam shows no yaw while the common level is free: the yaw bound below says nothing about a "
-            "shaped beam"
+            "one round parabolic beam shows no yaw, whatever the carriers: turned about nadir it looks shifted"
+            if beam.width_azimuth_deg == beam.width_elevation_deg
+            else "one parabolic beam shows yaw by its ellipticity only; a shaped one shows more"
         )
     return beams, tuple(told)
 

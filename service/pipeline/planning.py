@@ -194,9 +194,9 @@ def _changes(ratio: FloatArray) -> str:
     """Return by how much bounds change, in words."""
     if not np.isfinite(ratio).all():
         return "the attitude is not determined"
-    return "bounds of " + ", ".join(
-        f"{axis} {change - 1.0:+.1%}" for axis, change in zip(_AXIS_NAMES, ratio, strict=True)
-    )
+    # a zero without a sign: what is less than a twentieth of a per cent is no gain and no loss
+    changes = [f"{value:+.1%}" if abs(value) >= 5e-4 else "0.0%" for value in (ratio - 1.0).tolist()]
+    return "bounds of " + ", ".join(f"{axis} {change}" for axis, change in zip(_AXIS_NAMES, changes, strict=True))
 
 
 def _paper_word(k: int, candidates: Candidates, by_axis: AxisSelection) -> CarrierWord:

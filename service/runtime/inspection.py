@@ -9,7 +9,7 @@ from typing import NamedTuple
 from service.errors import ConflictError, InvalidInputError, NotFoundError
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.planning import Recommendation, Rule, recommend
-from service.pipeline.planning_candidates import MIN_USABLE, candidates_of
+from service.pipeline.planning_candidates import MIN_USABLE, Candidates, candidates_of
 from service.pipeline.window_harmonics import CarrierHarmonic, paper_harmonics, robust_harmonics
 from service.ports import LIVE, Storage
 from service.records.calibration import (
@@ -91,20 +91,33 @@ def recommend_carriers(
     calibration, result = _judging(storage, spacecraft_id)
     plan = storage.catalogue.plan(spacecraft_id, calibration.plan_id)
     candidates = candidates_of(result, plan)
-    total, usable = len(candidates.carrier_ids), int(candidates.is_usable.sum())
-    if count is not None and count > total:
-        raise InvalidInputError("selection.count", f"calibration {calibration.id} has {total} carriers; ask for fewer")
-    if usable < MIN_USABLE:
-        detail = (
-            f"only {usable} carriers of calibration {calibration.id} can be used, {MIN_USABLE} are needed for three "
-            "angles and the common level; calibrate a plan with more users"
-        )
-        raise ConflictError("selection.too_few", detail)
-    wanted = min(DEFAULT_COUNT, total) if count is None else count
+    wanted = wanted_count(candidates, count, f"calibration {calibration.id}")
     recommendation = recommend(candidates, wanted, rule, yaw_scale=config.criteria.yaw_scale)
     return CarrierRecommendation(
         calibration.id, calibration.request.method.value, wanted, recommendation, _notes(calibration, result)
     )
+
+
+def wanted_count(candidates: Candidates, count: int | None, origin: str) -> int:
+    """Return how many carriers to choose: the count asked for, else DEFAULT_COUNT or all when there are fewer.
+
+    Raises
+    ------
+    InvalidInputError
+        ``selection.count``: more than there are.
+    ConflictError
+        ``selection.too_few``: fewer than four can be used.
+    """
+    total, usable = len(candidates.carrier_ids), int(candidates.is_usable.sum())
+    if count is not None and count > total:
+        raise InvalidInputError("selection.count", f"{origin} has {total} carriers; ask for no more")
+    if usable < MIN_USABLE:
+        detail = (
+            f"only {usable} carriers of {origin} can be used, {MIN_USABLE} are needed for three angles and the common "
+            "level; add users"
+        )
+        raise ConflictError("selection.too_few", detail)
+    return min(DEFAULT_COUNT, total) if count is None else count
 
 
 def realignment_advised(storage: Storage, spacecraft_id: str) -> bool:

@@ -1,0 +1,92 @@
+"""``soo plan``: which carriers to measure, what they can see, and which turns to fly."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+from rich.console import Console
+
+from service.cli.connection import (
+    DEFAULT_KEY_ENVIRONMENT,
+    DEFAULT_SERVICE,
+    JsonOption,
+    KeyEnvironment,
+    ServiceUrl,
+    connected,
+)
+from service.cli.plan_report import print_planning
+from service.cli.plan_sources import CarrierPlanning, PlanRequest, planned_by_assumption, planned_by_service
+from service.errors import SooError
+from service.records.epoch import US_PER_S, format_epoch, parse_epoch
+
+#: columns of a report that is no terminal's
+_FILE_COLUMNS = 140
+_BEAM_HELP = "Assumed beam, [TRANSPONDER=]AZ,EL,WIDTH[,WIDTH_EL] deg; repeat it for others."
+
+
+def plan(
+    spacecraft: Annotated[str | None, typer.Option(help="Id of a calibrated spacecraft of the service.")] = None,
+    spacecraft_file: Annotated[Path | None, typer.Option(help="Spacecraft (JSON) to plan without a service.")] = None,
+    carriers_file: Annotated[Path | None, typer.Option(help="Its carrier plan (CSV or JSON).")] = None,
+    beam: Annotated[list[str] | None, typer.Option(help=_BEAM_HELP)] = None,
+    noise: Annotated[Literal["links", "quiet"], typer.Option(help="Assumed noise.")] = "links",
+    count: Annotated[int | None, typer.Option(help="Carriers wanted; default 16.", min=5, max=1000)] = None,
+    rule: Annotated[Literal["optimal", "paper"], typer.Option(help="Rule of the choice.")] = "optimal",
+    far_yaw: Annotated[bool, typer.Option("--far-yaw", help="Turn to 1 deg about yaw.")] = False,
+    turns_start: Annotated[str | None, typer.Option(help="RFC 3339 start of the turns; default: from +0:00.")] = None,
+    figure: Annotated[Path | None, typer.Option(help="Draw the stations into this PNG or SVG file.")] = None,
+    service: ServiceUrl = DEFAULT_SERVICE,
+    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
+    as_json: JsonOption = False,
+) -> None:
+    """Choose carriers, judge what they can see, and print a timetable of calibration turns."""
+    is_offline = spacecraft_file is not None or carriers_file is not None
+    if is_offline == (spacecraft is not None):
+        raise _refused("name a spacecraft of the service, or both --spacecraft-file and --carriers-file")
+    request = PlanRequest(count, rule, far_yaw)
+    try:
+        begin_us = None if turns_start is None else parse_epoch(turns_start)
+        if spacecraft is not None:
+            with connected(service, key_env) as client:
+                planning = planned_by_service(client, spacecraft, request)
+        elif spacecraft_file is not None and carriers_file is not None:
+            planning = planned_by_assumption(spacecraft_file, carriers_file, beam or [], noise, request)
+        else:
+            raise _refused("planning without a service needs both --spacecraft-file and --carriers-file")
+    except SooError as error:
+        raise _refused(error.detail) from None
+    except ValueError as error:
+        raise _refused(str(error)) from None
+    if begin_us is not None:
+        _add_starts(planning.document["turns"], begin_us)
+    _deliver(planning, figure, as_json=as_json)
+
+
+def _deliver(planning: CarrierPlanning, figure: Path | None, *, as_json: bool) -> None:
+    """Print the planning and draw its map."""
+    if figure is not None:
+        # matplotlib costs half a second that a plan without a figure need not pay
+        from service.cli.plan_figure import draw_planning
+
+        try:
+            draw_planning(planning, figure)
+        except (OSError, ValueError) as error:
+            raise _refused(f"the figure cannot be written: {error}") from None
+    if as_json:
+        typer.echo(json.dumps(planning.document, allow_nan=False))
+        return
+    console = Console()
+    print_planning(console if console.is_terminal else Console(width=_FILE_COLUMNS), planning)
+
+
+def _add_starts(turns: dict[str, Any], begin_us: int) -> None:
+    """Add the instant at which each level begins."""
+    for step in turns["steps"]:
+        step["start"] = format_epoch(begin_us + round(step["offset_s"] * US_PER_S))
+
+
+def _refused(text: str) -> typer.Exit:
+    """Say what is wrong with the options and return the end of the command."""
+    typer.echo(text, err=True)
+    return typer.Exit(2)

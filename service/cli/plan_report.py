@@ -1,0 +1,153 @@
+"""The report of ``soo plan``: tables of the sets, the carriers, averages and turns, for people."""
+
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from service.cli.plan_sources import CarrierPlanning
+
+_AXES = ("yaw", "roll", "pitch")
+_SETS = ("optimal", "paper", "all")
+#: deg, a bound beyond this says that the axis is not seen
+_UNSEEN_DEG = 90.0
+_SPAN_NAMES = {900.0: "15 min", 3600.0: "1 h", 14_400.0: "4 h", 43_200.0: "12 h"}
+
+
+def print_planning(console: Console, planning: CarrierPlanning, *, with_turns: bool = True) -> None:
+    """Print everything that a planning says."""
+    document = planning.document
+    origin = (
+        f"calibration {document['calibration_id']} ({document['calibration_method']})"
+        if document["calibration_id"] is not None
+        else "assumed beams, nothing calibrated"
+    )
+    console.print(f"{planning.name}: {len(document['carriers'])} carriers by {origin}, rule {document['rule']}")
+    for note in document["notes"]:
+        console.print(f"* {note}", highlight=False)
+    console.print(_sets_table(document))
+    console.print(_averages_table(document))
+    console.print(_chosen_table(document))
+    _print_left_out(console, document)
+    for shortcoming in document["shortcomings"]:
+        console.print(f"not sufficient: {shortcoming}", highlight=False)
+    if with_turns and document["turns"] is not None:
+        console.print(_turns_table(document["turns"]))
+
+
+def _sets_table(document: dict[str, Any]) -> Table:
+    """Return what each set sees, one figure a line."""
+    sets = [document["sets"][name] for name in _SETS]
+    table = Table("one row, level common to all carriers free", *_SETS, title="Sets of carriers", title_justify="left")
+    table.add_row("carriers", *(str(len(one["selected"])) for one in sets))
+    table.add_row("condition", *(_number(one["condition"], 1) for one in sets))
+    table.add_row("DOP yaw / roll / pitch, deg/dB", *(_angles(one["dop"]) for one in sets))
+    table.add_row("angle DOP, deg/dB", *(_number(one["angle_dop"], 2) for one in sets))
+    table.add_row("CRLB yaw / roll / pitch, deg", *(_angles(one["crlb_deg"]) for one in sets))
+    table.add_row("CRLB, common level known, deg", *(_angles(one["crlb_without_common_deg"]) for one in sets))
+    table.add_row("rain that looks like a turn, share", *(_number(one["common_share"], 2) for one in sets))
+    table.add_row("redundancy", *(str(one["redundancy"]) for one in sets))
+    table.add_row("fullest transponder, share", *(_number(one["transponder_share"], 2) for one in sets))
+    table.add_row("greatest leverage", *(_greatest(one, "leverage", 2) for one in sets))
+    table.add_row("largest undetectable fault, dB", *(_greatest(one, "undetectable_fault_db", 2) for one in sets))
+    table.add_row("sufficient", *("yes" if one["sufficient"] else "no" for one in sets))
+    return table
+
+
+def _averages_table(document: dict[str, Any]) -> Table:
+    """Return the sigmas after averaging by the noise that was learned or assumed."""
+    sets = [document["sets"][name] for name in _SETS]
+    title = "Sigma of yaw / roll / pitch from powers alone, deg"
+    table = Table("average over", *_SETS, title=title, title_justify="left")
+    table.add_row("1 row", *(_angles(one["crlb_deg"]) for one in sets))
+    for k, first in enumerate(sets[0]["averaged"]):
+        name = _SPAN_NAMES.get(first["span_s"], f"{first['span_s']:.0f} s")
+        table.add_row(name, *(_angles(one["averaged"][k]["sigma_deg"]) for one in sets))
+    return table
+
+
+def _chosen_table(document: dict[str, Any]) -> Table:
+    """Return the carriers of the set that the rule chose, in the order of choice."""
+    columns = (
+        "carrier",
+        "transponder",
+        "yaw",
+        "roll",
+        "pitch",
+        "sigma, dB",
+        "leverage",
+        "hidden fault, dB",
+        "moves, deg",
+    )
+    table = Table(*columns, title=f"Chosen by rule {document['rule']}; slopes in dB/deg", title_justify="left")
+    known = {row["carrier"]: row for row in document["carriers"]}
+    for member in document["sets"][document["rule"]]["carriers"]:
+        row = known[member["carrier"]]
+        slopes = (f"{row['sensitivity_db_per_deg'][axis]:+.2f}" for axis in _AXES)
+        figures = (_number(row["sigma_db"], 2), _number(member["leverage"], 2), _fault(member))
+        table.add_row(row["carrier"], row["transponder"], *slopes, *figures, _angles(member["fault_shift_deg"]))
+    return table
+
+
+def _print_left_out(console: Console, document: dict[str, Any]) -> None:
+    """Print why the other carriers were left out."""
+    left = [row for row in document["carriers"] if not row["selected"]]
+    if left:
+        console.print("Left out")
+    for row in left:
+        console.print(f"  {row['carrier']}: {'; '.join(row['reasons'])}", highlight=False)
+
+
+def _turns_table(turns: dict[str, Any]) -> Table:
+    """Return the timetable of the calibration turns."""
+    title = f"Recommended turns, {turns['total_s'] / 3600.0:.1f} h in all"
+    table = Table("start", "minutes", "yaw, deg", "roll, deg", "pitch, deg", title=title, title_justify="left")
+    for step in turns["steps"]:
+        angles = (f"{step[f'{axis}_deg']:+.3f}" if step[f"{axis}_deg"] else "0" for axis in _AXES)
+        table.add_row(step.get("start", _offset(step["offset_s"])), f"{step['duration_s'] / 60.0:.0f}", *angles)
+    return table
+
+
+def _offset(offset_s: float) -> str:
+    """Return a time from the start of the turns as +h:mm."""
+    minutes = round(offset_s / 60.0)
+    return f"+{minutes // 60}:{minutes % 60:02d}"
+
+
+def _number(value: float | None, digits: int) -> str:
+    """Return a figure; a dash where there is none."""
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def _angles(angles: dict[str, float | None]) -> str:
+    """Return three angles; an axis that is not seen says so."""
+    return " / ".join(_angle(angles[axis]) for axis in _AXES)
+
+
+def _angle(value: float | None) -> str:
+    """Return one angle with three digits, fewer where it is large."""
+    if value is None or abs(value) > _UNSEEN_DEG:
+        return "unseen"
+    return f"{value:.3f}" if abs(value) < 10.0 else f"{value:.1f}"
+
+
+def _greatest(one: dict[str, Any], name: str, digits: int) -> str:
+    """Return the greatest figure among the carriers of a set, and whose it is."""
+    carriers = one["carriers"]
+    if name == "undetectable_fault_db" and any(_is_unchecked(carrier) for carrier in carriers):
+        return f"any ({next(carrier['carrier'] for carrier in carriers if _is_unchecked(carrier))})"
+    known = [carrier for carrier in carriers if carrier[name] is not None]
+    if not known:
+        return "-"
+    greatest = max(known, key=lambda carrier: float(carrier[name]))
+    return f"{greatest[name]:.{digits}f} ({greatest['carrier']})"
+
+
+def _is_unchecked(member: dict[str, Any]) -> bool:
+    """Whether no other carrier checks one: its leverage is known, the bound of its fault is not finite."""
+    return member["leverage"] is not None and member["undetectable_fault_db"] is None
+
+
+def _fault(member: dict[str, Any]) -> str:
+    """Return the largest fault that stays hidden."""
+    return "any" if _is_unchecked(member) else _number(member["undetectable_fault_db"], 2)

@@ -1,0 +1,138 @@
+"""Where planning takes carriers from: a running service, or a spacecraft and a carrier plan on disk, beams assumed.
+
+Both end in the same document, that of ``GET .../carrier-selection``, and in the places of the stations.
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from service.client.service_client import ServiceClient
+from service.core.geometry.frames import AntennaDirection, station_direction
+from service.errors import InvalidInputError
+
+_BEAM_FORM = "[TRANSPONDER=]AZ,EL,WIDTH[,WIDTH_EL] in deg"
+
+
+@dataclass(frozen=True, slots=True)
+class PlanRequest:
+    """What is asked of either source."""
+
+    #: None: sixteen, or all when there are fewer
+    count: int | None
+    rule: str
+    far_yaw: bool
+
+    @property
+    def turns(self) -> str:
+        """Which turns the answer carries."""
+        return "far_yaw" if self.far_yaw else "standard"
+
+
+class CarrierPlanning(NamedTuple):
+    """The document of a choice, and where the station of each of its carriers is seen; NaN = not seen."""
+
+    name: str
+    document: dict[str, Any]
+    direction: AntennaDirection
+
+
+def planned_by_service(client: ServiceClient, spacecraft_id: str, request: PlanRequest) -> CarrierPlanning:
+    """Return what a service recommends by its calibration."""
+    spacecraft = client.spacecraft(spacecraft_id)
+    wanted = {"count": request.count, "rule": request.rule, "turns": request.turns}
+    stated = {name: value for name, value in wanted.items() if value is not None}
+    document = client.request("GET", f"/spacecraft/{spacecraft_id}/carrier-selection", params=stated)
+    stations = {carrier["id"]: carrier.get("station") for carrier in client.carriers(spacecraft_id)["carriers"]}
+    places = [stations.get(row["carrier"]) for row in document["carriers"]]
+    return CarrierPlanning(spacecraft_id, document, _directions(places, spacecraft["longitude_deg"]))
+
+
+def planned_by_assumption(
+    spacecraft_path: Path, carriers_path: Path, beams: list[str], noise: str, request: PlanRequest
+) -> CarrierPlanning:
+    """Return what planning recommends for files and assumed beams.
+
+    Raises
+    ------
+    InvalidInputError
+        A file that cannot be read or understood, a beam of another form, or carriers that cannot be chosen from.
+    """
+    # web framework and validation cost a quarter of a second that other commands need not pay
+    from service.api.bodies import decode
+    from service.api.problems import ProblemError
+    from service.api.schemas.carriers import CARRIER_PLAN_ADAPTER
+    from service.api.schemas.spacecraft import SPACECRAFT_ADAPTER
+
+    assumed = dict(_beam(text) for text in beams)
+    try:
+        spacecraft = decode(SPACECRAFT_ADAPTER, _read(spacecraft_path)).to_record()
+        carriers = decode(CARRIER_PLAN_ADAPTER, _carriers_json(_read(carriers_path))).to_records()
+    except ProblemError as error:
+        fields = "; ".join(f"{field.pointer or '/'}: {field.detail}" for field in error.fields) or error.detail
+        raise InvalidInputError(error.code, fields) from None
+    return _assumed_planning(spacecraft.id, carriers, spacecraft.longitude_deg, assumed, noise, request)
+
+
+def _assumed_planning(
+    name: str, carriers: Any, longitude_deg: float, beams: dict[str, Any], noise: str, request: PlanRequest
+) -> CarrierPlanning:
+    """Return the planning of carriers with assumed beams."""
+    from service.api.schemas.carrier_selection import CarrierSelectionAnswer, Turns
+    from service.pipeline.assumed_beams import NOISES, assume_payload
+    from service.pipeline.planning import Rule, recommend
+    from service.runtime.inspection import CarrierRecommendation, wanted_count
+
+    known = {carrier.transponder for carrier in carriers}
+    unknown = sorted(set(beams) - known - {"*"})
+    if unknown:
+        detail = f"no carrier passes through {unknown[0]!r}; the transponders are {', '.join(sorted(known))}"
+        raise InvalidInputError("plan.beam", detail)
+    payload = assume_payload(carriers, longitude_deg, NOISES[noise], beams)
+    count = wanted_count(payload.candidates, request.count, "the carrier plan")
+    recommendation = recommend(payload.candidates, count, Rule(request.rule))
+    found = CarrierRecommendation(None, None, count, recommendation, payload.assumptions)
+    answer = CarrierSelectionAnswer.of(found, Turns(request.turns))
+    return CarrierPlanning(name, json.loads(answer.model_dump_json()), payload.direction)
+
+
+def _beam(text: str) -> tuple[str, Any]:
+    """Return the transponder, ``*`` for all, and the beam that an option states."""
+    from service.pipeline.assumed_beams import AssumedBeam
+
+    name, equals, figures = text.rpartition("=")
+    try:
+        values = [float(figure) for figure in figures.split(",")]
+    except ValueError:
+        values = []
+    if len(values) not in (3, 4) or not np.isfinite(values).all() or min(values[2:]) <= 0.0 or (equals and not name):
+        raise InvalidInputError("plan.beam", f"{text!r} is no beam; write {_BEAM_FORM}")
+    azimuth_deg, elevation_deg, width_deg, *rest = values
+    return name or "*", AssumedBeam(azimuth_deg, elevation_deg, width_deg, rest[0] if rest else width_deg)
+
+
+def _read(path: Path) -> bytes:
+    """Return a file's bytes."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InvalidInputError("plan.file", f"{path} cannot be read: {error.strerror}") from None
+
+
+def _carriers_json(raw: bytes) -> bytes:
+    """Return a carrier plan as JSON; what does not begin with a brace is CSV."""
+    from service.formats.carrier_plan_csv import read_carrier_plan
+
+    if raw.lstrip().startswith(b"{"):
+        return raw
+    return json.dumps({"carriers": read_carrier_plan(raw)}).encode()
+
+
+def _directions(places: list[Any], longitude_deg: float) -> AntennaDirection:
+    """Return where stations are seen from the satellite; NaN where there is none."""
+    known = [(np.nan, np.nan) if place is None else (place["longitude_deg"], place["latitude_deg"]) for place in places]
+    longitudes, latitudes = np.array(known, dtype=np.float64).reshape(-1, 2).T
+    return station_direction(longitudes, latitudes, np.zeros(len(known)), longitude_deg)
