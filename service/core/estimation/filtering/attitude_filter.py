@@ -15,6 +15,13 @@ from service.core.estimation.filtering.carrier_faults import (
     flag_failed,
     push_carrier_values,
 )
+from service.core.estimation.filtering.command_watch import (
+    believed_motion,
+    doubting_settings,
+    judge_commands,
+    pass_commands,
+    push_row,
+)
 from service.core.estimation.filtering.declared import Declared
 from service.core.estimation.filtering.declared_effects import with_declared
 from service.core.estimation.filtering.drift_watch import push_drift, scaled_settings
@@ -124,15 +131,17 @@ def _ahead(
         state.model_variance_db2,
         declared,
     )
-    predicted, variance = predict(
-        model, scaled_settings(settings, state.drift), state.gaussian, step_us, known, weather
-    )
+    now = doubting_settings(scaled_settings(settings, state.drift), state.command)
+    believed = believed_motion(state.command, known)
+    predicted, variance = predict(model, now, state.gaussian, step_us, believed, weather)
+    is_flagged, is_raining = state.carriers.is_flagged, state.rain.is_raining
     ahead = state._replace(
         epoch_us=state.epoch_us + step_us,
         gaussian=predicted,
         rain=pass_hold(state.rain, minutes),
         motion=pass_motion(state.motion, minutes),
         model_variance_db2=variance,
+        command=pass_commands(model, now, state.command, step_us, known, is_flagged, is_raining=is_raining),
     )
     return ahead if declared is None else with_declared(model, ahead, declared)
 
@@ -172,6 +181,9 @@ def _judged(
     if len(kept.carriers) >= MIN_CARRIERS:
         updated = update(model, freed.gaussian, row.deviation_db, kept)
         after = freed._replace(gaussian=updated.state, motion=moved(freed, updated, choice))
+        command = push_row(model, freed.command, kept, updated.state.covariance, is_shared=is_shared(choice))
+        command, gaussian = judge_commands(command, updated.state)
+        after = after._replace(gaussian=gaussian, command=command)
     gaussian, watch = flag_failed(model, after.gaussian, watch, ahead.gaussian)
     after = after._replace(gaussian=gaussian, carriers=watch)
     is_noise_declared = None if row.declared is None else row.declared.white_db > 0.0
@@ -206,6 +218,7 @@ def _told(
         state.motion.is_unannounced,
         int(np.count_nonzero(state.carriers.is_relearned)),
         model.carriers,
+        state.command.is_doubted,
     )
     return FilterStep(
         state,

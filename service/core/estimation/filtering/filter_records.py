@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.estimation.filtering.carrier_faults import CarrierWatch, healthy
+from service.core.estimation.filtering.command_watch import CommandWatch, obeyed_commands
 from service.core.estimation.filtering.drift_watch import DriftWatch, usual_drift
 from service.core.estimation.filtering.fault_hypotheses import Cause
 from service.core.estimation.filtering.filter_model import CarrierModel, FloatArray, IntArray
@@ -32,6 +33,7 @@ class FilterState(NamedTuple):
     motion: MotionWatch
     model_variance_db2: FloatArray
     drift: DriftWatch = usual_drift()
+    command: CommandWatch = obeyed_commands()
 
 
 class FilterStep(NamedTuple):

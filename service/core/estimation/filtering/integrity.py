@@ -39,6 +39,8 @@ class Evidence(NamedTuple):
     is_unannounced: tuple[bool, bool, bool]
     relearned: int
     carriers: int
+    #: whether commands are suspected not to act as announced
+    is_command_doubted: bool = False
 
 
 class Integrity(NamedTuple):
@@ -83,6 +85,7 @@ def assess(evidence: Evidence, limits: IntegrityLimits) -> Integrity:
         ("redundancy", evidence.carriers_used - _UNKNOWNS < limits.redundancy),
         ("innovations", evidence.nis_ratio > limits.nis_ratio),
         ("unannounced_motion", any(evidence.is_unannounced[1:])),
+        ("commands_doubted", evidence.is_command_doubted),
     )
     reasons = tuple(name for name, fails in checks if fails)
     is_allowed = not reasons

@@ -1,0 +1,191 @@
+"""Commanded corrections watched: whether the craft does what the ground announced, or the opposite, or nothing.
+
+    x(s) = x + (s - s0) v          nu(s) = nu - (s - s0) H v          s = share of the commands that is carried out
+    log p(s) / p(s0) = (s - s0) b - (s - s0)^2 j / 2      b = sum (H v)' S^-1 nu      j = sum (H v)' S^-1 H v
+
+v is the derivative of the state by s: commands enter it as they enter the attitude, updates take out what the powers
+have told. Where another share explains the last hour beyond chance the state moves along v, the share is believed for
+an hour and control is told. The law of this file: shares of a short list; sums forget, so that what was commanded
+long ago excuses nothing.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from service.core.estimation.filtering.filter_model import (
+    BoolArray,
+    CarrierModel,
+    FilterSettings,
+    FloatArray,
+    KnownMotion,
+)
+from service.core.estimation.filtering.filter_predict import motion_over
+from service.core.estimation.filtering.filter_state import ATTITUDE, FIRST_COMMON, RAIN, Gaussian, core_size
+from service.core.estimation.filtering.filter_update import Innovation
+
+#: shares that an on-board mode makes of a command: other sign, nothing, half, all, twice
+SHARES = (-1.0, 0.0, 0.5, 1.0, 2.0)
+#: log likelihood ratio that is believed; worlds whose commands are carried out stay below 4
+BELIEVED = 5.0
+#: sums forget with this time, minutes
+_FORGET_MINUTES = 60.0
+#: a share found is known to this
+_SHARE_SIGMA = 0.25
+#: minutes for which a found share is told and believed
+DOUBTED_MINUTES = 60.0
+#: an attitude that commands moved by less than this is not watched, deg
+_LEAST_DEG = 1e-4
+
+
+class CommandWatch(NamedTuple):
+    """What is known about the effect of commands."""
+
+    #: (D,) derivative of the state by the share; empty before the first command
+    sensitivity: FloatArray
+    score: float
+    information: float
+    #: share of the commands that is believed to be carried out
+    share: float
+    #: minutes for which control is told that commands are doubted
+    minutes_left: float
+
+    @property
+    def is_doubted(self) -> bool:
+        """Whether commands are suspected not to act as announced."""
+        return self.minutes_left > 0.0
+
+
+def obeyed_commands() -> CommandWatch:
+    """Return the watch of a craft that does what it is told."""
+    return CommandWatch(np.empty(0), 0.0, 0.0, 1.0, 0.0)
+
+
+def doubting_settings(settings: FilterSettings, watch: CommandWatch) -> FilterSettings:
+    """Return the settings with the error that the effect of commands has while they are doubted."""
+    return settings._replace(correction_scale=_SHARE_SIGMA) if watch.is_doubted else settings
+
+
+def believed_motion(watch: CommandWatch, known: KnownMotion) -> KnownMotion:
+    """Return what is believed of the commands of a step."""
+    return known if watch.share == 1.0 else known._replace(correction_deg=watch.share * known.correction_deg)
+
+
+def pass_commands(
+    model: CarrierModel,
+    settings: FilterSettings,
+    watch: CommandWatch,
+    step_us: int,
+    known: KnownMotion,
+    is_flagged: BoolArray,
+    *,
+    is_raining: bool,
+) -> CommandWatch:
+    """Return the watch after a step, before its measurement.
+
+    Parameters
+    ----------
+    model : CarrierModel
+        The carriers.
+    settings : FilterSettings
+        As configured or with the learned drift: only the transition counts.
+    watch : CommandWatch
+        Before.
+    step_us : int, microseconds
+        Length of the step, > 0.
+    known : KnownMotion
+        As announced.
+    is_flagged : ndarray, shape (N,)
+        Carriers that are out: their own states have no part in it.
+    is_raining : bool
+        Whether rain is kept.
+    """
+    size = core_size(model) + model.carriers * (model.components + 1)
+    seconds = step_us / 1e6
+    minutes = seconds / 60.0
+    left = max(0.0, watch.minutes_left - minutes)
+    is_commanded = bool(np.abs(known.correction_deg).max() > 0.0)
+    watch = watch._replace(minutes_left=left, share=watch.share if left > 0.0 else 1.0)
+    if len(watch.sensitivity) != size:
+        watch = watch._replace(sensitivity=np.zeros(size))
+        if not is_commanded:
+            return watch
+    moved = watch.sensitivity.copy()
+    core = core_size(model)
+    moved[:9] = motion_over(step_us, settings).transition @ moved[:9]
+    moved[ATTITUDE] += known.correction_deg
+    moved[RAIN] *= 1.0 if is_raining else math.exp(-seconds / settings.rain_dry_tau_s)
+    moved[FIRST_COMMON:core] *= np.exp(-seconds / model.common_tau_s)
+    moved[core : core + model.carriers * model.components] *= np.exp(-seconds / model.coloured_tau_s).T.ravel()
+    moved[core:].reshape(-1, model.carriers)[:, is_flagged] = 0.0
+    keep = math.exp(-minutes / _FORGET_MINUTES)
+    return watch._replace(sensitivity=moved, score=keep * watch.score, information=keep * watch.information)
+
+
+def push_row(
+    model: CarrierModel, watch: CommandWatch, used: Innovation, covariance: FloatArray, *, is_shared: bool
+) -> CommandWatch:
+    """Return the watch after an update.
+
+    Parameters
+    ----------
+    model : CarrierModel
+        The carriers.
+    watch : CommandWatch
+        After `pass_commands`.
+    used : Innovation
+        Of the carriers that the update used.
+    covariance : ndarray, shape (D, D)
+        Of the state after the update.
+    is_shared : bool
+        Whether something else moved all carriers: such a row says nothing about commands.
+
+    Notes
+    -----
+    ``K h = P H' R^-1 h`` with P after the update, ``S^-1 h = R^-1 (h - H K h)``: no matrix is inverted here.
+    """
+    if not len(watch.sensitivity) or float(np.abs(watch.sensitivity[ATTITUDE]).max()) < _LEAST_DEG:
+        return watch
+    expected_db = _seen(model, used, watch.sensitivity)
+    weighted = expected_db / used.white_db2
+    own = np.zeros(model.carriers)
+    own[used.carriers] = weighted
+    blocks = model.components + 1
+    removed = covariance @ np.concatenate([weighted @ used.core_jacobian, np.tile(own, blocks)])
+    whitened = (expected_db - _seen(model, used, removed)) / used.white_db2
+    left = watch.sensitivity - removed
+    if is_shared:
+        return watch._replace(sensitivity=left)
+    return watch._replace(
+        sensitivity=left,
+        score=watch.score + float(whitened @ used.innovation_db),
+        information=watch.information + float(whitened @ expected_db),
+    )
+
+
+def _seen(model: CarrierModel, used: Innovation, change: FloatArray) -> FloatArray:
+    """Return what a change (D,) of the state does to the carriers used (n,), dB."""
+    core = core_size(model)
+    own = change[core:].reshape(-1, model.carriers).sum(axis=0)
+    return np.asarray(used.core_jacobian @ change[:core] + own[used.carriers])
+
+
+def likelier_share(watch: CommandWatch) -> float | None:
+    """Return the share that explains the commands beyond chance, None = the believed one does."""
+    gains = [(s - watch.share) * watch.score - 0.5 * (s - watch.share) ** 2 * watch.information for s in SHARES]
+    best = max(range(len(SHARES)), key=gains.__getitem__)
+    return SHARES[best] if gains[best] > BELIEVED else None
+
+
+def judge_commands(watch: CommandWatch, state: Gaussian) -> tuple[CommandWatch, Gaussian]:
+    """Return watch and state; where another share is likelier beyond chance the state moves to where it leads."""
+    share = likelier_share(watch)
+    if share is None:
+        return watch, state
+    change = watch.sensitivity
+    moved = state.mean + (share - watch.share) * change
+    moved[RAIN] = max(0.0, moved[RAIN])
+    covariance = state.covariance + _SHARE_SIGMA**2 * np.multiply.outer(change, change)
+    nothing = np.zeros(len(change))
+    return CommandWatch(nothing, 0.0, 0.0, share, DOUBTED_MINUTES), Gaussian(moved, covariance)

@@ -1,0 +1,130 @@
+"""Claims about the watch on commanded corrections."""
+
+import numpy as np
+import pytest
+
+from service.core.estimation.filtering.attitude_filter import start, step
+from service.core.estimation.filtering.command_watch import (
+    CommandWatch,
+    believed_motion,
+    likelier_share,
+    obeyed_commands,
+    pass_commands,
+    push_row,
+)
+from service.core.estimation.filtering.filter_model import FilterSettings, KnownMotion, no_motion, pattern_change
+from service.core.estimation.filtering.filter_update import innovate, update
+
+MINUTE_US = 60_000_000
+CARRIERS = 16
+SETTINGS = FilterSettings()
+ZEROS = np.zeros(3)
+
+
+class Craft:
+    """A craft without drift that carries out a share of what is commanded."""
+
+    def __init__(self, filter_models):
+        self.model, self.rng = filter_models.carrier_model(carriers=CARRIERS), np.random.default_rng(8)
+        self.state = start(self.model, 0, filter_models.aligned(self.model))
+        self.attitude_deg = ZEROS
+        self.told = []
+
+    def turn(self, minutes, rate_deg_min, share):
+        """Command a rate about pitch (no coupling) for some minutes, return what the last row told."""
+        moved = np.array([0.0, 0.0, rate_deg_min])
+        for _ in range(minutes):
+            self.attitude_deg = self.attitude_deg + share * moved
+            level_db = pattern_change(self.model, self.attitude_deg).deviation_db
+            row = level_db + self.model.white_sigma_db * self.rng.standard_normal(CARRIERS)
+            known = KnownMotion(moved, ZEROS, ZEROS)
+            self.told.append(step(self.model, SETTINGS, self.state, self.state.epoch_us + MINUTE_US, row, known))
+            self.state = self.told[-1].state
+        return self.told[-1]
+
+    @property
+    def doubted(self):
+        return ["commands_doubted" in row.integrity.reasons for row in self.told]
+
+
+@pytest.fixture
+def craft(filter_models):
+    return Craft(filter_models)
+
+
+def test_commands_that_are_obeyed_are_never_doubted(craft):
+    for sign in (1.0, -1.0, 1.0, -1.0):
+        craft.turn(60, sign * 0.004, 1.0)
+    assert not any(craft.doubted)
+
+
+@pytest.mark.parametrize("share", [-1.0, 0.0, 2.0])
+def test_commands_that_are_not_obeyed_are_found_and_the_share_is_believed(craft, share):
+    craft.turn(30, 0.0, 1.0)
+    craft.turn(60, 0.004, share)  # 0.24 deg in an hour
+    assert any(craft.doubted)
+    assert np.argmax(craft.doubted) - 30 <= 30  # minutes, when 0.12 deg were commanded; the powers tell pitch to 0.03
+    assert craft.state.command.share == share
+    # the share found is applied: the error stays what noise leaves
+    assert abs(craft.told[-1].attitude_deg[2] - craft.attitude_deg[2]) < 0.05
+    assert not craft.told[-1].integrity.is_control_allowed
+
+
+def test_a_doubt_ends_after_an_hour(craft):
+    craft.turn(30, 0.0, 1.0)
+    craft.turn(45, 0.004, -1.0)
+    told = craft.turn(75, 0.0, 1.0)
+    assert not told.state.command.is_doubted
+    assert told.state.command.share == 1.0
+
+
+def test_a_row_that_something_else_moved_says_nothing_about_commands(craft, filter_models):
+    model, gaussian = craft.model, craft.state.gaussian
+    known = KnownMotion(np.array([0.0, 0.1, 0.1]), ZEROS, ZEROS)
+    nobody = np.zeros(CARRIERS, dtype=bool)
+    watch = pass_commands(model, SETTINGS, obeyed_commands(), MINUTE_US, known, nobody, is_raining=False)
+    everyone = np.arange(CARRIERS)
+    used = innovate(model, gaussian, np.full(CARRIERS, 0.3), everyone, model.white_sigma_db**2)
+    covariance = update(model, gaussian, np.full(CARRIERS, 0.3), used).state.covariance
+    shared = push_row(model, watch, used, covariance, is_shared=True)
+    assert (shared.score, shared.information) == (0.0, 0.0)
+    told = push_row(model, watch, used, covariance, is_shared=False)
+    assert told.information > 0.0
+    np.testing.assert_array_equal(told.sensitivity, shared.sensitivity)
+
+
+def test_sums_are_those_of_the_innovations_covariance(craft):
+    """Score and information without an inverse are the ones with it."""
+    model, gaussian = craft.model, craft.state.gaussian
+    known = KnownMotion(np.array([0.05, 0.1, -0.1]), ZEROS, ZEROS)
+    nobody = np.zeros(CARRIERS, dtype=bool)
+    watch = pass_commands(model, SETTINGS, obeyed_commands(), MINUTE_US, known, nobody, is_raining=False)
+    row = craft.rng.normal(0.0, 0.05, CARRIERS)
+    used = innovate(model, gaussian, row, np.arange(CARRIERS), model.white_sigma_db**2)
+    after = push_row(model, watch, used, update(model, gaussian, row, used).state.covariance, is_shared=False)
+    seen = used.core_jacobian[:, :3] @ watch.sensitivity[:3]
+    whitened = np.linalg.solve(used.covariance_db2, seen)
+    # rounding of the Joseph form; the attitude at an alignment is known to 0.005 deg
+    assert after.score == pytest.approx(float(whitened @ used.innovation_db), rel=1e-6)
+    assert after.information == pytest.approx(float(whitened @ seen), rel=1e-6)
+
+
+def test_the_likeliest_share_needs_evidence():
+    sure = CommandWatch(ZEROS, -20.0, 20.0, 1.0, 0.0)
+    assert likelier_share(sure) == 0.0
+    assert likelier_share(sure._replace(score=-4.0, information=4.0)) is None
+    assert likelier_share(sure._replace(score=-20.0, information=10.0)) == -1.0
+
+
+def test_a_believed_share_scales_the_commands():
+    known = KnownMotion(np.array([0.1, 0.2, 0.3]), ZEROS, ZEROS)
+    assert believed_motion(obeyed_commands(), known) is known
+    half = believed_motion(obeyed_commands()._replace(share=0.5, minutes_left=9.0), known)
+    np.testing.assert_array_equal(half.correction_deg, [0.05, 0.1, 0.15])
+
+
+def test_nothing_commanded_costs_nothing(craft):
+    nobody = np.zeros(CARRIERS, dtype=bool)
+    watch = pass_commands(craft.model, SETTINGS, obeyed_commands(), MINUTE_US, no_motion(), nobody, is_raining=False)
+    assert not watch.sensitivity.any()
+    assert not watch.is_doubted
