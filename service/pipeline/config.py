@@ -47,6 +47,21 @@ class CalibrationConfig:
     min_turn_rows: int = 60
     #: fewest rows with powers and angles in the quiet window of a calibration by geometry
     min_quiet_rows: int = 200
+    #: quiet windows shorter than this are warned of in a calibration by geometry, days
+    short_quiet_days: float = 2.9
+    #: share of the rows that the track should cover
+    min_tracked_share: float = 0.95
+    #: share by which the noise of a sensor may shrink the slopes without a warning
+    max_slope_shrink: float = 0.02
+    #: a carrier is flat when the turns move it, rms, by less than this share of the noise of a row
+    flat_share: float = 0.5
+    #: a level drifts beyond both, dB per day and sigmas of what its noise explains
+    drift_db_per_day: float = 0.05
+    drift_sigmas: float = 4.0
+    #: chi-square of two degrees of freedom beyond which a station is said to stand elsewhere
+    place_chi_square: float = 20.0
+    #: random walk of a carrier's level at least, dB per square root of hour
+    reference_walk_db_sqrt_h: float = 0.006
     #: knots of a carrier's level over the turns are at least this far apart, s; the default gives one straight line
     level_knot_s: float = 36_000.0
     #: an axis counts as turned where its angle passed this, deg

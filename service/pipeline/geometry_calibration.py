@@ -10,12 +10,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.core.estimation.calibration.geometry_calibration import GeometryCalibration, fit_geometry
-from service.core.estimation.calibration.geometry_prediction import response_of
 from service.pipeline.calibration import observe, paper_part
 from service.pipeline.calibration_rows import CalibrationError, CalibrationInput
 from service.pipeline.config import CalibrationConfig
+from service.pipeline.geometry_fit import JointFit, fit_rows
+from service.pipeline.geometry_quality import quality_figures
 from service.pipeline.geometry_rows import GeometryRows, geometry_rows
+from service.pipeline.geometry_warnings import calibration_warnings
+from service.pipeline.group_deviations import MIN_GROUP, small_groups
 from service.records.attitude import BoolArray, FloatArray, named_axes
 from service.records.calibration import CalibrationResult, CarrierCalibration
 from service.records.catalogue import Carrier
@@ -41,30 +43,28 @@ def calibrate_geometry(data: CalibrationInput, config: CalibrationConfig) -> Cal
         Too few rows or angles in a window, no axis turned, an unknown place, or fewer than four usable carriers.
     """
     rows = geometry_rows(data, config)
-    fit = fit_geometry(rows.rows, rows.places.geometry)
-    refusals = tuple(_refusal(carrier, k, rows, fit) for k, carrier in enumerate(data.plan.carriers))
+    joint = fit_rows(data, rows, config)
+    refusals = _refusals(data, rows, joint)
     is_used = np.array([reason is None for reason in refusals])
-    is_beacon = rows.places.is_beacon
-    if np.count_nonzero(is_used & ~is_beacon) < MIN_CARRIERS:
-        raise CalibrationError(_too_few(data, refusals, int(np.count_nonzero(is_used & ~is_beacon))))
+    is_seeing = is_used & ~rows.places.is_beacon
+    if np.count_nonzero(is_seeing) < MIN_CARRIERS:
+        raise CalibrationError(_too_few(data, refusals, int(np.count_nonzero(is_seeing))))
     paper = paper_part(data, config, is_every_axis_needed=False)
-    slope = response_of(fit, rows.places.geometry).slope
-    carriers = tuple(_carrier(one, k, fit, slope, refusals[k]) for k, one in enumerate(paper.carriers))
-    is_seeing = is_used & ~is_beacon
-    sigma_db = np.hypot(fit.noise.white_db, np.sqrt((fit.noise.sigma_db**2).sum(axis=1)))
+    slope = joint.response.slope
+    carriers = tuple(_carrier(one, k, joint, refusals[k]) for k, one in enumerate(paper.carriers))
+    sigma_db = np.hypot(joint.noise.white_db, np.sqrt(np.square(joint.noise.sigma_db).sum(axis=1)))
     return CalibrationResult(
         carriers,
         observe(slope[is_seeing], sigma_db[is_seeing]),
-        paper.quality,
-        paper.warnings,
-        geometry_record(data, rows, fit, is_used),
+        {**paper.quality, **quality_figures(rows, joint, is_used)},
+        calibration_warnings(data, rows, joint, is_used, config) + _of_paper(paper.warnings),
+        geometry_record(data, rows, joint, is_used),
     )
 
 
-def geometry_record(
-    data: CalibrationInput, rows: GeometryRows, fit: GeometryCalibration, is_used: BoolArray
-) -> GeometryFit:
+def geometry_record(data: CalibrationInput, rows: GeometryRows, joint: JointFit, is_used: BoolArray) -> GeometryFit:
     """Return the fit as the archive keeps it."""
+    fit = joint.fit
     geometry, stations, carriers = rows.places.geometry, rows.places.stations, data.plan.carriers
     transponders = tuple(sorted({carrier.transponder for carrier in carriers}))
     return GeometryFit(
@@ -90,18 +90,17 @@ def geometry_record(
         downlink_covariance=_table(fit.downlink_covariance),
         downlink_gain=tuple(_table(one) for one in fit.downlink_gain),
         solar_day_db=_table(np.zeros((len(carriers), 2)) if fit.solar_db is None else fit.solar_db),
-        quantisation_db=_row(np.zeros(len(carriers))),
-        reference_walk_db=_row(np.full(len(carriers), 0.006)),
-        common_noise=_common_noise(fit),
+        quantisation_db=_row(joint.quantisation_db),
+        reference_walk_db=_row(joint.drift.walk_db),
+        common_noise=_common_noise(joint),
         is_used=tuple(bool(used) for used in is_used),
+        alc_group=tuple(joint.group.tolist()) if (joint.group >= 0).any() else (),
     )
 
 
-def _common_noise(fit: GeometryCalibration) -> tuple[NoiseComponent, ...]:
+def _common_noise(joint: JointFit) -> tuple[NoiseComponent, ...]:
     """Return the parts of the noise that all carriers share."""
-    if fit.learned is None:
-        return ()
-    parts = zip(fit.learned.tau_s.tolist(), fit.learned.common_db.tolist(), strict=True)
+    parts = zip(joint.noise.tau_s.tolist(), joint.noise.common_db.tolist(), strict=True)
     return tuple(NoiseComponent(tau_s, sigma_db) for tau_s, sigma_db in parts if sigma_db > 0.0)
 
 
@@ -123,17 +122,27 @@ def _rain_share(band: str, carriers: tuple[Carrier, ...]) -> float:
     return next((share for limit_hz, share in _SHARE_BELOW_HZ if downlink_hz < limit_hz), _HIGHEST_SHARE)
 
 
-def _refusal(carrier: Carrier, k: int, rows: GeometryRows, fit: GeometryCalibration) -> str | None:
+def _refusals(data: CalibrationInput, rows: GeometryRows, joint: JointFit) -> tuple[str | None, ...]:
+    """Return for each carrier why the robust method must not use it, None if it may."""
+    is_unseen = np.isnan(joint.fit.level_dbm)
+    is_hidden = np.isnan(rows.places.geometry.azimuth_deg) & ~rows.places.is_beacon
+    is_lonely = small_groups(joint.group)
+    return tuple(
+        _refusal(carrier, is_unseen=bool(is_unseen[k]), is_hidden=bool(is_hidden[k]), is_lonely=bool(is_lonely[k]))
+        for k, carrier in enumerate(data.plan.carriers)
+    )
+
+
+def _refusal(carrier: Carrier, *, is_unseen: bool, is_hidden: bool, is_lonely: bool) -> str | None:
     """Return why the robust method must not use a carrier, None if it may."""
-    if not carrier.enabled:
-        return "disabled in the plan"
-    if carrier.uplink_power_control == "auto":
-        return "uplink power control hides what the attitude does: never used for attitude"
-    if np.isnan(fit.level_dbm[k]):
-        return "seen in too few stretches of the windows"
-    if carrier.station is not None and np.isnan(rows.places.geometry.azimuth_deg[k]):
-        return "its station does not see the satellite: check its coordinates"
-    return None
+    reasons = (
+        (not carrier.enabled, "disabled in the plan"),
+        (carrier.uplink_power_control == "auto", "uplink power control hides what the attitude does"),
+        (is_hidden, "its station does not see the satellite: check its coordinates"),
+        (is_lonely, f"its transponder is under level control and has fewer than {MIN_GROUP} carriers in the plan"),
+        (is_unseen, "seen in too few stretches of the windows"),
+    )
+    return next((text for applies, text in reasons if applies), None)
 
 
 def _too_few(data: CalibrationInput, refusals: tuple[str | None, ...], usable: int) -> str:
@@ -144,16 +153,18 @@ def _too_few(data: CalibrationInput, refusals: tuple[str | None, ...], usable: i
     return f"{text} ({shown})" if shown else text
 
 
-def _carrier(
-    paper: CarrierCalibration, k: int, fit: GeometryCalibration, slope: FloatArray, refusal: str | None
-) -> CarrierCalibration:
+def _of_paper(warnings: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the warnings of the paper part that say something which the joint fit does not."""
+    return tuple(f"paper method: {text}" for text in warnings if "carriers are stable and linear" in text)
+
+
+def _carrier(paper: CarrierCalibration, k: int, joint: JointFit, refusal: str | None) -> CarrierCalibration:
     """Return a carrier of the paper part with the noise and the slopes of the joint fit."""
-    parts = zip(fit.noise.tau_s[k], fit.noise.sigma_db[k], strict=True)
-    reasons = paper.rejected_because + ((f"robust: {refusal}",) if refusal is not None else ())
+    parts = zip(joint.noise.tau_s.tolist(), joint.noise.sigma_db[k].tolist(), strict=True)
     return replace(
         paper,
-        sigma_white_db=float(fit.noise.white_db[k]),
-        noise=tuple(NoiseComponent(float(tau_s), float(sigma_db)) for tau_s, sigma_db in parts),
-        sensitivity_db_per_deg=named_axes(slope[k]),
-        rejected_because=reasons,
+        sigma_white_db=float(joint.noise.white_db[k]),
+        noise=tuple(NoiseComponent(tau_s, sigma_db) for tau_s, sigma_db in parts),
+        sensitivity_db_per_deg=named_axes(joint.response.slope[k]),
+        rejected_because=paper.rejected_because + ((f"robust: {refusal}",) if refusal is not None else ()),
     )

@@ -103,7 +103,7 @@ def identify_noise(residual_db: FloatArray, epoch_s: FloatArray) -> LearnedNoise
     prior = np.concatenate([np.full((len(start), 1), white_db2), np.tile(pooled, (len(start), 1))], axis=1)
     begin = np.concatenate([start[:, :1], prior[:, 1:]], axis=1)
     variance = fitted_variances(own, begin, prior, _POOL_WEIGHT)
-    is_seen = own.weight.any(axis=1)
+    is_seen: BoolArray = np.asarray(own.weight.any(axis=1))
     white_db2 = float(np.median(variance[is_seen, 0])) if is_seen.any() else _DEFAULT_WHITE_DB**2
     variance = np.where(is_seen[:, np.newaxis], variance, np.append(white_db2, pooled))
     return LearnedNoise(

@@ -29,6 +29,7 @@ from service.core.estimation.calibration.geometry_columns import (
 )
 from service.core.estimation.calibration.joint_tukey import JointProblem, fit_jointly
 from service.core.estimation.calibration.separable_fit import SeparableFit
+from service.core.estimation.calibration.station_check import StationOffsets, station_offsets
 from service.core.estimation.calibration.whitened_fit import coloured_noise, whitened_fit
 from service.core.estimation.noise_identification import LearnedNoise, identify_noise
 
@@ -113,6 +114,8 @@ class GeometryCalibration(NamedTuple):
         Noise of the quiet rows with its common part; None when the figures come from an archive.
     solar_db : ndarray, shape (N, 2), dB, or None
         Cosine and sine of the solar day; None when the figures come from an archive.
+    offsets : StationOffsets or None
+        Where the data want the stations; None when the figures come from an archive.
     """
 
     level_dbm: FloatArray
@@ -131,6 +134,7 @@ class GeometryCalibration(NamedTuple):
     is_dish_law: bool
     learned: LearnedNoise | None = None
     solar_db: FloatArray | None = None
+    offsets: StationOffsets | None = None
 
 
 def fit_geometry(rows: CalibrationRows, geometry: CarrierGeometry) -> GeometryCalibration:
@@ -179,7 +183,11 @@ def fit_geometry(rows: CalibrationRows, geometry: CarrierGeometry) -> GeometryCa
     is_good = means.is_kept & (_row_weights(residual.shape, stretches, weight) > _NOISE_WEIGHT)
     learned = _learned(residual, is_good, rows)
     fit = whitened_fit(problem, prior, learned, weight, is_dish_law=is_dish_law)
-    return _result(rows, columns, (stretches, means), (fit, weight, learned), (rough_dbm, is_seen, is_dish_law))
+    result = _result(rows, columns, (stretches, means), (fit, weight, learned), (rough_dbm, is_seen, is_dish_law))
+    attitude = _stretch_attitude(rows.attitude_deg, stretches)
+    return result._replace(
+        offsets=station_offsets(problem, attitude, geometry, (fit, prior), coloured_noise(learned), weight)
+    )
 
 
 def _rough_level_dbm(power_dbm: FloatArray) -> FloatArray:
@@ -203,6 +211,13 @@ def _problem(rows: CalibrationRows, stretches: Stretches, means: Means, own_size
         span_s=last_s - first_s + _row_period_s(rows.epoch_s),
         is_near_zero=np.asarray((np.abs(attitude) < _NEAR_ZERO_DEG).all(axis=1)),
     )
+
+
+def _stretch_attitude(attitude_deg: FloatArray, stretches: Stretches) -> FloatArray:
+    """Return the mean attitude (B, 3) of the stretches, zero for one of no row."""
+    filled = stretches.is_filled[..., np.newaxis]
+    total = np.where(filled, attitude_deg[stretches.rows], 0.0).sum(axis=1)
+    return np.asarray(np.nan_to_num(total) / np.maximum(filled.sum(axis=1), 1))
 
 
 def _row_period_s(epoch_s: FloatArray) -> float:

@@ -1,0 +1,151 @@
+"""What an operator should know before a calibration by geometry becomes the active one.
+
+Each text names the carrier, the axis or the operation that it is about and its figure. The law of this file: a healthy
+calibration has no warning; limits stand in ``CalibrationConfig``.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from service.core.estimation.calibration.quadratic_response import predict_deviation
+from service.pipeline.calibration_rows import CalibrationInput, unturned_sides
+from service.pipeline.config import CalibrationConfig
+from service.pipeline.geometry_fit import JointFit
+from service.pipeline.geometry_quality import slope_shrink
+from service.pipeline.geometry_rows import DISTURBING, GeometryRows
+from service.pipeline.group_deviations import MIN_GROUP
+from service.records.attitude import BoolArray
+from service.records.epoch import format_epoch
+
+_AXIS_NAMES = ("yaw", "roll", "pitch")
+_DAY_S = 86_400.0
+#: kinds of operation after which the track of before does not hold
+_MANOEUVRES = ("station_keeping", "momentum_unloading")
+
+
+def calibration_warnings(
+    data: CalibrationInput, rows: GeometryRows, joint: JointFit, is_used: BoolArray, config: CalibrationConfig
+) -> tuple[str, ...]:
+    """Return the warnings, those about the windows first."""
+    return (
+        *_about_windows(data, rows, config),
+        *_about_track(rows, joint, config),
+        *_about_sensors(rows, config),
+        *_about_carriers(data, rows, joint, is_used, config),
+    )
+
+
+def _about_windows(data: CalibrationInput, rows: GeometryRows, config: CalibrationConfig) -> Iterator[str]:
+    """Yield what is wrong with the windows and what was declared inside them."""
+    quiet = rows.rows.epoch_s[rows.is_quiet]
+    span_s = float(quiet[-1] - quiet[0])
+    if span_s < config.short_quiet_days * _DAY_S:
+        yield (
+            f"quiet window of {span_s / 3600:.1f} h is shorter than {config.short_quiet_days * 24:.0f} h: slow noise "
+            "is hardly seen, and level, dish and solar day are not well separated"
+        )
+    angles = rows.angles.attitude_deg[~rows.is_quiet]
+    missing = unturned_sides(angles[np.isfinite(angles).all(axis=1)], config)
+    for name in _AXIS_NAMES:
+        sides = [side for side in missing if side.endswith(name)]
+        if sides:
+            rest = "its effect rests on the places of the stations" if name == "yaw" else "its slopes rest on one side"
+            if name != "yaw" and len(sides) > 1:
+                rest = "its slopes rest on the small motion of the quiet days and are poorly known"
+            yield (
+                f"no turn of at least {config.min_turn_deg} deg towards {', '.join(sides)}: {rest}, and a side "
+                "that was never turned leaves the paper method without its coefficients"
+            )
+    for operation in data.operations:
+        if operation.kind in DISTURBING:
+            what = f"operation {operation.id} ({operation.kind}, {format_epoch(operation.start_us)})"
+            after = ", and the track may not hold after it" if operation.kind in _MANOEUVRES else ""
+            yield f"{what} lies inside the windows: the rows that it disturbs are left out{after}"
+
+
+def _about_track(rows: GeometryRows, joint: JointFit, config: CalibrationConfig) -> Iterator[str]:
+    """Yield what a missing track costs."""
+    if not joint.fit.is_dish_law:
+        yield (
+            "no track of the satellite over the windows: two harmonics stand for the dishes; they age with the orbit's "
+            "plane, to about 0.03, 0.06 and 0.11 dB on day 1, 3 and 7, where the dish law keeps to 0.02 to 0.05 dB"
+        )
+    elif rows.is_tracked.mean() < config.min_tracked_share:
+        yield f"the track covers only {100 * rows.is_tracked.mean():.0f} % of the rows; the others take no part"
+
+
+def _about_sensors(rows: GeometryRows, config: CalibrationConfig) -> Iterator[str]:
+    """Yield what the noise of the sensors costs."""
+    for name, sigma_deg, shrink in zip(_AXIS_NAMES, rows.angles.sensor_sigma_deg, slope_shrink(rows), strict=True):
+        # yaw has no slope of its own to shrink
+        if name != "yaw" and shrink > config.max_slope_shrink:
+            yield (
+                f"the {name} sensor has a noise of {sigma_deg:.3f} deg: after averaging, slopes of {name} still come "
+                f"out about {100 * shrink:.0f} % too small"
+            )
+
+
+def _about_carriers(
+    data: CalibrationInput, rows: GeometryRows, joint: JointFit, is_used: BoolArray, config: CalibrationConfig
+) -> Iterator[str]:
+    """Yield what is wrong with single carriers."""
+    names = data.plan.carrier_ids
+    for k, carrier in enumerate(data.plan.carriers):
+        if carrier.enabled and np.isnan(joint.fit.level_dbm[k]):
+            yield f"{names[k]} was silent or hardly seen in the windows and is not calibrated"
+        elif carrier.uplink_power_control == "auto":
+            yield f"{names[k]} has automatic uplink power control and is not used"
+    for number in range(int(joint.group.max(initial=-1)) + 1):
+        members = np.flatnonzero(joint.group == number)
+        if len(members) < MIN_GROUP:
+            yield (
+                f"{', '.join(names[k] for k in members)}: a transponder under level control needs {MIN_GROUP} carriers "
+                "of the plan; these are not used"
+            )
+    yield from _about_flat(rows, joint, names, is_used & ~rows.places.is_beacon, config)
+    yield from _about_drift(joint, names, is_used, config)
+    yield from _about_places(joint, names, is_used & ~rows.places.is_beacon, config)
+
+
+def _about_flat(
+    rows: GeometryRows, joint: JointFit, names: tuple[str, ...], is_asked: BoolArray, config: CalibrationConfig
+) -> Iterator[str]:
+    """Yield the carriers that the turns moved less than their noise."""
+    turns = rows.angles.attitude_deg[~rows.is_quiet]
+    turns = turns[np.isfinite(turns).all(axis=1)]
+    answer = predict_deviation(turns, joint.response)
+    moved_db = answer.std(axis=0) if len(turns) else np.full(len(names), np.nan)
+    noise_db = np.hypot(joint.noise.white_db, np.sqrt(np.square(joint.noise.sigma_db).sum(axis=1)))
+    for k in np.flatnonzero(is_asked):
+        if moved_db[k] < config.flat_share * noise_db[k]:
+            yield (
+                f"{names[k]} is flat: the turns moved it by {moved_db[k]:.3f} dB rms, its noise is {noise_db[k]:.3f} dB"
+            )
+
+
+def _about_drift(
+    joint: JointFit, names: tuple[str, ...], is_asked: BoolArray, config: CalibrationConfig
+) -> Iterator[str]:
+    """Yield the carriers whose level drifted over the quiet days."""
+    slope, sigma = joint.drift.slope_db_per_day, joint.drift.sigma_db_per_day
+    for k in np.flatnonzero(is_asked):
+        if abs(slope[k]) > config.drift_db_per_day and abs(slope[k]) > config.drift_sigmas * sigma[k]:
+            yield f"{names[k]} drifts: {slope[k]:+.2f} dB a day over the quiet window, noise explains {sigma[k]:.2f}"
+
+
+def _about_places(
+    joint: JointFit, names: tuple[str, ...], is_asked: BoolArray, config: CalibrationConfig
+) -> Iterator[str]:
+    """Yield the carriers whose stations the data want elsewhere."""
+    if joint.fit.offsets is None:
+        return
+    offsets = joint.fit.offsets
+    for k in np.flatnonzero(is_asked & (joint.group < 0)):
+        if offsets.chi_square[k] > config.place_chi_square:
+            east_deg, north_deg = offsets.offset_deg[k]
+            sigma_deg = float(np.sqrt(np.trace(offsets.covariance_deg2[k]) / 2.0))
+            yield (
+                f"check the coordinates of {names[k]}: the turns want its station {east_deg:+.0f} deg East and "
+                f"{north_deg:+.0f} deg North of its place in the antenna frame (one sigma about {sigma_deg:.0f} deg)"
+            )
