@@ -8,6 +8,7 @@ from service.cli.operate import align, calibrate, export, replay
 from service.cli.plan import plan
 from service.cli.reference import openapi, settings
 from service.cli.serve import serve
+from service.cli.study import app as study
 
 app = typer.Typer(
     name="soo",
@@ -19,3 +20,4 @@ app = typer.Typer(
 
 for command in (demo, serve, acquire, calibrate, align, replay, export, plan, openapi, settings):
     app.command()(command)
+app.add_typer(study, name="study")

@@ -12,12 +12,23 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs/reference/command-line.md").read_text()
 GROUP = typer.main.get_command(app)
 assert isinstance(GROUP, typer.core.TyperGroup)
-COMMANDS = dict(GROUP.commands)
+
+
+def commands(group, prefix=""):
+    """Return every command by its words; a group of commands stands for those in it."""
+    found = {}
+    for name, command in group.commands.items():
+        is_group = isinstance(command, typer.core.TyperGroup)
+        found |= commands(command, f"{prefix}{name} ") if is_group else {prefix + name: command}
+    return found
+
+
+COMMANDS = commands(GROUP)
 
 
 def sections() -> dict[str, str]:
     """Return the text of each command's section."""
-    return dict(re.findall(r"^## soo ([\w-]+)\n(.*?)(?=^## |\Z)", PAGE, re.DOTALL | re.MULTILINE))
+    return dict(re.findall(r"^## soo ([\w -]+)\n(.*?)(?=^## |\Z)", PAGE, re.DOTALL | re.MULTILINE))
 
 
 def test_every_command_has_a_section() -> None:

@@ -120,6 +120,8 @@ def _control() -> list[Bound]:
         *(Bound(scenario, "alarm_delay_min", at_most(30.0), None, ASKED) for scenario in _FALSE_REPORTS),
         Bound("nominal_uncoupled", "alarm_delay_min", at_most(720.0), None, ASKED),
         Bound("eclipse", "night_off_min", at_most(30.0), None, ASKED),
+        *_angles("blackout", "dark_rms_deg", (0.25, 0.04, 0.10), source=ASKED),
+        *_angles("blackout", "after_dark_deg", (None, 0.05, 0.05), source=ASKED),
         *_angles("eclipse", "shift_deg", (0.05, 0.02, 0.03), source=ASKED),
         *_angles("eclipse", "left_deg", (0.05, 0.02, 0.03), (0.02, 0.005, 0.005), source=ASKED),
     ]

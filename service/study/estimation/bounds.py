@@ -102,6 +102,22 @@ class Judged(NamedTuple):
 FiguresOf = Mapping[tuple[str, str], Figures]
 
 
+#: figures of what an operation phase that is cut short may not hold, or that need another scenario beside their own
+OPTIONAL_FIGURES = (
+    "shift_deg",
+    "left_deg",
+    "alarm_delay",
+    "rain_delay",
+    "rain_coverage",
+    "rain_wrong",
+    "night_off",
+    "faults_found",
+    "fault_delay",
+    "dark_rms",
+    "after_dark",
+)
+
+
 def judge(bounds: Iterable[Bound], figures: FiguresOf) -> tuple[Judged, ...]:
     """Return every bound with its value and mark, in the order of the bounds.
 
@@ -116,10 +132,6 @@ def judge(bounds: Iterable[Bound], figures: FiguresOf) -> tuple[Judged, ...]:
             value = math.nan
         judged.append(Judged(bound, value, bound.mark(value)))
     return tuple(judged)
-
-
-#: figures that need another scenario beside their own, or an operation of full length
-OPTIONAL_FIGURES = ("shift_deg", "left_deg", "alarm_delay", "rain_delay", "rain_coverage", "rain_wrong", "night_off")
 
 
 def idle_baselines(

@@ -1,4 +1,4 @@
-"""Episodes of the truth, rain, faults of carriers and alarms, and whether an answer noticed them.
+"""Episodes of the truth, rain, faults of carriers, silence and alarms, and whether an answer noticed them.
 
 Rows are those that were measured; what falls into a gap is judged from the first row after it. Delays are in minutes
 and may be negative: a rain can be found before it passes the depth from which it counts. What is never found within its
@@ -21,6 +21,8 @@ FOUND_WITHIN_MIN = 30.0
 RECOVERY_MIN = 120.0
 #: an alarm after this time belongs to something else, min
 ALARM_WITHIN_MIN = 1440.0
+#: after carriers have come back, an error is looked at from this time on and for so long, min
+_BACK_MIN, _BACK_SPAN_MIN = 60.0, 10.0
 _MINUTE_US = 6e7
 #: what can be wrong with a carrier on the air; a wet antenna is the end of its rain
 _PASSING_FAULTS = (("uplink_rain", "wet_antenna"), ("interference",))
@@ -50,6 +52,16 @@ class FaultFigures(NamedTuple):
     #: pairs of row and carrier without any fault, and those of them that were excluded
     clean_pairs: int
     false_pairs: int
+
+
+class DarkFigures(NamedTuple):
+    """Times in which no carrier was on the air; deg, yaw, roll, pitch."""
+
+    #: rows, and the sums (3,) of their squared errors
+    rows: int
+    square_sum: FloatArray
+    #: (E, 3) largest error from one hour after the end on, for ten minutes
+    after: FloatArray
 
 
 def stretches(is_so: BoolArray) -> list[tuple[int, int]]:
@@ -158,6 +170,18 @@ def _is_clean(epochs_us: IntArray, flags: IntArray) -> BoolArray:
     newest_us = np.where(flags != 0, epochs_us[:, np.newaxis].astype(np.float64), -np.inf)
     since_us = epochs_us[:, np.newaxis] - np.maximum.accumulate(newest_us, axis=0)
     return np.asarray(since_us > RECOVERY_MIN * _MINUTE_US)
+
+
+def measure_dark(epochs_us: IntArray, is_dark: BoolArray, error_deg: FloatArray) -> DarkFigures:
+    """Return the errors (T, 3) while there was nothing to measure and when it had come back for an hour."""
+    inside = is_dark & np.isfinite(error_deg).all(axis=1)
+    after = []
+    for _first, last in stretches(is_dark):
+        since_min = (epochs_us - epochs_us[last - 1]) / _MINUTE_US
+        rows = (since_min >= _BACK_MIN) & (since_min < _BACK_MIN + _BACK_SPAN_MIN)
+        if rows.any():
+            after.append(np.max(error_deg[rows], axis=0))
+    return DarkFigures(int(inside.sum()), np.sum(error_deg[inside] ** 2, axis=0), np.array(after).reshape(-1, 3))
 
 
 def measure_alarms(

@@ -11,13 +11,15 @@ from typing import NamedTuple
 import numpy as np
 
 from service.records.attitude import BoolArray, FloatArray
-from service.study.estimation.accuracy import Accuracy, Figures, accuracy_figures, measure_accuracy
+from service.study.estimation.accuracy import AXES, Accuracy, Figures, accuracy_figures, measure_accuracy
 from service.study.estimation.drive import Driven, MethodSeries
 from service.study.estimation.episodes import (
     FOUND_WITHIN_MIN,
+    DarkFigures,
     FaultFigures,
     RainFigures,
     measure_alarms,
+    measure_dark,
     measure_faults,
     measure_rain,
     stretches,
@@ -59,6 +61,7 @@ class Measures(NamedTuple):
     control: Control
     rain: RainFigures
     faults: FaultFigures
+    dark: DarkFigures
     #: (E,) min, and how many begin a day
     alarm_delay_min: FloatArray
     alarms_per_day: float
@@ -82,6 +85,7 @@ def measure_method(world: World, driven: Driven, series: MethodSeries) -> Measur
     is_wrong: BoolArray = np.asarray((error_deg > WRONG_DEG) & series.is_axis_allowed[judged])
     fade_db = world.truth.downlink_fade_db[rows]
     is_wrong_row: BoolArray = np.asarray(is_wrong.any(axis=1))
+    is_dark: BoolArray = np.asarray(world.truth.has_flag("off")[rows].all(axis=1))
     alarm_delays, alarms_per_day = measure_alarms(
         epochs_us,
         series.is_alarm[judged],
@@ -93,6 +97,7 @@ def measure_method(world: World, driven: Driven, series: MethodSeries) -> Measur
         _control(series, judged, is_wrong, fade_db, _nights(world, driven)[judged], row_min),
         measure_rain(epochs_us, fade_db, series.is_fade[judged], is_wrong_row, row_min),
         measure_faults(epochs_us, world.truth, rows, series.is_excluded[judged], series.is_carrier_used),
+        measure_dark(epochs_us, is_dark, error_deg),
         alarm_delays,
         alarms_per_day,
     )
@@ -143,7 +148,7 @@ def figures_of(seeds: Sequence[Measures]) -> Figures:
     }
     figures |= _worst("alarm_delay_min", [seed.alarm_delay_min for seed in seeds])
     figures |= _worst("night_off_min", [control.night_off_min for control in controls])
-    return {**figures, **_rain_figures(seeds), **_fault_figures(seeds)}
+    return {**figures, **_rain_figures(seeds), **_fault_figures(seeds), **_dark_figures(seeds)}
 
 
 def _mean(values: Sequence[float]) -> float:
@@ -187,3 +192,15 @@ def _fault_figures(seeds: Sequence[Measures]) -> Figures:
             "fault_delay_median_min": float(np.median(delay_min)),
         }
     return figures
+
+
+def _dark_figures(seeds: Sequence[Measures]) -> Figures:
+    """Return the figures of times without any carrier."""
+    darks = [seed.dark for seed in seeds]
+    rows = sum(dark.rows for dark in darks)
+    after = np.concatenate([dark.after for dark in darks])
+    if not rows or not len(after):
+        return {}
+    rms = np.sqrt(np.sum([dark.square_sum for dark in darks], axis=0) / rows)
+    by_axis = {"dark_rms_deg": rms, "after_dark_deg": after.max(axis=0)}
+    return {f"{name}.{axis}": float(values[k]) for name, values in by_axis.items() for k, axis in enumerate(AXES)}

@@ -163,8 +163,8 @@ def _control(campaign: Campaign) -> Table:
         (
             scenario,
             method,
-            _number(figures.get("wrong_min.roll_pitch"), 1),
-            _number(figures.get("wrong_min.yaw"), 1),
+            _number(figures.get("wrong_min.roll_pitch"), 0),
+            _number(figures.get("wrong_min.yaw"), 0),
             _number(figures.get("available_dry"), 4),
             _number(figures.get("yaw_available_dry"), 3),
             _number(figures.get("alarms_per_day"), 2),
@@ -262,12 +262,12 @@ def _angles(figures: Figures, name: str, digits: int) -> str:
     return "/".join(_number(figures.get(f"{name}.{axis}"), digits) for axis in AXES)
 
 
-def _number(value: float | None, digits: int = 4) -> str:
-    """Return a number without needless characters."""
+def _number(value: float | None, digits: int | None = None) -> str:
+    """Return a number with some decimals, or with as many up to four as it needs."""
     if value is None or math.isnan(value):
         return _DASH
     if math.isinf(value):
         return "never" if value > 0 else _DASH
-    text = f"{value:.{digits}f}"
-    text = text.rstrip("0").rstrip(".") if digits == 4 and "." in text else text
+    text = f"{value:.{4 if digits is None else digits}f}"
+    text = text.rstrip("0").rstrip(".") if digits is None else text
     return text.replace("0.", ".", 1) if text.startswith(("0.", "-0.")) else text
