@@ -16,6 +16,8 @@ from service.pipeline.config import (
     EstimationConfig,
     FadeConfig,
     InterlockConfig,
+    OperationConfig,
+    RobustConfig,
     TorqueConfig,
 )
 
@@ -56,7 +58,9 @@ class Settings(BaseSettings):
     fade: FadeConfig = Field(FadeConfig(), description="downlink rain rule")
     interlock: InterlockConfig = Field(InterlockConfig(), description="what inhibits control")
     torque: TorqueConfig = Field(TorqueConfig(), description="torque pulses")
+    robust: RobustConfig = Field(RobustConfig(), description="the robust method in operation")
+    operations: OperationConfig = Field(OperationConfig(), description="what declared operations mean to it")
 
     def chain_config(self) -> ChainConfig:
         """Return the configuration of every chain."""
-        return ChainConfig(self.estimation, self.fade, self.interlock, self.torque)
+        return ChainConfig(self.estimation, self.fade, self.interlock, self.torque, self.robust, self.operations)

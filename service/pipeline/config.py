@@ -127,9 +127,9 @@ class RobustConfig:
     """The robust method in operation."""
 
     #: drift of the inertial model, one standard deviation, deg/h, and its correlation time, h
-    yaw_drift_deg_h: float = 0.05
-    roll_drift_deg_h: float = 0.035
-    pitch_drift_deg_h: float = 0.035
+    yaw_drift_deg_h: float = 0.04
+    roll_drift_deg_h: float = 0.025
+    pitch_drift_deg_h: float = 0.025
     drift_time_h: float = 8.0
     #: relative error of the effect of an announced correction and of a torque
     correction_scale_error: float = 0.05

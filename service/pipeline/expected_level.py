@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from service.core.estimation.calibration.geometry_columns import OrbitMotion
+from service.core.estimation.calibration.geometry_columns import OrbitMotion, daily_columns
 from service.core.estimation.calibration.geometry_prediction import predict_level_dbm
 from service.core.geometry.line_of_sight import Places, Track, antenna_motion_deg, sight_motion_deg, track_position_deg
 from service.core.geometry.node_phase import node_phase_rad
@@ -24,6 +24,9 @@ _KNOTS_A_DAY = 144
 _DAY_US = _KNOT_US * _KNOTS_A_DAY
 #: days kept; a live chain needs one, a comparison of two a few
 _MAX_DAYS = 40
+
+#: instants of a day at which the error of the daily change is looked at
+_ERROR_INSTANTS = 48
 
 #: levels (T, N) in dBm of some epochs (T,)
 Levels = Callable[[IntArray], FloatArray]
@@ -50,6 +53,29 @@ def _motion(model: GeometryModel, fit: GeometryFit, ephemeris: Ephemeris, epochs
     stations = Places(*(values[:-1] for values in model.places))
     sight = sight_motion_deg(track_position_deg(track, epochs_us), stations, fit.nominal_longitude_deg)
     return OrbitMotion(sight, antenna_motion_deg(track, epochs_us, model.places, fit.nominal_longitude_deg))
+
+
+def daily_error_db(model: GeometryModel, fit: GeometryFit, ephemeris: Ephemeris, start_us: int) -> FloatArray:
+    """Return what a day's change of each carrier (N,) may have wrong by the calibration's own covariance, rms, dB.
+
+    Small over the orbit of the quiet days; weeks later the satellite moves along another line, of which they told less.
+    Zero where the ephemeris does not reach.
+    """
+    epochs_us = start_us + (_DAY_US // _ERROR_INSTANTS) * np.arange(_ERROR_INSTANTS, dtype=np.int64)
+    motion = _motion(model, fit, ephemeris, epochs_us) if fit.is_dish_law else None
+    if fit.is_dish_law and motion is None:
+        return np.zeros(len(fit.level_dbm))
+    nodes_us = np.array(ephemeris.ascending_nodes_us, dtype=np.int64)
+    phase = node_phase_rad(epochs_us, nodes_us, ephemeris.nodal_period_s)
+    columns = daily_columns(motion, phase, len(fit.level_dbm))
+    columns = columns[np.isfinite(columns).all(axis=(1, 2))]
+    if not len(columns):
+        return np.zeros(len(fit.level_dbm))
+    # the mean of the day is part of the reference
+    columns = columns - columns.mean(axis=0)
+    size = columns.shape[2]
+    covariance = np.nan_to_num(np.array(fit.covariance)[:, 1 : 1 + size, 1 : 1 + size])
+    return np.asarray(np.sqrt(np.einsum("tni,nij,tnj->n", columns, covariance, columns) / len(columns)))
 
 
 class ExpectedLevel:

@@ -10,7 +10,7 @@ from service.core.estimation.filtering.integrity import IntegrityLimits
 from service.core.estimation.snapshot.snapshot_start import subset_orders
 from service.pipeline.config import ChainConfig, InterlockConfig, RobustConfig
 from service.pipeline.declared_operations import CarrierNames
-from service.pipeline.expected_level import ExpectedLevel
+from service.pipeline.expected_level import ExpectedLevel, daily_error_db
 from service.pipeline.geometry_model import GeometryModel, carrier_model, geometry_model
 from service.pipeline.knowledge import Knowledge
 from service.records.attitude import BoolArray, FloatArray, IntArray
@@ -20,6 +20,8 @@ from service.records.geometry import GeometryFit
 
 #: exchange of roll and yaw at the orbital rate, 1/h
 _ORBITAL_RATE_PER_H = 0.2625162
+#: correlation time that stands for a wave of one day, s
+_DAILY_TAU_S = 20_000.0
 #: subsets from which the fix of a late row starts
 _SUBSETS = 60
 #: instants over the alignment window at which two calibrations are compared when references are re-derived
@@ -81,7 +83,10 @@ def robust_model(knowledge: Knowledge, aligned_with: Calibration | None, config:
     is_known = np.isfinite(arrays.response.slope).all(axis=1) & np.isfinite(np.array(fit.level_dbm))
     return RobustModel(
         carrier_ids=carrier_ids,
-        filter=carrier_model(arrays, fit, result.carriers, config.robust),
+        filter=_with_daily_error(
+            carrier_model(arrays, fit, result.carriers, config.robust),
+            daily_error_db(arrays, fit, ephemeris, alignment.epoch_us),
+        ),
         settings=_filter_settings(knowledge.spacecraft, config.robust),
         limits=_limits(config.interlock, config.robust),
         response=arrays.response,
@@ -96,6 +101,15 @@ def robust_model(knowledge: Knowledge, aligned_with: Calibration | None, config:
         calibration_id=calibration.id,
         alignment_id=alignment.id,
     )
+
+
+def _with_daily_error(model: CarrierModel, error_db: FloatArray) -> CarrierModel:
+    """Return the carriers with the error of their daily change in the coloured part that lasts as long."""
+    component = np.abs(np.log(model.coloured_tau_s / _DAILY_TAU_S)).argmin(axis=1)
+    sigma_db = model.coloured_sigma_db.copy()
+    at = np.arange(model.carriers)
+    sigma_db[at, component] = np.hypot(sigma_db[at, component], error_db)
+    return model._replace(coloured_sigma_db=sigma_db)
 
 
 def _references(
