@@ -29,6 +29,8 @@ from service.study.processes import ChildProcess, FrontEnd
 #: wait for rows that are on their way, s
 _ARRIVAL_TIMEOUT_S = 120.0
 _POLL_S = 0.05
+#: longest stretch without a row in a story, s
+_LONGEST_PAUSE_S = 40 * 86_400
 #: the trailing mean and the first slope must have filled, s of virtual time
 _SETTLING_US = 3_600_000_000
 
@@ -85,7 +87,8 @@ def simulated_station(
 ) -> Iterator[Endpoints]:
     """Start simulator and service, give their addresses, and end them."""
     key = secrets.token_urlsafe(24)
-    environment = {**os.environ, "SOO_BOOTSTRAP_KEY": key, "SOO_KEY": key, "OPENBLAS_NUM_THREADS": "1"}
+    own = {"SOO_BOOTSTRAP_KEY": key, "SOO_KEY": key, "SOO_FUTURE_TOLERANCE_DATA_S": str(_LONGEST_PAUSE_S)}
+    environment = {**os.environ, **own, "OPENBLAS_NUM_THREADS": "1"}
     simulator = [
         *("analyzer_sim", "serve", "--dialect", "rs", "--port", "0", "--ground-port", "0", "--await-ground"),
         *("--scenario", scenario, "--seed", str(seed), "--operation-days", str(operation_days)),

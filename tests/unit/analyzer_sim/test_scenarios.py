@@ -34,6 +34,7 @@ BEYOND = (
     *("flicker", "flicker_storm", "yaw_hold", "stale_calibration", "eclipse", "sun_outage", "alc", "upc"),
     *("no_coupling", "burn", "nominal_tau5", "nominal_tau120", "nominal_drift3", "nominal_uncoupled", "nominal_10s"),
     *("nominal_300s", "corrections_flipped", "corrections_halved", "corrections_lost", "corrections_doubled"),
+    *("beacons", "sensors", "prime_backup", "replan", "blackout", "few3", "corrections_late"),
 )
 
 
@@ -144,5 +145,8 @@ def test_the_table_says_what_the_ground_is_told() -> None:
     assert told(SCENARIOS["nominal"]) == "-"
     assert told(SCENARIOS["burn"]) == "station_keeping, new ephemeris 6 h after the burn"
     assert told(SCENARIOS["works"]) == "carrier_work, gain_change, receive_chain_work"
+    assert told(SCENARIOS["replan"]) == "new plan"
+    assert told(SCENARIOS["prime_backup"]) == "which analyzer measures"
+    assert told(SCENARIOS["corrections_late"]) == "corrections 30 min after their end"
     silent = replace(SCENARIOS["works"], faults=(SwitchOff("off"),))
     assert told(silent) == "-"

@@ -181,6 +181,8 @@ def test_in_a_blackout_rows_of_nothing_come_and_later_none() -> None:
     assert rows.is_gap.sum() == pytest.approx(300, abs=1)
     assert np.all(np.isnan(rows.power_dbm[is_dark | rows.is_gap]))
     assert world("blackout").emission(int(np.argmax(is_dark))).signals == ()
+    truth = [row for line in lines("blackout") if line["kind"] == "truth" for row in line["rows"]]
+    assert [row.get("is_gap", False) for row in truth] == rows.is_gap.tolist()
 
 
 def test_only_three_stay() -> None:
