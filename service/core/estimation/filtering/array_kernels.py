@@ -6,7 +6,12 @@ its own, which `turn` and `grow` then change in place; nothing else is written.
 
 import numpy as np
 
-from service.core.estimation.filtering.filter_model import FloatArray, IntArray
+from service.core.estimation.filtering.filter_model import (
+    FloatArray,
+    IntArray,
+    model_error_component,
+    model_variance_db2,
+)
 from service.core.estimation.filtering.filter_state import ATTITUDE, CHAIN, FIRST_COMMON, RAIN
 
 #: attitude, drifts and rates move into one another
@@ -45,41 +50,38 @@ def turn(
 
 def model_variance(coefficient_covariance: FloatArray, attitude_deg: FloatArray) -> FloatArray:
     """Return (N,) dB^2: what errors of the calibrated coefficients (N, 9, 9) add at an attitude (3,)."""
-    yaw, roll, pitch = attitude_deg.tolist()
-    squares = [yaw * yaw / 2.0, yaw * roll, yaw * pitch, roll * roll / 2.0, roll * pitch, pitch * pitch / 2.0]
-    slope = np.array([yaw, roll, pitch, *squares])
-    return np.asarray((coefficient_covariance @ slope) @ slope)
+    return model_variance_db2(coefficient_covariance, attitude_deg)
 
 
 def grow(
     covariance: FloatArray,
     factor: FloatArray,
     core_added: FloatArray,
-    common_variance: FloatArray,
-    coloured_variance: FloatArray,
-    error_component: IntArray,
-    reference_added: FloatArray,
+    common_sigma_db: FloatArray,
+    coloured_sigma_db: FloatArray,
+    coloured_tau_s: FloatArray,
+    reference_walk_db: FloatArray,
+    scale2: float,
+    hours: float,
     held_variance: FloatArray,
     variance: FloatArray,
 ) -> None:
     """Add to the diagonal, in place, what a step brings.
 
-    Core (11,) and references (N,) as they are; common (G,) and coloured (N, K) parts what keeps their variance
-    stationary. The part `error_component` (N,) also carries an error of variance `variance` (N,), of which the state
-    held `held_variance` (N,) before the step. A growing error is added at once: the attitude has moved, and the error
-    with it.
+    Core (11,) as it is; common (G,) and coloured (N, K) parts what keeps their variance stationary, references (N,) by
+    the hour, the last two times `scale2`. One part of each carrier also carries an error of variance `variance` (N,),
+    of which the state held `held_variance` (N,) before the step. A growing error is added at once: the attitude has
+    moved, and the error with it.
     """
-    first = FIRST_COMMON + len(common_variance)
-    carriers, components = coloured_variance.shape
+    first = FIRST_COMMON + len(common_sigma_db)
+    carriers, components = coloured_sigma_db.shape
     lost = 1.0 - factor[first:-carriers].reshape(components, carriers).T ** 2
-    coloured = coloured_variance * lost
-    at = np.arange(carriers)
-    gone = lost[at, error_component]
-    coloured[at, error_component] += np.maximum(variance - (1.0 - gone) * held_variance, gone * variance)
-    common = common_variance * (1.0 - factor[FIRST_COMMON:first] ** 2)
-    covariance.ravel()[:: len(covariance) + 1] += np.concatenate(
-        [core_added, common, coloured.T.ravel(), reference_added]
-    )
+    coloured = scale2 * coloured_sigma_db**2 * lost
+    at = np.arange(carriers), model_error_component(coloured_tau_s)
+    coloured[at] += np.maximum(variance - (1.0 - lost[at]) * held_variance, lost[at] * variance)
+    common = common_sigma_db**2 * (1.0 - factor[FIRST_COMMON:first] ** 2)
+    reference = scale2 * hours * reference_walk_db**2
+    covariance.ravel()[:: len(covariance) + 1] += np.concatenate([core_added, common, coloured.T.ravel(), reference])
 
 
 def linearise(

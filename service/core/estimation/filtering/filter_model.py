@@ -17,7 +17,7 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 #: the correlation time whose coloured part also carries the error of the calibration, s
-_MODEL_ERROR_TAU_S = 3600.0
+MODEL_ERROR_TAU_S = 3600.0
 
 
 class CarrierModel(NamedTuple):
@@ -130,8 +130,8 @@ def pattern_change(model: CarrierModel, attitude_deg: FloatArray) -> PatternChan
     return PatternChange((model.gradient_db_deg + 0.5 * bend) @ attitude_deg, gradient)
 
 
-def model_variance_db2(model: CarrierModel, attitude_deg: FloatArray) -> FloatArray:
-    """Return how much the error of the calibrated coefficients adds at an attitude, shape (N,), dB^2.
+def model_variance_db2(coefficient_covariance: FloatArray, attitude_deg: FloatArray) -> FloatArray:
+    """Return how much the error of the calibrated coefficients (N, 9, 9) adds at an attitude (3,), shape (N,), dB^2.
 
     Notes
     -----
@@ -151,12 +151,12 @@ def model_variance_db2(model: CarrierModel, attitude_deg: FloatArray) -> FloatAr
             pitch * pitch / 2.0,
         ]
     )
-    return np.asarray((model.coefficient_covariance @ slope) @ slope)
+    return np.asarray((coefficient_covariance @ slope) @ slope)
 
 
-def model_error_component(model: CarrierModel) -> IntArray:
-    """Return the coloured component (N,) of each carrier that also carries the error of the calibration.
+def model_error_component(coloured_tau_s: FloatArray) -> IntArray:
+    """Return which of the coloured components (N, K) of each carrier also carries the error of the calibration, (N,).
 
     An error of the coefficients stays as long as an attitude does, so the component of about an hour is the nearest.
     """
-    return np.asarray(np.abs(np.log(model.coloured_tau_s / _MODEL_ERROR_TAU_S)).argmin(axis=1))
+    return np.asarray(np.abs(np.log(coloured_tau_s / MODEL_ERROR_TAU_S)).argmin(axis=1))

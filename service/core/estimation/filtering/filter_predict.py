@@ -20,7 +20,6 @@ from service.core.estimation.filtering.filter_model import (
     FilterSettings,
     FloatArray,
     KnownMotion,
-    model_error_component,
 )
 from service.core.estimation.filtering.filter_state import (
     ATTITUDE,
@@ -153,7 +152,7 @@ def predict(
     """
     motion = motion_over(step_us, settings)
     seconds = step_us / 1e6
-    hours, scale2 = seconds / _S_PER_H, weather.slow_scale**2
+    hours = seconds / _S_PER_H
     # rain that is none is forgotten
     rain_factor = 1.0 if weather.is_raining else math.exp(-seconds / settings.rain_dry_tau_s)
     mean, covariance, factor = kernels.fade(
@@ -165,10 +164,12 @@ def predict(
         covariance,
         factor,
         np.array(_core_variance(settings, hours, known, weather)),
-        model.common_sigma_db**2,
-        scale2 * model.coloured_sigma_db**2,
-        model_error_component(model),
-        scale2 * hours * model.reference_walk_db**2,
+        model.common_sigma_db,
+        model.coloured_sigma_db,
+        model.coloured_tau_s,
+        model.reference_walk_db,
+        weather.slow_scale**2,
+        hours,
         weather.model_variance_db2,
         variance,
     )
@@ -180,10 +181,11 @@ def predict(
 
 def _push(hours: float, known: KnownMotion) -> FloatArray:
     """Return what commands add to attitude, drift and rate (9,)."""
-    push = np.zeros(9)
-    push[ATTITUDE] = known.correction_deg + known.late_correction_deg + 0.5 * hours * known.rate_change_deg_h
-    push[RATE] = known.rate_change_deg_h
-    return push
+    # three numbers each: lists cost a third of arrays
+    rates = known.rate_change_deg_h.tolist()
+    angles = zip(known.correction_deg.tolist(), known.late_correction_deg.tolist(), rates, strict=True)
+    attitude = [correction + late + 0.5 * hours * rate for correction, late, rate in angles]
+    return np.array([*attitude, 0.0, 0.0, 0.0, *rates])
 
 
 def _core_variance(settings: FilterSettings, hours: float, known: KnownMotion, weather: Weather) -> list[float]:

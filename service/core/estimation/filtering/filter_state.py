@@ -36,7 +36,7 @@ class Gaussian(NamedTuple):
     @property
     def attitude_sigma_deg(self) -> FloatArray:
         """(3,) one standard deviation of yaw, roll, pitch, deg."""
-        return np.asarray(np.sqrt(np.diagonal(self.covariance)[ATTITUDE]))
+        return np.asarray(np.sqrt(self.covariance.diagonal()[ATTITUDE]))
 
 
 def core_size(model: CarrierModel) -> int:

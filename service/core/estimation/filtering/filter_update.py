@@ -41,12 +41,14 @@ class Innovation(NamedTuple):
     @property
     def sigma_db(self) -> FloatArray:
         """(n,) one standard deviation of each innovation, dB."""
-        return np.asarray(np.sqrt(np.diagonal(self.predicted_db2) + self.white_db2))
+        return np.asarray(np.sqrt(self.predicted_db2.diagonal() + self.white_db2))
 
     @property
     def covariance_db2(self) -> FloatArray:
         """(n, n) covariance of the innovations, dB^2."""
-        return self.predicted_db2 + np.diag(self.white_db2)
+        covariance = self.predicted_db2.copy()
+        covariance.ravel()[:: len(covariance) + 1] += self.white_db2
+        return covariance
 
 
 def expected_db(model: CarrierModel, mean: FloatArray, carriers: IntArray) -> FloatArray:
@@ -150,7 +152,7 @@ def update(
     carriers, white = innovation.carriers, innovation.white_db2
     mean, whitened, residual = _absorbed(state, innovation, kernels)
     own = whitened[:, ATTITUDE]
-    shift, nis = (residual @ own) / np.sqrt(np.square(own).sum(axis=0)), float(residual @ residual)
+    shift, nis = (residual @ own) / np.sqrt(np.einsum("ij,ij->j", own, own)), float(residual @ residual)
     at_deg = state.mean[ATTITUDE]
     for _ in range(_MAX_PASSES):
         if float(np.abs(mean[ATTITUDE] - at_deg).max()) <= _RELINEARISE_DEG:

@@ -25,7 +25,20 @@ class Kernels(NamedTuple):
     turn: Callable[[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray], None]
     model_variance: Callable[[FloatArray, FloatArray], FloatArray]
     grow: Callable[
-        [FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, IntArray, FloatArray, FloatArray, FloatArray], None
+        [
+            FloatArray,
+            FloatArray,
+            FloatArray,
+            FloatArray,
+            FloatArray,
+            FloatArray,
+            FloatArray,
+            float,
+            float,
+            FloatArray,
+            FloatArray,
+        ],
+        None,
     ]
     linearise: Callable[
         [FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, IntArray, int],

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from service.core.estimation.filtering.filter_model import FloatArray, IntArray
+from service.core.estimation.filtering.filter_model import MODEL_ERROR_TAU_S, FloatArray, IntArray
 
 # places of the core states; numba wants numbers where the rest of the filter has slices
 _MOVING = 9
@@ -91,31 +91,38 @@ def grow(
     covariance: FloatArray,
     factor: FloatArray,
     core_added: FloatArray,
-    common_variance: FloatArray,
-    coloured_variance: FloatArray,
-    error_component: IntArray,
-    reference_added: FloatArray,
+    common_sigma_db: FloatArray,
+    coloured_sigma_db: FloatArray,
+    coloured_tau_s: FloatArray,
+    reference_walk_db: FloatArray,
+    scale2: float,
+    hours: float,
     held_variance: FloatArray,
     variance: FloatArray,
 ) -> None:
     """Add to the diagonal, in place, what a step brings."""
-    carriers, components = coloured_variance.shape
-    first = _FIRST_COMMON + len(common_variance)
+    carriers, components = coloured_sigma_db.shape
+    first = _FIRST_COMMON + len(common_sigma_db)
     for place in range(_FIRST_COMMON):
         covariance[place, place] += core_added[place]
     for place in range(_FIRST_COMMON, first):
-        covariance[place, place] += common_variance[place - _FIRST_COMMON] * (1.0 - factor[place] ** 2)
+        covariance[place, place] += common_sigma_db[place - _FIRST_COMMON] ** 2 * (1.0 - factor[place] ** 2)
     for carrier in range(carriers):
+        carrying = 0
+        for part in range(components):
+            distance = abs(math.log(coloured_tau_s[carrier, part] / MODEL_ERROR_TAU_S))
+            if distance < abs(math.log(coloured_tau_s[carrier, carrying] / MODEL_ERROR_TAU_S)):
+                carrying = part
         for part in range(components):
             place = first + part * carriers + carrier
             lost = 1.0 - factor[place] ** 2
-            added = coloured_variance[carrier, part] * lost
-            if part == error_component[carrier]:
-                grown = variance[carrier] - (1.0 - lost) * held_variance[carrier]
-                added += max(grown, lost * variance[carrier])
-            covariance[place, place] += added
+            covariance[place, place] += scale2 * coloured_sigma_db[carrier, part] ** 2 * lost
+        place = first + carrying * carriers + carrier
+        lost = 1.0 - factor[place] ** 2
+        grown = variance[carrier] - (1.0 - lost) * held_variance[carrier]
+        covariance[place, place] += max(grown, lost * variance[carrier])
         place = first + components * carriers + carrier
-        covariance[place, place] += reference_added[carrier]
+        covariance[place, place] += scale2 * hours * reference_walk_db[carrier] ** 2
 
 
 def linearise(

@@ -5,6 +5,7 @@
 which keeps unit variance. The law of this file: at one row a minute or fewer every row is a minute.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -49,10 +50,20 @@ def push_minute(sums: MinuteSums, epoch_us: int, values: FloatArray) -> Minute:
     values : ndarray, shape (M,)
         Values of unit variance, NaN = none in this row.
     """
+    is_over = epoch_us - sums.start_us >= _MINUTE_US
+    if is_over and not sums.rows.any():
+        # the usual row is a minute of its own
+        return Minute(empty_minute(len(values), epoch_us), _finite(values))
     is_present = np.isfinite(values)
     total = sums.total + np.where(is_present, values, 0.0)
     rows = sums.rows + is_present
-    if epoch_us - sums.start_us < _MINUTE_US:
+    if not is_over:
         return Minute(MinuteSums(sums.start_us, total, rows), None)
     closed = np.where(rows > 0.0, total / np.sqrt(np.maximum(rows, 1.0)), np.nan)
     return Minute(empty_minute(len(values), epoch_us), closed)
+
+
+def _finite(values: FloatArray) -> FloatArray:
+    """Return the values with NaN for what is not finite."""
+    # one product tells of all: cheaper than a test of each
+    return values if math.isfinite(values @ values) else np.where(np.isfinite(values), values, np.nan)

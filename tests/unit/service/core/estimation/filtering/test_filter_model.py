@@ -36,13 +36,15 @@ def test_the_calibrations_error_is_that_of_the_nine_coefficients(filter_models):
         hessian[:, a, b] = hessian[:, b, a] = upper[:, number]
     drawn = gradient @ attitude_deg + 0.5 * np.einsum("i,nij,j->n", attitude_deg, hessian, attitude_deg)
     # a variance of 40 000 draws is good to 0.7 %
-    np.testing.assert_allclose(model_variance_db2(model, attitude_deg)[0], drawn.var(), rtol=0.03)
-    assert model_variance_db2(model, np.zeros(3))[0] == 0.0
+    np.testing.assert_allclose(
+        model_variance_db2(model.coefficient_covariance, attitude_deg)[0], drawn.var(), rtol=0.03
+    )
+    assert model_variance_db2(model.coefficient_covariance, np.zeros(3))[0] == 0.0
 
 
 def test_the_calibrations_error_rides_on_the_component_of_about_an_hour(filter_models):
     model = filter_models.carrier_model(components=3)
-    assert model_error_component(model).tolist() == [1] * model.carriers
+    assert model_error_component(model.coloured_tau_s).tolist() == [1] * model.carriers
 
 
 def test_sizes_and_bands(filter_models):
