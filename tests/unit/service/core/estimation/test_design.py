@@ -94,3 +94,38 @@ def test_turns_cover_both_signs_of_every_axis_and_all_corners():
     assert (np.count_nonzero(changes, axis=1) == 1).all()
     assert max(turn.attitude_deg[0] for turn in far) == FAR_YAW_DEG
     assert np.array([turn.attitude_deg for turn in far])[:, 1:] == pytest.approx(angles[:, 1:], abs=0.0)
+
+
+def test_share_that_the_plan_cannot_keep_is_exceeded_as_little_as_possible():
+    """Two transponders of ten: 35 % of 12 are 4 each, so 6 and 6 are taken, and it is told."""
+    sensitivity = stations(20)
+    sensitivity[:10] *= 3.0
+    design = choose_carriers(sensitivity, np.full(20, 0.1), np.repeat([0, 1], 10), 12)
+    assert len(design.chosen) == 12
+    assert np.bincount(np.repeat([0, 1], 10)[design.chosen]).tolist() == [6, 6]
+    assert design.transponder_share == 0.5
+    assert not design.is_sufficient
+
+
+def test_twelve_carriers_are_the_fewest_that_suffice():
+    sensitivity = stations(20)
+    for count, is_sufficient in ((11, False), (12, True)):
+        assert choose_carriers(sensitivity, np.full(20, 0.1), np.arange(20), count).is_sufficient is is_sufficient
+
+
+def test_noisy_carriers_are_left_out_and_weigh_little():
+    """Two copies of each carrier, one ten times noisier: the quiet copies are taken."""
+    sensitivity, sigma = np.repeat(stations(12), 2, axis=0), np.tile([0.1, 1.0], 12)
+    design = choose_carriers(sensitivity, sigma, np.arange(24), 12)
+    assert design.chosen.tolist() == list(range(0, 24, 2))
+    everything = choose_carriers(sensitivity, sigma, np.arange(24), 24)
+    # leverages go as the weights: a hundredth
+    assert everything.leverage[1::2] == pytest.approx(everything.leverage[::2] / 100.0, rel=1e-9)
+
+
+def test_hundreds_of_carriers_are_chosen_without_delay():
+    """256 of 512 took 20 s with a matrix inverse for each exchange; a term of rank two takes 0.3 s."""
+    sensitivity = stations(512)
+    design = choose_carriers(sensitivity, np.full(512, 0.1), np.arange(512) % 9, 256)
+    assert len(design.chosen) == 256
+    assert design.is_sufficient
