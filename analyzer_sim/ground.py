@@ -126,7 +126,7 @@ def told_lines(world: World, first: int, last: int) -> Iterator[Line]:
     """Yield what the ground is told with the rows first..last: all but the truth."""
     epochs_us = world.rows.epochs_us
     start_us, stop_us = int(epochs_us[first]), int(epochs_us[last]) + world.scenario.row_period_us
-    yield from _chunk_news(world, first, stop_us)
+    yield from _chunk_news(world, first, last)
     for phase in world.scenario.phases:
         if start_us <= phase.start_us < stop_us:
             yield _phase(phase)
@@ -138,10 +138,11 @@ def told_lines(world: World, first: int, last: int) -> Iterator[Line]:
         yield {"kind": "corrections", "body": corrections_body(timely)}
 
 
-def _chunk_news(world: World, first: int, stop_us: int) -> Iterator[Line]:
-    """Yield what becomes known before `stop_us` and was not known when the row before the chunk was swept."""
-    known_us = int(world.rows.epochs_us[first - 1]) + world.scenario.row_period_us if first else world.scenario.start_us
-    yield from (line for _told_us, line in news(world, known_us, stop_us))
+def _chunk_news(world: World, first: int, last: int) -> Iterator[Line]:
+    """Yield what is known when the last row of a chunk is swept and was not when the row before the chunk was."""
+    epochs_us = world.rows.epochs_us
+    start_us = int(epochs_us[first - 1]) + 1 if first else world.scenario.start_us
+    yield from (line for _told_us, line in news(world, start_us, int(epochs_us[last]) + 1))
 
 
 def turn_operations(phase: Phase) -> list[Line]:

@@ -110,10 +110,10 @@ def front_end(directory: Path, endpoints: Endpoints, spacecraft_id: str) -> Fron
     """Return the front end of a spacecraft, not yet started."""
     environment = {**os.environ, "SOO_KEY": endpoints.key, "OPENBLAS_NUM_THREADS": "1"}
     arguments = [
-        *("--resource", endpoints.resource, "--service", endpoints.service_url, "--spacecraft", spacecraft_id),
+        *("--service", endpoints.service_url, "--spacecraft", spacecraft_id),
         *("--epoch", "analyzer", "--period", "0", "--hold-s", "600", "--json-log"),
     ]
-    return FrontEnd(directory, arguments, environment)
+    return FrontEnd(directory, endpoints.resource, arguments, environment)
 
 
 def run_story(directory: Path, endpoints: Endpoints, client: ServiceClient, show: Show) -> Story:

@@ -5,6 +5,7 @@ The front end is one of them; it is replaced when the ground has another task or
 
 import json
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -125,14 +126,19 @@ class FrontEnd:
     ----------
     directory : Path
         Takes its tasks and its logs.
+    resource : str
+        VISA name of the analyzer, a TCP socket.
     arguments : sequence of str
-        Arguments that never change: analyzer, service.
+        Arguments that never change.
     environment : mapping
         Whole environment of the process.
     """
 
-    def __init__(self, directory: Path, arguments: Sequence[str], environment: Mapping[str, str]) -> None:
+    def __init__(
+        self, directory: Path, resource: str, arguments: Sequence[str], environment: Mapping[str, str]
+    ) -> None:
         self._directory = directory
+        self._resource = resource
         self._arguments = tuple(arguments)
         self._environment = environment
         self._process: ChildProcess | None = None
@@ -142,7 +148,8 @@ class FrontEnd:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.stop()
+        # the analyzer may have gone before
+        self._end()
 
     @property
     def is_running(self) -> bool:
@@ -155,7 +162,8 @@ class FrontEnd:
         suffix = f"-{self._started}" if self._started > 1 else ""
         task_path = self._directory / f"task{suffix}.json"
         task_path.write_text(json.dumps(task))
-        arguments = ["service", "acquire", "--task", str(task_path), "--source", source, *self._arguments]
+        chosen = ("--task", str(task_path), "--source", source, "--resource", self._resource)
+        arguments = ["service", "acquire", *chosen, *self._arguments]
         log_path = self._directory / f"acquire{suffix}.log"
         self._process = ChildProcess("front end", arguments, log_path, self._environment, announces=False)
 
@@ -165,7 +173,22 @@ class FrontEnd:
             self._process.require_alive()
 
     def stop(self) -> None:
-        """Let it deliver what it has and end it."""
+        """Let it deliver what it has and end it; the analyzer forgets the sweep that it waited for."""
+        self._end()
+        abort_sweep(self._resource)
+
+    def _end(self) -> None:
         if self._process is not None:
             self._process.stop()
             self._process = None
+
+
+def abort_sweep(resource: str) -> None:
+    """Let an analyzer forget the sweep that an ended front end had started.
+
+    A simulated analyzer holds a sweep until its row is allowed; the row would go to nobody.
+    """
+    _, host, port, _ = resource.split("::")
+    with socket.create_connection((host, int(port)), timeout=_STOP_TIMEOUT_S) as line:
+        line.sendall(b":ABOR;*OPC?\n")
+        line.recv(64)

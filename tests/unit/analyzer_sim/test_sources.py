@@ -231,3 +231,20 @@ def test_telemetry_comes_hourly(name: str) -> None:
     assert {record["onboard_mode"] for record in before} == {"sensor_pointing"}
     assert {record["onboard_mode"] for record in records[len(before) :]} == {"inertial_forecast"}
     assert any(record["thrusters_active"] for record in records)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_switch_is_told_with_the_first_row_of_the_other_analyzer(seed: int) -> None:
+    # switches fall between rows
+    story = World(scenario_named("prime_backup"), seed)
+    told_before = None
+    for line in ground_lines(story):
+        if line["kind"] == "source":
+            told_before = line["body"]["source"]
+        if line["kind"] == "truth" and told_before:
+            row = int(np.searchsorted(story.rows.epochs_us, epoch_us_from_text(line["rows"][0]["epoch"])))
+            names = export_arrays(story)["source_name"]
+            assert names[story.rows.source[row]] == told_before
+            assert names[story.rows.source[row - 1]] != told_before
+            assert len(line["rows"]) == 1
+            told_before = None

@@ -1,11 +1,16 @@
 """Child processes of a demonstration: a sign of life, a log, an end by their own id."""
 
+import json
 import os
+import socket
+import threading
 import time
+from typing import ClassVar
 
 import pytest
 
-from service.study.processes import ChildProcess, ProcessFailedError
+from service.study import processes
+from service.study.processes import ChildProcess, FrontEnd, ProcessFailedError
 
 ANNOUNCE = 'import json, sys, time\nprint(json.dumps({"port": 17}), flush=True)\n'
 
@@ -79,3 +84,59 @@ def test_one_that_never_speaks_is_ended(start, monkeypatch):
     monkeypatch.setattr("service.study.processes._READY_TIMEOUT_S", 0.3)
     with pytest.raises(ProcessFailedError, match="did not start"):
         start("import time\ntime.sleep(60)")
+
+
+class Recorded:
+    """A process that only notes how it was started."""
+
+    started: ClassVar[list] = []
+
+    def __init__(self, _name, arguments, log_path, _environment, *, announces):
+        self.started.append((arguments, log_path.name, announces))
+
+    def stop(self):
+        self.started.append("stop")
+
+    def require_alive(self):
+        raise ProcessFailedError
+
+
+def test_a_front_end_gets_task_source_and_log_of_its_own_each_time(tmp_path, monkeypatch):
+    monkeypatch.setattr(processes, "ChildProcess", Recorded)
+    Recorded.started.clear()
+    heard = []
+    with socket.create_server(("127.0.0.1", 0)) as analyzer:
+
+        def answer():
+            connection, _ = analyzer.accept()
+            with connection:
+                heard.append(connection.recv(64))
+                connection.sendall(b"1\n")
+
+        thread = threading.Thread(target=answer, daemon=True)
+        thread.start()
+        resource = f"TCPIP::127.0.0.1::{analyzer.getsockname()[1]}::SOCKET"
+        with FrontEnd(tmp_path, resource, ["--json-log"], {}) as front_end:
+            front_end.require_alive()  # there is none yet
+            front_end.start({"id": "first"}, "sa-1")
+            with pytest.raises(ProcessFailedError):
+                front_end.require_alive()
+            front_end.stop()
+            assert not front_end.is_running
+            thread.join(5)
+            # the sweep that nobody waits for any more takes no row
+            assert heard == [b":ABOR;*OPC?\n"]
+            front_end.start({"id": "second"}, "sa-2")
+    tasks = [tmp_path / "task.json", tmp_path / "task-2.json"]
+    assert [json.loads(task.read_text())["id"] for task in tasks] == ["first", "second"]
+    commands = [
+        ["service", "acquire", "--task", str(task), "--source", source, "--resource", resource, "--json-log"]
+        for task, source in zip(tasks, ("sa-1", "sa-2"), strict=True)
+    ]
+    assert Recorded.started == [
+        (commands[0], "acquire.log", False),
+        "stop",
+        (commands[1], "acquire-2.log", False),
+        # at its end the analyzer is not spoken to: it may have gone before
+        "stop",
+    ]
