@@ -134,15 +134,14 @@ def _accuracy(campaign: Campaign) -> Table:
             scenario,
             method,
             _angles(figures, "rms_deg", 3),
-            _angles(figures, "p95_deg", 3),
-            _angles(figures, "max_deg", 2),
+            _angles(figures, "p95_deg", 2),
             _angles(figures, "skill", 2),
             _angles(figures, "slope", 2),
             _angles(figures, "rms_over_sigma", 2),
         )
         for scenario, method, figures in _answers(campaign)
     )
-    return Table("Errors", ("scenario", "method", "rms", "p95", "max", "skill", "slope", "rms/sigma"), rows)
+    return Table("Errors", ("scenario", "method", "rms", "p95", "skill", "slope", "rms/sigma"), rows)
 
 
 def _baselines(campaign: Campaign) -> Table:
@@ -205,7 +204,7 @@ def _events(campaign: Campaign) -> Table:
     columns = (
         "scenario",
         "method",
-        "rain after, min (median/worst)",
+        "rain after, min",
         "covered",
         "false",
         "faults",
@@ -268,6 +267,8 @@ def _number(value: float | None, digits: int | None = None) -> str:
         return _DASH
     if math.isinf(value):
         return "never" if value > 0 else _DASH
-    text = f"{value:.{4 if digits is None else digits}f}"
-    text = text.rstrip("0").rstrip(".") if digits is None else text
+    # large numbers are those of answers that failed: their decimals say nothing
+    large = (abs(value) >= 10.0) + (abs(value) >= 100.0)
+    text = f"{value:.{max(0, (4 if digits is None else digits) - large)}f}"
+    text = text.rstrip("0").rstrip(".") if digits is None and "." in text else text
     return text.replace("0.", ".", 1) if text.startswith(("0.", "-0.")) else text
