@@ -88,6 +88,14 @@ def _wheels_limit_n_m(wheels: WheelSet) -> float:
     return body_torque_limit_n_m(np.array(wheels.axes, dtype=np.float64), wheels.torque_limit_n_m)
 
 
+@lru_cache(maxsize=64)
+def _wheels_of_body(wheels: WheelSet) -> FloatArray:
+    """Return the share (3, W) of each wheel in a torque about x roll, y pitch, z yaw; nobody may write it."""
+    shares = allocate_to_wheels(np.array(wheels.axes, dtype=np.float64), np.eye(3))
+    shares.setflags(write=False)
+    return shares
+
+
 def _principal_inertia(spacecraft: Spacecraft) -> FloatArray:
     """Return the inertia about yaw, roll and pitch."""
     x, y, z = (spacecraft.inertia_kg_m2[k][k] for k in range(3))
@@ -102,8 +110,7 @@ def _command(
     rate_change_rad_s = impulse / _principal_inertia(spacecraft)
     # every pulse starts with the period and is short beside it: the gained rate turns the body until the period ends
     angle_change_rad = rate_change_rad_s * (period_s - pulses.duration_s / 2.0)
-    axes = np.array(spacecraft.wheels.axes, dtype=np.float64)
-    wheel_impulse = allocate_to_wheels(axes, impulse[_BODY_FROM_ANGLES])
+    wheel_impulse = impulse[_BODY_FROM_ANGLES] @ _wheels_of_body(spacecraft.wheels)
     return TorqueCommand(
         epoch_us=epoch_us,
         number=row.number,

@@ -113,8 +113,8 @@ def fade_sign_test(
     present = deviation_db[np.isfinite(deviation_db)]
     if present.size < MIN_CARRIERS:
         return FadeTest(is_fade=False, median_db=math.nan, spread_db=math.nan, share_below=math.nan)
-    median_db = float(np.median(present))
-    spread_db = SIGMA_OF_MAD * float(np.median(np.abs(present - median_db)))
+    median_db = _median(present)
+    spread_db = SIGMA_OF_MAD * _median(np.abs(present - median_db))
     share_below = float(np.count_nonzero(present < -depth_db)) / present.size
     is_fade = share_below >= share and spread_db < spread_ratio * abs(median_db)
     if is_fade and fix_residual_db is not None:
@@ -128,7 +128,13 @@ def _explains_better(fix_residual_db: FloatArray, spread_db: float) -> bool:
     if present.size < MIN_CARRIERS:
         return False
     freedom = math.sqrt(present.size / (present.size - FITTED_ANGLES))
-    return SIGMA_OF_MAD * float(np.median(np.abs(present))) * freedom < spread_db
+    return SIGMA_OF_MAD * _median(np.abs(present)) * freedom < spread_db
+
+
+def _median(values: FloatArray) -> float:
+    """Return the median of some finite values; numpy's own costs ten times as much on a row."""
+    ordered = np.sort(values)
+    return 0.5 * float(ordered[(ordered.size - 1) // 2] + ordered[ordered.size // 2])
 
 
 def step_fade_watch(

@@ -123,39 +123,51 @@ def reject_faded_carriers(
     """
     row = _Row(plus, minus, deviation_db, min_carriers)
     is_present: BoolArray = np.isfinite(deviation_db) & np.isfinite(plus).all(axis=1) & np.isfinite(minus).all(axis=1)
-    is_kept, is_exhausted = _gate(row, is_present, gate_db)
-    is_used, fix, is_sigma_exhausted = _sigma_rule(row, is_kept, gate_sigma)
-    reason = np.select(
-        [is_used, ~is_present, ~is_kept],
-        [RejectionReason.USED, RejectionReason.ABSENT, RejectionReason.GATE],
-        RejectionReason.SIGMA,
-    )
+    gated = _gate(row, is_present, gate_db)
+    is_used, fix, is_sigma_exhausted = _sigma_rule(row, gated.is_kept, gated.fix, gate_sigma)
+    reason = np.full(len(is_used), int(RejectionReason.SIGMA))
+    reason[~gated.is_kept] = RejectionReason.GATE
+    reason[~is_present] = RejectionReason.ABSENT
+    reason[is_used] = RejectionReason.USED
     return RejectedFix(
         fix=fix,
         rejected=is_present & ~is_used,
-        reason=reason.astype(np.int64),
+        reason=reason,
         residual_db=np.where(is_present, row.residual_db(fix), math.nan),
-        is_exhausted=is_exhausted or is_sigma_exhausted,
+        is_exhausted=gated.is_exhausted or is_sigma_exhausted,
     )
 
 
-def _gate(row: _Row, is_present: BoolArray, gate_db: float) -> tuple[BoolArray, bool]:
-    """Return the carriers that passes 1 and 2 leave, and whether pass 1 had to stop early."""
+class _Gated(NamedTuple):
+    """What passes 1 and 2 leave."""
+
+    is_kept: BoolArray
+    #: over the carriers kept
+    fix: OctantFix
+    #: pass 1 had to stop early
+    is_exhausted: bool
+
+
+def _gate(row: _Row, is_present: BoolArray, gate_db: float) -> _Gated:
+    """Return the carriers that passes 1 and 2 leave."""
     is_kept = is_present.copy()
     gone: list[int] = []
-    worst, misfit_db = _worst_misfit(row, is_kept, gate_db)
+    fix = row.solve(is_kept)
+    worst, misfit_db = _worst_misfit(row, is_kept, fix, gate_db)
     while misfit_db < -gate_db and is_kept.sum() > row.min_carriers:
         is_kept[worst] = False
         gone.append(worst)
-        worst, misfit_db = _worst_misfit(row, is_kept, gate_db)
+        fix = row.solve(is_kept)
+        worst, misfit_db = _worst_misfit(row, is_kept, fix, gate_db)
     for carrier in gone[:-1]:
         is_kept[carrier] = _single_misfit(row, is_kept, carrier) >= -gate_db
-    return is_kept, misfit_db < -gate_db
+    if is_kept[gone].any():
+        fix = row.solve(is_kept)
+    return _Gated(is_kept, fix, misfit_db < -gate_db)
 
 
-def _worst_misfit(row: _Row, is_kept: BoolArray, gate_db: float) -> tuple[int, float]:
+def _worst_misfit(row: _Row, is_kept: BoolArray, full: OctantFix, gate_db: float) -> tuple[int, float]:
     """Return the carrier with the most negative misfit, and the misfit; 0 dB where none can be below the gate."""
-    full = row.solve(is_kept)
     if not full.cost > gate_db**2:  # no misfit exceeds the root of the cost; NaN has nothing to judge
         return 0, 0.0
     carriers = np.flatnonzero(is_kept)
@@ -183,11 +195,10 @@ def _misfit_db(residual_db: FloatArray, cost_reduction: FloatArray) -> FloatArra
     return np.where(np.isnan(cost_reduction), 0.0, np.copysign(size_db, residual_db))
 
 
-def _sigma_rule(row: _Row, is_kept: BoolArray, gate_sigma: float) -> tuple[BoolArray, OctantFix, bool]:
+def _sigma_rule(row: _Row, is_kept: BoolArray, fix: OctantFix, gate_sigma: float) -> tuple[BoolArray, OctantFix, bool]:
     """Return the carriers that the paper's rule uses, their fix, and whether it wanted fewer than may be left."""
     is_used, seen = is_kept, [is_kept]
     while True:
-        fix = row.solve(is_used)
         residual_db = np.abs(row.residual_db(fix))
         sigma_db = np.sqrt(np.square(residual_db[is_used]).sum() / max(int(is_used.sum()), 1))
         # negated, so that without a fix (NaN) nothing is rejected
@@ -202,3 +213,4 @@ def _sigma_rule(row: _Row, is_kept: BoolArray, gate_sigma: float) -> tuple[BoolA
             smallest = min(seen[repeats[0] :], key=lambda one: int(one.sum()))
             return smallest, row.solve(smallest), False
         seen.append(tested)
+        fix = row.solve(is_used)
