@@ -1,4 +1,4 @@
-"""A small payload of real places and a chain that flies over it: beams with slope and bend, dishes, one downlink a band.
+"""A small payload of real places and a chain that flies over it: bent beams, dishes, one downlink a band.
 
 Powers come from geometry that is written here once more: direction vectors are turned by rotation matrices and angles
 read from them, where the product multiplies a displacement matrix. What the two have apart is of second order: below
@@ -186,7 +186,7 @@ class FlightPayload:
     @property
     def has_track(self) -> bool:
         """Whether the daily change is the dish law."""
-        return self.daily.shape[1] == 3
+        return bool(self.daily.shape[1] == 3)
 
     def permuted(self, order: Any) -> "FlightPayload":
         """Return the payload of some carriers, in another order."""

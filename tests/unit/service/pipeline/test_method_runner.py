@@ -1,0 +1,62 @@
+"""Columns of a calibration: powers and flags of any plan in the order of the calibrated carriers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from geometry_flight import START_US, FlightPayload
+
+from service.pipeline.method_runner import CalibratedColumns
+from service.records.catalogue import CarrierPlan, Station
+from service.records.measurement import Measurement
+
+PAYLOAD = FlightPayload.make(5)
+PLAN = PAYLOAD.plan()
+
+
+def row(power, flags=None):
+    return Measurement(START_US, START_US, 1, "sa-1", 1, np.array(power, dtype=np.float64), flags)
+
+
+def test_the_own_plan_passes_as_it_is():
+    columns = CalibratedColumns(PAYLOAD.ids, PLAN)
+    np.testing.assert_array_equal(columns.power_dbm(row([1, 2, np.nan, 4, 5]), PLAN), [1, 2, np.nan, 4, 5])
+    np.testing.assert_array_equal(columns.flags(row([1, 2, 3, 4, 5]), PLAN), 0)
+    np.testing.assert_array_equal(columns.flags(row([0] * 5, np.array([1, 0, 16, 0, 4])), PLAN), [1, 0, 16, 0, 4])
+
+
+def test_carriers_are_found_by_id_whatever_their_place():
+    carriers = PAYLOAD.carriers()
+    newcomer = replace(carriers[0], id="new")
+    plan = CarrierPlan(2, "sha-2", (carriers[3], newcomer, carriers[1], carriers[0]))
+    columns = CalibratedColumns(PAYLOAD.ids, PLAN)
+    np.testing.assert_array_equal(columns.power_dbm(row([30, 99, 10, 0]), plan), [0, 10, np.nan, 30, np.nan])
+    told = columns.flags(row([0] * 4, np.array([8, 64, 2, 1])), plan)
+    np.testing.assert_array_equal(told, [1, 2, 0, 8, 0])
+    # what was found for one plan is not taken for another
+    np.testing.assert_array_equal(columns.power_dbm(row([1, 2, 3, 4, 5]), PLAN), [1, 2, 3, 4, 5])
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"station": Station(60.0, 40.0)},
+        {"transponder": "Ku9"},
+        {"band": "X"},
+        {"uplink_hz": 14.0e9},
+        {"downlink_hz": 11.0e9},
+    ],
+    ids=lambda change: next(iter(change)),
+)
+def test_an_id_that_was_given_to_another_signal_is_not_the_calibrated_carrier(change):
+    carriers = list(PAYLOAD.carriers())
+    carriers[2] = replace(carriers[2], **change)
+    columns = CalibratedColumns(PAYLOAD.ids, PLAN)
+    told = columns.power_dbm(row([1, 2, 3, 4, 5]), CarrierPlan(2, "sha-2", tuple(carriers)))
+    np.testing.assert_array_equal(told, [1, 2, np.nan, 4, 5])
+
+
+def test_a_new_name_or_bandwidth_leaves_a_carrier_itself():
+    carriers = tuple(replace(one, name="other", bandwidth_hz=2e6, enabled=False) for one in PAYLOAD.carriers())
+    told = CalibratedColumns(PAYLOAD.ids, PLAN).power_dbm(row([1, 2, 3, 4, 5]), CarrierPlan(2, "sha-2", carriers))
+    np.testing.assert_array_equal(told, [1, 2, 3, 4, 5])
