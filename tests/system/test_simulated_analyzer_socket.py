@@ -234,6 +234,20 @@ def test_abort_from_another_session_releases_the_one_that_waits() -> None:
         assert receive(waiting, 2) == b"1\n"
 
 
+def test_the_sweep_of_a_client_that_left_takes_no_row_once_it_is_aborted() -> None:
+    allowed, source = threading.Event(), StandingSource()
+    instrument = Instrument(source, TracePainter(1), may_advance=allowed.is_set)
+    with start_in_thread(instrument) as handle, connect(handle.port) as other:
+        with connect(handle.port) as waiting:
+            waiting.sendall(SETUP + b"INIT;*OPC?\n")
+            while ask(other, b"STAT:OPER:COND?") != b"32":
+                time.sleep(0.005)
+        assert ask(other, b":ABOR;*OPC?") == b"1"
+        allowed.set()
+        assert ask(other, b"INIT;*OPC?") == b"1"
+        assert source.row == 1
+
+
 def test_client_that_resets_does_not_harm_the_server(analyzer: AnalyzerThread) -> None:
     for _ in range(5):
         line = connect(analyzer.port)
