@@ -52,6 +52,9 @@ class Settings(BaseSettings):
     late_after_s: float = Field(300.0, ge=0, description="age from which a row counts as late, system clock, s")
     max_body_bytes: int = Field(8_388_608, ge=1024, description="greatest request body after unpacking, bytes")
     max_rows_per_batch: int = Field(10_000, ge=1, description="most rows of one batch")
+    kernels: Literal["numba", "numpy"] = Field(
+        "numba", description="who computes the robust filter: `numba` is faster, `numpy` spares 130 MB of memory"
+    )
     calibration: CalibrationConfig = Field(CalibrationConfig(), description="calibration jobs")
     alignment: AlignmentConfig = Field(AlignmentConfig(), description="alignments")
     estimation: EstimationConfig = Field(EstimationConfig(), description="the paper method in operation")
@@ -63,4 +66,12 @@ class Settings(BaseSettings):
 
     def chain_config(self) -> ChainConfig:
         """Return the configuration of every chain."""
-        return ChainConfig(self.estimation, self.fade, self.interlock, self.torque, self.robust, self.operations)
+        return ChainConfig(
+            self.estimation,
+            self.fade,
+            self.interlock,
+            self.torque,
+            self.robust,
+            self.operations,
+            kernels=self.kernels,
+        )

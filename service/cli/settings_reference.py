@@ -35,6 +35,7 @@ _PLAIN_ORIGINS: dict[str, str] = {
     "late_after_s": CHOSEN,
     "max_body_bytes": CHOSEN,
     "max_rows_per_batch": CHOSEN,
+    "kernels": CHOSEN,
 }
 
 #: settings inside a stage's configuration: meaning with unit, origin of the default

@@ -5,6 +5,7 @@ reference of settings says which.
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,3 +206,5 @@ class ChainConfig:
     torque: TorqueConfig = TorqueConfig()
     robust: RobustConfig = RobustConfig()
     operations: OperationConfig = OperationConfig()
+    #: who does the arithmetic of the robust filter; both agree to rounding
+    kernels: Literal["numba", "numpy"] = "numpy"

@@ -1,0 +1,37 @@
+"""Claims about the choice of kernels."""
+
+import numpy as np
+import pytest
+
+from service.core.estimation.filtering.kernels import ARRAYS, compiled_kernels
+from service.pipeline import filter_kernels
+from service.pipeline.filter_kernels import kernels_named
+
+
+@pytest.fixture(autouse=True)
+def _forgotten_choice():
+    """Ask anew in every test."""
+    kernels_named.cache_clear()
+    yield
+    kernels_named.cache_clear()
+
+
+def test_numpy_compiles_nothing():
+    assert kernels_named("numpy") is ARRAYS
+
+
+def test_numba_is_compiled_once():
+    assert kernels_named("numba") is kernels_named("numba") is compiled_kernels()
+
+
+def test_without_a_place_for_machine_code_it_is_compiled_all_the_same(monkeypatch):
+    def homeless(*, is_cached: bool = True):
+        if is_cached:
+            raise RuntimeError("cannot cache function: no locator available")
+        return compiled_kernels(is_cached=False)
+
+    monkeypatch.setattr(filter_kernels, "compiled_kernels", homeless)
+    kernels = kernels_named("numba")
+    assert kernels is compiled_kernels(is_cached=False)
+    variance = kernels.model_variance(np.tile(np.eye(9), (2, 1, 1)), np.array([0.0, 2.0, 0.0]))
+    np.testing.assert_array_equal(variance, [8.0, 8.0])  # roll squared and the square of half of roll squared: exact
