@@ -3,6 +3,8 @@
 import json
 import shlex
 import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
@@ -51,9 +53,9 @@ def estimation(
 
     console = _console(is_report_elsewhere=as_json or as_markdown)
     plan = Plan(_scenarios(scenario, group), seeds, workers, operation_days)
-    _end_on_signals()
     try:
-        campaign = _run(plan, run_campaign, console)
+        with _ended_by_signals():
+            campaign = _run(plan, run_campaign, console)
     except KeyboardInterrupt:
         console.print("stopped")
         raise typer.Exit(_EXIT_FAILED) from None
@@ -131,7 +133,8 @@ def _command(scenario: list[str] | None, group: str | None, seeds: int, operatio
     return shlex.join(words)
 
 
-def _end_on_signals() -> None:
+@contextmanager
+def _ended_by_signals() -> Iterator[None]:
     """Let the first signal end the study; further ones do not disturb the end of its processes."""
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -140,5 +143,9 @@ def _end_on_signals() -> None:
             signal.signal(number, signal.SIG_IGN)
         raise KeyboardInterrupt
 
-    for number in numbers:
-        signal.signal(number, end)
+    former = {number: signal.signal(number, end) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in former.items():
+            signal.signal(number, handler)

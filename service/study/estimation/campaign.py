@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import version
 from types import FrameType
-from typing import NamedTuple, NoReturn
+from typing import NamedTuple, NoReturn, TypeVar
 
 from service.study.estimation.accuracy import Figures, accuracy_figures
 from service.study.estimation.baselines import BASELINES
@@ -27,6 +27,9 @@ from service.study.estimation.nights import night_figures
 from service.study.estimation.scenarios import SNAPSHOT
 from service.study.estimation.snapshot_trials import SnapshotTrials, run_trials, trial_figures
 from service.study.estimation.unit import Course, Unit, UnitResult, run_unit
+
+_Asked = TypeVar("_Asked")
+_Told = TypeVar("_Told")
 
 METHODS = ("robust", "paper")
 #: the yaw scale and the efficiency of the snapshot need this many calibrations
@@ -86,8 +89,10 @@ def run_campaign(plan: Plan, show: Show) -> Campaign:
     units = [Unit(name, seed, plan.operation_days) for name in plan.scenarios if name != SNAPSHOT for seed in seeds]
     trials = range(1, max(plan.seeds, _SNAPSHOT_SEEDS) + 1) if SNAPSHOT in plan.scenarios else range(0)
     with _pool(plan.workers) as pool:
-        told: dict[Future[UnitResult], Unit] = {pool.submit(run_unit, unit): unit for unit in _longest_first(units)}
-        tried = [pool.submit(run_trials, seed) for seed in trials]
+        told: dict[Future[UnitResult], Unit] = {
+            pool.submit(_work, run_unit, unit): unit for unit in _longest_first(units)
+        }
+        tried = [pool.submit(_work, run_trials, seed) for seed in trials]
         everything: list[Future[UnitResult] | Future[SnapshotTrials]] = [*told, *tried]
         for number, done in enumerate(as_completed(everything), start=1):
             done.result()
@@ -185,10 +190,18 @@ def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def _prepare_worker() -> None:
-    """Leave Ctrl-C to the parent; asked to end, end in order, so that a simulator that runs is ended too."""
+    """Leave Ctrl-C to the parent; asked to end, unwind, so that a simulator that runs is ended too."""
 
     def end(_number: int, _frame: FrameType | None) -> NoReturn:
         sys.exit(1)
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, end)
+
+
+def _work(run: Callable[[_Asked], _Told], asked: _Asked) -> _Told:
+    """Do one piece of work in a process of the pool, which would take its end for a result and go on."""
+    try:
+        return run(asked)
+    except SystemExit:
+        os._exit(1)

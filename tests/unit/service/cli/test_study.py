@@ -1,0 +1,101 @@
+"""``soo study estimation``: what is run, what is printed, and the exit code."""
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from service.cli.app import app
+from service.study.estimation import campaign as campaign_module
+from service.study.estimation.campaign import Plan, assess
+from service.study.estimation.scenarios import GROUPS
+from service.study.estimation.world import ExportFailedError
+
+GOOD = {
+    "answered": 1.0,
+    "rms_deg.roll": 0.01,
+    "rms_deg.pitch": 0.01,
+}
+
+
+@pytest.fixture
+def ran(monkeypatch):
+    """Run the command with a campaign that is made up; give result and plan."""
+    plans = []
+
+    def run(*arguments, figures=GOOD, error=None):
+        def run_campaign(plan, show):
+            plans.append(plan)
+            show(1, 2)
+            if error is not None:
+                raise error
+            return assess(plan, 1.0, (), {("maneuver", "robust"): figures})
+
+        monkeypatch.setattr(campaign_module, "run_campaign", run_campaign)
+        return CliRunner().invoke(app, ["study", "estimation", *arguments]), plans[-1] if plans else None
+
+    return run
+
+
+def test_everything_is_run_with_five_seeds_unless_something_is_named(ran):
+    _, plan = ran()
+    assert plan == Plan(GROUPS["all"], 5, 2, None)
+
+
+def test_a_scenario_alone_is_run_alone(ran):
+    _, plan = ran("--scenario", "white", "--scenario", "octants", "--seeds", "3", "--workers", "1")
+    assert plan == Plan(("white", "octants"), 3, 1, None)
+
+
+def test_a_group_and_scenarios_are_run_together_and_each_once(ran):
+    _, plan = ran("--group", "quick", "--scenario", "white", "--scenario", "nominal", "--operation-days", "0.5")
+    assert plan == Plan((*GROUPS["quick"], "white"), 5, 2, 0.5)
+
+
+def test_an_unknown_group_is_refused(ran):
+    result, plan = ran("--group", "nosuch")
+    assert (result.exit_code, plan) == (2, None)
+    assert "no group 'nosuch'; there are quick" in result.output
+
+
+def test_kept_bounds_end_with_zero_and_are_printed(ran):
+    result, _ = ran("--scenario", "maneuver")
+    assert result.exit_code == 0, result.output
+    assert "2 bounds: 2 goal" in result.output
+    assert "Bounds" in result.output
+
+
+def test_a_missed_bound_ends_with_one(ran):
+    result, _ = ran("--scenario", "maneuver", figures={**GOOD, "rms_deg.roll": 0.2})
+    assert result.exit_code == 1
+    assert "missed: maneuver, robust, rms_deg.roll = .2, must be <= 0.035" in result.output
+
+
+def test_json_is_one_document(ran):
+    result, _ = ran("--scenario", "maneuver", "--json")
+    document = json.loads(result.stdout)
+    assert document["command"] == "soo study estimation --scenario maneuver --seeds 5"
+    assert document["figures"]["maneuver"]["robust"]["rms_deg.roll"] == 0.01
+
+
+def test_markdown_stands_between_markers(ran):
+    result, _ = ran("--scenario", "maneuver", "--markdown")
+    assert result.stdout.startswith("<!-- soo study estimation: begin -->")
+    assert result.stdout.endswith("<!-- soo study estimation: end -->\n")
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [(ExportFailedError("the simulator wrote no world"), "wrote no world"), (KeyboardInterrupt(), "stopped")],
+)
+def test_what_could_not_be_run_ends_with_two(ran, error, words):
+    result, _ = ran("--scenario", "maneuver", error=error)
+    assert result.exit_code == 2
+    assert words in result.output
+
+
+def test_figures_are_drawn_into_a_folder_that_is_made(ran, tmp_path):
+    result, _ = ran("--scenario", "maneuver", "--figures", str(tmp_path / "drawn"))
+    # nothing was driven, so nothing is drawn
+    assert result.exit_code == 0, result.output
+    assert list((tmp_path / "drawn").iterdir()) == []
