@@ -60,7 +60,7 @@ class CalibrationConfig:
     drift_db_per_day: float = 0.05
     drift_sigmas: float = 4.0
     #: chi-square of two degrees of freedom beyond which a station is said to stand elsewhere
-    place_chi_square: float = 20.0
+    place_chi_square: float = 16.0
     #: random walk of a carrier's level at least, dB per square root of hour
     reference_walk_db_sqrt_h: float = 0.006
     #: knots of a carrier's level over the turns are at least this far apart, s; the default gives one straight line

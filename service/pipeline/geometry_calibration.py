@@ -161,10 +161,11 @@ def _of_paper(warnings: tuple[str, ...]) -> tuple[str, ...]:
 def _carrier(paper: CarrierCalibration, k: int, joint: JointFit, refusal: str | None) -> CarrierCalibration:
     """Return a carrier of the paper part with the noise and the slopes of the joint fit."""
     parts = zip(joint.noise.tau_s.tolist(), joint.noise.sigma_db[k].tolist(), strict=True)
+    slope = joint.response.slope[k]
     return replace(
         paper,
         sigma_white_db=float(joint.noise.white_db[k]),
         noise=tuple(NoiseComponent(tau_s, sigma_db) for tau_s, sigma_db in parts),
-        sensitivity_db_per_deg=named_axes(joint.response.slope[k]),
+        sensitivity_db_per_deg=named_axes(slope) if np.isfinite(slope).all() else paper.sensitivity_db_per_deg,
         rejected_because=paper.rejected_because + ((f"robust: {refusal}",) if refusal is not None else ()),
     )

@@ -13,7 +13,7 @@ from service.core.estimation.noise_identification import LearnedNoise, identify_
 from service.pipeline.calibration_rows import CalibrationInput
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.geometry_rows import GeometryRows
-from service.pipeline.group_deviations import alc_groups, first_model_dbm, without_group_means
+from service.pipeline.group_deviations import alc_groups, first_model_dbm, small_groups, without_group_means
 from service.records.attitude import FloatArray, IntArray
 
 #: rows of stretches below this weight say nothing about levels
@@ -37,9 +37,13 @@ class JointFit:
 def fit_rows(data: CalibrationInput, rows: GeometryRows, config: CalibrationConfig) -> JointFit:
     """Return the fit of the rows, groups under level control by their differences."""
     group = alc_groups(data.plan)
-    power_dbm, geometry = rows.rows.power_dbm, rows.places.geometry
+    geometry = rows.places.geometry
+    is_asked = np.array([carrier.enabled and carrier.uplink_power_control != "auto" for carrier in data.plan.carriers])
+    is_asked &= ~(np.isnan(geometry.azimuth_deg) & ~rows.places.is_beacon) & ~small_groups(group)
+    # what is not to be used must not bend the downlink that all share either
+    power_dbm = np.where(is_asked, rows.rows.power_dbm, np.nan)
     if (group < 0).all():
-        fit = fit_geometry(rows.rows, geometry)
+        fit = fit_geometry(rows.rows._replace(power_dbm=power_dbm), geometry)
     else:
         taken_dbm = without_group_means(power_dbm, first_model_dbm(power_dbm), group)
         first = fit_geometry(rows.rows._replace(power_dbm=taken_dbm), geometry)
@@ -54,5 +58,5 @@ def fit_rows(data: CalibrationInput, rows: GeometryRows, config: CalibrationConf
         noise,
         level_drift(residual_db, rows.rows.epoch_s[quiet], noise, config.reference_walk_db_sqrt_h),
         group,
-        np.array([quantisation_step_db(column) for column in power_dbm[quiet].T]),
+        np.array([quantisation_step_db(column) for column in rows.rows.power_dbm[quiet].T]),
     )

@@ -14,12 +14,13 @@ _STRETCH_ROWS = 10.0
 def slope_shrink(rows: GeometryRows) -> FloatArray:
     """Return by what share (3,) the noise of the sensors makes slopes come out too small; NaN without readings.
 
-    It is the noise's share in the variance of the angles that the fit saw. Noise that was smoothed stays together over
-    a stretch, noise that was left as it is is averaged by it.
+    It is the noise's share in the variance of the angles that the fit saw. Noise that was left as it is is averaged by
+    a stretch; noise that was smoothed is not, and edges of turns that it hides cost as much again (0.06 deg of noise:
+    1 to 2 %, 0.1 deg: 5 to 7 %, on turns of 15 min).
     """
     angles = rows.angles
     is_smoothed = angles.remaining_sigma_deg < angles.sensor_sigma_deg
-    left = np.where(is_smoothed, angles.remaining_sigma_deg**2, angles.sensor_sigma_deg**2 / _STRETCH_ROWS)
+    left = np.where(is_smoothed, 2.0 * angles.remaining_sigma_deg**2, angles.sensor_sigma_deg**2 / _STRETCH_ROWS)
     known = angles.attitude_deg[np.isfinite(angles.attitude_deg).all(axis=1)]
     variance = known.var(axis=0) if len(known) else np.full(3, np.nan)
     return np.asarray(left / np.maximum(variance, 1e-12))

@@ -14,7 +14,7 @@ from service.core.estimation.calibration.geometry_columns import CarrierGeometry
 from service.core.estimation.calibration.sensor_smoothing import SmoothedAngles, smoothed_angles
 from service.core.geometry.frames import station_direction
 from service.core.geometry.line_of_sight import Places, Track, antenna_motion_deg, sight_motion_deg, track_position_deg
-from service.pipeline.calibration_rows import CalibrationError, CalibrationInput, phase_rad
+from service.pipeline.calibration_rows import CalibrationError, CalibrationInput, phase_rad, unturned_sides
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.sensor_angles import angles_at
 from service.records.attitude import BoolArray, FloatArray, IntArray
@@ -95,6 +95,7 @@ def geometry_rows(data: CalibrationInput, config: CalibrationConfig) -> Geometry
         (epochs_us - epochs_us[0]) / US_PER_S, angles_at(epochs_us, _references(data), data.sensors, config)
     )
     _require_rows(data, angles.attitude_deg, is_turn, config)
+    _require_turns(angles.attitude_deg[is_turn], config)
     places = plan_places(data.plan, data.spacecraft)
     motion = orbit_motion(data, epochs_us, places)
     rows = CalibrationRows(
@@ -186,6 +187,17 @@ def _require_rows(
                 "send the sensor's references or name another source"
             )
             raise CalibrationError(message)
+
+
+def _require_turns(attitude_deg: FloatArray, config: CalibrationConfig) -> None:
+    """Refuse turns that moved neither roll nor pitch."""
+    missing = unturned_sides(attitude_deg[np.isfinite(attitude_deg).all(axis=1)], config)
+    if {"+roll", "-roll", "+pitch", "-pitch"} <= set(missing):
+        message = (
+            f"no turn of at least {config.min_turn_deg} deg in roll or pitch in the window of turns; "
+            "the beams of the carriers are not known without one"
+        )
+        raise CalibrationError(message)
 
 
 def _undisturbed(

@@ -14,7 +14,7 @@ from service.pipeline.config import CalibrationConfig
 from service.pipeline.geometry_fit import JointFit
 from service.pipeline.geometry_quality import slope_shrink
 from service.pipeline.geometry_rows import DISTURBING, GeometryRows
-from service.pipeline.group_deviations import MIN_GROUP
+from service.pipeline.group_deviations import MIN_GROUP, small_groups
 from service.records.attitude import BoolArray
 from service.records.epoch import format_epoch
 
@@ -90,12 +90,16 @@ def _about_carriers(
     data: CalibrationInput, rows: GeometryRows, joint: JointFit, is_used: BoolArray, config: CalibrationConfig
 ) -> Iterator[str]:
     """Yield what is wrong with single carriers."""
-    names = data.plan.carrier_ids
+    names, is_lonely = data.plan.carrier_ids, small_groups(joint.group)
     for k, carrier in enumerate(data.plan.carriers):
-        if carrier.enabled and np.isnan(joint.fit.level_dbm[k]):
-            yield f"{names[k]} was silent or hardly seen in the windows and is not calibrated"
-        elif carrier.uplink_power_control == "auto":
+        if not carrier.enabled:
+            continue
+        if carrier.uplink_power_control == "auto":
             yield f"{names[k]} has automatic uplink power control and is not used"
+        elif carrier.station is not None and np.isnan(rows.places.geometry.azimuth_deg[k]):
+            yield f"check the coordinates of {names[k]}: its station does not see the satellite"
+        elif np.isnan(joint.fit.level_dbm[k]) and not is_lonely[k]:
+            yield f"{names[k]} was silent or hardly seen in the windows and is not calibrated"
     for number in range(int(joint.group.max(initial=-1)) + 1):
         members = np.flatnonzero(joint.group == number)
         if len(members) < MIN_GROUP:
@@ -128,24 +132,28 @@ def _about_drift(
     joint: JointFit, names: tuple[str, ...], is_asked: BoolArray, config: CalibrationConfig
 ) -> Iterator[str]:
     """Yield the carriers whose level drifted over the quiet days."""
-    slope, sigma = joint.drift.slope_db_per_day, joint.drift.sigma_db_per_day
-    for k in np.flatnonzero(is_asked):
-        if abs(slope[k]) > config.drift_db_per_day and abs(slope[k]) > config.drift_sigmas * sigma[k]:
-            yield f"{names[k]} drifts: {slope[k]:+.2f} dB a day over the quiet window, noise explains {sigma[k]:.2f}"
+    slope = joint.drift.slope_db_per_day
+    # a carrier that drifts is also thought to be noisy: the others tell what noise explains
+    typical = float(np.median(joint.drift.sigma_db_per_day[is_asked]))
+    limit = max(config.drift_db_per_day, config.drift_sigmas * typical)
+    for k in np.flatnonzero(is_asked & (np.abs(slope) > limit)):
+        yield f"{names[k]} drifts: {slope[k]:+.2f} dB a day over the quiet window, noise explains {typical:.2f}"
 
 
 def _about_places(
     joint: JointFit, names: tuple[str, ...], is_asked: BoolArray, config: CalibrationConfig
 ) -> Iterator[str]:
-    """Yield the carriers whose stations the data want elsewhere."""
+    """Yield the carrier whose station the data want elsewhere most."""
     if joint.fit.offsets is None:
         return
     offsets = joint.fit.offsets
-    for k in np.flatnonzero(is_asked & (joint.group < 0)):
-        if offsets.chi_square[k] > config.place_chi_square:
-            east_deg, north_deg = offsets.offset_deg[k]
-            sigma_deg = float(np.sqrt(np.trace(offsets.covariance_deg2[k]) / 2.0))
-            yield (
-                f"check the coordinates of {names[k]}: the turns want its station {east_deg:+.0f} deg East and "
-                f"{north_deg:+.0f} deg North of its place in the antenna frame (one sigma about {sigma_deg:.0f} deg)"
-            )
+    chi_square = np.where(is_asked & (joint.group < 0), offsets.chi_square, 0.0)
+    # one wrong place bends the downlink and with it the others: only the worst is named
+    worst = int(np.argmax(chi_square))
+    if chi_square[worst] > config.place_chi_square:
+        east_deg, north_deg = offsets.offset_deg[worst]
+        sigma_deg = float(np.sqrt(np.trace(offsets.covariance_deg2[worst]) / 2.0))
+        yield (
+            f"check the coordinates of {names[worst]}: the turns want its station {east_deg:+.0f} deg East and "
+            f"{north_deg:+.0f} deg North of its place in the antenna frame (one sigma about {sigma_deg:.0f} deg)"
+        )

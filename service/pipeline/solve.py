@@ -26,8 +26,9 @@ class SensitivityModel:
     minus_db_per_deg: FloatArray
     #: (N,) whether the carrier enters the fix
     is_selected: BoolArray
-    #: (N,) dB, dB, s
+    #: (N,) dB
     sigma_white_db: FloatArray
+    #: (N, C) dB and s, zeros where a carrier has fewer parts
     sigma_coloured_db: FloatArray
     correlation_time_s: FloatArray
 
@@ -35,15 +36,19 @@ class SensitivityModel:
 def sensitivity_model(calibration: Calibration) -> SensitivityModel:
     """Return the arrays of a finished calibration."""
     carriers = calibration.result.carriers if calibration.result else ()
-    coloured = [carrier.noise[0] if carrier.noise else None for carrier in carriers]
+    most = max((len(carrier.noise) for carrier in carriers), default=0)
+    sigma_db, time_s = np.zeros((len(carriers), most)), np.zeros((len(carriers), most))
+    for k, carrier in enumerate(carriers):
+        for place, part in enumerate(carrier.noise):
+            sigma_db[k, place], time_s[k, place] = part.sigma_db, part.correlation_time_s
     return SensitivityModel(
         tuple(carrier.id for carrier in carriers),
         np.array([carrier.sensitivity_plus_db_per_deg for carrier in carriers], dtype=np.float64).reshape(-1, 3),
         np.array([carrier.sensitivity_minus_db_per_deg for carrier in carriers], dtype=np.float64).reshape(-1, 3),
         np.array([carrier.selected for carrier in carriers], dtype=np.bool_),
         np.array([carrier.sigma_white_db for carrier in carriers], dtype=np.float64),
-        np.array([part.sigma_db if part else 0.0 for part in coloured], dtype=np.float64),
-        np.array([part.correlation_time_s if part else 0.0 for part in coloured], dtype=np.float64),
+        sigma_db,
+        time_s,
     )
 
 

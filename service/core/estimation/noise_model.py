@@ -1,4 +1,4 @@
-"""Noise of a carrier's level: a white part and one coloured part, and what a mean of it is worth.
+"""Noise of a carrier's level: a white part and coloured parts, and what a mean of it is worth.
 
 Coloured noise of variance s^2 and correlation time tau, averaged over T with x = T/tau, keeps the variance
 ``2 s^2 (x - 1 + exp(-x)) / x^2``; white noise of n rows keeps ``s^2 / n``.
@@ -76,10 +76,12 @@ def averaged_sigma_db(
 
     Parameters
     ----------
-    sigma_white_db, sigma_coloured_db : ndarray, shape (N,), dB
-        Parts of the noise of one row.
-    correlation_time_s : ndarray, shape (N,), s
-        Correlation time of the coloured part; 0 = there is none.
+    sigma_white_db : ndarray, shape (N,), dB
+        White noise of one row.
+    sigma_coloured_db : ndarray, shape (N,) or (N, C), dB
+        One coloured part of each, or C of them.
+    correlation_time_s : ndarray, shape (N,) or (N, C), s
+        Their correlation times; 0 = there is none.
     rows : int
         Rows in the mean, at least 1.
     span_s : float, s
@@ -99,5 +101,8 @@ def averaged_sigma_db(
     # below 1e-3 the closed form loses its digits; its limit is one
     safe = np.maximum(ratio, 1e-3)
     kept = np.where(ratio < 1e-3, 1.0, 2.0 * (safe - 1.0 + np.exp(-safe)) / safe**2)
-    sigma: FloatArray = np.sqrt(sigma_white_db**2 / max(rows, 1) + sigma_coloured_db**2 * kept)
+    coloured = sigma_coloured_db**2 * kept
+    if coloured.ndim > 1:
+        coloured = coloured.sum(axis=-1)
+    sigma: FloatArray = np.sqrt(sigma_white_db**2 / max(rows, 1) + coloured)
     return sigma

@@ -185,9 +185,7 @@ def fit_geometry(rows: CalibrationRows, geometry: CarrierGeometry) -> GeometryCa
     fit = whitened_fit(problem, prior, learned, weight, is_dish_law=is_dish_law)
     result = _result(rows, columns, (stretches, means), (fit, weight, learned), (rough_dbm, is_seen, is_dish_law))
     attitude = _stretch_attitude(rows.attitude_deg, stretches)
-    return result._replace(
-        offsets=station_offsets(problem, attitude, geometry, (fit, prior), coloured_noise(learned), weight)
-    )
+    return result._replace(offsets=station_offsets(problem, attitude, geometry, (fit, prior), coloured_noise(learned)))
 
 
 def _rough_level_dbm(power_dbm: FloatArray) -> FloatArray:

@@ -61,7 +61,7 @@ class CarrierGeometry(NamedTuple):
         """Return D of the stations and, last, of the site, shape (N + 1, 2, 3); zeros for a beacon."""
         azimuth_deg = np.append(self.azimuth_deg, self.site_deg[0])
         matrix = displacement_matrix(azimuth_deg, np.append(self.elevation_deg, self.site_deg[1]))
-        return np.where(np.isnan(matrix), 0.0, matrix)
+        return np.where(np.isnan(azimuth_deg)[:, np.newaxis, np.newaxis], 0.0, matrix)
 
 
 class OrbitMotion(NamedTuple):

@@ -23,6 +23,9 @@ FloatArray = NDArray[np.float64]
 _STEP_DEG = 0.25
 #: deg, one sigma of a place before the data: the whole Earth is 17 deg wide
 _PRIOR_DEG = 10.0
+#: misfits beyond so many sigmas count as if they were that large, beyond so many dB not at all
+_HELD_SIGMAS = 4.0
+_WORST_DB = 2.0
 
 
 class StationOffsets(NamedTuple):
@@ -52,7 +55,6 @@ def station_offsets(
     geometry: CarrierGeometry,
     fitted: tuple[SeparableFit, FloatArray],
     noise: ColouredNoise,
-    weight: FloatArray,
 ) -> StationOffsets:
     """Return where the data want the stations.
 
@@ -68,8 +70,6 @@ def station_offsets(
         The fit with the catalogue's places and the prior (N, K) that it used.
     noise : ColouredNoise
         Of the rows.
-    weight : ndarray, shape (N, B)
-        Robust weights.
 
     Returns
     -------
@@ -80,7 +80,10 @@ def station_offsets(
     misfit = problem.value - np.einsum("nbk,nk->nb", problem.own, fit.own) - problem.shared @ fit.shared
     stacked = np.concatenate([problem.own, slopes, misfit[..., np.newaxis]], axis=2)
     variance = stretch_variance_db2(noise, problem.rows_used, problem.span_s)
-    white = whitened_rows(stacked, problem.centre_s, variance, noise, weight)
+    # the fit's own weights have thrown out the very rows that contradict a wrong place: here they are only held down
+    size = np.maximum(np.abs(misfit), 1e-9)
+    weight = np.where(size < _WORST_DB, np.minimum(_HELD_SIGMAS * np.sqrt(variance) / size, 1.0), 0.0)
+    white = whitened_rows(stacked, problem.centre_s, variance, noise, np.where(problem.rows_used > 0, weight, 0.0))
     nothing = np.zeros((*misfit.shape, 1))
     places = np.full((len(prior), 2), _PRIOR_DEG)
     found = fit_separable(white[..., :-1], nothing, white[..., -1], np.concatenate([prior, places], axis=1), 1.0)

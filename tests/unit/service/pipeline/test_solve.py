@@ -9,6 +9,7 @@ from service.core.estimation.paper.octants import predict_deviation_db
 from service.pipeline.config import EstimationConfig
 from service.pipeline.solve import sensitivity_model, solve_attitude
 from service.records.attitude import Axes, Exclusion
+from service.records.noise import NoiseComponent
 
 ANGLES = np.array([0.2, -0.15, 0.1])
 CONFIG = EstimationConfig()
@@ -36,8 +37,8 @@ def test_the_model_holds_the_figures_of_the_calibration(payload, model):
     assert model.carrier_ids == payload.ids
     assert model.is_selected.all()
     # carriers without a coloured part have a zero there, not a hole
-    np.testing.assert_array_equal(model.sigma_coloured_db, np.tile([0.0, 0.02], 6))
-    np.testing.assert_array_equal(model.correlation_time_s, np.tile([0.0, 1200.0], 6))
+    np.testing.assert_array_equal(model.sigma_coloured_db[:, 0], np.tile([0.0, 0.02], 6))
+    np.testing.assert_array_equal(model.correlation_time_s[:, 0], np.tile([0.0, 1200.0], 6))
 
 
 def test_an_unfinished_calibration_is_an_empty_model(payload):
@@ -118,3 +119,13 @@ def test_perfect_agreement_is_no_division_by_zero(model):
     fix = solve(model, np.zeros(12))
     np.testing.assert_array_equal(fix.attitude_deg, 0.0)
     assert np.isfinite(fix.covariance_deg2).all()
+
+
+def test_all_coloured_parts_of_a_carrier_count(payload, deviation):
+    calibration = payload.calibration(noise=(NoiseComponent(300.0, 0.06), NoiseComponent(7200.0, 0.08)))
+    model = sensitivity_model(calibration)
+    assert model.sigma_coloured_db.shape == (12, 2)
+    fix = solve(model, deviation)
+    # a mean of 14 minutes keeps nearly all of the slow part and half of the fast one
+    assert (fix.sigma_db > 0.08).all()
+    assert (fix.sigma_db < np.sqrt(0.05**2 / 15 + 0.06**2 + 0.08**2)).all()

@@ -107,3 +107,12 @@ def test_the_simulated_mean_has_the_stated_sigma():
     means = np.array([noise(seed, rows=15).mean() for seed in range(600)])
     # 600 means: 2.9 %, four sigma
     assert means.std() == pytest.approx(sigma(0.15, 0.1, 1200.0, 15, 840.0), rel=0.12)
+
+
+def test_coloured_parts_of_a_carrier_add_up():
+    parts, times = np.array([[0.1, 0.2], [0.05, 0.0]]), np.array([[300.0, 7200.0], [1200.0, 0.0]])
+    together = averaged_sigma_db(np.array([0.15, 0.15]), parts, times, rows=15, span_s=840.0)
+    each = [sigma(0.0, one, tau_s, 15, 840.0) for one, tau_s in zip(parts[0], times[0], strict=True)]
+    # sums of squares, rounding only; a part of size and time zero adds nothing
+    assert together[0] == pytest.approx(np.sqrt(0.15**2 / 15 + each[0] ** 2 + each[1] ** 2), rel=1e-12)
+    assert together[1] == pytest.approx(sigma(0.15, 0.05, 1200.0, 15, 840.0), rel=1e-12)
