@@ -22,6 +22,8 @@ AXES = ("yaw", "roll", "pitch")
 SETTLING_ROWS = 60
 #: what a level that nobody touches may still wander beyond the learned noise, dB/sqrt(h)
 REFERENCE_WALK_DB = 0.002
+#: as many independent values of its noise count as much as the other carriers' example
+SHRINKAGE = 6.0
 #: sigma of the attitude at the alignment, deg: an hour of a star tracker
 ALIGNED_SIGMA_DEG = np.array([0.004, 0.002, 0.002])
 
@@ -100,8 +102,19 @@ def learned_noise(residual_db: np.ndarray, row_s: float) -> tuple[np.ndarray, np
         weight = 1.0 / np.sqrt(1.0 + np.arange(len(times)) ** 1.0)
         fit, _ = nnls(design * weight[:, None], np.array(covariance) * weight)
         white.append(np.sqrt(max(fit[0], 0.03**2)))
-        coloured.append(np.sqrt(np.maximum(fit[1:], 0.005**2)))
-    return np.array(white), np.array(coloured)
+        coloured.append(fit[1:])
+    return np.array(white), np.sqrt(np.maximum(shrunk(np.array(coloured), count * row_s), 0.005**2))
+
+
+def shrunk(variance: np.ndarray, span_s: float) -> np.ndarray:
+    """Return variances (N, K) drawn to those of all carriers as far as a span cannot tell them one by one.
+
+    A span of three days holds seven times a part of ten hours: alone it says little more than the size of it.
+    """
+    usual = np.sort(variance, axis=0)[: len(variance) - len(variance) // 8].mean(axis=0)
+    known = span_s / (2.0 * np.array(TAUS_S))
+    weight = known / (known + SHRINKAGE)
+    return weight * variance + (1.0 - weight) * usual
 
 
 def level_sigma_db(white_db: np.ndarray, coloured_db: np.ndarray, row_s: float, rows: int) -> np.ndarray:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.estimation.filtering.carrier_faults import (
+    SAME_LEVEL_DB,
     count_absence,
     count_skips,
     flag_failed,
@@ -189,7 +190,7 @@ def _judged(
     is_noise_declared = None if row.declared is None else row.declared.white_db > 0.0
     after = watched(model, after, row.deviation_db, values, updated, is_noise_declared)
     gaussian, rain = pass_minutes(after.gaussian, after.rain, row.minutes)
-    if row.declared is not None and row.declared.chain_step_db > 0.0:
+    if row.declared is not None and row.declared.chain_step_db > SAME_LEVEL_DB:
         # a fall that begins now is counted from where the chain stands now
         rain = rain._replace(base_chain_db=float(gaussian.mean[CHAIN]))
     drift, gaussian = push_drift(after.drift, settings, gaussian, row.minutes)

@@ -2,10 +2,11 @@
 
 u = |innovation| / sigma: above 2 a carrier is trusted less (Huber), above 4 it is skipped; four skips in a row, or a
 cumulative sum beyond its threshold (slow fades never reach 4 sigma at once), flag it. A flagged carrier is out until 30
-minutes have passed and its last 20 rows are quiet; then its reference is learned anew, or restored where the carrier
-came back to within 0.2 dB of what it was. A carrier that was off for half an hour is flagged too: users who switch on
-again often do so at another level, too near for 4 sigma and far enough to turn the attitude. The law of this file:
-times are minutes of data, never rows or clocks.
+minutes have passed and its last 20 rows are quiet and within 0.2 dB of what it was; then its reference is restored. At
+another level it must have stood for an hour before its reference is learned anew: an antenna that dries looks quiet
+long before it is, and a reference learned meanwhile turns the attitude while it dries on. A carrier that was off for
+half an hour is flagged too: users who switch on again often do so at another level, too near for 4 sigma and far enough
+to turn the attitude. The law of this file: times are minutes of data, never rows or clocks.
 """
 
 from typing import NamedTuple
@@ -30,6 +31,9 @@ ABSENT_MINUTES = 30.0
 QUIET_ROWS = 20
 QUIET_STD_DB = 0.32
 QUIET_SHIFT_DB = 0.22
+#: rows after which another level is believed, and what its halves may differ by, dB
+STANDING_ROWS = 60
+STANDING_SHIFT_DB = 0.12
 SAME_LEVEL_DB = 0.2
 #: what a restored reference may have moved meanwhile, dB
 _RESTORED_SIGMA_DB = 0.1
@@ -49,7 +53,7 @@ class CarrierWatch(NamedTuple):
     #: (N,) reference error and its variance before the flag, dB and dB^2
     saved_reference_db: FloatArray
     saved_variance_db2: FloatArray
-    #: (QUIET_ROWS, N) newest last, measured minus what the site explains, dB
+    #: (STANDING_ROWS, N) newest last, measured minus what the site explains, dB
     residuals_db: FloatArray
     cusum: Cusum
     #: (N,) minutes without the carrier while the others were measured
@@ -62,7 +66,15 @@ def healthy(carriers: int) -> CarrierWatch:
     """Return the watch of carriers that have not failed yet."""
     zeros, never = np.zeros(carriers), np.zeros(carriers, dtype=np.bool_)
     return CarrierWatch(
-        zeros, never, zeros, zeros, zeros, np.full((QUIET_ROWS, carriers), np.nan), quiet_cusum(carriers), zeros, never
+        zeros,
+        never,
+        zeros,
+        zeros,
+        zeros,
+        np.full((STANDING_ROWS, carriers), np.nan),
+        quiet_cusum(carriers),
+        zeros,
+        never,
     )
 
 
@@ -187,19 +199,20 @@ def release_quiet(model: CarrierModel, state: Gaussian, watch: CarrierWatch) -> 
     CarrierWatch
         Watch after; references that were learned anew are marked.
     """
-    half = QUIET_ROWS // 2
-    rows = watch.residuals_db
-    is_quiet = watch.is_flagged & (watch.flagged_minutes >= MIN_FLAGGED_MINUTES) & np.isfinite(rows).all(axis=0)
-    if not is_quiet.any():
+    is_due = watch.is_flagged & (watch.flagged_minutes >= MIN_FLAGGED_MINUTES)
+    if not is_due.any():
         return state, watch
-    is_quiet &= rows.std(axis=0) < QUIET_STD_DB
-    is_quiet &= np.abs(rows[half:].mean(axis=0) - rows[:half].mean(axis=0)) < QUIET_SHIFT_DB
+    last = watch.residuals_db[-QUIET_ROWS:]
+    level_db = last.mean(axis=0)
+    is_back = np.abs(level_db - watch.saved_reference_db) < SAME_LEVEL_DB
+    is_quiet = is_due & (last.std(axis=0) < QUIET_STD_DB) & (halves_differ_db(last) < QUIET_SHIFT_DB)
+    is_new = np.isnan(watch.saved_reference_db)
+    is_quiet &= is_back | is_new | (halves_differ_db(watch.residuals_db) < STANDING_SHIFT_DB)
     if not is_quiet.any():
         return state, watch
     chosen = np.flatnonzero(is_quiet)
-    level_db = rows[:, chosen].mean(axis=0)
-    is_back = np.abs(level_db - watch.saved_reference_db[chosen]) < SAME_LEVEL_DB
-    reference_db = np.where(is_back, watch.saved_reference_db[chosen], level_db)
+    is_back = is_back[chosen]
+    reference_db = np.where(is_back, watch.saved_reference_db[chosen], level_db[chosen])
     variance = np.where(is_back, watch.saved_variance_db2[chosen] + _RESTORED_SIGMA_DB**2, FREE_REFERENCE_DB2)
     relearned = watch.is_relearned.copy()
     relearned[chosen] |= ~is_back
@@ -211,3 +224,9 @@ def release_quiet(model: CarrierModel, state: Gaussian, watch: CarrierWatch) -> 
             is_relearned=relearned,
         ),
     )
+
+
+def halves_differ_db(rows_db: FloatArray) -> FloatArray:
+    """Return how far the means of the two halves of rows (T, N) lie apart (N,), NaN where a row is absent."""
+    half = len(rows_db) // 2
+    return np.asarray(np.abs(rows_db[half:].mean(axis=0) - rows_db[:half].mean(axis=0)))

@@ -2,6 +2,7 @@
 
 The law of this file: what the ground declared is no fault. A masked carrier is neither used nor missed, a declared
 step of levels empties the sums it would have filled, a declared change of the chain holds control as a found one does.
+Steps too small to be told from noise, of which an operation that lasts makes one a row, widen the state and no more.
 """
 
 import numpy as np
@@ -13,6 +14,10 @@ from service.core.estimation.filtering.filter_model import BoolArray, CarrierMod
 from service.core.estimation.filtering.filter_records import FilterState
 from service.core.estimation.filtering.motion_watch import forget_shifts
 from service.core.estimation.filtering.rain_state import HOLD_MINUTES
+
+
+#: smallest declared step of an attitude that the watch on motion must not take for its own, deg
+_STEP_DEG = 0.05
 
 
 def with_declared(model: CarrierModel, state: FilterState, declared: Declared) -> FilterState:
@@ -28,17 +33,18 @@ def with_declared(model: CarrierModel, state: FilterState, declared: Declared) -
         Effect of the declared operations on the step.
     """
     told = state._replace(carriers=_levels_declared(model, state.carriers, declared))
-    if declared.chain_step_db > 0.0:
+    if declared.chain_step_db > SAME_LEVEL_DB:
         rain = state.rain._replace(hold_minutes=HOLD_MINUTES, cusum=quiet_cusum(1))
         told = told._replace(rain=rain)
-    if np.any(declared.attitude_step_deg > 0.0):
+    if np.any(declared.attitude_step_deg > _STEP_DEG):
         told = told._replace(motion=forget_shifts(state.motion, state.epoch_us))
     return told
 
 
 def stepped_carriers(model: CarrierModel, declared: Declared) -> BoolArray:
     """Return the carriers (N,) whose levels were declared to step, alone or with their transponder."""
-    return np.asarray((declared.reference_step_db > 0.0) | (declared.group_step_db[model.transponder] > 0.0))
+    group_db = declared.group_step_db[model.transponder]
+    return np.asarray((declared.reference_step_db > SAME_LEVEL_DB) | (group_db > SAME_LEVEL_DB))
 
 
 def _levels_declared(model: CarrierModel, watch: CarrierWatch, declared: Declared) -> CarrierWatch:

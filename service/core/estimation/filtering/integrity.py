@@ -14,9 +14,9 @@ _UNKNOWNS = 4
 class IntegrityLimits(NamedTuple):
     """When control may use the attitude."""
 
-    #: quiet carriers leave 0.12-0.13 and keep yaw controlled, flicker leaves 0.14 and does not; at 0.10 yaw is never
-    #: wrong by 0.3 and hardly ever controlled
-    sigma_yaw_deg: float = 0.135
+    #: three sigma of yaw stay within the 0.3 deg that make a torque wrong; quiet carriers leave 0.09-0.12, flicker
+    #: 0.11-0.13
+    sigma_yaw_deg: float = 0.10
     sigma_roll_deg: float = 0.06
     sigma_pitch_deg: float = 0.10
     redundancy: int = 2

@@ -120,7 +120,7 @@ def test_a_carrier_that_steps_is_left_out_and_learned_anew(run):
     change_db = np.where(EVERYONE == 5, 1.5, 0.0)
     run.rows(4, change_db)
     assert run.state.carriers.is_flagged[5]
-    told = run.rows(40, change_db)
+    told = run.rows(75, change_db)
     assert not told.state.carriers.is_flagged.any()
     assert told.state.carriers.is_relearned[5]
     assert 5 in told.used
@@ -205,7 +205,7 @@ def test_a_carrier_that_was_off_shows_its_level_first(run):
     run.rows(1, change_db)
     assert 5 not in run.told[-1].used
     assert (np.abs(run.told[-1].attitude_deg - before) < [0.02, 0.005, 0.005]).all()
-    told = run.rows(40, change_db)
+    told = run.rows(75, change_db)
     assert 5 in told.used
     assert told.state.carriers.is_relearned[5]
 

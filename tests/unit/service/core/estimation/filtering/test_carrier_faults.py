@@ -6,6 +6,7 @@ import pytest
 from service.core.estimation.filtering.carrier_faults import (
     MIN_FLAGGED_MINUTES,
     QUIET_ROWS,
+    STANDING_ROWS,
     count_skips,
     flag_failed,
     healthy,
@@ -79,7 +80,7 @@ def test_one_impulse_is_no_fault(model, state):
     assert flag_failed(model, state, watch, state)[1] is watch
 
 
-def test_a_flagged_carrier_returns_after_half_an_hour_of_quiet(model, state):
+def test_a_flagged_carrier_at_another_level_returns_when_it_has_stood_for_an_hour(model, state):
     _, watch = flagged(model, state)
     row = np.array([0.0, 0.0, 1.5, 0.0, 0.0, 0.0])
     minute = 0
@@ -87,11 +88,36 @@ def test_a_flagged_carrier_returns_after_half_an_hour_of_quiet(model, state):
         watch = watch_flagged(watch, row, 1.0)
         after, watch = release_quiet(model, state, watch)
         minute += 1
-    assert minute == MIN_FLAGGED_MINUTES
+    assert minute == STANDING_ROWS
     place = reference_states(model, np.array([2]))
     assert after.mean[place] == 1.5
     assert after.covariance[place, place] == 9.0
     assert watch.is_relearned.tolist() == [False, False, True, False, False, False]
+
+
+def test_an_antenna_that_dries_comes_back_to_its_reference_and_is_not_learned_wet(model, state):
+    """2 dB of wet antenna, gone to a twentieth in an hour: released once it is within 0.2 dB of what it was."""
+    _, watch = flagged(model, state)
+    minute = 0
+    while watch.is_flagged.any():
+        loss_db = 2.0 * np.exp(-minute / 20.0)
+        watch = watch_flagged(watch, np.array([0.0, 0.0, -loss_db, 0.0, 0.0, 0.0]), 1.0)
+        after, watch = release_quiet(model, state, watch)
+        minute += 1
+    assert not watch.is_relearned.any()
+    assert loss_db < 0.2
+    assert minute >= MIN_FLAGGED_MINUTES
+    assert after.mean[reference_states(model, np.array([2]))] == watch.saved_reference_db[2]
+
+
+def test_a_carrier_without_a_reference_is_not_kept_waiting_for_one(model, state):
+    _, watch = flagged(model, state)
+    watch = watch._replace(saved_reference_db=np.full(6, np.nan))
+    for _ in range(30):
+        watch = watch_flagged(watch, np.full(6, 4.0), 1.0)
+    _, watch = release_quiet(model, state, watch)
+    assert not watch.is_flagged.any()
+    assert watch.is_relearned[2]
 
 
 def test_a_carrier_that_comes_back_to_its_level_gets_its_old_reference(model, state):

@@ -109,3 +109,11 @@ def test_a_declared_motion_is_followed_without_an_alarm(run):
     told = run.rows(30, change_db)
     assert np.abs(told.attitude_deg - truth)[1:].max() < 0.06
     assert not any("unannounced_motion" in row.integrity.reasons for row in run.told[60:])
+
+
+def test_small_steps_of_every_row_hide_no_fault_and_hold_nothing(run):
+    """An eclipse is told as a step of 0.04 dB a row of each transponder."""
+    declared = NONE._replace(group_step_db=np.full(3, 0.04), chain_step_db=0.04)
+    told = run.rows(6, np.where(EVERYONE == 5, -4.0, 0.0), declared)
+    assert told.state.carriers.is_flagged[5]
+    assert not any("chain_step" in row.integrity.reasons for row in run.told[60:])
