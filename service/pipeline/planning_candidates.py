@@ -69,7 +69,7 @@ def candidates_of(result: CalibrationResult, plan: CarrierPlan) -> Candidates:
             (is_usable, NOT_USABLE),
             (bool(np.isfinite(sensitivity[k]).all()), NOT_MEASURED),
             (bool(np.isfinite(noise.white_db[k])), "the calibration has not learned its noise"),
-            (is_kept[k], "the calibration leaves it out: " + ("; ".join(carrier.rejected_because) or "no reason kept")),
+            (is_kept[k], f"the calibration leaves it out: {_rejection(carrier)}"),
         )
         # the first reason is enough: what is not measured was rarely usable
         refusals.append(tuple(text for is_met, text in texts if not is_met)[:1])
@@ -96,6 +96,13 @@ def _learned_noise(carriers: Sequence[CarrierCalibration]) -> ColouredNoise:
                 sigma[k, place], tau[k, place] = part.sigma_db, part.correlation_time_s
     rms = np.array([carrier.harmonic.rms_db for carrier in carriers], dtype=np.float64)
     return ColouredNoise(np.where(np.isfinite(white), white, rms), sigma, tau)
+
+
+def _rejection(carrier: CarrierCalibration) -> str:
+    """Return why the robust method must not use a carrier; reasons of the paper's rule are told apart from it."""
+    mark = "robust: "
+    own = [reason.removeprefix(mark) for reason in carrier.rejected_because if reason.startswith(mark)]
+    return "; ".join(own or carrier.rejected_because) or "no reason kept"
 
 
 def _unmet_criteria(carrier: CarrierCalibration) -> tuple[str, ...]:

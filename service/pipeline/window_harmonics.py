@@ -90,21 +90,20 @@ def robust_harmonics(
 ) -> tuple[CarrierHarmonic, ...]:
     """Return the robust fit of every carrier; ``carriers`` are those of the series, in its order."""
     phase_rad = _phase_rad(series, ephemeris)
-    power_dbm = series.power_dbm.astype(np.float64)
     waves = daily_columns(None, phase_rad, len(carriers))
     sight = _sight_deg(series.epochs_us, ephemeris, carriers, longitude_deg)
-    is_dish = (np.isfinite(sight).all(axis=2).mean(axis=0) >= _MIN_COVERED) if len(sight) else np.zeros(len(carriers))
-    by_waves = fit_daily(waves, power_dbm)
+    is_dish = np.isfinite(sight).all(axis=2).sum(axis=0) > _MIN_COVERED * len(sight)
     dish = daily_columns(OrbitMotion(sight, sight), phase_rad, len(carriers))
-    by_dish = fit_daily(dish, power_dbm)
     node_us = _node_us(series, ephemeris, stop_us)
-    told = []
-    for k, carrier in enumerate(carriers):
-        fits, columns = (by_dish, dish) if is_dish[k] else (by_waves, waves)
-        harmonic = _as_waves(fits, columns[:, k], waves[:, k], k)
-        law = _dish_law(by_dish, k) if is_dish[k] else None
-        told.append(_robust_carrier(carrier.id, harmonic, fits, law, k, ephemeris.nodal_period_s, node_us))
-    return tuple(told)
+    told: dict[int, CarrierHarmonic] = {}
+    for columns, chosen in ((waves, np.flatnonzero(~is_dish)), (dish, np.flatnonzero(is_dish))):
+        fits = fit_daily(columns[:, chosen], series.power_dbm[:, chosen].astype(np.float64))
+        for place, k in enumerate(chosen.tolist()):
+            harmonic = _as_waves(fits, columns[:, k], waves[:, k], place)
+            law = _dish_law(fits, place) if is_dish[k] else None
+            name, period_s = carriers[k].id, ephemeris.nodal_period_s
+            told[k] = _robust_carrier(name, harmonic, fits, law, place, period_s, node_us)
+    return tuple(told[k] for k in range(len(carriers)))
 
 
 def _phase_rad(series: MeasurementSeries, ephemeris: Ephemeris) -> FloatArray:

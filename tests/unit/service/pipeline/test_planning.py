@@ -3,6 +3,7 @@
 import itertools
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -64,6 +65,14 @@ def test_a_carrier_that_left_the_plan_is_not_chosen():
     plan = plan_of()
     candidates = candidates_of(result_of(), replace(plan, carriers=plan.carriers[1:]))
     assert candidates.refusals[0] == (NOT_USABLE,)
+
+
+def test_a_carrier_that_the_calibration_leaves_out_says_its_reason():
+    result = result_of(c02={"rejected_because": ("not linear", "robust: seen in too few stretches of the windows")})
+    geometry = SimpleNamespace(is_used=tuple(name != "c02" for name in PAYLOAD.ids))
+    candidates = candidates_of(replace(result, geometry=geometry), plan_of())
+    assert candidates.refusals[2] == ("the calibration leaves it out: seen in too few stretches of the windows",)
+    assert candidates.is_usable.sum() == 19
 
 
 def test_noise_of_a_row_holds_all_its_parts():
