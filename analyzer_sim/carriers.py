@@ -209,7 +209,7 @@ def _with_beacons(plan: CarrierPlan, name: str, centers_hz: dict[str, float]) ->
         Carrier(
             id=carrier_id,
             station=plan.receiving_site,
-            transponder="Ku beacon",
+            transponder="Ku-beacon",
             center_hz=center_hz,
             symbol_rate_hz=0.0,
             level_dbm=-50.0,

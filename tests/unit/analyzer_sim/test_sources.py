@@ -16,6 +16,9 @@ from analyzer_sim.payload import sensitivity_db_per_deg
 from analyzer_sim.scenario import scenario_named
 from analyzer_sim.user_noise import users_noise_db
 from analyzer_sim.world import World
+from service.api.schemas.carriers import CarrierPlanDocument
+from service.api.schemas.inputs import CorrectionBatchDocument, ReferenceBatchDocument, TelemetryBatchDocument
+from service.frontend.measurement_task import MeasurementTask
 
 SEED = 3
 NEW_WORLDS = ("beacons", "sensors", "prime_backup", "replan", "blackout", "few3", "corrections_late")
@@ -248,3 +251,20 @@ def test_the_switch_is_told_with_the_first_row_of_the_other_analyzer(seed: int) 
             assert names[story.rows.source[row - 1]] != told_before
             assert len(line["rows"]) == 1
             told_before = None
+
+
+@pytest.mark.parametrize("name", ["beacons", "sensors", "prime_backup", "replan"])
+def test_the_interface_takes_every_body(name: str) -> None:
+    schemas = {
+        "carriers": CarrierPlanDocument,
+        "references": ReferenceBatchDocument,
+        "corrections": CorrectionBatchDocument,
+        "telemetry": TelemetryBatchDocument,
+        "task": MeasurementTask,
+    }
+    seen = set()
+    for line in lines(name):
+        if line["kind"] in schemas:
+            schemas[line["kind"]].model_validate_json(json.dumps(line["body"]))
+            seen.add(line["kind"])
+    assert seen == set(schemas)
