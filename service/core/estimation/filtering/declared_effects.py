@@ -15,7 +15,6 @@ from service.core.estimation.filtering.filter_records import FilterState
 from service.core.estimation.filtering.motion_watch import forget_shifts
 from service.core.estimation.filtering.rain_state import HOLD_MINUTES
 
-
 #: smallest declared step of an attitude that the watch on motion must not take for its own, deg
 _STEP_DEG = 0.05
 
