@@ -140,4 +140,7 @@ def test_trials_of_the_snapshot_reach_their_bounds_with_one_seed():
     # one calibration: one sigma of the scale is 0.1
     assert figures["yaw_scale"] == pytest.approx(1.0, abs=0.3)
     assert figures["breakdown"] >= 5
+    # what must hold on the mean of eight seeds, and half as much again
+    assert figures["level_day1_db"] < 0.075
+    assert figures["level_day7_db"] < 0.18
     assert figures["false_exclusion_share"] <= 0.01

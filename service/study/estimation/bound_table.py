@@ -154,12 +154,14 @@ def _faults() -> list[Bound]:
 
 
 def _snapshot() -> list[Bound]:
-    """Return the bounds of the fix of one epoch alone."""
+    """Return the bounds of the fix of one epoch alone, and of the level that is expected of a carrier."""
     return [
         *_angles("snapshot", "over_bound_true", (1.05,) * 3, (1.02,) * 3, is_goal_asked=True),
         *_angles("snapshot", "over_bound_fitted", (1.25,) * 3, (1.10,) * 3),
         Bound("snapshot", "yaw_scale", around(1.0, 0.10), around(1.0, 0.03), METHOD, is_goal_asked=True),
         Bound("snapshot", "breakdown", at_least(5.0), at_least(6.0), METHOD, is_goal_asked=True),
+        Bound("snapshot", "level_day1_db", at_most(0.05), at_most(0.02), METHOD),
+        Bound("snapshot", "level_day7_db", at_most(0.12), at_most(0.05), METHOD),
         Bound("snapshot", "false_exclusion_share", at_most(0.01), at_most(0.003), METHOD),
     ]
 

@@ -8,6 +8,7 @@ noise of fifteen averaged rows and a level common to all carriers. The calibrati
 * ``over_bound_fitted``, ``yaw_scale``: the beams are the simulator's, the coefficients those of the calibration.
 * ``breakdown``: most carriers out of sixteen that may be rained on while fewer than 1 % of the fixes of roll or pitch
   are off by 0.3 deg; ``false_exclusion_share`` of the sound carriers up to there.
+* ``level_day1_db``, ``level_day7_db``: error of the expected level on that day of operation.
 """
 
 import tempfile
@@ -31,6 +32,7 @@ from service.records.attitude import BoolArray, FloatArray
 from service.records.catalogue import CarrierPlan
 from service.study.estimation.accuracy import AXES, Figures
 from service.study.estimation.drive import UndrivenError, calibrate
+from service.study.estimation.level_trials import DAYS, level_error_db2
 from service.study.estimation.world import World, export_world, read_world
 
 ROWS_AVERAGED = 15
@@ -64,6 +66,8 @@ class SnapshotTrials(NamedTuple):
     far: FloatArray
     sound: FloatArray
     excluded: FloatArray
+    #: (D,) dB^2, error of the expected level on each of ``DAYS``
+    level_error_db2: FloatArray
 
 
 def run_trials(seed: int) -> SnapshotTrials:
@@ -80,7 +84,8 @@ def run_trials(seed: int) -> SnapshotTrials:
     if result is None or result.geometry is None:
         message = "the calibration holds no geometry"
         raise UndrivenError(message)
-    response = geometry_model(result.geometry, result.carriers).response
+    model = geometry_model(result.geometry, result.carriers)
+    response = model.response
     sigma_db = calm.truth.white_db / np.sqrt(ROWS_AVERAGED)
     rng = np.random.default_rng((_STREAM, seed))
     exact = exact_response(response.slope, response.curvature)
@@ -91,6 +96,7 @@ def run_trials(seed: int) -> SnapshotTrials:
         covariance,
         variance,
         *_rained(rng, exact, sigma_db),
+        level_error_db2(calm, model, result.geometry, calm.ground.ephemeris),
     )
 
 
@@ -104,8 +110,11 @@ def trial_figures(seeds: Sequence[SnapshotTrials]) -> Figures:
     upto = slice(0, max(breakdown, 0) + 1)
     excluded, sound = (np.sum([values[upto] for values in many]) for many in _pairs(seeds))
     by_axis = {"over_bound_true": exact, "over_bound_fitted": fitted}
+    # noise taken off may leave less than nothing
+    level_db = np.sqrt(np.maximum(np.mean([seed.level_error_db2 for seed in seeds], axis=0), 0.0))
     return {
         **{f"{name}.{axis}": float(values[k]) for name, values in by_axis.items() for k, axis in enumerate(AXES)},
+        **{f"level_day{day}_db": float(level_db[k]) for k, day in enumerate(DAYS)},
         "yaw_scale": sum(seed.yaw_covariance for seed in seeds) / sum(seed.yaw_variance for seed in seeds),
         "breakdown": float(breakdown),
         "false_exclusion_share": float(excluded / sound),
@@ -118,10 +127,10 @@ def _pairs(seeds: Sequence[SnapshotTrials]) -> tuple[list[FloatArray], list[Floa
 
 
 def _world(scenario: str, seed: int) -> World:
-    """Return a world that is short beyond its calibration."""
+    """Return a world that is as long as the trials need it."""
     with tempfile.TemporaryDirectory(prefix="soo-study-") as folder:
         path = Path(folder) / "world.npz"
-        export_world(scenario, seed, path, 0.05 if scenario == "white" else _OPERATION_DAYS)
+        export_world(scenario, seed, path, max(DAYS) if scenario == "white" else _OPERATION_DAYS)
         return read_world(path)
 
 

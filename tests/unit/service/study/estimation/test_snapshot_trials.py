@@ -17,6 +17,7 @@ def trials(far=(0, 0, 0, 0, 0, 0, 0, 40), square=1.0, covariance=1.0, excluded=0
         np.array(far, dtype=float),
         np.full(count, 1000.0),
         np.full(count, excluded),
+        np.array([0.0004, -0.0001]),
     )
 
 
@@ -42,3 +43,8 @@ def test_the_breakdown_is_the_last_number_up_to_which_all_is_well(far, breakdown
 def test_exclusions_are_counted_up_to_the_breakdown():
     found = trial_figures([trials(excluded=2.0)])
     assert found["false_exclusion_share"] == pytest.approx(0.002)
+
+
+def test_the_error_of_the_level_is_pooled_and_never_below_nothing():
+    found = trial_figures([trials(), trials()])
+    assert (found["level_day1_db"], found["level_day7_db"]) == (pytest.approx(0.02), 0.0)
