@@ -18,6 +18,7 @@ from service.records.catalogue import CarrierPlan
 #: fewest carriers that determine three angles and a common level
 MIN_USABLE = 4
 NOT_USABLE = "not usable for attitude: disabled, a beacon, or under uplink power control"
+GONE = "no longer in the carrier plan"
 NOT_MEASURED = "the calibration has no sensitivity of it for every axis"
 
 
@@ -56,7 +57,7 @@ class Candidates:
 
 
 def candidates_of(result: CalibrationResult, plan: CarrierPlan) -> Candidates:
-    """Return the carriers of a calibration; the plan says which may be used at all and who shares a transponder."""
+    """Return the carriers of a calibration; the newest plan says which may be used and who shares a transponder."""
     known = {carrier.id: carrier for carrier in plan.carriers}
     carriers = result.carriers
     sensitivity = np.array([carrier.sensitivity_db_per_deg for carrier in carriers], dtype=np.float64).reshape(-1, 3)
@@ -64,9 +65,9 @@ def candidates_of(result: CalibrationResult, plan: CarrierPlan) -> Candidates:
     is_kept = result.geometry.is_used if result.geometry is not None else (True,) * len(carriers)
     refusals = []
     for k, carrier in enumerate(carriers):
-        is_usable = carrier.id in known and known[carrier.id].is_usable_for_attitude
         texts = (
-            (is_usable, NOT_USABLE),
+            (carrier.id in known, GONE),
+            (carrier.id not in known or known[carrier.id].is_usable_for_attitude, NOT_USABLE),
             (bool(np.isfinite(sensitivity[k]).all()), NOT_MEASURED),
             (bool(np.isfinite(noise.white_db[k])), "the calibration has not learned its noise"),
             (is_kept[k], f"the calibration leaves it out: {_rejection(carrier)}"),

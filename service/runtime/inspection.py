@@ -89,12 +89,12 @@ def recommend_carriers(
         ``selection.count``: more carriers asked for than the calibration has.
     """
     calibration, result = _judging(storage, spacecraft_id)
-    plan = storage.catalogue.plan(spacecraft_id, calibration.plan_id)
+    plan = storage.catalogue.plan(spacecraft_id)
     candidates = candidates_of(result, plan)
     wanted = wanted_count(candidates, count, f"calibration {calibration.id}")
     recommendation = recommend(candidates, wanted, rule, yaw_scale=config.criteria.yaw_scale)
     return CarrierRecommendation(
-        calibration.id, calibration.request.method.value, wanted, recommendation, _notes(calibration, result)
+        calibration.id, calibration.request.method.value, wanted, recommendation, _notes(calibration, result, plan)
     )
 
 
@@ -161,9 +161,13 @@ def _judging(storage: Storage, spacecraft_id: str) -> tuple[Calibration, Calibra
     raise ConflictError("selection.no_calibration", detail)
 
 
-def _notes(calibration: Calibration, result: CalibrationResult) -> tuple[str, ...]:
+def _notes(calibration: Calibration, result: CalibrationResult, plan: CarrierPlan) -> tuple[str, ...]:
     """Return what to know before trusting the figures."""
     notes = []
+    known = {carrier.id for carrier in result.carriers}
+    fresh = [carrier.id for carrier in plan.carriers if carrier.id not in known and carrier.is_usable_for_attitude]
+    if fresh:
+        notes.append(f"{', '.join(fresh)} came with plan {plan.id} after the calibration: nothing is known of them yet")
     if calibration.request.method is CalibrationMethod.PAPER:
         notes.append(
             "coefficients were fitted freely: their errors make yaw look better than it is; a calibration by geometry "

@@ -270,6 +270,17 @@ async def test_carrier_that_the_plan_excludes_is_not_recommended(bench, make):
         ]
 
 
+async def test_the_newest_plan_says_who_is_still_there(bench, make):
+    """A plan changed since the calibration: one user gone, one disabled, one new."""
+    bench.calibrate([make.carrier_calibration(k, Axes(0.1 * k * k, 1.0 - 0.1 * k, 0.5 * k)) for k in range(6)])
+    bench.storage.catalogue.put_plan(make.sc, [make.carrier(k, enabled=k != 2) for k in range(1, 7)], "changed")
+    told = await bench.get("/carrier-selection", rule="optimal")
+    assert sorted(told["selected"]) == ["c01", "c03", "c04", "c05"]
+    assert told["carriers"][0]["reasons"] == ["no longer in the carrier plan"]
+    assert "disabled" in told["carriers"][2]["reasons"][0]
+    assert "c06 came with plan 2 after the calibration: nothing is known of them yet" in told["notes"]
+
+
 async def test_carriers_that_do_not_determine_the_attitude(bench, make):
     """Six carriers that answer to one mixture: nothing but the reason is told."""
     bench.calibrate([make.carrier_calibration(k, Axes(0.1, 1.0, 0.5)) for k in range(6)], is_active=False)

@@ -11,7 +11,7 @@ from synthetic_payload import START_US, SyntheticPayload
 
 from service.pipeline.assumed_beams import DEFAULT_WIDTHS_DEG, NOISES, AssumedBeam, assume_payload
 from service.pipeline.planning import Rule, recommend, turn_timetable
-from service.pipeline.planning_candidates import NOT_MEASURED, NOT_USABLE, candidates_of
+from service.pipeline.planning_candidates import GONE, NOT_MEASURED, NOT_USABLE, candidates_of
 from service.records.attitude import NO_ANGLES
 from service.records.calibration import NoiseComponent
 from service.records.catalogue import Carrier, CarrierPlan, Station
@@ -64,7 +64,8 @@ def test_refused_carriers_say_why_and_are_in_no_set():
 def test_a_carrier_that_left_the_plan_is_not_chosen():
     plan = plan_of()
     candidates = candidates_of(result_of(), replace(plan, carriers=plan.carriers[1:]))
-    assert candidates.refusals[0] == (NOT_USABLE,)
+    assert candidates.refusals[0] == (GONE,)
+    assert candidates.is_usable.sum() == 19
 
 
 def test_a_carrier_that_the_calibration_leaves_out_says_its_reason():
