@@ -28,8 +28,8 @@ def remember_fix(history: FixHistory, epoch_us: int, attitude_deg: FloatArray, w
     """Return the history with a fix added and everything older than the window dropped."""
     keep = history.epochs_us > epoch_us - int(window_s * US_PER_S)
     return FixHistory(
-        np.append(history.epochs_us[keep], np.int64(epoch_us)),
-        np.vstack([history.attitude_deg[keep], attitude_deg[None, :]]),
+        np.concatenate([history.epochs_us[keep], [epoch_us]]),
+        np.concatenate([history.attitude_deg[keep], attitude_deg[None, :]]),
     )
 
 

@@ -110,14 +110,14 @@ def _command(
     rate_change_rad_s = impulse / _principal_inertia(spacecraft)
     # every pulse starts with the period and is short beside it: the gained rate turns the body until the period ends
     angle_change_rad = rate_change_rad_s * (period_s - pulses.duration_s / 2.0)
-    wheel_impulse = impulse[_BODY_FROM_ANGLES] @ _wheels_of_body(spacecraft.wheels)
+    wheel_impulse = impulse[_BODY_FROM_ANGLES] @ _wheels_of_body(spacecraft.wheels) + 0.0
     return TorqueCommand(
         epoch_us=epoch_us,
         number=row.number,
         attitude_epoch_us=row.epoch_us,
         mode=spacecraft.control.mode.value,
         torque_n_m=named_axes(impulse / period_s),
-        wheels_n_m=tuple(float(value) for value in wheel_impulse / period_s),
+        wheels_n_m=tuple((wheel_impulse / period_s).tolist()),
         saturated=bool(pulses.is_saturated.any()),
         command_period_s=period_s,
         valid_until_us=epoch_us + round(period_s * US_PER_S),
@@ -125,7 +125,7 @@ def _command(
         impulse_n_m_s=named_axes(impulse),
         predicted_angle_change_deg=named_axes(np.rad2deg(angle_change_rad)),
         predicted_rate_change_deg_s=named_axes(np.rad2deg(rate_change_rad_s)),
-        predicted_wheel_momentum_n_m_s=tuple(float(value) for value in wheel_impulse),
+        predicted_wheel_momentum_n_m_s=tuple(wheel_impulse.tolist()),
         control_allowed=True,
         inhibitions=(),
     )
@@ -158,12 +158,9 @@ def _zero_command(
 
 def _schedule(epoch_us: int, pulses: PulseTrain) -> tuple[Pulse, ...]:
     """Return one element an axis that has a pulse."""
+    torques, durations = pulses.torque_n_m.tolist(), pulses.duration_s.tolist()
     return tuple(
-        Pulse(
-            epoch_us,
-            float(pulses.duration_s[axis]),
-            named_axes(np.where(np.arange(3) == axis, pulses.torque_n_m, 0.0)),
-        )
-        for axis in range(3)
-        if pulses.duration_s[axis] > 0.0
+        Pulse(epoch_us, duration_s, Axes(*(torque if place == axis else 0.0 for place, torque in enumerate(torques))))
+        for axis, duration_s in enumerate(durations)
+        if duration_s > 0.0
     )

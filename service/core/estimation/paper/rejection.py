@@ -203,7 +203,7 @@ def _sigma_rule(row: _Row, is_kept: BoolArray, fix: OctantFix, gate_sigma: float
         sigma_db = np.sqrt(np.square(residual_db[is_used]).sum() / max(int(is_used.sum()), 1))
         # negated, so that without a fix (NaN) nothing is rejected
         tested = is_kept & ~(residual_db >= max(gate_sigma * sigma_db, ROUNDING_DB))
-        if np.array_equal(tested, is_used):
+        if (tested == is_used).all():
             return is_used, fix, False
         if tested.sum() < row.min_carriers:
             return is_used, fix, True

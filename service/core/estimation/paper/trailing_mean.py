@@ -66,7 +66,7 @@ def push(window_state: TrailingMean, epoch_us: int, row: FloatArray) -> Trailing
         return window_state
     kept = window_state.epoch_us > epoch_us - window_state.horizon_us
     return _frozen(
-        np.append(window_state.epoch_us[kept], np.int64(epoch_us)),
+        np.concatenate([window_state.epoch_us[kept], [epoch_us]]),
         np.concatenate([window_state.rows[kept], row[np.newaxis]]),
         window_state.horizon_us,
     )
