@@ -14,7 +14,7 @@ from analyzer_sim.carriers import CarrierPlan
 from analyzer_sim.effects import Effects
 from analyzer_sim.epochs import US_PER_S
 from analyzer_sim.orbit import EpochArray, Orbit
-from analyzer_sim.payload import attitude_gain_db, dishes_loss_db, uplink_change_db
+from analyzer_sim.payload import dishes_loss_db, flown_gain_db, nominal_gain_db, uplink_change_db
 from analyzer_sim.repeater import repeater_db
 from analyzer_sim.story import Scenario
 from analyzer_sim.streams import FloatArray
@@ -54,9 +54,10 @@ class LevelTerms:
         self.levels_dbm = np.array([carrier.level_dbm for carrier in plan.carriers])
         self.chain_db: FloatArray = effects.chain_db + chain_noise_db(scenario, seed, seconds)
         self.common_db: FloatArray = self.chain_db[:, None] - effects.downlink_fade_db[:, None] * plan.rain_share
-        self._dish_db = dishes_loss_db(plan, orbit, epochs_us, seed)
+        self._nominal_db = nominal_gain_db(plan, orbit, np.zeros((1, 3)))
+        dish_db = dishes_loss_db(plan, orbit, epochs_us, seed)
         users_db = users_noise_db(plan, scenario, seed, seconds)
-        self._arriving_db = users_db - self._dish_db + effects.level_db - effects.uplink_fade_db
+        self._arriving_db = users_db - dish_db + effects.level_db - effects.uplink_fade_db
         self._has_shift = bool(np.any(effects.pattern_shift_deg))
 
     @property
@@ -83,9 +84,9 @@ class LevelTerms:
         """
         rows = slice(first, first + len(attitude_deg))
         shift_deg = self._effects.pattern_shift_deg[rows] if self._has_shift else None
-        gain_db = attitude_gain_db(self._plan, self._orbit, self._epochs_us[rows], attitude_deg, shift_deg)
+        gain_db = flown_gain_db(self._plan, self._orbit, self._epochs_us[rows], attitude_deg, shift_deg)
         power_db, level_db = self._control_db(attitude_deg, rows)
-        sent_dbm = self.levels_dbm + gain_db + self._arriving_db[rows] + power_db + level_db
+        sent_dbm = self.levels_dbm + (gain_db - self._nominal_db) + self._arriving_db[rows] + power_db + level_db
         return Levels(_on_grid(sent_dbm + self.common_db[rows], self._scenario.noise.quantum_db), power_db, level_db)
 
     def measurable_dbm(self, carrier_dbm: FloatArray, first: int = 0) -> FloatArray:

@@ -77,8 +77,19 @@ def attitude_gain_db(
     shift_deg: FloatArray | None = None,
 ) -> FloatArray:
     """Return the change of gain (T, N) against nominal attitude and place; `shift_deg` as in `pattern_gain_db`."""
-    angles = _antenna_angles_deg(plan, orbit, epochs_us, attitude_deg)
-    return pattern_gain_db(plan, *angles, shift_deg) - nominal_gain_db(plan, orbit, np.zeros((1, 3)))
+    gain_db = flown_gain_db(plan, orbit, epochs_us, attitude_deg, shift_deg)
+    return gain_db - nominal_gain_db(plan, orbit, np.zeros((1, 3)))
+
+
+def flown_gain_db(
+    plan: CarrierPlan,
+    orbit: Orbit,
+    epochs_us: EpochArray,
+    attitude_deg: FloatArray,
+    shift_deg: FloatArray | None = None,
+) -> FloatArray:
+    """Return gains (T, N) at attitudes (T, 3) with the satellite where it is; `shift_deg` as in `pattern_gain_db`."""
+    return pattern_gain_db(plan, *_antenna_angles_deg(plan, orbit, epochs_us, attitude_deg), shift_deg)
 
 
 def uplink_change_db(plan: CarrierPlan, orbit: Orbit, epochs_us: EpochArray, attitude_deg: FloatArray) -> FloatArray:

@@ -35,10 +35,10 @@ from analyzer_sim.world import World
 
 Line = dict[str, Any]
 
-#: longest line, elements of one schedule, and length of one element, s
+#: longest line, elements of one schedule, and duration of one element, s
 MAX_LINE_CHARACTERS = 1_000_000
 MAX_ELEMENTS = 10_000
-MAX_DURATION_S = 86_400.0
+MIN_DURATION_S, MAX_DURATION_S = 1e-6, 86_400.0
 _FIELDS = {"start", "duration_s", "roll_n_m", "pitch_n_m", "yaw_n_m"}
 
 
@@ -145,8 +145,8 @@ def _element(number: int, item: object, not_before_us: int) -> TorqueElement:
     if not isinstance(item, dict) or set(item) != _FIELDS:
         raise ScheduleError(f"element {number}: the fields are {', '.join(sorted(_FIELDS))}")
     duration_s = _number(number, item, "duration_s")
-    if not 0.0 < duration_s <= MAX_DURATION_S:
-        raise ScheduleError(f"element {number}: duration_s lies outside 0..{MAX_DURATION_S:g}")
+    if not MIN_DURATION_S <= duration_s <= MAX_DURATION_S:
+        raise ScheduleError(f"element {number}: duration_s lies outside {MIN_DURATION_S:g}..{MAX_DURATION_S:g}")
     start_us = _start_us(number, item["start"])
     if start_us < not_before_us:
         raise ScheduleError(f"element {number}: it begins before the row of {rfc3339(not_before_us)}")
