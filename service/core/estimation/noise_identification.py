@@ -27,6 +27,8 @@ LADDER_S = (300.0, 1200.0, 7200.0, 36_000.0)
 UNSEEN_DB = 0.05
 #: Frequencies that the estimate of all carriers is worth in that of one, white noise first.
 _POOL_WEIGHT = np.array([0.0, 2.0, 2.0, 3.0, 3.0])
+#: A carrier whose slow noise has this many times the variance of the median one's says nothing about the others.
+_ODD_RATIO = 6.0
 #: Rows without which a carrier's noise is that of all carriers.
 MIN_ROWS = 100
 #: Fewest carriers in a row whose mean tells what they have in common.
@@ -97,15 +99,7 @@ def identify_noise(residual_db: FloatArray, epoch_s: FloatArray) -> LearnedNoise
     own = grouped_spectra(residual_db - common.reshape(-1, 1), grid, tau_s, MIN_ROWS)
     own = own._replace(power=own.power / (1.0 - share).reshape(-1, 1))
     start = np.square(spread)[:, np.newaxis] * np.array([0.5, 0.125, 0.125, 0.125, 0.125])
-    pooled, error = pooled_variances(own, start)
-    pooled = np.maximum(pooled, np.minimum(error, UNSEEN_DB**2))
-    white_db2 = _typical(start[:, 0], own)
-    prior = np.concatenate([np.full((len(start), 1), white_db2), np.tile(pooled, (len(start), 1))], axis=1)
-    begin = np.concatenate([start[:, :1], prior[:, 1:]], axis=1)
-    variance = fitted_variances(own, begin, prior, _POOL_WEIGHT)
-    is_seen: BoolArray = np.asarray(own.weight.any(axis=1))
-    white_db2 = float(np.median(variance[is_seen, 0])) if is_seen.any() else _DEFAULT_WHITE_DB**2
-    variance = np.where(is_seen[:, np.newaxis], variance, np.append(white_db2, pooled))
+    variance = _own_variances(own, start)
     return LearnedNoise(
         np.sqrt(variance[:, 0]),
         np.sqrt(variance[:, 1:]),
@@ -114,10 +108,26 @@ def identify_noise(residual_db: FloatArray, epoch_s: FloatArray) -> LearnedNoise
     )
 
 
-def _typical(white_db2: FloatArray, own: Spectra) -> float:
-    """Return the median over the carriers that are seen."""
-    is_seen = own.weight.any(axis=1)
-    return float(np.median(white_db2[is_seen])) if is_seen.any() else _DEFAULT_WHITE_DB**2
+def _own_variances(own: Spectra, start: FloatArray) -> FloatArray:
+    """Return the variances (N, C + 1) of the carriers' own noise, each drawn towards that of the usual ones."""
+    is_seen: BoolArray = np.asarray(own.weight.any(axis=1))
+    variance, pooled = _drawn_variances(own, start, own)
+    if is_seen.any():
+        slow = variance[:, 1:].sum(axis=1)
+        is_odd = slow > _ODD_RATIO * np.median(slow[is_seen])
+        if is_odd.any():
+            usual = own._replace(weight=np.where(is_odd[:, np.newaxis], 0.0, own.weight))
+            variance, pooled = _drawn_variances(own, start, usual)
+    white_db2 = float(np.median(variance[is_seen, 0])) if is_seen.any() else _DEFAULT_WHITE_DB**2
+    return np.where(is_seen[:, np.newaxis], variance, np.append(white_db2, pooled))
+
+
+def _drawn_variances(own: Spectra, start: FloatArray, usual: Spectra) -> tuple[FloatArray, FloatArray]:
+    """Return the variances (N, C + 1) drawn towards what some carriers share, and that (C,)."""
+    pooled, error = pooled_variances(usual, start)
+    pooled = np.maximum(pooled, np.minimum(error, UNSEEN_DB**2))
+    prior = np.concatenate([start[:, :1], np.tile(pooled, (len(start), 1))], axis=1)
+    return fitted_variances(own, prior, prior, _POOL_WEIGHT), pooled
 
 
 def _spread_db(residual_db: FloatArray) -> FloatArray:

@@ -3,8 +3,8 @@
 Yaw has no coefficient of its own: it moves a station by an amount that its place in the antenna frame tells. A wrong
 place therefore leaves a pattern in the residuals of the turns, the derivative of the model with respect to the place,
 and a fit of two more coefficients for each carrier, azimuth and elevation of its station, reads it. The law of this
-file: a place is told by the slope and the curvature of the carrier's own beam, so a flat carrier tells nothing and says
-so by its covariance; blunders of many degrees are found, not errors of a few.
+file: a carrier is judged by the downlink that the others tell, because with its own it would hide its fault by bending
+it. A flat carrier tells nothing and says so by its covariance.
 """
 
 from typing import NamedTuple
@@ -13,7 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.core.estimation.calibration.coloured_rows import ColouredNoise, stretch_variance_db2, whitened_rows
-from service.core.estimation.calibration.geometry_columns import BEAM_SIZE, CarrierGeometry, beam_columns
+from service.core.estimation.calibration.geometry_columns import (
+    BEAM_SIZE,
+    DOWNLINK_PRIOR_DB_PER_DEG,
+    CarrierGeometry,
+    beam_columns,
+)
 from service.core.estimation.calibration.joint_tukey import JointProblem
 from service.core.estimation.calibration.separable_fit import SeparableFit, fit_separable
 
@@ -76,26 +81,54 @@ def station_offsets(
     StationOffsets
     """
     fit, prior = fitted
-    slopes = np.stack([_derivative(attitude_deg, geometry, fit, axis) for axis in range(2)], axis=-1)
-    misfit = problem.value - np.einsum("nbk,nk->nb", problem.own, fit.own) - problem.shared @ fit.shared
-    stacked = np.concatenate([problem.own, slopes, misfit[..., np.newaxis]], axis=2)
     variance = stretch_variance_db2(noise, problem.rows_used, problem.span_s)
+    misfit = problem.value - np.einsum("nbk,nk->nb", problem.own, fit.own) - problem.shared @ fit.shared
     # the fit's own weights have thrown out the very rows that contradict a wrong place: here they are only held down
     size = np.maximum(np.abs(misfit), 1e-9)
     weight = np.where(size < _WORST_DB, np.minimum(_HELD_SIGMAS * np.sqrt(variance) / size, 1.0), 0.0)
-    white = whitened_rows(stacked, problem.centre_s, variance, noise, np.where(problem.rows_used > 0, weight, 0.0))
-    nothing = np.zeros((*misfit.shape, 1))
+    weight = np.where(problem.rows_used > 0, weight, 0.0)
+
+    def whitened(*columns: FloatArray) -> FloatArray:
+        return whitened_rows(np.concatenate(columns, axis=2), problem.centre_s, variance, noise, weight)
+
+    value = problem.value[..., np.newaxis]
+    own, shared, shared_sigma = _told_by_others(whitened(problem.own, problem.shared, value), prior)
+    slopes = np.stack([_derivative(attitude_deg, geometry, own, shared, axis) for axis in range(2)], axis=-1)
+    model = np.einsum("nbk,nk->nb", problem.own, own) + np.einsum("nbr,nr->nb", problem.shared, shared)
+    white = whitened(problem.own, problem.shared, slopes, value - model[..., np.newaxis])
     places = np.full((len(prior), 2), _PRIOR_DEG)
-    found = fit_separable(white[..., :-1], nothing, white[..., -1], np.concatenate([prior, places], axis=1), 1.0)
+    # the downlink may move by what the others leave open
+    open_prior = np.concatenate([prior, shared_sigma, places], axis=1)
+    nothing = np.zeros((*misfit.shape, 1))
+    found = fit_separable(white[..., :-1], nothing, white[..., -1], open_prior, 1.0)
     return StationOffsets(found.own[:, -2:], found.own_covariance[:, -2:, -2:])
 
 
-def _derivative(attitude_deg: FloatArray, geometry: CarrierGeometry, fit: SeparableFit, axis: int) -> FloatArray:
+def _told_by_others(white: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return each carrier's own coefficients (N, K) under the downlink (N, R) that the others tell, and its sigmas."""
+    count, own_size = prior.shape
+    shared_size = white.shape[2] - own_size - 1
+    prior_rows = np.zeros((count, own_size, white.shape[2]))
+    prior_rows[:, np.arange(own_size), np.arange(own_size)] = 1.0 / np.maximum(prior, 1e-9)
+    triangle: FloatArray = np.asarray(np.linalg.qr(np.concatenate([white, prior_rows], axis=1), mode="r"))
+    below = triangle[:, own_size:, own_size:]
+    normal = np.swapaxes(below[..., :-1], 1, 2) @ below
+    others = normal.sum(axis=0) - normal
+    inverse = np.linalg.inv(others[..., :-1] + np.eye(shared_size) / DOWNLINK_PRIOR_DB_PER_DEG**2)
+    shared = (inverse @ others[..., -1:])[..., 0]
+    right = triangle[:, :own_size, -1] - np.einsum("nkr,nr->nk", triangle[:, :own_size, own_size:-1], shared)
+    own = np.linalg.solve(triangle[:, :own_size, :own_size], right[..., np.newaxis])[..., 0]
+    return own, shared, np.sqrt(np.diagonal(inverse, axis1=1, axis2=2))
+
+
+def _derivative(
+    attitude_deg: FloatArray, geometry: CarrierGeometry, own: FloatArray, shared: FloatArray, axis: int
+) -> FloatArray:
     """Return the change (N, B) of the model by a degree of a station's place, dB/deg."""
     name = ("azimuth_deg", "elevation_deg")[axis]
     levels = []
     for step_deg in (_STEP_DEG, -_STEP_DEG):
         moved = geometry._replace(**{name: getattr(geometry, name) + step_deg})
-        own, downlink = beam_columns(attitude_deg, moved, None)
-        levels.append((own * fit.own[:, -BEAM_SIZE:]).sum(axis=-1) + downlink @ fit.shared)
+        beam, downlink = beam_columns(attitude_deg, moved, None)
+        levels.append((beam * own[:, -BEAM_SIZE:]).sum(axis=-1) + (downlink * shared).sum(axis=-1))
     return np.asarray((levels[0] - levels[1]).T / (2.0 * _STEP_DEG))
