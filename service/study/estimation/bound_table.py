@@ -144,11 +144,13 @@ def _faults() -> list[Bound]:
             Bound(scenario, "rain_coverage", at_least(0.95), at_least(0.99), METHOD),
             Bound(scenario, "rain_wrong_min", at_most(2.0), at_most(0.0), METHOD, is_goal_asked=True),
         ]
-    for scenario in ("steps", "uplink_rain", "steps_heavy", "transponder", "mixed32"):
+    for scenario in ("steps", "uplink_rain", "steps_heavy", "mixed32"):
         bounds.append(Bound(scenario, "faults_found_share", at_least(0.90), at_least(0.98), METHOD))
-    for scenario in ("steps", "uplink_rain", "steps_heavy", "transponder", "mixed", "mixed32"):
+    for scenario in ("steps", "uplink_rain", "steps_heavy", "mixed", "mixed32"):
         bounds.append(Bound(scenario, "fault_delay_median_min", at_most(6.0), at_most(3.0), METHOD))
         bounds.append(Bound(scenario, "false_exclusion_share", at_most(0.01), at_most(0.003), METHOD))
+    bounds += _angles("transponder", "group_shift_deg", (None, 0.05, 0.05), source=ASKED)
+    bounds.append(Bound("transponder", "false_exclusion_share", at_most(0.01), at_most(0.003), METHOD))
     bounds.append(Bound("nominal", "false_exclusion_share", at_most(0.01), at_most(0.003), METHOD))
     return bounds
 

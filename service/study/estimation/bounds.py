@@ -113,6 +113,7 @@ OPTIONAL_FIGURES = (
     "night_off",
     "faults_found",
     "fault_delay",
+    "group_shift",
     "dark_rms",
     "after_dark",
 )

@@ -27,7 +27,10 @@ _MINUTE_US = 6e7
 #: what can be wrong with a carrier on the air; a wet antenna is the end of its rain
 _PASSING_FAULTS = (("uplink_rain", "wet_antenna"), ("interference",))
 #: what stays: one of them may follow another without a row between them
-_LASTING_FAULTS = (("step",), ("group_step",))
+_LASTING_FAULTS = (("step",),)
+#: an answer's error before a transponder's step is that of this time, and after it that of the last so many minutes of
+#: the time within which faults are found, min
+_SHIFT_MEAN_MIN = 10.0
 
 
 class RainFigures(NamedTuple):
@@ -45,7 +48,7 @@ class RainFigures(NamedTuple):
 
 
 class FaultFigures(NamedTuple):
-    """Faults of single carriers and of transponders' carriers."""
+    """Faults of single carriers."""
 
     #: (E,) minutes from the row that passed ``FAULT_DB`` to the carrier's exclusion
     delay_min: FloatArray
@@ -170,6 +173,32 @@ def _is_clean(epochs_us: IntArray, flags: IntArray) -> BoolArray:
     newest_us = np.where(flags != 0, epochs_us[:, np.newaxis].astype(np.float64), -np.inf)
     since_us = epochs_us[:, np.newaxis] - np.maximum.accumulate(newest_us, axis=0)
     return np.asarray(since_us > RECOVERY_MIN * _MINUTE_US)
+
+
+def measure_group_steps(epochs_us: IntArray, is_moved: BoolArray, error_deg: FloatArray) -> FloatArray:
+    """Return by how much (E, 3) in deg the error changed over each step of a transponder.
+
+    A step that is known as one leaves its carriers in the fix, so that no exclusion tells of it; what it must not do is
+    move the answer.
+
+    Parameters
+    ----------
+    epochs_us : ndarray, shape (T,)
+        Microseconds UTC.
+    is_moved : ndarray, shape (T, N)
+        Carriers whose transponder's gain stands beside its first value.
+    error_deg : ndarray, shape (T, 3)
+        Answer minus truth.
+    """
+    steps = np.flatnonzero((is_moved[1:] != is_moved[:-1]).any(axis=1)) + 1
+    shifts = []
+    for step in steps.tolist():
+        since_min = (epochs_us - epochs_us[step]) / _MINUTE_US
+        before = error_deg[(since_min >= -_SHIFT_MEAN_MIN) & (since_min < 0.0)]
+        after = error_deg[(since_min >= FOUND_WITHIN_MIN - _SHIFT_MEAN_MIN) & (since_min < FOUND_WITHIN_MIN)]
+        if len(before) and len(after):
+            shifts.append(np.abs(after.mean(axis=0) - before.mean(axis=0)))
+    return np.array(shifts).reshape(-1, 3)
 
 
 def measure_dark(epochs_us: IntArray, is_dark: BoolArray, error_deg: FloatArray) -> DarkFigures:

@@ -21,6 +21,7 @@ from service.study.estimation.episodes import (
     measure_alarms,
     measure_dark,
     measure_faults,
+    measure_group_steps,
     measure_rain,
     stretches,
 )
@@ -61,6 +62,8 @@ class Measures(NamedTuple):
     control: Control
     rain: RainFigures
     faults: FaultFigures
+    #: (E, 3) deg, change of the error over each step of a transponder
+    group_shift_deg: FloatArray
     dark: DarkFigures
     #: (E,) min, and how many begin a day
     alarm_delay_min: FloatArray
@@ -80,7 +83,8 @@ def measure_method(world: World, driven: Driven, series: MethodSeries) -> Measur
     rows = driven.rows[judged]
     truth_deg = world.truth.attitude_deg[rows]
     epochs_us, row_min = world.ground.epochs_us[rows], world.row_period_s / 60.0
-    error_deg = np.abs(series.estimate_deg[judged] - truth_deg)
+    signed_deg = series.estimate_deg[judged] - truth_deg
+    error_deg = np.abs(signed_deg)
     # a comparison with NaN is false: what has no angle has no torque
     is_wrong: BoolArray = np.asarray((error_deg > WRONG_DEG) & series.is_axis_allowed[judged])
     fade_db = world.truth.downlink_fade_db[rows]
@@ -97,6 +101,7 @@ def measure_method(world: World, driven: Driven, series: MethodSeries) -> Measur
         _control(series, judged, is_wrong, fade_db, _nights(world, driven)[judged], row_min),
         measure_rain(epochs_us, fade_db, series.is_fade[judged], is_wrong_row, row_min),
         measure_faults(epochs_us, world.truth, rows, series.is_excluded[judged], series.is_carrier_used),
+        measure_group_steps(epochs_us, world.truth.has_flag("group_step")[rows], signed_deg),
         measure_dark(epochs_us, is_dark, error_deg),
         alarm_delays,
         alarms_per_day,
@@ -148,6 +153,9 @@ def figures_of(seeds: Sequence[Measures]) -> Figures:
     }
     figures |= _worst("alarm_delay_min", [seed.alarm_delay_min for seed in seeds])
     figures |= _worst("night_off_min", [control.night_off_min for control in controls])
+    shifts = np.concatenate([seed.group_shift_deg for seed in seeds])
+    if len(shifts):
+        figures |= {f"group_shift_deg.{axis}": float(shifts[:, k].max()) for k, axis in enumerate(AXES)}
     return {**figures, **_rain_figures(seeds), **_fault_figures(seeds), **_dark_figures(seeds)}
 
 

@@ -7,6 +7,7 @@ from service.study.estimation.episodes import (
     measure_alarms,
     measure_dark,
     measure_faults,
+    measure_group_steps,
     measure_rain,
     stretches,
 )
@@ -181,3 +182,20 @@ def test_darkness_has_errors_inside_and_an_hour_after():
     assert found.rows == 100
     assert np.sqrt(found.square_sum / found.rows) == pytest.approx([0.2] * 3)
     assert found.after == pytest.approx(np.array([[0.1, 0.02, 0.03]]))
+
+
+def test_a_step_of_a_transponder_is_judged_by_what_it_does_to_the_answer():
+    is_moved = np.zeros((ROWS, 2), dtype=bool)
+    is_moved[100:200, 1] = True
+    error_deg = np.full((ROWS, 3), 0.01)
+    error_deg[120:, 1] += 0.04
+    error_deg[205:215, 2] = 9.0
+    found = measure_group_steps(EPOCHS_US, is_moved, error_deg)
+    # both edges count; what goes away within twenty minutes is not left
+    assert found == pytest.approx(np.array([[0.0, 0.04, 0.0], [0.0, 0.0, 0.0]]), abs=1e-12)
+
+
+def test_carriers_of_a_transponder_are_no_single_faults():
+    level_db, flags = np.zeros((ROWS, 2)), np.zeros((ROWS, 2), dtype=np.int64)
+    level_db[100:], flags[100:] = 2.0, BITS["group_step"]
+    assert len(faults(truth(level_db, flags), at()).delay_min) == 0
