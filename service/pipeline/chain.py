@@ -176,16 +176,17 @@ class Chain:
         wanted = spacecraft.control.method
         if all(runner.method is not wanted for runner in self._runners):
             return Outcome(rows, None)
-        driving = next((row for row in rows if row.method is wanted), None) or _row_of_other_method(rows[0], wanted)
+        driving = next((row for row in rows if row.method is wanted), None) or self._row_of_silent(rows[0], wanted)
         torque = compute_command(driving, spacecraft, self._carry_n_m_s, self._command_period_s(), self._config.torque)
         self._carry_n_m_s = torque.carry_n_m_s
         is_applied = torque.command.control_allowed and spacecraft.control.release is Release.AUTOMATIC
         return Outcome(rows, torque.command, AppliedCommand(torque.command) if is_applied else None)
 
-
-def _row_of_other_method(row: AttitudeRow, method: Method) -> AttitudeRow:
-    """Return the row of a method that cannot run on the measurement of a row of another."""
-    return row_without_attitude(row.epoch_us, row.received_at_us, row.number, method, ("no_calibration",))
+    def _row_of_silent(self, row: AttitudeRow, method: Method) -> AttitudeRow:
+        """Return the row of a method that cannot run on the measurement of a row of another."""
+        is_calibrated = self._knowledge.calibration_for(method) is not None
+        reason = "not_aligned" if is_calibrated else "no_calibration"
+        return row_without_attitude(row.epoch_us, row.received_at_us, row.number, method, (reason,))
 
 
 def _carrier_state(measurement: Measurement, k: int, name: str, known: dict[str, CarrierState]) -> CarrierState:

@@ -25,7 +25,7 @@ from service.pipeline.config import ChainConfig
 from service.pipeline.declared_operations import declared_between, with_chain_step
 from service.pipeline.knowledge import Knowledge
 from service.pipeline.known_motion import CommandedMotion, take
-from service.pipeline.robust_model import RobustModel
+from service.pipeline.robust_model import RobustModel, signals
 from service.pipeline.robust_row import Fixed, filtered_row, late_row
 from service.pipeline.stated_angles import usual_sigma_deg
 from service.records.attitude import AttitudeRow, FloatArray
@@ -68,7 +68,11 @@ def initial_state(
         chain_sigma_db=config.robust.common_reference_sigma_db,
     )
     state = start(model.filter, alignment.epoch_us, gaussian)
-    watch = state.carriers._replace(is_flagged=state.carriers.is_flagged | ~model.is_referenced)
+    # a carrier that nobody knows has no level to come back to
+    saved_db = np.where(model.is_referenced, state.carriers.saved_reference_db, np.nan)
+    watch = state.carriers._replace(
+        is_flagged=state.carriers.is_flagged | ~model.is_referenced, saved_reference_db=saved_db
+    )
     return RobustState(state._replace(carriers=watch), replace(commanded, since_us=alignment.epoch_us))
 
 
@@ -76,8 +80,8 @@ def carried_state(state: RobustState, old: RobustModel, new: RobustModel) -> Rob
     """Return the state under another calibration: the craft and the carriers that stay keep what is known of them."""
     if old.carrier_ids == new.carrier_ids and old.calibration_id == new.calibration_id:
         return state
-    place_of = {carrier: k for k, carrier in enumerate(old.carrier_ids)}
-    place = np.array([place_of.get(carrier, -1) for carrier in new.carrier_ids], dtype=np.int64)
+    place_of = {signal: k for k, signal in enumerate(signals(old.carrier_ids, old.fit))}
+    place = np.array([place_of.get(signal, -1) for signal in signals(new.carrier_ids, new.fit)], dtype=np.int64)
     carried = carry_over(
         old.filter,
         new.filter,
@@ -121,6 +125,9 @@ def step_robust(
         limits=model.limits,
         declared=declared,
     )
+    if not (np.isfinite(told.attitude_deg).all() and np.isfinite(told.covariance_deg2).all()):
+        message = "the filter lost its numbers; the state before this row is kept"
+        raise ArithmeticError(message)
     fixed = Fixed(told, deviation_db, rates_deg_s(model, told), declared, not bool(np.isfinite(expected_dbm).any()))
     row = filtered_row(
         measurement,

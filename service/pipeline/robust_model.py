@@ -1,5 +1,6 @@
 """What calibration, alignment and ephemeris give the robust method; fixed until one of them changes."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,9 @@ _DAILY_TAU_S = 20_000.0
 _SUBSETS = 60
 #: instants over the alignment window at which two calibrations are compared when references are re-derived
 _REDERIVE_INSTANTS = 60
+
+#: id, place and transponder of a carrier
+Signal = tuple[str, str, str]
 
 
 @dataclass(frozen=True)
@@ -56,7 +60,12 @@ class RobustModel:
         return self.level(epoch_us) + self.reference_offset_db
 
 
-def robust_model(knowledge: Knowledge, aligned_with: Calibration | None, config: ChainConfig) -> RobustModel | None:
+def robust_model(
+    knowledge: Knowledge,
+    aligned_with: Calibration | None,
+    config: ChainConfig,
+    aligned_under: Ephemeris | None = None,
+) -> RobustModel | None:
     """Return the model that holds, or None while calibration, ephemeris or alignment is missing.
 
     Parameters
@@ -67,6 +76,8 @@ def robust_model(knowledge: Knowledge, aligned_with: Calibration | None, config:
         Calibration that the references of the alignment were made with.
     config : ChainConfig
         Settings.
+    aligned_under : Ephemeris, optional
+        Orbit that held at the alignment; a later one need not reach back to it.
     """
     calibration = knowledge.calibration_for(Method.ROBUST)
     alignment, ephemeris = knowledge.alignment, knowledge.ephemeris
@@ -78,14 +89,15 @@ def robust_model(knowledge: Knowledge, aligned_with: Calibration | None, config:
         return None
     arrays = geometry_model(fit, result.carriers)
     level = ExpectedLevel(arrays, fit, ephemeris)
-    offset_db, sigma_db = _references(calibration, arrays, level, alignment, aligned_with, ephemeris)
+    former = aligned_with if aligned_with is not None and aligned_with.id != calibration.id else None
+    offset_db, sigma_db = _references(result, fit, arrays, alignment, former, aligned_under or ephemeris)
     carrier_ids = tuple(carrier.id for carrier in result.carriers)
     is_known = np.isfinite(arrays.response.slope).all(axis=1) & np.isfinite(np.array(fit.level_dbm))
     return RobustModel(
         carrier_ids=carrier_ids,
         filter=_with_daily_error(
             carrier_model(arrays, fit, result.carriers, config.robust),
-            daily_error_db(arrays, fit, ephemeris, alignment.epoch_us),
+            daily_error_db(arrays, fit, ephemeris, max(alignment.epoch_us, ephemeris.valid_start_us)),
         ),
         settings=_filter_settings(knowledge.spacecraft, config.robust),
         limits=_limits(config.interlock, config.robust),
@@ -113,48 +125,55 @@ def _with_daily_error(model: CarrierModel, error_db: FloatArray) -> CarrierModel
 
 
 def _references(
-    calibration: Calibration,
+    result: CalibrationResult,
+    fit: GeometryFit,
     arrays: GeometryModel,
-    level: ExpectedLevel,
     alignment: Alignment,
     aligned_with: Calibration | None,
     ephemeris: Ephemeris,
 ) -> tuple[FloatArray, FloatArray]:
     """Return reference minus level (N,) and its sigma; NaN for a carrier that the alignment did not see.
 
-    References made with another calibration are moved so that each mean power of the alignment window stays what it
-    was: by the difference of the two expected levels there, and of what the two say the attitude did.
+    References made with another calibration, ``aligned_with``, are moved so that each mean power of the alignment
+    window stays what it was: by the difference of the two expected levels there, and of what the two say the attitude
+    did. Both are taken under the ephemeris of the alignment.
     """
     told = {item.carrier: item for item in alignment.references_by_method.get(Method.ROBUST.value, ())}
-    result = calibration.result
-    ids = [carrier.id for carrier in result.carriers] if result else []
+    ids = [carrier.id for carrier in result.carriers]
     level_dbm = np.array(arrays.calibration.level_dbm)
     reference_dbm = np.array([told[c].reference_dbm if c in told else np.nan for c in ids])
     sigma_db = np.array([told[c].sigma_db if c in told else np.nan for c in ids])
     offset_db = reference_dbm - level_dbm
-    if aligned_with is not None and aligned_with.id != calibration.id and aligned_with.result is not None:
+    if aligned_with is not None and aligned_with.result is not None:
         former = _at_alignment(aligned_with.result, alignment, ephemeris)
-        now = _window_levels(arrays, level, alignment)
-        moved = {name: float(value) for name, value in zip(ids, now, strict=True)}
-        for k, name in enumerate(ids):
-            if name in former:
-                former_level_dbm, former_now_dbm = former[name]
-                offset_db[k] = reference_dbm[k] - former_level_dbm + former_now_dbm - moved[name]
-            else:
-                offset_db[k] = np.nan
+        unknown = (np.nan, np.nan)
+        told_of = np.array([former.get(signal, unknown) for signal in signals(ids, fit)]).reshape(-1, 2)
+        now_dbm = _window_levels(arrays, ExpectedLevel(arrays, fit, ephemeris), alignment)
+        offset_db = reference_dbm - told_of[:, 0] + told_of[:, 1] - now_dbm
     return offset_db, np.where(np.isfinite(sigma_db), sigma_db, 1.0)
+
+
+def signals(carrier_ids: Sequence[str], fit: GeometryFit) -> list[Signal]:
+    """Return what tells the signals of a calibration apart: an id may be given to another station's carrier later."""
+    places = zip(fit.station_latitude_deg, fit.station_longitude_deg, fit.transponder, strict=True)
+    # a beacon has no place, and NaN is not equal to itself
+    return [
+        (name, f"{latitude_deg}/{longitude_deg}", fit.transponders[number])
+        for name, (latitude_deg, longitude_deg, number) in zip(carrier_ids, places, strict=True)
+    ]
 
 
 def _at_alignment(
     result: CalibrationResult, alignment: Alignment, ephemeris: Ephemeris
-) -> dict[str, tuple[float, float]]:
+) -> dict[Signal, tuple[float, float]]:
     """Return level and expected mean over the alignment window of each carrier of the calibration aligned with."""
     fit = result.geometry
     if fit is None:
         return {}
     arrays = geometry_model(fit, result.carriers)
     means = _window_levels(arrays, ExpectedLevel(arrays, fit, ephemeris), alignment)
-    return {carrier.id: (float(fit.level_dbm[k]), float(means[k])) for k, carrier in enumerate(result.carriers)}
+    names = signals([carrier.id for carrier in result.carriers], fit)
+    return {name: (float(fit.level_dbm[k]), float(means[k])) for k, name in enumerate(names)}
 
 
 def _window_levels(arrays: GeometryModel, level: ExpectedLevel, alignment: Alignment) -> FloatArray:

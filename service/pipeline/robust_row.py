@@ -58,7 +58,8 @@ def filtered_row(
         "beyond_validity": bool(np.abs(attitude[1:]).max() > validity_limit_deg),
     }
     standing = {reason for reason, stands in conditions.items() if stands} | set(verdict.reasons)
-    inhibitions = tuple(reason for reason in INHIBITIONS if reason in standing)
+    # whatever the filter holds against control stands, in the usual order where it has one
+    inhibitions = tuple(dict.fromkeys(reason for reason in (*INHIBITIONS, *verdict.reasons) if reason in standing))
     is_yaw_valid = bool(abs(float(attitude[0])) <= validity_limit_deg)
     allowed = (
         (False, False, False)

@@ -10,7 +10,7 @@ from service.pipeline.robust_method import RobustState, RobustStep, carried_stat
 from service.pipeline.robust_model import RobustModel, robust_model
 from service.records.attitude import AttitudeRow, CarrierState
 from service.records.calibration import Alignment, Calibration
-from service.records.catalogue import CarrierPlan, Method, Spacecraft
+from service.records.catalogue import CarrierPlan, Ephemeris, Method, Spacecraft
 from service.records.command import AppliedCommand
 from service.records.epoch import US_PER_S
 from service.records.inputs import Correction
@@ -47,6 +47,8 @@ class RobustRunner:
         self._columns: CalibratedColumns | None = None
         self._last: tuple[RobustStep, RobustModel] | None = None
         self._told: list[tuple[Correction | AppliedCommand, Spacecraft | None]] = []
+        #: orbit that held at the alignment; references are re-derived under it
+        self._aligned_under: Ephemeris | None = None
 
     @property
     def is_running(self) -> bool:
@@ -64,6 +66,7 @@ class RobustRunner:
 
     def start(self, knowledge: Knowledge) -> None:
         """Begin at the alignment that holds."""
+        self._aligned_under = knowledge.ephemeris
         self._model, self._columns = self._model_of(knowledge)
         self._state, self._last = None, None
         if self._model is not None and knowledge.alignment is not None:
@@ -137,7 +140,8 @@ class RobustRunner:
     def _model_of(self, knowledge: Knowledge) -> tuple[RobustModel | None, CalibratedColumns | None]:
         """Return the model that holds and the order of its carriers."""
         calibration = knowledge.calibration_for(Method.ROBUST)
-        model = robust_model(knowledge, self._aligned_with(knowledge.alignment), self._config)
+        aligned_with = self._aligned_with(knowledge.alignment)
+        model = robust_model(knowledge, aligned_with, self._config, self._aligned_under)
         if model is None or calibration is None:
             return None, None
         return model, CalibratedColumns(model.carrier_ids, self._lookup.plan(calibration.plan_id))

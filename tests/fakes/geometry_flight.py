@@ -133,7 +133,7 @@ def _axes(here_m: FloatArray, velocity_m_s: FloatArray, angles_deg: FloatArray) 
     frame = np.stack([np.cross(south, nadir), south, nadir], axis=-2)
     yaw, roll, pitch = np.radians(angles_deg).T
     turns = [_turned(r, 0) @ _turned(p, 1) @ _turned(y, 2) for y, r, p in zip(yaw, roll, pitch, strict=True)]
-    return np.asarray(np.array(turns) @ frame)
+    return np.asarray(np.array(turns).reshape(-1, 3, 3) @ frame)
 
 
 def _antenna_deg(here_m: FloatArray, axes: FloatArray, places_m: FloatArray) -> FloatArray:
