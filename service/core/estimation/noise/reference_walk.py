@@ -43,11 +43,13 @@ class LevelDrift(NamedTuple):
 
 
 def without_common(residual_db: FloatArray) -> FloatArray:
-    """Return residuals (T, N) less the mean of each row; rows of fewer than four carriers are left as they are."""
-    is_there = np.isfinite(residual_db)
-    count = is_there.sum(axis=1)
-    mean = np.where(is_there, residual_db, 0.0).sum(axis=1) / np.maximum(count, 1)
-    return np.asarray(residual_db - np.where(count >= _MIN_COMMON, mean, 0.0)[:, np.newaxis])
+    """Return residuals (T, N) less the median of each row; rows of fewer than four carriers are left as they are."""
+    ordered = np.sort(residual_db, axis=1)  # NaN goes last
+    count = np.isfinite(residual_db).sum(axis=1)
+    rows = np.arange(len(ordered))
+    # one carrier that drifts must not make all others drift the other way
+    middle = 0.5 * (ordered[rows, np.maximum(count - 1, 0) // 2] + ordered[rows, np.minimum(count // 2, count - 1)])
+    return np.asarray(residual_db - np.where(count >= _MIN_COMMON, middle, 0.0)[:, np.newaxis])
 
 
 def level_drift(residual_db: FloatArray, epoch_s: FloatArray, noise: LearnedNoise, floor_db: float) -> LevelDrift:
