@@ -28,9 +28,23 @@ BOUNDS = {
     "mixed": ((0.14, 0.025, 0.030), "must .20/.06/.08, goal .11/.03/.035"),
     "gaps": ((0.14, 0.020, 0.028), "study .160/.031/.047"),
     "flicker": ((0.17, 0.045, 0.075), "goal .17/.045/.075"),
+    "flicker_storm": ((0.18, 0.060, 0.075), "no wrong torque beyond 30 min"),
     "yaw_hold": ((0.16, 0.025, 0.030), "study's skill .36-.61/.91-.96/.72-.94"),
+    "nominal_tau5": ((0.13, 0.035, 0.045), "roll, pitch .035/.045"),
+    "nominal_tau120": ((0.15, 0.035, 0.045), "roll, pitch .035/.045"),
+    "nominal_drift3": ((0.26, 0.035, 0.045), "roll, pitch .035/.045"),
+    "nominal_uncoupled": ((0.15, 0.035, 0.045), "roll, pitch .035/.045"),
+    "nominal_300s": ((0.13, 0.035, 0.045), "roll, pitch .035/.045"),
     "demo": ((0.13, 0.020, 0.025), "no goal of its own"),
 }
+#: run at every change; the others every night
+EVERY_TIME = ("white", "nominal", "mixed", "flicker", "yaw_hold", "nominal_drift3")
+#: rms over sigma by axis; 1 = honest
+HONEST = {"white": (0.6, 1.3)}
+USUALLY_HONEST = (0.5, 1.5)
+FALSE_REPORTS = ("flipped", "halved", "lost", "doubled")
+#: hours at which a slew that is not carried out as announced begins, and minutes for which it is judged
+SLEWS_H, SLEW_MINUTES = (9, 30), 240
 
 
 def campaign(robust_world, name, seeds):
@@ -49,19 +63,20 @@ def assert_bounds(name, figures):
     wrong_yaw = [row["wrong_yaw"] for row in figures]
     allowed = np.mean([row["yaw_available"] for row in figures])
     print(f"{name} mean rms/sigma {ratio.round(2)}, yaw wrong {wrong_yaw} min, allowed {allowed:.2f}")
-    assert (ratio < 1.5).all(), "sigma must be honest"
-    assert (ratio > 0.5).all()
+    low, high = HONEST.get(name, USUALLY_HONEST)
+    assert (ratio < high).all(), "sigma must be honest"
+    assert (ratio > low).all()
     assert np.mean([row["available"] for row in figures]) >= 0.98
     assert sum(row["wrong_roll_pitch"] for row in figures) == 0
-    # the must of mixed is 60 min; flicker asks for 10; a yaw turn that nobody announced takes its time to be seen
-    assert np.mean(wrong_yaw) <= {"flicker": 10, "yaw_hold": 150}.get(name, 60)
+    # the must of mixed is 60 min; a yaw turn that nobody announced takes its time to be seen
+    assert np.mean(wrong_yaw) <= {"flicker": 10, "yaw_hold": 100}.get(name, 60)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(60)
-@pytest.mark.parametrize("name", BOUNDS)
+@pytest.mark.parametrize("name", EVERY_TIME)
 def test_scenarios_meet_their_bounds(robust_world, name):
-    """Seed 2 of every scenario; five seeds in the nightly run."""
+    """Seed 2; five seeds of every scenario in the nightly run."""
     assert_bounds(name, campaign(robust_world, name, SEEDS[1:]))
 
 
@@ -72,26 +87,66 @@ def test_scenarios_meet_their_bounds_over_five_seeds(robust_world, name):
     assert_bounds(name, campaign(robust_world, name, NIGHTLY_SEEDS))
 
 
+def assert_false_reports_are_survived(robust_world, deed, seed):
+    """Roll and pitch stay within 0.10 deg of the truth around both slews, and no wrong torque is allowed."""
+    told = robust_world.RobustWorld(scenario_named(f"corrections_{deed}"), seed).drive()
+    error_deg = np.abs(told.estimate_deg - told.truth_deg)
+    doubted = np.array([row.state.command.is_doubted for row in told.steps])
+    for hour in SLEWS_H:
+        slew = slice(60 * hour, 60 * hour + SLEW_MINUTES)
+        found = f"after {np.argmax(doubted[slew])} min" if doubted[slew].any() else "never"
+        print(f"{deed} seed {seed} at {hour} h: largest error {error_deg[slew].max(axis=0).round(3)}, doubted {found}")
+        assert error_deg[slew, 1:].max() <= 0.10
+    assert told.judged()["wrong_roll_pitch"] == 0
+    # half of a slew is 0.075 deg, which the powers tell in an hour: what is not found is not needed
+    assert deed in ("halved", "doubled") or doubted.any()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("deed", ["flipped", "lost"])
+def test_commands_that_are_not_carried_out_do_no_harm(robust_world, deed):
+    assert_false_reports_are_survived(robust_world, deed, SEEDS[1])
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(120)
+@pytest.mark.parametrize("seed", NIGHTLY_SEEDS)
+@pytest.mark.parametrize("deed", FALSE_REPORTS)
+def test_commands_that_are_not_carried_out_do_no_harm_over_five_seeds(robust_world, deed, seed):
+    assert_false_reports_are_survived(robust_world, deed, seed)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(60)
+def test_innovations_have_the_variance_they_are_given(robust_world):
+    """Normalised innovation squared of `white` inside its 95 % band."""
+    told = robust_world.RobustWorld(scenario_named("white"), SEEDS[0]).drive()
+    ratio = float(told.nis[60:].mean())
+    # 2820 rows of 16 carriers: sqrt(2 / 45120) twice, and the running mean of an hour at both ends
+    band = 1.96 * np.sqrt(2.0 / (told.nis[60:].size * told.is_used.shape[1]))
+    print(f"white seed {SEEDS[0]}: normalised innovation squared {ratio:.4f}, band 1 +- {band:.4f}")
+    assert abs(ratio - 1.0) <= band
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(60)
 @pytest.mark.parametrize("slope_db_min", [0.02, 0.05, 0.1, 0.3, 1.0, 3.0])
 def test_downlink_rain_is_found_within_a_minute(robust_world, slope_db_min):
-    """Delay after 0.3 dB, coverage of the wet rows, control back after the end; seeds 1 and 2."""
-    delays, coverage, back = [], [], []
-    for seed in SEEDS:
-        scenario = replace(downlink_rain(slope_db_min, 3.0, 60.0), operation_h=14.0)
-        told = robust_world.RobustWorld(scenario, seed).drive()
-        wet = told.fade_db > 0.3
-        begin, end = int(np.argmax(wet)), int(np.flatnonzero(told.fade_db > 0.05)[-1])
-        delays.append(int(np.argmax(told.is_raining[begin:])))
-        assert told.is_raining[begin : begin + 2].any()
-        coverage.append(float(told.is_raining[wet].mean()))
-        back.append(int(np.argmin(told.is_raining[end:])))
-        assert not told.is_raining[: begin - 60].any(), "no rain in the dry"
-    print(f"{slope_db_min} dB/min, seeds {SEEDS}: delays {delays} min, coverage {coverage}, back after {back} min")
-    assert max(delays) <= 1
-    assert min(coverage) >= 0.98
-    assert max(back) <= 15
+    """Delay after 0.3 dB, coverage of the wet rows, control back after the end."""
+    seed = SEEDS[0]
+    scenario = replace(downlink_rain(slope_db_min, 3.0, 60.0), operation_h=14.0)
+    told = robust_world.RobustWorld(scenario, seed).drive()
+    wet = told.fade_db > 0.3
+    begin, end = int(np.argmax(wet)), int(np.flatnonzero(told.fade_db > 0.05)[-1])
+    delay, coverage = int(np.argmax(told.is_raining[begin:])), float(told.is_raining[wet].mean())
+    back = int(np.argmin(told.is_raining[end:]))
+    print(f"{slope_db_min} dB/min, seed {seed}: delay {delay} min, coverage {coverage:.3f}, back after {back} min")
+    assert told.is_raining[begin : begin + 2].any()
+    assert not told.is_raining[: begin - 60].any(), "no rain in the dry"
+    assert delay <= 1
+    assert coverage >= 0.98
+    assert back <= 15
 
 
 @pytest.mark.slow

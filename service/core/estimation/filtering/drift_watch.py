@@ -68,15 +68,14 @@ def push_drift(
     minutes : float
         Minutes of data that have passed.
     """
-    sigma2 = (watch.scale * np.array(settings.drift_deg_h)) ** 2
-    known = sigma2 - np.diagonal(state.covariance)[DRIFT]
-    is_known = known > _LEAST_KNOWN * sigma2
-    if not is_known.any():
-        return watch, state
-    ratio = np.minimum(state.mean[DRIFT][is_known] ** 2 / known[is_known], _CUT)
-    # an axis speaks as far as it is known
-    weight = known[is_known] / sigma2[is_known]
-    surplus = float((weight * (ratio - 1.0)).sum() / 3.0)
+    mean, variance = state.mean[DRIFT].tolist(), np.diagonal(state.covariance)[DRIFT].tolist()
+    surplus = 0.0
+    for drift, uncertain, sigma in zip(mean, variance, settings.drift_deg_h, strict=True):
+        sigma2 = (watch.scale * sigma) ** 2
+        known = sigma2 - uncertain
+        if known > _LEAST_KNOWN * sigma2:
+            # an axis speaks as far as it is known
+            surplus += known / sigma2 * (min(drift**2 / known, _CUT) - 1.0) / 3.0
     log_scale = watch.log_scale + surplus * minutes / FOLLOW_MINUTES
     pushed = DriftWatch(min(math.log(LARGEST), max(0.0, log_scale)))
     if pushed.scale <= watch.scale:
@@ -84,5 +83,5 @@ def push_drift(
     covariance = state.covariance.copy()
     growth = (pushed.scale / watch.scale) ** 2 - 1.0
     places = np.arange(DRIFT.start, DRIFT.stop)
-    covariance[places, places] += growth * sigma2
+    covariance[places, places] += growth * (watch.scale * np.array(settings.drift_deg_h)) ** 2
     return pushed, Gaussian(state.mean, covariance)

@@ -25,6 +25,8 @@ _CUT = 9.0
 WHITE_LIMITS = (0.6, 3.0)
 SLOW_LIMITS = (0.7, 4.0)
 NIS_MINUTES = 60.0
+#: what Huber's weights leave of z^2 on average when z is normal: the mean of min(z^2, 2 abs(z))
+_WEIGHED_MEAN = 0.9545
 
 
 class NoiseWatch(NamedTuple):
@@ -69,5 +71,5 @@ def push_values(watch: NoiseWatch, values: FloatArray, nis: float, degrees: int)
         ratio = float(np.minimum(mean[is_present] ** 2 / _MEAN_VARIANCE, _CUT).mean())
         low, high = SLOW_LIMITS
         slow = min(high, max(low, slow * math.exp(0.5 * (ratio - 1.0) / SLOW_MINUTES)))
-    ratio_now = min(nis / degrees, _CUT)
+    ratio_now = min(nis / degrees / _WEIGHED_MEAN, _CUT)
     return NoiseWatch(white, mean, slow, watch.nis_ratio + (ratio_now - watch.nis_ratio) / NIS_MINUTES)
