@@ -1,0 +1,118 @@
+"""A calibration by geometry through the interface: asked for, made by its job, read by name, made the active one."""
+
+import asyncio
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from geometry_payload import GeometryPayload
+
+from service.core.estimation.noise_identification import LADDER_S
+from service.records.attitude import Axes
+from service.records.epoch import format_epoch
+from service.records.inputs import AttitudeReference
+from service.records.measurement import MeasurementBatch
+
+pytestmark = pytest.mark.anyio
+SC = "/spacecraft/yamal-202"
+
+
+def window(of) -> dict:
+    return {"start": format_epoch(of.start_us), "stop": format_epoch(of.stop_us)}
+
+
+@pytest.fixture
+def payload(bench, make):
+    """A day and a half of quiet and the turns, stored as a station would have sent them."""
+    payload = GeometryPayload.make(8, quiet_days=1.5)
+    catalogue, archive = bench.storage.catalogue, bench.storage.archive
+    catalogue.replace_spacecraft(replace(payload.spacecraft, id=make.sc))
+    plan = catalogue.put_plan(make.sc, payload.carriers, "geometry")
+    catalogue.put_ephemeris(make.sc, payload.ephemeris())
+    data = payload.data()
+    for series in (data.quiet, data.turns):
+        rows = len(series.epochs_us)
+        batch = MeasurementBatch(
+            make.sc,
+            "sa-1",
+            plan.id,
+            make.now_us,
+            np.arange(rows),
+            series.epochs_us,
+            series.power_dbm.astype(np.float32),
+            (None,) * rows,
+            np.zeros(rows, dtype=bool),
+        )
+        assert archive.append_measurements(batch).result(timeout=10).accepted == rows
+    for told in (*data.quiet_references, *data.references):
+        columns = zip(told.epochs_us, told.attitude_deg, told.sigma_deg, strict=True)
+        archive.append_inputs(
+            make.sc,
+            [AttitudeReference(told.source, int(at), Axes(*angle), Axes(*sigma)) for at, angle, sigma in columns],
+        )
+    return payload
+
+
+async def calibrated(bench, payload, **changes) -> dict:
+    """Ask for a calibration, wait for its job and return it with the job."""
+    request = payload.request
+    body = {"quiet": window(request.quiet), "turns": window(request.turns), "method": "geometry"} | changes
+    answer = await bench.client.post(f"/api/v1{SC}/calibrations", json=body)
+    assert answer.status_code == 202, answer.text
+    started = answer.json()
+    while (job := (await bench.client.get(f"/api/v1/jobs/{started['job']}")).json())["state"] not in {"done", "failed"}:
+        await asyncio.sleep(0.02)
+    return (await bench.get(f"/calibrations/{started['id']}")) | {"job": job}
+
+
+async def test_a_calibration_by_geometry_is_told_by_name_and_activated(bench, payload):
+    told = await calibrated(bench, payload)
+    assert told["job"]["state"] == "done", told["job"]
+    assert (told["method"], told["state"], len(told["carriers"])) == ("geometry", "draft", 8)
+    found = np.array(
+        [[c["sensitivity_db_per_deg"][axis] for axis in ("yaw", "roll", "pitch")] for c in told["carriers"]]
+    )
+    # 0.05 dB on eight plateaus an axis: one sigma of yaw 0.003, of roll and pitch 0.013 dB/deg; five of them
+    assert (np.abs(found - payload.slopes()).max(axis=0) < [0.03, 0.07, 0.07]).all()
+    for carrier in told["carriers"]:
+        assert [part["correlation_time_s"] for part in carrier["noise"]] == list(LADDER_S)
+        assert carrier["sigma_white_db"] == pytest.approx(0.05, rel=0.1)
+        assert carrier["rejected_because"] is not None
+    seen = told["observability"]
+    assert all(figure is not None for figure in (seen["condition"], *seen["dop"].values(), *seen["crlb_deg"].values()))
+    assert seen["crlb_deg"]["roll"] < seen["crlb_deg"]["yaw"]
+    assert told["quality"]["carriers_used"] == 8.0
+    assert any(text.startswith("quiet window of 36.0 h is shorter") for text in told["quality"]["warnings"])
+    active = await bench.client.post(f"{bench.url}/calibrations/{told['id']}:activate")
+    assert (active.status_code, active.json()["state"]) == (200, "active")
+
+
+async def test_an_operation_inside_is_named(bench, payload):
+    request = payload.request
+    burn = {
+        "kind": "station_keeping",
+        "start": format_epoch(request.quiet.start_us + 3600_000_000),
+        "stop": format_epoch(request.quiet.start_us + 5400_000_000),
+    }
+    assert (await bench.client.post(f"/api/v1{SC}/operations", json=burn)).status_code in {200, 201}
+    told = await calibrated(bench, payload)
+    assert any("(station_keeping," in text for text in told["quality"]["warnings"])
+
+
+async def test_a_window_without_turns_fails_in_words(bench, payload):
+    request = payload.request
+    late = {
+        "start": format_epoch(request.quiet.stop_us - 7200_000_000),
+        "stop": format_epoch(request.quiet.stop_us),
+    }
+    told = await calibrated(bench, payload, turns=late)
+    assert told["job"]["state"] == told["state"] == "failed"
+    assert told["error"] == told["job"]["error"]
+    assert "no turn of at least 0.1 deg in roll or pitch" in told["error"]
+    assert (await bench.refused("POST", f"{SC}/calibrations/{told['id']}:activate"))[0] == 409
+
+
+async def test_a_sensor_that_never_spoke_fails_in_words(bench, payload):
+    told = await calibrated(bench, payload, source="earth_sensor")
+    assert told["state"] == "failed"
+    assert "have angles of earth_sensor" in told["error"]
