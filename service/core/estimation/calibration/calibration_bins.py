@@ -158,8 +158,8 @@ def _ordered_medians(samples: FloatArray) -> tuple[FloatArray, IntArray]:
 
 def _small_sample_mad(distance: FloatArray, count: IntArray) -> FloatArray:
     """Return the median distance (N,) from the median, freed from what short stretches hide of it."""
-    # a median of n samples follows them: distances are short by sqrt(1 - 1.57 / n) or so; single samples say nothing
-    share = np.where(count >= 3, np.sqrt(1.0 - 1.0 / np.maximum(count, 3)), math.nan)
+    # a median of n samples follows them: distances are short by sqrt(1 - 1 / n) or so; single samples say nothing
+    share = np.where(count >= 2, np.sqrt(1.0 - 1.0 / np.maximum(count, 2)), math.nan)
     scaled = (distance / share[:, np.newaxis]).reshape(-1, distance.shape[2])
     median, _ = _ordered_medians(scaled[np.newaxis])
     return np.where(np.isnan(median[0]), 0.0, median[0])

@@ -173,7 +173,9 @@ def fit_geometry(rows: CalibrationRows, geometry: CarrierGeometry) -> GeometryCa
     own = np.concatenate([np.ones((*daily.shape[:2], 1)), daily, day, beam], axis=-1)
     columns = np.concatenate([own, downlink], axis=-1)
     rough_dbm = _rough_level_dbm(rows.power_dbm)
-    stretches = still_stretches(rows.epoch_s, rows.attitude_deg, STRETCH_S)
+    # two rows at least, from whose difference the scatter of samples is told
+    stretch_s = max(STRETCH_S, 2.5 * _row_period_s(rows.epoch_s))
+    stretches = still_stretches(rows.epoch_s, rows.attitude_deg, stretch_s)
     means = stretch_means(stretches, rows.power_dbm - rough_dbm, columns)
     problem = _problem(rows, stretches, means, own.shape[-1])
     is_seen = (problem.rows_used > 0).sum(axis=1) >= MIN_STRETCHES
