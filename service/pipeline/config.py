@@ -57,7 +57,7 @@ class CalibrationConfig:
     #: a carrier is flat when the turns move it, rms, by less than this share of the noise of a row
     flat_share: float = 0.5
     #: a level drifts beyond both, dB per day and sigmas of what its noise explains
-    drift_db_per_day: float = 0.05
+    drift_db_per_day: float = 0.15
     drift_sigmas: float = 4.0
     #: chi-square of two degrees of freedom beyond which a station is said to stand elsewhere
     place_chi_square: float = 16.0
