@@ -33,7 +33,7 @@ from service.study.estimation.world import Ground
 
 #: what a row says, among its inhibitions or as advice, when the craft moves other than it was told to, or the powers
 #: do not fit the model
-ALARMS = frozenset({"unannounced_motion", "innovations", "disagreement"})
+ALARMS = frozenset({"unannounced_motion", "commands_doubted", "innovations"})
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ and may be negative: a rain can be found before it passes the depth from which i
 time has the delay infinity.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -227,14 +228,14 @@ def measure_alarms(
     start_us : int
         Start of operation.
     wrong_from_h : tuple of float
-        Hours of operation from which the craft does other than it was told.
+        Hours of operation from which the craft does other than it was told, ascending; an alarm belongs to the last.
     """
     delays = []
-    for hours in wrong_from_h:
-        due_us = start_us + 60.0 * hours * _MINUTE_US
+    starts_us = [start_us + 60.0 * hours * _MINUTE_US for hours in wrong_from_h]
+    for due_us, next_us in zip(starts_us, [*starts_us[1:], math.inf], strict=True):
         if due_us >= epochs_us[-1]:
             continue
-        inside = (epochs_us >= due_us) & (epochs_us <= due_us + ALARM_WITHIN_MIN * _MINUTE_US)
+        inside = (epochs_us >= due_us) & (epochs_us <= min(next_us, due_us + ALARM_WITHIN_MIN * _MINUTE_US))
         raised_us = epochs_us[is_alarm & inside]
         delays.append(float((raised_us[0] - due_us) / _MINUTE_US) if len(raised_us) else np.inf)
     days = float(epochs_us[-1] - epochs_us[0]) / (1440.0 * _MINUTE_US)
