@@ -7,7 +7,7 @@ import numpy as np
 
 from service.core.estimation.paper.consistency import Consistency
 from service.pipeline.config import AlignmentConfig
-from service.pipeline.paper_alignment import ReferencePowers, reference_powers
+from service.pipeline.paper_alignment import reference_powers
 from service.pipeline.robust_alignment import robust_references
 from service.pipeline.stated_angles import StatedAngles
 from service.records.calibration import Calibration, CalibrationMethod, CarrierReference
@@ -53,14 +53,15 @@ def align_methods(
         Limits.
     """
     geometry = active.get(CalibrationMethod.GEOMETRY)
-    paper = active.get(CalibrationMethod.PAPER, geometry)
-    found: dict[Method, tuple[Calibration, ReferencePowers]] = {}
-    if geometry is not None:
-        columns = columns_of(series, geometry)
-        found[Method.ROBUST] = (geometry, robust_references(columns, stated, geometry, ephemeris, config))
-    if paper is not None:
-        columns = columns_of(series, paper)
-        found[Method.PAPER] = (paper, reference_powers(columns, stated, paper, ephemeris, config))
+    makers = (
+        (Method.ROBUST, geometry, robust_references),
+        (Method.PAPER, active.get(CalibrationMethod.PAPER, geometry), reference_powers),
+    )
+    found = {
+        method: (used, make(columns_of(series, used), stated, used, ephemeris, config))
+        for method, used, make in makers
+        if used is not None
+    }
     calibration, powers = next(iter(found.values()))
     return AlignedPowers(
         calibration,

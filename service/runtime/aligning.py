@@ -9,6 +9,7 @@ from service.pipeline.stated_angles import StatedAngles, smooth_angles
 from service.ports import Clock, Storage
 from service.records.attitude import Axes
 from service.records.calibration import Alignment, Calibration, CalibrationMethod, CalibrationState, Window
+from service.records.catalogue import Ephemeris
 from service.records.epoch import US_PER_S, format_epoch
 
 
@@ -52,12 +53,7 @@ class Aligner:
         ephemeris = self._storage.catalogue.ephemeris(spacecraft_id)
         powers = align_methods(series, stated, active, ephemeris, self._config)
         if len(powers.references) < 4:
-            detail = (
-                f"{len(powers.references)} carriers have {self._config.min_rows} rows or more between "
-                f"{format_epoch(window.start_us)} and {format_epoch(window.stop_us)}; 4 are needed: choose a window "
-                "in which measurements arrived"
-            )
-            raise InvalidInputError("alignment.no_powers", detail)
+            raise InvalidInputError("alignment.no_powers", self._too_few(len(powers.references), window, ephemeris))
         self._refuse_contradiction(powers, stated, request)
         alignment = Alignment(
             id=0,
@@ -103,6 +99,19 @@ class Aligner:
             )
             raise InvalidInputError("alignment.no_reference", detail)
         return stated, request.window
+
+    def _too_few(self, carriers: int, window: Window, ephemeris: Ephemeris) -> str:
+        """Return the text that says how many carriers have powers that can be used, and what to do."""
+        text = (
+            f"{carriers} carriers have {self._config.min_rows} rows or more between "
+            f"{format_epoch(window.start_us)} and {format_epoch(window.stop_us)}; 4 are needed: "
+        )
+        if ephemeris.valid_start_us <= window.start_us and window.stop_us <= ephemeris.valid_stop_us + 1:
+            return f"{text}choose a window in which measurements arrived"
+        return (
+            f"{text}the ephemeris reaches from {format_epoch(ephemeris.valid_start_us)} to "
+            f"{format_epoch(ephemeris.valid_stop_us)}, send one that covers the window"
+        )
 
     def _refuse_contradiction(self, powers: AlignedPowers, stated: StatedAngles, request: AlignmentRequest) -> None:
         """Refuse angles that the powers speak against, unless the operator overrides."""

@@ -8,6 +8,8 @@ from geometry_flight import MINUTE, Flight, FlightPayload
 
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
+from service.pipeline.knowledge import Knowledge
+from service.pipeline.paper_runner import PaperRunner
 from service.records.attitude import Axes, Status
 from service.records.calibration import CalibrationMethod
 from service.records.catalogue import CarrierPlan, Method, Release, Station
@@ -163,6 +165,22 @@ def test_when_the_driving_method_fails_the_command_is_zero(flight, monkeypatch):
     command = flight.chain.step(flight.row(20)).command
     assert command.inhibitions == ("internal_error",)
     assert command.schedule == ()
+
+
+def test_the_paper_method_does_not_step_before_it_has_a_model(flight):
+    runner = PaperRunner(flight.documents, ChainConfig())
+    assert (runner.is_running, runner.carrier_states()) == (False, {})
+    runner.rebuild(Knowledge())
+    with pytest.raises(ValueError, match="without a model"):
+        runner.step(flight.row(1), PAYLOAD.plan(), Knowledge(), is_late=False, is_catch_up=False)
+
+
+def test_without_the_robust_method_carriers_are_known_by_the_paper_method():
+    flight = Flight(PAYLOAD, methods=(Method.PAPER,))
+    for minute in range(1, 12):
+        flight.feed(flight.row(minute))
+    states = {state.carrier: state.state for state in flight.chain.carrier_states()[1]}
+    assert states == dict.fromkeys(PAYLOAD.ids, "used")
 
 
 # ---- late rows, order, poison ---------------------------------------------------------------------------------------
