@@ -1,7 +1,9 @@
 """Time of one row through the chain: measurement in, attitude and torque command out, nothing stored.
 
 Run ``python -m bench.bench_chain``. The payload is synthetic (``tests/fakes``): every carrier is calibrated and used,
-white noise of 0.05 dB, the craft moves slowly. Figures only; no goal hangs on them.
+white noise of 0.05 dB, the craft moves slowly. The step of the robust filter alone follows, with both sets of kernels.
+Times are given in milliseconds and as a ratio to a yardstick of the same run, a linear system of 91 unknowns solved for
+91 right sides by numpy, because the machine's speed changes from minute to minute. Figures only; no goal hangs on them.
 """
 
 import argparse
@@ -12,8 +14,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.estimation.filtering.attitude_filter import start, step
+from service.core.estimation.filtering.filter_model import FilterSettings, no_motion
+from service.core.estimation.filtering.filter_predict import Weather, predict
+from service.core.estimation.filtering.filter_update import innovate, update
+from service.core.estimation.filtering.kernels import ARRAYS, Kernels, compiled_kernels
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
+from tests.fakes.filter_models import aligned, carrier_model
 from tests.fakes.synthetic_payload import HOUR, MINUTE, START_US, FixedDocuments, SyntheticPayload, opening
 
 #: rows before the clock starts, so that every trailing mean is full
@@ -35,12 +43,77 @@ def main() -> bool:
     options, _ = parser.parse_known_args()
     print("one row through the chain")
     for carriers in (16, 32):
-        figures = measure(carriers, options.steps)
-        print(
-            f"  {carriers} carriers: median {1e3 * figures.median_s:.2f} ms, 99 % below {1e3 * figures.p99_s:.2f} ms, "
-            f"{1 / figures.median_s:.0f} rows/s"
-        )
+        _show(f"{carriers} carriers", measure(carriers, options.steps))
+    print("one step of the robust filter: carriers of three coloured parts, two common ones")
+    for carriers in (16, 32):
+        _show(f"{carriers} carriers", measure_filter(carriers, options.steps))
+    print("prediction and update in it")
+    for name, kernels in (("numpy", ARRAYS), ("numba", compiled_kernels())):
+        for carriers in (16, 32):
+            _show(f"{carriers} carriers, {name}", measure_arithmetic(carriers, options.steps, kernels))
     return True
+
+
+def _show(what: str, figures: StepFigures) -> None:
+    """Print one line."""
+    ratio = figures.median_s / yardstick_s()
+    print(
+        f"  {what}: median {1e3 * figures.median_s:.2f} ms ({ratio:.2f} of the yardstick), 99 % below "
+        f"{1e3 * figures.p99_s:.2f} ms, {1 / figures.median_s:.0f} rows/s"
+    )
+
+
+def yardstick_s(repeats: int = 40) -> float:
+    """Return the median time of a fixed piece of work, s."""
+    draw = np.random.default_rng(1).normal(size=(91, 91))
+    matrix, taken = draw @ draw.T + np.eye(91), []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        np.linalg.solve(matrix, draw)
+        taken.append(time.perf_counter() - began)
+    return statistics.median(taken)
+
+
+def measure_filter(carriers: int, steps: int, seed: int = 5) -> StepFigures:
+    """Return the time of one step of the robust filter."""
+    model, settings = carrier_model(carriers, components=3, common=2), FilterSettings()
+    state, taken = start(model, START_US, aligned(model)), []
+    for row, row_db in enumerate(_deviations_db(carriers, steps, seed), start=1):
+        began = time.perf_counter()
+        told = step(model, settings, state, START_US + row * MINUTE, row_db, no_motion())
+        taken.append(time.perf_counter() - began)
+        state = told.state
+    return _figures(carriers, taken)
+
+
+def measure_arithmetic(carriers: int, steps: int, kernels: Kernels, seed: int = 5) -> StepFigures:
+    """Return the time that prediction and update take of a step."""
+    model, settings, used = carrier_model(carriers, components=3, common=2), FilterSettings(), np.arange(carriers)
+    state, variance, taken = aligned(model), np.zeros(carriers), []
+    for row_db in _deviations_db(carriers, steps, seed):
+        weather = Weather(
+            is_raining=False,
+            is_unannounced=(False, False, False),
+            slow_scale=1.0,
+            model_variance_db2=variance,
+        )
+        began = time.perf_counter()
+        ahead, variance = predict(model, settings, state, MINUTE, no_motion(), weather, kernels)
+        innovation = innovate(model, ahead, row_db, used, model.white_sigma_db**2, kernels=kernels)
+        state = update(model, ahead, row_db, innovation, kernels).state
+        taken.append(time.perf_counter() - began)
+    return _figures(carriers, taken)
+
+
+def _deviations_db(carriers: int, steps: int, seed: int) -> np.ndarray:
+    """Return rows of noise, those before the clock starts included."""
+    return np.random.default_rng(seed).normal(0.0, 0.17, (_SETTLING + steps, carriers))
+
+
+def _figures(carriers: int, taken: list[float]) -> StepFigures:
+    """Return the figures of some times, those of the first rows left out."""
+    timed = sorted(taken[_SETTLING:])
+    return StepFigures(carriers, statistics.median(timed), timed[int(0.99 * (len(timed) - 1))])
 
 
 def measure(carriers: int, steps: int, seed: int = 5) -> StepFigures:
@@ -63,8 +136,7 @@ def measure(carriers: int, steps: int, seed: int = 5) -> StepFigures:
         fixes += bool(np.isfinite(outcome.rows[0].attitude_deg.roll))
     # a row that is left without an angle costs less; nearly all must have one for the figure to mean anything
     assert fixes > 0.9 * len(noise), f"only {fixes} of {len(noise)} rows have an angle"
-    timed = sorted(taken[_SETTLING:])
-    return StepFigures(carriers, statistics.median(timed), timed[int(0.99 * (len(timed) - 1))])
+    return _figures(carriers, taken)
 
 
 if __name__ == "__main__":
