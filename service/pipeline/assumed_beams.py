@@ -18,9 +18,10 @@ import numpy as np
 from service.core.estimation.calibration.coloured_rows import ColouredNoise
 from service.core.estimation.calibration.quadratic_response import displacement_matrix
 from service.core.geometry.frames import AntennaDirection, station_direction
+from service.pipeline.group_deviations import MIN_GROUP, alc_groups
 from service.pipeline.planning_candidates import NOT_USABLE, Candidates
-from service.records.attitude import FloatArray
-from service.records.catalogue import Carrier
+from service.records.attitude import FloatArray, IntArray
+from service.records.catalogue import Carrier, CarrierPlan
 
 #: half-power widths of a beam of which nothing is known, deg: curvatures of 1.5 and 2.7 dB/deg^2
 DEFAULT_WIDTHS_DEG = (4.0, 3.0)
@@ -94,6 +95,7 @@ def assume_payload(
     count = len(carriers)
     parts = np.array(noise.parts).reshape(-1, 2)
     unknown = np.full(count, np.nan)
+    level = alc_groups(CarrierPlan(0, "", carriers))
     candidates = Candidates(
         tuple(carrier.id for carrier in carriers),
         tuple(carrier.transponder for carrier in carriers),
@@ -103,9 +105,13 @@ def assume_payload(
         ),
         unknown,
         unknown,
-        tuple(_refusal(carrier, sensitivity[k]) for k, carrier in enumerate(carriers)),
+        level,
+        tuple(_refusal(carrier, sensitivity[k], _held_together(level, k)) for k, carrier in enumerate(carriers)),
         ((),) * count,
     )
+    held = sorted({carrier.transponder for carrier, one in zip(carriers, level, strict=True) if one >= 0})
+    if held:
+        assumptions += (f"{', '.join(held)} under level control: only differences between their carriers count",)
     told = (
         *assumptions,
         f"noise: {noise.meaning}",
@@ -163,8 +169,15 @@ def _gradient(beam: AssumedBeam | None, direction: AntennaDirection, k: int) -> 
     )
 
 
-def _refusal(carrier: Carrier, sensitivity: FloatArray) -> tuple[str, ...]:
+def _held_together(level: IntArray, k: int) -> int | None:
+    """Return how many carriers the level control of a carrier's transponder holds, None without one."""
+    return int(np.count_nonzero(level == level[k])) if level[k] >= 0 else None
+
+
+def _refusal(carrier: Carrier, sensitivity: FloatArray, held_together: int | None) -> tuple[str, ...]:
     """Return why a carrier cannot be planned with."""
     if not carrier.is_usable_for_attitude:
         return (NOT_USABLE,)
+    if held_together is not None and held_together < MIN_GROUP:
+        return (f"its transponder is under level control and has fewer than {MIN_GROUP} carriers in the plan",)
     return () if np.isfinite(sensitivity).all() else ("the satellite is below the horizon of its station",)

@@ -102,7 +102,7 @@ def recommend(candidates: Candidates, count: int, rule: Rule, *, yaw_scale: floa
     usable = candidates.is_usable
     sensitivity, sigma = candidates.sensitivity_db_per_deg, candidates.sigma_db
     numbers = candidates.transponder_numbers
-    design = choose_carriers(sensitivity, sigma, numbers, count, eligible=usable)
+    design = choose_carriers(sensitivity, sigma, numbers, count, eligible=usable, level=candidates.level)
     is_sound = usable & np.array([not refusal for refusal in candidates.paper_refusals], dtype=np.bool_)
     by_axis = select_by_axis(sensitivity, is_sound, count, yaw_scale=yaw_scale)
     losses = _left_out_costs(candidates, design.chosen)
@@ -123,8 +123,9 @@ def judged_set(candidates: Candidates, chosen: IntArray) -> CarrierSet:
     """Return the figures of a set of carriers."""
     sensitivity, sigma = candidates.sensitivity_db_per_deg[chosen], candidates.sigma_db[chosen]
     noise = ColouredNoise(*(part[chosen] for part in candidates.noise))
-    figures = judge_set(sensitivity, sigma)
-    averaged = averaged_crlb_deg(sensitivity, noise, np.array(AVERAGING_SPANS_S), ROW_PERIOD_S)
+    level = candidates.level[chosen]
+    figures = judge_set(sensitivity, sigma, level)
+    averaged = averaged_crlb_deg(sensitivity, noise, np.array(AVERAGING_SPANS_S), ROW_PERIOD_S, level)
     numbers = candidates.transponder_numbers[chosen]
     share = largest_share(numbers)
     return CarrierSet(
@@ -148,7 +149,7 @@ def _shortcomings(figures: SetFigures, transponders: list[str], share: float) ->
         (count >= MIN_CARRIERS, f"{count} carriers; the robust method wants at least {MIN_CARRIERS}"),
         (
             figures.redundancy >= MIN_REDUNDANCY,
-            f"{figures.redundancy} carriers beyond the five unknowns; {MIN_REDUNDANCY} keep faults from hiding",
+            f"{figures.redundancy} carriers beyond the unknowns; {MIN_REDUNDANCY} keep faults from hiding",
         ),
         (
             share <= MAX_TRANSPONDER_SHARE,
@@ -170,7 +171,8 @@ def _left_out_costs(candidates: Candidates, chosen: IntArray) -> FloatArray:
 
 def _bound_deg(candidates: Candidates, chosen: IntArray) -> FloatArray:
     """Return the bound (3,) of one row by some carriers, common level free."""
-    return crlb_deg(candidates.sensitivity_db_per_deg[chosen], candidates.sigma_db[chosen], with_common=True)
+    sensitivity, sigma = candidates.sensitivity_db_per_deg[chosen], candidates.sigma_db[chosen]
+    return crlb_deg(sensitivity, sigma, with_common=True, level=candidates.level[chosen])
 
 
 def _optimal_word(k: int, candidates: Candidates, chosen: IntArray, yaw_scale: float) -> CarrierWord:

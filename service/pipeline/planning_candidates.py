@@ -34,6 +34,8 @@ class Candidates:
     #: (N,) rms after the daily harmonic, dB, and departure from a straight line, deg
     residual_rms_db: FloatArray
     nonlinearity_deg: FloatArray
+    #: (N,) number of the level that a carrier shares, -1 = the one common to all that no level control holds
+    level: IntArray
     #: why no rule may choose a carrier; empty = it may be chosen
     refusals: tuple[tuple[str, ...], ...]
     #: why the paper's rule may not
@@ -81,9 +83,16 @@ def candidates_of(result: CalibrationResult, plan: CarrierPlan) -> Candidates:
         noise,
         np.array([carrier.stability_residual_rms_db for carrier in carriers], dtype=np.float64),
         np.array([carrier.nonlinearity_deg for carrier in carriers], dtype=np.float64),
+        _levels(result),
         tuple(refusals),
         tuple(_unmet_criteria(carrier) for carrier in carriers),
     )
+
+
+def _levels(result: CalibrationResult) -> IntArray:
+    """Return the level that each carrier shares; a transponder under level control has its own."""
+    groups = result.geometry.alc_group if result.geometry is not None else ()
+    return np.array(groups or (-1,) * len(result.carriers), dtype=np.int64)
 
 
 def _learned_noise(carriers: Sequence[CarrierCalibration]) -> ColouredNoise:

@@ -176,8 +176,5 @@ def _notes(calibration: Calibration, result: CalibrationResult, plan: CarrierPla
     groups = result.geometry.alc_group if result.geometry is not None else ()
     coupled = [carrier.id for carrier, group in zip(result.carriers, groups, strict=False) if group >= 0]
     if coupled:
-        notes.append(
-            f"{', '.join(coupled)} share a level control, so only their differences count; the figures take them as "
-            "independent and flatter"
-        )
+        notes.append(f"{', '.join(coupled)} are under level control: only differences within a transponder count")
     return tuple(notes)

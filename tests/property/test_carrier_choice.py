@@ -93,6 +93,24 @@ def test_the_order_of_carriers_does_not_matter(payload, random):
     assert sorted(order[k] for k in again.chosen) == design.chosen.tolist()
 
 
+@settings(max_examples=60, deadline=None)
+@given(payloads())
+def test_levels_of_their_own_never_help(payload):
+    """Every transponder under level control: bounds grow, redundancy falls, constraints hold."""
+    sensitivity, sigma, transponder, eligible, count = payload
+    free = choose_carriers(sensitivity, sigma, transponder, count, eligible=eligible)
+    held = choose_carriers(sensitivity, sigma, transponder, count, eligible=eligible, level=transponder)
+    assert len(held.chosen) == len(free.chosen)
+    assert held.transponder_share <= max(MAX_TRANSPONDER_SHARE, free.transponder_share)
+    tied = judge_set(sensitivity[held.chosen], sigma[held.chosen], transponder[held.chosen])
+    loose = judge_set(sensitivity[held.chosen], sigma[held.chosen])
+    assert tied.redundancy <= loose.redundancy
+    if np.isfinite(tied.crlb_deg).all():
+        # rounding of a QR at conditions of some hundreds
+        assert (tied.crlb_deg >= loose.crlb_deg * (1.0 - 1e-9)).all()
+        assert tied.crlb_deg.tolist() == held.crlb_deg.tolist()
+
+
 @settings(max_examples=100, deadline=None)
 @given(payloads())
 def test_figures_of_a_set_agree_with_one_another(payload):

@@ -72,7 +72,7 @@ class SetCarrierAnswer(Answer):
 
     carrier: str
     leverage: Figure
-    """How much of the carrier's own error the fix follows, 0 to 1; the leverages of a set add up to four."""
+    """How much of the carrier's own error the fix follows, 0 to 1; those of a set add up to its unknowns."""
     undetectable_fault_db: Figure
     """Fault that one row overlooks in one case of ten; null where no other carrier checks it."""
     fault_shift_deg: AnglesAnswer
@@ -105,7 +105,7 @@ class CarrierSetAnswer(Answer):
     common_share: Figure
     """Share of a change common to all carriers that some attitude explains, 0 to 1."""
     redundancy: int
-    """Carriers beyond five unknowns: three angles, common level, level of one moved transponder."""
+    """Carriers beyond three angles, their common levels and the level of one moved transponder."""
     transponder_share: float
     """Largest share of the carriers in one transponder."""
     sufficient: bool

@@ -19,15 +19,17 @@ from service.core.estimation.observability import (
     condition_number,
     crlb_deg,
     dilution_of_precision_deg_per_db,
+    level_columns,
     leverages,
     normal_inverse,
 )
 from service.core.estimation.snapshot.fault_bounds import FaultBounds, fault_bounds
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
-#: Attitude, common level, level of one moved transponder.
-UNKNOWNS = 5
+#: Attitude, and the level of one moved transponder; each level that carriers share comes on top.
+_UNKNOWNS = 4
 
 
 class SetFigures(NamedTuple):
@@ -46,13 +48,13 @@ class SetFigures(NamedTuple):
     common_share : float
         Share, 0 to 1, of a change common to all carriers that some attitude explains.
     leverage : ndarray, shape (N,)
-        Weighted by the noise; sums to four.
+        Weighted by the noise; sums to the unknowns, four with one common level.
     undetectable_fault_db : ndarray, shape (N,), dB
         Largest fault of the carrier that one row leaves undetected in one case of ten.
     fault_shift_deg : ndarray, shape (N, 3), deg
         What that fault moves in yaw, roll, pitch.
     redundancy : int
-        Carriers beyond five unknowns.
+        Carriers beyond three angles, their common levels and the level of one moved transponder.
     """
 
     condition: float
@@ -68,7 +70,7 @@ class SetFigures(NamedTuple):
     redundancy: int
 
 
-def judge_set(sensitivity: FloatArray, sigma_db: FloatArray) -> SetFigures:
+def judge_set(sensitivity: FloatArray, sigma_db: FloatArray, level: IntArray | None = None) -> SetFigures:
     """Return the figures of a set.
 
     Parameters
@@ -77,6 +79,8 @@ def judge_set(sensitivity: FloatArray, sigma_db: FloatArray) -> SetFigures:
         Columns yaw, roll, pitch; NaN makes a carrier absent.
     sigma_db : ndarray, shape (N,), dB
         Noise of one row; NaN or not positive makes a carrier absent.
+    level : ndarray of int, shape (N,), optional
+        Number of the level that each carrier shares: carriers under the level control of a transponder have their own.
 
     Returns
     -------
@@ -90,24 +94,29 @@ def judge_set(sensitivity: FloatArray, sigma_db: FloatArray) -> SetFigures:
     """
     is_present = np.isfinite(sensitivity).all(axis=1) & np.isfinite(sigma_db) & (sigma_db > 0.0)
     present = np.where(is_present[:, np.newaxis], sensitivity, math.nan)
-    faults = _fault_bounds(present, np.where(is_present, sigma_db, math.nan))
+    shared = np.zeros(len(sensitivity), dtype=np.int64) if level is None else level
+    faults = _fault_bounds(present, np.where(is_present, sigma_db, math.nan), shared)
     return SetFigures(
         condition=condition_number(present),
         dop_deg_per_db=dilution_of_precision_deg_per_db(present),
-        dop_with_common_deg_per_db=dilution_of_precision_deg_per_db(present, with_common=True),
+        dop_with_common_deg_per_db=dilution_of_precision_deg_per_db(present, with_common=True, level=shared),
         angle_dop_deg_per_db=angle_dilution_deg_per_db(present),
-        crlb_deg=crlb_deg(present, sigma_db, with_common=True),
+        crlb_deg=crlb_deg(present, sigma_db, with_common=True, level=shared),
         crlb_without_common_deg=crlb_deg(present, sigma_db, with_common=False),
         common_share=common_share(present),
-        leverage=leverages(present, sigma_db),
+        leverage=leverages(present, sigma_db, level=shared),
         undetectable_fault_db=faults.detectable_db[0],
         fault_shift_deg=faults.shift_deg[0],
-        redundancy=int(np.count_nonzero(is_present)) - UNKNOWNS,
+        redundancy=int(np.count_nonzero(is_present)) - _UNKNOWNS - max(1, len(np.unique(shared[is_present]))),
     )
 
 
 def averaged_crlb_deg(
-    sensitivity: FloatArray, noise: ColouredNoise, span_s: FloatArray, row_period_s: float
+    sensitivity: FloatArray,
+    noise: ColouredNoise,
+    span_s: FloatArray,
+    row_period_s: float,
+    level: IntArray | None = None,
 ) -> FloatArray:
     """Return the bounds of means over some spans, level common to all carriers free.
 
@@ -121,6 +130,8 @@ def averaged_crlb_deg(
         Times over which deviations are averaged while the attitude stands still.
     row_period_s : float, s
         Time between rows.
+    level : ndarray of int, shape (N,), optional
+        Number of the level that each carrier shares.
 
     Returns
     -------
@@ -136,19 +147,20 @@ def averaged_crlb_deg(
     """
     rows = np.maximum(span_s / row_period_s, 1.0)
     sigma_db = np.sqrt(stretch_variance_db2(noise, np.tile(rows, (len(sensitivity), 1)), span_s))
-    return np.array([crlb_deg(sensitivity, one, with_common=True) for one in sigma_db.T]).reshape(-1, 3)
+    return np.array([crlb_deg(sensitivity, one, with_common=True, level=level) for one in sigma_db.T]).reshape(-1, 3)
 
 
-def _fault_bounds(sensitivity: FloatArray, sigma_db: FloatArray) -> FaultBounds:
+def _fault_bounds(sensitivity: FloatArray, sigma_db: FloatArray, level: IntArray) -> FaultBounds:
     """Return the bounds of one row solved by weighted least squares; NaN where nothing is determined."""
     is_present = np.isfinite(sigma_db)
-    design = np.column_stack([sensitivity, np.ones(len(sensitivity))])
+    columns = level_columns(len(sensitivity), level)[:, np.isin(np.unique(level), level[is_present])]
+    design = np.column_stack([sensitivity, columns])
     weighted = np.where(is_present[:, np.newaxis], design, 0.0) / np.where(is_present, sigma_db, 1.0)[:, np.newaxis]
     inverse = normal_inverse(weighted[is_present])
     gain = inverse @ (weighted / np.where(is_present, sigma_db, 1.0)[:, np.newaxis]).T
     gain = np.where(is_present, gain, math.nan)
     bounds = fault_bounds(design[np.newaxis], gain[np.newaxis], sigma_db[np.newaxis])
-    if np.isfinite(inverse).all():
+    if columns.shape[1] and np.isfinite(inverse).all():
         return bounds
     nothing = np.full((1, *sensitivity.shape), math.nan)
     return FaultBounds(nothing[..., 0], nothing)

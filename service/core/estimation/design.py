@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.core.estimation.observability import crlb_deg, leverages
+from service.core.estimation.observability import crlb_deg, level_columns, leverages
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -23,16 +23,18 @@ BoolArray = NDArray[np.bool_]
 
 #: Weights of yaw, roll, pitch.
 AXIS_WEIGHTS = (0.05, 1.0, 1.0)
-#: Attitude, common level, level of one moved transponder.
-_UNKNOWNS = 5
+#: Attitude, and the level of one moved transponder; each level that carriers share comes on top.
+_UNKNOWNS = 4
 #: Carriers beyond these that a choice keeps for mutual checks.
 MIN_REDUNDANCY = 6
 #: Fewest carriers of a choice that counts as sufficient.
 MIN_CARRIERS = 12
 #: Largest share of the chosen carriers in one transponder.
 MAX_TRANSPONDER_SHARE = 0.35
-#: 1/deg^2 and 1/dB^2, prior that lets the first four carriers be compared.
-_PRIOR = np.diag([1e-2, 1e-2, 1e-2, 1e-4])
+#: 1/deg^2 and 1/dB^2, prior of an angle and of a level that lets the first few carriers be compared.
+_ANGLE_PRIOR, _LEVEL_PRIOR = 1e-2, 1e-4
+#: 1/dB^2, levels known to 0.1 dB, for a growth that does not mind how many levels there are
+_KNOWN_LEVEL = 100.0
 _MIN_GAIN = 1e-9
 
 #: deg and minutes, the turns of a calibration: levels on each side of each axis, then the corners of all octants.
@@ -58,7 +60,7 @@ class Design(NamedTuple):
     leverage : ndarray, shape (N,)
         Of the chosen carriers, weighted by their noise; NaN for the others.
     redundancy : int
-        Chosen carriers beyond five unknowns.
+        Chosen carriers beyond three angles, their common levels and the level of one moved transponder.
     transponder_share : float
         Largest share of the chosen carriers in one transponder; 0 without carriers.
     is_sufficient : bool
@@ -89,6 +91,7 @@ def choose_carriers(
     count: int,
     *,
     eligible: BoolArray | None = None,
+    level: IntArray | None = None,
     axis_weights: tuple[float, float, float] = AXIS_WEIGHTS,
 ) -> Design:
     """Return the carriers that determine the attitude best.
@@ -105,6 +108,8 @@ def choose_carriers(
         How many are wanted; at least twelve suffice.
     eligible : ndarray of bool, shape (N,), optional
         Carriers that may be chosen.
+    level : ndarray of int, shape (N,), optional
+        Number of the level that each carrier shares; one common level by default.
     axis_weights : tuple of float
         Weights of yaw, roll, pitch.
 
@@ -125,13 +130,19 @@ def choose_carriers(
     is_free = np.isfinite(sensitivity).all(axis=1) & np.isfinite(sigma_db) & (sigma_db > 0.0)
     if eligible is not None:
         is_free = is_free & eligible
-    rows = np.column_stack([np.where(is_free[:, np.newaxis], sensitivity, 0.0), np.ones(len(sensitivity))])
+    shared = np.zeros(len(sensitivity), dtype=np.int64) if level is None else level
+    columns = level_columns(len(sensitivity), shared)
+    rows = np.column_stack([np.where(is_free[:, np.newaxis], sensitivity, 0.0), columns])
     rows /= np.where(is_free, sigma_db, 1.0)[:, np.newaxis]
     limit = _transponder_limit(transponder[is_free], count)
     weights = np.square(np.array(axis_weights))
-    chosen = _grown(rows, transponder, is_free, count, limit, weights)
-    chosen = _exchanged(rows, transponder, is_free, chosen, limit, weights)
-    return _judged(sensitivity, sigma_db, transponder, np.flatnonzero(chosen), weights)
+    designs = []
+    for level_prior in (_LEVEL_PRIOR, _KNOWN_LEVEL):
+        # of a level that nothing is known of the first carrier tells nothing: a second growth looks beyond that
+        chosen = _grown(rows, transponder, is_free, count, limit, weights, level_prior)
+        chosen = _exchanged(rows, transponder, is_free, chosen, limit, weights)
+        designs.append(_judged(sensitivity, sigma_db, transponder, shared, np.flatnonzero(chosen), weights))
+    return min(designs, key=lambda design: design.cost_deg2)
 
 
 def largest_share(transponder: IntArray) -> float:
@@ -158,14 +169,20 @@ def _transponder_limit(transponder: IntArray, count: int) -> int:
 
 
 def _judged(
-    sensitivity: FloatArray, sigma_db: FloatArray, transponder: IntArray, picked: IntArray, weights: FloatArray
+    sensitivity: FloatArray,
+    sigma_db: FloatArray,
+    transponder: IntArray,
+    level: IntArray,
+    picked: IntArray,
+    weights: FloatArray,
 ) -> Design:
     """Return the design of the picked carriers with its figures."""
-    bound = crlb_deg(sensitivity[picked], sigma_db[picked], with_common=True)
+    bound = crlb_deg(sensitivity[picked], sigma_db[picked], with_common=True, level=level[picked])
     leverage = np.full(len(sensitivity), math.nan)
-    leverage[picked] = leverages(sensitivity[picked], sigma_db[picked])
+    leverage[picked] = leverages(sensitivity[picked], sigma_db[picked], level=level[picked])
     is_determined = bool(np.isfinite(bound).all())
-    redundancy, share = len(picked) - _UNKNOWNS, largest_share(transponder[picked])
+    levels = max(1, len(np.unique(level[picked])))
+    redundancy, share = len(picked) - _UNKNOWNS - levels, largest_share(transponder[picked])
     is_redundant = len(picked) >= MIN_CARRIERS and redundancy >= MIN_REDUNDANCY
     return Design(
         chosen=picked.astype(np.int64),
@@ -219,10 +236,15 @@ def _about(axis: int, size_deg: float) -> tuple[float, float, float]:
     return yaw, roll, pitch
 
 
-def _costs(normal: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return the weighted sums of variances (...) of normal matrices (..., 4, 4)."""
-    inverse = np.linalg.inv(normal + _PRIOR)
+def _costs(normal: FloatArray, weights: FloatArray, level_prior: float) -> FloatArray:
+    """Return the weighted sums of variances (...) of normal matrices (..., U, U)."""
+    inverse = np.linalg.inv(normal + _prior(normal.shape[-1], level_prior))
     return np.asarray(np.diagonal(inverse, axis1=-2, axis2=-1)[..., :3] @ weights)
+
+
+def _prior(unknowns: int, level_prior: float = _LEVEL_PRIOR) -> FloatArray:
+    """Return what is known before any carrier: next to nothing, unless levels are said to be known."""
+    return np.diag([_ANGLE_PRIOR] * 3 + [level_prior] * (unknowns - 3))
 
 
 def _normals(rows: FloatArray) -> FloatArray:
@@ -231,7 +253,13 @@ def _normals(rows: FloatArray) -> FloatArray:
 
 
 def _grown(
-    rows: FloatArray, transponder: IntArray, is_free: BoolArray, count: int, limit: int, weights: FloatArray
+    rows: FloatArray,
+    transponder: IntArray,
+    is_free: BoolArray,
+    count: int,
+    limit: int,
+    weights: FloatArray,
+    level_prior: float,
 ) -> BoolArray:
     """Return a first choice: the carrier that helps most, one after another."""
     chosen = np.zeros(len(rows), dtype=np.bool_)
@@ -242,7 +270,7 @@ def _grown(
         candidates = np.flatnonzero(is_free & ~chosen & is_open)
         if not candidates.size:
             break
-        cost = _costs(added[chosen].sum(axis=0) + added[candidates], weights)
+        cost = _costs(added[chosen].sum(axis=0) + added[candidates], weights, level_prior)
         chosen[candidates[int(np.argmin(cost))]] = True
     return chosen
 
@@ -258,7 +286,7 @@ def _exchanged(
             return chosen
         held = np.array([np.count_nonzero(transponder[inside] == label) for label in transponder[outside]])
         is_same = transponder[inside][:, np.newaxis] == transponder[outside]
-        inverse = np.linalg.inv(added[inside].sum(axis=0) + _PRIOR)
+        inverse = np.linalg.inv(added[inside].sum(axis=0) + _prior(rows.shape[1]))
         gain = np.where(is_same | (held < limit), _exchange_gains(rows, inside, outside, inverse, weights), -math.inf)
         leaving, coming = np.unravel_index(int(np.argmax(gain)), gain.shape)
         if not gain[leaving, coming] > _MIN_GAIN * float(np.diagonal(inverse)[:3] @ weights):
@@ -275,7 +303,7 @@ def _exchange_gains(
     (Woodbury); ``d = x' C y`` and ``q`` the same with C W C, W the weights, give the trace of that term.
     """
     leaving, coming = rows[inside] @ inverse, rows[outside] @ inverse
-    weighted = np.append(weights, 0.0)
+    weighted = np.append(weights, np.zeros(rows.shape[1] - 3))
     d_xx = np.vecdot(leaving, rows[inside])[:, np.newaxis]
     d_yy, d_xy = np.vecdot(coming, rows[outside]), leaving @ rows[outside].T
     q_xx = (leaving**2 @ weighted)[:, np.newaxis]

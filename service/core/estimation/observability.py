@@ -13,12 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 #: Smallest ratio of the diagonal of R (columns scaled to unit length) that still counts as full rank.
 MIN_RANK_RATIO = 1e-10
 
 
-def crlb_deg(sensitivity: FloatArray, sigma_db: FloatArray, with_common: bool) -> FloatArray:  # noqa: FBT001 - the one question asked of every set
+def crlb_deg(
+    sensitivity: FloatArray,
+    sigma_db: FloatArray,
+    with_common: bool,  # noqa: FBT001 - the one question asked of every set
+    *,
+    level: IntArray | None = None,
+) -> FloatArray:
     """Return the smallest standard deviations that an unbiased fix can have.
 
     Parameters
@@ -29,6 +36,8 @@ def crlb_deg(sensitivity: FloatArray, sigma_db: FloatArray, with_common: bool) -
         Noise of each carrier; NaN or not positive makes it absent.
     with_common : bool
         A level common to all carriers is estimated as well.
+    level : ndarray of int, shape (N,), optional
+        Number of the level that each carrier shares, where they share several: only read with ``with_common``.
 
     Returns
     -------
@@ -43,12 +52,32 @@ def crlb_deg(sensitivity: FloatArray, sigma_db: FloatArray, with_common: bool) -
     is_present = np.isfinite(sensitivity).all(axis=1) & np.isfinite(sigma_db) & (sigma_db > 0.0)
     design = sensitivity[is_present]
     if with_common:
-        design = np.column_stack([design, np.ones(len(design))])
+        design = np.column_stack([design, level_columns(len(design), None if level is None else level[is_present])])
     covariance = normal_inverse(design / sigma_db[is_present, np.newaxis])
     return np.sqrt(np.diagonal(covariance)[:3])
 
 
-def dilution_of_precision_deg_per_db(sensitivity: FloatArray, *, with_common: bool = False) -> FloatArray:
+def level_columns(carriers: int, level: IntArray | None = None) -> FloatArray:
+    """Return the columns (N, L) of the levels that carriers share: one of ones, or one for each number.
+
+    Carriers of a transponder under automatic level control share a level of their own, because its control holds their
+    sum whatever happens to all of them.
+
+    Examples
+    --------
+    >>> level_columns(3, np.array([-1, 2, 2]))
+    array([[1., 0.],
+           [0., 1.],
+           [0., 1.]])
+    """
+    if level is None:
+        return np.ones((carriers, 1))
+    return np.where(level[:, np.newaxis] == np.unique(level), 1.0, 0.0)
+
+
+def dilution_of_precision_deg_per_db(
+    sensitivity: FloatArray, *, with_common: bool = False, level: IntArray | None = None
+) -> FloatArray:
     """Return deg of yaw, roll, pitch error for 1 dB of independent error on every carrier, shape (3,).
 
     Examples
@@ -56,7 +85,7 @@ def dilution_of_precision_deg_per_db(sensitivity: FloatArray, *, with_common: bo
     >>> dilution_of_precision_deg_per_db(np.diag([0.25, 1.0, 2.0]))
     array([4. , 1. , 0.5])
     """
-    return crlb_deg(sensitivity, np.ones(len(sensitivity)), with_common)
+    return crlb_deg(sensitivity, np.ones(len(sensitivity)), with_common, level=level)
 
 
 def angle_dilution_deg_per_db(sensitivity: FloatArray) -> float:
@@ -106,7 +135,13 @@ def common_share(sensitivity: FloatArray) -> float:
     return float(projection @ projection) / len(design)
 
 
-def leverages(sensitivity: FloatArray, sigma_db: FloatArray | None = None, *, with_common: bool = True) -> FloatArray:
+def leverages(
+    sensitivity: FloatArray,
+    sigma_db: FloatArray | None = None,
+    *,
+    with_common: bool = True,
+    level: IntArray | None = None,
+) -> FloatArray:
     """Return how much of each carrier's own error its model follows, shape (N,), 0 to 1; NaN = absent.
 
     ``h_i = b_i' (B' W B)^-1 b_i / sigma_i^2``; they add up to the number of unknowns. A carrier of leverage 1 is
@@ -120,6 +155,8 @@ def leverages(sensitivity: FloatArray, sigma_db: FloatArray | None = None, *, wi
         Noise of each carrier; without it all weigh alike.
     with_common : bool
         A level common to all carriers is estimated as well.
+    level : ndarray of int, shape (N,), optional
+        Number of the level that each carrier shares, where they share several.
 
     Examples
     --------
@@ -132,7 +169,7 @@ def leverages(sensitivity: FloatArray, sigma_db: FloatArray | None = None, *, wi
     is_present = np.isfinite(sensitivity).all(axis=1) & np.isfinite(sigma) & (sigma > 0.0)
     design = sensitivity[is_present]
     if with_common:
-        design = np.column_stack([design, np.ones(len(design))])
+        design = np.column_stack([design, level_columns(len(design), None if level is None else level[is_present])])
     design = design / sigma[is_present, np.newaxis]
     leverage = np.full(len(sensitivity), math.nan)
     leverage[is_present] = np.einsum("ni,ij,nj->n", design, normal_inverse(design), design)

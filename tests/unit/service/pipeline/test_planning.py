@@ -70,7 +70,7 @@ def test_a_carrier_that_left_the_plan_is_not_chosen():
 
 def test_a_carrier_that_the_calibration_leaves_out_says_its_reason():
     result = result_of(c02={"rejected_because": ("not linear", "robust: seen in too few stretches of the windows")})
-    geometry = SimpleNamespace(is_used=tuple(name != "c02" for name in PAYLOAD.ids))
+    geometry = SimpleNamespace(is_used=tuple(name != "c02" for name in PAYLOAD.ids), alc_group=())
     candidates = candidates_of(replace(result, geometry=geometry), plan_of())
     assert candidates.refusals[2] == ("the calibration leaves it out: seen in too few stretches of the windows",)
     assert candidates.is_usable.sum() == 19
@@ -110,7 +110,7 @@ def test_shortcomings_carry_their_figures():
     found = recommend(candidates, 9, Rule.OPTIMAL)
     assert found.chosen_set.shortcomings == (
         "9 carriers; the robust method wants at least 12",
-        "4 carriers beyond the five unknowns; 6 keep faults from hiding",
+        "4 carriers beyond the unknowns; 6 keep faults from hiding",
         "transponder K1 holds 100% of the carriers; more than 35% fail together when it changes",
     )
     assert recommend(candidates_of(result_of(), plan_of()), 12, Rule.OPTIMAL).chosen_set.shortcomings == ()
@@ -148,6 +148,51 @@ def test_beams_that_are_not_stated_stand_on_the_middle_of_their_stations():
     assert beam.elevation_deg == pytest.approx(float(payload.direction.elevation_deg.mean()), abs=1e-12)
     assert (beam.width_azimuth_deg, beam.width_elevation_deg) == DEFAULT_WIDTHS_DEG
     assert any("assumed on the middle of its stations" in text for text in payload.assumptions)
+
+
+def test_carriers_under_level_control_count_by_their_differences():
+    """All of one transponder under level control: what its carriers do together is invisible."""
+    changes = {carrier.id: {"transponder_mode": "alc"} for k, carrier in enumerate(PAYLOAD.carriers()) if k % 4 == 0}
+    groups = tuple(0 if k % 4 == 0 else -1 for k in range(20))
+    geometry = SimpleNamespace(is_used=(True,) * 20, alc_group=groups)
+    plain = candidates_of(result_of(), plan_of())
+    held = candidates_of(replace(result_of(), geometry=geometry), plan_of(**changes))
+    assert held.level.tolist() == list(groups)
+    assert plain.level.tolist() == [-1] * 20
+    loose, tied = (recommend(one, 20, Rule.OPTIMAL).sets["all"].figures for one in (plain, held))
+    assert tied.redundancy == loose.redundancy - 1
+    assert (tied.crlb_deg > loose.crlb_deg).all()
+    # the same by hand: what each row of the group has beyond the group's mean, level free for the others only
+    members = np.array(groups) == 0
+    sensitivity, sigma = held.sensitivity_db_per_deg.copy(), held.sigma_db
+    ones = np.where(members, 0.0, 1.0)
+    weight = 1.0 / sigma[members] ** 2
+    sensitivity[members] -= (weight @ sensitivity[members]) / weight.sum()
+    design = np.column_stack([sensitivity, ones]) / sigma[:, np.newaxis]
+    bound = np.sqrt(np.diag(np.linalg.inv(design.T @ design)))[:3]
+    assert tied.crlb_deg == pytest.approx(bound, rel=1e-9)  # normal equations at a condition of some hundreds
+
+
+def test_files_say_who_is_under_level_control():
+    carriers = tuple(
+        Carrier(
+            f"c{k}",
+            "Ku",
+            f"K{min(k // 4, 2)}",
+            11.2e9,
+            1e6,
+            Station(45.0 + 2.0 * k, 70.0 + 5.0 * k),
+            14e9,
+            transponder_mode="alc" if k // 4 != 1 else "fixed_gain",
+        )
+        for k in range(10)
+    )
+    payload = assume_payload(carriers, 90.0, NOISES["links"])
+    assert payload.candidates.level.tolist() == [0] * 4 + [-1] * 4 + [1] * 2
+    assert payload.candidates.refusals[9] == (
+        "its transponder is under level control and has fewer than 3 carriers in the plan",
+    )
+    assert "K0, K2 under level control: only differences between their carriers count" in payload.assumptions
 
 
 def test_a_beacon_has_no_beam():
