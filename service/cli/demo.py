@@ -18,9 +18,11 @@ from rich.table import Table
 from service.client.problem import ClientError
 from service.client.service_client import ServiceClient
 from service.records.epoch import parse_epoch
-from service.study.demonstration import Endpoints, Scene, judge_story, run_story, simulated_station, tracked_angles
+from service.study.demonstration import Endpoints, Scene, run_story, simulated_station
+from service.study.judgement import judge_story, tracked_angles
 from service.study.merit import AXES
 from service.study.processes import ProcessFailedError
+from service.study.replay_check import METHODS
 
 #: operation that the endless demonstration can show, days
 _ENDLESS_DAYS = 30.0
@@ -198,27 +200,29 @@ def _play(directory: Path, endpoints: Endpoints, presenter: Presenter, figure: P
             story = run_story(directory, endpoints, client, presenter.show)
         finally:
             presenter.close()
-        figures = judge_story(story, client, "paper")
+        figures = judge_story(story, client)
         if figure is not None:
             # matplotlib costs a second that only a figure needs
             from service.study.figures import draw_tracking
 
-            draw_tracking(tracked_angles(story, client, "paper"), figure)
+            draw_tracking({method: tracked_angles(story, client, method) for method in METHODS}, figure)
     return figures
 
 
 def _tracking_table(scene: Scene) -> Table:
     """Return the newest angles beside the truth, the torques and who is left out."""
-    attitude = scene.client.attitude(scene.story.spacecraft_id, "paper")
+    attitude, beside = (scene.client.attitude(scene.story.spacecraft_id, method) for method in METHODS)
     torques = scene.client.torques(scene.story.spacecraft_id)
     truth = scene.story.truth_deg.get(parse_epoch(attitude["epoch"]))
-    table = Table("axis", "estimate, deg", "sigma, deg", "truth, deg", "torque, N m", title=attitude["epoch"])
+    columns = ("axis", f"{METHODS[0]}, deg", "sigma, deg", "truth, deg", f"{METHODS[1]}, deg", "torque, N m")
+    table = Table(*columns, title=attitude["epoch"])
     for k, axis in enumerate(AXES):
         table.add_row(
             axis,
             _signed(attitude[f"{axis}_deg"]),
             _signed(attitude["sigma_deg"][axis], sign=""),
             _signed(truth[k] if truth else None),
+            _signed(beside[f"{axis}_deg"]),
             "-" if torques[f"{axis}_n_m"] is None else f"{torques[f'{axis}_n_m']:+.1e}",
         )
     reasons = ", ".join(attitude["inhibitions"]) or "control allowed"
@@ -234,11 +238,12 @@ def _signed(value: float | None, sign: str = "+") -> str:
 
 def _print_figures(console: Console, figures: dict[str, Any]) -> None:
     """Print the figures of the operation as a table."""
-    title = f"{figures['method']} method, {figures['rows_judged']} rows"
-    table = Table("axis", "rms, deg", "95 % error, deg", "truth rms, deg", "skill", "slope", title=title)
-    for axis, merit in figures["axes"].items():
-        names = ("rms_deg", "error_95_deg", "truth_rms_deg", "skill", "slope")
-        table.add_row(axis, *("-" if merit[name] is None else f"{merit[name]:.3f}" for name in names))
+    title = f"{figures['rows_judged']} rows"
+    names = ("rms_deg", "error_95_deg", "truth_rms_deg", "skill", "slope")
+    table = Table("method", "axis", "rms, deg", "95 % error, deg", "truth rms, deg", "skill", "slope", title=title)
+    for method, axes in ((METHODS[0], figures["axes"]), (METHODS[1], figures[METHODS[1]]["axes"])):
+        for axis, merit in axes.items():
+            table.add_row(method, axis, *("-" if merit[name] is None else f"{merit[name]:.3f}" for name in names))
     crlb = ", ".join(f"{axis} {value:.3f}" for axis, value in figures["crlb_deg"].items())
     table.caption = f"control allowed {figures['availability']:.1%} of the rows; one-row bound {crlb} deg"
     console.print(table)

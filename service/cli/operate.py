@@ -19,7 +19,7 @@ from service.cli.connection import (
     connected,
 )
 from service.client.service_client import ServiceClient
-from service.study.replay_check import compare_with_live
+from service.study.replay_check import METHODS, compare_with_live
 
 Start = Annotated[str, typer.Option(help="RFC 3339 start, inclusive.")]
 Stop = Annotated[str, typer.Option(help="RFC 3339 stop, exclusive.")]
@@ -109,7 +109,8 @@ def replay(
         _wait(client, started["job"], "replay")
         report: dict[str, Any] = {"id": started["id"], "version": started["version"]}
         if compare:
-            report |= compare_with_live(client, spacecraft, start, stop, method or "paper", started["version"])
+            methods = (method,) if method else METHODS
+            report |= compare_with_live(client, spacecraft, start, stop, methods, started["version"])
     typer.echo(json.dumps(report) if as_json else ", ".join(f"{name} {value}" for name, value in report.items()))
     if compare and report["rows_different"]:
         raise typer.Exit(1)

@@ -1,7 +1,7 @@
 """What the service keeps of a story beside what was measured: no row lost, none invented, live equal to its replay."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from service.client.service_client import ServiceClient
@@ -34,15 +34,16 @@ def check_archive(client: ServiceClient, spacecraft_id: str, truth_deg: Mapping[
     }
 
 
-def check_replay(client: ServiceClient, spacecraft_id: str, window: tuple[str, str], method: str) -> dict[str, Any]:
-    """Replay a stretch of the archive in order of the journal and compare it with live operation."""
+def check_replay(
+    client: ServiceClient, spacecraft_id: str, window: tuple[str, str], methods: Sequence[str]
+) -> dict[str, Any]:
+    """Replay a stretch of the archive in order of the journal and compare every method with live operation."""
     start, stop = window
     began = time.monotonic()
-    wanted = {"start": start, "stop": stop, "method": method}
-    started = client.request("POST", f"/spacecraft/{spacecraft_id}/replays", wanted)
+    started = client.request("POST", f"/spacecraft/{spacecraft_id}/replays", {"start": start, "stop": stop})
     client.wait_job(started["job"])
     elapsed_s = time.monotonic() - began
-    found = compare_with_live(client, spacecraft_id, start, stop, method, started["version"])
+    found = compare_with_live(client, spacecraft_id, start, stop, methods, started["version"])
     return {
         "replay_rows": found["rows"],
         "replay_rows_different": found["rows_different"],

@@ -6,7 +6,6 @@ A new carrier plan or another analyzer ends the front end once its rows have arr
 task.
 """
 
-import math
 import os
 import secrets
 import time
@@ -14,16 +13,12 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
-
-import numpy as np
+from typing import Any
 
 from service.client.service_client import ServiceClient
-from service.records.attitude import BoolArray, FloatArray, IntArray
 from service.records.epoch import format_epoch, parse_epoch
-from service.study.archive_check import check_archive, check_replay, missed_promises
 from service.study.ground_link import GroundLink
-from service.study.merit import AXES, AxisMerit, judge_axis, missed_bounds
+from service.study.merit import AXES
 from service.study.processes import ChildProcess, FrontEnd
 
 #: wait for rows that are on their way, s
@@ -31,8 +26,6 @@ _ARRIVAL_TIMEOUT_S = 120.0
 _POLL_S = 0.05
 #: longest stretch without a row in a story, s
 _LONGEST_PAUSE_S = 40 * 86_400
-#: the trailing mean and the first slope must have filled, s of virtual time
-_SETTLING_US = 3_600_000_000
 
 
 @dataclass(frozen=True)
@@ -234,7 +227,7 @@ def _calibrate(story: Story, client: ServiceClient, show: Show) -> None:
     spacecraft_id = story.spacecraft_id
     windows = {name: {"start": start, "stop": stop} for name, (start, stop) in story.phases.items()}
     show(Scene("calibration", format_epoch(story.granted_us), story, client))
-    request = {"quiet": windows["quiet"], "turns": windows["turns"], "method": "paper", **_sensor_choice(story)}
+    request = {"quiet": windows["quiet"], "turns": windows["turns"], "method": "geometry", **_sensor_choice(story)}
     started = client.start_calibration(spacecraft_id, request)
     client.wait_job(started["job"])
     client.activate_calibration(spacecraft_id, started["id"])
@@ -283,61 +276,3 @@ def await_results(client: ServiceClient, spacecraft_id: str, until: str) -> None
         time.sleep(_POLL_S)
     message = f"no attitude of {until} within {_ARRIVAL_TIMEOUT_S:.0f} s"
     raise TimeoutError(message)
-
-
-class TrackedAngles(NamedTuple):
-    """Estimate and truth of the operation phase, row by row."""
-
-    epochs_us: IntArray
-    #: (T, 3) deg, yaw, roll, pitch; NaN = none
-    estimate_deg: FloatArray
-    truth_deg: FloatArray
-    is_control_allowed: BoolArray
-
-
-def tracked_angles(story: Story, client: ServiceClient, method: str) -> TrackedAngles:
-    """Return what the service keeps of the operation phase beside the truth."""
-    start, stop = story.phases["operation"]
-    rows = list(client.attitude_history(story.spacecraft_id, start, stop, method=method))
-    epochs_us = [parse_epoch(row["epoch"]) for row in rows]
-    nothing = (float("nan"),) * 3
-    return TrackedAngles(
-        np.array(epochs_us, dtype=np.int64),
-        np.array([[_number(row[f"{axis}_deg"]) for axis in AXES] for row in rows]).reshape(-1, 3),
-        np.array([story.truth_deg.get(epoch_us, nothing) for epoch_us in epochs_us]).reshape(-1, 3),
-        np.array([row["control_allowed"] for row in rows], dtype=np.bool_),
-    )
-
-
-def judge_story(story: Story, client: ServiceClient, method: str) -> dict[str, Any]:
-    """Return the figures of the operation phase, of the answer that never moves, and of what the archive keeps."""
-    tracked = tracked_angles(story, client, method)
-    is_judged = tracked.epochs_us >= parse_epoch(story.phases["operation"][0]) + _SETTLING_US
-    estimate, truth = tracked.estimate_deg[is_judged], tracked.truth_deg[is_judged]
-    merits = {axis: judge_axis(estimate[:, k], truth[:, k]) for k, axis in enumerate(AXES)}
-    zeros = {axis: judge_axis(np.zeros(len(truth)), truth[:, k]) for k, axis in enumerate(AXES)}
-    allowed = tracked.is_control_allowed[is_judged]
-    kept = check_archive(client, story.spacecraft_id, story.truth_deg)
-    kept |= check_replay(client, story.spacecraft_id, story.phases["operation"], method)
-    return {
-        "method": method,
-        "rows": len(tracked.epochs_us),
-        "rows_judged": len(truth),
-        "availability": round(float(allowed.mean()), 4) if len(allowed) else 0.0,
-        "axes": {axis: _figures(merit) for axis, merit in merits.items()},
-        "zero_answer": {axis: _figures(merit) for axis, merit in zeros.items()},
-        "crlb_deg": story.bound_deg,
-        **kept,
-        "missed": missed_bounds(merits) + missed_promises(kept),
-        "zero_answer_misses": missed_bounds(zeros),
-    }
-
-
-def _number(value: float | None) -> float:
-    """Return a number, NaN for null."""
-    return float("nan") if value is None else value
-
-
-def _figures(merit: AxisMerit) -> dict[str, float | None]:
-    """Return figures that print well; None where there was nothing to judge."""
-    return {name: round(value, 4) if math.isfinite(value) else None for name, value in merit._asdict().items()}

@@ -1,29 +1,47 @@
-"""Figures drawn for people: estimate beside truth."""
+"""Figures drawn for people: estimates of both methods beside the truth."""
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from service.records.epoch import US_PER_S
-from service.study.demonstration import TrackedAngles
+from service.study.judgement import TrackedAngles
 from service.study.merit import AXES
+from service.study.replay_check import METHODS
+
+_COLOURS = {"robust": "#1f77b4", "paper": "#ff7f0e"}
+#: deg, what is farther off is cut
+_REACH_DEG = 0.75
 
 
-def draw_tracking(tracked: TrackedAngles, path: Path) -> None:
-    """Draw the three angles, estimate over truth, into a PNG or SVG file."""
+def draw_tracking(tracked: Mapping[str, TrackedAngles], path: Path) -> None:
+    """Draw the three angles of every method over the truth into a PNG or SVG file."""
     with mpl.rc_context({"font.size": 9, "axes.grid": True, "grid.alpha": 0.3}):
-        figure = Figure(figsize=(8.0, 5.4), layout="constrained")
-        axes = figure.subplots(3, 1, sharex=True)
-        hours = (tracked.epochs_us - tracked.epochs_us[0]) / US_PER_S / 3600.0
-        for k, (name, plot) in enumerate(zip(AXES, axes, strict=True)):
-            plot.plot(hours, tracked.truth_deg[:, k], color="#111111", linewidth=1.4, label="truth")
-            plot.plot(hours, tracked.estimate_deg[:, k], color="#1f77b4", linewidth=0.8, label="estimate")
-            held = np.where(tracked.is_control_allowed, np.nan, 0.0)
-            plot.plot(hours, held, color="#d62728", linewidth=3.0, alpha=0.6, label="control inhibited")
+        figure = Figure(figsize=(8.0, 6.0), layout="constrained")
+        plots = figure.subplots(3, 1, sharex=True)
+        for k, (name, plot) in enumerate(zip(AXES, plots, strict=True)):
+            _draw_axis(plot, tracked, k)
             plot.set_ylabel(f"{name}, deg")
+            plot.set_ylim(-_REACH_DEG, _REACH_DEG)
         # above the plots: an excursion may reach any corner of them
-        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
-        axes[-1].set_xlabel("hours of operation")
+        figure.legend(*plots[0].get_legend_handles_labels(), loc="outside upper center", ncols=5, frameon=False)
+        plots[-1].set_xlabel("hours of operation")
         figure.savefig(path, dpi=120)
+
+
+def _draw_axis(plot: Axes, tracked: Mapping[str, TrackedAngles], k: int) -> None:
+    """Draw one angle: the method beside below, then the driving one with its sigma, the truth on top."""
+    driving, beside = (tracked[method] for method in METHODS)
+    hours = (driving.epochs_us - driving.epochs_us[0]) / US_PER_S / 3600.0
+    others = (beside.epochs_us - driving.epochs_us[0]) / US_PER_S / 3600.0
+    plot.plot(others, beside.estimate_deg[:, k], color=_COLOURS[METHODS[1]], linewidth=0.6, label=METHODS[1])
+    low, high = (driving.estimate_deg[:, k] + side * 2.0 * driving.sigma_deg[:, k] for side in (-1.0, 1.0))
+    plot.fill_between(hours, low, high, color=_COLOURS[METHODS[0]], alpha=0.2, linewidth=0.0, label="two sigma")
+    plot.plot(hours, driving.estimate_deg[:, k], color=_COLOURS[METHODS[0]], linewidth=1.0, label=METHODS[0])
+    plot.plot(hours, driving.truth_deg[:, k], color="#111111", linewidth=1.0, label="truth")
+    held = np.where(driving.is_control_allowed, np.nan, 0.0)
+    plot.plot(hours, held, color="#d62728", linewidth=3.0, alpha=0.6, label="control inhibited")

@@ -158,9 +158,17 @@ class ExportedWorld:
         stated, missing = smooth_angles(self.references(window), STAR_TRACKER)
         assert not missing
         powers = reference_powers(self.series(window), stated, calibration, self._ephemeris, AlignmentConfig())
-        epoch_us, attitude_deg, sigma_deg = stated
         alignment = Alignment(
-            1, epoch_us, attitude_deg, sigma_deg, 1, "star_tracker", 0, "test", powers.references, window=window
+            1,
+            stated.epoch_us,
+            stated.attitude_deg,
+            stated.sigma_deg,
+            1,
+            "star_tracker",
+            0,
+            "test",
+            powers.references,
+            window=window,
         )
         return _Documents(self._plan, self._ephemeris, calibration, alignment)
 

@@ -22,6 +22,7 @@ from service.study.estimation.accuracy import Figures, accuracy_figures
 from service.study.estimation.baselines import BASELINES
 from service.study.estimation.bound_table import BOUNDS
 from service.study.estimation.bounds import Bound, Judged, Mark, idle_baselines, judge
+from service.study.estimation.drive import UndrivenError
 from service.study.estimation.measures import figures_of
 from service.study.estimation.nights import night_figures
 from service.study.estimation.scenarios import SNAPSHOT
@@ -68,7 +69,7 @@ class Campaign:
 
     @property
     def refusals(self) -> tuple[UnitResult, ...]:
-        """Units in which the product refused to calibrate or to align."""
+        """Units in which the product refused to calibrate or to align, or failed."""
         return tuple(result for result in self.results if result.refusal)
 
 
@@ -83,6 +84,8 @@ def run_campaign(plan: Plan, show: Show) -> Campaign:
     ------
     ExportFailedError
         The simulator does not know a scenario, or failed.
+    BrokenExecutor
+        A process of the study was ended by someone else.
     """
     began_s = time.monotonic()
     seeds = range(1, plan.seeds + 1)
@@ -92,8 +95,8 @@ def run_campaign(plan: Plan, show: Show) -> Campaign:
         told: dict[Future[UnitResult], Unit] = {
             pool.submit(_work, run_unit, unit): unit for unit in _longest_first(units)
         }
-        tried = [pool.submit(_work, run_trials, seed) for seed in trials]
-        everything: list[Future[UnitResult] | Future[SnapshotTrials]] = [*told, *tried]
+        tried = [pool.submit(_work, _trials, seed) for seed in trials]
+        everything: list[Future[UnitResult] | Future[SnapshotTrials | None]] = [*told, *tried]
         for number, done in enumerate(as_completed(everything), start=1):
             done.result()
             show(number, len(everything))
@@ -101,7 +104,9 @@ def run_campaign(plan: Plan, show: Show) -> Campaign:
     results = tuple(by_unit[unit] for unit in units)
     figures = collect_figures(results)
     if tried:
-        figures[SNAPSHOT, "robust"] = trial_figures([future.result() for future in tried])
+        told_trials = [trial for future in tried if (trial := future.result()) is not None]
+        # a calibration that was refused misses every bound
+        figures[SNAPSHOT, "robust"] = trial_figures(told_trials) if len(told_trials) == len(tried) else {}
     return assess(plan, time.monotonic() - began_s, results, figures)
 
 
@@ -159,6 +164,14 @@ def _courses(by_scenario: Mapping[str, Sequence[UnitResult]], one: str, other: s
 def versions() -> dict[str, str]:
     """Return what the figures were made with."""
     return {"python": platform.python_version(), **{name: version(name) for name in ("soo", "numpy", "scipy")}}
+
+
+def _trials(seed: int) -> SnapshotTrials | None:
+    """Return the trials of one seed, None where the product refused to calibrate."""
+    try:
+        return run_trials(seed)
+    except UndrivenError:
+        return None
 
 
 def _longest_first(units: Sequence[Unit]) -> list[Unit]:

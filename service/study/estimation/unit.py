@@ -77,13 +77,22 @@ def run_unit(unit: Unit) -> UnitResult:
         path = Path(folder) / "world.npz"
         export_world(unit.scenario, unit.seed, path, unit.operation_days)
         world = read_world(path)
-    try:
-        driven = drive(world.ground)
-    except UndrivenError as error:
-        return UnitResult(unit, time.monotonic() - began_s, str(error))
+    driven = _driven(world)
+    if isinstance(driven, str):
+        return UnitResult(unit, time.monotonic() - began_s, driven)
     methods = {name: measure_method(world, driven, series) for name, series in driven.methods.items()}
     baselines, course = _baselines(world, driven), _course(world, driven)
     return UnitResult(unit, time.monotonic() - began_s, "", methods, baselines, course)
+
+
+def _driven(world: World) -> Driven | str:
+    """Return what the product made of a world, or why it made nothing."""
+    try:
+        return drive(world.ground)
+    except UndrivenError as error:
+        return str(error)
+    except Exception as error:  # noqa: BLE001 - a world that breaks the product must not hide what it does in the others
+        return f"the product failed: {type(error).__name__}: {error}"
 
 
 def _baselines(world: World, driven: Driven) -> dict[str, Accuracy]:

@@ -39,7 +39,7 @@ def test_the_catalogue_comes_first_and_once() -> None:
 def test_the_spacecraft_is_simulated_and_steered_by_the_paper_method() -> None:
     body = bodies("spacecraft")[0]
     assert body["simulated"] is True
-    assert body["control"] == {"method": "paper", "mode": "ground", "release": "automatic"}
+    assert body["control"] == {"method": "robust", "mode": "ground", "release": "two_step"}
     assert body["onboard"] == {"fast_loop": True, "forecast_mode": True, "roll_yaw_coupling": True}
     assert set(body["receiving_site"]) == {"name", "latitude_deg", "longitude_deg", "height_m"}
 
