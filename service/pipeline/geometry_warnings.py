@@ -69,7 +69,7 @@ def _about_track(rows: GeometryRows, joint: JointFit, config: CalibrationConfig)
     if not joint.fit.is_dish_law:
         yield (
             "no track of the satellite over the windows: two harmonics stand for the dishes; they age with the orbit's "
-            "plane, to about 0.03, 0.06 and 0.11 dB on day 1, 3 and 7, where the dish law keeps to 0.02 to 0.05 dB"
+            "plane, to about 0.035, 0.04 and 0.055 dB on day 1, 3 and 7, where the dish law keeps to 0.025 dB"
         )
     elif rows.is_tracked.mean() < config.min_tracked_share:
         yield f"the track covers only {100 * rows.is_tracked.mean():.0f} % of the rows; the others take no part"
