@@ -1,12 +1,13 @@
 """Faults of single carriers: weight, skip, flag, release.
 
 u = |innovation| / sigma: above 2 a carrier is trusted less (Huber), above 4 it is skipped; four skips in a row, or a
-cumulative sum beyond its threshold (slow fades never reach 4 sigma at once), flag it. A flagged carrier is out until 30
-minutes have passed and its last 20 rows are quiet and within 0.2 dB of what it was; then its reference is restored. At
-another level it must have stood for an hour before its reference is learned anew: an antenna that dries looks quiet
-long before it is, and a reference learned meanwhile turns the attitude while it dries on. A carrier that was off for
-half an hour is flagged too: users who switch on again often do so at another level, too near for 4 sigma and far enough
-to turn the attitude. The law of this file: times are minutes of data, never rows or clocks.
+cumulative sum beyond its threshold (slow fades never reach 4 sigma at once), flag it. A flagged carrier is out for a
+quarter of an hour at least; when its last 12 rows are quiet and within 0.2 dB of what it was its reference is restored.
+At another level it must have stood for an hour before its reference is learned anew: an antenna that dries looks quiet
+long before it is, and a reference learned meanwhile turns the attitude while it dries on. A carrier without a reference
+shows 20 quiet rows after half an hour. A carrier that was off for half an hour is flagged too: users who switch on
+again often do so at another level, too near for 4 sigma and far enough to turn the attitude. The law of this file:
+times are minutes of data, never rows or clocks.
 """
 
 from typing import NamedTuple
@@ -29,6 +30,9 @@ MIN_FLAGGED_MINUTES = 30.0
 #: a carrier that was off for longer must show its level first
 ABSENT_MINUTES = 30.0
 QUIET_ROWS = 20
+#: a carrier that is at its level again is known sooner
+MIN_BACK_MINUTES = 15.0
+BACK_ROWS = 12
 QUIET_STD_DB = 0.32
 QUIET_SHIFT_DB = 0.22
 #: rows after which another level is believed, and what its halves may differ by, dB
@@ -199,15 +203,14 @@ def release_quiet(model: CarrierModel, state: Gaussian, watch: CarrierWatch) -> 
     CarrierWatch
         Watch after; references that were learned anew are marked.
     """
-    is_due = watch.is_flagged & (watch.flagged_minutes >= MIN_FLAGGED_MINUTES)
-    if not is_due.any():
+    if not watch.is_flagged.any():
         return state, watch
-    last = watch.residuals_db[-QUIET_ROWS:]
-    level_db = last.mean(axis=0)
-    is_back = np.abs(level_db - watch.saved_reference_db) < SAME_LEVEL_DB
-    is_quiet = is_due & (last.std(axis=0) < QUIET_STD_DB) & (halves_differ_db(last) < QUIET_SHIFT_DB)
+    level_db, is_quiet = _quiet(watch, QUIET_ROWS, MIN_FLAGGED_MINUTES)
+    back_db, is_back = _quiet(watch, BACK_ROWS, MIN_BACK_MINUTES)
+    is_back &= np.abs(back_db - watch.saved_reference_db) < SAME_LEVEL_DB
     is_new = np.isnan(watch.saved_reference_db)
-    is_quiet &= is_back | is_new | (halves_differ_db(watch.residuals_db) < STANDING_SHIFT_DB)
+    is_quiet &= is_new | (halves_differ_db(watch.residuals_db) < STANDING_SHIFT_DB)
+    is_quiet |= is_back
     if not is_quiet.any():
         return state, watch
     chosen = np.flatnonzero(is_quiet)
@@ -230,3 +233,10 @@ def halves_differ_db(rows_db: FloatArray) -> FloatArray:
     """Return how far the means of the two halves of rows (T, N) lie apart (N,), NaN where a row is absent."""
     half = len(rows_db) // 2
     return np.asarray(np.abs(rows_db[half:].mean(axis=0) - rows_db[:half].mean(axis=0)))
+
+
+def _quiet(watch: CarrierWatch, rows: int, minutes: float) -> tuple[FloatArray, BoolArray]:
+    """Return the mean level (N,) of the last rows, dB, and the carriers that have been flagged long and are quiet."""
+    last = watch.residuals_db[-rows:]
+    is_due = watch.is_flagged & (watch.flagged_minutes >= minutes)
+    return last.mean(axis=0), is_due & (last.std(axis=0) < QUIET_STD_DB) & (halves_differ_db(last) < QUIET_SHIFT_DB)

@@ -4,9 +4,10 @@
     log p(s) / p(s0) = (s - s0) b - (s - s0)^2 j / 2      b = sum (H v)' S^-1 nu      j = sum (H v)' S^-1 H v
 
 v is the derivative of the state by s: commands enter it as they enter the attitude, updates take out what the powers
-have told. Where another share explains the last hour beyond chance the state moves along v, the share is believed for
-an hour and control is told. The law of this file: shares of a short list; sums forget, so that what was commanded
-long ago excuses nothing.
+have told. A roll command against a yaw that nobody announced looks like a command that was lost; a yaw rate of unknown
+size therefore runs beside s as a second column and is taken out of b and j. Where another share explains the last hour
+beyond chance the state moves along v, the share is believed for an hour and control is told. The law of this file:
+shares of a short list; sums forget, so that what was commanded long ago excuses nothing.
 """
 
 import math
@@ -35,6 +36,8 @@ _FORGET_MINUTES = 60.0
 _SHARE_SIGMA = 0.25
 #: minutes for which a found share is told and believed
 DOUBTED_MINUTES = 60.0
+#: size of yaw rates that nobody announced, deg/h
+_UNTOLD_YAW_DEG_H = 0.4
 #: an attitude that commands moved by less than this is not watched, deg
 _LEAST_DEG = 1e-4
 
@@ -42,10 +45,11 @@ _LEAST_DEG = 1e-4
 class CommandWatch(NamedTuple):
     """What is known about the effect of commands."""
 
-    #: (D,) derivative of the state by the share; empty before the first command
+    #: (D, 2) derivative of the state by the share and by an unannounced yaw rate, deg/h; empty before the first command
     sensitivity: FloatArray
-    score: float
-    information: float
+    #: (2,) and (2, 2)
+    score: FloatArray
+    information: FloatArray
     #: share of the commands that is believed to be carried out
     share: float
     #: minutes for which control is told that commands are doubted
@@ -59,7 +63,7 @@ class CommandWatch(NamedTuple):
 
 def obeyed_commands() -> CommandWatch:
     """Return the watch of a craft that does what it is told."""
-    return CommandWatch(np.empty(0), 0.0, 0.0, 1.0, 0.0)
+    return CommandWatch(np.empty((0, 2)), np.zeros(2), np.zeros((2, 2)), 1.0, 0.0)
 
 
 def doubting_settings(settings: FilterSettings, watch: CommandWatch) -> FilterSettings:
@@ -108,17 +112,19 @@ def pass_commands(
     is_commanded = bool(np.abs(known.correction_deg).max() > 0.0)
     watch = watch._replace(minutes_left=left, share=watch.share if left > 0.0 else 1.0)
     if len(watch.sensitivity) != size:
-        watch = watch._replace(sensitivity=np.zeros(size))
+        watch = watch._replace(sensitivity=np.zeros((size, 2)))
         if not is_commanded:
             return watch
     moved = watch.sensitivity.copy()
     core = core_size(model)
     moved[:9] = motion_over(step_us, settings).transition @ moved[:9]
-    moved[ATTITUDE] += known.correction_deg
+    moved[ATTITUDE, 0] += known.correction_deg
+    moved[ATTITUDE.start, 1] += seconds / 3600.0
     moved[RAIN] *= 1.0 if is_raining else math.exp(-seconds / settings.rain_dry_tau_s)
-    moved[FIRST_COMMON:core] *= np.exp(-seconds / model.common_tau_s)
-    moved[core : core + model.carriers * model.components] *= np.exp(-seconds / model.coloured_tau_s).T.ravel()
-    moved[core:].reshape(-1, model.carriers)[:, is_flagged] = 0.0
+    moved[FIRST_COMMON:core] *= np.exp(-seconds / model.common_tau_s)[:, None]
+    own = moved[core:].reshape(-1, model.carriers, 2)
+    own[:-1] *= np.exp(-seconds / model.coloured_tau_s).T[:, :, None]
+    own[:, is_flagged] = 0.0
     keep = math.exp(-minutes / _FORGET_MINUTES)
     return watch._replace(sensitivity=moved, score=keep * watch.score, information=keep * watch.information)
 
@@ -145,35 +151,39 @@ def push_row(
     -----
     ``K h = P H' R^-1 h`` with P after the update, ``S^-1 h = R^-1 (h - H K h)``: no matrix is inverted here.
     """
-    if not len(watch.sensitivity) or float(np.abs(watch.sensitivity[ATTITUDE]).max()) < _LEAST_DEG:
+    sensitivity = watch.sensitivity
+    if not len(sensitivity) or float(np.abs(sensitivity[ATTITUDE, 0]).max()) < _LEAST_DEG:
         return watch
-    expected_db = _seen(model, used, watch.sensitivity)
-    weighted = expected_db / used.white_db2
-    own = np.zeros(model.carriers)
+    expected_db = _seen(model, used, sensitivity)
+    weighted = expected_db / used.white_db2[:, None]
+    own = np.zeros((model.carriers, 2))
     own[used.carriers] = weighted
-    blocks = model.components + 1
-    removed = covariance @ np.concatenate([weighted @ used.core_jacobian, np.tile(own, blocks)])
-    whitened = (expected_db - _seen(model, used, removed)) / used.white_db2
-    left = watch.sensitivity - removed
+    spread = np.concatenate([used.core_jacobian.T @ weighted, *[own] * (model.components + 1)])
+    removed = covariance @ spread
+    left = sensitivity - removed
     if is_shared:
         return watch._replace(sensitivity=left)
+    whitened = (expected_db - _seen(model, used, removed)) / used.white_db2[:, None]
     return watch._replace(
         sensitivity=left,
-        score=watch.score + float(whitened @ used.innovation_db),
-        information=watch.information + float(whitened @ expected_db),
+        score=watch.score + whitened.T @ used.innovation_db,
+        information=watch.information + whitened.T @ expected_db,
     )
 
 
 def _seen(model: CarrierModel, used: Innovation, change: FloatArray) -> FloatArray:
-    """Return what a change (D,) of the state does to the carriers used (n,), dB."""
+    """Return what changes (D, 2) of the state do to the carriers used (n, 2), dB."""
     core = core_size(model)
-    own = change[core:].reshape(-1, model.carriers).sum(axis=0)
+    own = change[core:].reshape(-1, model.carriers, 2).sum(axis=0)
     return np.asarray(used.core_jacobian @ change[:core] + own[used.carriers])
 
 
 def likelier_share(watch: CommandWatch) -> float | None:
     """Return the share that explains the commands beyond chance, None = the believed one does."""
-    gains = [(s - watch.share) * watch.score - 0.5 * (s - watch.share) ** 2 * watch.information for s in SHARES]
+    excused = watch.information[0, 1] / (watch.information[1, 1] + _UNTOLD_YAW_DEG_H**-2)
+    score = float(watch.score[0] - excused * watch.score[1])
+    information = float(watch.information[0, 0] - excused * watch.information[0, 1])
+    gains = [(s - watch.share) * score - 0.5 * (s - watch.share) ** 2 * information for s in SHARES]
     best = max(range(len(SHARES)), key=gains.__getitem__)
     return SHARES[best] if gains[best] > BELIEVED else None
 
@@ -183,9 +193,9 @@ def judge_commands(watch: CommandWatch, state: Gaussian) -> tuple[CommandWatch, 
     share = likelier_share(watch)
     if share is None:
         return watch, state
-    change = watch.sensitivity
+    change = watch.sensitivity[:, 0]
     moved = state.mean + (share - watch.share) * change
     moved[RAIN] = max(0.0, moved[RAIN])
     covariance = state.covariance + _SHARE_SIGMA**2 * np.multiply.outer(change, change)
-    nothing = np.zeros(len(change))
-    return CommandWatch(nothing, 0.0, 0.0, share, DOUBTED_MINUTES), Gaussian(moved, covariance)
+    nothing = obeyed_commands()._replace(sensitivity=np.zeros_like(watch.sensitivity))
+    return nothing._replace(share=share, minutes_left=DOUBTED_MINUTES), Gaussian(moved, covariance)

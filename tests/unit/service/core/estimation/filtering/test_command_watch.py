@@ -87,9 +87,10 @@ def test_a_row_that_something_else_moved_says_nothing_about_commands(craft, filt
     used = innovate(model, gaussian, np.full(CARRIERS, 0.3), everyone, model.white_sigma_db**2)
     covariance = update(model, gaussian, np.full(CARRIERS, 0.3), used).state.covariance
     shared = push_row(model, watch, used, covariance, is_shared=True)
-    assert (shared.score, shared.information) == (0.0, 0.0)
+    assert not shared.score.any()
+    assert not shared.information.any()
     told = push_row(model, watch, used, covariance, is_shared=False)
-    assert told.information > 0.0
+    assert told.information[0, 0] > 0.0
     np.testing.assert_array_equal(told.sensitivity, shared.sensitivity)
 
 
@@ -105,15 +106,24 @@ def test_sums_are_those_of_the_innovations_covariance(craft):
     seen = used.core_jacobian[:, :3] @ watch.sensitivity[:3]
     whitened = np.linalg.solve(used.covariance_db2, seen)
     # rounding of the Joseph form; the attitude at an alignment is known to 0.005 deg
-    assert after.score == pytest.approx(float(whitened @ used.innovation_db), rel=1e-6)
-    assert after.information == pytest.approx(float(whitened @ seen), rel=1e-6)
+    np.testing.assert_allclose(after.score, whitened.T @ used.innovation_db, rtol=1e-6)
+    np.testing.assert_allclose(after.information, whitened.T @ seen, rtol=1e-6)
+
+
+def with_evidence(score, information, score_yaw=0.0, cross=0.0, information_yaw=0.0):
+    matrix = np.array([[information, cross], [cross, information_yaw]])
+    return CommandWatch(np.zeros((20, 2)), np.array([score, score_yaw]), matrix, 1.0, 0.0)
 
 
 def test_the_likeliest_share_needs_evidence():
-    sure = CommandWatch(ZEROS, -20.0, 20.0, 1.0, 0.0)
-    assert likelier_share(sure) == 0.0
-    assert likelier_share(sure._replace(score=-4.0, information=4.0)) is None
-    assert likelier_share(sure._replace(score=-20.0, information=10.0)) == -1.0
+    assert likelier_share(with_evidence(-20.0, 20.0)) == 0.0
+    assert likelier_share(with_evidence(-4.0, 4.0)) is None
+    assert likelier_share(with_evidence(-20.0, 10.0)) == -1.0
+
+
+def test_what_a_turn_of_yaw_explains_is_not_held_against_commands():
+    assert likelier_share(with_evidence(-20.0, 20.0, -40.0, 40.0, 80.0)) is None
+    assert likelier_share(with_evidence(-20.0, 20.0, 0.0, 0.0, 80.0)) == 0.0
 
 
 def test_a_believed_share_scales_the_commands():
