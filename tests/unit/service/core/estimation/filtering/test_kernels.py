@@ -9,6 +9,8 @@ from service.core.estimation.filtering.filter_predict import Weather, predict
 from service.core.estimation.filtering.filter_update import innovate, update
 from service.core.estimation.filtering.kernels import ARRAYS, Kernels, compiled_kernels
 
+#: the first run after a change of the loops compiles them: six seconds of an idle processor
+pytestmark = pytest.mark.timeout(60)
 MINUTE_US = 60_000_000
 #: the loops as Python runs them: slow, but every line of them is seen by the coverage
 UNCOMPILED = Kernels(*(getattr(loop_kernels, name) for name in Kernels._fields))
@@ -16,7 +18,7 @@ UNCOMPILED = Kernels(*(getattr(loop_kernels, name) for name in Kernels._fields))
 
 @pytest.fixture(scope="module")
 def compiled():
-    """The compiled set; the first run after a change of the loops compiles for some seconds."""
+    """The compiled set."""
     return compiled_kernels()
 
 
