@@ -1,9 +1,13 @@
-"""``soo study``: campaigns on simulated truth. Exit codes: 0 every bound kept, 1 one missed, 2 it could not be run."""
+"""``soo study``: campaigns on simulated truth.
+
+Exit codes: 0 every bound kept, 1 one missed or a world refused, 2 the study could not be run.
+"""
 
 import json
 import shlex
 import signal
 from collections.abc import Iterator
+from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
@@ -59,7 +63,7 @@ def estimation(
     except KeyboardInterrupt:
         console.print("stopped")
         raise typer.Exit(_EXIT_FAILED) from None
-    except (ExportFailedError, OSError) as error:
+    except (ExportFailedError, BrokenExecutor, OSError) as error:
         typer.echo(f"the study failed: {error}", err=True)
         raise typer.Exit(_EXIT_FAILED) from error
     if figures is not None:
@@ -71,7 +75,7 @@ def estimation(
         typer.echo(markdown(campaign, command), nl=False)
     else:
         _print(tables(campaign), verdict_lines(campaign), console)
-    if campaign.missed or campaign.idle:
+    if campaign.missed or campaign.idle or campaign.refusals:
         raise typer.Exit(_EXIT_MISSED)
 
 

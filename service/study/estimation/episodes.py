@@ -6,6 +6,7 @@ time has the delay infinity.
 """
 
 import math
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -232,7 +233,7 @@ def measure_alarms(
     """
     delays = []
     starts_us = [start_us + 60.0 * hours * _MINUTE_US for hours in wrong_from_h]
-    for due_us, next_us in zip(starts_us, [*starts_us[1:], math.inf], strict=True):
+    for due_us, next_us in pairwise([*starts_us, math.inf]):
         if due_us >= epochs_us[-1]:
             continue
         inside = (epochs_us >= due_us) & (epochs_us <= min(next_us, due_us + ALARM_WITHIN_MIN * _MINUTE_US))
