@@ -6,9 +6,9 @@ import numpy as np
 
 from service.core.estimation.calibration.geometry_calibration import GeometryCalibration, fit_geometry
 from service.core.estimation.calibration.geometry_prediction import response_of
+from service.core.estimation.calibration.level_drift import LevelDrift, level_drift
 from service.core.estimation.calibration.quadratic_response import QuadraticResponse
 from service.core.estimation.noise.quantisation import quantisation_step_db
-from service.core.estimation.noise.reference_walk import LevelDrift, level_drift
 from service.core.estimation.noise_identification import LearnedNoise, identify_noise
 from service.pipeline.calibration_rows import CalibrationInput
 from service.pipeline.config import CalibrationConfig

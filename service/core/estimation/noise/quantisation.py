@@ -42,7 +42,7 @@ def quantisation_step_db(power_dbm: FloatArray) -> float:
 
     Examples
     --------
-    >>> level = -40.0 + 0.2 * np.sin(np.arange(1000.0))
+    >>> level = np.random.default_rng(1).normal(-40.0, 0.2, 1000)
     >>> round(quantisation_step_db(np.round(level / 0.15) * 0.15), 2), quantisation_step_db(level)
     (0.15, 0.0)
     """

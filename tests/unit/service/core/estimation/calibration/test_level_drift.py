@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.core.estimation.noise.reference_walk import level_drift, without_common
+from service.core.estimation.calibration.level_drift import level_drift, without_common
 from service.core.estimation.noise_identification import LADDER_S, LearnedNoise
 
 FLOOR = 0.006
