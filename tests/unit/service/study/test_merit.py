@@ -48,13 +48,13 @@ def test_nothing_to_judge_is_nan_and_misses_every_bound(present):
     estimate[:present] = 0.1
     nothing = judge_axis(estimate, np.linspace(0, 1, 10))
     assert np.isnan(nothing).all()
-    assert len(missed_bounds(dict.fromkeys(AXES, nothing))) == 7
+    assert len(missed_bounds(dict.fromkeys(AXES, nothing), "paper")) == 7
 
 
 def test_the_answer_that_never_moves_misses_the_bounds():
     zero = judge_axis(np.zeros(len(TRUTH)), TRUTH)
     assert zero.skill == pytest.approx(0.0, abs=1e-12)
-    missed = missed_bounds(dict.fromkeys(AXES, zero))
+    missed = missed_bounds(dict.fromkeys(AXES, zero), "paper")
     assert [text.split(" ")[0:2] for text in missed] == [
         ["roll", "rms"],
         ["roll", "slope"],
@@ -64,24 +64,29 @@ def test_the_answer_that_never_moves_misses_the_bounds():
 
 
 def test_good_figures_miss_nothing_and_bounds_are_inclusive():
-    assert missed_bounds(merits()) == []
-    edge = AxisMerit(0.08, 0.2, 0.12, 0.5, 1.0)
-    assert missed_bounds(merits(roll=edge)) == []
+    assert missed_bounds(merits(), "paper") == []
+    assert missed_bounds(merits(), "robust") == []
+    assert missed_bounds(merits(roll=AxisMerit(0.08, 0.2, 0.12, 0.5, 1.0)), "paper") == []
+    assert missed_bounds(merits(roll=AxisMerit(0.03, 0.2, 0.12, 0.5, 1.04)), "robust") == []
 
 
 @pytest.mark.parametrize(
-    ("axis", "changes", "text"),
+    ("method", "axis", "changes", "text"),
     [
-        ("roll", {"rms_deg": 0.081}, "roll rms 0.081 deg above 0.08"),
-        ("pitch", {"rms_deg": 0.101}, "pitch rms 0.101 deg above 0.1"),
-        ("roll", {"slope": 1.16}, "roll slope 1.160 not within 1 +- 0.15"),
-        ("pitch", {"slope": 0.84}, "pitch slope 0.840 not within 1 +- 0.15"),
-        ("yaw", {"truth_rms_deg": 0.119}, "yaw truth rms 0.119 deg below 0.12: too little moved"),
+        ("paper", "roll", {"rms_deg": 0.081}, "roll rms 0.081 deg above 0.08"),
+        ("paper", "pitch", {"rms_deg": 0.101}, "pitch rms 0.101 deg above 0.1"),
+        ("paper", "roll", {"slope": 1.16}, "roll slope 1.160 not within 1 +- 0.15"),
+        ("paper", "pitch", {"slope": 0.84}, "pitch slope 0.840 not within 1 +- 0.15"),
+        ("paper", "yaw", {"truth_rms_deg": 0.119}, "yaw truth rms 0.119 deg below 0.12: too little moved"),
+        ("robust", "roll", {"rms_deg": 0.031}, "roll rms 0.031 deg above 0.03"),
+        ("robust", "pitch", {"slope": 0.94}, "pitch slope 0.940 not within 1 +- 0.05"),
+        ("robust", "yaw", {"rms_deg": 0.181}, "yaw rms 0.181 deg above 0.18"),
+        ("robust", "yaw", {"slope": 0.69}, "yaw slope 0.690 not within 1 +- 0.3"),
     ],
 )
-def test_each_bound_is_named_when_it_is_missed(axis, changes, text):
-    assert missed_bounds(merits(**{axis: GOOD._replace(**changes)})) == [text]
+def test_each_bound_is_named_when_it_is_missed(method, axis, changes, text):
+    assert missed_bounds(merits(**{axis: GOOD._replace(**changes)}), method) == [text]
 
 
-def test_yaw_is_shown_and_not_bounded():
-    assert missed_bounds(merits(yaw=GOOD._replace(rms_deg=9.0, slope=0.0))) == []
+def test_yaw_of_the_paper_method_is_shown_and_not_bounded():
+    assert missed_bounds(merits(yaw=GOOD._replace(rms_deg=9.0, slope=0.0)), "paper") == []
