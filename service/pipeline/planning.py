@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.estimation.calibration.coloured_rows import ColouredNoise
+from service.core.estimation.calibration_turns import recommended_turns
 from service.core.estimation.carrier_sets import SetFigures, averaged_crlb_deg, judge_set
 from service.core.estimation.design import (
     AXIS_WEIGHTS,
@@ -22,7 +23,6 @@ from service.core.estimation.design import (
     MIN_REDUNDANCY,
     choose_carriers,
     largest_share,
-    recommended_turns,
 )
 from service.core.estimation.observability import crlb_deg
 from service.core.estimation.paper.selection import AxisSelection, SelectionReason, axis_dominance, select_by_axis
