@@ -84,8 +84,8 @@ def assess(evidence: Evidence, limits: IntegrityLimits) -> Integrity:
         ("sigma_pitch", not pitch < limits.sigma_pitch_deg),
         ("redundancy", evidence.carriers_used - _UNKNOWNS < limits.redundancy),
         ("innovations", evidence.nis_ratio > limits.nis_ratio),
-        ("unannounced_motion", any(evidence.is_unannounced[1:])),
-        ("commands_doubted", evidence.is_command_doubted),
+        # a command that is not carried out as announced is a motion that nobody announced
+        ("unannounced_motion", any(evidence.is_unannounced[1:]) or evidence.is_command_doubted),
     )
     reasons = tuple(name for name, fails in checks if fails)
     is_allowed = not reasons

@@ -151,8 +151,7 @@ def test_a_correction_that_was_lost_is_alarmed_and_followed(run):
     run.rows(60)
     run.rows(30, known=lost)
     told = run.rows(10)
-    alarms = {"unannounced_motion", "commands_doubted"}
-    alarmed = [bool(alarms & set(row.integrity.reasons)) for row in run.told[60:]]
+    alarmed = ["unannounced_motion" in row.integrity.reasons for row in run.told[60:]]
     assert any(alarmed)
     assert np.argmax(alarmed) <= 30  # minutes
     assert abs(told.attitude_deg[1]) < 0.06

@@ -44,7 +44,7 @@ class Craft:
 
     @property
     def doubted(self):
-        return ["commands_doubted" in row.integrity.reasons for row in self.told]
+        return [row.state.command.is_doubted for row in self.told]
 
 
 @pytest.fixture
@@ -67,7 +67,7 @@ def test_commands_that_are_not_obeyed_are_found_and_the_share_is_believed(craft,
     assert craft.state.command.share == share
     # the share found is applied: the error stays what noise leaves
     assert abs(craft.told[-1].attitude_deg[2] - craft.attitude_deg[2]) < 0.05
-    assert not craft.told[-1].integrity.is_control_allowed
+    assert "unannounced_motion" in craft.told[-1].integrity.reasons
 
 
 def test_a_doubt_ends_after_an_hour(craft):

@@ -27,6 +27,7 @@ def test_a_calm_row_allows_all_axes():
         ({"carriers_used": 5}, "redundancy"),
         ({"nis_ratio": 2.1}, "innovations"),
         ({"is_unannounced": (False, True, False)}, "unannounced_motion"),
+        ({"is_command_doubted": True}, "unannounced_motion"),
     ],
 )
 def test_each_condition_withholds_control_and_says_so(change, reason):
