@@ -5,6 +5,7 @@ table and null in the document.
 """
 
 import math
+import textwrap
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 from typing import Any, NamedTuple
@@ -16,6 +17,8 @@ from service.study.estimation.campaign import METHODS, Campaign, versions
 MARKER_BEGIN = "<!-- soo study estimation: begin -->"
 MARKER_END = "<!-- soo study estimation: end -->"
 _DASH = "-"
+#: columns of a page
+_PAGE_WIDTH = 120
 
 
 class Table(NamedTuple):
@@ -82,11 +85,26 @@ def markdown(campaign: Campaign, command: str) -> str:
     """Return the tables as a section of a page, between markers."""
     made_with = ", ".join(f"{name} {number}" for name, number in versions().items())
     seeds = f"seed 1 to {campaign.plan.seeds}" if campaign.plan.seeds > 1 else "seed 1"
-    lines = [MARKER_BEGIN, "", f"Made by `{command}` with {made_with}; {seeds}; angles yaw/roll/pitch, deg.", ""]
+    made = f"Made by `{command}` with {made_with}; {seeds}; angles yaw/roll/pitch, deg."
+    lines = [MARKER_BEGIN, "", *_paragraph(made), ""]
     for table in tables(campaign):
         lines += [f"### {table.title}", "", _line(table.columns), _line(["---"] * len(table.columns))]
         lines += [*(_line(row) for row in table.rows), ""]
-    return "\n".join([*lines, *(f"* {line}" for line in verdict_lines(campaign)), "", MARKER_END, ""])
+    told = [part for line in verdict_lines(campaign) for part in _paragraph(line, bullet="* ")]
+    return "\n".join([*lines, *told, "", MARKER_END, ""])
+
+
+def _paragraph(text: str, bullet: str = "") -> list[str]:
+    """Return the lines of a paragraph; a long word, such as a command, stays whole."""
+    indent = " " * len(bullet)
+    return textwrap.wrap(
+        text,
+        _PAGE_WIDTH,
+        initial_indent=bullet,
+        subsequent_indent=indent,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
 
 
 def _line(cells: Sequence[str]) -> str:
@@ -190,7 +208,7 @@ def _events(campaign: Campaign) -> Table:
         (
             scenario,
             method,
-            f"{_number(figures.get('rain_delay_median_min'), 0)}/{_number(figures.get('rain_delay_min'), 0)}",
+            _joined([_number(figures.get(name), 0) for name in ("rain_delay_median_min", "rain_delay_min")]),
             _number(figures.get("rain_coverage"), 3),
             _number(figures.get("rain_false_share"), 4),
             _number(figures.get("faults"), 0),
@@ -271,4 +289,6 @@ def _number(value: float | None, digits: int | None = None) -> str:
     large = (abs(value) >= 10.0) + (abs(value) >= 100.0)
     text = f"{value:.{max(0, (4 if digits is None else digits) - large)}f}"
     text = text.rstrip("0").rstrip(".") if digits is None and "." in text else text
+    # what rounds to nothing has no sign
+    text = text.lstrip("-") if float(text) == 0.0 else text
     return text.replace("0.", ".", 1) if text.startswith(("0.", "-0.")) else text
