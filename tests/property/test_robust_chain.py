@@ -1,0 +1,152 @@
+"""The robust method in the chain under arbitrary input: order of carriers, holes, gaps, lateness, commanded motion."""
+
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+from geometry_flight import Flight, FlightPayload
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+
+from service.pipeline.known_motion import CommandedMotion, heard, take
+from service.records.attitude import Axes, Status
+from service.records.catalogue import Method
+from service.records.inputs import Correction
+
+#: the same examples each time; a chain is too slow to look for the smallest
+steady = settings(derandomize=True, deadline=None, phases=(Phase.explicit, Phase.generate))
+NAN = float("nan")
+CARRIERS = 10
+
+
+@cache
+def payload():
+    """Return one payload for all examples."""
+    return FlightPayload.make(CARRIERS)
+
+
+def noise_db(seed, minute):
+    return 0.05 * np.random.default_rng((seed, minute)).normal(size=CARRIERS)
+
+
+#: what may happen to one row: carriers that are absent, and levels that jump
+holes = st.lists(st.sets(st.integers(0, CARRIERS - 1)), min_size=4, max_size=4)
+jumps = st.lists(st.floats(-8.0, 8.0), min_size=CARRIERS, max_size=CARRIERS)
+
+
+@settings(steady, max_examples=8)
+@given(
+    order=st.permutations(range(CARRIERS)),
+    absent=holes,
+    jump=jumps,
+    hit=st.sets(st.integers(0, 9)),
+    seed=st.integers(0, 99),
+)
+def test_the_order_of_the_carriers_does_not_matter(order, absent, jump, hit, seed):
+    taken = np.array(order)
+    straight = Flight(payload(), methods=(Method.ROBUST,))
+    shuffled = Flight(payload().permuted(taken), methods=(Method.ROBUST,))
+    for minute in range(1, 25):
+        change = noise_db(seed, minute)
+        change[list(absent[minute % 4])] = NAN
+        if minute >= 12:
+            change[list(hit)] += np.array(jump)[list(hit)]
+        one = straight.robust(straight.changed(minute, change))
+        other = shuffled.robust(shuffled.changed(minute, change[taken]))
+        # sums in another order: the stated bound
+        np.testing.assert_allclose(other.attitude_deg, one.attitude_deg, atol=1e-9)
+        np.testing.assert_allclose(other.sigma_deg, one.sigma_deg, atol=1e-9)
+        assert other.inhibitions == one.inhibitions
+        assert set(other.excluded) == set(one.excluded)
+
+
+level = st.one_of(st.floats(-250.0, 50.0), st.just(NAN), st.just(None))
+
+
+@settings(steady, max_examples=30)
+@given(
+    rows=st.lists(
+        st.tuples(st.floats(0.01, 4000.0), st.lists(level, min_size=CARRIERS, max_size=CARRIERS)),
+        min_size=1,
+        max_size=12,
+    )
+)
+def test_whatever_the_powers_a_row_is_a_row_and_tells_no_angle_that_is_none(rows):
+    flight, minute = Flight(payload(), methods=(Method.ROBUST,)), 0.0
+    for wait, levels in rows:
+        minute += wait
+        row = flight.row(minute)
+        # None keeps the true power
+        power = np.array([own if told is None else told for own, told in zip(row.power_dbm, levels, strict=True)])
+        told = flight.robust(flight.changed(minute, power - row.power_dbm))
+        angles, sigma = np.array(told.attitude_deg), np.array(told.sigma_deg)
+        assert told.status in (Status.ACQUIRED, Status.EXPIRED)
+        assert np.isfinite(angles).all()
+        assert (sigma > 0.0).all()
+        assert told.control_allowed == (not told.inhibitions)
+        assert told.carriers_used + len(told.excluded) == CARRIERS
+        assert len({item.carrier for item in told.excluded}) == len(told.excluded)
+        if told.carriers_used < 4:
+            assert told.status is Status.EXPIRED
+            assert "redundancy" in told.inhibitions
+        if told.control_allowed:
+            assert sigma[1] < 0.06
+            assert sigma[2] < 0.10
+
+
+@settings(steady, max_examples=6)
+@given(
+    late=st.lists(
+        st.tuples(
+            st.integers(1, 20), st.integers(-500, 20 * 60), st.lists(level, min_size=CARRIERS, max_size=CARRIERS)
+        ),
+        max_size=4,
+    )
+)
+def test_late_rows_leave_the_rows_after_them_bit_for_bit(late):
+    plain, disturbed = Flight(payload()), Flight(payload())
+    for minute in range(1, 25):
+        assert repr(disturbed.feed(disturbed.changed(minute, noise_db(1, minute)))) == repr(
+            plain.feed(plain.changed(minute, noise_db(1, minute)))
+        )
+        for after, second, levels in late:
+            if after != minute:
+                continue
+            row = disturbed.row(min(second / 60.0, float(minute)))
+            told = np.array([own if one is None else one for own, one in zip(row.power_dbm, levels, strict=True)])
+            rows = disturbed.feed(disturbed.changed(min(second / 60.0, float(minute)), told - row.power_dbm))
+            assert all("late" in one.inhibitions and not one.control_allowed for one in rows.values())
+            assert all(
+                one.status is not Status.ACQUIRED or np.isfinite(one.attitude_deg).all() for one in rows.values()
+            )
+
+
+moment = st.integers(0, 3600)
+
+
+@settings(steady, max_examples=150)
+@given(
+    begin=moment,
+    length=st.integers(0, 3600),
+    since=moment,
+    known_at=moment,
+    cuts=st.sets(moment, max_size=12),
+    size=st.floats(-1.0, 1.0),
+)
+def test_a_correction_counts_once_however_rows_cut_it_and_whenever_it_becomes_known(
+    begin, length, since, known_at, cuts, size
+):
+    s = 1_000_000
+    newest_us = max(since, known_at) * s
+    correction = Correction(begin * s, (begin + length) * s, Axes(0.0, size, 0.0))
+    commanded = heard(CommandedMotion(since * s), correction, None, newest_us)
+    epochs_us = [newest_us, *sorted(cut * s for cut in cuts if cut * s > newest_us), 8000 * s]
+    total = 0.0
+    for before_us, now_us in pairwise(epochs_us):
+        known, commanded = take(commanded, before_us, now_us)
+        total += known.correction_deg[1] + known.late_correction_deg[1]
+    # an instant lasts a microsecond; before the alignment it is part of it
+    stop_us = max(correction.stop_us, correction.start_us + 1)
+    share = np.clip((stop_us - max(since * s, correction.start_us)) / (stop_us - correction.start_us), 0.0, 1.0)
+    np.testing.assert_allclose(total, size * share, atol=1e-12)
+    assert commanded.motions == ()
