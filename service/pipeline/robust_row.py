@@ -50,22 +50,14 @@ def filtered_row(
     """Return the archive's row of one step of the filter."""
     told = fixed.told
     attitude = told.attitude_deg
-    verdict = told.integrity
     conditions = {
         "catch_up": is_catch_up,
         "operation": has_inhibiting_operation,
         "no_ephemeris": fixed.is_without_ephemeris,
         "beyond_validity": bool(np.abs(attitude[1:]).max() > validity_limit_deg),
     }
-    standing = {reason for reason, stands in conditions.items() if stands} | set(verdict.reasons)
-    # whatever the filter holds against control stands, in the usual order where it has one
-    inhibitions = tuple(dict.fromkeys(reason for reason in (*INHIBITIONS, *verdict.reasons) if reason in standing))
-    is_yaw_valid = bool(abs(float(attitude[0])) <= validity_limit_deg)
-    allowed = (
-        (False, False, False)
-        if inhibitions
-        else (verdict.is_axis_allowed[0] and is_yaw_valid, *verdict.is_axis_allowed[1:])
-    )
+    standing = {reason for reason, stands in conditions.items() if stands} | set(told.integrity.reasons)
+    inhibitions = tuple(reason for reason in INHIBITIONS if reason in standing)
     residual_db = fixed.residual_db(model)[told.used]
     is_raining = told.state.rain.is_raining
     common = told.state.gaussian.mean[FIRST_COMMON : core_size(model.filter)]
@@ -79,7 +71,7 @@ def filtered_row(
         rates_deg_s=named_axes(fixed.rates_deg_s),
         status=Status.ACQUIRED if len(told.used) >= MIN_CARRIERS else Status.EXPIRED,
         control_allowed=not inhibitions,
-        control_allowed_axes=allowed,
+        control_allowed_axes=_allowed_axes(told, inhibitions, validity_limit_deg),
         inhibitions=inhibitions,
         carriers_used=len(told.used),
         excluded=_exclusions(model, fixed),
@@ -89,8 +81,16 @@ def filtered_row(
         residual_rms_db=_rms(residual_db),
         calibration_id=model.calibration_id,
         alignment_id=model.alignment_id,
-        advice=("realign",) if verdict.is_realignment_advised else (),
+        advice=("realign",) if told.integrity.is_realignment_advised else (),
     )
+
+
+def _allowed_axes(told: FilterStep, inhibitions: tuple[str, ...], limit_deg: float) -> tuple[bool, bool, bool]:
+    """Return which axes may be controlled: none under an inhibition, yaw only within the validity of the model."""
+    if inhibitions:
+        return False, False, False
+    yaw, roll, pitch = told.integrity.is_axis_allowed
+    return yaw and bool(abs(float(told.attitude_deg[0])) <= limit_deg), roll, pitch
 
 
 def late_row(measurement: Measurement, model: RobustModel, fixes: Snapshots, *, is_absent: BoolArray) -> AttitudeRow:
