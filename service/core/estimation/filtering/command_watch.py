@@ -40,6 +40,8 @@ DOUBTED_MINUTES = 60.0
 _UNTOLD_YAW_DEG_H = 0.4
 #: an attitude that commands moved by less than this is not watched, deg
 _LEAST_DEG = 1e-4
+#: a share that would move the attitude by more than this is not believed: its first order is not enough, deg
+_MOST_DEG = 0.5
 
 
 class CommandWatch(NamedTuple):
@@ -194,8 +196,10 @@ def judge_commands(watch: CommandWatch, state: Gaussian) -> tuple[CommandWatch, 
     if share is None:
         return watch, state
     change = watch.sensitivity[:, 0]
+    nothing = obeyed_commands()._replace(sensitivity=np.zeros_like(watch.sensitivity))
+    if abs(share - watch.share) * float(np.abs(change[ATTITUDE]).max()) > _MOST_DEG:
+        return nothing._replace(share=watch.share, minutes_left=DOUBTED_MINUTES), state
     moved = state.mean + (share - watch.share) * change
     moved[RAIN] = max(0.0, moved[RAIN])
     covariance = state.covariance + _SHARE_SIGMA**2 * np.multiply.outer(change, change)
-    nothing = obeyed_commands()._replace(sensitivity=np.zeros_like(watch.sensitivity))
     return nothing._replace(share=share, minutes_left=DOUBTED_MINUTES), Gaussian(moved, covariance)

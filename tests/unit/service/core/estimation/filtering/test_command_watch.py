@@ -7,6 +7,7 @@ from service.core.estimation.filtering.attitude_filter import start, step
 from service.core.estimation.filtering.command_watch import (
     CommandWatch,
     believed_motion,
+    judge_commands,
     likelier_share,
     obeyed_commands,
     pass_commands,
@@ -124,6 +125,20 @@ def test_the_likeliest_share_needs_evidence():
 def test_what_a_turn_of_yaw_explains_is_not_held_against_commands():
     assert likelier_share(with_evidence(-20.0, 20.0, -40.0, 40.0, 80.0)) is None
     assert likelier_share(with_evidence(-20.0, 20.0, 0.0, 0.0, 80.0)) == 0.0
+
+
+@pytest.mark.parametrize(("reach_deg", "is_believed"), [(0.4, True), (0.6, False)])
+def test_a_share_moves_the_attitude_by_half_a_degree_at_most(craft, reach_deg, is_believed):
+    """Beyond it the first order does not hold: control is told, the state stays."""
+    gaussian = craft.state.gaussian
+    sensitivity = np.zeros((len(gaussian.mean), 2))
+    sensitivity[1, 0] = reach_deg
+    lost = with_evidence(-20.0, 20.0)._replace(sensitivity=sensitivity)
+    watch, after = judge_commands(lost, gaussian)
+    assert watch.is_doubted
+    assert watch.share == (0.0 if is_believed else 1.0)
+    moved_deg = after.mean[1] - gaussian.mean[1]
+    assert moved_deg == pytest.approx(-reach_deg if is_believed else 0.0)
 
 
 def test_a_believed_share_scales_the_commands():
