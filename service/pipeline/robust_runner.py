@@ -63,6 +63,7 @@ class RobustRunner:
         if self._state is not None:
             commanded = heard(self._state.commanded, content, knowledge.spacecraft, self._state.filter.epoch_us)
             self._state = RobustState(self._state.filter, commanded, self._state.source)
+            self._forget(self._state.filter.epoch_us - _KEPT_US)
 
     def start(self, knowledge: Knowledge) -> None:
         """Begin at the alignment that holds."""
@@ -127,6 +128,11 @@ class RobustRunner:
             )
             for k, name in enumerate(model.carrier_ids)
         }
+
+    def _forget(self, before_us: int) -> None:
+        """Let go of the oldest motions; torques come with every row, and an alignment may be months away."""
+        while self._told and _stop_us(self._told[0][0]) <= before_us:
+            del self._told[0]
 
     def _initial(self, model: RobustModel, alignment: Alignment) -> RobustState:
         """Return the state at an alignment, with what was commanded after its epoch."""

@@ -173,6 +173,15 @@ def test_motion_of_more_than_a_week_before_an_alignment_is_forgotten(flight):
     assert len(runner._told) == 8
 
 
+def test_motion_of_more_than_a_week_before_the_newest_row_is_forgotten_without_an_alignment(flight):
+    runner = flight.chain._runners[0]
+    for day in range(20):
+        flight.robust(flight.changed(1 + day * 1440, NAN))
+        flight.chain.learn(Correction(flight.at(day * 1440), flight.at(day * 1440 + 1), ZERO))
+    assert len(runner._told) == 7
+    assert runner._state.commanded.motions == ()
+
+
 # ---- applied commands -----------------------------------------------------------------------------------------------
 
 
