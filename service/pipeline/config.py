@@ -142,7 +142,7 @@ class RobustConfig:
     #: white noise of a carrier is never believed to be below this, dB
     min_white_db: float = 0.02
     #: greatest own sigma of yaw with which it is controlled, deg
-    yaw_sigma_limit_deg: float = 0.10
+    yaw_sigma_limit_deg: float = 0.125
     #: running mean of the normalised innovation squared above which the model is not believed
     innovation_limit: float = 2.0
     #: share of references learned anew above which an alignment is advised
