@@ -77,6 +77,12 @@ def test_a_baseline_that_keeps_every_bound_is_named():
     assert idle_baselines([ROLL, skill], figures, ("zero", "coupling")) == (("nominal", "coupling"),)
 
 
+def test_where_a_goal_was_asked_for_a_baseline_is_held_to_it():
+    asked = Bound("mixed", "rms_deg.roll", at_most(0.06), at_most(0.03), "test", is_goal_asked=True)
+    figures = {("mixed", "zero"): {"rms_deg.roll": 0.056}}
+    assert idle_baselines([asked], figures, ("zero",)) == ()
+
+
 def test_bounds_that_no_baseline_can_be_held_to_do_not_count():
     control = Bound("nominal", "wrong_min", at_most(0.0), None, "test")
     goal_only = Bound("nominal", "rms_deg.yaw", None, at_most(1.0), "test")
