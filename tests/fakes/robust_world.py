@@ -13,6 +13,7 @@ from analyzer_sim.export import measured_dbm
 from analyzer_sim.payload import attitude_gain_db, dishes_loss_db, nominal_gain_db
 from analyzer_sim.world import World
 from service.core.estimation.filtering.attitude_filter import start, step
+from service.core.estimation.filtering.declared import Declared, nothing_declared
 from service.core.estimation.filtering.filter_model import CarrierModel, FilterSettings, KnownMotion, no_motion
 from service.core.estimation.filtering.filter_state import initial_gaussian
 
@@ -20,6 +21,11 @@ from service.core.estimation.filtering.filter_state import initial_gaussian
 TAUS_S = (300.0, 1200.0, 7200.0, 36000.0)
 AXES = ("yaw", "roll", "pitch")
 SETTLING_ROWS = 60
+#: an eclipse, during it and for an hour after: gains of the transponders and levels of the carriers, dB/sqrt(h)
+ECLIPSE_GAIN_DB, ECLIPSE_LEVEL_DB, WARMING_US = 0.4, 0.06, 3_600_000_000
+#: declared work on a carrier, a transponder, the chain, dB, and the chain's walk meanwhile, dB/sqrt(h)
+WORK_DB = 2.0
+CHAIN_WALK_DB = 0.1
 #: what a level that nobody touches may still wander beyond the learned noise, dB/sqrt(h)
 REFERENCE_WALK_DB = 0.002
 #: as many independent values of its noise count as much as the other carriers' example
@@ -183,6 +189,31 @@ class RobustWorld:
         zeros = np.zeros(3)
         return [KnownMotion(row, zeros, zeros) for row in np.diff(total, axis=0)]
 
+    def declared(self, from_us: int, to_us: int) -> Declared | None:
+        """Return what the ground declared about a step, None where there was nothing."""
+        plan, labels = self.world.plan, sorted({c.transponder for c in self.world.plan.carriers})
+        effect = nothing_declared(len(plan.carriers), len(labels))
+        changed, hours = effect, (to_us - from_us) / 3.6e9
+        for operation in self.world.operations:
+            named = np.array([operation.carriers is None or c.id in operation.carriers for c in plan.carriers])
+            groups = np.array([operation.transponders is None or name in operation.transponders for name in labels])
+            is_edge = from_us < operation.start_us <= to_us or from_us < operation.stop_us <= to_us
+            is_on = operation.start_us <= to_us < operation.stop_us
+            if operation.kind == "eclipse" and operation.start_us <= to_us < operation.stop_us + WARMING_US:
+                changed = changed._replace(
+                    group_step_db=np.full(len(labels), ECLIPSE_GAIN_DB * np.sqrt(hours)),
+                    reference_walk_db=np.full(len(named), ECLIPSE_LEVEL_DB),
+                )
+            elif operation.kind in ("carrier_work", "sun_outage"):
+                changed = changed._replace(is_masked=changed.is_masked | (named & is_on))
+                if is_edge and operation.kind == "carrier_work":
+                    changed = changed._replace(reference_step_db=np.maximum(effect.reference_step_db, WORK_DB * named))
+            elif operation.kind == "gain_change" and is_edge:
+                changed = changed._replace(group_step_db=np.maximum(changed.group_step_db, WORK_DB * groups))
+            elif operation.kind == "receive_chain_work" and (is_edge or is_on):
+                changed = changed._replace(chain_walk_db=CHAIN_WALK_DB, chain_step_db=WORK_DB * is_edge)
+        return None if changed is effect else changed
+
     def drive(self, settings: FilterSettings | None = None, model: CarrierModel | None = None) -> Filtered:
         """Run the filter over the operation phase."""
         settings, model = settings or FilterSettings(), model or self.model
@@ -198,7 +229,9 @@ class RobustWorld:
             pending = KnownMotion(pending.correction_deg + moved.correction_deg, np.zeros(3), np.zeros(3))
             if rows.is_gap[k]:
                 continue
-            told = step(model, settings, state, int(rows.epochs_us[k]), self.deviation_db[k], pending)
+            epoch_us = int(rows.epochs_us[k])
+            declared = self.declared(state.epoch_us, epoch_us) if self.world.operations else None
+            told = step(model, settings, state, epoch_us, self.deviation_db[k], pending, declared=declared)
             state, pending = told.state, no_motion()
             steps.append(told)
             written.append(k)

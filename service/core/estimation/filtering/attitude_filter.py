@@ -24,7 +24,7 @@ from service.core.estimation.filtering.command_watch import (
     push_row,
 )
 from service.core.estimation.filtering.declared import Declared
-from service.core.estimation.filtering.declared_effects import with_declared
+from service.core.estimation.filtering.declared_effects import is_chain_worked, with_declared
 from service.core.estimation.filtering.drift_watch import push_drift, scaled_settings
 from service.core.estimation.filtering.fault_hypotheses import Cause, Chooser, choose_cause
 from service.core.estimation.filtering.filter_model import (
@@ -170,7 +170,7 @@ def _judged(
     if row.declared is not None:
         white_db2 = white_db2 + row.declared.white_db**2
     first = innovate(model, ahead.gaussian, row.deviation_db, row.present, white_db2)
-    freed, choice, values = common_first(model, ahead, first, chooser)
+    freed, choice, values = common_first(model, ahead, first, chooser, is_chain_worked=is_chain_worked(row.declared))
     second = innovate(model, freed.gaussian, row.deviation_db, row.present, white_db2) if is_shared(choice) else first
     excess = np.abs(second.innovation_db) / second.sigma_db
     kept = trusted(second)

@@ -78,6 +78,8 @@ def widen(
     rain: RainWatch,
     choice: Choice,
     common: CommonInnovation,
+    *,
+    is_chain_worked: bool = False,
 ) -> Widened:
     """Return the state in which the unknown of a cause is free.
 
@@ -91,6 +93,8 @@ def widen(
         Cause, not `INDEPENDENT`.
     common : CommonInnovation
         Common part of the row.
+    is_chain_worked : bool
+        Whether the ground declared work on the receiving chain: a common fall is the chain's then, and no rain.
 
     Returns
     -------
@@ -106,6 +110,6 @@ def widen(
             gaussian = freed(gaussian, np.array([axis]), JUMP_DEG**2)
         return Widened(gaussian, calm, rain)
     # the sums decide where they spoke, else the row itself
-    falls = is_down(rain) or (common.median_db < 0.0 and not is_up(rain))
+    falls = not is_chain_worked and (is_down(rain) or (common.median_db < 0.0 and not is_up(rain)))
     changed, watch = (common_fell if falls else common_rose)(gaussian, rain, common.median_db)
     return Widened(changed, calm, watch)

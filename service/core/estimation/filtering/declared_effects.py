@@ -40,6 +40,11 @@ def with_declared(model: CarrierModel, state: FilterState, declared: Declared) -
     return told
 
 
+def is_chain_worked(declared: Declared | None) -> bool:
+    """Return whether the receiving chain is being worked on, so that a common fall is not taken for rain."""
+    return declared is not None and (declared.chain_walk_db > 0.0 or declared.chain_step_db > SAME_LEVEL_DB)
+
+
 def stepped_carriers(model: CarrierModel, declared: Declared) -> BoolArray:
     """Return the carriers (N,) whose levels were declared to step, alone or with their transponder."""
     group_db = declared.group_step_db[model.transponder]

@@ -31,7 +31,9 @@ class Heard(NamedTuple):
     values: FloatArray | None
 
 
-def common_first(model: CarrierModel, state: FilterState, innovation: Innovation, chooser: Chooser) -> Heard:
+def common_first(
+    model: CarrierModel, state: FilterState, innovation: Innovation, chooser: Chooser, *, is_chain_worked: bool
+) -> Heard:
     """Return the state after the tests of all carriers together, with the unknown of their cause set free."""
     common = common_innovation(model, innovation)
     row = np.full(model.carriers + 1, np.nan)
@@ -46,7 +48,7 @@ def common_first(model: CarrierModel, state: FilterState, innovation: Innovation
         # what single carriers did says nothing about the common level
         heard = state._replace(minute=sums, rain=rain if choice is None else state.rain)
         return Heard(heard, choice, None if values is None else values[:-1])
-    widened = widen(model, state.gaussian, state.carriers, rain, choice, common)
+    widened = widen(model, state.gaussian, state.carriers, rain, choice, common, is_chain_worked=is_chain_worked)
     motion = follow_all(state.motion) if choice.cause is Cause.ATTITUDE else state.motion
     minute = empty_minute(model.carriers + 1, state.epoch_us)
     freed = state._replace(

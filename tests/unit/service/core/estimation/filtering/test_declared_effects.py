@@ -117,3 +117,13 @@ def test_small_steps_of_every_row_hide_no_fault_and_hold_nothing(run):
     told = run.rows(6, np.where(EVERYONE == 5, -4.0, 0.0), declared)
     assert told.state.carriers.is_flagged[5]
     assert not any("chain_step" in row.integrity.reasons for row in run.told[60:])
+
+
+def test_a_fall_while_the_chain_is_worked_on_is_no_rain(run):
+    working = NONE._replace(chain_walk_db=0.1)
+    run.rows(5, 0.0, working)
+    told = run.rows(20, -2.5, working)
+    assert not any(row.state.rain.is_raining for row in run.told)
+    assert sum("chain_step" in row.integrity.reasons for row in run.told) == 10
+    assert abs(told.state.gaussian.mean[CHAIN] + 2.5) < 0.25  # what 16 carriers with 0.1 dB each share
+    assert len(told.used) == CARRIERS
