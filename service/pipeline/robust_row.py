@@ -57,7 +57,8 @@ def filtered_row(
         "beyond_validity": bool(np.abs(attitude[1:]).max() > validity_limit_deg),
     }
     standing = {reason for reason, stands in conditions.items() if stands} | set(told.integrity.reasons)
-    inhibitions = tuple(reason for reason in INHIBITIONS if reason in standing)
+    # whatever the filter holds against control stands, in the usual order where it has one
+    inhibitions = tuple(dict.fromkeys(one for one in (*INHIBITIONS, *told.integrity.reasons) if one in standing))
     residual_db = fixed.residual_db(model)[told.used]
     is_raining = told.state.rain.is_raining
     common = told.state.gaussian.mean[FIRST_COMMON : core_size(model.filter)]

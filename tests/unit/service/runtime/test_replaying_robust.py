@@ -4,6 +4,7 @@ import shutil
 import time
 from contextlib import contextmanager
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -17,10 +18,12 @@ from service.records.attitude import Axes
 from service.records.calibration import CalibrationMethod, Window
 from service.records.catalogue import Method, Release
 from service.records.command import AppliedCommand
-from service.records.inputs import AttitudeReference, Correction, Operation
+from service.records.inputs import AttitudeReference, Correction, Operation, PlanChange
 from service.records.job import JobState, Replay
+from service.records.journal import JournalEntry
 from service.records.measurement import MeasurementBatch
 from service.runtime.aligning import Aligner, AlignmentRequest
+from service.runtime.consumer import prepare
 from service.runtime.jobs import JobRunner
 from service.runtime.live_feed import LiveFeed
 from service.runtime.replaying import Replayer
@@ -308,6 +311,22 @@ def test_a_restart_after_each_piece_changes_no_row(lived_archive, opened_archive
     for method in BOTH:
         assert text(broken.rows(method)) == text(through.rows(method))
     assert text(broken.commands()) == text(through.commands())
+
+
+def test_commanded_motion_is_read_in_pages(lived, monkeypatch):
+    monkeypatch.setattr("service.runtime.consumer._INPUTS_AT_ONCE", 3)
+    version = lived.replay(112, 135)
+    live = lived.rows(Method.ROBUST, start=112, stop=135)
+    assert text(lived.rows(Method.ROBUST, version)) == text(live)
+
+
+def test_pages_of_anything_but_commanded_motion_are_refused(monkeypatch):
+    monkeypatch.setattr("service.runtime.consumer._INPUTS_AT_ONCE", 1)
+    archive = Mock()
+    archive.slow_inputs_before.return_value = []
+    archive.inputs.return_value = [JournalEntry(7, PlanChange(1))]
+    with pytest.raises(TypeError, match="journal entry 7 is no commanded motion"):
+        prepare(Mock(), archive, SC, 50, 0)
 
 
 def test_before_an_alignment_rows_say_why_they_have_no_angles(opened_archive, new_station):
