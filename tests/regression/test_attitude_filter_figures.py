@@ -35,6 +35,8 @@ BOUNDS = {
     "nominal_drift3": ((0.26, 0.035, 0.045), "roll, pitch .035/.045"),
     "nominal_uncoupled": ((0.15, 0.035, 0.045), "roll, pitch .035/.045"),
     "nominal_300s": ((0.13, 0.035, 0.045), "roll, pitch .035/.045"),
+    "works": ((0.13, 0.020, 0.025), "declared work, no goal of its own"),
+    "sun_outage": ((0.13, 0.020, 0.025), "declared, no goal of its own"),
     "demo": ((0.13, 0.020, 0.025), "no goal of its own"),
 }
 #: run at every change; the others every night
@@ -58,7 +60,9 @@ def campaign(robust_world, name, seeds):
 
 
 def assert_bounds(name, figures):
-    assert (np.mean([row["rms"] for row in figures], axis=0) <= BOUNDS[name][0]).all()
+    # bounds are for the mean of five seeds; one alone scatters by a quarter
+    room = 1.25 if len(figures) == 1 else 1.0
+    assert (np.mean([row["rms"] for row in figures], axis=0) <= room * np.array(BOUNDS[name][0])).all()
     ratio = np.mean([row["ratio"] for row in figures], axis=0)
     wrong_yaw = [row["wrong_yaw"] for row in figures]
     allowed = np.mean([row["yaw_available"] for row in figures])
@@ -115,6 +119,26 @@ def test_commands_that_are_not_carried_out_do_no_harm(robust_world, deed):
 @pytest.mark.parametrize("deed", FALSE_REPORTS)
 def test_commands_that_are_not_carried_out_do_no_harm_over_five_seeds(robust_world, deed, seed):
     assert_false_reports_are_survived(robust_world, deed, seed)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(60)
+def test_a_declared_eclipse_stops_nothing_and_turns_little(robust_world):
+    """Two nights of `eclipse`: control goes on, roll and pitch move by little more than the reflector bends."""
+    world = robust_world.RobustWorld(scenario_named("eclipse"), SEEDS[1])
+    told = world.drive()
+    epochs_us = np.array([row.state.epoch_us for row in told.steps])
+    error_deg = told.estimate_deg - told.truth_deg
+    for operation in world.world.operations:
+        begin, end = np.searchsorted(epochs_us, [operation.start_us, operation.stop_us])
+        stopped = int((~told.is_allowed[begin : end + 60, 1]).sum())
+        moved_deg = np.abs(error_deg[begin : end + 60] - error_deg[begin]).max(axis=0)
+        left_deg = np.abs(error_deg[end + 180] - error_deg[begin])
+        print(f"eclipse: control off {stopped} min, moved {moved_deg.round(3)}, 3 h later {left_deg.round(3)}")
+        assert stopped <= 30
+        # the reflector bends by 0.02-0.05 deg, which no power tells from an attitude; the filter's own noise is 0.02
+        assert (moved_deg[1:] <= 0.06).all()
+        assert (left_deg[1:] <= 0.05).all()
 
 
 @pytest.mark.slow
