@@ -8,6 +8,7 @@ as it is.
 import numpy as np
 
 from service.core.estimation.filtering.carrier_faults import CarrierWatch
+from service.core.estimation.filtering.command_watch import obeyed_commands
 from service.core.estimation.filtering.common_change import Cusum
 from service.core.estimation.filtering.filter_model import BoolArray, CarrierModel, FloatArray, IntArray
 from service.core.estimation.filtering.filter_records import FilterState
@@ -76,6 +77,8 @@ def carry_over(
         noise=noise,
         minute=minute,
         model_variance_db2=_picked(state.model_variance_db2, source, 0.0),
+        # sums over carriers that are gone mean nothing; what was found of the commands stands
+        command=obeyed_commands()._replace(share=state.command.share, minutes_left=state.command.minutes_left),
     )
 
 

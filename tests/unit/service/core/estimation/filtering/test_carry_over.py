@@ -129,3 +129,11 @@ def test_another_ladder_of_correlation_times_begins_at_its_stationary_noise(filt
     np.testing.assert_array_equal(np.diagonal(after.covariance)[here[:-1]], new.coloured_sigma_db.T**2)
     np.testing.assert_array_equal(after.mean[here[-1]], state.gaussian.mean[there[-1]])
     np.testing.assert_array_equal(np.diagonal(after.covariance)[11:13], new.common_sigma_db**2)
+
+
+def test_doubts_about_commands_stay_and_their_sums_begin_anew(old, state):
+    state = state._replace(command=state.command._replace(share=-1.0, minutes_left=20.0, sensitivity=np.ones((60, 2))))
+    after = changed(old, state).command
+    assert (after.share, after.minutes_left) == (-1.0, 20.0)
+    assert after.sensitivity.size == 0
+    assert not after.information.any()
