@@ -28,8 +28,8 @@ from service.core.estimation.filtering.filter_update import Innovation
 
 #: shares that an on-board mode makes of a command: other sign, nothing, half, all, twice
 SHARES = (-1.0, 0.0, 0.5, 1.0, 2.0)
-#: log likelihood ratio that is believed; worlds whose commands are carried out hardly ever reach 5
-BELIEVED = 6.0
+#: log likelihood ratio that is believed; ten worlds of two days whose commands are carried out stay below it
+BELIEVED = 5.0
 #: sums forget with this time, minutes
 _FORGET_MINUTES = 60.0
 #: a share found is known to this
