@@ -29,14 +29,14 @@ def calibrate(
     spacecraft: SpacecraftOption,
     quiet: Annotated[tuple[str, str], typer.Option(help="Start and stop of the quiet window.")],
     turns: Annotated[tuple[str, str], typer.Option(help="Start and stop of the calibration turns.")],
-    method: Annotated[str, typer.Option(help="Kind of fit.")] = "paper",
+    method: Annotated[str, typer.Option(help="`geometry` serves both methods, `paper` only itself.")] = "geometry",
     source: Annotated[str, typer.Option(help="Sensor of the attitude references.")] = "star_tracker",
     activate: Annotated[bool, typer.Option("--activate", help="Make it the active one when it is done.")] = False,
     service: ServiceUrl = DEFAULT_SERVICE,
     key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
     as_json: JsonOption = False,
 ) -> None:
-    """Fit harmonics and sensitivities from quiet days and calibration turns."""
+    """Fit daily changes and sensitivities from quiet days and calibration turns."""
     body = {
         "quiet": {"start": quiet[0], "stop": quiet[1]},
         "turns": {"start": turns[0], "stop": turns[1]},

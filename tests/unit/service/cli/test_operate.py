@@ -1,0 +1,83 @@
+"""``soo calibrate``: what is asked of the service, and what is said of its answer."""
+
+import json
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from service.cli import operate as operate_module
+from service.cli.app import app
+
+QUIET = ("2026-11-01T00:00:00Z", "2026-11-04T00:00:00Z")
+TURNS = ("2026-11-04T00:00:00Z", "2026-11-04T08:30:00Z")
+RESULT: dict[str, Any] = {
+    "id": 7,
+    "carriers": [{"id": "c00", "selected": True}, {"id": "c01", "selected": False}],
+    "quality": {"warnings": ["c01 was silent"]},
+}
+
+
+class Service:
+    """A service that notes what it is asked and has its calibration done at once."""
+
+    def __init__(self) -> None:
+        self.bodies: list[dict[str, Any]] = []
+        self.activated: list[int] = []
+
+    def start_calibration(self, spacecraft_id: str, body: dict[str, Any]) -> dict[str, Any]:
+        assert spacecraft_id == "yamal-202"
+        self.bodies.append(body)
+        return {"id": RESULT["id"], "job": "job-7"}
+
+    def wait_job(self, job_id: str, *, on_progress: Any) -> None:
+        assert job_id == "job-7"
+        on_progress(1.0)
+
+    def activate_calibration(self, spacecraft_id: str, calibration_id: int) -> None:
+        self.activated.append(calibration_id)
+
+    def calibration(self, spacecraft_id: str, calibration_id: int) -> dict[str, Any]:
+        assert calibration_id == RESULT["id"]
+        return {**RESULT, "state": "active" if self.activated else "draft"}
+
+
+@pytest.fixture
+def service(monkeypatch: pytest.MonkeyPatch) -> Service:
+    made = Service()
+
+    @contextmanager
+    def connected(_service: str, _key_env: str) -> Any:
+        yield made
+
+    monkeypatch.setattr(operate_module, "connected", connected)
+    return made
+
+
+def calibrate(*options: str) -> Any:
+    windows = ["--quiet", *QUIET, "--turns", *TURNS]
+    return CliRunner().invoke(app, ["calibrate", "--spacecraft", "yamal-202", *windows, *options])
+
+
+def test_a_calibration_is_by_geometry_unless_said_otherwise(service: Service) -> None:
+    assert calibrate().exit_code == 0
+    assert calibrate("--method", "paper", "--source", "earth_sensor").exit_code == 0
+    window = {"quiet": dict(zip(("start", "stop"), QUIET, strict=True))}
+    window |= {"turns": dict(zip(("start", "stop"), TURNS, strict=True))}
+    assert service.bodies == [
+        {**window, "method": "geometry", "source": "star_tracker"},
+        {**window, "method": "paper", "source": "earth_sensor"},
+    ]
+
+
+def test_a_calibration_stays_a_draft_unless_it_is_to_be_activated(service: Service) -> None:
+    result = calibrate()
+    assert service.activated == []
+    assert result.stdout == "calibration 7 is draft; selected: c00\nwarning: c01 was silent\n"
+    assert calibrate("--activate").stdout.startswith("calibration 7 is active;")
+    assert service.activated == [7]
+
+
+def test_json_is_the_answer_of_the_service(service: Service) -> None:
+    assert json.loads(calibrate("--json").stdout) == {**RESULT, "state": "draft"}
