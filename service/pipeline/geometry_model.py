@@ -90,22 +90,6 @@ def _core_calibration(
     )
 
 
-def remove_group_means(fit: GeometryFit, power_dbm: FloatArray) -> FloatArray:
-    """Return powers (..., N) with the mean of each group of level-controlled carriers taken away from its members."""
-    groups = np.array(fit.alc_group, dtype=np.int64)
-    if not (groups >= 0).any():
-        return power_dbm
-    out = power_dbm.copy()
-    for group in np.unique(groups[groups >= 0]):
-        members = np.flatnonzero(groups == group)
-        own = power_dbm[..., members]
-        present = np.isfinite(own)
-        count = present.sum(axis=-1, keepdims=True)
-        mean = np.where(present, own, 0.0).sum(axis=-1, keepdims=True) / np.maximum(count, 1)
-        out[..., members] = own - mean
-    return out
-
-
 def carrier_model(
     model: GeometryModel, fit: GeometryFit, carriers: tuple[CarrierCalibration, ...], config: RobustConfig
 ) -> CarrierModel:
@@ -123,7 +107,7 @@ def carrier_model(
         white_sigma_db=np.where(np.isfinite(white_db), np.maximum(white_db, config.min_white_db), 1.0),
         coloured_sigma_db=sigma_db,
         coloured_tau_s=tau_s,
-        reference_walk_db=np.array(fit.reference_walk_db),
+        reference_walk_db=np.nan_to_num(np.array(fit.reference_walk_db)),
         common_sigma_db=np.array([part.sigma_db for part in common], dtype=np.float64),
         common_tau_s=np.array([part.correlation_time_s for part in common], dtype=np.float64),
         coefficient_covariance=np.where(

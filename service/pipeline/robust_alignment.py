@@ -15,10 +15,11 @@ from service.core.estimation.noise_model import averaged_sigma_db
 from service.core.estimation.paper.consistency import Consistency, compare_with_angles
 from service.pipeline.config import AlignmentConfig
 from service.pipeline.expected_level import ExpectedLevel
-from service.pipeline.geometry_model import GeometryModel, geometry_model, remove_group_means
+from service.pipeline.geometry_model import GeometryModel, geometry_model
+from service.pipeline.level_control import centred_response, member_groups, without_group_gain
 from service.pipeline.paper_alignment import ReferencePowers
 from service.pipeline.stated_angles import StatedAngles, stated_sigma_deg
-from service.records.attitude import BoolArray, FloatArray
+from service.records.attitude import BoolArray, FloatArray, IntArray
 from service.records.calibration import Calibration, CalibrationResult, CarrierReference
 from service.records.catalogue import Ephemeris
 from service.records.epoch import US_PER_S
@@ -43,6 +44,8 @@ class _Window:
     samples: FloatArray
     #: (N, 3) dB/deg at the stated angles
     slope: FloatArray
+    #: members of each level-controlled group
+    groups: tuple[IntArray, ...]
 
 
 def robust_references(
@@ -69,8 +72,11 @@ def robust_references(
     sigma_db = _calibration_sigma_db(result.geometry, calibration, stated.epoch_us)
     change_db = window.level_dbm - level_dbm
     is_tested = np.isfinite(change_db) & np.array(result.geometry.is_used)
-    common_db = float(np.median(change_db[is_tested])) if is_tested.any() else 0.0
+    common_db = np.full(len(change_db), float(np.median(change_db[is_tested])) if is_tested.any() else 0.0)
     both_db = np.hypot(sigma_db, window.sigma_db)
+    # what a level-controlled group has in common was taken from its members
+    is_grouped = np.isin(np.arange(len(level_dbm)), [k for group in window.groups for k in group])
+    common_db = np.where(is_grouped, 0.0, common_db)
     is_changed = is_tested & (np.abs(change_db - common_db) > config.changed_level_sigma * both_db)
     weight = np.where(is_changed, 0.0, window.sigma_db**2 / both_db**2)
     reference_dbm = weight * (level_dbm + common_db) + (1.0 - weight) * window.level_dbm
@@ -87,7 +93,8 @@ def robust_references(
         if np.isfinite(reference_dbm[k])
     )
     names = tuple(carrier.id for carrier, out in zip(result.carriers, is_changed, strict=True) if out)
-    return ReferencePowers(references, _consistency(change_db, both_db, window.slope, is_tested, is_changed), names)
+    consistency = _consistency(change_db - common_db, both_db, window.slope, is_tested, is_changed)
+    return ReferencePowers(references, consistency, names)
 
 
 def _window(
@@ -106,14 +113,16 @@ def _window(
     time_s = (series.epochs_us - stated.epoch_us) / US_PER_S
     angles_deg = np.array(stated.attitude_deg) + time_s[:, None] * np.array(stated.rate_deg_s)
     daily_db = np.array([expected(int(epoch_us)) for epoch_us in series.epochs_us]).reshape(-1, len(level_dbm))
-    power_dbm = remove_group_means(fit, series.power_dbm)
-    removed = power_dbm - (daily_db - level_dbm) - predict_deviation(angles_deg, model.response)
+    deviation_db = series.power_dbm - daily_db - predict_deviation(angles_deg, model.response)
+    groups = member_groups(fit.alc_group, np.array(fit.is_used))
+    removed = level_dbm + without_group_gain(deviation_db, np.zeros_like(deviation_db), groups)
     mean_dbm, samples = _means(removed, config.min_rows)
     span_s = float(np.ptp(series.epochs_us)) / US_PER_S if len(series.epochs_us) else 0.0
-    slope = predict_jacobian(np.array(stated.attitude_deg), model.response)
+    response = centred_response(model.response, groups)
+    slope = predict_jacobian(np.array(stated.attitude_deg), response)
     noise_db = _noise_db(result, max(1, int(samples.max(initial=0))), span_s)
     sensor_db2 = np.nan_to_num(slope) ** 2 @ stated_sigma_deg(stated) ** 2
-    return _Window(mean_dbm, np.sqrt(noise_db**2 + sensor_db2), samples, slope)
+    return _Window(mean_dbm, np.sqrt(noise_db**2 + sensor_db2), samples, slope, groups)
 
 
 def _means(values: FloatArray, min_rows: int) -> tuple[FloatArray, FloatArray]:

@@ -20,11 +20,13 @@ from service.core.estimation.filtering.filter_state import (
     RATE,
     initial_gaussian,
 )
+from service.core.estimation.filtering.filter_update import site_db
 from service.core.estimation.snapshot.snapshot import Snapshots, solve_snapshots
 from service.pipeline.config import ChainConfig
 from service.pipeline.declared_operations import declared_between, with_chain_step
 from service.pipeline.knowledge import Knowledge
 from service.pipeline.known_motion import CommandedMotion, take
+from service.pipeline.level_control import without_group_gain
 from service.pipeline.robust_model import RobustModel, signals
 from service.pipeline.robust_row import Fixed, filtered_row, late_row
 from service.pipeline.stated_angles import usual_sigma_deg
@@ -108,6 +110,7 @@ def step_robust(
     """Take one row whose powers stand in the calibration's order and return its outcome and the next state."""
     expected_dbm = model.expected_dbm(measurement.epoch_us)
     deviation_db = np.where(model.is_used, power_dbm - expected_dbm, np.nan)
+    deviation_db = without_group_gain(deviation_db, site_db(model.filter, state.filter.gaussian.mean), model.groups)
     if is_late:
         fixes = _snapshot(model, deviation_db)
         row = late_row(measurement, model, fixes, is_absent=np.isnan(deviation_db))

@@ -14,6 +14,7 @@ from service.pipeline.declared_operations import CarrierNames
 from service.pipeline.expected_level import ExpectedLevel, daily_error_db
 from service.pipeline.geometry_model import GeometryModel, carrier_model, geometry_model
 from service.pipeline.knowledge import Knowledge
+from service.pipeline.level_control import centred_model, centred_response, member_groups
 from service.records.attitude import BoolArray, FloatArray, IntArray
 from service.records.calibration import Alignment, Calibration, CalibrationResult
 from service.records.catalogue import Ephemeris, Method, Spacecraft
@@ -52,6 +53,8 @@ class RobustModel:
     #: (N,) whether the method uses the carrier, and whether its reference is known
     is_used: BoolArray
     is_referenced: BoolArray
+    #: members of each level-controlled group
+    groups: tuple[IntArray, ...]
     calibration_id: int
     alignment_id: int
 
@@ -93,23 +96,26 @@ def robust_model(
     offset_db, sigma_db = _references(result, fit, arrays, alignment, former, aligned_under or ephemeris)
     carrier_ids = tuple(carrier.id for carrier in result.carriers)
     is_known = np.isfinite(arrays.response.slope).all(axis=1) & np.isfinite(np.array(fit.level_dbm))
+    is_used = np.array(fit.is_used, dtype=np.bool_) & is_known
+    groups = member_groups(fit.alc_group, is_used)
     return RobustModel(
         carrier_ids=carrier_ids,
         filter=_with_daily_error(
-            carrier_model(arrays, fit, result.carriers, config.robust),
+            centred_model(carrier_model(arrays, fit, result.carriers, config.robust), groups),
             daily_error_db(arrays, fit, ephemeris, max(alignment.epoch_us, ephemeris.valid_start_us)),
         ),
         settings=_filter_settings(knowledge.spacecraft, config.robust),
         limits=_limits(config.interlock, config.robust),
-        response=arrays.response,
+        response=centred_response(arrays.response, groups),
         orders=subset_orders(len(carrier_ids), _SUBSETS),
         level=level,
         fit=fit,
         names=CarrierNames(carrier_ids, fit.transponders, np.array(fit.transponder, dtype=np.int64)),
         reference_offset_db=np.nan_to_num(offset_db),
         reference_sigma_db=sigma_db,
-        is_used=np.array(fit.is_used, dtype=np.bool_) & is_known,
+        is_used=is_used,
         is_referenced=np.isfinite(offset_db),
+        groups=groups,
         calibration_id=calibration.id,
         alignment_id=alignment.id,
     )

@@ -8,7 +8,7 @@ from geometry_flight import SITE, START_US, FlightPayload
 
 from service.core.estimation.calibration.quadratic_response import predict_deviation
 from service.pipeline.config import RobustConfig
-from service.pipeline.geometry_model import carrier_model, geometry_model, remove_group_means
+from service.pipeline.geometry_model import carrier_model, geometry_model
 from service.records.noise import NoiseComponent
 
 NAN = float("nan")
@@ -56,22 +56,6 @@ def test_a_beacon_stands_at_the_receiving_site_and_tells_its_downlink():
     untouched = geometry_model(payload.geometry(), result.carriers)
     others = np.arange(16) != 2
     np.testing.assert_array_equal(model.response.slope[others], untouched.response.slope[others])
-
-
-def test_without_groups_powers_stay_as_they_are():
-    fit = FlightPayload.make(4).geometry()
-    power = np.array([1.0, 2.0, NAN, 4.0])
-    assert remove_group_means(fit, power) is power
-    assert remove_group_means(replace(fit, alc_group=(-1, -1, -1, -1)), power) is power
-
-
-def test_the_mean_of_the_present_members_of_a_group_is_taken_away():
-    fit = FlightPayload.make(6).geometry(alc_group=(0, -1, 0, 1, 0, 1))
-    power = np.array([[1.0, 9.0, 3.0, NAN, 5.0, NAN], [1.0, 9.0, NAN, 4.0, 5.0, 6.0]])
-    wanted = np.array([[-2.0, 9.0, 0.0, NAN, 2.0, NAN], [-2.0, 9.0, NAN, -1.0, 2.0, 1.0]])
-    np.testing.assert_allclose(remove_group_means(fit, power), wanted, atol=1e-12)
-    np.testing.assert_allclose(remove_group_means(fit, power[0]), wanted[0], atol=1e-12)
-    assert power[0, 0] == 1.0
 
 
 def test_the_filters_model_has_the_sizes_of_the_record():
