@@ -113,7 +113,7 @@ _STAGE_MEANINGS: dict[str, tuple[str, str]] = {
     "operations.station_keeping_deg": ("sigma of each angle after a burn that states none, deg", TUNED),
     "operations.momentum_unloading_deg": ("the same after an unloading of momentum, deg", TUNED),
     "operations.eclipse_gain_db_sqrt_h": ("walk of a transponder's gain in eclipse, dB per square root of hour", TUNED),
-    "operations.eclipse_shift_deg_sqrt_h": ("walk of the patterns in eclipse, deg per square root of hour", TUNED),
+    "operations.eclipse_level_db_sqrt_h": ("walk of single levels in eclipse, dB per square root of hour", TUNED),
     "operations.gain_step_db": ("a gain or the receiving chain moves by this when worked on, dB", TUNED),
     "operations.carrier_step_db": ("a carrier that was worked on comes back within this, dB", TUNED),
 }

@@ -62,7 +62,7 @@ class CalibrationConfig:
     #: chi-square of two degrees of freedom beyond which a station is said to stand elsewhere
     place_chi_square: float = 16.0
     #: random walk of a carrier's level at least, dB per square root of hour
-    reference_walk_db_sqrt_h: float = 0.006
+    reference_walk_db_sqrt_h: float = 0.003
     #: knots of a carrier's level over the turns are at least this far apart, s; the default gives one straight line
     level_knot_s: float = 36_000.0
     #: an axis counts as turned where its angle passed this, deg
@@ -159,9 +159,9 @@ class OperationConfig:
     #: one standard deviation of each angle where an operation states none, deg
     station_keeping_deg: float = 0.1
     momentum_unloading_deg: float = 0.05
-    #: eclipse: change of a transponder's gain and shift of the patterns, dB and deg per square root of hour
+    #: eclipse: walk of a transponder's gain, and of single levels where the reflector bends, dB per square root of hour
     eclipse_gain_db_sqrt_h: float = 0.3
-    eclipse_shift_deg_sqrt_h: float = 0.03
+    eclipse_level_db_sqrt_h: float = 0.06
     #: a gain or the receiving chain is taken to move by this when it is worked on, dB
     gain_step_db: float = 2.0
     #: a carrier that was worked on comes back within this, dB

@@ -3,7 +3,7 @@
 | kind | while it lasts | when it begins and ends |
 |---|---|---|
 | station_keeping, momentum_unloading, other, calibration_turn | the attitude walks, to the stated uncertainty | - |
-| eclipse | gains of the transponders and the attitude seen by radio walk, also for an hour after | - |
+| eclipse | gains of the transponders and single levels walk, the attitude as far as stated; also for an hour after | - |
 | sun_outage | its carriers are not used | - |
 | carrier_work | its carriers are not used | their references are free |
 | gain_change | - | each transponder's references may have moved together |
@@ -31,6 +31,7 @@ class _Effect:
 
     def __init__(self, carriers: int, transponders: int) -> None:
         self.is_masked: BoolArray = np.zeros(carriers, dtype=np.bool_)
+        self.reference_walk_db2 = np.zeros(carriers)
         self.reference_step_db2 = np.zeros(carriers)
         self.group_step_db2 = np.zeros(transponders)
         self.chain_walk_db2 = 0.0
@@ -40,11 +41,10 @@ class _Effect:
 
     def declared(self) -> Declared:
         """Return the sums as standard deviations."""
-        none = np.zeros(len(self.is_masked))
         return Declared(
             self.is_masked,
-            none,
-            none,
+            np.zeros(len(self.is_masked)),
+            np.sqrt(self.reference_walk_db2),
             float(np.sqrt(self.chain_walk_db2)),
             np.sqrt(self.attitude_walk_deg2),
             np.sqrt(self.reference_step_db2),
@@ -108,6 +108,7 @@ def declared_between(
     # a walk acts for the whole step, an operation perhaps only for a part of it
     effect.attitude_walk_deg2 /= hours
     effect.chain_walk_db2 /= hours
+    effect.reference_walk_db2 /= hours
     return effect.declared()
 
 
@@ -133,7 +134,8 @@ def _add_lasting(
             effect.is_masked |= names.named_carriers(operation)
     elif operation.kind == "eclipse":
         effect.group_step_db2 += names.named_transponders(operation) * config.eclipse_gain_db_sqrt_h**2 * hours
-        effect.attitude_walk_deg2 += _turned_deg2(operation, config.eclipse_shift_deg_sqrt_h) * hours
+        effect.reference_walk_db2 += names.named_carriers(operation) * config.eclipse_level_db_sqrt_h**2 * hours
+        effect.attitude_walk_deg2 += _turned_deg2(operation, 0.0) * (hours / _length_h(operation))
     elif operation.kind == "receive_chain_work":
         effect.chain_walk_db2 += config.gain_step_db**2 * hours
     elif operation.kind in _KINDS_THAT_TURN:

@@ -24,6 +24,7 @@ from service.core.estimation.filtering.filter_update import site_db
 from service.core.estimation.snapshot.snapshot import Snapshots, solve_snapshots
 from service.pipeline.config import ChainConfig
 from service.pipeline.declared_operations import declared_between, with_chain_step
+from service.pipeline.filter_kernels import kernels_named
 from service.pipeline.knowledge import Knowledge
 from service.pipeline.known_motion import CommandedMotion, take
 from service.pipeline.level_control import without_group_gain
@@ -127,6 +128,7 @@ def step_robust(
         known,
         limits=model.limits,
         declared=declared,
+        kernels=kernels_named(config.kernels),
     )
     if not (np.isfinite(told.attitude_deg).all() and np.isfinite(told.covariance_deg2).all()):
         message = "the filter lost its numbers; the state before this row is kept"

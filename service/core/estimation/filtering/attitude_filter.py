@@ -40,6 +40,7 @@ from service.core.estimation.filtering.filter_records import FilterState, Filter
 from service.core.estimation.filtering.filter_state import ATTITUDE, CHAIN, RAIN
 from service.core.estimation.filtering.filter_update import innovate, update
 from service.core.estimation.filtering.integrity import Evidence, IntegrityLimits, assess
+from service.core.estimation.filtering.kernels import ARRAYS, Kernels
 from service.core.estimation.filtering.motion_watch import pass_motion
 from service.core.estimation.filtering.rain_state import pass_hold, pass_minutes
 from service.core.estimation.filtering.row_stages import common_first, is_shared, moved, trusted, watched
@@ -73,6 +74,7 @@ def step(
     limits: IntegrityLimits | None = None,
     chooser: Chooser = choose_cause,
     declared: Declared | None = None,
+    kernels: Kernels = ARRAYS,
 ) -> FilterStep:
     """Return the filter after one row.
 
@@ -96,6 +98,8 @@ def step(
         ``chooser(model, innovation) -> Choice`` decides what moved several carriers at once.
     declared : Declared, optional
         What the ground declared about the time since the state's epoch.
+    kernels : Kernels
+        Who does the arithmetic.
 
     Returns
     -------
@@ -108,11 +112,11 @@ def step(
         return _told(model, state, nothing, np.empty(0, dtype=np.int64), None, limits)
     step_us = epoch_us - state.epoch_us
     minutes = min(step_us / 60e6, 1.0)
-    ahead = _ahead(model, settings, state, step_us, known, declared)
+    ahead = _ahead(model, settings, state, step_us, known, declared, kernels)
     row = _row(ahead, deviation_db, minutes, declared)
     if len(row.present) < MIN_CARRIERS:
         return _told(model, ahead, nothing, row.present[:0], None, limits)
-    return _judged(model, settings, ahead, row, limits, chooser)
+    return _judged(model, settings, ahead, row, limits, chooser, kernels)
 
 
 def _ahead(
@@ -122,6 +126,7 @@ def _ahead(
     step_us: int,
     known: KnownMotion,
     declared: Declared | None,
+    kernels: Kernels,
 ) -> FilterState:
     """Return the predicted state with the detectors as much later."""
     minutes = min(step_us / 60e6, 1.0)
@@ -134,7 +139,7 @@ def _ahead(
     )
     now = doubting_settings(scaled_settings(settings, state.drift), state.command)
     believed = believed_motion(state.command, known)
-    predicted, variance = predict(model, now, state.gaussian, step_us, believed, weather)
+    predicted, variance = predict(model, now, state.gaussian, step_us, believed, weather, kernels)
     is_flagged, is_raining = state.carriers.is_flagged, state.rain.is_raining
     ahead = state._replace(
         epoch_us=state.epoch_us + step_us,
@@ -164,23 +169,25 @@ def _judged(
     row: _Row,
     limits: IntegrityLimits,
     chooser: Chooser,
+    kernels: Kernels,
 ) -> FilterStep:
     """Test, update and watch a row of enough carriers."""
     white_db2 = (model.white_sigma_db * ahead.noise.white_scale) ** 2
     if row.declared is not None:
         white_db2 = white_db2 + row.declared.white_db**2
-    first = innovate(model, ahead.gaussian, row.deviation_db, row.present, white_db2)
+    first = second = innovate(model, ahead.gaussian, row.deviation_db, row.present, white_db2, kernels=kernels)
     freed, choice, values = common_first(model, ahead, first, chooser, is_chain_worked=is_chain_worked(row.declared))
-    second = innovate(model, freed.gaussian, row.deviation_db, row.present, white_db2) if is_shared(choice) else first
+    if is_shared(choice):
+        second = innovate(model, freed.gaussian, row.deviation_db, row.present, white_db2, kernels=kernels)
     excess = np.abs(second.innovation_db) / second.sigma_db
-    kept = trusted(second)
+    kept = trusted(second, excess)
     watch = count_skips(freed.carriers, row.present, excess, row.minutes)
     watch = count_absence(watch, row.is_accounted, row.minutes)
     if values is not None:
         watch = push_carrier_values(watch, values)
     updated, after = None, freed
     if len(kept.carriers) >= MIN_CARRIERS:
-        updated = update(model, freed.gaussian, row.deviation_db, kept)
+        updated = update(model, freed.gaussian, row.deviation_db, kept, kernels)
         after = freed._replace(gaussian=updated.state, motion=moved(freed, updated, choice))
         command = push_row(model, freed.command, kept, updated.state.covariance, is_shared=is_shared(choice))
         command, gaussian = judge_commands(command, updated.state)

@@ -189,7 +189,8 @@ def push_carrier_values(watch: CarrierWatch, values: FloatArray) -> CarrierWatch
 
     A value counts for three at most: an impulse is skipped, not flagged, and a jump takes four minutes either way.
     """
-    return watch._replace(cusum=push_cusum(watch.cusum, np.clip(values, -_LARGEST_VALUE, _LARGEST_VALUE)))
+    counted = np.minimum(np.maximum(values, -_LARGEST_VALUE), _LARGEST_VALUE)
+    return watch._replace(cusum=push_cusum(watch.cusum, counted))
 
 
 def release_quiet(model: CarrierModel, state: Gaussian, watch: CarrierWatch) -> tuple[Gaussian, CarrierWatch]:

@@ -117,6 +117,10 @@ def pass_commands(
         watch = watch._replace(sensitivity=np.zeros((size, 2)))
         if not is_commanded:
             return watch
+    keep = math.exp(-minutes / _FORGET_MINUTES)
+    watch = watch._replace(score=keep * watch.score, information=keep * watch.information)
+    if not is_commanded and not watch.sensitivity.any():
+        return watch
     moved = watch.sensitivity.copy()
     core = core_size(model)
     moved[:9] = motion_over(step_us, settings).transition @ moved[:9]
@@ -127,8 +131,7 @@ def pass_commands(
     own = moved[core:].reshape(-1, model.carriers, 2)
     own[:-1] *= np.exp(-seconds / model.coloured_tau_s).T[:, :, None]
     own[:, is_flagged] = 0.0
-    keep = math.exp(-minutes / _FORGET_MINUTES)
-    return watch._replace(sensitivity=moved, score=keep * watch.score, information=keep * watch.information)
+    return watch._replace(sensitivity=moved)
 
 
 def push_row(

@@ -40,7 +40,10 @@ class Widened(NamedTuple):
 
 def common_innovation(model: CarrierModel, innovation: Innovation) -> CommonInnovation:
     """Return the common part of a row's innovations."""
-    full = np.flatnonzero(model.is_full_band[innovation.carriers])
+    is_full = model.is_full_band[innovation.carriers]
+    if is_full.all():
+        return CommonInnovation(*common_value(innovation.innovation_db, innovation.covariance_db2))
+    full = np.flatnonzero(is_full)
     if len(full) < _SEVERAL:
         return CommonInnovation(float("nan"), float("nan"))
     spread = innovation.covariance_db2[full][:, full]

@@ -61,7 +61,8 @@ def _rotation(value: complex, pitch: float) -> FloatArray:
 def _drift_to_attitude(hours: float, coupling_per_h: float, tau_h: float) -> FloatArray:
     """Return what a drift of one at the start has done to the attitude after some hours."""
     decay, turn = -1.0 / tau_h, complex(0.0, coupling_per_h)
-    moved = math.exp(decay * hours) * _quotient(turn - decay, hours)
+    # the difference of the two exponentials, written so that a gap of months does not overflow
+    moved = cmath.exp(turn * hours) * _quotient(decay - turn, hours)
     return _rotation(moved, _quotient(complex(decay), hours).real)
 
 

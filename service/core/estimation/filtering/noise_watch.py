@@ -62,9 +62,12 @@ def push_values(watch: NoiseWatch, values: FloatArray, nis: float, degrees: int)
     is_present = np.isfinite(values)
     value = np.where(is_present, values, 0.0)
     surplus = np.where(is_present, np.minimum(value**2, _CUT) / _CUT_MEAN - 1.0, 0.0)
-    white = np.clip(watch.white_scale * np.exp(0.5 * surplus / WHITE_MINUTES), *WHITE_LIMITS)
+    low, high = WHITE_LIMITS
+    # not np.clip: on sixteen numbers it costs four times as much
+    white = np.minimum(np.maximum(watch.white_scale * np.exp(0.5 * surplus / WHITE_MINUTES), low), high)
     share = 1.0 / _MEAN_MINUTES
-    mean = watch.running_mean + np.where(is_present, share * (np.clip(value, -3.0, 3.0) - watch.running_mean), 0.0)
+    cut = np.minimum(np.maximum(value, -3.0), 3.0)
+    mean = watch.running_mean + np.where(is_present, share * (cut - watch.running_mean), 0.0)
     count = int(np.count_nonzero(is_present))
     slow = watch.slow_scale
     if count:

@@ -70,9 +70,19 @@ def moved(state: FilterState, updated: Updated, choice: Choice | None) -> Motion
     )
 
 
-def trusted(innovation: Innovation) -> Innovation:
-    """Return the innovations of the carriers that are not skipped, with Huber's weights."""
-    excess = np.abs(innovation.innovation_db) / innovation.sigma_db
+def trusted(innovation: Innovation, excess: FloatArray) -> Innovation:
+    """Return the innovations of the carriers that are not skipped, with Huber's weights.
+
+    Parameters
+    ----------
+    innovation : Innovation
+        Of n carriers.
+    excess : ndarray, shape (n,)
+        abs(innovation) / sigma of them.
+    """
+    if (excess <= SKIPPED).all():
+        # most rows: nothing to be left out
+        return innovation._replace(white_db2=trusted_white_db2(innovation.white_db2, excess))
     kept = np.flatnonzero(excess <= SKIPPED)
     return Innovation(
         innovation.carriers[kept],

@@ -78,10 +78,11 @@ def test_a_short_burn_within_one_step_leaves_all_of_its_uncertainty():
     np.testing.assert_array_equal(instant.attitude_walk_deg, 0.0)
 
 
-def test_an_eclipse_moves_transponders_and_pattern_until_an_hour_after():
+def test_an_eclipse_moves_transponders_and_levels_until_an_hour_after():
     during = told("eclipse", 2 * HOUR, 2 * HOUR + 30 * MINUTE)
     np.testing.assert_allclose(during.group_step_db, 0.3 * np.sqrt(0.5), atol=EXACT)
-    np.testing.assert_allclose(during.attitude_walk_deg, 0.03, atol=EXACT)
+    np.testing.assert_allclose(during.reference_walk_db, 0.06, atol=EXACT)
+    np.testing.assert_array_equal(during.attitude_walk_deg, 0.0)
     warming = told("eclipse", 3 * HOUR + 30 * MINUTE, 5 * HOUR, transponders=("K2",))
     np.testing.assert_allclose(warming.group_step_db, [0.0, 0.3 * np.sqrt(0.5)], atol=EXACT)
     assert told("eclipse", 4 * HOUR, 5 * HOUR) is None

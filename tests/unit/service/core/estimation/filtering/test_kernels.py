@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from service.core.estimation.filtering import loop_kernels
-from service.core.estimation.filtering.filter_model import FilterSettings, KnownMotion, model_variance_db2
+from service.core.estimation.filtering.attitude_filter import start, step
+from service.core.estimation.filtering.filter_model import FilterSettings, KnownMotion, model_variance_db2, no_motion
 from service.core.estimation.filtering.filter_predict import Weather, predict
 from service.core.estimation.filtering.filter_update import innovate, update
 from service.core.estimation.filtering.kernels import ARRAYS, Kernels, compiled_kernels
@@ -106,3 +107,28 @@ def test_the_error_of_the_calibration_is_that_of_the_model(filter_models):
     expected = model_variance_db2(model.coefficient_covariance, attitude_deg)
     variance = UNCOMPILED.model_variance(model.coefficient_covariance, attitude_deg)
     np.testing.assert_allclose(variance, expected, rtol=1e-13)  # sums of 81 products
+
+
+@pytest.mark.parametrize("name", ["arrays", "compiled"])
+def test_a_step_of_either_set_replays_bit_for_bit(filter_models, compiled, name):
+    kernels = {"arrays": ARRAYS, "compiled": compiled}[name]
+    first, second = (driven(filter_models, kernels, 30) for _ in range(2))
+    np.testing.assert_array_equal(first.covariance, second.covariance)
+    np.testing.assert_array_equal(first.mean, second.mean)
+
+
+def test_steps_of_both_sets_agree(filter_models, compiled):
+    arrays, loops = driven(filter_models, ARRAYS, 30), driven(filter_models, compiled, 30)
+    # thirty rows build upon one another
+    np.testing.assert_allclose(arrays.mean, loops.mean, rtol=0.0, atol=1e-10)
+    np.testing.assert_allclose(arrays.covariance, loops.covariance, rtol=0.0, atol=1e-12)
+
+
+def driven(filter_models, kernels, rows):
+    """Return the state vector after some rows of the whole filter."""
+    model, rng = filter_models.carrier_model(), np.random.default_rng(5)
+    state = start(model, 0, filter_models.aligned(model))
+    for row in range(1, rows + 1):
+        deviation_db = 0.2 * rng.standard_normal(model.carriers)
+        state = step(model, FilterSettings(), state, row * MINUTE_US, deviation_db, no_motion(), kernels=kernels).state
+    return state.gaussian
