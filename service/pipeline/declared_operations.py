@@ -3,7 +3,7 @@
 | kind | while it lasts | when it begins and ends |
 |---|---|---|
 | station_keeping, momentum_unloading, other, calibration_turn | the attitude walks, to the stated uncertainty | - |
-| eclipse | gains of the transponders and single levels walk, the attitude as far as stated; also for an hour after | - |
+| eclipse, and an hour after | gains of the transponders and single levels walk, the attitude as far as stated | - |
 | sun_outage | its carriers are not used | - |
 | carrier_work | its carriers are not used | their references are free |
 | gain_change | - | each transponder's references may have moved together |

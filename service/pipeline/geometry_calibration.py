@@ -13,7 +13,9 @@ import numpy as np
 from service.pipeline.calibration import observe, paper_part
 from service.pipeline.calibration_rows import CalibrationError, CalibrationInput
 from service.pipeline.config import CalibrationConfig
+from service.pipeline.expected_level import daily_error_db
 from service.pipeline.geometry_fit import JointFit, fit_rows
+from service.pipeline.geometry_model import geometry_model
 from service.pipeline.geometry_quality import quality_figures
 from service.pipeline.geometry_rows import GeometryRows, geometry_rows
 from service.pipeline.geometry_warnings import calibration_warnings
@@ -53,12 +55,14 @@ def calibrate_geometry(data: CalibrationInput, config: CalibrationConfig) -> Cal
     slope = joint.response.slope
     carriers = tuple(_carrier(one, k, joint, refusals[k]) for k, one in enumerate(paper.carriers))
     sigma_db = np.hypot(joint.noise.white_db, np.sqrt(np.square(joint.noise.sigma_db).sum(axis=1)))
+    record = geometry_record(data, rows, joint, is_used)
+    error_db = daily_error_db(geometry_model(record, carriers), record, data.ephemeris, data.request.quiet.start_us)
     return CalibrationResult(
         carriers,
         observe(slope[is_seeing], sigma_db[is_seeing]),
         {**paper.quality, **quality_figures(rows, joint, is_used)},
         calibration_warnings(data, rows, joint, is_used, config) + _of_paper(paper.warnings),
-        geometry_record(data, rows, joint, is_used),
+        replace(record, daily_error_db=_row(error_db)),
     )
 
 

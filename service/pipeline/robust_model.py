@@ -98,11 +98,12 @@ def robust_model(
     is_known = np.isfinite(arrays.response.slope).all(axis=1) & np.isfinite(np.array(fit.level_dbm))
     is_used = np.array(fit.is_used, dtype=np.bool_) & is_known
     groups = member_groups(fit.alc_group, is_used)
+    grown_db = _grown_error_db(arrays, fit, ephemeris, max(alignment.epoch_us, ephemeris.valid_start_us))
     return RobustModel(
         carrier_ids=carrier_ids,
         filter=_with_daily_error(
             centred_model(carrier_model(arrays, fit, result.carriers, config.robust), groups),
-            daily_error_db(arrays, fit, ephemeris, max(alignment.epoch_us, ephemeris.valid_start_us)),
+            grown_db,
         ),
         settings=_filter_settings(knowledge.spacecraft, config.robust),
         limits=_limits(config.interlock, config.robust),
@@ -112,13 +113,25 @@ def robust_model(
         fit=fit,
         names=CarrierNames(carrier_ids, fit.transponders, np.array(fit.transponder, dtype=np.int64)),
         reference_offset_db=np.nan_to_num(offset_db),
-        reference_sigma_db=sigma_db,
+        # the reference holds what the daily change had wrong at the alignment
+        reference_sigma_db=np.hypot(sigma_db, grown_db),
         is_used=is_used,
         is_referenced=np.isfinite(offset_db),
         groups=groups,
         calibration_id=calibration.id,
         alignment_id=alignment.id,
     )
+
+
+def _grown_error_db(arrays: GeometryModel, fit: GeometryFit, ephemeris: Ephemeris, start_us: int) -> FloatArray:
+    """Return by how much (N,) the daily change is known worse than over the orbit of the quiet days, dB.
+
+    Over that orbit dish and solar day share one wave, and only their sum was measured: what the dish alone leaves open
+    there is no error of the level.
+    """
+    now_db = daily_error_db(arrays, fit, ephemeris, start_us)
+    then_db = np.array(fit.daily_error_db) if fit.daily_error_db else np.zeros_like(now_db)
+    return np.sqrt(np.maximum(now_db**2 - np.nan_to_num(then_db) ** 2, 0.0))
 
 
 def _with_daily_error(model: CarrierModel, error_db: FloatArray) -> CarrierModel:

@@ -67,3 +67,5 @@ class GeometryFit:
     #: Only differences within a group are known: subtract from each row's deviations the mean over the group's present
     #: carriers, and from the model's gradients the same mean
     alc_group: tuple[int, ...] = ()
+    #: (N,) dB, rms over the orbit of the quiet days of what the covariance of ``daily`` alone leaves open
+    daily_error_db: Row = ()
