@@ -92,7 +92,7 @@ def test_the_record_holds_places_bands_and_noise(data, result):
     assert fit.is_used == (True,) * 8
     assert fit.alc_group == ()
     assert fit.quantisation_db == (0.0,) * 8
-    assert fit.reference_walk_db == pytest.approx([0.006] * 8)
+    assert fit.reference_walk_db == pytest.approx([0.003] * 8)
     for carrier in result.carriers:
         # 4320 rows: one sigma of a white noise is 1.1 %, four times that and the sensor's 0.005 deg
         assert carrier.sigma_white_db == pytest.approx(0.05, rel=0.06)

@@ -76,7 +76,7 @@ def test_expected_levels_are_references_and_day(payload):
     # cubic between knots of ten minutes
     np.testing.assert_allclose(model.expected_dbm(epoch_us) - truth, [0, 1, 2, 3, 4, 5, 6, 0], atol=1e-5)
     assert model.is_referenced.tolist() == [True] * 7 + [False]
-    np.testing.assert_array_equal(model.reference_sigma_db, [0.02] * 7 + [1.0])
+    np.testing.assert_allclose(model.reference_sigma_db, [0.02] * 7 + [1.0], rtol=1e-6)
     assert (model.calibration_id, model.alignment_id) == (1, 1)
 
 
@@ -116,7 +116,8 @@ def test_references_of_another_calibration_keep_each_mean_power_of_the_window(pa
     # the same instants and the same formula: rounding
     np.testing.assert_allclose(means(model), means(own), atol=1e-9)
     assert model.is_referenced.all()
-    np.testing.assert_array_equal(model.reference_sigma_db, 0.02)
+    # what the fake's own covariance leaves open of the daily change is far below
+    np.testing.assert_allclose(model.reference_sigma_db, 0.02, rtol=1e-6)
 
 
 def test_a_manual_alignment_without_window_is_compared_at_its_epoch(payload):
@@ -195,3 +196,25 @@ def test_a_window_is_compared_over_its_length_and_not_at_its_end(payload):
     truth = payload.power_dbm(instants[::5], np.zeros(3)).mean(axis=0)
     # sixty instants of the comparison against seventy-two here, of a difference of a tenth of a day's wave
     np.testing.assert_allclose(told, truth, atol=2e-3)
+
+
+def test_the_daily_change_is_doubted_only_beyond_what_it_was_over_the_quiet_days(payload):
+    plain = robust_model(knows(payload), None, CONFIG)
+    calibration = payload.calibration()
+    fit = calibration.result.geometry
+    # the dish alone is told to 20 dB/deg, one sigma: over a wander of hundredths of a degree some tenths of a dB
+    covariance = np.array(fit.covariance)
+    covariance[:, 1, 1] = 400.0
+    loose = replace(fit, covariance=tuple(tuple(map(tuple, one)) for one in covariance.tolist()))
+    doubted = robust_model(
+        knows(payload, replace(calibration, result=replace(calibration.result, geometry=loose))), None, CONFIG
+    )
+    grown = np.sqrt(doubted.reference_sigma_db**2 - plain.reference_sigma_db**2)
+    assert (grown > 0.05).all()
+    slow = np.sqrt((doubted.filter.coloured_sigma_db**2 - plain.filter.coloured_sigma_db**2).sum(axis=1))
+    np.testing.assert_allclose(slow, grown, rtol=1e-6)
+    as_calibrated = replace(loose, daily_error_db=tuple(grown.tolist()))
+    result = replace(calibration.result, geometry=as_calibrated)
+    known = robust_model(knows(payload, replace(calibration, result=result)), None, CONFIG)
+    # equal errors cancel to the rounding of their squares
+    np.testing.assert_allclose(known.reference_sigma_db, plain.reference_sigma_db, atol=1e-6)
