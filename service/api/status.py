@@ -29,6 +29,7 @@ def status_of(context: ApiContext, spacecraft_id: str) -> StatusAnswer:
             "pending": pending,
             "aligned": bool(alignments),
             "realignment_advised": realignment_advised(storage, spacecraft_id),
+            "methods_disagree": context.supervisor.is_disagreeing(spacecraft_id),
             "clock": "data" if clock.is_data(spacecraft_id) else "system",
             "now": clock.now_us(spacecraft_id),
             "links": [

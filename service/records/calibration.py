@@ -169,3 +169,5 @@ class Alignment:
     references_by_method: dict[str, tuple[CarrierReference, ...]] = field(default_factory=dict)
     #: calibration that the references of each method were made with
     calibration_by_method: dict[str, int] = field(default_factory=dict)
+    #: carriers that were re-levelled since the calibration and took their reference from the window alone
+    changed_carriers: tuple[str, ...] = ()

@@ -69,6 +69,7 @@ class Aligner:
             override_reason=request.override_reason,
             references_by_method=powers.references_by_method,
             calibration_by_method=powers.calibration_by_method,
+            changed_carriers=powers.changed,
         )
         return self._storage.results.add_alignment(spacecraft_id, alignment)
 

@@ -93,6 +93,14 @@ class Supervisor:
         with follower.lock:
             return follower.chain.carrier_states()
 
+    def is_disagreeing(self, spacecraft_id: str) -> bool:
+        """Return whether the methods have told different roll or pitch angles for long."""
+        follower = self._followers.get(spacecraft_id)
+        if follower is None:
+            return False
+        with follower.lock:
+            return follower.chain.is_disagreeing
+
     def _run(self) -> None:
         """Follow journals until stopped."""
         while True:

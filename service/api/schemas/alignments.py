@@ -131,6 +131,11 @@ class AlignmentAnswer(Answer):
     created_at: EpochAnswer
     created_by: str
     references: list[CarrierReferenceAnswer]
+    """Of the calibration named above."""
+    references_by_method: dict[str, list[CarrierReferenceAnswer]]
+    calibration_by_method: dict[str, int]
+    changed_carriers: list[str]
+    """Re-levelled since the calibration; their reference is that of the window alone."""
 
     @classmethod
     def of(cls, alignment: Alignment) -> Self:
@@ -150,6 +155,9 @@ class AlignmentAnswer(Answer):
                 "created_at": alignment.created_at_us,
                 "created_by": alignment.created_by,
                 "references": alignment.references,
+                "references_by_method": alignment.references_by_method,
+                "calibration_by_method": alignment.calibration_by_method,
+                "changed_carriers": alignment.changed_carriers,
             }
         )
 

@@ -32,6 +32,8 @@ class StatusAnswer(Answer):
     """Rows after the alignment's epoch without a result of every method that can run; 0 when not aligned."""
     aligned: bool
     realignment_advised: bool
+    methods_disagree: bool
+    """Whether both methods have told different roll or pitch angles for a quarter of an hour."""
     clock: Literal["system", "data"]
     now: EpochAnswer | None
     """Present of the spacecraft; null before its first row under the data clock."""

@@ -166,6 +166,9 @@ async def test_alignment_is_told_field_by_field(bench, make):
                 "change_since_calibration_db": None,
             }
         ],
+        "references_by_method": {},
+        "calibration_by_method": {},
+        "changed_carriers": [],
     }
     bench.align(make.now_us + 1)
     assert [row["id"] for row in (await bench.get("/alignments"))["rows"]] == [2, 1], "newest first"

@@ -300,3 +300,12 @@ def test_a_declared_operation_holds_control_in_the_live_run(ground):
 def test_a_supervisor_that_was_never_started_can_be_stopped(ground):
     supervisor_module.Supervisor(ground.storage, LiveFeed(), ground.config).stop()
     assert not ground.rows()
+
+
+def test_methods_of_a_spacecraft_nobody_follows_do_not_disagree(ground):
+    with ground.supervised() as supervisor:
+        assert supervisor.is_disagreeing("nobody") is False
+        ground.append(range(1, 3))
+        ground.settle(supervisor)
+        # one method alone has nobody to disagree with
+        assert supervisor.is_disagreeing(ground.synthetic.SC) is False
