@@ -1,0 +1,95 @@
+"""Acceptance test 8: the level of all carriers steps in mid-operation; the product calibrated, aligned and flown.
+
+The shift is the largest distance from the flight of the same noise without the step.
+"""
+
+import numpy as np
+import pytest
+from driven_world import shared_world
+
+SEEDS, NIGHTLY_SEEDS = {"nominal": 5, "dual_band": 11}, (4, 6, 11, 12, 13, 14)
+#: the seed on which a fall of ten hours is worst
+LONG_SEED = 5
+STEPS_DB, WORLDS = (3.0, 0.5, -0.4, -3.0), tuple(SEEDS)
+STEP_H = 2.0
+SHIFT_DEG = np.array([0.08, 0.02, 0.03])
+#: rows for which control is held when all levels rise at once
+HELD_ROWS = 10
+
+
+def stepped(world, step_db, until_h=6.0):
+    """Return the flight with a step of all carriers, and say what it did."""
+    told = world.fly(world.changed(STEP_H, np.inf, step_db), until_h=until_h)
+    shift = told.shift_deg(world.plain, STEP_H, until_h)
+    off = int((~told.is_allowed[told.between(STEP_H)]).sum())
+    print(f"step {step_db:+} dB for {until_h - STEP_H} h: shift {shift.round(4)}, control off for {off} rows")
+    return told, shift, off
+
+
+def assert_control(told, step_db, off):
+    """Up: control is held for ten rows; a little down: it is back in 2.5 h; far down: it stays off."""
+    assert told.is_allowed[told.between(1.0, STEP_H)].all(), "control before the step"
+    if step_db > 0.0:
+        assert off == HELD_ROWS
+        assert told.says("chain_step")[told.between(STEP_H)][:HELD_ROWS].all()
+    elif step_db > -1.0:
+        # a small fall that stands still is a step of the chain after an hour and a half
+        assert not told.is_allowed[told.between(STEP_H)][5]
+        assert told.is_allowed[told.between(STEP_H + 2.5)].all()
+    else:
+        assert off == told.between(STEP_H).sum()
+        assert told.is_fade[told.between(STEP_H)].all()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("step_db", STEPS_DB)
+@pytest.mark.parametrize("name", WORLDS)
+def test_a_step_of_all_carriers_turns_little(name, step_db):
+    """Four hours after it, in one band and in two (there the rain of the scenario comes later than the flight ends)."""
+    told, shift, off = stepped(shared_world(name, SEEDS[name]), step_db)
+    assert_control(told, step_db, off)
+    assert (shift <= SHIFT_DEG).all()
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(120)
+@pytest.mark.parametrize("step_db", STEPS_DB)
+@pytest.mark.parametrize("name", WORLDS)
+def test_a_step_of_all_carriers_turns_little_over_seeds(name, step_db):
+    """Mean of six seeds, as all figures of the method are stated."""
+    shifts = []
+    for seed in NIGHTLY_SEEDS:
+        told, shift, off = stepped(shared_world(name, seed), step_db)
+        assert_control(told, step_db, off)
+        shifts.append(shift)
+    print(f"{name}, seeds {NIGHTLY_SEEDS}: mean shift {np.mean(shifts, axis=0).round(4)}")
+    assert (np.mean(shifts, axis=0) <= SHIFT_DEG).all()
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(60)
+@pytest.mark.xfail(
+    strict=True,
+    reason="measured .069/.016/.032 deg on seed 14 (pitch .022 to .032 on seven seeds, mean .028): rain that C band "
+    "does not feel is the first guess, until C band has shown for some rows that it fell as well",
+)
+def test_the_worst_small_fall_of_two_bands():
+    _, shift, _ = stepped(shared_world("dual_band", 14), -0.4)
+    assert (shift <= SHIFT_DEG).all()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(60)
+@pytest.mark.xfail(
+    strict=True,
+    reason="measured .23/.011/.070 deg on seed 5: while it rains the test values hold the free walk of the rain and "
+    "are small, so the noise factors sink to .6, and after five hours noise is called innovations and motion",
+)
+def test_a_fall_that_stands_for_ten_hours_turns_no_more():
+    """Control stays off, and the attitude goes on as if nothing had happened."""
+    told, shift, off = stepped(shared_world("nominal", LONG_SEED), -3.0, until_h=12.0)
+    assert off == told.between(STEP_H).sum()
+    assert (shift <= SHIFT_DEG).all()
+    assert not told.says("innovations").any()
+    assert not told.says("unannounced_motion").any()
