@@ -122,9 +122,14 @@ class DrivenWorld:
         self.simulated = World(scenario, seed)
         path = directory / f"{scenario.name}-{seed}.npz"
         export_npz(self.simulated, path, sweep_noise)
-        self.ground, self.truth = (told := read_world(path)).ground, told.truth
+        ground, self.truth = (told := read_world(path)).ground, told.truth
         if order is not None:
-            self.ground = replace(self.ground, carriers=tuple(self.ground.carriers[k] for k in order))
+            ground = replace(ground, carriers=tuple(ground.carriers[k] for k in order))
+        self.adopt(ground)
+
+    def adopt(self, ground: Ground) -> None:
+        """Calibrate and align with what a ground knows and measured."""
+        self.ground = ground
         self.start_us = self.ground.phases["operation"].start_us
         self.documents = Documents()
         self.documents.add_plan(self.ground.carriers)
