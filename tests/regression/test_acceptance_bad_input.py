@@ -44,8 +44,7 @@ def recalibrated(world, ground):
 
 @pytest.mark.slow
 @pytest.mark.timeout(60)
-@pytest.mark.parametrize("method", METHODS)
-def test_a_star_tracker_gone_mad_after_the_alignment_changes_no_row(world, method):
+def test_a_star_tracker_gone_mad_after_the_alignment_changes_no_row(world):
     """Acceptance test 13: angles of 1e9 deg after the alignment, in the records the whole product reads."""
     aligned_us = world.ground.phases["alignment"].stop_us
     mad_us = aligned_us + 60_000_000 * np.arange(60)
@@ -66,15 +65,16 @@ def test_a_star_tracker_gone_mad_after_the_alignment_changes_no_row(world, metho
     )
     told, poisoned = drive(ground), drive(replace(ground, references=(mad,)))
     assert told.alignment_deg.tolist() == poisoned.alignment_deg.tolist()
-    one, other = told.methods[method.value], poisoned.methods[method.value]
-    np.testing.assert_array_equal(other.estimate_deg, one.estimate_deg)
-    np.testing.assert_array_equal(other.sigma_deg, one.sigma_deg)
+    assert told.methods.keys() == {method.value for method in METHODS}
+    for name, one in told.methods.items():
+        np.testing.assert_array_equal(poisoned.methods[name].estimate_deg, one.estimate_deg)
+        np.testing.assert_array_equal(poisoned.methods[name].sigma_deg, one.sigma_deg)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(60)
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("present", [0, 1, 3])
+@pytest.mark.parametrize("present", [0, 3])
 def test_hours_of_next_to_nothing_are_no_fix_and_no_control(world, method, present):
     told = world.fly(world.changed(1.0, 3.0, np.nan, slice(present, None)), until_h=4.0, method=method)
     dark = told.between(1.5, 3.0)
