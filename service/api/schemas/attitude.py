@@ -51,7 +51,7 @@ class AttitudeAnswer(Answer):
     calibration_id: int | None
     alignment_id: int | None
     advice: list[str]
-    """What the operator is advised while control goes on: `realign`, `disagreement`, `coupling_doubted`."""
+    """What the operator is advised while control goes on: `realign`."""
     version: str
     """`live`, or the replay that made the row."""
 
