@@ -81,11 +81,6 @@ def test_the_worst_small_fall_of_two_bands():
 
 @pytest.mark.slow
 @pytest.mark.timeout(60)
-@pytest.mark.xfail(
-    strict=True,
-    reason="measured .23/.011/.070 deg on seed 5: while it rains the test values hold the free walk of the rain and "
-    "are small, so the noise factors sink to .6, and after five hours noise is called innovations and motion",
-)
 def test_a_fall_that_stands_for_ten_hours_turns_no_more():
     """Control stays off, and the attitude goes on as if nothing had happened."""
     told, shift, off = stepped(shared_world("nominal", LONG_SEED), -3.0, until_h=12.0)

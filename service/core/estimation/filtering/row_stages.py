@@ -124,6 +124,9 @@ def watched(
     noise = state.noise
     if updated is not None:
         own = values if is_noise_declared is None else np.where(is_noise_declared, np.nan, values)
+        if state.rain.is_raining:
+            # their variance holds the free walk of the rain, a quarter of a decibel a row, so that all look small
+            own = np.full_like(own, np.nan)
         noise = push_values(noise, own, updated.nis, updated.degrees)
     if not state.carriers.is_flagged.any():
         return state._replace(noise=noise)
