@@ -44,7 +44,7 @@ def test_errors_in_three_dark_hours_and_one_hour_after():
 
 
 @pytest.mark.nightly
-@pytest.mark.timeout(120)
+@pytest.mark.timeout(300)
 def test_errors_in_three_dark_hours_over_seeds():
     """One gap scatters much: a drift of 0.025 deg/h alone makes 0.05 deg of roll in three hours; all are pooled."""
     told = [judged(shared_world("nominal", seed)) for seed in NIGHTLY_SEEDS]
@@ -55,7 +55,7 @@ def test_errors_in_three_dark_hours_over_seeds():
 
 
 @pytest.mark.nightly
-@pytest.mark.timeout(60)
+@pytest.mark.timeout(300)
 @pytest.mark.xfail(strict=True, reason="measured .064 deg of pitch in one of 27 gaps; sigma there is .03")
 def test_the_worst_hour_after_a_gap():
     _, after = judged(shared_world("nominal", 6))

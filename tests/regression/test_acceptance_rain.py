@@ -43,7 +43,7 @@ def test_rain_is_found_within_a_minute(slope_db_min, depth_db):
 
 
 @pytest.mark.nightly
-@pytest.mark.timeout(60)
+@pytest.mark.timeout(300)
 @pytest.mark.parametrize("seed", NIGHTLY_SEEDS)
 @pytest.mark.parametrize(("slope_db_min", "depth_db"), RAINS)
 def test_rain_is_found_within_a_minute_over_seeds(slope_db_min, depth_db, seed):
@@ -66,7 +66,7 @@ def test_excursions_are_no_rain():
 
 
 @pytest.mark.nightly
-@pytest.mark.timeout(60)
+@pytest.mark.timeout(300)
 @pytest.mark.parametrize("seed", NIGHTLY_SEEDS)
 def test_excursions_are_no_rain_over_seeds(seed):
     assert_no_rain_in_octants(shared_world("octants", seed, 2.0))
@@ -93,7 +93,7 @@ def test_a_long_rain_turns_little_and_control_comes_back(slope_db_min):
 
 
 @pytest.mark.nightly
-@pytest.mark.timeout(120)
+@pytest.mark.timeout(300)
 @pytest.mark.parametrize("seed", NIGHTLY_SEEDS)
 @pytest.mark.parametrize("slope_db_min", [0.1, 100.0])
 def test_a_long_rain_turns_little_over_seeds(slope_db_min, seed):

@@ -37,7 +37,7 @@ def test_carriers_that_return_at_another_level_turn_little():
 
 
 @pytest.mark.nightly
-@pytest.mark.timeout(60)
+@pytest.mark.timeout(300)
 @pytest.mark.parametrize("seed", NIGHTLY_SEEDS)
 def test_carriers_that_return_at_another_level_turn_little_over_seeds(seed):
     assert_return_turns_little(shared_world("nominal", seed))
