@@ -13,6 +13,7 @@ PLAIN = {
     "SOO_HOST": ("host", "0.0.0.0", "0.0.0.0"),  # noqa: S104 - a value to read, nothing listens
     "SOO_PORT": ("port", "0", 0),
     "SOO_LOG_LEVEL": ("log_level", "debug", "debug"),
+    "SOO_KERNELS": ("kernels", "numpy", "numpy"),
     "SOO_FUTURE_TOLERANCE_S": ("future_tolerance_s", "7.5", 7.5),
     "SOO_FUTURE_TOLERANCE_DATA_S": ("future_tolerance_data_s", "60", 60.0),
     "SOO_LATE_AFTER_S": ("late_after_s", "120", 120.0),
@@ -85,7 +86,11 @@ def test_the_chain_gets_the_settings_of_its_stages(monkeypatch):
     monkeypatch.setenv("SOO_TORQUE__MIN_PULSE_S", "0.2")
     monkeypatch.setenv("SOO_FADE__DEPTH_DB", "0.4")
     monkeypatch.setenv("SOO_ESTIMATION__MIN_ROWS", "5")
+    monkeypatch.setenv("SOO_ROBUST__DRIFT_TIME_H", "6.5")
+    monkeypatch.setenv("SOO_OPERATIONS__GAIN_STEP_DB", "1.5")
+    monkeypatch.setenv("SOO_KERNELS", "numpy")
     chain = Settings().chain_config()
+    assert (chain.robust.drift_time_h, chain.operations.gain_step_db, chain.kernels) == (6.5, 1.5, "numpy")
     assert chain.interlock.validity_limit_deg == 0.35
     assert (chain.torque.min_pulse_s, chain.fade.depth_db, chain.estimation.min_rows) == (0.2, 0.4, 5)
 
