@@ -113,6 +113,8 @@ class Acquisition:
         Ends the run after the cycle in hand.
     backoff : Backoff
         Waiting times after faults.
+    keep_trace : callable
+        Takes every sweep as evidence; what it does not keep is gone.
     """
 
     def __init__(
@@ -123,11 +125,13 @@ class Acquisition:
         now_us: Callable[[], int],
         stop: threading.Event,
         backoff: Backoff | None = None,
+        keep_trace: Callable[[Sweep], None] = lambda _: None,
     ) -> None:
         self.counters = AcquisitionCounters()
         self._task = task
         self._settings = settings
         self._hand_over = hand_over
+        self._keep_trace = keep_trace
         self._now_us = now_us
         self._stop = stop
         self._backoff = backoff or Backoff()
@@ -198,6 +202,9 @@ class Acquisition:
         if self._stop.is_set():
             return
         sweeps = self._cycle()
+        for sweep in sweeps.values():
+            if sweep is not None:
+                self._keep_trace(sweep)
         driver = self._ready()
         extra = QualityFlag.SIMULATED if driver.features.has_dwell_epoch else QualityFlag(0)
         if self._had_fault and self.counters.rows:

@@ -41,6 +41,12 @@ class MeasuredRow:
     flags: NDArray[np.int64]
     #: (N,) dB, predicted scatter
     sigma_db: FloatArray
+    #: (N,) dB-Hz, carrier over noise density
+    c_n0_db_hz: FloatArray
+    #: (N,) Hz, width that holds 99 % of the carrier's power; NaN for beacons
+    occupied_bandwidth_hz: FloatArray
+    #: (N,) Hz, centre of gravity minus the task's centre
+    centroid_offset_hz: FloatArray
 
 
 class SweepEvaluation:
@@ -57,8 +63,8 @@ class SweepEvaluation:
     def __init__(self, carriers: tuple[CarrierPart, ...], path: InputPart) -> None:
         self._carriers = carriers
         self._path = path
-        center_hz = np.array([carrier.fc_hz for carrier in carriers])
-        self._offset_db = level_offset_db(path, center_hz)
+        self._center_hz: FloatArray = np.array([carrier.fc_hz for carrier in carriers], dtype=np.float64)
+        self._offset_db = level_offset_db(path, self._center_hz)
         self._rolloff = np.array([carrier.rolloff for carrier in carriers])
         self._presence = initial_presence(len(carriers))
         self._settings: SweepSettings | None = None
@@ -75,6 +81,10 @@ class SweepEvaluation:
         flags = self._flags(power, weights.bands, is_visible) | _sweep_flags(sweep)
         at_test_point = power._replace(power_dbm=power.power_dbm + self._offset_db)
         return hide_absent(at_test_point, is_visible), flags
+
+    def centroid_offset_hz(self, power: CarrierPower) -> FloatArray:
+        """Return how far the carriers of the sweep evaluated last lie from where the task has them, Hz."""
+        return np.asarray(power.centroid_hz - self._center_hz - self._path.freq_offset_hz, dtype=np.float64)
 
     def _weights_of(self, settings: SweepSettings) -> BandWeights:
         """Return the weights of these settings, made anew when the analyzer states others."""
@@ -96,7 +106,7 @@ class SweepEvaluation:
         """Return the carriers' bands in the analyzer's frequencies."""
         shift_hz = self._path.freq_offset_hz
         return CarrierBands(
-            np.array([c.fc_hz for c in self._carriers]) + shift_hz,
+            self._center_hz + shift_hz,
             np.array([c.integ_bw_hz for c in self._carriers]),
             np.array([c.symbol_rate or settings.rbw_hz for c in self._carriers]),
             np.array([c.kind == "beacon" for c in self._carriers], dtype=np.bool_),
@@ -163,8 +173,7 @@ class TaskEvaluation:
         taken = [sweep for sweep in sweeps.values() if sweep is not None]
         if not taken:
             raise ValueError("a cycle without a sweep gives no row")
-        power_dbm = np.full(len(self._ids), np.nan)
-        sigma_db = np.full(len(self._ids), np.nan)
+        measured = np.full((5, len(self._ids)), np.nan)
         of_all = int(extra) | (int(QualityFlag.PARTIAL_CYCLE) if len(taken) < len(sweeps) else 0)
         flags = np.full(len(self._ids), of_all | int(QualityFlag.NOT_MEASURED), dtype=np.int64)
         for sweep in taken:
@@ -173,10 +182,17 @@ class TaskEvaluation:
                 continue
             power, own_flags = evaluation.evaluate(sweep)
             places = self._places[sweep.sweep_id]
-            power_dbm[places], sigma_db[places] = power.power_dbm, power.sigma_db
+            measured[:, places] = (
+                power.power_dbm,
+                power.sigma_db,
+                power.c_n0_db_hz,
+                power.occupied_bandwidth_hz,
+                evaluation.centroid_offset_hz(power),
+            )
             flags[places] = of_all | own_flags
         epoch_us = (min(sweep.epoch_us for sweep in taken) + max(sweep.epoch_us for sweep in taken)) // 2
-        return MeasuredRow(epoch_us, power_dbm, flags, sigma_db)
+        power_dbm, sigma_db, c_n0_db_hz, width_hz, offset_hz = measured
+        return MeasuredRow(epoch_us, power_dbm, flags, sigma_db, c_n0_db_hz, width_hz, offset_hz)
 
 
 def level_offset_db(path: InputPart, frequency_hz: FloatArray) -> FloatArray:

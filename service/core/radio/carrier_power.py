@@ -16,6 +16,7 @@ import numpy as np
 
 from service.core.radio.band_weights import BandWeights, span_hz, swept_dof
 from service.core.radio.decibel import FloatArray, db_from_ratio, dbm_from_mw
+from service.core.radio.occupied_bandwidth import occupied_bandwidth_hz
 from service.core.radio.predicted_sigma import carrier_sigma_db, line_sigma_db
 from service.core.radio.presence import BoolArray, presence_threshold_db
 
@@ -37,6 +38,8 @@ class CarrierPower(NamedTuple):
     sigma_db: FloatArray
     #: (N,) Hz, centre of gravity of the noise-subtracted band
     centroid_hz: FloatArray
+    #: (N,) Hz, width that holds 99 % of the noise-subtracted power; NaN for lines
+    occupied_bandwidth_hz: FloatArray
     #: (N,) dB, density inside the carrier over noise density, for the presence test
     presence_ratio_db: FloatArray
     #: (N,) dB
@@ -90,6 +93,7 @@ def measure_carriers(power_mw: FloatArray, weights: BandWeights) -> CarrierPower
         c_n0 - 10.0 * np.log10(weights.bands.symbol_rate_hz),
         _sigma_db(noise_bin_mw * weights.band_sum / carrier_mw, noise_dof, weights),
         weights.bands.center_hz + (moment - noise_bin_mw * weights.moment_sum_hz) / carrier_mw,
+        occupied_bandwidth_hz(power_mw, noise_bin_mw, weights) * spoilt,
         db_from_ratio(inner_mw * spoilt / noise_bin_mw),
         presence_threshold_db(weights.inner_dof, noise_dof),
         is_dirty,
@@ -98,7 +102,7 @@ def measure_carriers(power_mw: FloatArray, weights: BandWeights) -> CarrierPower
 
 
 def hide_absent(power: CarrierPower, is_visible: BoolArray) -> CarrierPower:
-    """Return the powers with the level, its sigma and its centre NaN where no carrier is visible.
+    """Return the powers with the level, its sigma, centre and width NaN where no carrier is visible.
 
     Parameters
     ----------
@@ -122,6 +126,7 @@ def hide_absent(power: CarrierPower, is_visible: BoolArray) -> CarrierPower:
         c_n_db=hidden(power.c_n_db),
         sigma_db=hidden(power.sigma_db),
         centroid_hz=hidden(power.centroid_hz),
+        occupied_bandwidth_hz=hidden(power.occupied_bandwidth_hz),
     )
 
 

@@ -124,6 +124,15 @@ def test_the_way_to_the_first_row(monkeypatch: pytest.MonkeyPatch) -> None:
     assert rows[0].flags.tolist() == [QualityFlag.SIMULATED] * 2
 
 
+def test_every_sweep_is_offered_as_evidence(monkeypatch: pytest.MonkeyPatch) -> None:
+    made, rows, _ = acquisition(monkeypatch, Script())
+    kept: list[str] = []
+    made._keep_trace = lambda sweep: kept.append(sweep.sweep_id)
+    while len(rows) < 2:
+        made.step()
+    assert kept == ["a", "b", "a", "b"]
+
+
 @pytest.mark.parametrize("fault", [AnalyzerIOError("gone"), ValueError("garbage")])
 def test_a_fault_opens_another_session_and_marks_the_next_row(
     monkeypatch: pytest.MonkeyPatch, fault: Exception

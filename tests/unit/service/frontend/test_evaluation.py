@@ -61,12 +61,26 @@ def test_levels_stand_in_the_order_of_the_task() -> None:
     assert row.epoch_us == 1500
     assert row.flags.tolist() == [0, 0, 0]
     assert (row.sigma_db > 0).all()
+    # over a floor of -120 dBm/Hz, whose rounding is that of dB
+    np.testing.assert_allclose(row.c_n0_db_hz, [75.0, 72.0, 70.0], atol=1e-6)
+    # a flat megahertz holds 99 % in 990 kHz, to a bucket of 10 kHz
+    np.testing.assert_allclose(row.occupied_bandwidth_hz, 990e3, atol=10e3)
+    np.testing.assert_allclose(row.centroid_offset_hz, 0.0, atol=1.0)
+
+
+def test_an_offset_of_the_input_moves_no_centre() -> None:
+    shifted = task(freq_offset_hz=0.4e6)
+    sweeps = {"a": sweep("a", {960.42: -45.0, 970.4: -50.0}), "b": sweep("b", {965.4: -48.0})}
+    row = TaskEvaluation(shifted).row(sweeps)
+    # twenty kilohertz are two buckets
+    np.testing.assert_allclose(row.centroid_offset_hz, [20e3, 0.0, 0.0], atol=1.0)
 
 
 def test_an_absent_carrier_is_nan_with_a_flag_and_never_the_noise() -> None:
     sweeps = {"a": sweep("a", {960.0: -45.0}), "b": sweep("b", {})}
     row = TaskEvaluation(task()).row(sweeps)
-    assert np.isnan(row.power_dbm[1:]).all()
+    for values in (row.power_dbm, row.c_n0_db_hz, row.occupied_bandwidth_hz, row.centroid_offset_hz):
+        assert np.isnan(values).tolist() == [False, True, True]
     assert row.flags.tolist() == [0, QualityFlag.NO_CARRIER, QualityFlag.NO_CARRIER]
 
 

@@ -19,7 +19,10 @@ Answer = Callable[[dict[str, Any]], httpx.Response]
 
 def row(number: int) -> MeasuredRow:
     """Return a row with its number as epoch."""
-    return MeasuredRow(number, np.array([-40.0]), np.zeros(1, dtype=np.int64), np.array([0.1]))
+    unknown = np.array([np.nan])
+    return MeasuredRow(
+        number, np.array([-40.0]), np.zeros(1, dtype=np.int64), np.array([0.1]), unknown, unknown, unknown
+    )
 
 
 def accept(body: dict[str, Any]) -> httpx.Response:
