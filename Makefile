@@ -4,9 +4,11 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 DEV_STAMP := $(VENV)/.installed-dev
+CLIENTS_VENV := .venv-clients
+CLIENTS_STAMP := $(CLIENTS_VENV)/.installed
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: help install install-dev run demo-check test lint types imports locks check coverage bench nightly schema lock clean
+.PHONY: help install install-dev run demo-check test clients lint types imports locks check coverage bench nightly schema lock clean
 
 help: ## show the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/:/' | column -t -s ':'
@@ -22,6 +24,12 @@ $(DEV_STAMP): $(STAMP) requirements-dev.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-dev.lock
 	touch $@
 
+# other people's programs: their dependencies must not move the product's
+$(CLIENTS_STAMP): requirements-clients.lock
+	test -x $(CLIENTS_VENV)/bin/python || $(PYTHON) -m venv $(CLIENTS_VENV)
+	$(CLIENTS_VENV)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-clients.lock
+	touch $@
+
 install: $(STAMP) ## install what the service needs
 
 install-dev: $(DEV_STAMP) ## install the tools too
@@ -34,6 +42,9 @@ demo-check: $(STAMP) ## two virtual days of operation, figures as JSON, exit 1 w
 
 test: $(DEV_STAMP) ## run the whole test suite
 	$(BIN)/python -m pytest -m "not nightly" -n 2 --dist worksteal
+
+clients: $(STAMP) $(CLIENTS_STAMP) ## drive the simulated analyzer with other people's programs, print what each did
+	SOO_ANALYZER=$(BIN)/soo-analyzer $(CLIENTS_VENV)/bin/python -m pytest tests/clients
 
 lint: $(DEV_STAMP) ## style and format
 	$(BIN)/ruff check .
@@ -48,7 +59,7 @@ imports: $(DEV_STAMP) ## import rules
 locks: ## lock files name no address
 	! grep -n '://' requirements*.lock
 
-check: lint types imports locks test ## all that must hold before a change lands
+check: lint types imports locks test clients ## all that must hold before a change lands
 
 coverage: $(DEV_STAMP) ## branch coverage of core, pipeline and records
 	$(BIN)/python -m pytest -m "not nightly and not system" -n 2 -q --cov --cov-report=term-missing:skip-covered
@@ -66,8 +77,9 @@ lock: $(DEV_STAMP) ## resolve and pin again
 	$(BIN)/uv pip compile pyproject.toml $(LOCK_OPTIONS) -o requirements.lock
 	$(BIN)/uv pip compile --group dev -c requirements.lock $(LOCK_OPTIONS) -o requirements-dev.lock
 	$(BIN)/uv pip compile --group build -c requirements-dev.lock $(LOCK_OPTIONS) -o requirements-build.lock
+	$(BIN)/uv pip compile --group clients $(LOCK_OPTIONS) -o requirements-clients.lock
 
 LOCK_OPTIONS := --quiet --generate-hashes --no-emit-index-url --no-header --universal --python-version 3.11
 
 clean: ## remove what was built
-	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
+	rm -rf $(VENV) $(CLIENTS_VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
