@@ -114,6 +114,19 @@ class ServiceClient:
             body["first_seq"] = first_seq
         return self._batch(spacecraft_id, "measurements", body)
 
+    def post_traces(self, spacecraft_id: str, source: str, traces: Sequence[Mapping[str, Any]]) -> Json:
+        """Send evidence traces of one source; repeating them is safe, the service keeps a ring of the newest."""
+        body = {"source": source, "traces": list(traces)}
+        answer: Json = self._transport.request("POST", f"/spacecraft/{spacecraft_id}/traces", body, is_keyed=True)
+        return answer
+
+    def report_links(self, links: Sequence[Mapping[str, Any]]) -> list[Json]:
+        """Report the state of links and return what the operator wants of each: id, enabled, reset."""
+        # a report that is told twice says the same twice
+        answer: Json = self._transport.request("POST", "/links:report", {"links": list(links)}, is_keyed=True)
+        wanted: list[Json] = answer["links"]
+        return wanted
+
     def post_references(self, spacecraft_id: str, source: str, references: Sequence[Mapping[str, Any]]) -> Json:
         """Send attitude references."""
         return self._batch(spacecraft_id, "attitude-references", {"source": source, "references": list(references)})

@@ -41,6 +41,12 @@ def client(handle: Callable[[httpx.Request], httpx.Response]) -> ServiceClient:
             "/spacecraft/x/attitude-references:batch",
             {"source": "other", "references": []},
         ),
+        (
+            lambda c: c.post_traces("x", "sa-1", [{"epoch": "e"}]),
+            "POST",
+            "/spacecraft/x/traces",
+            {"source": "sa-1", "traces": [{"epoch": "e"}]},
+        ),
         (lambda c: c.post_corrections("x", []), "POST", "/spacecraft/x/corrections:batch", {"corrections": []}),
         (lambda c: c.post_operation("x", {"kind": "other"}), "POST", "/spacecraft/x/operations", {"kind": "other"}),
         (lambda c: c.start_calibration("x", {}), "POST", "/spacecraft/x/calibrations", {}),
@@ -65,6 +71,18 @@ def test_paths_and_bodies(call: Callable[[ServiceClient], Any], method: str, pat
         assert call(made) == {"ok": True}
     assert (seen[0].method, seen[0].url.path) == (method, "/api/v1" + path)
     assert (json.loads(seen[0].content) if seen[0].content else None) == body
+
+
+def test_a_report_of_links_gives_what_the_operator_wants() -> None:
+    seen: list[httpx.Request] = []
+
+    def handle(request: httpx.Request) -> httpx.Response:
+        seen.append(request)
+        return httpx.Response(200, json={"links": [{"id": "sa-1", "enabled": False, "reset": 2}]})
+
+    assert client(handle).report_links([{"id": "sa-1"}]) == [{"id": "sa-1", "enabled": False, "reset": 2}]
+    assert (seen[0].method, seen[0].url.path) == ("POST", "/api/v1/links:report")
+    assert json.loads(seen[0].content) == {"links": [{"id": "sa-1"}]}
 
 
 def test_history_follows_the_cursor_and_keeps_the_question() -> None:
