@@ -15,11 +15,12 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from analyzer_sim.dialect import Dialect
 from analyzer_sim.dialects import DIALECTS
 from analyzer_sim.epochs import epoch_us_from_text
 from analyzer_sim.export import run_export
 from analyzer_sim.ground_port import Gate, serve_ground
-from analyzer_sim.imperfections import IDEAL, Imperfections
+from analyzer_sim.imperfections import IDEAL
 from analyzer_sim.instrument import Instrument
 from analyzer_sim.painter import Detail, TracePainter
 from analyzer_sim.plant import run_plant
@@ -113,13 +114,16 @@ async def _serve(options: argparse.Namespace) -> None:
     """Serve until a signal asks to stop."""
     world = World(_scenario(options), options.seed)
     gate = Gate()
-    instrument = Instrument(world, _painter(options), may_advance=lambda: _may_advance(world, gate))
+    dialect = DIALECTS[options.dialect]
+    instrument = Instrument(
+        world, _painter(options, dialect), may_advance=lambda: _may_advance(world, gate), model=dialect.model
+    )
     ground = await serve_ground(
         world, gate, host=options.host, port=options.ground_port, await_ground=options.await_ground
     )
     analyzer = SimulatedAnalyzer(
         instrument,
-        DIALECTS[options.dialect],
+        dialect,
         permission=lambda: _permission(world, gate),
         host=options.host,
         port=options.port,
@@ -135,8 +139,8 @@ async def _serve(options: argparse.Namespace) -> None:
         ground.close()  # not waited for: a connected ground client must not keep the process alive
 
 
-def _painter(options: argparse.Namespace) -> TracePainter:
-    imperfections = IDEAL if options.ideal else Imperfections()
+def _painter(options: argparse.Namespace, dialect: Dialect) -> TracePainter:
+    imperfections = IDEAL if options.ideal else dialect.imperfections
     return TracePainter(options.seed, imperfections, Detail(options.detail))
 
 

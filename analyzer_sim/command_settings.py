@@ -29,8 +29,7 @@ def _word_value(settings: Settings, name: str, word: str) -> float:
     words = {"MIN": limits.low, "MAX": limits.high, "DEF": limits.default}
     if word in words:
         return words[word]
-    step = QUANTITIES[name].step(settings)
-    return load(settings, name) + (step if word == "UP" else -step)
+    return load(settings, name) + QUANTITIES[name].step(settings, 1 if word == "UP" else -1)
 
 
 def numeric(pattern: str, name: str, units: Mapping[str, float] = PURE) -> Command:

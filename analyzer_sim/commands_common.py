@@ -26,6 +26,10 @@ def _reset(call: Call) -> None:
     call.instrument.reset()
 
 
+def _preset(call: Call) -> None:
+    call.instrument.reset(is_preset=True)
+
+
 def _put_event_enable(call: Call, value: float | str) -> None:
     call.instrument.status.event_enable = _mask_value(value, 255)
 
@@ -103,6 +107,6 @@ SYSTEM_COMMANDS: tuple[Command, ...] = (
     Command("SYSTem:ERRor:ALL", query=lambda call: call.instrument.status.pop_all_errors()),
     Command("SYSTem:ERRor:COUNt", query=lambda call: str(call.instrument.status.error_count)),
     Command("SYSTem:VERSion", query=lambda _call: "1999.0"),
-    Command("SYSTem:PRESet", _reset),
+    Command("SYSTem:PRESet", _preset),
     Command("ABORt", _abort),
 )

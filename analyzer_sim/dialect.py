@@ -1,8 +1,10 @@
 """What makes one maker's analyzer different from another's, as data."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from analyzer_sim.analyzer_model import AnalyzerModel
 from analyzer_sim.command_row import Command
+from analyzer_sim.imperfections import Imperfections
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,9 +16,20 @@ class Dialect:
 
     #: name on the command line
     name: str
+    #: answer to ``*IDN?``
+    identity: str
+    #: figures and state after a reset
+    model: AnalyzerModel
     #: rows of this dialect beside the common commands
     commands: tuple[Command, ...]
     #: messages that the raw socket takes for the interface and the parser never sees
     interface_messages: frozenset[bytes] = frozenset()
     #: relative headers that miss their path are looked up from the root
     is_lenient: bool = False
+    #: noise the analyzer adds at 0 dB attenuation, preamplifier off, dBm/Hz
+    own_noise_dbm_hz: float = -150.0
+
+    @property
+    def imperfections(self) -> Imperfections:
+        """The default figures of this make's errors."""
+        return replace(Imperfections(), own_noise_dbm_hz=self.own_noise_dbm_hz)

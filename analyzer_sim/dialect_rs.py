@@ -9,8 +9,9 @@ from analyzer_sim.command_settings import boolean, choice, constant, ignored, in
 from analyzer_sim.commands_common import COMMON_COMMANDS, SYSTEM_COMMANDS
 from analyzer_sim.dialect import Dialect
 from analyzer_sim.epochs import rfc3339
-from analyzer_sim.instrument_settings import MAX_FREQUENCY_HZ, QUANTITIES, Settings, store
+from analyzer_sim.instrument_settings import QUANTITIES, Settings, store
 from analyzer_sim.levels import UNITS, ascii_list, real32_block
+from analyzer_sim.models import FSW_26
 from analyzer_sim.scpi_errors import ScpiError
 from analyzer_sim.scpi_parameters import DBM, DECIBELS, HERTZ, PURE, SECONDS, Boolean, Choice, Numeric, Quoted
 from analyzer_sim.spectrum import SweepGrid
@@ -45,7 +46,7 @@ def _freeze_attenuation(settings: Settings) -> None:
 
 
 def _put_full_span(call: Call) -> None:
-    store(call.instrument.settings, "span_hz", MAX_FREQUENCY_HZ)
+    store(call.instrument.settings, "span_hz", call.instrument.model.max_frequency_hz)
     call.instrument.invalidate()
 
 
@@ -59,7 +60,7 @@ def _put_detector_auto(call: Call, is_auto: bool) -> None:  # noqa: FBT001 - the
     settings = call.instrument.settings
     settings.is_detector_auto = is_auto
     if is_auto:
-        settings.detector = "APE"
+        settings.detector = settings.model.detector
     call.instrument.invalidate()
 
 
@@ -211,6 +212,8 @@ _MISCELLANEOUS_ROWS = (
 
 RS = Dialect(
     name="rs",
+    identity=IDENTITY,
+    model=FSW_26,
     commands=(
         *COMMON_COMMANDS,
         *SYSTEM_COMMANDS,

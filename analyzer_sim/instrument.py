@@ -11,8 +11,10 @@ Sweeps and the virtual clock:
 
 from collections.abc import Callable
 
+from analyzer_sim.analyzer_model import AnalyzerModel
 from analyzer_sim.emission import Emission, EmissionSource
-from analyzer_sim.instrument_settings import Settings
+from analyzer_sim.instrument_settings import reset_state
+from analyzer_sim.models import FSW_26
 from analyzer_sim.painter import Trace, TracePainter
 from analyzer_sim.scpi_errors import ScpiError
 from analyzer_sim.status import (
@@ -39,13 +41,20 @@ class Instrument:
         Draws the traces.
     may_advance : callable
         Whether the next row may be swept now.
+    model : AnalyzerModel
+        Figures of the make.
     """
 
     def __init__(
-        self, source: EmissionSource, painter: TracePainter, may_advance: Callable[[], bool] = _always
+        self,
+        source: EmissionSource,
+        painter: TracePainter,
+        may_advance: Callable[[], bool] = _always,
+        model: AnalyzerModel = FSW_26,
     ) -> None:
-        self.settings = Settings()
-        self.status = StatusModel()
+        self.model = model
+        self.settings = reset_state(model)
+        self.status = StatusModel(model.error_queue_depth, model.no_error)
         self._source = source
         self._painter = painter
         self._may_advance = may_advance
@@ -58,11 +67,11 @@ class Instrument:
         """Whether a sweep waits for permission."""
         return self._is_pending
 
-    def reset(self) -> None:
-        """``*RST``: settings to their defaults; status and queues stay."""
+    def reset(self, *, is_preset: bool = False) -> None:
+        """``*RST``, or ``SYSTem:PRESet``: settings to their defaults; status and queues stay."""
         self.abort()
         self._completion_wanted = False
-        self.settings = Settings()
+        self.settings = reset_state(self.model, is_preset=is_preset)
         self._trace = None
 
     def initiate(self) -> None:

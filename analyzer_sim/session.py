@@ -40,6 +40,8 @@ class Session:
         self._path: tuple[str, ...] = ()
         self._answers: list[bytes] = []
         self._is_held = False
+        is_alone = instrument.model.is_error_queue_per_session
+        self._errors = instrument.status.new_queue() if is_alone else instrument.status.errors
 
     @property
     def is_held(self) -> bool:
@@ -55,6 +57,7 @@ class Session:
         """Take the next program message; the one before must be finished."""
         self._path = ()
         self._answers = []
+        self._instrument.status.errors = self._errors
         if message.is_overrun:
             self._instrument.status.push_error(-223, "program message too long")
         elif message.body.strip() not in self._dialect.interface_messages:
@@ -63,6 +66,7 @@ class Session:
     def run(self) -> bytes | None:
         """Run units until the message is finished, held, or a turn is over; return its response when finished."""
         self._is_held = False
+        self._instrument.status.errors = self._errors
         for _ in range(min(len(self._units), UNITS_PER_RUN)):
             if not self._run_unit(self._units[0]):
                 self._is_held = True

@@ -14,9 +14,6 @@ from collections import deque
 
 from analyzer_sim.scpi_errors import error_entry, event_bit
 
-#: depth of the error queue; R&S keeps 30 and more, 20 is the least SCPI instruments have
-ERROR_QUEUE_DEPTH = 30
-
 ESR_OPERATION_COMPLETE = 1 << 0
 ESR_POWER_ON = 1 << 7
 
@@ -64,40 +61,87 @@ class StatusRegister:
         return bool(self.event & self.enable)
 
 
-class StatusModel:
-    """The whole status of one instrument."""
+class ErrorQueue:
+    """First in, first out; when it is full its last entry becomes -350.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    depth : int
+        Entries it holds.
+    no_error : str
+        What an empty queue answers.
+    """
+
+    def __init__(self, depth: int, no_error: str) -> None:
+        self._depth = depth
+        self._no_error = no_error
+        self._entries: deque[tuple[int, str]] = deque()
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def push(self, code: int, detail: str = "") -> bool:
+        """Put an error at the end; return whether there was room for it."""
+        if len(self._entries) < self._depth:
+            self._entries.append((code, detail))
+            return True
+        self._entries[-1] = (-350, "")
+        return False
+
+    def pop(self) -> str:
+        """Take the oldest error out."""
+        return error_entry(*self._entries.popleft()) if self._entries else self._no_error
+
+    def clear(self) -> None:
+        """Empty the queue."""
+        self._entries.clear()
+
+
+class StatusModel:
+    """The whole status of one instrument.
+
+    Parameters
+    ----------
+    error_queue_depth : int
+        Entries the error queue holds.
+    no_error : str
+        What an empty error queue answers.
+    """
+
+    def __init__(self, error_queue_depth: int = 30, no_error: str = '0,"No error"') -> None:
         self.operation = StatusRegister()
         self.questionable = StatusRegister()
         self.questionable_power = StatusRegister()
         self.event = ESR_POWER_ON
         self.event_enable = 0
         self.service_enable = 0
-        self._errors: deque[tuple[int, str]] = deque()
+        self._queue_figures = error_queue_depth, no_error
+        #: the queue in use; a dialect with a queue for each session puts that of the session here
+        self.errors = self.new_queue()
+
+    def new_queue(self) -> ErrorQueue:
+        """Return an empty error queue of this instrument's kind."""
+        return ErrorQueue(*self._queue_figures)
 
     def push_error(self, code: int, detail: str = "") -> None:
         """Queue an error and set its event bit; when the queue is full its last entry becomes -350."""
         self.event |= 1 << event_bit(code)
-        if len(self._errors) < ERROR_QUEUE_DEPTH:
-            self._errors.append((code, detail))
-            return
-        self._errors[-1] = (-350, "")
-        self.event |= 1 << event_bit(-350)
+        if not self.errors.push(code, detail):
+            self.event |= 1 << event_bit(-350)
 
     def pop_error(self) -> str:
-        """Take the oldest error out; ``0,"No error"`` when there is none."""
-        return error_entry(*self._errors.popleft()) if self._errors else error_entry(0)
+        """Take the oldest error out; the text for "no error" when there is none."""
+        return self.errors.pop()
 
     def pop_all_errors(self) -> str:
         """Take all errors out, joined by commas."""
-        entries = [self.pop_error() for _ in range(max(1, len(self._errors)))]
+        entries = [self.pop_error() for _ in range(max(1, len(self.errors)))]
         return ",".join(entries)
 
     @property
     def error_count(self) -> int:
         """Errors in the queue."""
-        return len(self._errors)
+        return len(self.errors)
 
     def take_event(self) -> int:
         """Return the standard event register and clear it."""
@@ -112,7 +156,7 @@ class StatusModel:
     def status_byte(self, *, has_response: bool) -> int:
         """Return the status byte; bit 6 is the master summary."""
         byte = (
-            bool(self._errors) << 2
+            bool(self.errors) << 2
             | self.questionable.summary << 3
             | has_response << 4
             | bool(self.event & self.event_enable) << 5
@@ -122,7 +166,7 @@ class StatusModel:
 
     def clear(self) -> None:
         """``*CLS``: empty the event registers and the error queue; enables stay."""
-        self._errors.clear()
+        self.errors.clear()
         self.event = 0
         for register in (self.operation, self.questionable, self.questionable_power):
             register.event = 0

@@ -1,17 +1,18 @@
 """Limits and couplings of the settings."""
 
+from dataclasses import replace
+
 import pytest
 
-from analyzer_sim.instrument_settings import (
-    FILTER_STEPS_HZ,
-    MAX_FREQUENCY_HZ,
-    QUANTITIES,
-    Settings,
-    load,
-    nearest_step,
-    shown_limits,
-    store,
-)
+from analyzer_sim.analyzer_model import AnalyzerModel, FilterSteps
+from analyzer_sim.instrument_settings import QUANTITIES, Settings, load, reset_state, shown_limits, store
+from analyzer_sim.models import FSW_26, MS2090A, N9020B, SSA3032X
+
+MODELS = {"rs": FSW_26, "keysight": N9020B, "siglent": SSA3032X, "anritsu": MS2090A}
+
+
+def fresh(model: AnalyzerModel = FSW_26, **values: object) -> Settings:
+    return replace(reset_state(model), **values)
 
 
 def put(settings: Settings, **values: float) -> None:
@@ -20,7 +21,7 @@ def put(settings: Settings, **values: float) -> None:
 
 
 def test_centre_keeps_the_span_and_span_keeps_the_centre() -> None:
-    settings = Settings()
+    settings = fresh()
     put(settings, span_hz=20e6, center_hz=1017e6)
     assert (settings.start_hz, settings.stop_hz) == (1007e6, 1027e6)
     put(settings, span_hz=36e6)
@@ -28,7 +29,7 @@ def test_centre_keeps_the_span_and_span_keeps_the_centre() -> None:
 
 
 def test_start_and_stop_push_each_other() -> None:
-    settings = Settings()
+    settings = fresh()
     put(settings, start_hz=954e6, stop_hz=990e6)
     assert (load(settings, "center_hz"), load(settings, "span_hz")) == (972e6, 36e6)
     put(settings, start_hz=1000e6)
@@ -38,14 +39,15 @@ def test_start_and_stop_push_each_other() -> None:
 
 
 def test_centre_at_the_edge_of_the_band_narrows_the_span() -> None:
-    settings = Settings()
+    settings = fresh()
     put(settings, span_hz=100e6, center_hz=10e6)
     assert (settings.start_hz, settings.stop_hz) == (0.0, 20e6)
 
 
+@pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
 @pytest.mark.parametrize("name", QUANTITIES)
-def test_setting_is_clamped_to_its_limits(name: str) -> None:
-    settings = Settings()
+def test_setting_is_clamped_to_its_limits(name: str, model: AnalyzerModel) -> None:
+    settings = fresh(replace(model, are_points_fixed=False))
     put(settings, start_hz=954e6, stop_hz=990e6)
     limits = shown_limits(settings, name)
     for wanted, expected in ((limits.high * 10 + 1e13, limits.high), (limits.low - 1e13, limits.low)):
@@ -56,12 +58,32 @@ def test_setting_is_clamped_to_its_limits(name: str) -> None:
 
 @pytest.mark.parametrize(("wanted", "step"), [(29e3, 30e3), (24e3, 20e3), (25e3, 30e3), (8e6, 1e7), (0.2, 1.0)])
 def test_filter_takes_the_nearest_step_on_a_logarithmic_scale(wanted: float, step: float) -> None:
-    assert nearest_step(wanted) == step
-    assert step in FILTER_STEPS_HZ
+    assert FSW_26.rbw.legal(wanted) == step
+
+
+@pytest.mark.parametrize(("wanted", "step"), [(29e3, 30e3), (30e3, 30e3), (31e3, 100e3), (9e6, 1e6), (0.2, 1.0)])
+def test_filter_that_rounds_up_takes_the_next_step(wanted: float, step: float) -> None:
+    assert SSA3032X.rbw.legal(wanted) == step
+
+
+@pytest.mark.parametrize("steps", [model.rbw for model in MODELS.values()], ids=MODELS)
+def test_up_and_down_walk_through_every_filter(steps: FilterSteps) -> None:
+    walked = [steps.steps_hz[0]]
+    while (wider := steps.neighbour(walked[-1], 1)) != walked[-1]:
+        assert steps.neighbour(wider, -1) == walked[-1]
+        walked.append(wider)
+    assert tuple(walked) == steps.steps_hz
+    assert list(walked) == sorted(set(walked))
+
+
+def test_fixed_points_take_any_value_and_keep_their_own() -> None:
+    settings = fresh(SSA3032X)
+    assert not store(settings, "points", 2401)
+    assert load(settings, "points") == 751
 
 
 def test_filters_and_time_follow_the_span_when_coupled() -> None:
-    settings = Settings(detector="RMS")
+    settings = fresh(detector="RMS")
     put(settings, start_hz=954e6, stop_hz=990e6)
     assert settings.rbw_hz == 300e3  # 36 MHz / 100, nearest step
     assert settings.vbw_hz == settings.rbw_hz
@@ -72,7 +94,7 @@ def test_filters_and_time_follow_the_span_when_coupled() -> None:
 
 
 def test_narrow_video_filter_slows_the_coupled_sweep_unless_the_detector_is_rms() -> None:
-    settings = Settings(detector="SAMP")
+    settings = fresh(detector="SAMP")
     put(settings, start_hz=954e6, stop_hz=990e6, rbw_hz=30e3, vbw_hz=3e3)
     assert settings.time_s == pytest.approx(10 * 2.5 * 36e6 / 30e3**2, rel=1e-12)
     settings.detector = "RMS"
@@ -80,7 +102,7 @@ def test_narrow_video_filter_slows_the_coupled_sweep_unless_the_detector_is_rms(
 
 
 def test_too_fast_sweep_is_uncalibrated() -> None:
-    settings = Settings()
+    settings = fresh()
     put(settings, start_hz=954e6, stop_hz=990e6, rbw_hz=30e3, time_s=0.2)
     assert not settings.is_uncalibrated
     put(settings, time_s=0.05)
@@ -88,7 +110,7 @@ def test_too_fast_sweep_is_uncalibrated() -> None:
 
 
 def test_attenuator_follows_the_reference_level_when_coupled() -> None:
-    settings = Settings()
+    settings = fresh()
     assert settings.attenuation_db == 10.0
     put(settings, reference_dbm=-30.0)
     assert settings.attenuation_db == 0.0
@@ -97,17 +119,17 @@ def test_attenuator_follows_the_reference_level_when_coupled() -> None:
 
 
 def test_frequency_offset_moves_what_is_shown_and_not_what_is_swept() -> None:
-    settings = Settings()
+    settings = fresh()
     put(settings, start_hz=954e6, stop_hz=990e6, offset_hz=10e9)
     assert settings.start_hz == 954e6
     assert load(settings, "start_hz") == 10.954e9
     put(settings, center_hz=10.96e9)
     assert settings.center_hz == 960e6
-    assert shown_limits(settings, "stop_hz").high == MAX_FREQUENCY_HZ + 10e9
+    assert shown_limits(settings, "stop_hz").high == FSW_26.max_frequency_hz + 10e9
 
 
 def test_zero_span_keeps_the_filter() -> None:
-    settings = Settings()
+    settings = fresh()
     put(settings, span_hz=10e6)
     before_hz = settings.rbw_hz
     put(settings, span_hz=0.0)
@@ -115,9 +137,9 @@ def test_zero_span_keeps_the_filter() -> None:
 
 
 def test_count_of_sweeps_and_how_they_are_combined() -> None:
-    assert Settings().sweeps == 1
-    assert Settings(count=10).sweeps == 10
-    assert Settings(average_count=5).sweeps == 1
-    assert Settings(average_count=5, is_averaging=True).sweeps == 5
-    assert Settings(count=10).combination == "POW"
-    assert Settings(count=10, is_averaging=True).combination == "VID"
+    assert fresh().sweeps == 1
+    assert fresh(count=10).sweeps == 10
+    assert fresh(average_count=5).sweeps == 1
+    assert fresh(average_count=5, is_averaging=True).sweeps == 5
+    assert fresh(count=10).combination == "POW"
+    assert fresh(count=10, is_averaging=True).combination == "VID"

@@ -3,7 +3,7 @@
 import pytest
 
 from analyzer_sim.scpi_errors import ERROR_TEXTS, error_entry, event_bit
-from analyzer_sim.status import ERROR_QUEUE_DEPTH, StatusModel, StatusRegister
+from analyzer_sim.status import StatusModel, StatusRegister
 
 
 @pytest.mark.parametrize(("code", "bit"), [(-113, 5), (-222, 4), (-350, 3), (-410, 2)])
@@ -27,10 +27,10 @@ def test_queue_is_first_in_first_out_and_ends_with_no_error() -> None:
 
 
 def test_overflow_replaces_the_last_entry() -> None:
-    status = StatusModel()
-    for _ in range(ERROR_QUEUE_DEPTH + 5):
+    status = StatusModel(error_queue_depth=20)
+    for _ in range(20 + 5):
         status.push_error(-113)
-    assert status.error_count == ERROR_QUEUE_DEPTH
+    assert status.error_count == 20
     answers = status.pop_all_errors().split('",')
     assert answers[-1] == '-350,"Queue overflow"'
     assert all(answer.startswith("-113") for answer in answers[:-1])
