@@ -20,6 +20,23 @@ class Call(NamedTuple):
     instrument: Instrument
     #: an earlier unit of the same message has answered
     has_response: bool
+    #: mnemonics of the whole header, as they were sent; upper case
+    header: tuple[str, ...] = ()
+
+    def suffix(self, pattern: str) -> int:
+        """Return the number behind a mnemonic of the header, 1 when none stands there.
+
+        Examples
+        --------
+        >>> Call(None, False, ("CALC", "MARK3", "Y")).suffix("MARKer")
+        3
+        """
+        names = {pattern.upper(), "".join(c for c in pattern if not c.islower())}
+        for node in self.header:
+            name = node.rstrip("0123456789")
+            if name in names:
+                return int(node[len(name) :] or 1)
+        return 1
 
 
 Writer = Callable[..., None]
@@ -45,10 +62,21 @@ class Command:
     #: the command, or the query, is held until no sweep is pending
     write_waits: bool = False
     query_waits: bool = False
+    #: what the query does once, before it waits, with the parameters of the query: READ and MEASure start a sweep
+    query_starts: Writer | None = None
 
     def waits(self, unit: Unit) -> bool:
         """Tell whether this unit is held while a sweep is pending."""
         return self.query_waits if unit.is_query else self.write_waits
+
+    def starts(self, unit: Unit) -> bool:
+        """Tell whether this unit starts a sweep before it waits for it."""
+        return unit.is_query and self.query_starts is not None
+
+    def start(self, unit: Unit, call: Call) -> None:
+        """Start the sweep of a query that needs one; errors as of :meth:`run`."""
+        if self.query_starts is not None:
+            self.query_starts(call, *self._values(unit))
 
     def run(self, unit: Unit, call: Call) -> str | bytes | None:
         """Execute one unit.
@@ -61,6 +89,11 @@ class Command:
         handler: Callable[..., Any] | None = self.query if unit.is_query else self.write
         if handler is None:
             raise ScpiError(-113, unit.header)
+        answer: str | bytes | None = handler(call, *self._values(unit))
+        return answer
+
+    def _values(self, unit: Unit) -> list[object]:
+        """Read the parameters of one unit."""
         parameters = self.query_parameters if unit.is_query else self.parameters
         required = self.query_required if unit.is_query else len(self.parameters) - self.optional
         data = parse_data(unit.data)
@@ -68,6 +101,4 @@ class Command:
             raise ScpiError(-108, unit.header)
         if len(data) < required:
             raise ScpiError(-109, unit.header)
-        values = [parameter.read(datum) for parameter, datum in zip(parameters, data, strict=False)]
-        answer: str | bytes | None = handler(call, *values)
-        return answer
+        return [parameter.read(datum) for parameter, datum in zip(parameters, data, strict=False)]

@@ -7,13 +7,17 @@ Sweeps and the virtual clock:
   (OPERation bit 5, waiting for trigger) until :meth:`Instrument.complete_pending` finds it allowed.
 * In ``INIT:CONT ON`` every trace query shows a fresh sweep of the present row; the clock stands still.
 * After the last row ``INIT`` queues -200 and leaves no trace, so that the next trace query gives -230.
+* A list sweep measures every entry with its own settings, all of them on one row.
 """
 
 from collections.abc import Callable
+from functools import reduce
+from operator import or_
 
 from analyzer_sim.analyzer_model import AnalyzerModel
 from analyzer_sim.emission import Emission, EmissionSource
-from analyzer_sim.instrument_settings import reset_state
+from analyzer_sim.function_settings import FunctionSettings, swept_settings
+from analyzer_sim.instrument_settings import Settings, reset_state
 from analyzer_sim.models import FSW_26
 from analyzer_sim.painter import Trace, TracePainter
 from analyzer_sim.scpi_errors import ScpiError
@@ -54,11 +58,14 @@ class Instrument:
     ) -> None:
         self.model = model
         self.settings = reset_state(model)
+        self.functions = FunctionSettings()
         self.status = StatusModel(model.error_queue_depth, model.no_error)
         self._source = source
         self._painter = painter
         self._may_advance = may_advance
         self._trace: Trace | None = None
+        self._list_entries: tuple[Settings, ...] = ()
+        self._list_traces: tuple[Trace, ...] = ()
         self._is_pending = False
         self._completion_wanted = False
 
@@ -67,12 +74,18 @@ class Instrument:
         """Whether a sweep waits for permission."""
         return self._is_pending
 
+    @property
+    def swept(self) -> Settings:
+        """The settings a sweep is taken with: those of the measurement selected."""
+        return swept_settings(self.settings, self.functions)
+
     def reset(self, *, is_preset: bool = False) -> None:
         """``*RST``, or ``SYSTem:PRESet``: settings to their defaults; status and queues stay."""
         self.abort()
         self._completion_wanted = False
         self.settings = reset_state(self.model, is_preset=is_preset)
-        self._trace = None
+        self.functions = FunctionSettings()
+        self.invalidate()
 
     def initiate(self) -> None:
         """Start a single sweep.
@@ -86,10 +99,27 @@ class Instrument:
             raise ScpiError(-213, "INIT:CONT is ON")
         if self._is_pending:
             raise ScpiError(-213, "a sweep is pending")
-        self._trace = None
+        self.invalidate()
+        self._begin()
+
+    def _begin(self) -> None:
         self._is_pending = True
         self.status.operation.put_bit(OPERATION_WAITING_FOR_TRIGGER, is_set=True)
         self.complete_pending()
+
+    def initiate_list(self, entries: tuple[Settings, ...]) -> None:
+        """Start a sweep that measures each entry once with its own settings.
+
+        Raises
+        ------
+        ScpiError
+            -213 when a sweep is pending.
+        """
+        if self._is_pending:
+            raise ScpiError(-213, "a sweep is pending")
+        self.invalidate()
+        self._list_entries = entries
+        self._begin()
 
     def complete_pending(self) -> bool:
         """Run the pending sweep if its row is allowed; return whether none is pending any more."""
@@ -108,6 +138,7 @@ class Instrument:
 
     def _end_pending(self) -> None:
         self._is_pending = False
+        self._list_entries = ()
         self.status.operation.put_bit(OPERATION_WAITING_FOR_TRIGGER, is_set=False)
         if self._completion_wanted:
             self.report_completion()
@@ -119,8 +150,9 @@ class Instrument:
             self.status.event |= ESR_OPERATION_COMPLETE
 
     def invalidate(self) -> None:
-        """Forget the trace: a setting that shapes it has changed."""
+        """Forget the trace and the results of a list: a setting that shapes them has changed."""
         self._trace = None
+        self._list_traces = ()
 
     def trace(self) -> Trace:
         """Return the trace to show.
@@ -136,6 +168,18 @@ class Instrument:
             raise ScpiError(-230, "no sweep with the present settings")
         return self._trace
 
+    def list_traces(self) -> tuple[Trace, ...]:
+        """Return the traces of the last list sweep, one an entry.
+
+        Raises
+        ------
+        ScpiError
+            -230 when no list has been swept with the present settings.
+        """
+        if not self._list_traces:
+            raise ScpiError(-230, "no list has been swept")
+        return self._list_traces
+
     def epoch_us(self) -> int:
         """Return the virtual instant: of the trace shown, else of the present row."""
         return self._present().epoch_us if self._trace is None else self._trace.epoch_us
@@ -147,6 +191,12 @@ class Instrument:
             raise ScpiError(-230, "the scenario has ended") from None
 
     def _show(self, emission: Emission) -> None:
-        self._trace = self._painter.paint(emission, self.settings)
-        self.status.put_questionable_power(self._trace.overload)
-        self.status.questionable.put_bit(QUESTIONABLE_CALIBRATION, is_set=self.settings.is_uncalibrated)
+        entries = self._list_entries or (self.swept,)
+        traces = tuple(self._painter.paint(emission, entry) for entry in entries)
+        if self._list_entries:
+            self._list_traces = traces
+        else:
+            self._trace = traces[0]
+        self.status.put_questionable_power(reduce(or_, (trace.overload for trace in traces)))
+        is_uncalibrated = any(entry.is_uncalibrated for entry in entries)
+        self.status.questionable.put_bit(QUESTIONABLE_CALIBRATION, is_set=is_uncalibrated)

@@ -40,6 +40,7 @@ class Session:
         self._path: tuple[str, ...] = ()
         self._answers: list[bytes] = []
         self._is_held = False
+        self._has_started = False
         is_alone = instrument.model.is_error_queue_per_session
         self._errors = instrument.status.new_queue() if is_alone else instrument.status.errors
 
@@ -57,6 +58,7 @@ class Session:
         """Take the next program message; the one before must be finished."""
         self._path = ()
         self._answers = []
+        self._has_started = False
         self._instrument.status.errors = self._errors
         if message.is_overrun:
             self._instrument.status.push_error(-223, "program message too long")
@@ -81,16 +83,27 @@ class Session:
         try:
             unit = parse_unit(text)
             command, path = self._tree.find(unit, self._path)
-            if command.waits(unit) and self._instrument.is_pending:
+            call = Call(self._instrument, bool(self._answers), (*path, unit.nodes[-1]))
+            if self._must_wait(command, unit, call):
                 return False
             self._path = path
-            self._answer(command, unit)
+            self._answer(command, unit, call)
         except ScpiError as error:
             self._instrument.status.push_error(error.code, error.detail)
+        self._has_started = False
         return True
 
-    def _answer(self, command: Command, unit: Unit) -> None:
-        answer = command.run(unit, Call(self._instrument, bool(self._answers)))
+    def _must_wait(self, command: Command, unit: Unit, call: Call) -> bool:
+        """Tell whether the unit is held by a sweep; a query that starts its own is started once."""
+        if not command.waits(unit):
+            return False
+        if command.starts(unit) and not self._has_started and not self._instrument.is_pending:
+            command.start(unit, call)
+            self._has_started = True
+        return self._instrument.is_pending
+
+    def _answer(self, command: Command, unit: Unit, call: Call) -> None:
+        answer = command.run(unit, call)
         if answer is not None:
             self._answers.append(answer if isinstance(answer, bytes) else answer.encode("ascii"))
 
