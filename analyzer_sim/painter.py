@@ -49,6 +49,10 @@ class Trace(NamedTuple):
     #: bits of QUEStionable:POWer
     overload: int
     epoch_us: int
+    #: where it was taken and with which filter
+    grid: SweepGrid
+    #: how the points were detected, a key of ``BUCKET_DETECTORS``
+    detector: str
 
 
 class TracePainter:
@@ -82,7 +86,7 @@ class TracePainter:
         power_mw *= self._ripple_gain(grid) * milliwatts(error_db)
         level_dbm = 10.0 * np.log10(np.maximum(power_mw, _LEAST_MW))
         np.minimum(level_dbm, settings.reference_dbm + HEADROOM_DB, out=level_dbm)
-        return Trace(level_dbm, _overload(emission, settings), emission.epoch_us)
+        return Trace(level_dbm, _overload(emission, settings), emission.epoch_us, grid, settings.detector)
 
     def _combine(self, mean: MeanTrace, grid: SweepGrid, settings: Settings) -> FloatArray:
         """Combine the sweeps of one measurement by the average type."""
