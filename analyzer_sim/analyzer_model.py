@@ -39,8 +39,8 @@ class FilterSteps:
 
     #: ascending, Hz
     steps_hz: tuple[float, ...]
-    #: a value between two steps becomes the upper one, not the nearest on a logarithmic scale
-    is_rounded_up: bool = False
+    #: the nearest step is taken on a linear scale and, half way, upwards; else on a logarithmic scale
+    is_linear: bool = False
 
     @property
     def limits(self) -> Limits:
@@ -52,12 +52,12 @@ class FilterSteps:
 
         Examples
         --------
-        >>> FilterSteps((10e3, 30e3, 100e3)).legal(29e3), FilterSteps((10e3, 30e3, 100e3), True).legal(31e3)
-        (30000.0, 100000.0)
+        >>> FilterSteps((30e3, 100e3)).legal(60e3), FilterSteps((30e3, 100e3), is_linear=True).legal(60e3)
+        (100000.0, 30000.0)
         """
         clamped = min(max(value_hz, self.steps_hz[0]), self.steps_hz[-1])
-        if self.is_rounded_up:
-            return next(step for step in self.steps_hz if step >= clamped * (1.0 - 1e-9))
+        if self.is_linear:
+            return min(self.steps_hz, key=lambda step: (abs(step - clamped), -step))
         return min(self.steps_hz, key=lambda step: abs(math.log(step / clamped)))
 
     def neighbour(self, step_hz: float, direction: int) -> float:
@@ -88,6 +88,9 @@ class AnalyzerModel:
     #: ``SYSTem:PRESet`` leaves the instrument sweeping without end
     is_continuous_after_preset: bool
     min_span_hz: float = 10.0
+    #: couplings: the span by the resolution bandwidth, the video by the resolution bandwidth
+    span_per_rbw: float = 100.0
+    vbw_per_rbw: float = 1.0
     #: detector after ``*RST``, a word of ``Settings.detector``
     detector: str = "APE"
     #: average type after ``*RST``, a word of ``Settings.average_type``

@@ -97,6 +97,31 @@ def inert(pattern: str, default: str, words: tuple[str, ...] = ()) -> Command:
     return Command(pattern, write, query, (Choice(words) if words else Boolean(),))
 
 
+def inert_number(pattern: str, default: float, low: float, high: float, units: Mapping[str, float] = PURE) -> Command:
+    """Return the row of a number that is remembered and answered but changes nothing."""
+    words = {"MIN": low, "MAX": high, "DEF": default}
+
+    def wanted(value: float | str) -> float:
+        if isinstance(value, str) and value not in words:
+            raise ScpiError(-224, value)
+        return words[value] if isinstance(value, str) else value
+
+    def write(call: Call, value: float | str) -> None:
+        clamped = min(max(wanted(value), low), high)
+        call.instrument.settings.inert[pattern] = number_text(clamped)
+        if clamped != wanted(value):
+            raise ScpiError(-222, f"{value:g}")
+
+    def query(call: Call, value: float | str = "") -> str:
+        if not isinstance(value, str):
+            raise ScpiError(-128)
+        if value:
+            return number_text(wanted(value))
+        return call.instrument.settings.inert.get(pattern, number_text(default))
+
+    return Command(pattern, write, query, (Numeric(units),), query_parameters=(Numeric(units),))
+
+
 def constant(pattern: str, answer: str) -> Command:
     """Return the row of a query whose answer never changes."""
     return Command(pattern, query=lambda _call: answer)

@@ -36,6 +36,9 @@ _NULLS_PER_ENBW_SECOND = 3.7
 #: mean and deviation of 10 lg of an exponential variable, dB
 _LOG_MEAN_DB = -2.5068
 _LOG_SIGMA_DB = 5.5697
+#: the root of an exponential variable: square of its mean, and its relative deviation
+_VOLT_MEAN_POWER = math.pi / 4.0
+_VOLT_SIGMA = math.sqrt(4.0 / math.pi - 1.0)
 
 
 class Dwell(NamedTuple):
@@ -160,12 +163,20 @@ def _draw_log_mean(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator) -> F
     return np.asarray(mean.noise_mw * 10.0 ** (0.1 * level_db) + mean.lines_mw.sum(axis=0))
 
 
+def _draw_volt_mean(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator) -> FloatArray:
+    freedom = 1.0 / dwell_variance(dwell.enbw_hz, dwell.time_s)
+    volts = 1.0 + _VOLT_SIGMA / math.sqrt(freedom) * rng.standard_normal(len(mean.noise_mw))
+    return np.asarray(mean.noise_mw * _VOLT_MEAN_POWER * np.square(volts) + mean.lines_mw.sum(axis=0))
+
+
 #: detector -> draw of one trace
 FAST_DRAWS: dict[str, Callable[[MeanTrace, Dwell, np.random.Generator], FloatArray]] = {
     "RMS": draw_rms,
     "SAMP": _draw_sample,
     "POS": _draw_peak,
     "APE": _draw_peak,
+    "QPE": _draw_peak,
     "NEG": _draw_minimum,
     "AVER": _draw_log_mean,
+    "LIN": _draw_volt_mean,
 }

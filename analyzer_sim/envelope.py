@@ -104,12 +104,18 @@ def _bucket_log_mean(power_mw: FloatArray, starts: IntArray) -> FloatArray:
     return np.asarray(np.exp(_bucket_mean(np.log(np.maximum(power_mw, _LEAST_MW)), starts)))
 
 
+def _bucket_volt_mean(power_mw: FloatArray, starts: IntArray) -> FloatArray:
+    return np.square(_bucket_mean(np.sqrt(power_mw), starts))
+
+
 #: detector -> reduction of the samples of each bucket
 BUCKET_DETECTORS: dict[str, Callable[[FloatArray, IntArray], FloatArray]] = {
     "RMS": _bucket_mean,
     "SAMP": _bucket_last,
     "POS": _bucket_largest,
     "APE": _bucket_largest,
+    "QPE": _bucket_largest,
     "NEG": _bucket_smallest,
     "AVER": _bucket_log_mean,
+    "LIN": _bucket_volt_mean,
 }

@@ -6,7 +6,7 @@ limit and every step is a figure of the model.
 
 Couplings (all [K], as R&S analyzers have them)::
 
-    RBW auto   span / 100, nearest legal step                   VBW auto   equal to the RBW
+    RBW auto   span / ratio of the model, legal step            VBW auto   RBW times ratio of the model, legal step
     time auto  2.5 span / RBW^2, times RBW/VBW when VBW < RBW      attenuation auto  the mixer sees at most -10 dBm at
     zero span  every point stands at the centre                    the reference level
 """
@@ -32,7 +32,7 @@ class Settings:
     average_count: int
     #: VID (mean of dB), LIN (mean of volts) or POW (mean of mW)
     average_type: str
-    #: RMS POS NEG SAMP APE AVER
+    #: RMS POS NEG SAMP APE AVER (mean of dB) LIN (mean of volts) QPE
     detector: str
     #: an INIT sweeps without end
     is_continuous: bool
@@ -40,6 +40,8 @@ class Settings:
     is_big_endian: bool
     start_hz: float = 0.0
     offset_hz: float = 0.0
+    #: what UP and DOWN move the centre by; ``None`` = a tenth of the span
+    step_chosen_hz: float | None = None
     rbw_chosen_hz: float = 3e6
     is_rbw_auto: bool = True
     vbw_chosen_hz: float = 3e6
@@ -56,7 +58,7 @@ class Settings:
     is_attenuation_auto: bool = True
     is_preamplifier_on: bool = False
     unit: str = "DBM"
-    #: a key of ``levels.ENCODERS``
+    #: ASC or a key of ``levels.ENCODERS``
     data_format: str = "ASC"
     #: settings that are remembered and answered, but change nothing
     inert: dict[str, str] = field(default_factory=dict)
@@ -72,16 +74,21 @@ class Settings:
         return self.stop_hz - self.start_hz
 
     @property
+    def step_hz(self) -> float:
+        """What UP and DOWN move the centre by."""
+        return self.span_hz / 10.0 if self.step_chosen_hz is None else self.step_chosen_hz
+
+    @property
     def rbw_hz(self) -> float:
         """Resolution bandwidth (3 dB) in force."""
         if not self.is_rbw_auto:
             return self.rbw_chosen_hz
-        return self.model.rbw.legal(self.span_hz / 100.0) if self.span_hz else self.rbw_chosen_hz
+        return self.model.rbw.legal(self.span_hz / self.model.span_per_rbw) if self.span_hz else self.rbw_chosen_hz
 
     @property
     def vbw_hz(self) -> float:
         """Video bandwidth in force."""
-        return self.rbw_hz if self.is_vbw_auto else self.vbw_chosen_hz
+        return self.model.vbw.legal(self.model.vbw_per_rbw * self.rbw_hz) if self.is_vbw_auto else self.vbw_chosen_hz
 
     @property
     def time_s(self) -> float:
@@ -166,6 +173,10 @@ def _store_span(settings: Settings, span_hz: float) -> None:
     _store_window(settings, center_hz, legal_hz)
 
 
+def _store_step(settings: Settings, step_hz: float) -> None:
+    settings.step_chosen_hz = step_hz
+
+
 def _store_rbw(settings: Settings, rbw_hz: float) -> None:
     settings.rbw_chosen_hz, settings.is_rbw_auto = settings.model.rbw.legal(rbw_hz), False
 
@@ -247,6 +258,10 @@ def _span_limits(settings: Settings) -> Limits:
     return Limits(0.0, settings.model.max_frequency_hz, settings.model.max_frequency_hz)
 
 
+def _step_limits(settings: Settings) -> Limits:
+    return Limits(1.0, settings.model.max_frequency_hz, settings.span_hz / 10.0)
+
+
 def _start_limits(settings: Settings) -> Limits:
     return Limits(0.0, settings.model.max_frequency_hz - settings.model.min_span_hz, 0.0)
 
@@ -260,10 +275,11 @@ QUANTITIES: dict[str, Quantity] = {
         _center_limits,
         lambda s: s.center_hz,
         lambda s, value: _store_window(s, value, s.span_hz),
-        _axis_step,
+        lambda s, direction: direction * s.step_hz,
         is_shifted=True,
     ),
     "span_hz": Quantity(_span_limits, lambda s: s.span_hz, _store_span, _by_half("span_hz")),
+    "step_hz": Quantity(_step_limits, lambda s: s.step_hz, _store_step, _by_half("step_hz")),
     "start_hz": Quantity(_start_limits, lambda s: s.start_hz, _store_start, _axis_step, is_shifted=True),
     "stop_hz": Quantity(_stop_limits, lambda s: s.stop_hz, _store_stop, _axis_step, is_shifted=True),
     "offset_hz": Quantity(_fixed(-1e12, 1e12, 0.0), lambda s: s.offset_hz, _store_offset, _by(1e6)),

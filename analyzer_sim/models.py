@@ -42,18 +42,19 @@ N9020B = AnalyzerModel(
     attenuation_step_db=2.0,
     attenuation_coupled_step_db=2.0,
     average_count=Limits(1, MAX_SWEEPS, 100),
+    span_per_rbw=106.0,
     is_continuous_after_reset=False,
     is_continuous_after_preset=True,
     is_big_endian=True,
     no_error='+0,"No error"',
 )
 
-#: Siglent SSA3032X; 751 points whatever is asked [M]
+#: Siglent SSA3032X; 751 points whatever is asked; filters nearest on a linear scale, rounding up [M]
 SSA3032X = AnalyzerModel(
     max_frequency_hz=3.2e9,
     min_span_hz=100.0,
-    rbw=FilterSteps(decade_steps(_ONE_THREE, 1.0, 1e6), is_rounded_up=True),
-    vbw=FilterSteps(decade_steps(_ONE_THREE, 1.0, 3e6), is_rounded_up=True),
+    rbw=FilterSteps(decade_steps(_ONE_THREE, 1.0, 1e6), is_linear=True),
+    vbw=FilterSteps(decade_steps(_ONE_THREE, 1.0, 3e6), is_linear=True),
     points=Limits(751, 751, 751),
     sweep_time_s=Limits(917e-6, 1000.0, 1.0),
     reference_dbm=Limits(-100.0, 30.0, 0.0),
@@ -68,7 +69,7 @@ SSA3032X = AnalyzerModel(
     error_queue_depth=20,
 )
 
-#: Anritsu MS2090A with option 0726
+#: Anritsu MS2090A with option 0726; couplings span/RBW 300, VBW/RBW 0.33, averages 2 to 65535 as its kin have [M]
 MS2090A = AnalyzerModel(
     max_frequency_hz=26.5e9,
     rbw=FilterSteps(decade_steps(_ONE_THREE, 1.0, 10e6)),
@@ -80,6 +81,8 @@ MS2090A = AnalyzerModel(
     attenuation_step_db=5.0,
     attenuation_coupled_step_db=5.0,
     average_count=Limits(2, MAX_SWEEPS, 10),
+    span_per_rbw=300.0,
+    vbw_per_rbw=0.33,
     is_continuous_after_reset=True,
     is_continuous_after_preset=True,
     detector="POS",

@@ -101,6 +101,36 @@ class Choice:
 
 
 @dataclass(frozen=True, slots=True)
+class TraceName:
+    """A trace by its number or by a word with a number at its end: ``1``, ``TRACE1``, ``TRC1``; answers the number."""
+
+    #: words that may stand before the number
+    prefixes: tuple[str, ...]
+    highest: int
+    #: the number alone is enough
+    is_number_legal: bool = True
+
+    def read(self, datum: Datum) -> int:
+        """Return the number of the trace."""
+        if isinstance(datum, Number) and self.is_number_legal:
+            return self._number(datum.value, datum.suffix)
+        if not isinstance(datum, Character):
+            raise ScpiError(_TYPE_NOT_ALLOWED[type(datum)])
+        prefix = datum.text.rstrip("0123456789")
+        digits = datum.text[len(prefix) :]
+        if prefix not in self.prefixes or not 0 < len(digits) < 4 or not 1 <= int(digits) <= self.highest:
+            raise ScpiError(-141, datum.text)
+        return int(digits)
+
+    def _number(self, value: float, suffix: str) -> int:
+        if suffix:
+            raise ScpiError(-138, suffix)
+        if value not in range(1, self.highest + 1):
+            raise ScpiError(-224, f"{value:g}")
+        return int(value)
+
+
+@dataclass(frozen=True, slots=True)
 class Quoted:
     """A string, or a bare word where clients leave the quotes out."""
 

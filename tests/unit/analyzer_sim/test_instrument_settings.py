@@ -61,8 +61,8 @@ def test_filter_takes_the_nearest_step_on_a_logarithmic_scale(wanted: float, ste
     assert FSW_26.rbw.legal(wanted) == step
 
 
-@pytest.mark.parametrize(("wanted", "step"), [(29e3, 30e3), (30e3, 30e3), (31e3, 100e3), (9e6, 1e6), (0.2, 1.0)])
-def test_filter_that_rounds_up_takes_the_next_step(wanted: float, step: float) -> None:
+@pytest.mark.parametrize(("wanted", "step"), [(29e3, 30e3), (60e3, 30e3), (65e3, 100e3), (9e6, 1e6), (0.2, 1.0)])
+def test_linear_filter_takes_the_nearest_step_and_rounds_up(wanted: float, step: float) -> None:
     assert SSA3032X.rbw.legal(wanted) == step
 
 

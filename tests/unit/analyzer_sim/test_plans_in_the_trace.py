@@ -7,7 +7,8 @@ import pytest
 
 from analyzer_sim.ground_bodies import task
 from analyzer_sim.imperfections import IDEAL
-from analyzer_sim.instrument_settings import Settings, store
+from analyzer_sim.instrument_settings import reset_state, store
+from analyzer_sim.models import FSW_26
 from analyzer_sim.painter import TracePainter
 from analyzer_sim.scenario import scenario_named
 from analyzer_sim.spectrum import ENBW_PER_RBW
@@ -21,7 +22,7 @@ ROWS = 30
 def mean_power_dbm(world: World, rows: range, columns: list[int]) -> np.ndarray:
     """Sweep rows as the task says and return the mean integrated powers (columns,), noise subtracted."""
     sweep = task(world, world.plan_versions[-1].carriers)["sweeps"][0]
-    settings = Settings(detector="RMS")
+    settings = replace(reset_state(FSW_26), detector="RMS")
     for name in ("start_hz", "stop_hz", "rbw_hz", "points", "time_s"):
         store(settings, name, sweep[name])
     axis_hz = np.linspace(settings.start_hz, settings.stop_hz, settings.points)

@@ -1,6 +1,7 @@
 """Statistics of traces, by both methods, against section 6 of the analyzer specification."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,8 @@ from analyzer_sim.detectors import FAST_DRAWS, Dwell, correlation_kernel, draw_r
 from analyzer_sim.emission import Emission, Signal
 from analyzer_sim.envelope import draw_envelope
 from analyzer_sim.imperfections import IDEAL
-from analyzer_sim.instrument_settings import Settings, store
+from analyzer_sim.instrument_settings import Settings, reset_state, store
+from analyzer_sim.models import FSW_26
 from analyzer_sim.painter import Detail, TracePainter
 from analyzer_sim.spectrum import ENBW_PER_RBW, MeanTrace, SweepGrid
 
@@ -21,7 +23,7 @@ CARRIERS = tuple(Signal(f"c{n}", float(f), RATE_HZ, 0.2, -43.0) for n, f in enum
 
 
 def settings_of(time_s: float, points: int, **more: object) -> Settings:
-    settings = Settings(detector="RMS", **more)
+    settings = replace(reset_state(FSW_26), detector="RMS", **more)
     values = {"start_hz": 954e6, "stop_hz": 972e6, "rbw_hz": 30e3, "points": points, "time_s": time_s}
     for name, value in values.items():
         store(settings, name, value)
@@ -120,6 +122,7 @@ def levels_db(detector: str, time_s: float, *, is_fast: bool, repeats: int = 40)
         ("POS", 7.0, 0.25),  # at 30 resolution bandwidths a bucket
         ("NEG", -23.2, 0.5),  # lowest of 120 samples: 10 lg 120 + 2.51
         ("AVER", -2.51, 0.1),
+        ("LIN", -1.05, 0.1),
     ],
 )
 def test_detector_reads_its_known_level_on_noise(

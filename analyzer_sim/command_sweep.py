@@ -1,0 +1,214 @@
+"""Rows for what a sweep is: detector, averaging, sweep type, frequency presets, INITiate; words of a dialect as data.
+
+Law of this file: a word of a dialect becomes a code of ``Settings`` here and nowhere else. A detector that averages by
+the average type has no code of its own (``BY_TYPE``): it follows that type, as Keysight and Siglent have it.
+"""
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from analyzer_sim.command_row import Call, Command
+from analyzer_sim.epochs import rfc3339
+from analyzer_sim.instrument_settings import Settings, reset_state, store
+from analyzer_sim.scpi_errors import ScpiError
+from analyzer_sim.scpi_parameters import Boolean, Choice, Quoted
+
+#: code of a detector whose kind of mean the average type decides
+BY_TYPE: Final = "BY TYPE"
+#: average type -> detector of the same mean
+AVERAGING_DETECTORS: Mapping[str, str] = {"VID": "AVER", "POW": "RMS", "LIN": "LIN"}
+#: span left by the search for the strongest signal, Hz
+_TUNED_SPAN_HZ = 10e6
+_TUNING_POINTS = 50001
+
+
+def short(word: str) -> str:
+    """Return the short form of a word as manuals write it."""
+    return "".join(c for c in word if not c.islower())
+
+
+def freeze_rbw(settings: Settings) -> None:
+    """Keep the resolution bandwidth in force when its coupling ends."""
+    settings.rbw_chosen_hz = settings.rbw_hz
+
+
+def freeze_vbw(settings: Settings) -> None:
+    """Keep the video bandwidth in force when its coupling ends."""
+    settings.vbw_chosen_hz = settings.vbw_hz
+
+
+def freeze_time(settings: Settings) -> None:
+    """Keep the sweep time in force when its coupling ends."""
+    settings.time_chosen_s = settings.time_s
+
+
+def freeze_attenuation(settings: Settings) -> None:
+    """Keep the attenuation in force when its coupling ends."""
+    settings.attenuation_chosen_db = settings.attenuation_db
+
+
+def full_span_row(pattern: str) -> Command:
+    """Return the row that sweeps the whole range."""
+
+    def write(call: Call) -> None:
+        store(call.instrument.settings, "span_hz", call.instrument.model.max_frequency_hz)
+        call.instrument.invalidate()
+
+    return Command(pattern, write)
+
+
+def zero_span_row(pattern: str) -> Command:
+    """Return the row that stands at the centre."""
+
+    def write(call: Call) -> None:
+        store(call.instrument.settings, "span_hz", 0.0)
+        call.instrument.invalidate()
+
+    return Command(pattern, write)
+
+
+def _tune(call: Call) -> None:
+    """Centre the strongest signal of the whole range."""
+    settings = call.instrument.settings
+    wide = reset_state(settings.model)
+    wide.points, wide.detector, wide.is_continuous = _TUNING_POINTS, "RMS", True
+    call.instrument.settings = wide
+    try:
+        strongest = int(np.argmax(call.instrument.trace().level_dbm))
+    finally:
+        call.instrument.settings = settings
+        call.instrument.invalidate()
+    store(settings, "span_hz", _TUNED_SPAN_HZ)
+    center_hz = strongest * settings.model.max_frequency_hz / (_TUNING_POINTS - 1)
+    store(settings, "center_hz", center_hz + settings.offset_hz)
+
+
+def tune_row(pattern: str) -> Command:
+    """Return the row that searches the strongest signal and centres it in a span of 10 MHz."""
+    return Command(pattern, _tune)
+
+
+def detector_rows(pattern: str, auto: str, codes: Mapping[str, str]) -> tuple[Command, ...]:
+    """Return the rows of the detector and of its automatic choice.
+
+    Parameters
+    ----------
+    pattern, auto : str
+        Headers.
+    codes : mapping
+        Word of the dialect -> code of ``Settings.detector``, or ``BY_TYPE``.
+    """
+    code_of = {short(word): code for word, code in codes.items()}
+    word_of = {code: word for word, code in reversed(code_of.items())}
+    if BY_TYPE in word_of:
+        word_of.update(dict.fromkeys(AVERAGING_DETECTORS.values(), word_of[BY_TYPE]))
+
+    def write(call: Call, word: str) -> None:
+        settings = call.instrument.settings
+        code = code_of[word]
+        settings.detector = AVERAGING_DETECTORS[settings.average_type] if code == BY_TYPE else code
+        settings.is_detector_auto = False
+        call.instrument.invalidate()
+
+    def write_auto(call: Call, is_auto: bool) -> None:  # noqa: FBT001 - the one value of the command
+        settings = call.instrument.settings
+        settings.is_detector_auto = is_auto
+        if is_auto:
+            settings.detector = settings.model.detector
+        call.instrument.invalidate()
+
+    return (
+        Command(pattern, write, lambda call: word_of[call.instrument.settings.detector], (Choice(tuple(codes)),)),
+        Command(auto, write_auto, lambda call: str(int(call.instrument.settings.is_detector_auto)), (Boolean(),)),
+    )
+
+
+def average_type_row(pattern: str, types: Mapping[str, str], *, does_detector_follow: bool = False) -> Command:
+    """Return the row of the average type: word of the dialect -> code of ``Settings.average_type``."""
+    type_of = {short(word): code for word, code in types.items()}
+    word_of = {code: word for word, code in type_of.items()}
+
+    def write(call: Call, word: str) -> None:
+        settings = call.instrument.settings
+        if does_detector_follow and settings.detector in AVERAGING_DETECTORS.values():
+            settings.detector = AVERAGING_DETECTORS[type_of[word]]
+        settings.average_type = type_of[word]
+        call.instrument.invalidate()
+
+    return Command(pattern, write, lambda call: word_of[call.instrument.settings.average_type], (Choice(tuple(types)),))
+
+
+def trace_mode_row(pattern: str, plain: str, average: str) -> Command:
+    """Return the row that shows single sweeps or their average."""
+
+    def write(call: Call, word: str) -> None:
+        call.instrument.settings.is_averaging = word == short(average)
+        call.instrument.invalidate()
+
+    def query(call: Call) -> str:
+        return short(average if call.instrument.settings.is_averaging else plain)
+
+    return Command(pattern, write, query, (Choice((plain, average)),))
+
+
+def unit_row(pattern: str, units: tuple[str, ...], conflicting: tuple[str, ...] = ()) -> Command:
+    """Return the row of the unit of levels; ``conflicting`` ones need a set-up that this instrument does not have."""
+
+    def write(call: Call, unit: str) -> None:
+        if unit in conflicting:
+            raise ScpiError(-221, f"{unit} needs an antenna factor")
+        call.instrument.settings.unit = unit
+
+    return Command(pattern, write, lambda call: call.instrument.settings.unit, (Choice((*units, *conflicting)),))
+
+
+def _initiate(call: Call) -> None:
+    call.instrument.initiate()
+
+
+def _put_continuous(call: Call, is_on: bool) -> None:  # noqa: FBT001 - the one value of the command
+    if is_on:
+        call.instrument.abort()
+    call.instrument.settings.is_continuous = is_on
+
+
+def initiate_row(pattern: str) -> Command:
+    """Return the row that starts a sweep."""
+    return Command(pattern, _initiate)
+
+
+def continuous_row(pattern: str) -> Command:
+    """Return the row that sweeps without end."""
+    return Command(
+        pattern, _put_continuous, lambda call: str(int(call.instrument.settings.is_continuous)), (Boolean(),)
+    )
+
+
+def application_row(pattern: str, answer: str, names: frozenset[str]) -> Command:
+    """Return the row that selects the only application there is: ``names`` in upper case are accepted."""
+
+    def write(_call: Call, name: str) -> None:
+        if name.upper() not in names:
+            raise ScpiError(-224, name)
+
+    return Command(pattern, write, lambda _call: answer, (Quoted(),))
+
+
+def _date(call: Call) -> str:
+    year, month, day = rfc3339(call.instrument.epoch_us())[:10].split("-")
+    return f"{year},{int(month)},{int(day)}"
+
+
+def _time(call: Call) -> str:
+    hour, minute, second = rfc3339(call.instrument.epoch_us())[11:19].split(":")
+    return f"{int(hour)},{int(minute)},{int(second)}"
+
+
+#: the clock of the instrument is that of the world; ``SIMulation:EPOCh?`` is the simulator's own
+CLOCK_ROWS: tuple[Command, ...] = (
+    Command("SYSTem:DATE", query=_date),
+    Command("SYSTem:TIME", query=_time),
+    Command("SIMulation:EPOCh", query=lambda call: rfc3339(call.instrument.epoch_us())),
+)
