@@ -25,7 +25,7 @@ from enum import Enum, auto
 
 from service.client.backoff import Backoff
 from service.frontend.drivers.base import SweepRefusedError
-from service.frontend.drivers.choice import dialect_of, identify, make_driver
+from service.frontend.drivers.choice import dialect_of, identify
 from service.frontend.drivers.scpi_driver import ScpiDriver
 from service.frontend.evaluation import MeasuredRow, TaskEvaluation
 from service.frontend.measurement_task import MeasurementTask, SweepPart
@@ -78,8 +78,8 @@ class AcquisitionSettings:
     io_timeout_s: float = 5.0
     #: further wait for a sweep that a trigger, or a simulator in step with others, holds back, s
     hold_s: float = 0.0
-    #: settings of an unchanged sweep are read back this often, s
-    readback_s: float = 10.0
+    #: settings are read back after a sweep when they have not been for this long, s
+    readback_s: float = 0.5
 
 
 @dataclass(slots=True)
@@ -179,7 +179,7 @@ class Acquisition:
             raise AnalyzerIOError("no session")
         identity = identify(self._session)
         dialect = dialect_of(identity, self._task.task.analyzer.dialect)
-        self._driver = make_driver(
+        self._driver = ScpiDriver(
             self._session,
             identity,
             dialect,
@@ -187,6 +187,8 @@ class Acquisition:
             use_analyzer_clock=self._settings.use_analyzer_clock,
             io_timeout_s=self._settings.io_timeout_s,
             hold_s=self._settings.hold_s,
+            enbw_ratio=self._task.task.analyzer.enbw_ratio,
+            readback_s=self._settings.readback_s,
         )
         self._driver.preset()
         self._configured = _Configured()

@@ -34,9 +34,13 @@ class AnalyzerPart(_Part):
     #: VISA resource name; the command line may name another
     resource: str | None = None
     #: auto takes the driver from ``*IDN?``
-    dialect: Literal["auto", "rs", "generic"] = "auto"
+    dialect: Literal["auto", "rs", "keysight", "siglent", "anritsu", "generic"] = "auto"
     #: bound on every answer but that of a sweep, s
     io_timeout_s: _Positive = 5.0
+    #: noise bandwidth of the resolution filters over their RBW; in place of the dialect's
+    enbw_ratio: Annotated[float, Field(ge=0.8, le=1.5)] | None = None
+    #: give the front panel back after every cycle
+    is_shared: bool = False
 
 
 class InputPart(_Part):

@@ -69,7 +69,7 @@ def parse_identity(text: str) -> Identity:
     >>> parse_identity("Rohde&Schwarz,FSW-26,1331.5003K26/100001,5.30").model
     'FSW-26'
     """
-    fields = [field.strip() for field in text.strip().split(",")]
+    fields = [field.strip().strip('"') for field in text.strip().split(",")]
     if len(fields) < 2 or not fields[0]:
         raise AnswerError(f"*IDN? answered {text[:80]!r}")
     padded = [*fields[:3], ",".join(fields[3:])] if len(fields) > 3 else [*fields, "", ""]

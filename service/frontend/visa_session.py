@@ -11,6 +11,7 @@ bound of its own, so it gets one here.
 """
 
 import socket
+import struct
 import time
 from collections.abc import Callable
 from typing import Any
@@ -20,8 +21,8 @@ from pyvisa.constants import StatusCode
 
 from service.frontend.scpi import AnswerError, block_length, split_block
 
-#: what pyvisa, pyvisa-py and the socket below them raise
-IO_ERRORS = (pyvisa.Error, OSError, ValueError, RuntimeError, UnicodeDecodeError)
+#: what pyvisa, pyvisa-py and the socket below them raise; garbage on HiSLIP ends in a failed lookup or a short header
+IO_ERRORS = (pyvisa.Error, OSError, ValueError, RuntimeError, LookupError, struct.error)
 #: longest answer line that is read, bytes; an ASCII trace of 100 001 points takes 1.5 MB
 MAX_LINE_BYTES = 2 << 20
 #: a wait for a sweep looks for a stop and for a lost peer this often, s
@@ -62,6 +63,8 @@ class VisaSession:
         visa_library: str = "@py",
     ) -> None:
         self.resource = resource
+        #: a raw socket is a stream without messages; HiSLIP, VXI-11, USB and GPIB mark their ends
+        self._is_socket = resource.upper().endswith("::SOCKET")
         self._is_stopping = is_stopping
         self._timeout_s = timeout_s
         try:
@@ -106,7 +109,7 @@ class VisaSession:
         Only a raw socket is waited on in slices: on other transports a read that timed out must not be repeated.
         """
         self.write(message)
-        slice_s = SLICE_S if self.resource.upper().endswith("::SOCKET") else timeout_s
+        slice_s = SLICE_S if self._is_socket else timeout_s
         deadline_s = time.monotonic() + timeout_s
         is_stopping = False
         while True:
@@ -142,22 +145,34 @@ class VisaSession:
         self._set_timeout(timeout_s)
         self.write(message)
         try:
-            head = self._visa.read_bytes(2, break_on_termchar=True)
-            if head[:1] != b"#" or not head[1:2].isdigit() or head == b"#0":
-                return None, head.decode("ascii").removesuffix("\n") + ("" if head.endswith(b"\n") else self._line())
-            digits = self._visa.read_bytes(block_length(head))
-            length = int(digits)
-            if length > MAX_BLOCK_BYTES:
-                raise AnswerError(f"block of {length} bytes announced")
-            payload, _ = split_block(head + digits + self._visa.read_bytes(length))
-            return payload, self._line()
+            return self._stream_block() if self._is_socket else self._message_block()
         except IO_ERRORS as error:
             raise _broken(self.resource, f"does not answer {message!r}", error) from error
 
+    def _stream_block(self) -> tuple[bytes | None, str]:
+        """Read a block off a stream of bytes, whose messages end where their lengths say."""
+        head = self._visa.read_bytes(2, break_on_termchar=True)
+        if head[:1] != b"#" or not head[1:2].isdigit() or head == b"#0":
+            return None, head.decode("ascii").removesuffix("\n") + ("" if head.endswith(b"\n") else self._line())
+        digits = self._visa.read_bytes(block_length(head))
+        length = int(digits)
+        if length > MAX_BLOCK_BYTES:
+            raise AnswerError(f"block of {length} bytes announced")
+        payload, _ = split_block(head + digits + self._visa.read_bytes(length))
+        return payload, self._line()
+
+    def _message_block(self) -> tuple[bytes | None, str]:
+        """Read a whole message; the transport says where it ends, so that half a block is never waited for."""
+        answer: bytes = self._visa.read_bytes(MAX_BLOCK_BYTES + MAX_LINE_BYTES, break_on_termchar=True)
+        if answer[:1] != b"#" or not answer[1:2].isdigit() or answer[:2] == b"#0":
+            return None, answer.decode("ascii").rstrip("\r\n")
+        payload, rest = split_block(bytes(answer))
+        return payload, rest.decode("ascii").rstrip("\r\n")
+
     def _line(self) -> str:
-        """Return the stream up to its next line feed."""
+        """Return the stream up to its next line feed, or the message up to its end."""
         line: bytes = self._visa.read_bytes(MAX_LINE_BYTES, break_on_termchar=True)
-        if not line.endswith(b"\n"):
+        if self._is_socket and not line.endswith(b"\n"):
             raise AnswerError(f"line without an end after {len(line)} bytes")
         return line.decode("ascii").rstrip("\r\n")
 

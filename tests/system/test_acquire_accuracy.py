@@ -15,7 +15,7 @@ from analyzer_sim.imperfections import IDEAL
 from analyzer_sim.instrument import Instrument
 from analyzer_sim.painter import Detail, TracePainter
 from analyzer_sim.server import start_in_thread
-from service.frontend.drivers.choice import dialect_of, identify, make_driver
+from service.frontend.drivers.choice import dialect_of, identify
 from service.frontend.drivers.scpi_driver import ScpiDriver
 from service.frontend.evaluation import MeasuredRow, TaskEvaluation
 from service.frontend.measurement_task import MeasurementTask, parse_task
@@ -83,7 +83,7 @@ def measuring(detail: Detail) -> Iterator[tuple[Steady, ScpiDriver, MeasurementT
         session = VisaSession(f"TCPIP::127.0.0.1::{analyzer.port}::SOCKET", 5.0)
         try:
             identity = identify(session)
-            driver = make_driver(
+            driver = ScpiDriver(
                 session, identity, dialect_of(identity), lambda: 0, use_analyzer_clock=True, io_timeout_s=5.0
             )
             driver.preset()

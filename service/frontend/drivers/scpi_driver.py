@@ -1,42 +1,30 @@
 """An analyzer spoken to in SCPI, in the words of one dialect.
 
-One sweep takes two round trips: ``INIT;*OPC?`` bounded by one and a half sweep times, then trace, status, time and
-error queue in one message. The trace counts only when the queue is free of execution and command errors: after a
-refused ``INIT`` the analyzer would give the previous trace with a good conscience.
+One sweep takes two round trips: ``INIT;*OPC?`` bounded by one and a half sweep times, then trace, status, time,
+settings and error queue in one message. The trace counts only when the queue is free of execution and command errors -
+after a refused ``INIT`` the analyzer would give the previous trace with a good conscience - and when the settings after
+it are those before it.
 """
 
+import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from service.core.radio.decibel import mw_from_dbm
 from service.frontend.drivers.base import Dialect, Features, SweepRefusedError
+from service.frontend.drivers.configuration import Configuration
+from service.frontend.drivers.dialogue import Dialogue
+from service.frontend.drivers.trace_reader import TraceReader
 from service.frontend.measurement_task import InputPart, SweepPart
-from service.frontend.scpi import (
-    AnalyzerMessage,
-    AnswerError,
-    FloatArray,
-    Identity,
-    is_message,
-    levels_of_block,
-    levels_of_text,
-    parse_date_time,
-    parse_message,
-    parse_number,
-    split_answers,
-)
+from service.frontend.scpi import AnalyzerMessage, Identity, parse_date_time, parse_message, parse_number
 from service.frontend.visa_session import AnalyzerIOError, VisaSession
 from service.records.epoch import US_PER_S, parse_epoch
 from service.records.sweep import Sweep, SweepSettings
 
-#: bits of the questionable-status register (SCPI-99, 20.3)
-POWER_BIT, FREQUENCY_BIT, CALIBRATION_BIT = 1 << 3, 1 << 5, 1 << 8
-#: the queue holds 20 to 30 entries; more means that it never empties
-MAX_QUEUE = 64
-#: deviation of an edge, in spans, that counts as "not what was asked for"
-SETTING_TOLERANCE = 1e-3
-
-_READBACK = ":FREQ:STAR?;:FREQ:STOP?;:BAND?;:BAND:VID?;:SWE:POIN?;:SWE:TIME?;:SYST:ERR?"
+#: a reset may take this long, s
+RESET_S = 20.0
 
 
 class ScpiDriver:
@@ -58,6 +46,10 @@ class ScpiDriver:
         Bound on an answer; of a sweep, beyond one and a half sweep times.
     hold_s : float
         Further wait for a sweep that a trigger holds back.
+    enbw_ratio : float, optional
+        Noise bandwidth over RBW, in place of the dialect's.
+    readback_s : float
+        Settings are read back after a sweep when they have not been for this long.
     """
 
     def __init__(
@@ -70,82 +62,93 @@ class ScpiDriver:
         use_analyzer_clock: bool = False,
         io_timeout_s: float = 5.0,
         hold_s: float = 0.0,
+        enbw_ratio: float | None = None,
+        readback_s: float = 0.0,
     ) -> None:
         self.identity = identity
         self.dialect = dialect
         self.features = Features(has_status=False, has_dwell_epoch=False, has_clock=False)
-        #: errors of the analyzer that did not spoil a sweep, oldest first; the caller empties it
-        self.remarks: list[AnalyzerMessage] = []
         self._session = session
         self._now_us = now_us
         self._use_analyzer_clock = use_analyzer_clock
         self._io_timeout_s = io_timeout_s
         self._hold_s = hold_s
-        self._is_binary = bool(dialect.binary_format)
-        self._sent: dict[str, str] = {}
+        self._readback_s = readback_s
+        self._read_at_s = float("-inf")
+        self._dialogue = Dialogue(session)
+        self._configuration = Configuration(self._dialogue, dialect, enbw_ratio)
+        self._traces = TraceReader(self._dialogue, dialect)
+        self._asked: tuple[SweepPart, InputPart] | None = None
         self._settings: SweepSettings | None = None
-        self._is_mismatch = False
         self._previous: dict[str, tuple[bytes | str, int]] = {}
+
+    @property
+    def remarks(self) -> list[AnalyzerMessage]:
+        """Errors of the analyzer that did not spoil a sweep, oldest first; the caller empties it."""
+        return self._dialogue.remarks
+
+    @property
+    def foreign_changes(self) -> int:
+        """How often settings were found changed by somebody else."""
+        return self._configuration.foreign_changes
 
     def close(self) -> None:
         """Close the session."""
         self._session.close()
 
+    def release(self) -> None:
+        """Give the front panel back to whoever stands before it."""
+        if self.dialect.local:
+            self._dialogue.tell(self.dialect.local)
+
     def preset(self) -> None:
-        """Reset the analyzer, stop its own sweeping, choose the trace format, find out what it can be asked for."""
-        self._session.write("*RST;*CLS")
-        self._session.query("*OPC?")
-        self._sent.clear()
-        self._session.write(":INIT:CONT OFF")
-        self._raise_on_errors("preset")
-        if self._is_binary:
-            self._session.write(f":FORM {self.dialect.binary_format}")
-            self._is_binary = not any(m.is_command_error or m.is_execution_error for m in self._drain())
-        if not self._is_binary:
-            self._session.write(":FORM ASC")
-        self._raise_on_errors("format")
+        """Reset the analyzer, stop its own sweeping, set method and trace format, find out what it can be asked for."""
+        application = self.dialect.application
+        if application is not None:
+            self._enter(application.header, application.value, application.stands)
+        self._dialogue.tell("*RST;*CLS")
+        self._session.query("*OPC?", max(RESET_S, self._io_timeout_s))
+        self._dialogue.tell(":INIT:CONT OFF")
+        self._dialogue.raise_on_errors("preset")
+        self._configuration.preset()
+        self._traces.preset()
         self.features = Features(
-            has_status=self._answers(":STAT:QUES:COND?"),
-            has_dwell_epoch=self._answers(":SIM:EPOCH?"),
-            has_clock=self._answers(":SYST:DATE?;:SYST:TIME?"),
+            has_status=self._knows(":STAT:QUES:COND?"),
+            has_dwell_epoch=self._knows(":SIM:EPOCH?"),
+            has_clock=self._knows(":SYST:DATE?;:SYST:TIME?"),
         )
         if self._use_analyzer_clock and not (self.features.has_dwell_epoch or self.features.has_clock):
             raise SweepRefusedError(f"{self._session.resource} has no clock to take epochs from; use the system's")
+
+    def _enter(self, header: str, value: str, stands: Callable[[str], bool]) -> None:
+        """Change to the spectrum analyzer of an instrument that can be several things."""
+        answer = self._dialogue.try_ask(f"{header}?")
+        if answer and not stands(answer):
+            self._dialogue.tell(f"{header} {value}")
+            self._session.query("*OPC?", max(RESET_S, self._io_timeout_s))
+
+    def _knows(self, query: str) -> bool:
+        return self._dialogue.try_ask(query) is not None
 
     def configure(self, sweep: SweepPart, path: InputPart) -> SweepSettings:
         """Send the settings that differ from those sent last, read all back, and return the actual ones.
 
         Settings that somebody else changed meanwhile are sent once more; what the analyzer then still has
         differently stands as its own choice and is flagged.
-        """
-        self._settings = self._send(sweep, path)
-        self._is_mismatch = _differs(sweep, path, self._settings)
-        if self._is_mismatch:
-            self._sent = {}
-            self._settings = self._send(sweep, path)
-            self._is_mismatch = _differs(sweep, path, self._settings)
-        return self._settings
 
-    def _send(self, sweep: SweepPart, path: InputPart) -> SweepSettings:
-        """Send what is not known to stand, and read everything back."""
-        wanted = self._wanted(sweep, path)
-        changed = [f"{header} {value}" for header, value in wanted.items() if self._sent.get(header) != value]
-        if changed:
-            self._session.write(";".join(changed))
-            # Replaced, not merged: a sweep with coupled time forgets the time of the one before.
-            self._sent = wanted
-        answers = split_answers(self._session.query(_READBACK))
-        if len(answers) != 7:
-            raise AnalyzerIOError(f"{self._session.resource} read back {answers}")
-        self._raise_on_errors("settings", parse_message(answers[6]))
-        start_hz, stop_hz, rbw_hz, vbw_hz, points, time_s = map(parse_number, answers[:6])
-        return SweepSettings(
-            start_hz, stop_hz, int(points), rbw_hz, rbw_hz * self.dialect.enbw_ratio, vbw_hz, time_s, "RMS", sweep.count
-        )
+        Raises
+        ------
+        SweepRefusedError
+            A setting without which levels are wrong does not stand.
+        """
+        self._asked = (sweep, path)
+        self._settings = self._configuration.configure(sweep, path)
+        self._read_at_s = time.monotonic()
+        return self._settings
 
     def take(self, sweep: SweepPart) -> Sweep:
         """Take ``sweep.count`` sweeps and return their mean in milliwatts."""
-        taken = [self._take_once(sweep.id) for _ in range(sweep.count)]
+        taken = [self._take_checked(sweep.id) for _ in range(sweep.count)]
         if len(taken) == 1:
             return taken[0]
         first, last = taken[0], taken[-1]
@@ -158,70 +161,84 @@ class ScpiDriver:
             any(each.is_uncalibrated for each in taken),
             any(each.is_reference_unlocked for each in taken),
             any(each.is_stale for each in taken),
-            self._is_mismatch,
+            any(each.is_setting_mismatch for each in taken),
         )
 
-    def _take_once(self, sweep_id: str) -> Sweep:
-        """Take one sweep."""
+    def _take_checked(self, sweep_id: str) -> Sweep:
+        """Take one sweep; one whose settings were changed is taken again, and is no measurement the second time."""
+        try:
+            sweep, is_unchanged = self._take_once(sweep_id)
+        except SweepRefusedError:
+            # A setting changed during the sweep leaves no trace to give.
+            if self._configuration.is_unchanged(self._dialogue.ask(self._configuration.readback)):
+                raise
+        else:
+            if is_unchanged:
+                return sweep
+        if self._asked is not None:
+            self.configure(*self._asked)
+        sweep, is_unchanged = self._take_once(sweep_id)
+        power_mw = sweep.power_mw if is_unchanged else np.full(sweep.power_mw.size, np.nan)
+        return replace(sweep, power_mw=power_mw, is_setting_mismatch=True)
+
+    def _take_once(self, sweep_id: str) -> tuple[Sweep, bool]:
+        """Take one sweep; tell whether its settings stood to its end."""
         settings = self._settings
         if settings is None:
             raise SweepRefusedError(f"sweep {sweep_id} was not configured")
+        system_us = self._sweep(settings)
+        readback = self._due_readback()
+        trace, answers = self._traces.read([*self._after_trace(), *readback, ":SYST:ERR?"])
+        self._dialogue.raise_on_errors(f"sweep {sweep_id}", parse_message(answers.pop()))
+        stated = [answers.pop() for _ in readback][::-1]
+        is_unchanged = not readback or self._configuration.is_unchanged(stated)
+        condition = int(parse_number(answers.pop(0))) if self.features.has_status else 0
+        epoch_us = self._epoch_us(answers, settings, system_us)
+        levels = self._traces.levels(trace, settings.points)
+        taken = Sweep(
+            sweep_id,
+            epoch_us,
+            replace(settings, points=levels.size),
+            mw_from_dbm(levels),
+            bool(condition & self.dialect.power_bits),
+            bool(condition & self.dialect.calibration_bits),
+            bool(condition & self.dialect.frequency_bits),
+            self._is_stale(sweep_id, trace, epoch_us),
+            self._configuration.is_mismatch,
+        )
+        return taken, is_unchanged
+
+    def _sweep(self, settings: SweepSettings) -> int:
+        """Sweep once and wait for its end; return the middle between start and end by the system's clock."""
         begun_us = self._now_us()
         sweep_s = 1.5 * settings.sweep_time_s
         done = self._session.await_answer(
             ":INIT;*OPC?", sweep_s + self._io_timeout_s + self._hold_s, sweep_s + self._io_timeout_s
         )
-        ended_us = self._now_us()
-        if done.strip() != "1":
+        if done.strip().lstrip("+") != "1":
             raise AnalyzerIOError(f"{self._session.resource} answered *OPC? with {done[:40]!r}")
-        trace, answers = self._read_trace()
-        self._raise_on_errors(f"sweep {sweep_id}", parse_message(answers.pop()))
-        condition = int(parse_number(answers.pop(0))) if self.features.has_status else 0
-        epoch_us = self._epoch_us(answers, settings, (begun_us + ended_us) // 2)
-        is_stale = self._previous.get(sweep_id) == (trace, epoch_us) or (
-            not self._use_analyzer_clock and self._previous.get(sweep_id, (b"", 0))[0] == trace
-        )
-        self._previous[sweep_id] = (trace, epoch_us)
-        return Sweep(
-            sweep_id,
-            epoch_us,
-            settings,
-            mw_from_dbm(self._levels(trace, settings.points)),
-            bool(condition & POWER_BIT),
-            bool(condition & CALIBRATION_BIT),
-            bool(condition & FREQUENCY_BIT),
-            is_stale,
-            self._is_mismatch,
-        )
+        return (begun_us + self._now_us()) // 2
 
-    def _read_trace(self) -> tuple[bytes | str, list[str]]:
-        """Return the trace as it came, and the answers after it: status, time, newest error."""
-        queries = [self.dialect.trace_query]
-        queries += [":STAT:QUES:COND?"] if self.features.has_status else []
+    def _due_readback(self) -> list[str]:
+        """Return the queries of all settings when it is time to look at them."""
+        now_s = time.monotonic()
+        if now_s - self._read_at_s < self._readback_s:
+            return []
+        self._read_at_s = now_s
+        return self._configuration.readback
+
+    def _after_trace(self) -> list[str]:
+        """Return the queries of status and time."""
+        queries = [":STAT:QUES:COND?"] if self.features.has_status else []
         if self._use_analyzer_clock:
-            queries += [self._clock_query()]
-        queries.append(":SYST:ERR?")
-        payload, line = self._session.query_block(";".join(queries))
-        answers = split_answers(line)
-        due = ";".join(queries).count("?")
-        if len(answers) != due:
-            if is_message(answers[-1]):
-                self._raise_on_errors("the trace", parse_message(answers[-1]))
-            reason = f"{len(answers)} answers to {due} queries: {line[-120:]!r}"
-            raise AnalyzerIOError(f"{self._session.resource} gave {reason}")
-        first = answers.pop(0)
-        return (first if payload is None else payload), answers
+            queries += [":SIM:EPOCH?"] if self.features.has_dwell_epoch else [":SYST:DATE?", ":SYST:TIME?"]
+        return queries
 
-    def _levels(self, trace: bytes | str, points: int) -> FloatArray:
-        """Return the levels of a trace; a block that does not fit is asked for again as ASCII."""
-        if isinstance(trace, str):
-            return levels_of_text(trace, points)
-        try:
-            return levels_of_block(trace, points, is_big_endian=self.dialect.is_big_endian)
-        except AnswerError:
-            self._is_binary = False
-            self._session.write(":FORM ASC")
-            return levels_of_text(self._session.query(self.dialect.trace_query), points)
+    def _is_stale(self, sweep_id: str, trace: bytes | str, epoch_us: int) -> bool:
+        """Return whether a trace repeats the one before it."""
+        previous_trace, previous_us = self._previous.get(sweep_id, (b"", 0))
+        self._previous[sweep_id] = (trace, epoch_us)
+        return previous_trace == trace and (previous_us == epoch_us or not self._use_analyzer_clock)
 
     def _epoch_us(self, answers: list[str], settings: SweepSettings, system_us: int) -> int:
         """Return the middle of the dwell by the clock in use."""
@@ -231,64 +248,3 @@ class ScpiDriver:
             return parse_epoch(answers[0].strip("\"'"))
         end_us = parse_epoch(parse_date_time(answers[0], answers[1]))
         return end_us - round(settings.sweep_time_s * US_PER_S / 2)
-
-    def _clock_query(self) -> str:
-        """Return the query that tells the analyzer's time of a sweep."""
-        return ":SIM:EPOCH?" if self.features.has_dwell_epoch else ":SYST:DATE?;:SYST:TIME?"
-
-    def _wanted(self, sweep: SweepPart, path: InputPart) -> dict[str, str]:
-        """Return header and value of every setting, in the order in which couplings want them."""
-        start_hz, stop_hz = sweep.start_hz + path.freq_offset_hz, sweep.stop_hz + path.freq_offset_hz
-        wanted = {
-            ":FREQ:STAR": f"{start_hz:.3f}",
-            ":FREQ:STOP": f"{stop_hz:.3f}",
-            ":BAND": f"{sweep.rbw_hz:g}",
-            ":BAND:VID": f"{10.0 * sweep.rbw_hz if sweep.vbw_hz is None else sweep.vbw_hz:g}",
-            ":SWE:POIN": str(sweep.points),
-            ":DET": sweep.detector,
-        }
-        wanted |= {":SWE:TIME:AUTO": "ON"} if sweep.time_s is None else {":SWE:TIME": f"{sweep.time_s:g}"}
-        if path.ref_level_dbm is not None:
-            wanted[self.dialect.reference_level] = f"{path.ref_level_dbm:g}"
-        if path.attenuation_db is not None:
-            wanted[self.dialect.attenuation] = f"{path.attenuation_db:g}"
-        if path.preamp is not None:
-            wanted[self.dialect.preamplifier] = "ON" if path.preamp else "OFF"
-        return wanted
-
-    def _answers(self, query: str) -> bool:
-        """Return whether the analyzer knows a query, without waiting for an answer that never comes."""
-        if len(split_answers(self._session.query(f"*OPC?;{query}"))) > 1:
-            return True
-        # A query that is known but has nothing to say now leaves an execution error, not a command error.
-        return not any(entry.is_command_error for entry in self._drain())
-
-    def _drain(self, first: AnalyzerMessage | None = None) -> list[AnalyzerMessage]:
-        """Return all entries of the error queue."""
-        entries: list[AnalyzerMessage] = []
-        entry = first or parse_message(self._session.query(":SYST:ERR?"))
-        while entry.code != 0:
-            entries.append(entry)
-            if len(entries) > MAX_QUEUE:
-                raise AnalyzerIOError(f"{self._session.resource} has an error queue without end")
-            entry = parse_message(self._session.query(":SYST:ERR?"))
-        return entries
-
-    def _raise_on_errors(self, what: str, first: AnalyzerMessage | None = None) -> None:
-        """Drain the error queue; raise when an entry says that something was not done."""
-        entries = self._drain(first)
-        refusals = [entry for entry in entries if entry.is_execution_error or entry.is_command_error]
-        if refusals:
-            told = "; ".join(f"{entry.code} {entry.text}" for entry in refusals)
-            raise SweepRefusedError(f"{self._session.resource} refuses {what}: {told}")
-        self.remarks += entries
-
-
-def _differs(sweep: SweepPart, path: InputPart, actual: SweepSettings) -> bool:
-    """Return whether the analyzer did not take span, points or time; its own RBW steps are no fault."""
-    tolerance_hz = SETTING_TOLERANCE * (sweep.stop_hz - sweep.start_hz)
-    is_start_off = abs(actual.start_hz - sweep.start_hz - path.freq_offset_hz) > tolerance_hz
-    is_stop_off = abs(actual.stop_hz - sweep.stop_hz - path.freq_offset_hz) > tolerance_hz
-    is_time_off = sweep.time_s is not None and abs(actual.sweep_time_s - sweep.time_s) > 0.1 * sweep.time_s
-    is_rbw_off = not 0.5 < actual.rbw_hz / sweep.rbw_hz < 2.0
-    return is_start_off or is_stop_off or is_time_off or is_rbw_off or actual.points != sweep.points

@@ -94,7 +94,7 @@ def acquisition(
     """Return an acquisition on a scripted analyzer, the rows it hands over, and its stop."""
     monkeypatch.setattr(module, "VisaSession", lambda *_: ScriptedSession(script))
     monkeypatch.setattr(module, "identify", lambda _: Identity("Rohde&Schwarz", "FSW", "", ""))
-    monkeypatch.setattr(module, "make_driver", lambda *_, **__: ScriptedDriver(script))
+    monkeypatch.setattr(module, "ScpiDriver", lambda *_, **__: ScriptedDriver(script))
     rows: list[MeasuredRow] = []
     stop = threading.Event()
 

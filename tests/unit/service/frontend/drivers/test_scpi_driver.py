@@ -1,87 +1,20 @@
-"""The driver against a scripted session."""
+"""The driver against scripted analyzers: one sweep, its epoch, its trace, and who else turns the knobs."""
 
 import struct
-from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scripted_analyzer import ScriptedSession
 
 from service.frontend.drivers.base import Dialect, SweepRefusedError
-from service.frontend.drivers.choice import dialect_of, identify
-from service.frontend.drivers.generic import GENERIC
 from service.frontend.drivers.rs import RS
 from service.frontend.drivers.scpi_driver import ScpiDriver
+from service.frontend.drivers.siglent import SIGLENT
 from service.frontend.measurement_task import InputPart, SweepPart
 from service.frontend.scpi import Identity
 from service.frontend.visa_session import AnalyzerIOError
 
 SWEEP = SweepPart(id="tp1", start_hz=950e6, stop_hz=990e6, rbw_hz=40e3, points=11, time_s=2.0)
-IDENTITY = Identity("Rohde&Schwarz", "FSW-26", "1", "5")
-
-
-class ScriptedSession:
-    """Analyzer of eleven points that keeps what it is told."""
-
-    resource = "TCPIP::analyzer::5025::SOCKET"
-
-    def __init__(self) -> None:
-        self.told: list[str] = []
-        self.queue: list[str] = []
-        self.values = {"STAR": "950e6", "STOP": "990e6", "BAND": "4E4", "VID": "4E5", "POIN": "11", "TIME": "2.0"}
-        self.known = {":STAT:QUES:COND?": "0", ":SIM:EPOCH?": "2026-11-21T03:02:32.011250Z"}
-        self.levels = np.linspace(-90.0, -80.0, 11)
-        self.knows_real = True
-        self.is_closed = False
-        self.timeouts: list[float | None] = []
-        self.as_real: Callable[[np.ndarray], bytes] = lambda levels: levels.astype("<f4").tobytes()
-
-    def close(self) -> None:
-        self.is_closed = True
-
-    def write(self, message: str) -> None:
-        self.told.append(message)
-        if message.startswith(":FORM REAL") and not self.knows_real:
-            self.queue.append('-141,"Invalid character data"')
-
-    def query(self, message: str, timeout_s: float | None = None) -> str:
-        self.told.append(message)
-        self.timeouts.append(timeout_s)
-        if message == "*IDN?":
-            return ",".join(IDENTITY)
-        return ";".join(self._answers(message))
-
-    def await_answer(self, message: str, timeout_s: float, grace_s: float) -> str:
-        assert grace_s <= timeout_s
-        return self.query(message, timeout_s)
-
-    def query_block(self, message: str, timeout_s: float | None = None) -> tuple[bytes | None, str]:
-        self.told.append(message)
-        rest = ";".join(self._answers(message.split(";", 1)[1]))
-        if any(told.startswith(":FORM ASC") for told in self.told):
-            return None, ",".join(f"{level:.6E}" for level in self.levels) + ";" + rest
-        return self.as_real(self.levels), ";" + rest
-
-    def _answers(self, message: str) -> list[str]:
-        answers = []
-        for unit in message.split(";"):
-            header = unit if unit.startswith((":", "*")) else f":{unit}"
-            short = header.rstrip("?").rsplit(":", 1)[-1]
-            if header == ":INIT":
-                continue
-            if header == "*OPC?":
-                answers.append("1")
-            elif header == ":SYST:ERR?":
-                answers.append(self.queue.pop(0) if self.queue else '0,"No error"')
-            elif header in self.known:
-                answers.append(self.known[header])
-            elif short in self.values:
-                answers.append(self.values[short])
-            elif header.startswith(":TRAC"):
-                answers.append(",".join(f"{level:.6E}" for level in self.levels))
-            else:
-                self.queue.append('-113,"Undefined header"')
-                break
-        return answers
 
 
 def driver(session: ScriptedSession, dialect: Dialect = RS, *, use_analyzer_clock: bool = False) -> ScpiDriver:
@@ -89,7 +22,7 @@ def driver(session: ScriptedSession, dialect: Dialect = RS, *, use_analyzer_cloc
     clock = iter(range(1_000_000, 2_000_000, 1000))
     made = ScpiDriver(
         session,  # type: ignore[arg-type]
-        IDENTITY,
+        Identity("Rohde&Schwarz", "FSW-26", "1", "5"),
         dialect,
         lambda: next(clock),
         use_analyzer_clock=use_analyzer_clock,
@@ -100,9 +33,13 @@ def driver(session: ScriptedSession, dialect: Dialect = RS, *, use_analyzer_cloc
     return made
 
 
+def level_dbm(power_mw: np.ndarray, place: int = 0) -> float:
+    return float(10 * np.log10(power_mw[place]))
+
+
 def test_a_sweep_gives_milliwatts_and_the_analyzers_own_settings() -> None:
     session = ScriptedSession()
-    session.values["BAND"] = "5E4"
+    session.stuck[":BAND"] = "5E4"
     sweep = driver(session).take(SWEEP)
     # float32 of -90 and -80 dBm
     np.testing.assert_allclose(10 * np.log10(sweep.power_mw[[0, -1]]), [-90.0, -80.0], atol=1e-5)
@@ -117,41 +54,6 @@ def test_the_sweep_is_awaited_for_one_and_a_half_sweep_times() -> None:
     assert session.timeouts[-1] == pytest.approx(1.5 * 2.0 + 5.0)  # the rule itself
 
 
-def test_only_changed_settings_are_sent_again() -> None:
-    session = ScriptedSession()
-    made = driver(session)
-    session.told.clear()
-    made.configure(SWEEP, InputPart())
-    assert not any("FREQ:STAR " in told for told in session.told)
-    made.configure(SWEEP.model_copy(update={"rbw_hz": 30e3}), InputPart(ref_level_dbm=-30.0, attenuation_db=10.0))
-    assert ":BAND 30000;:BAND:VID 300000;:DISP:TRAC:Y:RLEV -30;:INP:ATT 10" in session.told
-
-
-def test_coupled_time_is_not_taken_for_a_time_sent_before() -> None:
-    session = ScriptedSession()
-    made = driver(session)
-    made.configure(SWEEP.model_copy(update={"time_s": None}), InputPart())
-    session.told.clear()
-    made.configure(SWEEP, InputPart())
-    assert any(":SWE:TIME 2" in told for told in session.told)
-
-
-def test_other_points_than_asked_for_are_flagged() -> None:
-    session = ScriptedSession()
-    session.values["POIN"] = "751"
-    session.levels = np.full(751, -90.0)
-    assert driver(session).take(SWEEP).is_setting_mismatch
-
-
-def test_settings_changed_by_somebody_else_are_sent_again() -> None:
-    session = ScriptedSession()
-    made = driver(session)
-    session.told.clear()
-    session.values["STAR"] = "900e6"
-    made.configure(SWEEP, InputPart())
-    assert sum(":FREQ:STAR 950000000.000" in told for told in session.told) == 1
-
-
 def test_a_refused_sweep_gives_no_trace() -> None:
     session = ScriptedSession()
     made = driver(session)
@@ -164,6 +66,7 @@ def test_a_refused_sweep_gives_no_trace() -> None:
 def test_a_clamped_setting_is_a_remark() -> None:
     session = ScriptedSession()
     made = driver(session)
+    made.remarks.clear()
     session.queue.append('-222,"Data out of range"')
     made.take(SWEEP)
     assert [remark.code for remark in made.remarks] == [-222]
@@ -212,30 +115,23 @@ def test_count_averages_milliwatts() -> None:
     made = driver(session)
     many = SWEEP.model_copy(update={"count": 3})
     made.configure(many, InputPart())
-    assert 10 * np.log10(made.take(many).power_mw[0]) == pytest.approx(-90.0, abs=1e-5)  # float32
+    assert level_dbm(made.take(many).power_mw) == pytest.approx(-90.0, abs=1e-5)  # float32
 
 
-def test_real_format_refused_means_ascii() -> None:
+def test_real_format_refused_means_text() -> None:
     session = ScriptedSession()
-    session.knows_real = False
-    assert 10 * np.log10(driver(session).take(SWEEP).power_mw[0]) == pytest.approx(-90.0, abs=1e-5)
+    session.stuck[":FORM"] = "ASC,0"
+    assert level_dbm(driver(session).take(SWEEP).power_mw) == pytest.approx(-90.0, abs=1e-5)
     assert ":FORM ASC" in session.told
 
 
-def test_a_block_of_doubles_falls_back_to_ascii() -> None:
+def test_a_block_of_doubles_falls_back_to_text() -> None:
     session = ScriptedSession()
     session.as_real = lambda levels: struct.pack(f"<{levels.size}d", *levels)
     made = driver(session)
-    assert 10 * np.log10(made.take(SWEEP).power_mw[0]) == pytest.approx(-90.0, abs=1e-5)
-    assert 10 * np.log10(made.take(SWEEP).power_mw[0]) == pytest.approx(-90.0, abs=1e-5)
+    assert level_dbm(made.take(SWEEP).power_mw) == pytest.approx(-90.0, abs=1e-5)
+    assert level_dbm(made.take(SWEEP).power_mw) == pytest.approx(-90.0, abs=1e-5)
     assert session.told.count(":FORM ASC") == 1
-
-
-def test_a_generic_analyzer_is_read_as_ascii() -> None:
-    session = ScriptedSession()
-    sweep = driver(session, GENERIC).take(SWEEP)
-    assert 10 * np.log10(sweep.power_mw[-1]) == pytest.approx(-80.0, abs=1e-5)  # seven printed digits
-    assert not any("REAL" in told for told in session.told)
 
 
 def test_a_missing_answer_is_a_broken_session() -> None:
@@ -254,11 +150,68 @@ def test_an_endless_error_queue_is_a_broken_session() -> None:
         made.take(SWEEP)
 
 
-def test_who_speaks_which_dialect() -> None:
-    assert dialect_of(IDENTITY) is RS
-    assert dialect_of(Identity("Keysight Technologies", "N9020B", "", "")) is GENERIC
-    assert dialect_of(IDENTITY, "generic") is GENERIC
-    with pytest.raises(ValueError, match="no dialect"):
-        dialect_of(IDENTITY, "morse")
+@pytest.mark.parametrize("header", [":FREQ:STAR", ":BAND", ":SWE:POIN", ":UNIT:POW", ":DET", ":DISP:TRAC:MODE"])
+def test_a_setting_changed_during_a_sweep_is_restored_and_the_sweep_taken_again(header: str) -> None:
     session = ScriptedSession()
-    assert identify(session).model == "FSW-26"  # type: ignore[arg-type]
+    made = driver(session)
+    before = session.values[header]
+
+    def change() -> None:
+        session.values[header] = {":UNIT:POW": "V", ":DET": "POS", ":DISP:TRAC:MODE": "MAXH"}.get(header, "1E3")
+        session.after_sweep = lambda: None
+
+    session.after_sweep = change
+    sweep = made.take(SWEEP)
+    assert made.foreign_changes == 1
+    assert session.values[header] == before
+    assert sweep.is_setting_mismatch
+    assert level_dbm(sweep.power_mw) == pytest.approx(-90.0, abs=1e-5)
+    session.levels = session.levels + 0.1
+    assert not made.take(SWEEP).is_setting_mismatch
+
+
+def test_a_sweep_whose_settings_never_stand_still_is_no_measurement() -> None:
+    session = ScriptedSession()
+    made = driver(session)
+    turns = iter(range(100))
+
+    def turn() -> None:
+        session.values[":BAND:VID"] = f"{next(turns)}E3"
+
+    session.after_sweep = turn
+    sweep = made.take(SWEEP)
+    assert np.isnan(sweep.power_mw).all()
+    assert sweep.is_setting_mismatch
+
+
+def test_another_unit_that_stays_is_refused() -> None:
+    session = ScriptedSession()
+    made = driver(session)
+    session.stuck[":UNIT:POW"] = "V"
+    session.values[":UNIT:POW"] = "V"
+    with pytest.raises(SweepRefusedError, match="UNIT:POW 'V'"):
+        made.take(SWEEP)
+
+
+@pytest.mark.parametrize("answer", ["", "#0", "1,2,3", "NAN" * 3, ",".join(["x"] * 11)])
+def test_what_is_no_trace_is_never_a_level(answer: str) -> None:
+    session = ScriptedSession("siglent")
+    made = driver(session, SIGLENT)
+    session.query_block = lambda *_: (None, answer + _rest(session, made))  # type: ignore[method-assign]
+    with pytest.raises((SweepRefusedError, AnalyzerIOError, ValueError)):
+        made.take(SWEEP)
+
+
+@pytest.mark.parametrize("code", ["-999.0", "9.91E37", "9.9E37", "-9.9E37", "NAN", "INF"])
+def test_codes_for_no_number_are_not_levels(code: str) -> None:
+    session = ScriptedSession("siglent")
+    made = driver(session, SIGLENT)
+    text = ",".join([code] * 751) + ","
+    session.query_block = lambda *_: (None, text + _rest(session, made))  # type: ignore[method-assign]
+    assert np.isnan(made.take(SWEEP).power_mw).all()
+
+
+def _rest(session: ScriptedSession, made: ScpiDriver) -> str:
+    """Return what follows a trace: status, settings, error queue."""
+    queries = [":STAT:QUES:COND?", *made._configuration.readback, ":SYST:ERR?"]
+    return "".join(f";{answer}" for answer in session._answers(";".join(queries)))

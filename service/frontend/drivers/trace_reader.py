@@ -1,0 +1,91 @@
+"""Traces in the format that the analyzer takes: blocks of numbers, text, and text in blocks.
+
+Law of this file: a trace has as many levels as the analyzer states points, or it is no trace; only of a family that is
+known to state wrong ones the trace's own number counts.
+"""
+
+from service.frontend.drivers.base import ASCII, Dialect, SweepRefusedError, TraceFormat
+from service.frontend.drivers.dialogue import Dialogue
+from service.frontend.scpi import (
+    AnswerError,
+    FloatArray,
+    is_message,
+    levels_of_block,
+    levels_of_text,
+    parse_message,
+    split_answers,
+)
+from service.frontend.visa_session import AnalyzerIOError
+
+#: what an analyzer sends that has no trace yet
+_NO_TRACE = "#0"
+
+
+class TraceReader:
+    """Reads the traces of one session.
+
+    Parameters
+    ----------
+    dialogue : Dialogue
+        Questions and answers.
+    dialect : Dialect
+        Words of the family.
+    """
+
+    def __init__(self, dialogue: Dialogue, dialect: Dialect) -> None:
+        self._dialogue = dialogue
+        self._dialect = dialect
+        self._format: TraceFormat = ASCII
+
+    def preset(self) -> None:
+        """Choose the first format that the analyzer takes."""
+        for wanted in self._dialect.formats:
+            if all(self._dialogue.try_set(word) is not False for word in wanted.words):
+                self._format = wanted
+                return
+        raise SweepRefusedError(f"{self._dialogue.session.resource} takes no format of traces")
+
+    def read(self, further: list[str]) -> tuple[bytes | str, list[str]]:
+        """Return the trace as it came, and the answers to further queries, the last one the error queue's."""
+        payload, line = self._dialogue.session.query_block(";".join([self._dialect.trace_query, *further]))
+        answers = split_answers(line)
+        if len(answers) != 1 + len(further):
+            if is_message(answers[-1]):
+                self._dialogue.raise_on_errors("the trace", parse_message(answers[-1]))
+            reason = f"{len(answers)} answers to {1 + len(further)} queries: {line[-120:]!r}"
+            raise AnalyzerIOError(f"{self._dialogue.session.resource} gave {reason}")
+        first = answers.pop(0)
+        if payload is None and first.strip() in {_NO_TRACE, ""}:
+            raise SweepRefusedError(f"{self._dialogue.session.resource} has no trace to give")
+        return (first if payload is None else payload), answers
+
+    def levels(self, trace: bytes | str, points: int) -> FloatArray:
+        """Return the levels of a trace, dBm.
+
+        Raises
+        ------
+        AnswerError
+            The trace does not have so many points.
+        """
+        if not self._format.is_binary:
+            return self._of_text(trace if isinstance(trace, str) else trace.decode("ascii"), points)
+        if isinstance(trace, str):
+            return levels_of_text(trace, points)
+        try:
+            return levels_of_block(trace, points, is_big_endian=self._format.is_big_endian)
+        except AnswerError:
+            return self._again_as_text(points)
+
+    def _again_as_text(self, points: int) -> FloatArray:
+        """Ask for the same trace as text, from now on."""
+        self._format = ASCII
+        for word in ASCII.words:
+            self._dialogue.tell(f"{word.header} {word.value}")
+        payload, line = self._dialogue.session.query_block(self._dialect.trace_query)
+        return self._of_text(line if payload is None else payload.decode("ascii"), points)
+
+    def _of_text(self, text: str, points: int) -> FloatArray:
+        """Return the levels of text; its own number of them where the family has a fixed one."""
+        fixed = self._dialect.fixed_points
+        has_fixed = fixed is not None and len(text.strip().strip(",").split(",")) == fixed
+        return levels_of_text(text, fixed if fixed is not None and has_fixed else points)
