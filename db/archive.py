@@ -12,7 +12,7 @@ from db.documents import decode, decode_all, decode_input
 from db.ingest import prepare, store_batch
 from db.mapping import MEASUREMENT_COLUMNS, measurement_of, measurements_of
 from db.slow_inputs import revise_operation, store_inputs, store_operation
-from db.tables import carrier_plan, head, journal, measurement, operation, source
+from db.tables import carrier_plan, head, journal, measurement, measurement_detail, operation, source
 from service.errors import InvalidInputError, NotFoundError
 from service.records.calibration import Window
 from service.records.catalogue import Carrier
@@ -226,10 +226,16 @@ def _measurements(key: int, name: str | None = None) -> Select[Any]:
     is_its_source = and_(
         source.c.spacecraft_key == measurement.c.spacecraft_key, source.c.source_key == measurement.c.source_key
     )
+    is_its_detail = and_(
+        measurement_detail.c.spacecraft_key == measurement.c.spacecraft_key,
+        measurement_detail.c.epoch_us == measurement.c.epoch_us,
+        measurement_detail.c.source_key == measurement.c.source_key,
+    )
     query = (
         select(*MEASUREMENT_COLUMNS)
         .select_from(measurement)
         .join(source, is_its_source)
+        .outerjoin(measurement_detail, is_its_detail)
         .where(measurement.c.spacecraft_key == key)
     )
     return query if name is None else query.where(source.c.name == name)
@@ -269,7 +275,8 @@ def _select_source(connection: Connection, key: int, name: str) -> SourceState:
 
 
 def _source_state(row: Row[Any]) -> SourceState:
-    return SourceState(row.name, "prime" if row.is_prime else "backup", row.newest_epoch_us, row.row_count)
+    role = "prime" if row.is_prime else "backup"
+    return SourceState(row.name, role, row.newest_epoch_us, row.row_count, row.rows_missing)
 
 
 def _reference_series(name: str, references: list[AttitudeReference]) -> ReferenceSeries:

@@ -7,7 +7,7 @@ epoch is not above the newest stored one of its source.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from sqlalchemy import Connection, and_, bindparam, select, update
@@ -15,7 +15,9 @@ from sqlalchemy import Connection, and_, bindparam, select, update
 from db.compiled import CompiledStatement
 from db.database import lock_head
 from db.mapping import flags_as_bytes, powers_as_bytes
+from db.measurement_details import PreparedDetails, insert_details, prepare_details
 from db.row_insert import Run, insert_run
+from db.sequence_numbers import NumberedRow, SequenceNumbers, Tail, blocks_of
 from db.tables import head, measurement, source
 from service.records.attitude import BoolArray, IntArray
 from service.records.measurement import BatchReceipt, MeasurementBatch, Refusal
@@ -32,6 +34,11 @@ _READ_STATE = CompiledStatement(
         source.c.is_prime,
         source.c.row_count,
         source.c.newest_epoch_us.label("source_newest_epoch_us"),
+        source.c.seq_run,
+        source.c.seq_after_us,
+        source.c.seq_start,
+        source.c.seq_last,
+        source.c.rows_missing,
     )
     .select_from(head)
     .outerjoin(source, and_(source.c.spacecraft_key == head.c.spacecraft_key, source.c.name == bindparam("of_name")))
@@ -50,12 +57,26 @@ _MOVE_HEAD = CompiledStatement(
 _MOVE_SOURCE = CompiledStatement(
     update(source)
     .where(source.c.spacecraft_key == bindparam("of_spacecraft"), source.c.source_key == bindparam("of_source"))
-    .values(row_count=bindparam("to_count"), newest_epoch_us=bindparam("to_epoch_us")),
+    .values(
+        row_count=bindparam("to_count"),
+        newest_epoch_us=bindparam("to_epoch_us"),
+        seq_run=bindparam("to_run"),
+        seq_after_us=bindparam("to_after_us"),
+        seq_start=bindparam("to_start"),
+        seq_last=bindparam("to_last"),
+        rows_missing=bindparam("to_missing"),
+    ),
     "of_spacecraft",
     "of_source",
     "to_count",
     "to_epoch_us",
+    "to_run",
+    "to_after_us",
+    "to_start",
+    "to_last",
+    "to_missing",
 )
+_NO_NUMBERS = (None,) * len(Tail._fields)
 
 
 #: powers and flags of one row
@@ -79,6 +100,8 @@ class PreparedBatch:
     is_ascending: bool
     #: places in the request without gap, and flags with every row or with none
     is_even: bool
+    #: None when no row states any
+    details: PreparedDetails | None = None
 
     def content(self, place: int) -> Content:
         """Return what a row holds, to be compared with what is stored."""
@@ -96,6 +119,17 @@ class _State(NamedTuple):
     is_prime: bool
     row_count: int
     source_newest_epoch_us: int | None
+    seq_run: int | None
+    seq_after_us: int | None
+    seq_start: int | None
+    seq_last: int | None
+    rows_missing: int | None
+
+    @property
+    def tail(self) -> Tail | None:
+        """Return where the sequence numbers of the source stand, None before the first."""
+        numbers: Any = self[-len(Tail._fields) :]
+        return None if None in numbers else Tail(*numbers)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +138,8 @@ class _Sorted:
 
     #: places of the rows to store
     accepted: IntArray
-    duplicates: int
+    #: places of the rows that were held already
+    duplicates: tuple[int, ...]
     refused: tuple[Refusal, ...]
 
 
@@ -121,6 +156,7 @@ def prepare(spacecraft_key: int, batch: MeasurementBatch) -> PreparedBatch:
         has_flags=has_flags,
         is_ascending=bool(np.all(batch.epochs_us[1:] > batch.epochs_us[:-1])),
         is_even=bool(np.all(np.diff(batch.index) == 1) and has_flags.all() == has_flags.any()),
+        details=prepare_details(batch.details),
     )
 
 
@@ -131,12 +167,13 @@ def store_batch(connection: Connection, prepared: PreparedBatch) -> BatchReceipt
     state = _state(connection, prepared.spacecraft_key, prepared.batch.source)
     outcome = _sort(connection, prepared, state)
     if not len(outcome.accepted):
-        return BatchReceipt(0, outcome.duplicates, 0, outcome.refused)
+        return BatchReceipt(0, len(outcome.duplicates), 0, outcome.refused)
     is_late = _lateness(prepared.batch, state.consumed_epoch_us)[outcome.accepted]
     for run in _runs(prepared, outcome.accepted, is_late, state):
         insert_run(connection, run)
-    _advance(connection, prepared, outcome.accepted, state)
-    return BatchReceipt(len(outcome.accepted), outcome.duplicates, int(is_late.sum()), outcome.refused)
+    _store_details(connection, prepared, outcome.accepted, state)
+    _advance(connection, prepared, outcome, state)
+    return BatchReceipt(len(outcome.accepted), len(outcome.duplicates), int(is_late.sum()), outcome.refused)
 
 
 def _state(connection: Connection, key: int, name: str) -> _State:
@@ -157,19 +194,21 @@ def _sort(connection: Connection, prepared: PreparedBatch, state: _State) -> _So
     """Tell new rows, duplicates and conflicts apart."""
     newest_us = state.source_newest_epoch_us
     if prepared.is_ascending and (newest_us is None or prepared.epochs_us[0] > newest_us):
-        return _Sorted(np.arange(len(prepared.epochs_us)), 0, ())
+        return _Sorted(np.arange(len(prepared.epochs_us)), (), ())
     known = _stored(connection, prepared, state)
     accepted: list[int] = []
+    duplicates: list[int] = []
     refused: list[Refusal] = []
     for place, epoch_us in enumerate(prepared.epochs_us):
         content = prepared.content(place)
         earlier = known.setdefault(epoch_us, content)
         if earlier is content:
             accepted.append(place)
-        elif earlier != content:
+        elif earlier == content:
+            duplicates.append(place)
+        else:
             refused.append(_conflict(prepared.batch, place))
-    duplicates = len(prepared.epochs_us) - len(accepted) - len(refused)
-    return _Sorted(np.array(accepted, dtype=np.int64), duplicates, tuple(refused))
+    return _Sorted(np.array(accepted, dtype=np.int64), tuple(duplicates), tuple(refused))
 
 
 def _stored(connection: Connection, prepared: PreparedBatch, state: _State) -> dict[int, Content]:
@@ -236,13 +275,53 @@ def _breaks(prepared: PreparedBatch, accepted: IntArray, is_late: BoolArray) -> 
     return found
 
 
-def _advance(connection: Connection, prepared: PreparedBatch, accepted: IntArray, state: _State) -> None:
+def _store_details(connection: Connection, prepared: PreparedBatch, accepted: IntArray, state: _State) -> None:
+    """Store what the new rows state beside their powers."""
+    details = prepared.details
+    if details is None:
+        return
+    places = accepted[details.is_stated[accepted]].tolist()
+    width, figures = details.width, details.figures
+    if len(places) < len(prepared.epochs_us):
+        figures = b"".join(figures[place * width : (place + 1) * width] for place in places)
+    epochs_us = [prepared.epochs_us[place] for place in places]
+    insert_details(connection, prepared.spacecraft_key, state.source_key, epochs_us, width, figures)
+
+
+def _advance(connection: Connection, prepared: PreparedBatch, outcome: _Sorted, state: _State) -> None:
     """Move the head of the spacecraft and the figures of the source past the stored rows."""
-    key, stored = prepared.spacecraft_key, len(accepted)
-    newest_us = int(prepared.batch.epochs_us[accepted].max())
+    key, stored = prepared.spacecraft_key, len(outcome.accepted)
+    newest_us = int(prepared.batch.epochs_us[outcome.accepted].max())
     _MOVE_HEAD.run(connection, key, state.newest_number + stored, _later(newest_us, state.newest_epoch_us))
     source_newest_us = _later(newest_us, state.source_newest_epoch_us)
-    _MOVE_SOURCE.run(connection, key, state.source_key, state.row_count + stored, source_newest_us)
+    tail = _numbered(connection, prepared, outcome, state)
+    numbers = _NO_NUMBERS if tail is None else tail
+    _MOVE_SOURCE.run(connection, key, state.source_key, state.row_count + stored, source_newest_us, *numbers)
+
+
+def _numbered(connection: Connection, prepared: PreparedBatch, outcome: _Sorted, state: _State) -> Tail | None:
+    """Return where the sequence numbers of the source stand after the batch."""
+    batch, tail, newest_us = prepared.batch, state.tail, state.source_newest_epoch_us
+    if batch.first_seq is None:
+        return tail
+    rows = len(prepared.epochs_us)
+    first, last = batch.first_seq + int(batch.index[0]), batch.first_seq + int(batch.index[-1])
+    follows = tail is not None and first == tail.last + 1 and last - first == rows - 1
+    if tail is not None and follows and len(outcome.accepted) == rows:
+        # nearly always: the whole batch goes on where the one before ended
+        return tail._replace(last=last)
+    numbers = SequenceNumbers(connection, prepared.spacecraft_key, state.source_key)
+    for block in blocks_of(_held_rows(prepared, outcome), newest_us):
+        tail = numbers.added(tail, block, newest_us)
+    return tail
+
+
+def _held_rows(prepared: PreparedBatch, outcome: _Sorted) -> Iterator[NumberedRow]:
+    """Yield the rows of a batch that the archive holds after it, in order of place."""
+    seqs = ((prepared.batch.first_seq or 0) + prepared.batch.index).tolist()
+    known = set(outcome.duplicates)
+    for place in sorted((*outcome.accepted.tolist(), *outcome.duplicates)):
+        yield NumberedRow(seqs[place], prepared.epochs_us[place], place not in known)
 
 
 def _later(epoch_us: int, other_us: int | None) -> int:

@@ -8,7 +8,8 @@ import numpy as np
 from sqlalchemy import ColumnElement, Row
 
 from db.documents import decode_all, encode_all
-from db.tables import measurement, source
+from db.measurement_details import details_of
+from db.tables import measurement, measurement_detail, source
 from service.records.attitude import NO_ANGLES, AttitudeRow, Axes, Exclusion, FloatArray, IntArray, Status
 from service.records.catalogue import Method
 from service.records.command import Pulse, TorqueCommand
@@ -26,6 +27,7 @@ MEASUREMENT_COLUMNS: tuple[ColumnElement[Any], ...] = (
     measurement.c.is_late,
     measurement.c.feeds,
     measurement.c.seq,
+    measurement_detail.c.figures,
 )
 
 
@@ -49,13 +51,14 @@ def powers_of(blob: bytes) -> FloatArray:
 
 def measurement_of(row: Row[Any], power_dbm: FloatArray | None = None) -> Measurement:
     """Return the record of a row of ``MEASUREMENT_COLUMNS``, with its powers where they were read already."""
-    epoch_us, received_at_us, number, name, plan_id, powers, flags, is_late, feeds, seq = tuple(row)
+    epoch_us, received_at_us, number, name, plan_id, powers, flags, is_late, feeds, seq, figures = tuple(row)
     masks: IntArray | None = None
     if flags is not None:
         masks = np.frombuffer(flags, dtype="<i4").astype(np.int64)
         masks.setflags(write=False)
     values = powers_of(powers) if power_dbm is None else power_dbm
-    return Measurement(epoch_us, received_at_us, number, name, plan_id, values, masks, is_late, feeds, seq)
+    details = None if figures is None else details_of(figures, len(values))
+    return Measurement(epoch_us, received_at_us, number, name, plan_id, values, masks, is_late, feeds, seq, details)
 
 
 def measurements_of(rows: Sequence[Row[Any]]) -> list[Measurement]:

@@ -114,6 +114,25 @@ source = Table(
     Column("newest_epoch_us", BigInteger),
     Column("row_count", BigInteger, nullable=False),
     UniqueConstraint("spacecraft_key", "name", name="source_name"),
+    # sequence numbers, see db.sequence_numbers; null until the source numbers its rows
+    Column("seq_run", BigInteger),
+    Column("seq_after_us", BigInteger),
+    Column("seq_start", BigInteger),
+    Column("seq_last", BigInteger),
+    Column("rows_missing", BigInteger),
+)
+
+#: numbers held below the newest interval of a source, which stands with the source itself
+sequence_interval = Table(
+    "sequence_interval",
+    metadata,
+    _spacecraft_key(is_referencing=False),
+    Column("source_key", Integer, primary_key=True, autoincrement=False),
+    Column("run", BigInteger, primary_key=True, autoincrement=False),
+    Column("first_seq", BigInteger, primary_key=True, autoincrement=False),
+    Column("last_seq", BigInteger, nullable=False),
+    Column("after_us", BigInteger, nullable=False),
+    sqlite_with_rowid=False,
 )
 
 measurement = Table(
@@ -131,6 +150,17 @@ measurement = Table(
     Column("powers", LargeBinary, nullable=False),
     Column("flags", LargeBinary),
     Index("measurement_number", "spacecraft_key", "number", unique=True),
+    sqlite_with_rowid=False,
+)
+
+#: what front ends state beside powers: a table of its own, so that rows without it cost not one byte
+measurement_detail = Table(
+    "measurement_detail",
+    metadata,
+    _spacecraft_key(is_referencing=False),
+    Column("epoch_us", BigInteger, primary_key=True, autoincrement=False),
+    Column("source_key", Integer, primary_key=True, autoincrement=False),
+    Column("figures", LargeBinary, nullable=False),
     sqlite_with_rowid=False,
 )
 
@@ -262,4 +292,40 @@ replay = Table(
     _spacecraft_key(),
     Column("replay_id", Integer, primary_key=True, autoincrement=False),
     Column("document", Text, nullable=False),
+)
+
+#: what front ends report of themselves, and what operators want of them
+link = Table(
+    "link",
+    metadata,
+    Column("link_id", Text, primary_key=True),
+    Column("spacecraft_id", Text),
+    Column("reported_at_us", BigInteger, nullable=False),
+    Column("learned_period_s", Figure),
+    Column("enabled", Boolean, nullable=False),
+    Column("resets", Integer, nullable=False),
+    Column("document", Text, nullable=False),
+)
+
+#: a ring of sweeps a source; the blob stands last, so that a look at the rest does not read it
+trace = Table(
+    "trace",
+    metadata,
+    Column("trace_id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
+    Column("spacecraft_key", Integer, ForeignKey("spacecraft.spacecraft_key"), nullable=False),
+    Column("source", Text, nullable=False),
+    Column("epoch_us", BigInteger, nullable=False),
+    Column("sweep", Text, nullable=False),
+    Column("size_bytes", Integer, nullable=False),
+    Column("received_at_us", BigInteger, nullable=False),
+    Column("points", Integer, nullable=False),
+    Column("start_hz", Figure),
+    Column("step_hz", Figure),
+    Column("rbw_hz", Figure),
+    Column("enbw_hz", Figure),
+    Column("sweep_time_s", Figure),
+    Column("powers", LargeBinary, nullable=False),
+    UniqueConstraint("spacecraft_key", "source", "epoch_us", "sweep", name="trace_key"),
+    Index("trace_epoch", "spacecraft_key", "epoch_us", "trace_id"),
+    Index("trace_size", "spacecraft_key", "source", "epoch_us", "trace_id", "size_bytes"),
 )

@@ -194,6 +194,6 @@ def _carrier_state(measurement: Measurement, k: int, name: str, known: dict[str,
     power_dbm = float(measurement.power_dbm[k])
     flags = 0 if measurement.flags is None else int(measurement.flags[k])
     nan = float("nan")
-    state = known.get(name) or CarrierState(name, nan, nan, nan, nan, nan, nan, 0, "uncalibrated")
+    state = known.get(name) or CarrierState(name, nan, nan, nan, nan, nan, 0, "uncalibrated")
     word = "absent" if np.isnan(power_dbm) else state.state
     return replace(state, power_dbm=power_dbm, flags=flags, state=word)

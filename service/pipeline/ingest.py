@@ -5,7 +5,7 @@ Pure array work: the caller reads the clock and tells the bounds. A row is refus
 row of only absent powers is a row.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from service.records.attitude import FloatArray, IntArray
 from service.records.epoch import EARLIEST_EPOCH_US, US_PER_S, format_epoch
-from service.records.measurement import MeasurementBatch, Refusal
+from service.records.measurement import DETAIL_NAMES, CarrierDetails, MeasurementBatch, Refusal
 
 #: no carrier power that an analyzer can see lies outside
 MIN_POWER_DBM = -250.0
@@ -23,6 +23,8 @@ MAX_POWER_DBM = 50.0
 BoolArray = NDArray[np.bool_]
 Powers = Sequence[Sequence[float | None]]
 Flags = Sequence[Sequence[int] | None]
+#: by name, what each row states beside its powers
+Details = Sequence[Mapping[str, Sequence[float | None]]]
 
 
 class EpochBounds(NamedTuple):
@@ -51,6 +53,8 @@ class ReceivedRows:
     power_dbm: Powers
     #: T rows of bit masks, None where none were sent
     flags: Flags
+    #: T mappings of a name of DETAIL_NAMES to N figures, or None when no row states any
+    details: Details | None = None
 
 
 def system_bounds(
@@ -113,7 +117,7 @@ def screen(rows: ReceivedRows, width: int, bounds: EpochBounds) -> tuple[Measure
     tuple of Refusal
         In order of place.
     """
-    has_width = _has_width(rows.power_dbm, rows.flags, width)
+    has_width = _has_width(rows, width)
     power_dbm = _as_array(rows.power_dbm, has_width, width)
     # compared before the rounding to float32, so that nothing overflows; NaN compares false and stays
     is_outside = np.any((power_dbm < MIN_POWER_DBM) | (power_dbm > MAX_POWER_DBM), axis=1)
@@ -148,17 +152,33 @@ def _batch(rows: ReceivedRows, index: IntArray, power_dbm: FloatArray, bounds: E
         flags=tuple(_frozen(rows.flags[place]) for place in index.tolist()),
         is_stale=is_stale,
         first_seq=rows.first_seq,
+        details=None if rows.details is None else _details(rows.details, index, power_dbm.shape[1]),
     )
 
 
-def _has_width(power_dbm: Powers, flags: Flags, width: int) -> BoolArray:
-    """Return which rows have one power, and one mask where any, for each carrier."""
-    return np.array(
+def _has_width(rows: ReceivedRows, width: int) -> BoolArray:
+    """Return which rows have one power, and one mask and one figure of each kind where any, for each carrier."""
+    has_width = np.array(
         [
             len(powers) == width and (masks is None or len(masks) == width)
-            for powers, masks in zip(power_dbm, flags, strict=True)
+            for powers, masks in zip(rows.power_dbm, rows.flags, strict=True)
         ],
         dtype=np.bool_,
+    )
+    if rows.details is not None:
+        has_width &= [all(len(figures) == width for figures in stated.values()) for stated in rows.details]
+    return has_width
+
+
+def _details(details: Details, index: IntArray, width: int) -> CarrierDetails:
+    """Return what the rows at some places state beside their powers, each (T, N)."""
+    blank = [None] * width
+    kept = [details[place] for place in index.tolist()]
+    return CarrierDetails(
+        **{
+            name: np.array([stated.get(name, blank) for stated in kept], dtype=np.float32).reshape(len(kept), width)
+            for name in DETAIL_NAMES
+        }
     )
 
 
@@ -181,16 +201,22 @@ def _refusal(rows: ReceivedRows, place: int, faults: dict[str, BoolArray], width
 def _detail(code: str, rows: ReceivedRows, place: int, width: int, bounds: EpochBounds) -> str:
     """Return what is wrong with one row and what to do."""
     if code == "value.count":
-        masks = rows.flags[place]
-        flags = "no flags" if masks is None else f"{len(masks)} flags"
-        powers = len(rows.power_dbm[place])
-        return f"plan {rows.plan_id} has {width} carriers; the row has {powers} powers and {flags}"
+        return f"plan {rows.plan_id} has {width} carriers; the row has {_counts(rows, place)}"
     if code == "time.too_old":
         return f"nothing before {format_epoch(bounds.earliest_us)} is kept"
     if code == "time.future":
         latest = format_epoch(bounds.latest_us) if bounds.latest_us is not None else ""
         return f"the epoch lies after {latest}; check the clock of source {rows.source!r}"
     return f"a power lies outside {MIN_POWER_DBM:g}..{MAX_POWER_DBM:g} dBm; send null for an absent carrier"
+
+
+def _counts(rows: ReceivedRows, place: int) -> str:
+    """Return how many values of each kind a row has."""
+    masks = rows.flags[place]
+    flags = "no flags" if masks is None else f"{len(masks)} flags"
+    stated = {} if rows.details is None else rows.details[place]
+    more = "".join(f", {len(figures)} of {name}" for name, figures in stated.items())
+    return f"{len(rows.power_dbm[place])} powers and {flags}{more}"
 
 
 def _any(faults: dict[str, BoolArray]) -> BoolArray:

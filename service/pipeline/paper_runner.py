@@ -87,7 +87,6 @@ class PaperRunner:
                 deviation_db=float(outcome.deviation.deviation_db[k]),
                 residual_db=float(outcome.fix.residual_db[k]),
                 sigma_db=float(outcome.fix.sigma_db[k]),
-                c_n0_db_hz=float("nan"),
                 flags=0,
                 state="unselected" if not sensitivity.is_selected[k] else ("excluded" if name in excluded else "used"),
             )

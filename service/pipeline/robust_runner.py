@@ -122,7 +122,6 @@ class RobustRunner:
                 deviation_db=float(outcome.deviation_db[k]),
                 residual_db=float(outcome.residual_db[k]),
                 sigma_db=float(sigma_db[k]),
-                c_n0_db_hz=float("nan"),
                 flags=0,
                 state="unselected" if not model.is_used[k] else ("excluded" if name in out else "used"),
             )

@@ -147,7 +147,6 @@ class CarrierState:
     deviation_db: float
     residual_db: float
     sigma_db: float
-    c_n0_db_hz: float
     flags: int
     #: used, absent, excluded, unselected or uncalibrated
     state: str

@@ -1,6 +1,6 @@
 """Level L1: one power per carrier, and what becomes of a batch of them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,6 +8,28 @@ from numpy.typing import NDArray
 from service.records.attitude import FloatArray, IntArray
 
 Float32Array = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class CarrierDetails:
+    """What a front end states beside the powers, in the shape of the powers; NaN = not stated.
+
+    Kept with the row and shown with it; nothing is computed from it, and it does not decide whether a row that comes
+    again is a duplicate.
+    """
+
+    #: predicted scatter of the power, one sigma, dB
+    sigma_db: FloatArray | Float32Array
+    #: carrier over noise density, dB Hz
+    c_n0_db_hz: FloatArray | Float32Array
+    #: bandwidth that holds 99 per cent of the power, Hz
+    occupied_bandwidth_hz: FloatArray | Float32Array
+    #: centre of the power above the nominal frequency, Hz
+    centroid_offset_hz: FloatArray | Float32Array
+
+
+#: what may be stated beside powers, in the order in which it is stored
+DETAIL_NAMES: tuple[str, ...] = tuple(field.name for field in fields(CarrierDetails))
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +51,8 @@ class Measurement:
     #: whether its source was the prime one when it was stored
     feeds_estimator: bool = True
     seq: int | None = None
+    #: (N,) each; None when the front end stated none
+    details: CarrierDetails | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +85,8 @@ class MeasurementBatch:
     #: (T,) whether the row is older than the lateness limit of the system clock
     is_stale: NDArray[np.bool_]
     first_seq: int | None = None
+    #: (T, N) each; None when no row states any
+    details: CarrierDetails | None = None
 
 
 @dataclass(frozen=True, slots=True)

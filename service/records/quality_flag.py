@@ -56,3 +56,18 @@ class QualityFlag(IntFlag):
     REFERENCE_UNLOCKED = 2097152
     #: the carrier stands in the plan but not in the measurement task
     NOT_MEASURED = 4194304
+
+
+def flag_names(mask: int) -> list[str]:
+    """Return the names of the flags of a bit mask, lowest bit first; a bit without a name is told by its number.
+
+    Examples
+    --------
+    >>> flag_names(16 | 4096 | 1 << 30)
+    ['NO_CARRIER', 'STALE_TRACE', 'BIT_30']
+    """
+    bits = (bit for bit in range(mask.bit_length()) if mask >> bit & 1)
+    return [_NAMES.get(1 << bit, f"BIT_{bit}") for bit in bits]
+
+
+_NAMES = {flag.value: flag.name for flag in QualityFlag if flag.name is not None}

@@ -39,6 +39,8 @@ class SourceState:
     role: str
     newest_epoch_us: int | None
     rows: int
+    #: rows that its sequence numbers count and the archive does not hold; None = it sends no numbers
+    rows_missing: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

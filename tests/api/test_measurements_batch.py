@@ -101,6 +101,45 @@ async def test_the_same_after_rounding_to_float32_is_a_duplicate(soo, spacecraft
     assert len(stored(soo)) == 1
 
 
+async def test_details_are_kept_with_the_row_and_told_in_the_history(soo, spacecraft, carriers):
+    plan_id = await soo.with_plan(spacecraft, carriers)
+    detailed = row(
+        -3,
+        sigma_db=[0.05, None, 0.06, 0.07],
+        c_n0_db_hz=[71.3, None, 70.1, 69.9],
+        centroid_offset_hz=[-1250.5, None, 0, 12],
+    )
+    body = {"plan_id": plan_id, "measurements": [detailed, row(-2), row(-1, sigma_db=[None] * 4)]}
+    assert (await soo.client.post(URL, json=body)).json()["accepted"] == 3
+    first, second, third = (await soo.client.get(URL.replace(":batch", "/history"))).json()["rows"]
+    assert first["measured_sigma_db"] == {"c00": 0.05, "c01": None, "c02": 0.06, "b0": 0.07}
+    assert first["c_n0_db_hz"]["c00"] == 71.3
+    assert first["centroid_offset_hz"] == {"c00": -1250.5, "c01": None, "c02": 0.0, "b0": 12.0}
+    assert first["occupied_bandwidth_hz"] is None
+    for plain in (second, third):
+        assert plain["measured_sigma_db"] is plain["c_n0_db_hz"] is plain["centroid_offset_hz"] is None
+
+
+async def test_details_do_not_make_another_row(soo, spacecraft, carriers):
+    plan_id = await soo.with_plan(spacecraft, carriers)
+    for sigma_db in ([0.1] * 4, [0.2] * 4):
+        body = {"plan_id": plan_id, "measurements": [row(-1, sigma_db=sigma_db)]}
+        answer = (await soo.client.post(URL, json=body)).json()
+    assert (answer["duplicates"], answer["refused"]) == (1, [])
+    # the first ones stay
+    assert stored(soo)[0].details.sigma_db.tolist() == np.float32([0.1] * 4).tolist()
+
+
+async def test_a_wrong_number_of_details_refuses_the_row_and_names_the_figure(soo, spacecraft, carriers):
+    plan_id = await soo.with_plan(spacecraft, carriers)
+    body = {"plan_id": plan_id, "measurements": [row(-2), row(-1, sigma_db=[0.1] * 4, c_n0_db_hz=[70.0] * 3)]}
+    answer = (await soo.client.post(URL, json=body)).json()
+    assert (answer["accepted"], len(answer["refused"])) == (1, 1)
+    (refusal,) = answer["refused"]
+    assert (refusal["index"], refusal["code"]) == (1, "value.count")
+    assert "3 of c_n0_db_hz" in refusal["detail"]
+
+
 async def test_a_batch_of_nothing_and_a_batch_of_refused_rows_store_nothing(soo, spacecraft, carriers):
     plan_id = await soo.with_plan(spacecraft, carriers)
     for rows, refused in (([], 0), ([row(60)], 1)):
@@ -184,6 +223,10 @@ BAD = [
     ("flag negative", flags("[-1]"), 422, "value.range", FLAGS + "/0"),
     ("flag too large", flags("[2147483648]"), 422, "value.range", FLAGS + "/0"),
     ("flag fraction", flags("[1.5]"), 422, "value.type", FLAGS + "/0"),
+    ("detail NaN", powers('[1],"c_n0_db_hz":[NaN]'), 422, "value.not_finite", "/measurements/0/c_n0_db_hz/0"),
+    ("detail as text", powers('[1],"sigma_db":["0.1"]'), 422, "value.type", "/measurements/0/sigma_db/0"),
+    ("detail beyond float32", powers('[1],"sigma_db":[1e39]'), 422, "value.range", "/measurements/0/sigma_db/0"),
+    ("detail no array", powers('[1],"centroid_offset_hz":1'), 422, "value.type", "/measurements/0/centroid_offset_hz"),
     ("epoch a number", raw('[{"epoch":1795230000,"power_dbm":[]}]'), 422, "value.type", EPOCH),
     ("epoch no instant", at("yesterday"), 422, "epoch.malformed", EPOCH),
     ("second", raw(f'[{GOOD},{{"epoch":"now","power_dbm":[]}}]'), 422, "epoch.malformed", EPOCH.replace("0", "1")),

@@ -25,7 +25,7 @@ from service.records.calibration import (
 )
 from service.records.catalogue import Carrier, Ephemeris, Method, Site, Spacecraft
 from service.records.command import Pulse, TorqueCommand
-from service.records.measurement import BatchReceipt, Measurement, MeasurementBatch
+from service.records.measurement import BatchReceipt, CarrierDetails, Measurement, MeasurementBatch
 
 CARRIERS = tuple(Carrier(f"c{k:02}", "C", f"t{k // 2}", 3.7e9 + k * 1e7, 5e6) for k in range(3))
 INERTIA = ((4000.0, 0.0, 0.0), (0.0, 2000.0, 0.0), (0.0, 0.0, 4000.0))
@@ -52,6 +52,7 @@ class Setting:
         is_stale: Sequence[bool] | None = None,
         index: Sequence[int] | None = None,
         first_seq: int | None = None,
+        details: CarrierDetails | None = None,
     ) -> MeasurementBatch:
         """Return a batch; a single power stands for every carrier, one power a row for all carriers of the row."""
         rows = len(epochs_us)
@@ -68,6 +69,7 @@ class Setting:
             flags=tuple(flags) if flags is not None else (None,) * rows,
             is_stale=np.zeros(rows, bool) if is_stale is None else np.asarray(is_stale, dtype=bool),
             first_seq=first_seq,
+            details=details,
         )
 
     def append(self, epochs_us: Sequence[int], power_dbm: object = -50.1, **options: object) -> BatchReceipt:

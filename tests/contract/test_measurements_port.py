@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from service.errors import InvalidInputError, NotFoundError
 from service.records.calibration import Window
 from service.records.catalogue import Carrier
-from service.records.measurement import BatchReceipt, Measurement
+from service.records.measurement import DETAIL_NAMES, BatchReceipt, CarrierDetails, Measurement
 
 EXAMPLES = settings(
     derandomize=True, deadline=None, max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture]
@@ -46,6 +46,48 @@ def test_rows_with_and_without_flags_mix_in_one_batch(setting):
     setting.append([10, 20, 30, 40, 50], flags=flags)
     stored = [None if row.flags is None else tuple(row.flags.tolist()) for row in setting.rows()]
     assert stored == flags
+
+
+def stated(rows: int) -> np.ndarray:
+    """Figures of three kinds; the fourth, the bandwidth, is never stated."""
+    figures = np.arange(4 * rows * 3, dtype=np.float32).reshape(4, rows, 3) + np.float32(0.1)
+    figures[2] = np.nan
+    return figures
+
+
+def test_details_come_back_as_float32_with_the_rows_that_state_any(setting):
+    figures = stated(4)
+    # one row states nothing, one is a duplicate: neither may shift the others
+    figures[:, 1] = np.nan
+    setting.append([30], -3.0)
+    setting.append([10, 20, 30, 40], [-1.0, -2.0, -3.0, -4.0], details=CarrierDetails(*figures))
+    rows = setting.rows()
+    assert [row.details is None for row in rows] == [False, True, True, False]
+    for row, place in ((rows[0], 0), (rows[3], 3)):
+        told = np.array([getattr(row.details, name) for name in DETAIL_NAMES])
+        # widened float32: no tolerance
+        np.testing.assert_array_equal(told.astype(np.float32), figures[:, place])
+        with pytest.raises(ValueError, match="read-only"):
+            row.details.sigma_db[0] = 0
+    assert setting.storage.archive.newest_measurement(setting.id).details is not None
+    assert [entry.content.details is None for entry in setting.storage.archive.journal(setting.id, 3, 9)] == [
+        True,
+        False,
+        True,
+        False,
+    ]
+
+
+def test_details_decide_nothing_about_duplicates(setting):
+    setting.append([10])
+    assert setting.append([10], details=CarrierDetails(*stated(1))) == BatchReceipt(0, 1, 0, ())
+    assert setting.rows()[0].details is None
+
+
+def test_details_of_two_sources_stay_apart(setting):
+    setting.append([10], details=CarrierDetails(*stated(1)))
+    setting.append([10], source="sa-2")
+    assert [row.details is None for row in setting.rows()] == [False, True]
 
 
 def test_the_same_row_again_is_a_duplicate(setting):

@@ -21,7 +21,7 @@ def get_measurements(spacecraft_id: SpacecraftId, context: Context, names: Names
     if known is None:
         return []
     measurement, states = known
-    return [CarrierStateAnswer.of(state, measurement.epoch_us) for state in states]
+    return [CarrierStateAnswer.of(measurement, k, state) for k, state in enumerate(states)]
 
 
 @router.get("/history")
@@ -59,5 +59,5 @@ def _archived(
         power_dbm = float(row.power_dbm[k])
         flags = 0 if row.flags is None else int(row.flags[k])
         word = "absent" if power_dbm != power_dbm else "uncalibrated"
-        states.append(CarrierState(name, power_dbm, nan, nan, nan, nan, nan, flags, word))
+        states.append(CarrierState(name, power_dbm, nan, nan, nan, nan, flags, word))
     return row, tuple(states)

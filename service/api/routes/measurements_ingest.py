@@ -52,6 +52,7 @@ async def send_measurements(spacecraft_id: SpacecraftIdText, request: Request) -
         epochs_us=_epochs(body),
         power_dbm=[row.power_dbm for row in body.measurements],
         flags=[row.flags for row in body.measurements],
+        details=body.details(),
     )
     epoch_limits: EpochLimits = request.app.state.epoch_limits
     batch, screened = screen(rows, width, await epoch_limits.known(spacecraft_id))

@@ -12,7 +12,11 @@ import numpy as np
 from service.api.schemas.base import Answer, EpochAnswer, Figure, WindowAnswer
 from service.formats.numbers import shortest_float32
 from service.records.attitude import CarrierState
-from service.records.measurement import Measurement
+from service.records.measurement import DETAIL_NAMES, CarrierDetails, Measurement
+from service.records.quality_flag import flag_names
+
+#: the estimator has a sigma of its own, which keeps the short name
+_TOLD_AS = {"sigma_db": "measured_sigma_db"}
 
 
 class MeasurementAnswer(Answer):
@@ -32,12 +36,20 @@ class MeasurementAnswer(Answer):
     """By carrier id, dBm; null = absent."""
     flags: dict[str, int] | None
     """Quality bit mask by carrier id."""
+    flag_names: dict[str, list[str]] | None
+    """Names of the flags of those carriers that have any."""
+    measured_sigma_db: dict[str, float | None] | None
+    """By carrier id, as the front end stated it; null = it stated none."""
+    c_n0_db_hz: dict[str, float | None] | None
+    occupied_bandwidth_hz: dict[str, float | None] | None
+    centroid_offset_hz: dict[str, float | None] | None
 
     @classmethod
     def of(cls, row: Measurement, carrier_ids: Sequence[str], wanted: Collection[str] | None = None) -> Self:
         """Return the answer that tells a row, of all its carriers or of those wanted."""
         places = [k for k, name in enumerate(carrier_ids) if wanted is None or name in wanted]
         power_dbm = shortest_float32(row.power_dbm)
+        masks = None if row.flags is None else {carrier_ids[k]: int(row.flags[k]) for k in places}
         return cls.model_validate(
             {
                 "epoch": row.epoch_us,
@@ -48,7 +60,11 @@ class MeasurementAnswer(Answer):
                 "late": row.is_late,
                 "feeds_estimator": row.feeds_estimator,
                 "power_dbm": {carrier_ids[k]: power_dbm[k] for k in places},
-                "flags": None if row.flags is None else {carrier_ids[k]: int(row.flags[k]) for k in places},
+                "flags": masks,
+                "flag_names": None
+                if masks is None
+                else {name: flag_names(mask) for name, mask in masks.items() if mask},
+                **_stated(row.details, carrier_ids, places),
             }
         )
 
@@ -74,25 +90,53 @@ class CarrierStateAnswer(Answer):
     residual_db: Figure
     """Deviation minus what the attitude explains."""
     sigma_db: Figure
+    """Scatter that the method which tells these figures reckons with."""
+    measured_sigma_db: Figure
+    """Scatter of the power that the front end predicts from bandwidth, time and noise."""
     c_n0_db_hz: Figure
+    """Carrier over noise density, from the front end."""
+    occupied_bandwidth_hz: Figure
+    """Bandwidth that holds 99 per cent of the power, from the front end."""
+    centroid_offset_hz: Figure
+    """Centre of the power above the nominal frequency, from the front end."""
     flags: int
+    flag_names: list[str]
     state: str
     """used, absent, excluded, unselected or uncalibrated."""
 
     @classmethod
-    def of(cls, state: CarrierState, epoch_us: int) -> Self:
-        """Return the answer that tells a state."""
+    def of(cls, row: Measurement, place: int, state: CarrierState) -> Self:
+        """Return the answer that tells the state of the carrier at one place of a row."""
         return cls.model_validate(
             {
                 "carrier": state.carrier,
-                "epoch": epoch_us,
+                "epoch": row.epoch_us,
                 "power_dbm": shortest_float32(np.array([state.power_dbm]))[0],
                 "expected_dbm": state.expected_dbm,
                 "deviation_db": state.deviation_db,
                 "residual_db": state.residual_db,
                 "sigma_db": state.sigma_db,
-                "c_n0_db_hz": state.c_n0_db_hz,
+                **{name: None if by is None else by[place] for name, by in _figures(row.details).items()},
                 "flags": state.flags,
+                "flag_names": flag_names(state.flags),
                 "state": state.state,
             }
         )
+
+
+def _figures(details: CarrierDetails | None) -> dict[str, list[float | None] | None]:
+    """Return what a front end stated beside the powers of a row, under the names of answers, None = no such figure."""
+    stated = {name: None if details is None else getattr(details, name) for name in DETAIL_NAMES}
+    return {
+        _TOLD_AS.get(name, name): None if by is None or np.isnan(by).all() else shortest_float32(by)
+        for name, by in stated.items()
+    }
+
+
+def _stated(
+    details: CarrierDetails | None, carrier_ids: Sequence[str], places: Sequence[int]
+) -> dict[str, dict[str, float | None] | None]:
+    """Return what a front end stated beside the powers of a row, by carrier."""
+    return {
+        name: None if by is None else {carrier_ids[k]: by[k] for k in places} for name, by in _figures(details).items()
+    }

@@ -43,7 +43,7 @@ from service.records.catalogue import (
 )
 from service.records.command import Pulse, TorqueCommand
 from service.records.job import Replay
-from service.records.measurement import Measurement, MeasurementBatch
+from service.records.measurement import CarrierDetails, Measurement, MeasurementBatch
 from service.runtime.aligning import Aligner
 from service.runtime.calibrating import Calibrator
 from service.runtime.jobs import JobRunner
@@ -199,6 +199,7 @@ class Bench:
         source: str = "sa-1",
         plan_id: int = 1,
         flags: tuple[int, ...] | None = None,
+        details: CarrierDetails | None = None,
     ) -> list[Measurement]:
         """Store rows and return those of the archive in order of epoch."""
         rows, width = len(epochs_us), len(self.storage.catalogue.plan(SC, plan_id).carriers)
@@ -212,6 +213,7 @@ class Bench:
             power_dbm=np.array(np.broadcast_to(np.asarray(power_dbm, dtype=np.float32), (rows, width))),
             flags=(flags,) * rows,
             is_stale=np.zeros(rows, dtype=bool),
+            details=details,
         )
         receipt = self.storage.archive.append_measurements(batch).result(timeout=10)
         assert receipt.accepted == rows

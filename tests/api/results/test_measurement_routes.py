@@ -6,13 +6,23 @@ import numpy as np
 import pytest
 
 from service.records.epoch import format_epoch
+from service.records.measurement import CarrierDetails
 
 pytestmark = pytest.mark.anyio
 
 
 async def test_newest_row_before_anything_is_calibrated(bench, make):
     assert await bench.get("/measurements") == []
-    bench.append([make.now_us], [-42.1, math.nan, -43.3, -44.0, -45.0, -46.0], flags=(0, 16, 512, 0, 0, 0))
+    nan = math.nan
+    stated = np.float32(
+        [[[0.05, nan, 1, 1, 1, 1]], [[71.3, nan, 1, 1, 1, 1]], [[nan] * 6], [[-1250.5, 0.0, 1, 1, 1, 1]]]
+    )
+    bench.append(
+        [make.now_us],
+        [-42.1, nan, -43.3, -44.0, -45.0, -46.0],
+        flags=(0, 16, 512, 0, 0, 0),
+        details=CarrierDetails(*stated),
+    )
     newest = await bench.get("/measurements")
     assert newest[:2] == [
         {
@@ -23,8 +33,12 @@ async def test_newest_row_before_anything_is_calibrated(bench, make):
             "deviation_db": None,
             "residual_db": None,
             "sigma_db": None,
-            "c_n0_db_hz": None,
+            "measured_sigma_db": 0.05,
+            "c_n0_db_hz": 71.3,
+            "occupied_bandwidth_hz": None,
+            "centroid_offset_hz": -1250.5,
             "flags": 0,
+            "flag_names": [],
             "state": "uncalibrated",
         },
         {
@@ -35,8 +49,12 @@ async def test_newest_row_before_anything_is_calibrated(bench, make):
             "deviation_db": None,
             "residual_db": None,
             "sigma_db": None,
+            "measured_sigma_db": None,
             "c_n0_db_hz": None,
+            "occupied_bandwidth_hz": None,
+            "centroid_offset_hz": 0.0,
             "flags": 16,
+            "flag_names": ["NO_CARRIER"],
             "state": "absent",
         },
     ]
@@ -49,6 +67,8 @@ async def test_history_tells_powers_by_carrier_under_each_plan(bench, make):
     bench.append([make.now_us + 1], [-50.5, -51.25], source="sa-2", plan_id=plan.id)
     first, second = (await bench.get("/measurements/history"))["rows"]
     assert first["power_dbm"] == {"c00": -42.1, "c01": None, "c02": -43.3, "c03": -44.0, "c04": -45.0, "c05": -46.0}
+    assert first["flag_names"]["c02"] == ["CLOCK_UNSYNC", "LATE"]
+    assert (first["measured_sigma_db"], second["flag_names"]) == (None, None)
     assert first["flags"] == {"c00": 1, "c01": 2, "c02": 3, "c03": 4, "c04": 5, "c05": 6}
     assert (first["source"], first["plan_id"], first["late"]) == ("sa-1", 1, False)
     assert second["power_dbm"] == {"c09": -50.5, "c00": -51.25}

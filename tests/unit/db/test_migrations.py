@@ -57,7 +57,7 @@ def test_the_migrations_make_the_tables_of_the_code(engine):
 def test_tables_that_grow_have_no_second_key(engine):
     upgrade(engine)
     made = schema(engine)
-    for name in ("measurement", "journal", "attitude", "torque"):
+    for name in ("measurement", "measurement_detail", "sequence_interval", "journal", "attitude", "torque"):
         assert made[name].rstrip().endswith("WITHOUT ROWID")
 
 

@@ -1,0 +1,80 @@
+"""What front ends state beside powers: one blob a row that states anything, in a table of its own.
+
+A blob is one byte that says which figures of ``DETAIL_NAMES`` follow, and these as float32 little endian, carrier by
+carrier. All rows of a batch carry the same figures, so that SQLite can take them in one step (see ``db.row_insert``).
+"""
+
+import json
+from typing import NamedTuple
+
+import numpy as np
+from sqlalchemy import Connection
+
+from db.compiled import run_bare
+from db.tables import measurement_detail
+from service.records.attitude import BoolArray, FloatArray
+from service.records.measurement import DETAIL_NAMES, CarrierDetails
+
+_AT_ONCE = """
+INSERT INTO measurement_detail (spacecraft_key, source_key, epoch_us, figures)
+SELECT ?1, ?2, row.value, substr(?3, 1 + row.key * ?4, ?4) FROM json_each(?5) AS row
+"""
+
+
+class PreparedDetails(NamedTuple):
+    """Details of a batch as bytes."""
+
+    #: (T,) whether a row states any figure at all
+    is_stated: BoolArray
+    #: bytes of one row
+    width: int
+    #: of all rows
+    figures: bytes
+
+
+def prepare_details(details: CarrierDetails | None) -> PreparedDetails | None:
+    """Return the details of a batch as bytes, None when no row states any figure."""
+    if details is None:
+        return None
+    every = np.stack([getattr(details, name) for name in DETAIL_NAMES], axis=1).astype("<f4")
+    is_known = ~np.isnan(every)
+    kinds = np.flatnonzero(is_known.any(axis=(0, 2)))
+    if not len(kinds):
+        return None
+    figures = np.ascontiguousarray(every[:, kinds]).reshape(len(every), -1).view(np.uint8)
+    mask = np.full((len(every), 1), np.bitwise_or.reduce(1 << kinds), dtype=np.uint8)
+    rows = np.hstack((mask, figures))
+    return PreparedDetails(is_known.any(axis=(1, 2)), rows.shape[1], rows.tobytes())
+
+
+def insert_details(
+    connection: Connection, spacecraft_key: int, source_key: int, epochs_us: list[int], width: int, figures: bytes
+) -> None:
+    """Insert the details of rows, ``width`` bytes each."""
+    if not epochs_us:
+        return
+    if connection.dialect.name == "sqlite":
+        run_bare(connection, _AT_ONCE, (spacecraft_key, source_key, figures, width, json.dumps(epochs_us)))
+        return
+    rows = [
+        {
+            "spacecraft_key": spacecraft_key,
+            "source_key": source_key,
+            "epoch_us": epoch_us,
+            "figures": figures[place * width : (place + 1) * width],
+        }
+        for place, epoch_us in enumerate(epochs_us)
+    ]
+    connection.execute(measurement_detail.insert(), rows)
+
+
+def details_of(blob: bytes, carriers: int) -> CarrierDetails:
+    """Return what a blob holds, each figure (N,), read-only."""
+    mask, stored = blob[0], np.frombuffer(blob, dtype="<f4", offset=1).reshape(-1, carriers)
+    found: dict[str, FloatArray] = {}
+    for kind, name in enumerate(DETAIL_NAMES):
+        place = (mask & ((1 << kind) - 1)).bit_count()
+        figures = stored[place].astype(np.float64) if mask >> kind & 1 else np.full(carriers, np.nan)
+        figures.setflags(write=False)
+        found[name] = figures
+    return CarrierDetails(**found)
