@@ -1,7 +1,8 @@
 r"""Bytes of a stream -> program messages (IEEE 488.2, 7.1). No socket, no clock.
 
 Law of this file: a message ends at a line feed that stands outside quotes and outside ``#<n><length>`` blocks; nothing
-here knows a single command. A carriage return before the line feed belongs to the terminator.
+here knows a single command. A carriage return before the line feed belongs to the terminator, unless it is the last
+byte of a block.
 
 States of the framer, as a table::
 
@@ -66,6 +67,7 @@ class MessageFramer:
         self._limit_bytes = limit_bytes
         self._buffer = bytearray()
         self._scan = 0
+        self._block_end = 0
         self._quote = 0
         self._state = FramerState.PLAIN
 
@@ -113,6 +115,7 @@ class MessageFramer:
         if self._state is FramerState.BLOCK:
             if len(self._buffer) < self._scan:
                 return None
+            self._block_end = self._scan
             self._state = FramerState.PLAIN
             return -1
         if self._state is FramerState.QUOTED:
@@ -168,9 +171,11 @@ class MessageFramer:
 
     def _cut(self, end: int) -> ProgramMessage:
         """Take the message before position ``end`` out of the buffer."""
-        body = bytes(self._buffer[:end]).removesuffix(b"\r")
+        body = bytes(self._buffer[:end])
+        if self._block_end < end:
+            body = body.removesuffix(b"\r")
         del self._buffer[: end + 1]
-        self._scan = 0
+        self._scan = self._block_end = 0
         if end > self._limit_bytes:
             return ProgramMessage(b"", is_overrun=True)
         return ProgramMessage(body, is_overrun=False)
@@ -180,9 +185,9 @@ class MessageFramer:
         end = self._buffer.find(b"\n")
         if end < 0:
             self._buffer.clear()
-            self._scan = 0
+            self._scan = self._block_end = 0
             return None
         del self._buffer[: end + 1]
-        self._scan = 0
+        self._scan = self._block_end = 0
         self._state = FramerState.PLAIN
         return ProgramMessage(b"", is_overrun=True)

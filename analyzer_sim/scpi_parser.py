@@ -7,7 +7,6 @@ element is read once, by the first byte, into one of five types. Which type a co
 
 import re
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import NamedTuple
 
 from analyzer_sim.scpi_errors import ScpiError
@@ -83,28 +82,35 @@ class Unit:
 
 
 def split_outside(text: str, separator: str) -> list[str]:
-    """Split at a separator that stands outside quotes and blocks.
+    """Split at a separator that stands outside quotes and blocks; white space around the pieces is taken off.
+
+    What ends a block is never white space, whatever byte it is.
 
     Examples
     --------
-    >>> split_outside("A 'x;y';B #13;;;;C", ";")
+    >>> split_outside("A 'x;y' ;B #13;;;;C", ";")
     ["A 'x;y'", 'B #13;;;', 'C']
     """
     if "'" not in text and '"' not in text and "#" not in text:
-        return text.split(separator)
-    cuts = [-1]
-    at = 0
+        return [piece.strip(_WHITE) for piece in text.split(separator)]
+    pieces = []
+    start = solid = at = 0
     while (found := _SEPARATOR.search(text, at)) is not None:
         at = found.end()
         if found.group() == separator:
-            cuts.append(found.start())
+            pieces.append(_trimmed(text, start, solid, found.start()))
+            start = solid = at
         elif found.group() == "#":
-            at = _block_end(text, found.start())
+            solid = at = _block_end(text, found.start())
         elif found.group() in "'\"":
             closing = text.find(found.group(), at)
             at = closing + 1 if closing >= 0 else len(text)
-    cuts.append(len(text))
-    return [text[left + 1 : right] for left, right in pairwise(cuts)]
+    return [*pieces, _trimmed(text, start, solid, len(text))]
+
+
+def _trimmed(text: str, start: int, solid: int, end: int) -> str:
+    """Return a piece of text without white space around it; nothing before ``solid`` is taken off at its end."""
+    return (text[start:solid] + text[solid:end].rstrip(_WHITE)).lstrip(_WHITE)
 
 
 def _block_end(text: str, at: int) -> int:
@@ -128,8 +134,7 @@ def _definite_start(text: str, at: int) -> tuple[int, int] | None:
 
 def split_units(message: bytes) -> list[str]:
     """Return the non-empty program message units of a message; one character is one byte."""
-    units = (unit.strip(_WHITE) for unit in split_outside(message.decode("latin-1"), ";"))
-    return [unit for unit in units if unit]
+    return [unit for unit in split_outside(message.decode("latin-1"), ";") if unit]
 
 
 def parse_unit(text: str) -> Unit:
@@ -183,7 +188,7 @@ def parse_data(text: str) -> tuple[Datum, ...]:
     """
     if not text:
         return ()
-    return tuple(_parse_datum(element.strip(_WHITE)) for element in split_outside(text, ","))
+    return tuple(_parse_datum(element) for element in split_outside(text, ","))
 
 
 def _parse_datum(text: str) -> Datum:
