@@ -1,0 +1,107 @@
+"""An instrument on a world that stands still, and lines to it: in the process, without a socket."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+from analyzer_sim.command_row import Command
+from analyzer_sim.dialect import Dialect
+from analyzer_sim.dialects import DIALECTS
+from analyzer_sim.emission import Emission, Signal
+from analyzer_sim.imperfections import IDEAL
+from analyzer_sim.instrument import Instrument
+from analyzer_sim.painter import TracePainter
+from analyzer_sim.scpi import MessageFramer
+from analyzer_sim.scpi_tree import CommandTree
+from analyzer_sim.session import Session, command_tree
+from analyzer_sim.world import EndOfScenario
+
+START_US = 1_793_491_200_000_000
+ROW_US = 60_000_000
+#: three carriers about 1017 MHz; their powers are what a test may expect
+CARRIERS = (
+    Signal("a", 1012e6, 1e6, 0.25, -40.0),
+    Signal("b", 1017e6, 2e6, 0.20, -43.0),
+    Signal("c", 1022e6, 0.5e6, 0.35, -46.0),
+)
+
+
+class StandingSource:
+    """The same carriers in every row, until the last one."""
+
+    def __init__(self, rows: int = 1000, noise_dbm_hz: float = -120.0) -> None:
+        self.row = 0
+        self.rows = rows
+        self.noise_dbm_hz = noise_dbm_hz
+
+    def advance(self) -> Emission:
+        if self.row >= self.rows:
+            raise EndOfScenario
+        self.row += 1
+        return self.current()
+
+    def current(self) -> Emission:
+        return Emission(START_US + ROW_US * self.row, CARRIERS, self.noise_dbm_hz)
+
+
+@cache
+def tree_of(name: str) -> CommandTree[Command]:
+    """Return the commands of a dialect; one tree serves all sessions."""
+    return command_tree(DIALECTS[name])
+
+
+def standing_instrument(
+    dialect: Dialect, source: StandingSource | None = None, may_advance: Callable[[], bool] = lambda: True
+) -> Instrument:
+    """Return an instrument without errors of its own."""
+    return Instrument(source or StandingSource(), TracePainter(7, IDEAL), may_advance, dialect.model)
+
+
+class Bench:
+    """An instrument and one session on it; ``allow(False)`` keeps sweeps pending."""
+
+    def __init__(self, name: str, *, is_lenient: bool = False, rows: int = 1000) -> None:
+        dialect = replace(DIALECTS[name], is_lenient=is_lenient)
+        self.dialect = dialect
+        self.source = StandingSource(rows)
+        self.is_allowed = True
+        self.instrument = standing_instrument(dialect, self.source, lambda: self.is_allowed)
+        self._tree = command_tree(dialect) if is_lenient else tree_of(name)
+        self.framer = MessageFramer()
+        self.session = self.new_session()
+
+    def new_session(self) -> Session:
+        """Return another client's session on the same instrument."""
+        return Session(self.instrument, self.dialect, self._tree)
+
+    def allow(self, is_allowed: bool) -> None:
+        """Let sweeps complete, or keep them pending from now on."""
+        self.is_allowed = is_allowed
+        if is_allowed:
+            self.instrument.complete_pending()
+
+    def send(self, data: bytes) -> bytes:
+        """Feed bytes; return all that came back. A held session stays held."""
+        answers = b""
+        for message in self.framer.feed(data):
+            self.session.submit(message)
+            answers += self.go_on()
+        return answers
+
+    def go_on(self) -> bytes:
+        """Run the session until it is finished or held."""
+        answers = self.session.run() or b""
+        while self.session.is_busy and not self.session.is_held:
+            answers += self.session.run() or b""
+        return answers
+
+    def ask(self, text: str) -> str:
+        """Send one message; return the line that answers, empty when nothing does."""
+        return self.send(text.encode("latin-1") + b"\n").decode("latin-1").removesuffix("\n")
+
+    def errors(self) -> list[int]:
+        """Empty the error queue; return its codes."""
+        codes = []
+        while (code := int(self.ask("SYST:ERR?").split(",", 1)[0])) != 0:
+            codes.append(code)
+        return codes
