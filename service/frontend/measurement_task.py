@@ -129,6 +129,8 @@ class TaskHead(_Part):
     #: time from row to row, s; 0 = as fast as the analyzer answers
     period_s: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] = 5.0
     analyzer: AnalyzerPart = AnalyzerPart()
+    #: auto lets the planner give narrow carriers sweeps of their own
+    zoom: Literal["off", "auto"] = "off"
 
 
 class MeasurementTask(_Part):

@@ -8,6 +8,10 @@ sweep.unknown       a carrier's sweep exists                                    
 sweep.outside       integration band and noise windows lie inside the sweep                             error
 sweep.too_fast      sweep time at least 2.5 span / RBW^2                                                error
 sweep.points        distance of points at most RBW / 2                                                  error
+sweep.empty         every sweep has a carrier; one that has none is not taken                           warning
+points.fixed        the family named may sweep its own number of points, which is enough too            warning
+vbw.narrow          VBW at least RBW: below it a peak of the mean of powers is not the carrier's        warning
+level.reference     the carriers together stay 5 dB below the reference level                           warning
 period.too_short    the sweeps fit into the period                                                      error
 rbw.too_wide        RBW at most B/5                                                                     error
 rbw.wide            RBW at most B/20                                                                    warning
@@ -25,9 +29,11 @@ from itertools import combinations
 import numpy as np
 
 from service.core.radio.band_weights import TraceGrid, swept_dof
-from service.core.radio.decibel import ratio_from_db
+from service.core.radio.decibel import dbm_from_mw, mw_from_dbm, ratio_from_db
 from service.core.radio.predicted_sigma import GAUSSIAN_ENBW_RATIO, carrier_sigma_db, line_sigma_db
+from service.frontend.drivers.siglent import SIGLENT
 from service.frontend.measurement_task import CarrierPart, MeasurementTask, SweepPart
+from service.records.sweep import SweepSettings
 
 #: bandwidths between a carrier's edge and anything else for the filter's skirt to be down
 GUARD_RBW = 2.0
@@ -35,6 +41,10 @@ GUARD_RBW = 2.0
 ASSUMED_C_N_DB = 10.0
 #: time for settings, transfer and errors of one sweep, s
 SWEEP_OVERHEAD_S = 0.1
+#: distance of all carriers together from the reference level, dB
+HEADROOM_DB = 5.0
+#: points that a family sweeps whatever it is told
+FIXED_POINTS = {SIGLENT.name: SIGLENT.fixed_points}
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +103,7 @@ def plan_task(task: MeasurementTask, period_s: float | None = None) -> TaskPlan:
     findings = [*_names(task), *_period(task, task.task.period_s if period_s is None else period_s)]
     sweeps = {sweep.id: sweep for sweep in task.sweeps}
     for sweep in task.sweeps:
-        findings += _sweep(sweep)
+        findings += [*_sweep(sweep), *_means(task, sweep)]
         findings += _separation(sweep, task.carriers_of(sweep.id))
     sigma_db: dict[str, float] = {}
     for carrier in task.carriers:
@@ -105,6 +115,28 @@ def plan_task(task: MeasurementTask, period_s: float | None = None) -> TaskPlan:
         sigma_db[carrier.id] = predict_sigma_db(carrier, own)
         findings += _goal(carrier, sigma_db[carrier.id])
     return TaskPlan(tuple(findings), sigma_db)
+
+
+def recheck(task: MeasurementTask, sweep: SweepPart, actual: SweepSettings) -> list[Finding]:
+    """Return what speaks against a sweep as the analyzer really takes it and did not speak against it as asked for."""
+    taken = sweep.model_copy(
+        update={
+            "points": actual.points,
+            "rbw_hz": actual.rbw_hz,
+            "vbw_hz": actual.vbw_hz,
+            "time_s": actual.sweep_time_s,
+        }
+    )
+    known = {(finding.rule, finding.subject) for finding in _of_sweep(task, sweep)}
+    return [finding for finding in _of_sweep(task, taken) if (finding.rule, finding.subject) not in known]
+
+
+def _of_sweep(task: MeasurementTask, sweep: SweepPart) -> list[Finding]:
+    """Return what speaks against one sweep and the carriers in it."""
+    findings = _sweep(sweep)
+    for carrier in task.carriers_of(sweep.id):
+        findings += [*_carrier(carrier, sweep), *_goal(carrier, predict_sigma_db(carrier, sweep))]
+    return findings
 
 
 def predict_sigma_db(carrier: CarrierPart, sweep: SweepPart) -> float:
@@ -128,6 +160,12 @@ def predict_sigma_db(carrier: CarrierPart, sweep: SweepPart) -> float:
     return float(carrier_sigma_db(noise_to_carrier, carrier_dof, band_dof, noise_dof))
 
 
+def cycle_s(task: MeasurementTask) -> float:
+    """Return how long one row takes, s."""
+    taken = [sweep for sweep in task.sweeps if task.carriers_of(sweep.id)]
+    return sum(sweep_time_s(sweep) * sweep.count + SWEEP_OVERHEAD_S for sweep in taken)
+
+
 def _names(task: MeasurementTask) -> list[Finding]:
     """Check that names are unique."""
     findings = []
@@ -139,7 +177,7 @@ def _names(task: MeasurementTask) -> list[Finding]:
 
 def _period(task: MeasurementTask, period_s: float) -> list[Finding]:
     """Check that all sweeps fit into the period."""
-    needed_s = sum(sweep_time_s(sweep) * sweep.count + SWEEP_OVERHEAD_S for sweep in task.sweeps)
+    needed_s = cycle_s(task)
     if period_s == 0.0 or needed_s <= period_s:
         return []
     detail = f"the sweeps take {needed_s:.2f} s of a period of {period_s:g} s"
@@ -158,6 +196,37 @@ def _sweep(sweep: SweepPart) -> list[Finding]:
         detail = f"points lie {step_hz:.0f} Hz apart, RBW {sweep.rbw_hz:.0f} Hz allows half of it"
         findings.append(Finding("sweep.points", sweep.id, detail, is_error=True))
     return findings
+
+
+def _means(task: MeasurementTask, sweep: SweepPart) -> list[Finding]:
+    """Check what is asked of the analyzer in one sweep: points of its family, video filter, reference level."""
+    findings = []
+    carriers = task.carriers_of(sweep.id)
+    if not carriers:
+        findings.append(Finding("sweep.empty", sweep.id, "no carrier is measured in it", is_error=False))
+    fixed = FIXED_POINTS.get(task.task.analyzer.dialect)
+    if fixed is not None and fixed != sweep.points:
+        step_hz = (sweep.stop_hz - sweep.start_hz) / (fixed - 1)
+        verdict = "still enough" if step_hz <= 0.501 * sweep.rbw_hz else f"too far for RBW {sweep.rbw_hz:.0f} Hz"
+        detail = f"firmware with {fixed} fixed points puts them {step_hz:.0f} Hz apart: {verdict}"
+        findings.append(Finding("points.fixed", sweep.id, detail, is_error=False))
+    if sweep.vbw_hz is not None and sweep.vbw_hz < sweep.rbw_hz:
+        detail = f"VBW {sweep.vbw_hz:.0f} Hz is below RBW {sweep.rbw_hz:.0f} Hz"
+        findings.append(Finding("vbw.narrow", sweep.id, detail, is_error=False))
+    return findings + _reference(task, sweep, carriers)
+
+
+def _reference(task: MeasurementTask, sweep: SweepPart, carriers: tuple[CarrierPart, ...]) -> list[Finding]:
+    """Check the sum of the nominal levels against the reference level."""
+    levels = [c.limits.nominal_dbm for c in carriers if c.limits.nominal_dbm is not None]
+    reference_dbm = task.input.ref_level_dbm
+    if reference_dbm is None or not levels:
+        return []
+    sum_dbm = float(dbm_from_mw(mw_from_dbm(levels).sum()))
+    if sum_dbm <= reference_dbm - HEADROOM_DB:
+        return []
+    detail = f"the carriers add up to {sum_dbm:.1f} dBm, the reference level is {reference_dbm:g} dBm"
+    return [Finding("level.reference", sweep.id, detail, is_error=False)]
 
 
 def _carrier(carrier: CarrierPart, sweep: SweepPart) -> list[Finding]:

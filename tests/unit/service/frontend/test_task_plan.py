@@ -6,7 +6,8 @@ from typing import Any
 import pytest
 
 from service.frontend.measurement_task import MeasurementTask, TaskError, load_task, parse_task
-from service.frontend.task_plan import plan_task
+from service.frontend.task_plan import plan_task, recheck
+from service.records.sweep import SweepSettings
 
 
 def document(**changes: Any) -> dict[str, Any]:
@@ -73,12 +74,33 @@ def test_errors(rule: str, subject: str, changes: dict[str, Any]) -> None:
         ("neighbour.close", "c00", {"carriers": carriers(fc_hz=961.3e6)}),
         ("noise.close", "c01", {"carriers": carriers(noise=[[964.65e6, 965.5e6]])}),
         ("sigma.goal", "c01", {"carriers": carriers(limits={"sigma_goal_db": 0.01})}),
+        ("sweep.empty", "tp2", {"sweeps": [*sweeps(), *sweeps(id="tp2")]}),
+        ("vbw.narrow", "tp1", {"sweeps": sweeps(vbw_hz=10e3)}),
+        ("points.fixed", "tp1", {"task": {"id": "ku1", "analyzer": {"dialect": "siglent"}}}),
+        (
+            "level.reference",
+            "tp1",
+            {"input": {"ref_level_dbm": -40.0}, "carriers": carriers(limits={"nominal_dbm": -42.9})},
+        ),
     ],
 )
 def test_warnings(rule: str, subject: str, changes: dict[str, Any]) -> None:
     plan = plan_task(task(**changes))
     assert (rule, subject) in [(finding.rule, finding.subject) for finding in plan.warnings]
     assert plan.errors == ()
+
+
+def test_what_the_analyzer_made_of_a_sweep_is_checked_again() -> None:
+    made = task()
+    fewer = SweepSettings(950e6, 990e6, 751, 40e3, 42.6e3, 400e3, 2.0, "RMS")
+    assert [finding.rule for finding in recheck(made, made.sweeps[0], fewer)] == ["sweep.points"]
+    wider = SweepSettings(950e6, 990e6, 2401, 100e3, 106e3, 1e6, 2.0, "RMS")
+    assert {(finding.rule, finding.subject) for finding in recheck(made, made.sweeps[0], wider)} == {
+        ("rbw.wide", "c00"),
+        ("rbw.wide", "c01"),
+    }
+    same = SweepSettings(950e6, 990e6, 2401, 40e3, 42.6e3, 400e3, 2.0, "RMS")
+    assert recheck(made, made.sweeps[0], same) == []
 
 
 def test_a_free_running_task_has_no_period() -> None:
