@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 from analyzer_sim.analyzer_model import AnalyzerModel
 from analyzer_sim.command_row import Command
+from analyzer_sim.command_traces import TraceStyle
 from analyzer_sim.imperfections import Imperfections
 
 
@@ -20,6 +21,10 @@ class Dialect:
     identity: str
     #: figures and state after a reset
     model: AnalyzerModel
+    #: how traces are written
+    traces: TraceStyle
+    #: units of levels
+    units: tuple[str, ...]
     #: rows of this dialect beside the common commands
     commands: tuple[Command, ...]
     #: messages that the raw socket takes for the interface and the parser never sees

@@ -128,6 +128,8 @@ RS = Dialect(
     name="rs",
     identity=IDENTITY,
     model=FSW_26,
+    traces=TRACE_STYLE,
+    units=_UNITS,
     commands=(
         *COMMON_COMMANDS,
         *SYSTEM_COMMANDS,

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
+from analyzer_sim.dialect import Dialect
 from analyzer_sim.dialect_rs import RS
 from analyzer_sim.emission import Emission, Signal
 from analyzer_sim.imperfections import IDEAL
@@ -44,14 +45,17 @@ class StandingSource:
 class Bench:
     """An instrument and one session, as a client sees them; counts what the world was asked."""
 
-    def __init__(self, source: StandingSource, *, may_advance: Callable[[], bool] = lambda: True) -> None:
+    def __init__(
+        self, source: StandingSource, *, may_advance: Callable[[], bool] = lambda: True, dialect: Dialect = RS
+    ) -> None:
         self.source = source
-        self.instrument = Instrument(source, TracePainter(7, IDEAL), may_advance)
+        self.dialect = dialect
+        self.instrument = Instrument(source, TracePainter(7, IDEAL), may_advance, dialect.model)
         self.framer = MessageFramer()
         self.session = self.new_session()
 
     def new_session(self) -> Session:
-        return Session(self.instrument, RS, command_tree(RS))
+        return Session(self.instrument, self.dialect, command_tree(self.dialect))
 
     def send(self, data: bytes | str) -> bytes:
         """Feed bytes, return all that came back; a held session stays held."""
@@ -87,7 +91,7 @@ def bench() -> Bench:
 
 @pytest.fixture
 def make_bench() -> Callable[..., Bench]:
-    def make(may_advance: Callable[[], bool] = lambda: True, **source: object) -> Bench:
-        return Bench(StandingSource(**source), may_advance=may_advance)
+    def make(may_advance: Callable[[], bool] = lambda: True, dialect: Dialect = RS, **source: object) -> Bench:
+        return Bench(StandingSource(**source), may_advance=may_advance, dialect=dialect)
 
     return make

@@ -1,0 +1,196 @@
+"""Anritsu MS2090A, Spectrum Analyzer application, and what it shares with MS27xxT and MS20xxC.
+
+Where this differs from R&S: the points are those of the display (``DISPlay:POINtcount``); a trace stands in a block of
+definite length in every format, ASCII too, and ``#0`` stands for one that is not valid; ``TRACe:PREamble?`` tells how
+it was taken; blocks are little-endian, integers in milli-dBm; filter steps 1-3-10.
+
+Deviations from the real instruments, on purpose: there is no GPS fix; of the parameters of the preamble those stand
+that describe the sweep.
+"""
+
+from analyzer_sim.command_row import Call, Command
+from analyzer_sim.command_settings import boolean, constant, ignored, inert, inert_number, number_text, numeric
+from analyzer_sim.command_sweep import (
+    CLOCK_ROWS,
+    application_row,
+    continuous_row,
+    detector_rows,
+    freeze_attenuation,
+    freeze_rbw,
+    freeze_time,
+    freeze_vbw,
+    full_span_row,
+    initiate_row,
+    trace_mode_row,
+    unit_row,
+)
+from analyzer_sim.command_traces import TraceFormat, TraceStyle, format_row, trace_row
+from analyzer_sim.commands_common import COMMON_COMMANDS, SYSTEM_COMMANDS
+from analyzer_sim.dialect import Dialect
+from analyzer_sim.epochs import rfc3339
+from analyzer_sim.instrument_settings import Settings, load
+from analyzer_sim.levels import definite_block
+from analyzer_sim.models import MS2090A
+from analyzer_sim.scpi_parameters import DBM, DECIBELS, HERTZ, SECONDS, Choice, TraceName
+
+IDENTITY = "Anritsu,MS2090A,2014005,V2023.3.1"
+_DETECTORS = {"POSitive": "POS", "RMS": "RMS", "NEGative": "NEG", "SAMPle": "SAMP", "QUASi": "QPE"}
+_UNITS = ("DBM", "DBV", "DBMV", "DBUV", "V", "W")
+_TRACE_NAME = TraceName(("TRACE",), 6)
+TRACE_STYLE = TraceStyle(
+    (
+        TraceFormat("ASCii", 0, "ASC,0", "ASC"),
+        TraceFormat("INTeger", 32, "INT,32", "INT,32"),
+        TraceFormat("REAL", 64, "REAL,64", "REAL,64"),
+        TraceFormat("REAL", 32, "REAL,32", "REAL,32"),
+    ),
+    is_ascii_in_block=True,
+    invalid=b"#0",
+)
+
+_SENSE = "[SENSe]"
+_BANDWIDTH = f"{_SENSE}:BANDwidth|BWIDth"
+_TRACE_Y = "DISPlay:WINDow[:TRACe]:Y[:SCALe]"
+_POWER = f"{_SENSE}:POWer[:RF]"
+_NO_FIX = "NO FIX"
+
+
+def _put_average_type(call: Call, word: str) -> None:
+    call.instrument.settings.is_averaging = word == "SCAL"
+    call.instrument.invalidate()
+
+
+def _average_type(call: Call) -> str:
+    return "SCAL" if call.instrument.settings.is_averaging else "NONE"
+
+
+def _megahertz(value_hz: float) -> str:
+    return f"{1e-6 * value_hz:.6f} MHZ"
+
+
+def _coupling(is_auto: bool) -> str:  # noqa: FBT001 - the one thing it tells
+    return "AUTO" if is_auto else "MANUAL"
+
+
+def _preamble_fields(settings: Settings) -> dict[str, str]:
+    """Return the parameters of the trace header that describe the sweep."""
+    return {
+        "UNITS": settings.unit,
+        "START_FREQ": _megahertz(load(settings, "start_hz")),
+        "STOP_FREQ": _megahertz(load(settings, "stop_hz")),
+        "CENTER_FREQ": _megahertz(load(settings, "center_hz")),
+        "SPAN": _megahertz(settings.span_hz),
+        "FREQ_STEP": _megahertz(settings.step_hz),
+        "RBW": _megahertz(settings.rbw_hz),
+        "RBW_TYPE": _coupling(settings.is_rbw_auto),
+        "VBW": _megahertz(settings.vbw_hz),
+        "VBW_TYPE": _coupling(settings.is_vbw_auto),
+        "INPUT_ATTEN": f"{settings.attenuation_db:.1f} dB",
+        "ATTEN_TYPE": _coupling(settings.is_attenuation_auto),
+        "REFERENCE_LEVEL": f"{settings.reference_dbm:.2f} dBm",
+        "PREAMP_SET": "ON" if settings.is_preamplifier_on else "OFF",
+        "DETECTION": settings.detector,
+        "TRACE_AVERAGE": str(settings.average_count),
+        "SWEEP_TYPE": "CONTINUOUS" if settings.is_continuous else "SINGLE",
+        "TRACE_MODE": "AVERAGE" if settings.is_averaging else "NORMAL",
+        "UI_DATA_POINTS": str(settings.points),
+        "SET_SWEEP_TIME": f"{number_text(settings.time_s)} S",
+    }
+
+
+def _preamble(call: Call, number: int = 1) -> bytes:  # noqa: ARG001 - the traces are taken with the same settings
+    model, serial, version = IDENTITY.split(",")[1:]
+    fields = {
+        "SN": serial,
+        "UNIT_NAME": model,
+        "DATE": rfc3339(call.instrument.epoch_us())[:19],
+        "BASE_VER": version,
+        "APP_NAME": "SPA",
+        **_preamble_fields(call.instrument.settings),
+    }
+    return definite_block(",".join(f"{name}={value}" for name, value in fields.items()).encode("ascii"))
+
+
+_FREQUENCY_ROWS = (
+    numeric(f"{_SENSE}:FREQuency:CENTer", "center_hz", HERTZ),
+    numeric(f"{_SENSE}:FREQuency:STEP[:INCRement]", "step_hz", HERTZ),
+    numeric(f"{_SENSE}:FREQuency:SPAN", "span_hz", HERTZ),
+    numeric(f"{_SENSE}:FREQuency:STARt", "start_hz", HERTZ),
+    numeric(f"{_SENSE}:FREQuency:STOP", "stop_hz", HERTZ),
+    numeric(f"{_SENSE}:FREQuency:OFFSet", "offset_hz", HERTZ),
+    full_span_row(f"{_SENSE}:FREQuency:SPAN:FULL"),
+)
+
+_BANDWIDTH_ROWS = (
+    numeric(f"{_BANDWIDTH}[:RESolution]", "rbw_hz", HERTZ),
+    boolean(f"{_BANDWIDTH}[:RESolution]:AUTO", "is_rbw_auto", freeze_rbw),
+    numeric(f"{_BANDWIDTH}:VIDeo", "vbw_hz", HERTZ),
+    boolean(f"{_BANDWIDTH}:VIDeo:AUTO", "is_vbw_auto", freeze_vbw),
+    inert(f"{_BANDWIDTH}:VIDeo:TYPE", "LIN", ("LINear", "LOGarithmic")),
+)
+
+_SWEEP_ROWS = (
+    numeric("DISPlay:POINtcount", "points"),
+    numeric(f"{_SENSE}:SWEep:TIME", "time_s", SECONDS),
+    boolean(f"{_SENSE}:SWEep:TIME:AUTO", "is_time_auto", freeze_time),
+    *detector_rows(f"{_SENSE}:DETector[:FUNCtion]", f"{_SENSE}:DETector[:FUNCtion]:AUTO", _DETECTORS),
+    numeric(f"{_SENSE}:AVERage:COUNt", "average_count"),
+    Command(f"{_SENSE}:AVERage:TYPE", _put_average_type, _average_type, (Choice(("NONE", "SCALar")),)),
+    trace_mode_row("TRACe<6>:TYPE", "NORMal", "AVERage"),
+    trace_mode_row("TRACe<6>:OPERation", "NORMal", "AVERage"),
+    initiate_row("INITiate[:IMMediate]"),
+    initiate_row("INITiate:ALL"),
+    continuous_row("INITiate:CONTinuous"),
+    inert("TRIGger[:SEQuence]:SOURce", "IMM", ("IMMediate",)),
+)
+
+_LEVEL_ROWS = (
+    numeric(f"{_TRACE_Y}:RLEVel", "reference_dbm", DBM),
+    inert_number(f"{_TRACE_Y}:RLEVel:OFFSet", 0.0, -100.0, 100.0, DECIBELS),
+    inert_number(f"{_TRACE_Y}:PDIVision", 10.0, 1.0, 15.0, DECIBELS),
+    numeric(f"{_POWER}:ATTenuation", "attenuation_db", DECIBELS),
+    boolean(f"{_POWER}:ATTenuation:AUTO", "is_attenuation_auto", freeze_attenuation),
+    boolean(f"{_POWER}:GAIN[:STATe]", "is_preamplifier_on"),
+    constant(f"{_SENSE}:CORRection:IMPedance[:INPut][:MAGNitude]", "50"),
+    unit_row("UNIT:POWer", _UNITS),
+)
+
+_TRACE_ROWS = (
+    format_row("FORMat[:READings][:DATA]", TRACE_STYLE),
+    trace_row("TRACe[:DATA]", TRACE_STYLE, _TRACE_NAME),
+    Command("TRACe[:DATA]:PREamble", query=_preamble, query_parameters=(_TRACE_NAME,)),
+)
+
+_MISCELLANEOUS_ROWS = (
+    constant("*IDN", IDENTITY),
+    constant("*OPT", '"0031,0726"'),
+    application_row("INSTrument[:SELect]", '"SPA"', frozenset({"SPA"})),
+    application_row(f"{_SENSE}:MODE", "SPEC", frozenset({"SPEC", "SPECTRUM"})),
+    constant(f"{_SENSE}:MODE:CATalog", "SPEC"),
+    constant("FETCh:GPS", _NO_FIX),
+    constant("FETCh:GPS:FULL", _NO_FIX),
+    constant("FETCh:GPS:ALL", _NO_FIX),
+    constant("FETCh:GPS:LAST", _NO_FIX),
+    ignored("SYSTem:LOCal"),
+    ignored("SYSTem:REMote"),
+    *CLOCK_ROWS,
+)
+
+ANRITSU = Dialect(
+    name="anritsu",
+    identity=IDENTITY,
+    model=MS2090A,
+    own_noise_dbm_hz=-150.0,
+    traces=TRACE_STYLE,
+    units=_UNITS,
+    commands=(
+        *COMMON_COMMANDS,
+        *SYSTEM_COMMANDS,
+        *_FREQUENCY_ROWS,
+        *_BANDWIDTH_ROWS,
+        *_SWEEP_ROWS,
+        *_LEVEL_ROWS,
+        *_TRACE_ROWS,
+        *_MISCELLANEOUS_ROWS,
+    ),
+)

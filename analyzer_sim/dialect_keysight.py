@@ -1,0 +1,243 @@
+"""Keysight X-series (N9020B and its kin), Spectrum Analyzer mode, Swept SA measurement.
+
+Where this differs from R&S: after ``*RST`` the instrument sweeps once on INITiate, after ``SYSTem:PRESet`` without end;
+the detector AVERage takes its kind of mean from ``AVERage:TYPE``; blocks are big-endian until ``FORMat:BORDer SWAP``;
+an empty error queue answers ``+0``; ``FETCh:SANalyzer?`` answers pairs of frequency and level.
+
+Deviations from the real instruments, on purpose: the sweep type AUTO sweeps and is answered as such; auto tune leaves a
+span of 10 MHz; field strength units are refused because there is no antenna factor.
+"""
+
+from analyzer_sim.command_row import Call, Command
+from analyzer_sim.command_settings import boolean, constant, ignored, inert, inert_number, numeric
+from analyzer_sim.command_sweep import (
+    BY_TYPE,
+    CLOCK_ROWS,
+    application_row,
+    average_type_row,
+    continuous_row,
+    detector_rows,
+    freeze_attenuation,
+    freeze_rbw,
+    freeze_time,
+    freeze_vbw,
+    full_span_row,
+    initiate_row,
+    trace_mode_row,
+    tune_row,
+    unit_row,
+    zero_span_row,
+)
+from analyzer_sim.command_traces import (
+    TraceFormat,
+    TraceStyle,
+    byte_order_row,
+    format_row,
+    pairs_shown,
+    trace_reader,
+    trace_row,
+)
+from analyzer_sim.commands_common import COMMON_COMMANDS, SYSTEM_COMMANDS
+from analyzer_sim.dialect import Dialect
+from analyzer_sim.models import N9020B
+from analyzer_sim.scpi_parameters import DBM, DECIBELS, HERTZ, SECONDS, Boolean, Choice, TraceName
+
+IDENTITY = "Keysight Technologies,N9020B,MY57430101,A.30.05"
+_OPTIONS = '"526,B25,EA3,P26"'
+_DETECTORS = {
+    "NORMal": "APE",
+    "AVERage": BY_TYPE,
+    "POSitive": "POS",
+    "SAMPle": "SAMP",
+    "NEGative": "NEG",
+    "QPEak": "QPE",
+}
+_AVERAGE_TYPES = {"LOG": "VID", "RMS": "POW", "SCALar": "LIN"}
+_UNITS = ("DBM", "DBMV", "DBMA", "V", "W", "A", "DBUV", "DBUA", "DBPW")
+_FIELD_UNITS = ("DBUVM", "DBUAM", "DBPT", "DBG")
+TRACE_STYLE = TraceStyle(
+    (
+        TraceFormat("ASCii", 8, "ASC,8", "ASC"),
+        TraceFormat("REAL", 32, "REAL,32", "REAL,32"),
+        TraceFormat("REAL", 64, "REAL,64", "REAL,64"),
+        TraceFormat("INTeger", 32, "INT,32", "INT,32"),
+    )
+)
+
+_SENSE = "[SENSe<1>]"
+_BANDWIDTH = f"{_SENSE}:BANDwidth|BWIDth"
+_TRACE_Y = "DISPlay:WINDow<1>[:TRACe<6>]:Y[:SCALe]"
+_POWER = f"{_SENSE}:POWer[:RF]"
+_SPECTRUM = "SANalyzer<6>"
+
+
+def _put_sweep_type(call: Call, word: str) -> None:
+    call.instrument.settings.sweep_type = word
+    call.instrument.invalidate()
+
+
+def _sweep_type(call: Call) -> str:
+    return "FFT" if call.instrument.settings.is_fft else "SWE"
+
+
+def _put_sweep_type_auto(call: Call, is_auto: bool) -> None:  # noqa: FBT001 - the one value of the command
+    _put_sweep_type(call, "AUTO" if is_auto else _sweep_type(call))
+
+
+def _sweep_type_auto(call: Call) -> str:
+    return str(int(call.instrument.settings.sweep_type == "AUTO"))
+
+
+def _put_average_type_auto(call: Call, is_auto: bool) -> None:  # noqa: FBT001 - the one value of the command
+    settings = call.instrument.settings
+    if is_auto:
+        settings.average_type = settings.model.average_type
+        call.instrument.invalidate()
+
+
+def _average_type_auto(call: Call) -> str:
+    settings = call.instrument.settings
+    return str(int(settings.average_type == settings.model.average_type))
+
+
+def _select_spectrum(call: Call) -> None:
+    call.instrument.functions.select("SAN")
+    call.instrument.invalidate()
+
+
+def _measure_spectrum(call: Call) -> None:
+    call.instrument.functions.select("SAN")
+    _read_spectrum(call)
+
+
+def _read_spectrum(call: Call) -> None:
+    if not call.instrument.settings.is_continuous:
+        call.instrument.initiate()
+
+
+def _initiate_spectrum(call: Call) -> None:
+    call.instrument.functions.select("SAN")
+    call.instrument.initiate()
+
+
+def _restart(call: Call) -> None:
+    """Begin anew: a single sweep when it does not sweep without end."""
+    call.instrument.abort()
+    call.instrument.invalidate()
+    if not call.instrument.settings.is_continuous:
+        call.instrument.initiate()
+
+
+_FREQUENCY_ROWS = (
+    numeric(f"{_SENSE}:FREQuency:CENTer", "center_hz", HERTZ),
+    numeric(f"{_SENSE}:FREQuency:CENTer:STEP[:INCRement]", "step_hz", HERTZ),
+    numeric(f"{_SENSE}:FREQuency:SPAN", "span_hz", HERTZ),
+    numeric(f"{_SENSE}:FREQuency:STARt", "start_hz", HERTZ),
+    numeric(f"{_SENSE}:FREQuency:STOP", "stop_hz", HERTZ),
+    numeric(f"{_SENSE}:FREQuency:OFFSet", "offset_hz", HERTZ),
+    full_span_row(f"{_SENSE}:FREQuency:SPAN:FULL"),
+    zero_span_row(f"{_SENSE}:FREQuency:SPAN:ZERO"),
+    tune_row(f"{_SENSE}:FREQuency:TUNE:IMMediate"),
+)
+
+_BANDWIDTH_ROWS = (
+    numeric(f"{_BANDWIDTH}[:RESolution]", "rbw_hz", HERTZ),
+    boolean(f"{_BANDWIDTH}[:RESolution]:AUTO", "is_rbw_auto", freeze_rbw),
+    inert(f"{_BANDWIDTH}:TYPE", "DB3", ("DB3", "DB6", "NOISe", "IMPulse")),
+    inert(f"{_BANDWIDTH}:SHAPe", "GAUS", ("GAUSsian",)),
+    numeric(f"{_BANDWIDTH}:VIDeo", "vbw_hz", HERTZ),
+    boolean(f"{_BANDWIDTH}:VIDeo:AUTO", "is_vbw_auto", freeze_vbw),
+)
+
+_SWEEP_ROWS = (
+    numeric(f"{_SENSE}:SWEep:POINts", "points"),
+    numeric(f"{_SENSE}:SWEep:TIME", "time_s", SECONDS),
+    boolean(f"{_SENSE}:SWEep:TIME:AUTO", "is_time_auto", freeze_time),
+    inert(f"{_SENSE}:SWEep:TIME:AUTO:RULes", "NORM", ("NORMal", "ACCuracy", "SRESponse")),
+    Command(f"{_SENSE}:SWEep:TYPE", _put_sweep_type, _sweep_type, (Choice(("SWEep", "FFT", "AUTO")),)),
+    Command(f"{_SENSE}:SWEep:TYPE:AUTO", _put_sweep_type_auto, _sweep_type_auto, (Boolean(),)),
+    *detector_rows(f"{_SENSE}:DETector:TRACe<6>", f"{_SENSE}:DETector:TRACe<6>:AUTO", _DETECTORS),
+    *detector_rows(f"{_SENSE}:DETector[:FUNCtion]", f"{_SENSE}:DETector:AUTO", _DETECTORS),
+    boolean(f"{_SENSE}:AVERage[:STATe]", "is_averaging"),
+    numeric(f"{_SENSE}:AVERage:COUNt", "average_count"),
+    average_type_row(f"{_SENSE}:AVERage:TYPE", _AVERAGE_TYPES, does_detector_follow=True),
+    Command(f"{_SENSE}:AVERage:TYPE:AUTO", _put_average_type_auto, _average_type_auto, (Boolean(),)),
+    trace_mode_row("TRACe<6>:TYPE", "WRITe", "AVERage"),
+    initiate_row("INITiate[:IMMediate]"),
+    continuous_row("INITiate:CONTinuous"),
+    Command("INITiate:RESTart", _restart),
+    Command("INITiate:SANalyzer", _initiate_spectrum),
+    inert("TRIGger[:SEQuence]:SOURce", "IMM", ("IMMediate",)),
+    inert("TRIGger[:SEQuence]:RF:SOURce", "IMM", ("IMMediate",)),
+)
+
+_LEVEL_ROWS = (
+    numeric(f"{_TRACE_Y}:RLEVel", "reference_dbm", DBM),
+    inert_number(f"{_TRACE_Y}:RLEVel:OFFSet", 0.0, -327.6, 327.6, DECIBELS),
+    inert_number(f"{_TRACE_Y}:PDIVision", 10.0, 0.1, 20.0, DECIBELS),
+    numeric(f"{_POWER}:ATTenuation", "attenuation_db", DECIBELS),
+    boolean(f"{_POWER}:ATTenuation:AUTO", "is_attenuation_auto", freeze_attenuation),
+    boolean(f"{_POWER}:GAIN[:STATe]", "is_preamplifier_on"),
+    inert(f"{_POWER}:GAIN:BAND", "LOW", ("LOW", "FULL")),
+    inert(f"{_POWER}:MW:PATH", "STD", ("STD", "LNPath", "MPBypass", "FULL")),
+    inert("INPut<1>:COUPling", "AC", ("AC", "DC")),
+    constant(f"{_SENSE}:CORRection:IMPedance[:INPut][:MAGNitude]", "50"),
+    unit_row("UNIT:POWer", _UNITS, _FIELD_UNITS),
+)
+
+_TRACE_ROWS = (
+    format_row("FORMat[:TRACe][:DATA]", TRACE_STYLE),
+    byte_order_row("FORMat:BORDer"),
+    trace_row("TRACe[:DATA]", TRACE_STYLE, TraceName(("TRACE",), 6)),
+    Command("CALCulate:DATA<6>", query=trace_reader(TRACE_STYLE, pairs_shown), query_waits=True),
+    Command(f"FETCh:{_SPECTRUM}", query=trace_reader(TRACE_STYLE, pairs_shown), query_waits=True),
+    Command(
+        f"READ:{_SPECTRUM}",
+        query=trace_reader(TRACE_STYLE, pairs_shown),
+        query_waits=True,
+        query_starts=_read_spectrum,
+    ),
+    Command(
+        f"MEASure:{_SPECTRUM}",
+        query=trace_reader(TRACE_STYLE, pairs_shown),
+        query_waits=True,
+        query_starts=_measure_spectrum,
+    ),
+)
+
+_MISCELLANEOUS_ROWS = (
+    constant("*IDN", IDENTITY),
+    constant("*OPT", _OPTIONS),
+    constant("SYSTem:OPTions", _OPTIONS),
+    application_row("INSTrument[:SELect]", "SA", frozenset({"SA"})),
+    constant("INSTrument:CATalog", '"SA 1"'),
+    inert_number("INSTrument:NSELect", 1.0, 1.0, 1.0),
+    Command("CONFigure", query=lambda call: call.instrument.functions.measurement),
+    constant("CONFigure:CATalog", '"SAN, CHP, OBW, ACP"'),
+    Command("CONFigure:SANalyzer", _select_spectrum),
+    Command("CONFigure:SANalyzer:NDEFault", _select_spectrum),
+    inert("CALibration:AUTO", "ON", ("ON", "PARTial", "OFF", "ALERt")),
+    inert("DISPlay:ENABle", "1"),
+    ignored("SYSTem:LOCal"),
+    ignored("SYSTem:REMote"),
+    *CLOCK_ROWS,
+)
+
+KEYSIGHT = Dialect(
+    name="keysight",
+    identity=IDENTITY,
+    model=N9020B,
+    own_noise_dbm_hz=-148.0,
+    traces=TRACE_STYLE,
+    units=_UNITS,
+    commands=(
+        *COMMON_COMMANDS,
+        *SYSTEM_COMMANDS,
+        *_FREQUENCY_ROWS,
+        *_BANDWIDTH_ROWS,
+        *_SWEEP_ROWS,
+        *_LEVEL_ROWS,
+        *_TRACE_ROWS,
+        *_MISCELLANEOUS_ROWS,
+    ),
+)
