@@ -12,6 +12,13 @@ V((k-1)t)] / 2``. Independent Gamma draws of the long-dwell shape ``N0 = sqrt(2)
 sum whose autocorrelation is that covariance, give every point its N and every integrated carrier its
 ``N_c = 1.505 RBW T B / span``. An FFT analyzer keeps all points for the whole capture; there the correlation runs
 along frequency, ``exp(-(k df)^2 / (4 s^2))``.
+
+The other detectors look at the power behind the video filter, one pole at VBW. A value there is Gamma distributed::
+
+    1/N_v = w sqrt(pi)/(2 c) exp(w^2 / (4 c^2)) erfc(w / (2 c)),     w = 2 pi VBW,  c = 2 pi s
+
+N_v = 1 without it. They serve where the envelope would be too long: dwells then hold many values, of which a peak, a
+minimum and a mean of decibels are taken as of independent ones.
 """
 
 import math
@@ -21,8 +28,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import digamma, gammainccinv, gammaincinv, polygamma
 
-from analyzer_sim.spectrum import ENBW_PER_RBW, RBW_PER_DEVIATION, MeanTrace
+from analyzer_sim.spectrum import ENBW_PER_RBW, RBW_PER_DEVIATION, VIDEO_MATTERS_BELOW, MeanTrace
 
 FloatArray = NDArray[np.float64]
 
@@ -30,15 +38,10 @@ FloatArray = NDArray[np.float64]
 _LINE_MATTERS = 1e-3
 #: longest kernel kept, points to one side
 _MAX_KERNEL_REACH = 64
-#: independent maxima and minima of the envelope per noise bandwidth and second (fitted to the envelope method)
-_PEAKS_PER_ENBW_SECOND = 2.6
-_NULLS_PER_ENBW_SECOND = 3.7
-#: mean and deviation of 10 lg of an exponential variable, dB
-_LOG_MEAN_DB = -2.5068
-_LOG_SIGMA_DB = 5.5697
-#: the root of an exponential variable: square of its mean, and its relative deviation
-_VOLT_MEAN_POWER = math.pi / 4.0
-_VOLT_SIGMA = math.sqrt(4.0 / math.pi - 1.0)
+#: independent maxima and minima over the freedom of the mean of a long dwell (fitted to the envelope method)
+_PEAKS_PER_FREEDOM = 1.84
+_NULLS_PER_FREEDOM = 2.62
+_DB_PER_NEPER = 10.0 / math.log(10.0)
 
 
 class Dwell(NamedTuple):
@@ -51,6 +54,7 @@ class Dwell(NamedTuple):
     spacing_hz: float
     #: all points share one capture
     is_fft: bool
+    vbw_hz: float = math.inf
 
     @property
     def enbw_hz(self) -> float:
@@ -70,6 +74,20 @@ def dwell_variance(enbw_hz: float, time_s: float) -> float:
     if x < 1e-3:
         return 1.0 - x * x / 6.0
     return math.sqrt(math.pi) * math.erf(x) / x + math.expm1(-x * x) / x**2
+
+
+def video_variance(rbw_hz: float, vbw_hz: float) -> float:
+    """Return the relative variance 1/N_v of the noise power behind the video filter.
+
+    Examples
+    --------
+    >>> video_variance(30e3, math.inf), round(1 / video_variance(30e3, 300.0), 1)
+    (1.0, 48.6)
+    """
+    if vbw_hz >= VIDEO_MATTERS_BELOW * rbw_hz:
+        return 1.0
+    ratio = 0.5 * vbw_hz * RBW_PER_DEVIATION / rbw_hz
+    return math.sqrt(math.pi) * ratio * math.exp(ratio**2) * math.erfc(ratio)
 
 
 @lru_cache(maxsize=64)
@@ -128,27 +146,34 @@ def _put_lines(trace: FloatArray, mean: MeanTrace, dwell: Dwell, rng: np.random.
     trace[near] = noise_mw * draws / (2.0 * freedom)
 
 
-def _instants(mean: MeanTrace, rng: np.random.Generator) -> FloatArray:
-    """Return one sample of the power at every point, relative to the noise: exponential, non-central near lines."""
+def _video_freedom(dwell: Dwell) -> float:
+    return 1.0 / video_variance(dwell.rbw_hz, dwell.vbw_hz)
+
+
+def _values_of_dwell(dwell: Dwell) -> float:
+    """Return how many independent values behind the video filter a dwell holds, as far as its mean is concerned."""
+    return math.sqrt(2.0) * dwell.enbw_hz * dwell.time_s / _video_freedom(dwell)
+
+
+def _draw_sample(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator) -> FloatArray:
+    """Return one value at every point; non-central near lines."""
+    freedom = _video_freedom(dwell)
     ratio = np.minimum(mean.lines_mw.sum(axis=0) / mean.noise_mw, 1e12)
-    return np.asarray(0.5 * rng.noncentral_chisquare(2.0, 2.0 * ratio))
-
-
-def _draw_sample(mean: MeanTrace, _dwell: Dwell, rng: np.random.Generator) -> FloatArray:
-    return mean.noise_mw * _instants(mean, rng)
+    return np.asarray(mean.noise_mw * rng.noncentral_chisquare(2.0 * freedom, 2.0 * freedom * ratio) / (2.0 * freedom))
 
 
 def _draw_peak(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator) -> FloatArray:
-    count = 1.0 + _PEAKS_PER_ENBW_SECOND * dwell.enbw_hz * dwell.time_s
-    uniform = rng.random(len(mean.noise_mw))
-    highest = -np.log(-np.expm1(np.log(uniform) / count))
-    return _beside_lines(mean, highest, +1.0)
+    count = 1.0 + _PEAKS_PER_FREEDOM * _values_of_dwell(dwell)
+    above = -np.expm1(np.log(rng.random(len(mean.noise_mw))) / count)
+    freedom = _video_freedom(dwell)
+    return _beside_lines(mean, np.asarray(gammainccinv(freedom, above) / freedom, np.float64), +1.0)
 
 
 def _draw_minimum(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator) -> FloatArray:
-    count = 1.0 + _NULLS_PER_ENBW_SECOND * dwell.enbw_hz * dwell.time_s
-    lowest = rng.standard_exponential(len(mean.noise_mw)) / count
-    return _beside_lines(mean, lowest, -1.0)
+    count = 1.0 + _NULLS_PER_FREEDOM * _values_of_dwell(dwell)
+    below = -np.expm1(np.log(rng.random(len(mean.noise_mw))) / count)
+    freedom = _video_freedom(dwell)
+    return _beside_lines(mean, np.asarray(gammaincinv(freedom, below) / freedom, np.float64), -1.0)
 
 
 def _beside_lines(mean: MeanTrace, relative: FloatArray, sign: float) -> FloatArray:
@@ -157,16 +182,27 @@ def _beside_lines(mean: MeanTrace, relative: FloatArray, sign: float) -> FloatAr
     return np.asarray(np.square(np.sqrt(mean.lines_mw.sum(axis=0)) + sign * noise))
 
 
+def _values_averaged(dwell: Dwell) -> float:
+    """Return how many independent values the mean of a dwell is taken of, one at least."""
+    return max(1.0 / (dwell_variance(dwell.enbw_hz, dwell.time_s) * _video_freedom(dwell)), 1.0)
+
+
 def _draw_log_mean(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator) -> FloatArray:
-    freedom = 1.0 / dwell_variance(dwell.enbw_hz, dwell.time_s)
-    level_db = _LOG_MEAN_DB + _LOG_SIGMA_DB / math.sqrt(freedom) * rng.standard_normal(len(mean.noise_mw))
-    return np.asarray(mean.noise_mw * 10.0 ** (0.1 * level_db) + mean.lines_mw.sum(axis=0))
+    """Average nepers: their mean is the digamma function of the freedom less its logarithm."""
+    freedom = _video_freedom(dwell)
+    nepers = float(digamma(freedom)) - math.log(freedom)
+    sigma = math.sqrt(float(polygamma(1, freedom)) / _values_averaged(dwell))
+    relative = np.exp(nepers + sigma * rng.standard_normal(len(mean.noise_mw)))
+    return np.asarray(mean.noise_mw * relative + mean.lines_mw.sum(axis=0))
 
 
 def _draw_volt_mean(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator) -> FloatArray:
-    freedom = 1.0 / dwell_variance(dwell.enbw_hz, dwell.time_s)
-    volts = 1.0 + _VOLT_SIGMA / math.sqrt(freedom) * rng.standard_normal(len(mean.noise_mw))
-    return np.asarray(mean.noise_mw * _VOLT_MEAN_POWER * np.square(volts) + mean.lines_mw.sum(axis=0))
+    """Average volts: the root of a Gamma variable."""
+    freedom = _video_freedom(dwell)
+    power = math.exp(2.0 * (math.lgamma(freedom + 0.5) - math.lgamma(freedom))) / freedom
+    sigma = math.sqrt((1.0 / power - 1.0) / _values_averaged(dwell))
+    volts = 1.0 + sigma * rng.standard_normal(len(mean.noise_mw))
+    return np.asarray(mean.noise_mw * power * np.square(volts) + mean.lines_mw.sum(axis=0))
 
 
 #: detector -> draw of one trace

@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from analyzer_sim.spectrum import RBW_PER_DEVIATION, MeanTrace, SweepGrid, filter_response
+from analyzer_sim.spectrum import RBW_PER_DEVIATION, VIDEO_MATTERS_BELOW, MeanTrace, SweepGrid, filter_response
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -24,8 +24,6 @@ SAMPLES_PER_RBW_SECOND = 4.0
 #: longest envelope drawn for one sweep and for all sweeps of a trace; beyond, the fast method serves
 MAX_SAMPLES = 1_000_000
 MAX_SAMPLES_ALL_SWEEPS = 10 * MAX_SAMPLES
-#: a video filter this much wider than the resolution filter does nothing
-_VIDEO_MATTERS_BELOW = 10.0
 _LEAST_MW = 1e-30
 
 
@@ -48,13 +46,13 @@ def draw_envelope(
     seconds = (np.arange(count) + 0.5) * (time_s / count)
     noise_mw = np.interp(position, np.arange(grid.points), mean.noise_mw)
     field = np.sqrt(noise_mw) * _filtered_noise(count, grid.rbw_hz * time_s / count, rng)
-    swept_hz = grid.start_hz + position * ((grid.stop_hz - grid.start_hz) / (grid.points - 1))
+    swept_hz = grid.start_hz + position * grid.spacing_hz
     for line_hz, peak_mw in zip(mean.line_hz.tolist(), mean.line_peak_mw.tolist(), strict=True):
         amplitude = np.sqrt(peak_mw * filter_response(swept_hz - line_hz, grid.rbw_hz))
         turns = rng.random() + ((line_hz - swept_hz[0]) - 0.5 * (swept_hz - swept_hz[0])) * seconds
         field += amplitude * np.exp(2j * math.pi * turns)
     power_mw = np.square(field.real) + np.square(field.imag)
-    if detector != "RMS" and vbw_hz < _VIDEO_MATTERS_BELOW * grid.rbw_hz:
+    if detector != "RMS" and vbw_hz < VIDEO_MATTERS_BELOW * grid.rbw_hz:
         power_mw = _video_filtered(power_mw, vbw_hz * time_s / count)
     starts = (np.arange(grid.points) * count) // grid.points
     return BUCKET_DETECTORS[detector](power_mw, starts)

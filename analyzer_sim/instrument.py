@@ -149,6 +149,10 @@ class Instrument:
         if not self._is_pending:
             self.status.event |= ESR_OPERATION_COMPLETE
 
+    def forget_completion(self) -> None:
+        """Take back ``*OPC``: a device clear does not wait for the sweep any more."""
+        self._completion_wanted = False
+
     def invalidate(self) -> None:
         """Forget the trace and the results of a list: a setting that shapes them has changed."""
         self._trace = None
@@ -192,7 +196,7 @@ class Instrument:
 
     def _show(self, emission: Emission) -> None:
         entries = self._list_entries or (self.swept,)
-        traces = tuple(self._painter.paint(emission, entry) for entry in entries)
+        traces = tuple(self._painter.paint(emission, entry, len(entries)) for entry in entries)
         if self._list_entries:
             self._list_traces = traces
         else:

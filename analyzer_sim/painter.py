@@ -6,7 +6,7 @@ Order of the signal path: input, attenuator and own noise, resolution filter, de
 import math
 from collections.abc import Callable
 from enum import Enum
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -74,42 +74,38 @@ class TracePainter:
         self._detail = detail
         self._ripple_gain = lru_cache(maxsize=8)(self._compute_ripple_gain)
 
-    def paint(self, emission: Emission, settings: Settings) -> Trace:
-        """Return the trace of one measurement; ``settings.sweeps`` sweeps are combined."""
+    def paint(self, emission: Emission, settings: Settings, traces: int = 1) -> Trace:
+        """Return the trace of one measurement; ``settings.sweeps`` sweeps are combined.
+
+        ``traces`` tells how many are taken together: the longest envelope drawn is for all of them.
+        """
         grid = SweepGrid(settings.start_hz, settings.stop_hz, settings.points, settings.rbw_hz)
         attenuation_db = settings.attenuation_db
         own_noise = self._errors.own_noise_dbm_hz(attenuation_db, is_preamplifier_on=settings.is_preamplifier_on)
         loss = 1.0 if settings.is_fft else too_fast_line_loss(settings.span_hz, settings.rbw_hz, settings.time_s)
         mean = mean_trace(emission, grid, own_noise, loss)
-        power_mw = self._combine(mean, grid, settings)
+        power_mw = self._statistics(mean, grid, settings, traces)
+        overload = Overload.of(emission, settings)
         error_db = self._errors.sweep_error_db(emission.epoch_us, settings.rbw_hz, attenuation_db)
-        power_mw *= self._ripple_gain(grid) * milliwatts(error_db)
+        power_mw *= self._ripple_gain(grid) * milliwatts(error_db - overload.compression_db)
         level_dbm = 10.0 * np.log10(np.maximum(power_mw, _LEAST_MW))
         np.minimum(level_dbm, settings.reference_dbm + HEADROOM_DB, out=level_dbm)
-        return Trace(level_dbm, _overload(emission, settings), emission.epoch_us, grid, settings.detector)
+        return Trace(level_dbm, overload.bits, emission.epoch_us, grid, settings.detector)
 
-    def _combine(self, mean: MeanTrace, grid: SweepGrid, settings: Settings) -> FloatArray:
-        """Combine the sweeps of one measurement by the average type."""
-        if settings.sweeps == 1:
-            return self._sweep(mean, grid, settings)
-        if settings.combination == "POW" and settings.detector == "RMS" and not self._wants_envelope(grid, settings):
-            return draw_rms(mean, _dwell(grid, settings), self._rng, settings.sweeps)
-        to_scale, from_scale = COMBINATIONS[settings.combination]
-        total = np.zeros(grid.points)
-        for _ in range(settings.sweeps):
-            total += to_scale(self._sweep(mean, grid, settings))
-        return from_scale(total / settings.sweeps)
+    def _statistics(self, mean: MeanTrace, grid: SweepGrid, settings: Settings, traces: int) -> FloatArray:
+        """Draw the sweeps of one measurement and combine them, mW."""
+        dwell = _dwell(grid, settings)
+        if self._wants_envelope(grid, settings, traces):
+            figures = settings.time_s, settings.detector, settings.vbw_hz
+            return _combined(partial(draw_envelope, mean, grid, *figures, self._rng), settings)
+        if settings.combination == "POW" and settings.detector == "RMS":
+            return draw_rms(mean, dwell, self._rng, settings.sweeps)
+        return _combined(partial(FAST_DRAWS[settings.detector], mean, dwell, self._rng), settings)
 
-    def _sweep(self, mean: MeanTrace, grid: SweepGrid, settings: Settings) -> FloatArray:
-        """Draw the statistics of one sweep, mW."""
-        if self._wants_envelope(grid, settings):
-            return draw_envelope(mean, grid, settings.time_s, settings.detector, settings.vbw_hz, self._rng)
-        return FAST_DRAWS[settings.detector](mean, _dwell(grid, settings), self._rng)
-
-    def _wants_envelope(self, grid: SweepGrid, settings: Settings) -> bool:
+    def _wants_envelope(self, grid: SweepGrid, settings: Settings, traces: int) -> bool:
         """Tell whether statistics are drawn in time: wanted or needed, and not beyond the longest envelope."""
         samples = sample_count(grid, settings.time_s)
-        if settings.is_fft or samples > MAX_SAMPLES or samples * settings.sweeps > MAX_SAMPLES_ALL_SWEEPS:
+        if settings.is_fft or samples > MAX_SAMPLES or samples * settings.sweeps * traces > MAX_SAMPLES_ALL_SWEEPS:
             return False
         return self._detail is Detail.ENVELOPE or settings.detector != "RMS"
 
@@ -117,21 +113,43 @@ class TracePainter:
         return np.asarray(10.0 ** (0.1 * self._errors.ripple_db(grid.frequency_hz)))
 
 
+def _combined(draw: Callable[[], FloatArray], settings: Settings) -> FloatArray:
+    """Draw the sweeps and combine them by the average type."""
+    if settings.sweeps == 1:
+        return draw()
+    to_scale, from_scale = COMBINATIONS[settings.combination]
+    total = to_scale(draw())
+    for _ in range(settings.sweeps - 1):
+        total = total + to_scale(draw())
+    return from_scale(total / settings.sweeps)
+
+
 def _dwell(grid: SweepGrid, settings: Settings) -> Dwell:
     dwell_s = settings.time_s if settings.is_fft else settings.time_s / grid.points
-    return Dwell(grid.rbw_hz, dwell_s, settings.span_hz / (grid.points - 1), settings.is_fft)
+    return Dwell(grid.rbw_hz, dwell_s, grid.spacing_hz, settings.is_fft, settings.vbw_hz)
 
 
-def _overload(emission: Emission, settings: Settings) -> int:
-    """Return the overload bits for the sum of all signals at the input."""
-    total_mw = sum(milliwatts(signal.power_dbm) for signal in emission.signals)
-    if not total_mw:
-        return 0
-    total_dbm = 10.0 * math.log10(total_mw)
-    overload = RF_OVERLOAD if total_dbm - settings.attenuation_db > MIXER_OVERLOAD_DBM else 0
-    if total_dbm > settings.reference_dbm + HEADROOM_DB:
-        overload |= IF_OVERLOAD
-    return overload
+class Overload(NamedTuple):
+    """What too strong an input does."""
+
+    #: bits of QUEStionable:POWer
+    bits: int
+    #: how much the whole trace is too low, dB
+    compression_db: float
+
+    @classmethod
+    def of(cls, emission: Emission, settings: Settings) -> "Overload":
+        """Compare the sum of all signals with the mixer and with the reference level.
+
+        A mixer driven beyond its limit passes that power and no more, so that all levels fall together.
+        """
+        total_mw = sum(milliwatts(signal.power_dbm) for signal in emission.signals)
+        total_dbm = 10.0 * math.log10(max(total_mw, _LEAST_MW))
+        excess_db = max(total_dbm - settings.attenuation_db - MIXER_OVERLOAD_DBM, 0.0)
+        bits = RF_OVERLOAD if excess_db > 0.0 else 0
+        if total_dbm > settings.reference_dbm + HEADROOM_DB:
+            bits |= IF_OVERLOAD
+        return cls(bits, excess_db)
 
 
 def _decibels(power_mw: FloatArray) -> FloatArray:

@@ -26,6 +26,8 @@ FloatArray = NDArray[np.float64]
 ENBW_PER_RBW = math.sqrt(math.pi / (4.0 * math.log(2.0)))
 #: 3 dB bandwidth of the Gaussian filter over the deviation of its power response
 RBW_PER_DEVIATION = math.sqrt(8.0 * math.log(2.0))
+#: a video filter this much wider than the resolution filter does nothing
+VIDEO_MATTERS_BELOW = 10.0
 #: the response is followed to where it is 1e-14 of its peak
 _REACH_DEVIATIONS = 8.0
 #: tabulation step in deviations of the filter; interpolation errs by less than 5e-4 of the plateau
