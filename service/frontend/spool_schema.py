@@ -1,0 +1,155 @@
+"""Tables of the spool's file, its migrations, and which of SQLite's errors say what.
+
+Law of this file: the schema's version is the file's ``user_version``; script k of `MIGRATIONS` leads to version k + 1.
+Sequence numbers are never given twice: AUTOINCREMENT keeps the greatest in the file even when no row is left.
+"""
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+#: how long another program may hold the file up, s
+_BUSY_S = 5.0
+#: the log is cut back to this size, bytes
+_LOG_BYTES = 16 << 20
+
+_ROW_ARRAYS = """
+    power_dbm BLOB NOT NULL,
+    flags BLOB NOT NULL,
+    sigma_db BLOB NOT NULL,
+    c_n0_db_hz BLOB NOT NULL,
+    occupied_bandwidth_hz BLOB NOT NULL,
+    centroid_offset_hz BLOB NOT NULL
+"""
+
+MIGRATIONS: tuple[str, ...] = (
+    f"""
+    CREATE TABLE owner (spacecraft_id TEXT NOT NULL, source TEXT NOT NULL);
+    CREATE TABLE task (
+        task_key INTEGER PRIMARY KEY,
+        sha256 TEXT NOT NULL,
+        carrier_ids TEXT NOT NULL,
+        UNIQUE (sha256, carrier_ids)
+    );
+    CREATE TABLE measured (
+        seq INTEGER PRIMARY KEY AUTOINCREMENT,
+        epoch_us INTEGER NOT NULL UNIQUE,
+        task_key INTEGER NOT NULL REFERENCES task,
+        kept_at_us INTEGER NOT NULL,
+        size_bytes INTEGER NOT NULL,
+        {_ROW_ARRAYS}
+    );
+    CREATE TABLE refused (
+        refused_key INTEGER PRIMARY KEY AUTOINCREMENT,
+        seq INTEGER,
+        epoch_us INTEGER NOT NULL,
+        task_key INTEGER NOT NULL REFERENCES task,
+        refused_at_us INTEGER NOT NULL,
+        code TEXT NOT NULL,
+        detail TEXT NOT NULL,
+        {_ROW_ARRAYS}
+    );
+    CREATE TABLE trace (
+        trace_key INTEGER PRIMARY KEY AUTOINCREMENT,
+        epoch_us INTEGER NOT NULL,
+        sweep TEXT NOT NULL,
+        start_hz REAL NOT NULL,
+        step_hz REAL NOT NULL,
+        rbw_hz REAL NOT NULL,
+        enbw_hz REAL NOT NULL,
+        sweep_time_s REAL NOT NULL,
+        power_dbm BLOB NOT NULL,
+        UNIQUE (epoch_us, sweep)
+    );
+    CREATE TABLE tally (name TEXT PRIMARY KEY, count INTEGER NOT NULL) WITHOUT ROWID;
+    """,
+)
+
+#: the file is not what it was; nothing of it can be relied on
+_DAMAGED = frozenset({sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB})
+#: the connection is as good as before, only the disk does not take anything
+_UNHARMED = frozenset({sqlite3.SQLITE_FULL, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED})
+
+
+class SpoolError(Exception):
+    """A spool cannot be used as asked."""
+
+
+class SpoolFileError(SpoolError):
+    """The file is good, but not for this: of a later version, or of another spacecraft or source."""
+
+
+class SpoolDamagedError(SpoolError):
+    """The file is no database, or its content contradicts itself."""
+
+
+def primary_code(error: sqlite3.Error) -> int:
+    """Return SQLite's primary result code of an error, 0 when it has none."""
+    return (getattr(error, "sqlite_errorcode", 0) or 0) & 0xFF
+
+
+def is_damage(error: sqlite3.Error) -> bool:
+    """Tell whether an error says that the file is spoiled."""
+    return primary_code(error) in _DAMAGED
+
+
+def leaves_connection_good(error: sqlite3.Error) -> bool:
+    """Tell whether the connection may be used on after an error."""
+    return primary_code(error) in _UNHARMED
+
+
+def connect(path: Path) -> sqlite3.Connection:
+    """Return a connection for any thread, one at a time; a commit that returned survives a loss of power."""
+    connection = sqlite3.connect(path, timeout=_BUSY_S, isolation_level=None, check_same_thread=False)
+    try:
+        connection.execute("PRAGMA auto_vacuum=INCREMENTAL")
+        connection.execute("PRAGMA journal_mode=WAL")
+        connection.execute("PRAGMA synchronous=FULL")
+        connection.execute(f"PRAGMA journal_size_limit={_LOG_BYTES}")
+        connection.execute("PRAGMA temp_store=MEMORY")
+        # rows that are settled while the disk takes nothing; it lives and dies with the connection
+        connection.execute("CREATE TEMP TABLE gone (epoch_us INTEGER PRIMARY KEY)")
+    except sqlite3.Error:
+        connection.close()
+        raise
+    return connection
+
+
+def check(connection: sqlite3.Connection) -> None:
+    """Raise SpoolDamagedError when the file contradicts itself; a hundred megabytes take a quarter of a second."""
+    said = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
+    if said != "ok":
+        raise SpoolDamagedError(said)
+
+
+def migrate(connection: sqlite3.Connection, migrations: tuple[str, ...] = MIGRATIONS) -> None:
+    """Bring a file to the newest schema, one transaction a version.
+
+    Raises
+    ------
+    SpoolFileError
+        A later version of this program wrote the file.
+    """
+    version = int(connection.execute("PRAGMA user_version").fetchone()[0])
+    if version > len(migrations):
+        message = f"the spool has schema {version}, this program knows {len(migrations)}: use the newer program"
+        raise SpoolFileError(message)
+    for number, script in enumerate(migrations[version:], start=version + 1):
+        with transaction(connection):
+            for statement in script.split(";"):
+                connection.execute(statement)
+            connection.execute(f"PRAGMA user_version={number}")
+
+
+@contextmanager
+def transaction(connection: sqlite3.Connection) -> Iterator[None]:
+    """Commit what is done inside, or leave nothing of it."""
+    connection.execute("BEGIN IMMEDIATE")
+    try:
+        yield
+        connection.execute("COMMIT")
+    except BaseException:
+        if connection.in_transaction:
+            connection.execute("ROLLBACK")
+        raise
