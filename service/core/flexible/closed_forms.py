@@ -1,0 +1,122 @@
+"""What can be said of limit cycles without following them.
+
+With Delta = eps_a tau the gain of speed in a pulse and v the speed at firing, outward, rad/s. The exact forms hold
+without viscous loss (c = 0); `limit_cycle` has the exact figures for any.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from service.core.flexible.propagation import FloatArray
+from service.core.flexible.return_kernels import OneSided
+from service.core.flexible.roots import brent_root
+from service.core.flexible.spacecraft import WheelDrive, accelerations
+
+
+class SinglePulseForms(NamedTuple):
+    """Cycle of one pulse, by formula."""
+
+    #: at firing, c = 0
+    speed_rad_s: float
+    period_s: float
+    #: below and above the line
+    inner_depth_rad: float
+    overshoot_rad: float
+    #: -(1 + 2 eps_c / eps_a), c = 0
+    multiplier_frictionless: float
+    #: with viscous loss to first order
+    multiplier: float
+    #: of the printed (23), which lacks the displacement theta' tau
+    multiplier_truncated: float
+    #: loss at the momentum limit above which the cycle is stable, N m
+    critical_viscous_loss_n_m: float
+
+
+def single_pulse_forms(drive: WheelDrive, pulse_s: float) -> SinglePulseForms:
+    """Return the closed forms of the cycle of one pulse.
+
+    Examples
+    --------
+    >>> forms = single_pulse_forms(WheelDrive(1000.0, 0.2, 1e-3, 1e-4, momentum_n_m_s=10.0), 1.0)
+    >>> [round(value, 6) for value in (forms.multiplier_frictionless, forms.multiplier, forms.multiplier_truncated)]
+    [-1.010555, -1.009917, -0.9895]
+    """
+    passive, pulse, viscous = accelerations(drive)
+    ratio = passive / pulse
+    speed = 0.5 * pulse * pulse_s
+    steepness = -(1.0 + 2.0 * ratio)
+    # the loss that stabilises stands beside dry friction alone
+    dry = drive.dry_friction_n_m
+    dry_ratio = dry / (drive.motor_torque_n_m - dry)
+    return SinglePulseForms(
+        speed_rad_s=speed,
+        period_s=cycle_period_s(drive, pulse_s, 1),
+        inner_depth_rad=0.5 * speed**2 / passive,
+        overshoot_rad=0.5 * speed**2 / pulse,
+        multiplier_frictionless=steepness,
+        multiplier=steepness * (1.0 - 4.0 * viscous * speed / (3.0 * passive)),
+        multiplier_truncated=-(1.0 - ratio) / (1.0 + ratio),
+        critical_viscous_loss_n_m=3.0 * drive.momentum_limit_n_m_s * dry_ratio**2 / pulse_s,
+    )
+
+
+def cycle_period_s(drive: WheelDrive, pulse_s: float, pulses: int) -> float:
+    """Return the period of a cycle, s: N pulses make good what friction takes, equation (25); exact for any loss."""
+    passive, _, _ = accelerations(drive)
+    return pulses * drive.motor_torque_n_m * pulse_s / (passive * drive.inertia_kg_m2)
+
+
+def truncated_succession(speeds_rad_s: FloatArray, motion: OneSided) -> FloatArray:
+    """Return the succession (S,) that follows from (23) as printed, without the displacement theta' tau in a pulse."""
+    gained = motion.pulse_rad_s2 * motion.pulse_s
+    passive_part = motion.passive_rad_s2 * motion.pulse_rad_s2 * motion.pulse_s**2
+    return np.sqrt((speeds_rad_s - gained) ** 2 + passive_part)
+
+
+def frictionless_succession(speeds_rad_s: FloatArray, motion: OneSided) -> FloatArray:
+    """Return the succession (S,) of a single pulse without viscous loss; NaN where the body turns before the line."""
+    gained = motion.pulse_rad_s2 * motion.pulse_s
+    fallen = 2.0 * motion.passive_rad_s2 * motion.pulse_s * (speeds_rad_s - 0.5 * gained)
+    square = (speeds_rad_s - gained) ** 2 - fallen
+    return np.sqrt(np.where(square >= 0.0, square, np.nan))
+
+
+class StaggeredForms(NamedTuple):
+    """Cycle of N pulses at N lines with instantaneous pulses."""
+
+    #: (N,) at each line
+    speeds_rad_s: FloatArray
+    multiplier: float
+
+
+def staggered_forms(motion: OneSided) -> StaggeredForms | None:
+    """Return the cycle of all lines in the limit of instantaneous pulses without viscous loss; None: there is none.
+
+    The sum of ``v_i - Delta / 2`` is zero, ``v_i+1^2 = (Delta - v_i)^2 + 2 eps_c (L_i+1 - L_i)``, and the multiplier is
+    minus the product of ``(Delta - v_i) / v_i+1``, for an odd number of pulses; an even number has no fixed cycle.
+    """
+    gained = motion.pulse_rad_s2 * motion.pulse_s
+
+    def balance(first: float) -> float:
+        return float(np.sum(_staggered_speeds(first, motion)[:-1] - 0.5 * gained))
+
+    if motion.pulse_count % 2 == 0 or balance(0.0) * balance(gained) > 0.0:
+        return None
+    speeds = _staggered_speeds(brent_root(balance, 0.0, gained), motion)
+    if np.isnan(speeds).any():
+        return None
+    ratio = (gained - speeds[:-1]) / speeds[1:]
+    return StaggeredForms(speeds[:-1], -float(np.prod(ratio)))
+
+
+def _staggered_speeds(first: float, motion: OneSided) -> FloatArray:
+    """Return the speeds at the lines and at the return to the first, (N + 1,)."""
+    gained = motion.pulse_rad_s2 * motion.pulse_s
+    climb = 2.0 * motion.passive_rad_s2 * motion.line_step_rad
+    steps = [climb] * (motion.pulse_count - 1) + [-(motion.pulse_count - 1) * climb]
+    speeds = [first]
+    for step in steps:
+        speeds.append(math.sqrt(max((gained - speeds[-1]) ** 2 + step, 0.0)))
+    return np.array(speeds)

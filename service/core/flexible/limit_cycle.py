@@ -1,0 +1,216 @@
+"""Limit cycles of the pulse law: fixed points of the succession function, their multipliers and amplitudes."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from service.core.flexible.closed_forms import SinglePulseForms, single_pulse_forms
+from service.core.flexible.propagation import FloatArray
+from service.core.flexible.return_kernels import OneSided, one_return
+from service.core.flexible.roots import brent_root
+from service.core.flexible.spacecraft import WheelDrive
+from service.core.flexible.succession import koenigs_lamerey, one_sided_motion, succession
+from service.core.flexible.switching_law import SwitchingLaw
+
+#: speeds tried between 0 and the gain of one pulse; narrower branches between two jumps are not seen
+SCANNED_SPEEDS = 400
+#: what a root of f(w) - w may leave, in gains of one pulse: more is a jump
+_JUMP = 1e-9
+#: step of the central difference, in gains of one pulse
+_DIFFERENCE_STEP = 1e-4
+_HALVINGS = 10
+
+
+class LimitCycle(NamedTuple):
+    """One periodic motion."""
+
+    #: w*, at the first line
+    speed_rad_s: float
+    period_s: float
+    #: least and greatest angle from zero
+    inner_rad: float
+    outer_rad: float
+    #: greatest rate at a switching
+    rate_rad_s: float
+    pulses: int
+    #: slope of the succession function at w*
+    multiplier: float
+    is_stable: bool
+    #: (least, greatest)
+    momentum_n_m_s: tuple[float, float]
+    #: the momentum keeps its sign and its limit; otherwise friction does not act as was assumed and the figures do not
+    #: belong to this drive
+    is_momentum_consistent: bool
+
+
+class LimitCycleAnalysis(NamedTuple):
+    """Everything about the cycles of one axis."""
+
+    cycles: tuple[LimitCycle, ...]
+    #: closed forms of the single pulse
+    forms: SinglePulseForms
+    passive_rad_s2: float
+    pulse_rad_s2: float
+    #: succession function: (S,) speeds and (S,) speeds of the next arrivals, NaN = none
+    speeds_rad_s: FloatArray
+    next_speeds_rad_s: FloatArray
+    #: (C, 2) corners of the ladder from the chosen start
+    ladder_rad_s: FloatArray
+
+
+def find_limit_cycles(drive: WheelDrive, law: SwitchingLaw) -> tuple[LimitCycle, ...]:
+    """Return the cycles that return to the first line after one visit, by speed.
+
+    Cycles that close after several visits are not looked for.
+
+    Raises
+    ------
+    ValueError
+        No one-sided motion (see `one_sided_motion`).
+
+    Examples
+    --------
+    >>> drive = WheelDrive(1000.0, 0.2, 1e-3, 1e-4, momentum_n_m_s=10.0)
+    >>> (cycle,) = find_limit_cycles(drive, SwitchingLaw(0.0175, 0.0349, 1.0))
+    >>> round(cycle.period_s, 4), round(cycle.multiplier, 4), cycle.is_stable
+    (190.4762, -1.0099, False)
+    """
+    motion = one_sided_motion(drive, law)
+    return tuple(_describe(speed, motion, drive) for speed in _fixed_speeds(motion))
+
+
+def analyse_limit_cycle(  # everything that the REST route shows
+    *,
+    inertia_kg_m2: float,
+    motor_torque_n_m: float,
+    dry_friction_n_m: float,
+    viscous_loss_n_m: float,
+    momentum_limit_n_m_s: float,
+    momentum_n_m_s: float,
+    alpha_rad: float,
+    beta_rad: float,
+    pulse_s: float,
+    pulse_count: int = 1,
+    line_step_rad: float = 0.0,
+    external_torque_n_m: float = 0.0,
+    start_speed_rad_s: float | None = None,
+    returns: int = 50,
+    map_points: int = 200,
+) -> LimitCycleAnalysis:
+    """Return limit cycles, closed forms, succession function and ladder of one axis.
+
+    Parameters
+    ----------
+    inertia_kg_m2, motor_torque_n_m, dry_friction_n_m, viscous_loss_n_m, momentum_limit_n_m_s, momentum_n_m_s,
+    external_torque_n_m : float
+        As in `WheelDrive`.
+    alpha_rad, beta_rad, pulse_s, pulse_count, line_step_rad
+        As in `SwitchingLaw`.
+    start_speed_rad_s : float or None, rad/s
+        First arrival of the ladder; default half the speed that one pulse gives, moved by a tenth.
+    returns : int
+        Returns of the ladder.
+    map_points : int
+        Points of the succession function between 0 and the gain of a pulse.
+
+    Raises
+    ------
+    ValueError
+        Something is not physical; the message says what and what to do.
+    """
+    drive = WheelDrive(
+        inertia_kg_m2,
+        motor_torque_n_m,
+        dry_friction_n_m,
+        viscous_loss_n_m,
+        momentum_limit_n_m_s,
+        momentum_n_m_s,
+        external_torque_n_m,
+    )
+    law = SwitchingLaw(alpha_rad, beta_rad, pulse_s, pulse_count, line_step_rad)
+    motion = one_sided_motion(drive, law)
+    if returns < 1 or map_points < 2:
+        raise ValueError(f"returns is {returns} and map_points {map_points}; at least 1 and 2 are needed")
+    gained = motion.pulse_rad_s2 * motion.pulse_s
+    speeds = np.linspace(0.0, gained, map_points + 1)[1:]
+    start = 0.55 * gained if start_speed_rad_s is None else start_speed_rad_s
+    if not (math.isfinite(start) and start > 0.0):
+        raise ValueError(f"start_speed_rad_s is {start:g}, an arrival at the line needs a speed above 0")
+    return LimitCycleAnalysis(
+        cycles=find_limit_cycles(drive, law),
+        forms=single_pulse_forms(drive, pulse_s),
+        passive_rad_s2=motion.passive_rad_s2,
+        pulse_rad_s2=motion.pulse_rad_s2,
+        speeds_rad_s=speeds,
+        next_speeds_rad_s=succession(speeds, motion),
+        ladder_rad_s=koenigs_lamerey(start, returns, motion),
+    )
+
+
+def cycle_multiplier(speed_rad_s: float, motion: OneSided) -> float:
+    """Return the slope of the succession function; NaN where a jump is too near on both sides of every step tried."""
+    step = _DIFFERENCE_STEP * motion.pulse_rad_s2 * motion.pulse_s
+    pulses = one_return(speed_rad_s, motion).pulses
+    for _ in range(_HALVINGS):
+        low, high = one_return(speed_rad_s - step, motion), one_return(speed_rad_s + step, motion)
+        if low.pulses == pulses == high.pulses:
+            return (high.rate_rad_s - low.rate_rad_s) / (2.0 * step)
+        step *= 0.5
+    return math.nan
+
+
+def critical_viscous_loss_n_m(drive: WheelDrive, law: SwitchingLaw) -> float:
+    """Return the viscous loss M_v above which the cycle of one pulse is stable, N m: exact multiplier -1.
+
+    The formula of `single_pulse_forms` gives the first guess; the sign of the momentum is taken as kept.
+    """
+    guess = single_pulse_forms(drive, law.pulse_s).critical_viscous_loss_n_m
+
+    def above_minus_one(loss_n_m: float) -> float:
+        motion = one_sided_motion(drive._replace(viscous_loss_n_m=loss_n_m), law)
+        return cycle_multiplier(_single_pulse_speed(motion), motion) + 1.0
+
+    return brent_root(above_minus_one, 0.5 * guess, 2.0 * guess, 1e-12)
+
+
+def _single_pulse_speed(motion: OneSided) -> float:
+    """Return the fixed point near half the gain of one pulse."""
+    gained = motion.pulse_rad_s2 * motion.pulse_s
+    return brent_root(lambda speed: one_return(speed, motion).rate_rad_s - speed, 0.4 * gained, 0.6 * gained)
+
+
+def _fixed_speeds(motion: OneSided) -> list[float]:
+    """Return the fixed points of the succession function between 0 and the gain of one pulse."""
+    gained = motion.pulse_rad_s2 * motion.pulse_s
+    speeds = np.linspace(0.0, gained, SCANNED_SPEEDS + 2)[1:-1]
+    excess = succession(speeds, motion) - speeds
+    found = []
+    for k in np.flatnonzero(excess[:-1] * excess[1:] <= 0.0):
+        speed = brent_root(lambda w: one_return(w, motion).rate_rad_s - w, float(speeds[k]), float(speeds[k + 1]))
+        if abs(one_return(speed, motion).rate_rad_s - speed) <= _JUMP * gained:
+            found.append(speed)
+    return found
+
+
+def _describe(speed: float, motion: OneSided, drive: WheelDrive) -> LimitCycle:
+    """Return what one visit from a fixed point tells."""
+    visit = one_return(speed, motion)
+    multiplier = cycle_multiplier(speed, motion)
+    # outward is against the momentum: the body's rate is minus u times its sign
+    side = math.copysign(1.0, drive.momentum_n_m_s)
+    ends = [drive.momentum_n_m_s - side * drive.inertia_kg_m2 * u for u in (visit.rate_min_rad_s, visit.rate_max_rad_s)]
+    low, high = min(ends), max(ends)
+    is_consistent = low * high > 0.0 and max(-low, high) <= drive.momentum_limit_n_m_s
+    return LimitCycle(
+        speed_rad_s=speed,
+        period_s=visit.elapsed_s,
+        inner_rad=visit.inner_rad,
+        outer_rad=visit.outer_rad,
+        rate_rad_s=max(-visit.rate_min_rad_s, visit.rate_max_rad_s),
+        pulses=visit.pulses,
+        multiplier=multiplier,
+        is_stable=abs(multiplier) < 1.0,
+        momentum_n_m_s=(low, high),
+        is_momentum_consistent=is_consistent,
+    )
