@@ -81,8 +81,8 @@ class Instrument:
 
     def reset(self, *, is_preset: bool = False) -> None:
         """``*RST``, or ``SYSTem:PRESet``: settings to their defaults; status and queues stay."""
-        self.abort()
         self._completion_wanted = False
+        self.abort()
         self.settings = reset_state(self.model, is_preset=is_preset)
         self.functions = FunctionSettings()
         self.invalidate()
