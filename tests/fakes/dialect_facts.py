@@ -39,8 +39,10 @@ class Facts:
     queue_depths: tuple[int, int] = (20, 30)
     #: an ASCII trace ends with a comma
     has_trailing_comma: bool = False
-    #: an ASCII trace begins with ``#A``, the number of digits and its length
+    #: an ASCII trace stands in a definite length block
     has_ascii_header: bool = False
+    #: what the query of a trace answers when there is none
+    no_trace: str = ""
 
 
 FACTS = {
@@ -95,7 +97,7 @@ FACTS = {
         points=751,
         points_query="SWE:POIN?",
         attenuation="POW:ATT",
-        rbw_asked_hz=60e3,
+        rbw_asked_hz=65e3,
         rbw_step_hz=100e3,
         span_per_rbw=100.0,
         is_continuous_after_reset=True,
@@ -122,5 +124,6 @@ FACTS = {
         is_continuous_after_preset=True,
         suffix_beyond="TRAC99:TYPE?",
         has_ascii_header=True,
+        no_trace="#0",
     ),
 }
