@@ -1,11 +1,15 @@
 """Faults of the line between instrument and client, armed from a test, each spent by one answer.
 
 Law of this file: nothing happens unless armed; a fault that needs a block waits for the next answer that has one.
+``faulty_line.py`` carries them out, on the raw socket and on HiSLIP alike.
 """
 
 import threading
 from collections import deque
 from enum import Enum
+
+#: how much later a LATE answer comes unless told otherwise, s
+LATE_BY_S = 2.0
 
 
 class LineFault(Enum):
@@ -23,6 +27,10 @@ class LineFault(Enum):
     RESET_IN_BLOCK = "reset_in_block"
     #: half of a block is sent, then nothing more
     HALF_BLOCK = "half_block"
+    #: the answer is withheld and sent right before the next one of its session
+    STALE = "stale"
+    #: the answer comes `LineFaults.late_by_s` later, those after it wait behind it
+    LATE = "late"
 
 
 _NEED_BLOCK = frozenset({LineFault.RESET_IN_BLOCK, LineFault.HALF_BLOCK})
@@ -33,6 +41,13 @@ GARBAGE_BYTES = b"\xff\xfe#x;;\x00\x80" * 8 + b"\n"
 
 class LineFaults:
     """Faults to come, in order; may be armed from any thread.
+
+    Attributes
+    ----------
+    is_silent_peer : bool
+        While it is set connections are accepted, messages are executed and no answer is ever sent.
+    late_by_s : float
+        How much later a LATE answer comes, s.
 
     Examples
     --------
@@ -45,6 +60,8 @@ class LineFaults:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._armed: deque[LineFault] = deque()
+        self.is_silent_peer = False
+        self.late_by_s = LATE_BY_S
 
     def arm(self, fault: LineFault, times: int = 1) -> None:
         """Let the next answers suffer this fault."""
@@ -52,9 +69,10 @@ class LineFaults:
             self._armed.extend([fault] * times)
 
     def disarm(self) -> None:
-        """Forget all faults to come."""
+        """Forget all faults to come; the peer speaks again."""
         with self._lock:
             self._armed.clear()
+            self.is_silent_peer = False
 
     @property
     def remaining(self) -> int:
@@ -64,6 +82,8 @@ class LineFaults:
 
     def take(self, answer: bytes) -> LineFault | None:
         """Spend the next fault on this answer, if it applies to it."""
+        if self.is_silent_peer:
+            return LineFault.SILENT
         with self._lock:
             if not self._armed or (self._armed[0] in _NEED_BLOCK and not answer.startswith(b"#")):
                 return None

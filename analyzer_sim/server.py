@@ -1,40 +1,35 @@
-"""Raw TCP server of the instrument: several sessions, one event loop. No SCPI is known here.
+"""The instrument on its ports: raw TCP and HiSLIP, several sessions of each, one event loop. No SCPI is known here.
 
-Bytes go to a framer, messages to a session, responses back to the stream, in order, one message at a time. While a
-sweep waits for permission the sessions that need it are held; the others are served.
+On the raw socket bytes go to a framer, messages to a session, responses back to the stream, in order, one message at a
+time; what has been written stays in the stream, whatever the client does next. There is no device clear on it, and no
+announcement by mDNS: a client is given the address.
 """
 
 import asyncio
-import socket
-import struct
 import threading
 from collections.abc import Awaitable, Callable
 from types import TracebackType
 
 from analyzer_sim.dialect import Dialect
 from analyzer_sim.dialect_rs import RS
+from analyzer_sim.dispatcher import Dispatcher, poll_permission
+from analyzer_sim.faulty_line import FaultyLine, LineEndedError
+from analyzer_sim.hislip_server import HislipServer
 from analyzer_sim.instrument import Instrument
-from analyzer_sim.line_faults import GARBAGE_BYTES, LineFault, LineFaults
-from analyzer_sim.scpi import MessageFramer, ProgramMessage
-from analyzer_sim.session import Session, command_tree
+from analyzer_sim.line_faults import LineFaults
+from analyzer_sim.scpi import MessageFramer
 
 _READ_BYTES = 1 << 16
-#: how often a permission that nobody announces is asked for, s
-_PERMISSION_POLL_S = 0.005
+#: what a stream buffers before it stops reading from the network; asyncio's own 64 KiB cut long blocks in pieces, bytes
+_STREAM_LIMIT_BYTES = 1 << 20
 #: longest wait for the server thread to come up or to end, s
 _THREAD_PATIENCE_S = 10.0
 
-
-class _LineEndedError(Exception):
-    """A fault has ended the connection."""
-
-
-async def _poll() -> None:
-    await asyncio.sleep(_PERMISSION_POLL_S)
+_Serve = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 
 
 class SimulatedAnalyzer:
-    """The instrument on a TCP port; an asynchronous context manager.
+    """The instrument on its TCP ports; an asynchronous context manager.
 
     Parameters
     ----------
@@ -48,6 +43,10 @@ class SimulatedAnalyzer:
         Returns when it is worth asking again whether the next row may be swept; polling when left out.
     host, port
         Where to listen; port 0 takes a free one.
+    alias_ports : tuple of int
+        Further ports of the raw socket.
+    hislip_port : int, optional
+        Port of HiSLIP, 0 takes a free one; not served when left out.
     """
 
     def __init__(
@@ -56,53 +55,95 @@ class SimulatedAnalyzer:
         dialect: Dialect = RS,
         *,
         faults: LineFaults | None = None,
-        permission: Callable[[], Awaitable[None]] = _poll,
+        permission: Callable[[], Awaitable[None]] = poll_permission,
         host: str = "127.0.0.1",
         port: int = 0,
+        alias_ports: tuple[int, ...] = (),
+        hislip_port: int | None = None,
     ) -> None:
         self.faults = faults or LineFaults()
-        self._instrument = instrument
-        self._dialect = dialect
-        self._tree = command_tree(dialect)
-        self._permission = permission
+        self._dispatcher = Dispatcher(instrument, dialect, permission)
+        self._hislip = HislipServer(self._dispatcher, self.faults)
         self._host = host
-        self._wanted_port = port
-        self._server: asyncio.Server | None = None
-        self._idle = asyncio.Event()
-        self._pump: asyncio.Task[None] | None = None
+        self._raw_ports = (port, *alias_ports)
+        self._wanted_hislip_port = hislip_port
+        self._servers: list[asyncio.Server] = []
         self._connections: set[asyncio.Task[None]] = set()
 
     @property
     def port(self) -> int:
-        """The port taken; only while the server runs."""
-        if self._server is None:
+        """The port taken by the raw socket; only while the server runs."""
+        return self._port_of(0)
+
+    @property
+    def alias_ports(self) -> tuple[int, ...]:
+        """The further ports taken by the raw socket."""
+        return tuple(self._port_of(number) for number in range(1, len(self._raw_ports)))
+
+    @property
+    def hislip_port(self) -> int | None:
+        """The port taken by HiSLIP, if it is served."""
+        return None if self._wanted_hislip_port is None else self._port_of(-1)
+
+    def _port_of(self, number: int) -> int:
+        if not self._servers:
             raise RuntimeError("the server does not run")
-        return int(self._server.sockets[0].getsockname()[1])
+        return int(self._servers[number].sockets[0].getsockname()[1])
 
     async def __aenter__(self) -> "SimulatedAnalyzer":
-        self._server = await asyncio.start_server(self._serve, self._host, self._wanted_port)
+        try:
+            for port in self._raw_ports:
+                await self._listen("SCPI", port, self._converse)
+            if self._wanted_hislip_port is not None:
+                await self._listen("HiSLIP", self._wanted_hislip_port, self._hislip.serve)
+        except OSError:
+            await self._stop()
+            raise
         return self
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._server is not None:
-            self._server.close()
-        tasks = [*self._connections, *([self._pump] if self._pump else [])]
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
-        self._server = None
+        await self._stop()
 
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    async def _listen(self, name: str, port: int, serve: _Serve) -> None:
+        """Open a port.
+
+        Raises
+        ------
+        OSError
+            It cannot be had; the text names it.
+        """
+
+        async def on_connection(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            await self._serve(serve, reader, writer)
+
+        try:
+            server = await asyncio.start_server(on_connection, self._host, port, limit=_STREAM_LIMIT_BYTES)
+        except OSError as error:
+            reason = str(error.strerror or error).rpartition(": ")[2].lower()
+            raise OSError(f"{name} port {port} of {self._host}: {reason}") from error
+        self._servers.append(server)
+
+    async def _stop(self) -> None:
+        for server in self._servers:
+            server.close()
+        self._servers = []
+        connections = tuple(self._connections)
+        for task in connections:
+            task.cancel()
+        await asyncio.gather(*connections, return_exceptions=True)
+        await self._dispatcher.close()
+
+    async def _serve(self, serve: _Serve, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Serve one connection until either side ends it."""
         task = asyncio.current_task()
         if task is not None:
             self._connections.add(task)
             task.add_done_callback(self._connections.discard)
         try:
-            await self._converse(reader, writer)
-        except (ConnectionError, _LineEndedError):
+            await serve(reader, writer)
+        except (ConnectionError, LineEndedError):
             pass  # the client left or a fault ended the line: either way this session is over
         except asyncio.CancelledError:
             writer.transport.abort()  # the server stops; asyncio wants this task to end without an exception
@@ -110,78 +151,30 @@ class SimulatedAnalyzer:
             writer.close()
 
     async def _converse(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        framer = MessageFramer()
-        session = Session(self._instrument, self._dialect, self._tree)
-        while data := await reader.read(_READ_BYTES):
-            for message in framer.feed(data):
-                response = await self._execute(session, message)
-                if response is not None:
-                    await self._send(writer, response)
-
-    async def _execute(self, session: Session, message: ProgramMessage) -> bytes | None:
-        """Run one message to its end, waiting where the session is held."""
-        session.submit(message)
-        while True:
-            response = session.run()
-            self._watch_pending()
-            if session.is_held:
-                await self._idle.wait()
-            elif session.is_busy:
-                await asyncio.sleep(0)
-            else:
-                return response
-
-    def _watch_pending(self) -> None:
-        """Keep the idle event true to the instrument; start the pump when a sweep has become pending."""
-        if not self._instrument.is_pending:
-            self._idle.set()
-            return
-        self._idle.clear()
-        if self._pump is None or self._pump.done():
-            self._pump = asyncio.create_task(self._complete_pending())
-
-    async def _complete_pending(self) -> None:
-        """Ask for permission until the pending sweep has run or was aborted."""
-        while not self._instrument.complete_pending():
-            await self._permission()
-        self._idle.set()
-
-    async def _send(self, writer: asyncio.StreamWriter, response: bytes) -> None:
-        fault = self.faults.take(response)
-        if fault is None:
-            writer.write(response)
-            await writer.drain()
-            return
-        writer.write(_spoiled(fault, response))
-        await writer.drain()
-        if fault in {LineFault.RESET, LineFault.RESET_IN_BLOCK}:
-            _reset(writer)
-        if fault in {LineFault.RESET, LineFault.RESET_IN_BLOCK, LineFault.CLOSE}:
-            raise _LineEndedError
-
-
-def _spoiled(fault: LineFault, response: bytes) -> bytes:
-    """Return what is sent in place of a response."""
-    if fault in {LineFault.RESET_IN_BLOCK, LineFault.HALF_BLOCK}:
-        return response[: len(response) // 2]
-    return GARBAGE_BYTES if fault is LineFault.GARBAGE else b""
-
-
-def _reset(writer: asyncio.StreamWriter) -> None:
-    """Make closing send RST: the peer's next read or write fails at once."""
-    line: socket.socket = writer.get_extra_info("socket")
-    line.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        """Serve a connection of the raw socket."""
+        framer, line = MessageFramer(), FaultyLine(writer, self.faults)
+        session = self._dispatcher.new_session()
+        try:
+            while data := await reader.read(_READ_BYTES):
+                for message in framer.feed(data):
+                    response = await self._dispatcher.execute(session, message)
+                    if response is not None:
+                        await line.send(response, (response,))
+        finally:
+            self._dispatcher.leave(session)
 
 
 class AnalyzerThread:
     """A simulated analyzer served from a thread of its own; made by :func:`start_in_thread`."""
 
-    def __init__(self, instrument: Instrument, dialect: Dialect, port: int, faults: LineFaults) -> None:
+    def __init__(self, analyzer: SimulatedAnalyzer, instrument: Instrument) -> None:
         self.instrument = instrument
-        self.faults = faults
-        #: the port taken
-        self.port = port
-        self._dialect = dialect
+        self.faults = analyzer.faults
+        #: the ports taken
+        self.port = 0
+        self.alias_ports: tuple[int, ...] = ()
+        self.hislip_port: int | None = None
+        self._analyzer = analyzer
         self._is_up = threading.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._stop_wanted: asyncio.Event | None = None
@@ -220,22 +213,30 @@ class AnalyzerThread:
     async def _serve(self) -> None:
         self._loop = asyncio.get_running_loop()
         self._stop_wanted = asyncio.Event()
-        async with SimulatedAnalyzer(self.instrument, self._dialect, faults=self.faults, port=self.port) as analyzer:
-            self.port = analyzer.port
+        async with self._analyzer as analyzer:
+            self.port, self.alias_ports, self.hislip_port = analyzer.port, analyzer.alias_ports, analyzer.hislip_port
             self._is_up.set()
             await self._stop_wanted.wait()
 
 
 def start_in_thread(
-    instrument: Instrument, port: int = 0, faults: LineFaults | None = None, dialect: Dialect = RS
+    instrument: Instrument,
+    port: int = 0,
+    faults: LineFaults | None = None,
+    dialect: Dialect = RS,
+    hislip_port: int | None = None,
+    alias_ports: tuple[int, ...] = (),
 ) -> AnalyzerThread:
     """Serve an instrument on 127.0.0.1 from a thread; use the handle as a context manager or call its ``stop``.
 
     Raises
     ------
     OSError
-        The port is taken.
+        A port is taken.
     """
-    handle = AnalyzerThread(instrument, dialect, port, faults or LineFaults())
+    analyzer = SimulatedAnalyzer(
+        instrument, dialect, faults=faults, port=port, hislip_port=hislip_port, alias_ports=alias_ports
+    )
+    handle = AnalyzerThread(analyzer, instrument)
     handle.start()
     return handle

@@ -17,6 +17,10 @@ from analyzer_sim.scpi_tree import CommandTree
 
 #: units run before the caller gets a turn to serve others
 UNITS_PER_RUN = 256
+#: largest response of one message; beyond it the client can only be deadlocked, bytes
+OUTPUT_LIMIT_BYTES = 16 << 20
+#: how a block begins whose end nothing but the end of the response tells (IEEE 488.2, 8.7.10)
+_INDEFINITE = b"#0"
 
 
 class Session:
@@ -39,6 +43,7 @@ class Session:
         self._units: deque[str] = deque()
         self._path: tuple[str, ...] = ()
         self._answers: list[bytes] = []
+        self._answer_bytes = 0
         self._is_held = False
         self._has_started = False
         is_alone = instrument.model.is_error_queue_per_session
@@ -54,11 +59,32 @@ class Session:
         """Whether units of the last message are left."""
         return bool(self._units)
 
-    def submit(self, message: ProgramMessage) -> None:
-        """Take the next program message; the one before must be finished."""
+    def clear(self) -> None:
+        """Device clear (IEEE 488.2, 5.8): drop the message that runs and its answers; the sweep goes on."""
+        self._units.clear()
+        self._empty()
+        self._is_held = False
+        self._instrument.forget_completion()
+
+    def push_error(self, code: int, detail: str = "") -> None:
+        """Queue an error that the transport has seen."""
+        self._instrument.status.errors = self._errors
+        self._instrument.status.push_error(code, detail)
+
+    def status_byte(self, *, has_response: bool) -> int:
+        """Return the status byte as this session sees it."""
+        self._instrument.status.errors = self._errors
+        return self._instrument.status.status_byte(has_response=has_response)
+
+    def _empty(self) -> None:
         self._path = ()
         self._answers = []
+        self._answer_bytes = 0
         self._has_started = False
+
+    def submit(self, message: ProgramMessage) -> None:
+        """Take the next program message; the one before must be finished."""
+        self._empty()
         self._instrument.status.errors = self._errors
         if message.is_overrun:
             self._instrument.status.push_error(-223, "program message too long")
@@ -83,6 +109,7 @@ class Session:
         try:
             unit = parse_unit(text)
             command, path = self._tree.find(unit, self._path)
+            self._check_end(unit)
             call = Call(self._instrument, bool(self._answers), (*path, unit.nodes[-1]))
             if self._must_wait(command, unit, call):
                 return False
@@ -92,6 +119,11 @@ class Session:
             self._instrument.status.push_error(error.code, error.detail)
         self._has_started = False
         return True
+
+    def _check_end(self, unit: Unit) -> None:
+        """Refuse a query behind an answer that only the end of the response ends (IEEE 488.2, 6.5.7.4)."""
+        if unit.is_query and self._answers and self._answers[-1].startswith(_INDEFINITE):
+            raise ScpiError(-440, unit.header)
 
     def _must_wait(self, command: Command, unit: Unit, call: Call) -> bool:
         """Tell whether the unit is held by a sweep; a query that starts its own is started once."""
@@ -104,8 +136,16 @@ class Session:
 
     def _answer(self, command: Command, unit: Unit, call: Call) -> None:
         answer = command.run(unit, call)
-        if answer is not None:
-            self._answers.append(answer if isinstance(answer, bytes) else answer.encode("ascii"))
+        if answer is None:
+            return
+        self._answers.append(answer if isinstance(answer, bytes) else answer.encode("ascii"))
+        self._answer_bytes += len(self._answers[-1])
+        if self._answer_bytes > OUTPUT_LIMIT_BYTES:
+            # the unit that runs stays first in line: `run` takes it out
+            del self._answers[:]
+            while len(self._units) > 1:
+                self._units.pop()
+            raise ScpiError(-430, "the response does not fit the output queue")
 
 
 def command_tree(dialect: Dialect) -> CommandTree[Command]:

@@ -1,0 +1,112 @@
+"""Runs program messages of many sessions on one instrument, one at a time, and wakes those who wait. No transport.
+
+A message waits where its session is locked out, and a session is held where a unit needs the pending sweep; the others
+are served meanwhile. Everything happens on one event loop, so a turn of a session is never interrupted.
+"""
+
+import asyncio
+from collections.abc import Awaitable, Callable
+
+from analyzer_sim.dialect import Dialect
+from analyzer_sim.instrument import Instrument
+from analyzer_sim.lock_table import LockTable
+from analyzer_sim.scpi import ProgramMessage
+from analyzer_sim.session import Session, command_tree
+
+#: how often a permission that nobody announces is asked for, s
+_PERMISSION_POLL_S = 0.005
+
+
+async def poll_permission() -> None:
+    """Return when it is worth asking again, for a permission that nobody announces."""
+    await asyncio.sleep(_PERMISSION_POLL_S)
+
+
+class Dispatcher:
+    """What all transports of one instrument share.
+
+    Parameters
+    ----------
+    instrument : Instrument
+        Shared by all sessions.
+    dialect : Dialect
+        The language spoken.
+    permission : callable
+        Returns when it is worth asking again whether the next row may be swept.
+
+    Attributes
+    ----------
+    locks : LockTable
+        Who may run; a client is its session.
+    watchers : set of callables
+        Called after every change a client could be told of.
+    """
+
+    def __init__(
+        self,
+        instrument: Instrument,
+        dialect: Dialect,
+        permission: Callable[[], Awaitable[None]] = poll_permission,
+    ) -> None:
+        self.locks = LockTable()
+        self.watchers: set[Callable[[], None]] = set()
+        self.instrument = instrument
+        self._dialect = dialect
+        self._tree = command_tree(dialect)
+        self._permission = permission
+        self._changed = asyncio.Event()
+        self._pump: asyncio.Task[None] | None = None
+
+    def new_session(self) -> Session:
+        """Return the parser and output of a new client."""
+        return Session(self.instrument, self._dialect, self._tree)
+
+    async def execute(self, session: Session, message: ProgramMessage) -> bytes | None:
+        """Run one message to its end, waiting where the session is locked out or held; return its response."""
+        while not self.locks.may_run(session):
+            await self.change()
+        session.submit(message)
+        while True:
+            response = session.run()
+            self.look_around()
+            if session.is_held:
+                await self.change()
+            elif session.is_busy:
+                await asyncio.sleep(0)
+            else:
+                return response
+
+    async def change(self) -> None:
+        """Return after the next change of sweep or locks."""
+        await self._changed.wait()
+
+    def announce(self) -> None:
+        """Wake everybody who waits for a change."""
+        self._changed.set()
+        self._changed = asyncio.Event()
+
+    def leave(self, session: Session) -> None:
+        """Take the locks of a client that has left."""
+        self.locks.drop(session)
+        self.announce()
+
+    def look_around(self) -> None:
+        """Act on what a turn may have changed."""
+        if not self.instrument.is_pending:
+            self.announce()
+        elif self._pump is None or self._pump.done():
+            self._pump = asyncio.create_task(self._complete_pending())
+        for watcher in tuple(self.watchers):
+            watcher()
+
+    async def _complete_pending(self) -> None:
+        """Ask for permission until the pending sweep has run or was aborted."""
+        while not self.instrument.complete_pending():
+            await self._permission()
+        self.look_around()
+
+    async def close(self) -> None:
+        """End what runs in the background."""
+        if self._pump is not None:
+            self._pump.cancel()
+            await asyncio.gather(self._pump, return_exceptions=True)
