@@ -1,0 +1,175 @@
+"""Rows of float32 values as text, in a loop that numba compiles: epoch, then the values, between fixed pieces.
+
+Law of this file: numbers and arrays only, so that numba compiles it without help; what it cannot write it says so by a
+negative length, and the caller writes that block by other means. A value is written with the fewest decimals that read
+back to it: the trial begins with a number of decimals at which neighbouring float32 are told apart, so that one
+multiplication and one division find nearly every level that was rounded to five decimals.
+"""
+
+from collections.abc import Callable
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+Bytes = NDArray[np.uint8]
+#: bytes of an epoch, ``2026-11-21T00:00:00.000000Z``
+EPOCH_BYTES = 27
+#: bytes of a value and its comma at most: sign, seven digits, point, nine decimals, comma
+VALUE_BYTES = 19
+#: instants that the calendar below is meant for: 1970 to 9999
+LAST_EPOCH_US = 253_402_300_800_000_000
+
+FillRows = Callable[[Bytes, NDArray[np.int64], NDArray[np.float32], Bytes, Bytes, Bytes, Bytes], int]
+
+_POWERS = np.array([10**k for k in range(18)], dtype=np.int64)
+_DIGIT = ord("0")
+
+
+def fill_rows(
+    out: Bytes,
+    epochs_us: NDArray[np.int64],
+    values: NDArray[np.float32],
+    before: Bytes,
+    between: Bytes,
+    absent: Bytes,
+    after: Bytes,
+) -> int:
+    """Write ``before epoch between value,value,.. after`` for each row into ``out``; return the bytes written.
+
+    Parameters
+    ----------
+    out : ndarray of uint8
+        Long enough for every row.
+    epochs_us : ndarray, shape (T,)
+        Microseconds UTC, 1970 to 9999.
+    values : ndarray of float32, shape (T, N)
+        NaN is written as ``absent``.
+    before, between, absent, after : ndarray of uint8
+        Fixed pieces of a row.
+
+    Returns
+    -------
+    int
+        -1 when a value has no text of at most nine decimals and seven digits before the point.
+    """
+    at = 0
+    for row in range(len(epochs_us)):
+        at = _put_bytes(out, at, before)
+        at = _put_epoch(out, at, epochs_us[row])
+        at = _put_bytes(out, at, between)
+        for column in range(values.shape[1]):
+            if column > 0:
+                out[at] = 44  # comma
+                at += 1
+            value = values[row, column]
+            at = _put_bytes(out, at, absent) if np.isnan(value) else _put_value(out, at, value)
+            if at < 0:
+                return -1
+        at = _put_bytes(out, at, after)
+    return at
+
+
+def _put_bytes(out: Bytes, at: int, piece: Bytes) -> int:
+    """Write a fixed piece at a place; return the next place."""
+    for byte in piece:
+        out[at] = byte
+        at += 1
+    return at
+
+
+def _put_value(out: Bytes, at: int, value: np.float32) -> int:
+    """Write one finite value at a place; return the next place, -1 when it does not fit the form."""
+    size = np.float32(abs(value))
+    wide = np.float64(size)
+    if wide >= 1e7 or (wide > 0.0 and wide < 1e-3):
+        return -1
+    decimals = 5
+    for limit in (128.0, 1024.0, 8192.0, 131072.0, 1048576.0):
+        if wide >= limit:
+            decimals -= 1
+    digits = np.int64(wide * _POWERS[decimals] + 0.5)
+    while np.float32(digits / _POWERS[decimals]) != size:
+        decimals += 1
+        if decimals > 9:
+            return -1
+        digits = np.int64(wide * _POWERS[decimals] + 0.5)
+    while decimals > 0 and digits % 10 == 0:
+        digits //= 10
+        decimals -= 1
+    if np.signbit(value):
+        out[at] = 45  # minus
+        at += 1
+    return _put_decimal(out, at, digits, decimals)
+
+
+def _put_decimal(out: Bytes, at: int, digits: np.int64, decimals: int) -> int:
+    """Write ``digits / 10^decimals`` at a place, from its last digit on; return the next place."""
+    length = decimals + 1
+    while length < 17 and digits >= _POWERS[length]:
+        length += 1
+    end = at + length + (1 if decimals > 0 else 0)
+    place = end - 1
+    for _ in range(decimals):
+        out[place] = _DIGIT + digits % 10
+        digits //= 10
+        place -= 1
+    if decimals > 0:
+        out[place] = 46  # point
+        place -= 1
+    while place >= at:
+        out[place] = _DIGIT + digits % 10
+        digits //= 10
+        place -= 1
+    return end
+
+
+def _put_epoch(out: Bytes, at: int, epoch_us: np.int64) -> int:
+    """Write one epoch at a place; return the next place."""
+    days = epoch_us // 86_400_000_000
+    rest = epoch_us - days * 86_400_000_000
+    # the calendar counts from 0000-03-01, so that the leap day is the last of its year
+    shifted = days + 719_468
+    era = shifted // 146_097
+    day_of_era = shifted - era * 146_097
+    year_of_era = (day_of_era - day_of_era // 1460 + day_of_era // 36_524 - day_of_era // 146_096) // 365
+    day_of_year = day_of_era - (365 * year_of_era + year_of_era // 4 - year_of_era // 100)
+    month_from_march = (5 * day_of_year + 2) // 153
+    day = day_of_year - (153 * month_from_march + 2) // 5 + 1
+    month = month_from_march + 3 if month_from_march < 10 else month_from_march - 9
+    year = year_of_era + era * 400 + (1 if month <= 2 else 0)
+    at = _put_digits(out, at, year, 4, 45)
+    at = _put_digits(out, at, month, 2, 45)
+    at = _put_digits(out, at, day, 2, 84)
+    at = _put_digits(out, at, rest // 3_600_000_000, 2, 58)
+    at = _put_digits(out, at, rest // 60_000_000 % 60, 2, 58)
+    at = _put_digits(out, at, rest // 1_000_000 % 60, 2, 46)
+    return _put_digits(out, at, rest % 1_000_000, 6, 90)
+
+
+def _put_digits(out: Bytes, at: int, number: np.int64, length: int, mark: int) -> int:
+    """Write a number of fixed length and the mark after it; return the next place."""
+    for place in range(at + length - 1, at - 1, -1):
+        out[place] = _DIGIT + number % 10
+        number //= 10
+    out[at + length] = mark
+    return at + length + 1
+
+
+@lru_cache(maxsize=1)
+def compiled_fill_rows() -> FillRows:
+    """Return ``fill_rows`` compiled; machine code is kept between processes where there is a place for it."""
+    from numba import njit
+    from numba.extending import register_jitable
+
+    register_jitable(_put_bytes)
+    register_jitable(_put_decimal)
+    register_jitable(_put_digits)
+    register_jitable(_put_epoch)
+    register_jitable(_put_value)
+    try:
+        compiled: FillRows = njit(nogil=True, error_model="numpy", cache=True)(fill_rows)
+    except RuntimeError:
+        # a file system that is read only: numba finds no place for its cache
+        compiled = njit(nogil=True, error_model="numpy")(fill_rows)
+    return compiled
