@@ -1,13 +1,14 @@
-"""Storage: the three repositories over one database; implements ``service.ports.Storage``."""
+"""Storage: the repositories over one database; implements ``service.ports.Storage``."""
 
 from sqlalchemy import select
 
 from db.archive import SqlArchive
 from db.catalogue import SqlCatalogue
 from db.database import Database
+from db.links import SqlLinks
 from db.results import SqlResults
 from db.tables import head
-from service.ports import Archive, Catalogue, Results
+from service.ports import Archive, Catalogue, Links, Results
 
 
 class SqlStorage:
@@ -27,12 +28,14 @@ class SqlStorage:
     catalogue: Catalogue
     archive: Archive
     results: Results
+    links: Links
 
     def __init__(self, url: str) -> None:
         self._database = Database(url)
         self.catalogue = SqlCatalogue(self._database)
         self.archive = SqlArchive(self._database)
         self.results = SqlResults(self._database)
+        self.links = SqlLinks(self._database)
 
     def migrate(self) -> None:
         """Bring the schema to the present version."""

@@ -3,7 +3,7 @@
 ``Archive`` holds the promise of the product: when an append returns a receipt, what it counts as accepted is durable,
 visible and counted once. Every call may raise StorageError. Unknown names raise NotFoundError with the codes
 ``spacecraft.unknown``, ``plan.unknown``, ``ephemeris.unknown``, ``calibration.unknown``, ``alignment.unknown``,
-``operation.unknown``, ``source.unknown``, ``job.unknown``, ``replay.unknown``.
+``operation.unknown``, ``source.unknown``, ``job.unknown``, ``replay.unknown``, ``link.unknown``.
 """
 
 from collections.abc import Sequence
@@ -25,6 +25,7 @@ from service.records.command import AppliedCommand, TorqueCommand
 from service.records.inputs import Operation
 from service.records.job import Job, JobState, Replay
 from service.records.journal import JournalEntry, SlowInput
+from service.records.link import LinkReport, LinkState
 from service.records.measurement import BatchReceipt, Measurement, MeasurementBatch
 from service.records.series import HeadState, InputReceipt, MeasurementSeries, ReferenceSeries, SourceState
 
@@ -306,12 +307,44 @@ class Results(Protocol):
         ...
 
 
+class Links(Protocol):
+    """What front ends report of themselves, and what operators want of them."""
+
+    def report(self, reports: Sequence[LinkReport], at_us: int) -> tuple[LinkState, ...]:
+        """Store the newest reports in one transaction and return the state of each link; a new link is enabled.
+
+        ConflictError ``link.too_many``: a thousand links are known already.
+        """
+        ...
+
+    def links(self, spacecraft_id: str | None = None) -> tuple[LinkState, ...]:
+        """Return all links, or those of one spacecraft, in order of id."""
+        ...
+
+    def link(self, link_id: str) -> LinkState:
+        """Return one link; NotFoundError ``link.unknown``."""
+        ...
+
+    def set_enabled(self, link_id: str, *, enabled: bool) -> LinkState:
+        """Say whether a link shall work; it stays so until it is said otherwise."""
+        ...
+
+    def request_reset(self, link_id: str) -> LinkState:
+        """Count one more reset that is wanted of a link."""
+        ...
+
+    def remove(self, link_id: str) -> None:
+        """Forget a link; it comes back with its next report, enabled."""
+        ...
+
+
 class Storage(Protocol):
     """One database seen as a whole."""
 
     catalogue: Catalogue
     archive: Archive
     results: Results
+    links: Links
 
     def migrate(self) -> None:
         """Bring the schema to the present version."""

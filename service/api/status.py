@@ -1,6 +1,10 @@
 """State of one spacecraft, put together from what archive, results and clock say; the stream tells the same."""
 
+from typing import Any
+
 from service.api.deps import ApiContext
+from service.api.links import links_told
+from service.api.schemas.links import LinkAnswer
 from service.api.schemas.status import StatusAnswer
 from service.api.validity import newest_attitude, newest_command
 from service.records.attitude import AttitudeRow
@@ -32,16 +36,40 @@ def status_of(context: ApiContext, spacecraft_id: str) -> StatusAnswer:
             "methods_disagree": context.supervisor.is_disagreeing(spacecraft_id),
             "clock": "data" if clock.is_data(spacecraft_id) else "system",
             "now": clock.now_us(spacecraft_id),
-            "links": [
-                {"source": link.id, "role": link.role, "newest_epoch": link.newest_epoch_us, "rows": link.rows}
-                for link in storage.archive.sources(spacecraft_id)
-            ],
+            "links": _links(context, spacecraft_id),
             "interlock": {"state": "INHIBITED" if reasons else "ENGAGED", "reasons": reasons},
             "method": spacecraft.control.method,
             "calibration_id": active[0].id if active else None,
             "alignment_id": alignments[0].id if alignments else None,
         }
     )
+
+
+def _links(context: ApiContext, spacecraft_id: str) -> list[dict[str, Any]]:
+    """Return every source with the links that carry it, then links that have brought nothing yet."""
+    told = links_told(context, context.storage.links.links(spacecraft_id))
+    found = []
+    for source in context.storage.archive.sources(spacecraft_id):
+        seen = {
+            "source": source.id,
+            "role": source.role,
+            "newest_epoch": source.newest_epoch_us,
+            "rows": source.rows,
+            "rows_missing": source.rows_missing,
+        }
+        carrying: list[LinkAnswer | None] = [link for link in told if link.source == source.id]
+        found += [{**seen, **_reported(link)} for link in carrying or [None]]
+    known = {entry["source"] for entry in found}
+    unseen = {"role": None, "newest_epoch": None, "rows": None, "rows_missing": None}
+    found += [{"source": link.source, **unseen, **_reported(link)} for link in told if link.source not in known]
+    return found
+
+
+def _reported(link: LinkAnswer | None) -> dict[str, Any]:
+    """Return what a link reports; nulls where none does."""
+    names = ("id", "kind", "state", "enabled", "age_s", "last_good_age_s")
+    warnings = [] if link is None else link.warnings
+    return {**{name: getattr(link, name, None) for name in names}, "warnings": warnings}
 
 
 def _reasons(spacecraft: Spacecraft, newest: TorqueCommand | AttitudeRow | None) -> list[str]:

@@ -14,6 +14,7 @@ from service.api.routes import (
     health,
     inputs,
     jobs,
+    links,
     measurements,
     measurements_ingest,
     operations,
@@ -46,5 +47,7 @@ ROUTERS: tuple[APIRouter, ...] = (
     export.router,
     replays.router,
     jobs.router,
+    links.report_router,
+    links.router,
 )
 PUBLIC_ROUTERS: tuple[APIRouter, ...] = (health.router,)

@@ -3,15 +3,27 @@
 from typing import Literal
 
 from service.api.schemas.base import Answer, EpochAnswer
+from service.api.schemas.links import LinkWarningAnswer
 
 
-class LinkAnswer(Answer):
-    """A front end that sends measurements, and how far it is."""
+class StatusLinkAnswer(Answer):
+    """A source of measurements and the link that carries it; null where one of both is not known."""
 
-    source: str
-    role: str
+    source: str | None
+    role: str | None
     newest_epoch: EpochAnswer | None
-    rows: int
+    rows: int | None
+    rows_missing: int | None
+    """Rows that the source has numbered and the archive does not hold; null where it sends no numbers."""
+    id: str | None
+    """Of the link."""
+    kind: str | None
+    state: str | None
+    enabled: bool | None
+    age_s: float | None
+    """Time since the link reported."""
+    last_good_age_s: float | None
+    warnings: list[LinkWarningAnswer]
 
 
 class InterlockAnswer(Answer):
@@ -37,7 +49,7 @@ class StatusAnswer(Answer):
     clock: Literal["system", "data"]
     now: EpochAnswer | None
     """Present of the spacecraft; null before its first row under the data clock."""
-    links: list[LinkAnswer]
+    links: list[StatusLinkAnswer]
     interlock: InterlockAnswer
     method: str
     """Method that drives control."""

@@ -126,6 +126,6 @@ async def test_status_of_an_empty_and_of_a_filled_archive(bench, make):
     assert filled["newest_attitude"] == format_epoch(consumed.epoch_us)
     assert (filled["clock"], filled["now"]) == ("data", format_epoch(pending.epoch_us))
     assert (filled["aligned"], filled["calibration_id"], filled["alignment_id"]) == (True, 1, 1)
-    assert filled["links"] == [
-        {"source": "sa-1", "role": "prime", "newest_epoch": format_epoch(pending.epoch_us), "rows": 2}
-    ]
+    nobody = dict.fromkeys(("id", "kind", "state", "enabled", "age_s", "last_good_age_s"))
+    newest = {"source": "sa-1", "role": "prime", "newest_epoch": format_epoch(pending.epoch_us), "rows": 2}
+    assert filled["links"] == [{**newest, "rows_missing": None, **nobody, "warnings": []}]

@@ -1,0 +1,63 @@
+"""Links as operators see them: the newest report, its age, and what is missing of the rows that came over it."""
+
+from collections.abc import Iterable
+from typing import Any
+
+from service.api.deps import ApiContext
+from service.api.schemas.links import LinkAnswer
+from service.errors import NotFoundError
+from service.records.epoch import US_PER_S
+from service.records.link import LinkState
+
+#: state of a link that has missed its reports
+SILENT = "SILENT"
+
+
+def links_told(context: ApiContext, states: Iterable[LinkState]) -> list[LinkAnswer]:
+    """Return links as they are told."""
+    missing: dict[str, dict[str, int | None]] = {}
+    told = []
+    for state in states:
+        spacecraft_id, source = state.report.spacecraft_id, state.report.source
+        if spacecraft_id is not None and spacecraft_id not in missing:
+            missing[spacecraft_id] = _rows_missing(context, spacecraft_id)
+        told.append(_told(context, state, missing.get(spacecraft_id or "", {}).get(source or "")))
+    return told
+
+
+def _rows_missing(context: ApiContext, spacecraft_id: str) -> dict[str, int | None]:
+    """Return what is missing of each source; nothing of a spacecraft that a link names and the catalogue does not."""
+    try:
+        return {source.id: source.rows_missing for source in context.storage.archive.sources(spacecraft_id)}
+    except NotFoundError:
+        return {}
+
+
+def _told(context: ApiContext, state: LinkState, rows_missing: int | None) -> LinkAnswer:
+    """Return a link as it is told."""
+    report, now_us = state.report, context.clock.system_us()
+    told: dict[str, Any] = {
+        "id": report.id,
+        "kind": report.kind,
+        "spacecraft_id": report.spacecraft_id,
+        "source": report.source,
+        "state": SILENT if state.is_silent(now_us) else report.state,
+        "reported_state": report.state,
+        "enabled": state.enabled,
+        "reported_at": state.reported_at_us,
+        "age_s": _age_s(now_us, state.reported_at_us),
+        "period_s": state.period_s,
+        "last_good": report.last_good_us,
+        "last_good_age_s": None if report.last_good_us is None else _age_s(now_us, report.last_good_us),
+        "counters": report.counters,
+        "detail": report.detail,
+        "warnings": [{"code": each.code, "detail": each.detail, "since": each.since_us} for each in report.warnings],
+        "reset_pending": state.resets > report.reset_seen,
+        "rows_missing": rows_missing,
+    }
+    return LinkAnswer.model_validate(told)
+
+
+def _age_s(now_us: int, then_us: int) -> float:
+    """Return the time since an instant; none where clocks disagree."""
+    return max(now_us - then_us, 0) / US_PER_S

@@ -1,0 +1,97 @@
+"""Links: reports of front ends, and what operators make of them."""
+
+import logging
+import re
+from http import HTTPStatus
+from typing import Annotated
+
+from fastapi import APIRouter, Depends, Path, Query, Request
+
+from service.api.auth import MAY_OPERATE, MAY_SEND, CurrentPrincipal, Principal
+from service.api.bodies import accepts, body_of
+from service.api.deps import SPACECRAFT_ID_PATTERN, Context
+from service.api.links import links_told
+from service.api.problems import request_id_of
+from service.api.schemas.base import NAME_PATTERN
+from service.api.schemas.links import LinkAnswer, LinkListAnswer, LinkReportsDocument, LinkWishAnswer, LinkWishesAnswer
+from service.errors import NotFoundError
+
+router = APIRouter(prefix="/links", tags=["links"])
+#: who changed what; the trail is the log
+_AUDIT = logging.getLogger("soo.audit")
+_NAME = re.compile(NAME_PATTERN.strip("^$"), re.ASCII)
+SpacecraftParameter = Annotated[
+    str | None, Query(pattern=SPACECRAFT_ID_PATTERN, description="Only links of this spacecraft")
+]
+
+
+# `links:report` stands beside `links`, not below it
+report_router = APIRouter(tags=["links"])
+
+
+@report_router.post("/links:report", dependencies=[MAY_SEND], openapi_extra=accepts(LinkReportsDocument))
+def report_links(
+    body: Annotated[LinkReportsDocument, body_of(LinkReportsDocument)], context: Context
+) -> LinkWishesAnswer:
+    """Take the reports of a front end and tell what is wanted of its links."""
+    states = context.storage.links.report([each.to_record() for each in body.links], context.clock.system_us())
+    wishes = [LinkWishAnswer(id=state.report.id, enabled=state.enabled, reset=state.resets) for state in states]
+    return LinkWishesAnswer(links=wishes)
+
+
+@router.get("")
+def list_links(context: Context, spacecraft_id: SpacecraftParameter = None) -> LinkListAnswer:
+    """List the links that have reported."""
+    return LinkListAnswer(links=links_told(context, context.storage.links.links(spacecraft_id)))
+
+
+async def _link_id(link_id: Annotated[str, Path(description="Id of a link")]) -> str:
+    """Return the id of a path; one that cannot exist never reaches the database."""
+    if _NAME.fullmatch(link_id) is None:
+        raise NotFoundError("link.unknown", f"no link {link_id[:64]!r}; GET /api/v1/links lists them")
+    return link_id
+
+
+LinkId = Annotated[str, Depends(_link_id)]
+
+
+@router.get("/{link_id}")
+def get_link(link_id: LinkId, context: Context) -> LinkAnswer:
+    """Return one link."""
+    return links_told(context, [context.storage.links.link(link_id)])[0]
+
+
+@router.post("/{link_id}:enable", dependencies=[MAY_OPERATE])
+def enable_link(link_id: LinkId, context: Context, principal: CurrentPrincipal, request: Request) -> LinkAnswer:
+    """Let a link work; it hears of it with its next report."""
+    state = context.storage.links.set_enabled(link_id, enabled=True)
+    _write_down("enabled", link_id, principal, request)
+    return links_told(context, [state])[0]
+
+
+@router.post("/{link_id}:disable", dependencies=[MAY_OPERATE])
+def disable_link(link_id: LinkId, context: Context, principal: CurrentPrincipal, request: Request) -> LinkAnswer:
+    """Let a link rest until it is enabled again, also beyond a restart of either side."""
+    state = context.storage.links.set_enabled(link_id, enabled=False)
+    _write_down("disabled", link_id, principal, request)
+    return links_told(context, [state])[0]
+
+
+@router.post("/{link_id}:reset", dependencies=[MAY_OPERATE])
+def reset_link(link_id: LinkId, context: Context, principal: CurrentPrincipal, request: Request) -> LinkAnswer:
+    """Ask a link to zero its counters and to begin anew."""
+    state = context.storage.links.request_reset(link_id)
+    _write_down("reset", link_id, principal, request)
+    return links_told(context, [state])[0]
+
+
+@router.delete("/{link_id}", status_code=HTTPStatus.NO_CONTENT, dependencies=[MAY_OPERATE])
+def remove_link(link_id: LinkId, context: Context, principal: CurrentPrincipal, request: Request) -> None:
+    """Forget a link that is gone for good."""
+    context.storage.links.remove(link_id)
+    _write_down("removed", link_id, principal, request)
+
+
+def _write_down(deed: str, link_id: str, principal: Principal, request: Request) -> None:
+    """Say who did what."""
+    _AUDIT.info("%s (%s) %s link %s, request %s", principal.name, principal.role, deed, link_id, request_id_of(request))

@@ -1,0 +1,86 @@
+"""Links: what front ends and their analyzers say of themselves, and what operators want of them."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from service.records.epoch import US_PER_S
+
+#: period of a link that has reported once and stated none, s
+DEFAULT_PERIOD_S = 60.0
+#: a link that has not reported for so many of its periods is silent
+SILENT_PERIODS = 3.0
+#: how fast a learned period follows the times between reports, and the least and greatest it can become, s
+_LEARNING_RATE = 0.25
+_SHORTEST_PERIOD_S = 1.0
+_LONGEST_PERIOD_S = 3600.0
+
+
+@dataclass(frozen=True, slots=True)
+class LinkWarning:
+    """One thing that is not as it should be, in the words of the front end."""
+
+    code: str
+    detail: str
+    since_us: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class LinkReport:
+    """One report of one link."""
+
+    id: str
+    #: analyzer or front_end
+    kind: str
+    spacecraft_id: str | None
+    #: source of the measurements that come over it
+    source: str | None
+    #: where its state machine stands
+    state: str
+    #: anything that helps a reader; JSON
+    detail: dict[str, Any]
+    counters: dict[str, int]
+    #: newest good row, microseconds UTC
+    last_good_us: int | None
+    warnings: tuple[LinkWarning, ...] = ()
+    #: how many resets it has carried out
+    reset_seen: int = 0
+    #: time between reports as it states it, s
+    period_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class LinkState:
+    """The newest report of a link, and what is wanted of it."""
+
+    report: LinkReport
+    reported_at_us: int
+    #: mean time between reports as it was seen, s; None after the first
+    learned_period_s: float | None
+    enabled: bool
+    #: how many resets were asked for
+    resets: int
+
+    @property
+    def period_s(self) -> float:
+        """Time between reports: stated, else learned, else assumed."""
+        return self.report.period_s or self.learned_period_s or DEFAULT_PERIOD_S
+
+    def is_silent(self, now_us: int) -> bool:
+        """Whether the link has missed its reports."""
+        return now_us - self.reported_at_us > SILENT_PERIODS * self.period_s * US_PER_S
+
+
+def learn_period(before_s: float | None, interval_s: float) -> float:
+    """Return the period of reports after one more interval.
+
+    A silence counts as three periods at most, so one outage does not make a link look slow, while one that really
+    reports more seldom is known after a few reports.
+
+    Examples
+    --------
+    >>> learn_period(None, 10.0), learn_period(10.0, 3600.0)
+    (10.0, 15.0)
+    """
+    known_s = interval_s if before_s is None else before_s
+    change_s = min(interval_s, SILENT_PERIODS * known_s) - known_s
+    return min(max(known_s + _LEARNING_RATE * change_s, _SHORTEST_PERIOD_S), _LONGEST_PERIOD_S)

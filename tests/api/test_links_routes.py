@@ -1,0 +1,197 @@
+"""Links: reports of front ends, what operators see of them and want of them."""
+
+import json
+import logging
+from typing import Any
+
+import pytest
+
+from service.api.auth import Principal, Role
+from service.records.epoch import format_epoch
+
+pytestmark = pytest.mark.anyio
+LINKS = "/api/v1/links"
+REPORT = "/api/v1/links:report"
+NOW_US = 1_795_230_000_000_000
+S = 1_000_000
+
+
+def report(link_id: str = "sa-1", **changes: Any) -> dict[str, Any]:
+    """A report with every field."""
+    return {
+        "id": link_id,
+        "kind": "analyzer",
+        "spacecraft_id": "yamal-202",
+        "source": "sa-1",
+        "state": "MEASURE",
+        "detail": {"identity": "R&S, FSV-7", "settings": {"rbw_hz": 30e3}},
+        "counters": {"sweeps": 17, "reconnects": 0},
+        "last_good": format_epoch(NOW_US - 4 * S),
+        "warnings": [{"code": "spool.full", "detail": "93 per cent", "since": format_epoch(NOW_US - 9 * S)}],
+        "reset_seen": 0,
+        **changes,
+    }
+
+
+async def send(soo, *reports: dict[str, Any]) -> Any:
+    answer = await soo.client.post(REPORT, json={"links": list(reports)})
+    assert answer.status_code == 200, answer.text
+    return answer.json()["links"]
+
+
+async def listed(soo, **params: Any) -> list[dict[str, Any]]:
+    answer = await soo.client.get(LINKS, params=params)
+    assert answer.status_code == 200, answer.text
+    rows: list[dict[str, Any]] = answer.json()["links"]
+    return rows
+
+
+async def test_a_report_is_answered_with_what_is_wanted_and_listed(soo):
+    assert await listed(soo) == []
+    assert await send(soo, report()) == [{"id": "sa-1", "enabled": True, "reset": 0}]
+    soo.clock.system = NOW_US + 6 * S
+    assert await listed(soo) == [
+        {
+            "id": "sa-1",
+            "kind": "analyzer",
+            "spacecraft_id": "yamal-202",
+            "source": "sa-1",
+            "state": "MEASURE",
+            "reported_state": "MEASURE",
+            "enabled": True,
+            "reported_at": format_epoch(NOW_US),
+            "age_s": 6.0,
+            "period_s": 60.0,
+            "last_good": format_epoch(NOW_US - 4 * S),
+            "last_good_age_s": 10.0,
+            "counters": {"sweeps": 17, "reconnects": 0},
+            "detail": {"identity": "R&S, FSV-7", "settings": {"rbw_hz": 30e3}},
+            "warnings": [{"code": "spool.full", "detail": "93 per cent", "since": format_epoch(NOW_US - 9 * S)}],
+            "reset_pending": False,
+            "rows_missing": None,
+        }
+    ]
+    assert (await soo.client.get(f"{LINKS}/sa-1")).json() == (await listed(soo))[0]
+
+
+async def test_a_link_that_reports_no_more_is_silent_and_says_since_when(soo):
+    await send(soo, report(period_s=10))
+    soo.clock.system = NOW_US + 30 * S
+    assert (await listed(soo))[0]["state"] == "MEASURE"
+    soo.clock.system = NOW_US + 31 * S
+    (told,) = await listed(soo)
+    assert (told["state"], told["reported_state"], told["age_s"]) == ("SILENT", "MEASURE", 31.0)
+    await send(soo, report(period_s=10))
+    assert (await listed(soo))[0]["state"] == "MEASURE"
+
+
+async def test_operators_enable_disable_and_reset_and_the_next_report_hears_of_it(soo, caplog):
+    await send(soo, report(), report("front-1", kind="front_end"))
+    with caplog.at_level(logging.INFO, "soo.audit"):
+        disabled = await soo.client.post(f"{LINKS}/sa-1:disable")
+        reset = await soo.client.post(f"{LINKS}/sa-1:reset")
+    assert (disabled.status_code, disabled.json()["enabled"]) == (200, False)
+    assert (reset.json()["enabled"], reset.json()["reset_pending"]) == (False, True)
+    assert "bootstrap (admin) disabled link sa-1" in caplog.text
+    assert await send(soo, report(), report("front-1", kind="front_end")) == [
+        {"id": "sa-1", "enabled": False, "reset": 1},
+        {"id": "front-1", "enabled": True, "reset": 0},
+    ]
+    assert not (await listed(soo))[1]["enabled"]
+    await send(soo, report(reset_seen=1))
+    assert not (await soo.client.post(f"{LINKS}/sa-1:enable")).json()["reset_pending"]
+    assert (await send(soo, report(reset_seen=1)))[0] == {"id": "sa-1", "enabled": True, "reset": 1}
+
+
+async def test_links_of_one_spacecraft_and_a_removed_one(soo):
+    await send(soo, report(), report("other", spacecraft_id="yamal-300"), report("none", spacecraft_id=None))
+    assert [link["id"] for link in await listed(soo, spacecraft_id="yamal-300")] == ["other"]
+    assert (await soo.client.delete(f"{LINKS}/other")).status_code == 204
+    assert [link["id"] for link in await listed(soo)] == ["none", "sa-1"]
+
+
+async def test_rows_missing_stand_with_the_link_until_they_come(soo, spacecraft, carriers):
+    plan_id = await soo.with_plan(spacecraft, carriers)
+
+    async def rows(first_seq: int, count: int) -> None:
+        epochs = [format_epoch(NOW_US + (seq - 100) * S) for seq in range(first_seq, first_seq + count)]
+        measurements = [{"epoch": epoch, "power_dbm": [None] * 4} for epoch in epochs]
+        body = {"plan_id": plan_id, "source": "sa-1", "first_seq": first_seq, "measurements": measurements}
+        answer = await soo.client.post("/api/v1/spacecraft/yamal-202/measurements:batch", json=body)
+        assert answer.json()["accepted"] == count
+
+    await rows(1, 10)
+    await rows(21, 5)
+    await send(soo, report(), report("unknown", spacecraft_id="not-there"), report("no-source", source=None))
+    told = {link["id"]: link["rows_missing"] for link in await listed(soo)}
+    assert told == {"sa-1": 10, "unknown": None, "no-source": None}
+    await rows(11, 10)
+    assert (await soo.client.get(f"{LINKS}/sa-1")).json()["rows_missing"] == 0
+
+
+async def test_roles(soo):
+    class Ring:
+        def principal(self, key: str) -> Principal:
+            return Principal("someone", Role(key))
+
+    await send(soo, report())
+    soo.app.state.key_ring = Ring()
+
+    async def status(role: str, method: str, path: str, **options: Any) -> int:
+        headers = {"Authorization": f"Bearer {role}"}
+        return (await soo.client.request(method, path, headers=headers, **options)).status_code
+
+    body = {"json": {"links": [report()]}}
+    assert await status("viewer", "GET", LINKS) == 200
+    assert await status("viewer", "POST", REPORT, **body) == 403
+    assert await status("station", "POST", REPORT, **body) == 200
+    for verb in ("enable", "disable", "reset"):
+        assert await status("station", "POST", f"{LINKS}/sa-1:{verb}") == 403
+        assert await status("operator", "POST", f"{LINKS}/sa-1:{verb}") == 200
+    assert await status("station", "DELETE", f"{LINKS}/sa-1") == 403
+
+
+@pytest.mark.parametrize("name", ["nobody", "%00", "a%20b", "x" * 500])
+async def test_unknown_links_are_404(soo, name):
+    for method, path in (("POST", f"{name}:enable"), ("POST", f"{name}:reset"), ("DELETE", name), ("GET", name)):
+        answer = await soo.client.request(method, f"{LINKS}/{path}")
+        assert (answer.status_code, answer.json()["code"]) == (404, "link.unknown")
+
+
+BAD = [
+    ("no links", {"links": []}, "value.length", "/links"),
+    ("too many", {"links": [report(f"l{k}") for k in range(65)]}, "value.length", "/links"),
+    ("twice", {"links": [report(), report()]}, "link.duplicate", ""),
+    ("unknown field", {"links": [report(colour="red")]}, "field.unknown", "/links/0/colour"),
+    ("id with a slash", {"links": [report("a/b")]}, "value.pattern", "/links/0/id"),
+    ("id too long", {"links": [report("a" * 65)]}, "value.pattern", "/links/0/id"),
+    ("kind", {"links": [report(kind="modem")]}, "value.choice", "/links/0/kind"),
+    ("counter fraction", {"links": [report(counters={"a": 1.5})]}, "value.type", "/links/0/counters/a"),
+    ("counter negative", {"links": [report(counters={"a": -1})]}, "value.range", "/links/0/counters/a"),
+    ("counters many", {"links": [report(counters=dict.fromkeys(map(str, range(129)), 1))]}, "value.length", "/links/0/counters"),
+    ("detail large", {"links": [report(detail={"a": "x" * 8200})]}, "value.length", "/links/0/detail"),
+    ("detail no object", {"links": [report(detail=[])]}, "value.type", "/links/0/detail"),
+    ("last_good", {"links": [report(last_good="now")]}, "epoch.malformed", "/links/0/last_good"),
+    ("warning", {"links": [report(warnings=[{"code": "a b"}])]}, "value.pattern", "/links/0/warnings/0/code"),
+    ("period", {"links": [report(period_s=0)]}, "value.range", "/links/0/period_s"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("body", "code", "pointer"), [c[1:] for c in BAD], ids=[c[0] for c in BAD])
+async def test_bad_reports_are_refused_whole(soo, body, code, pointer):
+    answer = await soo.client.post(REPORT, json=body)
+    problem = answer.json()
+    assert (answer.status_code, problem["code"]) == (422, code), problem
+    assert problem["errors"][0]["pointer"] == pointer
+    assert soo.storage.links.links() == ()
+
+
+async def test_numbers_that_are_none_are_refused_in_the_detail_too(soo):
+    text = json.dumps({"links": [report(detail={"deep": [{"x": "@"}]})]}).replace('"@"', "NaN")
+    answer = await soo.client.post(REPORT, content=text)
+    assert (answer.status_code, answer.json()["code"]) == (422, "value.not_finite")
+
+
+async def test_a_bad_filter_is_a_422(soo):
+    answer = await soo.client.get(LINKS, params={"spacecraft_id": "A B"})
+    assert (answer.status_code, answer.json()["errors"][0]["pointer"]) == (422, "/query/spacecraft_id")
