@@ -20,6 +20,10 @@ FloatArray = NDArray[np.float64]
 
 #: what averaging the decibels of noise loses: 10 lg e times Euler's constant, dB
 LOG_MEAN_LOSS_DB = 10.0 / math.log(10.0) * 0.5772156649015329
+#: what averaging its volts loses: the mean of a Rayleigh variable squared is pi/4 of its power, dB
+VOLT_MEAN_LOSS_DB = 10.0 * math.log10(4.0 / math.pi)
+#: detector -> what its kind of mean loses on noise, dB; other detectors are read as they are
+_PUT_BACK_DB = {"AVER": LOG_MEAN_LOSS_DB, "LIN": VOLT_MEAN_LOSS_DB}
 #: part of the trace on which a noise marker averages, on both sides together
 _NOISE_MARKER_SHARE = 0.05
 _EDGE_TOLERANCE = 1e-6
@@ -105,10 +109,9 @@ def carrier_to_noise_db(level_dbm: FloatArray, grid: SweepGrid, noise: Band) -> 
 def noise_density_dbm_hz(level_dbm: FloatArray, grid: SweepGrid, frequency_hz: float, detector: str) -> float:
     """Return the density around a marker, dBm/Hz: the mean in mW of a twentieth of the trace.
 
-    Where the detector averages decibels the known loss of doing so on noise is put back, as instruments do.
+    Where the detector averages decibels or volts the known loss of doing so on noise is put back, as instruments do.
     """
     reach = max(int(0.5 * _NOISE_MARKER_SHARE * grid.points), 1)
     point = grid.nearest(frequency_hz)
     part_mw = milliwatts_of(level_dbm[max(point - reach, 0) : point + reach + 1])
-    put_back_db = LOG_MEAN_LOSS_DB if detector == "AVER" else 0.0
-    return decibels(float(part_mw.mean())) + put_back_db - decibels(grid.enbw_hz)
+    return decibels(float(part_mw.mean())) + _PUT_BACK_DB.get(detector, 0.0) - decibels(grid.enbw_hz)

@@ -1,4 +1,4 @@
-"""Rohde & Schwarz FSV and FSW: the rows that measuring with traces needs. Channel power is not among them.
+"""Rohde & Schwarz FSV and FSW: the rows that measuring with traces needs; measurement functions in functions_rs.py.
 
 Deviations from the real instruments, on purpose: the reference level is dBm whatever the unit of the trace; one trace
 exists; the count of sweeps combines them by power unless averaging is on; AUTO sweep type sweeps.
@@ -24,6 +24,7 @@ from analyzer_sim.command_sweep import (
 from analyzer_sim.command_traces import TraceFormat, TraceStyle, format_row, frequencies_shown, trace_reader, trace_row
 from analyzer_sim.commands_common import COMMON_COMMANDS, SYSTEM_COMMANDS
 from analyzer_sim.dialect import Dialect
+from analyzer_sim.functions_rs import FUNCTION_ROWS
 from analyzer_sim.instrument_settings import QUANTITIES
 from analyzer_sim.models import FSW_26
 from analyzer_sim.scpi_parameters import DBM, DECIBELS, HERTZ, SECONDS, TraceName
@@ -139,6 +140,7 @@ RS = Dialect(
         *_LEVEL_ROWS,
         *_TRACE_ROWS,
         *_MISCELLANEOUS_ROWS,
+        *FUNCTION_ROWS,
     ),
     interface_messages=frozenset({b"&GTL", b"&GTR", b"&DCL", b"&POL", b"&LLO", b"&NREN"}),
 )

@@ -25,6 +25,8 @@ class Marker:
     function: str = OFF
     #: width of the band, Hz; ``None`` = a twentieth of the span
     span_hz: float | None = None
+    #: a band marker reads a density where its function does not say so
+    is_density: bool = False
 
 
 @dataclass(slots=True)
