@@ -53,6 +53,7 @@ class SwitchingLaw(NamedTuple):
         """Whether the motor runs until the angle has fallen to alpha."""
         return math.isinf(self.pulse_s)
 
+    @property
     def last_line_rad(self) -> float:
         """Return L_n_max."""
         return self.beta_rad + (self.pulse_count - 1) * self.line_step_rad
