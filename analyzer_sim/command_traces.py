@@ -110,7 +110,10 @@ def trace_reader(style: TraceStyle, values: Callable[[Call], FloatArray] = level
     def query(call: Call, number: int = 1) -> str | bytes:
         try:
             _check_shown(number)
-            return encode(call, style, values(call))
+            shown = values(call)
+            if values is not frequencies_shown:
+                shown = call.instrument.trace_faults.spoil(shown)
+            return encode(call, style, shown)
         except ScpiError:
             if not style.invalid:
                 raise

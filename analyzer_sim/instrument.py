@@ -27,6 +27,7 @@ from analyzer_sim.status import (
     QUESTIONABLE_CALIBRATION,
     StatusModel,
 )
+from analyzer_sim.trace_faults import TraceFaults
 from analyzer_sim.world import EndOfScenario
 
 
@@ -60,6 +61,8 @@ class Instrument:
         self.settings = reset_state(model)
         self.functions = FunctionSettings()
         self.status = StatusModel(model.error_queue_depth, model.no_error)
+        #: faults of what is shown, for tests of clients
+        self.trace_faults = TraceFaults()
         self._source = source
         self._painter = painter
         self._may_advance = may_advance

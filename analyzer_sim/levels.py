@@ -71,7 +71,7 @@ def real64_block(values: FloatArray, *, is_big_endian: bool) -> bytes:
 
 def int32_block(values: FloatArray, *, is_big_endian: bool) -> bytes:
     """Return numbers as a block of 32 bit integers, in thousandths: milli-dBm for levels in dBm."""
-    thousandths = np.clip(np.rint(1e3 * values), *_INT32_RANGE)
+    thousandths = np.nan_to_num(np.clip(np.rint(1e3 * values), *_INT32_RANGE), nan=_INT32_RANGE[0])
     return definite_block(thousandths.astype(">i4" if is_big_endian else "<i4").tobytes())
 
 

@@ -170,6 +170,7 @@ class AnalyzerThread:
     def __init__(self, analyzer: SimulatedAnalyzer, instrument: Instrument) -> None:
         self.instrument = instrument
         self.faults = analyzer.faults
+        self.trace_faults = instrument.trace_faults
         #: the ports taken
         self.port = 0
         self.alias_ports: tuple[int, ...] = ()
