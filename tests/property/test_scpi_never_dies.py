@@ -1,194 +1,91 @@
-"""Any bytes at all: the simulated analyzer neither raises nor falls silent, and its memory stays bounded."""
+"""Whatever a client sends, in any dialect: the simulated analyzer neither raises nor falls silent nor grows.
+
+Counts: 4 dialects x 4 kinds x ``EXAMPLES`` in the process, the framer apart, and the same kinds over live sockets and
+HiSLIP in ``test_scpi_never_dies_wire.py``. ``test_nightly_*`` repeat it with fresh examples, a hundred thousand in all.
+"""
 
 import itertools
 
+import pytest
+from dialect_facts import FACTS
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scpi_bench import Bench
+from scpi_soup import KINDS
 
-from analyzer_sim.dialect_rs import IDENTITY, RS
-from analyzer_sim.emission import Emission, Signal
-from analyzer_sim.instrument import Instrument
-from analyzer_sim.painter import TracePainter
+from analyzer_sim.dialects import DIALECTS
 from analyzer_sim.scpi import MessageFramer
-from analyzer_sim.scpi_tree import parse_pattern
-from analyzer_sim.session import Session, command_tree
-from analyzer_sim.status import ERROR_QUEUE_DEPTH
 
-EXAMPLES = 2000
-TREE = command_tree(RS)
-_SIGNALS = (Signal("a", 1017e6, 1e6, 0.25, -40.0), Signal("line", 1020e6, 0.0, 0.0, -50.0))
-
-
-class EndlessSource:
-    """The same two signals for ever."""
-
-    def __init__(self) -> None:
-        self._rows = itertools.count()
-
-    def advance(self) -> Emission:
-        return Emission(60_000_000 * next(self._rows), _SIGNALS, -140.0)
-
-    def current(self) -> Emission:
-        return Emission(0, _SIGNALS, -140.0)
-
-
-class Line:
-    """An instrument of few points and a session on it."""
-
-    def __init__(self) -> None:
-        self.instrument = Instrument(EndlessSource(), TracePainter(1))
-        self.instrument.settings.points = 101
-        self.framer = MessageFramer()
-        self.session = Session(self.instrument, RS, TREE)
-
-    def send(self, data: bytes) -> list[bytes]:
-        answers = []
-        for message in self.framer.feed(data):
-            self.session.submit(message)
-            answers.append(self.session.run())
-            while self.session.is_busy:
-                assert not self.session.is_held, "nothing can be pending: every row is allowed"
-                answers.append(self.session.run())
-        return [answer for answer in answers if answer is not None]
-
-    def assert_alive(self) -> None:
-        """The next question is answered, once what stands open is closed."""
-        self.send(self.framer.missing + b"\n")
-        self.send(b"\n")
-        assert self.framer.pending_bytes == 0
-        assert self.send(b"*IDN?\n") == [IDENTITY.encode() + b"\n"]
-        assert self.instrument.status.error_count <= ERROR_QUEUE_DEPTH
-
-
-@given(chunks=st.lists(st.binary(max_size=60), max_size=6))
-@settings(max_examples=EXAMPLES, deadline=None, derandomize=True)
-def test_arbitrary_bytes_leave_the_instrument_alive(chunks: list[bytes]) -> None:
-    line = Line()
-    for chunk in chunks:
-        for answer in line.send(chunk):
-            assert answer.endswith(b"\n")
-    line.assert_alive()
-
-
-def _spellings() -> list[str]:
-    """Return a short and a long spelling of every header of the dialect."""
-    headers = []
-    for row in RS.commands:
-        nodes = parse_pattern(row.pattern)
-        headers.append(":".join(node.names[0] for node in nodes if not node.is_optional))
-        headers.append(":".join(node.names[-1] for node in nodes))
-    return sorted(set(headers))
-
-
-# fewer points than 101 and no sweep of more: one example must not cost a second
-_HEADERS = [header for header in _spellings() if "POIN" not in header and "COUN" not in header]
-_DATA = [
-    "1",
-    "-1",
-    "1e3",
-    "30kHz",
-    "1e99",
-    "1e40000",
-    "0",
-    "MIN",
-    "MAX",
-    "DEF",
-    "UP",
-    "DOWN",
-    "INF",
-    "NINF",
-    "ON",
-    "OFF",
-    "RMS",
-    "POS",
-    "NEG",
-    "SAMP",
-    "AVER",
-    "APE",
-    "FFT",
-    "REAL",
-    "ASC",
-    "32",
-    "REAL,32",
-    "TRACE1",
-    "TRACE2",
-    "'SAN'",
-    "'",
-    '"x"',
-    "#H1F",
-    "#15hello",
-    "#0",
-    "#",
-    "#9999999999",
-    "(@1)",
-    "DBUV",
-    "W",
-    "VID",
-    "LIN",
-    "1,",
-    ",1",
-    "*",
-    "ÿ",
+EXAMPLES = 250
+NIGHTLY_EXAMPLES = 6_400
+CASES = [
+    pytest.param(name, kind, id=f"{name}-{kind}") for name, kind in itertools.product(sorted(DIALECTS), sorted(KINDS))
 ]
-_CONTROLS = [
-    ";",
-    ":",
-    "?",
-    " ",
-    ",",
-    "\n",
-    "\r\n",
-    "*",
-    "&GTL\n",
-    "*RST",
-    "*CLS",
-    "*OPC?",
-    "INIT:CONT OFF",
-    "INIT",
-    "ABOR",
-]
-_TOKENS = st.one_of(
-    st.sampled_from(_HEADERS),
-    st.sampled_from(_HEADERS).map(lambda header: ":" + header + "?"),
-    st.sampled_from(_DATA),
-    st.sampled_from(_CONTROLS),
-    st.text(alphabet="ABCDEFGHSTWY0123456789:;?*,' #\"", max_size=8),
-)
-_UNITS = st.tuples(st.sampled_from(_HEADERS), st.sampled_from(["", "?", " "]), st.sampled_from(["", *_DATA])).map(
-    "".join
-)
 
 
-@given(tokens=st.lists(_TOKENS, max_size=25))
-@settings(max_examples=EXAMPLES // 2, deadline=None, derandomize=True)
-def test_token_soup_leaves_the_instrument_alive(tokens: list[str]) -> None:
-    line = Line()
-    line.send("".join(tokens).encode("latin-1"))
-    line.assert_alive()
+def throw(name: str, data: bytes) -> None:
+    """Send bytes to a new instrument; fail unless it answers in lines and goes on answering."""
+    bench = Bench(name)
+    bench.instrument.settings.points = 101
+    answers = bench.send(data)
+    assert not bench.session.is_held, "nothing can be pending: every row is allowed"
+    assert answers == b"" or answers.endswith(b"\n")
+    bench.send(bench.framer.missing + b"\n")
+    bench.send(b"\n")
+    assert bench.framer.pending_bytes == 0
+    assert bench.send(b"*IDN?\n") == DIALECTS[name].identity.encode() + b"\n"
+    assert bench.instrument.status.error_count <= FACTS[name].queue_depths[1]
 
 
-@given(units=st.lists(_UNITS, max_size=8))
-@settings(max_examples=EXAMPLES // 5, deadline=None, derandomize=True)
-def test_every_header_takes_every_datum(units: list[str]) -> None:
-    line = Line()
-    line.send((";:".join(units) + "\n").encode("latin-1"))
-    line.assert_alive()
+def fuzz(name: str, kind: str, examples: int, *, is_repeatable: bool) -> None:
+    """Throw examples of one kind at one dialect."""
+    check = given(KINDS[kind](name))(lambda data: throw(name, data))
+    settings(max_examples=examples, deadline=None, derandomize=is_repeatable, database=None)(check)()
+
+
+@pytest.mark.parametrize(("name", "kind"), CASES)
+def test_anything_leaves_the_instrument_alive(name: str, kind: str) -> None:
+    fuzz(name, kind, EXAMPLES, is_repeatable=True)
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize(("name", "kind"), CASES)
+def test_nightly_anything_leaves_the_instrument_alive(name: str, kind: str) -> None:
+    fuzz(name, kind, NIGHTLY_EXAMPLES, is_repeatable=False)
+
+
+def framer_fed_in_pieces(data: bytes, cuts: list[int]) -> list[object]:
+    """Return what a framer makes of bytes that arrive in pieces."""
+    framer = MessageFramer()
+    edges = [0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]
+    return [message for left, right in itertools.pairwise(edges) for message in framer.feed(data[left:right])]
 
 
 @given(data=st.binary(max_size=300), cuts=st.lists(st.integers(0, 300), max_size=5))
-@settings(max_examples=EXAMPLES // 4, deadline=None, derandomize=True)
+@settings(max_examples=2 * EXAMPLES, deadline=None, derandomize=True)
 def test_messages_do_not_depend_on_how_the_bytes_arrive(data: bytes, cuts: list[int]) -> None:
-    whole = MessageFramer().feed(data)
-    framer = MessageFramer()
-    edges = [0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]
-    assert [message for left, right in itertools.pairwise(edges) for message in framer.feed(data[left:right])] == whole
+    assert framer_fed_in_pieces(data, cuts) == MessageFramer().feed(data)
 
 
 @given(chunks=st.lists(st.binary(max_size=50), max_size=40))
-@settings(max_examples=EXAMPLES // 4, deadline=None, derandomize=True)
+@settings(max_examples=2 * EXAMPLES, deadline=None, derandomize=True)
 def test_framer_keeps_no_more_than_its_limit(chunks: list[bytes]) -> None:
     framer = MessageFramer(limit_bytes=64)
     for chunk in chunks:
         for message in framer.feed(chunk):
             assert len(message.body) <= 64
         assert framer.pending_bytes <= 64
+
+
+def _block(payload: bytes) -> bytes:
+    size = str(len(payload)).encode()
+    return b"#" + str(len(size)).encode() + size + payload
+
+
+@given(payload=st.binary(max_size=80), tail=st.sampled_from([b"", b" ", b"\r"]))
+@settings(max_examples=EXAMPLES, deadline=None, derandomize=True)
+def test_block_of_any_bytes_is_one_datum_of_one_message(payload: bytes, tail: bytes) -> None:
+    bench = Bench("rs")
+    assert bench.send(b"FREQ:CENT " + _block(payload) + tail + b"\n*ESE?\n") == b"0\n"
+    assert bench.errors() == [-168]
