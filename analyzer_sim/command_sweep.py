@@ -22,6 +22,7 @@ AVERAGING_DETECTORS: Mapping[str, str] = {"VID": "AVER", "POW": "RMS", "LIN": "L
 #: span left by the search for the strongest signal, Hz
 _TUNED_SPAN_HZ = 10e6
 _TUNING_POINTS = 50001
+_TUNING_RBW_HZ = 1e6
 
 
 def short(word: str) -> str:
@@ -74,6 +75,7 @@ def _tune(call: Call) -> None:
     settings = call.instrument.settings
     wide = reset_state(settings.model)
     wide.points, wide.detector, wide.is_continuous = _TUNING_POINTS, "RMS", True
+    store(wide, "rbw_hz", _TUNING_RBW_HZ)
     call.instrument.settings = wide
     try:
         strongest = int(np.argmax(call.instrument.trace().level_dbm))

@@ -1,0 +1,91 @@
+"""Anritsu: traces in blocks of every format, the mark of an invalid trace, the preamble, points of the display."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from analyzer_sim.dialect_anritsu import ANRITSU
+
+SETUP = "*RST;*CLS;:INIT:CONT OFF;:FREQ:CENT 1017 MHZ;SPAN 20 MHZ;:BAND 30 KHZ;:DISP:POIN 501;:SWE:TIME 0.2;:DET RMS"
+
+
+@pytest.fixture
+def bench(make_bench: Callable[..., Any]) -> Any:
+    return make_bench(dialect=ANRITSU)
+
+
+def payload_of(block: bytes) -> bytes:
+    """Return what a block of definite length holds; the line feed after it is checked."""
+    digits = int(block[1:2])
+    start = 2 + digits
+    end = start + int(block[2:start])
+    assert block[:1] == b"#"
+    assert block[end:] == b"\n"
+    return block[start:end]
+
+
+def ascii_levels(bench: Any) -> np.ndarray:
+    bench.ask("FORM ASC")
+    return np.array(payload_of(bench.send("TRAC:DATA? 1")).split(b","), dtype=float)
+
+
+def test_ascii_trace_stands_in_a_block(bench: Any) -> None:
+    bench.ask(SETUP + ";:INIT;*WAI")
+    assert ascii_levels(bench).shape == (501,)
+
+
+@pytest.mark.parametrize(
+    ("form", "kind", "scale"), [("INT,32", "<i4", 1e-3), ("REAL,32", "<f4", 1.0), ("REAL,64", "<f8", 1.0)]
+)
+def test_blocks_are_little_endian_and_hold_the_ascii_trace(bench: Any, form: str, kind: str, scale: float) -> None:
+    bench.ask(SETUP + ";:INIT;*WAI")
+    ascii_dbm = ascii_levels(bench)
+    bench.ask(f"FORM {form}")
+    values = scale * np.frombuffer(payload_of(bench.send("TRAC? 1")), kind)
+    np.testing.assert_allclose(values, ascii_dbm, atol=6e-4)  # half a thousandth of a dB, seven digits of the text
+
+
+def test_real_without_a_length_has_64_bits(bench: Any) -> None:
+    assert bench.ask("FORM REAL;:FORM?") == "REAL,64"
+
+
+@pytest.mark.parametrize("form", ["ASC", "INT,32", "REAL,32"])
+def test_invalid_trace_is_marked(bench: Any, form: str) -> None:
+    bench.ask(SETUP + f";:FORM {form}")
+    assert bench.ask("TRAC? 1") == "#0"
+    assert bench.ask("INIT;*WAI;:TRAC? 2") == "#0"
+    assert bench.errors() == []
+
+
+def test_preamble_describes_the_sweep(bench: Any) -> None:
+    bench.ask(SETUP + ";:INIT;*WAI")
+    for query in ("TRAC:PRE?", "TRAC:PRE? 1", "TRACE:DATA:PREAMBLE? 1"):
+        fields = dict(field.split(b"=", 1) for field in payload_of(bench.send(query)).split(b","))
+        assert fields[b"START_FREQ"] == b"1007.000000 MHZ"
+        assert fields[b"STOP_FREQ"] == b"1027.000000 MHZ"
+        assert fields[b"UI_DATA_POINTS"] == b"501"
+        assert fields[b"RBW"] == b"0.030000 MHZ"
+        assert fields[b"RBW_TYPE"] == b"MANUAL"
+        assert fields[b"UNITS"] == b"DBM"
+
+
+def test_points_are_those_of_the_display(bench: Any) -> None:
+    bench.ask("SWE:POIN 501")
+    assert bench.errors() == [-113]
+    assert bench.ask("DISP:POIN? MIN;POIN? MAX;POIN? DEF") == "10;20001;501"
+
+
+def test_average_is_a_type_of_the_trace(bench: Any) -> None:
+    assert bench.ask("AVER:TYPE?;COUN?") == "NONE;10"
+    assert bench.ask("TRAC1:TYPE AVER;TYPE?;OPER?;:AVER:TYPE?") == "AVER;AVER;SCAL"
+    assert bench.ask("AVER:TYPE NONE;:TRAC1:TYPE?") == "NORM"
+
+
+def test_couplings_have_the_ratios_of_the_manual(bench: Any) -> None:
+    assert bench.ask("FREQ:SPAN 30 MHZ;:BAND?;:BAND:VID?") == "100000;30000"
+
+
+def test_there_is_no_fix_of_the_position(bench: Any) -> None:
+    assert bench.ask("FETC:GPS:FULL?;LAST?;ALL?;:FETC:GPS?") == "NO FIX;NO FIX;NO FIX;NO FIX"

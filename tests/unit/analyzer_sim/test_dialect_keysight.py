@@ -1,0 +1,160 @@
+"""Keysight: formats and byte orders, the two presets, detectors that follow the average type, Swept SA queries."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from analyzer_sim.dialect_keysight import KEYSIGHT
+
+SETUP = "*RST;*CLS;:FREQ:CENT 1017 MHZ;SPAN 20e6;:BAND 30 KHZ;:SWE:POIN 2001;TIME 0.2;:DET:TRAC AVER;:AVER:TYPE RMS"
+
+
+@pytest.fixture
+def bench(make_bench: Callable[..., Any]) -> Any:
+    return make_bench(dialect=KEYSIGHT)
+
+
+def numbers(text: str) -> np.ndarray:
+    return np.array(text.split(","), dtype=float)
+
+
+@pytest.mark.parametrize(
+    ("form", "order", "kind", "scale"),
+    [
+        ("REAL,32", "NORM", ">f4", 1.0),
+        ("REAL,32", "SWAP", "<f4", 1.0),
+        ("REAL,64", "NORM", ">f8", 1.0),
+        ("REAL,64", "SWAP", "<f8", 1.0),
+        ("INT,32", "NORM", ">i4", 1e-3),
+        ("INT,32", "SWAP", "<i4", 1e-3),
+    ],
+)
+def test_blocks_hold_the_ascii_trace(bench: Any, form: str, order: str, kind: str, scale: float) -> None:
+    bench.ask(SETUP + ";:INIT;*WAI")
+    ascii_dbm = numbers(bench.ask("TRAC? TRACE1"))
+    assert ascii_dbm.shape == (2001,)
+    bench.ask(f"FORM {form};:FORM:BORD {order}")
+    block = bench.send("TRAC:DATA? TRACE1")
+    digits = int(block[1:2])
+    payload = block[2 + digits : -1]
+    assert int(block[2 : 2 + digits]) == len(payload) == 2001 * np.dtype(kind).itemsize
+    # seven digits of the text, and half a step of the integers
+    np.testing.assert_allclose(scale * np.frombuffer(payload, kind), ascii_dbm, atol=max(1e-4, 0.51 * scale % 1))
+    assert bench.errors() == []
+
+
+def test_blocks_are_big_endian_after_reset(bench: Any) -> None:
+    bench.ask("FORM:BORD SWAP;*RST")
+    assert bench.ask("FORM:BORD?") == "NORM"
+
+
+def test_reset_stops_and_preset_sweeps(bench: Any) -> None:
+    assert bench.ask("*RST;:INIT:CONT?;:SYST:PRES;:INIT:CONT?;*RST;:INIT:CONT?") == "0;1;0"
+
+
+def test_pairs_of_frequency_and_level(bench: Any) -> None:
+    bench.ask(SETUP + ";:INIT;*WAI;:FREQ:OFFS 1 GHZ")
+    bench.ask("INIT;*WAI")
+    levels = numbers(bench.ask("TRAC? TRACE1"))
+    for query in ("FETC:SAN?", "FETC:SAN1?", "CALC:DATA?", "CALC:DATA1?"):
+        pairs = numbers(bench.ask(query)).reshape(-1, 2)
+        np.testing.assert_allclose(pairs[:, 0], np.linspace(2007e6, 2027e6, 2001), rtol=1e-6)  # seven digits
+        np.testing.assert_array_equal(pairs[:, 1], levels)
+
+
+def test_read_takes_a_new_sweep_and_fetch_does_not(make_bench: Callable[..., Any]) -> None:
+    bench = make_bench(dialect=KEYSIGHT)
+    bench.ask(SETUP)
+    assert bench.ask("FETC:SAN?") == ""
+    assert bench.errors() == [-230]
+    first = bench.ask("READ:SAN?")
+    assert bench.source.row == 1
+    assert bench.ask("FETC:SAN?") == first
+    assert bench.ask("MEAS:SAN?") != first
+    assert bench.source.row == 2
+
+
+def test_read_waits_for_its_sweep(make_bench: Callable[..., Any]) -> None:
+    allowed: list[bool] = []
+    bench = make_bench(may_advance=lambda: bool(allowed), dialect=KEYSIGHT)
+    bench.ask(SETUP)
+    assert bench.ask("READ:SAN?") == ""
+    assert bench.session.is_held
+    allowed.append(True)
+    bench.instrument.complete_pending()
+    assert bench.go_on().count(b",") == 4001
+    assert bench.source.row == 1
+
+
+@pytest.mark.parametrize(("kind", "mean_db"), [("RMS", 0.0), ("LOG", -2.51), ("SCAL", -1.05)])
+def test_average_detector_follows_the_average_type(bench: Any, kind: str, mean_db: float) -> None:
+    # mean of power, of dB and of volts of noise: N9030B manual in the docstrings of QCoDeS, -2.506 and -1.049 dB
+    bench.ask(SETUP + ";:SWE:TIME 2;:BAND:VID MAX;:INIT;*WAI")
+    reference = numbers(bench.ask("TRAC? TRACE1"))[:200]
+    bench.ask(f"AVER:TYPE {kind};:INIT;*WAI")
+    shown = numbers(bench.ask("TRAC? TRACE1"))[:200]
+    assert bench.ask("DET:TRAC?") == "AVER"
+    assert shown.mean() - reference.mean() == pytest.approx(mean_db, abs=0.15)  # 200 points of 0.8 dB each
+
+
+def test_other_detectors_do_not_follow_the_average_type(bench: Any) -> None:
+    assert bench.ask("DET:TRAC POS;:AVER:TYPE RMS;:DET:TRAC?;:DET:AUTO?") == "POS;0"
+    assert bench.ask("DET:AUTO ON;:DET?;:DET:TRAC?") == "NORM;NORM"
+
+
+def test_average_type_is_automatic_until_it_is_chosen(bench: Any) -> None:
+    assert bench.ask("AVER:TYPE?;TYPE:AUTO?") == "LOG;1"
+    bench.ask("AVER:TYPE RMS")
+    assert bench.ask("AVER:TYPE:AUTO?") == "0"
+    bench.ask("AVER:TYPE:AUTO ON")
+    assert bench.ask("AVER:TYPE?") == "LOG"
+
+
+def test_sweep_type_is_automatic_until_it_is_chosen(bench: Any) -> None:
+    assert bench.ask("SWE:TYPE?;TYPE:AUTO?") == "SWE;1"
+    bench.ask("SWE:TYPE FFT")
+    assert bench.ask("SWE:TYPE?;TYPE:AUTO?") == "FFT;0"
+    bench.ask("SWE:TYPE:AUTO ON")
+    assert bench.ask("SWE:TYPE?;TYPE:AUTO?") == "SWE;1"
+
+
+def test_averages_of_a_trace_are_one_measurement(bench: Any) -> None:
+    bench.ask(SETUP + ";:AVER:COUN 20;:TRAC1:TYPE AVER;:INIT;*WAI")
+    averaged = numbers(bench.ask("TRAC? TRACE1"))[:200].std()
+    bench.ask("TRAC1:TYPE WRIT;:INIT;*WAI")
+    single = numbers(bench.ask("TRAC? TRACE1"))[:200].std()
+    assert averaged < 0.4 * single
+    assert bench.source.row == 2
+
+
+def test_tuning_centres_the_strongest_carrier(bench: Any) -> None:
+    bench.ask("FREQ:TUNE:IMM")
+    assert float(bench.ask("FREQ:CENT?")) == pytest.approx(1012e6, abs=1e6)
+    assert bench.ask("INIT:CONT?;:SWE:POIN?") == "0;1001"
+    assert bench.errors() == []
+
+
+def test_field_strength_needs_an_antenna(bench: Any) -> None:
+    bench.ask("UNIT:POW DBUVM")
+    assert bench.errors() == [-221]
+
+
+def test_drivers_find_options_modes_and_measurements(bench: Any) -> None:
+    options = bench.ask("*OPT?")[1:-1].split(",")
+    modes = [mode.strip().split(" ")[0] for mode in bench.ask("INST:CAT?")[1:-1].split(",")]
+    measurements = [name.strip() for name in bench.ask("CONF:CAT?")[1:-1].split(",")]
+    assert "526" in options
+    assert modes == ["SA"]
+    assert measurements[0] == "SAN"
+    assert bench.ask("CONF:SAN:NDEF;:CONF?") == "SAN"
+
+
+def test_filter_takes_the_steps_of_the_e24_series(bench: Any) -> None:
+    assert bench.ask("BAND 31 KHZ;:BAND?;:BAND 6.5 MHZ;:BAND?;:BAND:VID 40 MHZ;VID?") == "30000;6000000;50000000"
+
+
+def test_one_point_is_a_trace_too(bench: Any) -> None:
+    bench.ask(SETUP + ";:SWE:POIN 1;:INIT;*WAI")
+    assert np.isfinite(numbers(bench.ask("TRAC? TRACE1"))).tolist() == [True]
