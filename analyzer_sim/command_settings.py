@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from analyzer_sim.command_row import Call, Command
 from analyzer_sim.instrument_settings import QUANTITIES, Settings, load, shown_limits, store
 from analyzer_sim.scpi_errors import ScpiError
-from analyzer_sim.scpi_parameters import PURE, Boolean, Choice, Numeric
+from analyzer_sim.scpi_parameters import PURE, Boolean, Choice, Numeric, Parameter
 
 
 def number_text(value: float) -> str:
@@ -32,8 +32,11 @@ def _word_value(settings: Settings, name: str, word: str) -> float:
     return load(settings, name) + QUANTITIES[name].step(settings, 1 if word == "UP" else -1)
 
 
-def numeric(pattern: str, name: str, units: Mapping[str, float] = PURE) -> Command:
-    """Return the row of a numeric setting with its MIN MAX DEF UP DOWN."""
+def numeric(
+    pattern: str, name: str, units: Mapping[str, float] = PURE, *, parameter: Parameter | None = None
+) -> Command:
+    """Return the row of a numeric setting with its MIN MAX DEF UP DOWN; ``parameter`` where units are not factors."""
+    kind = parameter or Numeric(units)
 
     def write(call: Call, value: float | str) -> None:
         settings = call.instrument.settings
@@ -49,7 +52,7 @@ def numeric(pattern: str, name: str, units: Mapping[str, float] = PURE) -> Comma
             raise ScpiError(-128)
         return number_text(_word_value(settings, name, value) if value else load(settings, name))
 
-    return Command(pattern, write, query, (Numeric(units),), query_parameters=(Numeric(units),))
+    return Command(pattern, write, query, (kind,), query_parameters=(kind,))
 
 
 def boolean(pattern: str, attribute: str, freeze: Callable[[Settings], None] | None = None) -> Command:

@@ -11,6 +11,7 @@ import numpy as np
 
 from analyzer_sim.command_row import Call, Command
 from analyzer_sim.epochs import rfc3339
+from analyzer_sim.function_settings import FunctionSettings
 from analyzer_sim.instrument_settings import Settings, reset_state, store
 from analyzer_sim.scpi_errors import ScpiError
 from analyzer_sim.scpi_parameters import Boolean, Choice, Quoted
@@ -72,15 +73,15 @@ def zero_span_row(pattern: str) -> Command:
 
 def _tune(call: Call) -> None:
     """Centre the strongest signal of the whole range."""
-    settings = call.instrument.settings
+    settings, functions = call.instrument.settings, call.instrument.functions
     wide = reset_state(settings.model)
     wide.points, wide.detector, wide.is_continuous = _TUNING_POINTS, "RMS", True
     store(wide, "rbw_hz", _TUNING_RBW_HZ)
-    call.instrument.settings = wide
+    call.instrument.settings, call.instrument.functions = wide, FunctionSettings()
     try:
         strongest = int(np.argmax(call.instrument.trace().level_dbm))
     finally:
-        call.instrument.settings = settings
+        call.instrument.settings, call.instrument.functions = settings, functions
         call.instrument.invalidate()
     store(settings, "span_hz", _TUNED_SPAN_HZ)
     center_hz = strongest * settings.model.max_frequency_hz / (_TUNING_POINTS - 1)

@@ -31,7 +31,7 @@ from analyzer_sim.epochs import rfc3339
 from analyzer_sim.instrument_settings import Settings, load
 from analyzer_sim.levels import definite_block
 from analyzer_sim.models import MS2090A
-from analyzer_sim.scpi_parameters import DBM, DECIBELS, HERTZ, SECONDS, Choice, TraceName
+from analyzer_sim.scpi_parameters import DECIBELS, HERTZ, SECONDS, Choice, Level, TraceName
 
 IDENTITY = "Anritsu,MS2090A,2014005,V2023.3.1"
 _DETECTORS = {"POSitive": "POS", "RMS": "RMS", "NEGative": "NEG", "SAMPle": "SAMP", "QUASi": "QPE"}
@@ -145,7 +145,7 @@ _SWEEP_ROWS = (
 )
 
 _LEVEL_ROWS = (
-    numeric(f"{_TRACE_Y}:RLEVel", "reference_dbm", DBM),
+    numeric(f"{_TRACE_Y}:RLEVel", "reference_dbm", parameter=Level()),
     inert_number(f"{_TRACE_Y}:RLEVel:OFFSet", 0.0, -100.0, 100.0, DECIBELS),
     inert_number(f"{_TRACE_Y}:PDIVision", 10.0, 1.0, 15.0, DECIBELS),
     numeric(f"{_POWER}:ATTenuation", "attenuation_db", DECIBELS),

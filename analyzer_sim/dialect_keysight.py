@@ -40,7 +40,7 @@ from analyzer_sim.command_traces import (
 from analyzer_sim.commands_common import COMMON_COMMANDS, SYSTEM_COMMANDS
 from analyzer_sim.dialect import Dialect
 from analyzer_sim.models import N9020B
-from analyzer_sim.scpi_parameters import DBM, DECIBELS, HERTZ, SECONDS, Boolean, Choice, TraceName
+from analyzer_sim.scpi_parameters import DECIBELS, HERTZ, SECONDS, Boolean, Choice, Level, TraceName
 
 IDENTITY = "Keysight Technologies,N9020B,MY57430101,A.30.05"
 _OPTIONS = '"526,B25,EA3,P26"'
@@ -172,7 +172,7 @@ _SWEEP_ROWS = (
 )
 
 _LEVEL_ROWS = (
-    numeric(f"{_TRACE_Y}:RLEVel", "reference_dbm", DBM),
+    numeric(f"{_TRACE_Y}:RLEVel", "reference_dbm", parameter=Level()),
     inert_number(f"{_TRACE_Y}:RLEVel:OFFSet", 0.0, -327.6, 327.6, DECIBELS),
     inert_number(f"{_TRACE_Y}:PDIVision", 10.0, 0.1, 20.0, DECIBELS),
     numeric(f"{_POWER}:ATTenuation", "attenuation_db", DECIBELS),

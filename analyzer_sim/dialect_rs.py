@@ -27,7 +27,7 @@ from analyzer_sim.dialect import Dialect
 from analyzer_sim.functions_rs import FUNCTION_ROWS
 from analyzer_sim.instrument_settings import QUANTITIES
 from analyzer_sim.models import FSW_26
-from analyzer_sim.scpi_parameters import DBM, DECIBELS, HERTZ, SECONDS, TraceName
+from analyzer_sim.scpi_parameters import DECIBELS, HERTZ, SECONDS, Level, TraceName
 
 IDENTITY = "Rohde&Schwarz,FSW-26,1312.8000K26/100001,5.30"
 _DETECTORS = {
@@ -90,7 +90,7 @@ _SWEEP_ROWS = (
 )
 
 _LEVEL_ROWS = (
-    numeric(f"{_DISPLAY_TRACE}:Y[:SCALe]:RLEVel", "reference_dbm", DBM),
+    numeric(f"{_DISPLAY_TRACE}:Y[:SCALe]:RLEVel", "reference_dbm", parameter=Level()),
     numeric("INPut<2>:ATTenuation", "attenuation_db", DECIBELS),
     boolean("INPut<2>:ATTenuation:AUTO", "is_attenuation_auto", freeze_attenuation),
     boolean("INPut<2>:GAIN:STATe", "is_preamplifier_on"),

@@ -32,7 +32,7 @@ from analyzer_sim.command_traces import TraceFormat, TraceStyle, format_row, tra
 from analyzer_sim.commands_common import COMMON_COMMANDS, SYSTEM_COMMANDS
 from analyzer_sim.dialect import Dialect
 from analyzer_sim.models import SSA3032X
-from analyzer_sim.scpi_parameters import DBM, DECIBELS, HERTZ, PURE, SECONDS, Numeric, TraceName
+from analyzer_sim.scpi_parameters import DECIBELS, HERTZ, PURE, SECONDS, Level, Numeric, TraceName
 
 IDENTITY = "Siglent Technologies,SSA3032X,SSA3XLBD2R0101,1.2.9.3"
 _DETECTORS = {
@@ -106,7 +106,7 @@ _SWEEP_ROWS = (
 )
 
 _LEVEL_ROWS = (
-    numeric(f"{_TRACE_Y}:RLEVel", "reference_dbm", DBM),
+    numeric(f"{_TRACE_Y}:RLEVel", "reference_dbm", parameter=Level()),
     inert_number(f"{_TRACE_Y}:RLEVel:OFFSet", 0.0, -300.0, 300.0, DECIBELS),
     inert_number(f"{_TRACE_Y}:PDIVision", 10.0, 1.0, 10.0, DECIBELS),
     inert(f"{_TRACE_Y}:SPACing", "LOG", ("LOGarithmic", "LINear")),

@@ -18,6 +18,26 @@ SECONDS: Mapping[str, float] = {"S": 1.0, "MS": 1e-3, "US": 1e-6, "NS": 1e-9}
 DECIBELS: Mapping[str, float] = {"DB": 1.0}
 DBM: Mapping[str, float] = {"DBM": 1.0}
 PURE: Mapping[str, float] = {}
+#: level of 1 V at 50 ohm, dBm
+_VOLT_DBM = 10.0 * math.log10(1e3 / 50.0)
+#: suffix -> what is added to become dBm
+_LOGARITHMIC_LEVELS: Mapping[str, float] = {
+    "DBM": 0.0,
+    "DBPW": -90.0,
+    "DBV": _VOLT_DBM,
+    "DBMV": _VOLT_DBM - 60.0,
+    "DBUV": _VOLT_DBM - 120.0,
+}
+_VOLT = math.sqrt(1e3 / 50.0)
+#: suffix -> factor and multiple of the logarithm that make dBm
+_LINEAR_LEVELS: Mapping[str, tuple[float, float]] = {
+    "W": (1e3, 10.0),
+    "MW": (1.0, 10.0),
+    "UW": (1e-3, 10.0),
+    "V": (_VOLT, 20.0),
+    "MV": (1e-3 * _VOLT, 20.0),
+    "UV": (1e-6 * _VOLT, 20.0),
+}
 
 #: words that stand for a number, short and long form
 KEYWORDS: Mapping[str, str] = {
@@ -63,6 +83,22 @@ def _keyword(datum: Character) -> float | str:
     if keyword is None:
         raise ScpiError(-141, datum.text)
     return {"INF": math.inf, "NINF": -math.inf}.get(keyword, keyword)
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """A level in any unit of power or, at 50 ohm, of voltage; without a suffix in dBm. Answers dBm or the keyword."""
+
+    def read(self, datum: Datum) -> float | str:
+        """Return the level, dBm; a power or a voltage that is not positive is minus infinity."""
+        if not isinstance(datum, Number) or not datum.suffix:
+            return Numeric(DBM).read(datum)
+        if datum.suffix in _LOGARITHMIC_LEVELS:
+            return datum.value + _LOGARITHMIC_LEVELS[datum.suffix]
+        if datum.suffix not in _LINEAR_LEVELS:
+            raise ScpiError(-131, datum.suffix)
+        factor, exponent = _LINEAR_LEVELS[datum.suffix]
+        return exponent * math.log10(datum.value * factor) if datum.value > 0.0 else -math.inf
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,9 +5,21 @@ import math
 import pytest
 
 from analyzer_sim.scpi_errors import ScpiError
-from analyzer_sim.scpi_parameters import HERTZ, PURE, SECONDS, Boolean, Choice, Numeric, Parameter, Quoted
+from analyzer_sim.scpi_parameters import (
+    HERTZ,
+    PURE,
+    SECONDS,
+    Boolean,
+    Choice,
+    Level,
+    Numeric,
+    Parameter,
+    Quoted,
+    TraceName,
+)
 from analyzer_sim.scpi_parser import parse_data
 
+TRACE = TraceName(("TRC",), 4)
 DETECTOR = Choice(("RMS", "POSitive"))
 
 
@@ -31,6 +43,18 @@ DETECTOR = Choice(("RMS", "POSitive"))
         (DETECTOR, "positive", "POS"),
         (DETECTOR, "POS", "POS"),
         (Quoted(), "'Spectrum'", "Spectrum"),
+        (Level(), "-30", -30.0),
+        (Level(), "-30 DBM", -30.0),
+        (Level(), "MIN", "MIN"),
+        (Level(), "1 W", 30.0),
+        (Level(), "0 W", -math.inf),
+        (Level(), "2 MW", 10.0 * math.log10(2.0)),
+        (Level(), "60 DBPW", -30.0),
+        (Level(), "1 V", 10.0 * math.log10(20.0)),
+        (Level(), "1000 MV", 10.0 * math.log10(20.0)),
+        (Level(), "120 DBUV", 10.0 * math.log10(20.0)),
+        (TRACE, "1", 1),
+        (TRACE, "trc4", 4),
         (Quoted(), "SAN", "SAN"),
     ],
 )
@@ -54,6 +78,15 @@ def test_fitting_element_gives_its_value(parameter: Parameter, text: str, value:
         (DETECTOR, "POSI", -141),
         (DETECTOR, "'RMS'", -158),
         (Quoted(), "1", -128),
+        (Level(), "1 HZ", -131),
+        (Level(), "'1'", -158),
+        (TRACE, "5", -224),
+        (TRACE, "1.5", -224),
+        (TRACE, "TRC5", -141),
+        (TRACE, "TRC", -141),
+        (TRACE, "1 DB", -138),
+        (TRACE, "'TRC1'", -158),
+        (TraceName(("TRACE",), 6, is_number_legal=False), "1", -128),
         (Quoted(), "#11a", -168),
     ],
 )
