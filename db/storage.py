@@ -8,7 +8,8 @@ from db.database import Database
 from db.links import SqlLinks
 from db.results import SqlResults
 from db.tables import head
-from service.ports import Archive, Catalogue, Links, Results
+from db.traces import SqlTraces
+from service.ports import Archive, Catalogue, Links, Results, Traces
 
 
 class SqlStorage:
@@ -29,6 +30,7 @@ class SqlStorage:
     archive: Archive
     results: Results
     links: Links
+    traces: Traces
 
     def __init__(self, url: str) -> None:
         self._database = Database(url)
@@ -36,6 +38,7 @@ class SqlStorage:
         self.archive = SqlArchive(self._database)
         self.results = SqlResults(self._database)
         self.links = SqlLinks(self._database)
+        self.traces = SqlTraces(self._database)
 
     def migrate(self) -> None:
         """Bring the schema to the present version."""

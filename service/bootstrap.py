@@ -70,6 +70,8 @@ def build_app(settings: Settings, storage: Storage, key: str) -> FastAPI:
             late_after_s=settings.late_after_s,
             max_body_bytes=settings.max_body_bytes,
             max_rows_per_batch=settings.max_rows_per_batch,
+            evidence_traces=settings.evidence_traces,
+            evidence_bytes=settings.evidence_bytes,
         ),
         on_accepted=supervisor.notify,
         on_startup=start,

@@ -28,6 +28,7 @@ from service.records.journal import JournalEntry, SlowInput
 from service.records.link import LinkReport, LinkState
 from service.records.measurement import BatchReceipt, Measurement, MeasurementBatch
 from service.records.series import HeadState, InputReceipt, MeasurementSeries, ReferenceSeries, SourceState
+from service.records.trace import KeptTrace, Ring, Trace, TraceHead, TraceReceipt
 
 #: version under which the live chain writes
 LIVE = "live"
@@ -338,6 +339,37 @@ class Links(Protocol):
         ...
 
 
+class Traces(Protocol):
+    """Evidence traces: a ring of sweeps a source."""
+
+    def append(
+        self, spacecraft_id: str, source: str, traces: Sequence[Trace], received_at_us: int, ring: Ring
+    ) -> TraceReceipt:
+        """Store traces of one source and drop, oldest epoch first, what its ring has no place for, as one.
+
+        Same source, sweep and epoch: duplicate, the first one stays.
+        """
+        ...
+
+    def heads(
+        self,
+        spacecraft_id: str,
+        window: Window,
+        limit: int,
+        after: tuple[int, int] | None,
+        source: str | None = None,
+        sweep: str | None = None,
+    ) -> list[TraceHead]:
+        """Return kept traces without their points in order of (epoch, number) beyond a cursor."""
+        ...
+
+    def trace(
+        self, spacecraft_id: str, epoch_us: int, source: str | None = None, sweep: str | None = None
+    ) -> KeptTrace:
+        """Return the trace of an epoch; NotFoundError ``trace.unknown``, ConflictError ``trace.ambiguous``."""
+        ...
+
+
 class Storage(Protocol):
     """One database seen as a whole."""
 
@@ -345,6 +377,7 @@ class Storage(Protocol):
     archive: Archive
     results: Results
     links: Links
+    traces: Traces
 
     def migrate(self) -> None:
         """Bring the schema to the present version."""

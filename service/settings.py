@@ -52,6 +52,8 @@ class Settings(BaseSettings):
     late_after_s: float = Field(300.0, ge=0, description="age from which a row counts as late, system clock, s")
     max_body_bytes: int = Field(8_388_608, ge=1024, description="greatest request body after unpacking, bytes")
     max_rows_per_batch: int = Field(10_000, ge=1, description="most rows of one batch")
+    evidence_traces: int = Field(2880, ge=0, description="evidence traces kept of one source; 0 keeps none")
+    evidence_bytes: int = Field(67_108_864, ge=0, description="bytes that the points of those traces may take")
     kernels: Literal["numba", "numpy"] = Field(
         "numba", description="who computes the robust filter: `numba` is faster, `numpy` spares 130 MB of memory"
     )

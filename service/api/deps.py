@@ -46,6 +46,9 @@ class Limits:
     expired_after_s: float = 210.0
     #: a silent stream says so this often
     stream_heartbeat_s: float = 15.0
+    #: evidence traces kept of one source, and bytes that their points may take
+    evidence_traces: int = 2880
+    evidence_bytes: int = 64 * 1024 * 1024
 
 
 def _ignore(_spacecraft_id: str) -> None:

@@ -86,10 +86,20 @@ def window_of(start: str | None, stop: str | None, default: Window) -> Window:
 
 def _parameter_epoch(name: str, text: str) -> int:
     """Return the epoch of a query parameter."""
+    return _epoch_at(f"/query/{name}", text)
+
+
+def path_epoch(name: str, text: str) -> int:
+    """Return the epoch that stands in a path; problem ``epoch.malformed`` for any other text."""
+    return _epoch_at(f"/path/{name}", text)
+
+
+def _epoch_at(pointer: str, text: str) -> int:
+    """Return an epoch, or raise the problem that points to it."""
     try:
         return parse_epoch(text)
     except ValueError as error:
-        raise invalid_request([FieldError(f"/query/{name}", "epoch.malformed", str(error))]) from None
+        raise invalid_request([FieldError(pointer, "epoch.malformed", str(error))]) from None
 
 
 #: all that the archive can hold

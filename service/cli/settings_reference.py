@@ -35,6 +35,8 @@ _PLAIN_ORIGINS: dict[str, str] = {
     "late_after_s": CHOSEN,
     "max_body_bytes": CHOSEN,
     "max_rows_per_batch": CHOSEN,
+    "evidence_traces": CHOSEN,
+    "evidence_bytes": CHOSEN,
     "kernels": CHOSEN,
 }
 

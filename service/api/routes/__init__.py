@@ -24,6 +24,7 @@ from service.api.routes import (
     status,
     stream,
     torques,
+    traces,
 )
 
 ROUTERS: tuple[APIRouter, ...] = (
@@ -41,6 +42,7 @@ ROUTERS: tuple[APIRouter, ...] = (
     carrier_selection.router,
     status.router,
     measurements.router,
+    traces.router,
     attitude.router,
     torques.router,
     stream.router,

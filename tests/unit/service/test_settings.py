@@ -19,6 +19,8 @@ PLAIN = {
     "SOO_LATE_AFTER_S": ("late_after_s", "120", 120.0),
     "SOO_MAX_BODY_BYTES": ("max_body_bytes", "2048", 2048),
     "SOO_MAX_ROWS_PER_BATCH": ("max_rows_per_batch", "5", 5),
+    "SOO_EVIDENCE_TRACES": ("evidence_traces", "0", 0),
+    "SOO_EVIDENCE_BYTES": ("evidence_bytes", "1000", 1000),
 }
 
 

@@ -1,0 +1,137 @@
+"""Evidence traces on their way in and out."""
+
+from typing import Annotated, Self
+
+import numpy as np
+from pydantic import Field
+
+from service.api.schemas.base import Answer, AnyEpoch, Document, EpochAnswer, Name, WindowAnswer
+from service.formats.numbers import shortest_float32
+from service.records.trace import KeptTrace, Trace, TraceHead, TraceReceipt, TraceSettings
+
+MAX_POINTS = 100_001
+MAX_TRACES = 256
+_Frequency = Annotated[float, Field(ge=0, le=1e12)]
+_Width = Annotated[float, Field(gt=0, le=1e12)]
+_Powers = Annotated[
+    list[Annotated[float, Field(ge=-1e6, le=1e6)] | None], Field(min_length=1, max_length=MAX_POINTS, fail_fast=True)
+]
+
+
+class TraceDocument(Document):
+    """One sweep, under the settings under which it was really taken."""
+
+    epoch: AnyEpoch
+    """Middle of the dwell."""
+    sweep: Name
+    """Name of the sweep in the measurement task."""
+    start_hz: _Frequency
+    """Of the first point."""
+    step_hz: _Width
+    rbw_hz: _Width
+    enbw_hz: _Width
+    """Noise bandwidth of the resolution filter."""
+    sweep_time_s: Annotated[float, Field(ge=0, le=86_400)]
+    power_dbm: _Powers
+    """dBm behind the resolution filter, null where the analyzer gave no number."""
+
+    def to_record(self) -> Trace:
+        """Return the record that this document states."""
+        settings = TraceSettings(self.start_hz, self.step_hz, self.rbw_hz, self.enbw_hz, self.sweep_time_s)
+        return Trace(self.epoch, self.sweep, settings, np.array(self.power_dbm, dtype=np.float64))
+
+
+class TraceBatchDocument(Document):
+    """Traces of one source."""
+
+    source: Name
+    traces: Annotated[list[TraceDocument], Field(max_length=MAX_TRACES, fail_fast=True)]
+
+
+class TraceRefusalAnswer(Answer):
+    """A refused trace."""
+
+    index: int
+    code: str
+    detail: str
+
+
+class TraceReceiptAnswer(Answer):
+    """What was committed; received = accepted + duplicates + len(refused)."""
+
+    received: int
+    accepted: int
+    duplicates: int
+    dropped: int
+    """Traces, new or old, that the ring of the source had no place for."""
+    refused: list[TraceRefusalAnswer]
+
+    @classmethod
+    def of(cls, receipt: TraceReceipt, refused: list[TraceRefusalAnswer]) -> Self:
+        """Return the answer that tells a receipt."""
+        return cls(
+            received=receipt.accepted + receipt.duplicates + len(refused),
+            accepted=receipt.accepted,
+            duplicates=receipt.duplicates,
+            dropped=receipt.dropped,
+            refused=refused,
+        )
+
+
+class TraceHeadAnswer(Answer):
+    """A kept trace without its points."""
+
+    epoch: EpochAnswer
+    source: str
+    sweep: str
+    start_hz: float
+    step_hz: float
+    points: int
+    rbw_hz: float
+    enbw_hz: float
+    sweep_time_s: float
+    received_at: EpochAnswer
+    size_bytes: int
+    """What its points take in the archive."""
+
+    @classmethod
+    def of(cls, head: TraceHead) -> Self:
+        """Return the answer that tells a head."""
+        return cls.model_validate(_head(head))
+
+
+class TraceAnswer(TraceHeadAnswer):
+    """A kept trace; the frequency of point k is start_hz + k step_hz."""
+
+    power_dbm: list[float | None]
+
+    @classmethod
+    def of_trace(cls, trace: KeptTrace) -> Self:
+        """Return the answer that tells a trace."""
+        return cls.model_validate({**_head(trace.head), "power_dbm": shortest_float32(trace.power_dbm)})
+
+
+class TracePage(Answer):
+    """Kept traces in order of epoch."""
+
+    range: WindowAnswer
+    rows: list[TraceHeadAnswer]
+    next: str | None
+
+
+def _head(head: TraceHead) -> dict[str, object]:
+    """Return the fields of a head."""
+    settings = head.settings
+    return {
+        "epoch": head.epoch_us,
+        "source": head.source,
+        "sweep": head.sweep,
+        "start_hz": settings.start_hz,
+        "step_hz": settings.step_hz,
+        "points": head.points,
+        "rbw_hz": settings.rbw_hz,
+        "enbw_hz": settings.enbw_hz,
+        "sweep_time_s": settings.sweep_time_s,
+        "received_at": head.received_at_us,
+        "size_bytes": head.size_bytes,
+    }
