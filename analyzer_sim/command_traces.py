@@ -89,7 +89,7 @@ def levels_shown(call: Call) -> FloatArray:
 
 def frequencies_shown(call: Call) -> FloatArray:
     """Return the frequencies of the points, the offset included, Hz."""
-    settings = call.instrument.settings
+    settings = call.instrument.swept
     grid = SweepGrid(settings.start_hz, settings.stop_hz, settings.points, settings.rbw_hz)
     return np.asarray(grid.frequency_hz + settings.offset_hz)
 

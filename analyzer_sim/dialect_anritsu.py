@@ -28,6 +28,7 @@ from analyzer_sim.command_traces import TraceFormat, TraceStyle, format_row, tra
 from analyzer_sim.commands_common import COMMON_COMMANDS, SYSTEM_COMMANDS
 from analyzer_sim.dialect import Dialect
 from analyzer_sim.epochs import rfc3339
+from analyzer_sim.functions_anritsu import FUNCTION_ROWS
 from analyzer_sim.instrument_settings import Settings, load
 from analyzer_sim.levels import definite_block
 from analyzer_sim.models import MS2090A
@@ -55,13 +56,19 @@ _POWER = f"{_SENSE}:POWer[:RF]"
 _NO_FIX = "NO FIX"
 
 
+_AVERAGE_WORDS = ("NONE", "SCALar", "MAXimum", "MINimum")
+#: word of ``AVERage:TYPE`` -> whether several sweeps are taken, and what is held of them
+_AVERAGE_TYPES = {"NONE": (False, ""), "SCAL": (True, ""), "MAX": (True, "MAXH"), "MIN": (True, "MINH")}
+
+
 def _put_average_type(call: Call, word: str) -> None:
-    call.instrument.settings.is_averaging = word == "SCAL"
+    call.instrument.settings.is_averaging, call.instrument.settings.hold = _AVERAGE_TYPES[word]
     call.instrument.invalidate()
 
 
 def _average_type(call: Call) -> str:
-    return "SCAL" if call.instrument.settings.is_averaging else "NONE"
+    state = call.instrument.settings.is_averaging, call.instrument.settings.hold
+    return next(word for word, of_word in _AVERAGE_TYPES.items() if of_word == state)
 
 
 def _megahertz(value_hz: float) -> str:
@@ -92,7 +99,7 @@ def _preamble_fields(settings: Settings) -> dict[str, str]:
         "DETECTION": settings.detector,
         "TRACE_AVERAGE": str(settings.average_count),
         "SWEEP_TYPE": "CONTINUOUS" if settings.is_continuous else "SINGLE",
-        "TRACE_MODE": "AVERAGE" if settings.is_averaging else "NORMAL",
+        "TRACE_MODE": (settings.hold or "AVERAGE") if settings.is_averaging else "NORMAL",
         "UI_DATA_POINTS": str(settings.points),
         "SET_SWEEP_TIME": f"{number_text(settings.time_s)} S",
     }
@@ -135,9 +142,9 @@ _SWEEP_ROWS = (
     boolean(f"{_SENSE}:SWEep:TIME:AUTO", "is_time_auto", freeze_time),
     *detector_rows(f"{_SENSE}:DETector[:FUNCtion]", f"{_SENSE}:DETector[:FUNCtion]:AUTO", _DETECTORS),
     numeric(f"{_SENSE}:AVERage:COUNt", "average_count"),
-    Command(f"{_SENSE}:AVERage:TYPE", _put_average_type, _average_type, (Choice(("NONE", "SCALar")),)),
-    trace_mode_row("TRACe<6>:TYPE", "NORMal", "AVERage"),
-    trace_mode_row("TRACe<6>:OPERation", "NORMal", "AVERage"),
+    Command(f"{_SENSE}:AVERage:TYPE", _put_average_type, _average_type, (Choice(_AVERAGE_WORDS),)),
+    trace_mode_row("TRACe<6>:TYPE", "NORMal"),
+    trace_mode_row("TRACe<6>:OPERation", "NORMal"),
     initiate_row("INITiate[:IMMediate]"),
     initiate_row("INITiate:ALL"),
     continuous_row("INITiate:CONTinuous"),
@@ -192,5 +199,6 @@ ANRITSU = Dialect(
         *_LEVEL_ROWS,
         *_TRACE_ROWS,
         *_MISCELLANEOUS_ROWS,
+        *FUNCTION_ROWS,
     ),
 )

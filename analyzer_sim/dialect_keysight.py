@@ -14,6 +14,7 @@ from analyzer_sim.command_sweep import (
     BY_TYPE,
     CLOCK_ROWS,
     application_row,
+    average_state_row,
     average_type_row,
     continuous_row,
     detector_rows,
@@ -39,6 +40,7 @@ from analyzer_sim.command_traces import (
 )
 from analyzer_sim.commands_common import COMMON_COMMANDS, SYSTEM_COMMANDS
 from analyzer_sim.dialect import Dialect
+from analyzer_sim.functions_keysight import FUNCTION_ROWS
 from analyzer_sim.models import N9020B
 from analyzer_sim.scpi_parameters import DECIBELS, HERTZ, SECONDS, Boolean, Choice, Level, TraceName
 
@@ -158,11 +160,11 @@ _SWEEP_ROWS = (
     Command(f"{_SENSE}:SWEep:TYPE:AUTO", _put_sweep_type_auto, _sweep_type_auto, (Boolean(),)),
     *detector_rows(f"{_SENSE}:DETector:TRACe<6>", f"{_SENSE}:DETector:TRACe<6>:AUTO", _DETECTORS),
     *detector_rows(f"{_SENSE}:DETector[:FUNCtion]", f"{_SENSE}:DETector:AUTO", _DETECTORS),
-    boolean(f"{_SENSE}:AVERage[:STATe]", "is_averaging"),
+    average_state_row(f"{_SENSE}:AVERage[:STATe]"),
     numeric(f"{_SENSE}:AVERage:COUNt", "average_count"),
     average_type_row(f"{_SENSE}:AVERage:TYPE", _AVERAGE_TYPES, does_detector_follow=True),
     Command(f"{_SENSE}:AVERage:TYPE:AUTO", _put_average_type_auto, _average_type_auto, (Boolean(),)),
-    trace_mode_row("TRACe<6>:TYPE", "WRITe", "AVERage"),
+    trace_mode_row("TRACe<6>:TYPE", "WRITe"),
     initiate_row("INITiate[:IMMediate]"),
     continuous_row("INITiate:CONTinuous"),
     Command("INITiate:RESTart", _restart),
@@ -239,5 +241,6 @@ KEYSIGHT = Dialect(
         *_LEVEL_ROWS,
         *_TRACE_ROWS,
         *_MISCELLANEOUS_ROWS,
+        *FUNCTION_ROWS,
     ),
 )

@@ -31,6 +31,7 @@ from analyzer_sim.command_sweep import (
 from analyzer_sim.command_traces import TraceFormat, TraceStyle, format_row, trace_row
 from analyzer_sim.commands_common import COMMON_COMMANDS, SYSTEM_COMMANDS
 from analyzer_sim.dialect import Dialect
+from analyzer_sim.functions_siglent import FUNCTION_ROWS
 from analyzer_sim.models import SSA3032X
 from analyzer_sim.scpi_parameters import DECIBELS, HERTZ, PURE, SECONDS, Level, Numeric, TraceName
 
@@ -98,7 +99,7 @@ _SWEEP_ROWS = (
     numeric(f"{_SENSE}:AVERage[:TRACe<4>]:COUNt", "average_count"),
     Command(f"{_SENSE}:AVERage[:TRACe<4>]:CLEar", _clear_average),
     average_type_row(f"{_SENSE}:AVERage:TYPE", _AVERAGE_TYPES, does_detector_follow=True),
-    trace_mode_row("TRACe<4>:MODE", "WRITe", "AVERage"),
+    trace_mode_row("TRACe<4>:MODE", "WRITe"),
     initiate_row("INITiate[:IMMediate]"),
     continuous_row("INITiate:CONTinuous"),
     inert("TRIGger[:SEQuence]:SOURce", "IMM", ("IMMediate",)),
@@ -147,5 +148,6 @@ SIGLENT = Dialect(
         *_LEVEL_ROWS,
         *_TRACE_ROWS,
         *_MISCELLANEOUS_ROWS,
+        *FUNCTION_ROWS,
     ),
 )

@@ -91,11 +91,13 @@ def word_row(pattern: str, name: str, words: tuple[str, ...], default: str) -> C
     return Command(pattern, write, lambda call: word(call, name, default), (Choice(words),))
 
 
-def switch_row(pattern: str, name: str, default: str = "0") -> Command:
-    """Return the row of a switch that leaves the trace valid."""
+def switch_row(pattern: str, name: str, default: str = "0", *, reshapes: bool = False) -> Command:
+    """Return the row of a switch; ``reshapes`` marks one that makes the trace stale."""
 
     def write(call: Call, is_on: bool) -> None:  # noqa: FBT001 - the one value of the command
         call.instrument.functions.words[name] = str(int(is_on))
+        if reshapes:
+            call.instrument.invalidate()
 
     return Command(pattern, write, lambda call: word(call, name, default), (Boolean(),))
 
@@ -143,6 +145,14 @@ def swept_trace(call: Call) -> Trace:
 def middle_band(trace: Trace, width_hz: float) -> Band:
     """Return a band about the centre of the trace."""
     return Band(0.5 * (trace.grid.start_hz + trace.grid.stop_hz), width_hz)
+
+
+def start_if_stale(call: Call) -> None:
+    """Start a single sweep unless there is a trace with the present settings."""
+    try:
+        call.instrument.trace()
+    except ScpiError:
+        start_sweep(call)
 
 
 def start_sweep(call: Call) -> None:

@@ -73,7 +73,8 @@ def swept_settings(settings: Settings, functions: FunctionSettings) -> Settings:
     }
     swept = replace(settings, detector="RMS", is_averaging=False, is_rbw_auto=True, is_vbw_auto=True, is_time_auto=True)
     store(swept, "span_hz", own.get("span_hz", settings.span_hz))
-    swept.count = round(own.get("averages", 1.0))
+    is_averaging = functions.words.get(f"{functions.measurement}.averaging", "1") == "1"
+    swept.count = round(own.get("averages", 1.0)) if is_averaging else 1
     for name in ("rbw_hz", "time_s"):
         if name in own:
             store(swept, name, own[name])
