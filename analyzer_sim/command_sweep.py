@@ -143,17 +143,34 @@ def average_type_row(pattern: str, types: Mapping[str, str], *, does_detector_fo
     return Command(pattern, write, lambda call: word_of[call.instrument.settings.average_type], (Choice(tuple(types)),))
 
 
-def trace_mode_row(pattern: str, plain: str, average: str) -> Command:
-    """Return the row that shows single sweeps or their average."""
+def trace_mode_row(pattern: str, plain: str) -> Command:
+    """Return the row that shows a single sweep, or the average, the highest or the lowest of several."""
 
     def write(call: Call, word: str) -> None:
-        call.instrument.settings.is_averaging = word == short(average)
+        settings = call.instrument.settings
+        settings.is_averaging = word != short(plain)
+        settings.hold = word if word in {"MAXH", "MINH"} else ""
         call.instrument.invalidate()
 
     def query(call: Call) -> str:
-        return short(average if call.instrument.settings.is_averaging else plain)
+        settings = call.instrument.settings
+        return (settings.hold or "AVER") if settings.is_averaging else short(plain)
 
-    return Command(pattern, write, query, (Choice((plain, average)),))
+    return Command(pattern, write, query, (Choice((plain, "AVERage", "MAXHold", "MINHold")),))
+
+
+def average_state_row(pattern: str) -> Command:
+    """Return the row that switches the average of several sweeps on; a hold ends."""
+
+    def write(call: Call, is_on: bool) -> None:  # noqa: FBT001 - the one value of the command
+        call.instrument.settings.is_averaging, call.instrument.settings.hold = is_on, ""
+        call.instrument.invalidate()
+
+    def query(call: Call) -> str:
+        settings = call.instrument.settings
+        return str(int(settings.is_averaging and not settings.hold))
+
+    return Command(pattern, write, query, (Boolean(),))
 
 
 def unit_row(pattern: str, units: tuple[str, ...], conflicting: tuple[str, ...] = ()) -> Command:

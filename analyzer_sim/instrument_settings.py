@@ -51,7 +51,10 @@ class Settings:
     #: SWE, FFT or AUTO (taken as SWE)
     sweep_type: str = "AUTO"
     count: int = 0
+    #: a trace is made from several sweeps, by their average or by ``hold``
     is_averaging: bool = False
+    #: MAXH or MINH: the highest or lowest of the sweeps; empty = their average
+    hold: str = ""
     is_detector_auto: bool = True
     reference_dbm: float = 0.0
     attenuation_chosen_db: float = 10.0
@@ -128,8 +131,8 @@ class Settings:
 
     @property
     def combination(self) -> str:
-        """How sweeps are combined: the average type when averaging is on, else the mean of mW."""
-        return self.average_type if self.is_averaging else "POW"
+        """How sweeps are combined: by the hold or the average type when that is on, else by the mean of mW."""
+        return (self.hold or self.average_type) if self.is_averaging else "POW"
 
 
 def reset_state(model: AnalyzerModel, *, is_preset: bool = False) -> Settings:

@@ -6,7 +6,7 @@ Order of the signal path: input, attenuator and own noise, resolution filter, de
 import math
 from collections.abc import Callable
 from enum import Enum
-from functools import lru_cache, partial
+from functools import lru_cache, partial, reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -114,9 +114,11 @@ class TracePainter:
 
 
 def _combined(draw: Callable[[], FloatArray], settings: Settings) -> FloatArray:
-    """Draw the sweeps and combine them by the average type."""
+    """Draw the sweeps and combine them by the average type or the hold."""
     if settings.sweeps == 1:
         return draw()
+    if settings.combination in HOLDS:
+        return reduce(HOLDS[settings.combination], (draw() for _ in range(settings.sweeps)))
     to_scale, from_scale = COMBINATIONS[settings.combination]
     total = to_scale(draw())
     for _ in range(settings.sweeps - 1):
@@ -162,3 +164,6 @@ COMBINATIONS: dict[str, tuple[Callable[[FloatArray], FloatArray], Callable[[Floa
     "LIN": (np.sqrt, np.square),
     "VID": (_decibels, np.exp),
 }
+
+#: hold -> what it keeps of two sweeps
+HOLDS: dict[str, np.ufunc] = {"MAXH": np.maximum, "MINH": np.minimum}
