@@ -77,6 +77,8 @@ class AnalyzerModel:
     #: duration of one sweep, s
     sweep_time_s: Limits
     reference_dbm: Limits
+    #: gain or loss before the input that levels can be corrected by
+    level_offset_db: Limits
     attenuation_db: Limits
     #: step of the attenuator by hand, and when it follows the reference level
     attenuation_step_db: float

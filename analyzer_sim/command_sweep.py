@@ -4,6 +4,7 @@ Law of this file: a word of a dialect becomes a code of ``Settings`` here and no
 the average type has no code of its own (``BY_TYPE``): it follows that type, as Keysight and Siglent have it.
 """
 
+import math
 from collections.abc import Mapping
 from typing import Final
 
@@ -11,7 +12,6 @@ import numpy as np
 
 from analyzer_sim.command_row import Call, Command
 from analyzer_sim.epochs import rfc3339
-from analyzer_sim.function_settings import FunctionSettings
 from analyzer_sim.instrument_settings import Settings, reset_state, store
 from analyzer_sim.scpi_errors import ScpiError
 from analyzer_sim.scpi_parameters import Boolean, Choice, Quoted
@@ -20,6 +20,10 @@ from analyzer_sim.scpi_parameters import Boolean, Choice, Quoted
 BY_TYPE: Final = "BY TYPE"
 #: average type -> detector of the same mean
 AVERAGING_DETECTORS: Mapping[str, str] = {"VID": "AVER", "POW": "RMS", "LIN": "LIN"}
+#: widths of a Gaussian filter by the one at 3 dB: at 6 dB, of noise, of impulses
+DB6_RATIO: Final = math.sqrt(2.0)
+NOISE_RATIO: Final = math.sqrt(math.pi / (4.0 * math.log(2.0)))
+IMPULSE_RATIO: Final = math.sqrt(math.pi / (2.0 * math.log(2.0)))
 #: span left by the search for the strongest signal, Hz
 _TUNED_SPAN_HZ = 10e6
 _TUNING_POINTS = 50001
@@ -33,7 +37,7 @@ def short(word: str) -> str:
 
 def freeze_rbw(settings: Settings) -> None:
     """Keep the resolution bandwidth in force when its coupling ends."""
-    settings.rbw_chosen_hz = settings.rbw_hz
+    settings.rbw_chosen_hz = settings.rbw_shown_hz
 
 
 def freeze_vbw(settings: Settings) -> None:
@@ -49,6 +53,20 @@ def freeze_time(settings: Settings) -> None:
 def freeze_attenuation(settings: Settings) -> None:
     """Keep the attenuation in force when its coupling ends."""
     settings.attenuation_chosen_db = settings.attenuation_db
+
+
+def filter_type_row(pattern: str, ratios: Mapping[str, float]) -> Command:
+    """Return the row that tells by which width the resolution filter is set: word -> that width by the 3 dB one."""
+    ratio_of = {short(word): ratio for word, ratio in ratios.items()}
+
+    def write(call: Call, word: str) -> None:
+        call.instrument.settings.filter_ratio = ratio_of[word]
+        call.instrument.invalidate()
+
+    def query(call: Call) -> str:
+        return next(word for word, ratio in ratio_of.items() if ratio == call.instrument.settings.filter_ratio)
+
+    return Command(pattern, write, query, (Choice(tuple(ratios)),))
 
 
 def full_span_row(pattern: str) -> Command:
@@ -73,16 +91,12 @@ def zero_span_row(pattern: str) -> Command:
 
 def _tune(call: Call) -> None:
     """Centre the strongest signal of the whole range."""
-    settings, functions = call.instrument.settings, call.instrument.functions
+    settings = call.instrument.settings
     wide = reset_state(settings.model)
-    wide.points, wide.detector, wide.is_continuous = _TUNING_POINTS, "RMS", True
+    wide.points, wide.detector = _TUNING_POINTS, "RMS"
     store(wide, "rbw_hz", _TUNING_RBW_HZ)
-    call.instrument.settings, call.instrument.functions = wide, FunctionSettings()
-    try:
-        strongest = int(np.argmax(call.instrument.trace().level_dbm))
-    finally:
-        call.instrument.settings, call.instrument.functions = settings, functions
-        call.instrument.invalidate()
+    strongest = int(np.argmax(call.instrument.glimpse(wide).level_dbm))
+    call.instrument.invalidate()
     store(settings, "span_hz", _TUNED_SPAN_HZ)
     center_hz = strongest * settings.model.max_frequency_hz / (_TUNING_POINTS - 1)
     store(settings, "center_hz", center_hz + settings.offset_hz)

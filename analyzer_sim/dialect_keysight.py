@@ -13,11 +13,15 @@ from analyzer_sim.command_settings import boolean, constant, ignored, inert, ine
 from analyzer_sim.command_sweep import (
     BY_TYPE,
     CLOCK_ROWS,
+    DB6_RATIO,
+    IMPULSE_RATIO,
+    NOISE_RATIO,
     application_row,
     average_state_row,
     average_type_row,
     continuous_row,
     detector_rows,
+    filter_type_row,
     freeze_attenuation,
     freeze_rbw,
     freeze_time,
@@ -54,6 +58,7 @@ _DETECTORS = {
     "NEGative": "NEG",
     "QPEak": "QPE",
 }
+_FILTER_TYPES = {"DB3": 1.0, "DB6": DB6_RATIO, "NOISe": NOISE_RATIO, "IMPulse": IMPULSE_RATIO}
 _AVERAGE_TYPES = {"LOG": "VID", "RMS": "POW", "SCALar": "LIN"}
 _UNITS = ("DBM", "DBMV", "DBMA", "V", "W", "A", "DBUV", "DBUA", "DBPW")
 _FIELD_UNITS = ("DBUVM", "DBUAM", "DBPT", "DBG")
@@ -145,7 +150,7 @@ _FREQUENCY_ROWS = (
 _BANDWIDTH_ROWS = (
     numeric(f"{_BANDWIDTH}[:RESolution]", "rbw_hz", HERTZ),
     boolean(f"{_BANDWIDTH}[:RESolution]:AUTO", "is_rbw_auto", freeze_rbw),
-    inert(f"{_BANDWIDTH}:TYPE", "DB3", ("DB3", "DB6", "NOISe", "IMPulse")),
+    filter_type_row(f"{_BANDWIDTH}[:RESolution]:TYPE", _FILTER_TYPES),
     inert(f"{_BANDWIDTH}:SHAPe", "GAUS", ("GAUSsian",)),
     numeric(f"{_BANDWIDTH}:VIDeo", "vbw_hz", HERTZ),
     boolean(f"{_BANDWIDTH}:VIDeo:AUTO", "is_vbw_auto", freeze_vbw),
@@ -175,7 +180,7 @@ _SWEEP_ROWS = (
 
 _LEVEL_ROWS = (
     numeric(f"{_TRACE_Y}:RLEVel", "reference_dbm", parameter=Level()),
-    inert_number(f"{_TRACE_Y}:RLEVel:OFFSet", 0.0, -327.6, 327.6, DECIBELS),
+    numeric(f"{_TRACE_Y}:RLEVel:OFFSet", "level_offset_db", DECIBELS),
     inert_number(f"{_TRACE_Y}:PDIVision", 10.0, 0.1, 20.0, DECIBELS),
     numeric(f"{_POWER}:ATTenuation", "attenuation_db", DECIBELS),
     boolean(f"{_POWER}:ATTenuation:AUTO", "is_attenuation_auto", freeze_attenuation),

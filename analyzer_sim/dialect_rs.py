@@ -92,6 +92,7 @@ _SWEEP_ROWS = (
 
 _LEVEL_ROWS = (
     numeric(f"{_DISPLAY_TRACE}:Y[:SCALe]:RLEVel", "reference_dbm", parameter=Level()),
+    numeric(f"{_DISPLAY_TRACE}:Y[:SCALe]:RLEVel:OFFSet", "level_offset_db", DECIBELS),
     numeric("INPut<2>:ATTenuation", "attenuation_db", DECIBELS),
     boolean("INPut<2>:ATTenuation:AUTO", "is_attenuation_auto", freeze_attenuation),
     boolean("INPut<2>:GAIN:STATe", "is_preamplifier_on"),

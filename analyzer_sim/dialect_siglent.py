@@ -13,10 +13,12 @@ from analyzer_sim.command_settings import boolean, choice, constant, ignored, in
 from analyzer_sim.command_sweep import (
     BY_TYPE,
     CLOCK_ROWS,
+    DB6_RATIO,
     application_row,
     average_type_row,
     continuous_row,
     detector_rows,
+    filter_type_row,
     freeze_attenuation,
     freeze_rbw,
     freeze_time,
@@ -44,6 +46,8 @@ _DETECTORS = {
     "NORMal": "APE",
     "QUASi": "QPE",
 }
+#: filters for interference are told by their width at 6 dB
+_FILTER_TYPES = {"GAUSS": 1.0, "EMI": DB6_RATIO}
 _AVERAGE_TYPES = {"LOGPower": "VID", "POWer": "POW", "VOLTage": "LIN"}
 _UNITS = ("DBM", "DBMV", "DBUV", "DBUA", "V", "W")
 _TRACE_NAME = TraceName(("TRC", "TRACE", "TRAC"), 4)
@@ -83,7 +87,7 @@ _BANDWIDTH_ROWS = (
     boolean(f"{_BANDWIDTH}[:RESolution]:AUTO", "is_rbw_auto", freeze_rbw),
     numeric(f"{_BANDWIDTH}:VIDeo", "vbw_hz", HERTZ),
     boolean(f"{_BANDWIDTH}:VIDeo:AUTO", "is_vbw_auto", freeze_vbw),
-    inert(f"{_SENSE}:FILTer:TYPE", "GAUSS", ("GAUSS", "EMI")),
+    filter_type_row(f"{_SENSE}:FILTer:TYPE", _FILTER_TYPES),
 )
 
 _SWEEP_ROWS = (
@@ -108,7 +112,7 @@ _SWEEP_ROWS = (
 
 _LEVEL_ROWS = (
     numeric(f"{_TRACE_Y}:RLEVel", "reference_dbm", parameter=Level()),
-    inert_number(f"{_TRACE_Y}:RLEVel:OFFSet", 0.0, -300.0, 300.0, DECIBELS),
+    numeric(f"{_TRACE_Y}:RLEVel:OFFSet", "level_offset_db", DECIBELS),
     inert_number(f"{_TRACE_Y}:PDIVision", 10.0, 1.0, 10.0, DECIBELS),
     inert(f"{_TRACE_Y}:SPACing", "LOG", ("LOGarithmic", "LINear")),
     numeric(f"{_POWER}:ATTenuation", "attenuation_db", DECIBELS),

@@ -1,7 +1,7 @@
 """Settings of the analyzer and their couplings; no command, no spectrum.
 
 Law of this file: a numeric setting has one row in ``QUANTITIES`` (limits, what storing it does); nothing else clamps or
-couples. Frequencies are stored as they are at the input; the frequency offset is added where they are shown. Every
+couples. Frequencies are stored as they are at the input; offsets are added where they are shown. Every
 limit and every step is a figure of the model.
 
 Couplings (all [K], as R&S analyzers have them)::
@@ -42,6 +42,8 @@ class Settings:
     offset_hz: float = 0.0
     #: what UP and DOWN move the centre by; ``None`` = a tenth of the span
     step_chosen_hz: float | None = None
+    #: resolution bandwidth shown by the one at 3 dB: 1 unless the filter is told by another of its widths
+    filter_ratio: float = 1.0
     rbw_chosen_hz: float = 3e6
     is_rbw_auto: bool = True
     vbw_chosen_hz: float = 3e6
@@ -57,6 +59,8 @@ class Settings:
     hold: str = ""
     is_detector_auto: bool = True
     reference_dbm: float = 0.0
+    #: what is added to all levels shown: gain or loss before the input
+    level_offset_db: float = 0.0
     attenuation_chosen_db: float = 10.0
     is_attenuation_auto: bool = True
     is_preamplifier_on: bool = False
@@ -82,16 +86,23 @@ class Settings:
         return self.span_hz / 10.0 if self.step_chosen_hz is None else self.step_chosen_hz
 
     @property
-    def rbw_hz(self) -> float:
-        """Resolution bandwidth (3 dB) in force."""
+    def rbw_shown_hz(self) -> float:
+        """Resolution bandwidth as the instrument tells it."""
         if not self.is_rbw_auto:
             return self.rbw_chosen_hz
         return self.model.rbw.legal(self.span_hz / self.model.span_per_rbw) if self.span_hz else self.rbw_chosen_hz
 
     @property
+    def rbw_hz(self) -> float:
+        """Resolution bandwidth (3 dB) in force."""
+        return self.rbw_shown_hz / self.filter_ratio
+
+    @property
     def vbw_hz(self) -> float:
         """Video bandwidth in force."""
-        return self.model.vbw.legal(self.model.vbw_per_rbw * self.rbw_hz) if self.is_vbw_auto else self.vbw_chosen_hz
+        return (
+            self.model.vbw.legal(self.model.vbw_per_rbw * self.rbw_shown_hz) if self.is_vbw_auto else self.vbw_chosen_hz
+        )
 
     @property
     def time_s(self) -> float:
@@ -171,7 +182,7 @@ def _store_span(settings: Settings, span_hz: float) -> None:
     model = settings.model
     legal_hz = 0.0 if span_hz < 0.5 * model.min_span_hz else max(span_hz, model.min_span_hz)
     if not legal_hz and settings.is_rbw_auto:
-        settings.rbw_chosen_hz = settings.rbw_hz
+        settings.rbw_chosen_hz = settings.rbw_shown_hz
     center_hz = min(max(settings.center_hz, 0.5 * legal_hz), model.max_frequency_hz - 0.5 * legal_hz)
     _store_window(settings, center_hz, legal_hz)
 
@@ -213,8 +224,24 @@ def _store_reference(settings: Settings, reference_dbm: float) -> None:
     settings.reference_dbm = reference_dbm
 
 
+def _store_level_offset(settings: Settings, offset_db: float) -> None:
+    settings.level_offset_db = offset_db
+
+
 def _store_offset(settings: Settings, offset_hz: float) -> None:
     settings.offset_hz = offset_hz
+
+
+def _nothing(_settings: Settings) -> float:
+    return 0.0
+
+
+def _frequency_offset(settings: Settings) -> float:
+    return settings.offset_hz
+
+
+def _level_offset(settings: Settings) -> float:
+    return settings.level_offset_db
 
 
 def _never(_settings: Settings) -> bool:
@@ -223,14 +250,15 @@ def _never(_settings: Settings) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """One numeric setting; frequencies on the axis of the display have ``is_shifted``."""
+    """One numeric setting."""
 
     limits: Callable[[Settings], Limits]
     load: Callable[[Settings], float]
     store: Callable[[Settings, float], None]
     #: change that UP (+1) and DOWN (-1) make
     step: Callable[[Settings, int], float]
-    is_shifted: bool = False
+    #: what is added where the setting is shown
+    shift: Callable[[Settings], float] = _nothing
     #: the instrument accepts any value and keeps its own
     is_ignored: Callable[[Settings], bool] = _never
 
@@ -279,18 +307,18 @@ QUANTITIES: dict[str, Quantity] = {
         lambda s: s.center_hz,
         lambda s, value: _store_window(s, value, s.span_hz),
         lambda s, direction: direction * s.step_hz,
-        is_shifted=True,
+        shift=_frequency_offset,
     ),
     "span_hz": Quantity(_span_limits, lambda s: s.span_hz, _store_span, _by_half("span_hz")),
     "step_hz": Quantity(_step_limits, lambda s: s.step_hz, _store_step, _by_half("step_hz")),
-    "start_hz": Quantity(_start_limits, lambda s: s.start_hz, _store_start, _axis_step, is_shifted=True),
-    "stop_hz": Quantity(_stop_limits, lambda s: s.stop_hz, _store_stop, _axis_step, is_shifted=True),
+    "start_hz": Quantity(_start_limits, lambda s: s.start_hz, _store_start, _axis_step, shift=_frequency_offset),
+    "stop_hz": Quantity(_stop_limits, lambda s: s.stop_hz, _store_stop, _axis_step, shift=_frequency_offset),
     "offset_hz": Quantity(_fixed(-1e12, 1e12, 0.0), lambda s: s.offset_hz, _store_offset, _by(1e6)),
     "rbw_hz": Quantity(
         lambda s: s.model.rbw.limits,
-        lambda s: s.rbw_hz,
+        lambda s: s.rbw_shown_hz,
         _store_rbw,
-        lambda s, direction: s.model.rbw.neighbour(s.rbw_hz, direction) - s.rbw_hz,
+        lambda s, direction: s.model.rbw.neighbour(s.rbw_shown_hz, direction) - s.rbw_shown_hz,
     ),
     "vbw_hz": Quantity(
         lambda s: s.model.vbw.limits,
@@ -310,7 +338,16 @@ QUANTITIES: dict[str, Quantity] = {
     "average_count": Quantity(
         lambda s: s.model.average_count, lambda s: s.average_count, _store_average_count, _by(1.0)
     ),
-    "reference_dbm": Quantity(lambda s: s.model.reference_dbm, lambda s: s.reference_dbm, _store_reference, _by(10.0)),
+    "reference_dbm": Quantity(
+        lambda s: s.model.reference_dbm,
+        lambda s: s.reference_dbm,
+        _store_reference,
+        _by(10.0),
+        shift=_level_offset,
+    ),
+    "level_offset_db": Quantity(
+        lambda s: s.model.level_offset_db, lambda s: s.level_offset_db, _store_level_offset, _by(1.0)
+    ),
     "attenuation_db": Quantity(
         lambda s: s.model.attenuation_db,
         lambda s: s.attenuation_db,
@@ -321,18 +358,15 @@ QUANTITIES: dict[str, Quantity] = {
 
 
 def shown_limits(settings: Settings, name: str) -> Limits:
-    """Return the limits of a setting as they are shown, the frequency offset included."""
+    """Return the limits of a setting as they are shown, the offset included."""
     quantity = QUANTITIES[name]
-    limits = quantity.limits(settings)
-    if not quantity.is_shifted:
-        return limits
-    return Limits(*(value + settings.offset_hz for value in limits))
+    return Limits(*(value + quantity.shift(settings) for value in quantity.limits(settings)))
 
 
 def load(settings: Settings, name: str) -> float:
     """Return the value of a numeric setting as it is shown."""
     quantity = QUANTITIES[name]
-    return quantity.load(settings) + (settings.offset_hz if quantity.is_shifted else 0.0)
+    return quantity.load(settings) + quantity.shift(settings)
 
 
 def store(settings: Settings, name: str, value: float) -> bool:
@@ -341,7 +375,7 @@ def store(settings: Settings, name: str, value: float) -> bool:
     if quantity.is_ignored(settings):
         return False
     limits = quantity.limits(settings)
-    inner = value - (settings.offset_hz if quantity.is_shifted else 0.0)
+    inner = value - quantity.shift(settings)
     clamped = min(max(inner, limits.low), limits.high)
     quantity.store(settings, clamped)
     return clamped != inner

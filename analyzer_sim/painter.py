@@ -44,7 +44,7 @@ class Detail(Enum):
 class Trace(NamedTuple):
     """One displayed trace."""
 
-    #: shape (B,), dBm
+    #: shape (B,), dBm, the level offset included
     level_dbm: FloatArray
     #: bits of QUEStionable:POWer
     overload: int
@@ -90,6 +90,7 @@ class TracePainter:
         power_mw *= self._ripple_gain(grid) * milliwatts(error_db - overload.compression_db)
         level_dbm = 10.0 * np.log10(np.maximum(power_mw, _LEAST_MW))
         np.minimum(level_dbm, settings.reference_dbm + HEADROOM_DB, out=level_dbm)
+        level_dbm += settings.level_offset_db
         return Trace(level_dbm, overload.bits, emission.epoch_us, grid, settings.detector)
 
     def _statistics(self, mean: MeanTrace, grid: SweepGrid, settings: Settings, traces: int) -> FloatArray:

@@ -166,6 +166,26 @@ def test_filter_takes_the_steps_of_the_e24_series(bench: Any) -> None:
     assert bench.ask("BAND 31 KHZ;:BAND?;:BAND 6.5 MHZ;:BAND?;:BAND:VID 40 MHZ;VID?") == "30000;6000000;50000000"
 
 
+@pytest.mark.parametrize(("kind", "step_db"), [("DB3", 0.0), ("DB6", -1.505), ("NOIS", -0.272), ("IMP", -1.777)])
+def test_filter_type_tells_which_width_is_set(bench: Any, kind: str, step_db: float) -> None:
+    # a Gaussian filter as wide as before by another of its widths is narrower at 3 dB: 10 lg of 1/1.414 1/1.064 1/1.505
+    bench.ask(SETUP + ";:SWE:TIME 100;:INIT;*WAI")
+    reference = numbers(bench.ask("TRAC? TRACE1"))[:200].mean()
+    bench.ask(f"BAND:TYPE {kind};:INIT;*WAI")
+    assert bench.ask("BAND?;:BAND:TYPE?") == f"30000;{kind}"
+    assert numbers(bench.ask("TRAC? TRACE1"))[:200].mean() - reference == pytest.approx(step_db, abs=0.03)
+
+
+def test_level_offset_moves_trace_and_reference(bench: Any) -> None:
+    bench.ask(SETUP + ";:SWE:TIME 100;:DISP:WIND:TRAC:Y:RLEV -20;:INIT;*WAI")
+    reference = numbers(bench.ask("TRAC? TRACE1")).mean()
+    bench.ask("DISP:WIND:TRAC:Y:RLEV:OFFS 10;:INIT;*WAI")
+    assert bench.ask("DISP:WIND:TRAC:Y:RLEV?;RLEV? MAX;:POW:ATT?") == "-10;40;0"
+    assert numbers(bench.ask("TRAC? TRACE1")).mean() - reference == pytest.approx(10.0, abs=0.02)
+    bench.ask("DISP:WIND:TRAC:Y:RLEV 10")
+    assert bench.ask("POW:ATT?") == "10"
+
+
 def test_one_point_is_a_trace_too(bench: Any) -> None:
     bench.ask(SETUP + ";:SWE:POIN 1;:INIT;*WAI")
     assert np.isfinite(numbers(bench.ask("TRAC? TRACE1"))).tolist() == [True]
