@@ -1,34 +1,30 @@
 """The acquisition of one analyzer: a state machine as a table, run by one thread.
 
-Law of this file: everything that moves the acquisition from state to state stands in `TRANSITIONS`. Each state has one
-action; an action either succeeds, or meets a fault of the analyzer. Whatever the fault, the session is closed and a new
-one opened after a wait - never is a query sent into a session that owes an answer.
-
-::
-
-    state      action                                  OK         FAULT
-    CONNECT    open the session                        IDENTIFY   BACKOFF
-    IDENTIFY   *IDN?, choose the driver, preset        CONFIGURE  BACKOFF
-    CONFIGURE  settings of the first sweep, read back  MEASURE    BACKOFF
-    MEASURE    one cycle of sweeps -> one row          MEASURE    BACKOFF
-    BACKOFF    close, wait 1, 2, 4 .. 60 s             CONNECT    CONNECT
-
-A stop is looked at between actions: the cycle in hand is finished and its row handed over.
+Law of this file: everything that moves the acquisition from state to state stands in `TRANSITIONS`
+(`service.frontend.acquisition_states`). Each state has one action; an action either succeeds, or meets a fault of the
+analyzer. Whatever the fault, the session is closed and a new one opened after a wait - never is a query sent into a
+session that owes an answer. No good row for three periods is a fault too. Orders of an operator are taken between
+actions.
 """
 
 import logging
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from enum import Enum, auto
+from dataclasses import replace
 
 from service.client.backoff import Backoff
+from service.frontend.acquisition_orders import AcquisitionOrders
+from service.frontend.acquisition_settings import WATCHDOG_PERIODS, AcquisitionCounters, AcquisitionSettings
+from service.frontend.acquisition_states import TRANSITIONS, Event, State
 from service.frontend.drivers.base import SweepRefusedError
 from service.frontend.drivers.choice import dialect_of, identify
-from service.frontend.drivers.scpi_driver import ScpiDriver
+from service.frontend.drivers.scpi_driver import RESET_S, ScpiDriver
+from service.frontend.epoch_guard import EpochGuard
 from service.frontend.evaluation import MeasuredRow, TaskEvaluation
-from service.frontend.measurement_task import MeasurementTask, SweepPart
+from service.frontend.measurement_task import MeasurementTask
+from service.frontend.measuring_cycle import MeasuringCycle, is_good
+from service.frontend.task_plan import cycle_s
 from service.frontend.visa_session import AnalyzerIOError, VisaSession
 from service.records.quality_flag import QualityFlag
 from service.records.sweep import Sweep
@@ -39,60 +35,8 @@ logger = logging.getLogger("service.frontend.acquisition")
 FAULTS = (AnalyzerIOError, SweepRefusedError, ValueError)
 
 
-class State(Enum):
-    """Where the acquisition stands."""
-
-    CONNECT = auto()
-    IDENTIFY = auto()
-    CONFIGURE = auto()
-    MEASURE = auto()
-    BACKOFF = auto()
-
-
-class Event(Enum):
-    """How the action of a state ended."""
-
-    OK = auto()
-    FAULT = auto()
-
-
-TRANSITIONS: dict[State, dict[Event, State]] = {
-    State.CONNECT: {Event.OK: State.IDENTIFY, Event.FAULT: State.BACKOFF},
-    State.IDENTIFY: {Event.OK: State.CONFIGURE, Event.FAULT: State.BACKOFF},
-    State.CONFIGURE: {Event.OK: State.MEASURE, Event.FAULT: State.BACKOFF},
-    State.MEASURE: {Event.OK: State.MEASURE, Event.FAULT: State.BACKOFF},
-    State.BACKOFF: {Event.OK: State.CONNECT, Event.FAULT: State.CONNECT},
-}
-
-
-@dataclass(frozen=True, slots=True)
-class AcquisitionSettings:
-    """Pace and patience."""
-
-    resource: str
-    #: time from row to row, s; 0 = as fast as the analyzer answers
-    period_s: float
-    #: take epochs from the analyzer's clock
-    use_analyzer_clock: bool = False
-    #: bound on connecting and on every answer, of a sweep beyond one and a half sweep times, s
-    io_timeout_s: float = 5.0
-    #: further wait for a sweep that a trigger, or a simulator in step with others, holds back, s
-    hold_s: float = 0.0
-    #: settings are read back after a sweep when they have not been for this long, s
-    readback_s: float = 0.5
-
-
-@dataclass(slots=True)
-class AcquisitionCounters:
-    """What happened so far."""
-
-    rows: int = 0
-    faults: int = 0
-    sessions: int = 0
-    #: cycles that began later than their period allows
-    overruns: int = 0
-    state: State = State.CONNECT
-    last_fault: str = ""
+class WatchdogError(AnalyzerIOError):
+    """The analyzer answers, but no good row came for three periods."""
 
 
 class Acquisition:
@@ -105,8 +49,7 @@ class Acquisition:
     settings : AcquisitionSettings
         Pace and patience.
     hand_over : callable
-        Takes each row; returns False when it cannot, which only a stop may cause. It may block: that holds the
-        sweeping back.
+        Takes each row; returns whether it is on a disk already. It may block: that holds the sweeping back.
     now_us : callable
         Present, microseconds UTC.
     stop : threading.Event
@@ -128,6 +71,9 @@ class Acquisition:
         keep_trace: Callable[[Sweep], None] = lambda _: None,
     ) -> None:
         self.counters = AcquisitionCounters()
+        self.orders = AcquisitionOrders(stop)
+        #: what ``*IDN?`` answered and the dialect spoken, for reports
+        self.identity = ""
         self._task = task
         self._settings = settings
         self._hand_over = hand_over
@@ -136,19 +82,57 @@ class Acquisition:
         self._stop = stop
         self._backoff = backoff or Backoff()
         self._evaluation = TaskEvaluation(task)
-        self._sweeps = tuple(sweep for sweep in task.sweeps if task.carriers_of(sweep.id))
+        self._epochs = EpochGuard(has_monotonic=not settings.use_analyzer_clock)
+        self._cycle_s = cycle_s(task)
+        self._watchdog_s = WATCHDOG_PERIODS * max(settings.period_s, self._cycle_s) + settings.hold_s
         self._session: VisaSession | None = None
         self._driver: ScpiDriver | None = None
-        self._configured = _Configured()
+        self._cycle: MeasuringCycle | None = None
+        self._foreign_before = 0
         self._had_fault = False
         self._due_s: float | None = None
+        self._last_good_s = 0.0
+        self._bound_s = float("inf")
         self._actions: dict[State, Callable[[], None]] = {
             State.CONNECT: self._connect,
             State.IDENTIFY: self._identify,
             State.CONFIGURE: self._configure,
             State.MEASURE: self._measure,
             State.BACKOFF: self._wait,
+            State.DISABLED: self._rest,
         }
+
+    @property
+    def period_s(self) -> float:
+        """Time from row to row, s."""
+        return self._settings.period_s
+
+    @property
+    def warnings(self) -> list[dict[str, str]]:
+        """What an operator should know of this analyzer now."""
+        cycle = self._cycle
+        found = dict(cycle.findings) if cycle is not None else {}
+        if self._epochs.warning:
+            found["clock.jumped"] = self._epochs.warning
+        if self._had_fault:
+            found["analyzer.fault"] = self.counters.last_fault
+        if self.is_stuck:
+            found["analyzer.stuck"] = f"{self.counters.state.name} hangs beyond every bound of its action"
+        return [{"code": code, "detail": detail[:1000]} for code, detail in found.items()]
+
+    @property
+    def is_stuck(self) -> bool:
+        """Whether the action in hand has taken longer than anything in it may."""
+        return time.monotonic() > self._bound_s
+
+    def look(self) -> None:
+        """Notice, from another thread, an action that hangs, and cut its line; a returning thread opens a new one."""
+        if self.is_stuck:
+            self.counters.stuck += 1
+            logger.error("%s: %s hangs; its line is cut", self._settings.resource, self.counters.state.name)
+            self._allow(self._longest_s())
+            if self._session is not None:
+                self._session.abandon()
 
     def run(self) -> None:
         """Run until the stop; returns with the session closed."""
@@ -156,19 +140,38 @@ class Acquisition:
             while not self._stop.is_set():
                 self.step()
         finally:
+            self._bound_s = float("inf")
             self._close()
 
     def step(self) -> State:
-        """Carry out the action of the state and return the next one."""
+        """Carry out an order or the action of the state, and return the next state."""
         state = self.counters.state
-        try:
-            self._actions[state]()
-            event = Event.OK
-        except FAULTS as fault:
-            self._note(state, fault)
-            event = Event.FAULT
+        event = self.orders.next(state)
+        if event is not None:
+            self._follow(event)
+        else:
+            event = self._act(state)
         self.counters.state = TRANSITIONS[state][event]
         return self.counters.state
+
+    def _act(self, state: State) -> Event:
+        """Carry out the action of a state."""
+        self._allow(self._longest_s())
+        try:
+            self._actions[state]()
+        except FAULTS as fault:
+            self._note(state, fault)
+            return Event.FAULT
+        return Event.OK
+
+    def _follow(self, event: Event) -> None:
+        """Carry out an order: whatever it is, the session is closed and waiting times begin anew."""
+        logger.info("%s: %s by an operator", self._settings.resource, event.name)
+        if event is Event.RESET:
+            self.counters.resets += 1
+            self._had_fault = True
+        self._backoff.reset()
+        self._close()
 
     def _connect(self) -> None:
         self.counters.sessions += 1
@@ -191,84 +194,96 @@ class Acquisition:
             readback_s=self._settings.readback_s,
         )
         self._driver.preset()
-        self._configured = _Configured()
+        self._cycle = MeasuringCycle(self._task, self._evaluation, self._driver, self._keep_trace)
+        self._foreign_before = self.counters.foreign_changes
+        self.identity = f"{identity.vendor} {identity.model} {identity.serial} {identity.firmware} ({dialect.name})"
         logger.info("analyzer %s %s speaks %s", identity.vendor, identity.model, dialect.name)
 
     def _configure(self) -> None:
-        """Configure the first sweep, so that a task the analyzer cannot take shows before any row."""
-        self._prepare(self._sweeps[0])
+        """Configure the first sweep; the watchdog begins to count."""
+        self._measuring().configure()
+        self._last_good_s = time.monotonic()
 
     def _measure(self) -> None:
         """Take one cycle and hand its row over."""
         self._pace()
-        if self._stop.is_set():
+        if self._stop.is_set() or self.orders.is_pending(State.MEASURE):
             return
-        sweeps = self._cycle()
-        for sweep in sweeps.values():
-            if sweep is not None:
-                self._keep_trace(sweep)
-        driver = self._ready()
-        extra = QualityFlag.SIMULATED if driver.features.has_dwell_epoch else QualityFlag(0)
-        if self._had_fault and self.counters.rows:
-            extra |= QualityFlag.RECONNECTED
-        row = self._evaluation.row(sweeps, extra=int(extra))
-        if self._hand_over(row):
-            self.counters.rows += 1
+        self._allow(self._longest_s())
+        row = self._measuring().row()
+        if self._driver is not None:
+            self.counters.foreign_changes = self._foreign_before + self._driver.foreign_changes
+        row = self._flagged(row)
+        self._allow(float("inf"))
+        if not self._hand_over(row):
+            self.counters.unwritten += 1
+        self.counters.rows += 1
+        self._judge(row)
         self._had_fault = False
         self._backoff.reset()
 
-    def _cycle(self) -> dict[str, Sweep | None]:
-        """Take all sweeps; a refused one is left out while another one succeeds."""
-        sweeps: dict[str, Sweep | None] = {}
-        refusal: SweepRefusedError | None = None
-        for sweep in self._sweeps:
-            try:
-                self._prepare(sweep)
-                sweeps[sweep.id] = self._ready().take(sweep)
-            except SweepRefusedError as error:
-                logger.warning("%s", error)
-                self._configured = _Configured()
-                sweeps[sweep.id], refusal = None, error
-        if refusal is not None and not any(sweeps.values()):
-            raise refusal
-        self._report_remarks()
-        return sweeps
+    def _flagged(self, row: MeasuredRow) -> MeasuredRow:
+        """Return a row with what its connection and its clock say of all of its carriers."""
+        extra = self._epochs.judge(row.epoch_us, time.monotonic())
+        self.counters.clock_jumps = self._epochs.jumps
+        if self._had_fault and self.counters.rows:
+            extra |= QualityFlag.RECONNECTED
+        return replace(row, flags=row.flags | int(extra)) if extra else row
 
-    def _prepare(self, sweep: SweepPart) -> None:
-        """Send and read back the settings of a sweep unless they stand and were read lately."""
+    def _judge(self, row: MeasuredRow) -> None:
+        """Count a good row; raise when there has been none for three periods."""
         now_s = time.monotonic()
-        is_fresh = now_s - self._configured.at_s < self._settings.readback_s
-        if self._configured.sweep_id == sweep.id and is_fresh:
-            return
-        self._ready().configure(sweep, self._task.input)
-        self._configured = _Configured(sweep.id, now_s)
+        if is_good(row):
+            self._last_good_s = now_s
+            self.counters.good_rows += 1
+            self.counters.last_good_us = row.epoch_us
+        elif now_s - self._last_good_s > self._watchdog_s:
+            self.counters.watchdog += 1
+            raise WatchdogError(f"{self._settings.resource} gave no good row for {now_s - self._last_good_s:.1f} s")
 
     def _pace(self) -> None:
         """Wait until the next row is due."""
         now_s = time.monotonic()
-        if self._settings.period_s <= 0.0:
+        period_s = self._settings.period_s
+        if period_s <= 0.0:
             return
         if self._due_s is None:
             self._due_s = now_s
-        if now_s > self._due_s + self._settings.period_s:
+        if now_s > self._due_s + period_s:
             self.counters.overruns += 1
             self._due_s = now_s
         if self._due_s > now_s:
-            self._stop.wait(self._due_s - now_s)
-        self._due_s += self._settings.period_s
+            self._allow(self._due_s - now_s + self._longest_s())
+            self.orders.wait(self._due_s - now_s, State.MEASURE)
+        self._due_s += period_s
 
     def _wait(self) -> None:
         """Close what is left of the session and wait."""
         self._close()
         wait_s = self._backoff.next_s()
         logger.info("next attempt in %.1f s", wait_s)
-        self._stop.wait(wait_s)
+        self._allow(wait_s + self._longest_s())
+        self.orders.wait(wait_s, State.BACKOFF)
 
-    def _ready(self) -> ScpiDriver:
-        """Return the driver of the open session."""
-        if self._driver is None:
+    def _rest(self) -> None:
+        """Rest while the link is disabled."""
+        self._allow(float("inf"))
+        self.orders.wait(1.0, State.DISABLED)
+
+    def _measuring(self) -> MeasuringCycle:
+        """Return the cycle of the open session."""
+        if self._cycle is None:
             raise AnalyzerIOError("no session")
-        return self._driver
+        return self._cycle
+
+    def _longest_s(self) -> float:
+        """Return what no action takes: twice the cycle with all its waits, a reset, and every answer late."""
+        waits_s = len(self._task.sweeps) * (self._settings.hold_s + 4.0 * self._settings.io_timeout_s)
+        return 3.0 * self._cycle_s + waits_s + 3.0 * RESET_S
+
+    def _allow(self, bound_s: float) -> None:
+        """Say how long the action in hand may take from now on."""
+        self._bound_s = time.monotonic() + bound_s
 
     def _note(self, state: State, fault: Exception) -> None:
         """Count and log a fault."""
@@ -277,23 +292,8 @@ class Acquisition:
         self.counters.last_fault = str(fault)
         logger.warning("fault while in %s: %s", state.name, fault)
 
-    def _report_remarks(self) -> None:
-        """Log what the analyzer said without refusing."""
-        driver = self._ready()
-        for remark in driver.remarks:
-            logger.warning("analyzer says %d %s", remark.code, remark.text)
-        driver.remarks.clear()
-
     def _close(self) -> None:
         """Close the session, whoever holds it."""
         if self._session is not None:
             self._session.close()
-        self._session = self._driver = None
-
-
-@dataclass(frozen=True, slots=True)
-class _Configured:
-    """Which sweep the analyzer is set to, and when that was read back last (monotonic seconds)."""
-
-    sweep_id: str = ""
-    at_s: float = field(default=float("-inf"))
+        self._session = self._driver = self._cycle = None

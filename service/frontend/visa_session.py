@@ -14,6 +14,7 @@ import socket
 import struct
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import pyvisa
@@ -87,6 +88,14 @@ class VisaSession:
         except IO_ERRORS:
             return
 
+    def abandon(self) -> None:
+        """Cut the line from another thread, so that a call that hangs on it returns; as far as pyvisa-py shows it."""
+        line = self._interface()
+        for each in (line, getattr(line, "_sync", None), getattr(line, "_async", None)):
+            if isinstance(each, socket.socket):
+                with suppress(OSError):
+                    each.shutdown(socket.SHUT_RDWR)
+
     def write(self, message: str) -> None:
         """Send one message that asks for nothing."""
         try:
@@ -126,8 +135,7 @@ class VisaSession:
 
     def _is_left(self) -> bool:
         """Return whether the peer closed the connection, as far as pyvisa-py shows its socket."""
-        sessions = getattr(self._visa.visalib, "sessions", {})
-        line = getattr(sessions.get(self._visa.session), "interface", None)
+        line = self._interface()
         if not isinstance(line, socket.socket):
             return False
         try:
@@ -136,6 +144,13 @@ class VisaSession:
             return False
         except OSError:
             return True
+
+    def _interface(self) -> object:
+        """Return what pyvisa-py holds the connection in: a socket, or an instrument with two."""
+        try:
+            return getattr(self._visa.visalib.sessions.get(self._visa.session), "interface", None)
+        except (pyvisa.Error, AttributeError):
+            return None
 
     def query_block(self, message: str, timeout_s: float | None = None) -> tuple[bytes | None, str]:
         """Return the block that opens the answer and the rest of its line.

@@ -18,7 +18,7 @@ from service.frontend.drivers.configuration import Configuration
 from service.frontend.drivers.dialogue import Dialogue
 from service.frontend.drivers.trace_reader import TraceReader
 from service.frontend.measurement_task import InputPart, SweepPart
-from service.frontend.scpi import AnalyzerMessage, Identity, parse_date_time, parse_message, parse_number
+from service.frontend.scpi import AnalyzerMessage, FloatArray, Identity, parse_date_time, parse_message, parse_number
 from service.frontend.visa_session import AnalyzerIOError, VisaSession
 from service.records.epoch import US_PER_S, parse_epoch
 from service.records.sweep import Sweep, SweepSettings
@@ -75,6 +75,7 @@ class ScpiDriver:
         self._hold_s = hold_s
         self._readback_s = readback_s
         self._read_at_s = float("-inf")
+        self._is_bound = False
         self._dialogue = Dialogue(session)
         self._configuration = Configuration(self._dialogue, dialect, enbw_ratio)
         self._traces = TraceReader(self._dialogue, dialect)
@@ -98,8 +99,10 @@ class ScpiDriver:
 
     def release(self) -> None:
         """Give the front panel back to whoever stands before it."""
-        if self.dialect.local:
+        if self.dialect.local and not self._is_bound:
             self._dialogue.tell(self.dialect.local)
+            # What it does not understand must not be found after the next sweep.
+            self._is_bound = any(entry.is_command_error for entry in self._dialogue.drain())
 
     def preset(self) -> None:
         """Reset the analyzer, stop its own sweeping, set method and trace format, find out what it can be asked for."""
@@ -200,13 +203,19 @@ class ScpiDriver:
             epoch_us,
             replace(settings, points=levels.size),
             mw_from_dbm(levels),
-            bool(condition & self.dialect.power_bits),
+            bool(condition & self.dialect.power_bits) or self._is_saturated(levels),
             bool(condition & self.dialect.calibration_bits),
             bool(condition & self.dialect.frequency_bits),
             self._is_stale(sweep_id, trace, epoch_us),
             self._configuration.is_mismatch,
         )
         return taken, is_unchanged
+
+    def _is_saturated(self, levels: FloatArray) -> bool:
+        """Return whether a trace reaches the reference level that the task names."""
+        reference_dbm = None if self._asked is None else self._asked[1].ref_level_dbm
+        present = levels[np.isfinite(levels)]
+        return reference_dbm is not None and bool((present >= reference_dbm).any())
 
     def _sweep(self, settings: SweepSettings) -> int:
         """Sweep once and wait for its end; return the middle between start and end by the system's clock."""

@@ -3,6 +3,7 @@
 import json
 import logging
 import threading
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,9 @@ import pytest
 
 from service.client.backoff import Backoff
 from service.frontend import acquisition as module
-from service.frontend.acquisition import TRANSITIONS, Acquisition, AcquisitionSettings, Event, State
+from service.frontend.acquisition import Acquisition
+from service.frontend.acquisition_settings import AcquisitionSettings
+from service.frontend.acquisition_states import ACTIONS, TRANSITIONS, Event, State
 from service.frontend.drivers.base import Features, SweepRefusedError
 from service.frontend.evaluation import MeasuredRow
 from service.frontend.measurement_task import MeasurementTask, parse_task
@@ -20,12 +23,12 @@ from service.records.quality_flag import QualityFlag
 from service.records.sweep import Sweep, SweepSettings
 
 
-def task() -> MeasurementTask:
+def task(**analyzer: Any) -> MeasurementTask:
     """Return a task of two sweeps with a carrier each."""
     sweep = {"start_hz": 950e6, "stop_hz": 990e6, "rbw_hz": 40e3, "points": 2001, "time_s": 2.0}
     carrier = {"symbol_rate": 1e6, "integ_bw_hz": 1.25e6, "noise": [[951e6, 954e6]]}
     document = {
-        "task": {"id": "t"},
+        "task": {"id": "t", "analyzer": analyzer},
         "sweeps": [sweep | {"id": "a"}, sweep | {"id": "b"}],
         "carriers": [
             carrier | {"id": "c00", "sweep": "a", "fc_hz": 960e6},
@@ -33,6 +36,9 @@ def task() -> MeasurementTask:
         ],
     }
     return parse_task(json.dumps(document).encode())[0]
+
+
+SETTINGS = SweepSettings(950e6, 990e6, 2001, 40e3, 42.6e3, 400e3, 2.0, "RMS")
 
 
 class Script:
@@ -46,6 +52,11 @@ class Script:
         self.configured: list[str] = []
         self.taken = 0
         self.remarks: list[AnalyzerMessage] = []
+        self.released = 0
+        self.abandoned = 0
+        self.level_part = 1.0
+        self.is_stale = False
+        self.epoch_us: Callable[[], int] = lambda: 1000 * self.taken
 
 
 class ScriptedSession:
@@ -60,6 +71,9 @@ class ScriptedSession:
     def close(self) -> None:
         self._script.closed += 1
 
+    def abandon(self) -> None:
+        self._script.abandoned += 1
+
 
 class ScriptedDriver:
     """Driver that gives a carrier of -45 dBm in every sweep."""
@@ -72,8 +86,14 @@ class ScriptedDriver:
     def preset(self) -> None:
         pass
 
-    def configure(self, sweep: Any, path: Any) -> None:
+    foreign_changes = 0
+
+    def configure(self, sweep: Any, path: Any) -> SweepSettings:
         self._script.configured.append(sweep.id)
+        return SETTINGS
+
+    def release(self) -> None:
+        self._script.released += 1
 
     def take(self, sweep: Any) -> Sweep:
         faults = self._script.take_faults[sweep.id]
@@ -84,12 +104,12 @@ class ScriptedDriver:
         axis = np.linspace(950e6, 990e6, 2001)
         power = np.full(axis.size, 1e-7)
         power[np.abs(axis - (960e6 if sweep.id == "a" else 965e6)) < 0.5e6] = 1e-4
-        settings = SweepSettings(950e6, 990e6, 2001, 40e3, 42.6e3, 400e3, 2.0, "RMS")
-        return Sweep(sweep.id, 1000 * self._script.taken, settings, power)
+        power = power * self._script.level_part
+        return Sweep(sweep.id, self._script.epoch_us(), SETTINGS, power, is_stale=self._script.is_stale)
 
 
 def acquisition(
-    monkeypatch: pytest.MonkeyPatch, script: Script, period_s: float = 0.0
+    monkeypatch: pytest.MonkeyPatch, script: Script, period_s: float = 0.0, **changes: Any
 ) -> tuple[Acquisition, list[MeasuredRow], threading.Event]:
     """Return an acquisition on a scripted analyzer, the rows it hands over, and its stop."""
     monkeypatch.setattr(module, "VisaSession", lambda *_: ScriptedSession(script))
@@ -102,18 +122,22 @@ def acquisition(
         rows.append(row)
         return True
 
-    settings = AcquisitionSettings("TCPIP::analyzer::5025::SOCKET", period_s)
-    made = Acquisition(task(), settings, hand_over, lambda: 0, stop, Backoff(first_s=0.001, limit_s=0.002))
+    # the analyzer's clock is only asked to run forward, so that scripted epochs need not keep pace with the test
+    settings = AcquisitionSettings("TCPIP::analyzer::5025::SOCKET", period_s, use_analyzer_clock=True)
+    made = Acquisition(task(**changes), settings, hand_over, lambda: 0, stop, Backoff(first_s=0.001, limit_s=0.002))
     return made, rows, stop
 
 
 def test_the_table_is_complete_and_every_fault_leads_to_the_wait() -> None:
-    assert set(TRANSITIONS) == set(State)
+    assert set(TRANSITIONS) == set(State) == set(ACTIONS)
     assert all(set(row) == set(Event) for row in TRANSITIONS.values())
-    assert {state: row[Event.FAULT] for state, row in TRANSITIONS.items() if state is not State.BACKOFF} == {
-        state: State.BACKOFF for state in State if state is not State.BACKOFF
-    }
-    assert set(TRANSITIONS[State.BACKOFF].values()) == {State.CONNECT}
+    working = [State.CONNECT, State.IDENTIFY, State.CONFIGURE, State.MEASURE]
+    assert all(TRANSITIONS[state][Event.FAULT] is State.BACKOFF for state in working)
+    for event in (Event.OK, Event.FAULT, Event.RESET):
+        assert TRANSITIONS[State.BACKOFF][event] is State.CONNECT
+    for state in State:
+        assert TRANSITIONS[state][Event.DISABLE] is State.DISABLED
+    assert TRANSITIONS[State.DISABLED][Event.ENABLE] is State.CONNECT
 
 
 def test_the_way_to_the_first_row(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -209,7 +233,7 @@ def test_an_overrun_is_counted_and_not_caught_up(monkeypatch: pytest.MonkeyPatch
     now = {"s": 0.0}
     monkeypatch.setattr(module.time, "monotonic", lambda: now["s"])
     waits: list[float] = []
-    monkeypatch.setattr(made._stop, "wait", lambda wait_s: waits.append(wait_s))
+    monkeypatch.setattr(made.orders, "wait", lambda wait_s, _: waits.append(wait_s))
     while not rows:
         made.step()
     for instant_s in (25.0, 26.0):
@@ -228,3 +252,130 @@ def test_what_the_analyzer_remarks_is_logged(monkeypatch: pytest.MonkeyPatch, ca
         made.step()
     assert "analyzer says -222 Data out of range" in caplog.text
     assert script.remarks == []
+
+
+def test_a_shared_analyzer_is_given_back_after_every_cycle_and_configured_before_every_sweep(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    script = Script()
+    made, rows, _ = acquisition(monkeypatch, script, is_shared=True)
+    while len(rows) < 2:
+        made.step()
+    assert script.released == 2
+    assert script.configured == ["a", "a", "b", "a", "b"]
+
+
+def test_no_good_row_for_three_periods_opens_another_session(monkeypatch: pytest.MonkeyPatch) -> None:
+    script = Script()
+    made, rows, _ = acquisition(monkeypatch, script, period_s=5.0)
+    now = {"s": 1000.0}
+    monkeypatch.setattr(module.time, "monotonic", lambda: now["s"])
+    monkeypatch.setattr(made.orders, "wait", lambda wait_s, _: now.__setitem__("s", now["s"] + wait_s))
+    while not rows:
+        made.step()
+    script.is_stale = True
+    sessions = made.counters.sessions
+    # three periods of five seconds: the fourth row without a level is one too many
+    while made.counters.watchdog == 0:
+        made.step()
+        assert len(rows) < 8
+    assert len(rows) in {4, 5}
+    assert made.counters.state is State.BACKOFF
+    script.is_stale = False
+    before = made.counters.good_rows
+    while made.counters.good_rows == before:
+        made.step()
+    assert made.counters.sessions == sessions + 1
+    assert rows[-1].flags[0] & QualityFlag.RECONNECTED
+
+
+def test_an_order_to_rest_and_to_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    script = Script()
+    made, rows, _ = acquisition(monkeypatch, script)
+    monkeypatch.setattr(made.orders, "wait", lambda *_: None)
+    while not rows:
+        made.step()
+    made.orders.obey(is_enabled=False, resets=0)
+    assert [made.step() for _ in range(3)] == [State.DISABLED] * 3
+    assert script.closed == 1
+    assert len(rows) == 1
+    made.orders.obey(is_enabled=True, resets=0)
+    assert made.step() is State.CONNECT
+    while len(rows) < 2:
+        made.step()
+    assert made.counters.faults == 0
+
+
+def test_a_reset_closes_the_session_clears_the_waits_and_keeps_the_counters(monkeypatch: pytest.MonkeyPatch) -> None:
+    script = Script()
+    made, rows, _ = acquisition(monkeypatch, script)
+    while not rows:
+        made.step()
+    made.orders.obey(is_enabled=True, resets=3)
+    assert made.step() is State.CONNECT
+    assert script.closed == 1
+    assert made.orders.resets_seen == 3
+    made.orders.obey(is_enabled=True, resets=3)
+    while len(rows) < 3:
+        made.step()
+    assert (made.counters.resets, made.counters.sessions, made.counters.rows) == (1, 2, 3)
+
+
+def test_an_order_ends_a_long_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+    script = Script()
+    script.open_faults = [AnalyzerIOError("refused")] * 2
+    made, rows, stop = acquisition(monkeypatch, script)
+    made._backoff = Backoff(first_s=60.0)
+    thread = threading.Thread(target=made.run)
+    thread.start()
+    while made.counters.faults < 1:
+        thread.join(0.005)
+    for resets in (1, 2):
+        made.orders.obey(is_enabled=True, resets=resets)
+        while made.counters.resets < resets:
+            thread.join(0.005)
+    while not rows:
+        thread.join(0.005)
+    stop.set()
+    thread.join(5.0)
+    assert not thread.is_alive()
+
+
+def test_an_action_that_hangs_is_noticed_shown_and_its_line_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    script = Script()
+    made, rows, _ = acquisition(monkeypatch, script)
+    while not rows:
+        made.step()
+    now_s = module.time.monotonic()
+    made.look()
+    assert (made.is_stuck, made.counters.stuck) == (False, 0)
+    made._allow(100.0)
+    monkeypatch.setattr(module.time, "monotonic", lambda: now_s + 200.0)
+    assert made.is_stuck
+    assert [each["code"] for each in made.warnings] == ["analyzer.stuck"]
+    made.look()
+    made.look()
+    assert (script.abandoned, made.counters.stuck) == (1, 1)
+
+
+def test_epochs_that_run_backwards_are_flagged_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    script = Script()
+    made, rows, _ = acquisition(monkeypatch, script)
+    epochs = iter([10_000, 10_000, 20_000, 20_000, 5_000, 5_000])
+    script.epoch_us = lambda: next(epochs)
+    while len(rows) < 3:
+        made.step()
+    assert [bool(row.flags[0] & QualityFlag.CLOCK_UNSYNC) for row in rows] == [False, False, True]
+    assert made.counters.clock_jumps == 1
+    assert "clock.jumped" in [each["code"] for each in made.warnings]
+
+
+def test_what_the_analyzer_makes_of_a_sweep_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    script = Script()
+    made, rows, _ = acquisition(monkeypatch, script)
+    monkeypatch.setattr(
+        ScriptedDriver, "configure", lambda *_: SweepSettings(950e6, 990e6, 751, 40e3, 42.6e3, 400e3, 2.0, "RMS")
+    )
+    while not rows:
+        made.step()
+    assert {each["code"] for each in made.warnings} == {"sweep.points"}
