@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from RsFsw import RsFsw, enums
+from RsFsw.Internal.InstrumentErrors import StatusException as FswStatusException
 from RsInstrument import BinFloatFormat, RsInstrument
 from RsInstrument.Internal.InstrumentErrors import StatusException
 
@@ -71,6 +72,6 @@ def test_rs_fsw_channel_power(analyzer, transport, options):
         assert shown_dbm == pytest.approx(analyzer.true_powers_dbm()[number], abs=0.35)
         assert len(trace[0]) == len(trace[1])
     assert driver.utilities.query_all_errors() is None
-    with pytest.raises(StatusException, match="-113"):
+    with pytest.raises(FswStatusException, match="-113"):
         driver.utilities.write_str("NONE:SUCH")
     driver.close()
