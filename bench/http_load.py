@@ -13,6 +13,9 @@ from urllib.parse import urlsplit
 
 #: where the epoch's second goes into the prepared text
 _MARK = "@@@@"
+#: where the number of the first row goes, and the first number of ten digits
+_SEQ_MARK = "##########"
+_FIRST_SEQ = 10**9
 #: 2027-01-15T08:00:00Z; the data clock follows
 _START_S = 1_800_000_000
 
@@ -76,13 +79,14 @@ class Load:
         """Post batches on one connection and return how long each answer took."""
         address = urlsplit(self.url)
         reader, writer = await asyncio.open_connection(address.hostname, address.port)
-        pieces = self._pieces(number)
+        opening, *pieces = self._pieces(number)
         accepted = f'"accepted":{self.shape.rows},'.encode()
         delays = []
         try:
             while (began := time.perf_counter()) < until:
                 second = time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(_START_S + self.sent[number])).encode()
-                writer.write(second.join(pieces))
+                first_seq = str(_FIRST_SEQ + self.shape.rows * self.sent[number]).encode()
+                writer.write(second.join((opening.replace(_SEQ_MARK.encode(), first_seq), *pieces)))
                 answer = await _answer(reader)
                 if accepted not in answer:
                     raise RuntimeError(f"the server answered {answer[:300]!r}")
@@ -103,7 +107,7 @@ class Load:
             for row in range(shape.rows)
         ]
         document = {"plan_id": self.plan_id, "source": f"sa-{number}", "first_seq": 0, "measurements": measurements}
-        body = json.dumps(document, separators=(",", ":"))
+        body = json.dumps(document, separators=(",", ":")).replace('"first_seq":0', f'"first_seq":{_SEQ_MARK}')
         length = len(body) + shape.rows * (len("2027-01-15T08:00:00") - len(_MARK))
         head = (
             "POST /api/v1/spacecraft/bench/measurements:batch HTTP/1.1\r\nHost: bench\r\n"
