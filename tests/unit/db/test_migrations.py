@@ -7,6 +7,7 @@ from sqlalchemy import inspect
 
 from db.engine import open_engines
 from db.migrate import downgrade, upgrade
+from db.sequence_numbers import Block, SequenceNumbers, Tail
 from db.tables import metadata
 
 
@@ -52,6 +53,31 @@ def test_the_migrations_make_the_tables_of_the_code(engine):
         built = inspect(connection)
         migrated = {name: [repr(column["type"]) for column in built.get_columns(name)] for name in metadata.tables}
     assert migrated == declared
+
+
+def test_numbers_from_before_they_were_counted_are_one_run_without_gaps(engine):
+    """An archive of the version before: its sources go on counting where they stand, and miss nothing."""
+    upgrade(engine, "0002")
+    with engine.begin() as connection:
+        run = connection.exec_driver_sql
+        run("INSERT INTO spacecraft VALUES (1, 'craft', '{}')")
+        for key, name in ((1, "numbered"), (2, "plain")):
+            run("INSERT INTO source VALUES (1, ?, ?, 1, 30, 2)", (key, name))
+            for epoch_us, seq in ((10, 7), (30, 9)):
+                values = (epoch_us, key, 10 * key + epoch_us, seq if key == 1 else None, b"")
+                run("INSERT INTO measurement VALUES (1, ?, ?, ?, 1, ?, 5, 0, 1, ?, NULL)", values)
+    upgrade(engine)
+    with engine.connect() as connection:
+        query = "SELECT seq_run, seq_after_us, seq_start, seq_last, rows_missing FROM source ORDER BY source_key"
+        assert connection.exec_driver_sql(query).all() == [(1, 30, 9, 9, 0), (None,) * 5]
+        numbers = SequenceNumbers(connection, 1, 1)
+        tail = Tail(1, 30, 9, 9, 0)
+        # what comes next goes on; what was held or lost before is not counted
+        assert numbers.added(tail, Block(10, 12, 40, is_ahead=True), 30).rows_missing == 0
+        assert numbers.added(tail, Block(3, 5, 5, is_ahead=False), 30) == tail
+    downgrade(engine, "0002")
+    with engine.connect() as connection:
+        assert len(connection.exec_driver_sql("SELECT * FROM source").keys()) == 6
 
 
 def test_tables_that_grow_have_no_second_key(engine):
