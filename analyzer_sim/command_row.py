@@ -64,6 +64,8 @@ class Command:
     query_waits: bool = False
     #: what the query does once, before it waits, with the parameters of the query: READ and MEASure start a sweep
     query_starts: Writer | None = None
+    #: it is accepted and answered and changes nothing
+    is_inert: bool = False
 
     def waits(self, unit: Unit) -> bool:
         """Tell whether this unit is held while a sweep is pending."""

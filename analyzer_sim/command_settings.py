@@ -97,7 +97,7 @@ def inert(pattern: str, default: str, words: tuple[str, ...] = ()) -> Command:
     def query(call: Call) -> str:
         return call.instrument.settings.inert.get(pattern, default)
 
-    return Command(pattern, write, query, (Choice(words) if words else Boolean(),))
+    return Command(pattern, write, query, (Choice(words) if words else Boolean(),), is_inert=True)
 
 
 def inert_number(pattern: str, default: float, low: float, high: float, units: Mapping[str, float] = PURE) -> Command:
@@ -122,7 +122,7 @@ def inert_number(pattern: str, default: float, low: float, high: float, units: M
             return number_text(wanted(value))
         return call.instrument.settings.inert.get(pattern, number_text(default))
 
-    return Command(pattern, write, query, (Numeric(units),), query_parameters=(Numeric(units),))
+    return Command(pattern, write, query, (Numeric(units),), query_parameters=(Numeric(units),), is_inert=True)
 
 
 def constant(pattern: str, answer: str) -> Command:
@@ -132,4 +132,4 @@ def constant(pattern: str, answer: str) -> Command:
 
 def ignored(pattern: str) -> Command:
     """Return the row of a command that is accepted and does nothing."""
-    return Command(pattern, lambda _call: None)
+    return Command(pattern, lambda _call: None, is_inert=True)

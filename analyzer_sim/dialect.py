@@ -34,6 +34,9 @@ class Dialect:
     #: noise the analyzer adds at 0 dB attenuation, preamplifier off, dBm/Hz
     own_noise_dbm_hz: float = -150.0
 
+    #: where it differs from the real instruments on purpose, a sentence each
+    deviations: tuple[str, ...] = ()
+
     @property
     def imperfections(self) -> Imperfections:
         """The default figures of this make's errors."""

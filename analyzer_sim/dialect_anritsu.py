@@ -3,9 +3,6 @@
 Where this differs from R&S: the points are those of the display (``DISPlay:POINtcount``); a trace stands in a block of
 definite length in every format, ASCII too, and ``#0`` stands for one that is not valid; ``TRACe:PREamble?`` tells how
 it was taken; blocks are little-endian, integers in milli-dBm; filter steps 1-3-10.
-
-Deviations from the real instruments, on purpose: there is no GPS fix; of the parameters of the preamble those stand
-that describe the sweep.
 """
 
 from analyzer_sim.command_row import Call, Command
@@ -188,6 +185,10 @@ ANRITSU = Dialect(
     identity=IDENTITY,
     model=MS2090A,
     own_noise_dbm_hz=-150.0,
+    deviations=(
+        "There is no GPS fix: every `FETCh:GPS` answers `NO FIX`.",
+        "Of the parameters of the preamble those stand that describe the sweep.",
+    ),
     traces=TRACE_STYLE,
     units=_UNITS,
     commands=(

@@ -3,9 +3,6 @@
 Where this differs from R&S: after ``*RST`` the instrument sweeps once on INITiate, after ``SYSTem:PRESet`` without end;
 the detector AVERage takes its kind of mean from ``AVERage:TYPE``; blocks are big-endian until ``FORMat:BORDer SWAP``;
 an empty error queue answers ``+0``; ``FETCh:SANalyzer?`` answers pairs of frequency and level.
-
-Deviations from the real instruments, on purpose: the sweep type AUTO sweeps and is answered as such; auto tune leaves a
-span of 10 MHz; field strength units are refused because there is no antenna factor.
 """
 
 from analyzer_sim.command_row import Call, Command
@@ -235,6 +232,13 @@ KEYSIGHT = Dialect(
     identity=IDENTITY,
     model=N9020B,
     own_noise_dbm_hz=-148.0,
+    deviations=(
+        "Auto tune leaves a span of 10 MHz.",
+        "Field strength units are refused (-221): there is no antenna factor.",
+        "Of the numbered results of a measurement the first and, for its trace, the second are there; the Swept SA "
+        "measurement answers pairs for trace 1.",
+        "`LIST` (a list sweep, another thing than that of R&S) is not there.",
+    ),
     traces=TRACE_STYLE,
     units=_UNITS,
     commands=(

@@ -1,8 +1,4 @@
-"""Rohde & Schwarz FSV and FSW: the rows that measuring with traces needs; measurement functions in functions_rs.py.
-
-Deviations from the real instruments, on purpose: the reference level is dBm whatever the unit of the trace; one trace
-exists; the count of sweeps combines them by power unless averaging is on; AUTO sweep type sweeps.
-"""
+"""Rohde & Schwarz FSV and FSW: what measuring with traces needs; measurement functions stand in functions_rs.py."""
 
 from analyzer_sim.command_row import Command
 from analyzer_sim.command_settings import boolean, choice, constant, ignored, inert, numeric
@@ -131,6 +127,11 @@ RS = Dialect(
     name="rs",
     identity=IDENTITY,
     model=FSW_26,
+    deviations=(
+        "`SWEep:COUNt` without averaging combines the sweeps by the mean of mW.",
+        "One transmission channel; sub-blocks and windows are one.",
+        "The list of power measurements answers all its entries from one row of the world.",
+    ),
     traces=TRACE_STYLE,
     units=_UNITS,
     commands=(

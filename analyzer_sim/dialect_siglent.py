@@ -3,9 +3,6 @@
 Where this differs from R&S: 751 points whatever is asked; filter steps 1-3-10, nearest on a linear scale; the detector
 AVERage takes its kind of mean from ``AVERage:TYPE``; an ASCII trace ends with a comma; traces are numbered; the end of
 a sweep is polled with ``TRACe:SWEep:STATe?``.
-
-Deviations from the real instruments, on purpose: quasi-peak filters are Gaussian too (``FILTer:TYPE`` is remembered);
-auto tune leaves a span of 10 MHz.
 """
 
 from analyzer_sim.command_row import Call, Command
@@ -141,6 +138,10 @@ SIGLENT = Dialect(
     identity=IDENTITY,
     model=SSA3032X,
     own_noise_dbm_hz=-145.0,
+    deviations=(
+        "Filters for interference (`FILTer:TYPE EMI`) have the steps of the others, told by their width at 6 dB.",
+        "Auto tune leaves a span of 10 MHz.",
+    ),
     traces=TRACE_STYLE,
     units=_UNITS,
     commands=(
