@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.flexible.propagation import BodyState, Leg, start_leg, state_at, states_at
+from service.core.flexible.propagation import BodyState, Leg, angle_and_rate_at, start_leg, state_at, states_at
 from service.core.flexible.roots import brent_root
 from service.core.flexible.spacecraft import FlexibleMode
 
@@ -120,8 +120,7 @@ def _lowest_rad(leg: Leg, duration_s: float) -> float:
     rate = states[:, 1] + states[:, 3]
 
     def rate_at(t: float) -> float:
-        state = state_at(leg, t)
-        return state.rate_rad_s + state.deflection_rate_rad_s
+        return angle_and_rate_at(leg, t)[1]
 
     turns = np.flatnonzero((rate[:-1] < 0.0) & (rate[1:] > 0.0))
     low = [brent_root(rate_at, float(times[k]), float(times[k + 1])) for k in turns]

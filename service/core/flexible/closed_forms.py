@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.flexible.propagation import FloatArray
+from service.core.flexible.phi_functions import FloatArray
 from service.core.flexible.return_kernels import OneSided
 from service.core.flexible.roots import brent_root
 from service.core.flexible.spacecraft import WheelDrive, accelerations

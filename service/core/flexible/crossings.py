@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.flexible.propagation import FloatArray, Leg, state_at, states_at
+from service.core.flexible.phi_functions import FloatArray
+from service.core.flexible.propagation import Leg, angle_and_rate_at, states_at
 from service.core.flexible.roots import brent_root, newton_root
 
 #: points a period of the flexible mode
@@ -44,14 +45,12 @@ def crossing_time(leg: Leg, line: Line, horizon_s: float) -> float:
 
 def _angle(leg: Leg, t: float) -> float:
     """Return theta."""
-    state = state_at(leg, t)
-    return state.angle_rad + state.deflection_rad
+    return angle_and_rate_at(leg, t)[0]
 
 
 def _rate(leg: Leg, t: float) -> float:
     """Return the rate of theta."""
-    state = state_at(leg, t)
-    return state.rate_rad_s + state.deflection_rate_rad_s
+    return angle_and_rate_at(leg, t)[1]
 
 
 def _rigid_crossing(leg: Leg, line: Line, horizon_s: float) -> float:

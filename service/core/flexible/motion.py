@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.flexible.crossings import Line, crossing_time, momentum_time
-from service.core.flexible.propagation import BodyState, FloatArray, Leg, start_leg, state_at, states_at
+from service.core.flexible.phi_functions import FloatArray
+from service.core.flexible.propagation import BodyState, Leg, start_leg, state_at, states_at
 from service.core.flexible.spacecraft import FlexibleMode, WheelDrive, require_drive, require_mode
 from service.core.flexible.switching_law import (
     WATCHES,

@@ -17,16 +17,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from service.core.flexible.phi_functions import FloatArray, phi1, phi2, phi2_scalar
 from service.core.flexible.spacecraft import FlexibleMode
-
-FloatArray = NDArray[np.float64]
-
-#: below this the direct form of phi2 has lost three digits, and the series has all of them
-_SERIES_BELOW = 0.5
-#: 1 / (n + 2)! with alternating signs, enough for full precision below _SERIES_BELOW
-_PHI2_COEFFICIENTS = tuple((-1.0) ** n / math.factorial(n + 2) for n in range(14))
 
 
 class BodyState(NamedTuple):
@@ -108,6 +101,25 @@ def state_at(leg: Leg, elapsed_s: float) -> BodyState:
     return BodyState(*(float(value) for value in states[0]))
 
 
+def angle_and_rate_at(leg: Leg, t: float) -> tuple[float, float]:
+    """Return theta and its rate, what `state_at` gives in sum, ten times as fast: searches for events live on it."""
+    start, c = leg.start, leg.decay_1_s
+    half = phi2_scalar(c * t)
+    gained = leg.wheel_torque_n_m * t * (1.0 - c * t * half)
+    rate = start.rate_rad_s + (leg.external_torque_n_m * t + gained) / leg.inertia_kg_m2
+    turned = (0.5 * leg.external_torque_n_m + leg.wheel_torque_n_m * half) * t * t / leg.inertia_kg_m2
+    angle = start.angle_rad + start.rate_rad_s * t + turned
+    if leg.frequency_rad_s == 0.0:
+        return angle, rate
+    fading = leg.decaying_rad * math.exp(-c * t)
+    envelope = math.exp(-leg.damping_1_s * t)
+    cosine, sine = math.cos(leg.frequency_rad_s * t), math.sin(leg.frequency_rad_s * t)
+    swing = envelope * (leg.cosine_rad * cosine + leg.sine_rad * sine)
+    swing_rate = envelope * leg.frequency_rad_s * (leg.sine_rad * cosine - leg.cosine_rad * sine)
+    swing_rate -= leg.damping_1_s * swing + c * fading
+    return angle + leg.offset_rad + fading + swing, rate + swing_rate
+
+
 def states_at(leg: Leg, elapsed_s: FloatArray) -> FloatArray:
     """Return states (T, 5), columns those of `BodyState`, at some times (T,) after the start of a leg."""
     t, start = elapsed_s, leg.start
@@ -126,8 +138,8 @@ def _deflection(leg: Leg, t: FloatArray) -> tuple[FloatArray, FloatArray]:
     envelope = np.exp(-leg.damping_1_s * t)
     cosine, sine = np.cos(leg.frequency_rad_s * t), np.sin(leg.frequency_rad_s * t)
     swing = envelope * (leg.cosine_rad * cosine + leg.sine_rad * sine)
-    turned = envelope * leg.frequency_rad_s * (leg.sine_rad * cosine - leg.cosine_rad * sine)
-    return leg.offset_rad + fading + swing, turned - leg.damping_1_s * swing - leg.decay_1_s * fading
+    swing_rate = envelope * leg.frequency_rad_s * (leg.sine_rad * cosine - leg.cosine_rad * sine)
+    return leg.offset_rad + fading + swing, swing_rate - leg.damping_1_s * swing - leg.decay_1_s * fading
 
 
 def bi_plane_invariant(leg: Leg, mode: FlexibleMode, elapsed_s: FloatArray) -> FloatArray:
@@ -154,42 +166,3 @@ def bi_plane_invariant(leg: Leg, mode: FlexibleMode, elapsed_s: FloatArray) -> F
     y = states[:, 3] / mode.omega_rad_s + mode.damping_ratio * (states[:, 2] - centre)
     turn_rad = np.unwrap(np.arctan2(y, x))
     return np.asarray((x * x + y * y) * np.exp(-2.0 * mode.damping_ratio / nu * turn_rad))
-
-
-def phi1(z: FloatArray) -> FloatArray:
-    """Return (1 - e^-z) / z, 1 at zero.
-
-    Examples
-    --------
-    >>> phi1(np.array([0.0, 1.0])).round(6).tolist()
-    [1.0, 0.632121]
-    """
-    return 1.0 - z * phi2(z)
-
-
-def phi2(z: FloatArray) -> FloatArray:
-    """Return (z - 1 + e^-z) / z^2, 1/2 at zero; series where the difference loses digits.
-
-    Examples
-    --------
-    >>> phi2(np.array([0.0, 1.0])).round(6).tolist()
-    [0.5, 0.367879]
-    """
-    is_small = np.abs(z) < _SERIES_BELOW
-    if np.all(is_small):
-        return np.asarray(phi2_series(z))
-    large = np.where(is_small, 1.0, z)
-    return np.where(is_small, phi2_series(np.where(is_small, z, 0.0)), (large + np.expm1(-large)) / large**2)
-
-
-def phi2_of(z: float) -> float:
-    """Return phi2 of one number."""
-    return float(phi2_series(z)) if abs(z) < _SERIES_BELOW else (z + math.expm1(-z)) / z**2
-
-
-def phi2_series(z: FloatArray | float) -> FloatArray | float:
-    """Return the power series of phi2."""
-    total: FloatArray | float = _PHI2_COEFFICIENTS[-1] + 0.0 * z
-    for coefficient in reversed(_PHI2_COEFFICIENTS[:-1]):
-        total = coefficient + z * total
-    return total

@@ -1,6 +1,6 @@
 """Return of one-sided motion to its first line: the arithmetic, in scalars, plain or compiled.
 
-The law of this file: numbers and named tuples of numbers only, so that numba compiles it without help. The same source
+The law of this file: numbers and named tuples of numbers only, so that numba compiles it as it stands. The same source
 is run as Python where nothing is compiled; both agree to rounding, which a chaotic sequence of returns does not forgive
 (`tests/unit/service/core/flexible/test_succession.py`).
 
@@ -15,10 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.flexible.propagation import FloatArray
+from service.core.flexible.phi_functions import FloatArray, phi2_scalar
 
-#: below this the direct form of phi2 loses digits
-_SERIES_BELOW = 0.05
 _NEWTON_STEPS = 60
 _ROUNDING = 4e-16
 #: a law that fires more often in one visit will not bring the body back
@@ -53,16 +51,6 @@ class Visit(NamedTuple):
     outer_rad: float
     rate_min_rad_s: float
     rate_max_rad_s: float
-
-
-def phi2_scalar(z: float) -> float:
-    """Return (z - 1 + e^-z) / z^2."""
-    if abs(z) > _SERIES_BELOW:
-        return (z + math.expm1(-z)) / (z * z)
-    total = 0.0
-    for n in range(11, 1, -1):
-        total = (1.0 - z * total) / n
-    return total
 
 
 def advance(y: float, u: float, a: float, c: float, t: float) -> tuple[float, float]:

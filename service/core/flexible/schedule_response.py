@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.core.flexible.propagation import FloatArray
+from service.core.flexible.phi_functions import FloatArray
 from service.core.flexible.spacecraft import FlexibleMode, require_finite, require_not_negative, require_positive
 
 ComplexArray = NDArray[np.complex128]

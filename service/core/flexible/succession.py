@@ -9,7 +9,7 @@ Friction keeps the sign that the momentum has at rest; `limit_cycle` says where 
 
 import numpy as np
 
-from service.core.flexible.propagation import FloatArray
+from service.core.flexible.phi_functions import FloatArray
 from service.core.flexible.return_kernels import Follow, OneSided, follow
 from service.core.flexible.spacecraft import WheelDrive, accelerations
 from service.core.flexible.switching_law import SwitchingLaw, require_law
