@@ -18,7 +18,9 @@ The other detectors look at the power behind the video filter, one pole at VBW. 
     1/N_v = w sqrt(pi)/(2 c) exp(w^2 / (4 c^2)) erfc(w / (2 c)),     w = 2 pi VBW,  c = 2 pi s
 
 N_v = 1 without it. They serve where the envelope would be too long: dwells then hold many values, of which a peak, a
-minimum and a mean of decibels are taken as of independent ones.
+minimum and a mean of decibels are taken as of independent ones. Behind a video filter peaks and samples are within 1 dB
+of the envelope method, minima within 2.5 dB: a Gamma variable reaches deeper than a filtered power, which must be small
+for as long as the filter remembers.
 """
 
 import math
@@ -41,7 +43,8 @@ _MAX_KERNEL_REACH = 64
 #: independent maxima and minima over the freedom of the mean of a long dwell (fitted to the envelope method)
 _PEAKS_PER_FREEDOM = 1.84
 _NULLS_PER_FREEDOM = 2.62
-_DB_PER_NEPER = 10.0 / math.log(10.0)
+#: what a video filter adds to the freedom as the depth of minima shows it (fitted to the envelope method)
+_FREEDOM_OF_MINIMA = 1.5
 
 
 class Dwell(NamedTuple):
@@ -173,6 +176,7 @@ def _draw_minimum(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator) -> Fl
     count = 1.0 + _NULLS_PER_FREEDOM * _values_of_dwell(dwell)
     below = -np.expm1(np.log(rng.random(len(mean.noise_mw))) / count)
     freedom = _video_freedom(dwell)
+    freedom += _FREEDOM_OF_MINIMA if freedom > 1.0 else 0.0
     return _beside_lines(mean, np.asarray(gammaincinv(freedom, below) / freedom, np.float64), -1.0)
 
 

@@ -25,6 +25,17 @@ class Signal:
 
 
 @dataclass(frozen=True, slots=True)
+class NoiseHump:
+    """Noise of an amplifier, or what its distortion leaves, above the floor of the receiving chain: a Gaussian bump."""
+
+    center_hz: float
+    #: width at half of the peak, Hz
+    width_hz: float
+    #: density at the peak, dBm/Hz
+    peak_dbm_hz: float
+
+
+@dataclass(frozen=True, slots=True)
 class Emission:
     """All that arrives at the analyzer input during one row."""
 
@@ -34,6 +45,10 @@ class Emission:
     signals: tuple[Signal, ...]
     #: noise density of the receiving chain, dBm/Hz
     noise_dbm_hz: float
+    #: noise that is not flat; each adds to the floor
+    humps: tuple[NoiseHump, ...] = ()
+    #: how far the oscillator of the receiving chain is off: all that arrives is seen this much higher, Hz
+    frequency_offset_hz: float = 0.0
 
 
 class EmissionSource(Protocol):

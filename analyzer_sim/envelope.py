@@ -14,6 +14,7 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from analyzer_sim.spectrum import RBW_PER_DEVIATION, VIDEO_MATTERS_BELOW, MeanTrace, SweepGrid, filter_response
 
@@ -25,6 +26,8 @@ SAMPLES_PER_RBW_SECOND = 4.0
 MAX_SAMPLES = 1_000_000
 MAX_SAMPLES_ALL_SWEEPS = 10 * MAX_SAMPLES
 _LEAST_MW = 1e-30
+#: time constants after which a filter has forgotten how it started
+_SETTLED_AFTER = 8.0
 
 
 def sample_count(grid: SweepGrid, time_s: float) -> int:
@@ -74,11 +77,16 @@ def _filtered_noise(count: int, rbw_per_rate: float, rng: np.random.Generator) -
 
 
 def _video_filtered(power_mw: FloatArray, vbw_per_rate: float) -> FloatArray:
-    length = _fast_length(len(power_mw))
-    response = 1.0 / (1.0 + 1j * np.fft.rfftfreq(length) / vbw_per_rate)
-    padded = np.pad(power_mw, (0, length - len(power_mw)), mode="edge")
-    filtered: FloatArray = np.fft.irfft(np.fft.rfft(padded) * response, length)[: len(power_mw)]
-    return np.maximum(filtered, _LEAST_MW)
+    """Return the power behind one pole at VBW, taken as linear between samples: no weight is negative, no power is.
+
+    The filter is run in on the first part of the power, backwards, so that it starts settled.
+    """
+    angle = 2.0 * math.pi * vbw_per_rate
+    keep = math.exp(-angle)
+    newest = 1.0 - (1.0 - keep) / angle
+    run_in = power_mw[: min(math.ceil(_SETTLED_AFTER / angle), len(power_mw))][::-1]
+    filtered = lfilter([newest, 1.0 - keep - newest], [1.0, -keep], np.concatenate([run_in, power_mw]))
+    return np.asarray(filtered[len(run_in) :], dtype=np.float64)
 
 
 def _bucket_mean(power_mw: FloatArray, starts: IntArray) -> FloatArray:

@@ -1,7 +1,11 @@
 """What the analyzer itself adds to every level: offset, gain wander, ripple, switching errors. All in dB, all seeded.
 
 Law of this file: an error that is common to a whole trace is a number, one that depends on frequency an array; nothing
-here depends on the emission. The defaults add about 0.03 dB rms from sweep to sweep beside the statistics of noise.
+here depends on the emission. The defaults add 0.09 dB rms over a day beside the statistics of noise, 0.02 dB of it from
+one sweep to the next; all of that is common to the carriers of a sweep.
+
+Frequency response: flatness over the band (three long waves whose sum stays inside its bound) and ripple of the filters
+(three waves of tens of MHz). Both are static: they belong to the instrument and to its seed.
 """
 
 import math
@@ -18,6 +22,10 @@ _US_PER_HOUR = 3.6e9
 _US_PER_DAY = 24 * _US_PER_HOUR
 #: periods of the ripple of the IF filters, Hz
 _RIPPLE_PERIODS_HZ = (61e6, 25e6, 11e6)
+#: periods of the flatness over the band, Hz
+_FLATNESS_PERIODS_HZ = (7.3e9, 2.9e9, 1.1e9)
+#: an error of a switch stays inside this many sigmas: makers give bounds
+_SWITCH_BOUND_SIGMAS = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,14 +41,16 @@ class Imperfections:
     #: repeatability, drawn for each sweep
     repeatability_sigma_db: float = 0.02
     #: gain wander: first-order process, its sigma and correlation time
-    wander_sigma_db: float = 0.02
+    wander_sigma_db: float = 0.05
     wander_tau_h: float = 1.0
     #: temperature: dB per degC and half the daily swing of the room
     temperature_db_per_deg_c: float = -0.02
-    daily_swing_deg_c: float = 0.5
-    #: ripple over frequency, static, rms
+    daily_swing_deg_c: float = 5.0
+    #: ripple of the filters over tens of MHz, static, rms
     ripple_sigma_db: float = 0.05
-    #: error of each resolution filter and each attenuator step against the reference one
+    #: response over the whole band, static, bound
+    flatness_bound_db: float = 0.3
+    #: error of each resolution filter and each attenuator step; none is beyond twice its sigma
     rbw_switching_sigma_db: float = 0.05
     attenuator_sigma_db: float = 0.1
 
@@ -53,6 +63,7 @@ IDEAL = Imperfections(
     wander_sigma_db=0.0,
     daily_swing_deg_c=0.0,
     ripple_sigma_db=0.0,
+    flatness_bound_db=0.0,
     rbw_switching_sigma_db=0.0,
     attenuator_sigma_db=0.0,
 )
@@ -75,6 +86,9 @@ class LevelErrors:
         self._rng = stream(seed, "analyzer", "level errors")
         self._absolute_db = figures.absolute_sigma_db * float(stream(seed, "analyzer", "absolute").standard_normal())
         self._ripple_phases = stream(seed, "analyzer", "ripple").uniform(0.0, 2.0 * math.pi, len(_RIPPLE_PERIODS_HZ))
+        self._flatness_phases = stream(seed, "analyzer", "flatness").uniform(
+            0.0, 2.0 * math.pi, len(_FLATNESS_PERIODS_HZ)
+        )
         self._wander_db = figures.wander_sigma_db * float(self._rng.standard_normal())
         self._wander_epoch_us: int | None = None
         self._switches_db: dict[tuple[str, float], float] = {}
@@ -101,12 +115,15 @@ class LevelErrors:
         )
 
     def ripple_db(self, frequency_hz: FloatArray) -> FloatArray:
-        """Return the static ripple at these frequencies, shape (B,)."""
-        scale = self._figures.ripple_sigma_db * math.sqrt(2.0 / len(_RIPPLE_PERIODS_HZ))
-        ripple_db = np.zeros_like(frequency_hz)
-        for period_hz, phase in zip(_RIPPLE_PERIODS_HZ, self._ripple_phases, strict=True):
-            ripple_db += scale * np.cos(2.0 * math.pi * frequency_hz / period_hz + phase)
-        return ripple_db
+        """Return the static response at these frequencies, ripple and flatness together, shape (B,)."""
+        ripple = self._figures.ripple_sigma_db * math.sqrt(2.0 / len(_RIPPLE_PERIODS_HZ))
+        flatness = self._figures.flatness_bound_db / len(_FLATNESS_PERIODS_HZ)
+        waves = [(ripple, *wave) for wave in zip(_RIPPLE_PERIODS_HZ, self._ripple_phases, strict=True)]
+        waves += [(flatness, *wave) for wave in zip(_FLATNESS_PERIODS_HZ, self._flatness_phases, strict=True)]
+        response_db = np.zeros_like(frequency_hz)
+        for scale_db, period_hz, phase in waves:
+            response_db += scale_db * np.cos(2.0 * math.pi * frequency_hz / period_hz + phase)
+        return response_db
 
     def _move_wander(self, epoch_us: int) -> None:
         """Carry the gain wander to this epoch; time that stands still moves nothing."""
@@ -123,5 +140,6 @@ class LevelErrors:
         key = part, value
         if key not in self._switches_db:
             drawn = float(stream(self._seed, "analyzer", part, f"{value:g}").standard_normal())
-            self._switches_db[key] = sigma_db * drawn
+            bound = _SWITCH_BOUND_SIGMAS
+            self._switches_db[key] = sigma_db * min(max(drawn, -bound), bound)
         return self._switches_db[key]

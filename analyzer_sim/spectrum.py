@@ -5,6 +5,7 @@ Model, f in Hz, powers in mW at the input::
     |H(f)|^2 = 2^-(2 f / RBW)^2 = exp(-f^2 / (2 s^2)),   s = RBW / sqrt(8 ln 2),   ENBW = s sqrt(2 pi) = 1.0645 RBW
     modulated carrier  S(f) = P * raised cosine of symbol rate Rs and roll-off a, unit area, height 1/Rs
     unmodulated line   S(f) = P * Dirac(f - fc)
+    hump of noise      S(f) = N_k 2^-(2 (f - f_k) / w_k)^2
     trace point        P_i  = integral S(f) |H(f - f_i)|^2 df  +  (N_input + N_analyzer) ENBW
 
 The shape of a carrier of unit power is computed once per setting (a convolution on a fine grid, tabulated over the
@@ -18,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analyzer_sim.emission import Emission, Signal
+from analyzer_sim.emission import Emission, NoiseHump, Signal
 
 FloatArray = NDArray[np.float64]
 
@@ -175,16 +176,26 @@ def mean_trace(emission: Emission, grid: SweepGrid, own_noise_dbm_hz: float, lin
     lines = [signal for signal in emission.signals if signal.symbol_rate_hz <= 0.0]
     floor_mw_hz = milliwatts(emission.noise_dbm_hz) + milliwatts(own_noise_dbm_hz)
     noise_mw = np.full(grid.points, floor_mw_hz * grid.enbw_hz)
+    for hump in emission.humps:
+        noise_mw += _hump_mw(hump, emission.frequency_offset_hz, grid)
+    shift_hz = emission.frequency_offset_hz
     if modulated:
-        noise_mw += _powers_mw(modulated) @ _shape_matrix(_keys(modulated), grid)
+        noise_mw += _powers_mw(modulated) @ _shape_matrix(_keys(modulated, shift_hz), grid)
     line_peak_mw = _powers_mw(lines) * line_loss
-    lines_mw = line_peak_mw[:, np.newaxis] * _shape_matrix(_keys(lines), grid)
-    line_hz = np.array([signal.center_hz for signal in lines], dtype=np.float64)
+    lines_mw = line_peak_mw[:, np.newaxis] * _shape_matrix(_keys(lines, shift_hz), grid)
+    line_hz = np.array([signal.center_hz + shift_hz for signal in lines], dtype=np.float64)
     return MeanTrace(noise_mw, lines_mw, line_hz, line_peak_mw)
 
 
-def _keys(signals: list[Signal]) -> tuple[tuple[float, float, float], ...]:
-    return tuple((signal.center_hz, signal.symbol_rate_hz, signal.rolloff) for signal in signals)
+def _hump_mw(hump: NoiseHump, shift_hz: float, grid: SweepGrid) -> FloatArray:
+    """Return a hump seen through the filter: two Gaussians make a wider and lower one."""
+    seen_hz = math.hypot(hump.width_hz, grid.rbw_hz)
+    power_mw = milliwatts(hump.peak_dbm_hz) * grid.enbw_hz * hump.width_hz / seen_hz
+    return power_mw * filter_response(grid.frequency_hz - hump.center_hz - shift_hz, seen_hz)
+
+
+def _keys(signals: list[Signal], shift_hz: float) -> tuple[tuple[float, float, float], ...]:
+    return tuple((signal.center_hz + shift_hz, signal.symbol_rate_hz, signal.rolloff) for signal in signals)
 
 
 def _powers_mw(signals: list[Signal]) -> FloatArray:

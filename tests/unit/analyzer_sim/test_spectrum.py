@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from analyzer_sim.emission import Emission, Signal
+from analyzer_sim.emission import Emission, NoiseHump, Signal
 from analyzer_sim.spectrum import (
     ENBW_PER_RBW,
     SweepGrid,
@@ -101,3 +101,33 @@ def test_filter_much_wider_or_narrower_than_the_carrier_is_drawn() -> None:
 @pytest.mark.parametrize(("time_s", "loss_db"), [(100.0, 0.0), (0.01, -0.39), (0.001, -6.56)])
 def test_line_fades_when_the_sweep_outruns_the_filter(time_s: float, loss_db: float) -> None:
     assert 10 * math.log10(too_fast_line_loss(36e6, 60e3, time_s)) == pytest.approx(loss_db, abs=0.01)
+
+
+def test_oscillator_of_the_receiving_chain_moves_all_that_arrives() -> None:
+    signals = (Signal("x", 970e6, 1e6, 0.2, -40.0), Signal("y", 975e6, 0.0, 0.0, -50.0))
+    hump = NoiseHump(980e6, 2e6, -100.0)
+    grid = SweepGrid(954e6, 990e6, 3601, 30e3)
+    still = mean_trace(Emission(0, signals, -120.0, (hump,)), grid, NO_NOISE_DBM_HZ)
+    moved = mean_trace(Emission(0, signals, -120.0, (hump,), 50e3), grid, NO_NOISE_DBM_HZ)
+    np.testing.assert_allclose(moved.total_mw[5:], still.total_mw[:-5], rtol=1e-9)  # five points of 10 kHz
+    assert moved.line_hz.tolist() == [975.05e6]
+
+
+@pytest.mark.parametrize("width_hz", [10e3, 300e3, 5e6])
+def test_hump_of_noise_has_its_density_and_its_power_through_the_filter(width_hz: float) -> None:
+    hump = NoiseHump(972e6, width_hz, -100.0)
+    trace = mean_trace(Emission(0, (), NO_NOISE_DBM_HZ, (hump,)), GRID, NO_NOISE_DBM_HZ).total_mw
+    power_dbm = -100.0 + 10 * math.log10(ENBW_PER_RBW * width_hz)  # a Gaussian, as the filter is
+    assert integrated_dbm(trace) == pytest.approx(power_dbm, abs=0.01)
+    if width_hz > 1e6:
+        density_dbm_hz = 10 * math.log10(trace.max() / GRID.enbw_hz)
+        assert density_dbm_hz == pytest.approx(-100.0, abs=0.001)  # 30 kHz of 5 MHz
+
+
+def test_neighbour_that_grows_leaks_what_its_shape_says_and_no_more() -> None:
+    wanted = Signal("x", 970e6, 1e6, 0.2, -43.0)
+    alone = trace_mw(wanted)
+    for growth_db in (0.0, 6.0, 12.0):
+        neighbour = Signal("y", 971.6e6, 1e6, 0.2, -43.0 + growth_db)
+        both = trace_mw(wanted, neighbour)
+        np.testing.assert_allclose(both - alone, trace_mw(neighbour), rtol=1e-6, atol=1e-18)
