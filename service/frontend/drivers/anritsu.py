@@ -10,7 +10,11 @@ ANRITSU = Dialect(
     name="anritsu",
     identity=r"^anritsu",
     detectors=((Word(":DET", "RMS"),),),
-    method=(UNIT, Word(":TRAC1:TYPE", "NORM", "NORMAL|WRIT|WRITE|NONE", is_needed=False)),
+    method=(
+        UNIT,
+        Word(":TRAC1:TYPE", "NORM", "NORMAL|WRIT|WRITE", is_needed=False),
+        Word(":AVER:TYPE", "NONE", is_needed=False),
+    ),
     formats=(ASCII,),
     trace_query=":TRAC:DATA? 1",
     points=":DISP:POIN",

@@ -4,6 +4,8 @@ Law of this file: a trace has as many levels as the analyzer states points, or i
 known to state wrong ones the trace's own number counts.
 """
 
+import numpy as np
+
 from service.frontend.drivers.base import ASCII, Dialect, SweepRefusedError, TraceFormat
 from service.frontend.drivers.dialogue import Dialogue
 from service.frontend.scpi import (
@@ -19,6 +21,10 @@ from service.frontend.visa_session import AnalyzerIOError
 
 #: what an analyzer sends that has no trace yet
 _NO_TRACE = "#0"
+#: no input stands more than 10 W; 107 dB more is what microvolts show
+_MOST_DBM = 40.0
+#: a trace that keeps this close to zero is one in watts or volts
+_FLAT_DB = 0.1
 
 
 class TraceReader:
@@ -67,10 +73,14 @@ class TraceReader:
         AnswerError
             The trace does not have so many points.
         """
-        if not self._format.is_binary:
+        levels = self._read_levels(trace, points)
+        _require_dbm(levels)
+        return levels
+
+    def _read_levels(self, trace: bytes | str, points: int) -> FloatArray:
+        """Return the numbers of a trace."""
+        if isinstance(trace, str) or not self._format.is_binary:
             return self._of_text(trace if isinstance(trace, str) else trace.decode("ascii"), points)
-        if isinstance(trace, str):
-            return levels_of_text(trace, points)
         try:
             return levels_of_block(trace, points, is_big_endian=self._format.is_big_endian)
         except AnswerError:
@@ -89,3 +99,11 @@ class TraceReader:
         fixed = self._dialect.fixed_points
         has_fixed = fixed is not None and len(text.strip().strip(",").split(",")) == fixed
         return levels_of_text(text, fixed if fixed is not None and has_fixed else points)
+
+
+def _require_dbm(levels: FloatArray) -> None:
+    """Raise when a trace cannot be in dBm, whatever unit the analyzer says."""
+    present = levels[np.isfinite(levels)]
+    if present.size and (present.max() > _MOST_DBM or np.abs(present).max() < _FLAT_DB):
+        message = f"levels from {present.min():g} to {present.max():g} are not in dBm"
+        raise AnswerError(message)

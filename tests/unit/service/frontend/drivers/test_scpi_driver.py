@@ -202,6 +202,30 @@ def test_what_is_no_trace_is_never_a_level(answer: str) -> None:
         made.take(SWEEP)
 
 
+@pytest.mark.parametrize("unit", ["dBuV", "W", "V"])
+def test_levels_in_another_unit_than_stated_are_not_levels(unit: str) -> None:
+    session = ScriptedSession()
+    made = driver(session)
+    convert = {
+        "dBuV": lambda dbm: dbm + 130.0,
+        "W": lambda dbm: 10 ** (dbm / 10 - 3),
+        "V": lambda dbm: 10 ** (dbm / 20),
+    }
+    session.levels = convert[unit](session.levels)
+    with pytest.raises(ValueError, match="not in dBm"):
+        made.take(SWEEP)
+
+
+def test_a_trace_that_reaches_the_reference_level_is_overdriven() -> None:
+    session = ScriptedSession()
+    made = driver(session)
+    made.configure(SWEEP, InputPart(ref_level_dbm=-80.0))
+    assert made.take(SWEEP).is_overrange
+    made.configure(SWEEP, InputPart(ref_level_dbm=-79.0))
+    session.levels = session.levels - 0.1
+    assert not made.take(SWEEP).is_overrange
+
+
 @pytest.mark.parametrize("code", ["-999.0", "9.91E37", "9.9E37", "-9.9E37", "NAN", "INF"])
 def test_codes_for_no_number_are_not_levels(code: str) -> None:
     session = ScriptedSession("siglent")
