@@ -112,7 +112,7 @@ def trace_reader(style: TraceStyle, values: Callable[[Call], FloatArray] = level
             _check_shown(number)
             shown = values(call)
             if values is not frequencies_shown:
-                shown = call.instrument.trace_faults.spoil(shown)
+                shown = call.instrument.read_out(shown)
             return encode(call, style, shown)
         except ScpiError:
             if not style.invalid:

@@ -5,6 +5,7 @@ are served meanwhile. Everything happens on one event loop, so a turn of a sessi
 """
 
 import asyncio
+from collections import Counter
 from collections.abc import Awaitable, Callable
 
 from analyzer_sim.dialect import Dialect
@@ -55,11 +56,14 @@ class Dispatcher:
         self._tree = command_tree(dialect)
         self._permission = permission
         self._changed = asyncio.Event()
+        self._changes_seen = 0
+        self._sessions: Counter[str] = Counter()
         self._pump: asyncio.Task[None] | None = None
 
-    def new_session(self) -> Session:
+    def new_session(self, transport: str) -> Session:
         """Return the parser and output of a new client."""
-        return Session(self.instrument, self._dialect, self._tree)
+        self._sessions[transport] += 1
+        return Session(self.instrument, self._dialect, self._tree, f"{transport} {self._sessions[transport]}")
 
     async def execute(self, session: Session, message: ProgramMessage) -> bytes | None:
         """Run one message to its end, waiting where the session is locked out or held; return its response."""
@@ -91,19 +95,39 @@ class Dispatcher:
         self.announce()
 
     def look_around(self) -> None:
-        """Act on what a turn may have changed."""
-        if not self.instrument.is_pending:
+        """Act on what a turn, or time, may have changed."""
+        self.instrument.keep_continuous()
+        if self._changes_seen != self.instrument.changes:
+            self._changes_seen = self.instrument.changes
             self.announce()
-        elif self._pump is None or self._pump.done():
-            self._pump = asyncio.create_task(self._complete_pending())
+            if self._pump is None:
+                self._pump = asyncio.create_task(self._keep_time())
         for watcher in tuple(self.watchers):
             watcher()
 
-    async def _complete_pending(self) -> None:
-        """Ask for permission until the pending sweep has run or was aborted."""
-        while not self.instrument.complete_pending():
-            await self._permission()
-        self.look_around()
+    async def _keep_time(self) -> None:
+        """Let pending sweeps begin when they are allowed and end when their time is over."""
+        while True:
+            self.instrument.complete_pending()
+            self.look_around()
+            if self.instrument.is_waiting:
+                await self._permission_or_change()
+                continue
+            try:
+                async with asyncio.timeout(self.instrument.remaining_s):
+                    await self.change()
+            except TimeoutError:
+                self.announce()
+
+    async def _permission_or_change(self) -> None:
+        """Return when it is worth asking again, or when there is nothing to ask for any more."""
+        tasks = [asyncio.ensure_future(wait) for wait in (self._permission(), self.change())]
+        try:
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
 
     async def close(self) -> None:
         """End what runs in the background."""

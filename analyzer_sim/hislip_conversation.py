@@ -89,7 +89,7 @@ class Conversation:
     def __init__(self, state: HislipSession, dispatcher: Dispatcher, synchronous: Channel) -> None:
         self.state = state
         self._dispatcher = dispatcher
-        self._session = dispatcher.new_session()
+        self._session = dispatcher.new_session("hislip")
         self._synchronous = synchronous
         self._asynchronous: Channel | None = None
         self._requests: deque[Request] = deque()
@@ -172,14 +172,14 @@ class Conversation:
 
     async def _answer(self, request: Request) -> None:
         """Execute one request and send its answer; a second answer in one request interrupts the first."""
-        answer = b""
+        answer, readings = b"", self._session.readings
         for program in request.programs:
             response = await self._dispatcher.execute(self._session, program)
             if response is None:
                 continue
             if answer:
                 self._session.push_error(-410, "an answer was not read")
-            answer = response
+            answer, readings = response, self._session.readings
         if not answer:
             return
         if self._requests:
@@ -188,7 +188,9 @@ class Conversation:
         self.state.is_unread = True
         self._look_for_service()
         parts = answer_parts(answer, request.message_id, self.state.client_bytes)
-        await self._synchronous.line.send(answer, self._until_interrupted(parts))
+        is_sent = await self._synchronous.line.send(answer, self._until_interrupted(parts))
+        if is_sent and next(parts, None) is None:
+            self._session.report_delivery(readings)
 
     def _until_interrupted(self, parts: Iterator[bytes]) -> Iterator[bytes]:
         """Give parts of an answer as long as no further request waits."""

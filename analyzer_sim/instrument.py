@@ -1,11 +1,15 @@
-"""The instrument behind the parser: settings, sweep, status. No socket, no SCPI text, no clock but the virtual one.
+"""The instrument behind the parser: settings, sweep, status. No socket, no SCPI text.
 
-Sweeps and the virtual clock:
+Sweeps, the world and the clocks (states of a sweep: ``sweep_life.py``):
 
 * A single sweep (``INIT:CONT OFF``, then ``INIT``) moves the world to its next row; a count above one combines that
-  many sweeps of the same row. When the row is allowed the sweep is complete at once; otherwise it stays pending
-  (OPERation bit 5, waiting for trigger) until :meth:`Instrument.complete_pending` finds it allowed.
-* In ``INIT:CONT ON`` every trace query shows a fresh sweep of the present row; the clock stands still.
+  many sweeps of the same row. The row must be allowed; until then the sweep is pending.
+* At the virtual pace an allowed sweep is complete at once. At the real pace it lasts its sweep time by the wall clock
+  and shows, when that is over, the row that follows the one shown last: the wall clock decides when a row is shown, the
+  rows alone decide what time it is in the world, whatever the sweep took. For a world that keeps step with the wall
+  clock choose its row period equal to the period of the client's measurements. A sweep that is aborted takes no row.
+* In ``INIT:CONT ON`` every trace query shows a fresh sweep of the present row and the world stands still; at the real
+  pace the trace is a fresh one once a sweep time, and the first one after a change of settings is waited for.
 * After the last row ``INIT`` queues -200 and leaves no trace, so that the next trace query gives -230.
 * A list sweep measures every entry with its own settings, all of them on one row.
 """
@@ -19,20 +23,24 @@ from analyzer_sim.emission import Emission, EmissionSource
 from analyzer_sim.function_settings import FunctionSettings, swept_settings
 from analyzer_sim.instrument_settings import Settings, reset_state
 from analyzer_sim.models import FSW_26
-from analyzer_sim.painter import Trace, TracePainter
+from analyzer_sim.painter import FloatArray, Trace, TracePainter
 from analyzer_sim.scpi_errors import ScpiError
-from analyzer_sim.status import (
-    ESR_OPERATION_COMPLETE,
-    OPERATION_WAITING_FOR_TRIGGER,
-    QUESTIONABLE_CALIBRATION,
-    StatusModel,
-)
+from analyzer_sim.status import ESR_OPERATION_COMPLETE, QUESTIONABLE_CALIBRATION, StatusModel
+from analyzer_sim.sweep_life import OPERATION_BITS, Pace, SweepLife, SweepState
 from analyzer_sim.trace_faults import TraceFaults
+from analyzer_sim.truth_log import Reading, TruthLog
 from analyzer_sim.world import EndOfScenario
+
+#: all bits of OPERation:CONDition that sweeps decide
+_SWEEP_BITS = reduce(or_, OPERATION_BITS.values())
 
 
 def _always() -> bool:
     return True
+
+
+class TraceNotReadyError(Exception):
+    """The first sweep with the present settings is not complete; whoever asks must ask again."""
 
 
 class Instrument:
@@ -48,6 +56,10 @@ class Instrument:
         Whether the next row may be swept now.
     model : AnalyzerModel
         Figures of the make.
+    life : SweepLife, optional
+        How long sweeps last; at the virtual pace when left out.
+    truth : TruthLog, optional
+        Where completed sweeps and delivered traces are written.
     """
 
     def __init__(
@@ -56,6 +68,8 @@ class Instrument:
         painter: TracePainter,
         may_advance: Callable[[], bool] = _always,
         model: AnalyzerModel = FSW_26,
+        life: SweepLife | None = None,
+        truth: TruthLog | None = None,
     ) -> None:
         self.model = model
         self.settings = reset_state(model)
@@ -69,13 +83,32 @@ class Instrument:
         self._trace: Trace | None = None
         self._list_entries: tuple[Settings, ...] = ()
         self._list_traces: tuple[Trace, ...] = ()
-        self._is_pending = False
+        self._life = life or SweepLife()
+        self._truth = truth
+        self._sweeps = 0
+        self._repeats_shown = 0
+        self._readings: list[Reading] = []
         self._completion_wanted = False
 
     @property
     def is_pending(self) -> bool:
-        """Whether a sweep waits for permission."""
-        return self._is_pending
+        """Whether a single sweep waits for permission or runs."""
+        return self._life.is_pending
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether a single sweep waits for permission."""
+        return self._life.state is SweepState.WAITING
+
+    @property
+    def changes(self) -> int:
+        """Changes in the life of sweeps so far."""
+        return self._life.changes
+
+    @property
+    def remaining_s(self) -> float | None:
+        """Time until the sweep that runs is complete; ``None`` when no time is waited for."""
+        return self._life.remaining_s
 
     @property
     def swept(self) -> Settings:
@@ -100,14 +133,14 @@ class Instrument:
         """
         if self.settings.is_continuous:
             raise ScpiError(-213, "INIT:CONT is ON")
-        if self._is_pending:
+        if self.is_pending:
             raise ScpiError(-213, "a sweep is pending")
         self.invalidate()
         self._begin()
 
     def _begin(self) -> None:
-        self._is_pending = True
-        self.status.operation.put_bit(OPERATION_WAITING_FOR_TRIGGER, is_set=True)
+        self._life.wait()
+        self._report_life()
         self.complete_pending()
 
     def initiate_list(self, entries: tuple[Settings, ...]) -> None:
@@ -118,38 +151,70 @@ class Instrument:
         ScpiError
             -213 when a sweep is pending.
         """
-        if self._is_pending:
+        if self.is_pending:
             raise ScpiError(-213, "a sweep is pending")
         self.invalidate()
         self._list_entries = entries
         self._begin()
 
     def complete_pending(self) -> bool:
-        """Run the pending sweep if its row is allowed; return whether none is pending any more."""
-        if self._is_pending and self._may_advance():
-            try:
-                self._show(self._source.advance())
-            except EndOfScenario:
-                self.status.push_error(-200, "the scenario has ended; there is no further row to sweep")
-            self._end_pending()
-        return not self._is_pending
+        """Begin the pending sweep if its row is allowed, end it if its time is over; return whether none is pending."""
+        life = self._life
+        if self.is_waiting and self._may_advance():
+            if life.pace is Pace.VIRTUAL:
+                self._complete()
+            else:
+                life.start(self._duration_s())
+                self._report_life()
+        if life.is_due:
+            self._complete()
+        return not life.is_pending
+
+    def _complete(self) -> None:
+        try:
+            self._show(self._source.advance())
+        except EndOfScenario:
+            self.status.push_error(-200, "the scenario has ended; there is no further row to sweep")
+        self._end_pending()
+
+    def keep_continuous(self) -> None:
+        """Let sweeps follow one another while ``INIT:CONT`` is ON; at the virtual pace they take no time."""
+        if self._life.pace is Pace.VIRTUAL or self.is_pending:
+            return
+        is_repeating = self._life.state is SweepState.CONTINUOUS
+        if self.settings.is_continuous and not is_repeating:
+            self._life.repeat(self._duration_s())
+            self._report_life()
+        elif is_repeating and not self.settings.is_continuous:
+            self._life.end()
+            self._report_life()
+
+    def _duration_s(self) -> float:
+        """Return how long the sweeps of one trace last."""
+        return sum(entry.time_s * entry.sweeps for entry in self._list_entries or (self.swept,))
+
+    def _report_life(self) -> None:
+        others = self.status.operation.condition & ~_SWEEP_BITS
+        self.status.operation.put_condition(others | OPERATION_BITS[self._life.state])
 
     def abort(self) -> None:
-        """``ABORt``: forget the pending sweep; operations are then complete."""
-        if self._is_pending:
+        """``ABORt``: forget the pending sweep; operations are then complete. Sweeps without end begin again."""
+        if self.is_pending:
             self._end_pending()
+        else:
+            self._restart()
 
     def _end_pending(self) -> None:
-        self._is_pending = False
         self._list_entries = ()
-        self.status.operation.put_bit(OPERATION_WAITING_FOR_TRIGGER, is_set=False)
+        self._life.end()
+        self._report_life()
         if self._completion_wanted:
             self.report_completion()
 
     def report_completion(self) -> None:
         """``*OPC``: set the operation-complete bit now, or when the pending sweep ends."""
-        self._completion_wanted = self._is_pending
-        if not self._is_pending:
+        self._completion_wanted = self.is_pending
+        if not self.is_pending:
             self.status.event |= ESR_OPERATION_COMPLETE
 
     def forget_completion(self) -> None:
@@ -157,9 +222,14 @@ class Instrument:
         self._completion_wanted = False
 
     def invalidate(self) -> None:
-        """Forget the trace and the results of a list: a setting that shapes them has changed."""
+        """Forget what was swept: a setting that shapes it has changed; the sweep that runs begins again."""
         self._trace = None
         self._list_traces = ()
+        self._restart()
+
+    def _restart(self) -> None:
+        if self._life.is_running:
+            self._life.restart(self._duration_s())
 
     def trace(self) -> Trace:
         """Return the trace to show.
@@ -168,12 +238,48 @@ class Instrument:
         ------
         ScpiError
             -230 when no sweep has been taken with the present settings.
+        TraceNotReadyError
+            Sweeps follow one another and the first one is not complete.
         """
-        if self.settings.is_continuous:
+        if self.settings.is_continuous and self._has_fresh_sweep():
             self._show(self._present())
         if self._trace is None:
             raise ScpiError(-230, "no sweep with the present settings")
         return self._trace
+
+    def _has_fresh_sweep(self) -> bool:
+        """Tell whether a sweep without end has been completed since the trace was drawn."""
+        if self._life.pace is Pace.VIRTUAL:
+            return True
+        self.keep_continuous()
+        repeats = self._life.sweeps_done
+        if not repeats:
+            raise TraceNotReadyError
+        is_fresh = self._trace is None or repeats != self._repeats_shown
+        self._repeats_shown = repeats
+        return is_fresh
+
+    def glimpse(self, settings: Settings) -> Trace:
+        """Return what a sweep with these settings would show at once; nothing else changes."""
+        return self._painter.paint(self._present(), settings)
+
+    def read_out(self, shown: FloatArray) -> FloatArray:
+        """Return the numbers of a trace as they leave, shape (B,): noted for the truth log, wrong if so armed."""
+        leaving = self.trace_faults.spoil(shown)
+        self._readings.append(Reading(self._sweeps, leaving is not shown))
+        return leaving
+
+    def take_readings(self) -> tuple[Reading, ...]:
+        """Return the traces read since this was asked last."""
+        readings = tuple(self._readings)
+        self._readings.clear()
+        return readings
+
+    def report_delivery(self, readings: tuple[Reading, ...], session: str) -> None:
+        """Note that answers with these traces have left whole."""
+        if self._truth is not None:
+            for reading in readings:
+                self._truth.trace(reading, session)
 
     def list_traces(self) -> tuple[Trace, ...]:
         """Return the traces of the last list sweep, one an entry.
@@ -204,6 +310,9 @@ class Instrument:
             self._list_traces = traces
         else:
             self._trace = traces[0]
+        self._sweeps += 1
+        if self._truth is not None:
+            self._truth.sweep(self._sweeps, emission, entries[0])
         self.status.put_questionable_power(reduce(or_, (trace.overload for trace in traces)))
         is_uncalibrated = any(entry.is_uncalibrated for entry in entries)
         self.status.questionable.put_bit(QUESTIONABLE_CALIBRATION, is_set=is_uncalibrated)

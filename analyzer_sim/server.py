@@ -153,13 +153,13 @@ class SimulatedAnalyzer:
     async def _converse(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         """Serve a connection of the raw socket."""
         framer, line = MessageFramer(), FaultyLine(writer, self.faults)
-        session = self._dispatcher.new_session()
+        session = self._dispatcher.new_session("socket")
         try:
             while data := await reader.read(_READ_BYTES):
                 for message in framer.feed(data):
                     response = await self._dispatcher.execute(session, message)
-                    if response is not None:
-                        await line.send(response, (response,))
+                    if response is not None and await line.send(response, (response,)):
+                        session.report_delivery(session.readings)
         finally:
             self._dispatcher.leave(session)
 

@@ -9,11 +9,12 @@ from collections import deque
 
 from analyzer_sim.command_row import Call, Command
 from analyzer_sim.dialect import Dialect
-from analyzer_sim.instrument import Instrument
+from analyzer_sim.instrument import Instrument, TraceNotReadyError
 from analyzer_sim.scpi import ProgramMessage
 from analyzer_sim.scpi_errors import ScpiError
 from analyzer_sim.scpi_parser import Unit, parse_unit, split_units
 from analyzer_sim.scpi_tree import CommandTree
+from analyzer_sim.truth_log import Reading
 
 #: units run before the caller gets a turn to serve others
 UNITS_PER_RUN = 256
@@ -34,9 +35,14 @@ class Session:
         The language spoken.
     tree : CommandTree
         Built once from the dialect by :func:`command_tree`.
+    name : str
+        Of the connection, for the truth log.
     """
 
-    def __init__(self, instrument: Instrument, dialect: Dialect, tree: CommandTree[Command]) -> None:
+    def __init__(
+        self, instrument: Instrument, dialect: Dialect, tree: CommandTree[Command], name: str = "session"
+    ) -> None:
+        self._name = name
         self._instrument = instrument
         self._dialect = dialect
         self._tree = tree
@@ -44,6 +50,7 @@ class Session:
         self._path: tuple[str, ...] = ()
         self._answers: list[bytes] = []
         self._answer_bytes = 0
+        self._readings: tuple[Reading, ...] = ()
         self._is_held = False
         self._has_started = False
         is_alone = instrument.model.is_error_queue_per_session
@@ -66,6 +73,15 @@ class Session:
         self._is_held = False
         self._instrument.forget_completion()
 
+    @property
+    def readings(self) -> tuple[Reading, ...]:
+        """The traces in the last response."""
+        return self._readings
+
+    def report_delivery(self, readings: tuple[Reading, ...]) -> None:
+        """Note that a response with these traces has left whole."""
+        self._instrument.report_delivery(readings, self._name)
+
     def push_error(self, code: int, detail: str = "") -> None:
         """Queue an error that the transport has seen."""
         self._instrument.status.errors = self._errors
@@ -80,6 +96,7 @@ class Session:
         self._path = ()
         self._answers = []
         self._answer_bytes = 0
+        self._readings = ()
         self._has_started = False
 
     def submit(self, message: ProgramMessage) -> None:
@@ -115,6 +132,8 @@ class Session:
                 return False
             self._path = path
             self._answer(command, unit, call)
+        except TraceNotReadyError:
+            return False
         except ScpiError as error:
             self._instrument.status.push_error(error.code, error.detail)
         self._has_started = False
@@ -135,9 +154,11 @@ class Session:
         return self._instrument.is_pending
 
     def _answer(self, command: Command, unit: Unit, call: Call) -> None:
+        self._instrument.take_readings()
         answer = command.run(unit, call)
         if answer is None:
             return
+        self._readings += self._instrument.take_readings()
         self._answers.append(answer if isinstance(answer, bytes) else answer.encode("ascii"))
         self._answer_bytes += len(self._answers[-1])
         if self._answer_bytes > OUTPUT_LIMIT_BYTES:

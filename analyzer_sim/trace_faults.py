@@ -6,6 +6,7 @@ armed. Frequencies of points are never touched.
 
 import threading
 from collections import deque
+from collections.abc import Callable
 from enum import Enum
 
 import numpy as np
@@ -47,6 +48,14 @@ _VALUES = {
     TraceFault.NO_RESULT: -999.0,
     TraceFault.SCPI_NAN: 9.91e37,
     TraceFault.SCPI_INFINITY: 9.9e37,
+}
+
+_SHAPES: dict[TraceFault, Callable[[FloatArray], FloatArray]] = {
+    TraceFault.SHORT: lambda shown: shown[:-1],
+    TraceFault.LONG: lambda shown: np.concatenate([shown, shown[-1:]]),
+    TraceFault.EMPTY: lambda shown: shown[:0],
+    TraceFault.UNIT_DBUV: lambda shown: shown + _DBUV_ABOVE_DBM,
+    TraceFault.UNIT_WATT: lambda shown: np.asarray(10.0 ** (0.1 * shown - 3.0)),
 }
 
 
@@ -93,10 +102,4 @@ def _spoiled(fault: TraceFault, shown: FloatArray) -> FloatArray:
         wrong = shown.copy()
         wrong[::_EVERY] = _VALUES[fault]
         return wrong
-    return {
-        TraceFault.SHORT: lambda: shown[:-1],
-        TraceFault.LONG: lambda: np.append(shown, shown[-1:]),
-        TraceFault.EMPTY: lambda: shown[:0],
-        TraceFault.UNIT_DBUV: lambda: shown + _DBUV_ABOVE_DBM,
-        TraceFault.UNIT_WATT: lambda: np.asarray(10.0 ** (0.1 * shown - 3.0)),
-    }[fault]()
+    return _SHAPES[fault](shown)
