@@ -12,7 +12,8 @@ import numpy as np
 
 from analyzer_sim.command_row import Call, Command
 from analyzer_sim.epochs import rfc3339
-from analyzer_sim.instrument_settings import Settings, reset_state, store
+from analyzer_sim.instrument_settings import Settings, reset_state
+from analyzer_sim.quantities import store
 from analyzer_sim.scpi_errors import ScpiError
 from analyzer_sim.scpi_parameters import Boolean, Choice, Quoted
 

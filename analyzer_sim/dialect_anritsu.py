@@ -26,9 +26,10 @@ from analyzer_sim.commands_common import COMMON_COMMANDS, SYSTEM_COMMANDS
 from analyzer_sim.dialect import Dialect
 from analyzer_sim.epochs import rfc3339
 from analyzer_sim.functions_anritsu import FUNCTION_ROWS
-from analyzer_sim.instrument_settings import Settings, load
+from analyzer_sim.instrument_settings import Settings
 from analyzer_sim.levels import definite_block
 from analyzer_sim.models import MS2090A
+from analyzer_sim.quantities import load
 from analyzer_sim.scpi_parameters import DECIBELS, HERTZ, SECONDS, Choice, Level, TraceName
 
 IDENTITY = "Anritsu,MS2090A,2014005,V2023.3.1"

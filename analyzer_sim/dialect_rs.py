@@ -22,8 +22,8 @@ from analyzer_sim.command_traces import TraceFormat, TraceStyle, format_row, fre
 from analyzer_sim.commands_common import COMMON_COMMANDS, SYSTEM_COMMANDS
 from analyzer_sim.dialect import Dialect
 from analyzer_sim.functions_rs import FUNCTION_ROWS
-from analyzer_sim.instrument_settings import QUANTITIES
 from analyzer_sim.models import FSW_26
+from analyzer_sim.quantities import QUANTITIES
 from analyzer_sim.scpi_parameters import DECIBELS, HERTZ, SECONDS, Level, TraceName
 
 IDENTITY = "Rohde&Schwarz,FSW-26,1312.8000K26/100001,5.30"

@@ -32,10 +32,11 @@ from analyzer_sim.function_rows import (
     switch_row,
 )
 from analyzer_sim.function_settings import OFF, swept_settings
-from analyzer_sim.instrument_settings import Settings, load, shown_limits, store
+from analyzer_sim.instrument_settings import Settings
 from analyzer_sim.levels import UNITS, ascii_list
 from analyzer_sim.marker_rows import MarkerStyle, marker_of, marker_rows, put_state, span_row
 from analyzer_sim.occupied_bandwidth import occupied_by_level, occupied_by_percent, trace_power_dbm
+from analyzer_sim.quantities import load, shown_limits, store
 from analyzer_sim.scpi_errors import ScpiError
 from analyzer_sim.scpi_parameters import HERTZ, SECONDS, Boolean, Choice, Numeric
 

@@ -23,7 +23,6 @@ from analyzer_sim.function_rows import (
     word_row,
 )
 from analyzer_sim.function_settings import OFF
-from analyzer_sim.instrument_settings import store
 from analyzer_sim.marker_rows import (
     MarkerStyle,
     band_dbm,
@@ -37,6 +36,7 @@ from analyzer_sim.marker_rows import (
 )
 from analyzer_sim.occupied_bandwidth import occupied_by_percent
 from analyzer_sim.power_list_rows import POWER_LIST_ROWS
+from analyzer_sim.quantities import store
 from analyzer_sim.scpi_errors import ScpiError
 from analyzer_sim.scpi_parameters import Boolean, Choice
 

@@ -14,9 +14,9 @@ from analyzer_sim.command_row import Call, Command
 from analyzer_sim.command_settings import number_text
 from analyzer_sim.function_rows import Figure, decibel_row, result_text, shown_level, swept_trace
 from analyzer_sim.function_settings import OFF, Marker
-from analyzer_sim.instrument_settings import store
 from analyzer_sim.markers import Search, next_peak
 from analyzer_sim.painter import Trace
+from analyzer_sim.quantities import store
 from analyzer_sim.scpi_errors import ScpiError
 from analyzer_sim.scpi_parameters import HERTZ, Boolean, Numeric
 

@@ -14,8 +14,9 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from analyzer_sim.band_power import decibels, milliwatts_of
-from analyzer_sim.instrument_settings import Settings, store
+from analyzer_sim.instrument_settings import Settings
 from analyzer_sim.painter import Trace
+from analyzer_sim.quantities import store
 from analyzer_sim.scpi_errors import ScpiError
 from analyzer_sim.scpi_parameters import DBM, DECIBELS, HERTZ, PURE, SECONDS, Choice, Numeric
 from analyzer_sim.scpi_parser import Character, Datum

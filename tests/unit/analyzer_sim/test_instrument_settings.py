@@ -5,8 +5,9 @@ from dataclasses import replace
 import pytest
 
 from analyzer_sim.analyzer_model import AnalyzerModel, FilterSteps
-from analyzer_sim.instrument_settings import QUANTITIES, Settings, load, reset_state, shown_limits, store
+from analyzer_sim.instrument_settings import Settings, reset_state
 from analyzer_sim.models import FSW_26, MS2090A, N9020B, SSA3032X
+from analyzer_sim.quantities import QUANTITIES, load, shown_limits, store
 
 MODELS = {"rs": FSW_26, "keysight": N9020B, "siglent": SSA3032X, "anritsu": MS2090A}
 

@@ -7,9 +7,10 @@ import pytest
 
 from analyzer_sim.ground_bodies import task
 from analyzer_sim.imperfections import IDEAL
-from analyzer_sim.instrument_settings import reset_state, store
+from analyzer_sim.instrument_settings import reset_state
 from analyzer_sim.models import FSW_26
 from analyzer_sim.painter import TracePainter
+from analyzer_sim.quantities import store
 from analyzer_sim.scenario import scenario_named
 from analyzer_sim.spectrum import ENBW_PER_RBW
 from analyzer_sim.user_noise import sweep_sigma_db
