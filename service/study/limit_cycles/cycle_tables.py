@@ -1,0 +1,159 @@
+"""T1 and T2: limit cycles and the succession function."""
+
+import numpy as np
+
+from service.core.flexible.closed_forms import single_pulse_forms, truncated_succession
+from service.core.flexible.limit_cycle import LimitCycle, critical_viscous_loss_n_m, find_limit_cycles
+from service.core.flexible.motion import follow_motion
+from service.core.flexible.propagation import BodyState
+from service.core.flexible.return_kernels import Follow, OneSided, compiled_follow, follow
+from service.core.flexible.succession import one_sided_motion, succession
+from service.study.limit_cycles import reference
+from service.study.limit_cycles.comparison import Compared, ComparedTable, holds
+
+#: relative tolerance of speeds and angles, of periods; absolute one of multipliers
+_RELATIVE, _PERIOD, _MULTIPLIER = 1e-6, 1e-8, 1e-4
+#: as many returns of a leg-by-leg run must agree with the map
+_FOLLOWED_S = 2000.0
+
+
+def cycle_of(name: str) -> LimitCycle:
+    """Return the cycle of a case that uses each of its lines once."""
+    case = reference.CYCLES[name]
+    (cycle,) = (one for one in find_limit_cycles(case.drive, case.law) if one.pulses == case.law.pulse_count)
+    return cycle
+
+
+def motion_of(name: str) -> OneSided:
+    """Return the one-sided motion of a case."""
+    case = reference.CYCLES[name]
+    return one_sided_motion(case.drive, case.law)
+
+
+def limit_cycle_table() -> ComparedTable:
+    """Return T1."""
+    rows: list[Compared] = []
+    for name, case in reference.CYCLES.items():
+        cycle = cycle_of(name)
+        rows += [
+            Compared(name, "w*, rad/s", case.speed_rad_s, cycle.speed_rad_s, _RELATIVE),
+            Compared(name, "vmax, rad/s", case.rate_rad_s, cycle.rate_rad_s, _RELATIVE),
+            # the reference prints ten digits
+            Compared(name, "T, s", case.period_s, cycle.period_s, _PERIOD),
+            Compared(name, "inner, rad", case.inner_rad, cycle.inner_rad, _RELATIVE),
+            Compared(name, "outer, rad", case.outer_rad, cycle.outer_rad, _RELATIVE),
+            Compared(name, "multiplier", case.multiplier, cycle.multiplier, _MULTIPLIER, is_relative=False),
+        ]
+    return ComparedTable("T1", "Limit cycles", (*rows, *_closed_forms()))
+
+
+def _closed_forms() -> list[Compared]:
+    """Return what formulas say of cycle A0 and of the loss that makes it stable."""
+    forms = single_pulse_forms(reference.BASE, 1.0)
+    found = (forms.multiplier, forms.multiplier_frictionless, forms.multiplier_truncated)
+    names = ("multiplier by formula", "multiplier by formula, c = 0", "multiplier of truncated (23)")
+    rows = [
+        Compared("A0", name, printed, value, 1e-6, is_relative=False)
+        for name, printed, value in zip(names, reference.CLOSED_MULTIPLIERS, found, strict=True)
+    ]
+    for dry, (exact, formula) in reference.CRITICAL_LOSSES.items():
+        drive = reference.BASE._replace(
+            dry_friction_n_m=dry, viscous_loss_n_m=0.0, momentum_n_m_s=reference.CRITICAL_MOMENTUM_N_M_S
+        )
+        law = reference.law_of()
+        case = f"M_T = {dry:g}"
+        rows += [
+            Compared(case, "M_v,crit, N m", exact, critical_viscous_loss_n_m(drive, law), _RELATIVE),
+            Compared(
+                case,
+                "M_v,crit by formula, N m",
+                formula,
+                single_pulse_forms(drive, 1.0).critical_viscous_loss_n_m,
+                5e-5,
+            ),
+        ]
+    return rows
+
+
+def succession_table() -> ComparedTable:
+    """Return T2."""
+    rows = [
+        Compared(name, f"f({speed:g}), rad/s", printed, float(succession(np.array([speed]), motion_of(name))[0]), 1e-6)
+        for name, speed, printed in reference.SUCCESSIONS
+    ]
+    truncated = truncated_succession(np.array([speed for speed, _ in reference.TRUNCATED_SUCCESSIONS]), motion_of("A0"))
+    rows += [
+        Compared("A0, truncated (23)", f"f({speed:g}), rad/s", printed, float(value), 1e-6)
+        for (speed, printed), value in zip(reference.TRUNCATED_SUCCESSIONS, truncated, strict=True)
+    ]
+    follower = compiled_follow()
+    return ComparedTable(
+        "T2", "Succession function", (*rows, *_followed(), *_approaches(follower), *_basins(follower), _wandering())
+    )
+
+
+def _followed() -> list[Compared]:
+    """Return arrivals of C2 by the motion itself, leg by leg."""
+    speed, printed = reference.FOLLOWED_ARRIVALS
+    found = followed_arrivals("C2", speed)
+    return [
+        Compared("C2, leg by leg", f"w_{k + 1}, rad/s", one, float(value), 1e-9)
+        for k, (one, value) in enumerate(zip(printed, found[1:], strict=False))
+    ]
+
+
+def followed_arrivals(name: str, speed_rad_s: float) -> "np.typing.NDArray[np.float64]":
+    """Return the speeds of arrivals at the first line, followed on the rigid sheet by events alone."""
+    case = reference.CYCLES[name]
+    momentum = case.drive.momentum_n_m_s - case.drive.inertia_kg_m2 * speed_rad_s
+    start = BodyState(-case.law.beta_rad, -speed_rad_s, momentum_n_m_s=momentum)
+    motion = follow_motion(start, case.drive, None, case.law, _FOLLOWED_S)
+    states = motion.states(motion.firing_times_s)
+    is_first_line = np.abs(states[:, 0] + case.law.beta_rad) < 1e-12
+    return np.asarray(-states[is_first_line, 1])
+
+
+def _approaches(follower: Follow) -> list[Compared]:
+    """Return where returns lead."""
+    return [
+        Compared(
+            name,
+            f"w after {returns} returns from {start:g}, rad/s",
+            printed,
+            float(follower(np.array([start]), returns, motion_of(name))[0, -1]),
+            1e-6,
+        )
+        for name, start, returns, printed in reference.APPROACHES
+    ]
+
+
+def basin_count(name: str, follower: Follow = follow) -> int:
+    """Return how many of 60 starts come within 1 % of the cycle."""
+    starts = np.linspace(5e-6, 6e-4, 60)
+    last = follower(starts, reference.BASIN_RETURNS, motion_of(name))[:, -1]
+    return int(np.count_nonzero(np.abs(last / reference.CYCLES[name].speed_rad_s - 1.0) < 0.01))
+
+
+def _basins(follower: Follow) -> list[Compared]:
+    """Return sizes of basins."""
+    return [
+        Compared(name, "starts of 60 that reach the cycle", count, basin_count(name, follower), 0.0)
+        for name, count in reference.BASINS.items()
+    ]
+
+
+def wandering_range() -> tuple[float, float]:
+    """Return the least and the greatest arrival of A0 that never settles; NaN once it escapes."""
+    step, speed, returns, _ = reference.WANDERING
+    case = reference.CYCLES["A0"]
+    motion = one_sided_motion(case.drive, case.law._replace(line_step_rad=step))
+    speeds = follow(np.array([speed]), returns, motion)[0]
+    return float(speeds.min()), float(speeds.max())
+
+
+def _wandering() -> Compared:
+    """Return whether A0 stays bounded without settling; its extremes are chaotic, so they are no figures."""
+    low, high = wandering_range()
+    _, _, _, (printed_low, printed_high) = reference.WANDERING
+    is_bounded = 0.5 * printed_low < low and high < 1.01 * printed_high
+    return holds("A0", "3000 returns bounded, never settled", is_true=is_bounded and low < 0.1 * high)
