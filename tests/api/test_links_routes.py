@@ -193,6 +193,13 @@ async def test_numbers_that_are_none_are_refused_in_the_detail_too(soo):
     assert (answer.status_code, answer.json()["code"]) == (422, "value.not_finite")
 
 
+async def test_whatever_an_analyzer_answered_may_be_told(soo):
+    odd = "\u0000*IDN?\x7f\ufffd\n"
+    await send(soo, report(warnings=[{"code": "analyzer.fault", "detail": odd}], detail={"last": odd}))
+    (told,) = await listed(soo)
+    assert (told["warnings"][0]["detail"], told["detail"]["last"]) == (odd, odd)
+
+
 async def test_a_bad_filter_is_a_422(soo):
     answer = await soo.client.get(LINKS, params={"spacecraft_id": "A B"})
     assert (answer.status_code, answer.json()["errors"][0]["pointer"]) == (422, "/query/spacecraft_id")

@@ -30,7 +30,8 @@ def _bounded(detail: dict[str, Any]) -> dict[str, Any]:
 
 Word = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,31}$")]
 Code = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9._:-]{0,63}$")]
-Explanation = Annotated[str, StringConstraints(max_length=1000, pattern=r"^[^\x00-\x08\x0b\x0c\x0e-\x1f\x7f]*$")]
+#: whatever an analyzer answered may stand in it; a report that is refused for it would hide the fault
+Explanation = Annotated[str, StringConstraints(max_length=1000)]
 SpacecraftName = Annotated[str, StringConstraints(pattern=SPACECRAFT_ID_PATTERN)]
 Counters = Annotated[dict[Name, Annotated[int, Field(ge=0, le=2**53)]], Field(max_length=_MAX_COUNTERS)]
 Detail = Annotated[dict[str, Any], AfterValidator(_bounded)]

@@ -1,0 +1,80 @@
+"""The page on links names every state that a link can tell, and its blocks run as they stand."""
+
+import re
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from service.api.links import SILENT
+from service.client.service_client import ServiceClient
+from service.frontend.acquisition_states import State
+from service.frontend.link_report import RUNNING, SERVICE_AWAY
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "watch-the-links.md"
+#: told in place of the state of an acquisition that hangs
+STUCK = "STUCK"
+CRAFT = {
+    "id": "yamal-202",
+    "name": "Yamal-202",
+    "longitude_deg": 90.0,
+    "simulated": True,
+    "receiving_site": {"name": "site", "latitude_deg": 55.0, "longitude_deg": 38.0, "height_m": 200.0},
+    "inertia_kg_m2": [[4000, 0, 0], [0, 2000, 0], [0, 0, 4000]],
+    "torque_limit_n_m": 0.05,
+}
+CARRIER = {"id": "b0", "band": "Ku", "transponder": "Ku1", "downlink_hz": 11.2e9, "bandwidth_hz": 1e3, "kind": "beacon"}
+EPOCH = "2026-11-21T03:00:00.000000Z"
+TRACE = {
+    "epoch": EPOCH,
+    "sweep": "ku",
+    "start_hz": 954e6,
+    "step_hz": 15e3,
+    "rbw_hz": 30e3,
+    "enbw_hz": 31e3,
+    "sweep_time_s": 2.0,
+    "power_dbm": [-90.0, -60.5, None],
+}
+REPORT = {"id": "sa-1", "kind": "analyzer", "spacecraft_id": "yamal-202", "source": "sa-1", "state": "MEASURE"}
+
+
+def test_the_page_names_every_state_and_no_other() -> None:
+    table = PAGE.read_text().partition("## What each state means")[2].partition("`reported_state`")[0]
+    named = re.findall(r"^\| `([A-Z_]+)` \| \S", table, re.MULTILINE)
+    assert len(named) == len(set(named))
+    assert set(named) == {state.name for state in State} | {STUCK, RUNNING, SERVICE_AWAY, SILENT}
+
+
+@pytest.mark.system
+@pytest.mark.timeout(120)  # 6 s alone; the machine may be busy with other tests
+def test_the_blocks_run_as_they_stand(service: Any, tmp_path: Path) -> None:
+    blocks = re.findall(r"^```bash\n(.*?)^```", PAGE.read_text(), re.DOTALL | re.MULTILINE)
+    with ServiceClient(service.url, service.environment["SOO_KEY"], retries=6) as client:
+        client.create_spacecraft(CRAFT)
+        plan_id = client.put_carriers("yamal-202", [CARRIER])["plan_id"]
+        row = {"epoch": EPOCH, "power_dbm": [-42.0], "flags": [16], "sigma_db": [0.05]}
+        client.post_measurements("yamal-202", plan_id, [row], source="sa-1", first_seq=1)
+        client.post_traces("yamal-202", "sa-1", [TRACE])
+        assert client.report_links([REPORT]) == [{"id": "sa-1", "enabled": True, "reset": 0}]
+        printed = [run(block, service.environment, tmp_path) for block in blocks]
+        assert '"state":"MEASURE"' in printed[0]
+        assert ['"enabled":false' in text for text in printed[:4]] == [False, True, False, False]
+        assert '"NO_CARRIER"' in printed[4]
+        assert printed[5].splitlines() == [
+            "frequency_hz,power_dbm",
+            "954000000.0,-90.0",
+            "954015000.0,-60.5",
+            "954030000.0,",
+        ]
+        assert client.report_links([REPORT]) == [{"id": "sa-1", "enabled": True, "reset": 1}]
+
+
+def run(block: str, environment: dict[str, str], folder: Path) -> str:
+    """Run a block and return what it printed."""
+    script = f"set -euo pipefail\n{block}"
+    done = subprocess.run(
+        ["bash", "-c", script], env=environment, cwd=folder, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 0, f"{block}\n{done.stderr}"
+    return done.stdout
