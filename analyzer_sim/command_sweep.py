@@ -90,6 +90,28 @@ def zero_span_row(pattern: str) -> Command:
     return Command(pattern, write)
 
 
+def previous_span_row(pattern: str) -> Command:
+    """Return the row that goes back to the span before the last change of it."""
+
+    def write(call: Call) -> None:
+        settings = call.instrument.settings
+        if settings.previous_span_hz is not None:
+            store(settings, "span_hz", settings.previous_span_hz)
+            call.instrument.invalidate()
+
+    return Command(pattern, write)
+
+
+def scaled_span_row(pattern: str, factor: float) -> Command:
+    """Return the row that makes the span ``factor`` times as wide, within its limits."""
+
+    def write(call: Call) -> None:
+        store(call.instrument.settings, "span_hz", factor * call.instrument.settings.span_hz)
+        call.instrument.invalidate()
+
+    return Command(pattern, write)
+
+
 def _tune(call: Call) -> None:
     """Centre the strongest signal of the whole range."""
     settings = call.instrument.settings

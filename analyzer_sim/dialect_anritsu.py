@@ -18,6 +18,7 @@ from analyzer_sim.command_sweep import (
     freeze_vbw,
     full_span_row,
     initiate_row,
+    previous_span_row,
     trace_mode_row,
     unit_row,
 )
@@ -124,12 +125,15 @@ _FREQUENCY_ROWS = (
     numeric(f"{_SENSE}:FREQuency:STOP", "stop_hz", HERTZ),
     numeric(f"{_SENSE}:FREQuency:OFFSet", "offset_hz", HERTZ),
     full_span_row(f"{_SENSE}:FREQuency:SPAN:FULL"),
+    previous_span_row(f"{_SENSE}:FREQuency:SPAN:LAST|PREVious"),
 )
 
 _BANDWIDTH_ROWS = (
     numeric(f"{_BANDWIDTH}[:RESolution]", "rbw_hz", HERTZ),
     boolean(f"{_BANDWIDTH}[:RESolution]:AUTO", "is_rbw_auto", freeze_rbw),
     numeric(f"{_BANDWIDTH}:VIDeo", "vbw_hz", HERTZ),
+    numeric(f"{_BANDWIDTH}[:RESolution]:RATio", "rbw_per_span"),
+    numeric(f"{_BANDWIDTH}:VIDeo:RATio", "vbw_per_rbw"),
     boolean(f"{_BANDWIDTH}:VIDeo:AUTO", "is_vbw_auto", freeze_vbw),
     inert(f"{_BANDWIDTH}:VIDeo:TYPE", "LIN", ("LINear", "LOGarithmic")),
 )

@@ -25,6 +25,7 @@ from analyzer_sim.command_sweep import (
     freeze_vbw,
     full_span_row,
     initiate_row,
+    previous_span_row,
     trace_mode_row,
     tune_row,
     unit_row,
@@ -140,6 +141,8 @@ _FREQUENCY_ROWS = (
     numeric(f"{_SENSE}:FREQuency:STOP", "stop_hz", HERTZ),
     numeric(f"{_SENSE}:FREQuency:OFFSet", "offset_hz", HERTZ),
     full_span_row(f"{_SENSE}:FREQuency:SPAN:FULL"),
+    previous_span_row(f"{_SENSE}:FREQuency:SPAN:PREVious"),
+    numeric(f"{_SENSE}:FREQuency:SPAN:BANDwidth[:RESolution]:RATio", "span_per_rbw"),
     zero_span_row(f"{_SENSE}:FREQuency:SPAN:ZERO"),
     tune_row(f"{_SENSE}:FREQuency:TUNE:IMMediate"),
 )
@@ -150,6 +153,7 @@ _BANDWIDTH_ROWS = (
     filter_type_row(f"{_BANDWIDTH}[:RESolution]:TYPE", _FILTER_TYPES),
     inert(f"{_BANDWIDTH}:SHAPe", "GAUS", ("GAUSsian",)),
     numeric(f"{_BANDWIDTH}:VIDeo", "vbw_hz", HERTZ),
+    numeric(f"{_BANDWIDTH}:VIDeo:RATio", "vbw_per_rbw"),
     boolean(f"{_BANDWIDTH}:VIDeo:AUTO", "is_vbw_auto", freeze_vbw),
 )
 
@@ -212,6 +216,7 @@ _TRACE_ROWS = (
 _MISCELLANEOUS_ROWS = (
     constant("*IDN", IDENTITY),
     constant("*OPT", _OPTIONS),
+    constant("*CAL", "0"),
     constant("SYSTem:OPTions", _OPTIONS),
     application_row("INSTrument[:SELect]", "SA", frozenset({"SA"})),
     constant("INSTrument:CATalog", '"SA 1"'),

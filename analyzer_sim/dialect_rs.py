@@ -16,6 +16,7 @@ from analyzer_sim.command_sweep import (
     full_span_row,
     initiate_row,
     trace_mode_row,
+    tune_row,
     unit_row,
 )
 from analyzer_sim.command_traces import TraceFormat, TraceStyle, format_row, frequencies_shown, trace_reader, trace_row
@@ -58,6 +59,7 @@ _FREQUENCY_ROWS = (
     numeric(f"{_SENSE}:FREQuency:STOP", "stop_hz", HERTZ),
     numeric(f"{_SENSE}:FREQuency:OFFSet", "offset_hz", HERTZ),
     full_span_row(f"{_SENSE}:FREQuency:SPAN:FULL"),
+    tune_row(f"{_SENSE}:ADJust:FREQuency"),
 )
 
 _BANDWIDTH_ROWS = (
@@ -65,6 +67,8 @@ _BANDWIDTH_ROWS = (
     boolean(f"{_BANDWIDTH}[:RESolution]:AUTO", "is_rbw_auto", freeze_rbw),
     inert(f"{_BANDWIDTH}[:RESolution]:TYPE", "NORM", ("NORMal",)),
     numeric(f"{_BANDWIDTH}:VIDeo", "vbw_hz", HERTZ),
+    numeric(f"{_BANDWIDTH}[:RESolution]:RATio", "rbw_per_span"),
+    numeric(f"{_BANDWIDTH}:VIDeo:RATio", "vbw_per_rbw"),
     boolean(f"{_BANDWIDTH}:VIDeo:AUTO", "is_vbw_auto", freeze_vbw),
 )
 
@@ -118,6 +122,7 @@ _MISCELLANEOUS_ROWS = (
     inert("TRIGger<16>[:SEQuence]:SOURce", "IMM", ("IMMediate",)),
     constant("TRIGger<16>[:SEQuence]:LEVel", "0"),
     inert("SYSTem:DISPlay:UPDate", "0"),
+    inert("DISPlay:FORMat", "SING", ("SINGle", "SPLit")),
     ignored("SYSTem:LOCal"),
     ignored("SYSTem:REMote"),
     *CLOCK_ROWS,

@@ -22,6 +22,8 @@ from analyzer_sim.command_sweep import (
     freeze_vbw,
     full_span_row,
     initiate_row,
+    previous_span_row,
+    scaled_span_row,
     trace_mode_row,
     tune_row,
     unit_row,
@@ -75,6 +77,9 @@ _FREQUENCY_ROWS = (
     numeric(f"{_SENSE}:FREQuency:STOP", "stop_hz", HERTZ),
     numeric(f"{_SENSE}:FREQuency:OFFSet", "offset_hz", HERTZ),
     full_span_row(f"{_SENSE}:FREQuency:SPAN:FULL"),
+    previous_span_row(f"{_SENSE}:FREQuency:SPAN:PREVious"),
+    scaled_span_row(f"{_SENSE}:FREQuency:SPAN:HALF", 0.5),
+    scaled_span_row(f"{_SENSE}:FREQuency:SPAN:DOUBle", 2.0),
     zero_span_row(f"{_SENSE}:FREQuency:SPAN:ZERO"),
     tune_row(f"{_SENSE}:FREQuency:TUNE:IMMediate"),
 )
@@ -83,6 +88,7 @@ _BANDWIDTH_ROWS = (
     numeric(f"{_BANDWIDTH}[:RESolution]", "rbw_hz", HERTZ),
     boolean(f"{_BANDWIDTH}[:RESolution]:AUTO", "is_rbw_auto", freeze_rbw),
     numeric(f"{_BANDWIDTH}:VIDeo", "vbw_hz", HERTZ),
+    numeric(f"{_BANDWIDTH}:VIDeo:RATio", "vbw_per_rbw"),
     boolean(f"{_BANDWIDTH}:VIDeo:AUTO", "is_vbw_auto", freeze_vbw),
     filter_type_row(f"{_SENSE}:FILTer:TYPE", _FILTER_TYPES),
 )

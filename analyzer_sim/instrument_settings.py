@@ -40,6 +40,11 @@ class Settings:
     offset_hz: float = 0.0
     #: what UP and DOWN move the centre by; ``None`` = a tenth of the span
     step_chosen_hz: float | None = None
+    #: span before the last change of it
+    previous_span_hz: float | None = None
+    #: couplings: span by resolution bandwidth, video by resolution bandwidth
+    span_per_rbw: float = 100.0
+    vbw_per_rbw: float = 1.0
     #: resolution bandwidth shown by the one at 3 dB: 1 unless the filter is told by another of its widths
     filter_ratio: float = 1.0
     rbw_chosen_hz: float = 3e6
@@ -88,7 +93,7 @@ class Settings:
         """Resolution bandwidth as the instrument tells it."""
         if not self.is_rbw_auto:
             return self.rbw_chosen_hz
-        return self.model.rbw.legal(self.span_hz / self.model.span_per_rbw) if self.span_hz else self.rbw_chosen_hz
+        return self.model.rbw.legal(self.span_hz / self.span_per_rbw) if self.span_hz else self.rbw_chosen_hz
 
     @property
     def rbw_hz(self) -> float:
@@ -98,9 +103,7 @@ class Settings:
     @property
     def vbw_hz(self) -> float:
         """Video bandwidth in force."""
-        return (
-            self.model.vbw.legal(self.model.vbw_per_rbw * self.rbw_shown_hz) if self.is_vbw_auto else self.vbw_chosen_hz
-        )
+        return self.model.vbw.legal(self.vbw_per_rbw * self.rbw_shown_hz) if self.is_vbw_auto else self.vbw_chosen_hz
 
     @property
     def time_s(self) -> float:
@@ -157,4 +160,6 @@ def reset_state(model: AnalyzerModel, *, is_preset: bool = False) -> Settings:
         is_big_endian=model.is_big_endian,
         rbw_chosen_hz=model.rbw.limits.default,
         vbw_chosen_hz=model.vbw.limits.default,
+        span_per_rbw=model.span_per_rbw,
+        vbw_per_rbw=model.vbw_per_rbw,
     )

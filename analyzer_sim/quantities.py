@@ -32,6 +32,8 @@ def _store_span(settings: Settings, span_hz: float) -> None:
     legal_hz = 0.0 if span_hz < 0.5 * model.min_span_hz else max(span_hz, model.min_span_hz)
     if not legal_hz and settings.is_rbw_auto:
         settings.rbw_chosen_hz = settings.rbw_shown_hz
+    if legal_hz != settings.span_hz:
+        settings.previous_span_hz = settings.span_hz
     center_hz = min(max(settings.center_hz, 0.5 * legal_hz), model.max_frequency_hz - 0.5 * legal_hz)
     _store_window(settings, center_hz, legal_hz)
 
@@ -46,6 +48,18 @@ def _store_rbw(settings: Settings, rbw_hz: float) -> None:
 
 def _store_vbw(settings: Settings, vbw_hz: float) -> None:
     settings.vbw_chosen_hz, settings.is_vbw_auto = settings.model.vbw.legal(vbw_hz), False
+
+
+def _store_rbw_per_span(settings: Settings, ratio: float) -> None:
+    settings.span_per_rbw = 1.0 / ratio
+
+
+def _store_span_per_rbw(settings: Settings, ratio: float) -> None:
+    settings.span_per_rbw = ratio
+
+
+def _store_vbw_per_rbw(settings: Settings, ratio: float) -> None:
+    settings.vbw_per_rbw = ratio
 
 
 def _store_time(settings: Settings, time_s: float) -> None:
@@ -174,6 +188,24 @@ QUANTITIES: dict[str, Quantity] = {
         lambda s: s.vbw_hz,
         _store_vbw,
         lambda s, direction: s.model.vbw.neighbour(s.vbw_hz, direction) - s.vbw_hz,
+    ),
+    "rbw_per_span": Quantity(
+        lambda s: Limits(1e-5, 1.0, 1.0 / s.model.span_per_rbw),
+        lambda s: 1.0 / s.span_per_rbw,
+        _store_rbw_per_span,
+        lambda s, direction: direction * 0.5 / s.span_per_rbw,
+    ),
+    "span_per_rbw": Quantity(
+        lambda s: Limits(1.0, 1e5, s.model.span_per_rbw),
+        lambda s: s.span_per_rbw,
+        _store_span_per_rbw,
+        _by_half("span_per_rbw"),
+    ),
+    "vbw_per_rbw": Quantity(
+        lambda s: Limits(1e-5, 1e6, s.model.vbw_per_rbw),
+        lambda s: s.vbw_per_rbw,
+        _store_vbw_per_rbw,
+        _by_half("vbw_per_rbw"),
     ),
     "points": Quantity(
         lambda s: s.model.points,
