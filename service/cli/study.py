@@ -1,4 +1,4 @@
-"""``soo study``: campaigns on simulated truth.
+"""``soo study``: campaigns on simulated truth, reproductions of papers.
 
 Exit codes: 0 every bound kept, 1 one missed or a world refused, 2 the study could not be run.
 """
@@ -17,13 +17,16 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from service.cli.study_orbital_frame import orbital_frame
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from service.study.estimation import report
     from service.study.estimation.campaign import Campaign, Plan, Show
 
-app = typer.Typer(help="Campaigns on simulated truth.", no_args_is_help=True)
+app = typer.Typer(help="Campaigns on simulated truth and reproductions of papers.", no_args_is_help=True)
+app.command()(orbital_frame)
 
 #: columns of a table that is written to a file
 _FILE_WIDTH = 150
@@ -33,7 +36,7 @@ _EXIT_FAILED = 2
 
 @app.callback()
 def study() -> None:
-    """Campaigns on simulated truth."""
+    """Campaigns on simulated truth and reproductions of papers."""
 
 
 @app.command()
