@@ -13,6 +13,7 @@ import numpy as np
 from analyzer_sim.command_row import Call, Command
 from analyzer_sim.epochs import rfc3339
 from analyzer_sim.instrument_settings import Settings, reset_state
+from analyzer_sim.painter import Trace
 from analyzer_sim.quantities import store
 from analyzer_sim.scpi_errors import ScpiError
 from analyzer_sim.scpi_parameters import Boolean, Choice, Quoted
@@ -112,22 +113,48 @@ def scaled_span_row(pattern: str, factor: float) -> Command:
     return Command(pattern, write)
 
 
-def _tune(call: Call) -> None:
-    """Centre the strongest signal of the whole range."""
-    settings = call.instrument.settings
-    wide = reset_state(settings.model)
+def _whole_range(call: Call) -> Trace:
+    """Look at all that the instrument can receive, with the mean of power."""
+    wide = reset_state(call.instrument.model)
     wide.points, wide.detector = _TUNING_POINTS, "RMS"
     store(wide, "rbw_hz", _TUNING_RBW_HZ)
-    strongest = int(np.argmax(call.instrument.glimpse(wide).level_dbm))
+    return call.instrument.glimpse(wide)
+
+
+def _tune(call: Call) -> None:
+    """Centre the strongest signal of the whole range."""
+    settings, trace = call.instrument.settings, _whole_range(call)
     call.instrument.invalidate()
     store(settings, "span_hz", _TUNED_SPAN_HZ)
-    center_hz = strongest * settings.model.max_frequency_hz / (_TUNING_POINTS - 1)
-    store(settings, "center_hz", center_hz + settings.offset_hz)
+    store(settings, "center_hz", trace.grid.frequency_hz[int(np.argmax(trace.level_dbm))] + settings.offset_hz)
+
+
+def _adjust_level(call: Call) -> None:
+    """Put the reference level at the sum of all signals, rounded up."""
+    settings, trace = call.instrument.settings, _whole_range(call)
+    total_mw = float(np.sum(10.0 ** (0.1 * trace.level_dbm))) * trace.grid.spacing_hz / trace.grid.enbw_hz
+    call.instrument.invalidate()
+    store(settings, "reference_dbm", math.ceil(10.0 * math.log10(total_mw)) + settings.level_offset_db)
 
 
 def tune_row(pattern: str) -> Command:
     """Return the row that searches the strongest signal and centres it in a span of 10 MHz."""
     return Command(pattern, _tune)
+
+
+def adjust_level_row(pattern: str) -> Command:
+    """Return the row that fits the reference level to what comes in."""
+    return Command(pattern, _adjust_level)
+
+
+def adjust_all_row(pattern: str) -> Command:
+    """Return the row that fits frequency and reference level."""
+
+    def write(call: Call) -> None:
+        _tune(call)
+        _adjust_level(call)
+
+    return Command(pattern, write)
 
 
 def detector_rows(pattern: str, auto: str, codes: Mapping[str, str]) -> tuple[Command, ...]:

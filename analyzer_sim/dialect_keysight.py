@@ -43,6 +43,7 @@ from analyzer_sim.command_traces import (
 from analyzer_sim.commands_common import COMMON_COMMANDS, SYSTEM_COMMANDS
 from analyzer_sim.dialect import Dialect
 from analyzer_sim.functions_keysight import FUNCTION_ROWS
+from analyzer_sim.instrument_settings import reset_state
 from analyzer_sim.models import N9020B
 from analyzer_sim.scpi_parameters import DECIBELS, HERTZ, SECONDS, Boolean, Choice, Level, TraceName
 
@@ -68,6 +69,9 @@ TRACE_STYLE = TraceStyle(
         TraceFormat("INTeger", 32, "INT,32", "INT,32"),
     )
 )
+
+#: settings of the instrument, not of a measurement: CONFigure and MEASure leave them
+_KEPT_BY_CONFIGURE = ("is_continuous", "unit", "data_format", "is_big_endian", "inert")
 
 _SENSE = "[SENSe<1>]"
 _BANDWIDTH = f"{_SENSE}:BANDwidth|BWIDth"
@@ -105,13 +109,22 @@ def _average_type_auto(call: Call) -> str:
     return str(int(settings.average_type == settings.model.average_type))
 
 
-def _select_spectrum(call: Call) -> None:
+def _keep_spectrum(call: Call) -> None:
     call.instrument.functions.select("SAN")
     call.instrument.invalidate()
 
 
+def _configure_spectrum(call: Call) -> None:
+    """Return the measurement to its defaults; what belongs to the whole instrument stays."""
+    settings, fresh = call.instrument.settings, reset_state(call.instrument.model)
+    for name in _KEPT_BY_CONFIGURE:
+        setattr(fresh, name, getattr(settings, name))
+    call.instrument.settings = fresh
+    _keep_spectrum(call)
+
+
 def _measure_spectrum(call: Call) -> None:
-    call.instrument.functions.select("SAN")
+    _configure_spectrum(call)
     _read_spectrum(call)
 
 
@@ -223,8 +236,8 @@ _MISCELLANEOUS_ROWS = (
     inert_number("INSTrument:NSELect", 1.0, 1.0, 1.0),
     Command("CONFigure", query=lambda call: call.instrument.functions.measurement),
     constant("CONFigure:CATalog", '"SAN, CHP, OBW, ACP"'),
-    Command("CONFigure:SANalyzer", _select_spectrum),
-    Command("CONFigure:SANalyzer:NDEFault", _select_spectrum),
+    Command("CONFigure:SANalyzer", _configure_spectrum),
+    Command("CONFigure:SANalyzer:NDEFault", _keep_spectrum),
     inert("CALibration:AUTO", "ON", ("ON", "PARTial", "OFF", "ALERt")),
     inert("DISPlay:ENABle", "1"),
     ignored("SYSTem:LOCal"),

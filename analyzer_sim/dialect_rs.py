@@ -4,6 +4,8 @@ from analyzer_sim.command_row import Command
 from analyzer_sim.command_settings import boolean, choice, constant, ignored, inert, numeric
 from analyzer_sim.command_sweep import (
     CLOCK_ROWS,
+    adjust_all_row,
+    adjust_level_row,
     application_row,
     average_state_row,
     average_type_row,
@@ -60,6 +62,8 @@ _FREQUENCY_ROWS = (
     numeric(f"{_SENSE}:FREQuency:OFFSet", "offset_hz", HERTZ),
     full_span_row(f"{_SENSE}:FREQuency:SPAN:FULL"),
     tune_row(f"{_SENSE}:ADJust:FREQuency"),
+    adjust_level_row(f"{_SENSE}:ADJust:LEVel"),
+    adjust_all_row(f"{_SENSE}:ADJust:ALL"),
 )
 
 _BANDWIDTH_ROWS = (

@@ -72,8 +72,17 @@ def test_read_takes_a_new_sweep_and_fetch_does_not(make_bench: Callable[..., Any
     first = bench.ask("READ:SAN?")
     assert bench.source.row == 1
     assert bench.ask("FETC:SAN?") == first
-    assert bench.ask("MEAS:SAN?") != first
+    assert bench.ask("READ:SAN?") != first
     assert bench.source.row == 2
+
+
+def test_configure_and_measure_return_to_defaults_and_ndefault_does_not(bench: Any) -> None:
+    bench.ask(SETUP + ";:FORM REAL,64;:FORM:BORD SWAP;:CONF:SAN:NDEF")
+    assert bench.ask("SWE:POIN?;:CONF?") == "2001;SAN"
+    bench.ask("CONF:SAN")
+    assert bench.ask("SWE:POIN?;:DET:TRAC?;:BAND:AUTO?;:FORM?;:FORM:BORD?;:INIT:CONT?") == "1001;NORM;1;REAL,64;SWAP;0"
+    bench.ask(SETUP)
+    assert bench.ask("MEAS:SAN?").count(",") == 2 * 1001 - 1
 
 
 def test_read_waits_for_its_sweep(make_bench: Callable[..., Any]) -> None:

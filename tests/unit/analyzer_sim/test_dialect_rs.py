@@ -169,3 +169,11 @@ def test_averaging_levels_in_decibels_reads_low_and_power_does_not(bench: Any) -
         trace_dbm = np.array(bench.ask("TRAC? TRACE1").split(","), dtype=float)
         means[kind] = 10 * np.log10(np.mean(10 ** (trace_dbm[:200] / 10)))
     assert means["VID"] - means["POW"] == pytest.approx(-2.51, abs=0.15)  # 20000 samples, 5.6 dB each
+
+
+def test_adjusting_fits_frequency_and_level(bench: Any) -> None:
+    bench.ask("ADJ:ALL")
+    assert float(bench.ask("FREQ:CENT?")) == pytest.approx(1012e6, abs=1e6)
+    # -40, -43 and -46 dBm, and -120 dBm/Hz over 26.5 GHz: -15.6 dBm together
+    assert bench.ask("DISP:TRAC:Y:RLEV?") == "-15"
+    assert bench.errors() == []
