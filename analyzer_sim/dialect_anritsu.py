@@ -7,6 +7,7 @@ it was taken; blocks are little-endian, integers in milli-dBm; filter steps 1-3-
 
 from analyzer_sim.command_row import Call, Command
 from analyzer_sim.command_settings import boolean, constant, ignored, inert, inert_number, number_text, numeric
+from analyzer_sim.command_span import full_span_row, previous_span_row
 from analyzer_sim.command_sweep import (
     CLOCK_ROWS,
     application_row,
@@ -16,9 +17,7 @@ from analyzer_sim.command_sweep import (
     freeze_rbw,
     freeze_time,
     freeze_vbw,
-    full_span_row,
     initiate_row,
-    previous_span_row,
     trace_mode_row,
     unit_row,
 )

@@ -7,6 +7,7 @@ an empty error queue answers ``+0``; ``FETCh:SANalyzer?`` answers pairs of frequ
 
 from analyzer_sim.command_row import Call, Command
 from analyzer_sim.command_settings import boolean, constant, ignored, inert, inert_number, numeric
+from analyzer_sim.command_span import full_span_row, previous_span_row, tune_row, zero_span_row
 from analyzer_sim.command_sweep import (
     BY_TYPE,
     CLOCK_ROWS,
@@ -23,13 +24,9 @@ from analyzer_sim.command_sweep import (
     freeze_rbw,
     freeze_time,
     freeze_vbw,
-    full_span_row,
     initiate_row,
-    previous_span_row,
     trace_mode_row,
-    tune_row,
     unit_row,
-    zero_span_row,
 )
 from analyzer_sim.command_traces import (
     TraceFormat,

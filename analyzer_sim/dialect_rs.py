@@ -2,10 +2,9 @@
 
 from analyzer_sim.command_row import Command
 from analyzer_sim.command_settings import boolean, choice, constant, ignored, inert, numeric
+from analyzer_sim.command_span import adjust_all_row, adjust_level_row, full_span_row, tune_row
 from analyzer_sim.command_sweep import (
     CLOCK_ROWS,
-    adjust_all_row,
-    adjust_level_row,
     application_row,
     average_state_row,
     average_type_row,
@@ -15,10 +14,8 @@ from analyzer_sim.command_sweep import (
     freeze_rbw,
     freeze_time,
     freeze_vbw,
-    full_span_row,
     initiate_row,
     trace_mode_row,
-    tune_row,
     unit_row,
 )
 from analyzer_sim.command_traces import TraceFormat, TraceStyle, format_row, frequencies_shown, trace_reader, trace_row

@@ -7,6 +7,7 @@ a sweep is polled with ``TRACe:SWEep:STATe?``.
 
 from analyzer_sim.command_row import Call, Command
 from analyzer_sim.command_settings import boolean, choice, constant, ignored, inert, inert_number, numeric
+from analyzer_sim.command_span import full_span_row, previous_span_row, scaled_span_row, tune_row, zero_span_row
 from analyzer_sim.command_sweep import (
     BY_TYPE,
     CLOCK_ROWS,
@@ -20,14 +21,9 @@ from analyzer_sim.command_sweep import (
     freeze_rbw,
     freeze_time,
     freeze_vbw,
-    full_span_row,
     initiate_row,
-    previous_span_row,
-    scaled_span_row,
     trace_mode_row,
-    tune_row,
     unit_row,
-    zero_span_row,
 )
 from analyzer_sim.command_traces import TraceFormat, TraceStyle, format_row, trace_row
 from analyzer_sim.commands_common import COMMON_COMMANDS, SYSTEM_COMMANDS
