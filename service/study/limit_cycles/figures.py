@@ -25,7 +25,8 @@ _COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd")
 #: mode of the panels in the figure of the cycles; the paper gives none
 _MODE = FlexibleMode(0.5, 0.005, 0.5)
 _NAMES = ("A0", "B3", "C2")
-#: micro-degrees would be no unit; angles are drawn in mrad
+_SETTLED_PERIODS = 4.0
+#: angles are drawn in mrad
 _MRAD = 1e3
 
 
@@ -38,8 +39,7 @@ def draw_figures(folder: Path, *, suffix: str = "png") -> list[Path]:
         "stability": _draw_stability,
     }
     paths = []
-    style = {"font.size": 9, "axes.grid": True, "grid.alpha": 0.3, "svg.hashsalt": "soo"}
-    with mpl.rc_context(style):
+    with mpl.rc_context({"font.size": 9, "axes.grid": True, "grid.alpha": 0.3, "svg.hashsalt": "soo"}):
         for name, draw in drawings.items():
             paths.append(folder / f"limit-cycles-{name}.{suffix}")
             draw(paths[-1])
@@ -88,33 +88,34 @@ def _relay_from_line(mode: FlexibleMode, amplitude_rad: float) -> Motion:
 
 
 def _draw_cycles(path: Path) -> None:
-    """Figures 3 and 4: cycles A, B, C on both sheets."""
+    """Figures 3 and 4: cycles A, B, C of the rigid body, and a mode under the same law once it has settled."""
     figure = Figure(figsize=(9.5, 4.6), layout="constrained")
     rigid, flexible = figure.subplots(1, 2)
-    for color, name in zip(_COLORS, _NAMES, strict=False):
-        states, period_s = _cycle_states(name)
-        label = f"{name}: {cycle_of(name).pulses} pulses, {period_s:.0f} s, multiplier {cycle_of(name).multiplier:.3f}"
-        rigid.plot(_MRAD * states[:, 0], _MRAD * states[:, 1], color=color, label=label)
-        flexible.plot(_MRAD * states[:, 2], _MRAD * states[:, 3] / _MODE.omega_rad_s, color=color, linewidth=0.6)
+    for color, name in reversed(list(zip(_COLORS, _NAMES, strict=False))):
+        cycle = cycle_of(name)
+        closed = _cycle_states(name, None, 0.0)
+        swung = _cycle_states(name, _MODE, _SETTLED_PERIODS)
+        label = f"{name}: {cycle.period_s:.0f} s, multiplier {cycle.multiplier:.3f}"
+        rigid.plot(_MRAD * closed[:, 0], _MRAD * closed[:, 1], color=color, label=label)
+        flexible.plot(_MRAD * swung[:, 2], _MRAD * swung[:, 3] / _MODE.omega_rad_s, color=color, linewidth=0.5)
     rigid.set_xlabel("theta_T, mrad")
     rigid.set_ylabel("theta_T', mrad/s")
+    rigid.set_title("rigid body")
     flexible.set_xlabel("theta_U, mrad")
     flexible.set_ylabel("theta_U' / w, mrad")
-    figure.suptitle(
-        f"Limit cycles on both sheets (mode: w {_MODE.omega_rad_s:g} rad/s, xi {_MODE.damping_ratio:g}, "
-        f"kn {_MODE.coupling:g})"
-    )
+    flexible.set_title(f"w {_MODE.omega_rad_s:g} rad/s, xi {_MODE.damping_ratio:g}, kn {_MODE.coupling:g}")
+    figure.suptitle("Limit cycles on both sheets")
     figure.legend(loc="outside lower center", ncols=3, frameon=False)
     _save(figure, path)
 
 
-def _cycle_states(name: str) -> tuple[FloatArray, float]:
-    """Return states over one period of a cycle on the rigid sheet, the mode driven by the same legs."""
+def _cycle_states(name: str, mode: FlexibleMode | None, after_periods: float) -> FloatArray:
+    """Return states over one period of a cycle, some periods after its start."""
     case, cycle = reference.CYCLES[name], cycle_of(name)
-    inertia, momentum = case.drive.inertia_kg_m2, case.drive.momentum_n_m_s
-    start = BodyState(-case.law.beta_rad, -cycle.speed_rad_s, momentum_n_m_s=momentum - inertia * cycle.speed_rad_s)
-    motion = follow_motion(start, case.drive, _MODE, case.law, cycle.period_s)
-    return motion.states(np.linspace(0.0, motion.end_s, 6000)), cycle.period_s
+    momentum = case.drive.momentum_n_m_s - case.drive.inertia_kg_m2 * cycle.speed_rad_s
+    start = BodyState(-case.law.beta_rad, -cycle.speed_rad_s, momentum_n_m_s=momentum)
+    motion = follow_motion(start, case.drive, mode, case.law, (after_periods + 1.0) * cycle.period_s)
+    return motion.states(np.linspace(after_periods * cycle.period_s, motion.end_s, 6000))
 
 
 def _draw_ladders(path: Path) -> None:
@@ -152,7 +153,7 @@ def _draw_stability(path: Path) -> None:
     band.set_yscale("log")
     band.set_xlabel("w, rad/s")
     band.set_ylabel("C, swing from peak to peak over alpha")
-    band.set_title("not captured inside")
+    band.set_title("free of capture inside")
     band.legend()
     omegas = np.linspace(0.3, 12.0, 400)
     for color, swing in zip(_COLORS, (0.0, 1e-3, 5e-3, 2e-2, 8e-2), strict=True):
@@ -162,6 +163,6 @@ def _draw_stability(path: Path) -> None:
     surface.axhline(own, color="#555555", linestyle="--", linewidth=0.9, label="cycle A0")
     surface.set_xlabel("w, rad/s")
     surface.set_ylabel("w_T, rad/s")
-    surface.set_title("surface (26) at kn 0.5: not captured where the cycle lies below")
+    surface.set_title("surface (26), kn 0.5: a cycle below it is free")
     surface.legend()
     _save(figure, path)
