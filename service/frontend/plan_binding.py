@@ -1,23 +1,31 @@
 """Task carriers to plan carriers: rows leave in the order of the service's carrier plan.
 
 A plan carrier that the task does not measure is sent as null with the flag NOT_MEASURED; a task carrier that the plan
-does not know cannot be sent and is named in the log.
+does not know cannot be sent and is named in the log. Rows that waited while the plan was replaced by one without any
+of their carriers go under the plan that they were measured for.
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from math import isnan
+from math import isfinite
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from service.client.problem import ProblemError
+from service.client.service_client import ServiceClient
+from service.core.radio.decibel import FloatArray
 from service.frontend.evaluation import MeasuredRow
+from service.frontend.upload_answers import DETAIL_DECIMALS
 from service.records.epoch import format_epoch
 from service.records.quality_flag import QualityFlag
 
 #: decimals of a level on the wire, dB: far below the float32 that the archive keeps
 LEVEL_DECIMALS = 5
+#: plans before the newest one that are looked at for carriers that it does not know
+EARLIER_PLANS = 20
 
 
 class PlanMismatchError(Exception):
@@ -36,16 +44,24 @@ class PlanBinding:
     #: plan carriers that the task does not measure
     unmeasured: tuple[str, ...]
 
-    def as_json(self, row: MeasuredRow) -> dict[str, Any]:
-        """Return a row as the contract has it."""
-        power = np.append(row.power_dbm, np.nan)[self.places]
+    def as_json(self, row: MeasuredRow, *, with_details: bool = True) -> dict[str, Any]:
+        """Return a row as the contract has it; figures beside the powers that no carrier has are left out."""
         flags = np.append(row.flags, int(QualityFlag.NOT_MEASURED))[self.places]
-        levels = np.round(power, LEVEL_DECIMALS).tolist()
-        return {
+        told: dict[str, Any] = {
             "epoch": format_epoch(row.epoch_us),
-            "power_dbm": [None if isnan(level) else level for level in levels],
+            "power_dbm": self._listed(row.power_dbm, LEVEL_DECIMALS),
             "flags": flags.tolist(),
         }
+        for name, decimals in DETAIL_DECIMALS.items() if with_details else ():
+            figures = self._listed(getattr(row, name), decimals)
+            if any(figure is not None for figure in figures):
+                told[name] = figures
+        return told
+
+    def _listed(self, values: FloatArray, decimals: int) -> list[float | None]:
+        """Return figures of the task in the order of the plan; null where there is none."""
+        figures = np.round(np.append(values, np.nan)[self.places], decimals).tolist()
+        return [figure if isfinite(figure) else None for figure in figures]
 
 
 def bind_plan(plan: Mapping[str, Any], task_ids: Sequence[str]) -> PlanBinding:
@@ -70,3 +86,26 @@ def bind_plan(plan: Mapping[str, Any], task_ids: Sequence[str]) -> PlanBinding:
     if len(binding.unknown) == len(task_ids):
         raise PlanMismatchError(f"no carrier of the task stands in plan {plan_id}: {', '.join(task_ids[:5])} ...")
     return binding
+
+
+def find_binding(client: ServiceClient, spacecraft_id: str, task_ids: Sequence[str]) -> PlanBinding:
+    """Return the binding to the newest plan that holds a carrier of the task; rows may be older than the newest plan.
+
+    Raises
+    ------
+    PlanMismatchError
+        None of the newest plans does.
+    ClientError
+        The service refused or did not answer.
+    """
+    newest = client.carriers(spacecraft_id)
+    try:
+        return bind_plan(newest, task_ids)
+    except PlanMismatchError as mismatch:
+        plan_id = newest.get("plan_id")
+        if not isinstance(plan_id, int):
+            raise
+        for earlier in range(plan_id - 1, max(plan_id - 1 - EARLIER_PLANS, 0), -1):
+            with suppress(PlanMismatchError, ProblemError):
+                return bind_plan(client.carriers(spacecraft_id, earlier), task_ids)
+        raise mismatch from None

@@ -1,38 +1,41 @@
-"""Rows to the service: in order, in batches, until the service has said that it keeps them.
+"""Rows from the spool to the service, until it has said that it keeps them.
 
-Law of this file: a row leaves the queue only when the service accepted it, knew it already, or refused it by name; a
-refusal is logged and counted. Whatever else happens - no connection, no answer, 5xx, a wrong key, an unknown plan - the
-same batch is sent again after a wait. Repeating is safe: the service knows a row by source and epoch. When the queue is
-full, `put` blocks and so holds the sweeping back.
+Law of this file: a row leaves the spool only when the service accepted it, knew it already, or refused it by name; a
+refusal is logged, counted and kept. Whatever else happens - no connection, no answer, 5xx, a wrong key, an unknown
+plan - the same rows are sent again after a wait. Repeating is safe: the service knows a row by source and epoch. Which
+rows go next stands in `service.frontend.upload_lanes`, what an answer means in `service.frontend.upload_answers`.
 """
 
 import logging
 import threading
 import time
-from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import islice
-from typing import Any, NamedTuple
+from typing import Any
 
 from service.client.backoff import Backoff
 from service.client.problem import ProblemError, ServiceUnavailableError
 from service.client.service_client import ServiceClient
-from service.frontend.evaluation import MeasuredRow
-from service.frontend.plan_binding import PlanBinding, PlanMismatchError, bind_plan
-from service.records.epoch import format_epoch
+from service.frontend.plan_binding import PlanBinding, PlanMismatchError, find_binding
+from service.frontend.spool import Spool
+from service.frontend.spool_file import Lane
+from service.frontend.spool_row import SpooledRow
+from service.frontend.upload_answers import Verdict, judge, read_receipt
+from service.frontend.upload_lanes import LaneTurns
+from service.frontend.upload_traces import TraceCounters, TraceSender
+from service.records.epoch import US_PER_S, format_epoch
 
 logger = logging.getLogger("service.frontend.uploader")
 
-#: HTTP status of a body that is too long
-TOO_LARGE = 413
-#: what a blocked `put` sleeps between looks at the stop, s
-_LOOK_S = 0.1
+#: a service that did not know the figures beside the powers is asked again after this time, s
+_DETAILS_AGAIN_S = 600.0
+#: longest wait between two looks at an empty spool, s
+_LOOK_S = 5.0
 
 
 @dataclass(frozen=True, slots=True)
 class UploadSettings:
-    """Size of batches and patience."""
+    """Destination, size of batches and patience."""
 
     spacecraft_id: str
     source: str
@@ -40,10 +43,12 @@ class UploadSettings:
     batch_rows: int = 100
     #: shortest time between requests that are not full, s; a row after a pause is sent at once
     batch_s: float = 0.05
-    #: rows kept while the service is away; then sweeping waits
-    queue_rows: int = 10_000
-    #: time to deliver the rest after a stop, s
+    #: age at which the service calls a row late, s
+    lateness_s: float = 300.0
+    #: time to deliver the rest after a stop while the service takes it, s; what is left stays in the spool
     drain_s: float = 5.0
+    #: evidence traces of one request at most
+    batch_traces: int = 4
 
 
 @dataclass(slots=True)
@@ -55,20 +60,17 @@ class UploadCounters:
     late: int = 0
     refused: int = 0
     requests: int = 0
+    #: requests that carried the backfill lane, a part of the requests
+    backfill_requests: int = 0
     #: attempts that failed and were repeated
     failures: int = 0
     last_failure: str = ""
-
-
-class _Numbered(NamedTuple):
-    """A row and its sequence number."""
-
-    seq: int
-    row: MeasuredRow
+    #: when the service last accounted for rows, microseconds UTC
+    last_good_us: int | None = None
 
 
 class Uploader:
-    """Bounded queue of rows and the loop that empties it.
+    """The loop that empties a spool.
 
     Parameters
     ----------
@@ -76,10 +78,10 @@ class Uploader:
         Without retries of its own.
     settings : UploadSettings
         Destination, sizes, patience.
-    task_ids : sequence of str
-        Carriers of the rows, in their order.
-    stop : threading.Event
-        After it no row is taken that finds no room within ``drain_s``.
+    spool : Spool
+        Where the rows wait.
+    now_us : callable
+        Present, microseconds UTC: what is late is judged by it.
     backoff : Backoff
         Waiting times after failures.
     """
@@ -88,22 +90,24 @@ class Uploader:
         self,
         client: ServiceClient,
         settings: UploadSettings,
-        task_ids: Sequence[str],
-        stop: threading.Event,
+        spool: Spool,
+        now_us: Callable[[], int],
         backoff: Backoff | None = None,
     ) -> None:
         self.counters = UploadCounters()
         self._client = client
         self._settings = settings
-        self._task_ids = tuple(task_ids)
-        self._stop = stop
+        self._spool = spool
+        self._now_us = now_us
         self._backoff = backoff or Backoff()
-        self._queue: deque[_Numbered] = deque()
-        self._changed = threading.Condition()
-        self._next_seq = 1
+        self._turns = LaneTurns()
+        self._traces = TraceSender(client, settings.spacecraft_id, settings.source, spool, settings.batch_traces)
         self._batch_rows = settings.batch_rows
-        self._binding: PlanBinding | None = None
-        self._is_finishing = False
+        #: rows of the next request, when a row at fault stands behind them
+        self._part: int | None = None
+        self._bindings: dict[tuple[str, ...], PlanBinding] = {}
+        self._details_from_s = float("-inf")
+        self._finishing = threading.Event()
         self._deadline_s = float("inf")
         self._sent_at_s = float("-inf")
         self._is_down = False
@@ -111,198 +115,167 @@ class Uploader:
     @property
     def waiting(self) -> int:
         """Rows that the service has not taken yet."""
-        return len(self._queue)
+        return self._spool.waiting
 
-    def put(self, row: MeasuredRow) -> bool:
-        """Queue a row; blocks while the queue is full. False: a stop left no room for it."""
-        with self._changed:
-            if len(self._queue) >= self._settings.queue_rows and not self._wait_for_room():
-                logger.error("row of %s is lost: no room %g s after the stop", _at(row), self._settings.drain_s)
-                return False
-            self._queue.append(_Numbered(self._next_seq, row))
-            self._next_seq += 1
-            self._changed.notify_all()
-        return True
+    @property
+    def traces(self) -> TraceCounters:
+        """What became of the evidence traces."""
+        return self._traces.counters
+
+    @property
+    def is_down(self) -> bool:
+        """Whether the last attempt failed."""
+        return self._is_down
 
     def run(self) -> None:
-        """Deliver rows until `finish` has been called and the queue is empty, or its time is over."""
-        while self._bind_or_wait() and self._await_rows():
-            self._deliver(self._batch())
+        """Deliver until `finish` has been called and nothing waits, the service fails, or the time is over."""
+        while self._await_work():
+            lane, rows = self._batch()
+            if rows:
+                self._deliver(lane, rows)
+            elif self._finishing.is_set():
+                return
+            elif self._traces.is_due():
+                self._send_traces()
 
     def finish(self) -> None:
-        """Deliver what is queued within ``drain_s``, then end `run`."""
-        with self._changed:
-            self._is_finishing = True
-            self._deadline_s = time.monotonic() + self._settings.drain_s
-            self._changed.notify_all()
+        """Deliver what waits while the service takes it, within ``drain_s``, then end `run`."""
+        self._deadline_s = time.monotonic() + self._settings.drain_s
+        self._finishing.set()
+        self._spool.wake()
 
-    def _wait_for_room(self) -> bool:
-        """Wait, with the condition held, until the queue has room."""
-        logger.warning("queue is full with %d rows: sweeping waits for the service", len(self._queue))
-        stopped_at_s: float | None = None
-        while len(self._queue) >= self._settings.queue_rows:
-            self._changed.wait(_LOOK_S)
-            if self._stop.is_set():
-                stopped_at_s = stopped_at_s or time.monotonic()
-                if time.monotonic() - stopped_at_s > self._settings.drain_s:
-                    return False
-        logger.info("queue has room again: sweeping goes on")
-        return True
-
-    def _await_rows(self) -> bool:
+    def _await_work(self) -> bool:
         """Wait for rows, and for company where requests would follow too closely; False at the end."""
-        with self._changed:
-            while not self._queue:
-                if self._is_finishing:
-                    return False
-                self._changed.wait()
-            due_s = self._sent_at_s + self._settings.batch_s
-            while not self._is_finishing and len(self._queue) < self._batch_rows:
-                remaining_s = due_s - time.monotonic()
-                if remaining_s <= 0.0:
-                    break
-                self._changed.wait(remaining_s)
+        spool = self._spool
+        if not spool.waiting:
+            if self._finishing.is_set():
+                return False
+            if not self._traces.is_due():
+                # bounded: a disk that failed shows its rows when it is looked at again
+                spool.await_rows(1, min(self._traces.patience_s(), _LOOK_S))
+        due_s = self._sent_at_s + self._settings.batch_s
+        remaining_s = due_s - time.monotonic()
+        if remaining_s > 0.0 and not self._finishing.is_set():
+            spool.await_rows(self._batch_rows, remaining_s)
         return time.monotonic() < self._deadline_s
 
-    def _batch(self) -> list[_Numbered]:
-        """Return the oldest rows; they stay queued until they are settled."""
-        with self._changed:
-            return list(islice(self._queue, self._batch_rows))
+    def _batch(self) -> tuple[Lane, list[SpooledRow]]:
+        """Return the rows whose turn it is; they stay in the spool until they are settled."""
+        cutoff_us = self._now_us() - round(self._settings.lateness_s * US_PER_S)
+        first, second = self._turns.order()
+        for lane in (first, second):
+            rows = self._spool.batch(lane, cutoff_us, self._part or self._batch_rows)
+            if rows:
+                return lane, rows
+        return first, []
 
-    def _deliver(self, batch: list[_Numbered]) -> None:
+    def _deliver(self, lane: Lane, rows: list[SpooledRow]) -> None:
         """Send one batch once; settle its rows or wait."""
-        binding = self._binding
-        if binding is None:
-            return
+        try:
+            binding = self._binding(rows[0].task.carrier_ids)
+            reply = self._post(lane, rows, binding)
+        except ServiceUnavailableError as error:
+            self._fail(f"service does not answer: {error}", error.retry_after_s)
+        except PlanMismatchError as error:
+            self._turns.took(lane)  # rows of another task may wait in the other lane
+            self._fail(f"no carrier plan of {self._settings.spacecraft_id}: {error}", None)
+        except ProblemError as problem:
+            self._face(problem, lane, rows)
+        else:
+            self._settle(reply, lane, rows)
+
+    def _post(self, lane: Lane, rows: Sequence[SpooledRow], binding: PlanBinding) -> Any:
+        """Send rows and return the answer."""
         self._sent_at_s = time.monotonic()
         self.counters.requests += 1
+        self.counters.backfill_requests += lane is Lane.BACKFILL
+        with_details = self._sent_at_s >= self._details_from_s
+        return self._client.post_measurements(
+            self._settings.spacecraft_id,
+            binding.plan_id,
+            [binding.as_json(each.row, with_details=with_details) for each in rows],
+            source=self._settings.source,
+            first_seq=rows[0].seq,
+        )
+
+    def _settle(self, reply: Any, lane: Lane, rows: list[SpooledRow]) -> None:
+        """Count what the service says and let the rows go, if it accounts for all of them."""
+        receipt = read_receipt(reply, len(rows))
+        if receipt is None:
+            self._fail(f"answer does not account for {len(rows)} rows: {str(reply)[:200]}", None)
+            return
+        self._recovered()
+        self.counters.accepted += receipt.accepted
+        self.counters.duplicates += receipt.duplicates
+        self.counters.late += receipt.late
+        self._let_go(lane, rows, receipt.refused)
+
+    def _let_go(self, lane: Lane, rows: list[SpooledRow], refused: dict[int, tuple[str, str]]) -> None:
+        """Take settled rows off the spool; the refused ones are logged and kept apart."""
+        for place, (code, detail) in refused.items():
+            self.counters.refused += 1
+            logger.error("row %s of %s refused: %s: %s", rows[place].seq, _at(rows[place]), code, detail)
+        self.counters.last_good_us = self._now_us()
+        self._spool.settle(rows, refused)
+        self._turns.took(lane)
+        self._part = None
+
+    def _face(self, problem: ProblemError, lane: Lane, rows: list[SpooledRow]) -> None:
+        """Act on a batch that was refused as a whole."""
+        verdict, place = judge(problem, len(rows))
+        if verdict is Verdict.SHORTER:
+            self._batch_rows = max(1, len(rows) // 2)
+            logger.warning("service finds %d rows too long, %d from now on", len(rows), self._batch_rows)
+        elif verdict is Verdict.WITHOUT_DETAILS and self._sent_at_s >= self._details_from_s:
+            self._details_from_s = self._sent_at_s + _DETAILS_AGAIN_S
+            logger.warning("service does not take figures beside the powers (%s): they are left out", problem)
+        elif verdict is Verdict.PARTED and place > 0:
+            self._part = place  # a batch has one first_seq and no holes
+        elif verdict is Verdict.PARTED:
+            self._let_go(lane, rows[:1], {0: (problem.code, problem.detail)})
+        else:
+            if verdict is Verdict.NEW_PLAN:
+                self._bindings.clear()
+            self._fail(f"service refuses the batch: {problem}", None)
+
+    def _binding(self, task_ids: tuple[str, ...]) -> PlanBinding:
+        """Return the plan under which rows of these carriers go, fetched once."""
+        if task_ids not in self._bindings:
+            binding = find_binding(self._client, self._settings.spacecraft_id, task_ids)
+            self._bindings[task_ids] = binding
+            _log_binding(binding)
+        return self._bindings[task_ids]
+
+    def _send_traces(self) -> None:
+        """Send some traces; a service that is away is waited for."""
         try:
-            reply = self._client.post_measurements(
-                self._settings.spacecraft_id,
-                binding.plan_id,
-                [binding.as_json(numbered.row) for numbered in batch],
-                source=self._settings.source,
-                first_seq=batch[0].seq,
-            )
+            self._traces.send()
         except ServiceUnavailableError as error:
             self._fail(f"service does not answer: {error}", error.retry_after_s)
         except ProblemError as problem:
-            self._face(problem, batch)
+            self._fail(f"service refuses traces: {problem}", None)
         else:
-            self._settle(reply, batch)
-
-    def _settle(self, reply: Any, batch: list[_Numbered]) -> None:
-        """Count what the service says and take the rows off the queue, if it accounts for all of them."""
-        counted = _counted(reply, len(batch))
-        if counted is None:
-            self._fail(f"answer does not account for {len(batch)} rows: {str(reply)[:200]}", None)
-            return
-        accepted, duplicates, late, refusals = counted
-        self._recovered()
-        self.counters.accepted += accepted
-        self.counters.duplicates += duplicates
-        self.counters.late += late
-        for index, code, detail in refusals:
-            self._log_refusal(batch[index], code, detail)
-        self._take_off(len(batch))
-
-    def _face(self, problem: ProblemError, batch: list[_Numbered]) -> None:
-        """Act on a batch that was refused as a whole."""
-        guilty = _rows_at_fault(problem, len(batch))
-        if problem.status == TOO_LARGE and self._batch_rows > 1:
-            self._batch_rows = max(1, self._batch_rows // 2)
-            logger.warning("service finds %d rows too long, %d from now on", len(batch), self._batch_rows)
-        elif guilty:
-            self._drop(guilty, batch, problem)
-        else:
-            if problem.code == "plan.unknown":
-                self._binding = None
-            self._fail(f"service refuses the batch: {problem}", None)
-
-    def _drop(self, guilty: list[int], batch: list[_Numbered], problem: ProblemError) -> None:
-        """Take rows that the service cannot read off the queue; the others are sent again, in one piece up to them."""
-        first = guilty[0]
-        if first > 0:
-            # The rows before the first bad one go alone: a batch has one first_seq and no holes.
-            self._deliver(batch[:first])
-            return
-        self._log_refusal(batch[0], problem.code, problem.detail)
-        self._take_off(1)
-
-    def _take_off(self, rows: int) -> None:
-        """Remove settled rows from the head of the queue."""
-        with self._changed:
-            for _ in range(rows):
-                self._queue.popleft()
-            self._changed.notify_all()
-
-    def _log_refusal(self, numbered: _Numbered, code: str, detail: str) -> None:
-        """Count and log one refused row."""
-        self.counters.refused += 1
-        logger.error("row %d of %s refused: %s: %s", numbered.seq, _at(numbered.row), code, detail)
-
-    def _bind_or_wait(self) -> bool:
-        """Fetch the carrier plan if there is none; False when the time after `finish` is over."""
-        while self._binding is None:
-            if self._is_over():
-                return False
-            try:
-                self._binding = bind_plan(self._client.carriers(self._settings.spacecraft_id), self._task_ids)
-            except ServiceUnavailableError as error:
-                self._fail(f"service does not answer: {error}", error.retry_after_s)
-            except (ProblemError, PlanMismatchError) as error:
-                self._fail(f"no carrier plan of {self._settings.spacecraft_id}: {error}", None)
-            else:
-                self._recovered()
-                _log_binding(self._binding)
-        return not self._is_over()
-
-    def _is_over(self) -> bool:
-        """Return whether the time to deliver is over, or nothing is left to deliver after `finish`."""
-        return time.monotonic() >= self._deadline_s or (self._is_finishing and not self._queue)
+            self._recovered()
 
     def _fail(self, what: str, retry_after_s: float | None) -> None:
-        """Count and log a failed attempt, and wait before the next one."""
+        """Count and log a failed attempt, and wait before the next one; after `finish` there is none."""
         self._is_down = True
         self.counters.failures += 1
         self.counters.last_failure = what
+        if self._finishing.is_set():
+            self._deadline_s = float("-inf")
+            logger.warning("%s; %d rows stay in the spool", what, self._spool.waiting)
+            return
         wait_s = max(self._backoff.next_s(), retry_after_s or 0.0)
-        logger.warning("%s; %d rows wait, next attempt in %.1f s", what, len(self._queue), wait_s)
-        end_s = time.monotonic() + wait_s
-        with self._changed:
-            was_finishing = self._is_finishing
-            while (remaining_s := min(end_s, self._deadline_s) - time.monotonic()) > 0.0:
-                self._changed.wait(remaining_s)
-                if self._is_finishing and not was_finishing:
-                    break  # one attempt at once when the stop comes
+        logger.warning("%s; %d rows wait, next attempt in %.1f s", what, self._spool.waiting, wait_s)
+        self._finishing.wait(wait_s)
 
     def _recovered(self) -> None:
         """Say that the service answers again."""
         if self._is_down:
-            logger.info("service answers again; %d rows waited", len(self._queue))
+            logger.info("service answers again; %d rows waited", self._spool.waiting)
         self._is_down = False
         self._backoff.reset()
-
-
-def _counted(reply: Any, rows: int) -> tuple[int, int, int, list[tuple[int, str, str]]] | None:
-    """Return accepted, duplicates, late and refusals of a reply; None when it does not account for every row."""
-    try:
-        accepted, duplicates, late = int(reply["accepted"]), int(reply["duplicates"]), int(reply.get("late", 0))
-        refusals = [(int(each["index"]), str(each["code"]), str(each["detail"])) for each in reply["refused"]]
-    except (AttributeError, KeyError, TypeError, ValueError):
-        return None
-    is_complete = accepted + duplicates + len(refusals) == rows and all(0 <= each[0] < rows for each in refusals)
-    return (accepted, duplicates, late, refusals) if is_complete else None
-
-
-def _rows_at_fault(problem: ProblemError, rows: int) -> list[int]:
-    """Return the places of the rows that a problem's pointers name, lowest first."""
-    places = set()
-    for error in problem.errors:
-        parts = str(error.get("pointer", "")).removeprefix("#").split("/")
-        if len(parts) > 2 and parts[1] == "measurements" and parts[2].isdigit() and int(parts[2]) < rows:
-            places.add(int(parts[2]))
-    return sorted(places)
 
 
 def _log_binding(binding: PlanBinding) -> None:
@@ -314,6 +287,6 @@ def _log_binding(binding: PlanBinding) -> None:
         logger.warning("in the plan, not in the task, sent as null: %s", ", ".join(binding.unmeasured))
 
 
-def _at(row: MeasuredRow) -> str:
+def _at(each: SpooledRow) -> str:
     """Return the epoch of a row as text."""
-    return format_epoch(row.epoch_us)
+    return format_epoch(each.row.epoch_us)

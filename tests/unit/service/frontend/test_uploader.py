@@ -1,28 +1,25 @@
-"""Rows leave the queue only when the service accounts for them."""
+"""Rows leave the spool only when the service accounts for them; lanes take turns; traces come last."""
 
+import itertools
 import json
+import math
 import threading
+import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import httpx
-import numpy as np
 import pytest
+from spooled_rows import NOW_US, row, spool, sweep
 
 from service.client.backoff import Backoff
 from service.client.service_client import ServiceClient
-from service.frontend.evaluation import MeasuredRow
+from service.frontend.spool import Spool
+from service.frontend.spool_row import SpooledTask
 from service.frontend.uploader import Uploader, UploadSettings
 
 Answer = Callable[[dict[str, Any]], httpx.Response]
-
-
-def row(number: int) -> MeasuredRow:
-    """Return a row with its number as epoch."""
-    unknown = np.array([np.nan])
-    return MeasuredRow(
-        number, np.array([-40.0]), np.zeros(1, dtype=np.int64), np.array([0.1]), unknown, unknown, unknown
-    )
 
 
 def accept(body: dict[str, Any]) -> httpx.Response:
@@ -42,14 +39,26 @@ class Service:
     def __init__(self, *script: Answer | Exception) -> None:
         self.script: Iterator[Answer | Exception] = iter(script)
         self.posts: list[dict[str, Any]] = []
+        self.traces: list[dict[str, Any]] = []
         self.accepted: list[str] = []
-        self.plan_id = 3
+        self.plans = {3: ["c00", "c01"]}
+        self.take_traces: Answer = lambda body: httpx.Response(
+            200, json={"received": len(body["traces"]), "accepted": len(body["traces"]), "duplicates": 0}
+        )
 
     def handle(self, request: httpx.Request) -> httpx.Response:
         """Answer one request."""
         if request.method == "GET":
-            return httpx.Response(200, json={"plan_id": self.plan_id, "carriers": [{"id": "c00"}]})
+            plan_id = int(request.url.params.get("plan_id", max(self.plans)))
+            if plan_id not in self.plans:
+                return problem(404, "plan.unknown")
+            return httpx.Response(
+                200, json={"plan_id": plan_id, "carriers": [{"id": each} for each in self.plans[plan_id]]}
+            )
         body = json.loads(request.content)
+        if request.url.path.endswith("/traces"):
+            self.traces.append(body)
+            return self.take_traces(body)
         self.posts.append(body)
         answer = next(self.script, accept)
         if isinstance(answer, Exception):
@@ -59,27 +68,61 @@ class Service:
             self.accepted += [each["epoch"] for each in body["measurements"]]
         return response
 
-
-def upload(service: Service, rows: int = 5, **settings: Any) -> Uploader:
-    """Queue rows, deliver them, and return the uploader after its end."""
-    client = ServiceClient("http://service", "key", retries=0, http=httpx.MockTransport(service.handle))
-    chosen = UploadSettings("sc", "sa-1", **({"drain_s": 0.5} | settings))
-    uploader = Uploader(client, chosen, ["c00"], threading.Event(), Backoff(first_s=0.001, limit_s=0.004))
-    for number in range(rows):
-        assert uploader.put(row(number))
-    uploader.finish()
-    uploader.run()
-    return uploader
+    def client(self) -> ServiceClient:
+        """Return a client of it."""
+        return ServiceClient("http://service", "key", retries=0, http=httpx.MockTransport(self.handle))
 
 
-def test_rows_go_in_order_with_their_first_number() -> None:
+def uploader(service: Service, rows: Spool, now_us: int = 0, **settings: Any) -> Uploader:
+    """Return an uploader in a hurry."""
+    chosen = UploadSettings("sc", "sa-1", **({"batch_s": 0.0} | settings))
+    return Uploader(service.client(), chosen, rows, lambda: now_us, Backoff(first_s=0.001, limit_s=0.004))
+
+
+def deliver(made: Uploader, is_done: Callable[[], bool] | None = None) -> None:
+    """Run until nothing waits, or something else is so, and end."""
+    done = is_done or (lambda: made.waiting == 0)
+    loop = threading.Thread(target=made.run)
+    loop.start()
+    deadline = time.monotonic() + 8.0
+    while not done() and time.monotonic() < deadline:
+        time.sleep(0.002)
+    assert done()
+    made.finish()
+    loop.join(5.0)
+    assert not loop.is_alive()
+
+
+@pytest.fixture
+def rows(tmp_path: Path) -> Iterator[Spool]:
+    """Give a spool that keeps every trace."""
+    with spool(tmp_path, trace_period_s=0.0) as made:
+        yield made
+
+
+def fill(rows: Spool, count: int = 5, first: int = 0) -> None:
+    """Append rows."""
+    for number in range(first, first + count):
+        assert rows.append(row(number))
+
+
+def seqs(service: Service) -> list[tuple[int, int]]:
+    """Return first number and rows of every request."""
+    return [(post["first_seq"], len(post["measurements"])) for post in service.posts]
+
+
+def test_rows_go_in_order_with_their_first_number(rows: Spool) -> None:
     service = Service()
-    uploader = upload(service, 7, batch_rows=3)
-    assert [post["first_seq"] for post in service.posts] == [1, 4, 7]
-    assert [len(post["measurements"]) for post in service.posts] == [3, 3, 1]
-    assert uploader.counters.accepted == 7
-    assert service.posts[0]["source"] == "sa-1"
-    assert service.posts[0]["plan_id"] == 3
+    fill(rows, 7)
+    made = uploader(service, rows, batch_rows=3)
+    deliver(made)
+    assert seqs(service) == [(1, 3), (4, 3), (7, 1)]
+    assert made.counters.accepted == 7
+    assert (service.posts[0]["source"], service.posts[0]["plan_id"]) == ("sa-1", 3)
+    told = service.posts[0]["measurements"][0]
+    assert told["power_dbm"] == [-40.0, None]
+    assert told["flags"] == [0, 16]
+    assert told["sigma_db"] == told["c_n0_db_hz"] == [0.5, 0.5]
 
 
 @pytest.mark.parametrize(
@@ -95,49 +138,96 @@ def test_rows_go_in_order_with_their_first_number() -> None:
         lambda _: problem(403, "role.missing"),
         lambda _: problem(404, "spacecraft.unknown"),
         lambda _: problem(422, "body.invalid"),
+        lambda _: problem(422, "value.type", "/measurements/99/power_dbm"),
         lambda _: httpx.Response(200, text="<html>proxy</html>"),
         lambda _: httpx.Response(200, json=[]),
         lambda _: httpx.Response(200, json={"accepted": 1, "duplicates": 0, "refused": []}),
+        lambda _: httpx.Response(
+            200,
+            json={"accepted": 3, "duplicates": 0, "refused": [{"index": 1, "code": "a", "detail": "b"}] * 2},
+        ),
     ],
 )
 def test_whatever_fails_the_same_batch_goes_again(
-    failure: Answer | Exception, caplog: pytest.LogCaptureFixture
+    rows: Spool, failure: Answer | Exception, caplog: pytest.LogCaptureFixture
 ) -> None:
     service = Service(failure, failure)
-    uploader = upload(service)
-    assert service.posts[0] == service.posts[2]
+    fill(rows)
+    made = uploader(service, rows)
+    deliver(made)
+    assert service.posts[0] == service.posts[1] == service.posts[2]
     assert len(service.posts) == 3
-    assert uploader.counters.accepted == 5
-    assert uploader.counters.failures == 2
-    assert uploader.waiting == 0
+    assert (made.counters.accepted, made.counters.failures, made.waiting) == (5, 2, 0)
     assert "5 rows wait" in caplog.text
 
 
-def test_a_new_plan_is_fetched_when_the_old_one_is_unknown() -> None:
+def test_failures_are_followed_by_waits_and_retry_after_is_obeyed(rows: Spool) -> None:
+    def later(_: dict[str, Any]) -> httpx.Response:
+        return httpx.Response(429, json={"code": "rate", "detail": "slow"}, headers={"Retry-After": "1"})
+
+    service = Service(later)
+    fill(rows)
+    made = uploader(service, rows)
+    begun_s = time.monotonic()
+    deliver(made)
+    assert time.monotonic() - begun_s > 0.9
+    assert len(service.posts) == 2
+
+
+def test_a_new_plan_is_fetched_when_the_old_one_is_unknown(rows: Spool) -> None:
     service = Service()
 
     def forget(_: dict[str, Any]) -> httpx.Response:
-        service.plan_id = 9
+        service.plans[9] = service.plans[3]
         return problem(404, "plan.unknown")
 
     service.script = iter([forget])
-    upload(service)
+    fill(rows)
+    deliver(uploader(service, rows))
     assert [post["plan_id"] for post in service.posts] == [3, 9]
 
 
-def test_refused_rows_are_named_and_counted(caplog: pytest.LogCaptureFixture) -> None:
+def test_rows_of_a_replaced_plan_go_under_the_plan_they_were_measured_for(tmp_path: Path) -> None:
+    with spool(tmp_path) as old:
+        fill(old, 2)
+    service = Service()
+    service.plans |= {5: ["d00"]}
+    with spool(tmp_path, task=SpooledTask("e" * 64, ("d00", "d01"))) as rows:
+        fill(rows, 2, first=2)
+        deliver(uploader(service, rows))
+    assert [(post["plan_id"], len(post["measurements"])) for post in service.posts] == [(3, 2), (5, 2)]
+
+
+def test_rows_that_fit_no_plan_wait_and_let_the_other_lane_pass(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with spool(tmp_path, task=SpooledTask("e" * 64, ("x00", "x01"))) as old:
+        fill(old, 2)
+    service = Service()
+    with spool(tmp_path) as rows:
+        fill(rows, 2, first=NOW_US)
+        made = uploader(service, rows, NOW_US)
+        deliver(made, lambda: made.waiting == 2)
+        assert rows.waiting == 2
+    assert seqs(service) == [(3, 2)]
+    assert "no carrier of the task stands in plan 3" in caplog.text
+
+
+def test_refused_rows_are_named_counted_and_kept(rows: Spool, caplog: pytest.LogCaptureFixture) -> None:
     def refuse_one(body: dict[str, Any]) -> httpx.Response:
         refused = [{"index": 2, "seq": 3, "code": "time.future", "detail": "ahead"}]
         return httpx.Response(
             200, json={"accepted": len(body["measurements"]) - 1, "duplicates": 0, "refused": refused}
         )
 
-    uploader = upload(Service(refuse_one))
-    assert (uploader.counters.accepted, uploader.counters.refused) == (4, 1)
+    fill(rows)
+    made = uploader(Service(refuse_one), rows)
+    deliver(made)
+    assert (made.counters.accepted, made.counters.refused, rows.state.refused) == (4, 1, 1)
     assert "row 3 of 1970-01-01T00:00:00.000002Z refused: time.future" in caplog.text
 
 
-def test_a_row_that_cannot_be_read_does_not_block_the_others() -> None:
+def test_a_row_that_cannot_be_read_does_not_block_the_others(rows: Spool) -> None:
     def judge(body: dict[str, Any]) -> httpx.Response:
         for place, each in enumerate(body["measurements"]):
             if each["epoch"].endswith("03Z"):
@@ -145,80 +235,213 @@ def test_a_row_that_cannot_be_read_does_not_block_the_others() -> None:
         return accept(body)
 
     service = Service(*[judge] * 10)
-    uploader = upload(service)
+    fill(rows)
+    made = uploader(service, rows)
+    deliver(made)
     assert [text[-4:] for text in service.accepted] == ["000Z", "001Z", "002Z", "004Z"]
-    assert uploader.counters.refused == 1
-    assert all(post["first_seq"] in {1, 4, 5} for post in service.posts)
+    assert (made.counters.refused, rows.state.refused) == (1, 1)
+    assert seqs(service) == [(1, 5), (1, 3), (4, 2), (5, 1)]
 
 
-def test_too_long_a_body_is_halved() -> None:
+@pytest.mark.parametrize(("status", "code"), [(413, "body.too_large"), (422, "batch.too_long")])
+def test_too_long_a_body_is_halved(rows: Spool, status: int, code: str) -> None:
     def limit(body: dict[str, Any]) -> httpx.Response:
-        return accept(body) if len(body["measurements"]) <= 2 else problem(413, "body.too_large")
+        return accept(body) if len(body["measurements"]) <= 2 else problem(status, code, "/measurements")
 
     service = Service(*[limit] * 10)
-    uploader = upload(service, 8, batch_rows=8)
-    assert uploader.counters.accepted == 8
-    assert len(service.accepted) == 8
+    fill(rows, 8)
+    made = uploader(service, rows, batch_rows=8)
+    deliver(made)
+    assert [count for _, count in seqs(service)] == [8, 4, 2, 2, 2, 2]
+    assert made.counters.accepted == len(service.accepted) == 8
 
 
-def test_what_cannot_be_delivered_in_time_is_said() -> None:
-    uploader = upload(Service(*[httpx.ConnectError("refused")] * 10_000), drain_s=0.05)
-    assert uploader.waiting == 5
-    assert uploader.counters.accepted == 0
+def test_one_row_that_is_too_long_waits_and_is_not_lost(rows: Spool) -> None:
+    service = Service(*[lambda _: problem(413, "body.too_large")] * 4)
+    fill(rows, 1)
+    made = uploader(service, rows)
+    deliver(made)
+    assert made.counters.failures == 4
+    assert made.counters.accepted == 1
 
 
-def test_a_full_queue_holds_the_sweeping_back_and_loses_nothing() -> None:
-    is_open = threading.Event()
+def test_a_service_that_does_not_know_the_further_figures_gets_the_rows_without_them(rows: Spool) -> None:
+    def old_service(body: dict[str, Any]) -> httpx.Response:
+        if "sigma_db" in body["measurements"][0]:
+            return problem(422, "extra_forbidden", "/measurements/0/sigma_db")
+        return accept(body)
 
-    def gate(body: dict[str, Any]) -> httpx.Response:
-        return accept(body) if is_open.wait(5.0) else problem(503, "shut")
-
-    service = Service(gate)
-    client = ServiceClient("http://service", "key", retries=0, http=httpx.MockTransport(service.handle))
-    uploader = Uploader(client, UploadSettings("sc", "sa-1", queue_rows=3), ["c00"], threading.Event())
-    loop = threading.Thread(target=uploader.run)
-    loop.start()
-    produced = []
-
-    def produce() -> None:
-        produced.extend(uploader.put(row(number)) for number in range(10))
-
-    sweeping = threading.Thread(target=produce)
-    sweeping.start()
-    sweeping.join(0.3)
-    assert sweeping.is_alive()
-    assert len(produced) == 3
-    is_open.set()
-    sweeping.join(5.0)
-    uploader.finish()
-    loop.join(5.0)
-    assert produced == [True] * 10
-    assert len(service.accepted) == 10
+    service = Service(*[old_service] * 10)
+    fill(rows)
+    made = uploader(service, rows, batch_rows=3)
+    deliver(made)
+    assert made.counters.accepted == 5
+    assert (made.counters.refused, made.counters.failures) == (0, 0)
+    assert seqs(service) == [(1, 3), (1, 3), (4, 2)]
 
 
-def test_after_a_stop_a_row_without_room_is_given_up_and_said(caplog: pytest.LogCaptureFixture) -> None:
-    stop = threading.Event()
-    stop.set()
-    client = ServiceClient("http://service", "key", retries=0, http=httpx.MockTransport(Service().handle))
-    uploader = Uploader(client, UploadSettings("sc", "sa-1", queue_rows=1, drain_s=0.05), ["c00"], stop)
-    assert uploader.put(row(0))
-    assert not uploader.put(row(1))
-    assert "is lost" in caplog.text
-
-
-def test_requests_that_follow_closely_wait_for_company() -> None:
+def test_lanes_take_turns_while_both_have_rows(rows: Spool) -> None:
+    age_us = 300_000_000
     service = Service()
-    client = ServiceClient("http://service", "key", retries=0, http=httpx.MockTransport(service.handle))
-    uploader = Uploader(client, UploadSettings("sc", "sa-1", batch_s=0.3), ["c00"], threading.Event())
-    loop = threading.Thread(target=uploader.run)
+    fill(rows, 6, first=NOW_US - 2 * age_us)
+    fill(rows, 10, first=NOW_US)
+    made = uploader(service, rows, NOW_US, batch_rows=2)
+    deliver(made)
+    # numbers 1..6 are old, 7..16 are young: young first, then every second request
+    assert [first for first, _ in seqs(service)] == [7, 1, 9, 3, 11, 5, 13, 15]
+    assert made.counters.backfill_requests == 3
+
+
+def test_neither_lane_starves_however_much_the_other_one_has(rows: Spool) -> None:
+    service = Service()
+    numbers = itertools.count(NOW_US)
+
+    def one_more(body: dict[str, Any]) -> httpx.Response:
+        rows.append(row(next(numbers)))
+        return accept(body)
+
+    service.script = iter([one_more] * 40)
+    fill(rows, 10)
+    rows.append(row(next(numbers)))
+    made = uploader(service, rows, NOW_US, batch_rows=1)
+    deliver(made)
+    firsts = [first for first, _ in seqs(service)]
+    # ten old rows are through after twenty requests, though there is a new one every time
+    assert sorted(firsts[:20])[:10] == list(range(1, 11))
+    assert firsts[:20:2] == list(range(11, 21))
+
+
+def test_a_failure_is_no_turn(rows: Spool) -> None:
+    service = Service(lambda _: problem(500, "internal"), accept, lambda _: problem(500, "internal"), accept)
+    fill(rows, 1)
+    fill(rows, 1, first=NOW_US)
+    deliver(uploader(service, rows, NOW_US))
+    assert [first for first, _ in seqs(service)] == [2, 2, 1, 1]
+
+
+def test_the_rows_of_an_earlier_start_are_sent_first(tmp_path: Path) -> None:
+    with spool(tmp_path) as earlier:
+        fill(earlier, 3)
+    service = Service()
+    with spool(tmp_path) as rows:
+        made = uploader(service, rows, NOW_US)
+        deliver(made)
+    assert seqs(service) == [(1, 3)]
+    assert made.counters.backfill_requests == 1
+
+
+def test_after_a_stop_the_rest_is_delivered_while_the_service_takes_it(rows: Spool) -> None:
+    service = Service()
+    fill(rows, 7)
+    made = uploader(service, rows, batch_rows=2)
+    made.finish()
+    made.run()
+    assert made.waiting == 0
+    assert made.counters.accepted == 7
+
+
+def test_after_a_stop_a_service_that_is_away_is_not_waited_for(rows: Spool, caplog: pytest.LogCaptureFixture) -> None:
+    service = Service(*[httpx.ConnectError("refused")] * 10_000)
+    fill(rows)
+    made = uploader(service, rows, drain_s=5.0)
+    made.finish()
+    begun_s = time.monotonic()
+    made.run()
+    assert time.monotonic() - begun_s < 1.0
+    assert (made.waiting, len(service.posts)) == (5, 1)
+    assert "5 rows stay in the spool" in caplog.text
+
+
+def test_the_time_to_deliver_after_a_stop_is_bounded(rows: Spool) -> None:
+    def slow(body: dict[str, Any]) -> httpx.Response:
+        time.sleep(0.02)
+        return accept(body)
+
+    fill(rows, 50)
+    made = uploader(Service(*[slow] * 100), rows, batch_rows=1, drain_s=0.1)
+    made.finish()
+    made.run()
+    assert 30 < made.waiting < 50
+
+
+def test_requests_that_follow_closely_wait_for_company(rows: Spool) -> None:
+    service = Service()
+    made = uploader(service, rows, batch_s=0.3)
+    loop = threading.Thread(target=made.run)
     loop.start()
-    uploader.put(row(0))
+    fill(rows, 1)
     while not service.posts:
         loop.join(0.005)
-    for number in range(1, 20):
-        uploader.put(row(number))
+    fill(rows, 19, first=1)
     loop.join(0.1)
-    assert [len(post["measurements"]) for post in service.posts] == [1]
-    uploader.finish()
+    assert [count for _, count in seqs(service)] == [1]
+    made.finish()
     loop.join(5.0)
-    assert [len(post["measurements"]) for post in service.posts] == [1, 19]
+    assert [count for _, count in seqs(service)] == [1, 19]
+
+
+def test_traces_go_when_no_row_waits(rows: Spool) -> None:
+    service = Service()
+    for number in range(6):
+        rows.append_trace(sweep(number))
+        fill(rows, 1, first=number)
+    made = uploader(service, rows, batch_rows=2, batch_traces=4)
+    deliver(made, lambda: made.traces.sent == 6)
+    assert len(service.posts) == 3
+    assert [len(body["traces"]) for body in service.traces] == [4, 2]
+    first = service.traces[0]["traces"][0]
+    assert first["power_dbm"] == [-60.0] * 10 + [None]
+    assert (first["sweep"], first["start_hz"], first["step_hz"]) == ("ku", 950e6, 1e6)
+    assert rows.traces_waiting == 0
+
+
+def test_a_service_without_traces_is_left_alone(rows: Spool) -> None:
+    service = Service()
+    service.take_traces = lambda _: problem(404, "http.404")
+    rows.append_trace(sweep(0))
+    fill(rows, 1)
+    made = uploader(service, rows)
+    deliver(made, lambda: bool(service.traces))
+    fill(rows, 5, first=1)
+    made = uploader(service, rows)
+    deliver(made)
+    assert rows.traces_waiting == 1
+    assert made.counters.failures == 0
+    assert len(service.traces) <= 2
+
+
+def test_a_trace_that_cannot_be_read_is_given_up_and_the_others_go(rows: Spool) -> None:
+    def judge(body: dict[str, Any]) -> httpx.Response:
+        is_bad = any(each["epoch"].endswith("01Z") for each in body["traces"])
+        count = len(body["traces"])
+        return problem(422, "value") if is_bad else httpx.Response(200, json={"accepted": count, "duplicates": 0})
+
+    service = Service()
+    service.take_traces = judge
+    for number in range(3):
+        rows.append_trace(sweep(number))
+        fill(rows, 1, first=number)
+    made = uploader(service, rows)
+    deliver(made, lambda: rows.traces_waiting == 0)
+    assert (made.traces.sent, made.traces.refused) == (2, 1)
+
+
+def test_rows_in_memory_go_without_a_number(tmp_path: Path) -> None:
+    (tmp_path / "sa-1.spool").mkdir()
+    service = Service()
+    with spool(tmp_path) as rows:
+        for number in range(3):
+            assert not rows.append(row(number))
+        made = uploader(service, rows)
+        deliver(made)
+    assert "first_seq" not in service.posts[0]
+    assert made.counters.accepted == 3
+
+
+def test_an_infinite_level_is_no_level(rows: Spool) -> None:
+    spoiled = row(1)
+    spoiled.power_dbm[0] = math.inf
+    rows.append(spoiled)
+    service = Service()
+    deliver(uploader(service, rows))
+    assert service.posts[0]["measurements"][0]["power_dbm"] == [None, None]
