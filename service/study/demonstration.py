@@ -105,6 +105,7 @@ def front_end(directory: Path, endpoints: Endpoints, spacecraft_id: str) -> Fron
     arguments = [
         *("--service", endpoints.service_url, "--spacecraft", spacecraft_id),
         *("--epoch", "analyzer", "--period", "0", "--hold-s", "600", "--json-log"),
+        *("--spool", str(directory / "spool")),
     ]
     return FrontEnd(directory, endpoints.resource, arguments, environment)
 
