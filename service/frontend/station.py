@@ -1,18 +1,21 @@
-"""A measuring station: one acquisition and one uploader, each with its thread, and their common end.
+"""A measuring station: analyzers, each with an acquisition, a spool and an uploader of its own, and their common end.
 
-Law of this file: it starts two threads and ends them in order - first the acquisition after the sweep in hand, then the
-uploader after the queue. A thread that dies takes the station down with its error; nothing runs on in half.
+Law of this file: a lane starts two threads and ends them in order - first the acquisition after the sweep in hand, then
+the uploader after what waits. A thread that dies takes the station down with its error; nothing runs on in half. Lanes
+share nothing that one of them could hold up: no session, no connection, no queue.
 """
 
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from service.client.backoff import Backoff
 from service.client.service_client import ServiceClient
-from service.frontend.acquisition import Acquisition, AcquisitionCounters, AcquisitionSettings
+from service.frontend.acquisition import Acquisition
+from service.frontend.acquisition_settings import AcquisitionCounters, AcquisitionSettings
 from service.frontend.measurement_task import MeasurementTask
+from service.frontend.spool import Spool
 from service.frontend.uploader import UploadCounters, Uploader, UploadSettings
 
 logger = logging.getLogger("service.frontend.station")
@@ -31,8 +34,10 @@ class StationSummary:
 
     acquisition: AcquisitionCounters
     upload: UploadCounters
-    #: rows that the service had not taken when the run ended
+    #: rows that the service had not taken when the run ended; they wait in the spool
     undelivered: int
+    #: those of them that no disk took: lost with the process
+    unwritten: int = 0
 
 
 class Station:
@@ -48,6 +53,8 @@ class Station:
         Destination, sizes, patience.
     client : ServiceClient
         Without retries of its own; the caller closes it.
+    spool : Spool
+        Where rows and traces wait for the service; the caller closes it.
     now_us : callable
         Present, microseconds UTC.
     make_backoff : callable
@@ -60,14 +67,24 @@ class Station:
         acquisition: AcquisitionSettings,
         upload: UploadSettings,
         client: ServiceClient,
+        spool: Spool,
         now_us: Callable[[], int],
         make_backoff: Callable[[], Backoff] = Backoff,
     ) -> None:
+        self.task = task
+        self.upload = upload
+        self.spool = spool
+        self.resource = acquisition.resource
         self._stop = threading.Event()
-        task_ids = [carrier.id for carrier in task.carriers]
-        self.uploader = Uploader(client, upload, task_ids, self._stop, make_backoff())
-        self.acquisition = Acquisition(task, acquisition, self.uploader.put, now_us, self._stop, make_backoff())
-        self._drain_s = upload.drain_s
+        self.uploader = Uploader(client, upload, spool, now_us, make_backoff())
+        self.acquisition = Acquisition(
+            task, acquisition, spool.append, now_us, self._stop, make_backoff(), spool.append_trace
+        )
+
+    @property
+    def link_id(self) -> str:
+        """Name of the link in reports."""
+        return f"{self.upload.spacecraft_id}.{self.upload.source}"
 
     def stop(self) -> None:
         """Ask the station to end; safe to call from a signal handler and more than once."""
@@ -81,25 +98,60 @@ class Station:
         StationError
             One of the threads died.
         """
-        measuring = _Worker("acquisition", self.acquisition.run)
-        sending = _Worker("uploader", self.uploader.run)
+        measuring = _Worker(f"acquisition {self.link_id}", self.acquisition.run)
+        sending = _Worker(f"uploader {self.link_id}", self.uploader.run)
         for worker in (measuring, sending):
             worker.start()
         while not self._stop.wait(_LOOK_S):
+            self.acquisition.look()
             if not (measuring.is_alive() and sending.is_alive()):
                 break
         self._stop.set()
-        measuring.join()
+        while measuring.is_alive():
+            measuring.join(_LOOK_S)
+            self.acquisition.look()
         self.uploader.finish()
         sending.join()
         for worker in (measuring, sending):
             if worker.error is not None:
                 message = f"{worker.name} died: {type(worker.error).__name__} {worker.error}"
                 raise StationError(message) from worker.error
-        summary = StationSummary(self.acquisition.counters, self.uploader.counters, self.uploader.waiting)
-        if summary.undelivered:
-            logger.error("%d rows were not delivered within %g s", summary.undelivered, self._drain_s)
-        return summary
+        return self._summary()
+
+    def _summary(self) -> StationSummary:
+        """Return what the run came to."""
+        state = self.spool.state
+        if state.waiting:
+            logger.warning("%s: %d rows wait in the spool for the next start", self.link_id, state.waiting)
+        return StationSummary(self.acquisition.counters, self.uploader.counters, state.waiting, state.held)
+
+
+def run_stations(stations: Sequence[Station]) -> list[StationSummary]:
+    """Run several stations until each has been stopped; one that dies stops the others.
+
+    Raises
+    ------
+    StationError
+        A thread of one of them died.
+    """
+    summaries: dict[str, StationSummary] = {}
+
+    def run(station: Station) -> None:
+        try:
+            summaries[station.link_id] = station.run()
+        finally:
+            for other in stations:
+                other.stop()
+
+    workers = [_Worker(station.link_id, lambda station=station: run(station)) for station in stations]  # type: ignore[misc]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    for worker in workers:
+        if worker.error is not None:
+            raise worker.error
+    return [summaries[station.link_id] for station in stations]
 
 
 class _Worker(threading.Thread):

@@ -1,14 +1,17 @@
 """A station ends in order, and never runs on in half."""
 
 import threading
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
+from spooled_rows import spool
 
 from service.client.backoff import Backoff
 from service.client.service_client import ServiceClient
-from service.frontend.acquisition import AcquisitionSettings
+from service.frontend.acquisition_settings import AcquisitionSettings
 from service.frontend.measurement_task import MeasurementTask, parse_task
 from service.frontend.station import Station, StationError
 from service.frontend.uploader import UploadSettings
@@ -23,23 +26,25 @@ def task() -> MeasurementTask:
     )[0]
 
 
-def station() -> Station:
-    """Return a station whose service knows the plan."""
+@pytest.fixture
+def made(tmp_path: Path) -> Iterator[Station]:
+    """Give a station whose service knows the plan."""
     plan = {"plan_id": 1, "carriers": [{"id": "c00"}]}
     http = httpx.MockTransport(lambda _: httpx.Response(200, json=plan))
     client = ServiceClient("http://service", "key", retries=0, http=http)
-    return Station(
-        task(),
-        AcquisitionSettings("TCPIP::analyzer::5025::SOCKET", 0.0),
-        UploadSettings("sc", "sa-1", drain_s=0.2),
-        client,
-        lambda: 0,
-        lambda: Backoff(first_s=0.001, limit_s=0.002),
-    )
+    with spool(tmp_path) as rows:
+        yield Station(
+            task(),
+            AcquisitionSettings("TCPIP::analyzer::5025::SOCKET", 0.0),
+            UploadSettings("sc", "sa-1", drain_s=0.2),
+            client,
+            rows,
+            lambda: 0,
+            lambda: Backoff(first_s=0.001, limit_s=0.002),
+        )
 
 
-def test_a_stop_ends_both_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    made = station()
+def test_a_stop_ends_both_threads(made: Station, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(made.acquisition, "run", lambda: made._stop.wait(5.0))
     threading.Timer(0.05, made.stop).start()
     summary = made.run()
@@ -48,8 +53,7 @@ def test_a_stop_ends_both_threads(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("part", ["acquisition", "uploader"])
-def test_a_thread_that_dies_takes_the_station_down(monkeypatch: pytest.MonkeyPatch, part: str) -> None:
-    made = station()
+def test_a_thread_that_dies_takes_the_station_down(made: Station, monkeypatch: pytest.MonkeyPatch, part: str) -> None:
 
     def die(*_: Any) -> None:
         raise MemoryError("no room")
@@ -57,5 +61,5 @@ def test_a_thread_that_dies_takes_the_station_down(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(made.acquisition, "run", lambda: made._stop.wait(5.0))
     target = made.acquisition if part == "acquisition" else made.uploader
     monkeypatch.setattr(target, "run", die)
-    with pytest.raises(StationError, match=f"{part} died: MemoryError no room"):
+    with pytest.raises(StationError, match=f"{part} sc.sa-1 died: MemoryError no room"):
         made.run()

@@ -1,0 +1,155 @@
+"""Reports of the links to the service, and what operators want of them: rest, go on, begin anew.
+
+Law of this file: it never disturbs the measuring. A service that is away, refuses the report or answers nonsense
+changes nothing; the next report says the same or newer.
+"""
+
+import logging
+import threading
+from collections.abc import Sequence
+from typing import Any
+
+from service.client.problem import ClientError
+from service.client.service_client import ServiceClient
+from service.frontend.station import Station
+from service.records.epoch import format_epoch
+
+logger = logging.getLogger("service.frontend.link_report")
+
+#: time between reports, s
+REPORT_PERIOD_S = 5.0
+#: states of a front end as a whole
+RUNNING, SERVICE_AWAY = "RUNNING", "SERVICE_AWAY"
+
+
+class LinkReporter:
+    """Reports all analyzers of a front end, and the front end itself.
+
+    Parameters
+    ----------
+    client : ServiceClient
+        Without retries of its own.
+    name : str
+        Name of the front end among links.
+    stations : sequence of Station
+        What it measures.
+    period_s : float
+        Time between reports.
+    """
+
+    def __init__(
+        self, client: ServiceClient, name: str, stations: Sequence[Station], period_s: float = REPORT_PERIOD_S
+    ) -> None:
+        self._client = client
+        self._name = name
+        self._stations = {station.link_id: station for station in stations}
+        self._period_s = period_s
+        self._resets_seen = 0
+        self._is_away = False
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self.run, name="link reports", daemon=True)
+
+    def start(self) -> None:
+        """Report from a thread of its own."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the reports with a last one."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join(2.0 * self._period_s)
+
+    def run(self) -> None:
+        """Report until the stop."""
+        while not self._stop.wait(self._period_s):
+            self.report()
+        self.report()
+
+    def report(self) -> None:
+        """Report once and obey the answer."""
+        try:
+            wishes = self._client.report_links(self.links())
+            for wish in wishes:
+                self._obey(str(wish["id"]), is_enabled=bool(wish["enabled"]), resets=int(wish["reset"]))
+        except (ClientError, LookupError, TypeError, ValueError) as error:
+            if not self._is_away:
+                logger.warning("links cannot be reported: %s", error)
+            self._is_away = True
+        else:
+            if self._is_away:
+                logger.info("links are reported again")
+            self._is_away = False
+
+    def links(self) -> list[dict[str, Any]]:
+        """Return the report."""
+        return [self._front_end(), *(analyzer_link(station, self._period_s) for station in self._stations.values())]
+
+    def _front_end(self) -> dict[str, Any]:
+        """Return what the front end says of itself."""
+        stations = list(self._stations.values())
+        goods = [each.uploader.counters.last_good_us for each in stations]
+        newest_us = max((each for each in goods if each is not None), default=None)
+        is_down = any(station.uploader.is_down for station in stations)
+        return {
+            "id": self._name,
+            "kind": "front_end",
+            "state": SERVICE_AWAY if is_down else RUNNING,
+            "detail": {"analyzers": list(self._stations)[:100]},
+            "counters": {
+                "analyzers": len(stations),
+                "rows": sum(station.acquisition.counters.rows for station in stations),
+                "accepted": sum(station.uploader.counters.accepted for station in stations),
+                "waiting": sum(station.spool.waiting for station in stations),
+            },
+            "last_good": None if newest_us is None else format_epoch(newest_us),
+            "warnings": [],
+            "reset_seen": self._resets_seen,
+            "period_s": self._period_s,
+        }
+
+    def _obey(self, link_id: str, *, is_enabled: bool, resets: int) -> None:
+        """Do with one link what is wanted; a reset of the front end is one of all its analyzers."""
+        station = self._stations.get(link_id)
+        if station is not None:
+            station.acquisition.orders.obey(is_enabled=is_enabled, resets=resets)
+        elif link_id == self._name and resets > self._resets_seen:
+            self._resets_seen = resets
+            for each in self._stations.values():
+                each.acquisition.orders.reset()
+
+
+def analyzer_link(station: Station, period_s: float) -> dict[str, Any]:
+    """Return what one analyzer's link says of itself."""
+    acquisition, counters, spool = station.acquisition, station.acquisition.counters, station.spool.state
+    upload = station.uploader.counters
+    return {
+        "id": station.link_id,
+        "kind": "analyzer",
+        "spacecraft_id": station.upload.spacecraft_id,
+        "source": station.upload.source,
+        "state": "STUCK" if acquisition.is_stuck else counters.state.name,
+        "detail": {
+            "resource": station.resource,
+            "analyzer": acquisition.identity[:200],
+            "task": station.task.task.id,
+            "period_s": acquisition.period_s,
+            "last_fault": counters.last_fault[:500],
+            "last_failure": upload.last_failure[:500],
+        },
+        "counters": counters.as_json()
+        | {
+            "accepted": upload.accepted,
+            "duplicates": upload.duplicates,
+            "late": upload.late,
+            "refused": upload.refused,
+            "failures": upload.failures,
+            "waiting": spool.waiting,
+            "last_seq": spool.last_seq,
+            "traces_waiting": spool.traces_waiting,
+        }
+        | {f"dropped_{reason}": rows for reason, rows in spool.dropped.items()},
+        "last_good": None if counters.last_good_us is None else format_epoch(counters.last_good_us),
+        "warnings": [*acquisition.warnings, *(each.as_json() for each in station.spool.warnings)],
+        "reset_seen": acquisition.orders.resets_seen,
+        "period_s": period_s,
+    }
