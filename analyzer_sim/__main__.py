@@ -1,33 +1,29 @@
 """Command line of the simulator: ``serve`` (the default), ``export``, ``plant`` and ``scenarios``.
 
-``serve`` prints one line of JSON when both ports are open, then serves until SIGTERM or SIGINT and ends with 0::
+``serve`` prints one line of JSON when all ports are open, then serves until SIGTERM or SIGINT and ends with 0; a port
+that is taken is told and ends it with 1. HiSLIP is served when its port is given; nothing is announced by mDNS::
 
-    {"scpi_port": 5025, "ground_port": 5026, "scenario": "demo", "seed": 1}
+    {"scpi_port": 5025, "alias_ports": [], "hislip_port": null, "ground_port": 5026, "dialect": "rs",
+     "scenario": "demo", "seed": 1}
 """
 
 import argparse
 import asyncio
 import io
-import json
 import os
-import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from analyzer_sim.dialect import Dialect
 from analyzer_sim.dialects import DIALECTS
 from analyzer_sim.epochs import epoch_us_from_text
 from analyzer_sim.export import run_export
-from analyzer_sim.ground_port import Gate, serve_ground
-from analyzer_sim.imperfections import IDEAL
-from analyzer_sim.instrument import Instrument
-from analyzer_sim.painter import Detail, TracePainter
+from analyzer_sim.painter import Detail
 from analyzer_sim.plant import run_plant
 from analyzer_sim.scenario import SCENARIOS, Scenario, scenario_named
 from analyzer_sim.scenario_table import markdown_page, plain_table
-from analyzer_sim.server import SimulatedAnalyzer
-from analyzer_sim.world import World
+from analyzer_sim.serving import parse_fault, serve
+from analyzer_sim.sweep_life import Pace
 
 _SUBCOMMANDS = ("serve", "export", "plant", "scenarios")
 
@@ -69,24 +65,45 @@ def _add_story(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--row-period", type=_positive, help="time between rows, seconds")
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """Return the parser of the command line."""
-    parser = argparse.ArgumentParser(prog="soo-analyzer", description="Simulated spectrum analyzer and its world.")
-    commands = parser.add_subparsers(dest="command", required=True)
-    serve = commands.add_parser("serve", help="serve SCPI and the ground port (the default command)")
-    _add_story(serve)
-    serve.add_argument("--dialect", default="rs", choices=sorted(DIALECTS), help="language (default: rs)")
-    serve.add_argument("--host", default="127.0.0.1", help="address to listen on (default: 127.0.0.1)")
-    serve.add_argument("--port", type=_port, default=5025, help="SCPI port, 0 = a free one (default: 5025)")
-    serve.add_argument("--ground-port", type=_port, default=5026, help="ground port, 0 = a free one (default: 5026)")
-    serve.add_argument("--await-ground", action="store_true", help="sweep no row before a ground client allows it")
-    serve.add_argument(
+def _add_serve(parser: argparse.ArgumentParser) -> None:
+    """Add the options of the served instrument."""
+    _add_story(parser)
+    parser.add_argument("--dialect", default="rs", choices=sorted(DIALECTS), help="language (default: rs)")
+    parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: 127.0.0.1)")
+    parser.add_argument("--port", type=_port, default=5025, help="SCPI port, 0 = a free one (default: 5025)")
+    parser.add_argument("--alias-port", type=_port, action="append", default=[], help="further SCPI port; may repeat")
+    parser.add_argument("--hislip-port", type=_port, help="HiSLIP port, usually 4880, 0 = a free one (default: none)")
+    parser.add_argument("--ground-port", type=_port, default=5026, help="ground port, 0 = a free one (default: 5026)")
+    parser.add_argument("--await-ground", action="store_true", help="sweep no row before a ground client allows it")
+    parser.add_argument(
         "--detail",
         default=Detail.FAST.value,
         choices=[detail.value for detail in Detail],
         help="fast: drawn per point; envelope: drawn in time (default: fast)",
     )
-    serve.add_argument("--ideal", action="store_true", help="an analyzer without errors and noise of its own")
+    parser.add_argument("--ideal", action="store_true", help="an analyzer without errors and noise of its own")
+    parser.add_argument(
+        "--pace",
+        default=Pace.VIRTUAL.value,
+        choices=[pace.value for pace in Pace],
+        help="virtual: a sweep takes no time; real: it lasts its sweep time (default: virtual)",
+    )
+    parser.add_argument("--truth-log", type=Path, help="file for the truth of every sweep, JSON lines; is overwritten")
+    parser.add_argument(
+        "--fault",
+        type=parse_fault,
+        action="append",
+        default=[],
+        metavar="NAME[:TIMES]",
+        help="fault of the next answers or traces, for tests of clients; may repeat",
+    )
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    parser = argparse.ArgumentParser(prog="soo-analyzer", description="Simulated spectrum analyzer and its world.")
+    commands = parser.add_subparsers(dest="command", required=True)
+    _add_serve(commands.add_parser("serve", help="serve SCPI and the ground port (the default command)"))
     export = commands.add_parser("export", help="write a whole scenario as arrays, without SCPI")
     _add_story(export)
     export.add_argument("--out", type=Path, required=True, help="file to write, .npz")
@@ -110,50 +127,6 @@ def _scenario(options: argparse.Namespace) -> Scenario:
     )
 
 
-async def _serve(options: argparse.Namespace) -> None:
-    """Serve until a signal asks to stop."""
-    world = World(_scenario(options), options.seed)
-    gate = Gate()
-    dialect = DIALECTS[options.dialect]
-    instrument = Instrument(
-        world, _painter(options, dialect), may_advance=lambda: _may_advance(world, gate), model=dialect.model
-    )
-    ground = await serve_ground(
-        world, gate, host=options.host, port=options.ground_port, await_ground=options.await_ground
-    )
-    analyzer = SimulatedAnalyzer(
-        instrument,
-        dialect,
-        permission=lambda: _permission(world, gate),
-        host=options.host,
-        port=options.port,
-    )
-    stop_wanted = asyncio.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        asyncio.get_running_loop().add_signal_handler(number, stop_wanted.set)
-    try:
-        async with analyzer:
-            _announce(options, analyzer.port, ground.sockets[0].getsockname()[1])
-            await stop_wanted.wait()
-    finally:
-        ground.close()  # not waited for: a connected ground client must not keep the process alive
-
-
-def _painter(options: argparse.Namespace, dialect: Dialect) -> TracePainter:
-    imperfections = IDEAL if options.ideal else dialect.imperfections
-    return TracePainter(options.seed, imperfections, Detail(options.detail))
-
-
-def _may_advance(world: World, gate: Gate) -> bool:
-    """Tell whether the next row may be swept; past the last row there is nothing to hold back."""
-    return world.next_epoch_us is None or gate.is_granted(world.next_epoch_us)
-
-
-async def _permission(world: World, gate: Gate) -> None:
-    if world.next_epoch_us is not None:
-        await gate.wait(world.next_epoch_us)
-
-
 def _run_plant(options: argparse.Namespace) -> int:
     """Close a loop over the standard streams; a reader that leaves ends it without a complaint."""
     # bytes that are no text must reach the parser of lines, which answers them
@@ -164,13 +137,6 @@ def _run_plant(options: argparse.Namespace) -> int:
         # the interpreter flushes once more at its end
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-
-
-def _announce(options: argparse.Namespace, scpi_port: int, ground_port: int) -> None:
-    """Tell the parent process where to connect."""
-    line = {"scpi_port": scpi_port, "ground_port": ground_port, "scenario": options.scenario, "seed": options.seed}
-    sys.stdout.write(json.dumps(line) + "\n")
-    sys.stdout.flush()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -187,7 +153,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.command == "plant":
         return _run_plant(options)
     try:
-        asyncio.run(_serve(options))
+        asyncio.run(serve(options, _scenario(options)))
     except OSError as error:
         sys.stderr.write(f"soo-analyzer: {error}\n")
         return 1

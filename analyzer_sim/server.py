@@ -28,6 +28,12 @@ _THREAD_PATIENCE_S = 10.0
 _Serve = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 
 
+def port_error(name: str, port: int, host: str, error: OSError) -> OSError:
+    """Return what to raise in place of an error of a listening socket: its text names the port."""
+    reason = str(error.strerror or error).rpartition(": ")[2].lower()
+    return OSError(f"{name} port {port} of {host}: {reason}")
+
+
 class SimulatedAnalyzer:
     """The instrument on its TCP ports; an asynchronous context manager.
 
@@ -121,8 +127,7 @@ class SimulatedAnalyzer:
         try:
             server = await asyncio.start_server(on_connection, self._host, port, limit=_STREAM_LIMIT_BYTES)
         except OSError as error:
-            reason = str(error.strerror or error).rpartition(": ")[2].lower()
-            raise OSError(f"{name} port {port} of {self._host}: {reason}") from error
+            raise port_error(name, port, self._host, error) from error
         self._servers.append(server)
 
     async def _stop(self) -> None:

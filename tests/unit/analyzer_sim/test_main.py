@@ -1,11 +1,15 @@
 """Command line of the simulator."""
 
+import socket
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from analyzer_sim.__main__ import build_parser, main
+from analyzer_sim.line_faults import LineFault, LineFaults
+from analyzer_sim.serving import FAULT_NAMES, arm
+from analyzer_sim.trace_faults import TraceFault, TraceFaults
 
 
 def test_serve_has_the_documented_defaults() -> None:
@@ -13,6 +17,13 @@ def test_serve_has_the_documented_defaults() -> None:
     assert (options.dialect, options.port, options.ground_port) == ("rs", 5025, 5026)
     assert (options.scenario, options.seed, options.host, options.detail) == ("demo", 1, "127.0.0.1", "fast")
     assert not options.await_ground
+    assert (options.hislip_port, options.alias_port, options.pace, options.truth_log, options.fault) == (
+        None,
+        [],
+        "virtual",
+        None,
+        [],
+    )
 
 
 @pytest.mark.parametrize(
@@ -27,6 +38,12 @@ def test_serve_has_the_documented_defaults() -> None:
         ["--operation-days", "nan"],
         ["--operation-days", "-1"],
         ["--dialect", "klingon"],
+        ["--pace", "slow"],
+        ["--hislip-port", "-1"],
+        ["--fault", "none"],
+        ["--fault", "nan:0"],
+        ["--fault", "nan:1001"],
+        ["--fault", "nan:x"],
         ["export"],
     ],
 )
@@ -46,10 +63,32 @@ def test_export_writes_the_scenario(tmp_path: Path, capsys: pytest.CaptureFixtur
         assert int(arrays["seed"]) == 4
 
 
-def test_port_in_use_is_told_without_a_traceback(capsys: pytest.CaptureFixture[str]) -> None:
-    import socket
-
+@pytest.mark.parametrize("option", ["--port", "--alias-port", "--hislip-port", "--ground-port"])
+def test_port_in_use_is_told_without_a_traceback(option: str, capsys: pytest.CaptureFixture[str]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
-        assert main(["--port", port, "--ground-port", "0", "--operation-days", "0.05"]) == 1
-    assert "address already in use" in capsys.readouterr().err
+        free = [word for name in ("--port", "--ground-port") if name != option for word in (name, "0")]
+        assert main(["--operation-days", "0.05", *free, option, port]) == 1
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert told.err.startswith("soo-analyzer: ")
+    assert told.err.endswith(f" port {port} of 127.0.0.1: address already in use\n")
+
+
+def test_truth_log_that_cannot_be_written_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "none" / "truth.jsonl"
+    assert main(["--operation-days", "0.05", "--port", "0", "--ground-port", "0", "--truth-log", str(log)]) == 1
+    assert "No such file or directory" in capsys.readouterr().err
+
+
+def test_faults_of_the_command_line_are_armed_in_their_place() -> None:
+    options = build_parser().parse_args(["serve", "--fault", "stale:2", "--fault", "nan:3", "--fault", "silent_peer"])
+    line, trace = LineFaults(), TraceFaults()
+    arm(options.fault, line, trace)
+    assert (line.remaining, trace.remaining, line.is_silent_peer) == (2, 3, True)
+    line.disarm()
+    assert (line.remaining, line.is_silent_peer) == (0, False)
+
+
+def test_every_fault_has_a_name_of_its_own() -> None:
+    assert len(set(FAULT_NAMES)) == len(FAULT_NAMES) == 1 + len(LineFault) + len(TraceFault)
