@@ -8,11 +8,22 @@ from analyzer_sim.command_row import Call, Command
 from analyzer_sim.instrument_settings import reset_state
 from analyzer_sim.painter import Trace
 from analyzer_sim.quantities import store
+from analyzer_sim.scpi_parameters import Boolean
 
 #: span left by the search for the strongest signal, Hz
 _TUNED_SPAN_HZ = 10e6
 _TUNING_POINTS = 50001
 _TUNING_RBW_HZ = 1e6
+
+
+def step_auto_row(pattern: str) -> Command:
+    """Return the row that couples the step of the centre to the span."""
+
+    def write(call: Call, is_auto: bool) -> None:  # noqa: FBT001 - the one value of the command
+        settings = call.instrument.settings
+        settings.step_chosen_hz = None if is_auto else settings.step_hz
+
+    return Command(pattern, write, lambda call: str(int(call.instrument.settings.step_chosen_hz is None)), (Boolean(),))
 
 
 def full_span_row(pattern: str) -> Command:

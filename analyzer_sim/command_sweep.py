@@ -6,6 +6,7 @@ the average type has no code of its own (``BY_TYPE``): it follows that type, as 
 
 import math
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Final
 
 from analyzer_sim.command_row import Call, Command
@@ -143,15 +144,25 @@ def average_state_row(pattern: str) -> Command:
     return Command(pattern, write, query, (Boolean(),))
 
 
-def unit_row(pattern: str, units: tuple[str, ...], conflicting: tuple[str, ...] = ()) -> Command:
-    """Return the row of the unit of levels; ``conflicting`` ones need a set-up that this instrument does not have."""
+def unit_row(
+    pattern: str,
+    units: tuple[str, ...],
+    conflicting: tuple[str, ...] = (),
+    synonyms: Mapping[str, str] = MappingProxyType({}),
+) -> Command:
+    """Return the row of the unit of levels.
+
+    ``conflicting`` units need a set-up that this instrument does not have; ``synonyms`` are other words for units.
+    """
+    unit_of = {short(word): unit for word, unit in synonyms.items()}
 
     def write(call: Call, unit: str) -> None:
         if unit in conflicting:
             raise ScpiError(-221, f"{unit} needs an antenna factor")
-        call.instrument.settings.unit = unit
+        call.instrument.settings.unit = unit_of.get(unit, unit)
 
-    return Command(pattern, write, lambda call: call.instrument.settings.unit, (Choice((*units, *conflicting)),))
+    words = (*units, *synonyms, *conflicting)
+    return Command(pattern, write, lambda call: call.instrument.settings.unit, (Choice(words),))
 
 
 def _initiate(call: Call) -> None:

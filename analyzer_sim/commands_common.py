@@ -105,6 +105,7 @@ SYSTEM_COMMANDS: tuple[Command, ...] = (
     Command("STATus:PRESet", _preset_status),
     Command("SYSTem:ERRor[:NEXT]", query=lambda call: call.instrument.status.pop_error()),
     Command("SYSTem:ERRor:ALL", query=lambda call: call.instrument.status.pop_all_errors()),
+    Command("SYSTem:ERRor:CLEar[:ALL]", lambda call: call.instrument.status.errors.clear()),
     Command("SYSTem:ERRor:COUNt", query=lambda call: str(call.instrument.status.error_count)),
     Command("SYSTem:VERSion", query=lambda _call: "1999.0"),
     Command("SYSTem:PRESet", _preset),

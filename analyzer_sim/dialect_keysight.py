@@ -7,7 +7,7 @@ an empty error queue answers ``+0``; ``FETCh:SANalyzer?`` answers pairs of frequ
 
 from analyzer_sim.command_row import Call, Command
 from analyzer_sim.command_settings import boolean, constant, ignored, inert, inert_number, numeric
-from analyzer_sim.command_span import full_span_row, previous_span_row, tune_row, zero_span_row
+from analyzer_sim.command_span import full_span_row, previous_span_row, step_auto_row, tune_row, zero_span_row
 from analyzer_sim.command_sweep import (
     BY_TYPE,
     CLOCK_ROWS,
@@ -146,6 +146,7 @@ def _restart(call: Call) -> None:
 _FREQUENCY_ROWS = (
     numeric(f"{_SENSE}:FREQuency:CENTer", "center_hz", HERTZ),
     numeric(f"{_SENSE}:FREQuency:CENTer:STEP[:INCRement]", "step_hz", HERTZ),
+    step_auto_row(f"{_SENSE}:FREQuency:CENTer:STEP:AUTO"),
     numeric(f"{_SENSE}:FREQuency:SPAN", "span_hz", HERTZ),
     numeric(f"{_SENSE}:FREQuency:STARt", "start_hz", HERTZ),
     numeric(f"{_SENSE}:FREQuency:STOP", "stop_hz", HERTZ),

@@ -1,8 +1,8 @@
 """Rohde & Schwarz FSV and FSW: what measuring with traces needs; measurement functions stand in functions_rs.py."""
 
 from analyzer_sim.command_row import Command
-from analyzer_sim.command_settings import boolean, choice, constant, ignored, inert, numeric
-from analyzer_sim.command_span import adjust_all_row, adjust_level_row, full_span_row, tune_row
+from analyzer_sim.command_settings import boolean, choice, constant, ignored, inert, inert_number, numeric
+from analyzer_sim.command_span import adjust_all_row, adjust_level_row, full_span_row, step_auto_row, tune_row
 from analyzer_sim.command_sweep import (
     CLOCK_ROWS,
     application_row,
@@ -39,10 +39,12 @@ _DETECTORS = {
 _TRACE_NAME = TraceName(("TRACE",), 6, is_number_legal=False)
 _APPLICATIONS = frozenset({"SAN", "SANALYZER", "SPECTRUM"})
 _UNITS = ("DBM", "V", "A", "W", "DBPW", "DBUV", "DBMV", "DBUA")
+_SYNONYMS = {"AMPere": "A", "VOLT": "V", "WATT": "W"}
 #: little-endian, and no FORMat:BORDer to change it
 TRACE_STYLE = TraceStyle((TraceFormat("ASCii", 0, "ASC,0", "ASC"), TraceFormat("REAL", 32, "REAL,32", "REAL,32")))
 
 _SENSE = "[SENSe<6>]"
+_FREQUENCY = f"{_SENSE}[:WINDow<16>]:FREQuency"
 _BANDWIDTH = f"{_SENSE}:BANDwidth|BWIDth"
 _SWEEP = f"{_SENSE}:SWEep[:WINDow<16>]"
 _DETECTOR = f"{_SENSE}[:WINDow<16>]:DETector<6>"
@@ -51,13 +53,15 @@ _TRACE = "TRACe<16>[:DATA]"
 
 
 _FREQUENCY_ROWS = (
-    numeric(f"{_SENSE}:FREQuency:CENTer", "center_hz", HERTZ),
-    numeric(f"{_SENSE}:FREQuency:CENTer:STEP", "step_hz", HERTZ),
-    numeric(f"{_SENSE}:FREQuency:SPAN", "span_hz", HERTZ),
-    numeric(f"{_SENSE}:FREQuency:STARt", "start_hz", HERTZ),
-    numeric(f"{_SENSE}:FREQuency:STOP", "stop_hz", HERTZ),
-    numeric(f"{_SENSE}:FREQuency:OFFSet", "offset_hz", HERTZ),
-    full_span_row(f"{_SENSE}:FREQuency:SPAN:FULL"),
+    numeric(f"{_FREQUENCY}:CENTer", "center_hz", HERTZ),
+    numeric(f"{_FREQUENCY}:CENTer:STEP", "step_hz", HERTZ),
+    step_auto_row(f"{_FREQUENCY}:CENTer:STEP:AUTO"),
+    inert(f"{_FREQUENCY}:MODE", "SWE", ("SWEep",)),
+    numeric(f"{_FREQUENCY}:SPAN", "span_hz", HERTZ),
+    numeric(f"{_FREQUENCY}:STARt", "start_hz", HERTZ),
+    numeric(f"{_FREQUENCY}:STOP", "stop_hz", HERTZ),
+    numeric(f"{_FREQUENCY}:OFFSet", "offset_hz", HERTZ),
+    full_span_row(f"{_FREQUENCY}:SPAN:FULL"),
     tune_row(f"{_SENSE}:ADJust:FREQuency"),
     adjust_level_row(f"{_SENSE}:ADJust:LEVel"),
     adjust_all_row(f"{_SENSE}:ADJust:ALL"),
@@ -70,6 +74,7 @@ _BANDWIDTH_ROWS = (
     numeric(f"{_BANDWIDTH}:VIDeo", "vbw_hz", HERTZ),
     numeric(f"{_BANDWIDTH}[:RESolution]:RATio", "rbw_per_span"),
     numeric(f"{_BANDWIDTH}:VIDeo:RATio", "vbw_per_rbw"),
+    inert(f"{_BANDWIDTH}:VIDeo:TYPE", "LIN", ("LINear", "LOGarithmic")),
     boolean(f"{_BANDWIDTH}:VIDeo:AUTO", "is_vbw_auto", freeze_vbw),
 )
 
@@ -80,6 +85,7 @@ _SWEEP_ROWS = (
     Command(f"{_SWEEP}:DURation", query=lambda call: f"{QUANTITIES['time_s'].load(call.instrument.settings):.12g}"),
     numeric(f"{_SWEEP}:COUNt", "count"),
     choice(f"{_SWEEP}:TYPE", "sweep_type", ("SWEep", "AUTO", "FFT")),
+    Command(f"{_SWEEP}:TYPE:USED", query=lambda call: "FFT" if call.instrument.settings.is_fft else "SWE"),
     inert(f"{_SWEEP}:OPTimize", "AUTO", ("AUTO", "DYNamic", "SPEed")),
     *detector_rows(f"{_DETECTOR}[:FUNCtion]", f"{_DETECTOR}[:FUNCtion]:AUTO", _DETECTORS),
     average_state_row(f"{_SENSE}:AVERage<6>[:STATe<6>]"),
@@ -94,13 +100,17 @@ _SWEEP_ROWS = (
 _LEVEL_ROWS = (
     numeric(f"{_DISPLAY_TRACE}:Y[:SCALe]:RLEVel", "reference_dbm", parameter=Level()),
     numeric(f"{_DISPLAY_TRACE}:Y[:SCALe]:RLEVel:OFFSet", "level_offset_db", DECIBELS),
+    inert_number(f"{_DISPLAY_TRACE}:Y[:SCALe]", 100.0, 1.0, 200.0, DECIBELS),
+    inert_number(f"{_DISPLAY_TRACE}:Y[:SCALe]:PDIVision", 10.0, 0.1, 20.0, DECIBELS),
+    inert(f"{_DISPLAY_TRACE}:Y[:SCALe]:MODE", "ABS", ("ABSolute", "RELative")),
+    inert(f"{_DISPLAY_TRACE}:Y:SPACing", "LOG", ("LOGarithmic", "LINear", "LDB", "PERCent")),
     numeric("INPut<2>:ATTenuation", "attenuation_db", DECIBELS),
     boolean("INPut<2>:ATTenuation:AUTO", "is_attenuation_auto", freeze_attenuation),
     boolean("INPut<2>:GAIN:STATe", "is_preamplifier_on"),
     inert("INPut<2>:COUPling", "AC", ("AC", "DC")),
     constant("INPut<2>:IMPedance", "50"),
-    unit_row("UNIT<16>:POWer", _UNITS),
-    unit_row("CALCulate<16>:UNIT:POWer", _UNITS),
+    unit_row("UNIT<16>:POWer", _UNITS, synonyms=_SYNONYMS),
+    unit_row("CALCulate<16>:UNIT:POWer", _UNITS, synonyms=_SYNONYMS),
 )
 
 _TRACE_ROWS = (

@@ -7,7 +7,14 @@ a sweep is polled with ``TRACe:SWEep:STATe?``.
 
 from analyzer_sim.command_row import Call, Command
 from analyzer_sim.command_settings import boolean, choice, constant, ignored, inert, inert_number, numeric
-from analyzer_sim.command_span import full_span_row, previous_span_row, scaled_span_row, tune_row, zero_span_row
+from analyzer_sim.command_span import (
+    full_span_row,
+    previous_span_row,
+    scaled_span_row,
+    step_auto_row,
+    tune_row,
+    zero_span_row,
+)
 from analyzer_sim.command_sweep import (
     BY_TYPE,
     CLOCK_ROWS,
@@ -68,6 +75,7 @@ def _clear_average(call: Call) -> None:
 _FREQUENCY_ROWS = (
     numeric(f"{_SENSE}:FREQuency:CENTer", "center_hz", HERTZ),
     numeric(f"{_SENSE}:FREQuency:CENTer:STEP[:INCRement]", "step_hz", HERTZ),
+    step_auto_row(f"{_SENSE}:FREQuency:CENTer:STEP:AUTO"),
     numeric(f"{_SENSE}:FREQuency:SPAN", "span_hz", HERTZ),
     numeric(f"{_SENSE}:FREQuency:STARt", "start_hz", HERTZ),
     numeric(f"{_SENSE}:FREQuency:STOP", "stop_hz", HERTZ),
