@@ -10,7 +10,8 @@ import re
 import shutil
 import socket
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -99,7 +100,7 @@ class Analyzer:
 
     dialect: str
     scpi_port: int
-    hislip_port: int | None
+    hislip_port: int
     truth: Truth
     _lines: list[socket.socket] = field(default_factory=list)
 
@@ -111,8 +112,6 @@ class Analyzer:
     @property
     def hislip_name(self) -> str:
         """VISA resource of HiSLIP."""
-        if self.hislip_port is None:
-            pytest.skip("this simulator has no HiSLIP port")
         return f"TCPIP::127.0.0.1::hislip0,{self.hislip_port}::INSTR"
 
     def resource_name(self, transport: str) -> str:
@@ -163,20 +162,18 @@ def truth(tmp_path_factory: pytest.TempPathFactory) -> Truth:
     return Truth.exported(tmp_path_factory.mktemp("world") / "world.npz")
 
 
-@pytest.fixture
-def analyzer(request: pytest.FixtureRequest, truth: Truth) -> Iterator[Analyzer]:
-    """A simulator that speaks the dialect of the test's client; no errors of its own but the statistics of noise."""
-    row = request.node.get_closest_marker("client").kwargs
-    command = [PROGRAM, *STORY, "--port", "0", "--ground-port", "0", "--dialect", row["dialect"], "--ideal"]
-    command += ["--hislip-port", "0"]
+@contextmanager
+def running(dialect: str, truth: Truth) -> Iterator[Analyzer]:
+    """Run a simulator without errors of its own but the statistics of noise."""
+    command = [PROGRAM, *STORY, "--dialect", dialect, "--ideal"]
+    command += ["--port", "0", "--hislip-port", "0", "--ground-port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
-            assert process.stderr is not None
             line = process.stdout.readline()
-            assert line, process.stderr.read()
+            assert line, process.communicate()[1]
             ports = json.loads(line)
-            simulator = Analyzer(row["dialect"], ports["scpi_port"], ports.get("hislip_port"), truth)
+            simulator = Analyzer(dialect, ports["scpi_port"], ports["hislip_port"], truth)
             yield simulator
             simulator.close()
         finally:
@@ -184,6 +181,28 @@ def analyzer(request: pytest.FixtureRequest, truth: Truth) -> Iterator[Analyzer]
             complaints = process.communicate(timeout=10)[1]
     assert complaints == "", "the simulator complained"
     assert process.returncode == 0
+
+
+@pytest.fixture(scope="session")
+def simulators(truth: Truth) -> Iterator[Callable[[str], Analyzer]]:
+    """One simulator a dialect, which all its clients visit one after another."""
+    with ExitStack() as stack:
+        made: dict[str, Analyzer] = {}
+
+        def simulator(dialect: str) -> Analyzer:
+            if dialect not in made:
+                made[dialect] = stack.enter_context(running(dialect, truth))
+            return made[dialect]
+
+        yield simulator
+
+
+@pytest.fixture
+def analyzer(request: pytest.FixtureRequest, simulators: Callable[[str], Analyzer]) -> Analyzer:
+    """The simulator of the dialect that the test's client speaks, as after power-on."""
+    simulator = simulators(request.node.get_closest_marker("client").kwargs["dialect"])
+    assert simulator.ask("*RST;*CLS;*ESE 0;*SRE 0;*OPC?") == "1"
+    return simulator
 
 
 def version_of(name: str) -> str:
@@ -196,6 +215,12 @@ def version_of(name: str) -> str:
     told = subprocess.run([program, "--version"], capture_output=True, text=True, check=False, timeout=10)
     found = re.search(r"\d[\w.]*", told.stdout)
     return found.group() if found else "?"
+
+
+@pytest.fixture(name="version_of", scope="session")
+def version_of_client() -> Callable[[str], str]:
+    """Tell the version of a client."""
+    return version_of
 
 
 ROWS: list[tuple[str, ...]] = []
