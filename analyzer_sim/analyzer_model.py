@@ -101,6 +101,8 @@ class AnalyzerModel:
     are_points_fixed: bool = False
     #: REAL and INT blocks after ``*RST``
     is_big_endian: bool = False
+    #: bit of QUEStionable:CONDition that tells of a sweep faster than the filter settles: 8 CALibration, 9 INTegrity
+    uncalibrated_bit: int = 8
     #: answer of an empty error queue
     no_error: str = '0,"No error"'
     #: entries the error queue holds

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from analyzer_sim.command_row import Call, Command
 from analyzer_sim.scpi_errors import ScpiError
 from analyzer_sim.scpi_parameters import PURE, Numeric
-from analyzer_sim.status import StatusModel, StatusRegister
+from analyzer_sim.status import REGISTER_MASK, StatusModel, StatusRegister
 
 _MASK = Numeric(PURE)
 
@@ -78,11 +78,17 @@ _REGISTERS: tuple[tuple[str, Callable[[StatusModel], StatusRegister]], ...] = (
 )
 
 
-def _register_rows(pattern: str, register_of: Callable[[StatusModel], StatusRegister]) -> tuple[Command, ...]:
+def register_rows(pattern: str, register_of: Callable[[StatusModel], StatusRegister]) -> tuple[Command, ...]:
     """Return the rows of one SCPI status register."""
 
     def put_enable(call: Call, value: float | str) -> None:
         register_of(call.instrument.status).put_enable(_mask_value(value, 65535))
+
+    def put_rising(call: Call, value: float | str) -> None:
+        register_of(call.instrument.status).rising = _mask_value(value, 65535) & REGISTER_MASK
+
+    def put_falling(call: Call, value: float | str) -> None:
+        register_of(call.instrument.status).falling = _mask_value(value, 65535) & REGISTER_MASK
 
     return (
         Command(f"{pattern}[:EVENt]", query=lambda call: str(register_of(call.instrument.status).take_event())),
@@ -93,6 +99,18 @@ def _register_rows(pattern: str, register_of: Callable[[StatusModel], StatusRegi
             lambda call: str(register_of(call.instrument.status).enable),
             (_MASK,),
         ),
+        Command(
+            f"{pattern}:PTRansition",
+            put_rising,
+            lambda call: str(register_of(call.instrument.status).rising),
+            (_MASK,),
+        ),
+        Command(
+            f"{pattern}:NTRansition",
+            put_falling,
+            lambda call: str(register_of(call.instrument.status).falling),
+            (_MASK,),
+        ),
     )
 
 
@@ -101,7 +119,7 @@ def _preset_status(call: Call) -> None:
 
 
 SYSTEM_COMMANDS: tuple[Command, ...] = (
-    *(row for pattern, register_of in _REGISTERS for row in _register_rows(pattern, register_of)),
+    *(row for pattern, register_of in _REGISTERS for row in register_rows(pattern, register_of)),
     Command("STATus:PRESet", _preset_status),
     Command("SYSTem:ERRor[:NEXT]", query=lambda call: call.instrument.status.pop_error()),
     Command("SYSTem:ERRor:ALL", query=lambda call: call.instrument.status.pop_all_errors()),

@@ -37,7 +37,7 @@ from analyzer_sim.command_traces import (
     trace_reader,
     trace_row,
 )
-from analyzer_sim.commands_common import COMMON_COMMANDS, SYSTEM_COMMANDS
+from analyzer_sim.commands_common import COMMON_COMMANDS, SYSTEM_COMMANDS, register_rows
 from analyzer_sim.dialect import Dialect
 from analyzer_sim.functions_keysight import FUNCTION_ROWS
 from analyzer_sim.instrument_settings import reset_state
@@ -238,6 +238,7 @@ _MISCELLANEOUS_ROWS = (
     Command("CONFigure:SANalyzer:NDEFault", _keep_spectrum),
     inert("CALibration:AUTO", "ON", ("ON", "PARTial", "OFF", "ALERt")),
     inert("DISPlay:ENABle", "1"),
+    *register_rows("STATus:QUEStionable:INTegrity", lambda status: status.questionable_integrity),
     ignored("SYSTem:LOCal"),
     ignored("SYSTem:REMote"),
     *CLOCK_ROWS,

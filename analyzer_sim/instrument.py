@@ -25,7 +25,7 @@ from analyzer_sim.instrument_settings import Settings, reset_state
 from analyzer_sim.models import FSW_26
 from analyzer_sim.painter import FloatArray, Trace, TracePainter
 from analyzer_sim.scpi_errors import ScpiError
-from analyzer_sim.status import ESR_OPERATION_COMPLETE, QUESTIONABLE_CALIBRATION, StatusModel
+from analyzer_sim.status import ESR_OPERATION_COMPLETE, StatusModel
 from analyzer_sim.sweep_life import OPERATION_BITS, Pace, SweepLife, SweepState
 from analyzer_sim.trace_faults import TraceFaults
 from analyzer_sim.truth_log import Reading, TruthLog
@@ -315,4 +315,4 @@ class Instrument:
             self._truth.sweep(self._sweeps, emission, entries[0])
         self.status.put_questionable_power(reduce(or_, (trace.overload for trace in traces)))
         is_uncalibrated = any(entry.is_uncalibrated for entry in entries)
-        self.status.questionable.put_bit(QUESTIONABLE_CALIBRATION, is_set=is_uncalibrated)
+        self.status.put_uncalibrated(self.model.uncalibrated_bit, is_set=is_uncalibrated)

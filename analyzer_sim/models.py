@@ -48,6 +48,7 @@ N9020B = AnalyzerModel(
     is_continuous_after_reset=False,
     is_continuous_after_preset=True,
     is_big_endian=True,
+    uncalibrated_bit=9,
     no_error='+0,"No error"',
 )
 

@@ -23,24 +23,31 @@ OPERATION_SWEEPING = 1 << 3
 OPERATION_WAITING_FOR_TRIGGER = 1 << 5
 #: QUEStionable:CONDition, the power is outside the range of the input
 QUESTIONABLE_POWER = 1 << 3
-#: QUEStionable:CONDition, the trace is not calibrated: swept faster than the filter settles
-QUESTIONABLE_CALIBRATION = 1 << 8
+#: QUEStionable:INTegrity:CONDition, a sweep faster than the filter settles
+INTEGRITY_UNCALIBRATED = 1 << 3
 
-_REGISTER_MASK = 0x7FFF
+#: bits of a SCPI register that are used; bit 15 is always zero
+REGISTER_MASK = 0x7FFF
 
 
 class StatusRegister:
-    """One SCPI status register: condition, event (rising edges) and enable, 15 bits each."""
+    """One SCPI status register: condition, event, enable and the filters of edges, 15 bits each.
+
+    An edge is latched in the event part when its filter lets it through; after a preset that is every rising one.
+    """
 
     def __init__(self) -> None:
         self.condition = 0
         self.event = 0
         self.enable = 0
+        self.rising = REGISTER_MASK
+        self.falling = 0
 
     def put_condition(self, bits: int) -> None:
-        """Replace the condition; bits that rise are latched in the event part."""
-        self.event |= bits & ~self.condition & _REGISTER_MASK
-        self.condition = bits & _REGISTER_MASK
+        """Replace the condition; edges that their filter lets through are latched in the event part."""
+        risen, fallen = bits & ~self.condition, self.condition & ~bits
+        self.event |= (risen & self.rising | fallen & self.falling) & REGISTER_MASK
+        self.condition = bits & REGISTER_MASK
 
     def put_bit(self, bit: int, *, is_set: bool) -> None:
         """Set or clear one bit of the condition."""
@@ -48,7 +55,11 @@ class StatusRegister:
 
     def put_enable(self, bits: int) -> None:
         """Replace the enable mask; bit 15 is always zero."""
-        self.enable = bits & _REGISTER_MASK
+        self.enable = bits & REGISTER_MASK
+
+    def preset(self) -> None:
+        """Report nothing; let rising edges through."""
+        self.enable, self.rising, self.falling = 0, REGISTER_MASK, 0
 
     def take_event(self) -> int:
         """Return the event part and clear it."""
@@ -112,6 +123,7 @@ class StatusModel:
         self.operation = StatusRegister()
         self.questionable = StatusRegister()
         self.questionable_power = StatusRegister()
+        self.questionable_integrity = StatusRegister()
         self.event = ESR_POWER_ON
         self.event_enable = 0
         self.service_enable = 0
@@ -122,6 +134,10 @@ class StatusModel:
     def new_queue(self) -> ErrorQueue:
         """Return an empty error queue of this instrument's kind."""
         return ErrorQueue(*self._queue_figures)
+
+    @property
+    def _registers(self) -> tuple[StatusRegister, ...]:
+        return self.operation, self.questionable, self.questionable_power, self.questionable_integrity
 
     def push_error(self, code: int, detail: str = "") -> None:
         """Queue an error and set its event bit; when the queue is full its last entry becomes -350."""
@@ -153,6 +169,11 @@ class StatusModel:
         self.questionable_power.put_condition(bits)
         self.questionable.put_bit(QUESTIONABLE_POWER, is_set=bits != 0)
 
+    def put_uncalibrated(self, bit: int, *, is_set: bool) -> None:
+        """Tell whether the sweep shown was too fast: in this bit of QUEStionable and in INTegrity."""
+        self.questionable_integrity.put_bit(INTEGRITY_UNCALIBRATED, is_set=is_set)
+        self.questionable.put_bit(1 << bit, is_set=is_set)
+
     def status_byte(self, *, has_response: bool) -> int:
         """Return the status byte; bit 6 is the master summary."""
         byte = (
@@ -168,10 +189,10 @@ class StatusModel:
         """``*CLS``: empty the event registers and the error queue; enables stay."""
         self.errors.clear()
         self.event = 0
-        for register in (self.operation, self.questionable, self.questionable_power):
+        for register in self._registers:
             register.event = 0
 
     def preset(self) -> None:
         """``STATus:PRESet``: disable the reporting of both SCPI registers."""
-        for register in (self.operation, self.questionable, self.questionable_power):
-            register.enable = 0
+        for register in self._registers:
+            register.preset()

@@ -198,3 +198,11 @@ def test_level_offset_moves_trace_and_reference(bench: Any) -> None:
 def test_one_point_is_a_trace_too(bench: Any) -> None:
     bench.ask(SETUP + ";:SWE:POIN 1;:INIT;*WAI")
     assert np.isfinite(numbers(bench.ask("TRAC? TRACE1"))).tolist() == [True]
+
+
+def test_too_fast_sweep_is_a_matter_of_integrity(bench: Any) -> None:
+    bench.ask(SETUP + ";:STAT:QUES:ENAB 512;:INIT;*WAI")
+    assert bench.ask("STAT:QUES:COND?;INT:COND?") == "0;0"
+    bench.ask("SWE:TIME 0.01;:INIT;*WAI")
+    assert bench.ask("STAT:QUES:COND?;INT:COND?") == "512;8"
+    assert bench.ask("*STB?") == "8"

@@ -52,6 +52,8 @@ def bench(make_bench: Callable[..., Any], dialect: Dialect) -> Any:
         ("*OPC?;*ESE?;*SRE?;*TST?", "1;0;0;0"),
         ("SYST:ERR:COUN?;VERS?", None),
         (":SYST:VERS?", "1999.0"),
+        ("STAT:OPER:PTR?;NTR?;NTR 32;NTR?;:STAT:PRES;:STAT:OPER:NTR?", "32767;0;32;0"),
+        ("STAT:QUES:ENAB 8;ENAB?;EVEN?;COND?;:STAT:PRES;:STAT:QUES:ENAB?", "8;0;0;0"),
     ],
 )
 def test_message_is_understood(bench: Any, message: str, answer: str | None) -> None:

@@ -92,3 +92,15 @@ def test_register_latches_rising_edges_only() -> None:
     assert (register.condition, register.take_event()) == (0, 0)
     register.put_enable(0xFFFF)
     assert register.enable == 0x7FFF
+
+
+def test_filters_of_edges_decide_what_is_latched() -> None:
+    register = StatusRegister()
+    register.rising, register.falling = 2, 4
+    register.put_condition(7)
+    assert register.take_event() == 2
+    register.put_condition(0)
+    assert register.take_event() == 4
+    register.preset()
+    register.put_condition(7)
+    assert register.take_event() == 7
