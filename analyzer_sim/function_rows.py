@@ -149,6 +149,8 @@ def middle_band(trace: Trace, width_hz: float) -> Band:
 
 def start_if_stale(call: Call) -> None:
     """Start a single sweep unless there is a trace with the present settings."""
+    if call.instrument.settings.is_continuous:
+        return
     try:
         call.instrument.trace()
     except ScpiError:

@@ -134,7 +134,7 @@ def _put_frequency(call: Call, value: float | str) -> None:
         raise ScpiError(-221, "zero span")
     wanted_hz = words[value] if isinstance(value, str) else value - settings.offset_hz
     inside_hz = min(max(wanted_hz, settings.start_hz), settings.stop_hz)
-    step_hz = settings.span_hz / (settings.points - 1)
+    step_hz = settings.span_hz / max(settings.points - 1, 1)
     marker = marker_of(call)
     marker.is_on = True
     marker.frequency_hz = settings.start_hz + round((inside_hz - settings.start_hz) / step_hz) * step_hz

@@ -57,9 +57,11 @@ def _put_set(call: Call, *values: object) -> None:
     """Store what is evaluated; only the free-running trigger exists."""
     switches, trigger = values[: len(_SWITCHES)], values[len(_SWITCHES) :]
     words = call.instrument.functions.words
+    source, slope, *times = trigger
+    if any(isinstance(time, str) for time in times):
+        raise ScpiError(-141)
+    words.update(zip(_TRIGGER, (str(source), str(slope), *(f"{time:g}" for time in times)), strict=True))
     words.update({name: str(int(bool(value))) for name, value in zip(_SWITCHES, switches, strict=True)})
-    for name, value in zip(_TRIGGER, trigger, strict=True):
-        words[name] = value if isinstance(value, str) else f"{value:g}"
     call.instrument.invalidate()
 
 
