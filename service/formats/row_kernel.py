@@ -15,12 +15,15 @@ from numpy.typing import NDArray
 Bytes = NDArray[np.uint8]
 #: bytes of an epoch, ``2026-11-21T00:00:00.000000Z``
 EPOCH_BYTES = 27
-#: bytes of a value and its comma at most: sign, seven digits, point, nine decimals, comma
-VALUE_BYTES = 19
+#: bytes of a value at most: sign, seven digits, point, nine decimals
+VALUE_BYTES = 18
 #: instants that the calendar below is meant for: 1970 to 9999
 LAST_EPOCH_US = 253_402_300_800_000_000
 
-FillRows = Callable[[Bytes, NDArray[np.int64], NDArray[np.float32], Bytes, Bytes, Bytes, Bytes], int]
+#: out, epochs, values, before, between, leads, ends of the leads, absent, after
+FillRows = Callable[
+    [Bytes, NDArray[np.int64], NDArray[np.float32], Bytes, Bytes, Bytes, NDArray[np.int64], Bytes, Bytes], int
+]
 
 _POWERS = np.array([10**k for k in range(18)], dtype=np.int64)
 _DIGIT = ord("0")
@@ -32,10 +35,12 @@ def fill_rows(
     values: NDArray[np.float32],
     before: Bytes,
     between: Bytes,
+    leads: Bytes,
+    lead_ends: NDArray[np.int64],
     absent: Bytes,
     after: Bytes,
 ) -> int:
-    """Write ``before epoch between value,value,.. after`` for each row into ``out``; return the bytes written.
+    """Write ``before epoch between lead value lead value .. after`` for each row; return the bytes written.
 
     Parameters
     ----------
@@ -47,6 +52,10 @@ def fill_rows(
         NaN is written as ``absent``.
     before, between, absent, after : ndarray of uint8
         Fixed pieces of a row.
+    leads : ndarray of uint8
+        What stands before each value, one after the other.
+    lead_ends : ndarray, shape (N + 1,)
+        Where each of them begins, and where the last one ends.
 
     Returns
     -------
@@ -59,8 +68,8 @@ def fill_rows(
         at = _put_epoch(out, at, epochs_us[row])
         at = _put_bytes(out, at, between)
         for column in range(values.shape[1]):
-            if column > 0:
-                out[at] = 44  # comma
+            for place in range(lead_ends[column], lead_ends[column + 1]):
+                out[at] = leads[place]
                 at += 1
             value = values[row, column]
             at = _put_bytes(out, at, absent) if np.isnan(value) else _put_value(out, at, value)

@@ -22,7 +22,10 @@ class RowFrame(NamedTuple):
     """What stands around epoch and values of a row."""
 
     before: bytes
+    #: after the epoch
     between: bytes
+    #: before each value
+    leads: tuple[bytes, ...]
     #: in place of a value that is absent
     absent: bytes
     after: bytes
@@ -63,12 +66,27 @@ class RowText:
         is_in_calendar = int(epochs_us.min()) >= 0 and int(epochs_us.max()) < LAST_EPOCH_US
         if self._fill is None or not is_in_calendar or np.isinf(values).any():
             return plain_rows(epochs_us, values, frame)
-        pieces = [np.frombuffer(piece, dtype=np.uint8) for piece in frame]
-        row_bytes = EPOCH_BYTES + sum(map(len, frame)) + values.shape[1] * max(VALUE_BYTES, len(frame.absent) + 1)
+        leads = b"".join(frame.leads)
+        fixed = len(frame.before) + len(frame.between) + len(leads) + len(frame.after)
+        row_bytes = EPOCH_BYTES + fixed + values.shape[1] * max(VALUE_BYTES, len(frame.absent))
         if len(self._buffer) < len(epochs_us) * row_bytes:
             self._buffer = np.empty(len(epochs_us) * row_bytes, dtype=np.uint8)
-        written = self._fill()(self._buffer, epochs_us, np.ascontiguousarray(values), *pieces)
+        written = self._fill()(
+            self._buffer,
+            epochs_us,
+            np.ascontiguousarray(values),
+            _as_array(frame.before),
+            _as_array(frame.between),
+            _as_array(leads),
+            np.cumsum([0, *map(len, frame.leads)], dtype=np.int64),
+            _as_array(frame.absent),
+            _as_array(frame.after),
+        )
         return self._buffer[:written].tobytes() if written >= 0 else plain_rows(epochs_us, values, frame)
+
+
+def _as_array(piece: bytes) -> NDArray[np.uint8]:
+    return np.frombuffer(piece, dtype=np.uint8)
 
 
 def plain_rows(epochs_us: NDArray[np.int64], values: NDArray[np.float32], frame: RowFrame) -> bytes:
@@ -76,18 +94,16 @@ def plain_rows(epochs_us: NDArray[np.int64], values: NDArray[np.float32], frame:
 
     Examples
     --------
-    >>> plain_rows(np.array([0]), np.array([[-42.1, np.nan]], dtype=np.float32), RowFrame(b"", b",", b"", b";"))
+    >>> frame = RowFrame(b"", b"", (b",", b","), b"", b";")
+    >>> plain_rows(np.array([0]), np.array([[-42.1, np.nan]], dtype=np.float32), frame)
     b'1970-01-01T00:00:00.000000Z,-42.1,;'
     """
     width = values.shape[1]
-    absent = frame.absent.decode()
-    texts = [text or absent for text in text_of_float32(values.astype(np.float64))]
-    lines = (
-        frame.before
-        + format_epoch(epoch_us).encode()
-        + frame.between
-        + ",".join(texts[row * width : (row + 1) * width]).encode()
-        + frame.after
-        for row, epoch_us in enumerate(epochs_us.tolist())
-    )
-    return b"".join(lines)
+    texts = [text.encode() or frame.absent for text in text_of_float32(values.astype(np.float64))]
+    parts: list[bytes] = []
+    for row, epoch_us in enumerate(epochs_us.tolist()):
+        parts += (frame.before, format_epoch(epoch_us).encode(), frame.between)
+        for lead, text in zip(frame.leads, texts[row * width : (row + 1) * width], strict=True):
+            parts += (lead, text)
+        parts.append(frame.after)
+    return b"".join(parts)

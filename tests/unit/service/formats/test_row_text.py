@@ -15,9 +15,11 @@ from numpy.typing import NDArray
 from service.formats.row_text import RowFrame, RowText, plain_rows
 from service.records.epoch import format_epoch
 
-CSV = RowFrame(b"", b",sa-1,", b"", b"\r\n")
-NDJSON = RowFrame(b'{"epoch":"', b'","power_dbm":[', b"null", b"]}\n")
 COMPILED = RowText("numba")
+
+
+def _csv(width: int) -> RowFrame:
+    return RowFrame(b"", b",sa-1", (b",",) * width, b"", b"\r\n")
 
 
 def _read_csv(text: bytes) -> tuple[list[str], NDArray[np.float32]]:
@@ -41,7 +43,8 @@ def _same(one: NDArray[np.float32], other: NDArray[np.float32]) -> bool:
 )
 def test_every_float32_reads_back(values: NDArray[np.float32], epoch_us: int) -> None:
     epochs_us = np.full(len(values), epoch_us)
-    for text in (COMPILED.rows(epochs_us, values, CSV), plain_rows(epochs_us, values, CSV)):
+    frame = _csv(values.shape[1])
+    for text in (COMPILED.rows(epochs_us, values, frame), plain_rows(epochs_us, values, frame)):
         epochs, again = _read_csv(text)
         assert epochs == [format_epoch(epoch_us)] * len(values)
         assert _same(again, values)
@@ -51,7 +54,7 @@ def test_every_float32_reads_back(values: NDArray[np.float32], epoch_us: int) ->
 def test_rounded_levels_are_written_with_their_own_decimals(decimals: int) -> None:
     rng = np.random.default_rng(decimals)
     wanted = rng.uniform(-127.0, 50.0, 4000).round(decimals)
-    text = COMPILED.rows(np.arange(4000), wanted.astype(np.float32)[:, np.newaxis], CSV).decode()
+    text = COMPILED.rows(np.arange(4000), wanted.astype(np.float32)[:, np.newaxis], _csv(1)).decode()
     cells = [line.split(",")[2] for line in text.splitlines()]
     assert max(len(cell.partition(".")[2]) for cell in cells) <= decimals
     assert [float(cell) for cell in cells] == wanted.tolist()
@@ -59,20 +62,21 @@ def test_rounded_levels_are_written_with_their_own_decimals(decimals: int) -> No
 
 def test_lines_of_json_hold_null_for_what_is_absent() -> None:
     values = np.array([[-42.1, np.nan], [np.nan, np.nan]], dtype=np.float32)
-    lines = COMPILED.rows(np.array([0, 1_500_000]), values, NDJSON).splitlines()
+    frame = RowFrame(b'{"epoch":"', b'"', (b',"c00_dbm":', b',"c1_dbm":'), b"null", b"}\n")
+    lines = COMPILED.rows(np.array([0, 1_500_000]), values, frame).splitlines()
     assert [json.loads(line) for line in lines] == [
-        {"epoch": "1970-01-01T00:00:00.000000Z", "power_dbm": [-42.1, None]},
-        {"epoch": "1970-01-01T00:00:01.500000Z", "power_dbm": [None, None]},
+        {"epoch": "1970-01-01T00:00:00.000000Z", "c00_dbm": -42.1, "c1_dbm": None},
+        {"epoch": "1970-01-01T00:00:01.500000Z", "c00_dbm": None, "c1_dbm": None},
     ]
 
 
 def test_nothing_gives_nothing() -> None:
-    assert COMPILED.rows(np.empty(0, dtype=np.int64), np.empty((0, 3), dtype=np.float32), CSV) == b""
+    assert COMPILED.rows(np.empty(0, dtype=np.int64), np.empty((0, 3), dtype=np.float32), _csv(3)) == b""
 
 
 def test_calendar_of_every_month_and_leap_day() -> None:
     days = np.arange("2023-12-31", "2028-03-02", dtype="datetime64[D]").astype("datetime64[us]").astype(np.int64)
-    text = COMPILED.rows(days + 86_399_999_999, np.zeros((len(days), 1), dtype=np.float32), CSV).decode()
+    text = COMPILED.rows(days + 86_399_999_999, np.zeros((len(days), 1), dtype=np.float32), _csv(1)).decode()
     assert [line[:27] for line in text.splitlines()] == [format_epoch(int(day) + 86_399_999_999) for day in days]
 
 
@@ -80,11 +84,11 @@ def test_faster_than_the_csv_module() -> None:
     rng = np.random.default_rng(2)
     values = rng.normal(-60.0, 5.0, (20_000, 16)).round(2).astype(np.float32)
     epochs_us = 1_800_000_000_000_000 + 10_000_000 * np.arange(20_000)
-    COMPILED.rows(epochs_us[:1], values[:1], CSV)
+    COMPILED.rows(epochs_us[:1], values[:1], _csv(16))
     ratios = []
     for _ in range(3):
         began = time.perf_counter()
-        COMPILED.rows(epochs_us, values, CSV)
+        COMPILED.rows(epochs_us, values, _csv(16))
         middle = time.perf_counter()
         writer = csv.writer(io.StringIO())
         for epoch_us, row in zip(epochs_us[:2000].tolist(), values[:2000].tolist(), strict=True):

@@ -1,0 +1,204 @@
+"""Measurements as files by columns: CSV, NDJSON and Parquet; bytes out, block by block.
+
+Columns: epoch, source, then ``<carrier id>_dbm`` for the carriers of all plans that occur, in the order in which ids
+first appear. A carrier that a plan does not hold is absent, as is a level that was not measured. What is written reads
+back to the stored float32 bit for bit. Memory is that of one block.
+"""
+
+import io
+import json
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, Literal, Protocol
+
+import numpy as np
+
+from service.formats.row_text import RowFrame, RowText
+from service.records.attitude import IntArray
+from service.records.measurement import Float32Array
+from service.records.measurement_block import MeasurementBlock
+
+Kernels = Literal["numba", "numpy"]
+#: rows of a group of Parquet; a reader holds one at a time
+GROUP_ROWS = 131_072
+
+
+class MeasurementColumns:
+    """Where the levels of each plan stand among the columns of a file.
+
+    Parameters
+    ----------
+    plans : sequence of sequences of str
+        Carrier ids of every plan that occurs.
+    carriers_of : callable
+        Gives the carrier ids of a plan by its number.
+    """
+
+    def __init__(self, plans: Sequence[Sequence[str]], carriers_of: Callable[[int], Sequence[str]]) -> None:
+        self.carriers = tuple(dict.fromkeys(name for plan in plans for name in plan))
+        self._carriers_of = carriers_of
+        self._places: dict[int, IntArray | None] = {}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all columns."""
+        return ("epoch", "source", *(f"{name}_dbm" for name in self.carriers))
+
+    def values(self, block: MeasurementBlock) -> Float32Array:
+        """Return the levels of a block by column, shape (T, columns); NaN = absent."""
+        places = self._places_of(block.plan_id)
+        if places is None:
+            return block.power_dbm
+        values = np.full((len(block.epochs_us), len(self.carriers)), np.nan, dtype=np.float32)
+        values[:, places] = block.power_dbm
+        return values
+
+    def _places_of(self, plan_id: int) -> IntArray | None:
+        """Return the column of each level of a plan; None where the plan is the columns themselves."""
+        if plan_id not in self._places:
+            carriers = tuple(self._carriers_of(plan_id))
+            column = {name: k for k, name in enumerate(self.carriers)}
+            is_whole = carriers == self.carriers
+            self._places[plan_id] = None if is_whole else np.array([column[name] for name in carriers], dtype=np.int64)
+        return self._places[plan_id]
+
+
+class MeasurementFile(Protocol):
+    """Writer of one file."""
+
+    def begin(self) -> bytes:
+        """Return what stands before the first row."""
+        ...
+
+    def rows(self, block: MeasurementBlock) -> bytes:
+        """Return what a block adds; may be empty when it is held back."""
+        ...
+
+    def end(self) -> bytes:
+        """Return what stands after the last row."""
+        ...
+
+
+def file_bytes(file: MeasurementFile, blocks: Iterable[MeasurementBlock]) -> Iterator[bytes]:
+    """Yield a whole file, piece by piece; empty pieces are left out."""
+    if start := file.begin():
+        yield start
+    for block in blocks:
+        if piece := file.rows(block):
+            yield piece
+    if end := file.end():
+        yield end
+
+
+class CsvFile:
+    """CSV by RFC 4180, empty cells for what is absent."""
+
+    def __init__(self, columns: MeasurementColumns, kernels: Kernels = "numba") -> None:
+        self._columns = columns
+        self._text = RowText(kernels)
+        self._leads = (b",",) * len(columns.carriers)
+
+    def begin(self) -> bytes:
+        """Return the header line."""
+        return ",".join(map(_csv_field, self._columns.names)).encode() + b"\r\n"
+
+    def rows(self, block: MeasurementBlock) -> bytes:
+        """Return one line a row."""
+        frame = RowFrame(b"", f",{_csv_field(block.source)}".encode(), self._leads, b"", b"\r\n")
+        return self._text.rows(block.epochs_us, self._columns.values(block), frame)
+
+    def end(self) -> bytes:
+        """Return nothing."""
+        return b""
+
+
+class NdjsonFile:
+    """One JSON object a line, null for what is absent."""
+
+    def __init__(self, columns: MeasurementColumns, kernels: Kernels = "numba") -> None:
+        self._columns = columns
+        self._text = RowText(kernels)
+        self._leads = tuple(f",{json.dumps(name)}:".encode() for name in columns.names[2:])
+
+    def begin(self) -> bytes:
+        """Return nothing."""
+        return b""
+
+    def rows(self, block: MeasurementBlock) -> bytes:
+        """Return one line a row."""
+        between = f'","source":{json.dumps(block.source)}'.encode()
+        frame = RowFrame(b'{"epoch":"', between, self._leads, b"null", b"}\n")
+        return self._text.rows(block.epochs_us, self._columns.values(block), frame)
+
+    def end(self) -> bytes:
+        """Return nothing."""
+        return b""
+
+
+class ParquetFile:
+    """Parquet: timestamps in UTC, float32 levels, null for what is absent; zstd."""
+
+    def __init__(self, columns: MeasurementColumns) -> None:
+        # 90 ms that only Parquet needs
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        self._columns = columns
+        self._pa: Any = pa
+        fields = [pa.field("epoch", pa.timestamp("us", tz="UTC"), nullable=False)]
+        fields.append(pa.field("source", pa.dictionary(pa.int32(), pa.string()), nullable=False))
+        fields += [pa.field(name, pa.float32()) for name in columns.names[2:]]
+        self._schema: Any = pa.schema(fields)
+        self._sink = io.BytesIO()
+        self._writer: Any = parquet.ParquetWriter(
+            self._sink, self._schema, compression="zstd", use_dictionary=["source"], use_byte_stream_split=True
+        )
+        self._held: list[Any] = []
+        self._held_rows = 0
+
+    def begin(self) -> bytes:
+        """Return the mark of the format."""
+        return self._taken()
+
+    def rows(self, block: MeasurementBlock) -> bytes:
+        """Return the groups of rows that a block completes."""
+        self._held.append(self._batch(block))
+        self._held_rows += len(block.epochs_us)
+        if self._held_rows >= GROUP_ROWS:
+            self._flush()
+        return self._taken()
+
+    def end(self) -> bytes:
+        """Return the last group and the index."""
+        self._flush()
+        self._writer.close()
+        return self._taken()
+
+    def _batch(self, block: MeasurementBlock) -> Any:
+        pa = self._pa
+        epochs = pa.array(block.epochs_us, type=pa.int64()).cast(self._schema.field(0).type)
+        source = pa.DictionaryArray.from_arrays(np.zeros(len(block.epochs_us), dtype=np.int32), [block.source])
+        # by columns in memory: each becomes an array of its own without a further copy
+        values = np.asfortranarray(self._columns.values(block))
+        levels = [pa.array(values[:, k], from_pandas=True) for k in range(values.shape[1])]
+        return pa.RecordBatch.from_arrays([epochs, source, *levels], schema=self._schema)
+
+    def _flush(self) -> None:
+        """Write what is held as one group of rows."""
+        if self._held:
+            table = self._pa.Table.from_batches(self._held, schema=self._schema).unify_dictionaries()
+            self._writer.write_table(table, row_group_size=max(self._held_rows, 1))
+        self._held, self._held_rows = [], 0
+
+    def _taken(self) -> bytes:
+        """Return what the writer has put out since the last time."""
+        taken = self._sink.getvalue()
+        self._sink.seek(0)
+        self._sink.truncate()
+        return taken
+
+
+def _csv_field(text: str) -> str:
+    """Return a field, quoted when it holds what separates fields or lines."""
+    if any(mark in text for mark in ',"\r\n'):
+        return '"' + text.replace('"', '""') + '"'
+    return text
