@@ -50,8 +50,8 @@ async def send_measurements(spacecraft_id: SpacecraftIdText, request: Request) -
         received_at_us=context.clock.system_us(),
         first_seq=body.first_seq,
         epochs_us=_epochs(body),
-        power_dbm=[row.power_dbm for row in body.measurements],
-        flags=[row.flags for row in body.measurements],
+        power_dbm=[row["power_dbm"] for row in body.measurements],
+        flags=[row.get("flags") for row in body.measurements],
         details=body.details(),
     )
     epoch_limits: EpochLimits = request.app.state.epoch_limits
@@ -77,7 +77,7 @@ def check_batch_size(size: int, context: ApiContext, pointer: str) -> None:
 def _epochs(body: MeasurementBatchDocument) -> IntArray:
     """Return the epochs of a batch; 422 names the first that is none."""
     try:
-        return parse_epochs([row.epoch for row in body.measurements])
+        return parse_epochs([row["epoch"] for row in body.measurements])
     except EpochTextError as error:
         pointer = f"/measurements/{error.index}/epoch"
         raise invalid_request([FieldError(pointer, "epoch.malformed", error.detail)]) from None

@@ -1,8 +1,9 @@
 """Batches of measurements and what becomes of them; sources."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Required
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
+from typing_extensions import TypedDict
 
 from service.api.schemas.base import Answer, Document, EpochAnswer, Name, PlanNumber
 from service.records.measurement import DETAIL_NAMES
@@ -16,29 +17,27 @@ _Figures = Annotated[list[Annotated[float, Field(ge=-1e15, le=1e15)] | None], Fi
 _PLAIN_FIELDS = frozenset({"epoch", "power_dbm", "flags"})
 
 
-class MeasurementDocument(Document):
+class MeasurementDocument(TypedDict, total=False):
     """One row: one power for each carrier of the plan, in its order."""
 
-    # checked as a whole batch by epochs.parse_epochs: a thousand times a second, one by one would cost more than JSON
-    epoch: Annotated[str, Field(max_length=64, json_schema_extra={"format": "date-time"})]
-    """Middle of the dwell, RFC 3339."""
-    power_dbm: Annotated[list[float | None], Field(fail_fast=True)]
-    """dBm, null = absent."""
-    flags: Annotated[list[Mask], Field(fail_fast=True)] | None = None
-    """Quality bit mask of each carrier."""
-    sigma_db: _Figures | None = None
-    """Predicted scatter of each power, one sigma, dB."""
-    c_n0_db_hz: _Figures | None = None
-    """Carrier over noise density, dB Hz."""
-    occupied_bandwidth_hz: _Figures | None = None
-    """Bandwidth that holds 99 per cent of the power, Hz."""
-    centroid_offset_hz: _Figures | None = None
-    """Centre of the power above the nominal frequency, Hz."""
+    # a dictionary, not a model: nothing is made for what a row does not state, which is a seventh of the decoding
+    __pydantic_config__ = Document.model_config | ConfigDict(frozen=False)  # type: ignore[misc]  # pydantic's own way
 
-    def details(self) -> dict[str, list[float | None]]:
-        """Return what is stated beside the powers, by name."""
-        stated = {name: getattr(self, name) for name in DETAIL_NAMES}
-        return {name: figures for name, figures in stated.items() if figures is not None}
+    # checked as a whole batch by epochs.parse_epochs: a thousand times a second, one by one would cost more than JSON
+    epoch: Required[Annotated[str, Field(max_length=64, json_schema_extra={"format": "date-time"})]]
+    """Middle of the dwell, RFC 3339."""
+    power_dbm: Required[Annotated[list[float | None], Field(fail_fast=True)]]
+    """dBm, null = absent."""
+    flags: Annotated[list[Mask], Field(fail_fast=True)] | None
+    """Quality bit mask of each carrier."""
+    sigma_db: _Figures | None
+    """Predicted scatter of each power, one sigma, dB."""
+    c_n0_db_hz: _Figures | None
+    """Carrier over noise density, dB Hz."""
+    occupied_bandwidth_hz: _Figures | None
+    """Bandwidth that holds 99 per cent of the power, Hz."""
+    centroid_offset_hz: _Figures | None
+    """Centre of the power above the nominal frequency, Hz."""
 
 
 class MeasurementBatchDocument(Document):
@@ -52,9 +51,15 @@ class MeasurementBatchDocument(Document):
 
     def details(self) -> list[dict[str, list[float | None]]] | None:
         """Return what each row states beside its powers, None when none states any."""
-        if all(row.model_fields_set <= _PLAIN_FIELDS for row in self.measurements):
+        if all(row.keys() <= _PLAIN_FIELDS for row in self.measurements):
             return None
-        return [row.details() for row in self.measurements]
+        return [_details(row) for row in self.measurements]
+
+
+def _details(row: MeasurementDocument) -> dict[str, list[float | None]]:
+    """Return what a row states beside its powers, by name."""
+    stated: dict[str, Any] = {name: row.get(name) for name in DETAIL_NAMES}
+    return {name: figures for name, figures in stated.items() if figures is not None}
 
 
 class RowRefusalAnswer(Answer):
