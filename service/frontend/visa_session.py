@@ -80,6 +80,11 @@ class VisaSession:
         except Exception as error:
             raise _broken(resource, "cannot be opened", error) from error
         self._current_timeout_s = timeout_s
+        line = self._interface()
+        if isinstance(line, socket.socket):
+            # A setting followed by a query would wait 40 ms for the peer's delayed acknowledgement.
+            with suppress(OSError):
+                line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def close(self) -> None:
         """Close the session; a session that broke may not close in good order, which changes nothing."""

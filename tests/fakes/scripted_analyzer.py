@@ -1,11 +1,18 @@
-"""An analyzer of eleven points (Siglent: 751) without a line: it keeps the settings it knows and answers as one family does."""
+"""An analyzer of eleven points (Siglent: 751) without a line: it keeps settings and answers as one family does."""
 
 from collections.abc import Callable
 
 import numpy as np
 
 #: settings that every analyzer has, and their values after a reset
-BASE = {":FREQ:STAR": "0", ":FREQ:STOP": "26.5E9", ":BAND": "3E6", ":BAND:VID": "3E6", ":SWE:TIME": "0.1"}
+BASE = {
+    ":FREQ:STAR": "0",
+    ":FREQ:STOP": "26.5E9",
+    ":BAND": "3E6",
+    ":BAND:VID": "3E6",
+    ":SWE:TIME": "0.1",
+    ":INIT:CONT": "1",
+}
 #: what the families have beside them
 FAMILIES: dict[str, dict[str, str]] = {
     "rs": {
@@ -101,9 +108,7 @@ class ScriptedSession:
 
     def _set(self, unit: str) -> None:
         header, _, value = unit.partition(" ")
-        if header.startswith("*") or header in {":INIT", ":INIT:CONT", ":SYST:LOC"}:
-            return
-        if header == ":SWE:TIME:AUTO":
+        if header.startswith("*") or header in {":INIT", ":SYST:LOC", ":SWE:TIME:AUTO"}:
             return
         if header not in self.values:
             self.queue.append('-113,"Undefined header"')

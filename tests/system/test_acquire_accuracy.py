@@ -1,17 +1,14 @@
 """Levels measured through SCPI against the truth of an ideal analyzer: bias, scatter and presence, in every dialect."""
 
-import json
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
-from itertools import count
 
 import numpy as np
 import pytest
+from steady_world import CARRIERS, Steady, steady_task
 
 from analyzer_sim.dialects import DIALECTS
-from analyzer_sim.emission import Emission, Signal
 from analyzer_sim.imperfections import IDEAL
 from analyzer_sim.instrument import Instrument
 from analyzer_sim.painter import Detail, TracePainter
@@ -19,62 +16,15 @@ from analyzer_sim.server import start_in_thread
 from service.frontend.drivers.choice import dialect_of, identify
 from service.frontend.drivers.scpi_driver import ScpiDriver
 from service.frontend.evaluation import MeasuredRow, TaskEvaluation
-from service.frontend.measurement_task import MeasurementTask, parse_task
+from service.frontend.measurement_task import MeasurementTask
 from service.frontend.visa_session import VisaSession
 from service.records.quality_flag import QualityFlag
 
 pytestmark = pytest.mark.system
 
 SEED = 31
-NOISE_DBM_HZ = -120.0
-NOISE = [[954.1e6, 954.9e6], [989.0e6, 989.9e6]]
-#: centre MHz, symbol rate Hz, dBm: strong, with a neighbour 6 dB stronger, at C/N 3 dB, a beacon
-CARRIERS = {
-    "strong": (960.0e6, 1.0e6, -42.9),
-    "beside": (965.0e6, 1.0e6, -50.0),
-    "louder": (966.32e6, 1.0e6, -44.0),
-    "weak": (972.0e6, 1.2e6, NOISE_DBM_HZ + 10 * math.log10(1.2e6) + 3.0),
-    "beacon": (980.0e6, 0.0, -65.0),
-}
 #: carriers that are judged in all cases: all but the beacon
 MODULATED = 4
-
-
-class Steady:
-    """A world in which nothing changes but the time."""
-
-    def __init__(self) -> None:
-        signals = tuple(Signal(name, centre, rate, 0.25, level) for name, (centre, rate, level) in CARRIERS.items())
-        self.emission = Emission(0, signals, NOISE_DBM_HZ)
-        self.epochs = count(1_793_491_200_000_000, 60_000_000)
-
-    def advance(self) -> Emission:
-        self.emission = replace(self.emission, epoch_us=next(self.epochs))
-        return self.emission
-
-    def current(self) -> Emission:
-        return self.emission
-
-    def switch_off(self, name: str) -> None:
-        """Take a carrier off the air."""
-        kept = tuple(signal for signal in self.emission.signals if signal.carrier != name)
-        self.emission = replace(self.emission, signals=kept)
-
-
-def task() -> MeasurementTask:
-    """Return the task of these carriers."""
-    sweep = {"id": "a", "start_hz": 954e6, "stop_hz": 990e6, "rbw_hz": 30e3, "points": 2401, "time_s": 1.0}
-    carriers = [
-        {"id": name, "sweep": "a", "fc_hz": centre, "noise": NOISE}
-        | (
-            {"symbol_rate": rate, "integ_bw_hz": 1.25 * rate, "kind": "modulated"}
-            if rate
-            else {"integ_bw_hz": 300e3, "kind": "beacon"}
-        )
-        for name, (centre, rate, _) in CARRIERS.items()
-    ]
-    path = {"ref_level_dbm": -20.0, "attenuation_db": 10.0, "preamp": False}
-    return parse_task(json.dumps({"id": "t", "input": path, "sweeps": [sweep], "carriers": carriers}).encode())[0]
 
 
 @contextmanager
@@ -84,7 +34,7 @@ def measuring(
     """Return world and configured driver of an ideal analyzer."""
     print(f"seed {SEED}")
     world, spoken = Steady(), DIALECTS[dialect]
-    made = task()
+    made = steady_task()
     instrument = Instrument(world, TracePainter(SEED, IDEAL, detail), model=spoken.model)
     with start_in_thread(instrument, dialect=spoken, hislip_port=0) as analyzer:
         hislip = f"TCPIP::127.0.0.1::hislip0,{analyzer.hislip_port}::INSTR"

@@ -63,6 +63,8 @@ class TraceFormat:
 
 #: as text: no byte order to be wrong about; Anritsu puts it into a block
 ASCII = TraceFormat((Word(":FORM", "ASC", "ASC.*"),))
+#: it sweeps when it is told to, or traces are of no sweep in particular
+SINGLE = Word(":INIT:CONT", "OFF", "0")
 #: no analyzer may answer in another unit
 UNIT = Word(":UNIT:POW", "DBM")
 

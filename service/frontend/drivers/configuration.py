@@ -7,7 +7,7 @@ analyzer chooses is used as it is and flagged.
 
 import math
 
-from service.frontend.drivers.base import Dialect, SweepRefusedError, Word
+from service.frontend.drivers.base import ASCII, SINGLE, Dialect, SweepRefusedError, TraceFormat, Word
 from service.frontend.drivers.dialogue import Dialogue
 from service.frontend.measurement_task import InputPart, SweepPart
 from service.frontend.scpi import AnswerError, parse_flag, parse_message, parse_number
@@ -40,6 +40,8 @@ class Configuration:
         self.is_mismatch = False
         #: settings that a read-back found changed by somebody else
         self.foreign_changes = 0
+        #: how traces are sent
+        self.format: TraceFormat = ASCII
         self._dialogue = dialogue
         self._dialect = dialect
         self._enbw_ratio = enbw_ratio or dialect.enbw_ratio
@@ -53,9 +55,25 @@ class Configuration:
     def preset(self) -> None:
         """Set what stays the same for all sweeps, after a reset."""
         self._sent, self._stated, self._without = {}, [], set()
-        self._words = [word for word in self._dialect.method if self._establish(word)]
-        self._words += self._detector()
+        self.format = self._choose_format()
+        self._words = [word for word in (SINGLE, *self._dialect.method) if self._establish(word)]
+        self._words += [*self._detector(), *self.format.words]
         self._has_points = self._dialogue.try_ask(f"{self._dialect.points}?") is not None
+
+    def _choose_format(self) -> TraceFormat:
+        """Set the first format of traces that the analyzer takes."""
+        for wanted in self._dialect.formats:
+            if all(self._dialogue.try_set(word) for word in wanted.words):
+                return wanted
+        raise SweepRefusedError(f"{self._dialogue.session.resource} takes no format of traces")
+
+    def read_text(self) -> None:
+        """Change to traces as text, for the rest of the session."""
+        self._words = [word for word in self._words if word not in self.format.words] + [*ASCII.words]
+        self.format = ASCII
+        for word in ASCII.words:
+            self._dialogue.tell(f"{word.header} {word.value}")
+        self._stated = self._dialogue.ask(self.readback)
 
     def _establish(self, word: Word) -> bool:
         """Set a word; return whether it can be read back. Without one that is needed there is no measuring."""

@@ -78,7 +78,7 @@ class ScpiDriver:
         self._is_bound = False
         self._dialogue = Dialogue(session)
         self._configuration = Configuration(self._dialogue, dialect, enbw_ratio)
-        self._traces = TraceReader(self._dialogue, dialect)
+        self._traces = TraceReader(self._dialogue, dialect, self._configuration)
         self._asked: tuple[SweepPart, InputPart] | None = None
         self._settings: SweepSettings | None = None
         self._previous: dict[str, tuple[bytes | str, int]] = {}
@@ -111,10 +111,8 @@ class ScpiDriver:
             self._enter(application.header, application.value, application.stands)
         self._dialogue.tell("*RST;*CLS")
         self._session.query("*OPC?", max(RESET_S, self._io_timeout_s))
-        self._dialogue.tell(":INIT:CONT OFF")
         self._dialogue.raise_on_errors("preset")
         self._configuration.preset()
-        self._traces.preset()
         self.features = Features(
             has_status=self._knows(":STAT:QUES:COND?"),
             has_dwell_epoch=self._knows(":SIM:EPOCH?"),
@@ -197,7 +195,8 @@ class ScpiDriver:
         is_unchanged = not readback or self._configuration.is_unchanged(stated)
         condition = int(parse_number(answers.pop(0))) if self.features.has_status else 0
         epoch_us = self._epoch_us(answers, settings, system_us)
-        levels = self._traces.levels(trace, settings.points)
+        # What was swept under foreign settings may not even be read: it has another unit, or other points.
+        levels = self._traces.levels(trace, settings.points) if is_unchanged else np.full(settings.points, np.nan)
         taken = Sweep(
             sweep_id,
             epoch_us,

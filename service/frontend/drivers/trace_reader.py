@@ -6,7 +6,8 @@ known to state wrong ones the trace's own number counts.
 
 import numpy as np
 
-from service.frontend.drivers.base import ASCII, Dialect, SweepRefusedError, TraceFormat
+from service.frontend.drivers.base import Dialect, SweepRefusedError
+from service.frontend.drivers.configuration import Configuration
 from service.frontend.drivers.dialogue import Dialogue
 from service.frontend.scpi import (
     AnswerError,
@@ -36,20 +37,14 @@ class TraceReader:
         Questions and answers.
     dialect : Dialect
         Words of the family.
+    configuration : Configuration
+        Knows the format in which traces are sent.
     """
 
-    def __init__(self, dialogue: Dialogue, dialect: Dialect) -> None:
+    def __init__(self, dialogue: Dialogue, dialect: Dialect, configuration: Configuration) -> None:
         self._dialogue = dialogue
         self._dialect = dialect
-        self._format: TraceFormat = ASCII
-
-    def preset(self) -> None:
-        """Choose the first format that the analyzer takes."""
-        for wanted in self._dialect.formats:
-            if all(self._dialogue.try_set(word) is not False for word in wanted.words):
-                self._format = wanted
-                return
-        raise SweepRefusedError(f"{self._dialogue.session.resource} takes no format of traces")
+        self._configuration = configuration
 
     def read(self, further: list[str]) -> tuple[bytes | str, list[str]]:
         """Return the trace as it came, and the answers to further queries, the last one the error queue's."""
@@ -79,18 +74,17 @@ class TraceReader:
 
     def _read_levels(self, trace: bytes | str, points: int) -> FloatArray:
         """Return the numbers of a trace."""
-        if isinstance(trace, str) or not self._format.is_binary:
+        wanted = self._configuration.format
+        if isinstance(trace, str) or not wanted.is_binary:
             return self._of_text(trace if isinstance(trace, str) else trace.decode("ascii"), points)
-        try:
-            return levels_of_block(trace, points, is_big_endian=self._format.is_big_endian)
-        except AnswerError:
+        if len(trace) == 8 * points or len(trace) % 4:
+            # Doubles, or something that is no floats at all: the analyzer did not mean the format that it took.
             return self._again_as_text(points)
+        return levels_of_block(trace, points, is_big_endian=wanted.is_big_endian)
 
     def _again_as_text(self, points: int) -> FloatArray:
         """Ask for the same trace as text, from now on."""
-        self._format = ASCII
-        for word in ASCII.words:
-            self._dialogue.tell(f"{word.header} {word.value}")
+        self._configuration.read_text()
         payload, line = self._dialogue.session.query_block(self._dialect.trace_query)
         return self._of_text(line if payload is None else payload.decode("ascii"), points)
 
