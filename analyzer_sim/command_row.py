@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from analyzer_sim.instrument import Instrument
 from analyzer_sim.scpi_errors import ScpiError
 from analyzer_sim.scpi_parameters import Parameter
-from analyzer_sim.scpi_parser import Unit, parse_data
+from analyzer_sim.scpi_parser import Unit, parse_data, short_form
 
 
 class Call(NamedTuple):
@@ -31,7 +31,7 @@ class Call(NamedTuple):
         >>> Call(None, False, ("CALC", "MARK3", "Y")).suffix("MARKer")
         3
         """
-        names = {pattern.upper(), "".join(c for c in pattern if not c.islower())}
+        names = {pattern.upper(), short_form(pattern)}
         for node in self.header:
             name = node.rstrip("0123456789")
             if name in names:

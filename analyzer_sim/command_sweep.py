@@ -14,6 +14,7 @@ from analyzer_sim.epochs import rfc3339
 from analyzer_sim.instrument_settings import Settings
 from analyzer_sim.scpi_errors import ScpiError
 from analyzer_sim.scpi_parameters import Boolean, Choice, Quoted
+from analyzer_sim.scpi_parser import short_form
 
 #: code of a detector whose kind of mean the average type decides
 BY_TYPE: Final = "BY TYPE"
@@ -23,11 +24,6 @@ AVERAGING_DETECTORS: Mapping[str, str] = {"VID": "AVER", "POW": "RMS", "LIN": "L
 DB6_RATIO: Final = math.sqrt(2.0)
 NOISE_RATIO: Final = math.sqrt(math.pi / (4.0 * math.log(2.0)))
 IMPULSE_RATIO: Final = math.sqrt(math.pi / (2.0 * math.log(2.0)))
-
-
-def short(word: str) -> str:
-    """Return the short form of a word as manuals write it."""
-    return "".join(c for c in word if not c.islower())
 
 
 def freeze_rbw(settings: Settings) -> None:
@@ -52,7 +48,7 @@ def freeze_attenuation(settings: Settings) -> None:
 
 def filter_type_row(pattern: str, ratios: Mapping[str, float]) -> Command:
     """Return the row that tells by which width the resolution filter is set: word -> that width by the 3 dB one."""
-    ratio_of = {short(word): ratio for word, ratio in ratios.items()}
+    ratio_of = {short_form(word): ratio for word, ratio in ratios.items()}
 
     def write(call: Call, word: str) -> None:
         call.instrument.settings.filter_ratio = ratio_of[word]
@@ -74,7 +70,7 @@ def detector_rows(pattern: str, auto: str, codes: Mapping[str, str]) -> tuple[Co
     codes : mapping
         Word of the dialect -> code of ``Settings.detector``, or ``BY_TYPE``.
     """
-    code_of = {short(word): code for word, code in codes.items()}
+    code_of = {short_form(word): code for word, code in codes.items()}
     word_of = {code: word for word, code in reversed(code_of.items())}
     if BY_TYPE in word_of:
         word_of.update(dict.fromkeys(AVERAGING_DETECTORS.values(), word_of[BY_TYPE]))
@@ -101,7 +97,7 @@ def detector_rows(pattern: str, auto: str, codes: Mapping[str, str]) -> tuple[Co
 
 def average_type_row(pattern: str, types: Mapping[str, str], *, does_detector_follow: bool = False) -> Command:
     """Return the row of the average type: word of the dialect -> code of ``Settings.average_type``."""
-    type_of = {short(word): code for word, code in types.items()}
+    type_of = {short_form(word): code for word, code in types.items()}
     word_of = {code: word for word, code in type_of.items()}
 
     def write(call: Call, word: str) -> None:
@@ -119,13 +115,13 @@ def trace_mode_row(pattern: str, plain: str) -> Command:
 
     def write(call: Call, word: str) -> None:
         settings = call.instrument.settings
-        settings.is_averaging = word != short(plain)
+        settings.is_averaging = word != short_form(plain)
         settings.hold = word if word in {"MAXH", "MINH"} else ""
         call.instrument.invalidate()
 
     def query(call: Call) -> str:
         settings = call.instrument.settings
-        return (settings.hold or "AVER") if settings.is_averaging else short(plain)
+        return (settings.hold or "AVER") if settings.is_averaging else short_form(plain)
 
     return Command(pattern, write, query, (Choice((plain, "AVERage", "MAXHold", "MINHold")),))
 
@@ -154,7 +150,7 @@ def unit_row(
 
     ``conflicting`` units need a set-up that this instrument does not have; ``synonyms`` are other words for units.
     """
-    unit_of = {short(word): unit for word, unit in synonyms.items()}
+    unit_of = {short_form(word): unit for word, unit in synonyms.items()}
 
     def write(call: Call, unit: str) -> None:
         if unit in conflicting:

@@ -12,6 +12,7 @@ from analyzer_sim.command_row import Call, Command, Reader
 from analyzer_sim.levels import ENCODERS, UNITS, FloatArray, ascii_list, definite_block
 from analyzer_sim.scpi_errors import ScpiError
 from analyzer_sim.scpi_parameters import PURE, Choice, Numeric, Parameter
+from analyzer_sim.scpi_parser import short_form
 from analyzer_sim.spectrum import SweepGrid
 
 
@@ -41,15 +42,11 @@ class TraceStyle:
     invalid: bytes = b""
 
 
-def _short(word: str) -> str:
-    return "".join(c for c in word if not c.islower())
-
-
 def format_row(pattern: str, style: TraceStyle) -> Command:
     """Return the row that chooses the format."""
 
     def write(call: Call, word: str, length: float | str = "") -> None:
-        fits = [row for row in style.formats if _short(row.word) == word and length in {"", float(row.length)}]
+        fits = [row for row in style.formats if short_form(row.word) == word and length in {"", float(row.length)}]
         if not fits:
             raise ScpiError(-224, f"{word},{length}")
         call.instrument.settings.data_format = fits[0].key
@@ -88,8 +85,10 @@ def levels_shown(call: Call) -> FloatArray:
 
 
 def frequencies_shown(call: Call) -> FloatArray:
-    """Return the frequencies of the points, the offset included, Hz."""
-    settings = call.instrument.swept
+    """Return the frequencies of the points, the offset included, Hz; in zero span their times, s."""
+    settings = call.instrument.settings
+    if not settings.span_hz:
+        return np.linspace(0.0, settings.time_s, settings.points)
     grid = SweepGrid(settings.start_hz, settings.stop_hz, settings.points, settings.rbw_hz)
     return np.asarray(grid.frequency_hz + settings.offset_hz)
 
@@ -104,12 +103,17 @@ def _check_shown(number: int) -> None:
         raise ScpiError(-230, f"trace {number} is blank")
 
 
-def trace_reader(style: TraceStyle, values: Callable[[Call], FloatArray] = levels_shown) -> Reader:
-    """Return the handler of a query of trace 1; the other traces are blank."""
+def trace_reader(
+    style: TraceStyle, values: Callable[[Call], FloatArray] = levels_shown, counted_by: str = ""
+) -> Reader:
+    """Return the handler of a query of trace 1; the other traces are blank.
+
+    The parameter tells which trace is meant, or the number behind the mnemonic ``counted_by`` of the header.
+    """
 
     def query(call: Call, number: int = 1) -> str | bytes:
         try:
-            _check_shown(number)
+            _check_shown(call.suffix(counted_by) if counted_by else number)
             shown = values(call)
             if values is not frequencies_shown:
                 shown = call.instrument.read_out(shown)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from analyzer_sim.scpi_errors import ScpiError
-from analyzer_sim.scpi_parser import Block, Character, Datum, Number, Text
+from analyzer_sim.scpi_parser import Block, Character, Datum, Number, Text, short_form
 
 HERTZ: Mapping[str, float] = {"HZ": 1.0, "KHZ": 1e3, "MHZ": 1e6, "MAHZ": 1e6, "GHZ": 1e9}
 SECONDS: Mapping[str, float] = {"S": 1.0, "MS": 1e-3, "US": 1e-6, "NS": 1e-9}
@@ -130,9 +130,8 @@ class Choice:
         if not isinstance(datum, Character):
             raise ScpiError(_TYPE_NOT_ALLOWED[type(datum)])
         for word in self.words:
-            short = "".join(c for c in word if not c.islower())
-            if datum.text in {short, word.upper()}:
-                return short
+            if datum.text in {short_form(word), word.upper()}:
+                return short_form(word)
         raise ScpiError(-141, datum.text)
 
 

@@ -81,6 +81,17 @@ class Unit:
         return ":".join(self.nodes) + ("?" if self.is_query else "")
 
 
+def short_form(word: str) -> str:
+    """Return the short form of a mnemonic as manuals write it: its letters that are not lower case.
+
+    Examples
+    --------
+    >>> short_form("POSitive"), short_form("DB3")
+    ('POS', 'DB3')
+    """
+    return "".join(c for c in word if not c.islower())
+
+
 def split_outside(text: str, separator: str) -> list[str]:
     """Split at a separator that stands outside quotes and blocks; white space around the pieces is taken off.
 

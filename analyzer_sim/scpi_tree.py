@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
 from analyzer_sim.scpi_errors import ScpiError
-from analyzer_sim.scpi_parser import Unit
+from analyzer_sim.scpi_parser import Unit, short_form
 
 T = TypeVar("T")
 
@@ -51,7 +51,7 @@ def parse_pattern(pattern: str) -> tuple[PatternNode, ...]:
     for found in _PATTERN_NODE.finditer(pattern):
         names: list[str] = []
         for name in found.group(2).split("|"):
-            names += ["".join(c for c in name if not c.islower()), name.upper()]
+            names += [short_form(name), name.upper()]
         nodes.append(PatternNode(tuple(dict.fromkeys(names)), int(found.group(3) or 0), found.group(1) is not None))
     return tuple(nodes)
 

@@ -76,6 +76,19 @@ def test_read_takes_a_new_sweep_and_fetch_does_not(make_bench: Callable[..., Any
     assert bench.source.row == 2
 
 
+def test_other_traces_are_blank(bench: Any) -> None:
+    bench.ask(SETUP + ";:INIT;*WAI")
+    for query in ("FETC:SAN2?", "CALC:DATA2?", "TRAC? TRACE2"):
+        assert bench.ask(query) == ""
+    assert bench.errors() == [-230, -230, -230]
+
+
+def test_pairs_of_zero_span_are_of_time_and_level(bench: Any) -> None:
+    bench.ask(SETUP + ";:FREQ:SPAN 0;:INIT;*WAI")
+    pairs = numbers(bench.ask("FETC:SAN?")).reshape(-1, 2)
+    np.testing.assert_allclose(pairs[:, 0], np.linspace(0.0, 0.2, 2001), rtol=1e-6)  # seven digits
+
+
 def test_configure_and_measure_return_to_defaults_and_ndefault_does_not(bench: Any) -> None:
     bench.ask(SETUP + ";:FORM REAL,64;:FORM:BORD SWAP;:CONF:SAN:NDEF")
     assert bench.ask("SWE:POIN?;:CONF?") == "2001;SAN"
