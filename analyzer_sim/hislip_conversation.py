@@ -117,9 +117,11 @@ class Conversation:
     def close(self) -> None:
         """End the session: both channels, its locks, what it was doing."""
         self.state.phase = Phase.CLOSED
+        self._requests.clear()
+        self._wake()
         self._dispatcher.watchers.discard(self._look_for_service)
         for task in (self._worker, self._lock_task):
-            if task is not None and task is not asyncio.current_task():
+            if task is not None:
                 task.cancel()
         for channel in (self._synchronous, self._asynchronous):
             if channel is not None:
@@ -142,7 +144,7 @@ class Conversation:
             self._synchronous.put(MessageType.DEVICE_CLEAR_ACKNOWLEDGE)
             self._start_worker()
         elif message.kind in {MessageType.DATA, MessageType.DATA_END, MessageType.TRIGGER}:
-            while len(self._requests) >= _QUEUED_REQUESTS:
+            while len(self._requests) >= _QUEUED_REQUESTS and self.state.phase is not Phase.CLOSED:
                 await self._move()
             request = self.state.gather(message)
             if request is not None:
@@ -152,23 +154,31 @@ class Conversation:
     def _start_worker(self) -> None:
         if self._worker is None or self._worker.done():
             self._worker = asyncio.create_task(self._work())
+            self._worker.add_done_callback(self._end_with_worker)
+
+    def _end_with_worker(self, worker: asyncio.Task[None]) -> None:
+        """End the session when its worker has ended by itself: nobody would answer any more."""
+        if worker.cancelled():
+            return
+        self.close()
+        error = worker.exception()
+        if error is not None and not isinstance(error, (ConnectionError, LineEndedError)):
+            context = {"message": "a HiSLIP session has failed", "exception": error}
+            worker.get_loop().call_exception_handler(context)
 
     async def _work(self) -> None:
         """Execute requests strictly in the order of their arrival."""
-        try:
-            while True:
-                while not self._requests:
-                    await self._move()
-                request = self._requests.popleft()
-                self._wake()
-                if self.state.is_interrupted_by(request):
-                    self._interrupt(request.message_id)
-                self._is_executing = True
-                await self._answer(request)
-                self._is_executing = False
-                self._wake()
-        except (ConnectionError, LineEndedError):
-            self.close()  # the client left or a fault ended the line
+        while True:
+            while not self._requests:
+                await self._move()
+            request = self._requests.popleft()
+            self._wake()
+            if self.state.is_interrupted_by(request):
+                self._interrupt(request.message_id)
+            self._is_executing = True
+            await self._answer(request)
+            self._is_executing = False
+            self._wake()
 
     async def _answer(self, request: Request) -> None:
         """Execute one request and send its answer; a second answer in one request interrupts the first."""
@@ -270,12 +280,14 @@ class Conversation:
         if self._lock_task is not None and not self._lock_task.done():
             channel.put(MessageType.ASYNC_LOCK_RESPONSE, LockAnswer.INVALID)
             return
-        key = message.payload.decode("latin-1")
-        answer = self._acquire(key, message.parameter / 1e3) if message.control else self._release(message.parameter)
-        self._lock_task = asyncio.create_task(self._answer_lock(channel, answer))
+        self._lock_task = asyncio.create_task(self._answer_lock(channel, message))
 
-    async def _answer_lock(self, channel: Channel, wanted: Awaitable[LockAnswer]) -> None:
-        channel.put(MessageType.ASYNC_LOCK_RESPONSE, await wanted)
+    async def _answer_lock(self, channel: Channel, message: Message) -> None:
+        if message.control:
+            answer = await self._acquire(message.payload.decode("latin-1"), message.parameter / 1e3)
+        else:
+            answer = await self._release(message.parameter)
+        channel.put(MessageType.ASYNC_LOCK_RESPONSE, answer)
 
     async def _acquire(self, key: str, timeout_s: float) -> LockAnswer:
         locks, deadline_s = self._dispatcher.locks, asyncio.get_running_loop().time() + timeout_s

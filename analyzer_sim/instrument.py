@@ -89,6 +89,7 @@ class Instrument:
         self._repeats_shown = 0
         self._readings: list[Reading] = []
         self._completion_wanted = False
+        self._sweep_errors = self.status.errors
 
     @property
     def is_pending(self) -> bool:
@@ -139,6 +140,7 @@ class Instrument:
         self._begin()
 
     def _begin(self) -> None:
+        self._sweep_errors = self.status.errors
         self._life.wait()
         self._report_life()
         self.complete_pending()
@@ -174,6 +176,7 @@ class Instrument:
         try:
             self._show(self._source.advance())
         except EndOfScenario:
+            self.status.errors = self._sweep_errors  # of the session that asked, where each has its own
             self.status.push_error(-200, "the scenario has ended; there is no further row to sweep")
         self._end_pending()
 

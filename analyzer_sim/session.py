@@ -112,7 +112,9 @@ class Session:
         """Run units until the message is finished, held, or a turn is over; return its response when finished."""
         self._is_held = False
         self._instrument.status.errors = self._errors
-        for _ in range(min(len(self._units), UNITS_PER_RUN)):
+        for _ in range(UNITS_PER_RUN):
+            if not self._units:
+                break
             if not self._run_unit(self._units[0]):
                 self._is_held = True
                 return None
@@ -162,10 +164,8 @@ class Session:
         self._answers.append(answer if isinstance(answer, bytes) else answer.encode("ascii"))
         self._answer_bytes += len(self._answers[-1])
         if self._answer_bytes > OUTPUT_LIMIT_BYTES:
-            # the unit that runs stays first in line: `run` takes it out
-            del self._answers[:]
-            while len(self._units) > 1:
-                self._units.pop()
+            self._units = deque([self._units[0]])  # the unit that runs stays until `run` takes it out
+            self._answers, self._readings = [], ()
             raise ScpiError(-430, "the response does not fit the output queue")
 
 

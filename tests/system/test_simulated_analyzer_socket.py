@@ -209,6 +209,37 @@ def test_silence_half_a_block_and_garbage_keep_the_connection(analyzer: Analyzer
         assert ask(line, b"*OPC?") == b"1"
 
 
+def test_a_stale_answer_comes_before_the_next_one(analyzer: AnalyzerThread) -> None:
+    with connect(analyzer.port) as line, connect(analyzer.port) as other:
+        analyzer.faults.arm(LineFault.STALE)
+        line.settimeout(0.2)
+        line.sendall(b"*ESE?\n")
+        with pytest.raises(TimeoutError):
+            line.recv(10)
+        assert ask(other, b"*OPC?") == b"1", "it waits in its own session"
+        line.settimeout(5.0)
+        line.sendall(b"FORM?\n")
+        assert receive(line, 8) == b"0\nASC,0\n"
+
+
+def test_a_late_answer_delays_those_after_it(analyzer: AnalyzerThread) -> None:
+    with connect(analyzer.port) as line:
+        analyzer.faults.late_by_s = 0.3
+        analyzer.faults.arm(LineFault.LATE)
+        began_s = time.monotonic()
+        line.sendall(b"*ESE?\n*OPC?\n")
+        assert receive(line, 4) == b"0\n1\n"
+        assert time.monotonic() - began_s >= 0.3
+
+
+def test_bytes_once_written_stay_in_the_stream(analyzer: AnalyzerThread) -> None:
+    # the raw socket knows no interruption: who does not read an answer reads it in place of the next one
+    with connect(analyzer.port) as line:
+        line.sendall(b"*ESE?\nFORM?\n")
+        assert receive(line, 8) == b"0\nASC,0\n"
+        assert ask(line, b"SYST:ERR:COUN?") == b"0"
+
+
 def test_sweep_waits_for_permission_while_others_are_served() -> None:
     allowed = threading.Event()
     instrument = Instrument(StandingSource(), TracePainter(1), may_advance=allowed.is_set)

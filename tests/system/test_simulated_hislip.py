@@ -564,6 +564,70 @@ def test_a_stale_answer_has_the_old_identifier(analyzer: AnalyzerThread, client:
     ]
 
 
+def random_message(rng: np.random.Generator) -> bytes:
+    payload = [
+        b"",
+        b"*IDN?\n",
+        b"*OPC?;*ESE?",
+        b"INIT",
+        b"TRAC? TRACE1",
+        bytes(8),
+        bytes(rng.integers(0, 256, 40, "u1")),
+    ]
+    kind = int(rng.integers(2, 27))
+    parameter = int(rng.choice([0, 1, FIRST_ID, 2**32 - 1]))
+    chosen = payload[int(rng.integers(len(payload)))]
+    length = len(chosen) if rng.random() < 0.95 else int(rng.integers(0, 2**40))
+    return struct.pack("!2sBBIQ", b"HS", kind, int(rng.integers(0, 3)), parameter, length) + chosen
+
+
+def test_any_messages_in_any_order_leave_the_instrument_to_others(analyzer: AnalyzerThread, client: Client) -> None:
+    seed = 20261122
+    print(f"seed {seed}")
+    rng = np.random.default_rng(seed)
+    for _ in range(150):
+        with Client(analyzer.hislip_port) as wild:
+            try:
+                for _ in range(int(rng.integers(1, 30))):
+                    wire = wild.sync if rng.random() < 0.6 else wild.side
+                    wire.line.sendall(random_message(rng))
+            except (BrokenPipeError, ConnectionResetError):
+                pass  # a fatal error has ended it
+    client.write(b"ABOR;*CLS;:INIT:CONT OFF")
+    assert client.ask(b"*IDN?") == IDENTITY
+    client.side.say(LOCK_INFO)
+    heard = client.side.hear()
+    while heard.kind == SERVICE:
+        heard = client.side.hear()
+    assert heard[:3] == (LOCK_TOLD, 0, 0), "those who left hold no lock"
+
+
+def test_a_client_that_reads_nothing_is_cleared_or_leaves(analyzer: AnalyzerThread, client: Client) -> None:
+    with Client(analyzer.hislip_port) as deaf:
+        deaf.write(SETUP + b";:SWE:POIN 100001;:INIT")
+        deaf.write(b";".join([b"TRAC? TRACE1"] * 30))  # 12 MB: more than buffers on the way hold
+        for _ in range(200):
+            deaf.write(b"*CLS")
+        assert client.ask(b"*IDN?") == IDENTITY
+        deaf.side.say(CLEAR)
+        while deaf.side.hear().kind != CLEAR_ACKNOWLEDGED:
+            pass
+        deaf.sync.say(CLEAR_COMPLETE)
+        while deaf.sync.hear().kind != CLEAR_DONE:
+            pass
+        deaf.next_id, deaf.delivered = FIRST_ID, 0
+        assert deaf.ask(b"*ESE?") == b"0"
+        deaf.write(b";".join([b"TRAC? TRACE1"] * 30))
+        deaf.write(b"*CLS")
+    assert client.ask(b"*OPC?") == b"1"
+
+
+def test_a_response_beyond_the_output_queue_is_a_deadlock(client: Client) -> None:
+    client.write(SETUP + b";:SWE:POIN 100001;:INIT")
+    client.write(b";".join([b"TRAC? TRACE1"] * 45) + b";*ESE 5")  # 18 MB
+    assert client.ask(b"*ESE?;:SYST:ERR?").startswith(b'0;-430,"Query DEADLOCKED')
+
+
 # many, and libraries
 
 

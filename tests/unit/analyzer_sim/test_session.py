@@ -5,6 +5,9 @@ from typing import Any
 
 import pytest
 
+from analyzer_sim.scpi_errors import ScpiError
+from analyzer_sim.scpi_parser import parse_unit
+
 
 def test_several_queries_of_a_message_make_one_line(bench: Any) -> None:
     assert bench.ask("*ESE?;:FORM?;*OPC?") == "0;ASC,0;1"
@@ -121,3 +124,39 @@ def test_long_message_gives_others_a_turn(bench: Any) -> None:
         turns += 1
     assert turns == 4  # 1000 units, 256 a turn
     assert response == b"0" + b";0" * 999 + b"\n"
+
+
+def test_response_beyond_the_output_queue_is_dropped_with_the_rest_of_its_message(
+    bench: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("analyzer_sim.session.OUTPUT_LIMIT_BYTES", 8)
+    assert bench.ask("*ESE?;:FORM?") == "0;ASC,0"
+    assert bench.ask("*ESE 1;*ESE?;:FORM?;:FORM?;*ESE 7;*ESE?") == ""
+    monkeypatch.undo()
+    assert bench.errors() == [-430]
+    assert bench.ask("*ESE?") == "1"
+
+
+def test_nothing_can_be_asked_behind_an_answer_without_an_end(bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bench.session, "_answers", [b"#0abc"])
+    with pytest.raises(ScpiError) as refused:
+        bench.session._check_end(parse_unit("*ESE?"))
+    assert refused.value.code == -440
+    bench.session._check_end(parse_unit("*ESE 1"))
+
+
+def test_device_clear_drops_what_is_held_and_what_waits(make_bench: Callable[..., Any]) -> None:
+    bench = make_bench(may_advance=lambda: False)
+    bench.ask("INIT:CONT OFF;:INIT;*OPC")
+    assert bench.ask("*ESE?;*OPC?;*ESE 9") == ""
+    bench.session.clear()
+    assert (bench.session.is_busy, bench.session.is_held, bench.session.readings) == (False, False, ())
+    assert bench.ask("*ESE?;:STAT:OPER:COND?") == "0;32", "the sweep goes on"
+    bench.ask("ABOR")
+    assert bench.ask("*ESR?") == "128", "*OPC was taken back"
+
+
+def test_transport_sees_the_session_s_own_status(bench: Any) -> None:
+    bench.session.push_error(-410, "x")
+    assert bench.session.status_byte(has_response=True) == 0b10100
+    assert bench.errors() == [-410]
