@@ -1,5 +1,7 @@
 """T1 and T2: limit cycles and the succession function."""
 
+from functools import cache
+
 import numpy as np
 
 from service.core.flexible.closed_forms import single_pulse_forms, truncated_succession
@@ -17,6 +19,7 @@ _RELATIVE, _PERIOD, _MULTIPLIER = 1e-6, 1e-8, 1e-4
 _FOLLOWED_S = 2000.0
 
 
+@cache
 def cycle_of(name: str) -> LimitCycle:
     """Return the cycle of a case that uses each of its lines once."""
     case = reference.CYCLES[name]
