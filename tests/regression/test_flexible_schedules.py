@@ -1,6 +1,7 @@
 """T6: what torque schedules leave in a mode, against the printed figures, an integrator, and closed forms."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -47,7 +48,7 @@ def test_ten_pulses_against_an_integrator() -> None:
     # steps that never jump over an edge
     edges = sorted({0.0, 130.0, *(pulse.start_s for pulse in pulses), *(pulse.stop_s for pulse in pulses)})
     state, peak = np.zeros(2), 0.0
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges):
         times = np.linspace(low, high, 30_000)
         middle = 0.5 * (low + high)
         run = solve_ivp(

@@ -114,19 +114,26 @@ def _crossing_in(leg: Leg, line: Line, times: FloatArray) -> float | None:
     for k in np.flatnonzero(crosses | hides):
         low, high = float(times[k]), float(times[k + 1])
         if hides[k] and not crosses[k]:
-            high = brent_root(lambda t: _rate(leg, t), low, high)
+            high = _turn(leg, low, high)
         if line.direction * (_angle(leg, high) - line.angle_rad) > 0.0:
             return _root_after(leg, line, low, high)
     return None
 
 
+def _turn(leg: Leg, low: float, high: float) -> float:
+    """Return when the rate turns between two times; the later one where it hardly does, by rounding."""
+    if _rate(leg, low) * _rate(leg, high) >= 0.0:
+        return high
+    return brent_root(lambda t: _rate(leg, t), low, high)
+
+
 def _root_after(leg: Leg, line: Line, low: float, high: float) -> float:
     """Return the crossing between a time before the line, or on it, and one beyond."""
     # a leg may begin on the line and turn back to it within the first points: its root comes after the turn
+    if line.direction * (_angle(leg, low) - line.angle_rad) >= 0.0 and line.direction * _rate(leg, low) < 0.0:
+        low = _turn(leg, low, high)
     if line.direction * (_angle(leg, low) - line.angle_rad) >= 0.0:
-        if line.direction * _rate(leg, low) >= 0.0:
-            return low
-        low = brent_root(lambda t: _rate(leg, t), low, high)
+        return low
     return brent_root(lambda t: _angle(leg, t) - line.angle_rad, low, high)
 
 

@@ -20,7 +20,7 @@ from service.core.flexible.phi_functions import FloatArray, phi2_scalar
 _NEWTON_STEPS = 60
 _ROUNDING = 4e-16
 #: a law that fires more often in one visit will not bring the body back
-_MOST_PULSES = 10_000
+_MOST_PULSES = 500
 
 
 class OneSided(NamedTuple):
