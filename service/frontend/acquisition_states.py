@@ -87,18 +87,19 @@ def diagram() -> str:
 
 def reference_page() -> str:
     """Return the page of the reference (Markdown)."""
-    head = "| state | action | " + " | ".join(event.name for event in Event) + " |"
-    rule = "|---|---|" + "---|" * len(Event)
+    head = "| state | " + " | ".join(event.name for event in Event) + " |"
+    rule = "|---|" + "---|" * len(Event)
     rows = [
-        f"| {state.name} | {ACTIONS[state]} | " + " | ".join(TRANSITIONS[state][event].name for event in Event) + " |"
-        for state in State
+        f"| {state.name} | " + " | ".join(TRANSITIONS[state][event].name for event in Event) + " |" for state in State
     ]
+    actions = [f"| {state.name} | {action} |" for state, action in ACTIONS.items()]
     meanings = [f"| {event.name} | {meaning} |" for event, meaning in MEANINGS.items()]
     parts = [
         "# States of an acquisition",
         "Printed by `soo acquire --states` from the table that the code runs by,\n"
         "`service/frontend/acquisition_states.py`. `tests/docs/test_acquisition_states.py` holds page and table equal.",
         "```mermaid\n" + diagram() + "\n```",
+        "\n".join(["| state | action |", "|---|---|", *actions]),
         "\n".join([head, rule, *rows]),
         "\n".join(["| event | meaning |", "|---|---|", *meanings]),
         "A stop is looked at between actions: the cycle in hand is finished and its row handed over. A thread that\n"

@@ -1,0 +1,140 @@
+"""Links are reported and orders obeyed; a service that is away or talks nonsense changes nothing."""
+
+import json
+import logging
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from spooled_rows import spool
+from steady_world import steady_task
+
+from service.client.service_client import ServiceClient
+from service.frontend.acquisition_settings import AcquisitionSettings
+from service.frontend.acquisition_states import Event, State
+from service.frontend.link_report import LinkReporter
+from service.frontend.station import Station
+from service.frontend.uploader import UploadSettings
+
+Answer = Callable[[httpx.Request], httpx.Response]
+
+
+class Service:
+    """A service that answers reports as it is told, and keeps them."""
+
+    def __init__(self) -> None:
+        self.reports: list[dict[str, Any]] = []
+        self.wishes: dict[str, tuple[bool, int]] = {}
+        self.answer: Answer = self.agree
+
+    def agree(self, _: httpx.Request) -> httpx.Response:
+        links = [each["id"] for each in self.reports[-1]["links"]]
+        wishes = {name: self.wishes.get(name, (True, 0)) for name in links}
+        return httpx.Response(
+            200, json={"links": [{"id": name, "enabled": wish[0], "reset": wish[1]} for name, wish in wishes.items()]}
+        )
+
+    def handle(self, request: httpx.Request) -> httpx.Response:
+        self.reports.append(json.loads(request.content))
+        return self.answer(request)
+
+
+@pytest.fixture
+def made(tmp_path: Path) -> Iterator[tuple[Service, Station, LinkReporter]]:
+    """Give a service, a station and its reporter."""
+    service = Service()
+    client = ServiceClient("http://service", "key", retries=0, http=httpx.MockTransport(service.handle))
+    with spool(tmp_path) as rows:
+        station = Station(
+            steady_task(),
+            AcquisitionSettings("TCPIP::analyzer::5025::SOCKET", 5.0),
+            UploadSettings("sc", "sa-1"),
+            client,
+            rows,
+            lambda: 0,
+        )
+        yield service, station, LinkReporter(client, "front-end.here", [station])
+
+
+def test_a_report_tells_state_counters_and_warnings(made: tuple[Service, Station, LinkReporter]) -> None:
+    service, station, reporter = made
+    counters = station.acquisition.counters
+    counters.rows, counters.good_rows, counters.last_good_us = 7, 6, 1_795_230_152_000_000
+    reporter.report()
+    front_end, analyzer = service.reports[0]["links"]
+    assert (front_end["id"], front_end["kind"], front_end["state"]) == ("front-end.here", "front_end", "RUNNING")
+    assert (analyzer["id"], analyzer["kind"], analyzer["state"]) == ("sc.sa-1", "analyzer", "CONNECT")
+    assert (analyzer["spacecraft_id"], analyzer["source"]) == ("sc", "sa-1")
+    assert (analyzer["counters"]["rows"], analyzer["counters"]["good_rows"]) == (7, 6)
+    assert analyzer["last_good"] == "2026-11-21T03:02:32.000000Z"
+    assert all(isinstance(value, int) for value in analyzer["counters"].values())
+    assert analyzer["warnings"] == []
+
+
+def test_orders_reach_the_acquisition(made: tuple[Service, Station, LinkReporter]) -> None:
+    service, station, reporter = made
+    orders = station.acquisition.orders
+    reporter.report()
+    assert orders.next(State.MEASURE) is None
+    service.wishes["sc.sa-1"] = (False, 0)
+    reporter.report()
+    assert orders.next(State.MEASURE) is Event.DISABLE
+    service.wishes["sc.sa-1"] = (True, 2)
+    reporter.report()
+    assert orders.next(State.DISABLED) is Event.ENABLE
+    reporter.report()
+    assert service.reports[-1]["links"][1]["reset_seen"] == 2
+
+
+def test_a_reset_of_the_front_end_is_one_of_all_its_analyzers(made: tuple[Service, Station, LinkReporter]) -> None:
+    service, station, reporter = made
+    service.wishes["front-end.here"] = (True, 1)
+    reporter.report()
+    assert station.acquisition.orders.next(State.MEASURE) is Event.RESET
+    reporter.report()
+    assert station.acquisition.orders.next(State.MEASURE) is None
+
+
+def raises(error: Exception) -> Answer:
+    """Return an answer that is no answer."""
+
+    def answer(_: httpx.Request) -> httpx.Response:
+        raise error
+
+    return answer
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        raises(httpx.ConnectError("refused")),
+        lambda _: httpx.Response(503, json={"code": "storage.unavailable", "detail": "later"}),
+        lambda _: httpx.Response(401, json={"code": "key.unknown", "detail": "who"}),
+        lambda _: httpx.Response(200, json={}),
+        lambda _: httpx.Response(200, json={"links": [{"id": "sc.sa-1"}]}),
+        lambda _: httpx.Response(200, json={"links": None}),
+        lambda _: httpx.Response(200, content=b"<html>"),
+    ],
+)
+def test_a_service_that_is_away_changes_nothing_and_is_told_of_once(
+    made: tuple[Service, Station, LinkReporter], answer: Answer, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, logger="service.frontend.link_report")
+    service, station, reporter = made
+    service.answer = answer
+    reporter.report()
+    reporter.report()
+    assert station.acquisition.orders.next(State.MEASURE) is None
+    assert caplog.text.count("links cannot be reported") == 1
+    service.answer = service.agree
+    reporter.report()
+    assert "links are reported again" in caplog.text
+
+
+def test_reports_end_with_a_last_one(made: tuple[Service, Station, LinkReporter]) -> None:
+    service, _, reporter = made
+    reporter.start()
+    reporter.stop()
+    assert len(service.reports) == 1
