@@ -125,6 +125,7 @@ class Session:
 
     def _run_unit(self, text: str) -> bool:
         """Run one unit; return whether it could run."""
+        before = self._path
         try:
             unit = parse_unit(text)
             command, path = self._tree.find(unit, self._path)
@@ -135,6 +136,7 @@ class Session:
             self._path = path
             self._answer(command, unit, call)
         except TraceNotReadyError:
+            self._path = before
             return False
         except ScpiError as error:
             self._instrument.status.push_error(error.code, error.detail)

@@ -15,11 +15,13 @@ import numpy as np
 import pytest
 
 from analyzer_sim.dialect_rs import IDENTITY
+from analyzer_sim.dialects import DIALECTS
 from analyzer_sim.emission import Emission, Signal
 from analyzer_sim.instrument import Instrument
 from analyzer_sim.line_faults import GARBAGE_BYTES, LineFault
 from analyzer_sim.painter import TracePainter
 from analyzer_sim.server import AnalyzerThread, start_in_thread
+from analyzer_sim.sweep_life import Pace, SweepLife
 
 pytestmark = pytest.mark.system
 
@@ -253,6 +255,34 @@ def test_sweep_waits_for_permission_while_others_are_served() -> None:
         waiting.settimeout(5.0)
         assert receive(waiting, 2) == b"1\n"
         assert ask(other, b"STAT:OPER:COND?") == b"0"
+
+
+READ_TRACE = {
+    "rs": b"TRAC? TRACE1",
+    "keysight": b"TRAC? TRACE1",
+    "siglent": b"TRAC:DATA? 1",
+    "anritsu": b"TRAC:DATA? 1",
+}
+
+
+@pytest.mark.parametrize("name", list(DIALECTS))
+def test_every_dialect_sweeps_at_real_pace(name: str) -> None:
+    dialect, source = DIALECTS[name], StandingSource()
+    instrument = Instrument(source, TracePainter(1), model=dialect.model, life=SweepLife(Pace.REAL))
+    with start_in_thread(instrument, dialect=dialect) as handle, connect(handle.port) as line:
+        line.sendall(b"*RST;*CLS;:FREQ:STAR 954 MHZ;STOP 990 MHZ;:BAND 30 KHZ;:SWE:TIME 0.15;:INIT:CONT ON\n")
+        traces = {ask(line, READ_TRACE[name]) for _ in range(3)}
+        began_s = time.monotonic()
+        while len(traces) < 3:
+            traces.add(ask(line, READ_TRACE[name]))
+        assert time.monotonic() - began_s > 0.1, "a fresh trace takes a sweep"
+        line.sendall(b"INIT:CONT OFF\n")
+        began_s = time.monotonic()
+        assert ask(line, b"INIT;*OPC?") == b"1"
+        assert time.monotonic() - began_s >= 0.15
+        assert len(ask(line, READ_TRACE[name])) > 5000
+        assert source.row == 1
+        assert b"No error" in ask(line, b"SYST:ERR?")
 
 
 def test_abort_from_another_session_releases_the_one_that_waits() -> None:

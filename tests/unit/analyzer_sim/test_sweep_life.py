@@ -146,6 +146,16 @@ def test_sweeps_without_end_give_fresh_data_each_sweep_time(slow: Slow) -> None:
     assert slow.bench.source.row == 0, "the world stands still"
 
 
+def test_what_was_held_goes_on_from_the_same_place(slow: Slow) -> None:
+    slow.ask("INIT:CONT ON")
+    slow.pass_time(0.0)
+    assert slow.ask("FREQ:OFFS?;:TRAC:DATA? TRACE1;:SWE:POIN?") == ""
+    slow.pass_time(2.01)
+    offset, trace, points = slow.bench.go_on().decode().strip().split(";")
+    assert (offset, trace.count(","), points) == ("0", 200, "201")
+    assert slow.bench.errors() == []
+
+
 def test_a_setting_begins_sweeps_without_end_again(slow: Slow) -> None:
     slow.ask("INIT:CONT ON")
     slow.pass_time(0.0)
