@@ -7,6 +7,7 @@ from service.cli.demo import demo
 from service.cli.operate import align, calibrate, export, replay
 from service.cli.plan import plan
 from service.cli.reference import openapi, settings
+from service.cli.send import send
 from service.cli.serve import serve
 from service.cli.study import app as study
 
@@ -18,6 +19,6 @@ app = typer.Typer(
     add_completion=False,
 )
 
-for command in (demo, serve, acquire, calibrate, align, replay, export, plan, openapi, settings):
+for command in (demo, serve, acquire, send, calibrate, align, replay, export, plan, openapi, settings):
     app.command()(command)
 app.add_typer(study, name="study")

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -20,14 +20,14 @@ DEFAULT_KEY_ENVIRONMENT = "SOO_KEY"
 
 
 @contextmanager
-def connected(service: str, key_env: str) -> Iterator[ServiceClient]:
+def connected(service: str, key_env: str, **options: Any) -> Iterator[ServiceClient]:
     """Give a client; a refusal of the service ends the command with its words and exit code 1."""
     key = os.environ.get(key_env)
     if not key:
         typer.echo(f"no key: the environment variable {key_env} is empty", err=True)
         raise typer.Exit(2)
     try:
-        with ServiceClient(service, key) as client:
+        with ServiceClient(service, key, **options) as client:
             yield client
     except ClientError as error:
         typer.echo(str(error), err=True)

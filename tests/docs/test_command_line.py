@@ -37,7 +37,7 @@ def test_every_command_has_a_section() -> None:
 
 @pytest.mark.parametrize("name", list(COMMANDS))
 def test_options_of_a_command_are_those_of_the_code(name: str) -> None:
-    rows = re.findall(r"^\| `(--[\w-]+)` \| ([^|]*) \| (.*) \|$", sections()[name], re.MULTILINE)
+    rows = re.findall(r"^\| `((?:--)?[\w-]+)` \| ([^|]*) \| (.*) \|$", sections()[name], re.MULTILINE)
     wanted = [(option.opts[0], option.help) for option in COMMANDS[name].params]
     assert [(option, meaning) for option, _, meaning in rows] == wanted
     required = {option.opts[0] for option in COMMANDS[name].params if option.required}

@@ -1,0 +1,317 @@
+"""An archive that a station already has, sent to the service: in pieces, resumable, each row accounted for.
+
+Examples
+--------
+::
+
+    with ServiceClient("http://127.0.0.1:8000", key) as client:
+        report = send_archive(client, ArchiveOrder(Path("levels.csv"), "yamal-202", "sa-1"))
+    print(report["accepted"], report["duplicates"], report["refused"])
+
+Law of this file: a row counts as sent when the service has accounted for it. An interruption at any point costs at most
+the repetition of one request, and the service knows its rows again.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from service.client.backoff import Backoff
+from service.client.problem import ClientError, ProblemError, ServiceUnavailableError
+from service.client.service_client import ServiceClient
+from service.frontend.backfill_columns import (
+    ArchiveError,
+    CellError,
+    Columns,
+    match_columns,
+    read_epoch,
+    read_levels,
+)
+from service.frontend.backfill_reader import ArchiveFile, FileRow, open_archive, sha256_of
+from service.frontend.backfill_state import Destination, SendState
+from service.frontend.upload_answers import Receipt, Verdict, judge, read_receipt
+from service.records.epoch import format_epoch
+
+#: code of a row whose cells mean nothing
+UNREADABLE = "row.unreadable"
+#: faults that a check tells one by one
+FAULTS_TOLD = 20
+
+
+class SendInterruptedError(ClientError):
+    """The service did not take the rest; the same order goes on where it stopped."""
+
+
+@dataclass(frozen=True, slots=True)
+class ArchiveOrder:
+    """What is to be sent where."""
+
+    path: Path
+    spacecraft_id: str
+    source: str
+    #: only rows that the file gives to this source; None: those of ``source``, and those without a source
+    from_source: str | None = None
+    #: refuse a file with columns that are no carrier of the plan, instead of leaving them out
+    refuse_unknown_columns: bool = False
+    batch_rows: int = 1000
+    #: how long a service that does not answer is waited for, s
+    patience_s: float = 600.0
+    #: where state and refused rows are kept; None: beside the file
+    folder: Path | None = None
+
+
+class Progress(NamedTuple):
+    """How far it is."""
+
+    #: read of the file, in bytes or rows
+    done: int
+    total: int
+    #: rows settled so far
+    rows: int
+
+
+class _Row(NamedTuple):
+    """A row that can be sent."""
+
+    file_row: FileRow
+    epoch_us: int
+    levels: list[float | None]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the row as the contract has it."""
+        return {"epoch": format_epoch(self.epoch_us), "power_dbm": self.levels}
+
+
+class _Unreadable(NamedTuple):
+    """A row that cannot be sent."""
+
+    file_row: FileRow
+    detail: str
+
+
+class _Foreign(NamedTuple):
+    """A row of another source."""
+
+    source: str
+
+
+def check_archive(client: ServiceClient, order: ArchiveOrder) -> dict[str, Any]:
+    """Return what sending would meet: rows, span, columns, sources, and the first faults; nothing is sent."""
+    with closing(open_archive(order.path)) as archive:
+        _, columns = _plan_columns(client, order, archive)
+        rows, unreadable, in_order = 0, 0, True
+        first_us = last_us = before_us = None
+        faults: list[dict[str, Any]] = []
+        foreign: dict[str, int] = {}
+        for each in _judged(archive, columns, order):
+            if isinstance(each, _Row):
+                rows += 1
+                first_us = each.epoch_us if first_us is None else min(first_us, each.epoch_us)
+                last_us = each.epoch_us if last_us is None else max(last_us, each.epoch_us)
+                in_order = in_order and (before_us is None or each.epoch_us > before_us)
+                before_us = each.epoch_us
+            elif isinstance(each, _Foreign):
+                foreign[each.source] = foreign.get(each.source, 0) + 1
+            else:
+                unreadable += 1
+                if len(faults) < FAULTS_TOLD:
+                    faults.append({"line": each.file_row.line, "detail": each.detail})
+    return {
+        "file": str(order.path),
+        "rows": rows,
+        "unreadable": unreadable,
+        "other_sources": foreign,
+        "start": None if first_us is None else format_epoch(first_us),
+        "stop": None if last_us is None else format_epoch(last_us),
+        "is_in_order": in_order,
+        "columns": _told(columns),
+        "faults": faults,
+    }
+
+
+def send_archive(
+    client: ServiceClient,
+    order: ArchiveOrder,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+    backoff: Backoff | None = None,
+) -> dict[str, Any]:
+    """Send an archive, or the rest of it, and return what became of its rows over all runs.
+
+    Raises
+    ------
+    ArchiveError
+        The file cannot be sent as it is.
+    SendInterruptedError
+        The service did not answer for longer than the order's patience; the next call goes on.
+    ProblemError
+        The service refuses the whole request, for example the key or the spacecraft.
+    """
+    begun_s = time.monotonic()
+    destination = Destination(
+        sha256_of(order.path), client.service_url, order.spacecraft_id, order.source, order.from_source or ""
+    )
+    state = SendState(order.path, destination, order.folder)
+    state.load()
+    resumed_at = state.counters.rows
+    with closing(open_archive(order.path)) as archive:
+        plan_id, columns = _plan_columns(client, order, archive)
+        if not state.is_complete:
+            state.begin()
+            sender = _Sender(client, order, state, plan_id, columns, backoff or Backoff())
+            sender.send(archive, on_progress)
+    return {
+        "file": str(order.path),
+        "sha256": destination.sha256,
+        **asdict(state.counters),
+        "resumed_at": resumed_at,
+        "columns": _told(columns),
+        "refused_file": str(state.refused_path) if state.counters.kept_back else None,
+        "state_file": str(state.path),
+        "seconds": round(time.monotonic() - begun_s, 3),
+    }
+
+
+class _Sender:
+    """Sends one file; see `send_archive`."""
+
+    def __init__(
+        self,
+        client: ServiceClient,
+        order: ArchiveOrder,
+        state: SendState,
+        plan_id: int,
+        columns: Columns,
+        backoff: Backoff,
+    ) -> None:
+        self._client = client
+        self._order = order
+        self._state = state
+        self._plan_id = plan_id
+        self._columns = columns
+        self._backoff = backoff
+        self._batch_rows = order.batch_rows
+
+    def send(self, archive: ArchiveFile, on_progress: Callable[[Progress], None]) -> None:
+        """Send what is left of a file."""
+        settled = self._state.counters.rows
+        rows: list[_Row] = []
+        seen: list[_Unreadable | _Foreign] = []
+        for number, each in enumerate(_judged(archive, self._columns, self._order), start=1):
+            if number <= settled:
+                continue
+            if isinstance(each, _Row):
+                rows.append(each)
+            else:
+                seen.append(each)
+            if len(rows) + len(seen) >= self._order.batch_rows:
+                self._settle(rows, seen)
+                on_progress(Progress(archive.done, archive.total, self._state.counters.rows))
+                rows, seen = [], []
+        self._state.is_complete = True
+        self._settle(rows, seen)
+        on_progress(Progress(archive.total, archive.total, self._state.counters.rows))
+
+    def _settle(self, rows: list[_Row], seen: list[_Unreadable | _Foreign]) -> None:
+        """Deliver rows, note the others, and write the state."""
+        counters = self._state.counters
+        refused: list[tuple[int, str, str, Any]] = []
+        for each in seen:
+            if isinstance(each, _Foreign):
+                counters.other_sources[each.source] = counters.other_sources.get(each.source, 0) + 1
+            else:
+                counters.unreadable += 1
+                refused.append((each.file_row.line, UNREADABLE, each.detail, each.file_row.cells))
+        rest = rows
+        while rest:
+            part = rest[: self._batch_rows]
+            sent, receipt = self._deliver(part)
+            counters.accepted += receipt.accepted
+            counters.duplicates += receipt.duplicates
+            counters.late += receipt.late
+            counters.refused += len(receipt.refused)
+            for place, (code, detail) in receipt.refused.items():
+                refused.append((part[place].file_row.line, code, detail, part[place].file_row.cells))
+            rest = rest[sent:]
+        self._state.refuse(self._columns.header, sorted(refused, key=lambda each: each[0]))
+        counters.rows += len(rows) + len(seen)
+        self._state.save()
+
+    def _deliver(self, rows: list[_Row]) -> tuple[int, Receipt]:
+        """Send rows, or the first of them, until that is answered; return how many are settled, and how."""
+        deadline_s = time.monotonic() + self._order.patience_s
+        while True:
+            try:
+                receipt = self._post(rows)
+            except ServiceUnavailableError as error:
+                wait_s = max(self._backoff.next_s(), error.retry_after_s or 0.0)
+                if time.monotonic() + wait_s > deadline_s:
+                    raise SendInterruptedError(f"{error}; the same command goes on where this one stopped") from error
+                time.sleep(wait_s)
+            except ProblemError as problem:
+                rows = self._shortened(problem, rows)
+                if not rows:
+                    return 1, Receipt(0, 0, 0, {0: (problem.code, problem.detail)})
+            else:
+                self._backoff.reset()
+                return len(rows), receipt
+
+    def _shortened(self, problem: ProblemError, rows: list[_Row]) -> list[_Row]:
+        """Return the rows to be sent after a batch was refused as a whole; none when its first row is the reason."""
+        verdict, place = judge(problem, len(rows))
+        if verdict is Verdict.SHORTER:
+            self._batch_rows = max(1, len(rows) // 2)
+            return rows[: self._batch_rows]
+        if verdict is Verdict.PARTED:
+            return rows[:place]
+        raise problem
+
+    def _post(self, rows: list[_Row]) -> Receipt:
+        """Send rows once; they take no sequence numbers, which belong to the front end."""
+        reply = self._client.post_measurements(
+            self._order.spacecraft_id, self._plan_id, [each.as_json() for each in rows], source=self._order.source
+        )
+        receipt = read_receipt(reply, len(rows))
+        if receipt is None:
+            raise ServiceUnavailableError(f"the answer does not account for {len(rows)} rows: {str(reply)[:200]}")
+        return receipt
+
+
+def _plan_columns(client: ServiceClient, order: ArchiveOrder, archive: ArchiveFile) -> tuple[int, Columns]:
+    """Return the newest plan's number and what the file's columns are under it."""
+    plan = client.carriers(order.spacecraft_id)
+    if not isinstance(plan.get("plan_id"), int):
+        raise ArchiveError(f"{order.spacecraft_id} has no carrier plan yet")
+    columns = match_columns(archive.header, [str(each["id"]) for each in plan["carriers"]])
+    if columns.left_out and order.refuse_unknown_columns:
+        raise ArchiveError(f"columns are no carrier of plan {plan['plan_id']}: {', '.join(columns.left_out)}")
+    return int(plan["plan_id"]), columns
+
+
+def _judged(archive: ArchiveFile, columns: Columns, order: ArchiveOrder) -> Iterator[_Row | _Unreadable | _Foreign]:
+    """Yield each row of a file as what it is."""
+    wanted = {order.from_source} if order.from_source is not None else {order.source, ""}
+    for file_row in archive.rows():
+        cells = file_row.cells
+        if len(cells) != len(columns.header):
+            yield _Unreadable(file_row, f"{len(cells)} cells, the header has {len(columns.header)}")
+            continue
+        source = "" if columns.source is None else str(cells[columns.source] or "").strip()
+        if columns.source is not None and source not in wanted:
+            yield _Foreign(source)
+            continue
+        try:
+            yield _Row(file_row, read_epoch(cells[columns.epoch]), read_levels(cells, columns))
+        except CellError as error:
+            yield _Unreadable(file_row, str(error))
+
+
+def _told(columns: Columns) -> dict[str, list[str]]:
+    """Return the columns as a report tells them."""
+    return {
+        "sent": [each.name for each in columns.carriers],
+        "left_out": list(columns.left_out),
+        "absent": list(columns.absent),
+    }

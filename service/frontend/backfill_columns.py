@@ -1,0 +1,137 @@
+"""Columns of an archive and the carriers of a plan: which cell is the level of which carrier, in which unit.
+
+::
+
+    epoch            RFC 3339 with an offset, or whole microseconds UTC
+    source           optional: name of the source that measured the row
+    <carrier>_dbm    level, dBm; empty = absent
+    <carrier>_dbw    level, dBW; 30 dB are added
+"""
+
+import math
+import re
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from service.records.epoch import parse_epoch
+
+#: unit's suffix -> what makes a level in it one in dBm
+_UNITS = {"_dbm": 0.0, "_dbw": 30.0}
+#: what stands for an absent level
+_ABSENT = frozenset({"", "nan", "null", "none"})
+_WHOLE = re.compile(r"[+-]?\d{1,18}")
+#: keeps the sum of 30 and a decimal a decimal, dB
+_SUM_DECIMALS = 9
+
+
+class ArchiveError(Exception):
+    """The file cannot be sent as it is."""
+
+
+class CellError(ValueError):
+    """A cell of a row means nothing."""
+
+
+class CarrierColumn(NamedTuple):
+    """A column of levels."""
+
+    name: str
+    #: place among the columns of the file, and among the carriers of the plan
+    place: int
+    plan_place: int
+    offset_db: float
+
+
+class Columns(NamedTuple):
+    """What the columns of a file are."""
+
+    header: tuple[str, ...]
+    epoch: int
+    source: int | None
+    carriers: tuple[CarrierColumn, ...]
+    #: columns that are no carrier of the plan
+    left_out: tuple[str, ...]
+    #: carriers of the plan without a column; their levels are sent as absent
+    absent: tuple[str, ...]
+    #: carriers of the plan
+    width: int
+
+
+def match_columns(header: Sequence[str], plan_ids: Sequence[str]) -> Columns:
+    """Return what the columns of a header are under a plan.
+
+    Raises
+    ------
+    ArchiveError
+        No epoch, a name twice, a carrier in two units, or no carrier of the plan at all.
+    """
+    names = tuple(name.strip() for name in header)
+    repeated = [name for name, count in Counter(names).items() if count > 1]
+    if repeated:
+        raise ArchiveError(f"columns stand twice: {', '.join(repeated)}")
+    if "epoch" not in names:
+        raise ArchiveError(f"no column 'epoch' among {', '.join(names[:8])}")
+    places = {carrier_id: place for place, carrier_id in enumerate(plan_ids)}
+    carriers = [
+        CarrierColumn(name, place, places[name[: -len(unit)]], offset_db)
+        for place, name in enumerate(names)
+        for unit, offset_db in _UNITS.items()
+        if name.endswith(unit) and name[: -len(unit)] in places
+    ]
+    twice = [plan_ids[place] for place, count in Counter(each.plan_place for each in carriers).items() if count > 1]
+    if twice:
+        raise ArchiveError(f"carriers stand in two columns: {', '.join(twice)}")
+    if not carriers:
+        raise ArchiveError(
+            f"no column is a carrier of the plan: it has {', '.join(plan_ids[:8])}, wanted as c00_dbm or c00_dbw"
+        )
+    known = {"epoch", "source", *(each.name for each in carriers)}
+    found = {each.plan_place for each in carriers}
+    return Columns(
+        names,
+        names.index("epoch"),
+        names.index("source") if "source" in names else None,
+        tuple(carriers),
+        tuple(name for name in names if name not in known),
+        tuple(carrier_id for place, carrier_id in enumerate(plan_ids) if place not in found),
+        len(plan_ids),
+    )
+
+
+def read_epoch(cell: Any) -> int:
+    """Return the microseconds UTC that a cell tells; CellError when it tells none.
+
+    Examples
+    --------
+    >>> read_epoch("2026-11-21T00:00:00Z"), read_epoch("1795219200000000")
+    (1795219200000000, 1795219200000000)
+    """
+    if isinstance(cell, int):
+        return cell
+    text = str(cell).strip()
+    if _WHOLE.fullmatch(text):
+        return int(text)
+    try:
+        return parse_epoch(text)
+    except ValueError as error:
+        raise CellError(f"epoch: {error}") from None
+
+
+def read_levels(cells: Sequence[Any], columns: Columns) -> list[float | None]:
+    """Return the levels of a row in the order of the plan, dBm, None = absent; CellError names the first bad cell."""
+    levels: list[float | None] = [None] * columns.width
+    for column in columns.carriers:
+        cell = cells[column.place]
+        if cell is None or (isinstance(cell, str) and cell.strip().lower() in _ABSENT):
+            continue
+        try:
+            level = float(cell)
+        except (TypeError, ValueError):
+            raise CellError(f"{column.name}: {str(cell)[:40]!r} is no number") from None
+        if math.isinf(level):
+            raise CellError(f"{column.name}: a level is not infinite")
+        if not math.isnan(level):
+            shift_db = column.offset_db
+            levels[column.plan_place] = round(level + shift_db, _SUM_DECIMALS) if shift_db else level
+    return levels

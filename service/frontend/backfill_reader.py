@@ -1,0 +1,158 @@
+"""An archive's file, read row by row: CSV with the standard library, Parquet with pyarrow where it is installed.
+
+Memory holds one row of a CSV file or one piece of a Parquet file, however long the file is.
+"""
+
+import csv
+import hashlib
+import importlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+from service.frontend.backfill_columns import ArchiveError
+
+#: rows of a Parquet file in memory at once
+_PARQUET_ROWS = 2000
+_HASHED_BYTES = 1 << 20
+
+
+class FileRow(NamedTuple):
+    """One row as the file has it."""
+
+    #: line of a CSV file, row of a Parquet file; the first line is 1
+    line: int
+    cells: list[Any]
+
+
+class ArchiveFile(Protocol):
+    """A file that is read once from its beginning."""
+
+    header: list[str]
+    #: how much has been read of how much there is: bytes or rows
+    done: int
+    total: int
+
+    def rows(self) -> Iterator[FileRow]:
+        """Yield the rows in the order of the file."""
+        ...
+
+    def close(self) -> None:
+        """Close the file."""
+        ...
+
+
+def open_archive(path: Path) -> ArchiveFile:
+    """Return a file by the ending of its name; ArchiveError when it cannot be read as that."""
+    try:
+        return ParquetArchive(path) if path.suffix.lower() == ".parquet" else CsvArchive(path)
+    except OSError as error:
+        raise ArchiveError(f"{path}: {error.strerror or error}") from error
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file, hexadecimal."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while piece := file.read(_HASHED_BYTES):
+            digest.update(piece)
+    return digest.hexdigest()
+
+
+class CsvArchive:
+    """A CSV file, RFC 4180, UTF-8; separated by semicolons when its header has them and no comma.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.done = 0
+        self.total = path.stat().st_size
+        self._line = 0
+        self._file = path.open("rb")
+        try:
+            first = next(self._texts(), "").removeprefix("\ufeff")
+        except BaseException:
+            self._file.close()
+            raise
+        self._separator = ";" if ";" in first and "," not in first else ","
+        self.header = next(csv.reader([first], delimiter=self._separator), [])
+
+    def rows(self) -> Iterator[FileRow]:
+        """Yield the rows; empty lines are none."""
+        reader = csv.reader(self._texts(), delimiter=self._separator)
+        try:
+            for cells in reader:
+                if cells:
+                    yield FileRow(self._line, cells)
+        except csv.Error as error:
+            raise ArchiveError(f"line {self._line}: {error}") from error
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _texts(self) -> Iterator[str]:
+        """Yield lines as text and count what was read."""
+        for raw in self._file:
+            self.done += len(raw)
+            self._line += 1
+            try:
+                yield raw.decode()
+            except UnicodeDecodeError as error:
+                raise ArchiveError(f"line {self._line} is not UTF-8: {error.reason}") from error
+
+
+class ParquetArchive:
+    """A Parquet file; epochs as text, as int64 microseconds, or as instants with a time zone.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Raises
+    ------
+    ArchiveError
+        No Parquet, instants without a time zone, or pyarrow is not installed.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            # tens of megabytes that only this format needs
+            self._arrow: Any = importlib.import_module("pyarrow")
+            parquet: Any = importlib.import_module("pyarrow.parquet")
+        except ImportError as error:
+            raise ArchiveError("reading Parquet needs pyarrow, which is not installed; CSV does not") from error
+        try:
+            self._file = parquet.ParquetFile(path)
+        except self._arrow.ArrowInvalid as error:
+            raise ArchiveError(f"{path} is no Parquet file: {error}") from error
+        self.header = list(self._file.schema_arrow.names)
+        self.done = 0
+        self.total = int(self._file.metadata.num_rows)
+
+    def rows(self) -> Iterator[FileRow]:
+        """Yield the rows."""
+        for piece in self._file.iter_batches(batch_size=_PARQUET_ROWS):
+            columns = [self._listed(name, column) for name, column in zip(self.header, piece.columns, strict=True)]
+            for cells in zip(*columns, strict=True):
+                self.done += 1
+                yield FileRow(self.done, list(cells))
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _listed(self, name: str, column: Any) -> list[Any]:
+        """Return a column as plain values; instants as microseconds."""
+        if self._arrow.types.is_timestamp(column.type):
+            if column.type.tz is None:
+                raise ArchiveError(f"column {name} has instants without a time zone; write them as UTC")
+            # nanoseconds beyond the microsecond are cut off
+            column = column.cast(self._arrow.timestamp("us", tz="UTC"), safe=False).cast("int64")
+        values: list[Any] = column.to_pylist()
+        return values
