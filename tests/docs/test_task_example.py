@@ -14,8 +14,8 @@ PAGE = (ROOT / "docs/how-to/connect-an-analyzer.md").read_text()
 
 
 def example() -> bytes:
-    """Return the JSON block of the page."""
-    (block,) = re.findall(r"^```json\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
+    """Return the task of the page, its first JSON block."""
+    block, *_ = re.findall(r"^```json\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
     return bytes(block, "utf-8")
 
 
