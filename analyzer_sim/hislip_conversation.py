@@ -2,14 +2,14 @@
 
 import asyncio
 from collections import deque
-from collections.abc import AsyncGenerator, Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import suppress
 
 from analyzer_sim.dispatcher import Dispatcher
-from analyzer_sim.faulty_line import FaultyLine, LineEndedError
+from analyzer_sim.faulty_line import LineEndedError
+from analyzer_sim.hislip_channel import Channel
 from analyzer_sim.hislip_messages import (
     MAX_PAYLOAD_BYTES,
-    Decoder,
     ErrorCode,
     FatalCode,
     FatalProtocolError,
@@ -17,14 +17,11 @@ from analyzer_sim.hislip_messages import (
     MessageType,
     answer_parts,
     decode_size,
-    encode,
     encode_size,
 )
 from analyzer_sim.hislip_session import HislipSession, Phase, RefusedMessageError, Request
-from analyzer_sim.line_faults import LineFaults
 from analyzer_sim.lock_table import LockAnswer
 
-_READ_BYTES = 1 << 16
 #: requests that wait for execution before the channel is not read any more
 _QUEUED_REQUESTS = 64
 #: the two channels race: how long a status query lets requests pass that were sent before it, s
@@ -33,44 +30,6 @@ _HEAD_START_S = 0.001
 _ARRIVAL_PATIENCE_S = 0.2
 _VENDOR = int.from_bytes(b"SO", "big")
 _LARGEST_REMOTE_CONTROL = 6
-
-
-class Channel:
-    """One of the two connections of a session."""
-
-    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, faults: LineFaults) -> None:
-        self._reader = reader
-        self._writer = writer
-        self._decoder = Decoder()
-        self.line = FaultyLine(writer, faults)
-
-    async def messages(self) -> AsyncGenerator[Message, None]:
-        """Give the messages of the peer until it leaves."""
-        while data := await self._reader.read(_READ_BYTES):
-            for message in self._decoder.feed(data):
-                yield message
-
-    def put(self, kind: MessageType, control: int = 0, parameter: int = 0, payload: bytes = b"") -> None:
-        """Send a message without waiting until it has left."""
-        if not self._writer.is_closing():
-            self._writer.write(encode(kind, control, parameter, payload))
-
-    async def drain(self) -> None:
-        """Wait until all that was put has left."""
-        await self._writer.drain()
-
-    def refuse(self, refusal: RefusedMessageError) -> None:
-        """Tell the peer that one message was refused."""
-        self.put(MessageType.ERROR, refusal.code, 0, refusal.text.encode())
-
-    def end(self, error: FatalProtocolError) -> None:
-        """Tell the peer why the session is over and close the connection."""
-        self.put(MessageType.FATAL_ERROR, error.code, 0, error.text.encode())
-        self.close()
-
-    def close(self) -> None:
-        """Close the connection once what was put has left."""
-        self._writer.close()
 
 
 class Conversation:
