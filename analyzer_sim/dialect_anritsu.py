@@ -65,7 +65,8 @@ def _put_average_type(call: Call, word: str) -> None:
 
 
 def _average_type(call: Call) -> str:
-    state = call.instrument.settings.is_averaging, call.instrument.settings.hold
+    settings = call.instrument.settings
+    state = (True, settings.hold) if settings.is_averaging else (False, "")
     return next(word for word, of_word in _AVERAGE_TYPES.items() if of_word == state)
 
 

@@ -81,6 +81,9 @@ def test_average_is_a_type_of_the_trace(bench: Any) -> None:
     assert bench.ask("AVER:TYPE?;COUN?") == "NONE;10"
     assert bench.ask("TRAC1:TYPE AVER;TYPE?;OPER?;:AVER:TYPE?") == "AVER;AVER;SCAL"
     assert bench.ask("AVER:TYPE NONE;:TRAC1:TYPE?") == "NORM"
+    assert bench.ask("TRAC1:TYPE MAXH;:AVER:TYPE?") == "MAX"
+    bench.instrument.settings.is_averaging = False  # as a measurement of single sweeps leaves it
+    assert bench.ask("AVER:TYPE?;:TRAC1:TYPE?") == "NONE;NORM"
 
 
 def test_couplings_have_the_ratios_of_the_manual(bench: Any) -> None:
