@@ -33,7 +33,7 @@ class TraceCounters:
     """What became of the traces."""
 
     sent: int = 0
-    #: given up because the service could not read them
+    #: given up because the service could not read them, or would not have their epochs
     refused: int = 0
 
 
@@ -101,7 +101,9 @@ class TraceSender:
         if not _accounts_for(reply, len(traces)):
             message = f"answer does not account for {len(traces)} traces: {str(reply)[:200]}"
             raise ServiceUnavailableError(message)
-        self.counters.sent += len(traces)
+        refused = len(reply.get("refused", ()))
+        self.counters.sent += len(traces) - refused
+        self.counters.refused += refused
         self._spool.settle_traces(traces)
 
     def _face(self, problem: ProblemError, traces: list[SpooledTrace]) -> None:
@@ -137,6 +139,6 @@ def _as_json(trace: SpooledTrace) -> dict[str, Any]:
 def _accounts_for(reply: Any, traces: int) -> bool:
     """Tell whether an answer accounts for every trace."""
     try:
-        return int(reply["accepted"]) + int(reply["duplicates"]) == traces
+        return int(reply["accepted"]) + int(reply["duplicates"]) + len(reply.get("refused", ())) == traces
     except (KeyError, TypeError, ValueError):
         return False

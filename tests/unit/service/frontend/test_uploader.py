@@ -395,6 +395,21 @@ def test_traces_go_when_no_row_waits(rows: Spool) -> None:
     assert rows.traces_waiting == 0
 
 
+def test_traces_that_the_service_refuses_are_accounted_for(rows: Spool) -> None:
+    """A trace from the future is refused by itself; it must not come back for ever."""
+    service = Service()
+    refused = [{"index": 0, "code": "time.future", "detail": "ahead"}]
+    service.take_traces = lambda body: httpx.Response(
+        200, json={"received": 2, "accepted": len(body["traces"]) - 1, "duplicates": 0, "refused": refused}
+    )
+    for number in range(2):
+        rows.append_trace(sweep(number))
+        fill(rows, 1, first=number)
+    made = uploader(service, rows)
+    deliver(made, lambda: made.traces.refused > 0)
+    assert (made.traces.sent, made.traces.refused, rows.traces_waiting) == (1, 1, 0)
+
+
 def test_a_service_without_traces_is_left_alone(rows: Spool) -> None:
     service = Service()
     service.take_traces = lambda _: problem(404, "http.404")
