@@ -97,15 +97,13 @@ class SqlTraces:
 
 
 def packed(power_dbm: FloatArray) -> bytes:
-    """Return (B,) powers as float32 little endian, packed byte plane by byte plane: noise packs better that way."""
-    planes = np.ascontiguousarray(power_dbm, dtype="<f4").view(np.uint8).reshape(-1, 4).T
-    return zlib.compress(planes.tobytes(), _PACK_LEVEL)
+    """Return (B,) powers as float32 little endian, packed."""
+    return zlib.compress(power_dbm.astype("<f4").tobytes(), _PACK_LEVEL)
 
 
 def unpacked(blob: bytes) -> FloatArray:
     """Return stored powers widened to float64, shape (B,), read-only."""
-    planes = np.frombuffer(zlib.decompress(blob), dtype=np.uint8).reshape(4, -1)
-    power_dbm = np.ascontiguousarray(planes.T).view("<f4").ravel().astype(np.float64)
+    power_dbm = np.frombuffer(zlib.decompress(blob), dtype="<f4").astype(np.float64)
     power_dbm.setflags(write=False)
     return power_dbm
 
