@@ -2,12 +2,13 @@
 
 import sys
 
-from bench import bench_chain, bench_ingest, bench_storage
+from bench import bench_chain, bench_ingest, bench_spool, bench_storage
 
 
 def main() -> int:
     """Run them and return the exit code."""
     bench_storage.main()
+    bench_spool.main()
     is_met = [bench_ingest.main(), bench_chain.main()]
     return 0 if all(is_met) else 1
 
