@@ -36,7 +36,13 @@ TRACE = {
     "sweep_time_s": 2.0,
     "power_dbm": [-90.0, -60.5, None],
 }
-REPORT = {"id": "sa-1", "kind": "analyzer", "spacecraft_id": "yamal-202", "source": "sa-1", "state": "MEASURE"}
+REPORT = {
+    "id": "yamal-202.sa-1",
+    "kind": "analyzer",
+    "spacecraft_id": "yamal-202",
+    "source": "sa-1",
+    "state": "MEASURE",
+}
 
 
 def test_the_page_names_every_state_and_no_other() -> None:
@@ -56,7 +62,7 @@ def test_the_blocks_run_as_they_stand(service: Any, tmp_path: Path) -> None:
         row = {"epoch": EPOCH, "power_dbm": [-42.0], "flags": [16], "sigma_db": [0.05]}
         client.post_measurements("yamal-202", plan_id, [row], source="sa-1", first_seq=1)
         client.post_traces("yamal-202", "sa-1", [TRACE])
-        assert client.report_links([REPORT]) == [{"id": "sa-1", "enabled": True, "reset": 0}]
+        assert client.report_links([REPORT]) == [{"id": "yamal-202.sa-1", "enabled": True, "reset": 0}]
         printed = [run(block, service.environment, tmp_path) for block in blocks]
         assert '"state":"MEASURE"' in printed[0]
         assert ['"enabled":false' in text for text in printed[:4]] == [False, True, False, False]
@@ -67,7 +73,7 @@ def test_the_blocks_run_as_they_stand(service: Any, tmp_path: Path) -> None:
             "954015000.0,-60.5",
             "954030000.0,",
         ]
-        assert client.report_links([REPORT]) == [{"id": "sa-1", "enabled": True, "reset": 1}]
+        assert client.report_links([REPORT]) == [{"id": "yamal-202.sa-1", "enabled": True, "reset": 1}]
 
 
 def run(block: str, environment: dict[str, str], folder: Path) -> str:
