@@ -701,3 +701,26 @@ def test_pyvisa_times_out_polls_clears_and_goes_on(held: Held, analyzer: Analyze
     assert len(i.query_ascii_values("TRAC? TRACE1")) == 501
     assert i.query("SYST:ERR?").startswith("0,")
     i.close()
+
+
+def test_pyvisa_never_reads_a_stale_answer_over_hislip_and_does_over_the_socket(
+    held: Held, analyzer: AnalyzerThread
+) -> None:
+    import pyvisa
+
+    manager = pyvisa.ResourceManager("@py")
+    answers = []
+    for resource in (
+        f"TCPIP::127.0.0.1::hislip0,{analyzer.hislip_port}::INSTR",
+        f"TCPIP::127.0.0.1::{analyzer.port}::SOCKET",
+    ):
+        held.allowed.clear()
+        i = manager.open_resource(resource, read_termination="\n", write_termination="\n", timeout=100)
+        i.write("*RST;*CLS;:INIT:CONT OFF;:SWE:POIN 501;:INIT")
+        with pytest.raises(pyvisa.VisaIOError):
+            i.query("*OPC?")
+        held.allowed.set()
+        i.timeout = 5000
+        answers.append(i.query("*IDN?"))
+        i.close()
+    assert answers == [RS.identity, "1"]

@@ -1,0 +1,147 @@
+"""Many sessions, one instrument: who waits for what, and what wakes them. No socket."""
+
+import asyncio
+from collections.abc import Callable, Coroutine
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from analyzer_sim.dialect_rs import RS
+from analyzer_sim.dispatcher import Dispatcher
+from analyzer_sim.imperfections import IDEAL
+from analyzer_sim.instrument import Instrument
+from analyzer_sim.models import FSW_26
+from analyzer_sim.painter import TracePainter
+from analyzer_sim.scpi import ProgramMessage
+from analyzer_sim.session import Session
+from analyzer_sim.sweep_life import Pace, SweepLife
+
+MAX_WAIT_S = 5.0
+
+
+class Party:
+    """A dispatcher and a way to ask it."""
+
+    def __init__(self, source: Any, **instrument: Any) -> None:
+        self.allowed = asyncio.Event()
+        self.instrument = Instrument(source, TracePainter(1, IDEAL), self.allowed.is_set, **instrument)
+        self.dispatcher = Dispatcher(self.instrument, RS, self.permission)
+
+    async def permission(self) -> None:
+        await self.allowed.wait()
+
+    async def ask(self, session: Session, text: str) -> str:
+        response = await self.dispatcher.execute(session, ProgramMessage(text.encode(), is_overrun=False))
+        return (response or b"").decode().removesuffix("\n")
+
+    def asking(self, session: Session, text: str) -> "asyncio.Task[str]":
+        return asyncio.create_task(self.ask(session, text))
+
+
+Story = Callable[[Party, Session, Session], Coroutine[Any, Any, None]]
+
+
+@pytest.fixture
+def play(make_bench: Callable[..., Any]) -> Callable[..., None]:
+    """Run a story of two sessions to its end."""
+
+    def run(story: Story, rows: int = 1000, **instrument: Any) -> None:
+        async def whole() -> None:
+            party = Party(make_bench(rows=rows).source, **instrument)
+            first, second = party.dispatcher.new_session("socket"), party.dispatcher.new_session("socket")
+            async with asyncio.timeout(MAX_WAIT_S):
+                await story(party, first, second)
+            await party.dispatcher.close()
+
+        asyncio.run(whole())
+
+    return run
+
+
+async def settled(task: "asyncio.Task[str]") -> bool:
+    """Give a task every chance to end, and tell whether it did."""
+    for _ in range(20):
+        await asyncio.sleep(0)
+    return task.done()
+
+
+def test_a_held_session_goes_on_when_its_row_is_allowed(play: Callable[..., None]) -> None:
+    async def story(party: Party, first: Session, second: Session) -> None:
+        held = party.asking(first, "INIT:CONT OFF;:INIT;*OPC?")
+        assert not await settled(held)
+        assert await party.ask(second, "STAT:OPER:COND?") == "32"
+        party.allowed.set()
+        assert await held == "1"
+
+    play(story)
+
+
+def test_abort_of_another_frees_the_one_that_is_held(play: Callable[..., None]) -> None:
+    async def story(party: Party, first: Session, second: Session) -> None:
+        held = party.asking(first, "INIT:CONT OFF;:INIT;*OPC?")
+        assert not await settled(held)
+        assert await party.ask(second, "ABOR") == ""
+        assert await held == "1"
+
+    play(story)
+
+
+def test_a_locked_out_session_starts_when_the_lock_is_given_back(play: Callable[..., None]) -> None:
+    async def story(party: Party, first: Session, second: Session) -> None:
+        party.dispatcher.locks.request(first, "")
+        waiting = party.asking(second, "*ESE 3;*ESE?")
+        assert not await settled(waiting)
+        assert await party.ask(first, "*ESE?") == "0"
+        party.dispatcher.leave(first)
+        assert await waiting == "3"
+
+    play(story)
+
+
+def test_watchers_see_the_end_of_a_sweep_that_nobody_asks_about(play: Callable[..., None]) -> None:
+    async def story(party: Party, first: Session, _second: Session) -> None:
+        seen: list[int] = []
+        party.dispatcher.watchers.add(lambda: seen.append(party.instrument.status.event & 1))
+        await party.ask(first, "INIT:CONT OFF;:INIT;*OPC")
+        assert seen[-1] == 0
+        party.allowed.set()
+        while not seen[-1]:
+            await asyncio.sleep(0)
+
+    play(story)
+
+
+def test_a_short_sweep_does_not_wait_for_the_long_one_that_was_aborted(play: Callable[..., None]) -> None:
+    async def story(party: Party, first: Session, second: Session) -> None:
+        party.allowed.set()
+        held = party.asking(first, "INIT:CONT OFF;:SWE:TIME 1000;:INIT;*OPC?")
+        assert not await settled(held)
+        await party.ask(second, "ABOR;:SWE:TIME 0.02;:INIT")
+        assert await held == "1"
+        assert await party.ask(second, "*OPC?") == "1"
+
+    play(story, life=SweepLife(Pace.REAL))
+
+
+def test_the_first_of_endless_sweeps_wakes_who_waits_for_it(play: Callable[..., None]) -> None:
+    async def story(party: Party, first: Session, second: Session) -> None:
+        await party.ask(first, "INIT:CONT OFF;:SWE:POIN 201;TIME 0.05;:INIT:CONT ON")
+        traces = [party.asking(session, "TRAC? TRACE1") for session in (first, second)]
+        assert not await settled(traces[0])
+        assert {(await trace).count(",") for trace in traces} == {200}
+
+    play(story, life=SweepLife(Pace.REAL))
+
+
+def test_the_end_of_the_scenario_is_told_to_the_session_that_asked(play: Callable[..., None]) -> None:
+    async def story(party: Party, first: Session, second: Session) -> None:
+        held = party.asking(first, "INIT:CONT OFF;:INIT;*OPC?")
+        assert not await settled(held)
+        assert await party.ask(second, "*ESE?") == "0"
+        party.allowed.set()
+        assert await held == "1"
+        assert (await party.ask(second, "SYST:ERR?")).startswith("0,")
+        assert (await party.ask(first, "SYST:ERR?")).startswith("-200,")
+
+    play(story, rows=0, model=replace(FSW_26, is_error_queue_per_session=True))
