@@ -163,9 +163,9 @@ def truth(tmp_path_factory: pytest.TempPathFactory) -> Truth:
 
 
 @contextmanager
-def running(dialect: str, truth: Truth) -> Iterator[Analyzer]:
+def running(dialect: str, truth: Truth, *options: str) -> Iterator[Analyzer]:
     """Run a simulator without errors of its own but the statistics of noise."""
-    command = [PROGRAM, *STORY, "--dialect", dialect, "--ideal"]
+    command = [PROGRAM, *STORY, "--dialect", dialect, "--ideal", *options]
     command += ["--port", "0", "--hislip-port", "0", "--ground-port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
@@ -194,6 +194,13 @@ def simulators(truth: Truth) -> Iterator[Callable[[str], Analyzer]]:
                 made[dialect] = stack.enter_context(running(dialect, truth))
             return made[dialect]
 
+        yield simulator
+
+
+@pytest.fixture
+def slow_analyzer(truth: Truth) -> Iterator[Analyzer]:
+    """An R&S simulator whose sweeps last their time by the clock on the wall."""
+    with running("rs", truth, "--pace", "real") as simulator:
         yield simulator
 
 

@@ -1,5 +1,6 @@
 """VISA itself: pyvisa over pyvisa-py and over the independent pyvisa-rs, in every dialect, on sockets and HiSLIP."""
 
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,11 +85,58 @@ def test_pyvisa_rs_hislip(analyzer):
     work("@rs", analyzer, "HiSLIP", LANGUAGES["rs"])
 
 
+def opened(backend, name, **options):
+    return pyvisa.ResourceManager(backend).open_resource(
+        name, read_termination="\n", write_termination="\n", timeout=5000, **options
+    )
+
+
+def sweep_times_out(line):
+    """Ask for the end of a sweep of one second and give up after a third of it."""
+    line.write("*CLS;*ESE 1;:INIT:CONT OFF;:FREQ:CENT 972 MHZ;SPAN 36 MHZ;:SWE:TIME 1")
+    line.timeout = 300
+    with pytest.raises(pyvisa.VisaIOError, match="VI_ERROR_TMO"):
+        line.query("INIT;*OPC?")
+    line.timeout = 5000
+
+
+@pytest.mark.client(
+    "pyvisa-py", transport="socket", dialect="rs", work="after a timeout the next answer is the old one"
+)
+def test_pyvisa_py_reads_stale_answers_on_a_socket(slow_analyzer):
+    line = opened("@py", slow_analyzer.socket_name)
+    sweep_times_out(line)
+    assert line.query("*IDN?") == "1"
+    assert line.read().startswith("Rohde&Schwarz,")
+    line.close()
+
+
+@pytest.mark.client(
+    "pyvisa-py", transport="HiSLIP", dialect="rs", work="after a timeout device clear, then status polls"
+)
+def test_pyvisa_py_clears_the_device_on_hislip(slow_analyzer):
+    line = opened("@py", slow_analyzer.hislip_name)
+    sweep_times_out(line)
+    line.clear()
+    assert line.query("*ESE?") == "1"
+    assert line.read_stb() & 32 == 0
+    line.write("*OPC")
+    began_s = time.monotonic()
+    while not line.read_stb() & 32:
+        assert time.monotonic() - began_s < 3.0
+    assert line.query("*ESR?") == "1"
+    line.write("*IDN?")
+    time.sleep(0.1)
+    assert line.read_stb() & 16
+    assert line.read().startswith("Rohde&Schwarz,")
+    assert line.read_stb() & 16 == 0
+    assert line.query("SYST:ERR?") == '0,"No error"'
+    line.close()
+
+
 def work(backend, analyzer, transport, language, **options):
     """The first script of the analyzer specification, section 8, with values in place of lengths."""
-    line = pyvisa.ResourceManager(backend).open_resource(
-        analyzer.resource_name(transport), read_termination="\n", write_termination="\n", timeout=5000, **options
-    )
+    line = opened(backend, analyzer.resource_name(transport), **options)
     assert line.query("*IDN?") == analyzer.ask("*IDN?")
     line.write(language.setup)
     assert line.query("INIT;*OPC?").strip() == "1"

@@ -83,7 +83,7 @@ def test_trace_shows_the_carriers(swept, facts):
         assert 10.0 * np.log10(total_mw) == pytest.approx(power_dbm, abs=0.8)
 
 
-def test_frequency_beyond_the_trace_is_not_asked_for_in_decibel_watts(bench):
+def test_no_maker_knows_decibel_watts(bench):
     bench.ask("UNIT:POW DBW")
     assert bench.errors()[0] in {-141, -224}
 
@@ -126,10 +126,11 @@ def test_sessions_share_settings_and_keep_answers_apart(bench):
     assert bench.ask("FREQ:SPAN?") == "1000000"
 
 
-def test_error_queue_is_shared_unless_the_make_keeps_one_each(bench):
+@pytest.mark.parametrize(("is_own", "others", "own"), [(False, [-113], []), (True, [], [-113])])
+def test_error_queue_is_the_instruments_or_each_sessions_own(make_bench, is_own, others, own):
+    bench = make_bench(is_error_queue_per_session=is_own)
     bench.ask("NONE")
     first, bench.session = bench.session, bench.new_session()
-    shared = bench.errors()
-    assert shared == ([] if bench.dialect.model.is_error_queue_per_session else [-113])
+    assert bench.errors() == others
     bench.session = first
-    assert bench.errors() == ([-113] if bench.dialect.model.is_error_queue_per_session else [])
+    assert bench.errors() == own

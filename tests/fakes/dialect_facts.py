@@ -37,6 +37,8 @@ class Facts:
     no_error: str = '0,"No error"'
     #: least and largest depth of the error queue
     queue_depths: tuple[int, int] = (20, 30)
+    #: bit of QUEStionable:CONDition when a sweep is too fast
+    uncalibrated: int = 1 << 8
     #: an ASCII trace ends with a comma
     has_trailing_comma: bool = False
     #: an ASCII trace stands in a definite length block
@@ -84,6 +86,7 @@ FACTS = {
         is_continuous_after_preset=True,
         suffix_beyond="TRAC9:TYPE?",
         no_error='+0,"No error"',
+        uncalibrated=1 << 9,  # INTegrity, as X series have it
     ),
     "siglent": Facts(
         identity=r"Siglent Technologies,SSA3032X,SSA3X[^,]*,1\.2\.9\.3",

@@ -60,8 +60,11 @@ def standing_instrument(
 class Bench:
     """An instrument and one session on it; ``allow(False)`` keeps sweeps pending."""
 
-    def __init__(self, name: str, *, is_lenient: bool = False, rows: int = 1000) -> None:
-        dialect = replace(DIALECTS[name], is_lenient=is_lenient)
+    def __init__(
+        self, name: str, *, is_lenient: bool = False, rows: int = 1000, is_error_queue_per_session: bool = False
+    ) -> None:
+        model = replace(DIALECTS[name].model, is_error_queue_per_session=is_error_queue_per_session)
+        dialect = replace(DIALECTS[name], is_lenient=is_lenient, model=model)
         self.dialect = dialect
         self.source = StandingSource(rows)
         self.is_allowed = True
