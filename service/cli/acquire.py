@@ -153,8 +153,8 @@ def acquire(
     bounds = Bounds(rows_bytes=round(spool_mib * 2**20), age_s=spool_days * 86_400.0, traces=evidence_traces)
     folder = spool or state_folder("spool")
     delivery = _Delivery(service, key, batch_rows, batch_s, folder, bounds, trace_period)
-    for summary in _measure(planned, delivery, report_s):
-        _finish(summary)
+    for each, summary in zip(planned, _measure(planned, delivery, report_s), strict=True):
+        _finish(each.entry, summary)
 
 
 def _entries(station_file: Path, task_file: Path | None) -> tuple[StationEntry, ...]:
@@ -247,11 +247,14 @@ def _front_end_name() -> str:
     return f"front-end.{socket.gethostname()}"[:64]
 
 
-def _finish(summary: StationSummary) -> None:
+def _finish(entry: StationEntry, summary: StationSummary) -> None:
     """Say what the run came to."""
     upload, measured = summary.upload, summary.acquisition
     logger.info(
-        "%d rows measured, %d accepted, %d known already, %d refused, %d left in the spool; %d faults of the analyzer",
+        "%s.%s: %d rows measured, %d accepted, %d known already, %d refused, %d left in the spool; "
+        "%d faults of the analyzer",
+        entry.spacecraft,
+        entry.source,
         measured.rows,
         upload.accepted,
         upload.duplicates,

@@ -21,6 +21,8 @@ from service.records.sweep import Sweep, SweepSettings
 
 #: what leaks from neighbours above this part of the carrier's power is flagged: 0.1 dB
 LEAK_LIMIT = 10.0**0.01 - 1.0
+#: distance of edges, in resolution bandwidths, below which a neighbour is flagged
+CLOSE_RBW = 2.0
 #: C/N in the symbol rate below which a level is flagged, dB
 LOW_C_N_DB = 3.0
 #: distance from the analyzer's own noise below which the floor is flagged, dB
@@ -65,11 +67,13 @@ class SweepEvaluation:
         self._path = path
         self._center_hz: FloatArray = np.array([carrier.fc_hz for carrier in carriers], dtype=np.float64)
         self._offset_db = level_offset_db(path, self._center_hz)
+        self._occupied_hz: FloatArray = np.array([carrier.occupied_hz for carrier in carriers], dtype=np.float64)
         self._rolloff = np.array([carrier.rolloff for carrier in carriers])
         self._presence = initial_presence(len(carriers))
         self._settings: SweepSettings | None = None
         self._weights: BandWeights | None = None
         self._share: FloatArray = np.zeros((len(carriers), len(carriers)))
+        self._is_close: BoolArray = np.zeros((len(carriers), len(carriers)), dtype=np.bool_)
 
     def evaluate(self, sweep: Sweep) -> tuple[CarrierPower, NDArray[np.int64]]:
         """Return the powers of one sweep at the test point, absent ones hidden, and their flags."""
@@ -99,6 +103,7 @@ class SweepEvaluation:
             )
             self._weights = weigh_bands(grid, bands)
             self._share = leakage(bands, self._rolloff, settings.rbw_hz)
+            self._is_close = _are_close(bands, self._occupied_hz, settings.rbw_hz)
             self._settings = settings
         return self._weights
 
@@ -115,14 +120,15 @@ class SweepEvaluation:
 
     def _flags(self, power: CarrierPower, bands: CarrierBands, is_visible: BoolArray) -> NDArray[np.int64]:
         """Return what the powers themselves say about their quality."""
-        leak = leaked_ratio(self._share, mw_from_dbm(np.where(is_visible, power.power_dbm, np.nan)))
+        power_mw = mw_from_dbm(np.where(is_visible, power.power_dbm, np.nan))
+        leak = leaked_ratio(self._share, power_mw)
         offset = np.abs(power.centroid_hz - bands.center_hz) / bands.symbol_rate_hz
         is_trusted = is_visible & (power.c_n_db >= LOW_C_N_DB)
         floor_dbm_hz = np.inf if self._path.danl_dbm_hz is None else self._path.danl_dbm_hz + DANL_MARGIN_DB
         found = {
             QualityFlag.NO_CARRIER: ~is_visible & ~power.is_nonfinite,
             QualityFlag.NONFINITE_VALUE: power.is_nonfinite,
-            QualityFlag.NEIGHBOUR: is_visible & (leak > LEAK_LIMIT),
+            QualityFlag.NEIGHBOUR: is_visible & ((leak > LEAK_LIMIT) | self._has_close(power_mw)),
             QualityFlag.NOISE_WINDOW_DIRTY: power.is_noise_dirty,
             QualityFlag.DANL_LIMITED: (power.n0_dbm_hz < floor_dbm_hz) & (self._path.danl_dbm_hz is not None),
             QualityFlag.LOW_C_N: is_visible & ~is_trusted,
@@ -132,6 +138,13 @@ class SweepEvaluation:
             [int(flag) * is_set for flag, is_set in found.items()], axis=0, dtype=np.int64
         )
         return flags
+
+    def _has_close(self, power_mw: FloatArray) -> BoolArray:
+        """Return which carriers have a neighbour too close for its shape to be trusted; a far weaker one cannot matter."""
+        with np.errstate(invalid="ignore"):
+            matters = power_mw[np.newaxis, :] > LEAK_LIMIT * power_mw[:, np.newaxis]
+        has_close: BoolArray = (self._is_close & matters).any(axis=1)
+        return has_close
 
 
 class TaskEvaluation:
@@ -202,6 +215,14 @@ def level_offset_db(path: InputPart, frequency_hz: FloatArray) -> FloatArray:
         points = sorted(table)
         return np.interp(frequency_hz, [point[0] for point in points], [point[1] for point in points])
     return np.full(frequency_hz.shape, table)
+
+
+def _are_close(bands: CarrierBands, occupied_hz: FloatArray, rbw_hz: float) -> BoolArray:
+    """Return which carriers have their edges within two resolution bandwidths of one another, shape (N, N)."""
+    away_hz = np.abs(bands.center_hz[:, np.newaxis] - bands.center_hz)
+    gap_hz = away_hz - (occupied_hz[:, np.newaxis] + occupied_hz) / 2.0
+    is_close: BoolArray = (gap_hz < CLOSE_RBW * rbw_hz) & ~np.eye(occupied_hz.size, dtype=np.bool_)
+    return is_close
 
 
 def _sweep_flags(sweep: Sweep) -> int:

@@ -97,6 +97,8 @@ class Dialect:
     power_bits: int = 1 << 3
     frequency_bits: int = 1 << 5
     calibration_bits: int = 1 << 8
+    #: query that answers 1 once the sweep has ended, for families whose ``*OPC?`` may come before that
+    sweep_end: str = ""
     #: gives the front panel back
     local: str = ":SYST:LOC"
 

@@ -25,6 +25,8 @@ from service.records.sweep import Sweep, SweepSettings
 
 #: a reset may take this long, s
 RESET_S = 20.0
+#: time between two questions for the end of a sweep, s
+_POLL_S = 0.02
 
 
 class ScpiDriver:
@@ -76,6 +78,7 @@ class ScpiDriver:
         self._readback_s = readback_s
         self._read_at_s = float("-inf")
         self._is_bound = False
+        self._has_sweep_end = False
         self._dialogue = Dialogue(session)
         self._configuration = Configuration(self._dialogue, dialect, enbw_ratio)
         self._traces = TraceReader(self._dialogue, dialect, self._configuration)
@@ -113,6 +116,7 @@ class ScpiDriver:
         self._session.query("*OPC?", max(RESET_S, self._io_timeout_s))
         self._dialogue.raise_on_errors("preset")
         self._configuration.preset()
+        self._has_sweep_end = bool(self.dialect.sweep_end) and self._knows(self.dialect.sweep_end)
         self.features = Features(
             has_status=self._knows(":STAT:QUES:COND?"),
             has_dwell_epoch=self._knows(":SIM:EPOCH?"),
@@ -218,14 +222,21 @@ class ScpiDriver:
 
     def _sweep(self, settings: SweepSettings) -> int:
         """Sweep once and wait for its end; return the middle between start and end by the system's clock."""
-        begun_us = self._now_us()
+        begun_us, begun_s = self._now_us(), time.monotonic()
         sweep_s = 1.5 * settings.sweep_time_s
         done = self._session.await_answer(
             ":INIT;*OPC?", sweep_s + self._io_timeout_s + self._hold_s, sweep_s + self._io_timeout_s
         )
         if done.strip().lstrip("+") != "1":
             raise AnalyzerIOError(f"{self._session.resource} answered *OPC? with {done[:40]!r}")
+        if self._has_sweep_end and time.monotonic() - begun_s < settings.sweep_time_s:
+            self._await_end(begun_s + sweep_s)
         return (begun_us + self._now_us()) // 2
+
+    def _await_end(self, deadline_s: float) -> None:
+        """Ask for the end of the sweep; one and a half sweep times are enough, whatever is answered."""
+        while self._dialogue.ask([self.dialect.sweep_end])[0].strip() != "1" and time.monotonic() < deadline_s:
+            time.sleep(_POLL_S)
 
     def _due_readback(self) -> list[str]:
         """Return the queries of all settings when it is time to look at them."""

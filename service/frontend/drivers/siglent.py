@@ -1,7 +1,8 @@
 """Siglent SSA3000X and SVA1000X, and the instruments of other names that are built alike.
 
-Older firmware sweeps 751 points whatever it is told; the trace itself says how many there are. Text ends with a comma.
-The byte order of its blocks is not documented, and 751 numbers as text cost a millisecond.
+Drivers in use ask ``TRAC:SWE:STAT?`` for the end of a sweep, so ``*OPC?`` alone is not trusted. Older firmware sweeps
+751 points whatever it is told; the trace itself says how many there are. Text ends with a comma. The byte order of its
+blocks is not documented, and 751 numbers as text cost a millisecond.
 """
 
 from service.frontend.drivers.base import ASCII, UNIT, Dialect, Word
@@ -23,5 +24,6 @@ SIGLENT = Dialect(
     attenuation=":POW:ATT",
     preamplifier=":POW:GAIN",
     fixed_points=751,
+    sweep_end=":TRAC:SWE:STAT? 1",
     local="",
 )

@@ -148,6 +148,21 @@ def test_a_strong_neighbour_is_flagged_on_the_weak_carrier_only() -> None:
     assert not flags[0] & QualityFlag.NEIGHBOUR
 
 
+@pytest.mark.parametrize(("gap_rbw", "is_flagged"), [(1.9, True), (2.1, False)])
+def test_a_neighbour_within_two_resolution_bandwidths_is_flagged_while_it_is_there(
+    gap_rbw: float, is_flagged: bool
+) -> None:
+    document = json.loads(task().model_dump_json())
+    centre_hz = 960e6 + 1.25e6 + gap_rbw * 30e3
+    document["carriers"][2]["fc_hz"] = centre_hz
+    evaluation = TaskEvaluation(parse_task(json.dumps(document).encode())[0])
+    both = {"a": sweep("a", {960.0: -45.0, centre_hz / 1e6: -45.0}), "b": sweep("b", {965.0: -48.0})}
+    flags = evaluation.row(both).flags
+    assert [bool(flag & QualityFlag.NEIGHBOUR) for flag in flags] == [is_flagged, False, is_flagged]
+    alone = {"a": sweep("a", {960.0: -45.0}), "b": sweep("b", {965.0: -48.0})}
+    assert not evaluation.row(alone).flags[0] & QualityFlag.NEIGHBOUR
+
+
 def test_level_offset_is_added_and_may_depend_on_frequency() -> None:
     row = TaskEvaluation(task(level_offset_db=3.5)).row(cycle())
     np.testing.assert_allclose(row.power_dbm, [-41.5, -44.5, -46.5], atol=1e-6)  # as above

@@ -147,6 +147,21 @@ def test_a_siglent_sweeps_751_points_whatever_it_says(answers_points: bool) -> N
     assert sweep.settings.step_hz == pytest.approx(40e6 / 750)
 
 
+def test_a_siglent_is_asked_for_the_end_of_its_sweep() -> None:
+    session = ScriptedSession("siglent")
+    made = driver(session, "siglent")
+    made.configure(SWEEP, InputPart())
+    made.take(SWEEP)
+    assert not any("SWE:STAT" in told for told in session.told[-2:])
+    answers = iter(["1", "0", "0", "1", "1"])
+    session.answer = lambda header: next(answers) if header.startswith(":TRAC:SWE:STAT") else None
+    made.preset()
+    made.configure(SWEEP, InputPart())
+    session.told.clear()
+    made.take(SWEEP)
+    assert [told for told in session.told if "SWE:STAT" in told] == [":TRAC:SWE:STAT? 1"] * 3
+
+
 def test_an_anritsu_without_a_trace_yet_says_so() -> None:
     session = ScriptedSession("anritsu")
     made = driver(session, "anritsu")
