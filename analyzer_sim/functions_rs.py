@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from analyzer_sim.band_power import adjacent_powers_mw, band_power_mw, carrier_to_noise_db, decibels
 from analyzer_sim.command_row import Call, Command
-from analyzer_sim.command_settings import ignored, inert
+from analyzer_sim.command_settings import inert
 from analyzer_sim.function_rows import (
     PERCENT,
     Figure,
@@ -142,6 +142,10 @@ def _switch_off(call: Call, is_on: bool) -> None:  # noqa: FBT001 - the one valu
     call.instrument.functions.words["power"] = OFF
 
 
+def _keep_standard(_call: Call, _standard: str) -> None:
+    """Take the settings of a radio standard: there is none but one's own."""
+
+
 def _adjust(call: Call, _measurement: str) -> None:
     """Choose span, filter and detector for the channels set."""
     settings = call.instrument.settings
@@ -199,7 +203,7 @@ _POWER_ROWS = (
     switch_row(f"{_POWER}:RESult:PHZ", "per hertz"),
     Command(f"{_POWER}[:STATe]", _switch_off, lambda call: str(int(word(call, "power", OFF) != OFF)), (Boolean(),)),
     inert(f"{_POWER}:MODE", "WRIT", ("WRITe",)),
-    ignored(f"{_POWER}:PRESet"),
+    Command(f"{_POWER}:PRESet", _keep_standard, parameters=(Choice(("NONE",)),)),
     hertz_row(f"{_WIDTH}[:CHANnel<18>]", CHANNEL),
     hertz_row(f"{_WIDTH}:ACHannel", ADJACENT),
     hertz_row(f"{_WIDTH}:ALTernate<11>", ALTERNATE),

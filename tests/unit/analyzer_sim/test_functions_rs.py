@@ -68,7 +68,7 @@ def test_carrier_to_noise_needs_a_channel_of_noise(make_bench: Callable[..., Any
 
 def test_selecting_a_power_measurement_takes_the_rms_detector_when_it_is_automatic(bench: Any) -> None:
     assert bench.ask(f"DET:AUTO ON;:{POWER}:SEL CPOW;:DET?;:{POWER}:SEL?;:{POWER}?") == "RMS;CPOW;1"
-    assert bench.ask(f"{POWER} OFF;:{POWER}:SEL?;:{POWER}?") == "OFF;0"
+    assert bench.ask(f"{POWER}:PRES NONE;:{POWER} OFF;:{POWER}:SEL?;:{POWER}?") == "OFF;0"
     assert bench.ask(f"DET POS;:{POWER}:SEL OBW;:DET?") == "POS"
 
 
@@ -160,6 +160,7 @@ def test_query_of_the_list_starts_it_once_and_waits(make_bench: Callable[..., An
         (f"{POWER}:RES? XPOW", -141),
         (f"{POWER}:SEL 5", -128),
         (f"{POWER} ON", -224),
+        (f"{POWER}:PRES GSM", -141),
         ("POW:ACH:BWID 1", -222),
         ("POW:ACH:BWID 1 S", -131),
         ("POW:ACH:BWID UP", -141),

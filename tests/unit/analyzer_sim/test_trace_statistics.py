@@ -255,3 +255,19 @@ def test_list_of_many_traces_shares_the_longest_envelope() -> None:
     grid = SweepGrid(settings.start_hz, settings.stop_hz, settings.points, settings.rbw_hz)
     assert painter._wants_envelope(grid, settings, 1)
     assert not painter._wants_envelope(grid, settings, 600)  # 600 times 120 000 samples
+
+
+@pytest.mark.parametrize(
+    ("average_type", "expected_db"),
+    # mean of 50 samples as decibels, volts or power: 50 lg Gamma(1.02) ... ; Rayleigh; nothing
+    [("VID", 500 * math.lgamma(1.02) / math.log(10)), ("LIN", 10 * math.log10(math.pi / 4)), ("POW", 0.0)],
+)
+@pytest.mark.parametrize("detail", list(Detail))
+def test_average_type_decides_what_averaged_samples_read(average_type: str, expected_db: float, detail: Detail) -> None:
+    settings = settings_of(0.05, 601, is_averaging=True, average_type=average_type, average_count=50)
+    settings.detector = "SAMP"
+    store(settings, "vbw_hz", 10e6)
+    noise_dbm = -100.0 + 10 * math.log10(ENBW_PER_RBW * 30e3)
+    level_dbm = TracePainter(SEED, IDEAL, detail).paint(Emission(0, (), -100.0), settings).level_dbm
+    read_db = 10 * math.log10(np.mean(10 ** (level_dbm / 10))) - noise_dbm
+    assert read_db == pytest.approx(expected_db, abs=0.12)  # 600 points of 0.7 dB: four standard errors
