@@ -140,11 +140,10 @@ class SweepEvaluation:
         return flags
 
     def _has_close(self, power_mw: FloatArray) -> BoolArray:
-        """Return which carriers have a neighbour too close for its shape to be trusted; a far weaker one cannot matter."""
+        """Return which carriers have a neighbour so near that its shape counts; a far weaker one cannot matter."""
         with np.errstate(invalid="ignore"):
             matters = power_mw[np.newaxis, :] > LEAK_LIMIT * power_mw[:, np.newaxis]
-        has_close: BoolArray = (self._is_close & matters).any(axis=1)
-        return has_close
+        return np.asarray((self._is_close & matters).any(axis=1), dtype=np.bool_)
 
 
 class TaskEvaluation:
