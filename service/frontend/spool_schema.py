@@ -70,6 +70,8 @@ MIGRATIONS: tuple[str, ...] = (
 _DAMAGED = frozenset({sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB})
 #: the connection is as good as before, only the disk does not take anything
 _UNHARMED = frozenset({sqlite3.SQLITE_FULL, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED})
+#: the same of errors of input and output; after a failed fsync nobody knows what the disk holds
+_UNHARMED_FURTHER = frozenset({sqlite3.SQLITE_IOERR_WRITE, sqlite3.SQLITE_IOERR_TRUNCATE})
 
 
 class SpoolError(Exception):
@@ -96,7 +98,7 @@ def is_damage(error: sqlite3.Error) -> bool:
 
 def leaves_connection_good(error: sqlite3.Error) -> bool:
     """Tell whether the connection may be used on after an error."""
-    return primary_code(error) in _UNHARMED
+    return primary_code(error) in _UNHARMED or getattr(error, "sqlite_errorcode", 0) in _UNHARMED_FURTHER
 
 
 def connect(path: Path) -> sqlite3.Connection:
