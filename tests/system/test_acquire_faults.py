@@ -10,6 +10,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -31,8 +32,11 @@ from analyzer_sim.server import AnalyzerThread, start_in_thread
 from analyzer_sim.world import EndOfScenario, World
 from service.client.backoff import Backoff
 from service.client.service_client import ServiceClient
-from service.frontend.acquisition import AcquisitionSettings
+from service.frontend.acquisition_settings import AcquisitionSettings
 from service.frontend.measurement_task import MeasurementTask, parse_task
+from service.frontend.spool import Spool
+from service.frontend.spool_file import Owner
+from service.frontend.spool_row import SpooledTask
 from service.frontend.station import Station, StationSummary
 from service.frontend.uploader import UploadSettings
 from service.records.quality_flag import QualityFlag
@@ -48,7 +52,7 @@ SEED = 20261121
 class Bench:
     """World, analyzer, recorder and station of one test."""
 
-    def __init__(self, hold_s: float = 0.0, **upload: Any) -> None:
+    def __init__(self, folder: Path, hold_s: float = 0.0, **upload: Any) -> None:
         print(f"seed {SEED}")
         self.world = World(scenario_named("nominal"), SEED)
         painter = TracePainter(SEED, Imperfections(), Detail.FAST)
@@ -58,6 +62,8 @@ class Bench:
         self.recorder = Recorder([carrier.id for carrier in self.task.carriers])
         self.recorder.start()
         self.client = ServiceClient(f"http://127.0.0.1:{self.recorder.port}", "key", retries=0, timeout_s=0.4)
+        ids = tuple(carrier.id for carrier in self.task.carriers)
+        self.spool = Spool(folder / "sa-1.spool", Owner("sc", "sa-1"), SpooledTask("0" * 64, ids), lambda: 0)
         self.station = Station(
             self.task,
             AcquisitionSettings(
@@ -69,6 +75,7 @@ class Bench:
             ),
             UploadSettings("sc", "sa-1", **({"drain_s": 3.0} | upload)),
             self.client,
+            self.spool,
             lambda: 0,
             lambda: Backoff(first_s=0.02, limit_s=0.1),
         )
@@ -95,6 +102,7 @@ class Bench:
         if self._thread.is_alive():
             self._thread.join(10.0)
         self.client.close()
+        self.spool.close()
         self.recorder.stop()
         self.analyzer.stop()
 
@@ -126,7 +134,13 @@ def quick_task(world: World) -> MeasurementTask:
 @contextmanager
 def bench(**settings: Any) -> Iterator[Bench]:
     """Return a running bench and stop it at the end."""
-    made = Bench(**settings)
+    with tempfile.TemporaryDirectory() as folder:
+        made = Bench(Path(folder), **settings)
+        yield from _started(made)
+
+
+def _started(made: Bench) -> Iterator[Bench]:
+    """Give a started bench and stop it at the end."""
     try:
         made.start()
         made.await_rows(5)
@@ -277,19 +291,6 @@ def test_a_service_that_fails_in_the_middle_neither_loses_nor_doubles(fault: str
             assert made.recorder.duplicates >= 1
 
 
-def test_a_full_queue_stops_the_sweeping_and_not_the_counting(caplog: pytest.LogCaptureFixture) -> None:
-    with bench(queue_rows=20) as made:
-        made.recorder.stop()
-        wait_until(lambda: made.station.uploader.waiting >= 20, "the queue to fill")
-        wait_until(lambda: "queue is full" in caplog.text, "the queue to be reported full")
-        swept = made.swept()
-        time.sleep(0.2)
-        assert made.swept() == swept
-        made.recorder.start()
-        made.await_rows(60)
-        assert_all_counted_once(made, made.finish())
-
-
 def test_a_stop_without_a_service_says_what_was_left() -> None:
     with bench(drain_s=0.2) as made:
         made.recorder.stop()
@@ -300,12 +301,13 @@ def test_a_stop_without_a_service_says_what_was_left() -> None:
 
 
 def test_the_command_measures_until_sigterm_and_ends_with_zero(tmp_path: Path) -> None:
-    made = Bench()
+    made = Bench(tmp_path)
     try:
         (tmp_path / "task.json").write_text(made.task.model_dump_json())
         command = [sys.executable, "-m", "service", "acquire", "--task", str(tmp_path / "task.json")]
         command += ["--resource", f"TCPIP::127.0.0.1::{made.analyzer.port}::SOCKET", "--spacecraft", "sc"]
         command += ["--service", f"http://127.0.0.1:{made.recorder.port}", "--epoch", "analyzer", "--period", "0"]
+        command += ["--spool", str(tmp_path / "spool")]
         process = subprocess.Popen(
             [*command, "--json-log"], env=os.environ | {"SOO_KEY": "secret-key"}, stderr=subprocess.PIPE, text=True
         )
