@@ -83,7 +83,7 @@ def test_special_forms_of_the_boundary() -> None:
     assert 2.0 * critical_amplitude_rad(free_rotor, mode) == pytest.approx(by_20, rel=1e-12)
 
 
-def test_friction_away_from_the_line_moves_the_boundary_up() -> None:
+def test_at_a_given_net_pulse_friction_away_from_the_line_moves_the_boundary_up() -> None:
     case = reference.CAPTURES[8]
     toward = critical_amplitude_rad(switch_of(case), mode_of(case))
     away = switch_of(case)._replace(passive_rad_s2=-reference.PASSIVE_RAD_S2)

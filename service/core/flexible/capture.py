@@ -31,7 +31,8 @@ class SwitchOn(NamedTuple):
 
     #: eps_a, net, against the motion
     pulse_rad_s2: float
-    #: eps_c toward the line, the worst case; negative where friction opposes the motion to the line
+    #: eps_c toward the line; negative where friction turns the body away from it (worse for a given motor, better for
+    #: a given eps_a)
     passive_rad_s2: float
     #: theta', outward
     rate_rad_s: float

@@ -80,7 +80,8 @@ def analyse_capture(
     amplitude_rad : float
         p0, swing of the mode at the hub before the switching.
     is_friction_outward : bool
-        Friction turns the body toward the line, the worst case.
+        Friction turns the body toward the line. With a given motor torque the other way is the worse one: friction
+        then adds to the pulse.
 
     Raises
     ------

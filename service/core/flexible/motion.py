@@ -12,7 +12,7 @@ import numpy as np
 from service.core.flexible.crossings import Line, crossing_time, momentum_time
 from service.core.flexible.phi_functions import FloatArray
 from service.core.flexible.propagation import BodyState, Leg, start_leg, state_at, states_at
-from service.core.flexible.spacecraft import FlexibleMode, WheelDrive, require_drive, require_mode
+from service.core.flexible.spacecraft import FlexibleMode, WheelDrive, require_drive, require_mode, require_positive
 from service.core.flexible.switching_law import (
     WATCHES,
     Arm,
@@ -103,6 +103,7 @@ def follow_motion(
     """
     require_drive(drive)
     require_law(law)
+    require_positive("duration_s", duration_s)
     if mode is not None:
         require_mode(mode)
     now_s, state, waiting = 0.0, start, regulator or Regulator()
@@ -145,7 +146,7 @@ class _Record:
     def add(self, now_s: float, leg: Leg, regulator: Regulator, event: _Event) -> None:
         """Keep a leg and what ended it."""
         self.events += 1
-        if event.after_s > 0.0 or not self._legs:
+        if event.after_s > 0.0:
             self._legs.append((now_s, leg, regulator))
         if event.is_firing:
             self._firings.append(now_s + event.after_s)
@@ -154,7 +155,7 @@ class _Record:
 
     def motion(self, end_s: float, end: BodyState) -> Motion:
         """Return everything kept."""
-        starts, legs, regulators = zip(*self._legs, strict=True) if self._legs else ((), (), ())
+        starts, legs, regulators = zip(*self._legs, strict=True)
         return Motion(np.array(starts), legs, regulators, np.array(self._firings), np.array(self._releases), end_s, end)
 
 

@@ -19,8 +19,8 @@ from service.core.flexible.phi_functions import FloatArray, phi2_scalar
 
 _NEWTON_STEPS = 60
 _ROUNDING = 4e-16
-#: a law that fires more often in one visit will not bring the body back
-_MOST_PULSES = 500
+#: a law that fires more often in one visit will not bring the body back; some visits of hundreds of pulses do end
+_MOST_PULSES = 2000
 
 
 class OneSided(NamedTuple):

@@ -241,6 +241,8 @@ def _waits(
     own = schedule_figures(pulses, limits, (0j,) * len(carried_rad))
     carried = sum(abs(one) for one in carried_rad)
     left_rad = min(WARNED_SHARE * boundary_rad[0] - own.swing_rad, limits.peak_allowed_rad - own.peak_rad)
+    # a hair below the level itself
+    left_rad *= 0.999
     if not 0.0 < left_rad < carried:
         return []
     slowest_1_s = min(mode.damping_ratio * mode.omega_rad_s for mode in limits.modes)

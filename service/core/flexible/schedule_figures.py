@@ -38,7 +38,7 @@ class OnboardRegulator(NamedTuple):
 
     law: SwitchingLaw
     motor_torque_n_m: float
-    #: friction of the rotor that turns the body to its line
+    #: friction of the rotor
     friction_torque_n_m: float = 0.0
     #: worst outward rate at a switching; 0 is safe
     rate_rad_s: float = 0.0
@@ -107,22 +107,22 @@ def regulator_boundary_rad(limits: ScheduleLimits) -> tuple[float, float]:
     if limits.regulator is None:
         return math.inf, 0.0
     critical, perpetual = math.inf, 0.0
-    for mode in limits.modes:
-        switch = switch_on_of(limits.regulator, limits.inertia_kg_m2)
-        for factor in np.linspace(1.0 - FREQUENCY_REACH, 1.0 + FREQUENCY_REACH, FREQUENCY_COUNT):
-            tried = mode._replace(omega_rad_s=mode.omega_rad_s * float(factor))
-            critical = min(critical, critical_amplitude_rad(switch, tried, is_refined=True))
-            if limits.regulator.law.is_relay:
-                perpetual = max(perpetual, perpetual_amplitude_rad(switch, tried))
+    spread = np.linspace(1.0 - FREQUENCY_REACH, 1.0 + FREQUENCY_REACH, FREQUENCY_COUNT)
+    tried = [mode._replace(omega_rad_s=mode.omega_rad_s * float(one)) for mode in limits.modes for one in spread]
+    for switch in switch_ons_of(limits.regulator, limits.inertia_kg_m2):
+        critical = min(critical, *(critical_amplitude_rad(switch, mode, is_refined=True) for mode in tried))
+        if limits.regulator.law.is_relay:
+            perpetual = max(perpetual, *(perpetual_amplitude_rad(switch, mode) for mode in tried))
     return critical, perpetual
 
 
-def switch_on_of(regulator: OnboardRegulator, inertia_kg_m2: float) -> SwitchOn:
-    """Return a switching on of the regulator in its worst case."""
-    passive = regulator.friction_torque_n_m / inertia_kg_m2
-    law = regulator.law
-    pulse = regulator.motor_torque_n_m / inertia_kg_m2 - passive
-    return SwitchOn(pulse, passive, regulator.rate_rad_s, law.alpha_rad, law.beta_rad, law.pulse_s)
+def switch_ons_of(regulator: OnboardRegulator, inertia_kg_m2: float) -> tuple[SwitchOn, SwitchOn]:
+    """Return a switching on with the friction either way: the sense of the rotor on board is not asked for."""
+    law, friction_rad_s2 = regulator.law, regulator.friction_torque_n_m / inertia_kg_m2
+    motor_rad_s2 = regulator.motor_torque_n_m / inertia_kg_m2
+    lines = (regulator.rate_rad_s, law.alpha_rad, law.beta_rad, law.pulse_s)
+    toward = SwitchOn(motor_rad_s2 - friction_rad_s2, friction_rad_s2, *lines)
+    return toward, SwitchOn(motor_rad_s2 + friction_rad_s2, -friction_rad_s2, *lines)
 
 
 def reasons_of(
