@@ -7,6 +7,9 @@ The verbs, for each measurement::
 
 A result that does not exist is -999.0; without a trace every result is. ``FETCh:OBWidth?`` answers bandwidth, percent
 and decibels down, of which one is set and one is measured.
+
+Deviation from the real instruments, on purpose: peaks are told by their excursion; the threshold in percent of the
+display is remembered and changes nothing.
 """
 
 from collections.abc import Callable
