@@ -1,4 +1,4 @@
-"""Rows that reached a service over HiSLIP against the simulator's own truth: counted, and compared carrier by carrier."""
+"""Rows that reached a service over HiSLIP against the simulator's truth: counted, and compared carrier by carrier."""
 
 import json
 import os
@@ -75,6 +75,6 @@ def test_every_trace_that_left_is_a_row_and_every_row_is_true(
     epochs = sorted(recorder.rows)
     measured_dbm = np.array([recorder.rows[epoch]["power_dbm"] for epoch in epochs], dtype=float)
     error_db = measured_dbm - np.array([truth[epoch] for epoch in epochs], dtype=float)
-    # the predicted sigma of these carriers is .06 to .12 dB for one sweep; the mean of 60 is seven times closer
-    assert np.nanstd(error_db) < 0.2
-    assert np.max(np.abs(np.nanmean(error_db, axis=0))) < 0.1
+    # seen: .07 to .12 dB for one sweep, the mean of each carrier within .02 dB; four times the error of a mean allowed
+    assert np.nanstd(error_db) < 0.15
+    assert np.max(np.abs(np.nanmean(error_db, axis=0))) < 0.05
