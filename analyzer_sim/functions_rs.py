@@ -5,10 +5,11 @@ those that were set or, unset, those of the first pair times its number; sub-blo
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from analyzer_sim.band_power import adjacent_powers_mw, band_power_mw, carrier_to_noise_db, decibels
 from analyzer_sim.command_row import Call, Command
-from analyzer_sim.command_settings import inert
+from analyzer_sim.command_settings import inert, number_text
 from analyzer_sim.function_rows import (
     PERCENT,
     Figure,
@@ -64,13 +65,30 @@ _EXCURSION = Figure("peak excursion", 0.0, 80.0, 6.0)
 STYLE = MarkerStyle(_MARKER, _EXCURSION, f"{_MARKER}:PEXCursion", starts_at_peak=True, reads_function=False)
 
 
+def _alternate_spacing_hz(call: Call, number: int) -> float:
+    """Return the distance of an alternate pair: what was set, else the multiple of that of the adjacent pair."""
+    figures = call.instrument.functions.figures
+    return figures.get(f"{ALTERNATE_SPACING.name} {number}", (number + 1) * SPACING.load(call))
+
+
+def _alternate_width_hz(call: Call, number: int) -> float:
+    """Return the width of an alternate pair: what was set, else that of the adjacent pair."""
+    return call.instrument.functions.figures.get(f"{ALTERNATE.name} {number}", ADJACENT.load(call))
+
+
+def _alternate_row(pattern: str, figure: Figure, in_force: Callable[[Call, int], float]) -> Command:
+    """Return the row of an alternate pair; its query tells what is in force."""
+    row = hertz_row(pattern, figure)
+    return replace(
+        row, query=lambda call: number_text(in_force(call, call.suffix(figure.counted_by))), query_parameters=()
+    )
+
+
 def _neighbours(call: Call) -> tuple[tuple[float, float], ...]:
     """Return distance and width of each pair of neighbours, Hz."""
-    figures = call.instrument.functions.figures
     pairs = [(SPACING.load(call), ADJACENT.load(call))]
-    for number in range(1, round(PAIRS.load(call))):
-        spacing = figures.get(f"{ALTERNATE_SPACING.name} {number}", (number + 1) * pairs[0][0])
-        pairs.append((spacing, figures.get(f"{ALTERNATE.name} {number}", pairs[0][1])))
+    alternates = range(1, round(PAIRS.load(call)))
+    pairs += [(_alternate_spacing_hz(call, number), _alternate_width_hz(call, number)) for number in alternates]
     return tuple(pairs[: round(PAIRS.load(call))])
 
 
@@ -206,9 +224,9 @@ _POWER_ROWS = (
     Command(f"{_POWER}:PRESet", _keep_standard, parameters=(Choice(("NONE",)),)),
     hertz_row(f"{_WIDTH}[:CHANnel<18>]", CHANNEL),
     hertz_row(f"{_WIDTH}:ACHannel", ADJACENT),
-    hertz_row(f"{_WIDTH}:ALTernate<11>", ALTERNATE),
+    _alternate_row(f"{_WIDTH}:ALTernate<11>", ALTERNATE, _alternate_width_hz),
     hertz_row(f"{_ACH}:SPACing[:ACHannel]", SPACING),
-    hertz_row(f"{_ACH}:SPACing:ALTernate<11>", ALTERNATE_SPACING),
+    _alternate_row(f"{_ACH}:SPACing:ALTernate<11>", ALTERNATE_SPACING, _alternate_spacing_hz),
     figure_row(f"{_ACH}:ACPairs", PAIRS, is_whole=True),
     figure_row(f"{_ACH}:TXCHannel:COUNt", TRANSMITTERS, is_whole=True),
     word_row(f"{_ACH}:MODE", "adjacent mode", ("ABSolute", "RELative"), "REL"),

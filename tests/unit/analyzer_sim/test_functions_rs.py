@@ -45,7 +45,9 @@ def test_neighbours_relative_and_absolute(swept: Any) -> None:
     absolute = numbers(swept.ask("POW:ACH:MODE ABS;:FETC:POW:ACP?"))
     np.testing.assert_allclose(absolute, [main, main + lower, main + upper], atol=1e-9)
     assert swept.ask("POW:ACH:ACP 2;:FETC:POW:ACP?").split(",")[3:] == ["9.91E37"] * 2  # at twice 5 MHz: outside
+    assert swept.ask("POW:ACH:SPAC:ALT1?;ALT2?;:POW:ACH:BWID:ALT3?") == "10000000;15000000;1500000"
     assert "9.91E37" not in swept.ask("POW:ACH:SPAC:ALT1 9 MHZ;:FETC:POW:ACP?")
+    assert swept.ask("POW:ACH:SPAC:ALT1?") == "9000000"
     assert swept.errors() == []
 
 
