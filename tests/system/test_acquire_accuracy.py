@@ -1,23 +1,30 @@
 """Levels measured through SCPI against the truth of an ideal analyzer: bias, scatter and presence, in every dialect."""
 
+import json
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from steady_world import CARRIERS, Steady, steady_task
+from steady_world import CARRIERS, NOISE_DBM_HZ, Steady, steady_task
 
 from analyzer_sim.dialects import DIALECTS
+from analyzer_sim.emission import Signal
 from analyzer_sim.imperfections import IDEAL
 from analyzer_sim.instrument import Instrument
 from analyzer_sim.painter import Detail, TracePainter
 from analyzer_sim.server import start_in_thread
 from service.frontend.drivers.choice import dialect_of, identify
+from service.frontend.drivers.generic import GENERIC
+from service.frontend.drivers.rs import RS
 from service.frontend.drivers.scpi_driver import ScpiDriver
 from service.frontend.evaluation import MeasuredRow, TaskEvaluation
-from service.frontend.measurement_task import MeasurementTask
+from service.frontend.measurement_task import InputPart, MeasurementTask, parse_task
+from service.frontend.measuring_cycle import MeasuringCycle
 from service.frontend.visa_session import VisaSession
+from service.frontend.zoom_plan import plan_with_zoom
 from service.records.quality_flag import QualityFlag
 
 pytestmark = pytest.mark.system
@@ -91,6 +98,52 @@ def test_bias_and_scatter_in_every_dialect(dialect: str, is_hislip: bool, rows: 
     judge(taken, MODULATED)
     unexpected = ~(QualityFlag.LOW_C_N | QualityFlag.NEIGHBOUR)
     assert not any((row.flags[:MODULATED] & int(unexpected)).any() for row in taken)
+
+
+@pytest.mark.parametrize("dialect", list(DIALECTS))
+def test_the_generic_driver_measures_any_of_them_as_it_was_switched_on(dialect: str) -> None:
+    print(f"seed {SEED}")
+    spoken, made = DIALECTS[dialect], steady_task()
+    instrument = Instrument(Steady(), TracePainter(SEED, IDEAL, Detail.FAST), model=spoken.model)
+    with start_in_thread(instrument, dialect=spoken) as analyzer:
+        session = VisaSession(f"TCPIP::127.0.0.1::{analyzer.port}::SOCKET", 5.0)
+        try:
+            driver = ScpiDriver(session, identify(session), GENERIC, lambda: 0, use_analyzer_clock=True)
+            driver.preset()
+            driver.configure(made.sweeps[0], InputPart())
+            judge(rows_of(driver, made, 30), MODULATED)
+        finally:
+            session.close()
+
+
+def test_a_narrow_carrier_in_a_sweep_of_its_own() -> None:
+    document = json.loads(steady_task().model_dump_json())
+    goal = {"symbol_rate": 128e3, "integ_bw_hz": 160e3, "limits": {"c_n0_min": 65.0, "sigma_goal_db": 0.2}}
+    document["carriers"][0] |= goal
+    document["task"] |= {"zoom": "auto", "period_s": 10.0}
+    made, plan = plan_with_zoom(parse_task(json.dumps(document).encode())[0])
+    assert [str(finding.rule) for finding in plan.findings if finding.subject == "strong"] == ["zoom.moved"]
+    world = Steady()
+    level_dbm = NOISE_DBM_HZ + 65.0
+    world.emission = replace(
+        world.emission,
+        signals=(Signal("strong", 960.0e6, 128e3, 0.25, level_dbm), *world.emission.signals[1:]),
+    )
+    with start_in_thread(Instrument(world, TracePainter(SEED, IDEAL, Detail.FAST))) as analyzer:
+        session = VisaSession(f"TCPIP::127.0.0.1::{analyzer.port}::SOCKET", 5.0)
+        try:
+            driver = ScpiDriver(session, identify(session), RS, lambda: 0, use_analyzer_clock=True)
+            driver.preset()
+            cycle = MeasuringCycle(made, TaskEvaluation(made), driver, lambda _: None)
+            levels = np.array([cycle.row().power_dbm[0] for _ in range(200)])
+        finally:
+            session.close()
+    error_db = 10 * np.log10(np.mean(10 ** (levels / 10))) - level_dbm
+    print("bias, dB", round(error_db, 4), "sigma, dB", levels.std().round(4), "predicted", plan.sigma_db["strong"])
+    # bias of 0.03 dB and three standard errors; scatter as promised by the plan, within three of its standard errors
+    assert abs(error_db) < 0.03 + 3 * plan.sigma_db["strong"] / math.sqrt(200)
+    assert levels.std() < 0.2 * (1 + 3 / math.sqrt(400))
+    assert levels.std() / plan.sigma_db["strong"] == pytest.approx(1.0, abs=0.15 + 3 / math.sqrt(400))
 
 
 def test_a_carrier_taken_off_the_air_is_null_at_once_and_the_others_stay() -> None:

@@ -91,6 +91,11 @@ class Configuration:
         raise SweepRefusedError(f"{self._dialogue.session.resource} has no detector for the mean of powers")
 
     @property
+    def has_points(self) -> bool:
+        """Whether the analyzer states how many points it sweeps."""
+        return self._has_points
+
+    @property
     def readback(self) -> list[str]:
         """Queries that tell all settings in force."""
         points = [self._dialect.points] if self._has_points else []

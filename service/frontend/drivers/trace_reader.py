@@ -1,7 +1,7 @@
 """Traces in the format that the analyzer takes: blocks of numbers, text, and text in blocks.
 
-Law of this file: a trace has as many levels as the analyzer states points, or it is no trace; only of a family that is
-known to state wrong ones the trace's own number counts.
+Law of this file: a trace has as many levels as the analyzer states points, or it is no trace. The trace's own number
+counts only where the analyzer states none, or belongs to a family that is known to state wrong ones.
 """
 
 import numpy as np
@@ -24,6 +24,8 @@ from service.frontend.visa_session import AnalyzerIOError
 _NO_TRACE = "#0"
 #: no input stands more than 10 W; 107 dB more is what microvolts show
 _MOST_DBM = 40.0
+#: a trace of fewer points is none
+FEWEST_POINTS = 11
 #: a trace that keeps this close to zero is one in watts or volts
 _FLAT_DB = 0.1
 
@@ -89,10 +91,10 @@ class TraceReader:
         return self._of_text(line if payload is None else payload.decode("ascii"), points)
 
     def _of_text(self, text: str, points: int) -> FloatArray:
-        """Return the levels of text; its own number of them where the family has a fixed one."""
-        fixed = self._dialect.fixed_points
-        has_fixed = fixed is not None and len(text.strip().strip(",").split(",")) == fixed
-        return levels_of_text(text, fixed if fixed is not None and has_fixed else points)
+        """Return the levels of text; its own number of them where the analyzer states none, or a wrong one as known."""
+        own = len(text.strip().strip(",").split(","))
+        is_own = own == self._dialect.fixed_points or (not self._configuration.has_points and own >= FEWEST_POINTS)
+        return levels_of_text(text, own if is_own else points)
 
 
 def _require_dbm(levels: FloatArray) -> None:
