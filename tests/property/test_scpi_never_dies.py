@@ -8,7 +8,7 @@ import itertools
 
 import pytest
 from dialect_facts import FACTS
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scpi_bench import Bench
 from scpi_soup import KINDS
@@ -40,7 +40,14 @@ def throw(name: str, data: bytes) -> None:
 def fuzz(name: str, kind: str, examples: int, *, is_repeatable: bool) -> None:
     """Throw examples of one kind at one dialect."""
     check = given(KINDS[kind](name))(lambda data: throw(name, data))
-    settings(max_examples=examples, deadline=None, derandomize=is_repeatable, database=None)(check)()
+    options = settings(
+        max_examples=examples,
+        deadline=None,
+        derandomize=is_repeatable,
+        database=None,
+        suppress_health_check=[HealthCheck.too_slow],  # a busy machine is no fault of the strategy
+    )
+    options(check)()
 
 
 @pytest.mark.parametrize(("name", "kind"), CASES)

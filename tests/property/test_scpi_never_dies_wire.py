@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scpi_bench import standing_instrument
 from scpi_soup import KINDS
@@ -83,7 +83,14 @@ def fuzz(
     thrower = make(analyzer, DIALECTS[name].identity)
     with closing(thrower.line):
         check = given(kinds)(thrower.throw)
-        settings(max_examples=examples, deadline=None, derandomize=examples == EXAMPLES, database=None)(check)()
+        options = settings(
+            max_examples=examples,
+            deadline=None,
+            derandomize=examples == EXAMPLES,
+            database=None,
+            suppress_health_check=[HealthCheck.too_slow],  # a busy machine is no fault of the strategy
+        )
+        options(check)()
 
 
 @pytest.mark.parametrize("make", THROWERS)
