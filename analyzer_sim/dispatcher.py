@@ -7,6 +7,7 @@ are served meanwhile. Everything happens on one event loop, so a turn of a sessi
 import asyncio
 from collections import Counter
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 
 from analyzer_sim.dialect import Dialect
 from analyzer_sim.instrument import Instrument
@@ -57,6 +58,7 @@ class Dispatcher:
         self._permission = permission
         self._changed = asyncio.Event()
         self._changes_seen = 0
+        self._changes_settled = 0
         self._sessions: Counter[str] = Counter()
         self._pump: asyncio.Task[None] | None = None
 
@@ -110,14 +112,17 @@ class Dispatcher:
         while True:
             self.instrument.complete_pending()
             self.look_around()
+            remaining_s = self.instrument.remaining_s
+            if remaining_s is None and self._changes_settled != self.instrument.changes:
+                # the first of endless sweeps is over: no change of state, yet somebody may wait for it
+                self._changes_settled = self.instrument.changes
+                self.announce()
             if self.instrument.is_waiting:
                 await self._permission_or_change()
-                continue
-            try:
-                async with asyncio.timeout(self.instrument.remaining_s):
-                    await self.change()
-            except TimeoutError:
-                self.announce()
+            else:
+                with suppress(TimeoutError):
+                    async with asyncio.timeout(remaining_s):
+                        await self.change()
 
     async def _permission_or_change(self) -> None:
         """Return when it is worth asking again, or when there is nothing to ask for any more."""

@@ -1,6 +1,7 @@
 """Many sessions, one instrument: who waits for what, and what wakes them. No socket."""
 
 import asyncio
+import itertools
 from collections.abc import Callable, Coroutine
 from dataclasses import replace
 from typing import Any
@@ -132,6 +133,18 @@ def test_the_first_of_endless_sweeps_wakes_who_waits_for_it(play: Callable[..., 
         assert {(await trace).count(",") for trace in traces} == {200}
 
     play(story, life=SweepLife(Pace.REAL))
+
+
+def test_a_sweep_that_is_over_before_anybody_looks_wakes_who_waits_for_it(play: Callable[..., None]) -> None:
+    reads = itertools.count()
+
+    async def story(party: Party, first: Session, second: Session) -> None:
+        for session in (first, second):
+            trace = party.asking(session, "INIT:CONT OFF;:SWE:POIN 201;TIME 0.001;:INIT:CONT ON;:TRAC? TRACE1")
+            assert (await trace).count(",") == 200
+
+    # six tenths of the sweep pass from one look at the clock to the next
+    play(story, life=SweepLife(Pace.REAL, lambda: 0.0006 * next(reads)))
 
 
 def test_the_end_of_the_scenario_is_told_to_the_session_that_asked(play: Callable[..., None]) -> None:
