@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from service.core.flexible.propagation import BodyState, bi_plane_invariant, start_leg, state_at
+from service.core.flexible.propagation import BodyState, bi_plane_invariant, start_leg, state_at, states_at
 from service.core.flexible.spacecraft import FlexibleMode
 
 INERTIA = 1000.0
@@ -62,8 +62,17 @@ def test_the_invariant_of_the_bi_plane_stays_to_fourteen_digits(xi: float) -> No
 
 
 def test_the_printed_sign_would_break_the_invariant() -> None:
+    # (8) with the printed minus, put into (9) and (11)
     mode = FlexibleMode(0.7, 0.05, 0.4)
     leg = start_leg(START, mode, inertia_kg_m2=INERTIA, wheel_torque_n_m=-0.2)
-    times = np.linspace(0.0, 20.0, 200)
-    invariant = bi_plane_invariant(leg, mode._replace(damping_ratio=-0.05), times)
-    assert invariant.max() / invariant.min() > 1.1
+    states = states_at(leg, np.linspace(0.0, 20.0, 200))
+    away = states[:, 2] - leg.decaying_rad
+    nu, y = math.sqrt(1.0 - 0.05**2), states[:, 3] / mode.omega_rad_s
+
+    def spread(sign: float) -> float:
+        u, v = nu * away, y + sign * 0.05 * away
+        invariant = (u**2 + v**2) * np.exp(-2.0 * 0.05 / nu * np.unwrap(np.arctan2(v, u)))
+        return float(invariant.max() / invariant.min())
+
+    assert spread(1.0) == pytest.approx(1.0, abs=1e-13)
+    assert spread(-1.0) > 1.1

@@ -124,7 +124,7 @@ def _draw_ladders(path: Path) -> None:
     plots: Sequence[Axes] = figure.subplots(1, 3)
     for name, start, returns, plot in zip(_NAMES, (1.05e-4, 1.2e-4, 1.2e-4), (60, 25, 40), plots, strict=True):
         motion = motion_of(name)
-        speeds = np.linspace(1e-6, motion.pulse_rad_s2 * motion.pulse_s, 1200)
+        speeds = np.linspace(1e-6, motion.pulse_rad_s2 * motion.pulse_s, 700)
         following = succession(speeds, motion)
         # a jump is no part of the function
         following[1:][np.abs(np.diff(following)) > 5e-6] = np.nan

@@ -61,7 +61,7 @@ def test_friction_away_from_the_line_has_no_cycle_on_the_surface():
     assert math.isnan(analyse_capture(**PLAIN, is_friction_outward=False).rigid_frequency_rad_s)
 
 
-def test_with_a_given_motor_friction_away_from_the_line_is_the_worse_case():
+def test_friction_inward_is_the_worse_case_of_a_motor():
     away, toward = analyse_capture(**PLAIN, is_friction_outward=False), analyse_capture(**PLAIN)
     none = analyse_capture(**PLAIN | {"friction_torque_n_m": 0.0})
     assert away.p_cr_rad < none.p_cr_rad < toward.p_cr_rad

@@ -92,7 +92,7 @@ def test_a_relay_that_may_hold_its_oscillation_is_warned_of():
     assert found.p_inf_rad > 0.0349
 
 
-def test_a_swing_that_the_schedule_undoes_at_its_end_still_counts():
+def test_a_swing_undone_at_the_end_still_counts():
     # two halves of a large pulse: nearly nothing is left, but between them the panel swings
     half_s = math.pi / (OMEGA * math.sqrt(1.0 - XI**2))
     large = PLAIN | {"peak_allowed_rad": 1.0}
