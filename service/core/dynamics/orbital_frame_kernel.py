@@ -76,6 +76,22 @@ def lagged_tilt(
     )
 
 
+def bent_tilt(sensor: VerticalSensor, state: State, flexible: FloatArray, noise: FloatArray) -> tuple[float, float]:
+    """Return roll and pitch that reach the sensor, rad: of the body, its tones, noise and bias."""
+    roll, pitch = tilt(state)
+    bend = flexible[0, 0] + flexible[1, 0] + flexible[2, 0]
+    return (roll + bend + noise[0] + sensor.roll_bias_rad, pitch + noise[1] + sensor.pitch_bias_rad)
+
+
+def bent_rate(rate: Triple, flexible: FloatArray) -> Triple:
+    """Return rates that reach the sensors, rad/s: of the body and its tones."""
+    return (
+        rate[0] + flexible[0, 1] + flexible[1, 1] + flexible[2, 1],
+        rate[1],
+        rate[2] + flexible[3, 1] + flexible[4, 1] + flexible[5, 1],
+    )
+
+
 def sensed_rate(sensor: RateSensor, rate: Triple, noise: FloatArray) -> Triple:
     """Return rates with null and noise behind the sensor's limit and quantum, rad/s."""
     null, limit, quantum = sensor.null_rad_s, sensor.limit_rad_s, sensor.quantum_rad_s
@@ -212,23 +228,15 @@ def fly(
     write_row(record[0], 0.0, state, torque, held[0] / w0)
     for period in range(len(rate_noise_rad_s)):
         rate = body_rate(state, inverse)
-        roll, pitch = tilt(state)
-        measured = (roll, pitch)
+        measured = tilt(state)
         if craft.vertical_sensor.is_real:
             sensor = craft.vertical_sensor
-            bend = flexible[0, 0] + flexible[1, 0] + flexible[2, 0]
-            noise = tilt_noise_rad[period]
-            seen = (roll + bend + noise[0] + sensor.roll_bias_rad, pitch + noise[1] + sensor.pitch_bias_rad)
+            seen = bent_tilt(sensor, state, flexible, tilt_noise_rad[period])
             shown = lagged_tilt(sensor, shown, seen, computer.period_s)
             measured = (rounded(shown[0], sensor.quantum_rad, 0), rounded(shown[1], sensor.quantum_rad, 0))
         used = rate
         if craft.rate_sensor.is_real:
-            bent = (
-                rate[0] + flexible[0, 1] + flexible[1, 1] + flexible[2, 1],
-                rate[1],
-                rate[2] + flexible[3, 1] + flexible[4, 1] + flexible[5, 1],
-            )
-            fresh = sensed_rate(craft.rate_sensor, bent, rate_noise_rad_s[period])
+            fresh = sensed_rate(craft.rate_sensor, bent_rate(rate, flexible), rate_noise_rad_s[period])
             used = held if craft.rate_sensor.delay_periods > 0 and period > 0 else fresh
             held = fresh
         used = (used[0], used[1], used[2] + computer.yaw_rate_correction_rad_s)
@@ -249,28 +257,12 @@ def fly(
     return FLOWN, len(rate_noise_rad_s), state
 
 
+#: what ``fly`` calls, for the compiler
 _PIECES: tuple[Callable[..., Any], ...] = (
-    *(getattr(orbital_frame_step, name) for name in ("times", "vertical", "normal", "half_angles")),
-    inverse_inertia,
-    body_rate,
-    angles,
-    tilt,
-    wanted_torque,
-    derivative,
-    moved,
-    blended,
-    clipped,
-    rounded,
-    command,
-    lagged_tilt,
-    sensed_rate,
-    rotor_torque,
-    given_torque,
-    swing,
-    held_step,
-    continuous_torque,
-    continuous_step,
-    write_row,
+    *(orbital_frame_step.times, orbital_frame_step.vertical, orbital_frame_step.normal, orbital_frame_step.half_angles),
+    *(inverse_inertia, body_rate, angles, tilt, wanted_torque, derivative, moved, blended),
+    *(clipped, rounded, command, bent_tilt, bent_rate, lagged_tilt, sensed_rate, rotor_torque, given_torque, swing),
+    *(held_step, continuous_torque, continuous_step, write_row),
 )
 
 
