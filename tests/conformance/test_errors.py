@@ -5,6 +5,7 @@ import re
 import pytest
 
 from analyzer_sim.scpi_errors import ERROR_TEXTS, event_bit
+from analyzer_sim.session import OUTPUT_LIMIT_BYTES
 
 #: error classes and the bit of the standard event register (IEEE 488.2, 11.5.1.1)
 NEEDED = {
@@ -108,3 +109,21 @@ def test_queue_takes_entries_again_after_one_was_read(bench, facts):
 def test_clear_empties_the_queue(bench, facts):
     bench.ask("NONE;:NONE;*CLS")
     assert bench.ask("SYST:ERR?") == facts.no_error
+
+
+def test_response_beyond_the_output_queue_is_a_deadlock(bench, facts):
+    bench.ask(f"*RST;*CLS;:INIT:CONT OFF;:FREQ:CENT 1017 MHZ;SPAN 20 MHZ;:{facts.power_detector};:FORM ASC;:INIT;*WAI")
+    traces = -(-OUTPUT_LIMIT_BYTES // len(bench.ask(facts.trace_query)))
+    assert bench.ask("*ESE?;" + f":{facts.trace_query};" * (traces + 1) + "*ESE 7") == ""
+    assert bench.errors() == [-430]
+    assert int(bench.ask("*ESR?")) & 4
+    assert bench.ask("*ESE?") == "0", "the rest of the message is dropped with the response"
+
+
+def test_query_behind_an_indefinite_response_is_unterminated(bench, facts):
+    bench.ask("*CLS;:INIT:CONT OFF")
+    answer = bench.ask(f"{facts.trace_query};*ESE?")
+    if facts.no_trace.startswith("#0"):
+        assert (answer, bench.errors()) == (facts.no_trace, [-440])
+    else:
+        assert (answer, bench.errors()) == ("0", [-230])
