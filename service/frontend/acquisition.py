@@ -191,7 +191,6 @@ class Acquisition:
             io_timeout_s=self._settings.io_timeout_s,
             hold_s=self._settings.hold_s,
             enbw_ratio=self._task.task.analyzer.enbw_ratio,
-            readback_s=self._settings.readback_s,
         )
         self._driver.preset()
         self._cycle = MeasuringCycle(self._task, self._evaluation, self._driver, self._keep_trace)

@@ -21,8 +21,6 @@ class AcquisitionSettings:
     io_timeout_s: float = 5.0
     #: further wait for a sweep that a trigger, or a simulator in step with others, holds back, s
     hold_s: float = 0.0
-    #: settings are read back after a sweep when they have not been for this long, s
-    readback_s: float = 0.5
 
 
 @dataclass(slots=True)

@@ -51,10 +51,12 @@ class Configuration:
         self._sent: dict[str, str] = {}
         self._levels: list[str] = []
         self._stated: list[str] = []
+        #: what was stated for each sweep when it was configured last
+        self._expected: dict[tuple[SweepPart, InputPart], list[str]] = {}
 
     def preset(self) -> None:
         """Set what stays the same for all sweeps, after a reset."""
-        self._sent, self._stated, self._without = {}, [], set()
+        self._sent, self._stated, self._expected, self._without = {}, [], {}, set()
         self.format = self._choose_format()
         self._words = [word for word in (SINGLE, *self._dialect.method) if self._establish(word)]
         self._words += [*self._detector(), *self.format.words]
@@ -106,18 +108,24 @@ class Configuration:
         if answers == self._stated:
             return True
         self.foreign_changes += 1
-        self._sent = {}
+        self._sent, self._expected = {}, {}
         return False
 
     def configure(self, sweep: SweepPart, path: InputPart) -> SweepSettings:
-        """Send the settings that differ from those sent last, read all back, and return the actual ones."""
+        """Send the settings that differ from those sent last, read all back, and return the actual ones.
+
+        What the analyzer states differently than it did for the same sweep before has been changed by somebody else.
+        """
         settings = self._send(sweep, path)
-        if self.is_mismatch:
-            # Somebody may have changed what was sent before: once more, from the beginning.
+        expected = self._expected.get((sweep, path))
+        is_foreign = expected is not None and self._stated != expected
+        if self.is_mismatch or is_foreign:
             self._sent = {}
             for word in self._words:
                 self._dialogue.tell(f"{word.header} {word.value}")
             settings = self._send(sweep, path)
+        self.foreign_changes += is_foreign
+        self._expected[sweep, path] = self._stated
         self._require_words()
         return settings
 

@@ -50,8 +50,6 @@ class ScpiDriver:
         Further wait for a sweep that a trigger holds back.
     enbw_ratio : float, optional
         Noise bandwidth over RBW, in place of the dialect's.
-    readback_s : float
-        Settings are read back after a sweep when they have not been for this long.
     """
 
     def __init__(
@@ -65,7 +63,6 @@ class ScpiDriver:
         io_timeout_s: float = 5.0,
         hold_s: float = 0.0,
         enbw_ratio: float | None = None,
-        readback_s: float = 0.0,
     ) -> None:
         self.identity = identity
         self.dialect = dialect
@@ -75,8 +72,6 @@ class ScpiDriver:
         self._use_analyzer_clock = use_analyzer_clock
         self._io_timeout_s = io_timeout_s
         self._hold_s = hold_s
-        self._readback_s = readback_s
-        self._read_at_s = float("-inf")
         self._is_bound = False
         self._has_sweep_end = False
         self._dialogue = Dialogue(session)
@@ -148,7 +143,6 @@ class ScpiDriver:
         """
         self._asked = (sweep, path)
         self._settings = self._configuration.configure(sweep, path)
-        self._read_at_s = time.monotonic()
         return self._settings
 
     def take(self, sweep: SweepPart) -> Sweep:
@@ -192,11 +186,11 @@ class ScpiDriver:
         if settings is None:
             raise SweepRefusedError(f"sweep {sweep_id} was not configured")
         system_us = self._sweep(settings)
-        readback = self._due_readback()
+        readback = self._configuration.readback
         trace, answers = self._traces.read([*self._after_trace(), *readback, ":SYST:ERR?"])
         self._dialogue.raise_on_errors(f"sweep {sweep_id}", parse_message(answers.pop()))
         stated = [answers.pop() for _ in readback][::-1]
-        is_unchanged = not readback or self._configuration.is_unchanged(stated)
+        is_unchanged = self._configuration.is_unchanged(stated)
         condition = int(parse_number(answers.pop(0))) if self.features.has_status else 0
         epoch_us = self._epoch_us(answers, settings, system_us)
         # What was swept under foreign settings may not even be read: it has another unit, or other points.
@@ -237,14 +231,6 @@ class ScpiDriver:
         """Ask for the end of the sweep; one and a half sweep times are enough, whatever is answered."""
         while self._dialogue.ask([self.dialect.sweep_end])[0].strip() != "1" and time.monotonic() < deadline_s:
             time.sleep(_POLL_S)
-
-    def _due_readback(self) -> list[str]:
-        """Return the queries of all settings when it is time to look at them."""
-        now_s = time.monotonic()
-        if now_s - self._read_at_s < self._readback_s:
-            return []
-        self._read_at_s = now_s
-        return self._configuration.readback
 
     def _after_trace(self) -> list[str]:
         """Return the queries of status and time."""

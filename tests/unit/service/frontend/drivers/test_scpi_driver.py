@@ -170,6 +170,23 @@ def test_a_setting_changed_during_a_sweep_is_restored_and_the_sweep_taken_again(
     assert not made.take(SWEEP).is_setting_mismatch
 
 
+@pytest.mark.parametrize("header", [":BAND:VID", ":BAND", ":INP:ATT", ":UNIT:POW", ":INIT:CONT", ":FORM"])
+def test_a_setting_changed_between_two_sweeps_is_restored_before_the_next_of_its_kind(header: str) -> None:
+    session = ScriptedSession()
+    made = driver(session)
+    path = InputPart(attenuation_db=10.0)
+    other = SWEEP.model_copy(update={"id": "tp2", "start_hz": 960e6})
+    for sweep in (SWEEP, other):
+        made.configure(sweep, path)
+    before = session.values[header]
+    session.values[header] = {":UNIT:POW": "V", ":FORM": "ASC,0", ":INIT:CONT": "1"}.get(header, "12E3")
+    made.configure(SWEEP, path)
+    assert made.foreign_changes == 1
+    assert session.values[header] == before
+    made.configure(other, path)
+    assert made.foreign_changes == 1
+
+
 def test_a_sweep_whose_settings_never_stand_still_is_no_measurement() -> None:
     session = ScriptedSession()
     made = driver(session)
