@@ -2,6 +2,7 @@
 
 import math
 import os
+import random
 import shutil
 import sqlite3
 import subprocess
@@ -441,3 +442,38 @@ def test_an_older_schema_is_migrated_and_keeps_its_rows(tmp_path: Path) -> None:
     connection.close()
     with pytest.raises(SpoolFileError, match="use the newer program"):
         spool(tmp_path)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_every_number_is_settled_waiting_or_given_up_whatever_happens(tmp_path: Path, seed: int) -> None:
+    print(f"seed {seed}")
+    draw, hands, bounds = random.Random(seed), Hands(), Bounds(rows_bytes=12 * ROW_BYTES, held_rows=4, age_s=50.0)
+    made, number, settled, seen = spool(tmp_path, bounds, hands), 0, 0, set()
+    for _ in range(300):
+        act = draw.random()
+        if act < 0.6:
+            made.append(row(number))
+            number += 1
+        elif act < 0.75:
+            rows = made.batch(draw.choice(list(Lane)), number - 5, draw.randrange(1, 6))
+            seqs = [each.seq for each in rows if each.seq is not None]
+            assert not seen & set(seqs)
+            seen |= set(seqs)
+            settled += len(seqs)
+            made.settle(rows)
+        elif act < 0.82:
+            protect_disk(made)
+        elif act < 0.92:
+            heal_disk(made)
+        elif act < 0.96 and "store" not in vars(made._disk.file):
+            made.close()
+            made = spool(tmp_path, bounds, hands, now_us=NOW_US + 1000 * number)
+        hands.now_s += draw.choice([0.0, 0.4, 2.0])
+    heal_disk(made)
+    hands.now_s += 2.0
+    assert made.append(row(number))
+    state = made.state
+    assert state.held == 0
+    assert state.last_seq == settled + state.waiting + sum(state.dropped.values())
+    assert {"memory", "full"} <= state.dropped.keys()
+    made.close()
