@@ -1,6 +1,6 @@
 """Archive: inputs of the chain and the journal that orders them; implements ``service.ports.Archive``."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from typing import Any
 
@@ -11,6 +11,7 @@ from db.database import Database, add_entries, beyond, count_entries, lock_head,
 from db.documents import decode, decode_all, decode_input
 from db.ingest import prepare, store_batch
 from db.mapping import MEASUREMENT_COLUMNS, measurement_of, measurements_of
+from db.measurement_pages import Chosen, Cursor, read_page
 from db.slow_inputs import revise_operation, store_inputs, store_operation
 from db.tables import carrier_plan, head, journal, measurement, measurement_detail, operation, source
 from service.errors import InvalidInputError, NotFoundError
@@ -19,10 +20,13 @@ from service.records.catalogue import Carrier
 from service.records.inputs import AttitudeReference, Operation, SourceSelection
 from service.records.journal import JournalEntry, SlowInput
 from service.records.measurement import BatchReceipt, Measurement, MeasurementBatch
+from service.records.measurement_block import MeasurementBlock
 from service.records.series import HeadState, InputReceipt, MeasurementSeries, ReferenceSeries, SourceState
 
 #: kinds of slow inputs that stand at one epoch
 _POINT_KINDS = ("reference", "telemetry")
+#: rows that a reader of blocks holds at once
+_BLOCK_ROWS = 8192
 
 
 class SqlArchive:
@@ -153,6 +157,24 @@ class SqlArchive:
             .limit(limit)
         )
         return measurements_of(self._database.fetch(query))
+
+    def measurement_blocks(
+        self, spacecraft_id: str, window: Window, *, source: str | None = None, feeds_estimator_only: bool = False
+    ) -> Iterator[MeasurementBlock]:
+        """Yield the rows of a window as blocks in order of (epoch, number); what is held at once is bounded."""
+        chosen = Chosen(window, source, feeds_estimator_only)
+        return self._blocks(self._database.key(spacecraft_id), chosen)
+
+    def _blocks(self, key: int, chosen: Chosen) -> Iterator[MeasurementBlock]:
+        after: Cursor | None = None
+        while True:
+            with self._database.read() as connection:
+                runs = read_page(connection, key, chosen, _BLOCK_ROWS, after)
+            if not runs:
+                return
+            for run in runs:
+                yield MeasurementBlock(run.piece.source, run.piece.plan_id, run.epochs_us(), run.power_dbm())
+            after = runs[-1].end
 
     def plan_ids(self, spacecraft_id: str, window: Window) -> tuple[int, ...]:
         """Return the numbers of the carrier plans under which the rows of a window were stored, ascending."""

@@ -6,7 +6,7 @@ visible and counted once. Every call may raise StorageError. Unknown names raise
 ``operation.unknown``, ``source.unknown``, ``job.unknown``, ``replay.unknown``, ``link.unknown``.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Protocol
@@ -27,6 +27,7 @@ from service.records.job import Job, JobState, Replay
 from service.records.journal import JournalEntry, SlowInput
 from service.records.link import LinkReport, LinkState
 from service.records.measurement import BatchReceipt, Measurement, MeasurementBatch
+from service.records.measurement_block import MeasurementBlock
 from service.records.series import HeadState, InputReceipt, MeasurementSeries, ReferenceSeries, SourceState
 from service.records.trace import KeptTrace, Ring, Trace, TraceHead, TraceReceipt
 
@@ -160,6 +161,16 @@ class Archive(Protocol):
         self, spacecraft_id: str, window: Window, limit: int, after: tuple[int, int] | None, source: str | None = None
     ) -> list[Measurement]:
         """Return rows in order of (epoch, number) beyond a cursor; every source unless one is named."""
+        ...
+
+    def measurement_blocks(
+        self, spacecraft_id: str, window: Window, *, source: str | None = None, feeds_estimator_only: bool = False
+    ) -> Iterator[MeasurementBlock]:
+        """Yield the rows of a window as blocks, in order of (epoch, number) within and across blocks.
+
+        A block holds rows of one source under one plan; interleaved sources make short blocks. What is held at once
+        does not grow with the window. Rows stored while blocks are read may be missed or told, never told twice.
+        """
         ...
 
     def plan_ids(self, spacecraft_id: str, window: Window) -> tuple[int, ...]:

@@ -1,0 +1,52 @@
+"""Every storage gives measurements as blocks: the same rows in the same order as one by one."""
+
+import numpy as np
+import pytest
+
+import db.archive
+from service.errors import NotFoundError
+from service.records.calibration import Window
+
+
+def told(setting, window, **options):
+    """Return (source, plan, epoch, powers as bytes) of the rows of all blocks, in order."""
+    found = []
+    for block in setting.storage.archive.measurement_blocks(setting.id, window, **options):
+        assert block.power_dbm.dtype == np.float32
+        assert block.power_dbm.shape[0] == len(block.epochs_us) > 0
+        for epoch_us, powers in zip(block.epochs_us.tolist(), block.power_dbm, strict=True):
+            found.append((block.source, block.plan_id, epoch_us, powers.tobytes()))
+    return found
+
+
+def expected(rows):
+    return [(row.source, row.plan_id, row.epoch_us, row.power_dbm.astype(np.float32).tobytes()) for row in rows]
+
+
+def test_blocks_hold_the_rows_in_order_of_epoch(setting, make, monkeypatch):
+    # pages of three rows: runs and pages end in different places
+    monkeypatch.setattr(db.archive, "_BLOCK_ROWS", 3)
+    setting.append([40, 10, 20], [-4.0, -1.0, float("nan")])
+    setting.append([20, 30, 15], [-2.5, -3.5, -1.5], source="sa-2")
+    setting.plan_id = setting.storage.catalogue.put_plan(setting.id, make.carriers[::-1], "turned").id
+    setting.append([50, 5], [-5.0, -0.5])
+    assert told(setting, make.ever) == expected(setting.rows())
+    assert [row[2] for row in told(setting, Window(10, 40))] == [10, 15, 20, 20, 30]
+    assert [row[2] for row in told(setting, make.ever, source="sa-2")] == [15, 20, 30]
+    assert [row[2] for row in told(setting, make.ever, feeds_estimator_only=True)] == [5, 10, 20, 40, 50]
+    assert told(setting, Window(60, 70)) == []
+
+
+def test_rows_of_one_source_under_one_plan_make_one_block(setting, make):
+    setting.append(range(100))
+    (block,) = setting.storage.archive.measurement_blocks(setting.id, make.ever)
+    assert block.power_dbm.shape == (100, 3)
+    for array in (block.power_dbm, block.epochs_us):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
+
+
+def test_an_unknown_spacecraft_is_told_before_the_first_block(storage, make):
+    with pytest.raises(NotFoundError) as caught:
+        storage.archive.measurement_blocks("none", make.ever)
+    assert caught.value.code == "spacecraft.unknown"
