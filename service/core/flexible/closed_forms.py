@@ -105,7 +105,8 @@ def staggered_forms(motion: OneSided) -> StaggeredForms | None:
     if motion.pulse_count % 2 == 0 or balance(0.0) * balance(gained) > 0.0:
         return None
     speeds = _staggered_speeds(brent_root(balance, 0.0, gained), motion)
-    if np.isnan(speeds).any():
+    if not speeds[1:].all():
+        # the body turns before a line
         return None
     ratio = (gained - speeds[:-1]) / speeds[1:]
     return StaggeredForms(speeds[:-1], -float(np.prod(ratio)))

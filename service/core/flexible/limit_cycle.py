@@ -15,6 +15,8 @@ from service.core.flexible.switching_law import SwitchingLaw
 
 #: speeds tried between 0 and the gain of one pulse; narrower branches between two jumps are not seen
 SCANNED_SPEEDS = 400
+#: pulses of a cycle at most
+MOST_PULSES = 200
 #: what a root of f(w) - w may leave, in gains of one pulse: more is a jump
 _JUMP = 1e-9
 #: step of the central difference, in gains of one pulse
@@ -60,7 +62,7 @@ class LimitCycleAnalysis(NamedTuple):
 
 
 def find_limit_cycles(drive: WheelDrive, law: SwitchingLaw) -> tuple[LimitCycle, ...]:
-    """Return the cycles that return to the first line after one visit, by speed.
+    """Return the cycles that return to the first line after one visit of at most `MOST_PULSES` pulses, by speed.
 
     Cycles that close after several visits are not looked for.
 
@@ -76,7 +78,7 @@ def find_limit_cycles(drive: WheelDrive, law: SwitchingLaw) -> tuple[LimitCycle,
     >>> round(cycle.period_s, 4), round(cycle.multiplier, 4), cycle.is_stable
     (190.4762, -1.0099, False)
     """
-    motion = one_sided_motion(drive, law)
+    motion = one_sided_motion(drive, law)._replace(most_pulses=MOST_PULSES)
     return tuple(_describe(speed, motion, drive) for speed in _fixed_speeds(motion))
 
 
@@ -129,7 +131,7 @@ def analyse_limit_cycle(  # everything that the REST route shows
         external_torque_n_m,
     )
     law = SwitchingLaw(alpha_rad, beta_rad, pulse_s, pulse_count, line_step_rad)
-    motion = one_sided_motion(drive, law)
+    motion = one_sided_motion(drive, law)._replace(most_pulses=MOST_PULSES)
     if returns < 1 or map_points < 2:
         raise ValueError(f"returns is {returns} and map_points {map_points}; at least 1 and 2 are needed")
     gained = motion.pulse_rad_s2 * motion.pulse_s

@@ -19,8 +19,6 @@ from service.core.flexible.phi_functions import FloatArray, phi2_scalar
 
 _NEWTON_STEPS = 60
 _ROUNDING = 4e-16
-#: a law that fires more often in one visit will not bring the body back; some visits of hundreds of pulses do end
-_MOST_PULSES = 2000
 
 
 class OneSided(NamedTuple):
@@ -34,6 +32,8 @@ class OneSided(NamedTuple):
     pulse_s: float
     pulse_count: int
     line_step_rad: float
+    #: a visit of more pulses counts as one without return; bounces at the last line may go on for hundreds
+    most_pulses: int = 2000
 
 
 class Visit(NamedTuple):
@@ -183,11 +183,14 @@ def one_return(speed_rad_s: float, motion: OneSided) -> Visit:
     """Return the visit from an arrival at the first line to the next one; rate NaN where there is none."""
     beta = motion.beta_rad
     visit = Visit(beta, speed_rad_s, 0, 0, 0.0, 0, beta, beta, speed_rad_s, speed_rad_s)
-    while visit.pulses < _MOST_PULSES:
+    # no pulse gives more inward speed than this, and from higher no such speed reaches the last line again
+    gained = motion.pulse_rad_s2 * motion.pulse_s
+    highest = beta + (motion.pulse_count - 1) * motion.line_step_rad + 0.5 * gained**2 / motion.passive_rad_s2
+    while visit.pulses < motion.most_pulses:
         visit = settle(fire(visit, motion), motion)
         if visit.counter == 0:
             return visit
-        if visit.counter < 0:
+        if visit.counter < 0 or visit.angle_rad > highest:
             break
     nan = math.nan
     return Visit(nan, nan, -1, 0, nan, visit.pulses, nan, nan, nan, nan)

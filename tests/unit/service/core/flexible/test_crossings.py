@@ -82,6 +82,15 @@ def test_a_leg_that_leaves_the_line_comes_back_to_it_later():
     assert found == pytest.approx(scanned(leg, Line(0.03, 1.0), 60.0), abs=0.01)
 
 
+def test_a_leg_that_comes_back_to_its_line_between_two_points():
+    line = Line(0.03, 1.0)
+    leg = leg_of(BodyState(0.03, -1e-6), MODE, wheel_n_m=0.2)
+    # as a free body of inertia 1000 / (1 + kn)
+    assert crossing_time(leg, line, 60.0) == pytest.approx(2e-6 / 3e-4, rel=1e-3)
+    grazing = leg_of(BodyState(0.03, -1e-15), MODE, wheel_n_m=0.2)
+    assert 0.0 <= crossing_time(grazing, line, 60.0) < 1e-6
+
+
 @pytest.mark.parametrize("decay_1_s", [0.0, 1e-4, 0.01])
 def test_when_the_momentum_comes_to_a_value(decay_1_s):
     leg = leg_of(BodyState(0.0, 0.0, momentum_n_m_s=2.0), wheel_n_m=-0.05, decay_1_s=decay_1_s)

@@ -63,6 +63,19 @@ def test_a_body_that_the_pulses_cannot_turn_does_not_return():
     assert np.isnan(follow(np.array([5e-4]), 4, motion)[0, 1:]).all()
 
 
+def test_a_body_too_high_to_fall_back_is_given_up_soon():
+    # each pulse takes less than friction gives from line to line
+    motion = one_sided_motion(DRIVE, SwitchingLaw(0.0175, 0.0349, 0.1, 1, 1e-3))
+    lost = one_return(6e-5, motion)
+    assert math.isnan(lost.rate_rad_s)
+    assert lost.pulses < 20
+
+
+def test_a_visit_of_too_many_pulses_is_none():
+    motion = one_sided_motion(DRIVE, LAW)
+    assert math.isnan(one_return(8e-5, motion._replace(most_pulses=20)).rate_rad_s)
+
+
 def test_the_ladder_steps_between_diagonal_and_function():
     motion = one_sided_motion(DRIVE, LAW)
     ladder = koenigs_lamerey(1.2e-4, 6, motion)
