@@ -2,6 +2,7 @@
 
 import importlib.util
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -50,3 +51,15 @@ def filter_models() -> ModuleType:
 def robust_world() -> ModuleType:
     """The attitude filter over worlds of the simulator."""
     return _load("robust_world")
+
+
+@pytest.fixture(scope="session")
+def postgresql_cluster() -> Iterator[object]:
+    """One PostgreSQL server a session; skips, and says why, where there is none."""
+    module = _load("postgresql_cluster")
+    try:
+        cluster = module.PostgresqlCluster()
+    except module.NoServerError as fault:
+        pytest.skip(str(fault))
+    yield cluster
+    cluster.close()

@@ -1,6 +1,5 @@
 """Storages under test and makers of records; every storage has to keep the same contract."""
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
@@ -10,7 +9,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from db.migrate import downgrade
 from db.storage import SqlStorage
 from service.ports import Outcome, Storage
 from service.records.attitude import NO_ANGLES, AttitudeRow, Axes, Exclusion, Status
@@ -154,20 +152,13 @@ def torque_command(of: Measurement, **changes: object) -> TorqueCommand:
     return replace(command, **changes)  # type: ignore[arg-type]
 
 
-DATABASES = ("sqlite", "postgresql") if "TEST_DATABASE_URL" in os.environ else ("sqlite",)
-
-
-@pytest.fixture(params=DATABASES)
+@pytest.fixture(params=["sqlite", "postgresql"])
 def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
     """URL of an empty database."""
     if request.param == "sqlite":
         return f"sqlite:///{tmp_path / 'soo.db'}"
-    target = os.environ["TEST_DATABASE_URL"]
-    storage = SqlStorage(target)
-    storage.migrate()
-    downgrade(storage._database.engines.write)
-    storage.close()
-    return target
+    cluster = request.getfixturevalue("postgresql_cluster")
+    return str(cluster.shared_database())
 
 
 @pytest.fixture

