@@ -1,11 +1,10 @@
-"""An archive's file, read row by row: CSV with the standard library, Parquet with pyarrow where it is installed.
+"""An archive's file, read row by row: CSV with the standard library, Parquet with pyarrow.
 
 Memory holds one row of a CSV file or one piece of a Parquet file, however long the file is.
 """
 
 import csv
 import hashlib
-import importlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -117,19 +116,18 @@ class ParquetArchive:
     Raises
     ------
     ArchiveError
-        No Parquet, instants without a time zone, or pyarrow is not installed.
+        No Parquet, or instants without a time zone.
     """
 
     def __init__(self, path: Path) -> None:
+        # a second to import, tens of megabytes; only this format needs it
+        import pyarrow as pa
+        import pyarrow.parquet as parquet
+
+        self._arrow: Any = pa
         try:
-            # tens of megabytes that only this format needs
-            self._arrow: Any = importlib.import_module("pyarrow")
-            parquet: Any = importlib.import_module("pyarrow.parquet")
-        except ImportError as error:
-            raise ArchiveError("reading Parquet needs pyarrow, which is not installed; CSV does not") from error
-        try:
-            self._file = parquet.ParquetFile(path)
-        except self._arrow.ArrowInvalid as error:
+            self._file: Any = parquet.ParquetFile(path)
+        except pa.ArrowInvalid as error:
             raise ArchiveError(f"{path} is no Parquet file: {error}") from error
         self.header = list(self._file.schema_arrow.names)
         self.done = 0

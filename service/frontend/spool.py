@@ -271,7 +271,9 @@ class Spool:
         with self._changed:
             self._tallies = self._read(lambda file: file.tallies(), self._tallies)
             dropped = {
-                name.removeprefix("dropped."): rows for name, rows in self._tallies.items() if "dropped." in name
+                name.removeprefix("dropped_"): rows
+                for name, rows in self._tallies.items()
+                if name.startswith("dropped_")
             }
             if self._given_up:
                 dropped["memory"] = dropped.get("memory", 0) + self._given_up

@@ -165,7 +165,7 @@ class SpoolFile:
         """
         with self._atomic():
             self.number_from(self.last_seq + given_up)
-            self.count("dropped.memory", given_up)
+            self.count("dropped_memory", given_up)
             dropped = self._make_room(sum(size_of(row.blobs) for row in rows), bounds, now_us, in_flight)
             for row in rows:
                 self._insert(row)
@@ -248,7 +248,7 @@ class SpoolFile:
             for seq, row in rows:
                 self._insert(row, seq)
             self.number_from(last_seq)
-            self.count("dropped.corrupt", lost)
+            self.count("dropped_corrupt", lost)
 
     def _insert(self, row: WaitingRow, seq: int | None = None) -> None:
         """Write one row, unless its epoch is there."""
@@ -273,7 +273,7 @@ class SpoolFile:
                 reason = "aged" if is_aged else "full"
                 dropped[reason] = dropped.get(reason, 0) + 1
         for reason, rows in dropped.items():
-            self.count(f"dropped.{reason}", rows)
+            self.count(f"dropped_{reason}", rows)
         return dropped
 
     def _oldest_first(self) -> Iterator[tuple[int, int, int, int]]:

@@ -121,7 +121,7 @@ def spooled(folder: Path, copy: Path) -> tuple[set[str], int]:
         assert connection.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
         waiting = {epoch_text(epoch_us) for (epoch_us,) in connection.execute("SELECT epoch_us FROM measured")}
         found = connection.execute("SELECT seq FROM sqlite_sequence WHERE name = 'measured'").fetchone()
-        dropped = connection.execute("SELECT sum(count) FROM tally WHERE name LIKE 'dropped.%'").fetchone()[0]
+        dropped = connection.execute("SELECT sum(count) FROM tally WHERE name LIKE 'dropped_%'").fetchone()[0]
     finally:
         connection.close()
     assert not dropped

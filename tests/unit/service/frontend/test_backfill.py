@@ -3,13 +3,16 @@
 import csv
 import json
 import random
+import subprocess
 import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import httpx
+import pyarrow as pa
 import pytest
+from pyarrow import parquet
 
 from service.client.backoff import Backoff
 from service.client.problem import ProblemError
@@ -262,27 +265,29 @@ def test_a_state_that_was_spoiled_is_told(tmp_path: Path) -> None:
         send(Archive(), order)
 
 
-def test_parquet_without_pyarrow_says_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
+def test_what_is_no_parquet_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "levels.parquet"
-    path.write_bytes(b"")
-    with pytest.raises(ArchiveError, match="needs pyarrow"):
+    path.write_bytes(b"epoch,c00_dbm")
+    with pytest.raises(ArchiveError, match="is no Parquet file"):
         send(Archive(), ArchiveOrder(path, "sc", "sa-1"))
 
 
+def test_nothing_but_a_parquet_file_costs_the_import_of_pyarrow() -> None:
+    program = "import sys, service.cli.send; sys.exit('pyarrow' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", program], check=False, timeout=18).returncode == 0
+
+
 def test_parquet_is_sent_as_csv_is(tmp_path: Path) -> None:
-    arrow = pytest.importorskip("pyarrow")
-    parquet = pytest.importorskip("pyarrow.parquet")
-    levels = arrow.array([-40.0, None, -42.0], arrow.float32())
-    whole = arrow.array([START_US, START_US + 1, START_US + 2], arrow.int64())
-    for number, epochs in enumerate((whole, whole.cast(arrow.timestamp("us", tz="UTC")))):
+    levels = pa.array([-40.0, None, -42.0], pa.float32())
+    whole = pa.array([START_US, START_US + 1, START_US + 2], pa.int64())
+    for number, epochs in enumerate((whole, whole.cast(pa.timestamp("us", tz="UTC")))):
         path = tmp_path / f"levels-{number}.parquet"
-        parquet.write_table(arrow.table({"epoch": epochs, "c00_dbm": levels}), path)
+        parquet.write_table(pa.table({"epoch": epochs, "c00_dbm": levels}), path)
         service = Archive()
         report = send(service, ArchiveOrder(path, "sc", "sa-1", batch_rows=2))
         assert report["accepted"] == 3
         assert list(service.rows.values()) == [[-40.0, None, None], [None, None, None], [-42.0, None, None]]
     path = tmp_path / "naive.parquet"
-    parquet.write_table(arrow.table({"epoch": whole.cast(arrow.timestamp("us")), "c00_dbm": levels}), path)
+    parquet.write_table(pa.table({"epoch": whole.cast(pa.timestamp("us")), "c00_dbm": levels}), path)
     with pytest.raises(ArchiveError, match="without a time zone"):
         send(Archive(), ArchiveOrder(path, "sc", "sa-1"))
