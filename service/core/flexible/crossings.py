@@ -55,11 +55,16 @@ def _rate(leg: Leg, t: float) -> float:
 
 def _rigid_crossing(leg: Leg, line: Line, horizon_s: float) -> float:
     """Return the first crossing of a rigid body: monotone between its turns."""
+
+    def gap(t: float) -> tuple[float, float]:
+        angle, rate = angle_and_rate_at(leg, t)
+        return angle - line.angle_rad, rate
+
     ends = [0.0, *_turns(leg, horizon_s), horizon_s]
     for low, high in pairwise(ends):
-        is_ahead = line.direction * (_angle(leg, high) - line.angle_rad) >= 0.0
-        if is_ahead and line.direction * (_angle(leg, high) - _angle(leg, low)) > 0.0:
-            return newton_root(lambda t: (_angle(leg, t) - line.angle_rad, _rate(leg, t)), low, high)
+        before, after = line.direction * gap(low)[0], line.direction * gap(high)[0]
+        if after >= 0.0 and after > before:
+            return newton_root(gap, low, high)
     return math.inf
 
 

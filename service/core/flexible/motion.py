@@ -196,7 +196,7 @@ def _next_event(leg: Leg, regulator: Regulator, drive: WheelDrive, law: Switchin
     for watch in WATCHES[regulator.arm]:
         for side, line in _lines(watch, regulator, law):
             after_s = crossing_time(leg, line, soonest.after_s)
-            if after_s < soonest.after_s or (after_s == 0.0 == soonest.after_s):
+            if after_s < soonest.after_s:
                 soonest = _switched(after_s, watch, regulator._replace(side=side), law)
     return soonest
 

@@ -226,8 +226,7 @@ def _intervals(pulses: tuple[TorquePulse, ...], mode: FlexibleMode) -> list[_Cha
     interval_s = (math.floor(intervals[0] / period_s) + 0.5) * period_s
     if interval_s < intervals[0]:
         interval_s += period_s
-    first_s = pulses[0].start_s if pulses else 0.0
-    spaced = [pulse._replace(start_s=first_s + k * interval_s) for k, pulse in enumerate(pulses)]
+    spaced = [pulse._replace(start_s=pulses[0].start_s + k * interval_s) for k, pulse in enumerate(pulses)]
     return [("interval", interval_s, tuple(spaced))]
 
 
