@@ -5,22 +5,24 @@ use - the caller closes it and opens another. On a raw socket the answer to a qu
 stream and would be read as the answer to the next one.
 
 What the pyvisa stack does, and what is done about it: opening a closed port succeeds, so nothing is believed before
-``*IDN?`` was answered; a peer that closes in good order is not noticed, so every read has its timeout, and a long wait
-looks at the socket itself between slices; a name that cannot be resolved raises a bare Exception; a line read has no
-bound of its own, so it gets one here.
+``*IDN?`` was answered; a peer that closes in good order is not noticed, and the read turns round in circles until its
+time is over, so every wait for an answer looks at the socket itself first; a name that cannot be resolved raises a bare
+Exception; a line read has no bound of its own, so it gets one here.
 """
 
+import select
 import socket
 import struct
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
+from typing import Any, TypeVar
 
 import pyvisa
-from pyvisa.constants import StatusCode
 
 from service.frontend.scpi import AnswerError, block_length, split_block
+
+_Answer = TypeVar("_Answer")
 
 #: what pyvisa, pyvisa-py and the socket below them raise; garbage on HiSLIP ends in a failed lookup or a short header
 IO_ERRORS = (pyvisa.Error, OSError, ValueError, RuntimeError, LookupError, struct.error)
@@ -110,33 +112,48 @@ class VisaSession:
 
     def query(self, message: str, timeout_s: float | None = None) -> str:
         """Return the answer line of one message."""
-        self._set_timeout(timeout_s)
-        self.write(message)
-        try:
-            return self._line()
-        except IO_ERRORS as error:
-            raise _broken(self.resource, f"does not answer {message!r}", error) from error
+        return self._answered(message, timeout_s or self._timeout_s, float("inf"), self._line)
 
     def await_answer(self, message: str, timeout_s: float, grace_s: float) -> str:
         """Return the answer line of a message that takes long; a stop leaves it ``grace_s`` more.
 
-        Only a raw socket is waited on in slices: on other transports a read that timed out must not be repeated.
+        Only a raw socket can be looked at while nothing comes; on other transports a stop waits for the answer.
         """
+        return self._answered(message, timeout_s, grace_s, self._line)
+
+    def _answered(self, message: str, timeout_s: float, grace_s: float, read: Callable[[], _Answer]) -> _Answer:
+        """Send a message and return what is read after the first byte of its answer has come."""
         self.write(message)
-        slice_s = SLICE_S if self._is_socket else timeout_s
-        deadline_s = time.monotonic() + timeout_s
-        is_stopping = False
-        while True:
-            remaining_s = deadline_s - time.monotonic()
-            self._set_timeout(max(min(slice_s, remaining_s), 0.001))
-            try:
-                return self._line()
-            except IO_ERRORS as error:
-                is_over = remaining_s <= slice_s or not _is_timeout(error) or self._is_left()
-                if is_over:
-                    raise _broken(self.resource, f"does not answer {message!r}", error) from error
+        try:
+            self._await_first_byte(timeout_s, grace_s)
+            self._set_timeout(timeout_s)
+            return read()
+        except IO_ERRORS as error:
+            raise _broken(self.resource, f"does not answer {message!r}", error) from error
+
+    def _await_first_byte(self, timeout_s: float, grace_s: float) -> None:
+        """Wait until there is something to read, in slices: for a stop, and for a peer that has left.
+
+        A read of pyvisa-py would not notice the latter, and keep a processor busy until its time is over.
+        """
+        line = self._interface()
+        if not self._is_socket or not isinstance(line, socket.socket) or self._has_pending():
+            return
+        deadline_s, is_stopping = time.monotonic() + timeout_s, False
+        while not select.select([line], [], [], max(0.0, min(SLICE_S, deadline_s - time.monotonic())))[0]:
+            if time.monotonic() >= deadline_s:
+                message = f"nothing came in {timeout_s:g} s"
+                raise TimeoutError(message)
             if self._is_stopping() and not is_stopping:
                 is_stopping, deadline_s = True, min(deadline_s, time.monotonic() + grace_s)
+        if self._is_left():
+            message = "the analyzer closed the connection"
+            raise ConnectionResetError(message)
+
+    def _has_pending(self) -> bool:
+        """Return whether pyvisa-py has read more of the stream than was asked for."""
+        session = self._visa.visalib.sessions.get(self._visa.session)
+        return bool(getattr(session, "_pending_buffer", b""))
 
     def _is_left(self) -> bool:
         """Return whether the peer closed the connection, as far as pyvisa-py shows its socket."""
@@ -162,12 +179,8 @@ class VisaSession:
 
         The block is None, and the line whole, when the answer does not open with a block.
         """
-        self._set_timeout(timeout_s)
-        self.write(message)
-        try:
-            return self._stream_block() if self._is_socket else self._message_block()
-        except IO_ERRORS as error:
-            raise _broken(self.resource, f"does not answer {message!r}", error) from error
+        read = self._stream_block if self._is_socket else self._message_block
+        return self._answered(message, timeout_s or self._timeout_s, float("inf"), read)
 
     def _stream_block(self) -> tuple[bytes | None, str]:
         """Read a block off a stream of bytes, whose messages end where their lengths say."""
@@ -196,17 +209,11 @@ class VisaSession:
             raise AnswerError(f"line without an end after {len(line)} bytes")
         return line.decode("ascii").rstrip("\r\n")
 
-    def _set_timeout(self, timeout_s: float | None) -> None:
-        """Bound the next answers."""
-        wanted_s = self._timeout_s if timeout_s is None else timeout_s
+    def _set_timeout(self, wanted_s: float) -> None:
+        """Bound the next reads."""
         if wanted_s != self._current_timeout_s:
             self._visa.timeout = round(1000 * wanted_s)
             self._current_timeout_s = wanted_s
-
-
-def _is_timeout(error: Exception) -> bool:
-    """Return whether nothing came in time, as opposed to a fault of the line."""
-    return isinstance(error, pyvisa.VisaIOError) and error.error_code == StatusCode.error_timeout
 
 
 def _broken(resource: str, what: str, error: Exception) -> AnalyzerIOError:
