@@ -145,11 +145,16 @@ class Rig:
     def __init__(self, folder: Path, start_service: Any, environment: dict[str, str]) -> None:
         self.folder, self._start_service = folder, start_service
         self._environment = environment
+        self._children: list[Child] = []
+
+    def open(self) -> None:
+        """Start all three and tell the service what will be measured."""
+        folder = self.folder
         log = folder / "truth.jsonl"
         arguments = ["analyzer_sim", "serve", "--scenario", "nominal", "--seed", str(WORLD_SEED), "--ideal"]
         arguments += ["--port", "0", "--ground-port", "0", "--operation-days", "60", "--truth-log", str(log)]
-        self.analyzer = Child(arguments, folder / "analyzer.log", environment)
-        self.service = start_service()
+        analyzer = self._child(arguments, "analyzer.log", self._environment)
+        self.service = self._start_service()
         world = World(scenario_named("nominal"), WORLD_SEED)
         carriers = world.plan_versions[0].carriers
         self.task_path = folder / "task.json"
@@ -163,7 +168,7 @@ class Rig:
             client.put("/api/v1/spacecraft/sc/carriers", json=plan).raise_for_status()
             self.key = client.headers["Authorization"].partition(" ")[2]
         self.url = self.service.url
-        port = self.analyzer.announced()["scpi_port"]
+        port = analyzer.announced()["scpi_port"]
         self.resource = f"TCPIP::127.0.0.1::{port}::SOCKET"
         self.truth = Truth(log)
         self.spool = folder / "spool"
@@ -176,10 +181,13 @@ class Rig:
         arguments = ["service", "acquire", "--task", str(self.task_path), "--spacecraft", "sc", "--json-log"]
         arguments += ["--resource", self.resource, "--service", self.url, "--epoch", "analyzer", "--period", "0"]
         arguments += ["--spool", str(self.spool)]
-        self.front_end = Child(
-            arguments, self.folder / f"acquire-{self.starts}.log", self._environment | {"SOO_KEY": self.key}
-        )
-        return self.front_end
+        return self._child(arguments, f"acquire-{self.starts}.log", self._environment | {"SOO_KEY": self.key})
+
+    def _child(self, arguments: list[str], log: str, environment: dict[str, str]) -> Child:
+        """Start a process that `close` ends."""
+        child = Child(arguments, self.folder / log, environment)
+        self._children.append(child)
+        return child
 
     def restart_service(self) -> None:
         """Start the service again where it was."""
@@ -209,16 +217,19 @@ class Rig:
 
     def close(self) -> None:
         """End what the test started itself."""
-        self.front_end.kill()
-        self.analyzer.kill()
+        for child in self._children:
+            child.kill()
 
 
 @pytest.fixture
 def rig(tmp_path: Path, start_service: Any, compiled_environment: dict[str, str]) -> Iterator[Rig]:
     """Give a running rig."""
     made = Rig(tmp_path, start_service, compiled_environment | {"OPENBLAS_NUM_THREADS": "1"})
-    yield made
-    made.close()
+    try:
+        made.open()
+        yield made
+    finally:
+        made.close()
 
 
 def play(rig: Rig, kills: int) -> tuple[Counter[str], set[str], set[str]]:
@@ -247,7 +258,7 @@ def play(rig: Rig, kills: int) -> tuple[Counter[str], set[str], set[str]]:
             time.sleep(0.1)  # the simulator notices the end of the session
             rig.truth.grow()
             in_hand.add(micro(rig.truth.traces[-1]))
-            rig.start_front_end()
+            rig.front_end = rig.start_front_end()
         else:
             rig.service.process.kill()
             rig.service.process.wait()
@@ -266,7 +277,7 @@ def finish(rig: Rig) -> int:
         if not waiting:
             rig.truth.grow()
             return last_seq
-        rig.start_front_end()
+        rig.front_end = rig.start_front_end()
         rig.await_load()
     raise AssertionError(f"{len(waiting)} rows still wait in the spool")
 
