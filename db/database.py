@@ -12,11 +12,13 @@ from typing import Any, NamedTuple, TypeVar
 from sqlalchemy import ColumnElement, Connection, Row, Select, Table, and_, func, or_, select, true, update
 from sqlalchemy.dialects import postgresql, sqlite
 
+from db.audit_chain import accompanied
 from db.documents import encode, kind_of
 from db.engine import open_engines, translated_faults
 from db.tables import head, journal, spacecraft
 from db.writer import Writer
 from service.errors import NotFoundError
+from service.records.audit import CURRENT_NOTE
 from service.records.calibration import Window
 from service.records.journal import SlowInput
 
@@ -55,8 +57,12 @@ class Database:
         return self._writer.submit(work)
 
     def write(self, work: Callable[[Connection], Result]) -> Result:
-        """Do a write and wait for its commit."""
-        return self.submit(work).result()
+        """Do a write and wait for its commit; a request's first write takes the request's audit entry along."""
+        note = CURRENT_NOTE.get()
+        if note is None or note.due is None:
+            return self.submit(work).result()
+        result, note.entry = self.submit(accompanied(work, note.due)).result()
+        return result
 
     def close(self) -> None:
         """Commit what is queued and let go of the database."""

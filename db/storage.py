@@ -3,13 +3,15 @@
 from sqlalchemy import select
 
 from db.archive import SqlArchive
+from db.audit import SqlAudit
 from db.catalogue import SqlCatalogue
 from db.database import Database
+from db.keys import SqlKeys
 from db.links import SqlLinks
 from db.results import SqlResults
 from db.tables import head
 from db.traces import SqlTraces
-from service.ports import Archive, Catalogue, Links, Results, Traces
+from service.ports import Archive, Audit, Catalogue, Keys, Links, Results, Traces
 
 
 class SqlStorage:
@@ -31,6 +33,8 @@ class SqlStorage:
     results: Results
     links: Links
     traces: Traces
+    keys: Keys
+    audit: Audit
 
     def __init__(self, url: str) -> None:
         self._database = Database(url)
@@ -39,6 +43,8 @@ class SqlStorage:
         self.results = SqlResults(self._database)
         self.links = SqlLinks(self._database)
         self.traces = SqlTraces(self._database)
+        self.keys = SqlKeys(self._database)
+        self.audit = SqlAudit(self._database)
 
     def migrate(self) -> None:
         """Bring the schema to the present version."""

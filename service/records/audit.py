@@ -1,0 +1,181 @@
+"""Audit: who did what, as a chain in which each entry vouches for the one before.
+
+The hash of an entry covers its number, all its fields and the hash before it, so an entry that was changed, taken out
+or put in breaks the chain at its place. A chain whose end was cut off is a good chain: only a head that is kept
+elsewhere tells, therefore the newest number and hash also stand in a table of their own, in the answers of the
+interface and in the log.
+"""
+
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from contextvars import ContextVar
+from dataclasses import astuple, dataclass, replace
+from hashlib import sha256
+
+#: hash before the first entry
+GENESIS = "0" * 64
+#: what a deed that took place is called; refusals and failures name their status
+DONE = "done"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Deed:
+    """Something that was done, or refused."""
+
+    at_us: int
+    #: name of the key, `anonymous` without one
+    who: str
+    key_id: str
+    role: str
+    #: network address that the request came from
+    address: str
+    #: name of the operation in the OpenAPI document, without its path
+    action: str
+    #: path below the base, with the id of what was made
+    target: str
+    outcome: str
+    request_id: str
+    #: SHA-256 of the body as it was understood (after unpacking), hexadecimal
+    body_sha256: str | None = None
+    #: how many equal deeds this entry stands for
+    times: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class AuditHead:
+    """Newest entry of a chain; number 0 = an empty chain."""
+
+    number: int
+    hash: str
+
+
+@dataclass(frozen=True, slots=True)
+class AuditEntry:
+    """One link of the chain."""
+
+    number: int
+    deed: Deed
+    previous_hash: str
+    hash: str
+
+    @property
+    def head(self) -> AuditHead:
+        """Return the head of a chain that ends here."""
+        return AuditHead(self.number, self.hash)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AuditFilter:
+    """Which entries are wanted; None = any."""
+
+    start_us: int
+    stop_us: int
+    who: str | None = None
+    role: str | None = None
+    action: str | None = None
+    outcome: str | None = None
+    target_prefix: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One place where a chain is not what it was."""
+
+    number: int
+    #: changed | missing | truncated | beyond_head | announced
+    kind: str
+    detail: str
+
+
+@dataclass
+class Note:
+    """What one request writes into the log beside its change.
+
+    Attributes
+    ----------
+    deed : Deed or None
+        Set once it is known who asks for what; the first write then takes it along.
+    entry : AuditEntry or None
+        The entry, once it is committed.
+    """
+
+    deed: Deed | None = None
+    entry: AuditEntry | None = None
+
+    @property
+    def due(self) -> Deed | None:
+        """Return the deed that the next write has to take along."""
+        return self.deed if self.entry is None else None
+
+
+#: note of the request in progress; empty outside of requests and in requests that change nothing
+CURRENT_NOTE: ContextVar[Note | None] = ContextVar("audit_note", default=None)
+
+
+def next_entry(head: AuditHead, deed: Deed) -> AuditEntry:
+    """Return the entry that follows a head."""
+    number = head.number + 1
+    return AuditEntry(number, deed, head.hash, entry_hash(number, deed, head.hash))
+
+
+def entry_hash(number: int, deed: Deed, previous_hash: str) -> str:
+    """Return the hash of an entry: SHA-256 over the JSON list of previous hash, number and all fields in order."""
+    content = json.dumps([previous_hash, number, *astuple(deed)], separators=(",", ":"), ensure_ascii=True)
+    return sha256(content.encode("ascii")).hexdigest()
+
+
+def naming_result(deed: Deed, result: object) -> Deed:
+    """Return the deed with the id of what it made, when its target is a collection."""
+    made = getattr(result, "id", None)
+    if not deed.target.endswith("/") or not isinstance(made, int | str):
+        return replace(deed, target=deed.target.rstrip("/"))
+    return replace(deed, target=f"{deed.target}{made}")
+
+
+def findings(
+    entries: Iterable[AuditEntry], head: AuditHead, announced: Mapping[int, str] | None = None
+) -> Iterator[Finding]:
+    """Yield every place where a chain is broken.
+
+    Parameters
+    ----------
+    entries : iterable of AuditEntry
+        All stored entries in order of their numbers.
+    head : AuditHead
+        The head that was kept beside them.
+    announced : mapping, optional
+        Hashes by number that were written down elsewhere, for example in the log.
+    """
+    expected = AuditHead(0, GENESIS)
+    unseen = dict(announced or {})
+    for entry in entries:
+        yield from _against_former(entry, expected)
+        wanted = unseen.pop(entry.number, entry.hash)
+        if wanted != entry.hash:
+            yield Finding(entry.number, "announced", "the hash is not the one that was announced")
+        if entry.number > head.number:
+            yield Finding(entry.number, "beyond_head", f"the head was left at number {head.number}")
+        # go on from what is stored: one fault is told once, not at every later entry
+        expected = entry.head
+    yield from _end(expected, head, unseen)
+
+
+def _against_former(entry: AuditEntry, former: AuditHead) -> Iterator[Finding]:
+    """Yield what is wrong with one entry."""
+    if entry.number != former.number + 1:
+        yield Finding(former.number + 1, "missing", f"after number {former.number} comes {entry.number}")
+    elif entry.previous_hash != former.hash:
+        yield Finding(entry.number, "changed", "the entry does not follow the one before it")
+    if entry_hash(entry.number, entry.deed, entry.previous_hash) != entry.hash:
+        yield Finding(entry.number, "changed", "the fields do not give the hash")
+
+
+def _end(last: AuditHead, head: AuditHead, unseen: Mapping[int, str]) -> Iterator[Finding]:
+    """Yield what is wrong with the end of a chain."""
+    if last.number < head.number:
+        detail = f"entries {last.number + 1} to {head.number} are gone"
+        yield Finding(last.number + 1, "truncated", detail)
+    elif last.number == head.number and last.hash != head.hash:
+        yield Finding(head.number, "changed", "the hash is not that of the head")
+    for number in unseen:
+        yield Finding(number, "announced", "an announced entry is gone")
