@@ -9,6 +9,8 @@ deviation of each axis of a segment stands in a comment; whoever needs it row by
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain, islice
+from math import isfinite
 
 import numpy as np
 
@@ -21,6 +23,8 @@ from service.records.attitude import AttitudeRow, FloatArray, IntArray
 SEGMENT_ROWS = 100_000
 #: a distance of rows above this many usual ones is a gap
 GAP_ROWS = 2.5
+#: rows whose median distance is the usual one
+_USUAL_OF_ROWS = 1000
 _VERSION = "CCSDS_AEM_VERS"
 _UNDERSTOOD: dict[str, Sequence[str]] = {
     "TIME_SYSTEM": ("UTC",),
@@ -115,11 +119,13 @@ def split_rows(pages: Iterable[Sequence[AttitudeRow]]) -> Iterator[list[Attitude
     """Yield runs of rows with an attitude that belong into one segment."""
     run: list[AttitudeRow] = []
     usual_us = 0.0
-    for page in pages:
+    # pages of a size of our own: how rows came leaves no trace in the message
+    rows = chain.from_iterable(pages)
+    while page := list(islice(rows, _USUAL_OF_ROWS)):
         if len(page) > 1:
             usual_us = float(np.median(np.diff([row.epoch_us for row in page])))
         for row in page:
-            has_attitude = bool(np.all(np.isfinite(row.attitude_deg)))
+            has_attitude = all(map(isfinite, row.attitude_deg))
             if run and not (has_attitude and len(run) < SEGMENT_ROWS and _continues(run[-1], row, usual_us)):
                 yield run
                 run = []

@@ -5,21 +5,20 @@ first appear. A carrier that a plan does not hold is absent, as is a level that 
 back to the stored float32 bit for bit. Memory is that of one block.
 """
 
-import io
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from service.formats.csv_field import csv_field
+from service.formats.parquet_stream import ParquetStream
 from service.formats.row_text import RowFrame, RowText
 from service.records.attitude import IntArray
 from service.records.measurement import Float32Array
 from service.records.measurement_block import MeasurementBlock
 
 Kernels = Literal["numba", "numpy"]
-#: rows of a group of Parquet; a reader holds one at a time
-GROUP_ROWS = 131_072
 
 
 class MeasurementColumns:
@@ -99,11 +98,11 @@ class CsvFile:
 
     def begin(self) -> bytes:
         """Return the header line."""
-        return ",".join(map(_csv_field, self._columns.names)).encode() + b"\r\n"
+        return ",".join(map(csv_field, self._columns.names)).encode() + b"\r\n"
 
     def rows(self, block: MeasurementBlock) -> bytes:
         """Return one line a row."""
-        frame = RowFrame(b"", f",{_csv_field(block.source)}".encode(), self._leads, b"", b"\r\n")
+        frame = RowFrame(b"", f",{csv_field(block.source)}".encode(), self._leads, b"", b"\r\n")
         return self._text.rows(block.epochs_us, self._columns.values(block), frame)
 
     def end(self) -> bytes:
@@ -140,7 +139,6 @@ class ParquetFile:
     def __init__(self, columns: MeasurementColumns) -> None:
         # 90 ms that only Parquet needs
         import pyarrow as pa
-        from pyarrow import parquet
 
         self._columns = columns
         self._pa: Any = pa
@@ -148,30 +146,19 @@ class ParquetFile:
         fields.append(pa.field("source", pa.dictionary(pa.int32(), pa.string()), nullable=False))
         fields += [pa.field(name, pa.float32()) for name in columns.names[2:]]
         self._schema: Any = pa.schema(fields)
-        self._sink = io.BytesIO()
-        self._writer: Any = parquet.ParquetWriter(
-            self._sink, self._schema, compression="zstd", use_dictionary=["source"], use_byte_stream_split=True
-        )
-        self._held: list[Any] = []
-        self._held_rows = 0
+        self._stream = ParquetStream(self._schema, ("source",))
 
     def begin(self) -> bytes:
         """Return the mark of the format."""
-        return self._taken()
+        return self._stream.taken()
 
     def rows(self, block: MeasurementBlock) -> bytes:
         """Return the groups of rows that a block completes."""
-        self._held.append(self._batch(block))
-        self._held_rows += len(block.epochs_us)
-        if self._held_rows >= GROUP_ROWS:
-            self._flush()
-        return self._taken()
+        return self._stream.add(self._batch(block))
 
     def end(self) -> bytes:
         """Return the last group and the index."""
-        self._flush()
-        self._writer.close()
-        return self._taken()
+        return self._stream.end()
 
     def _batch(self, block: MeasurementBlock) -> Any:
         pa = self._pa
@@ -181,24 +168,3 @@ class ParquetFile:
         values = np.asfortranarray(self._columns.values(block))
         levels = [pa.array(values[:, k], from_pandas=True) for k in range(values.shape[1])]
         return pa.RecordBatch.from_arrays([epochs, source, *levels], schema=self._schema)
-
-    def _flush(self) -> None:
-        """Write what is held as one group of rows."""
-        if self._held:
-            table = self._pa.Table.from_batches(self._held, schema=self._schema).unify_dictionaries()
-            self._writer.write_table(table, row_group_size=max(self._held_rows, 1))
-        self._held, self._held_rows = [], 0
-
-    def _taken(self) -> bytes:
-        """Return what the writer has put out since the last time."""
-        taken = self._sink.getvalue()
-        self._sink.seek(0)
-        self._sink.truncate()
-        return taken
-
-
-def _csv_field(text: str) -> str:
-    """Return a field, quoted when it holds what separates fields or lines."""
-    if any(mark in text for mark in ',"\r\n'):
-        return '"' + text.replace('"', '""') + '"'
-    return text

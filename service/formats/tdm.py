@@ -79,6 +79,8 @@ class _Block:
     power_dbm: FloatArray
     #: (T, N) masks, or None where the source sent none
     flags: IntArray | None
+    #: (T, N) dB-Hz, NaN = not stated
+    c_n0_db_hz: FloatArray
 
 
 class TdmWriter:
@@ -125,6 +127,7 @@ class TdmWriter:
                     np.array([row.epoch_us for row in members], dtype=np.int64),
                     np.array([row.power_dbm for row in members]),
                     np.array([row.flags for row in members], dtype=np.int64) if has_flags else None,
+                    np.array([_c_n0_of(row) for row in members]),
                 )
 
     def _segments_of(self, block: _Block, place: int) -> Iterator[bytes]:
@@ -143,18 +146,25 @@ class TdmWriter:
         epochs = epoch_texts(block.epochs_us[rows])
         # the stored float32 in dBm has few digits; 30 dB less are taken from its shortest decimal, not from its bits
         powers = [float(text) - DBM_OF_DBW for text in text_of_float32(block.power_dbm[rows, place])]
-        data = [f"CARRIER_POWER = {epoch} {_decimal(power)}" for epoch, power in zip(epochs, powers, strict=True)]
-        meta = self._meta(block, place, quality, (epochs[0], epochs[-1]))
+        densities = text_of_float32(block.c_n0_db_hz[rows, place])
+        data = []
+        for epoch, power, density in zip(epochs, powers, densities, strict=True):
+            data.append(f"CARRIER_POWER = {epoch} {_decimal(power)}")
+            if density:
+                data.append(f"PC_N0 = {epoch} {density}")
+        types = "CARRIER_POWER,PC_N0" if any(densities) else "CARRIER_POWER"
+        meta = self._meta(block, place, quality, (epochs[0], epochs[-1]), types)
         return as_bytes([*meta, "DATA_START", *data, "DATA_STOP"])
 
-    def _meta(self, block: _Block, place: int, quality: str, span: tuple[str, str]) -> list[str]:
+    def _meta(self, block: _Block, place: int, quality: str, span: tuple[str, str], types: str) -> list[str]:
         carrier = block.carriers[place]
         return [
             "META_START",
             comment(f"carrier={carrier.id} name={carrier.name or carrier.id} transponder={carrier.transponder}"),
             comment(f"downlink_hz={carrier.downlink_hz:.0f} bandwidth_hz={carrier.bandwidth_hz:.0f}"),
+            comment("time tags are the middle of the dwell"),
             line("TRACK_ID", f"{block.source}/{carrier.id}"),
-            "DATA_TYPES = CARRIER_POWER",
+            f"DATA_TYPES = {types}",
             "TIME_SYSTEM = UTC",
             f"START_TIME = {span[0]}",
             f"STOP_TIME = {span[1]}",
@@ -172,6 +182,11 @@ class TdmWriter:
 def _decimal(value: float) -> str:
     """Return a value without the zeros that say nothing."""
     return f"{value:.{_DECIMALS}f}".rstrip("0").rstrip(".")
+
+
+def _c_n0_of(row: Measurement) -> FloatArray:
+    """Return what a row states of carrier over noise density, NaN where it states nothing."""
+    return np.full(len(row.power_dbm), np.nan) if row.details is None else np.asarray(row.details.c_n0_db_hz)
 
 
 def _kind(row: Measurement) -> tuple[str, int, bool]:
@@ -199,10 +214,12 @@ class PowerTrack:
     quality: str
     epochs_us: IntArray
     power_dbm: FloatArray
+    #: dB-Hz at the same epochs, NaN where the message has none
+    c_n0_db_hz: FloatArray
 
 
 def read_tdm(text: str) -> tuple[PowerTrack, ...]:
-    """Return the carrier powers of a message; other data types are passed over.
+    """Return carrier powers, and what stands beside them of PC_N0; other data types are passed over.
 
     Raises
     ------
@@ -212,21 +229,24 @@ def read_tdm(text: str) -> tuple[PowerTrack, ...]:
     tracks = []
     for segment in read_segments(text, _VERSION):
         require(segment, {"TIME_SYSTEM": ("UTC",)})
-        epochs_us: list[int] = []
-        power_dbm: list[float] = []
+        powers: dict[int, float] = {}
+        densities: dict[int, float] = {}
         for number, content in segment.data:
             keyword, value = keyword_and_value(number, content)
             if keyword == "CARRIER_POWER":
-                epoch, power_dbw = _observation(number, value)
-                epochs_us.append(epoch)
-                power_dbm.append(round(power_dbw + DBM_OF_DBW, _DECIMALS))
+                epoch_us, power_dbw = _observation(number, value)
+                powers[epoch_us] = round(power_dbw + DBM_OF_DBW, _DECIMALS)
+            elif keyword == "PC_N0":
+                epoch_us, density = _observation(number, value)
+                densities[epoch_us] = density
         meta = segment.meta
         tracks.append(
             PowerTrack(
                 meta.get("TRACK_ID", ""),
                 meta.get("DATA_QUALITY", ""),
-                np.array(epochs_us, dtype=np.int64),
-                np.array(power_dbm),
+                np.array(list(powers), dtype=np.int64),
+                np.array(list(powers.values())),
+                np.array([densities.get(epoch_us, np.nan) for epoch_us in powers]),
             )
         )
     return tuple(tracks)

@@ -39,6 +39,7 @@ def test_message_of_one_carrier_line_by_line() -> None:
         "META_START",
         "COMMENT carrier=c0 name=c0 transponder=Ku1",
         "COMMENT downlink_hz=11000000000 bandwidth_hz=1250000",
+        "COMMENT time tags are the middle of the dwell",
         "TRACK_ID = sa-1/c0",
         "DATA_TYPES = CARRIER_POWER",
         "TIME_SYSTEM = UTC",
