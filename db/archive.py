@@ -264,7 +264,7 @@ def _measurements(key: int, name: str | None = None) -> Select[Any]:
 
 
 def _slow_entry(row: Row[Any]) -> JournalEntry:
-    return JournalEntry(row.number, decode_input(row.kind, row.document))
+    return JournalEntry(row.number, decode_input(row.kind, row.document), row.start_us, row.stop_us)
 
 
 def _inputs(key: int, kind: str, window: Window) -> Select[Any]:

@@ -1,6 +1,6 @@
 """The journal: every accepted input of one spacecraft in the one order in which the chain consumes it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from service.records.command import AppliedCommand
 from service.records.inputs import (
@@ -55,3 +55,6 @@ class JournalEntry:
 
     number: int
     content: Measurement | SlowInput
+    #: where it stands in time, microseconds UTC: its own start, or the newest epoch when it entered; None = not read
+    start_us: int | None = field(default=None, compare=False)
+    stop_us: int | None = field(default=None, compare=False)
