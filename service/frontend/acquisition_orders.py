@@ -29,10 +29,16 @@ class AcquisitionOrders:
         self._is_reset_here = False
         #: how many of the service's resets have been carried out
         self.resets_seen = 0
+        self._has_heard = False
 
     def obey(self, *, is_enabled: bool, resets: int) -> None:
-        """Take what the service says: whether the link may measure, and how many resets were asked for so far."""
+        """Take what the service says: whether the link may measure, and how many resets were asked for so far.
+
+        Resets asked for before the first answer were meant for an earlier start and are not carried out once more.
+        """
         with self._lock:
+            if not self._has_heard:
+                self._has_heard, self.resets_seen = True, max(self.resets_seen, resets)
             self._is_enabled, self._resets_wanted = is_enabled, resets
 
     def reset(self) -> None:

@@ -13,6 +13,7 @@ from service.client.problem import ClientError
 from service.client.service_client import ServiceClient
 from service.frontend.station import Station
 from service.records.epoch import format_epoch
+from service.records.link import STOPPED
 
 logger = logging.getLogger("service.frontend.link_report")
 
@@ -44,7 +45,8 @@ class LinkReporter:
         self._name = name
         self._stations = {station.link_id: station for station in stations}
         self._period_s = period_s
-        self._resets_seen = 0
+        self._resets_seen: int | None = None
+        self._is_ending = False
         self._is_away = False
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self.run, name="link reports", daemon=True)
@@ -63,6 +65,7 @@ class LinkReporter:
         """Report until the stop."""
         while not self._stop.wait(self._period_s):
             self.report()
+        self._is_ending = True
         self.report()
 
     def report(self) -> None:
@@ -82,7 +85,8 @@ class LinkReporter:
 
     def links(self) -> list[dict[str, Any]]:
         """Return the report."""
-        return [self._front_end(), *(analyzer_link(station, self._period_s) for station in self._stations.values())]
+        links = [self._front_end(), *(analyzer_link(station, self._period_s) for station in self._stations.values())]
+        return [{**link, "state": STOPPED} for link in links] if self._is_ending else links
 
     def _front_end(self) -> dict[str, Any]:
         """Return what the front end says of itself."""
@@ -103,7 +107,7 @@ class LinkReporter:
             },
             "last_good": None if newest_us is None else format_epoch(newest_us),
             "warnings": [],
-            "reset_seen": self._resets_seen,
+            "reset_seen": self._resets_seen or 0,
             "period_s": self._period_s,
         }
 
@@ -112,10 +116,11 @@ class LinkReporter:
         station = self._stations.get(link_id)
         if station is not None:
             station.acquisition.orders.obey(is_enabled=is_enabled, resets=resets)
-        elif link_id == self._name and resets > self._resets_seen:
+        elif link_id == self._name:
+            if self._resets_seen is not None and resets > self._resets_seen:
+                for each in self._stations.values():
+                    each.acquisition.orders.reset()
             self._resets_seen = resets
-            for each in self._stations.values():
-                each.acquisition.orders.reset()
 
 
 def analyzer_link(station: Station, period_s: float) -> dict[str, Any]:

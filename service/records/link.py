@@ -9,6 +9,8 @@ from service.records.epoch import US_PER_S
 DEFAULT_PERIOD_S = 60.0
 #: a link that has not reported for so many of its periods is silent
 SILENT_PERIODS = 3.0
+#: state of the last report of a front end that ends in good order; no further one is to be expected
+STOPPED = "STOPPED"
 #: how fast a learned period follows the times between reports, and the least and greatest it can become, s
 _LEARNING_RATE = 0.25
 _SHORTEST_PERIOD_S = 1.0
@@ -66,8 +68,8 @@ class LinkState:
         return self.report.period_s or self.learned_period_s or DEFAULT_PERIOD_S
 
     def is_silent(self, now_us: int) -> bool:
-        """Whether the link has missed its reports."""
-        return now_us - self.reported_at_us > SILENT_PERIODS * self.period_s * US_PER_S
+        """Whether the link has missed its reports; one that has said that it stops owes none."""
+        return self.report.state != STOPPED and now_us - self.reported_at_us > SILENT_PERIODS * self.period_s * US_PER_S
 
 
 def learn_period(before_s: float | None, interval_s: float) -> float:

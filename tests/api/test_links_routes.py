@@ -85,6 +85,12 @@ async def test_a_link_that_reports_no_more_is_silent_and_says_since_when(soo):
     assert (await listed(soo))[0]["state"] == "MEASURE"
 
 
+async def test_a_link_that_was_ended_in_good_order_is_stopped_not_silent(soo):
+    await send(soo, report(period_s=10, state="STOPPED"))
+    soo.clock.system = NOW_US + 3600 * S
+    assert (await listed(soo))[0]["state"] == "STOPPED"
+
+
 async def test_operators_enable_disable_and_reset_and_the_next_report_hears_of_it(soo, caplog):
     await send(soo, report(), report("front-1", kind="front_end"))
     with caplog.at_level(logging.INFO, "soo.audit"):

@@ -11,6 +11,7 @@ from service.api.links import SILENT
 from service.client.service_client import ServiceClient
 from service.frontend.acquisition_states import State
 from service.frontend.link_report import RUNNING, SERVICE_AWAY
+from service.records.link import STOPPED
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "watch-the-links.md"
 #: told in place of the state of an acquisition that hangs
@@ -49,7 +50,7 @@ def test_the_page_names_every_state_and_no_other() -> None:
     table = PAGE.read_text().partition("## What each state means")[2].partition("`reported_state`")[0]
     named = re.findall(r"^\| `([A-Z_]+)` \| \S", table, re.MULTILINE)
     assert len(named) == len(set(named))
-    assert set(named) == {state.name for state in State} | {STUCK, RUNNING, SERVICE_AWAY, SILENT}
+    assert set(named) == {state.name for state in State} | {STUCK, RUNNING, SERVICE_AWAY, SILENT, STOPPED}
 
 
 @pytest.mark.system

@@ -90,11 +90,29 @@ def test_orders_reach_the_acquisition(made: tuple[Service, Station, LinkReporter
 
 def test_a_reset_of_the_front_end_is_one_of_all_its_analyzers(made: tuple[Service, Station, LinkReporter]) -> None:
     service, station, reporter = made
+    reporter.report()
     service.wishes["front-end.here"] = (True, 1)
     reporter.report()
     assert station.acquisition.orders.next(State.MEASURE) is Event.RESET
     reporter.report()
     assert station.acquisition.orders.next(State.MEASURE) is None
+
+
+def test_resets_of_an_earlier_start_are_not_carried_out_again(made: tuple[Service, Station, LinkReporter]) -> None:
+    service, station, reporter = made
+    service.wishes = {"front-end.here": (True, 3), "sc.sa-1": (True, 2)}
+    reporter.report()
+    assert station.acquisition.orders.next(State.MEASURE) is None
+    service.wishes["sc.sa-1"] = (True, 3)
+    reporter.report()
+    assert station.acquisition.orders.next(State.MEASURE) is Event.RESET
+
+
+def test_an_end_in_good_order_is_the_last_word(made: tuple[Service, Station, LinkReporter]) -> None:
+    service, _, reporter = made
+    reporter.start()
+    reporter.stop()
+    assert [link["state"] for link in service.reports[-1]["links"]] == ["STOPPED", "STOPPED"]
 
 
 def raises(error: Exception) -> Answer:
