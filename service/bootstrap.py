@@ -82,5 +82,6 @@ def build_app(settings: Settings, storage: Storage, key: str) -> FastAPI:
         aligner=Aligner(storage, clock, settings.alignment),
         replayer=Replayer(storage, clock, jobs, settings.chain_config()),
         calibration=settings.calibration,
+        kernels=settings.kernels,
     )
     return create_app(context)

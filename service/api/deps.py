@@ -6,7 +6,7 @@ Routes see ports only; they never import an adapter and never look anything up g
 import re
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Literal
 
 from fastapi import Depends, Path, Request
 
@@ -77,6 +77,8 @@ class ApiContext:
     #: administrator's key; None = every request is refused
     bootstrap_key: str | None = field(default=None, repr=False)
     limits: Limits = field(default_factory=Limits)
+    #: who writes exported levels
+    kernels: Literal["numba", "numpy"] = "numba"
     #: told the spacecraft whenever something of it entered the journal
     on_accepted: Callable[[str], None] = _ignore
     on_startup: Callable[[], Awaitable[None]] = _nothing
