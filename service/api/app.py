@@ -1,6 +1,6 @@
 """The application: routes, layers and handlers put together, nothing else.
 
-Layers from outside in: request ids (and the last 500), packing of answers, body limit, routes.
+Layers from outside in: request ids (and the last 500), access (rates, audit), packing of answers, body limit, routes.
 """
 
 from collections.abc import AsyncIterator
@@ -11,7 +11,10 @@ from fastapi import FastAPI
 from starlette.middleware.gzip import GZipMiddleware
 
 from service.api import openapi
-from service.api.auth import MAY_READ, BootstrapKey
+from service.api.access_keeping import AccessKeeping
+from service.api.access_layer import AccessLayer
+from service.api.audit_notes import BASE_PATH
+from service.api.auth import MAY_READ
 from service.api.body_limit import BodyLimit
 from service.api.carrier_names import CarrierNames
 from service.api.deps import ApiContext, Limits
@@ -19,10 +22,12 @@ from service.api.epoch_limits import EpochLimits
 from service.api.errors import add_handlers
 from service.api.open_streams import OpenStreams
 from service.api.plan_widths import PlanWidths
+from service.api.rate_limits import RateLimits
+from service.api.refusals import Refusals
 from service.api.request_ids import RequestIds
 from service.api.routes import PUBLIC_ROUTERS, ROUTERS
+from service.api.stored_keys import StoredKeys
 
-BASE_PATH = "/api/v1"
 #: answers shorter than this are sent as they are
 _PACK_FROM_BYTES = 1024
 #: half the time of level 9 at nearly its size
@@ -43,7 +48,10 @@ def create_app(context: ApiContext) -> FastAPI:
     app.state.carrier_names = CarrierNames(context.storage.catalogue)
     app.state.epoch_limits = EpochLimits(context.clock, context.limits)
     app.state.open_streams = OpenStreams()
-    app.state.key_ring = BootstrapKey(context.bootstrap_key)
+    keys = StoredKeys(context.storage.keys, context.bootstrap_key, context.clock.system_us)
+    app.state.key_ring = app.state.stored_keys = keys
+    app.state.rate_limits = RateLimits(context.limits.rates)
+    app.state.refusals = Refusals()
     return app
 
 
@@ -57,10 +65,13 @@ def render_openapi() -> str:
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     """Run the hooks of the context around the time of serving."""
     context: ApiContext = app.state.context
+    keeping = AccessKeeping(app.state.stored_keys, app.state.refusals, context.storage.audit)
     await context.on_startup()
+    keeping.start()
     try:
         yield
     finally:
+        await keeping.stop()
         await context.on_shutdown()
 
 
@@ -87,6 +98,7 @@ def _bare_app(limits: Limits) -> FastAPI:
     # the layer added last is the outermost
     app.add_middleware(BodyLimit, max_body_bytes=limits.max_body_bytes)
     app.add_middleware(GZipMiddleware, minimum_size=_PACK_FROM_BYTES, compresslevel=_PACK_LEVEL)
+    app.add_middleware(AccessLayer)
     app.add_middleware(RequestIds)
     add_handlers(app)
     # each router by itself: a router of routers would be searched on every request

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 from fastapi import Depends, Request
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
+from service.api.audit_notes import digest_body
 from service.api.faults import faults_of
 from service.api.problems import ProblemError, invalid_request
 
@@ -65,7 +66,14 @@ async def read_body(request: Request, adapter: TypeAdapter[M]) -> M:
     """Return the validated JSON body of a request."""
     if not is_json(media_type(request)):
         raise unsupported_media("application/json")
-    return decode(adapter, await request.body())
+    return decode(adapter, await raw_body(request))
+
+
+async def raw_body(request: Request) -> bytes:
+    """Return the body of a request; what is audited gets its digest."""
+    body = await request.body()
+    digest_body(request.scope, body)
+    return body
 
 
 def body_of(model: type[M]) -> Any:

@@ -13,6 +13,7 @@ from fastapi import Depends, Path, Request
 from service.api.carrier_names import CarrierNames
 from service.api.open_streams import OpenStreams
 from service.api.plan_widths import PlanWidths
+from service.api.rate_limits import RateLimitConfig
 from service.errors import NotFoundError
 from service.pipeline.config import CalibrationConfig
 from service.ports import Clock, Storage
@@ -42,6 +43,10 @@ class Limits:
     retention_s: float | None = None
     max_body_bytes: int = 8 * 1024 * 1024
     max_rows_per_batch: int = 10_000
+    #: a body has to come whole within this
+    body_timeout_s: float = 60.0
+    #: requests a second, by key and class or by address
+    rates: RateLimitConfig = field(default_factory=RateLimitConfig)
     #: age from which the newest attitude is no longer valid under the system clock: three row periods and 30 s
     expired_after_s: float = 210.0
     #: a silent stream says so this often

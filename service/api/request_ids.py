@@ -15,6 +15,7 @@ from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.api.problems import ProblemError, render
+from service.records.access_key import without_secrets
 
 _HEADER = "X-Request-ID"
 _HARMLESS = re.compile(r"[A-Za-z0-9._:-]{1,64}", re.ASCII)
@@ -57,7 +58,7 @@ class RequestIds:
             await self._app(scope, receive, send_with_id)
         except Exception:
             # the last layer catches all: it logs and answers, or lets the server cut the connection
-            _LOG.exception("request %s %s %s failed", request_id, scope["method"], scope["path"])
+            _LOG.exception("request %s %s %s failed", request_id, scope["method"], without_secrets(scope["path"]))
             if is_answered:
                 raise
             detail = f"the service failed; its log tells why under request id {request_id}"

@@ -10,8 +10,9 @@ import httpx
 import pytest
 
 from service.api.app import render_openapi
-from service.api.auth import Principal, Role
+from service.api.principals import Principal
 from service.errors import StorageError
+from service.records.access_key import Role
 
 pytestmark = pytest.mark.anyio
 SC = "/api/v1/spacecraft"
@@ -75,7 +76,7 @@ async def test_the_key_is_checked_before_the_body_is_read(soo):
 
 async def test_roles_decide_who_may_write(soo, spacecraft):
     class Ring:
-        def principal(self, key: str) -> Principal:
+        async def principal(self, key: str) -> Principal:
             return Principal("someone", Role(key))
 
     soo.app.state.key_ring = Ring()

@@ -1,12 +1,12 @@
 """Links: reports of front ends, what operators see of them and want of them."""
 
 import json
-import logging
 from typing import Any
 
 import pytest
 
-from service.api.auth import Principal, Role
+from service.api.principals import Principal
+from service.records.access_key import Role
 from service.records.epoch import format_epoch
 
 pytestmark = pytest.mark.anyio
@@ -91,14 +91,17 @@ async def test_a_link_that_was_ended_in_good_order_is_stopped_not_silent(soo):
     assert (await listed(soo))[0]["state"] == "STOPPED"
 
 
-async def test_operators_enable_disable_and_reset_and_the_next_report_hears_of_it(soo, caplog):
+async def test_operators_enable_disable_and_reset_and_the_next_report_hears_of_it(soo):
     await send(soo, report(), report("front-1", kind="front_end"))
-    with caplog.at_level(logging.INFO, "soo.audit"):
-        disabled = await soo.client.post(f"{LINKS}/sa-1:disable")
-        reset = await soo.client.post(f"{LINKS}/sa-1:reset")
+    disabled = await soo.client.post(f"{LINKS}/sa-1:disable")
+    reset = await soo.client.post(f"{LINKS}/sa-1:reset")
     assert (disabled.status_code, disabled.json()["enabled"]) == (200, False)
     assert (reset.json()["enabled"], reset.json()["reset_pending"]) == (False, True)
-    assert "bootstrap (admin) disabled link sa-1" in caplog.text
+    audited = [(each.deed.who, each.deed.action, each.deed.target) for each in soo.storage.audit.chain()]
+    assert audited == [
+        ("bootstrap", "disable_link", "/links/sa-1:disable"),
+        ("bootstrap", "reset_link", "/links/sa-1:reset"),
+    ]
     assert await send(soo, report(), report("front-1", kind="front_end")) == [
         {"id": "sa-1", "enabled": False, "reset": 1},
         {"id": "front-1", "enabled": True, "reset": 0},
@@ -137,7 +140,7 @@ async def test_rows_missing_stand_with_the_link_until_they_come(soo, spacecraft,
 
 async def test_roles(soo):
     class Ring:
-        def principal(self, key: str) -> Principal:
+        async def principal(self, key: str) -> Principal:
             return Principal("someone", Role(key))
 
     await send(soo, report())

@@ -5,7 +5,8 @@ from typing import Any
 
 import pytest
 
-from service.api.auth import Principal, Role
+from service.api.principals import Principal
+from service.records.access_key import Role
 from service.records.epoch import format_epoch
 
 pytestmark = pytest.mark.anyio
@@ -127,7 +128,7 @@ async def test_unknown_ones_are_404_and_a_bad_epoch_is_422(craft):
 
 async def test_roles(craft):
     class Ring:
-        def principal(self, key: str) -> Principal:
+        async def principal(self, key: str) -> Principal:
             return Principal("someone", Role(key))
 
     craft.app.state.key_ring = Ring()

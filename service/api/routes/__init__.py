@@ -5,6 +5,7 @@ from fastapi import APIRouter
 from service.api.routes import (
     alignments,
     attitude,
+    audit,
     calibrations,
     carrier_selection,
     carriers,
@@ -14,11 +15,13 @@ from service.api.routes import (
     health,
     inputs,
     jobs,
+    keys,
     links,
     measurements,
     measurements_ingest,
     operations,
     replays,
+    samples,
     sources,
     spacecraft,
     status,
@@ -42,6 +45,7 @@ ROUTERS: tuple[APIRouter, ...] = (
     carrier_selection.router,
     status.router,
     measurements.router,
+    samples.router,
     traces.router,
     attitude.router,
     torques.router,
@@ -51,5 +55,7 @@ ROUTERS: tuple[APIRouter, ...] = (
     jobs.router,
     links.report_router,
     links.router,
+    keys.router,
+    audit.router,
 )
 PUBLIC_ROUTERS: tuple[APIRouter, ...] = (health.router,)

@@ -7,7 +7,7 @@ from fastapi import APIRouter, Depends, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from service.api.auth import MAY_OPERATE
-from service.api.bodies import accepts, decode, is_json, media_type, unsupported_media
+from service.api.bodies import accepts, decode, is_json, media_type, raw_body, unsupported_media
 from service.api.deps import Context, SpacecraftId
 from service.api.schemas.carriers import (
     CARRIER_PLAN_ADAPTER,
@@ -27,12 +27,12 @@ async def _plan_document(request: Request) -> CarrierPlanDocument:
     """Return the plan that a body states, in either form."""
     media = media_type(request)
     if media == _CSV:
-        raw = await request.body()
+        raw = await raw_body(request)
         documents = await run_in_threadpool(read_carrier_plan, raw)
         return decode(CARRIER_PLAN_ADAPTER, json.dumps({"carriers": documents}).encode())
     if not is_json(media):
         raise unsupported_media(f"application/json or {_CSV}")
-    return decode(CARRIER_PLAN_ADAPTER, await request.body())
+    return decode(CARRIER_PLAN_ADAPTER, await raw_body(request))
 
 
 @router.put("", dependencies=[MAY_OPERATE], openapi_extra=accepts(CarrierPlanDocument, is_csv=True))

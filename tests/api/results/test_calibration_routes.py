@@ -4,7 +4,8 @@ import asyncio
 
 import pytest
 
-from service.api.auth import Principal, Role
+from service.api.principals import Principal
+from service.records.access_key import Role
 from service.records.attitude import Axes
 from service.records.epoch import format_epoch
 
@@ -29,7 +30,7 @@ class Ring:
     def __init__(self, role: Role) -> None:
         self.role = role
 
-    def principal(self, key: str) -> Principal:
+    async def principal(self, key: str) -> Principal:
         return Principal("somebody", self.role)
 
 

@@ -1,0 +1,61 @@
+"""Refusals: 401 and 403 on their way to the audit log, without letting a flood fill the disk.
+
+Of equal refusals (status, key, address) the first within ten minutes is written at once, the others are counted and
+written as one entry when the ten minutes are over. No more than twenty such groups are told apart; what is beyond them
+is counted together. The log so grows by less than fifty entries in ten minutes, whatever comes.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from service.records.audit import Deed
+
+WINDOW_S = 600.0
+MAX_GROUPS = 20
+_OTHERS = ("", "", "")
+
+
+@dataclass
+class _Group:
+    """Refusals counted, but not written."""
+
+    last: Deed
+    times: int = 0
+
+
+class Refusals:
+    """What was refused lately.
+
+    Parameters
+    ----------
+    monotonic_s : callable
+        Gives the time.
+    """
+
+    def __init__(self, monotonic_s: Callable[[], float] = time.monotonic) -> None:
+        self._monotonic_s = monotonic_s
+        self._groups: dict[tuple[str, str, str], _Group] = {}
+        self._until_s = monotonic_s() + WINDOW_S
+
+    def admit(self, deed: Deed) -> bool:
+        """Whether a refusal is to be written now; the others are counted."""
+        name = (deed.outcome, deed.key_id, deed.address)
+        group = self._groups.get(name)
+        is_new = group is None
+        if group is None:
+            name = name if len(self._groups) < MAX_GROUPS else _OTHERS
+            is_new = name not in self._groups
+            group = self._groups.setdefault(name, _Group(deed))
+        if is_new:
+            return True
+        group.last, group.times = deed, group.times + 1
+        return False
+
+    def settled(self, *, is_last: bool = False) -> list[Deed]:
+        """Return what was counted, when its time is over or nothing more will come, and begin anew."""
+        now_s = self._monotonic_s()
+        if now_s < self._until_s and not is_last:
+            return []
+        groups, self._groups, self._until_s = self._groups, {}, now_s + WINDOW_S
+        return [replace(group.last, times=group.times) for group in groups.values() if group.times]

@@ -1,0 +1,78 @@
+"""Access keys as they are asked for and told; the key itself stands in one answer only."""
+
+from enum import StrEnum
+from typing import Annotated, Self
+
+from pydantic import Field, StringConstraints
+
+from service.api.schemas.base import Answer, Document, Epoch, EpochAnswer
+from service.records.access_key import AccessKey, Role
+
+
+class KeyState(StrEnum):
+    """Whether a key opens anything."""
+
+    VALID = "valid"
+    EXPIRED = "expired"
+    REVOKED = "revoked"
+
+
+class KeyDocument(Document):
+    """A key that is wanted."""
+
+    name: Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]*$")]
+    """Who will hold it; it stands in the audit log."""
+    role: Annotated[Role, Field(strict=False)]
+    expires_at: Epoch | None = None
+    """Instant from which it is no longer valid; null = never."""
+
+
+class KeyAnswer(Answer):
+    """A key without its secret."""
+
+    id: str
+    name: str
+    role: Role
+    state: KeyState
+    created_at: EpochAnswer
+    created_by: str
+    expires_at: EpochAnswer | None
+    last_used_at: EpochAnswer | None
+    """Stored once a minute."""
+    revoked_at: EpochAnswer | None
+
+    @classmethod
+    def of(cls, key: AccessKey, now_us: int, last_used_us: int | None) -> Self:
+        """Return the answer that tells a key."""
+        state = KeyState.VALID if key.is_valid(now_us) else KeyState.EXPIRED
+        return cls.model_validate(
+            {
+                "id": key.id,
+                "name": key.name,
+                "role": key.role,
+                "state": KeyState.REVOKED if key.revoked_at_us is not None else state,
+                "created_at": key.created_at_us,
+                "created_by": key.created_by,
+                "expires_at": key.expires_at_us,
+                "last_used_at": last_used_us,
+                "revoked_at": key.revoked_at_us,
+            }
+        )
+
+
+class NewKeyAnswer(Answer):
+    """A key that was just made; nobody can read it again."""
+
+    id: str
+    key: str
+    """Send it as Authorization: Bearer."""
+    name: str
+    role: Role
+    expires_at: EpochAnswer | None
+
+
+class KeyList(Answer):
+    """Keys in order of creation."""
+
+    rows: list[KeyAnswer]
+    next: str | None = None

@@ -1,0 +1,60 @@
+"""Rates over the interface: headers on every answer, 429 above them, and a flood without a key shuts nobody out."""
+
+import httpx
+import pytest
+
+from service.api.rate_limits import RateLimitConfig, RateLimits
+
+pytestmark = pytest.mark.anyio
+SC = "/api/v1/spacecraft"
+WRONG = {"Authorization": "Bearer wrong"}
+
+
+@pytest.fixture
+def limited(soo):
+    """The service with small bursts that do not refill during a test."""
+    config = RateLimitConfig(read_per_s=0.01, read_burst=3, control_per_s=0.01, control_burst=1, anonymous_burst=4)
+    soo.app.state.rate_limits = RateLimits(config, lambda: 0.0)
+    return soo
+
+
+async def test_answers_say_what_is_left_and_the_last_one_when_to_come_back(limited):
+    answers = [await limited.client.get(SC) for _ in range(4)]
+    assert [answer.status_code for answer in answers] == [200, 200, 200, 429]
+    assert [answer.headers["ratelimit-remaining"] for answer in answers] == ["2", "1", "0", "0"]
+    assert {answer.headers["ratelimit-limit"] for answer in answers} == {"3"}
+    assert (answers[0].headers["ratelimit-reset"], answers[3].headers["ratelimit-reset"]) == ("100", "100")
+    problem = answers[3].json()
+    assert (problem["code"], answers[3].headers["retry-after"]) == ("rate.limited", "100")
+    assert answers[3].headers["content-type"] == "application/problem+json"
+
+
+async def test_classes_have_rates_of_their_own(limited, spacecraft):
+    for _ in range(4):
+        last = await limited.client.get(SC)
+    assert last.status_code == 429
+    assert (await limited.client.post(SC, json=spacecraft)).status_code == 201
+    assert (await limited.client.post(SC, json=spacecraft | {"id": "other"})).status_code == 429
+    assert len(limited.storage.catalogue.all_spacecraft()) == 1
+
+
+async def test_a_flood_without_a_key_is_stopped_and_shuts_nobody_out(limited):
+    statuses = [(await limited.client.get(SC, headers=WRONG)).status_code for _ in range(6)]
+    assert statuses == [401] * 4 + [429] * 2
+    assert (await limited.client.get(SC)).status_code == 200
+    transport = httpx.ASGITransport(app=limited.app, client=("192.0.2.1", 1))
+    async with httpx.AsyncClient(transport=transport, base_url="http://soo.test") as elsewhere:
+        assert (await elsewhere.get(SC)).status_code == 401
+
+
+async def test_public_paths_are_counted_by_address_but_not_the_sign_of_life(limited):
+    anonymous = {"Authorization": ""}
+    statuses = [(await limited.client.get("/openapi.json", headers=anonymous)).status_code for _ in range(5)]
+    assert statuses == [200] * 4 + [429]
+    assert (await limited.client.get("/healthz", headers=anonymous)).status_code == 200
+
+
+async def test_thousands_of_query_parameters_are_refused(soo):
+    answer = await soo.client.get(f"{SC}?" + "&".join(f"a{k}=1" for k in range(2000)))
+    assert (answer.status_code, answer.json()["code"]) == (400, "query.too_many")
+    assert (await soo.client.get(f"{SC}?" + "&".join(f"a{k}=1" for k in range(100)))).status_code == 200
