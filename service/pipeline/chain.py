@@ -18,7 +18,7 @@ import numpy as np
 from service.pipeline.config import ChainConfig
 from service.pipeline.disagreement import Disagreement, compare
 from service.pipeline.knowledge import Knowledge, Lookup, learn
-from service.pipeline.method_runner import MethodRunner
+from service.pipeline.method_runner import CarrierLevels, MethodRunner
 from service.pipeline.paper_runner import PaperRunner
 from service.pipeline.robust_runner import RobustRunner
 from service.pipeline.wheel_torques import NO_CARRY, compute_command
@@ -145,6 +145,11 @@ class Chain:
         return measurement, tuple(
             _carrier_state(measurement, k, name, known) for k, name in enumerate(plan.carrier_ids)
         )
+
+    def carrier_levels(self) -> CarrierLevels | None:
+        """Return what the first running method made of the carriers of the newest row; None while none runs."""
+        running = next((runner for runner in self._runners if runner.is_running), None)
+        return None if running is None else running.carrier_levels()
 
     def _row(
         self, runner: MethodRunner, measurement: Measurement, plan: CarrierPlan, *, is_late: bool, is_catch_up: bool

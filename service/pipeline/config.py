@@ -197,6 +197,22 @@ class TorqueConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class AlarmConfig:
+    """What alarms by default; the limits of a spacecraft say more."""
+
+    #: angles from nominal, deg
+    attitude_warning_deg: float = 0.3
+    attitude_critical_deg: float = 0.4
+    #: no row for so many row periods
+    stale_periods: float = 3.0
+    #: free share of the archive's disk, percent
+    disk_warning_percent: float = 10.0
+    disk_critical_percent: float = 3.0
+    #: links, sources and ages are looked at this often, s
+    check_period_s: float = 2.0
+
+
+@dataclass(frozen=True, slots=True)
 class ChainConfig:
     """Configuration of the whole chain."""
 

@@ -1,6 +1,6 @@
 """What the chain asks of an estimation method: to be started, told of changes, and stepped row by row."""
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -9,6 +9,16 @@ from service.records.attitude import AttitudeRow, CarrierState, FloatArray, IntA
 from service.records.catalogue import Carrier, CarrierPlan, Method
 from service.records.journal import SlowInput
 from service.records.measurement import Measurement
+
+
+class CarrierLevels(NamedTuple):
+    """What a method made of the carriers of its newest row, as arrays (N,)."""
+
+    carrier_ids: tuple[str, ...]
+    #: dB, measured minus expected; NaN = absent
+    deviation_db: FloatArray
+    #: dB, what the attitude does not explain
+    residual_db: FloatArray
 
 
 class MethodRunner(Protocol):
@@ -44,6 +54,10 @@ class MethodRunner(Protocol):
 
     def carrier_states(self) -> dict[str, CarrierState]:
         """Return what is known of each carrier of the calibration after the newest row."""
+        ...
+
+    def carrier_levels(self) -> CarrierLevels | None:
+        """Return the figures of the newest row that was not late, None before it; they are not copied."""
         ...
 
 

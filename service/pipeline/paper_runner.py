@@ -2,7 +2,7 @@
 
 from service.pipeline.config import ChainConfig
 from service.pipeline.knowledge import Knowledge, Lookup
-from service.pipeline.method_runner import CalibratedColumns
+from service.pipeline.method_runner import CalibratedColumns, CarrierLevels
 from service.pipeline.paper_method import PaperModel, PaperState, PaperStep, initial_state, paper_model, step_paper
 from service.records.attitude import AttitudeRow, CarrierState
 from service.records.catalogue import CarrierPlan, Method
@@ -92,6 +92,13 @@ class PaperRunner:
             )
             for k, name in enumerate(sensitivity.carrier_ids)
         }
+
+    def carrier_levels(self) -> CarrierLevels | None:
+        """Return the figures of the newest row that was not late, None before it; they are not copied."""
+        if self._last is None:
+            return None
+        outcome, model = self._last
+        return CarrierLevels(model.sensitivity.carrier_ids, outcome.deviation.deviation_db, outcome.fix.residual_db)
 
     def _model_of(self, knowledge: Knowledge) -> tuple[PaperModel | None, CalibratedColumns | None]:
         """Return the model that holds and the order of its carriers."""

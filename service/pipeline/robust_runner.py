@@ -5,7 +5,7 @@ import numpy as np
 from service.pipeline.config import ChainConfig
 from service.pipeline.knowledge import Knowledge, Lookup
 from service.pipeline.known_motion import CommandedMotion, heard
-from service.pipeline.method_runner import CalibratedColumns
+from service.pipeline.method_runner import CalibratedColumns, CarrierLevels
 from service.pipeline.robust_method import RobustState, RobustStep, carried_state, initial_state, step_robust
 from service.pipeline.robust_model import RobustModel, robust_model
 from service.records.attitude import AttitudeRow, CarrierState
@@ -127,6 +127,13 @@ class RobustRunner:
             )
             for k, name in enumerate(model.carrier_ids)
         }
+
+    def carrier_levels(self) -> CarrierLevels | None:
+        """Return the figures of the newest row that was not late, None before it; they are not copied."""
+        if self._last is None:
+            return None
+        outcome, model = self._last
+        return CarrierLevels(model.carrier_ids, outcome.deviation_db, outcome.residual_db)
 
     def _forget(self, before_us: int) -> None:
         """Let go of the oldest motions; torques come with every row, and an alignment may be months away."""

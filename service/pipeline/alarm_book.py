@@ -1,0 +1,284 @@
+"""The alarms of one spacecraft: readings, time and operators in, changes out. No clock, no storage, no surprise.
+
+Only what is not as it should be is remembered: values inside their limits cost one comparison of an array.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from service.pipeline import alarm_steps as steps
+from service.pipeline.alarm_conditions import Condition, Kind
+from service.pipeline.alarm_sets import Circumstances, limits_in_force
+from service.pipeline.alarm_states import CoverEvent, Event
+from service.pipeline.alarm_watch import Verdict, look, outermost
+from service.records.alarm import Alarm, AlarmChange, ChangeKind, Cover, Handling, Process
+from service.records.alarm_limits import AlarmLimits, ConditionLimits
+from service.records.alarm_memory import BookMemory, Watch, WatchMemory
+from service.records.attitude import FloatArray
+from service.records.epoch import US_PER_S
+
+Key = tuple[str, str]
+_NO_NOTES: Mapping[str, str] = {}
+
+
+class Readings(NamedTuple):
+    """Values of one condition at one instant."""
+
+    condition: str
+    #: all things that there are: an alarm about another one is over
+    things: Sequence[str]
+    #: one a thing, NaN = not known; of a condition that lasts, 1 while it stands and 0 when not
+    values: Sequence[float] | FloatArray
+    #: by thing, what else there is to say
+    notes: Mapping[str, str] = _NO_NOTES
+    #: whether other things may exist too, of which nothing is said here
+    is_partial: bool = False
+
+
+@dataclass(slots=True)
+class _InForce:
+    """Limits of one condition, and the one that is passed first."""
+
+    condition: Condition
+    limits: ConditionLimits
+    bound: float | None = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.bound = outermost(self.condition.kind, self.limits) if self.limits.enabled else None
+
+    def suspects(self, values: Sequence[float] | FloatArray) -> list[int]:
+        """Return the places of values that have passed a limit."""
+        if self.bound is None:
+            return []
+        kind = self.condition.kind
+        bound = 0.0 if kind is Kind.LASTING else self.bound
+        if isinstance(values, np.ndarray):
+            beyond = values < bound if kind is Kind.BELOW else values > bound
+            # most rows have none: any() is a third of the cost of flatnonzero()
+            return np.flatnonzero(beyond).tolist() if beyond.any() else []
+        return [k for k, value in enumerate(values) if (value < bound if kind is Kind.BELOW else value > bound)]
+
+
+class AlarmBook:
+    """Alarms of one spacecraft, or of the service where ``spacecraft_id`` is None.
+
+    Parameters
+    ----------
+    spacecraft_id : str or None
+        Whose.
+    conditions : mapping
+        Table of conditions by name.
+    stated : AlarmLimits
+        Limits that hold beside the defaults.
+    alarms : sequence of Alarm
+        Those that were open.
+    memory : BookMemory
+        What was about to happen.
+    """
+
+    def __init__(
+        self,
+        spacecraft_id: str | None,
+        conditions: Mapping[str, Condition],
+        stated: AlarmLimits | None = None,
+        alarms: Sequence[Alarm] = (),
+        memory: BookMemory | None = None,
+    ) -> None:
+        self._spacecraft_id = spacecraft_id
+        self._conditions = conditions
+        self._stated = stated or AlarmLimits()
+        self._circumstances = Circumstances()
+        self._open: dict[Key, Alarm] = {alarm.key: alarm for alarm in alarms if alarm.is_open}
+        self._watches: dict[str, dict[str, Watch]] = {name: {} for name in conditions}
+        self._in_force = self._limits()
+        self._recall(memory or BookMemory())
+
+    @property
+    def open_alarms(self) -> Mapping[Key, Alarm]:
+        """Alarms that stand, by condition and thing."""
+        return self._open
+
+    @property
+    def circumstances(self) -> Circumstances:
+        """What holds for alarms now."""
+        return self._circumstances
+
+    def watches(self) -> tuple[WatchMemory, ...]:
+        """Return what is watched, for the next start."""
+        return tuple(
+            WatchMemory(condition, thing, replace(watch))
+            for condition, watched in self._watches.items()
+            for thing, watch in watched.items()
+        )
+
+    def present_value(self, key: Key) -> float:
+        """Return the newest value of what is watched, NaN where it is not."""
+        watch = self._watches.get(key[0], {}).get(key[1])
+        return float("nan") if watch is None else watch.value
+
+    def adopt(self, alarm: Alarm) -> None:
+        """Take over the id that the archive gave an alarm."""
+        here = self._open.get(alarm.key)
+        if here is not None and here.id == 0:
+            self._open[alarm.key] = replace(here, id=alarm.id)
+
+    def use_limits(self, stated: AlarmLimits) -> None:
+        """Hold values against other limits from now on."""
+        self._stated = stated
+        self._in_force = self._limits()
+
+    def enter(self, circumstances: Circumstances, at_us: int) -> list[AlarmChange]:
+        """Take over what holds now; alarms are suppressed and released by it."""
+        if circumstances.sets != self._circumstances.sets:
+            self._circumstances = circumstances
+            self._in_force = self._limits()
+        self._circumstances = circumstances
+        changes = []
+        for key, alarm in list(self._open.items()):
+            is_quiet = self._is_quiet(key)
+            if is_quiet and alarm.cover is Cover.NONE:
+                changes.append(self._cover(alarm, CoverEvent.SUPPRESS, ChangeKind.SUPPRESSED, at_us))
+            elif not is_quiet and alarm.cover is Cover.SUPPRESSED:
+                changes.append(self._cover(alarm, CoverEvent.RELEASE, ChangeKind.RELEASED, at_us))
+        return changes
+
+    def observe(self, readings: Readings, at_us: int) -> list[AlarmChange]:
+        """Hold values against the limits in force and return what changes."""
+        in_force, watched = self._in_force[readings.condition], self._watches[readings.condition]
+        places = in_force.suspects(readings.values)
+        if not places and not watched:
+            return []
+        places_of = {thing: k for k, thing in enumerate(readings.things)}
+        suspected = [readings.things[k] for k in places]
+        concerned = dict.fromkeys([*suspected, *(readings.things if readings.is_partial else watched)])
+        changes = []
+        for thing in concerned:
+            watch = watched.setdefault(thing, Watch())
+            place = places_of.get(thing)
+            if place is None or not in_force.limits.enabled:
+                changes += self._over(watch, (readings.condition, thing), at_us)
+            else:
+                verdict = look(watch, in_force.condition.kind, float(readings.values[place]), at_us, in_force.limits)
+                if verdict is not None:
+                    changes += self._judged(verdict, in_force, thing, at_us, readings.notes.get(thing, ""))
+            if watch.is_idle:
+                del watched[thing]
+        return changes
+
+    def pass_time(self, at_us: int) -> list[AlarmChange]:
+        """End shelvings whose time is over and tell again what nobody acted on."""
+        changes = []
+        for alarm in list(self._open.values()):
+            if alarm.cover is Cover.SHELVED and at_us >= (alarm.shelved_until_us or 0):
+                changes.append(self._uncover(alarm, at_us, None))
+            elif self._is_to_repeat(alarm, at_us):
+                changes.append(self._put(ChangeKind.REPEATED, alarm, replace(alarm, changed_at_us=at_us), at_us))
+        return changes
+
+    def acknowledge(self, key: Key, handling: Handling) -> AlarmChange:
+        """Note that an operator has seen an alarm."""
+        alarm = self._open[key]
+        after = steps.acknowledged(alarm, handling, is_latching=self._in_force[key[0]].limits.latching)
+        return self._put(ChangeKind.ACKNOWLEDGED, alarm, after, handling.at_us, handling)
+
+    def shelve(self, key: Key, handling: Handling, until_us: int) -> AlarmChange:
+        """Keep an alarm quiet until an instant."""
+        alarm = self._open[key]
+        return self._put(ChangeKind.SHELVED, alarm, steps.shelved(alarm, handling, until_us), handling.at_us, handling)
+
+    def unshelve(self, key: Key, handling: Handling) -> AlarmChange:
+        """End a shelving before its time."""
+        return self._uncover(self._open[key], handling.at_us, handling)
+
+    def clear(self, key: Key, handling: Handling) -> AlarmChange:
+        """Close an alarm; a condition that still stands is watched anew."""
+        self._watches[key[0]].pop(key[1], None)
+        alarm = self._open[key]
+        return self._put(ChangeKind.CLEARED, alarm, steps.cleared(alarm, handling), handling.at_us, handling)
+
+    def _judged(self, verdict: Verdict, in_force: _InForce, thing: str, at_us: int, note: str) -> list[AlarmChange]:
+        """Carry out the verdict on one value."""
+        condition, limits = in_force.condition, in_force.limits
+        watch, before = self._watches[condition.name][thing], self._open.get((condition.name, thing))
+        if verdict is Verdict.RETURN:
+            return [] if before is None else [self._return(before, at_us, is_latching=limits.latching)]
+        if before is None:
+            after = steps.raised(self._spacecraft_id, condition, thing, watch, limits, at_us)
+        else:
+            event = Event.RAISE if verdict is Verdict.RAISE else Event.ESCALATE
+            after = steps.again(before, watch, limits, event, at_us)
+        after = steps.told_in_words(after, condition, note)
+        if self._is_quiet(after.key) and after.cover is Cover.NONE:
+            after = steps.covered(after, CoverEvent.SUPPRESS, at_us)
+        kind = ChangeKind.ESCALATED if verdict is Verdict.ESCALATE else ChangeKind.RAISED
+        return [self._put(kind, before, after, at_us)]
+
+    def _return(self, alarm: Alarm, at_us: int, *, is_latching: bool) -> AlarmChange:
+        """Carry out that a condition is gone."""
+        after = steps.returned(alarm, at_us, is_latching=is_latching)
+        return self._put(ChangeKind.RETURNED, alarm, after, at_us)
+
+    def _over(self, watch: Watch, key: Key, at_us: int) -> list[AlarmChange]:
+        """Forget a thing that is gone, or that is no longer looked at."""
+        was_alarmed = watch.level > 0
+        watch.level, watch.since_us, watch.pending_us = 0, None, None
+        before = self._open.get(key)
+        return [self._return(before, at_us, is_latching=False)] if was_alarmed and before is not None else []
+
+    def _uncover(self, alarm: Alarm, at_us: int, handling: Handling | None) -> AlarmChange:
+        """End a shelving; where an operation is in force, suppression takes its place."""
+        after = steps.covered(alarm, CoverEvent.UNSHELVE, at_us)
+        if self._is_quiet(alarm.key) and after.process is not Process.NORMAL:
+            after = steps.covered(after, CoverEvent.SUPPRESS, at_us)
+        return self._put(ChangeKind.UNSHELVED, alarm, after, at_us, handling)
+
+    def _cover(self, alarm: Alarm, event: CoverEvent, kind: ChangeKind, at_us: int) -> AlarmChange:
+        """Suppress or release an alarm."""
+        return self._put(kind, alarm, steps.covered(alarm, event, at_us), at_us)
+
+    def _put(
+        self, kind: ChangeKind, before: Alarm | None, after: Alarm, at_us: int, handling: Handling | None = None
+    ) -> AlarmChange:
+        """Remember an alarm as it is after a step, or forget one that is closed."""
+        change = steps.change_of(kind, before, after, at_us, handling)
+        if change.alarm.is_open:
+            self._open[after.key] = change.alarm
+        else:
+            self._open.pop(after.key, None)
+        return change
+
+    def _is_quiet(self, key: Key) -> bool:
+        """Whether an operation keeps an alarm quiet."""
+        return self._in_force[key[0]].limits.suppressed or self._circumstances.is_quiet(*key)
+
+    def _is_to_repeat(self, alarm: Alarm, at_us: int) -> bool:
+        """Whether nobody has acted on an alarm for too long."""
+        repeat_s = self._in_force[alarm.condition].limits.repeat_s
+        is_unattended = alarm.process is Process.UNACKNOWLEDGED and alarm.cover is Cover.NONE
+        told_us = alarm.announced_at_us or alarm.raised_at_us
+        return repeat_s is not None and is_unattended and at_us - told_us >= repeat_s * US_PER_S
+
+    def _limits(self) -> dict[str, _InForce]:
+        """Return the limits in force."""
+        limits = limits_in_force(self._conditions, self._stated, self._circumstances.sets)
+        return {name: _InForce(condition, limits[name]) for name, condition in self._conditions.items()}
+
+    def _recall(self, memory: BookMemory) -> None:
+        """Take over what was watched; where it says otherwise than the open alarms, these are right."""
+        for kept in memory.watches:
+            if kept.condition in self._watches:
+                is_alarmed = (kept.condition, kept.thing) in self._active()
+                watch = replace(kept.watch, level=kept.watch.level if is_alarmed else 0)
+                self._watches[kept.condition][kept.thing] = watch
+        for key in self._active():
+            alarm = self._open[key]
+            watch = self._watches[key[0]].setdefault(key[1], Watch())
+            watch.level = max(watch.level, int(alarm.severity) if watch.level == 0 else watch.level)
+            watch.since_us = alarm.since_us if watch.since_us is None else watch.since_us
+
+    def _active(self) -> set[Key]:
+        """Return the open alarms whose condition stands."""
+        return {key for key, alarm in self._open.items() if alarm.is_active and key[0] in self._conditions}

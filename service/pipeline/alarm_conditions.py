@@ -1,0 +1,262 @@
+"""Conditions that alarm: what each looks at, its limits by default, and what to do about it.
+
+The page docs/reference/alarms.md is made from this table.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from service.pipeline.config import AlarmConfig, RobustConfig
+from service.records.alarm_limits import ConditionLimits
+
+_HOUR_S = 3600.0
+
+
+class Kind(StrEnum):
+    """How a value is held against its limits."""
+
+    #: alarms above the limit
+    ABOVE = "above"
+    #: alarms below the limit
+    BELOW = "below"
+    #: the value is the time for which something has been so, s; it alarms from the limit on
+    LASTING = "lasting"
+
+
+class Origin(StrEnum):
+    """What tells the value."""
+
+    ROW = "every row that is neither late nor caught up with"
+    CLOCK = "the spacecraft's clock, looked at every `SOO_ALARMS__CHECK_PERIOD_S`"
+    REFERENCE = "every attitude reference near a row in time"
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """One condition."""
+
+    name: str
+    kind: Kind
+    unit: str
+    #: what its alarms are about: carrier, axis, link ..
+    thing: str
+    origin: Origin
+    #: what happened, in words that go on with the value
+    says: str
+    next_step: str
+    limits: ConditionLimits
+
+
+def condition_table(alarms: AlarmConfig, robust: RobustConfig) -> dict[str, Condition]:
+    """Return every condition by name."""
+    rows = (*_of_carriers(), *_of_attitude(alarms, robust), *_of_inputs(alarms), *_of_service(alarms))
+    return {row.name: row for row in rows}
+
+
+def _of_carriers() -> tuple[Condition, ...]:
+    """Return what is looked at carrier by carrier."""
+    return (
+        Condition(
+            "carrier_level",
+            Kind.ABOVE,
+            "dB",
+            "carrier",
+            Origin.ROW,
+            "the level is away from what is expected by",
+            "look at the carrier's trace; ask its user whether power or traffic was changed and declare carrier_work "
+            "if so; the estimate leaves a carrier that moved alone out by itself",
+            ConditionLimits(warning=3.0, distress=6.0, deadband=0.5, on_s=300.0, off_s=300.0),
+        ),
+        Condition(
+            "carrier_absent",
+            Kind.LASTING,
+            "s",
+            "carrier",
+            Origin.ROW,
+            "no carrier has been found for",
+            "look at the trace; ask the user whether the carrier was switched off; declare carrier_work while it is",
+            ConditionLimits(warning=120.0, distress=_HOUR_S, off_s=120.0),
+        ),
+        Condition(
+            "carrier_c_n0",
+            Kind.BELOW,
+            "dB",
+            "carrier",
+            Origin.ROW,
+            "carrier over noise in the carrier's bandwidth (C/N0 less the bandwidth) is",
+            "compare with the other carriers: all low means rain or the receiving chain, one low its uplink",
+            ConditionLimits(warning=6.0, distress=3.0, deadband=0.5, on_s=300.0, off_s=300.0),
+        ),
+        Condition(
+            "carrier_residual",
+            Kind.ABOVE,
+            "dB",
+            "carrier",
+            Origin.ROW,
+            "attitude and common level leave of the deviation unexplained",
+            "see whether its uplink fades or its traffic changed; a carrier that stays so wants a new calibration",
+            ConditionLimits(watch=1.5, warning=3.0, deadband=0.3, on_s=600.0, off_s=600.0, repeat_s=None),
+        ),
+    )
+
+
+def _of_attitude(alarms: AlarmConfig, robust: RobustConfig) -> tuple[Condition, ...]:
+    """Return what is looked at in the attitude rows of the method that drives control."""
+    return (
+        Condition(
+            "attitude_angle",
+            Kind.ABOVE,
+            "deg",
+            "axis",
+            Origin.ROW,
+            "the angle from nominal is",
+            "check with another sensor; see GET .../control and the newest torque; beyond 0.4 deg the model of the "
+            "carriers no longer holds and control is withheld",
+            ConditionLimits(
+                warning=alarms.attitude_warning_deg,
+                critical=alarms.attitude_critical_deg,
+                deadband=0.02,
+                on_s=120.0,
+                off_s=300.0,
+                repeat_s=600.0,
+            ),
+        ),
+        Condition(
+            "attitude_lost",
+            Kind.LASTING,
+            "s",
+            "method",
+            Origin.ROW,
+            "rows lead to no attitude for",
+            "see the inhibitions and the excluded carriers of GET .../attitude",
+            ConditionLimits(warning=300.0, critical=1800.0, off_s=120.0),
+        ),
+        Condition(
+            "methods_disagree",
+            Kind.ABOVE,
+            "deg",
+            "methods",
+            Origin.ROW,
+            "in roll or pitch the two methods differ by",
+            "compare both with another sensor; the method that is right shows in the residuals; align anew if none is",
+            ConditionLimits(
+                warning=robust.disagreement_deg, deadband=0.03, on_s=robust.disagreement_s, off_s=300.0, latching=True
+            ),
+        ),
+        Condition(
+            "downlink_fade",
+            Kind.ABOVE,
+            "dB",
+            "receiving site",
+            Origin.ROW,
+            "all carriers are down together, as rain at the receiving site makes them, by",
+            "wait for the rain to end; control returns by itself; a fade without rain means the receiving chain",
+            ConditionLimits(watch=0.0, warning=6.0, deadband=0.0, on_s=300.0, off_s=600.0, repeat_s=None),
+        ),
+        Condition(
+            "sensor_disagreement",
+            Kind.ABOVE,
+            "deg",
+            "sensor",
+            Origin.REFERENCE,
+            "an attitude reference differs from the estimate, beyond three sigma of both, by",
+            "find out which one is wrong by a third sensor; align anew if it is the estimate",
+            ConditionLimits(warning=0.15, distress=0.3, deadband=0.03, on_s=600.0, off_s=600.0, latching=True),
+        ),
+    )
+
+
+def _of_inputs(alarms: AlarmConfig) -> tuple[Condition, ...]:
+    """Return what is looked at in what comes in, or does not."""
+    return (
+        Condition(
+            "data_stale",
+            Kind.ABOVE,
+            "row periods",
+            "source",
+            Origin.CLOCK,
+            "the newest row of the prime source is older than usual by",
+            "see GET /links and the front end; select the other source if there is one",
+            ConditionLimits(
+                warning=alarms.stale_periods, distress=10.0 * alarms.stale_periods, off_s=0.0, repeat_s=600.0
+            ),
+        ),
+        Condition(
+            "link_down",
+            Kind.LASTING,
+            "s",
+            "link",
+            Origin.CLOCK,
+            "the link does not work; it has been so for",
+            "see its detail in GET /links; look at front end, analyzer and line; :reset begins a new session",
+            ConditionLimits(distress=30.0, critical=_HOUR_S, off_s=10.0, repeat_s=600.0),
+        ),
+        Condition(
+            "link_warning",
+            Kind.LASTING,
+            "s",
+            "link/warning",
+            Origin.CLOCK,
+            "the front end warns; it has done so for",
+            "see the warning in GET /links; a full spool wants the line to the service or more disk",
+            ConditionLimits(warning=0.0, distress=_HOUR_S, off_s=10.0),
+        ),
+        Condition(
+            "rows_missing",
+            Kind.ABOVE,
+            "rows",
+            "source",
+            Origin.CLOCK,
+            "rows that the source has numbered and the archive did not get within the last hour:",
+            "see GET .../archive/gaps; `soo send` brings what the front end's spool still holds",
+            ConditionLimits(warning=0.0, distress=100.0, on_s=120.0, off_s=60.0, repeat_s=None),
+        ),
+    )
+
+
+def _of_service(alarms: AlarmConfig) -> tuple[Condition, ...]:
+    """Return what is looked at in what the service lives on."""
+    return (
+        Condition(
+            "calibration_old",
+            Kind.ABOVE,
+            "d",
+            "calibration",
+            Origin.CLOCK,
+            "the end of the data that the calibration was made from lies back by",
+            "plan a quiet day and turns, calibrate, activate",
+            ConditionLimits(watch=90.0, warning=180.0, repeat_s=None),
+        ),
+        Condition(
+            "ephemeris_ending",
+            Kind.BELOW,
+            "h",
+            "ephemeris",
+            Origin.CLOCK,
+            "the ephemeris holds for another",
+            "PUT .../ephemeris with the newest orbit of the ballistics centre",
+            ConditionLimits(watch=48.0, warning=12.0, distress=0.0, repeat_s=6 * _HOUR_S),
+        ),
+        Condition(
+            "key_ending",
+            Kind.BELOW,
+            "d",
+            "key",
+            Origin.CLOCK,
+            "the key is valid for another",
+            "make a new key (`soo keys add`), hand it to its user, remove the old one",
+            ConditionLimits(watch=14.0, warning=3.0, repeat_s=24 * _HOUR_S),
+        ),
+        Condition(
+            "disk_full",
+            Kind.BELOW,
+            "percent",
+            "disk",
+            Origin.CLOCK,
+            "the share of the archive's disk that is free is",
+            "make room or shorten the retention; rows are refused, and kept by front ends, when nothing is left",
+            ConditionLimits(
+                warning=alarms.disk_warning_percent, critical=alarms.disk_critical_percent, deadband=1.0, off_s=60.0
+            ),
+        ),
+    )

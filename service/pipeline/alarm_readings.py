@@ -1,0 +1,194 @@
+"""From a row that the chain has just computed to the readings that alarms look at; nothing is computed twice."""
+
+import math
+from collections import deque
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from statistics import median
+
+import numpy as np
+
+from service.pipeline.alarm_book import AlarmBook, Readings
+from service.pipeline.alarm_sets import Circumstances, circumstances
+from service.pipeline.method_runner import CarrierLevels
+from service.records.alarm import AlarmChange
+from service.records.alarm_memory import BookMemory
+from service.records.attitude import AttitudeRow, FloatArray, Status
+from service.records.catalogue import CarrierPlan, Method
+from service.records.epoch import US_PER_S
+from service.records.inputs import AttitudeReference, Operation
+from service.records.measurement import Measurement
+from service.records.quality_flag import QualityFlag
+
+#: rows from whose median distance the period is taken
+_PERIOD_ROWS = 16
+#: rows that a reference is compared with, and how close in time one must be, us
+_KEPT_ROWS = 256
+_REACH_US = 300 * US_PER_S
+#: a sensor and the estimate differ when they do by this many sigma of both
+_SENSOR_SIGMAS = 3.0
+#: a fade of unknown depth is a fade
+_SOME_FADE_DB = 1e-3
+_AXES = ("yaw", "roll", "pitch")
+
+
+@dataclass(frozen=True, slots=True)
+class RowFacts:
+    """One row as the chain leaves it: neither late nor caught up with."""
+
+    measurement: Measurement
+    plan: CarrierPlan
+    #: what the methods say; empty while none runs
+    rows: tuple[AttitudeRow, ...]
+    #: the one that drives control
+    method: Method
+    levels: CarrierLevels | None
+    #: newest revision of each declared operation
+    operations: Mapping[int, Operation]
+
+
+class RowReader:
+    """Reads rows and references of one spacecraft into its book.
+
+    Parameters
+    ----------
+    book : AlarmBook
+        Where the readings go.
+    memory : BookMemory
+        Where the former run stood.
+    """
+
+    def __init__(self, book: AlarmBook, memory: BookMemory) -> None:
+        self._book = book
+        self._newest_us = memory.newest_row_us
+        self._recent_us: deque[int] = deque(maxlen=_PERIOD_ROWS)
+        self._kept_period_s = memory.row_period_s
+        self._nominal_dbm: Mapping[str, float] = {}
+        self._told: deque[AttitudeRow] = deque(maxlen=_KEPT_ROWS)
+        self._holds = Circumstances()
+        self._holds_for: tuple[object, object, bool] = (None, None, False)
+        self._plan: CarrierPlan | None = None
+        self._carrier_ids: tuple[str, ...] = ()
+        self._bandwidth_db: FloatArray = np.zeros(0)
+
+    @property
+    def newest_row_us(self) -> int | None:
+        """Epoch of the newest row that was looked at."""
+        return self._newest_us
+
+    @property
+    def row_period_s(self) -> float | None:
+        """Median time between rows, s; None before there are three."""
+        if len(self._recent_us) >= 3:
+            self._kept_period_s = median(after - before for before, after in pairwise(self._recent_us)) / US_PER_S
+        return self._kept_period_s
+
+    def use_nominal(self, nominal_dbm: Mapping[str, float]) -> None:
+        """Take over the levels of carriers of which nothing better is expected."""
+        self._nominal_dbm = nominal_dbm
+
+    def read_row(self, facts: RowFacts) -> list[AlarmChange]:
+        """Look at a row; one that is late or out of order changes nothing."""
+        epoch_us = facts.measurement.epoch_us
+        if facts.measurement.is_late or epoch_us <= (self._newest_us or 0):
+            return []
+        self._newest_us = epoch_us
+        self._recent_us.append(epoch_us)
+        driving = next((row for row in facts.rows if row.method is facts.method), None)
+        changes = self._circumstances(facts, epoch_us, is_raining=driving is not None and driving.downlink_fade)
+        for readings in (*self._of_carriers(facts), *_of_attitude(facts, driving)):
+            changes += self._book.observe(readings, epoch_us)
+        if driving is not None and driving.status is Status.ACQUIRED:
+            self._told.append(driving)
+        return changes + self._book.pass_time(epoch_us)
+
+    def read_reference(self, reference: AttitudeReference) -> list[AlarmChange]:
+        """Compare a reference with the row nearest in time; one without a row near the newest says nothing."""
+        if not self._told or abs(reference.epoch_us - self._told[-1].epoch_us) > _REACH_US:
+            return []
+        row = min(reversed(self._told), key=lambda one: abs(one.epoch_us - reference.epoch_us))
+        apart_deg = _apart_deg(reference, row)
+        if apart_deg is None:
+            return []
+        readings = Readings("sensor_disagreement", (reference.source,), (apart_deg,), is_partial=True)
+        return self._book.observe(readings, reference.epoch_us)
+
+    def _circumstances(self, facts: RowFacts, epoch_us: int, *, is_raining: bool) -> list[AlarmChange]:
+        """Find out what holds, where it can have changed."""
+        holds, held_for = self._holds, (facts.operations, facts.plan, is_raining)
+        is_same = all(one is other for one, other in zip(held_for, self._holds_for, strict=True))
+        if is_same and holds.since_us <= epoch_us < holds.until_us:
+            return []
+        self._holds_for = held_for
+        self._holds = circumstances(facts.operations.values(), facts.plan, epoch_us, is_raining=is_raining)
+        return self._book.enter(self._holds, epoch_us)
+
+    def _of_carriers(self, facts: RowFacts) -> Iterator[Readings]:
+        """Yield what is looked at carrier by carrier."""
+        if facts.plan is not self._plan:
+            self._use_plan(facts.plan)
+        measurement, ids = facts.measurement, self._carrier_ids
+        is_absent = np.isnan(measurement.power_dbm).astype(np.float64)
+        if measurement.flags is not None:
+            is_absent[(measurement.flags & QualityFlag.NOT_MEASURED) != 0] = math.nan
+        yield Readings("carrier_absent", ids, is_absent)
+        if measurement.details is not None:
+            c_n_db = measurement.details.c_n0_db_hz - self._bandwidth_db
+            yield Readings("carrier_c_n0", ids, np.asarray(c_n_db, dtype=np.float64))
+        levels = facts.levels
+        if levels is not None and not self._nominal_dbm:
+            yield Readings("carrier_level", levels.carrier_ids, np.abs(levels.deviation_db))
+        else:
+            yield self._level_by_name(facts)
+        if levels is not None:
+            yield Readings("carrier_residual", levels.carrier_ids, np.abs(levels.residual_db))
+
+    def _level_by_name(self, facts: RowFacts) -> Readings:
+        """Return the deviations, from the nominal level where nothing is expected of a carrier."""
+        away_db = {}
+        for name, power_dbm in zip(self._carrier_ids, facts.measurement.power_dbm.tolist(), strict=True):
+            if name in self._nominal_dbm:
+                away_db[name] = abs(power_dbm - self._nominal_dbm[name])
+        if facts.levels is not None:
+            expected = zip(facts.levels.carrier_ids, np.abs(facts.levels.deviation_db).tolist(), strict=True)
+            away_db |= {name: db for name, db in expected if math.isfinite(db) or name not in away_db}
+        return Readings("carrier_level", tuple(away_db), tuple(away_db.values()))
+
+    def _use_plan(self, plan: CarrierPlan) -> None:
+        """Take over names and bandwidths of a plan's carriers."""
+        self._plan, self._carrier_ids = plan, plan.carrier_ids
+        self._bandwidth_db = 10.0 * np.log10([carrier.bandwidth_hz for carrier in plan.carriers])
+
+
+def _of_attitude(facts: RowFacts, driving: AttitudeRow | None) -> Iterator[Readings]:
+    """Yield what is looked at in the rows of the methods."""
+    if driving is None:
+        return
+    is_told = driving.status is Status.ACQUIRED
+    angles_deg = tuple(map(abs, driving.attitude_deg)) if is_told else (math.nan,) * 3
+    yield Readings("attitude_angle", _AXES, angles_deg)
+    yield Readings("attitude_lost", (driving.method.value,), (float(not is_told),))
+    told = [row.attitude_deg for row in facts.rows if row.status is Status.ACQUIRED]
+    apart_deg = math.nan
+    if len(told) == 2:
+        apart_deg = max(abs(told[0].roll - told[1].roll), abs(told[0].pitch - told[1].pitch))
+    yield Readings("methods_disagree", ("robust, paper",), (apart_deg,))
+    fade_db = driving.downlink_fade_db if driving.downlink_fade else 0.0
+    is_known = not driving.downlink_fade or fade_db > 0.0
+    yield Readings("downlink_fade", ("receiving site",), (fade_db if is_known else _SOME_FADE_DB,))
+
+
+def _apart_deg(reference: AttitudeReference, row: AttitudeRow) -> float | None:
+    """Return the greatest difference that the sigmas of both do not explain, 0 when they do; None without angles."""
+    worst_deg, is_any = 0.0, False
+    for angle, sensed_deg, told_deg in zip(_AXES, reference.attitude_deg, row.attitude_deg, strict=True):
+        apart_deg = abs(sensed_deg - told_deg)
+        if math.isnan(apart_deg):
+            continue
+        is_any = True
+        sigmas_deg = (getattr(reference.sigma_deg, angle), getattr(row.sigma_deg, angle))
+        sigma_deg = math.hypot(*(0.0 if math.isnan(sigma) else sigma for sigma in sigmas_deg))
+        if apart_deg > _SENSOR_SIGMAS * sigma_deg:
+            worst_deg = max(worst_deg, apart_deg)
+    return worst_deg if is_any else None

@@ -1,0 +1,114 @@
+"""Limit sets: which are in force, whom a declared operation keeps quiet, and the limits that follow.
+
+| set | in force while |
+|---|---|
+| normal | always; the others change single figures of it |
+| rain | the newest row says that the downlink fades |
+| eclipse | an operation `eclipse` lasts |
+| manoeuvre | `station_keeping`, `momentum_unloading` or `calibration_turn` lasts |
+
+`carrier_work`, `gain_change`, `receive_chain_work` and `sun_outage` suppress the alarms of the carriers that they
+name, of all carriers where they name none.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+from service.pipeline.alarm_conditions import Condition
+from service.records.alarm_limits import AlarmLimits, ConditionLimits, Statement
+from service.records.catalogue import CarrierPlan
+from service.records.inputs import Operation
+
+NORMAL, RAIN, ECLIPSE, MANOEUVRE = "normal", "rain", "eclipse", "manoeuvre"
+#: later ones prevail
+SETS = (NORMAL, RAIN, ECLIPSE, MANOEUVRE)
+_SET_OF_KIND = {
+    "eclipse": ECLIPSE,
+    "station_keeping": MANOEUVRE,
+    "momentum_unloading": MANOEUVRE,
+    "calibration_turn": MANOEUVRE,
+}
+_QUIETING_KINDS = ("carrier_work", "gain_change", "receive_chain_work", "sun_outage")
+_CARRIER_CONDITIONS = ("carrier_level", "carrier_absent", "carrier_c_n0", "carrier_residual")
+
+#: what the sets change by default
+DEFAULT_SETS: dict[str, dict[str, Statement]] = {
+    NORMAL: {},
+    RAIN: {
+        "carrier_level": {"warning": 8.0, "distress": 15.0},
+        "carrier_c_n0": {"warning": 3.0, "distress": 0.0},
+        "carrier_residual": {"watch": 3.0, "warning": 6.0},
+        "methods_disagree": {"suppressed": True},
+    },
+    ECLIPSE: {
+        "carrier_level": {"warning": 5.0, "distress": 8.0},
+        "carrier_residual": {"watch": 3.0, "warning": 6.0},
+    },
+    MANOEUVRE: {
+        "attitude_angle": {"warning": 0.5, "critical": 0.8},
+        "carrier_level": {"warning": 5.0, "distress": 10.0},
+        "carrier_residual": {"suppressed": True},
+        "methods_disagree": {"suppressed": True},
+        "sensor_disagreement": {"suppressed": True},
+    },
+}
+
+
+class Circumstances(NamedTuple):
+    """What holds for alarms at an instant."""
+
+    #: sets in force, in the order of ``SETS``
+    sets: tuple[str, ...] = (NORMAL,)
+    #: carriers whose alarms are kept quiet
+    quiet_carriers: frozenset[str] = frozenset()
+    #: the instants between which this is so
+    since_us: int = -(1 << 62)
+    until_us: int = 1 << 62
+
+    def is_quiet(self, condition: str, thing: str) -> bool:
+        """Whether a declared operation keeps an alarm quiet."""
+        return condition in _CARRIER_CONDITIONS and thing in self.quiet_carriers
+
+
+def circumstances(
+    operations: Iterable[Operation], plan: CarrierPlan | None, epoch_us: int, *, is_raining: bool
+) -> Circumstances:
+    """Return what holds at an epoch, and for how long if no operation changes."""
+    wanted = {NORMAL, RAIN} if is_raining else {NORMAL}
+    quiet: set[str] = set()
+    since_us, until_us = Circumstances().since_us, Circumstances().until_us
+    for operation in operations:
+        edges_us = [operation.start_us] if operation.stop_us is None else [operation.start_us, operation.stop_us]
+        since_us = max([since_us, *(edge for edge in edges_us if edge <= epoch_us)])
+        until_us = min([until_us, *(edge for edge in edges_us if edge > epoch_us)])
+        if operation.start_us > epoch_us or (operation.stop_us is not None and operation.stop_us <= epoch_us):
+            continue
+        if operation.kind in _SET_OF_KIND:
+            wanted.add(_SET_OF_KIND[operation.kind])
+        if operation.kind in _QUIETING_KINDS and plan is not None:
+            quiet.update(_named(operation, plan))
+    return Circumstances(tuple(name for name in SETS if name in wanted), frozenset(quiet), since_us, until_us)
+
+
+def _named(operation: Operation, plan: CarrierPlan) -> Iterable[str]:
+    """Return the carriers that an operation names, all where it names none."""
+    if operation.carriers is None and operation.transponders is None:
+        return plan.carrier_ids
+    transponders = operation.transponders or ()
+    return (*(operation.carriers or ()), *(one.id for one in plan.carriers if one.transponder in transponders))
+
+
+def limits_in_force(
+    conditions: Mapping[str, Condition], stated: AlarmLimits, sets: Sequence[str]
+) -> dict[str, ConditionLimits]:
+    """Return the limits of every condition under some sets: defaults, changed by what each set states."""
+    return {name: _changed(row.limits, name, stated, sets) for name, row in conditions.items()}
+
+
+def _changed(limits: ConditionLimits, name: str, stated: AlarmLimits, sets: Sequence[str]) -> ConditionLimits:
+    """Return the limits of one condition."""
+    for chosen in sets:
+        changes: dict[str, Any] = {**DEFAULT_SETS[chosen].get(name, {}), **stated.sets.get(chosen, {}).get(name, {})}
+        limits = replace(limits, **changes) if changes else limits
+    return limits

@@ -1,0 +1,45 @@
+"""What alarms must remember beside those that are open, so that a restart forgets nothing and repeats nothing."""
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(slots=True)
+class Watch:
+    """Memory of one value that is not, or not yet again, as it should be."""
+
+    #: severity that was alarmed, 0 = none
+    level: int = 0
+    #: when the condition was first seen; for what lasts, when it began
+    since_us: int | None = None
+    #: least severity above ``level`` since ``pending_us``, which is alarmed when it has stood for its time
+    pending_level: int = 0
+    pending_us: int | None = None
+    #: since when it has been gone
+    gone_us: int | None = None
+    value: float = math.nan
+    newest_us: int = -(1 << 62)
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether there is nothing to remember."""
+        return self.level == 0 and self.pending_us is None and self.since_us is None
+
+
+@dataclass(frozen=True, slots=True)
+class WatchMemory:
+    """One watch and what it is about."""
+
+    condition: str
+    thing: str
+    watch: Watch
+
+
+@dataclass(frozen=True, slots=True)
+class BookMemory:
+    """What the alarms of one spacecraft must remember."""
+
+    watches: tuple[WatchMemory, ...] = ()
+    #: newest row that was looked at, and how far rows lie apart
+    newest_row_us: int | None = None
+    row_period_s: float | None = None
