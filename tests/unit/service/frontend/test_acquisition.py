@@ -311,6 +311,7 @@ def test_a_reset_closes_the_session_clears_the_waits_and_keeps_the_counters(monk
     made, rows, _ = acquisition(monkeypatch, script)
     while not rows:
         made.step()
+    made.orders.obey(is_enabled=True, resets=0)
     made.orders.obey(is_enabled=True, resets=3)
     assert made.step() is State.CONNECT
     assert script.closed == 1
