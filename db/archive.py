@@ -7,14 +7,16 @@ from typing import Any
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, or_, select, update
 
+from db import sealing
 from db.database import Database, add_entries, beyond, count_entries, lock_head, within
 from db.documents import decode, decode_all, decode_input
 from db.ingest import prepare, store_batch
-from db.mapping import MEASUREMENT_COLUMNS, measurement_of, measurements_of
-from db.measurement_pages import Chosen, Cursor, read_page
+from db.measurement_pages import EVER, PAGE_ROWS, POWERS, Chosen, Cursor, MeasurementPages
 from db.slow_inputs import revise_operation, store_inputs, store_operation
-from db.tables import carrier_plan, head, journal, measurement, measurement_detail, operation, source
+from db.tables import carrier_plan, head, journal, operation, source
 from service.errors import InvalidInputError, NotFoundError
+from service.records.archive_upkeep import SealedPart, SegmentState
+from service.records.attitude import FloatArray, IntArray
 from service.records.calibration import Window
 from service.records.catalogue import Carrier
 from service.records.inputs import AttitudeReference, Operation, SourceSelection
@@ -25,8 +27,6 @@ from service.records.series import HeadState, InputReceipt, MeasurementSeries, R
 
 #: kinds of slow inputs that stand at one epoch
 _POINT_KINDS = ("reference", "telemetry")
-#: rows that a reader of blocks holds at once
-_BLOCK_ROWS = 8192
 
 
 class SqlArchive:
@@ -44,8 +44,8 @@ class SqlArchive:
         if sent != expected:
             detail = f"Plan {batch.plan_id} of {batch.spacecraft_id!r} has {expected} carriers, the rows have {sent}."
             raise InvalidInputError("value.count", detail)
-        prepared = prepare(key, batch)
-        return self._database.submit(lambda connection: store_batch(connection, prepared))
+        prepared, cache = prepare(key, batch), self._database.segments
+        return self._database.submit(lambda connection: store_batch(connection, prepared, cache))
 
     def append_inputs(self, spacecraft_id: str, records: Sequence[SlowInput]) -> InputReceipt:
         """Store and journal slow inputs; same key, other content: refused ``input.conflict``."""
@@ -105,8 +105,8 @@ class SqlArchive:
 
         slow = select(journal).where(journal.c.spacecraft_key == key, is_next(journal.c.number))
         with self._database.read() as connection:
-            rows = connection.execute(_measurements(key).where(is_next(measurement.c.number))).all()
-            entries = [JournalEntry(record.number, record) for record in measurements_of(rows)]
+            rows = self._pages(connection, key).of_numbers(after, after + limit)
+            entries = [JournalEntry(row.number, row) for row in rows]
             entries += [_slow_entry(row) for row in connection.execute(slow)]
         return sorted(entries, key=lambda entry: entry.number)
 
@@ -141,22 +141,16 @@ class SqlArchive:
             newest = connection.execute(prime.where(source.c.is_prime)).first()
             if newest is None:
                 return None
-            is_it = (measurement.c.source_key == newest.source_key, measurement.c.epoch_us == newest.newest_epoch_us)
-            return measurement_of(connection.execute(_measurements(key).where(*is_it)).one())
+            return self._pages(connection, key).at(newest.source_key, newest.newest_epoch_us)
 
     def measurements(
         self, spacecraft_id: str, window: Window, limit: int, after: tuple[int, int] | None, source: str | None = None
     ) -> list[Measurement]:
         """Return rows in order of (epoch, number) beyond a cursor; every source unless one is named."""
         key = self._database.key(spacecraft_id)
-        query = (
-            _measurements(key, source)
-            .where(within(measurement.c.epoch_us, window))
-            .where(beyond(measurement.c.epoch_us, measurement.c.number, after))
-            .order_by(measurement.c.epoch_us, measurement.c.number)
-            .limit(limit)
-        )
-        return measurements_of(self._database.fetch(query))
+        with self._database.read() as connection:
+            runs = self._pages(connection, key).read(Chosen(window, source), limit, after)
+            return [row for run in runs for row in run.records()]
 
     def measurement_blocks(
         self, spacecraft_id: str, window: Window, *, source: str | None = None, feeds_estimator_only: bool = False
@@ -169,7 +163,7 @@ class SqlArchive:
         after: Cursor | None = None
         while True:
             with self._database.read() as connection:
-                runs = read_page(connection, key, chosen, _BLOCK_ROWS, after)
+                runs = self._pages(connection, key).read(chosen, PAGE_ROWS, after, columns=POWERS)
             if not runs:
                 return
             for run in runs:
@@ -179,47 +173,33 @@ class SqlArchive:
     def plan_ids(self, spacecraft_id: str, window: Window) -> tuple[int, ...]:
         """Return the numbers of the carrier plans under which the rows of a window were stored, ascending."""
         key = self._database.key(spacecraft_id)
-        query = (
-            select(measurement.c.plan_id)
-            .where(measurement.c.spacecraft_key == key, within(measurement.c.epoch_us, window))
-            .distinct()
-            .order_by(measurement.c.plan_id)
-        )
-        return tuple(row.plan_id for row in self._database.fetch(query))
+        with self._database.read() as connection:
+            return tuple(sorted(self._pages(connection, key).plan_ids(window)))
 
     def measurements_after(self, spacecraft_id: str, epoch_us: int, before_number: int) -> list[Measurement]:
         """Return rows that feed the estimator, later than an epoch, stored before a journal number, by epoch."""
         key = self._database.key(spacecraft_id)
-        query = (
-            _measurements(key)
-            .where(measurement.c.feeds, measurement.c.epoch_us > epoch_us, measurement.c.number < before_number)
-            .order_by(measurement.c.epoch_us, measurement.c.number)
-        )
-        return measurements_of(self._database.fetch(query))
+        chosen = Chosen(Window(epoch_us + 1, EVER.stop_us), feeds_only=True, before_number=before_number)
+        with self._database.read() as connection:
+            runs = self._pages(connection, key).read_all(chosen)
+            return [row for run in runs for row in run.records()]
 
     def measurement_series(self, spacecraft_id: str, window: Window, carrier_ids: Sequence[str]) -> MeasurementSeries:
         """Return the rows that feed the estimator as arrays, columns matched by carrier id across plans."""
         key = self._database.key(spacecraft_id)
-        query = select(measurement.c.epoch_us, measurement.c.number, measurement.c.plan_id, measurement.c.powers).where(
-            measurement.c.spacecraft_key == key, measurement.c.feeds, within(measurement.c.epoch_us, window)
-        )
-        rows = self._database.fetch(query)
-        # numpy sorts a long window faster than the database does
-        figures = np.array([tuple(row)[:3] for row in rows], dtype=np.int64).reshape(-1, 3)
-        order = np.lexsort((figures[:, 1], figures[:, 0]))
-        epochs_us, plan_ids = figures[order, 0], figures[order, 2]
-        power_dbm = np.full((len(rows), len(carrier_ids)), np.nan)
-        for plan_id in np.unique(plan_ids).tolist():
-            places = np.flatnonzero(plan_ids == plan_id)
-            held = self._carrier_ids(key, plan_id)
-            blob = b"".join(tuple(rows[place])[3] for place in order[places].tolist())
-            stored = np.frombuffer(blob, dtype="<f4").reshape(len(places), len(held))
-            for column, name in enumerate(carrier_ids):
-                if name in held:
-                    power_dbm[places, column] = stored[:, held.index(name)]
-        epochs_us.setflags(write=False)
-        power_dbm.setflags(write=False)
-        return MeasurementSeries(tuple(carrier_ids), epochs_us, power_dbm)
+        epochs_us: list[IntArray] = [np.empty(0, dtype=np.int64)]
+        powers: list[FloatArray] = [np.empty((0, len(carrier_ids)))]
+        for block in self._blocks(key, Chosen(window, feeds_only=True)):
+            held = {name: column for column, name in enumerate(self._carrier_ids(key, block.plan_id))}
+            wanted = [(place, held[name]) for place, name in enumerate(carrier_ids) if name in held]
+            power_dbm = np.full((len(block.epochs_us), len(carrier_ids)), np.nan)
+            power_dbm[:, [place for place, _ in wanted]] = block.power_dbm[:, [column for _, column in wanted]]
+            epochs_us.append(block.epochs_us)
+            powers.append(power_dbm)
+        series = MeasurementSeries(tuple(carrier_ids), np.concatenate(epochs_us), np.concatenate(powers))
+        series.epochs_us.setflags(write=False)
+        series.power_dbm.setflags(write=False)
+        return series
 
     def reference_series(self, spacecraft_id: str, window: Window) -> tuple[ReferenceSeries, ...]:
         """Return the attitude references of every sensor in a window."""
@@ -230,6 +210,17 @@ class SqlArchive:
             reference = decode(AttitudeReference, row.document)
             sensors.setdefault(reference.source, []).append(reference)
         return tuple(_reference_series(name, sensors[name]) for name in sorted(sensors))
+
+    def seal(self, spacecraft_id: str, before_us: int, received_before_us: int) -> Iterator[SealedPart]:
+        """Seal closed days, a transaction a step."""
+        return sealing.seal(self._database, self._database.key(spacecraft_id), before_us, received_before_us)
+
+    def segments(self, spacecraft_id: str) -> Iterator[SegmentState]:
+        """Read every sealed segment and yield whether it can be read."""
+        return sealing.states(self._database, self._database.key(spacecraft_id))
+
+    def _pages(self, connection: Connection, key: int) -> MeasurementPages:
+        return MeasurementPages(connection, self._database.segments, key)
 
     def _carrier_ids(self, key: int, plan_id: int) -> tuple[str, ...]:
         """Return the carrier ids of a plan; NotFoundError ``plan.unknown``."""
@@ -242,25 +233,6 @@ class SqlArchive:
             known = tuple(carrier.id for carrier in decode_all(Carrier, row.document))
             self._carriers[key, plan_id] = known
         return known
-
-
-def _measurements(key: int, name: str | None = None) -> Select[Any]:
-    is_its_source = and_(
-        source.c.spacecraft_key == measurement.c.spacecraft_key, source.c.source_key == measurement.c.source_key
-    )
-    is_its_detail = and_(
-        measurement_detail.c.spacecraft_key == measurement.c.spacecraft_key,
-        measurement_detail.c.epoch_us == measurement.c.epoch_us,
-        measurement_detail.c.source_key == measurement.c.source_key,
-    )
-    query = (
-        select(*MEASUREMENT_COLUMNS)
-        .select_from(measurement)
-        .join(source, is_its_source)
-        .outerjoin(measurement_detail, is_its_detail)
-        .where(measurement.c.spacecraft_key == key)
-    )
-    return query if name is None else query.where(source.c.name == name)
 
 
 def _slow_entry(row: Row[Any]) -> JournalEntry:

@@ -15,6 +15,7 @@ from sqlalchemy.dialects import postgresql, sqlite
 from db.audit_chain import accompanied
 from db.documents import encode, kind_of
 from db.engine import open_engines, translated_faults
+from db.segments import SegmentCache
 from db.tables import head, journal, spacecraft
 from db.writer import Writer
 from service.errors import NotFoundError
@@ -45,6 +46,8 @@ class Database:
         self.engines = open_engines(url)
         self._writer = Writer(self.engines.write)
         self._keys: dict[str, int] = {}
+        #: sealed days read lately
+        self.segments = SegmentCache()
 
     @contextmanager
     def read(self) -> Iterator[Connection]:
@@ -63,6 +66,11 @@ class Database:
             return self.submit(work).result()
         result, note.entry = self.submit(accompanied(work, note.due)).result()
         return result
+
+    @property
+    def queued_writes(self) -> int:
+        """How many writes wait for the writer."""
+        return self._writer.waiting
 
     def close(self) -> None:
         """Commit what is queued and let go of the database."""

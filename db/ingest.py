@@ -1,7 +1,7 @@
 """Storing batches of measurements, the hot path: one query, one insert and two updates a batch.
 
 Of a batch ``received = accepted + duplicates + refused``. Whether a row is known is asked of the table only where its
-epoch is not above the newest stored one of its source.
+epoch is not above the newest stored one of its source, and of sealed days only where one reaches to its epoch.
 """
 
 from collections.abc import Iterator
@@ -17,6 +17,7 @@ from db.database import lock_head
 from db.mapping import flags_as_bytes, powers_as_bytes
 from db.measurement_details import PreparedDetails, insert_details, prepare_details
 from db.row_insert import Run, insert_run
+from db.segments import SegmentCache, sealed_contents
 from db.sequence_numbers import NumberedRow, SequenceNumbers, Tail, blocks_of
 from db.tables import head, measurement, source
 from service.records.attitude import BoolArray, IntArray
@@ -160,12 +161,12 @@ def prepare(spacecraft_key: int, batch: MeasurementBatch) -> PreparedBatch:
     )
 
 
-def store_batch(connection: Connection, prepared: PreparedBatch) -> BatchReceipt:
+def store_batch(connection: Connection, prepared: PreparedBatch, cache: SegmentCache) -> BatchReceipt:
     """Store and journal the new rows of a batch; runs in the writer's transaction."""
     if not prepared.epochs_us:
         return BatchReceipt(0, 0, 0, ())
     state = _state(connection, prepared.spacecraft_key, prepared.batch.source)
-    outcome = _sort(connection, prepared, state)
+    outcome = _sort(connection, prepared, state, cache)
     if not len(outcome.accepted):
         return BatchReceipt(0, len(outcome.duplicates), 0, outcome.refused)
     is_late = _lateness(prepared.batch, state.consumed_epoch_us)[outcome.accepted]
@@ -190,12 +191,12 @@ def _state(connection: Connection, key: int, name: str) -> _State:
     return _State(*_READ_STATE.run(connection, key, name).fetchone())
 
 
-def _sort(connection: Connection, prepared: PreparedBatch, state: _State) -> _Sorted:
+def _sort(connection: Connection, prepared: PreparedBatch, state: _State, cache: SegmentCache) -> _Sorted:
     """Tell new rows, duplicates and conflicts apart."""
     newest_us = state.source_newest_epoch_us
     if prepared.is_ascending and (newest_us is None or prepared.epochs_us[0] > newest_us):
         return _Sorted(np.arange(len(prepared.epochs_us)), (), ())
-    known = _stored(connection, prepared, state)
+    known = _stored(connection, prepared, state, cache)
     accepted: list[int] = []
     duplicates: list[int] = []
     refused: list[Refusal] = []
@@ -211,7 +212,7 @@ def _sort(connection: Connection, prepared: PreparedBatch, state: _State) -> _So
     return _Sorted(np.array(accepted, dtype=np.int64), tuple(duplicates), tuple(refused))
 
 
-def _stored(connection: Connection, prepared: PreparedBatch, state: _State) -> dict[int, Content]:
+def _stored(connection: Connection, prepared: PreparedBatch, state: _State, cache: SegmentCache) -> dict[int, Content]:
     """Return the content of those epochs of a source that are stored."""
     newest_us = state.source_newest_epoch_us
     epochs_us = [] if newest_us is None else [epoch_us for epoch_us in prepared.epochs_us if epoch_us <= newest_us]
@@ -223,6 +224,8 @@ def _stored(connection: Connection, prepared: PreparedBatch, state: _State) -> d
             measurement.c.epoch_us.in_(epochs_us[start : start + LOOKUP_CHUNK]),
         )
         known.update((epoch_us, (powers, flags)) for epoch_us, powers, flags in connection.execute(query))
+    unknown_us = [epoch_us for epoch_us in epochs_us if epoch_us not in known]
+    known.update(sealed_contents(connection, cache, prepared.spacecraft_key, state.source_key, unknown_us))
     return known
 
 

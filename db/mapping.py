@@ -28,6 +28,7 @@ MEASUREMENT_COLUMNS: tuple[ColumnElement[Any], ...] = (
     measurement.c.feeds,
     measurement.c.seq,
     measurement_detail.c.figures,
+    measurement.c.source_key,
 )
 
 
@@ -51,7 +52,7 @@ def powers_of(blob: bytes) -> FloatArray:
 
 def measurement_of(row: Row[Any], power_dbm: FloatArray | None = None) -> Measurement:
     """Return the record of a row of ``MEASUREMENT_COLUMNS``, with its powers where they were read already."""
-    epoch_us, received_at_us, number, name, plan_id, powers, flags, is_late, feeds, seq, figures = tuple(row)
+    epoch_us, received_at_us, number, name, plan_id, powers, flags, is_late, feeds, seq, figures, _ = tuple(row)
     masks: IntArray | None = None
     if flags is not None:
         masks = np.frombuffer(flags, dtype="<i4").astype(np.int64)

@@ -5,21 +5,47 @@ one source under one plan form a piece; a page is the pieces' rows in order of (
 that follow each other within one piece.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, select
 
 from db.database import beyond, within
-from db.mapping import MEASUREMENT_COLUMNS, measurement_of, powers_of
-from db.tables import measurement, measurement_detail, source
-from service.records.attitude import IntArray
+from db.mapping import MEASUREMENT_COLUMNS, measurement_of, measurements_of, powers_of
+from db.segments import (
+    SegmentCache,
+    SegmentHead,
+    SegmentPiece,
+    day_of,
+    heads,
+    heads_of_numbers,
+    newest_heads,
+    read_piece,
+)
+from db.tables import measurement, measurement_detail, measurement_segment, source
+from service.records.attitude import BoolArray, IntArray
 from service.records.calibration import Window
 from service.records.measurement import Float32Array, Measurement
 
 #: place of a row in the order of epochs: its epoch and its journal number
 Cursor = tuple[int, int]
+Columns = tuple[ColumnElement[Any], ...]
+#: rows that a reader of everything holds at once
+PAGE_ROWS = 8192
+EVER = Window(-(1 << 62), 1 << 62)
+#: for records
+FULL: Columns = MEASUREMENT_COLUMNS
+#: for places alone
+LIGHT: Columns = (
+    measurement.c.epoch_us,
+    measurement.c.number,
+    measurement.c.received_at_us,
+    measurement.c.source_key,
+    measurement.c.plan_id,
+)
+#: for places and powers
+POWERS: Columns = (*LIGHT, measurement.c.powers)
 
 
 class Chosen(NamedTuple):
@@ -43,6 +69,8 @@ class Piece(Protocol):
     epochs_us: IntArray
     #: (T,) journal numbers
     numbers: IntArray
+    #: (T,) microseconds UTC
+    received_at_us: IntArray
 
     def power_dbm(self) -> Float32Array:
         """Return the powers as stored, (T, N) dBm."""
@@ -65,6 +93,10 @@ class Run(NamedTuple):
         """Return the cursor behind the last row."""
         return int(self.piece.epochs_us[self.places[-1]]), int(self.piece.numbers[self.places[-1]])
 
+    def records(self) -> Iterator[Measurement]:
+        """Yield the rows."""
+        return map(self.piece.record, self.places.tolist())
+
     def power_dbm(self) -> Float32Array:
         """Return the powers of the rows, (n, N) dBm, read-only."""
         first, last = int(self.places[0]), int(self.places[-1])
@@ -82,13 +114,13 @@ class Run(NamedTuple):
 
 
 class RowPiece:
-    """Rows as the table of rows gives them, in columns of ``MEASUREMENT_COLUMNS``."""
+    """Rows as the table of rows gives them: in columns of ``FULL``, or without records in fewer."""
 
-    def __init__(self, rows: Sequence[Row[Any]]) -> None:
+    def __init__(self, name: str, rows: Sequence[Row[Any]]) -> None:
         self._rows = rows
-        self.source, self.plan_id = rows[0].name, rows[0].plan_id
-        places = np.array([(row.epoch_us, row.number) for row in rows], dtype=np.int64)
-        self.epochs_us, self.numbers = places[:, 0], places[:, 1]
+        self.source, self.plan_id = name, rows[0].plan_id
+        places = np.array([(row.epoch_us, row.number, row.received_at_us) for row in rows], dtype=np.int64)
+        self.epochs_us, self.numbers, self.received_at_us = places.T
 
     def power_dbm(self) -> Float32Array:
         """Return the powers as stored, (T, N) dBm."""
@@ -99,67 +131,196 @@ class RowPiece:
         return measurement_of(self._rows[place], powers_of(self._rows[place].powers))
 
 
-def read_page(connection: Connection, key: int, chosen: Chosen, limit: int, after: Cursor | None) -> list[Run]:
-    """Return the next rows behind a cursor as runs; fewer than ``limit`` only when there are no more."""
-    query = (
-        chosen_rows(key, chosen)
-        .where(beyond(measurement.c.epoch_us, measurement.c.number, after))
-        .order_by(measurement.c.epoch_us, measurement.c.number)
-        .limit(limit)
-    )
-    return _merged(_pieces(connection.execute(query).all()), limit)
+class MeasurementPages:
+    """Reader of a spacecraft's measurements within one read transaction: table of rows and sealed days as one.
+
+    Parameters
+    ----------
+    connection : Connection
+        A transaction; whatever is read through it is one state.
+    cache : SegmentCache
+        Segments read lately.
+    key : int
+        Of the spacecraft.
+    """
+
+    def __init__(self, connection: Connection, cache: SegmentCache, key: int) -> None:
+        self._connection = connection
+        self._cache = cache
+        self._key = key
+        named = select(source.c.source_key, source.c.name).where(source.c.spacecraft_key == key)
+        self._names: dict[int, str] = {row[0]: row[1] for row in connection.execute(named)}
+
+    def read(self, chosen: Chosen, limit: int, after: Cursor | None, *, columns: Columns = FULL) -> list[Run]:
+        """Return the next rows behind a cursor as runs; fewer than ``limit`` only when there are no more."""
+        query = (
+            self._rows(chosen, columns)
+            .where(beyond(measurement.c.epoch_us, measurement.c.number, after))
+            .order_by(measurement.c.epoch_us, measurement.c.number)
+            .limit(limit)
+        )
+        rows = self._connection.execute(query).all()
+        parts = [_Part(piece, np.arange(len(piece.epochs_us))) for piece in self._pieces(rows)]
+        # behind the last row of a full page there may be more rows: what is sealed there belongs to the next page
+        stop_us = chosen.window.stop_us if len(rows) < limit else min(chosen.window.stop_us, rows[-1].epoch_us + 1)
+        parts += self._sealed(chosen, limit, after, stop_us)
+        return _merged(parts, limit)
+
+    def read_all(self, chosen: Chosen, *, columns: Columns = FULL) -> Iterator[Run]:
+        """Yield all rows as runs."""
+        after: Cursor | None = None
+        while runs := self.read(chosen, PAGE_ROWS, after, columns=columns):
+            yield from runs
+            after = runs[-1].end
+
+    def of_numbers(self, after: int, upto: int) -> list[Measurement]:
+        """Return the rows with a journal number in (after, upto], in no order."""
+        is_next = and_(measurement.c.number > after, measurement.c.number <= upto)
+        everything = Chosen(EVER)
+        found = measurements_of(self._connection.execute(self._rows(everything, FULL).where(is_next)).all())
+        for head in heads_of_numbers(self._connection, self._key, after, upto):
+            piece = read_piece(self._connection, self._cache, head)
+            places = np.flatnonzero((piece.numbers > after) & (piece.numbers <= upto))
+            found += [piece.record(place) for place in places.tolist()]
+        return found
+
+    def at(self, source_key: int, epoch_us: int) -> Measurement | None:
+        """Return the row of a source at an epoch."""
+        window = Window(epoch_us, epoch_us + 1)
+        runs = self.read(Chosen(window, self._names[source_key]), 1, None)
+        return runs[0].piece.record(int(runs[0].places[0])) if runs else None
+
+    def newest(self, chosen: Chosen) -> tuple[int, int, int] | None:
+        """Return epoch, number and time of receipt of the row with the greatest (epoch, number)."""
+        order = measurement.c.epoch_us.desc(), measurement.c.number.desc()
+        row = self._connection.execute(self._rows(chosen, LIGHT).order_by(*order).limit(1)).first()
+        best = None if row is None else (row.epoch_us, row.number, row.received_at_us)
+        start_us = chosen.window.start_us if best is None else best[0]
+        for head in newest_heads(self._connection, self._key, start_us, *self._of_segments(chosen)):
+            if best is not None and head.day < day_of(best[0]):
+                break
+            piece = read_piece(self._connection, self._cache, head)
+            places = _places(piece, chosen, None, chosen.window.stop_us)
+            if len(places):
+                last = places[-1]
+                found = int(piece.epochs_us[last]), int(piece.numbers[last]), int(piece.received_at_us[last])
+                best = found if best is None else max(best, found)
+        return best
+
+    def plan_ids(self, window: Window) -> set[int]:
+        """Return the plans of the rows of a window."""
+        held = select(measurement.c.plan_id).where(
+            measurement.c.spacecraft_key == self._key, within(measurement.c.epoch_us, window)
+        )
+        found = set(self._connection.scalars(held.distinct()))
+        for head in heads(self._connection, self._key, window.start_us, window.stop_us):
+            is_inside = head.first_epoch_us >= window.start_us or head.last_epoch_us < window.stop_us
+            # only a segment that reaches beyond both ends may have no row in the window
+            if head.plan_id not in found and (is_inside or self._has_rows(head, window)):
+                found.add(head.plan_id)
+        return found
+
+    def _has_rows(self, head: SegmentHead, window: Window) -> bool:
+        piece = read_piece(self._connection, self._cache, head)
+        return len(_places(piece, Chosen(window), None, window.stop_us)) > 0
+
+    def _sealed(self, chosen: Chosen, limit: int, after: Cursor | None, stop_us: int) -> Iterator["_Part"]:
+        """Yield parts of segments until they hold the next ``limit`` rows of their own."""
+        start_us = chosen.window.start_us if after is None else max(chosen.window.start_us, after[0])
+        epochs_us: list[IntArray] = []
+        for head in heads(self._connection, self._key, start_us, stop_us, *self._of_segments(chosen)):
+            if sum(map(len, epochs_us)) >= limit:
+                everything = np.concatenate(epochs_us)
+                if head.first_epoch_us > np.partition(everything, limit - 1)[limit - 1]:
+                    return
+            piece = read_piece(self._connection, self._cache, head)
+            places = _places(piece, chosen, after, stop_us)
+            if len(places):
+                epochs_us.append(piece.epochs_us[places])
+                yield _Part(piece, places)
+
+    def _rows(self, chosen: Chosen, columns: Columns) -> Select[Any]:
+        """Return the query for the chosen rows of the table of rows."""
+        query = select(*columns).select_from(measurement)
+        if columns is FULL:
+            is_its_source = and_(
+                source.c.spacecraft_key == measurement.c.spacecraft_key, source.c.source_key == measurement.c.source_key
+            )
+            is_its_detail = and_(
+                measurement_detail.c.spacecraft_key == measurement.c.spacecraft_key,
+                measurement_detail.c.epoch_us == measurement.c.epoch_us,
+                measurement_detail.c.source_key == measurement.c.source_key,
+            )
+            query = query.join(source, is_its_source).outerjoin(measurement_detail, is_its_detail)
+        return query.where(measurement.c.spacecraft_key == self._key, *self._of_rows(chosen))
+
+    def _of_rows(self, chosen: Chosen) -> list[ColumnElement[bool]]:
+        conditions = [within(measurement.c.epoch_us, chosen.window)]
+        if chosen.source is not None:
+            conditions.append(measurement.c.source_key == self._source_key(chosen.source))
+        if chosen.feeds_only:
+            conditions.append(measurement.c.feeds)
+        if chosen.before_number is not None:
+            # the sum keeps the planner on the key by epoch
+            conditions.append(measurement.c.number + 0 < chosen.before_number)
+        return conditions
+
+    def _of_segments(self, chosen: Chosen) -> list[ColumnElement[bool]]:
+        conditions: list[ColumnElement[bool]] = []
+        if chosen.source is not None:
+            conditions.append(measurement_segment.c.source_key == self._source_key(chosen.source))
+        if chosen.feeds_only:
+            conditions.append(measurement_segment.c.feeding_count > 0)
+        if chosen.before_number is not None:
+            conditions.append(measurement_segment.c.first_number < chosen.before_number)
+        return conditions
+
+    def _source_key(self, name: str) -> int:
+        """Return the key of a source, 0, which no source has, for an unknown one."""
+        return next((key for key, known in self._names.items() if known == name), 0)
+
+    def _pieces(self, rows: Sequence[Row[Any]]) -> list[RowPiece]:
+        """Return rows piece by piece."""
+        found: dict[tuple[int, int], list[Row[Any]]] = {}
+        for row in rows:
+            found.setdefault((row.source_key, row.plan_id), []).append(row)
+        return [RowPiece(self._names[source_key], held) for (source_key, _), held in found.items()]
 
 
-def chosen_rows(key: int, chosen: Chosen) -> Select[Any]:
-    """Return the query for the chosen rows of the table of rows."""
-    is_its_source = and_(
-        source.c.spacecraft_key == measurement.c.spacecraft_key, source.c.source_key == measurement.c.source_key
-    )
-    is_its_detail = and_(
-        measurement_detail.c.spacecraft_key == measurement.c.spacecraft_key,
-        measurement_detail.c.epoch_us == measurement.c.epoch_us,
-        measurement_detail.c.source_key == measurement.c.source_key,
-    )
-    return (
-        select(*MEASUREMENT_COLUMNS)
-        .select_from(measurement)
-        .join(source, is_its_source)
-        .outerjoin(measurement_detail, is_its_detail)
-        .where(measurement.c.spacecraft_key == key, *_conditions(chosen))
-    )
+class _Part(NamedTuple):
+    """Chosen rows of a piece."""
+
+    piece: Piece
+    #: places in the piece, in order of epoch
+    places: IntArray
 
 
-def _conditions(chosen: Chosen) -> list[ColumnElement[bool]]:
-    conditions = [within(measurement.c.epoch_us, chosen.window)]
-    if chosen.source is not None:
-        conditions.append(source.c.name == chosen.source)
+def _places(piece: SegmentPiece, chosen: Chosen, after: Cursor | None, stop_us: int) -> IntArray:
+    """Return the places of the chosen rows of a segment behind a cursor."""
+    first, last = np.searchsorted(piece.epochs_us, (chosen.window.start_us, stop_us))
+    places: IntArray = np.arange(first, last)
     if chosen.feeds_only:
-        conditions.append(measurement.c.feeds)
+        places = places[piece.feeds[places]]
     if chosen.before_number is not None:
-        conditions.append(measurement.c.number < chosen.before_number)
-    return conditions
+        places = places[piece.numbers[places] < chosen.before_number]
+    if after is None:
+        return places
+    epochs_us, numbers = piece.epochs_us[places], piece.numbers[places]
+    is_beyond: BoolArray = (epochs_us > after[0]) | ((epochs_us == after[0]) & (numbers > after[1]))
+    return places[is_beyond]
 
 
-def _pieces(rows: Sequence[Row[Any]]) -> list[Piece]:
-    """Return rows piece by piece."""
-    found: dict[tuple[str, int], list[Row[Any]]] = {}
-    for row in rows:
-        found.setdefault((row.name, row.plan_id), []).append(row)
-    return [RowPiece(held) for held in found.values()]
-
-
-def _merged(pieces: Sequence[Piece], limit: int) -> list[Run]:
-    """Return the rows of pieces in order of (epoch, number), at most ``limit``, as runs."""
-    if not pieces:
-        return []
-    counts = [len(piece.epochs_us) for piece in pieces]
-    epochs_us = np.concatenate([piece.epochs_us for piece in pieces])
-    numbers = np.concatenate([piece.numbers for piece in pieces])
+def _merged(parts: Sequence[_Part], limit: int) -> list[Run]:
+    """Return the rows of parts in order of (epoch, number), at most ``limit``, as runs."""
+    if len(parts) < 2:
+        return [Run(piece, places[:limit]) for piece, places in parts]
+    epochs_us = np.concatenate([piece.epochs_us[places] for piece, places in parts])
+    numbers = np.concatenate([piece.numbers[places] for piece, places in parts])
     order = np.lexsort((numbers, epochs_us))[:limit]
-    owners = np.repeat(np.arange(len(pieces)), counts)[order]
-    places = np.concatenate([np.arange(count) for count in counts])[order]
+    owners = np.repeat(np.arange(len(parts)), [len(places) for _, places in parts])[order]
+    chosen = np.concatenate([places for _, places in parts])[order]
     breaks = np.flatnonzero(np.diff(owners)) + 1
     return [
-        Run(pieces[owner[0]], part)
-        for owner, part in zip(np.split(owners, breaks), np.split(places, breaks), strict=True)
+        Run(parts[owner[0]].piece, places)
+        for owner, places in zip(np.split(owners, breaks), np.split(chosen, breaks), strict=True)
     ]

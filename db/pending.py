@@ -4,14 +4,22 @@ Results are never taken away, so rows once found complete stay complete: below a
 each alignment and method nothing has to be counted again, and the count costs what has come since.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
+import numpy as np
 from sqlalchemy import Connection, func, not_, or_, select
 from sqlalchemy.sql.elements import ColumnElement
 
+from db.database import within
+from db.segments import SegmentCache, heads_of_numbers, read_piece
 from db.tables import alignment, attitude, head, measurement
 from service.ports import LIVE
+from service.records.attitude import IntArray
+from service.records.calibration import Window
 from service.records.catalogue import Method
+
+#: above every journal number
+MAX_NUMBER = 1 << 62
 
 
 class PendingCount:
@@ -21,7 +29,7 @@ class PendingCount:
         #: journal number up to which every row after the alignment has all results
         self._complete: dict[tuple[int, int, tuple[str, ...]], int] = {}
 
-    def count(self, connection: Connection, key: int, methods: Sequence[Method]) -> int:
+    def count(self, connection: Connection, cache: SegmentCache, key: int, methods: Sequence[Method]) -> int:
         """Return how many rows after the newest alignment lack a result of one of the methods; 0 without one."""
         newest = (
             select(alignment.c.alignment_id, alignment.c.epoch_us)
@@ -35,16 +43,50 @@ class PendingCount:
         names = tuple(sorted(method.value for method in methods))
         known = (key, int(aligned.alignment_id), names)
         number = connection.scalar(select(head.c.newest_number).where(head.c.spacecraft_key == key)) or 0
-        lacking = (
-            select(func.count(), func.min(measurement.c.number))
-            .where(measurement.c.spacecraft_key == key, measurement.c.number > self._complete.get(known, 0))
-            # the sum keeps the planner on the index by number, where only what has come since is read
-            .where(measurement.c.feeds, measurement.c.epoch_us + 0 > aligned.epoch_us)
-            .where(or_(*(not_(_has_result(name)) for name in names)))
-        )
-        count, first = connection.execute(lacking).one()
+        complete = self._complete.get(known, 0)
+        count, first = _lacking_rows(connection, key, aligned.epoch_us, complete, names)
+        for numbers in _lacking_sealed(connection, cache, key, aligned.epoch_us, complete, names):
+            count += len(numbers)
+            first = min(first or int(numbers.min()), int(numbers.min()))
         self._complete[known] = number if first is None else first - 1
-        return int(count)
+        return count
+
+
+def _lacking_rows(
+    connection: Connection, key: int, epoch_us: int, complete: int, names: Sequence[str]
+) -> tuple[int, int | None]:
+    """Return how many rows of the table of rows lack a result, and the smallest of their numbers."""
+    query = (
+        select(func.count(), func.min(measurement.c.number))
+        .where(measurement.c.spacecraft_key == key, measurement.c.number > complete)
+        # the sum keeps the planner on the index by number, where only what has come since is read
+        .where(measurement.c.feeds, measurement.c.epoch_us + 0 > epoch_us)
+        .where(or_(*(not_(_has_result(name)) for name in names)))
+    )
+    count, first = connection.execute(query).one()
+    return int(count), first
+
+
+def _lacking_sealed(
+    connection: Connection, cache: SegmentCache, key: int, epoch_us: int, complete: int, names: Sequence[str]
+) -> Iterator[IntArray]:
+    """Yield the numbers of sealed rows that lack a result, segment by segment."""
+    for found in heads_of_numbers(connection, key, complete, MAX_NUMBER):
+        if found.last_epoch_us <= epoch_us or not found.feeding_count:
+            continue
+        piece = read_piece(connection, cache, found)
+        numbers = piece.numbers[piece.feeds & (piece.epochs_us > epoch_us) & (piece.numbers > complete)]
+        is_whole = np.ones(len(numbers), dtype=np.bool_)
+        for name in names:
+            query = select(attitude.c.number).where(
+                attitude.c.spacecraft_key == key,
+                attitude.c.version == LIVE,
+                attitude.c.method == name,
+                within(attitude.c.epoch_us, Window(found.first_epoch_us, found.last_epoch_us + 1)),
+            )
+            is_whole &= np.isin(numbers, np.array(connection.scalars(query).all(), dtype=np.int64))
+        if not is_whole.all():
+            yield numbers[~is_whole]
 
 
 def _has_result(method: str) -> ColumnElement[bool]:

@@ -56,7 +56,7 @@ class SqlResults(SqlCalibrations, SqlJobs):
         key = self._database.key(spacecraft_id)
         if version == LIVE:
             with self._database.read() as connection:
-                return Synthesis(connection, key, method).rows(window, limit, after)
+                return Synthesis(connection, self._database.segments, key, method).rows(window, limit, after)
         query = _of_version(key, version, method).where(within(attitude.c.epoch_us, window))
         query = query.where(beyond(attitude.c.epoch_us, attitude.c.number, after))
         ordered = query.order_by(attitude.c.epoch_us, attitude.c.number).limit(limit)
@@ -67,7 +67,7 @@ class SqlResults(SqlCalibrations, SqlJobs):
         key = self._database.key(spacecraft_id)
         if version == LIVE:
             with self._database.read() as connection:
-                return Synthesis(connection, key, method).newest()
+                return Synthesis(connection, self._database.segments, key, method).newest()
         query = _of_version(key, version, method).order_by(attitude.c.epoch_us.desc(), attitude.c.number.desc())
         row = self._database.fetch_one(query.limit(1))
         return None if row is None else attitude_of(row)
@@ -111,7 +111,7 @@ class SqlResults(SqlCalibrations, SqlJobs):
         """Return how many rows that feed the estimator, later than the alignment's epoch, lack a result of a method."""
         key = self._database.key(spacecraft_id)
         with self._database.read() as connection:
-            return self._pending.count(connection, key, methods)
+            return self._pending.count(connection, self._database.segments, key, methods)
 
     def _commands(self, spacecraft_id: str, version: str) -> Select[Any]:
         key = self._database.key(spacecraft_id)

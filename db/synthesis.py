@@ -5,14 +5,18 @@ rows are made here, on reading, with the reason that held when the measurement w
 activations stood before it.
 """
 
-from typing import Any
+from collections.abc import Iterator, Sequence
+from itertools import starmap
+from typing import NamedTuple
 
-from sqlalchemy import Connection, Row, Select, and_, select
+from sqlalchemy import Connection, select
 
-from db.database import beyond, within
+from db.database import within
 from db.documents import decode
 from db.mapping import attitude_of
-from db.tables import attitude, calibration, head, journal, measurement
+from db.measurement_pages import EVER, LIGHT, Chosen, MeasurementPages, Run
+from db.segments import SegmentCache
+from db.tables import attitude, calibration, head, journal
 from service.ports import LIVE
 from service.records.attitude import AttitudeRow, row_without_attitude
 from service.records.calibration import CalibrationMethod, Window
@@ -20,66 +24,65 @@ from service.records.catalogue import Method
 from service.records.inputs import CalibrationActivation
 
 
+class _Consumed(NamedTuple):
+    """A consumed measurement."""
+
+    epoch_us: int
+    number: int
+    received_at_us: int
+
+
 class Synthesis:
     """Reader of the live attitude of one method within one read transaction."""
 
-    def __init__(self, connection: Connection, key: int, method: Method) -> None:
+    def __init__(self, connection: Connection, cache: SegmentCache, key: int, method: Method) -> None:
         self._connection = connection
+        self._pages = MeasurementPages(connection, cache, key)
         self._key = key
         self._method = method
 
     def rows(self, window: Window, limit: int, after: tuple[int, int] | None) -> list[AttitudeRow]:
         """Return rows in order of (epoch, number) beyond a cursor."""
-        query = (
-            self._query()
-            .where(within(measurement.c.epoch_us, window))
-            .where(beyond(measurement.c.epoch_us, measurement.c.number, after))
-            .order_by(measurement.c.epoch_us, measurement.c.number)
-            .limit(limit)
-        )
-        return self._records(query)
+        runs = self._pages.read(self._consumed(window), limit, after, columns=LIGHT)
+        return self._records([measurement for run in runs for measurement in _of_run(run)])
 
     def newest(self) -> AttitudeRow | None:
         """Return the row with the greatest epoch."""
-        query = self._query().order_by(measurement.c.epoch_us.desc(), measurement.c.number.desc()).limit(1)
-        return next(iter(self._records(query)), None)
+        newest = self._pages.newest(self._consumed(EVER))
+        return None if newest is None else self._records([_Consumed(*newest)])[0]
 
-    def _query(self) -> Select[Any]:
-        consumed = select(head.c.consumed_number).where(head.c.spacecraft_key == self._key).scalar_subquery()
-        is_its_row = and_(
-            attitude.c.spacecraft_key == measurement.c.spacecraft_key,
+    def _consumed(self, window: Window) -> Chosen:
+        """Return what the chain has consumed."""
+        number = self._connection.scalar(select(head.c.consumed_number).where(head.c.spacecraft_key == self._key))
+        return Chosen(window, feeds_only=True, before_number=(number or 0) + 1)
+
+    def _records(self, measurements: Sequence[_Consumed]) -> list[AttitudeRow]:
+        if not measurements:
+            return []
+        window = Window(measurements[0].epoch_us, measurements[-1].epoch_us + 1)
+        query = select(attitude).where(
+            attitude.c.spacecraft_key == self._key,
             attitude.c.version == LIVE,
             attitude.c.method == self._method.value,
-            attitude.c.epoch_us == measurement.c.epoch_us,
-            attitude.c.number == measurement.c.number,
+            within(attitude.c.epoch_us, window),
         )
-        return (
-            select(
-                attitude,
-                measurement.c.epoch_us.label("measured_epoch_us"),
-                measurement.c.received_at_us.label("measured_received_at_us"),
-                measurement.c.number.label("measured_number"),
-            )
-            .select_from(measurement)
-            .outerjoin(attitude, is_its_row)
-            # the sum keeps the planner on the key by epoch: nearly every row is consumed
-            .where(measurement.c.spacecraft_key == self._key, measurement.c.feeds, measurement.c.number + 0 <= consumed)
-        )
-
-    def _records(self, query: Select[Any]) -> list[AttitudeRow]:
-        rows = self._connection.execute(query).all()
-        if all(row.status is not None for row in rows):
-            return [attitude_of(row) for row in rows]
+        stored = {(row.epoch_us, row.number): row for row in self._connection.execute(query)}
+        places = [(measurement.epoch_us, measurement.number) for measurement in measurements]
+        if all(place in stored for place in places):
+            return [attitude_of(stored[place]) for place in places]
         calibrated_number = self._calibrated_number()
-        return [self._record(row, calibrated_number) for row in rows]
+        return [
+            self._without_attitude(measurement, calibrated_number)
+            if place not in stored
+            else attitude_of(stored[place])
+            for place, measurement in zip(places, measurements, strict=True)
+        ]
 
-    def _record(self, row: Row[Any], calibrated_number: int | None) -> AttitudeRow:
-        if row.status is not None:
-            return attitude_of(row)
-        is_calibrated = calibrated_number is not None and calibrated_number < row.measured_number
+    def _without_attitude(self, measurement: _Consumed, calibrated_number: int | None) -> AttitudeRow:
+        is_calibrated = calibrated_number is not None and calibrated_number < measurement.number
         inhibition = "not_aligned" if is_calibrated else "no_calibration"
         return row_without_attitude(
-            row.measured_epoch_us, row.measured_received_at_us, row.measured_number, self._method, (inhibition,)
+            measurement.epoch_us, measurement.received_at_us, measurement.number, self._method, (inhibition,)
         )
 
     def _calibrated_number(self) -> int | None:
@@ -99,3 +102,8 @@ class Synthesis:
             if self._method is Method.PAPER or method == CalibrationMethod.GEOMETRY.value:
                 return int(number)
         return None
+
+
+def _of_run(run: Run) -> Iterator[_Consumed]:
+    columns = (run.piece.epochs_us, run.piece.numbers, run.piece.received_at_us)
+    return starmap(_Consumed, zip(*(column[run.places].tolist() for column in columns), strict=True))

@@ -164,6 +164,44 @@ measurement_detail = Table(
     sqlite_with_rowid=False,
 )
 
+#: rows of closed days, many in one: see db.segment_codec; the blobs stand last, so that a look at the rest spares them
+measurement_segment = Table(
+    "measurement_segment",
+    metadata,
+    Column("segment_id", BigInteger().with_variant(Integer, "sqlite"), primary_key=True),
+    Column("spacecraft_key", Integer, ForeignKey("spacecraft.spacecraft_key"), nullable=False),
+    Column("source_key", Integer, nullable=False),
+    Column("plan_id", Integer, nullable=False),
+    # whole days since 1970
+    Column("day", Integer, nullable=False),
+    Column("row_count", Integer, nullable=False),
+    Column("feeding_count", Integer, nullable=False),
+    Column("first_epoch_us", BigInteger, nullable=False),
+    Column("last_epoch_us", BigInteger, nullable=False),
+    Column("first_number", BigInteger, nullable=False),
+    Column("last_number", BigInteger, nullable=False),
+    Column("codec", Integer, nullable=False),
+    # of everything else in the row but its id
+    Column("crc32", BigInteger, nullable=False),
+    Column("columns", LargeBinary, nullable=False),
+    Column("powers", LargeBinary, nullable=False),
+    Column("extras", LargeBinary),
+    # a source has one row an epoch, so no two of its segments begin together
+    UniqueConstraint("spacecraft_key", "first_epoch_us", "source_key", name="measurement_segment_start"),
+    # who follows the newest numbers finds at once that none of them is sealed
+    Index("measurement_segment_number", "spacecraft_key", "last_number", "first_number"),
+)
+
+#: what retention has taken away of a series: nothing older than the mark is taken in again
+retention_mark = Table(
+    "retention_mark",
+    metadata,
+    _spacecraft_key(),
+    Column("series", Text, primary_key=True),
+    Column("kept_from_us", BigInteger, nullable=False),
+    Column("rows_dropped", BigInteger, nullable=False),
+)
+
 journal = Table(
     "journal",
     metadata,

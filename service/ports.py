@@ -1,7 +1,8 @@
 """Ports: what the inside of the service asks of the outside. Adapters implement them; nothing here imports one.
 
 ``Archive`` holds the promise of the product: when an append returns a receipt, what it counts as accepted is durable,
-visible and counted once. Every call may raise StorageError. Unknown names raise NotFoundError with the codes
+visible and counted once. Every call may raise StorageError, for example ``storage.corrupt`` when a sealed day that it
+needs is damaged. Unknown names raise NotFoundError with the codes
 ``spacecraft.unknown``, ``plan.unknown``, ``ephemeris.unknown``, ``calibration.unknown``, ``alignment.unknown``,
 ``operation.unknown``, ``source.unknown``, ``job.unknown``, ``replay.unknown``, ``link.unknown``, ``key.unknown``.
 
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from service.records.access_key import AccessKey, StoredKey
+from service.records.archive_upkeep import SealedPart, SegmentState
 from service.records.attitude import AttitudeRow
 from service.records.audit import AuditEntry, AuditFilter, AuditHead, Deed
 from service.records.calibration import (
@@ -34,6 +36,7 @@ from service.records.link import LinkReport, LinkState
 from service.records.measurement import BatchReceipt, Measurement, MeasurementBatch
 from service.records.measurement_block import MeasurementBlock
 from service.records.series import HeadState, InputReceipt, MeasurementSeries, ReferenceSeries, SourceState
+from service.records.storage_state import StorageState
 from service.records.trace import KeptTrace, Ring, Trace, TraceHead, TraceReceipt
 
 #: version under which the live chain writes
@@ -192,6 +195,18 @@ class Archive(Protocol):
 
     def reference_series(self, spacecraft_id: str, window: Window) -> tuple[ReferenceSeries, ...]:
         """Return the attitude references of every sensor in a window."""
+        ...
+
+    def seal(self, spacecraft_id: str, before_us: int, received_before_us: int) -> Iterator[SealedPart]:
+        """Pack the rows of days that ended by an epoch into segments, a short transaction a step.
+
+        Days of a source with a row received at or after ``received_before_us`` wait: more may be coming. Nothing that
+        any method answers changes.
+        """
+        ...
+
+    def segments(self, spacecraft_id: str) -> Iterator[SegmentState]:
+        """Read every sealed segment and yield whether it can be read; nothing is raised for one that cannot."""
         ...
 
 
@@ -447,6 +462,10 @@ class Storage(Protocol):
 
     def check(self) -> None:
         """Raise StorageError unless the database answers."""
+        ...
+
+    def state(self) -> StorageState:
+        """Return what the storage says of itself; StorageError unless the database answers."""
         ...
 
     def close(self) -> None:
