@@ -331,6 +331,7 @@ def test_an_order_ends_a_long_wait(monkeypatch: pytest.MonkeyPatch) -> None:
     thread.start()
     while made.counters.faults < 1:
         thread.join(0.005)
+    made.orders.obey(is_enabled=True, resets=0)
     for resets in (1, 2):
         made.orders.obey(is_enabled=True, resets=resets)
         while made.counters.resets < resets:
