@@ -2,16 +2,18 @@
 
 from sqlalchemy import select
 
+from db.alarms import SqlAlarms
 from db.archive import SqlArchive
 from db.audit import SqlAudit
 from db.catalogue import SqlCatalogue
 from db.database import Database
 from db.keys import SqlKeys
 from db.links import SqlLinks
+from db.notes import SqlNotes
 from db.results import SqlResults
 from db.tables import head
 from db.traces import SqlTraces
-from service.ports import Archive, Audit, Catalogue, Keys, Links, Results, Traces
+from service.ports import Alarms, Archive, Audit, Catalogue, Keys, Links, Notes, Results, Traces
 
 
 class SqlStorage:
@@ -32,6 +34,8 @@ class SqlStorage:
     archive: Archive
     results: Results
     links: Links
+    alarms: Alarms
+    notes: Notes
     traces: Traces
     keys: Keys
     audit: Audit
@@ -42,6 +46,8 @@ class SqlStorage:
         self.archive = SqlArchive(self._database)
         self.results = SqlResults(self._database)
         self.links = SqlLinks(self._database)
+        self.alarms = SqlAlarms(self._database)
+        self.notes = SqlNotes(self._database)
         self.traces = SqlTraces(self._database)
         self.keys = SqlKeys(self._database)
         self.audit = SqlAudit(self._database)

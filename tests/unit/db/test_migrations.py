@@ -5,7 +5,8 @@ from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from sqlalchemy import inspect
 
-import db.key_tables  # noqa: F401 - its tables belong to the schema
+import db.alarm_tables
+import db.key_tables  # noqa: F401 - their tables belong to the schema
 from db.engine import open_engines
 from db.migrate import downgrade, upgrade
 from db.sequence_numbers import Block, SequenceNumbers, Tail

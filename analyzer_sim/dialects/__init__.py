@@ -1,0 +1,1 @@
+"""What each maker's analyzer understands and answers, as tables of commands."""

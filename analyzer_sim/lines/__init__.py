@@ -1,0 +1,1 @@
+"""Raw sockets and HiSLIP: sessions, dispatch, locks, faults of the line."""

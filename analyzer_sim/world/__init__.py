@@ -1,0 +1,1 @@
+"""What is at the input: spacecraft, orbit, beams, carriers, weather, stories, and the ground that watches."""

@@ -1,0 +1,181 @@
+"""Alarms, their changes, limits and memory; implements ``service.ports.Alarms``."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from sqlalchemy import ColumnElement, Connection, func, or_, select, update
+from sqlalchemy.dialects import postgresql, sqlite
+
+from db.alarm_tables import alarm as alarm_table
+from db.alarm_tables import alarm_change, alarm_limits, alarm_memory
+from db.database import Database, beyond, lock_head
+from db.documents import decode, encode
+from service.errors import NotFoundError
+from service.records.alarm import Alarm, AlarmChange
+from service.records.alarm_limits import AlarmLimits
+from service.records.alarm_memory import BookMemory
+from service.records.calibration import Window
+
+#: states that stand for several
+_GROUPS: dict[str, tuple[str, ...]] = {
+    "open": ("unacknowledged", "acknowledged", "returned", "latched"),
+    "closed": ("normal",),
+}
+_Instance = tuple[str | None, str, str, int]
+
+
+class SqlAlarms:
+    """Alarms in a relational database.
+
+    Parameters
+    ----------
+    database : Database
+        Where they are kept.
+    """
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def save(self, changes: Sequence[AlarmChange]) -> tuple[AlarmChange, ...]:
+        """Store changes in one transaction and return them with their numbers, alarms that are new with their ids."""
+
+        def store(connection: Connection) -> tuple[AlarmChange, ...]:
+            fresh: dict[_Instance, int] = {}
+            return tuple(_store(connection, change, fresh) for change in changes)
+
+        return self._database.write(store)
+
+    def alarm(self, alarm_id: int) -> Alarm:
+        """Return one alarm; NotFoundError ``alarm.unknown``."""
+        row = self._database.fetch_one(select(alarm_table).where(alarm_table.c.alarm_id == alarm_id))
+        if row is None:
+            raise NotFoundError("alarm.unknown", f"There is no alarm {alarm_id}.")
+        return _with_id(decode(Alarm, row.document), row.alarm_id)
+
+    def open_alarms(self, spacecraft_id: str | None) -> tuple[Alarm, ...]:
+        """Return the alarms of a spacecraft, or of the service, that stand, those under a cover too."""
+        query = select(alarm_table).where(alarm_table.c.is_open, alarm_table.c.spacecraft_id == spacecraft_id)
+        rows = self._database.fetch(query.order_by(alarm_table.c.alarm_id))
+        return tuple(_with_id(decode(Alarm, row.document), row.alarm_id) for row in rows)
+
+    def alarms(
+        self, spacecraft_id: str, states: Sequence[str], window: Window, limit: int, after: tuple[int, int] | None
+    ) -> list[Alarm]:
+        """Return alarms of a spacecraft and of the service raised in a window, in order of (raised, id)."""
+        raised = alarm_table.c.raised_at_us
+        query = select(alarm_table).where(
+            _concerns(alarm_table.c.spacecraft_id, spacecraft_id),
+            raised >= window.start_us,
+            raised < window.stop_us,
+            beyond(raised, alarm_table.c.alarm_id, after),
+        )
+        if states:
+            wanted = [name for state in states for name in _GROUPS.get(state, (state,))]
+            query = query.where(alarm_table.c.state.in_(wanted))
+        rows = self._database.fetch(query.order_by(raised, alarm_table.c.alarm_id).limit(limit))
+        return [_with_id(decode(Alarm, row.document), row.alarm_id) for row in rows]
+
+    def changes(self, alarm_id: int) -> list[AlarmChange]:
+        """Return what happened to one alarm, in order."""
+        query = select(alarm_change).where(alarm_change.c.alarm_id == alarm_id)
+        return self._changes(query.order_by(alarm_change.c.sequence))
+
+    def changes_after(self, spacecraft_id: str, sequence: int, limit: int) -> list[AlarmChange]:
+        """Return what happened to alarms of a spacecraft and of the service after a number, in order."""
+        query = select(alarm_change).where(
+            _concerns(alarm_change.c.spacecraft_id, spacecraft_id), alarm_change.c.sequence > sequence
+        )
+        return self._changes(query.order_by(alarm_change.c.sequence).limit(limit))
+
+    def newest_sequence(self) -> int:
+        """Return the number of the newest change, 0 before the first."""
+        row = self._database.fetch_one(select(func.max(alarm_change.c.sequence)))
+        return 0 if row is None or row[0] is None else int(row[0])
+
+    def memory(self, spacecraft_id: str | None) -> BookMemory:
+        """Return what the alarms of a spacecraft, or of the service, remember."""
+        query = select(alarm_memory.c.document).where(alarm_memory.c.spacecraft_id == (spacecraft_id or ""))
+        row = self._database.fetch_one(query)
+        return BookMemory() if row is None else decode(BookMemory, row.document)
+
+    def save_memory(self, spacecraft_id: str | None, memory: BookMemory) -> None:
+        """Store what they remember in place of what they did."""
+        values = {"spacecraft_id": spacecraft_id or "", "document": encode(memory)}
+
+        def store(connection: Connection) -> None:
+            insert = sqlite.insert if connection.dialect.name == "sqlite" else postgresql.insert
+            statement = insert(alarm_memory).values(values)
+            connection.execute(
+                statement.on_conflict_do_update(
+                    index_elements=["spacecraft_id"], set_={"document": statement.excluded.document}
+                )
+            )
+
+        self._database.write(store)
+
+    def limits(self, spacecraft_id: str, version: int | None = None) -> AlarmLimits:
+        """Return a version of the limits, or the newest; version 0 are the defaults."""
+        if version == 0:
+            return AlarmLimits()
+        query = select(alarm_limits).where(alarm_limits.c.spacecraft_id == spacecraft_id)
+        if version is not None:
+            query = query.where(alarm_limits.c.version == version)
+        row = self._database.fetch_one(query.order_by(alarm_limits.c.version.desc()).limit(1))
+        if row is not None:
+            return decode(AlarmLimits, row.document)
+        if version is not None:
+            raise NotFoundError("alarm_limits.unknown", f"There is no version {version} of the limits.")
+        return AlarmLimits()
+
+    def put_limits(self, spacecraft_id: str, limits: AlarmLimits) -> AlarmLimits:
+        """Store limits as the next version and return it; the version that they state is ignored."""
+        key = self._database.key(spacecraft_id)
+
+        def store(connection: Connection) -> AlarmLimits:
+            lock_head(connection, key)
+            query = select(func.max(alarm_limits.c.version)).where(alarm_limits.c.spacecraft_id == spacecraft_id)
+            stored = replace(limits, version=1 + (connection.scalar(query) or 0))
+            values = {"spacecraft_id": spacecraft_id, "version": stored.version, "document": encode(stored)}
+            connection.execute(alarm_limits.insert().values(values))
+            return stored
+
+        return self._database.write(store)
+
+    def _changes(self, query: Any) -> list[AlarmChange]:
+        return [
+            replace(decode(AlarmChange, row.document), sequence=row.sequence) for row in self._database.fetch(query)
+        ]
+
+
+def _store(connection: Connection, change: AlarmChange, fresh: dict[_Instance, int]) -> AlarmChange:
+    """Store one change; the later changes of an alarm that is new with it get its id."""
+    told = change.alarm
+    instance = (told.spacecraft_id, *told.key, told.raised_at_us)
+    values = {
+        "spacecraft_id": told.spacecraft_id,
+        "state": told.state,
+        "is_open": told.is_open,
+        "raised_at_us": told.raised_at_us,
+        "document": encode(told),
+    }
+    alarm_id = told.id or fresh.get(instance, 0)
+    if alarm_id:
+        connection.execute(update(alarm_table).where(alarm_table.c.alarm_id == alarm_id).values(values))
+    else:
+        raised = alarm_table.insert().values(values).returning(alarm_table.c.alarm_id)
+        alarm_id = fresh[instance] = int(connection.execute(raised).scalar_one())
+    numbered = replace(change, alarm=_with_id(told, alarm_id))
+    values = {"alarm_id": alarm_id, "spacecraft_id": told.spacecraft_id, "document": encode(numbered)}
+    added = alarm_change.insert().values(values).returning(alarm_change.c.sequence)
+    sequence = connection.execute(added).scalar_one()
+    return replace(numbered, sequence=int(sequence))
+
+
+def _with_id(told: Alarm, alarm_id: int) -> Alarm:
+    return replace(told, id=int(alarm_id))
+
+
+def _concerns(column: ColumnElement[str | None], spacecraft_id: str) -> ColumnElement[bool]:
+    """Return the condition that a row is about a spacecraft or about the service as a whole."""
+    return or_(column == spacecraft_id, column.is_(None))

@@ -1,0 +1,88 @@
+"""The shift log; implements ``service.ports.Notes``."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+from sqlalchemy import ColumnElement, Connection, Row, or_, select, true
+
+from db.alarm_tables import note as note_table
+from db.database import Database, beyond, within
+from db.documents import decode, encode
+from service.errors import NotFoundError
+from service.records.calibration import Window
+from service.records.note import Note
+
+
+class SqlNotes:
+    """Notes in a relational database.
+
+    Parameters
+    ----------
+    database : Database
+        Where they are kept.
+    """
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def add(self, note: Note) -> Note:
+        """Store a note (its id is ignored) and return it with its id; NotFoundError ``note.unknown``."""
+
+        def store(connection: Connection) -> Note:
+            if note.corrects is not None:
+                _check(connection, note.corrects)
+            values = {"spacecraft_id": note.spacecraft_id, "epoch_us": note.epoch_us, "document": encode(note)}
+            insert = note_table.insert().values(values).returning(note_table.c.note_id)
+            return replace(note, id=int(connection.execute(insert).scalar_one()))
+
+        return self._database.write(store)
+
+    def note(self, note_id: int) -> Note:
+        """Return one note; NotFoundError ``note.unknown``."""
+        row = self._database.fetch_one(select(note_table).where(note_table.c.note_id == note_id))
+        if row is None:
+            raise _no_note(note_id)
+        return _note_of(row)
+
+    def notes(
+        self, window: Window, limit: int, after: tuple[int, int] | None, spacecraft_id: str | None = None
+    ) -> list[Note]:
+        """Return notes about instants of a window in order of (epoch, id), also those about no spacecraft."""
+        query = select(note_table).where(
+            within(note_table.c.epoch_us, window),
+            beyond(note_table.c.epoch_us, note_table.c.note_id, after),
+            _about(spacecraft_id),
+        )
+        rows = self._database.fetch(query.order_by(note_table.c.epoch_us, note_table.c.note_id).limit(limit))
+        return _notes_of(rows)
+
+    def newest(self, limit: int, spacecraft_id: str | None = None) -> list[Note]:
+        """Return the notes with the greatest epochs, newest first."""
+        query = select(note_table).where(_about(spacecraft_id))
+        ordered = query.order_by(note_table.c.epoch_us.desc(), note_table.c.note_id.desc()).limit(limit)
+        return _notes_of(self._database.fetch(ordered))
+
+
+def _check(connection: Connection, note_id: int) -> None:
+    """Raise NotFoundError unless a note exists."""
+    if connection.scalar(select(note_table.c.note_id).where(note_table.c.note_id == note_id)) is None:
+        raise _no_note(note_id)
+
+
+def _about(spacecraft_id: str | None) -> ColumnElement[bool]:
+    if spacecraft_id is None:
+        return true()
+    return or_(note_table.c.spacecraft_id == spacecraft_id, note_table.c.spacecraft_id.is_(None))
+
+
+def _notes_of(rows: Sequence[Row[Any]]) -> list[Note]:
+    return [_note_of(row) for row in rows]
+
+
+def _note_of(row: Row[Any]) -> Note:
+    return replace(decode(Note, row.document), id=int(row.note_id))
+
+
+def _no_note(note_id: int) -> NotFoundError:
+    return NotFoundError("note.unknown", f"There is no note {note_id}.")

@@ -1,0 +1,1 @@
+"""Rows from sweeps: the state machine that runs one analyzer, its orders, pace and evaluation."""

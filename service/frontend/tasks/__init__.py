@@ -1,0 +1,1 @@
+"""Checks and plans of measurement tasks, zoom sweeps, station files."""

@@ -1,0 +1,1 @@
+"""From the spool to the service: lanes, answers, binding of rows to carrier plans."""
