@@ -1,11 +1,13 @@
 """Paging: intervals, limits and opaque cursors, the same on every list that may grow.
 
 A cursor is the place (start, number) of the last row given, so rows that arrive meanwhile neither shift nor repeat a
-page. It is URL-safe base64 and means nothing to a client.
+page, and a mark of the query that it belongs to: with another query it is refused. It is URL-safe base64 and means
+nothing to a client.
 """
 
 import binascii
 import struct
+import zlib
 from base64 import urlsafe_b64decode, urlsafe_b64encode
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -23,9 +25,11 @@ T = TypeVar("T")
 Place = tuple[int, int]
 DEFAULT_LIMIT = 100
 MAX_LIMIT = 10_000
-#: version byte, start in microseconds, number
-_CURSOR = struct.Struct(">Bqq")
-_CURSOR_VERSION = 1
+#: version byte, start in microseconds, number, mark of the query
+_CURSOR = struct.Struct(">BqqI")
+_CURSOR_VERSION = 2
+#: parameters that may change from page to page
+_FREE_PARAMETERS = ("cursor", "limit")
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,26 +41,36 @@ class PageQuery:
     after: Place | None
 
 
-def encode_cursor(place: Place) -> str:
-    """Return the cursor that stands behind a place.
+def mark_of(request: Request) -> int:
+    """Return what tells one query from another: CRC-32 of path and parameters, whatever their order."""
+    pairs = sorted(pair for pair in request.query_params.multi_items() if pair[0] not in _FREE_PARAMETERS)
+    return zlib.crc32(repr((request.url.path, pairs)).encode())
+
+
+def encode_cursor(place: Place, mark: int = 0) -> str:
+    """Return the cursor that stands behind a place of a query.
 
     Examples
     --------
-    >>> decode_cursor(encode_cursor((5, 7)))
+    >>> decode_cursor(encode_cursor((5, 7), 3), 3)
     (5, 7)
     """
-    return urlsafe_b64encode(_CURSOR.pack(_CURSOR_VERSION, *place)).decode("ascii").rstrip("=")
+    return urlsafe_b64encode(_CURSOR.pack(_CURSOR_VERSION, *place, mark)).decode("ascii").rstrip("=")
 
 
-def decode_cursor(text: str) -> Place:
-    """Return the place of a cursor; problem ``cursor.invalid`` for any text that this service did not give."""
+def decode_cursor(text: str, mark: int = 0) -> Place:
+    """Return the place of a cursor; problem ``cursor.invalid`` for any text that was not given for this query."""
     try:
         packed = urlsafe_b64decode(text.encode("ascii") + b"=" * (-len(text) % 4))
-        version, start_us, number = _CURSOR.unpack(packed)
+        version, start_us, number, its_mark = _CURSOR.unpack(packed)
     except (UnicodeEncodeError, binascii.Error, struct.error):
-        version, start_us, number = 0, 0, 0
-    if version != _CURSOR_VERSION or encode_cursor((start_us, number)) != text:
+        version, start_us, number, its_mark = 0, 0, 0, 0
+    detail = None
+    if version != _CURSOR_VERSION or encode_cursor((start_us, number), its_mark) != text:
         detail = "this cursor was not given by this service; take it from next of the page before, or leave it out"
+    elif its_mark != mark:
+        detail = "this cursor belongs to another query; keep path and parameters, or leave it out"
+    if detail is not None:
         raise invalid_request([FieldError("/query/cursor", "cursor.invalid", detail)])
     return start_us, number
 
@@ -111,6 +125,7 @@ CursorParameter = Annotated[str | None, Query(description="next of the page befo
 
 
 async def page_query(
+    request: Request,
     start: StartParameter = None,
     stop: StopParameter = None,
     limit: LimitParameter = DEFAULT_LIMIT,
@@ -118,7 +133,7 @@ async def page_query(
 ) -> PageQuery:
     """Return the part of a list that is asked for, everything by default."""
     window = window_of(start, stop, EVERYTHING)
-    return PageQuery(window, limit, None if cursor is None else decode_cursor(cursor))
+    return PageQuery(window, limit, None if cursor is None else decode_cursor(cursor, mark_of(request)))
 
 
 Page = Annotated[PageQuery, Depends(page_query)]
@@ -142,7 +157,7 @@ def cut_page(
     """
     if len(rows) <= limit:
         return rows, None
-    cursor = encode_cursor(place(rows[limit - 1]))
+    cursor = encode_cursor(place(rows[limit - 1]), mark_of(request))
     url = request.url.include_query_params(cursor=cursor)
     # relative: the host that a client reached us by is for the client to know
     response.headers["Link"] = f'<{url.path}?{url.query}>; rel="next"'

@@ -168,3 +168,16 @@ class ParquetFile:
         values = np.asfortranarray(self._columns.values(block))
         levels = [pa.array(values[:, k], from_pandas=True) for k in range(values.shape[1])]
         return pa.RecordBatch.from_arrays([epochs, source, *levels], schema=self._schema)
+
+
+def measurement_file(
+    columns: MeasurementColumns, file_format: Literal["csv", "ndjson", "parquet"], kernels: Kernels = "numba"
+) -> MeasurementFile:
+    """Return the writer of a format."""
+    match file_format:
+        case "csv":
+            return CsvFile(columns, kernels)
+        case "ndjson":
+            return NdjsonFile(columns, kernels)
+        case "parquet":
+            return ParquetFile(columns)

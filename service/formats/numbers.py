@@ -27,7 +27,7 @@ def shortest_float32(values: NDArray[np.float64]) -> list[float | None]:
     return [None if text == "nan" else float(text) for text in texts]
 
 
-def text_of_float32(values: NDArray[np.float64]) -> list[str]:
+def text_of_float32(values: NDArray[np.floating]) -> list[str]:
     """Return float32 values as the shortest texts that read back to them; NaN becomes an empty text.
 
     Parameters

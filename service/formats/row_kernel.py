@@ -60,7 +60,7 @@ def fill_rows(
     Returns
     -------
     int
-        -1 when a value has no text of at most nine decimals and seven digits before the point.
+        -1 when a value has no text of at most nine decimals and six digits before the point.
     """
     at = 0
     for row in range(len(epochs_us)):
@@ -91,18 +91,18 @@ def _put_value(out: Bytes, at: int, value: np.float32) -> int:
     """Write one finite value at a place; return the next place, -1 when it does not fit the form."""
     size = np.float32(abs(value))
     wide = np.float64(size)
-    if wide >= 1e7 or (wide > 0.0 and wide < 1e-3):
+    if wide >= 1e6 or (wide > 0.0 and wide < 1e-3):
         return -1
     decimals = 5
-    for limit in (128.0, 1024.0, 8192.0, 131072.0, 1048576.0):
+    for limit in (128.0, 1024.0, 8192.0, 131072.0):
         if wide >= limit:
             decimals -= 1
-    digits = np.int64(wide * _POWERS[decimals] + 0.5)
+    digits = _rounded(wide * _POWERS[decimals])
     while np.float32(digits / _POWERS[decimals]) != size:
         decimals += 1
         if decimals > 9:
             return -1
-        digits = np.int64(wide * _POWERS[decimals] + 0.5)
+        digits = _rounded(wide * _POWERS[decimals])
     while decimals > 0 and digits % 10 == 0:
         digits //= 10
         decimals -= 1
@@ -110,6 +110,12 @@ def _put_value(out: Bytes, at: int, value: np.float32) -> int:
         out[at] = 45  # minus
         at += 1
     return _put_decimal(out, at, digits, decimals)
+
+
+def _rounded(scaled: np.float64) -> np.int64:
+    """Return the nearest whole number, the even one of two: the product is exact, so ties are ties."""
+    digits = np.int64(scaled + 0.5)
+    return digits - 1 if digits - scaled == 0.5 and digits % 2 == 1 else digits
 
 
 def _put_decimal(out: Bytes, at: int, digits: np.int64, decimals: int) -> int:
@@ -175,6 +181,7 @@ def compiled_fill_rows() -> FillRows:
     register_jitable(_put_decimal)
     register_jitable(_put_digits)
     register_jitable(_put_epoch)
+    register_jitable(_rounded)
     register_jitable(_put_value)
     try:
         compiled: FillRows = njit(nogil=True, error_model="numpy", cache=True)(fill_rows)

@@ -1,128 +1,156 @@
-"""Export: a stretch of the archive as one file, streamed page by page.
+"""Export: a stretch of the archive as a file, or as files day by day with a manifest."""
 
-The first page is read before the answer starts, so what is wrong is told as a problem; afterwards pages are read and
-written one at a time, and memory does not grow with the span.
-"""
+from collections.abc import Iterable, Iterator
+from hashlib import sha256
+from typing import Annotated, Any, NamedTuple
+from urllib.parse import urlencode
 
-from collections.abc import Callable, Iterator, Sequence
-from itertools import chain
-from typing import Annotated, Literal, TypeVar
+from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
-from fastapi import APIRouter, Depends, Path, Query
-from fastapi.responses import StreamingResponse
-
-from service.api.deps import ApiContext, Context, Names, SpacecraftId
-from service.api.methods import check_version, wanted_method
-from service.api.paging import EVERYTHING, Place, StartParameter, StopParameter, window_of
-from service.errors import InvalidInputError, NotFoundError
-from service.formats.csv_writer import MeasurementCsv, attitude_header, attitude_lines
-from service.ports import LIVE
-from service.records.attitude import AttitudeRow
+from service.api.archive_answers import stream_answer, whole_answer
+from service.api.archive_chunks import DAY_US, Chunk, by_day
+from service.api.archive_files import MEDIA_TYPES, OFFERED, ArchiveFile, FileFormat, FileOrder, archive_file
+from service.api.deps import Context, Names, SpacecraftId
+from service.api.paging import EVERYTHING, Page, PageQuery, StartParameter, StopParameter, cut_page, window_of
+from service.api.schemas.archive import ManifestAnswer, PartAnswer
+from service.api.schemas.base import PlanNumber, WindowAnswer
 from service.records.calibration import Window
 from service.records.catalogue import Method
-from service.records.measurement import Measurement
+from service.records.epoch import format_epoch
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/archive", tags=["export"])
-R = TypeVar("R", Measurement, AttitudeRow)
 
-OFFERED_SERIES = ("measurements", "attitude")
-OFFERED_FORMATS = ("csv",)
-_LATER_SERIES = ("torques", "references", "events")
-_ROWS_AT_ONCE = 2000
+_BINARY = {"schema": {"type": "string", "format": "binary"}}
+_FILE = {"description": "The file", "content": {kind.partition(";")[0]: _BINARY for kind in MEDIA_TYPES.values()}}
+_RESPONSES: dict[int | str, dict[str, Any]] = {200: _FILE, 206: {**_FILE, "description": "A range of the file"}}
+Series = Annotated[str, Path(max_length=64, description=", ".join(OFFERED))]
 
 
 class _Wanted:
-    """What is asked for beside the series."""
+    """What is asked for beside series and span."""
 
     def __init__(
         self,
-        start: StartParameter = None,
-        stop: StopParameter = None,
-        format: Literal["csv", "ndjson", "parquet", "aem", "tdm"] = "csv",  # noqa: A002 the contract's name
-        method: Annotated[Method | None, Query(description="Of attitude rows")] = None,
-        version: Annotated[str | None, Query(max_length=64, description="Of attitude rows")] = None,
+        format: Annotated[FileFormat, Query(description="aem of attitude, tdm of measurements")] = "csv",  # noqa: A002 the contract's name
+        method: Annotated[Method | None, Query(description="Of attitude; default: the one that drives control")] = None,
+        version: Annotated[str | None, Query(max_length=64, description="Of attitude and torques")] = None,
+        plan_id: Annotated[
+            list[PlanNumber] | None,
+            Query(max_length=1000, description="Of measurements: columns of these plans come first, in any case"),
+        ] = None,
     ) -> None:
-        self.window = window_of(start, stop, EVERYTHING)
         self.format = format
         self.method = method
         self.version = version
+        self.plan_ids = tuple(plan_id or ())
+
+    def order(self, spacecraft_id: str, series: str, window: Window) -> FileOrder:
+        """Return the order of a file."""
+        return FileOrder(spacecraft_id, series, self.format, window, self.method, self.version, self.plan_ids)
 
 
-@router.get(
-    "/{series}:export",
-    response_class=StreamingResponse,
-    responses={200: {"content": {"text/csv": {"schema": {"type": "string"}}}, "description": "The file"}},
-)
+@router.get("/{series}:export", response_class=Response, responses=_RESPONSES)
 def export(
     spacecraft_id: SpacecraftId,
-    series: Annotated[str, Path(max_length=64, description="measurements or attitude")],
+    series: Series,
     wanted: Annotated[_Wanted, Depends()],
     context: Context,
     names: Names,
-) -> StreamingResponse:
-    """Download a stretch of the archive as a file."""
-    context.storage.catalogue.spacecraft(spacecraft_id)
-    _check_offered(series, wanted)
-    if series == "measurements":
-        label, lines = "measurements", _measurement_lines(spacecraft_id, wanted, context, names)
-    else:
-        label, lines = _attitude_lines(spacecraft_id, wanted, context)
-    first = next(lines)
-    headers = {"Content-Disposition": f'attachment; filename="{spacecraft_id}_{label}.csv"'}
-    return StreamingResponse(chain((first,), lines), media_type="text/csv; charset=utf-8", headers=headers)
+    request: Request,
+    start: StartParameter = None,
+    stop: StopParameter = None,
+) -> Response:
+    """Download a stretch of the archive: a day or less takes byte ranges, more is streamed."""
+    window = window_of(start, stop, EVERYTHING)
+    file = archive_file(context, names.of, wanted.order(spacecraft_id, series, window))
+    pieces = file.write(file.read(window), window)
+    media_type, name = MEDIA_TYPES[wanted.format], f"{spacecraft_id}_{file.label}.{wanted.format}"
+    if window.stop_us - window.start_us <= DAY_US:
+        return whole_answer(pieces, media_type, name, request)
+    return stream_answer(pieces, media_type, name)
 
 
-def _check_offered(series: str, wanted: _Wanted) -> None:
-    """Refuse what this version does not write."""
-    if series not in (*OFFERED_SERIES, *_LATER_SERIES):
-        detail = f"no series {series[:64]!r}; this version exports {' and '.join(OFFERED_SERIES)}"
-        raise NotFoundError("export.series_unknown", detail)
-    if series in _LATER_SERIES:
-        raise InvalidInputError("export.series", f"this version exports the series {' and '.join(OFFERED_SERIES)} only")
-    if wanted.format not in OFFERED_FORMATS:
-        raise InvalidInputError("export.format", f"this version writes the format {' and '.join(OFFERED_FORMATS)} only")
-    if series == "measurements" and (wanted.method is not None or wanted.version is not None):
-        detail = "measurements have no method and no version; leave both out"
-        raise InvalidInputError("export.parameter", detail)
+@router.get("/{series}:manifest")
+def manifest(
+    spacecraft_id: SpacecraftId,
+    series: Series,
+    wanted: Annotated[_Wanted, Depends()],
+    page: Page,
+    context: Context,
+    names: Names,
+    request: Request,
+    response: Response,
+) -> ManifestAnswer:
+    """List the files of an export day by day with rows, bytes and SHA-256."""
+    # the columns are those of the whole span, whatever page of it is asked for
+    file = archive_file(context, names.of, wanted.order(spacecraft_id, series, page.window))
+    found: list[_Part] = []
+    for day_us, chunks in by_day(file.read(rest)) if (rest := _behind(page)) else ():
+        if len(found) == page.limit:
+            found.append(found[-1])  # the one too many tells that there is a next page
+            break
+        window = Window(max(day_us, page.window.start_us), min(day_us + DAY_US, page.window.stop_us))
+        found.append(_part_of(file, window, chunks))
+    parts, cursor = cut_page(found, page.limit, lambda part: (part.window.start_us, 0), request, response)
+    known = dict(file.parameters)
+    now_us = context.clock.system_us()
+    return ManifestAnswer(
+        range=WindowAnswer.of(page.window),
+        series=series,
+        format=wanted.format,
+        method=Method(known["method"]) if "method" in known else None,
+        version=known.get("version"),
+        parts=[_part_answer(part, request, wanted.format, file, now_us) for part in parts],
+        next=cursor,
+    )
 
 
-def _measurement_lines(spacecraft_id: str, wanted: _Wanted, context: ApiContext, names: Names) -> Iterator[bytes]:
-    """Yield the file of measurements, the header with the first page."""
-    archive, window = context.storage.archive, wanted.window
-    plan_ids = archive.plan_ids(spacecraft_id, window)
-    plans = [names.of(spacecraft_id, plan_id) for plan_id in plan_ids]
-    writer = MeasurementCsv(plans, lambda plan_id: names.of(spacecraft_id, plan_id))
-    pages = _pages(lambda after: archive.measurements(spacecraft_id, window, _ROWS_AT_ONCE, after))
-    yield writer.header() + writer.lines(next(pages, ()))
-    for page in pages:
-        yield writer.lines(page)
+class _Part(NamedTuple):
+    """What is known of the file of one day."""
+
+    window: Window
+    rows: int
+    size: int
+    sha256: str
 
 
-def _attitude_lines(spacecraft_id: str, wanted: _Wanted, context: ApiContext) -> tuple[str, Iterator[bytes]]:
-    """Return the name and the file of attitude rows."""
-    results = context.storage.results
-    method = wanted_method(spacecraft_id, context, wanted.method)
-    version = wanted.version or LIVE
-    check_version(results, spacecraft_id, version)
-
-    def lines(window: Window) -> Iterator[bytes]:
-        pages = _pages(
-            lambda after: results.attitude_rows(spacecraft_id, version, method, window, _ROWS_AT_ONCE, after)
-        )
-        yield attitude_header() + attitude_lines(next(pages, ()))
-        for page in pages:
-            yield attitude_lines(page)
-
-    return f"attitude_{method.value}_{version}", lines(wanted.window)
+def _behind(page: PageQuery) -> Window | None:
+    """Return what is left of the span behind a cursor, which holds the start of the last day given."""
+    if page.after is None:
+        return page.window
+    start_us = max(page.window.start_us, (page.after[0] // DAY_US + 1) * DAY_US)
+    return Window(start_us, page.window.stop_us) if start_us < page.window.stop_us else None
 
 
-def _pages(read: Callable[[Place | None], Sequence[R]]) -> Iterator[Sequence[R]]:
-    """Yield pages until one is short."""
-    after: Place | None = None
-    while True:
-        rows = read(after)
-        if rows:
-            yield rows
-        if len(rows) < _ROWS_AT_ONCE:
-            return
-        after = (rows[-1].epoch_us, rows[-1].number)
+def _part_of(file: ArchiveFile, window: Window, chunks: Iterable[Chunk]) -> _Part:
+    """Write the file of one day and keep what is told about it."""
+    rows = 0
+
+    def counted() -> Iterator[Chunk]:
+        nonlocal rows
+        for chunk in chunks:
+            rows += len(chunk.epochs_us)
+            yield chunk
+
+    digest, size = sha256(), 0
+    for piece in file.write(counted(), window):
+        digest.update(piece)
+        size += len(piece)
+    return _Part(window, rows, size, digest.hexdigest())
+
+
+def _part_answer(part: _Part, request: Request, file_format: str, file: ArchiveFile, now_us: int) -> PartAnswer:
+    """Return what is told about a part."""
+    span = [("start", format_epoch(part.window.start_us)), ("stop", format_epoch(part.window.stop_us))]
+    query = urlencode([("format", file_format), *span, *file.parameters])
+    return PartAnswer.model_validate(
+        {
+            "start": part.window.start_us,
+            "stop": part.window.stop_us,
+            "rows": part.rows,
+            "bytes": part.size,
+            "sha256": part.sha256,
+            "closed": part.window.stop_us <= now_us,
+            "href": f"{request.url.path.removesuffix(':manifest')}:export?{query}",
+        }
+    )

@@ -11,8 +11,8 @@ from service.records.calibration import Window
 
 @pytest.mark.parametrize("place", [(0, 0), (1, 2), (-(2**63), 2**63 - 1), (4_102_444_800_000_000, 10**12)])
 def test_a_cursor_gives_its_place_back_and_fits_into_a_url(place):
-    cursor = encode_cursor(place)
-    assert decode_cursor(cursor) == place
+    cursor = encode_cursor(place, 7)
+    assert decode_cursor(cursor, 7) == place
     assert cursor.replace("-", "").replace("_", "").isalnum()
 
 
@@ -26,8 +26,8 @@ def test_a_cursor_gives_its_place_back_and_fits_into_a_url(place):
         encode_cursor((1, 2)) + "=",
         encode_cursor((1, 2))[:-1],
         encode_cursor((1, 2)) + "AAAA",
-        base64.urlsafe_b64encode(b"\x02" + bytes(16)).decode().rstrip("="),
-        "\u0661" * 23,
+        base64.urlsafe_b64encode(b"\x01" + bytes(20)).decode().rstrip("="),
+        "\u0661" * 28,
         " " + encode_cursor((1, 2)),
         encode_cursor((1, 2))[:-1] + ("B" if encode_cursor((1, 2))[-1] != "B" else "C"),
     ],
@@ -36,6 +36,13 @@ def test_any_other_text_is_no_cursor(text):
     with pytest.raises(ProblemError) as caught:
         decode_cursor(text)
     assert (caught.value.status, caught.value.code) == (422, "cursor.invalid")
+
+
+def test_a_cursor_of_another_query_is_refused():
+    with pytest.raises(ProblemError) as caught:
+        decode_cursor(encode_cursor((1, 2), 7), 8)
+    assert (caught.value.status, caught.value.code) == (422, "cursor.invalid")
+    assert "another query" in caught.value.detail
 
 
 def test_defaults_hold_where_nothing_is_stated():

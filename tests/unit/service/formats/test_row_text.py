@@ -48,6 +48,7 @@ def test_every_float32_reads_back(values: NDArray[np.float32], epoch_us: int) ->
         epochs, again = _read_csv(text)
         assert epochs == [format_epoch(epoch_us)] * len(values)
         assert _same(again, values)
+    assert COMPILED.rows(epochs_us, values, frame) == plain_rows(epochs_us, values, frame)
 
 
 @pytest.mark.parametrize("decimals", [0, 1, 2, 3, 4, 5])

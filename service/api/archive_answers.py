@@ -1,0 +1,110 @@
+"""Files of the archive as answers: a day or less as a whole with length, digest and byte ranges, more as a stream."""
+
+from collections.abc import Iterable, Iterator
+from hashlib import sha256
+from http import HTTPStatus
+from tempfile import SpooledTemporaryFile
+from typing import IO
+
+from fastapi import Request
+from fastapi.responses import Response, StreamingResponse
+
+from service.api.byte_ranges import UnsatisfiableRangeError, wanted_range
+from service.api.problems import ProblemError
+
+#: a file up to this size waits in memory, a greater one on the disk
+_HELD_BYTES = 8 * 1024 * 1024
+#: pieces are gathered to this size before they go out
+_PIECE_BYTES = 256 * 1024
+
+
+def gathered(pieces: Iterable[bytes]) -> Iterator[bytes]:
+    """Yield the same bytes in pieces that are worth sending."""
+    held: list[bytes] = []
+    size = 0
+    for piece in pieces:
+        held.append(piece)
+        size += len(piece)
+        if size >= _PIECE_BYTES:
+            yield b"".join(held)
+            held, size = [], 0
+    if held:
+        yield b"".join(held)
+
+
+def stream_answer(pieces: Iterable[bytes], media_type: str, name: str) -> Response:
+    """Return an answer without a length; its first piece is made before it starts, so that faults are problems."""
+    rest = gathered(pieces)
+    first = next(rest, b"")
+
+    def body() -> Iterator[bytes]:
+        yield first
+        yield from rest
+
+    headers = {"Content-Disposition": _disposition(name), "Accept-Ranges": "none"}
+    return StreamingResponse(body(), media_type=media_type, headers=headers)
+
+
+def whole_answer(pieces: Iterable[bytes], media_type: str, name: str, request: Request) -> Response:
+    """Return an answer of known length with an entity tag, or the range of it that is wanted.
+
+    Raises
+    ------
+    ProblemError
+        416 ``range.unsatisfiable``.
+    """
+    file: IO[bytes] = SpooledTemporaryFile(max_size=_HELD_BYTES)  # noqa: SIM115 closed when it has been sent
+    digest = sha256()
+    for piece in pieces:
+        digest.update(piece)
+        file.write(piece)
+    size, tag = file.tell(), f'"{digest.hexdigest()}"'
+    try:
+        part = _wanted_part(request, tag, size)
+    except ProblemError:
+        file.close()
+        raise
+    first, last = part or (0, size - 1)
+    packs = part is None and "gzip" in request.headers.get("accept-encoding", "")
+    headers = {
+        "Content-Disposition": _disposition(name),
+        "Content-Length": str(last - first + 1),
+        "Accept-Ranges": "bytes",
+        # what is packed on its way is another representation; only the plain bytes have ranges
+        "ETag": f"W/{tag}" if packs else tag,
+        "Cache-Control": "no-cache",
+    }
+    if part is not None:
+        headers["Content-Range"] = f"bytes {first}-{last}/{size}"
+    status = HTTPStatus.OK if part is None else HTTPStatus.PARTIAL_CONTENT
+    return StreamingResponse(_slice(file, first, last), status, headers, media_type)
+
+
+def _wanted_part(request: Request, tag: str, size: int) -> tuple[int, int] | None:
+    """Return the range that is wanted of a file that is still the one the client knows."""
+    known = request.headers.get("if-range")
+    if known is not None and known != tag:
+        return None
+    try:
+        return wanted_range(request.headers.get("range"), size)
+    except UnsatisfiableRangeError:
+        raise ProblemError(
+            HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE,
+            "range.unsatisfiable",
+            f"the file has {size} bytes; ask for a range within them, or for the whole",
+            headers={"Content-Range": f"bytes */{size}"},
+        ) from None
+
+
+def _slice(file: IO[bytes], first: int, last: int) -> Iterator[bytes]:
+    """Yield bytes of a file and close it."""
+    with file:
+        file.seek(first)
+        left = last - first + 1
+        while left > 0 and (piece := file.read(min(_PIECE_BYTES, left))):
+            left -= len(piece)
+            yield piece
+
+
+def _disposition(name: str) -> str:
+    return f'attachment; filename="{name}"'

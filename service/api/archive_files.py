@@ -1,0 +1,293 @@
+"""Series of the archive as files: which formats a series has, how it is read, and how it is written.
+
+Law of this file: bytes follow from the rows, the span and the parameters alone. Nothing of the moment of asking goes
+into them, so that the same span of a past day is the same file for ever; see decision 0011.
+"""
+
+import uuid
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from heapq import merge
+from itertools import islice
+from typing import Any, Literal, NamedTuple, cast
+
+from service.api.archive_chunks import PAGE_ROWS, Chunk, RecordPage, pages_of, record_page
+from service.api.deps import ApiContext
+from service.api.methods import check_version
+from service.errors import InvalidInputError, NotFoundError
+from service.formats.aem import AemWriter, AttitudeMessage
+from service.formats.measurement_file import MeasurementColumns, file_bytes, measurement_file
+from service.formats.series_tables import ATTITUDE, EVENTS, REFERENCES, TORQUES, EventRow, plain_value
+from service.formats.table_file import Table, TableFormat, table_bytes
+from service.formats.tdm import TdmWriter, TrackingMessage
+from service.ports import LIVE
+from service.records.calibration import Window
+from service.records.catalogue import Method
+from service.records.inputs import AttitudeReference
+from service.records.journal import KIND_OF, JournalEntry
+from service.records.measurement import Measurement
+from service.records.measurement_block import MeasurementBlock
+
+FileFormat = Literal["csv", "ndjson", "parquet", "aem", "tdm"]
+MEDIA_TYPES: dict[FileFormat, str] = {
+    "csv": "text/csv; charset=utf-8",
+    "ndjson": "application/x-ndjson",
+    "parquet": "application/vnd.apache.parquet",
+    "aem": "text/plain; charset=us-ascii",
+    "tdm": "text/plain; charset=us-ascii",
+}
+_TABLES: tuple[FileFormat, ...] = ("csv", "ndjson", "parquet")
+#: formats of each series
+OFFERED: dict[str, tuple[FileFormat, ...]] = {
+    "measurements": (*_TABLES, "tdm"),
+    "attitude": (*_TABLES, "aem"),
+    "torques": _TABLES,
+    "references": _TABLES,
+    "events": _TABLES,
+}
+#: parameters beside the span that a series has
+_PARAMETERS = {"measurements": {"plan_id"}, "attitude": {"method", "version"}, "torques": {"version"}}
+#: kinds of the journal that are events; references, telemetry and applied commands are series of their own
+EVENT_KINDS = (
+    "operation",
+    "correction",
+    "spacecraft",
+    "plan",
+    "ephemeris",
+    "activation",
+    "alignment",
+    "source",
+)
+
+
+class FileOrder(NamedTuple):
+    """What is asked for."""
+
+    spacecraft_id: str
+    series: str
+    file_format: FileFormat
+    window: Window
+    method: Method | None = None
+    version: str | None = None
+    plan_ids: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ArchiveFile:
+    """A stretch of a series that can be read and written."""
+
+    #: stem of a file's name
+    label: str
+    #: parameters that name the same file again, defaults filled in
+    parameters: tuple[tuple[str, str], ...]
+    #: rows of a part of the span
+    read: Callable[[Window], Iterator[Chunk]]
+    #: rows of a part of the span, and that part
+    write: Callable[[Iterable[Chunk], Window], Iterator[bytes]]
+
+
+def archive_file(context: ApiContext, names: Callable[[str, int], Sequence[str]], order: FileOrder) -> ArchiveFile:
+    """Return the file that is asked for.
+
+    Parameters
+    ----------
+    context : ApiContext
+        Archive and clock.
+    names : callable
+        Gives the carrier ids of a plan of a spacecraft.
+    order : FileOrder
+        What is asked for.
+
+    Raises
+    ------
+    SooError
+        ``spacecraft.unknown``, ``export.series_unknown``, ``export.format``, ``export.parameter``, ``plan.unknown``,
+        ``replay.unknown``.
+    """
+    context.storage.catalogue.spacecraft(order.spacecraft_id)
+    _check_offered(order)
+    return _MAKERS[order.series](_Maker(context, names, order))
+
+
+def _check_offered(order: FileOrder) -> None:
+    """Refuse what a series does not have."""
+    formats = OFFERED.get(order.series)
+    if formats is None:
+        detail = f"no series {order.series[:64]!r}; there are {', '.join(OFFERED)}"
+        raise NotFoundError("export.series_unknown", detail)
+    if order.file_format not in formats:
+        detail = f"the series {order.series} is written as {', '.join(formats)}"
+        raise InvalidInputError("export.format", detail)
+    given = {"method": order.method, "version": order.version, "plan_id": order.plan_ids or None}
+    foreign = {name for name, value in given.items() if value is not None} - _PARAMETERS.get(order.series, set())
+    if foreign:
+        detail = f"the series {order.series} has no {' and no '.join(sorted(foreign))}; leave it out"
+        raise InvalidInputError("export.parameter", detail)
+
+
+class _Maker:
+    """Makes files of one order; see `archive_file`."""
+
+    def __init__(self, context: ApiContext, names: Callable[[str, int], Sequence[str]], order: FileOrder) -> None:
+        self._context = context
+        self._names = names
+        self._order = order
+        self._format = order.file_format
+        self._sc, self._window = order.spacecraft_id, order.window
+
+    def measurements(self) -> ArchiveFile:
+        """Return the file of measurements; its columns are the carriers of the plans named and of those that occur."""
+        archive = self._context.storage.archive
+        plan_ids = tuple(dict.fromkeys((*self._order.plan_ids, *archive.plan_ids(self._sc, self._window))))
+        plans = [self._names(self._sc, plan_id) for plan_id in plan_ids]
+        columns = MeasurementColumns(plans, lambda plan_id: self._names(self._sc, plan_id))
+        parameters = tuple(("plan_id", str(plan_id)) for plan_id in plan_ids)
+        if self._format == "tdm":
+            rows = self._measurement_rows
+            return ArchiveFile("measurements", (), rows, self._tdm)
+
+        def read(window: Window) -> Iterator[Chunk]:
+            # a plan that came up after the columns were fixed is of rows that came after the asking
+            blocks = archive.measurement_blocks(self._sc, window)
+            return (block for block in blocks if block.plan_id in plan_ids)
+
+        def write(chunks: Iterable[Chunk], _: Window) -> Iterator[bytes]:
+            file = measurement_file(columns, cast("TableFormat", self._format), self._context.kernels)
+            return file_bytes(file, cast("Iterable[MeasurementBlock]", chunks))
+
+        return ArchiveFile("measurements", parameters, read, write)
+
+    def attitude(self) -> ArchiveFile:
+        """Return the file of attitude rows of one method and version."""
+        spacecraft = self._context.storage.catalogue.spacecraft(self._sc)
+        results, version = self._context.storage.results, self._version()
+        method = self._order.method or spacecraft.control.method
+        parameters = (("method", method.value), ("version", version))
+
+        def read(window: Window) -> Iterator[Chunk]:
+            return pages_of(
+                lambda after: results.attitude_rows(self._sc, version, method, window, PAGE_ROWS, after),
+                lambda row: row.number,
+            )
+
+        def write_aem(chunks: Iterable[Chunk], part: Window) -> Iterator[bytes]:
+            name, object_id = spacecraft.name, spacecraft.cospar_id or spacecraft.id
+            writer = AemWriter(
+                AttitudeMessage(
+                    name,
+                    object_id,
+                    self._message_id(f"{method.value}/{version}", part),
+                    self._created_us(part),
+                    f"{method.value} {version}",
+                )
+            )
+            yield writer.header()
+            yield from writer.segments(_records(chunks))
+
+        write = write_aem if self._format == "aem" else self._table(ATTITUDE)
+        return ArchiveFile(f"attitude_{method.value}_{version}", parameters, read, write)
+
+    def torques(self) -> ArchiveFile:
+        """Return the file of computed commands."""
+        results, version = self._context.storage.results, self._version()
+
+        def read(window: Window) -> Iterator[Chunk]:
+            return pages_of(
+                lambda after: results.commands(self._sc, version, window, PAGE_ROWS, after),
+                lambda row: row.number,
+            )
+
+        return ArchiveFile(f"torques_{version}", (("version", version),), read, self._table(TORQUES))
+
+    def references(self) -> ArchiveFile:
+        """Return the file of attitude references."""
+
+        def read(window: Window) -> Iterator[Chunk]:
+            references = (entry.content for entry in self._entries("reference", window))
+            return _paged(reference for reference in references if isinstance(reference, AttitudeReference))
+
+        return ArchiveFile("references", (), read, self._table(REFERENCES))
+
+    def events(self) -> ArchiveFile:
+        """Return the file of events that begin in the span, in order of their beginning."""
+
+        def read(window: Window) -> Iterator[Chunk]:
+            kinds = (self._entries(kind, window) for kind in EVENT_KINDS)
+            entries = merge(*kinds, key=lambda entry: (entry.start_us or 0, entry.number))
+            return _paged(_event(entry) for entry in entries if (entry.start_us or 0) >= window.start_us)
+
+        return ArchiveFile("events", (), read, self._table(EVENTS))
+
+    def _entries(self, kind: str, window: Window) -> Iterator[JournalEntry]:
+        """Yield the slow inputs of a kind in order of (start, number)."""
+        after: tuple[int, int] | None = None
+        while True:
+            page = self._context.storage.archive.inputs(self._sc, kind, window, PAGE_ROWS, after)
+            yield from page
+            if len(page) < PAGE_ROWS:
+                return
+            after = (page[-1].start_us or 0, page[-1].number)
+
+    def _measurement_rows(self, window: Window) -> Iterator[Chunk]:
+        archive = self._context.storage.archive
+        return pages_of(lambda after: archive.measurements(self._sc, window, PAGE_ROWS, after), lambda row: row.number)
+
+    def _tdm(self, chunks: Iterable[Chunk], part: Window) -> Iterator[bytes]:
+        catalogue = self._context.storage.catalogue
+        spacecraft = catalogue.spacecraft(self._sc)
+        message = TrackingMessage(
+            spacecraft.name,
+            spacecraft.receiving_site.name or "GROUND STATION",
+            self._message_id("powers", part),
+            self._created_us(part),
+        )
+        writer = TdmWriter(message, lambda plan_id: catalogue.plan(self._sc, plan_id).carriers)
+        yield writer.header()
+        yield from writer.segments(cast("Iterable[Sequence[Measurement]]", _records(chunks)))
+
+    def _table(self, table: Table[Any]) -> Callable[[Iterable[Chunk], Window], Iterator[bytes]]:
+        file_format = cast("TableFormat", self._format)
+        return lambda chunks, _: table_bytes(table, file_format, _records(chunks))
+
+    def _version(self) -> str:
+        version = self._order.version or LIVE
+        check_version(self._context.storage.results, self._sc, version)
+        return version
+
+    def _message_id(self, what: str, part: Window) -> str:
+        """Return the id of a message: the same message has the same."""
+        name = f"urn:soo:{self._sc}/{what}/{part.start_us}/{part.stop_us}"
+        return str(uuid.uuid5(uuid.NAMESPACE_URL, name))
+
+    def _created_us(self, part: Window) -> int:
+        """Return when a message was complete: the end of its span, or now while that lies ahead."""
+        return min(part.stop_us, self._context.clock.system_us())
+
+
+_MAKERS: dict[str, Callable[[_Maker], ArchiveFile]] = {
+    "measurements": _Maker.measurements,
+    "attitude": _Maker.attitude,
+    "torques": _Maker.torques,
+    "references": _Maker.references,
+    "events": _Maker.events,
+}
+
+
+def _records(chunks: Iterable[Chunk]) -> Iterator[Any]:
+    """Yield the records of each page."""
+    return (chunk.records for chunk in chunks if isinstance(chunk, RecordPage))
+
+
+def _paged(records: Iterable[Any]) -> Iterator[Chunk]:
+    """Yield records in pages."""
+    rest = iter(records)
+    while page := list(islice(rest, PAGE_ROWS)):
+        yield record_page(page)
+
+
+def _event(entry: JournalEntry) -> EventRow:
+    """Return the event that a journal entry tells."""
+    content: Any = entry.content
+    start_us = entry.start_us or 0
+    stop_us = None if entry.stop_us == start_us else entry.stop_us
+    return EventRow(start_us, stop_us, entry.number, KIND_OF[type(content)], content.key, plain_value(content))

@@ -1,0 +1,1 @@
+"""Figures of stretches of rows: samples of equal intervals, gaps."""
