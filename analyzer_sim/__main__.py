@@ -15,15 +15,15 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from analyzer_sim.dialects import DIALECTS
+from analyzer_sim.dialects.dialects import DIALECTS
 from analyzer_sim.epochs import epoch_us_from_text
 from analyzer_sim.export import run_export
-from analyzer_sim.painter import Detail
+from analyzer_sim.instrument.painter import Detail
+from analyzer_sim.instrument.sweep_life import Pace
 from analyzer_sim.plant import run_plant
-from analyzer_sim.scenario import SCENARIOS, Scenario, scenario_named
-from analyzer_sim.scenario_table import markdown_page, plain_table
 from analyzer_sim.serving import parse_fault, serve
-from analyzer_sim.sweep_life import Pace
+from analyzer_sim.world.scenario import SCENARIOS, Scenario, scenario_named
+from analyzer_sim.world.scenario_table import markdown_page, plain_table
 
 _SUBCOMMANDS = ("serve", "export", "plant", "scenarios")
 

@@ -51,6 +51,10 @@ class Emission:
     frequency_offset_hz: float = 0.0
 
 
+class EndOfScenario(Exception):  # noqa: N818 - it ends a story, as StopIteration ends a loop, and is no error
+    """The last row of the scenario has been swept; there is none after it."""
+
+
 class EmissionSource(Protocol):
     """A world seen from the instrument."""
 

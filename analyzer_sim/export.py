@@ -55,17 +55,17 @@ from typing import Any
 
 import numpy as np
 
-from analyzer_sim.carriers import ROLLOFF
-from analyzer_sim.effects import SOURCES
 from analyzer_sim.epochs import US_PER_S
-from analyzer_sim.ground import catalogue_lines, news
-from analyzer_sim.orbit import predicted_track
-from analyzer_sim.payload import sensitivity_db_per_deg
-from analyzer_sim.story import Scenario
 from analyzer_sim.streams import FloatArray, stream
-from analyzer_sim.turns import SLEW_MIN, TIMETABLE
-from analyzer_sim.user_noise import sweep_sigma_db, world_white_db
-from analyzer_sim.world import World, flag_names
+from analyzer_sim.world.carriers import ROLLOFF
+from analyzer_sim.world.effects import SOURCES
+from analyzer_sim.world.ground import catalogue_lines, news
+from analyzer_sim.world.orbit import predicted_track
+from analyzer_sim.world.payload import sensitivity_db_per_deg
+from analyzer_sim.world.story import Scenario
+from analyzer_sim.world.turns import SLEW_MIN, TIMETABLE
+from analyzer_sim.world.user_noise import sweep_sigma_db, world_white_db
+from analyzer_sim.world.world import World, flag_names
 
 AXES = ("yaw", "roll", "pitch")
 

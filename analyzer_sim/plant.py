@@ -22,16 +22,16 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from analyzer_sim.disturbance import disturbance
 from analyzer_sim.epochs import US_PER_S, epoch_us_from_text, rfc3339
 from analyzer_sim.export import measured_dbm, sweep_noise_db
-from analyzer_sim.ground import catalogue_lines, chunks_of, told_lines, truth_row
-from analyzer_sim.ground_bodies import INERTIA_KG_M2, TORQUE_LIMIT_N_M
-from analyzer_sim.orbit import EARTH_RATE_RAD_S
-from analyzer_sim.rigid_body import BodyState, RigidBody, TorqueElement, Triple
-from analyzer_sim.story import Scenario
 from analyzer_sim.streams import FloatArray
-from analyzer_sim.world import World
+from analyzer_sim.world.disturbance import disturbance
+from analyzer_sim.world.ground import catalogue_lines, chunks_of, told_lines, truth_row
+from analyzer_sim.world.ground_bodies import INERTIA_KG_M2, TORQUE_LIMIT_N_M
+from analyzer_sim.world.orbit import EARTH_RATE_RAD_S
+from analyzer_sim.world.rigid_body import BodyState, RigidBody, TorqueElement, Triple
+from analyzer_sim.world.story import Scenario
+from analyzer_sim.world.world import World
 
 Line = dict[str, Any]
 

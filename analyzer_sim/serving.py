@@ -8,19 +8,19 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from analyzer_sim.dialect import Dialect
-from analyzer_sim.dialects import DIALECTS
-from analyzer_sim.ground_port import Gate, serve_ground
-from analyzer_sim.imperfections import IDEAL
-from analyzer_sim.instrument import Instrument
-from analyzer_sim.line_faults import LineFault, LineFaults
-from analyzer_sim.painter import Detail, TracePainter
-from analyzer_sim.scenario import Scenario
-from analyzer_sim.server import SimulatedAnalyzer, port_error
-from analyzer_sim.sweep_life import Pace, SweepLife
-from analyzer_sim.trace_faults import TraceFault, TraceFaults
-from analyzer_sim.truth_log import TruthLog
-from analyzer_sim.world import World
+from analyzer_sim.dialects.dialect import Dialect
+from analyzer_sim.dialects.dialects import DIALECTS
+from analyzer_sim.instrument.imperfections import IDEAL
+from analyzer_sim.instrument.instrument import Instrument
+from analyzer_sim.instrument.painter import Detail, TracePainter
+from analyzer_sim.instrument.sweep_life import Pace, SweepLife
+from analyzer_sim.instrument.trace_faults import TraceFault, TraceFaults
+from analyzer_sim.instrument.truth_log import TruthLog
+from analyzer_sim.lines.line_faults import LineFault, LineFaults
+from analyzer_sim.lines.server import SimulatedAnalyzer, port_error
+from analyzer_sim.world.ground_port import Gate, serve_ground
+from analyzer_sim.world.scenario import Scenario
+from analyzer_sim.world.world import World
 
 #: name on the command line of a peer that accepts and never answers
 SILENT_PEER = "silent_peer"

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from service.frontend.evaluation import MeasuredRow
-from service.frontend.spool import Spool
-from service.frontend.spool_file import Lane, Owner
-from service.frontend.spool_row import SpooledTask
+from service.frontend.acquisition.evaluation import MeasuredRow
+from service.frontend.spool.file import Lane, Owner
+from service.frontend.spool.row import SpooledTask
+from service.frontend.spool.spool import Spool
 
 CARRIERS = 16
 ROWS = 500

@@ -8,10 +8,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from analyzer_sim.instrument import Instrument
-from analyzer_sim.scpi_errors import ScpiError
-from analyzer_sim.scpi_parameters import Parameter
-from analyzer_sim.scpi_parser import Unit, parse_data, short_form
+from analyzer_sim.instrument.instrument import Instrument
+from analyzer_sim.scpi.errors import ScpiError
+from analyzer_sim.scpi.parameters import Parameter
+from analyzer_sim.scpi.parser import Unit, parse_data, short_form
 
 
 class Call(NamedTuple):

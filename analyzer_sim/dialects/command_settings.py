@@ -6,11 +6,11 @@ and then reported as -222.
 
 from collections.abc import Callable, Mapping
 
-from analyzer_sim.command_row import Call, Command
-from analyzer_sim.instrument_settings import Settings
-from analyzer_sim.quantities import QUANTITIES, load, shown_limits, store
-from analyzer_sim.scpi_errors import ScpiError
-from analyzer_sim.scpi_parameters import PURE, Boolean, Choice, Numeric, Parameter
+from analyzer_sim.dialects.command_row import Call, Command
+from analyzer_sim.instrument.instrument_settings import Settings
+from analyzer_sim.instrument.quantities import QUANTITIES, load, shown_limits, store
+from analyzer_sim.scpi.errors import ScpiError
+from analyzer_sim.scpi.parameters import PURE, Boolean, Choice, Numeric, Parameter
 
 
 def number_text(value: float) -> str:

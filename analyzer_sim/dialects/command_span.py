@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 
-from analyzer_sim.command_row import Call, Command
-from analyzer_sim.instrument_settings import reset_state
-from analyzer_sim.painter import Trace
-from analyzer_sim.quantities import store
-from analyzer_sim.scpi_parameters import Boolean
+from analyzer_sim.dialects.command_row import Call, Command
+from analyzer_sim.instrument.instrument_settings import reset_state
+from analyzer_sim.instrument.painter import Trace
+from analyzer_sim.instrument.quantities import store
+from analyzer_sim.scpi.parameters import Boolean
 
 #: span left by the search for the strongest signal, Hz
 _TUNED_SPAN_HZ = 10e6

@@ -9,12 +9,12 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
-from analyzer_sim.command_row import Call, Command
+from analyzer_sim.dialects.command_row import Call, Command
 from analyzer_sim.epochs import rfc3339
-from analyzer_sim.instrument_settings import Settings
-from analyzer_sim.scpi_errors import ScpiError
-from analyzer_sim.scpi_parameters import Boolean, Choice, Quoted
-from analyzer_sim.scpi_parser import short_form
+from analyzer_sim.instrument.instrument_settings import Settings
+from analyzer_sim.scpi.errors import ScpiError
+from analyzer_sim.scpi.parameters import Boolean, Choice, Quoted
+from analyzer_sim.scpi.parser import short_form
 
 #: code of a detector whose kind of mean the average type decides
 BY_TYPE: Final = "BY TYPE"

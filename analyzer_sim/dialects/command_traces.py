@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analyzer_sim.command_row import Call, Command, Reader
-from analyzer_sim.levels import ENCODERS, UNITS, FloatArray, ascii_list, definite_block
-from analyzer_sim.scpi_errors import ScpiError
-from analyzer_sim.scpi_parameters import PURE, Choice, Numeric, Parameter
-from analyzer_sim.scpi_parser import short_form
-from analyzer_sim.spectrum import SweepGrid
+from analyzer_sim.dialects.command_row import Call, Command, Reader
+from analyzer_sim.instrument.levels import ENCODERS, UNITS, FloatArray, ascii_list, definite_block
+from analyzer_sim.instrument.spectrum import SweepGrid
+from analyzer_sim.scpi.errors import ScpiError
+from analyzer_sim.scpi.parameters import PURE, Choice, Numeric, Parameter
+from analyzer_sim.scpi.parser import short_form
 
 
 @dataclass(frozen=True, slots=True)

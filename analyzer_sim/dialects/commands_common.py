@@ -2,10 +2,10 @@
 
 from collections.abc import Callable
 
-from analyzer_sim.command_row import Call, Command
-from analyzer_sim.scpi_errors import ScpiError
-from analyzer_sim.scpi_parameters import PURE, Numeric
-from analyzer_sim.status import REGISTER_MASK, StatusModel, StatusRegister
+from analyzer_sim.dialects.command_row import Call, Command
+from analyzer_sim.scpi.errors import ScpiError
+from analyzer_sim.scpi.parameters import PURE, Numeric
+from analyzer_sim.scpi.status import REGISTER_MASK, StatusModel, StatusRegister
 
 _MASK = Numeric(PURE)
 

@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass, replace
 
-from analyzer_sim.analyzer_model import AnalyzerModel
-from analyzer_sim.command_row import Command
-from analyzer_sim.command_traces import TraceStyle
-from analyzer_sim.imperfections import Imperfections
+from analyzer_sim.dialects.command_row import Command
+from analyzer_sim.dialects.command_traces import TraceStyle
+from analyzer_sim.instrument.analyzer_model import AnalyzerModel
+from analyzer_sim.instrument.imperfections import Imperfections
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,10 +5,10 @@ definite length in every format, ASCII too, and ``#0`` stands for one that is no
 it was taken; blocks are little-endian, integers in milli-dBm; filter steps 1-3-10.
 """
 
-from analyzer_sim.command_row import Call, Command
-from analyzer_sim.command_settings import boolean, constant, ignored, inert, inert_number, number_text, numeric
-from analyzer_sim.command_span import full_span_row, previous_span_row
-from analyzer_sim.command_sweep import (
+from analyzer_sim.dialects.command_row import Call, Command
+from analyzer_sim.dialects.command_settings import boolean, constant, ignored, inert, inert_number, number_text, numeric
+from analyzer_sim.dialects.command_span import full_span_row, previous_span_row
+from analyzer_sim.dialects.command_sweep import (
     CLOCK_ROWS,
     application_row,
     continuous_row,
@@ -21,16 +21,16 @@ from analyzer_sim.command_sweep import (
     trace_mode_row,
     unit_row,
 )
-from analyzer_sim.command_traces import TraceFormat, TraceStyle, format_row, trace_row
-from analyzer_sim.commands_common import COMMON_COMMANDS, SYSTEM_COMMANDS
-from analyzer_sim.dialect import Dialect
+from analyzer_sim.dialects.command_traces import TraceFormat, TraceStyle, format_row, trace_row
+from analyzer_sim.dialects.commands_common import COMMON_COMMANDS, SYSTEM_COMMANDS
+from analyzer_sim.dialects.dialect import Dialect
+from analyzer_sim.dialects.functions_anritsu import FUNCTION_ROWS
 from analyzer_sim.epochs import rfc3339
-from analyzer_sim.functions_anritsu import FUNCTION_ROWS
-from analyzer_sim.instrument_settings import Settings
-from analyzer_sim.levels import definite_block
-from analyzer_sim.models import MS2090A
-from analyzer_sim.quantities import load
-from analyzer_sim.scpi_parameters import DECIBELS, HERTZ, SECONDS, Choice, Level, TraceName
+from analyzer_sim.instrument.instrument_settings import Settings
+from analyzer_sim.instrument.levels import definite_block
+from analyzer_sim.instrument.models import MS2090A
+from analyzer_sim.instrument.quantities import load
+from analyzer_sim.scpi.parameters import DECIBELS, HERTZ, SECONDS, Choice, Level, TraceName
 
 IDENTITY = "Anritsu,MS2090A,2014005,V2023.3.1"
 _DETECTORS = {"POSitive": "POS", "RMS": "RMS", "NEGative": "NEG", "SAMPle": "SAMP", "QUASi": "QPE"}

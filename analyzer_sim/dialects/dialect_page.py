@@ -1,19 +1,19 @@
-"""Reference page of the dialects, made from their tables: ``python -m analyzer_sim.dialect_page`` prints it."""
+"""Reference page of the dialects, made from their tables by ``python -m analyzer_sim.dialects.dialect_page``."""
 
 import sys
 import textwrap
 from collections.abc import Callable, Iterable
 
-from analyzer_sim.analyzer_model import AnalyzerModel, FilterSteps, Limits
-from analyzer_sim.command_row import Command
-from analyzer_sim.command_sweep import CLOCK_ROWS
-from analyzer_sim.commands_common import COMMON_COMMANDS, SYSTEM_COMMANDS
-from analyzer_sim.dialect import Dialect
-from analyzer_sim.dialects import DIALECTS
-from analyzer_sim.scpi_parameters import Boolean, Choice, Level, Numeric, Parameter, Quoted, TraceName
+from analyzer_sim.dialects.command_row import Command
+from analyzer_sim.dialects.command_sweep import CLOCK_ROWS
+from analyzer_sim.dialects.commands_common import COMMON_COMMANDS, SYSTEM_COMMANDS
+from analyzer_sim.dialects.dialect import Dialect
+from analyzer_sim.dialects.dialects import DIALECTS
+from analyzer_sim.instrument.analyzer_model import AnalyzerModel, FilterSteps, Limits
+from analyzer_sim.scpi.parameters import Boolean, Choice, Level, Numeric, Parameter, Quoted, TraceName
 
 #: what keeps the page current
-MARKDOWN_COMMAND = "python -m analyzer_sim.dialect_page"
+MARKDOWN_COMMAND = "python -m analyzer_sim.dialects.dialect_page"
 _SHARED_ROWS = (*COMMON_COMMANDS, *SYSTEM_COMMANDS, *CLOCK_ROWS)
 #: parameters of a row that are written out; a list of more of one kind is shortened
 _MOST_PARAMETERS = 4

@@ -1,9 +1,9 @@
 """Rohde & Schwarz FSV and FSW: what measuring with traces needs; measurement functions stand in functions_rs.py."""
 
-from analyzer_sim.command_row import Command
-from analyzer_sim.command_settings import boolean, choice, constant, ignored, inert, inert_number, numeric
-from analyzer_sim.command_span import adjust_all_row, adjust_level_row, full_span_row, step_auto_row, tune_row
-from analyzer_sim.command_sweep import (
+from analyzer_sim.dialects.command_row import Command
+from analyzer_sim.dialects.command_settings import boolean, choice, constant, ignored, inert, inert_number, numeric
+from analyzer_sim.dialects.command_span import adjust_all_row, adjust_level_row, full_span_row, step_auto_row, tune_row
+from analyzer_sim.dialects.command_sweep import (
     CLOCK_ROWS,
     application_row,
     average_state_row,
@@ -18,13 +18,20 @@ from analyzer_sim.command_sweep import (
     trace_mode_row,
     unit_row,
 )
-from analyzer_sim.command_traces import TraceFormat, TraceStyle, format_row, frequencies_shown, trace_reader, trace_row
-from analyzer_sim.commands_common import COMMON_COMMANDS, SYSTEM_COMMANDS
-from analyzer_sim.dialect import Dialect
-from analyzer_sim.functions_rs import FUNCTION_ROWS
-from analyzer_sim.models import FSW_26
-from analyzer_sim.quantities import QUANTITIES
-from analyzer_sim.scpi_parameters import DECIBELS, HERTZ, SECONDS, Level, TraceName
+from analyzer_sim.dialects.command_traces import (
+    TraceFormat,
+    TraceStyle,
+    format_row,
+    frequencies_shown,
+    trace_reader,
+    trace_row,
+)
+from analyzer_sim.dialects.commands_common import COMMON_COMMANDS, SYSTEM_COMMANDS
+from analyzer_sim.dialects.dialect import Dialect
+from analyzer_sim.dialects.functions_rs import FUNCTION_ROWS
+from analyzer_sim.instrument.models import FSW_26
+from analyzer_sim.instrument.quantities import QUANTITIES
+from analyzer_sim.scpi.parameters import DECIBELS, HERTZ, SECONDS, Level, TraceName
 
 IDENTITY = "Rohde&Schwarz,FSW-26,1312.8000K26/100001,5.30"
 _DETECTORS = {

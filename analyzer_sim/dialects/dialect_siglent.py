@@ -5,9 +5,9 @@ AVERage takes its kind of mean from ``AVERage:TYPE``; an ASCII trace ends with a
 a sweep is polled with ``TRACe:SWEep:STATe?``.
 """
 
-from analyzer_sim.command_row import Call, Command
-from analyzer_sim.command_settings import boolean, choice, constant, ignored, inert, inert_number, numeric
-from analyzer_sim.command_span import (
+from analyzer_sim.dialects.command_row import Call, Command
+from analyzer_sim.dialects.command_settings import boolean, choice, constant, ignored, inert, inert_number, numeric
+from analyzer_sim.dialects.command_span import (
     full_span_row,
     previous_span_row,
     scaled_span_row,
@@ -15,7 +15,7 @@ from analyzer_sim.command_span import (
     tune_row,
     zero_span_row,
 )
-from analyzer_sim.command_sweep import (
+from analyzer_sim.dialects.command_sweep import (
     BY_TYPE,
     CLOCK_ROWS,
     DB6_RATIO,
@@ -32,12 +32,12 @@ from analyzer_sim.command_sweep import (
     trace_mode_row,
     unit_row,
 )
-from analyzer_sim.command_traces import TraceFormat, TraceStyle, format_row, trace_row
-from analyzer_sim.commands_common import COMMON_COMMANDS, SYSTEM_COMMANDS
-from analyzer_sim.dialect import Dialect
-from analyzer_sim.functions_siglent import FUNCTION_ROWS
-from analyzer_sim.models import SSA3032X
-from analyzer_sim.scpi_parameters import DECIBELS, HERTZ, PURE, SECONDS, Level, Numeric, TraceName
+from analyzer_sim.dialects.command_traces import TraceFormat, TraceStyle, format_row, trace_row
+from analyzer_sim.dialects.commands_common import COMMON_COMMANDS, SYSTEM_COMMANDS
+from analyzer_sim.dialects.dialect import Dialect
+from analyzer_sim.dialects.functions_siglent import FUNCTION_ROWS
+from analyzer_sim.instrument.models import SSA3032X
+from analyzer_sim.scpi.parameters import DECIBELS, HERTZ, PURE, SECONDS, Level, Numeric, TraceName
 
 IDENTITY = "Siglent Technologies,SSA3032X,SSA3XLBD2R0101,1.2.9.3"
 _DETECTORS = {

@@ -10,13 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analyzer_sim.band_power import Band
-from analyzer_sim.command_row import Call, Command
-from analyzer_sim.command_settings import number_text
-from analyzer_sim.levels import UNITS
-from analyzer_sim.painter import Trace
-from analyzer_sim.scpi_errors import ScpiError
-from analyzer_sim.scpi_parameters import DECIBELS, HERTZ, PURE, Boolean, Choice, Numeric
+from analyzer_sim.dialects.command_row import Call, Command
+from analyzer_sim.dialects.command_settings import number_text
+from analyzer_sim.instrument.band_power import Band
+from analyzer_sim.instrument.levels import UNITS
+from analyzer_sim.instrument.painter import Trace
+from analyzer_sim.scpi.errors import ScpiError
+from analyzer_sim.scpi.parameters import DECIBELS, HERTZ, PURE, Boolean, Choice, Numeric
 
 #: not a number, as SCPI-99 writes it (7.2.1.5)
 NOT_A_NUMBER = "9.91E37"

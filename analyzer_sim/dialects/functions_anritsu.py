@@ -15,10 +15,9 @@ display is remembered and changes nothing.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from analyzer_sim.band_power import Band, adjacent_powers_mw, band_power_mw, decibels
-from analyzer_sim.command_row import Call, Command
-from analyzer_sim.command_settings import number_text, numeric
-from analyzer_sim.function_rows import (
+from analyzer_sim.dialects.command_row import Call, Command
+from analyzer_sim.dialects.command_settings import number_text, numeric
+from analyzer_sim.dialects.function_rows import (
     PERCENT,
     Figure,
     decibel_row,
@@ -31,12 +30,18 @@ from analyzer_sim.function_rows import (
     word,
     word_row,
 )
-from analyzer_sim.function_settings import OFF, SPECTRUM
-from analyzer_sim.marker_rows import MarkerStyle, marker_of, marker_rows
-from analyzer_sim.occupied_bandwidth import decibels_down, occupied_by_level, occupied_by_percent, percent_inside
-from analyzer_sim.painter import Trace
-from analyzer_sim.scpi_errors import ScpiError
-from analyzer_sim.scpi_parameters import HERTZ, Boolean
+from analyzer_sim.dialects.marker_rows import MarkerStyle, marker_of, marker_rows
+from analyzer_sim.instrument.band_power import Band, adjacent_powers_mw, band_power_mw, decibels
+from analyzer_sim.instrument.function_settings import OFF, SPECTRUM
+from analyzer_sim.instrument.occupied_bandwidth import (
+    decibels_down,
+    occupied_by_level,
+    occupied_by_percent,
+    percent_inside,
+)
+from analyzer_sim.instrument.painter import Trace
+from analyzer_sim.scpi.errors import ScpiError
+from analyzer_sim.scpi.parameters import HERTZ, Boolean
 
 _SENSE = "[SENSe]"
 _MARKER = "CALCulate:MARKer<12>"

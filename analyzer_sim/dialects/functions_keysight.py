@@ -14,10 +14,9 @@ behind a measurement the first and, for the trace, the second are there; the lis
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-from analyzer_sim.band_power import Band, adjacent_powers_mw, band_power_mw, decibels
-from analyzer_sim.command_row import Call, Command
-from analyzer_sim.command_settings import number_text
-from analyzer_sim.function_rows import (
+from analyzer_sim.dialects.command_row import Call, Command
+from analyzer_sim.dialects.command_settings import number_text
+from analyzer_sim.dialects.function_rows import (
     NOT_A_NUMBER,
     PERCENT,
     Figure,
@@ -31,14 +30,15 @@ from analyzer_sim.function_rows import (
     swept_trace,
     switch_row,
 )
-from analyzer_sim.function_settings import OFF, swept_settings
-from analyzer_sim.instrument_settings import Settings
-from analyzer_sim.levels import UNITS, ascii_list
-from analyzer_sim.marker_rows import MarkerStyle, marker_of, marker_rows, put_state, span_row
-from analyzer_sim.occupied_bandwidth import occupied_by_level, occupied_by_percent, trace_power_dbm
-from analyzer_sim.quantities import load, shown_limits, store
-from analyzer_sim.scpi_errors import ScpiError
-from analyzer_sim.scpi_parameters import HERTZ, SECONDS, Boolean, Choice, Numeric
+from analyzer_sim.dialects.marker_rows import MarkerStyle, marker_of, marker_rows, put_state, span_row
+from analyzer_sim.instrument.band_power import Band, adjacent_powers_mw, band_power_mw, decibels
+from analyzer_sim.instrument.function_settings import OFF, swept_settings
+from analyzer_sim.instrument.instrument_settings import Settings
+from analyzer_sim.instrument.levels import UNITS, ascii_list
+from analyzer_sim.instrument.occupied_bandwidth import occupied_by_level, occupied_by_percent, trace_power_dbm
+from analyzer_sim.instrument.quantities import load, shown_limits, store
+from analyzer_sim.scpi.errors import ScpiError
+from analyzer_sim.scpi.parameters import HERTZ, SECONDS, Boolean, Choice, Numeric
 
 _SENSE = "[SENSe<1>]"
 _MARKER = "CALCulate:MARKer<12>"

@@ -7,10 +7,9 @@ those that were set or, unset, those of the first pair times its number; sub-blo
 from collections.abc import Callable
 from dataclasses import replace
 
-from analyzer_sim.band_power import adjacent_powers_mw, band_power_mw, carrier_to_noise_db, decibels
-from analyzer_sim.command_row import Call, Command
-from analyzer_sim.command_settings import inert, number_text
-from analyzer_sim.function_rows import (
+from analyzer_sim.dialects.command_row import Call, Command
+from analyzer_sim.dialects.command_settings import inert, number_text
+from analyzer_sim.dialects.function_rows import (
     PERCENT,
     Figure,
     figure_row,
@@ -23,8 +22,7 @@ from analyzer_sim.function_rows import (
     word,
     word_row,
 )
-from analyzer_sim.function_settings import OFF
-from analyzer_sim.marker_rows import (
+from analyzer_sim.dialects.marker_rows import (
     MarkerStyle,
     band_dbm,
     band_dbm_hz,
@@ -35,11 +33,13 @@ from analyzer_sim.marker_rows import (
     read_marker,
     span_row,
 )
-from analyzer_sim.occupied_bandwidth import occupied_by_percent
-from analyzer_sim.power_list_rows import POWER_LIST_ROWS
-from analyzer_sim.quantities import store
-from analyzer_sim.scpi_errors import ScpiError
-from analyzer_sim.scpi_parameters import Boolean, Choice
+from analyzer_sim.dialects.power_list_rows import POWER_LIST_ROWS
+from analyzer_sim.instrument.band_power import adjacent_powers_mw, band_power_mw, carrier_to_noise_db, decibels
+from analyzer_sim.instrument.function_settings import OFF
+from analyzer_sim.instrument.occupied_bandwidth import occupied_by_percent
+from analyzer_sim.instrument.quantities import store
+from analyzer_sim.scpi.errors import ScpiError
+from analyzer_sim.scpi.parameters import Boolean, Choice
 
 _SENSE = "[SENSe<6>]"
 _ACH = f"{_SENSE}:POWer:ACHannel"

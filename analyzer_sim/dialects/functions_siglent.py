@@ -7,10 +7,9 @@ the span.
 
 from collections.abc import Callable
 
-from analyzer_sim.band_power import adjacent_powers_mw, band_power_mw, decibels
-from analyzer_sim.command_row import Call, Command
-from analyzer_sim.command_settings import inert
-from analyzer_sim.function_rows import (
+from analyzer_sim.dialects.command_row import Call, Command
+from analyzer_sim.dialects.command_settings import inert
+from analyzer_sim.dialects.function_rows import (
     PERCENT,
     Figure,
     decibel_row,
@@ -24,10 +23,11 @@ from analyzer_sim.function_rows import (
     word,
     word_row,
 )
-from analyzer_sim.function_settings import OFF, SPECTRUM
-from analyzer_sim.marker_rows import MarkerStyle, marker_of, marker_rows, put_state
-from analyzer_sim.occupied_bandwidth import Occupied, occupied_by_level, occupied_by_percent
-from analyzer_sim.scpi_parameters import Choice
+from analyzer_sim.dialects.marker_rows import MarkerStyle, marker_of, marker_rows, put_state
+from analyzer_sim.instrument.band_power import adjacent_powers_mw, band_power_mw, decibels
+from analyzer_sim.instrument.function_settings import OFF, SPECTRUM
+from analyzer_sim.instrument.occupied_bandwidth import Occupied, occupied_by_level, occupied_by_percent
+from analyzer_sim.scpi.parameters import Choice
 
 _SENSE = "[SENSe]"
 _MARKER = "CALCulate:MARKer<4>"

@@ -9,16 +9,16 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
-from analyzer_sim.band_power import Band, band_power_mw, decibels, noise_density_dbm_hz
-from analyzer_sim.command_row import Call, Command
-from analyzer_sim.command_settings import number_text
-from analyzer_sim.function_rows import Figure, decibel_row, result_text, shown_level, swept_trace
-from analyzer_sim.function_settings import OFF, Marker
-from analyzer_sim.markers import Search, next_peak
-from analyzer_sim.painter import Trace
-from analyzer_sim.quantities import store
-from analyzer_sim.scpi_errors import ScpiError
-from analyzer_sim.scpi_parameters import HERTZ, Boolean, Numeric
+from analyzer_sim.dialects.command_row import Call, Command
+from analyzer_sim.dialects.command_settings import number_text
+from analyzer_sim.dialects.function_rows import Figure, decibel_row, result_text, shown_level, swept_trace
+from analyzer_sim.instrument.band_power import Band, band_power_mw, decibels, noise_density_dbm_hz
+from analyzer_sim.instrument.function_settings import OFF, Marker
+from analyzer_sim.instrument.markers import Search, next_peak
+from analyzer_sim.instrument.painter import Trace
+from analyzer_sim.instrument.quantities import store
+from analyzer_sim.scpi.errors import ScpiError
+from analyzer_sim.scpi.parameters import HERTZ, Boolean, Numeric
 
 #: a band marker spans this part of the trace until its width is set
 _BAND_SHARE = 0.05

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analyzer_sim.spectrum import SweepGrid
+from analyzer_sim.instrument.spectrum import SweepGrid
 
 FloatArray = NDArray[np.float64]
 

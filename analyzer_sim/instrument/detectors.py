@@ -32,7 +32,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import digamma, gammainccinv, gammaincinv, polygamma
 
-from analyzer_sim.spectrum import ENBW_PER_RBW, RBW_PER_DEVIATION, VIDEO_MATTERS_BELOW, MeanTrace
+from analyzer_sim.instrument.spectrum import ENBW_PER_RBW, RBW_PER_DEVIATION, VIDEO_MATTERS_BELOW, MeanTrace
 
 FloatArray = NDArray[np.float64]
 

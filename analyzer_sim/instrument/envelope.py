@@ -16,7 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from analyzer_sim.spectrum import RBW_PER_DEVIATION, VIDEO_MATTERS_BELOW, MeanTrace, SweepGrid, filter_response
+from analyzer_sim.instrument.spectrum import (
+    RBW_PER_DEVIATION,
+    VIDEO_MATTERS_BELOW,
+    MeanTrace,
+    SweepGrid,
+    filter_response,
+)
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

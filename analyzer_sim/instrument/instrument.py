@@ -18,18 +18,17 @@ from collections.abc import Callable
 from functools import reduce
 from operator import or_
 
-from analyzer_sim.analyzer_model import AnalyzerModel
-from analyzer_sim.emission import Emission, EmissionSource
-from analyzer_sim.function_settings import FunctionSettings, swept_settings
-from analyzer_sim.instrument_settings import Settings, reset_state
-from analyzer_sim.models import FSW_26
-from analyzer_sim.painter import FloatArray, Trace, TracePainter
-from analyzer_sim.scpi_errors import ScpiError
-from analyzer_sim.status import ESR_OPERATION_COMPLETE, StatusModel
-from analyzer_sim.sweep_life import OPERATION_BITS, Pace, SweepLife, SweepState
-from analyzer_sim.trace_faults import TraceFaults
-from analyzer_sim.truth_log import Reading, TruthLog
-from analyzer_sim.world import EndOfScenario
+from analyzer_sim.emission import Emission, EmissionSource, EndOfScenario
+from analyzer_sim.instrument.analyzer_model import AnalyzerModel
+from analyzer_sim.instrument.function_settings import FunctionSettings, swept_settings
+from analyzer_sim.instrument.instrument_settings import Settings, reset_state
+from analyzer_sim.instrument.models import FSW_26
+from analyzer_sim.instrument.painter import FloatArray, Trace, TracePainter
+from analyzer_sim.instrument.sweep_life import OPERATION_BITS, Pace, SweepLife, SweepState
+from analyzer_sim.instrument.trace_faults import TraceFaults
+from analyzer_sim.instrument.truth_log import Reading, TruthLog
+from analyzer_sim.scpi.errors import ScpiError
+from analyzer_sim.scpi.status import ESR_OPERATION_COMPLETE, StatusModel
 
 #: all bits of OPERation:CONDition that sweeps decide
 _SWEEP_BITS = reduce(or_, OPERATION_BITS.values())

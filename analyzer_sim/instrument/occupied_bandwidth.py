@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analyzer_sim.band_power import Band, band_power_mw, decibels, milliwatts_of
-from analyzer_sim.spectrum import SweepGrid
+from analyzer_sim.instrument.band_power import Band, band_power_mw, decibels, milliwatts_of
+from analyzer_sim.instrument.spectrum import SweepGrid
 
 FloatArray = NDArray[np.float64]
 

@@ -13,13 +13,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from analyzer_sim.band_power import decibels, milliwatts_of
-from analyzer_sim.instrument_settings import Settings
-from analyzer_sim.painter import Trace
-from analyzer_sim.quantities import store
-from analyzer_sim.scpi_errors import ScpiError
-from analyzer_sim.scpi_parameters import DBM, DECIBELS, HERTZ, PURE, SECONDS, Choice, Numeric
-from analyzer_sim.scpi_parser import Character, Datum
+from analyzer_sim.instrument.band_power import decibels, milliwatts_of
+from analyzer_sim.instrument.instrument_settings import Settings
+from analyzer_sim.instrument.painter import Trace
+from analyzer_sim.instrument.quantities import store
+from analyzer_sim.scpi.errors import ScpiError
+from analyzer_sim.scpi.parameters import DBM, DECIBELS, HERTZ, PURE, SECONDS, Choice, Numeric
+from analyzer_sim.scpi.parser import Character, Datum
 
 MAX_ENTRIES = 200
 #: longest time of one entry, s; shortest as R&S analyzers have it

@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable
 from enum import Enum, auto
 
-from analyzer_sim.status import OPERATION_SWEEPING, OPERATION_WAITING_FOR_TRIGGER
+from analyzer_sim.scpi.status import OPERATION_SWEEPING, OPERATION_WAITING_FOR_TRIGGER
 
 
 class Pace(Enum):

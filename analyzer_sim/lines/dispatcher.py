@@ -9,11 +9,11 @@ from collections import Counter
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 
-from analyzer_sim.dialect import Dialect
-from analyzer_sim.instrument import Instrument
-from analyzer_sim.lock_table import LockTable
-from analyzer_sim.scpi import ProgramMessage
-from analyzer_sim.session import Session, command_tree
+from analyzer_sim.dialects.dialect import Dialect
+from analyzer_sim.instrument.instrument import Instrument
+from analyzer_sim.lines.lock_table import LockTable
+from analyzer_sim.lines.session import Session, command_tree
+from analyzer_sim.scpi.framing import ProgramMessage
 
 #: how often a permission that nobody announces is asked for, s
 _PERMISSION_POLL_S = 0.005

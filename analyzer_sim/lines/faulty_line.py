@@ -5,7 +5,7 @@ import socket
 import struct
 from collections.abc import Iterable
 
-from analyzer_sim.line_faults import GARBAGE_BYTES, LineFault, LineFaults
+from analyzer_sim.lines.line_faults import GARBAGE_BYTES, LineFault, LineFaults
 
 _ENDS_LINE = frozenset({LineFault.RESET, LineFault.RESET_IN_BLOCK, LineFault.CLOSE})
 _RESETS = frozenset({LineFault.RESET, LineFault.RESET_IN_BLOCK})

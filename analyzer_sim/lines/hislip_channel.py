@@ -3,10 +3,10 @@
 import asyncio
 from collections.abc import AsyncGenerator
 
-from analyzer_sim.faulty_line import FaultyLine
-from analyzer_sim.hislip_messages import Decoder, FatalProtocolError, Message, MessageType, encode
-from analyzer_sim.hislip_session import RefusedMessageError
-from analyzer_sim.line_faults import LineFaults
+from analyzer_sim.lines.faulty_line import FaultyLine
+from analyzer_sim.lines.hislip_messages import Decoder, FatalProtocolError, Message, MessageType, encode
+from analyzer_sim.lines.hislip_session import RefusedMessageError
+from analyzer_sim.lines.line_faults import LineFaults
 
 _READ_BYTES = 1 << 16
 

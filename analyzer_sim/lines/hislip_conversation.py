@@ -5,10 +5,10 @@ from collections import deque
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import suppress
 
-from analyzer_sim.dispatcher import Dispatcher
-from analyzer_sim.faulty_line import LineEndedError
-from analyzer_sim.hislip_channel import Channel
-from analyzer_sim.hislip_messages import (
+from analyzer_sim.lines.dispatcher import Dispatcher
+from analyzer_sim.lines.faulty_line import LineEndedError
+from analyzer_sim.lines.hislip_channel import Channel
+from analyzer_sim.lines.hislip_messages import (
     MAX_PAYLOAD_BYTES,
     ErrorCode,
     FatalCode,
@@ -19,8 +19,8 @@ from analyzer_sim.hislip_messages import (
     decode_size,
     encode_size,
 )
-from analyzer_sim.hislip_session import HislipSession, Phase, RefusedMessageError, Request
-from analyzer_sim.lock_table import LockAnswer
+from analyzer_sim.lines.hislip_session import HislipSession, Phase, RefusedMessageError, Request
+from analyzer_sim.lines.lock_table import LockAnswer
 
 #: requests that wait for execution before the channel is not read any more
 _QUEUED_REQUESTS = 64

@@ -8,12 +8,12 @@ import asyncio
 from collections.abc import AsyncIterator
 from contextlib import aclosing
 
-from analyzer_sim.dispatcher import Dispatcher
-from analyzer_sim.hislip_channel import Channel
-from analyzer_sim.hislip_conversation import Conversation
-from analyzer_sim.hislip_messages import FatalCode, FatalProtocolError, Message, MessageType
-from analyzer_sim.hislip_session import HislipSession, Phase, RefusedMessageError
-from analyzer_sim.line_faults import LineFaults
+from analyzer_sim.lines.dispatcher import Dispatcher
+from analyzer_sim.lines.hislip_channel import Channel
+from analyzer_sim.lines.hislip_conversation import Conversation
+from analyzer_sim.lines.hislip_messages import FatalCode, FatalProtocolError, Message, MessageType
+from analyzer_sim.lines.hislip_session import HislipSession, Phase, RefusedMessageError
+from analyzer_sim.lines.line_faults import LineFaults
 
 #: sessions at once
 MAX_SESSIONS = 64

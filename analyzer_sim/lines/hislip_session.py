@@ -25,7 +25,7 @@ RMT-delivered bit of requests and status queries tells, clears the answer, queue
 from enum import Enum, auto
 from typing import NamedTuple
 
-from analyzer_sim.hislip_messages import (
+from analyzer_sim.lines.hislip_messages import (
     DEFAULT_CLIENT_BYTES,
     ErrorCode,
     FatalCode,
@@ -33,7 +33,7 @@ from analyzer_sim.hislip_messages import (
     Message,
     MessageType,
 )
-from analyzer_sim.scpi import MESSAGE_LIMIT_BYTES, FramerState, MessageFramer, ProgramMessage
+from analyzer_sim.scpi.framing import MESSAGE_LIMIT_BYTES, FramerState, MessageFramer, ProgramMessage
 
 _M = MessageType
 #: newest version spoken, major and minor byte

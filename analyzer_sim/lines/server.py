@@ -10,14 +10,14 @@ import threading
 from collections.abc import Awaitable, Callable
 from types import TracebackType
 
-from analyzer_sim.dialect import Dialect
-from analyzer_sim.dialect_rs import RS
-from analyzer_sim.dispatcher import Dispatcher, poll_permission
-from analyzer_sim.faulty_line import FaultyLine, LineEndedError
-from analyzer_sim.hislip_server import HislipServer
-from analyzer_sim.instrument import Instrument
-from analyzer_sim.line_faults import LineFaults
-from analyzer_sim.scpi import MessageFramer
+from analyzer_sim.dialects.dialect import Dialect
+from analyzer_sim.dialects.dialect_rs import RS
+from analyzer_sim.instrument.instrument import Instrument
+from analyzer_sim.lines.dispatcher import Dispatcher, poll_permission
+from analyzer_sim.lines.faulty_line import FaultyLine, LineEndedError
+from analyzer_sim.lines.hislip_server import HislipServer
+from analyzer_sim.lines.line_faults import LineFaults
+from analyzer_sim.scpi.framing import MessageFramer
 
 _READ_BYTES = 1 << 16
 #: what a stream buffers before it stops reading from the network; asyncio's own 64 KiB cut long blocks in pieces, bytes

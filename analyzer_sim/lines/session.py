@@ -7,14 +7,14 @@ stops there and :meth:`Session.run` goes on from the same unit when it is called
 
 from collections import deque
 
-from analyzer_sim.command_row import Call, Command
-from analyzer_sim.dialect import Dialect
-from analyzer_sim.instrument import Instrument, TraceNotReadyError
-from analyzer_sim.scpi import ProgramMessage
-from analyzer_sim.scpi_errors import ScpiError
-from analyzer_sim.scpi_parser import Unit, parse_unit, split_units
-from analyzer_sim.scpi_tree import CommandTree
-from analyzer_sim.truth_log import Reading
+from analyzer_sim.dialects.command_row import Call, Command
+from analyzer_sim.dialects.dialect import Dialect
+from analyzer_sim.instrument.instrument import Instrument, TraceNotReadyError
+from analyzer_sim.instrument.truth_log import Reading
+from analyzer_sim.scpi.errors import ScpiError
+from analyzer_sim.scpi.framing import ProgramMessage
+from analyzer_sim.scpi.parser import Unit, parse_unit, split_units
+from analyzer_sim.scpi.tree import CommandTree
 
 #: units run before the caller gets a turn to serve others
 UNITS_PER_RUN = 256

@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
-from analyzer_sim.scpi_errors import ScpiError
-from analyzer_sim.scpi_parser import Block, Character, Datum, Number, Text, short_form
+from analyzer_sim.scpi.errors import ScpiError
+from analyzer_sim.scpi.parser import Block, Character, Datum, Number, Text, short_form
 
 HERTZ: Mapping[str, float] = {"HZ": 1.0, "KHZ": 1e3, "MHZ": 1e6, "MAHZ": 1e6, "GHZ": 1e9}
 SECONDS: Mapping[str, float] = {"S": 1.0, "MS": 1e-3, "US": 1e-6, "NS": 1e-9}

@@ -9,7 +9,7 @@ import re
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from analyzer_sim.scpi_errors import ScpiError
+from analyzer_sim.scpi.errors import ScpiError
 
 #: longest character datum, long mnemonics of the table included (SCPI allows 12; vendors go beyond)
 CHARACTER_LIMIT = 32

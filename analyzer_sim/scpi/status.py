@@ -12,7 +12,7 @@ Law of this file: everything that changes a status bit is here. The summary is c
 
 from collections import deque
 
-from analyzer_sim.scpi_errors import error_entry, event_bit
+from analyzer_sim.scpi.errors import error_entry, event_bit
 
 ESR_OPERATION_COMPLETE = 1 << 0
 ESR_POWER_ON = 1 << 7

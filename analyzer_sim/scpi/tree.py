@@ -13,8 +13,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
-from analyzer_sim.scpi_errors import ScpiError
-from analyzer_sim.scpi_parser import Unit, short_form
+from analyzer_sim.scpi.errors import ScpiError
+from analyzer_sim.scpi.parser import Unit, short_form
 
 T = TypeVar("T")
 

@@ -6,16 +6,16 @@ Of the sixteen carriers of `ku16` five are dominant in roll, six have at least t
 have their largest figure in yaw scaled by eight. Twice the others, as the rule of the method asks, scaled yaw can
 never be: with gradients p along pitch and r along roll the geometry gives 8 yaw = 8 (el p - az r), at most 1.2 |p| +
 0.75 |r|. One user has an unstable level (c08), one sits on the curved top of its beam (c12). `python -m
-analyzer_sim.structure` prints the table.
+analyzer_sim.world.structure` prints the table.
 """
 
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from analyzer_sim.beams import Beam, Ripple
-from analyzer_sim.carrier_rows import C8, KU16, KU_MORE, Row
 from analyzer_sim.streams import FloatArray
+from analyzer_sim.world.beams import Beam, Ripple
+from analyzer_sim.world.carrier_rows import C8, KU16, KU_MORE, Row
 
 #: signal bandwidth over symbol rate is one plus this
 ROLLOFF = 0.25

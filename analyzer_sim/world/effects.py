@@ -11,11 +11,11 @@ from functools import singledispatch
 import numpy as np
 from numpy.typing import NDArray
 
-from analyzer_sim.carriers import CarrierPlan
 from analyzer_sim.epochs import US_PER_H
-from analyzer_sim.events import Range
-from analyzer_sim.orbit import EpochArray
 from analyzer_sim.streams import FloatArray
+from analyzer_sim.world.carriers import CarrierPlan
+from analyzer_sim.world.events import Range
+from analyzer_sim.world.orbit import EpochArray
 
 #: an operation is declared this long before it begins
 NOTICE_H = 2.0

@@ -4,9 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from analyzer_sim.carriers import CarrierPlan
-from analyzer_sim.effects import Effects, FaultFlag, apply_fault, draw
-from analyzer_sim.events import (
+from analyzer_sim.streams import stream
+from analyzer_sim.world.carriers import CarrierPlan
+from analyzer_sim.world.effects import Effects, FaultFlag, apply_fault, draw
+from analyzer_sim.world.events import (
     ChainStep,
     DownlinkRain,
     Fault,
@@ -17,10 +18,9 @@ from analyzer_sim.events import (
     SwitchOff,
     UplinkRain,
 )
-from analyzer_sim.orbit import EpochArray
-from analyzer_sim.spells import SPELLS
-from analyzer_sim.streams import stream
-from analyzer_sim.weather import rain_db
+from analyzer_sim.world.orbit import EpochArray
+from analyzer_sim.world.spells import SPELLS
+from analyzer_sim.world.weather import rain_db
 
 #: how long work on the receiving chain is declared, h
 CHAIN_WORK_H = 0.25

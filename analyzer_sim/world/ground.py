@@ -11,10 +11,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from analyzer_sim.carriers import Carrier
-from analyzer_sim.effects import FaultFlag
 from analyzer_sim.epochs import US_PER_S, rfc3339
-from analyzer_sim.ground_bodies import (
+from analyzer_sim.streams import FloatArray
+from analyzer_sim.world.carriers import Carrier
+from analyzer_sim.world.effects import FaultFlag
+from analyzer_sim.world.ground_bodies import (
     AXES,
     Line,
     angles,
@@ -27,12 +28,11 @@ from analyzer_sim.ground_bodies import (
     task,
     telemetry_body,
 )
-from analyzer_sim.payload import sensitivity_db_per_deg
-from analyzer_sim.story import Phase
-from analyzer_sim.streams import FloatArray
-from analyzer_sim.structure import crlb_deg
-from analyzer_sim.turns import SLEW_MIN, TIMETABLE
-from analyzer_sim.world import World
+from analyzer_sim.world.payload import sensitivity_db_per_deg
+from analyzer_sim.world.story import Phase
+from analyzer_sim.world.structure import crlb_deg
+from analyzer_sim.world.turns import SLEW_MIN, TIMETABLE
+from analyzer_sim.world.world import World
 
 #: rows that one hold of the ground port spans
 ROWS_PER_CHUNK = 60

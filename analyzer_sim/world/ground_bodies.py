@@ -5,16 +5,16 @@ from typing import Any
 
 import numpy as np
 
-from analyzer_sim.ballistics import Ephemeris
-from analyzer_sim.carriers import BANDS, ROLLOFF, SPAN_START_HZ, Carrier
-from analyzer_sim.effects import Operation
 from analyzer_sim.epochs import rfc3339
-from analyzer_sim.orbit import predicted_track
-from analyzer_sim.spacecraft import Correction
 from analyzer_sim.streams import FloatArray
-from analyzer_sim.telemetry import TelemetryRecord
-from analyzer_sim.user_noise import SWEEP_RBW_HZ, SWEEP_TIME_S
-from analyzer_sim.world import LONGITUDE_DEG, World
+from analyzer_sim.world.ballistics import Ephemeris
+from analyzer_sim.world.carriers import BANDS, ROLLOFF, SPAN_START_HZ, Carrier
+from analyzer_sim.world.effects import Operation
+from analyzer_sim.world.orbit import predicted_track
+from analyzer_sim.world.spacecraft import Correction
+from analyzer_sim.world.telemetry import TelemetryRecord
+from analyzer_sim.world.user_noise import SWEEP_RBW_HZ, SWEEP_TIME_S
+from analyzer_sim.world.world import LONGITUDE_DEG, World
 
 Line = dict[str, Any]
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from analyzer_sim.epochs import rfc3339
-from analyzer_sim.ground import catalogue_lines, chunk_lines, chunks_of
-from analyzer_sim.world import World
+from analyzer_sim.world.ground import catalogue_lines, chunk_lines, chunks_of
+from analyzer_sim.world.world import World
 
 #: longest line a client may send, bytes
 MAX_LINE_BYTES = 65_536

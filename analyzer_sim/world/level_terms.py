@@ -10,15 +10,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analyzer_sim.carriers import CarrierPlan
-from analyzer_sim.effects import Effects
 from analyzer_sim.epochs import US_PER_S
-from analyzer_sim.orbit import EpochArray, Orbit
-from analyzer_sim.payload import dishes_loss_db, flown_gain_db, nominal_gain_db, uplink_change_db
-from analyzer_sim.repeater import repeater_db
-from analyzer_sim.story import Scenario
 from analyzer_sim.streams import FloatArray
-from analyzer_sim.user_noise import chain_noise_db, users_noise_db
+from analyzer_sim.world.carriers import CarrierPlan
+from analyzer_sim.world.effects import Effects
+from analyzer_sim.world.orbit import EpochArray, Orbit
+from analyzer_sim.world.payload import dishes_loss_db, flown_gain_db, nominal_gain_db, uplink_change_db
+from analyzer_sim.world.repeater import repeater_db
+from analyzer_sim.world.story import Scenario
+from analyzer_sim.world.user_noise import chain_noise_db, users_noise_db
 
 #: noise temperature of the receiving site in clear sky and of the rain, K
 CLEAR_SKY_K = 120.0

@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass
 
-from analyzer_sim.carriers import Carrier, CarrierPlan
 from analyzer_sim.epochs import US_PER_H
-from analyzer_sim.events import PlanChange
-from analyzer_sim.story import Scenario
+from analyzer_sim.world.carriers import Carrier, CarrierPlan
+from analyzer_sim.world.events import PlanChange
+from analyzer_sim.world.story import Scenario
 
 
 @dataclass(frozen=True, slots=True)

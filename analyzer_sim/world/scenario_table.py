@@ -2,14 +2,23 @@
 
 from collections.abc import Callable, Iterator
 
-from analyzer_sim.carriers import PLANS, CarrierPlan
-from analyzer_sim.events import ChainStep, Eclipse, Fault, GroupStep, PlanChange, SourceSwitch, SunOutage, SwitchOff
-from analyzer_sim.orbit import Orbit
-from analyzer_sim.payload import sensitivity_db_per_deg
-from analyzer_sim.scenario import SCENARIOS
-from analyzer_sim.story import DEFAULT_START_US, Scenario
-from analyzer_sim.structure import crlb_deg
-from analyzer_sim.world import LONGITUDE_DEG
+from analyzer_sim.world.carriers import PLANS, CarrierPlan
+from analyzer_sim.world.events import (
+    ChainStep,
+    Eclipse,
+    Fault,
+    GroupStep,
+    PlanChange,
+    SourceSwitch,
+    SunOutage,
+    SwitchOff,
+)
+from analyzer_sim.world.orbit import Orbit
+from analyzer_sim.world.payload import sensitivity_db_per_deg
+from analyzer_sim.world.scenario import SCENARIOS
+from analyzer_sim.world.story import DEFAULT_START_US, Scenario
+from analyzer_sim.world.structure import crlb_deg
+from analyzer_sim.world.world import LONGITUDE_DEG
 
 #: where the table is kept, and what keeps it there
 MARKDOWN_COMMAND = "python -m analyzer_sim scenarios --markdown"

@@ -3,7 +3,7 @@
 Three rules, judged on the truth: *stable*, rms of the residual after a fit of one harmonic over the quiet phase at
 most 0.25 dB; *linear*, the change along the main axis within 0.5 deg differs from two straight pieces (one slope for
 +, one for -) by at most the equivalent of 0.1 deg; *axis*, the main one of |roll|, |pitch| and 8 |yaw|, dominant from
-twice the others on. Run `python -m analyzer_sim.structure` for the table.
+twice the others on. Run `python -m analyzer_sim.world.structure` for the table.
 """
 
 import sys
@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from analyzer_sim.epochs import US_PER_S
-from analyzer_sim.payload import nominal_gain_db, sensitivity_db_per_deg
-from analyzer_sim.scenario import scenario_named
 from analyzer_sim.streams import FloatArray
-from analyzer_sim.world import World
+from analyzer_sim.world.payload import nominal_gain_db, sensitivity_db_per_deg
+from analyzer_sim.world.scenario import scenario_named
+from analyzer_sim.world.world import World
 
 STABLE_DB = 0.25
 LINEAR_DEG = 0.1

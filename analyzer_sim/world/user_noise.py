@@ -6,11 +6,11 @@ carrier draws from a stream of its own, so that a part more or less moves no oth
 
 import numpy as np
 
-from analyzer_sim.carriers import Carrier, CarrierPlan
-from analyzer_sim.noise import daily_wave, first_order
-from analyzer_sim.spectrum import ENBW_PER_RBW
-from analyzer_sim.story import Part, Scenario
+from analyzer_sim.instrument.spectrum import ENBW_PER_RBW
 from analyzer_sim.streams import FloatArray, stream
+from analyzer_sim.world.carriers import Carrier, CarrierPlan
+from analyzer_sim.world.noise import daily_wave, first_order
+from analyzer_sim.world.story import Part, Scenario
 
 #: the sweep for which the plan's white noise is split: RBW, duration
 SWEEP_RBW_HZ = 30e3

@@ -9,19 +9,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analyzer_sim.ballistics import Ephemeris, burn_operations, burnt_orbit, ephemerides
-from analyzer_sim.carriers import PLANS, ROLLOFF, CarrierPlan
-from analyzer_sim.effects import Effects, FaultFlag, Operation
-from analyzer_sim.emission import Emission, Signal
-from analyzer_sim.faults import effects_of
-from analyzer_sim.level_terms import LevelTerms
-from analyzer_sim.orbit import EpochArray, Orbit
-from analyzer_sim.plan_versions import PlanVersion, plan_versions
-from analyzer_sim.sensors import References, references
-from analyzer_sim.spacecraft import Correction, attitude_history
-from analyzer_sim.story import Scenario
+from analyzer_sim.emission import Emission, EndOfScenario, Signal
 from analyzer_sim.streams import FloatArray
-from analyzer_sim.telemetry import TelemetryRecord, telemetry
+from analyzer_sim.world.ballistics import Ephemeris, burn_operations, burnt_orbit, ephemerides
+from analyzer_sim.world.carriers import PLANS, ROLLOFF, CarrierPlan
+from analyzer_sim.world.effects import Effects, FaultFlag, Operation
+from analyzer_sim.world.faults import effects_of
+from analyzer_sim.world.level_terms import LevelTerms
+from analyzer_sim.world.orbit import EpochArray, Orbit
+from analyzer_sim.world.plan_versions import PlanVersion, plan_versions
+from analyzer_sim.world.sensors import References, references
+from analyzer_sim.world.spacecraft import Correction, attitude_history
+from analyzer_sim.world.story import Scenario
+from analyzer_sim.world.telemetry import TelemetryRecord, telemetry
 
 #: longitude of the satellite, deg East
 LONGITUDE_DEG = 90.0
@@ -29,10 +29,6 @@ LONGITUDE_DEG = 90.0
 INTERFERENCE_OFFSET_SHARE = 0.2
 #: level and power control count as acting from here on, dB
 _CONTROL_DB = 0.1
-
-
-class EndOfScenario(Exception):  # noqa: N818 - it ends a story, as StopIteration ends a loop, and is no error
-    """The last row of the scenario has been swept; there is none after it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,17 +21,17 @@ import typer
 from service.cli.acquire_plan import PlannedAnalyzer, faults_of, plan_analyzer, show
 from service.cli.state_folder import state_folder
 from service.client.service_client import ServiceClient
-from service.frontend.acquisition_settings import AcquisitionSettings
-from service.frontend.acquisition_states import reference_page
+from service.frontend.acquisition.settings import AcquisitionSettings
+from service.frontend.acquisition.states import reference_page
 from service.frontend.link_report import LinkReporter
 from service.frontend.measurement_task import TaskError
-from service.frontend.spool import Spool, spool_path
-from service.frontend.spool_file import Bounds, Owner
-from service.frontend.spool_row import SpooledTask
-from service.frontend.spool_schema import SpoolError
+from service.frontend.spool.file import Bounds, Owner
+from service.frontend.spool.row import SpooledTask
+from service.frontend.spool.schema import SpoolError
+from service.frontend.spool.spool import Spool, spool_path
 from service.frontend.station import Station, StationError, StationSummary, run_stations
-from service.frontend.station_file import StationEntry, load_station
-from service.frontend.uploader import UploadSettings
+from service.frontend.tasks.station_file import StationEntry, load_station
+from service.frontend.upload.uploader import UploadSettings
 from service.records.epoch import US_PER_S, format_epoch
 from service.runtime.clock import system_now_us
 

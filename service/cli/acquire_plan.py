@@ -8,9 +8,9 @@ from rich.console import Console
 from rich.table import Table
 
 from service.frontend.measurement_task import MeasurementTask, load_task
-from service.frontend.station_file import StationEntry
-from service.frontend.task_plan import TaskPlan, cycle_s, sweep_time_s
-from service.frontend.zoom_plan import plan_with_zoom
+from service.frontend.tasks.station_file import StationEntry
+from service.frontend.tasks.task_plan import TaskPlan, cycle_s, sweep_time_s
+from service.frontend.tasks.zoom_plan import plan_with_zoom
 
 logger = logging.getLogger("service.cli.acquire")
 

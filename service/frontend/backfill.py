@@ -32,7 +32,7 @@ from service.frontend.backfill_columns import (
 )
 from service.frontend.backfill_reader import ArchiveFile, FileRow, open_archive, sha256_of
 from service.frontend.backfill_state import Destination, SendState
-from service.frontend.upload_answers import Receipt, Verdict, judge, read_receipt
+from service.frontend.upload.answers import Receipt, Verdict, judge, read_receipt
 from service.records.epoch import format_epoch
 
 #: code of a row whose cells mean nothing

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 from service.client.backoff import Backoff
 from service.client.service_client import ServiceClient
-from service.frontend.acquisition import Acquisition
-from service.frontend.acquisition_settings import AcquisitionCounters, AcquisitionSettings
+from service.frontend.acquisition.acquisition import Acquisition
+from service.frontend.acquisition.settings import AcquisitionCounters, AcquisitionSettings
 from service.frontend.measurement_task import MeasurementTask
-from service.frontend.spool import Spool
-from service.frontend.uploader import UploadCounters, Uploader, UploadSettings
+from service.frontend.spool.spool import Spool
+from service.frontend.upload.uploader import UploadCounters, Uploader, UploadSettings
 
 logger = logging.getLogger("service.frontend.station")
 

@@ -6,7 +6,7 @@ import pytest
 from dialect_facts import FACTS, Facts
 from scpi_bench import Bench
 
-from analyzer_sim.dialects import DIALECTS
+from analyzer_sim.dialects.dialects import DIALECTS
 
 
 @pytest.fixture(params=sorted(DIALECTS))

@@ -4,8 +4,8 @@ import re
 
 import pytest
 
-from analyzer_sim.scpi_errors import ERROR_TEXTS, event_bit
-from analyzer_sim.session import OUTPUT_LIMIT_BYTES
+from analyzer_sim.lines.session import OUTPUT_LIMIT_BYTES
+from analyzer_sim.scpi.errors import ERROR_TEXTS, event_bit
 
 #: error classes and the bit of the standard event register (IEEE 488.2, 11.5.1.1)
 NEEDED = {

@@ -2,7 +2,7 @@
 
 import pytest
 
-from analyzer_sim.status import OPERATION_WAITING_FOR_TRIGGER
+from analyzer_sim.scpi.status import OPERATION_WAITING_FOR_TRIGGER
 
 
 def test_power_on_is_set_once_at_start(bench):

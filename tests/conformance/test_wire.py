@@ -12,8 +12,8 @@ import wire_lines as w
 from scpi_bench import standing_instrument
 from wire_lines import HislipLine, RawLine
 
-from analyzer_sim.dialects import DIALECTS
-from analyzer_sim.server import AnalyzerThread, start_in_thread
+from analyzer_sim.dialects.dialects import DIALECTS
+from analyzer_sim.lines.server import AnalyzerThread, start_in_thread
 
 pytestmark = pytest.mark.system
 

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from service.frontend.acquisition_states import ACTIONS, MEANINGS, TRANSITIONS, Event, State, diagram, reference_page
+from service.frontend.acquisition.states import ACTIONS, MEANINGS, TRANSITIONS, Event, State, diagram, reference_page
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -9,7 +9,7 @@ from fault_table import markdown_table
 
 from service.frontend.drivers.base import SINGLE, Dialect
 from service.frontend.drivers.choice import DIALECTS
-from service.frontend.station_file import load_station
+from service.frontend.tasks.station_file import load_station
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs/how-to/connect-an-analyzer.md").read_text()

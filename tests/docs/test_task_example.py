@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from service.frontend.measurement_task import MeasurementTask, parse_task
-from service.frontend.task_plan import plan_task
+from service.frontend.tasks.task_plan import plan_task
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs/how-to/connect-an-analyzer.md").read_text()

@@ -9,7 +9,7 @@ import pytest
 
 from service.api.links import SILENT
 from service.client.service_client import ServiceClient
-from service.frontend.acquisition_states import State
+from service.frontend.acquisition.states import State
 from service.frontend.link_report import RUNNING, SERVICE_AWAY
 from service.records.link import STOPPED
 

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from analyzer_sim.export import export_npz
-from analyzer_sim.payload import attitude_gain_db, dishes_loss_db
-from analyzer_sim.scenario import scenario_named
-from analyzer_sim.world import World
+from analyzer_sim.world.payload import attitude_gain_db, dishes_loss_db
+from analyzer_sim.world.scenario import scenario_named
+from analyzer_sim.world.world import World
 from service.pipeline.alignment import align_methods
 from service.pipeline.chain import Chain
 from service.pipeline.config import AlignmentConfig, ChainConfig

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from analyzer_sim.export import export_npz
-from analyzer_sim.world import World
+from analyzer_sim.world.world import World
 from service.pipeline.calibration import calibrate_paper
 from service.pipeline.calibration_rows import CalibrationInput
 from service.pipeline.chain import Chain

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.optimize import nnls
 
 from analyzer_sim.export import measured_dbm
-from analyzer_sim.payload import attitude_gain_db, dishes_loss_db, nominal_gain_db
-from analyzer_sim.world import World
+from analyzer_sim.world.payload import attitude_gain_db, dishes_loss_db, nominal_gain_db
+from analyzer_sim.world.world import World
 from service.core.estimation.filtering.attitude_filter import start, step
 from service.core.estimation.filtering.declared import Declared, nothing_declared
 from service.core.estimation.filtering.filter_model import CarrierModel, FilterSettings, KnownMotion, no_motion

@@ -6,8 +6,8 @@ from functools import cache
 from hypothesis import strategies as st
 from hypothesis.strategies import SearchStrategy
 
-from analyzer_sim.dialects import DIALECTS
-from analyzer_sim.scpi_tree import parse_pattern
+from analyzer_sim.dialects.dialects import DIALECTS
+from analyzer_sim.scpi.tree import parse_pattern
 
 #: one example must not cost a second: no sweeps of a hundred thousand points, no thousand sweeps to a trace
 COSTLY = ("POIN", "COUN")

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from service.frontend.evaluation import MeasuredRow
-from service.frontend.spool import Spool
-from service.frontend.spool_file import Bounds, Owner
-from service.frontend.spool_row import ARRAYS, SpooledTask
+from service.frontend.acquisition.evaluation import MeasuredRow
+from service.frontend.spool.file import Bounds, Owner
+from service.frontend.spool.row import ARRAYS, SpooledTask
+from service.frontend.spool.spool import Spool
 from service.records.sweep import Sweep, SweepSettings
 
 OWNER = Owner("sc", "sa-1")

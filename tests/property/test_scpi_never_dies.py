@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from scpi_bench import Bench
 from scpi_soup import KINDS
 
-from analyzer_sim.dialects import DIALECTS
-from analyzer_sim.scpi import MessageFramer
+from analyzer_sim.dialects.dialects import DIALECTS
+from analyzer_sim.scpi.framing import MessageFramer
 
 EXAMPLES = 250
 NIGHTLY_EXAMPLES = 6_400

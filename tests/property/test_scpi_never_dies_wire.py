@@ -11,9 +11,9 @@ from scpi_bench import standing_instrument
 from scpi_soup import KINDS
 from wire_lines import HislipLine, RawLine
 
-from analyzer_sim.dialects import DIALECTS
-from analyzer_sim.scpi import MessageFramer
-from analyzer_sim.server import AnalyzerThread, start_in_thread
+from analyzer_sim.dialects.dialects import DIALECTS
+from analyzer_sim.lines.server import AnalyzerThread, start_in_thread
+from analyzer_sim.scpi.framing import MessageFramer
 
 pytestmark = pytest.mark.system
 

@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analyzer_sim.events import (
+from analyzer_sim.world.events import (
     ChainStep,
     DownlinkRain,
     Eclipse,
@@ -20,8 +20,8 @@ from analyzer_sim.events import (
     SwitchOff,
     UplinkRain,
 )
-from analyzer_sim.scenario import SCENARIOS, Scenario
-from analyzer_sim.world import World
+from analyzer_sim.world.scenario import SCENARIOS, Scenario
+from analyzer_sim.world.world import World
 
 #: events of one carrier, c03, which no scenario's level control holds
 _OF_ONE: tuple[Fault, ...] = (

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from driven_world import HOUR_US, DrivenWorld, shared_world
 
-from analyzer_sim.scenario import NoiseFigures, scenario_named
-from analyzer_sim.sensors import Sensor
+from analyzer_sim.world.scenario import NoiseFigures, scenario_named
+from analyzer_sim.world.sensors import Sensor
 from service.records.attitude import Status
 from service.records.calibration import Window
 

@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from analyzer_sim.dialect import Dialect
-from analyzer_sim.dialects import DIALECTS
+from analyzer_sim.dialects.dialect import Dialect
+from analyzer_sim.dialects.dialects import DIALECTS
 from analyzer_sim.emission import Emission, Signal
-from analyzer_sim.imperfections import IDEAL, Imperfections
-from analyzer_sim.instrument import Instrument
-from analyzer_sim.painter import Detail, TracePainter
-from analyzer_sim.scpi import MessageFramer
-from analyzer_sim.session import Session, command_tree
+from analyzer_sim.instrument.imperfections import IDEAL, Imperfections
+from analyzer_sim.instrument.instrument import Instrument
+from analyzer_sim.instrument.painter import Detail, TracePainter
+from analyzer_sim.lines.session import Session, command_tree
+from analyzer_sim.scpi.framing import MessageFramer
 
 SEED = 20261122
 SWEEPS = 200

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from analyzer_sim.export import export_npz
-from analyzer_sim.scenario import SCENARIOS
-from analyzer_sim.world import World
+from analyzer_sim.world.scenario import SCENARIOS
+from analyzer_sim.world.world import World
 from service.study.estimation.drive import drive
 from service.study.estimation.world import read_world
 from service.study.merit import AXES, judge_axis, missed_bounds

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from analyzer_sim.export import export_arrays
-from analyzer_sim.payload import nominal_gain_db
-from analyzer_sim.scenario import scenario_named
-from analyzer_sim.world import World
+from analyzer_sim.world.payload import nominal_gain_db
+from analyzer_sim.world.scenario import scenario_named
+from analyzer_sim.world.world import World
 from service.core.estimation.calibration.geometry_calibration import CalibrationRows, GeometryCalibration, fit_geometry
 from service.core.estimation.calibration.geometry_columns import CarrierGeometry, OrbitMotion
 from service.core.estimation.calibration.geometry_prediction import predict_level_dbm, response_of

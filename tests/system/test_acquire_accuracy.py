@@ -10,21 +10,21 @@ import numpy as np
 import pytest
 from steady_world import CARRIERS, NOISE_DBM_HZ, Steady, steady_task
 
-from analyzer_sim.dialects import DIALECTS
+from analyzer_sim.dialects.dialects import DIALECTS
 from analyzer_sim.emission import Signal
-from analyzer_sim.imperfections import IDEAL
-from analyzer_sim.instrument import Instrument
-from analyzer_sim.painter import Detail, TracePainter
-from analyzer_sim.server import start_in_thread
+from analyzer_sim.instrument.imperfections import IDEAL
+from analyzer_sim.instrument.instrument import Instrument
+from analyzer_sim.instrument.painter import Detail, TracePainter
+from analyzer_sim.lines.server import start_in_thread
+from service.frontend.acquisition.evaluation import MeasuredRow, TaskEvaluation
+from service.frontend.acquisition.measuring_cycle import MeasuringCycle
 from service.frontend.drivers.choice import dialect_of, identify
 from service.frontend.drivers.generic import GENERIC
 from service.frontend.drivers.rs import RS
 from service.frontend.drivers.scpi_driver import ScpiDriver
-from service.frontend.evaluation import MeasuredRow, TaskEvaluation
 from service.frontend.measurement_task import InputPart, MeasurementTask, parse_task
-from service.frontend.measuring_cycle import MeasuringCycle
+from service.frontend.tasks.zoom_plan import plan_with_zoom
 from service.frontend.visa_session import VisaSession
-from service.frontend.zoom_plan import plan_with_zoom
 from service.records.quality_flag import QualityFlag
 
 pytestmark = pytest.mark.system

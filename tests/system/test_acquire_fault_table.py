@@ -15,16 +15,16 @@ import pyvisa
 from fault_table import TABLE, FaultRow
 from steady_world import CARRIERS, Steady, steady_task
 
-from analyzer_sim.imperfections import IDEAL
-from analyzer_sim.instrument import Instrument
-from analyzer_sim.line_faults import LineFault
-from analyzer_sim.painter import Detail, TracePainter
-from analyzer_sim.server import AnalyzerThread, start_in_thread
-from analyzer_sim.trace_faults import TraceFault
+from analyzer_sim.instrument.imperfections import IDEAL
+from analyzer_sim.instrument.instrument import Instrument
+from analyzer_sim.instrument.painter import Detail, TracePainter
+from analyzer_sim.instrument.trace_faults import TraceFault
+from analyzer_sim.lines.line_faults import LineFault
+from analyzer_sim.lines.server import AnalyzerThread, start_in_thread
 from service.client.backoff import Backoff
-from service.frontend.acquisition import Acquisition
-from service.frontend.acquisition_settings import AcquisitionSettings
-from service.frontend.evaluation import MeasuredRow
+from service.frontend.acquisition.acquisition import Acquisition
+from service.frontend.acquisition.evaluation import MeasuredRow
+from service.frontend.acquisition.settings import AcquisitionSettings
 from service.records.quality_flag import QualityFlag, flag_names
 
 pytestmark = [pytest.mark.system]

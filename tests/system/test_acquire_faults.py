@@ -23,22 +23,23 @@ import pytest
 from recording_service import Recorder
 
 from analyzer_sim import ground
-from analyzer_sim.imperfections import Imperfections
-from analyzer_sim.instrument import Instrument
-from analyzer_sim.line_faults import LineFault
-from analyzer_sim.painter import Detail, TracePainter
-from analyzer_sim.scenario import scenario_named
-from analyzer_sim.server import AnalyzerThread, start_in_thread
-from analyzer_sim.world import EndOfScenario, World
+from analyzer_sim.emission import EndOfScenario
+from analyzer_sim.instrument.imperfections import Imperfections
+from analyzer_sim.instrument.instrument import Instrument
+from analyzer_sim.instrument.painter import Detail, TracePainter
+from analyzer_sim.lines.line_faults import LineFault
+from analyzer_sim.lines.server import AnalyzerThread, start_in_thread
+from analyzer_sim.world.scenario import scenario_named
+from analyzer_sim.world.world import World
 from service.client.backoff import Backoff
 from service.client.service_client import ServiceClient
-from service.frontend.acquisition_settings import AcquisitionSettings
+from service.frontend.acquisition.settings import AcquisitionSettings
 from service.frontend.measurement_task import MeasurementTask, parse_task
-from service.frontend.spool import Spool
-from service.frontend.spool_file import Owner
-from service.frontend.spool_row import SpooledTask
+from service.frontend.spool.file import Owner
+from service.frontend.spool.row import SpooledTask
+from service.frontend.spool.spool import Spool
 from service.frontend.station import Station, StationSummary
-from service.frontend.uploader import UploadSettings
+from service.frontend.upload.uploader import UploadSettings
 from service.records.quality_flag import QualityFlag
 
 pytestmark = pytest.mark.system

@@ -17,16 +17,16 @@ import pytest
 from steady_world import Steady, steady_task
 
 from analyzer_sim import ground
-from analyzer_sim.imperfections import IDEAL
-from analyzer_sim.instrument import Instrument
-from analyzer_sim.painter import Detail, TracePainter
-from analyzer_sim.scenario import scenario_named
-from analyzer_sim.server import AnalyzerThread, start_in_thread
-from analyzer_sim.world import World
+from analyzer_sim.instrument.imperfections import IDEAL
+from analyzer_sim.instrument.instrument import Instrument
+from analyzer_sim.instrument.painter import Detail, TracePainter
+from analyzer_sim.lines.server import AnalyzerThread, start_in_thread
+from analyzer_sim.world.scenario import scenario_named
+from analyzer_sim.world.world import World
 from service.client.backoff import Backoff
-from service.frontend.acquisition import Acquisition
-from service.frontend.acquisition_settings import AcquisitionSettings
-from service.frontend.evaluation import MeasuredRow
+from service.frontend.acquisition.acquisition import Acquisition
+from service.frontend.acquisition.evaluation import MeasuredRow
+from service.frontend.acquisition.settings import AcquisitionSettings
 from service.frontend.measurement_task import MeasurementTask, parse_task
 
 pytestmark = pytest.mark.system

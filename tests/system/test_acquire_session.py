@@ -7,10 +7,10 @@ from collections.abc import Iterator
 import pytest
 from steady_world import Steady
 
-from analyzer_sim.instrument import Instrument
-from analyzer_sim.line_faults import LineFault
-from analyzer_sim.painter import TracePainter
-from analyzer_sim.server import AnalyzerThread, start_in_thread
+from analyzer_sim.instrument.instrument import Instrument
+from analyzer_sim.instrument.painter import TracePainter
+from analyzer_sim.lines.line_faults import LineFault
+from analyzer_sim.lines.server import AnalyzerThread, start_in_thread
 from service.frontend.visa_session import AnalyzerIOError, VisaSession
 
 pytestmark = pytest.mark.system

@@ -15,12 +15,12 @@ import httpx
 import pytest
 from steady_world import CARRIERS, Steady, steady_task
 
-from analyzer_sim.dialects import DIALECTS
-from analyzer_sim.imperfections import IDEAL
-from analyzer_sim.instrument import Instrument
-from analyzer_sim.painter import Detail, TracePainter
-from analyzer_sim.server import AnalyzerThread, start_in_thread
-from service.frontend.spool import spool_path
+from analyzer_sim.dialects.dialects import DIALECTS
+from analyzer_sim.instrument.imperfections import IDEAL
+from analyzer_sim.instrument.instrument import Instrument
+from analyzer_sim.instrument.painter import Detail, TracePainter
+from analyzer_sim.lines.server import AnalyzerThread, start_in_thread
+from service.frontend.spool.spool import spool_path
 
 pytestmark = pytest.mark.system
 

@@ -22,8 +22,8 @@ import numpy as np
 import pytest
 
 from analyzer_sim import ground, ground_bodies
-from analyzer_sim.scenario import scenario_named
-from analyzer_sim.world import World
+from analyzer_sim.world.scenario import scenario_named
+from analyzer_sim.world.world import World
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
 

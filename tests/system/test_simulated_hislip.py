@@ -14,12 +14,12 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from analyzer_sim.dialect_rs import RS
+from analyzer_sim.dialects.dialect_rs import RS
 from analyzer_sim.emission import Emission, Signal
-from analyzer_sim.instrument import Instrument
-from analyzer_sim.line_faults import LineFault
-from analyzer_sim.painter import TracePainter
-from analyzer_sim.server import AnalyzerThread, start_in_thread
+from analyzer_sim.instrument.instrument import Instrument
+from analyzer_sim.instrument.painter import TracePainter
+from analyzer_sim.lines.line_faults import LineFault
+from analyzer_sim.lines.server import AnalyzerThread, start_in_thread
 
 pytestmark = pytest.mark.system
 

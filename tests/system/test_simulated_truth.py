@@ -14,8 +14,8 @@ import pytest
 from recording_service import Recorder
 
 from analyzer_sim import ground
-from analyzer_sim.scenario import scenario_named
-from analyzer_sim.world import World
+from analyzer_sim.world.scenario import scenario_named
+from analyzer_sim.world.world import World
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(60)]
 

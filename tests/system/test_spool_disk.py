@@ -16,7 +16,7 @@ import json, resource, sys, time
 from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 import spooled_rows as made
-from service.frontend.spool_file import Lane
+from service.frontend.spool.file import Lane
 hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
 resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, hard))
 with made.spool(Path(sys.argv[2])) as spool:

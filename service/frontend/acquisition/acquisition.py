@@ -1,7 +1,7 @@
 """The acquisition of one analyzer: a state machine as a table, run by one thread.
 
 Law of this file: everything that moves the acquisition from state to state stands in `TRANSITIONS`
-(`service.frontend.acquisition_states`). Each state has one action; an action either succeeds, or meets a fault of the
+(`service.frontend.acquisition.states`). Each state has one action; an action either succeeds, or meets a fault of the
 analyzer. Whatever the fault, the session is closed and a new one opened after a wait - never is a query sent into a
 session that owes an answer. No good row for three periods is a fault too. Orders of an operator are taken between
 actions.
@@ -14,22 +14,22 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from service.client.backoff import Backoff
-from service.frontend.acquisition_orders import AcquisitionOrders
-from service.frontend.acquisition_settings import WATCHDOG_PERIODS, AcquisitionCounters, AcquisitionSettings
-from service.frontend.acquisition_states import TRANSITIONS, Event, State
+from service.frontend.acquisition.epoch_guard import EpochGuard
+from service.frontend.acquisition.evaluation import MeasuredRow, TaskEvaluation
+from service.frontend.acquisition.measuring_cycle import MeasuringCycle, is_good
+from service.frontend.acquisition.orders import AcquisitionOrders
+from service.frontend.acquisition.settings import WATCHDOG_PERIODS, AcquisitionCounters, AcquisitionSettings
+from service.frontend.acquisition.states import TRANSITIONS, Event, State
 from service.frontend.drivers.base import SweepRefusedError
 from service.frontend.drivers.choice import dialect_of, identify
 from service.frontend.drivers.scpi_driver import RESET_S, ScpiDriver
-from service.frontend.epoch_guard import EpochGuard
-from service.frontend.evaluation import MeasuredRow, TaskEvaluation
 from service.frontend.measurement_task import MeasurementTask
-from service.frontend.measuring_cycle import MeasuringCycle, is_good
-from service.frontend.task_plan import cycle_s
+from service.frontend.tasks.task_plan import cycle_s
 from service.frontend.visa_session import AnalyzerIOError, VisaSession
 from service.records.quality_flag import QualityFlag
 from service.records.sweep import Sweep
 
-logger = logging.getLogger("service.frontend.acquisition")
+logger = logging.getLogger("service.frontend.acquisition.acquisition")
 
 #: what an analyzer can do to a cycle; a ValueError is an answer that does not mean what it should
 FAULTS = (AnalyzerIOError, SweepRefusedError, ValueError)

@@ -10,7 +10,7 @@ import logging
 from service.records.epoch import US_PER_S
 from service.records.quality_flag import QualityFlag
 
-logger = logging.getLogger("service.frontend.epoch_guard")
+logger = logging.getLogger("service.frontend.acquisition.epoch_guard")
 
 #: difference between two clocks from row to row that counts as a jump: slewing and drift stay far below, s
 JUMP_S = 0.5

@@ -6,15 +6,15 @@ Law of this file: a refused sweep is left out while another one succeeds; a cycl
 import logging
 from collections.abc import Callable
 
+from service.frontend.acquisition.evaluation import MeasuredRow, TaskEvaluation
 from service.frontend.drivers.base import SweepRefusedError
 from service.frontend.drivers.scpi_driver import ScpiDriver
-from service.frontend.evaluation import MeasuredRow, TaskEvaluation
 from service.frontend.measurement_task import MeasurementTask, SweepPart
-from service.frontend.task_plan import recheck
+from service.frontend.tasks.task_plan import recheck
 from service.records.quality_flag import QualityFlag
 from service.records.sweep import Sweep
 
-logger = logging.getLogger("service.frontend.acquisition")
+logger = logging.getLogger("service.frontend.acquisition.acquisition")
 
 #: what says of a level that it was not looked for, or not in a fresh trace of numbers
 _NOT_GOOD = QualityFlag.NOT_MEASURED | QualityFlag.STALE_TRACE | QualityFlag.NONFINITE_VALUE

@@ -6,7 +6,7 @@ Law of this file: an order is taken once, between two actions; a wait ends as so
 import threading
 import time
 
-from service.frontend.acquisition_states import Event, State
+from service.frontend.acquisition.states import Event, State
 
 #: an order is noticed within this time, s
 _LOOK_S = 0.2

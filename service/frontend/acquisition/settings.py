@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, fields
 
-from service.frontend.acquisition_states import State
+from service.frontend.acquisition.states import State
 
 #: periods without a good row after which the session is opened anew
 WATCHDOG_PERIODS = 3.0

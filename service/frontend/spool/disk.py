@@ -6,18 +6,18 @@ from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
-from service.frontend import spool_warnings as codes
-from service.frontend.spool_file import Owner, SpoolFile, WaitingRow
-from service.frontend.spool_lock import SpoolLock
-from service.frontend.spool_schema import (
+from service.frontend.spool import warnings as codes
+from service.frontend.spool.file import Owner, SpoolFile, WaitingRow
+from service.frontend.spool.lock import SpoolLock
+from service.frontend.spool.schema import (
     SpoolDamagedError,
     SpoolError,
     is_damage,
     leaves_connection_good,
     primary_code,
 )
-from service.frontend.spool_warnings import WarningBoard
-from service.frontend.spool_wreck import Wreck, set_aside
+from service.frontend.spool.warnings import WarningBoard
+from service.frontend.spool.wreck import Wreck, set_aside
 
 #: what may come of any use of the disk
 DISK_FAULTS = (sqlite3.Error, OSError, SpoolError)

@@ -12,9 +12,9 @@ from enum import Enum
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from service.frontend.spool_row import ARRAYS, SpooledRow, SpooledTask, decode_row, size_of
-from service.frontend.spool_schema import SpoolDamagedError, SpoolFileError, check, connect, migrate, transaction
-from service.frontend.spool_traces import TraceRing
+from service.frontend.spool.row import ARRAYS, SpooledRow, SpooledTask, decode_row, size_of
+from service.frontend.spool.schema import SpoolDamagedError, SpoolFileError, check, connect, migrate, transaction
+from service.frontend.spool.traces import TraceRing
 from service.records.epoch import US_PER_S
 
 _ARRAYS = ", ".join(ARRAYS)

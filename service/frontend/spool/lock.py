@@ -9,7 +9,7 @@ import json
 import os
 from pathlib import Path
 
-from service.frontend.spool_schema import SpoolError
+from service.frontend.spool.schema import SpoolError
 
 #: numbers given between two writes of the mark
 MARK_STEP = 1000

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from service.core.radio.decibel import dbm_from_mw
-from service.frontend.evaluation import MeasuredRow
+from service.frontend.acquisition.evaluation import MeasuredRow
 from service.records.sweep import Sweep
 
 #: array of a row -> how its numbers are written; the names are those of the columns

@@ -14,13 +14,13 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple, Self, TypeVar
 
-from service.frontend import spool_warnings as codes
-from service.frontend.evaluation import MeasuredRow
-from service.frontend.spool_disk import DISK_FAULTS, SpoolDisk
-from service.frontend.spool_file import Bounds, Lane, Owner, RefusedRow, SpoolFile, WaitingRow
-from service.frontend.spool_row import SpooledRow, SpooledTask, SpooledTrace, decode_row, encode_row, trace_of
-from service.frontend.spool_schema import SpoolError
-from service.frontend.spool_warnings import SpoolWarning, WarningBoard
+from service.frontend.acquisition.evaluation import MeasuredRow
+from service.frontend.spool import warnings as codes
+from service.frontend.spool.disk import DISK_FAULTS, SpoolDisk
+from service.frontend.spool.file import Bounds, Lane, Owner, RefusedRow, SpoolFile, WaitingRow
+from service.frontend.spool.row import SpooledRow, SpooledTask, SpooledTrace, decode_row, encode_row, trace_of
+from service.frontend.spool.schema import SpoolError
+from service.frontend.spool.warnings import SpoolWarning, WarningBoard
 from service.records.sweep import Sweep
 
 T = TypeVar("T")

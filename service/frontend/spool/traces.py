@@ -1,6 +1,6 @@
 """The ring of evidence traces in a spool's file: bounded by count and bytes, the oldest go first.
 
-Law of this file: it runs inside the transactions of `service.frontend.spool_file`; its counts are those of the file
+Law of this file: it runs inside the transactions of `service.frontend.spool.file`; its counts are those of the file
 only as long as these are committed, so whoever rolls back recounts.
 """
 
@@ -8,7 +8,7 @@ import sqlite3
 from collections.abc import Iterable
 from typing import Any
 
-from service.frontend.spool_row import SpooledTrace
+from service.frontend.spool.row import SpooledTrace
 
 _COLUMNS = "epoch_us, sweep, start_hz, step_hz, rbw_hz, enbw_hz, sweep_time_s, power_dbm"
 _INSERT = f"INSERT OR IGNORE INTO trace ({_COLUMNS}) VALUES (?, ?, ?, ?, ?, ?, ?, ?)"  # noqa: S608 own names

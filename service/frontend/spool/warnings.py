@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from service.records.epoch import format_epoch
 
-logger = logging.getLogger("service.frontend.spool")
+logger = logging.getLogger("service.frontend.spool.spool")
 
 FULL = "spool.full"
 AGED = "spool.aged"

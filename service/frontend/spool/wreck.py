@@ -7,8 +7,8 @@ from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from service.frontend.spool_file import WaitingRow
-from service.frontend.spool_row import ARRAYS, SpooledTask, decode_row
+from service.frontend.spool.file import WaitingRow
+from service.frontend.spool.row import ARRAYS, SpooledTask, decode_row
 
 #: what SQLite keeps beside a file
 _COMPANIONS = ("", "-wal", "-shm")

@@ -16,7 +16,7 @@ import math
 from dataclasses import replace
 
 from service.frontend.measurement_task import CarrierPart, MeasurementTask, SweepPart
-from service.frontend.task_plan import (
+from service.frontend.tasks.task_plan import (
     GUARD_RBW,
     SWEEP_OVERHEAD_S,
     Finding,

@@ -10,7 +10,7 @@
 A request that failed is no turn: the same lane comes again.
 """
 
-from service.frontend.spool_file import Lane
+from service.frontend.spool.file import Lane
 
 _OTHER = {Lane.LIVE: Lane.BACKFILL, Lane.BACKFILL: Lane.LIVE}
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from service.client.problem import ProblemError
 from service.client.service_client import ServiceClient
 from service.core.radio.decibel import FloatArray
-from service.frontend.evaluation import MeasuredRow
-from service.frontend.upload_answers import DETAIL_DECIMALS
+from service.frontend.acquisition.evaluation import MeasuredRow
+from service.frontend.upload.answers import DETAIL_DECIMALS
 from service.records.epoch import format_epoch
 from service.records.quality_flag import QualityFlag
 

@@ -15,11 +15,11 @@ import numpy as np
 
 from service.client.problem import ProblemError, ServiceUnavailableError
 from service.client.service_client import ServiceClient
-from service.frontend.spool import Spool
-from service.frontend.spool_row import SpooledTrace
+from service.frontend.spool.row import SpooledTrace
+from service.frontend.spool.spool import Spool
 from service.records.epoch import format_epoch
 
-logger = logging.getLogger("service.frontend.uploader")
+logger = logging.getLogger("service.frontend.upload.uploader")
 
 #: a service that did not know traces is asked again after this time, s
 _AGAIN_S = 600.0

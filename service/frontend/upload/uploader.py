@@ -3,7 +3,7 @@
 Law of this file: a row leaves the spool only when the service accepted it, knew it already, or refused it by name; a
 refusal is logged, counted and kept. Whatever else happens - no connection, no answer, 5xx, a wrong key, an unknown
 plan - the same rows are sent again after a wait. Repeating is safe: the service knows a row by source and epoch. Which
-rows go next stands in `service.frontend.upload_lanes`, what an answer means in `service.frontend.upload_answers`.
+rows go next stands in `service.frontend.upload.lanes`, what an answer means in `service.frontend.upload.answers`.
 """
 
 import logging
@@ -16,16 +16,16 @@ from typing import Any
 from service.client.backoff import Backoff
 from service.client.problem import ProblemError, ServiceUnavailableError
 from service.client.service_client import ServiceClient
-from service.frontend.plan_binding import PlanBinding, PlanMismatchError, find_binding
-from service.frontend.spool import Spool
-from service.frontend.spool_file import Lane
-from service.frontend.spool_row import SpooledRow
-from service.frontend.upload_answers import Verdict, judge, read_receipt
-from service.frontend.upload_lanes import LaneTurns
-from service.frontend.upload_traces import TraceCounters, TraceSender
+from service.frontend.spool.file import Lane
+from service.frontend.spool.row import SpooledRow
+from service.frontend.spool.spool import Spool
+from service.frontend.upload.answers import Verdict, judge, read_receipt
+from service.frontend.upload.lanes import LaneTurns
+from service.frontend.upload.plan_binding import PlanBinding, PlanMismatchError, find_binding
+from service.frontend.upload.traces import TraceCounters, TraceSender
 from service.records.epoch import US_PER_S, format_epoch
 
-logger = logging.getLogger("service.frontend.uploader")
+logger = logging.getLogger("service.frontend.upload.uploader")
 
 #: a service that did not know the figures beside the powers is asked again after this time, s
 _DETAILS_AGAIN_S = 600.0

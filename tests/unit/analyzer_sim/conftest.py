@@ -4,15 +4,14 @@ from collections.abc import Callable
 
 import pytest
 
-from analyzer_sim.dialect import Dialect
-from analyzer_sim.dialect_rs import RS
-from analyzer_sim.emission import Emission, Signal
-from analyzer_sim.imperfections import IDEAL
-from analyzer_sim.instrument import Instrument
-from analyzer_sim.painter import TracePainter
-from analyzer_sim.scpi import MessageFramer
-from analyzer_sim.session import Session, command_tree
-from analyzer_sim.world import EndOfScenario
+from analyzer_sim.dialects.dialect import Dialect
+from analyzer_sim.dialects.dialect_rs import RS
+from analyzer_sim.emission import Emission, EndOfScenario, Signal
+from analyzer_sim.instrument.imperfections import IDEAL
+from analyzer_sim.instrument.instrument import Instrument
+from analyzer_sim.instrument.painter import TracePainter
+from analyzer_sim.lines.session import Session, command_tree
+from analyzer_sim.scpi.framing import MessageFramer
 
 START_US = 1_793_491_200_000_000
 ROW_US = 60_000_000

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from analyzer_sim.dialect import Dialect
-from analyzer_sim.dialects import DIALECTS
-from analyzer_sim.scpi_errors import ERROR_TEXTS
+from analyzer_sim.dialects.dialect import Dialect
+from analyzer_sim.dialects.dialects import DIALECTS
+from analyzer_sim.scpi.errors import ERROR_TEXTS
 
 #: error numbers the specification asks for
 NEEDED_CODES = (

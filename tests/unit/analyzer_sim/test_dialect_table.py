@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from analyzer_sim.dialects import DIALECTS
-from analyzer_sim.session import command_tree
+from analyzer_sim.dialects.dialects import DIALECTS
+from analyzer_sim.lines.session import command_tree
 
 ALL = ("rs", "keysight", "siglent", "anritsu")
 ATTENUATION = {"rs": ":INP:ATT", "keysight": ":POW:ATT", "siglent": ":POW:ATT", "anritsu": ":POW:RF:ATT"}

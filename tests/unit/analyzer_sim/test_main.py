@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from analyzer_sim.__main__ import build_parser, main
-from analyzer_sim.line_faults import LineFault, LineFaults
+from analyzer_sim.instrument.trace_faults import TraceFault, TraceFaults
+from analyzer_sim.lines.line_faults import LineFault, LineFaults
 from analyzer_sim.serving import FAULT_NAMES, arm
-from analyzer_sim.trace_faults import TraceFault, TraceFaults
 
 
 def test_serve_has_the_documented_defaults() -> None:

@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analyzer_sim.ground_bodies import task
-from analyzer_sim.imperfections import IDEAL
-from analyzer_sim.instrument_settings import reset_state
-from analyzer_sim.models import FSW_26
-from analyzer_sim.painter import TracePainter
-from analyzer_sim.quantities import store
-from analyzer_sim.scenario import scenario_named
-from analyzer_sim.spectrum import ENBW_PER_RBW
-from analyzer_sim.user_noise import sweep_sigma_db
-from analyzer_sim.world import World
+from analyzer_sim.instrument.imperfections import IDEAL
+from analyzer_sim.instrument.instrument_settings import reset_state
+from analyzer_sim.instrument.models import FSW_26
+from analyzer_sim.instrument.painter import TracePainter
+from analyzer_sim.instrument.quantities import store
+from analyzer_sim.instrument.spectrum import ENBW_PER_RBW
+from analyzer_sim.world.ground_bodies import task
+from analyzer_sim.world.scenario import scenario_named
+from analyzer_sim.world.user_noise import sweep_sigma_db
+from analyzer_sim.world.world import World
 
 SEED = 3
 ROWS = 30

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from analyzer_sim.epochs import epoch_us_from_text, rfc3339
-from analyzer_sim.events import Gap, SwitchOff
 from analyzer_sim.export import export_arrays
-from analyzer_sim.ground_bodies import INERTIA_KG_M2
 from analyzer_sim.plant import Plant, ScheduleError, parse_schedule, run_plant
-from analyzer_sim.rigid_body import TorqueElement
-from analyzer_sim.scenario import Scenario, scenario_named
-from analyzer_sim.story import KeepingFigures, RepeaterFigures
-from analyzer_sim.world import World
+from analyzer_sim.world.events import Gap, SwitchOff
+from analyzer_sim.world.ground_bodies import INERTIA_KG_M2
+from analyzer_sim.world.rigid_body import TorqueElement
+from analyzer_sim.world.scenario import Scenario, scenario_named
+from analyzer_sim.world.story import KeepingFigures, RepeaterFigures
+from analyzer_sim.world.world import World
 
 SHORT = Scenario(
     "short",

@@ -6,15 +6,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analyzer_sim.detectors import FAST_DRAWS, Dwell, correlation_kernel, draw_rms, dwell_variance, video_variance
 from analyzer_sim.emission import Emission, Signal
-from analyzer_sim.envelope import draw_envelope
-from analyzer_sim.imperfections import IDEAL
-from analyzer_sim.instrument_settings import Settings, reset_state
-from analyzer_sim.models import FSW_26
-from analyzer_sim.painter import Detail, TracePainter
-from analyzer_sim.quantities import store
-from analyzer_sim.spectrum import ENBW_PER_RBW, MeanTrace, SweepGrid
+from analyzer_sim.instrument.detectors import (
+    FAST_DRAWS,
+    Dwell,
+    correlation_kernel,
+    draw_rms,
+    dwell_variance,
+    video_variance,
+)
+from analyzer_sim.instrument.envelope import draw_envelope
+from analyzer_sim.instrument.imperfections import IDEAL
+from analyzer_sim.instrument.instrument_settings import Settings, reset_state
+from analyzer_sim.instrument.models import FSW_26
+from analyzer_sim.instrument.painter import Detail, TracePainter
+from analyzer_sim.instrument.quantities import store
+from analyzer_sim.instrument.spectrum import ENBW_PER_RBW, MeanTrace, SweepGrid
 
 SEED = 20261121
 SWEEPS = 200

@@ -2,9 +2,9 @@
 
 import pytest
 
-from analyzer_sim.analyzer_model import FilterSteps, decade_steps
-from analyzer_sim.dialects import DIALECTS
-from analyzer_sim.models import FSW_26, SSA3032X
+from analyzer_sim.dialects.dialects import DIALECTS
+from analyzer_sim.instrument.analyzer_model import FilterSteps, decade_steps
+from analyzer_sim.instrument.models import FSW_26, SSA3032X
 
 MODELS = {name: dialect.model for name, dialect in DIALECTS.items()}
 

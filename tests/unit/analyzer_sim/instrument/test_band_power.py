@@ -5,7 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from analyzer_sim.band_power import (
+from analyzer_sim.emission import Emission, Signal
+from analyzer_sim.instrument.band_power import (
     LOG_MEAN_LOSS_DB,
     VOLT_MEAN_LOSS_DB,
     Band,
@@ -16,8 +17,7 @@ from analyzer_sim.band_power import (
     decibels,
     noise_density_dbm_hz,
 )
-from analyzer_sim.emission import Emission, Signal
-from analyzer_sim.spectrum import SweepGrid, mean_trace
+from analyzer_sim.instrument.spectrum import SweepGrid, mean_trace
 
 GRID = SweepGrid(954e6, 990e6, 2401, 30e3)
 #: 3 dB width of 30 kHz, noise bandwidth of a Gaussian

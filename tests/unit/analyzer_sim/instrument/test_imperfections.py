@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analyzer_sim.imperfections import IDEAL, Imperfections, LevelErrors
+from analyzer_sim.instrument.imperfections import IDEAL, Imperfections, LevelErrors
 
 HOUR_US = 3_600_000_000
 

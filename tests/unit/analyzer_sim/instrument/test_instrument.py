@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from analyzer_sim.scpi_errors import ScpiError
+from analyzer_sim.scpi.errors import ScpiError
 
 
 def test_initiate_is_refused_while_sweeping_continuously(bench: Any) -> None:

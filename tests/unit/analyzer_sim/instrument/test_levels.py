@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analyzer_sim.levels import ENCODERS, UNITS, ascii_list, definite_block, real32_block
+from analyzer_sim.instrument.levels import ENCODERS, UNITS, ascii_list, definite_block, real32_block
 
 
 @pytest.mark.parametrize("length", [0, 9, 10, 99, 100, 128004])

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from analyzer_sim.emission import Emission, Signal
-from analyzer_sim.occupied_bandwidth import (
+from analyzer_sim.instrument.occupied_bandwidth import (
     decibels_down,
     occupied_by_level,
     occupied_by_percent,
     percent_inside,
     trace_power_dbm,
 )
-from analyzer_sim.spectrum import SweepGrid, mean_trace
+from analyzer_sim.instrument.spectrum import SweepGrid, mean_trace
 
 GRID = SweepGrid(962e6, 982e6, 4001, 10e3)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from analyzer_sim.emission import Emission, NoiseHump, Signal
-from analyzer_sim.spectrum import (
+from analyzer_sim.instrument.spectrum import (
     ENBW_PER_RBW,
     SweepGrid,
     filter_response,

@@ -5,13 +5,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analyzer_sim.dialect_rs import RS
-from analyzer_sim.imperfections import IDEAL
-from analyzer_sim.instrument import Instrument, TraceNotReadyError
-from analyzer_sim.painter import TracePainter
-from analyzer_sim.session import Session, command_tree
-from analyzer_sim.status import OPERATION_SWEEPING, OPERATION_WAITING_FOR_TRIGGER
-from analyzer_sim.sweep_life import Pace, SweepLife, SweepState
+from analyzer_sim.dialects.dialect_rs import RS
+from analyzer_sim.instrument.imperfections import IDEAL
+from analyzer_sim.instrument.instrument import Instrument, TraceNotReadyError
+from analyzer_sim.instrument.painter import TracePainter
+from analyzer_sim.instrument.sweep_life import Pace, SweepLife, SweepState
+from analyzer_sim.lines.session import Session, command_tree
+from analyzer_sim.scpi.status import OPERATION_SWEEPING, OPERATION_WAITING_FOR_TRIGGER
 
 
 class Clock:

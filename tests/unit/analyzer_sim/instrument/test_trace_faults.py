@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analyzer_sim.levels import int32_block
-from analyzer_sim.trace_faults import TraceFault, TraceFaults
+from analyzer_sim.instrument.levels import int32_block
+from analyzer_sim.instrument.trace_faults import TraceFault, TraceFaults
 
 SETUP = "*RST;*CLS;:INIT:CONT OFF;:FREQ:CENT 1017 MHZ;SPAN 20 MHZ;:SWE:POIN 201;:INIT"
 

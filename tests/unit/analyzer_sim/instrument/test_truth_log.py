@@ -6,14 +6,14 @@ from typing import Any
 
 import pytest
 
-from analyzer_sim.dialect_rs import RS
-from analyzer_sim.instrument import Instrument
-from analyzer_sim.painter import TracePainter
-from analyzer_sim.scenario import scenario_named
-from analyzer_sim.session import Session, command_tree
-from analyzer_sim.trace_faults import TraceFault
-from analyzer_sim.truth_log import Reading, TruthLog
-from analyzer_sim.world import World
+from analyzer_sim.dialects.dialect_rs import RS
+from analyzer_sim.instrument.instrument import Instrument
+from analyzer_sim.instrument.painter import TracePainter
+from analyzer_sim.instrument.trace_faults import TraceFault
+from analyzer_sim.instrument.truth_log import Reading, TruthLog
+from analyzer_sim.lines.session import Session, command_tree
+from analyzer_sim.world.scenario import scenario_named
+from analyzer_sim.world.world import World
 
 
 class Logged:

@@ -8,15 +8,15 @@ from typing import Any
 
 import pytest
 
-from analyzer_sim.dialect_rs import RS
-from analyzer_sim.dispatcher import Dispatcher
-from analyzer_sim.imperfections import IDEAL
-from analyzer_sim.instrument import Instrument
-from analyzer_sim.models import FSW_26
-from analyzer_sim.painter import TracePainter
-from analyzer_sim.scpi import ProgramMessage
-from analyzer_sim.session import Session
-from analyzer_sim.sweep_life import Pace, SweepLife
+from analyzer_sim.dialects.dialect_rs import RS
+from analyzer_sim.instrument.imperfections import IDEAL
+from analyzer_sim.instrument.instrument import Instrument
+from analyzer_sim.instrument.models import FSW_26
+from analyzer_sim.instrument.painter import TracePainter
+from analyzer_sim.instrument.sweep_life import Pace, SweepLife
+from analyzer_sim.lines.dispatcher import Dispatcher
+from analyzer_sim.lines.session import Session
+from analyzer_sim.scpi.framing import ProgramMessage
 
 MAX_WAIT_S = 5.0
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analyzer_sim.hislip_messages import (
+from analyzer_sim.lines.hislip_messages import (
     HEADER,
     MAX_PAYLOAD_BYTES,
     Decoder,

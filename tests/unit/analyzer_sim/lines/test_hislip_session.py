@@ -2,8 +2,8 @@
 
 import pytest
 
-from analyzer_sim.hislip_messages import ErrorCode, FatalCode, FatalProtocolError, Message, MessageType
-from analyzer_sim.hislip_session import (
+from analyzer_sim.lines.hislip_messages import ErrorCode, FatalCode, FatalProtocolError, Message, MessageType
+from analyzer_sim.lines.hislip_session import (
     SYNCHRONOUS,
     TRANSITIONS,
     HislipSession,
@@ -11,7 +11,7 @@ from analyzer_sim.hislip_session import (
     RefusedMessageError,
     programs_of,
 )
-from analyzer_sim.scpi import MESSAGE_LIMIT_BYTES
+from analyzer_sim.scpi.framing import MESSAGE_LIMIT_BYTES
 
 M = MessageType
 FIRST_ID = 0xFFFFFF00

@@ -1,6 +1,6 @@
 """Faults are spent in order, one an answer, and wait for the answer they fit."""
 
-from analyzer_sim.line_faults import LineFault, LineFaults
+from analyzer_sim.lines.line_faults import LineFault, LineFaults
 
 
 def test_fault_that_needs_a_block_waits_for_one() -> None:

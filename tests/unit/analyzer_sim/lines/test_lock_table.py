@@ -1,6 +1,6 @@
 """Locks: who is granted what, who may run, what a client that leaves gives back."""
 
-from analyzer_sim.lock_table import LockAnswer, LockTable
+from analyzer_sim.lines.lock_table import LockAnswer, LockTable
 
 
 def test_exclusive_lock_keeps_everybody_else_out() -> None:

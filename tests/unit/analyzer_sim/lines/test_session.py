@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from analyzer_sim.scpi_errors import ScpiError
-from analyzer_sim.scpi_parser import parse_unit
+from analyzer_sim.scpi.errors import ScpiError
+from analyzer_sim.scpi.parser import parse_unit
 
 
 def test_several_queries_of_a_message_make_one_line(bench: Any) -> None:
@@ -129,7 +129,7 @@ def test_long_message_gives_others_a_turn(bench: Any) -> None:
 def test_response_beyond_the_output_queue_is_dropped_with_the_rest_of_its_message(
     bench: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("analyzer_sim.session.OUTPUT_LIMIT_BYTES", 8)
+    monkeypatch.setattr("analyzer_sim.lines.session.OUTPUT_LIMIT_BYTES", 8)
     assert bench.ask("*ESE?;:FORM?") == "0;ASC,0"
     assert bench.ask("*ESE 1;*ESE?;:FORM?;:FORM?;*ESE 7;*ESE?") == ""
     monkeypatch.undo()

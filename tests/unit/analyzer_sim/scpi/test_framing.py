@@ -2,7 +2,7 @@
 
 import pytest
 
-from analyzer_sim.scpi import FramerState, MessageFramer
+from analyzer_sim.scpi.framing import FramerState, MessageFramer
 
 
 def bodies(framer: MessageFramer, data: bytes) -> list[bytes]:

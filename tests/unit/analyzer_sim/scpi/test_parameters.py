@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from analyzer_sim.scpi_errors import ScpiError
-from analyzer_sim.scpi_parameters import (
+from analyzer_sim.scpi.errors import ScpiError
+from analyzer_sim.scpi.parameters import (
     HERTZ,
     PURE,
     SECONDS,
@@ -17,7 +17,7 @@ from analyzer_sim.scpi_parameters import (
     Quoted,
     TraceName,
 )
-from analyzer_sim.scpi_parser import parse_data
+from analyzer_sim.scpi.parser import parse_data
 
 TRACE = TraceName(("TRC",), 4)
 DETECTOR = Choice(("RMS", "POSitive"))

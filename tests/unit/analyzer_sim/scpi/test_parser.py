@@ -2,8 +2,8 @@
 
 import pytest
 
-from analyzer_sim.scpi_errors import ScpiError
-from analyzer_sim.scpi_parser import Block, Character, Number, Text, parse_data, parse_unit, split_units
+from analyzer_sim.scpi.errors import ScpiError
+from analyzer_sim.scpi.parser import Block, Character, Number, Text, parse_data, parse_unit, split_units
 
 
 @pytest.mark.parametrize(

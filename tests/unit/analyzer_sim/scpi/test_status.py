@@ -2,8 +2,8 @@
 
 import pytest
 
-from analyzer_sim.scpi_errors import ERROR_TEXTS, error_entry, event_bit
-from analyzer_sim.status import StatusModel, StatusRegister
+from analyzer_sim.scpi.errors import ERROR_TEXTS, error_entry, event_bit
+from analyzer_sim.scpi.status import StatusModel, StatusRegister
 
 
 @pytest.mark.parametrize(("code", "bit"), [(-113, 5), (-222, 4), (-350, 3), (-410, 2)])

@@ -2,9 +2,9 @@
 
 import pytest
 
-from analyzer_sim.scpi_errors import ScpiError
-from analyzer_sim.scpi_parser import parse_unit
-from analyzer_sim.scpi_tree import CommandTree
+from analyzer_sim.scpi.errors import ScpiError
+from analyzer_sim.scpi.parser import parse_unit
+from analyzer_sim.scpi.tree import CommandTree
 
 ROWS = (
     ("*IDN", "idn"),

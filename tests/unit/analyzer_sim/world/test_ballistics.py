@@ -10,9 +10,9 @@ import pytest
 
 from analyzer_sim.epochs import epoch_us_from_text
 from analyzer_sim.export import export_arrays
-from analyzer_sim.ground import ground_lines, news
-from analyzer_sim.scenario import scenario_named
-from analyzer_sim.world import World
+from analyzer_sim.world.ground import ground_lines, news
+from analyzer_sim.world.scenario import scenario_named
+from analyzer_sim.world.world import World
 
 
 @cache

@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 
 from analyzer_sim.epochs import epoch_us_from_text
-from analyzer_sim.ground import chunks_of, ground_lines
-from analyzer_sim.ground_port import MAX_LINE_BYTES, Gate, serve_ground
-from analyzer_sim.scenario import scenario_named
-from analyzer_sim.world import World
+from analyzer_sim.world.ground import chunks_of, ground_lines
+from analyzer_sim.world.ground_port import MAX_LINE_BYTES, Gate, serve_ground
+from analyzer_sim.world.scenario import scenario_named
+from analyzer_sim.world.world import World
 
 PROCEED = b'{"kind":"proceed"}\n'
 

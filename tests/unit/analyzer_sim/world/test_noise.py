@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from analyzer_sim.noise import daily_wave, first_order
 from analyzer_sim.streams import stream
+from analyzer_sim.world.noise import daily_wave, first_order
 
 
 def test_a_first_order_series_has_its_spread_and_memory() -> None:

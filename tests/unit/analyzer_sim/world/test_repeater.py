@@ -6,11 +6,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from analyzer_sim.effects import FaultFlag
-from analyzer_sim.events import DownlinkRain, Step, SwitchOff, UplinkRain
-from analyzer_sim.repeater import level_control_db, power_control_db
-from analyzer_sim.scenario import RepeaterFigures, Scenario
-from analyzer_sim.world import World
+from analyzer_sim.world.effects import FaultFlag
+from analyzer_sim.world.events import DownlinkRain, Step, SwitchOff, UplinkRain
+from analyzer_sim.world.repeater import level_control_db, power_control_db
+from analyzer_sim.world.scenario import RepeaterFigures, Scenario
+from analyzer_sim.world.world import World
 
 SHORT = Scenario("short", "for tests", quiet_h=1.0, alignment_h=0.75, operation_h=8.0)
 ALC = RepeaterFigures(alc_transponders=("Ku3",))

@@ -6,14 +6,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from analyzer_sim.effects import FaultFlag
-from analyzer_sim.events import ChainStep, Eclipse, GroupStep, Relevel, Storm, SunOutage, SwitchOff
 from analyzer_sim.export import measured_dbm
-from analyzer_sim.scenario import Scenario, scenario_named
-from analyzer_sim.spells import cooling
-from analyzer_sim.user_noise import sweep_sigma_db
-from analyzer_sim.weather import wet_antenna_db
-from analyzer_sim.world import World
+from analyzer_sim.world.effects import FaultFlag
+from analyzer_sim.world.events import ChainStep, Eclipse, GroupStep, Relevel, Storm, SunOutage, SwitchOff
+from analyzer_sim.world.scenario import Scenario, scenario_named
+from analyzer_sim.world.spells import cooling
+from analyzer_sim.world.user_noise import sweep_sigma_db
+from analyzer_sim.world.weather import wet_antenna_db
+from analyzer_sim.world.world import World
 
 SHORT = Scenario("short", "for tests", quiet_h=1.0, alignment_h=0.75, operation_h=12.0)
 STORM = Storm("storm", 1, start_h=(2.0, 2.0), stations=(4, 4), wet_db=(1.5, 1.5))

@@ -4,10 +4,10 @@ from functools import cache
 
 import numpy as np
 
-from analyzer_sim.payload import sensitivity_db_per_deg
-from analyzer_sim.scenario import scenario_named
-from analyzer_sim.structure import crlb_deg, report, structure_of
-from analyzer_sim.world import World
+from analyzer_sim.world.payload import sensitivity_db_per_deg
+from analyzer_sim.world.scenario import scenario_named
+from analyzer_sim.world.structure import crlb_deg, report, structure_of
+from analyzer_sim.world.world import World
 
 SEED = 1
 

@@ -7,9 +7,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from analyzer_sim.effects import FaultFlag, apply_fault
-from analyzer_sim.emission import EmissionSource
-from analyzer_sim.events import (
+from analyzer_sim.emission import EmissionSource, EndOfScenario
+from analyzer_sim.world.effects import FaultFlag, apply_fault
+from analyzer_sim.world.events import (
     ChainStep,
     DownlinkRain,
     Fault,
@@ -20,9 +20,9 @@ from analyzer_sim.events import (
     SwitchOff,
     UplinkRain,
 )
-from analyzer_sim.scenario import SCENARIOS, Scenario, downlink_rain, scenario_named
-from analyzer_sim.user_noise import sweep_sigma_db, world_white_db
-from analyzer_sim.world import EndOfScenario, World, flag_names
+from analyzer_sim.world.scenario import SCENARIOS, Scenario, downlink_rain, scenario_named
+from analyzer_sim.world.user_noise import sweep_sigma_db, world_white_db
+from analyzer_sim.world.world import World, flag_names
 
 SHORT = Scenario("short", "for tests", quiet_h=1.0, alignment_h=0.75, operation_h=6.0)
 HIT = 3  # index of the carrier that the faults of these tests hit

@@ -12,11 +12,11 @@ from spooled_rows import spool
 from steady_world import steady_task
 
 from service.client.service_client import ServiceClient
-from service.frontend.acquisition_settings import AcquisitionSettings
-from service.frontend.acquisition_states import Event, State
+from service.frontend.acquisition.settings import AcquisitionSettings
+from service.frontend.acquisition.states import Event, State
 from service.frontend.link_report import LinkReporter
 from service.frontend.station import Station
-from service.frontend.uploader import UploadSettings
+from service.frontend.upload.uploader import UploadSettings
 
 Answer = Callable[[httpx.Request], httpx.Response]
 

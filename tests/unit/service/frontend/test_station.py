@@ -11,10 +11,10 @@ from spooled_rows import spool
 
 from service.client.backoff import Backoff
 from service.client.service_client import ServiceClient
-from service.frontend.acquisition_settings import AcquisitionSettings
+from service.frontend.acquisition.settings import AcquisitionSettings
 from service.frontend.measurement_task import MeasurementTask, parse_task
 from service.frontend.station import Station, StationError
-from service.frontend.uploader import UploadSettings
+from service.frontend.upload.uploader import UploadSettings
 
 
 def task() -> MeasurementTask:

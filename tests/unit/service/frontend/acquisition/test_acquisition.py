@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from service.client.backoff import Backoff
-from service.frontend import acquisition as module
-from service.frontend.acquisition import Acquisition
-from service.frontend.acquisition_settings import AcquisitionSettings
-from service.frontend.acquisition_states import ACTIONS, TRANSITIONS, Event, State
+from service.frontend.acquisition import acquisition as module
+from service.frontend.acquisition.acquisition import Acquisition
+from service.frontend.acquisition.evaluation import MeasuredRow
+from service.frontend.acquisition.settings import AcquisitionSettings
+from service.frontend.acquisition.states import ACTIONS, TRANSITIONS, Event, State
 from service.frontend.drivers.base import Features, SweepRefusedError
-from service.frontend.evaluation import MeasuredRow
 from service.frontend.measurement_task import MeasurementTask, parse_task
 from service.frontend.scpi import AnalyzerMessage, Identity
 from service.frontend.visa_session import AnalyzerIOError
@@ -175,7 +175,7 @@ def test_a_fault_opens_another_session_and_marks_the_next_row(
 def test_connecting_is_tried_again_with_growing_waits(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    caplog.set_level(logging.INFO, logger="service.frontend.acquisition")
+    caplog.set_level(logging.INFO, logger="service.frontend.acquisition.acquisition")
     script = Script()
     script.open_faults = [AnalyzerIOError("refused")] * 3
     made, rows, _ = acquisition(monkeypatch, script)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from service.core.radio.predicted_sigma import GAUSSIAN_ENBW_RATIO
-from service.frontend.evaluation import TaskEvaluation, level_offset_db
+from service.frontend.acquisition.evaluation import TaskEvaluation, level_offset_db
 from service.frontend.measurement_task import InputPart, MeasurementTask, parse_task
-from service.frontend.plan_binding import PlanMismatchError, bind_plan
+from service.frontend.upload.plan_binding import PlanMismatchError, bind_plan
 from service.records.quality_flag import QualityFlag
 from service.records.sweep import Sweep, SweepSettings
 

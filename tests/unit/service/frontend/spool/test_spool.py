@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from spooled_rows import NOW_US, OWNER, TASK, Hands, row, spool, sweep
 
-from service.frontend.spool import Spool, spool_path
-from service.frontend.spool_file import Bounds, Lane, Owner
-from service.frontend.spool_lock import MARK_STEP, SpoolInUseError
-from service.frontend.spool_row import ARRAYS, ROW_OVERHEAD, SpooledTask, encode_row
-from service.frontend.spool_schema import MIGRATIONS, SpoolFileError, connect, migrate
+from service.frontend.spool.file import Bounds, Lane, Owner
+from service.frontend.spool.lock import MARK_STEP, SpoolInUseError
+from service.frontend.spool.row import ARRAYS, ROW_OVERHEAD, SpooledTask, encode_row
+from service.frontend.spool.schema import MIGRATIONS, SpoolFileError, connect, migrate
+from service.frontend.spool.spool import Spool, spool_path
 
 ROW_BYTES = ROW_OVERHEAD + sum(map(len, encode_row(row(0))))
 
@@ -389,7 +389,7 @@ def test_traces_are_kept_at_a_pace_for_each_sweep(tmp_path: Path) -> None:
 
 
 def test_an_emptied_file_gives_its_pages_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("service.frontend.spool._IDLE_BYTES", 1 << 16)
+    monkeypatch.setattr("service.frontend.spool.spool._IDLE_BYTES", 1 << 16)
     with spool(tmp_path) as made:
         for number in range(2000):
             made.append(row(number))

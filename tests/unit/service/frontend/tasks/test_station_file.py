@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from service.frontend.measurement_task import TaskError
-from service.frontend.station_file import load_station
+from service.frontend.tasks.station_file import load_station
 
 
 def written(folder: Path, document: Any) -> Path:

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from service.frontend.measurement_task import MeasurementTask, TaskError, load_task, parse_task
-from service.frontend.task_plan import plan_task, recheck
+from service.frontend.tasks.task_plan import plan_task, recheck
 from service.records.sweep import SweepSettings
 
 

@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from service.frontend.evaluation import TaskEvaluation
+from service.frontend.acquisition.evaluation import TaskEvaluation
 from service.frontend.measurement_task import MeasurementTask, parse_task
-from service.frontend.task_plan import cycle_s
-from service.frontend.zoom_plan import plan_with_zoom, zoom_rbw_hz
+from service.frontend.tasks.task_plan import cycle_s
+from service.frontend.tasks.zoom_plan import plan_with_zoom, zoom_rbw_hz
 
 NOISE = [[951e6, 954e6], [988e6, 989.5e6]]
 

@@ -15,9 +15,9 @@ from spooled_rows import NOW_US, row, spool, sweep
 
 from service.client.backoff import Backoff
 from service.client.service_client import ServiceClient
-from service.frontend.spool import Spool
-from service.frontend.spool_row import SpooledTask
-from service.frontend.uploader import Uploader, UploadSettings
+from service.frontend.spool.row import SpooledTask
+from service.frontend.spool.spool import Spool
+from service.frontend.upload.uploader import Uploader, UploadSettings
 
 Answer = Callable[[dict[str, Any]], httpx.Response]
 
