@@ -5,9 +5,9 @@ from concurrent.futures import Future
 from typing import Any
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Row, Select, and_, or_, select, update
+from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, or_, select, update
 
-from db import sealing
+from db import retention, sealing
 from db.database import Database, add_entries, beyond, count_entries, lock_head, within
 from db.documents import decode, decode_all, decode_input
 from db.ingest import prepare, store_batch
@@ -15,7 +15,7 @@ from db.measurement_pages import EVER, PAGE_ROWS, POWERS, Chosen, Cursor, Measur
 from db.slow_inputs import revise_operation, store_inputs, store_operation
 from db.tables import carrier_plan, head, journal, operation, source
 from service.errors import InvalidInputError, NotFoundError
-from service.records.archive_upkeep import SealedPart, SegmentState
+from service.records.archive_upkeep import Dropped, SealedPart, SegmentState
 from service.records.attitude import FloatArray, IntArray
 from service.records.calibration import Window
 from service.records.catalogue import Carrier
@@ -98,17 +98,31 @@ class SqlArchive:
     def journal(self, spacecraft_id: str, after: int, limit: int) -> list[JournalEntry]:
         """Return at most ``limit`` entries with a number above ``after``, in order."""
         key = self._database.key(spacecraft_id)
+        with self._database.read() as connection:
+            entries = self._entries(connection, key, after, limit)
+            if not entries and (following := self._next_number(connection, key, after)) is not None:
+                # retention has taken away what followed
+                entries = self._entries(connection, key, following - 1, limit)
+        return entries
 
-        # numbers have no gap, so the next entries are a range of numbers in both tables
+    def _entries(self, connection: Connection, key: int, after: int, limit: int) -> list[JournalEntry]:
+        """Return the entries with a number in (after, after + limit], in order."""
+
+        # numbers have no gap but that of retention, so the next entries are a range of numbers
         def is_next(number: ColumnElement[int]) -> ColumnElement[bool]:
             return and_(number > after, number <= after + limit)
 
         slow = select(journal).where(journal.c.spacecraft_key == key, is_next(journal.c.number))
-        with self._database.read() as connection:
-            rows = self._pages(connection, key).of_numbers(after, after + limit)
-            entries = [JournalEntry(row.number, row) for row in rows]
-            entries += [_slow_entry(row) for row in connection.execute(slow)]
+        rows = self._pages(connection, key).of_numbers(after, after + limit)
+        entries = [JournalEntry(row.number, row) for row in rows]
+        entries += [_slow_entry(row) for row in connection.execute(slow)]
         return sorted(entries, key=lambda entry: entry.number)
+
+    def _next_number(self, connection: Connection, key: int, after: int) -> int | None:
+        """Return the smallest number above the given one."""
+        slow = select(func.min(journal.c.number)).where(journal.c.spacecraft_key == key, journal.c.number > after)
+        found = (connection.scalar(slow), self._pages(connection, key).next_number(after))
+        return min((number for number in found if number is not None), default=None)
 
     def slow_inputs_before(self, spacecraft_id: str, number: int, kinds: Sequence[str]) -> list[JournalEntry]:
         """Return all slow inputs of some kinds with a number below the given one, in order."""
@@ -218,6 +232,20 @@ class SqlArchive:
     def segments(self, spacecraft_id: str) -> Iterator[SegmentState]:
         """Read every sealed segment and yield whether it can be read."""
         return sealing.states(self._database, self._database.key(spacecraft_id))
+
+    def drop_before(self, spacecraft_id: str, series: str, before_us: int) -> Iterator[Dropped]:
+        """Drop the rows of a series of whole days before an epoch, a transaction a step."""
+        return retention.drop(self._database, self._database.key(spacecraft_id), series, before_us)
+
+    def fitting_us(self, spacecraft_id: str, series: str, size_bytes: int) -> int | None:
+        """Return from where on a series fits a size; None when all of it does."""
+        return retention.fitting_us(self._database, self._database.key(spacecraft_id), series, size_bytes)
+
+    def kept_from_us(self, spacecraft_id: str, series: str) -> int:
+        """Return the epoch from which on a series is kept."""
+        key = self._database.key(spacecraft_id)
+        with self._database.read() as connection:
+            return retention.kept_from_us(connection, key, series)
 
     def _pages(self, connection: Connection, key: int) -> MeasurementPages:
         return MeasurementPages(connection, self._database.segments, key)

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Row, Select, and_, select
+from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, select
 
 from db.database import beyond, within
 from db.mapping import MEASUREMENT_COLUMNS, measurement_of, measurements_of, powers_of
@@ -33,6 +33,8 @@ Cursor = tuple[int, int]
 Columns = tuple[ColumnElement[Any], ...]
 #: rows that a reader of everything holds at once
 PAGE_ROWS = 8192
+#: above every journal number
+MAX_NUMBER = 1 << 62
 EVER = Window(-(1 << 62), 1 << 62)
 #: for records
 FULL: Columns = MEASUREMENT_COLUMNS
@@ -183,6 +185,17 @@ class MeasurementPages:
             places = np.flatnonzero((piece.numbers > after) & (piece.numbers <= upto))
             found += [piece.record(place) for place in places.tolist()]
         return found
+
+    def next_number(self, after: int) -> int | None:
+        """Return the smallest journal number of a row above the given one."""
+        is_next = (measurement.c.spacecraft_key == self._key, measurement.c.number > after)
+        found = [self._connection.scalar(select(func.min(measurement.c.number)).where(*is_next))]
+        for head in heads_of_numbers(self._connection, self._key, after, MAX_NUMBER):
+            if any(number is not None and number < head.first_number for number in found):
+                continue
+            numbers = read_piece(self._connection, self._cache, head).numbers
+            found.append(int(numbers[numbers > after].min()))
+        return min((number for number in found if number is not None), default=None)
 
     def at(self, source_key: int, epoch_us: int) -> Measurement | None:
         """Return the row of a source at an epoch."""

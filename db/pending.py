@@ -11,15 +11,14 @@ from sqlalchemy import Connection, func, not_, or_, select
 from sqlalchemy.sql.elements import ColumnElement
 
 from db.database import within
+from db.measurement_pages import MAX_NUMBER
+from db.retention import kept_from_us
 from db.segments import SegmentCache, heads_of_numbers, read_piece
 from db.tables import alignment, attitude, head, measurement
 from service.ports import LIVE
 from service.records.attitude import IntArray
 from service.records.calibration import Window
 from service.records.catalogue import Method
-
-#: above every journal number
-MAX_NUMBER = 1 << 62
 
 
 class PendingCount:
@@ -44,8 +43,10 @@ class PendingCount:
         known = (key, int(aligned.alignment_id), names)
         number = connection.scalar(select(head.c.newest_number).where(head.c.spacecraft_key == key)) or 0
         complete = self._complete.get(known, 0)
-        count, first = _lacking_rows(connection, key, aligned.epoch_us, complete, names)
-        for numbers in _lacking_sealed(connection, cache, key, aligned.epoch_us, complete, names):
+        # what retention has taken away is not awaited
+        epoch_us = max(aligned.epoch_us, kept_from_us(connection, key, "attitude") - 1)
+        count, first = _lacking_rows(connection, key, epoch_us, complete, names)
+        for numbers in _lacking_sealed(connection, cache, key, epoch_us, complete, names):
             count += len(numbers)
             first = min(first or int(numbers.min()), int(numbers.min()))
         self._complete[known] = number if first is None else first - 1

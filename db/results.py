@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import ColumnElement, Row, Select, and_, select
+from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, select
 
 from db.calibrations import SqlCalibrations
 from db.database import Database, beyond, within
@@ -96,15 +96,11 @@ class SqlResults(SqlCalibrations, SqlJobs):
         """Return live results with a sequence above the given one, in order: what a resumed stream missed."""
         key = self._database.key(spacecraft_id)
 
-        # sequences of the live version have no gap, so the next results are a range in both tables
-        def is_next(column: ColumnElement[int | None]) -> ColumnElement[bool]:
-            return and_(column > sequence, column <= sequence + limit)
-
         with self._database.read() as connection:
-            rows = select(attitude).where(attitude.c.spacecraft_key == key, is_next(attitude.c.sequence))
-            commands = select(torque).where(torque.c.spacecraft_key == key, is_next(torque.c.sequence))
-            found = [_numbered(row, attitude_of(row)) for row in connection.execute(rows)]
-            found += [_numbered(row, torque_of(row)) for row in connection.execute(commands)]
+            found = _results(connection, key, sequence, limit)
+            if not found and (following := _next_sequence(connection, key, sequence)) is not None:
+                # retention has taken away what followed
+                found = _results(connection, key, following - 1, limit)
         return sorted(found, key=lambda result: result[0])
 
     def pending(self, spacecraft_id: str, methods: Sequence[Method]) -> int:
@@ -126,3 +122,27 @@ def _of_version(key: int, version: str, method: Method) -> Select[Any]:
 
 def _numbered(row: Row[Any], result: Result) -> tuple[int, Result]:
     return int(row.sequence), result
+
+
+def _results(connection: Connection, key: int, sequence: int, limit: int) -> list[tuple[int, Result]]:
+    """Return the live results with a sequence in (sequence, sequence + limit]."""
+
+    # sequences of the live version have no gap but that of retention, so the next results are a range in both tables
+    def is_next(column: ColumnElement[int | None]) -> ColumnElement[bool]:
+        return and_(column > sequence, column <= sequence + limit)
+
+    rows = select(attitude).where(attitude.c.spacecraft_key == key, is_next(attitude.c.sequence))
+    commands = select(torque).where(torque.c.spacecraft_key == key, is_next(torque.c.sequence))
+    found = [_numbered(row, attitude_of(row)) for row in connection.execute(rows)]
+    return found + [_numbered(row, torque_of(row)) for row in connection.execute(commands)]
+
+
+def _next_sequence(connection: Connection, key: int, sequence: int) -> int | None:
+    """Return the smallest sequence above the given one."""
+    found = [
+        connection.scalar(
+            select(func.min(table.c.sequence)).where(table.c.spacecraft_key == key, table.c.sequence > sequence)
+        )
+        for table in (attitude, torque)
+    ]
+    return min((number for number in found if number is not None), default=None)

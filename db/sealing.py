@@ -204,7 +204,8 @@ def _rows_of(piece: SegmentPiece) -> SealedRows:
 def _merged(one: SealedRows, other: SealedRows) -> SealedRows:
     """Return the rows of both in order of epoch."""
     order = np.argsort(np.concatenate((one.epochs_us, other.epochs_us)), kind="stable")
-    return SealedRows._make(np.concatenate(pair)[order] for pair in zip(one, other, strict=True))
+    columns: Iterator[tuple[Any, Any]] = zip(one, other, strict=True)
+    return SealedRows._make(np.concatenate(pair)[order] for pair in columns)
 
 
 def _parts(rows: SealedRows) -> Iterator[SealedRows]:

@@ -7,14 +7,15 @@ activations stood before it.
 
 from collections.abc import Iterator, Sequence
 from itertools import starmap
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from sqlalchemy import Connection, select
+from sqlalchemy import Connection, Select, select
 
-from db.database import within
+from db.database import beyond, within
 from db.documents import decode
 from db.mapping import attitude_of
 from db.measurement_pages import EVER, LIGHT, Chosen, MeasurementPages, Run
+from db.retention import kept_from_us
 from db.segments import SegmentCache
 from db.tables import attitude, calibration, head, journal
 from service.ports import LIVE
@@ -40,16 +41,46 @@ class Synthesis:
         self._pages = MeasurementPages(connection, cache, key)
         self._key = key
         self._method = method
+        self._measured_from_us = kept_from_us(connection, key, "measurements")
 
     def rows(self, window: Window, limit: int, after: tuple[int, int] | None) -> list[AttitudeRow]:
         """Return rows in order of (epoch, number) beyond a cursor."""
-        runs = self._pages.read(self._consumed(window), limit, after, columns=LIGHT)
-        return self._records([measurement for run in runs for measurement in _of_run(run)])
+        begin_us = kept_from_us(self._connection, self._key, "attitude")
+        # of measurements that retention took away the attitude alone is left
+        left = Window(max(window.start_us, begin_us), min(window.stop_us, self._measured_from_us))
+        found = self._left(left, limit, after)
+        rest = Window(max(window.start_us, begin_us, self._measured_from_us), window.stop_us)
+        if len(found) < limit and rest.start_us < rest.stop_us:
+            runs = self._pages.read(self._consumed(rest), limit - len(found), after, columns=LIGHT)
+            found += self._records([measurement for run in runs for measurement in _of_run(run)])
+        return found
 
     def newest(self) -> AttitudeRow | None:
         """Return the row with the greatest epoch."""
-        newest = self._pages.newest(self._consumed(EVER))
-        return None if newest is None else self._records([_Consumed(*newest)])[0]
+        begin_us = max(kept_from_us(self._connection, self._key, "attitude"), self._measured_from_us)
+        newest = self._pages.newest(self._consumed(Window(begin_us, EVER.stop_us)))
+        if newest is not None:
+            return self._records([_Consumed(*newest)])[0]
+        query = self._stored().where(attitude.c.epoch_us < self._measured_from_us)
+        row = self._connection.execute(
+            query.order_by(attitude.c.epoch_us.desc(), attitude.c.number.desc()).limit(1)
+        ).first()
+        return None if row is None else attitude_of(row)
+
+    def _left(self, window: Window, limit: int, after: tuple[int, int] | None) -> list[AttitudeRow]:
+        if window.start_us >= window.stop_us:
+            return []
+        query = self._stored().where(within(attitude.c.epoch_us, window))
+        query = query.where(beyond(attitude.c.epoch_us, attitude.c.number, after))
+        ordered = query.order_by(attitude.c.epoch_us, attitude.c.number).limit(limit)
+        return [attitude_of(row) for row in self._connection.execute(ordered)]
+
+    def _stored(self) -> Select[Any]:
+        return select(attitude).where(
+            attitude.c.spacecraft_key == self._key,
+            attitude.c.version == LIVE,
+            attitude.c.method == self._method.value,
+        )
 
     def _consumed(self, window: Window) -> Chosen:
         """Return what the chain has consumed."""
@@ -60,12 +91,7 @@ class Synthesis:
         if not measurements:
             return []
         window = Window(measurements[0].epoch_us, measurements[-1].epoch_us + 1)
-        query = select(attitude).where(
-            attitude.c.spacecraft_key == self._key,
-            attitude.c.version == LIVE,
-            attitude.c.method == self._method.value,
-            within(attitude.c.epoch_us, window),
-        )
+        query = self._stored().where(within(attitude.c.epoch_us, window))
         stored = {(row.epoch_us, row.number): row for row in self._connection.execute(query)}
         places = [(measurement.epoch_us, measurement.number) for measurement in measurements]
         if all(place in stored for place in places):

@@ -19,7 +19,7 @@ from service.records.access_key import AccessKey, StoredKey
 from service.records.alarm import Alarm, AlarmChange
 from service.records.alarm_limits import AlarmLimits
 from service.records.alarm_memory import BookMemory
-from service.records.archive_upkeep import SealedPart, SegmentState
+from service.records.archive_upkeep import Dropped, SealedPart, SegmentState
 from service.records.attitude import AttitudeRow
 from service.records.audit import AuditEntry, AuditFilter, AuditHead, Deed
 from service.records.calibration import (
@@ -149,7 +149,10 @@ class Archive(Protocol):
         ...
 
     def journal(self, spacecraft_id: str, after: int, limit: int) -> list[JournalEntry]:
-        """Return at most ``limit`` entries with a number above ``after``, in order."""
+        """Return at most ``limit`` entries with a number above ``after``, in order.
+
+        Numbers have no gap but where retention has taken rows away; empty only when nothing follows.
+        """
         ...
 
     def slow_inputs_before(self, spacecraft_id: str, number: int, kinds: Sequence[str]) -> list[JournalEntry]:
@@ -211,6 +214,21 @@ class Archive(Protocol):
 
     def segments(self, spacecraft_id: str) -> Iterator[SegmentState]:
         """Read every sealed segment and yield whether it can be read; nothing is raised for one that cannot."""
+        ...
+
+    def drop_before(self, spacecraft_id: str, series: str, before_us: int) -> Iterator[Dropped]:
+        """Drop the rows of a series of whole days before an epoch, a short transaction a step.
+
+        Series: ``measurements``, ``attitude``, ``torques``, ``traces``. What the live chain has not consumed stays.
+        """
+        ...
+
+    def fitting_us(self, spacecraft_id: str, series: str, size_bytes: int) -> int | None:
+        """Return the midnight from which on the days of a series fit a size; None when all of them do."""
+        ...
+
+    def kept_from_us(self, spacecraft_id: str, series: str) -> int:
+        """Return the epoch below which rows of a series were dropped; far below every epoch when none were."""
         ...
 
 

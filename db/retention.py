@@ -1,0 +1,220 @@
+"""Retention: rows older than a series keeps are dropped, some at a time, and counted.
+
+The mark of a series moves before its rows go, in the transaction that drops the first of them, so nothing below it is
+taken in again and readers know where a series begins. Of measurements and attitude only what the live chain has
+consumed is dropped, whole days at once where they are sealed.
+"""
+
+from collections.abc import Iterator
+from functools import partial
+from typing import Any, NamedTuple
+
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Integer,
+    Table,
+    and_,
+    delete,
+    func,
+    literal,
+    select,
+    tuple_,
+    update,
+)
+
+from db.database import Database, lock_head
+from db.segments import DAY_US, day_of
+from db.tables import (
+    attitude,
+    head,
+    measurement,
+    measurement_detail,
+    measurement_segment,
+    retention_mark,
+    torque,
+    trace,
+)
+from service.records.archive_upkeep import Dropped
+
+#: rows that one transaction drops
+ROWS_AT_ONCE = 500
+#: segments that one transaction drops
+SEGMENTS_AT_ONCE = 8
+#: before every epoch
+_NEVER_US = -(1 << 62)
+
+
+class _Part(NamedTuple):
+    """A table that holds rows of a series."""
+
+    table: Table
+    #: by which a row is older than another
+    epoch_us: ColumnElement[int]
+    #: columns that name a row, beside the key of the spacecraft
+    key: tuple[ColumnElement[Any], ...]
+    #: about how many bytes a row takes
+    size: ColumnElement[int]
+    #: how many rows of the series a row stands for
+    rows: ColumnElement[int]
+    at_once: int = ROWS_AT_ONCE
+    #: a row may go when the chain has consumed its numbers up to this one
+    number: ColumnElement[int] | None = None
+    #: columns by which the table is ordered before the epoch
+    prefix: tuple[ColumnElement[str], ...] = ()
+
+
+def _length(column: ColumnElement[bytes]) -> ColumnElement[int]:
+    return func.coalesce(func.length(column), 0)
+
+
+_SEGMENT = measurement_segment.c
+_ONE = literal(1, Integer)
+_ROWS = _Part(
+    measurement,
+    measurement.c.epoch_us,
+    (measurement.c.epoch_us, measurement.c.source_key),
+    _length(measurement.c.powers) + _length(measurement.c.flags) + 64,
+    _ONE,
+    number=measurement.c.number,
+)
+_SEGMENTS = _Part(
+    measurement_segment,
+    _SEGMENT.last_epoch_us,
+    (_SEGMENT.segment_id,),
+    _length(_SEGMENT.columns) + _length(_SEGMENT.powers) + _length(_SEGMENT.extras) + 128,
+    _SEGMENT.row_count,
+    SEGMENTS_AT_ONCE,
+    number=_SEGMENT.last_number,
+)
+_ATTITUDE = _Part(
+    attitude,
+    attitude.c.epoch_us,
+    (attitude.c.version, attitude.c.method, attitude.c.epoch_us, attitude.c.number),
+    literal(320, Integer),
+    _ONE,
+    number=attitude.c.number,
+    prefix=(attitude.c.version, attitude.c.method),
+)
+_TORQUE = _Part(
+    torque,
+    torque.c.epoch_us,
+    (torque.c.version, torque.c.epoch_us, torque.c.number),
+    literal(640, Integer),
+    _ONE,
+    number=torque.c.number,
+    prefix=(torque.c.version,),
+)
+_TRACE = _Part(trace, trace.c.epoch_us, (trace.c.trace_id,), trace.c.size_bytes + 128, _ONE)
+#: which tables hold a series
+PARTS: dict[str, tuple[_Part, ...]] = {
+    "measurements": (_ROWS, _SEGMENTS),
+    "attitude": (_ATTITUDE,),
+    "torques": (_TORQUE,),
+    "traces": (_TRACE,),
+}
+
+
+def kept_from_us(connection: Connection, key: int, series: str) -> int:
+    """Return the epoch from which on a series is kept; before every epoch when nothing was dropped."""
+    is_it = (retention_mark.c.spacecraft_key == key, retention_mark.c.series == series)
+    mark = connection.scalar(select(retention_mark.c.kept_from_us).where(*is_it))
+    return _NEVER_US if mark is None else int(mark)
+
+
+def drop(database: Database, key: int, series: str, before_us: int) -> Iterator[Dropped]:
+    """Drop the rows of whole days before an epoch, a transaction a step."""
+    stop_us = day_of(before_us) * DAY_US
+    for part in PARTS[series]:
+        with database.read() as connection:
+            ranges = list(_ranges(connection, key, part))
+        for is_in_range in ranges:
+            step = partial(
+                _drop_some,
+                key=key,
+                series=series,
+                part=part,
+                is_old=and_(is_in_range, part.epoch_us < stop_us),
+                stop_us=stop_us,
+            )
+            while (rows := database.write(step)) > 0:
+                yield Dropped(series, rows, stop_us)
+
+
+def fitting_us(database: Database, key: int, series: str, size_bytes: int) -> int | None:
+    """Return the midnight from which on the days of a series fit a size; None when all of them do."""
+    by_day: dict[int, int] = {}
+    with database.read() as connection:
+        for part in PARTS[series]:
+            day = part.epoch_us // DAY_US
+            query = select(day, func.sum(part.size)).where(part.table.c.spacecraft_key == key).group_by(day)
+            for found, size in connection.execute(query):
+                by_day[int(found)] = by_day.get(int(found), 0) + int(size)
+    held = 0
+    for found in sorted(by_day, reverse=True):
+        held += by_day[found]
+        if held > size_bytes:
+            # the newest day stays whatever it takes
+            return (min(found + 1, max(by_day))) * DAY_US
+    return None
+
+
+def _ranges(connection: Connection, key: int, part: _Part) -> Iterator[ColumnElement[bool]]:
+    """Yield conditions for the ranges of a table within which it is ordered by epoch."""
+    is_its = part.table.c.spacecraft_key == key
+    if not part.prefix:
+        yield is_its
+        return
+    query = select(*part.prefix).where(is_its).order_by(*part.prefix).limit(1)
+    row = connection.execute(query).first()
+    while row is not None:
+        yield and_(is_its, *(column == value for column, value in zip(part.prefix, row, strict=True)))
+        row = connection.execute(query.where(tuple_(*part.prefix) > tuple(row))).first()
+
+
+def _drop_some(
+    connection: Connection, *, key: int, series: str, part: _Part, is_old: ColumnElement[bool], stop_us: int
+) -> int:
+    """Drop the first rows before an epoch and count them; 0 when there are none."""
+    lock_head(connection, key)
+    may_go = is_old
+    if part.number is not None:
+        consumed = select(head.c.consumed_number).where(head.c.spacecraft_key == key).scalar_subquery()
+        # the sum keeps the planner on the key by epoch
+        may_go = and_(is_old, part.number + 0 <= consumed)
+    names = connection.execute(
+        select(*part.key, part.rows.label("stands_for")).where(may_go).order_by(part.epoch_us).limit(part.at_once)
+    ).all()
+    if not names:
+        return 0
+    if part is _ROWS:
+        names_of_details = (measurement_detail.c.epoch_us, measurement_detail.c.source_key)
+        _delete(connection, key, measurement_detail, names_of_details, names)
+    _delete(connection, key, part.table, part.key, names)
+    rows = sum(int(name.stands_for) for name in names)
+    _count(connection, key, series, stop_us, rows)
+    return rows
+
+
+def _delete(
+    connection: Connection, key: int, table: Table, columns: tuple[ColumnElement[Any], ...], names: Any
+) -> None:
+    width = len(columns)
+    # SQLite before 3.32 binds 999 values at most
+    chunk = 900 // width
+    for start in range(0, len(names), chunk):
+        wanted = [tuple(name)[:width] for name in names[start : start + chunk]]
+        is_one = tuple_(*columns).in_(wanted)
+        connection.execute(delete(table).where(table.c.spacecraft_key == key, is_one))
+
+
+def _count(connection: Connection, key: int, series: str, stop_us: int, rows: int) -> None:
+    """Move the mark of a series, never back, and add to its count."""
+    is_it = (retention_mark.c.spacecraft_key == key, retention_mark.c.series == series)
+    known = connection.execute(select(retention_mark).where(*is_it)).first()
+    if known is None:
+        values = {"spacecraft_key": key, "series": series, "kept_from_us": stop_us, "rows_dropped": rows}
+        connection.execute(retention_mark.insert().values(values))
+        return
+    values = {"kept_from_us": max(known.kept_from_us, stop_us), "rows_dropped": known.rows_dropped + rows}
+    connection.execute(update(retention_mark).where(*is_it).values(values))
