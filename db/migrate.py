@@ -4,7 +4,7 @@ from pathlib import Path
 
 from alembic import command
 from alembic.config import Config
-from sqlalchemy import Engine, text
+from sqlalchemy import Connection, Engine, text
 
 from db.engine import translated_faults
 
@@ -24,14 +24,24 @@ def downgrade(engine: Engine, revision: str = "base") -> None:
 
 
 def _run(engine: Engine, revision: str, *, is_up: bool) -> None:
+    with translated_faults(), engine.begin() as connection:
+        wait_for_turn(connection)
+        change_schema(connection, revision, is_up=is_up)
+
+
+def wait_for_turn(connection: Connection) -> None:
+    """Keep every other process from changing the schema until the transaction ends."""
+    if connection.dialect.name == "postgresql":
+        # one process migrates, and it does not wait for ever behind a reader
+        connection.execute(text("SET LOCAL lock_timeout = '30s'"))
+        connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _LOCK})
+
+
+def change_schema(connection: Connection, revision: str = "head", *, is_up: bool = True) -> None:
+    """Bring the schema to a revision in the transaction of a connection."""
     config = Config()
     config.set_main_option("script_location", str(_SCRIPTS))
     config.set_main_option("path_separator", "os")
-    with translated_faults(), engine.begin() as connection:
-        if connection.dialect.name == "postgresql":
-            # one process migrates, and it does not wait for ever behind a reader
-            connection.execute(text("SET LOCAL lock_timeout = '30s'"))
-            connection.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": _LOCK})
-        config.attributes["connection"] = connection
-        change = command.upgrade if is_up else command.downgrade
-        change(config, revision)
+    config.attributes["connection"] = connection
+    change = command.upgrade if is_up else command.downgrade
+    change(config, revision)

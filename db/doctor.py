@@ -1,0 +1,159 @@
+"""The doctor: what an archive stands on (file, rights, disk, log, clock), then what it holds.
+
+Nothing is written, and a service may be running. Limits are those at which a person should act, not those at which the
+service stops.
+"""
+
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+from sqlalchemy import Connection, Engine, select, text
+from sqlalchemy.exc import SQLAlchemyError
+
+from db.archive_files import reading_engine, sqlite_path
+from db.engine import open_engines, translated_faults
+from db.examination import Report, examine
+from db.schema_version import newest_version, version_of
+from db.tables import head, measurement
+from service.errors import StorageError
+from service.records.diagnosis import Diagnosis
+from service.records.epoch import US_PER_S, format_epoch
+
+#: a disk with less room is nearly full; with less than the second figure the next commits fail
+FREE_BYTES_WARNING, FREE_BYTES_FAULT = 1 << 30, 64 << 20
+#: a log beyond this has not been taken into the file for long
+WAL_BYTES_WARNING = 256 << 20
+#: how far clocks may differ
+CLOCK_TOLERANCE_US = 5 * US_PER_S
+#: 2025-01-01: a clock before it was never set
+_CLOCK_IS_SET_US = 1_735_689_600 * US_PER_S
+
+
+def diagnose(url: str, now_us: int, report: Report) -> list[Diagnosis]:
+    """Return what is right and wrong with an archive.
+
+    Parameters
+    ----------
+    url : str
+        The archive.
+    now_us : int
+        Present of this computer, microseconds UTC.
+    report : callable
+        Told what is looked at next.
+
+    Raises
+    ------
+    ValueError
+        The URL names no database that could be an archive.
+    """
+    engines = open_engines(url)
+    path = sqlite_path(url)
+    if path is None:
+        return _examined(engines.read, now_us, report)
+    engines.dispose()
+    report("file")
+    found = list(_file(path))
+    if any(diagnosis.check == "file" and diagnosis.state == "fault" for diagnosis in found):
+        return found
+    return found + _examined(reading_engine(path), now_us, report)
+
+
+def _examined(engine: Engine, now_us: int, report: Report) -> list[Diagnosis]:
+    """Connect and look inside."""
+    try:
+        with translated_faults(), engine.connect() as connection:
+            found = examine(connection, report)
+            if version_of(connection) == newest_version():
+                report("clock")
+                found += _clock(connection, now_us)
+            return found
+    except (StorageError, SQLAlchemyError) as fault:
+        said = fault.detail if isinstance(fault, StorageError) else str(fault)
+        return [Diagnosis("connection", "fault", said, "Start the database, or correct its address and rights.")]
+    finally:
+        engine.dispose()
+
+
+def _file(path: Path) -> Iterator[Diagnosis]:
+    """Look at the file from outside."""
+    if not path.is_file():
+        advice = "Correct --database; a backup is put back by `soo backup restore`."
+        yield Diagnosis("file", "fault", f"there is no file {path}", advice)
+        return
+    size = path.stat().st_size
+    yield Diagnosis("file", "ok", f"{path}, {size} bytes")
+    yield _permissions(path)
+    yield _disk(path)
+    yield _log(path)
+
+
+def _permissions(path: Path) -> Diagnosis:
+    """Whether this user may write the file and the names beside it."""
+    folder = path.resolve().parent
+    lacking = [str(each) for each in (path, folder) if not os.access(each, os.W_OK)]
+    if lacking:
+        advice = "Give them to the user of the service (`chown`, `chmod u+w`), or mount the volume for writing."
+        return Diagnosis("permissions", "fault", f"{' and '.join(lacking)} cannot be written by this user", advice)
+    owner = path.stat().st_uid
+    if owner != os.geteuid():
+        advice = "Run this as the user of the service to see what the service sees."
+        return Diagnosis("permissions", "warning", f"the file belongs to user {owner}, this is {os.geteuid()}", advice)
+    return Diagnosis("permissions", "ok", "file and folder can be written")
+
+
+def _disk(path: Path) -> Diagnosis:
+    """Whether there is room for more."""
+    usage = shutil.disk_usage(path.resolve().parent)
+    detail = f"{usage.free >> 20} MiB free of {usage.total >> 20} MiB"
+    advice = "Make room, set retention, or move the archive to a larger disk."
+    if usage.free < FREE_BYTES_FAULT:
+        return Diagnosis("disk", "fault", detail, advice)
+    if usage.free < FREE_BYTES_WARNING:
+        return Diagnosis("disk", "warning", detail, advice)
+    return Diagnosis("disk", "ok", detail)
+
+
+def _log(path: Path) -> Diagnosis:
+    """How much waits in the write-ahead log."""
+    log = path.with_name(f"{path.name}-wal")
+    size = log.stat().st_size if log.exists() else 0
+    if size > WAL_BYTES_WARNING:
+        advice = "A reader holds an old state: end long exports and tools on the file; a restart takes the log in."
+        return Diagnosis("wal", "warning", f"{size >> 20} MiB wait in {log.name}", advice)
+    return Diagnosis("wal", "ok", f"{size >> 20} MiB in the write-ahead log")
+
+
+def _clock(connection: Connection, now_us: int) -> Iterator[Diagnosis]:
+    """Compare this computer's clock with what it should agree with."""
+    advice = "Set the clock and keep it by NTP; rows received meanwhile carry the wrong time of receipt."
+    if now_us < _CLOCK_IS_SET_US:
+        yield Diagnosis("clock", "fault", f"this computer's clock says {format_epoch(now_us)}", advice)
+        return
+    ahead = _newest_receipt_us(connection) - now_us
+    if ahead > CLOCK_TOLERANCE_US:
+        detail = f"the newest row was received {ahead / US_PER_S:.0f} s in the future of this clock"
+        yield Diagnosis("clock", "fault", f"{detail}: it was ahead then, or has been set back", advice)
+        return
+    if connection.dialect.name == "postgresql":
+        server_us = connection.scalar(text("SELECT (extract(epoch FROM clock_timestamp()) * 1000000)::bigint"))
+        apart = abs(int(server_us or 0) - now_us)
+        if apart > CLOCK_TOLERANCE_US + US_PER_S:
+            yield Diagnosis("clock", "warning", f"the server's clock is {apart / US_PER_S:.0f} s away", advice)
+            return
+    yield Diagnosis("clock", "ok", f"{format_epoch(now_us)}, behind nothing that was received")
+
+
+def _newest_receipt_us(connection: Connection) -> int:
+    """Return when the newest rows were received; 0 before the first."""
+    newest = [0]
+    for state in connection.execute(select(head.c.spacecraft_key, head.c.newest_number)):
+        query = (
+            select(measurement.c.received_at_us)
+            .where(measurement.c.spacecraft_key == state.spacecraft_key)
+            .order_by(measurement.c.number.desc())
+            .limit(1)
+        )
+        newest.append(connection.scalar(query) or 0)
+    return max(newest)

@@ -1,0 +1,49 @@
+"""Keeping an archive: backups, their proof, their return, and the doctor, over one URL."""
+
+from pathlib import Path
+
+from db.backup import Report, create_backup, verify_backup
+from db.doctor import diagnose
+from db.examination import Report as StepReport
+from db.restore import Restored, restore_backup
+from service.ports import Clock
+from service.records.backup import Manifest
+from service.records.diagnosis import Diagnosis
+from service.records.epoch import format_epoch
+
+
+class Keeping:
+    """What an operator does with an archive from outside of the service.
+
+    Parameters
+    ----------
+    url : str
+        The archive.
+    clock : Clock
+        Tells the present.
+    """
+
+    def __init__(self, url: str, clock: Clock) -> None:
+        self.url = url
+        self._clock = clock
+
+    def stamp(self) -> str:
+        """Return the present as part of a name, to the second: 20261122T040302Z."""
+        text = format_epoch(self._clock.system_us())
+        return text.partition(".")[0].replace("-", "").replace(":", "") + "Z"
+
+    def create(self, folder: Path, report: Report) -> Manifest:
+        """Make a backup; BackupError."""
+        return create_backup(self.url, folder, self._clock.system_us(), report)
+
+    def verify(self, folder: Path, report: Report) -> list[Diagnosis]:
+        """Return what is right and wrong with a backup; BackupError."""
+        return verify_backup(folder, report)
+
+    def restore(self, folder: Path, report: Report, *, may_replace: bool) -> Restored:
+        """Put a backup in the place of the archive; BackupError."""
+        return restore_backup(folder, self.url, self.stamp(), report, may_replace=may_replace)
+
+    def diagnose(self, report: StepReport) -> list[Diagnosis]:
+        """Return what is right and wrong with the archive."""
+        return diagnose(self.url, self._clock.system_us(), report)

@@ -1,0 +1,183 @@
+"""Putting a backup back: checked first, migrated aside, swapped in at the end; what was there stays beside it.
+
+On SQLite the old file keeps its content under a name with the time. On PostgreSQL the old tables move into a schema
+with the time in its name, in the very transaction that brings the restored ones: whoever looks sees one or the other.
+"""
+
+import sqlite3
+from pathlib import Path
+from typing import NamedTuple
+
+from sqlalchemy import Connection, text
+
+from db.archive_files import COMPANIONS, copy_file, flush, reading_engine, settle, sqlite_path
+from db.backup import Report, read_manifest, verify_backup
+from db.engine import open_engines
+from db.examination import examine, examine_content
+from db.migrate import change_schema, upgrade, wait_for_turn
+from db.schema_version import newest_version, version_of
+from db.table_copy import copy_tables
+from db.tables import metadata
+from service.records.backup import BackupError, Manifest
+from service.records.diagnosis import Diagnosis, worst
+
+_OURS = text(
+    "SELECT c.relname FROM pg_class c JOIN pg_namespace n ON n.oid = c.relnamespace "
+    "WHERE n.nspname = current_schema() AND c.relkind = 'r' AND c.relname = ANY(:names)"
+)
+_FUNCTIONS = text(
+    "SELECT DISTINCT p.proname FROM pg_trigger t JOIN pg_proc p ON p.oid = t.tgfoid "
+    "JOIN pg_class c ON c.oid = t.tgrelid JOIN pg_namespace n ON n.oid = c.relnamespace "
+    "WHERE NOT t.tgisinternal AND n.nspname = current_schema() AND c.relname = ANY(:names)"
+)
+_OTHERS = text(
+    "SELECT count(*) FROM pg_stat_activity WHERE datname = current_database() "
+    "AND pid <> pg_backend_pid() AND backend_type = 'client backend'"
+)
+
+
+class Restored(NamedTuple):
+    """What a restore did."""
+
+    manifest: Manifest
+    #: where what was there before is kept, None when there was nothing
+    aside: str | None
+    schema_version: str
+
+
+def restore_backup(folder: Path, url: str, stamp: str, report: Report, *, may_replace: bool) -> Restored:
+    """Put a backup in the place of an archive.
+
+    Parameters
+    ----------
+    folder : Path
+        The backup.
+    url : str
+        Where the archive is to stand; nobody may be using it.
+    stamp : str
+        Becomes part of the name under which what was there is kept.
+    report : callable
+        Told the progress.
+    may_replace : bool
+        Whether an archive that is there may be moved aside.
+
+    Raises
+    ------
+    BackupError
+        The backup is not sound, an archive is there and may not be replaced, or somebody uses it.
+    """
+    manifest = read_manifest(folder)
+    _demand_sound(verify_backup(folder, report), "the backup is not sound")
+    path = sqlite_path(url)
+    if path is not None:
+        return _to_file(folder, manifest, path, stamp, report, may_replace=may_replace)
+    work = folder.with_name(f".{folder.name}.restoring")
+    try:
+        _migrated_copy(folder / manifest.file, work, report)
+        return _to_server(work, manifest, url, stamp, report, may_replace=may_replace)
+    finally:
+        _remove(work)
+
+
+def _to_file(
+    folder: Path, manifest: Manifest, path: Path, stamp: str, report: Report, *, may_replace: bool
+) -> Restored:
+    if path.exists() and not may_replace:
+        message = f"there is an archive {path}; --replace moves it aside"
+        raise BackupError(message)
+    work = path.with_name(f".{path.name}.restoring")
+    try:
+        _migrated_copy(folder / manifest.file, work, report)
+        aside = _moved_aside(path, stamp) if path.exists() else None
+        work.replace(path)
+        flush(path.parent)
+    finally:
+        _remove(work)
+    return Restored(manifest, None if aside is None else str(aside), newest_version())
+
+
+def _migrated_copy(archive: Path, work: Path, report: Report) -> None:
+    """Make a copy of a backup's archive in the present version and look at it."""
+    _remove(work)
+    copy_file(archive, work, lambda share: report("copy", share))
+    engines = open_engines(f"sqlite:///{work}")
+    try:
+        upgrade(engines.write)
+    finally:
+        engines.dispose()
+    settle(work)
+    with reading_engine(work, is_settled=True).connect() as connection:
+        _demand_sound(examine(connection, lambda name: report(name, 0.0)), "the migrated copy is not sound")
+
+
+def _moved_aside(path: Path, stamp: str) -> Path:
+    """Keep an archive under another name, without ever being without a file under its own."""
+    aside = path.with_name(f"{path.name}.before-{stamp}")
+    try:
+        # succeeds only for who is alone, and leaves one file
+        settle(path)
+    except sqlite3.OperationalError as fault:
+        if "locked" in str(fault):
+            message = f"{path} is in use: stop the service first"
+            raise BackupError(message) from fault
+    except sqlite3.DatabaseError:
+        # a damaged archive is moved as it is
+        pass
+    for ending in COMPANIONS:
+        companion = path.with_name(path.name + ending)
+        if companion.exists():
+            companion.replace(aside.with_name(aside.name + ending))
+    aside.hardlink_to(path)
+    return aside
+
+
+def _to_server(work: Path, manifest: Manifest, url: str, stamp: str, report: Report, *, may_replace: bool) -> Restored:
+    source, target = open_engines(f"sqlite:///{work}"), open_engines(url)
+    try:
+        with source.read.connect() as reading, target.write.begin() as writing:
+            wait_for_turn(writing)
+            aside = _tables_aside(writing, stamp, may_replace=may_replace)
+            change_schema(writing)
+            copy_tables(reading, writing, lambda share: report("tables", share))
+            version = version_of(writing) or ""
+            _demand_sound(examine_content(writing, lambda name: report(name, 0.0)), "the restored tables are not sound")
+    finally:
+        source.dispose()
+        target.dispose()
+    return Restored(manifest, aside, version)
+
+
+def _tables_aside(connection: Connection, stamp: str, *, may_replace: bool) -> str | None:
+    """Move the tables of an archive into a schema of their own and return its name, None when there are none."""
+    names = [*metadata.tables, "alembic_version"]
+    tables = list(connection.scalars(_OURS, {"names": names}))
+    if not tables:
+        return None
+    if not may_replace:
+        message = "the database holds an archive; --replace moves its tables aside"
+        raise BackupError(message)
+    if connection.scalar(_OTHERS):
+        message = "the database is in use: stop the service first"
+        raise BackupError(message)
+    aside = f"soo_before_{stamp}".lower()
+    functions = list(connection.scalars(_FUNCTIONS, {"names": names}))
+    connection.execute(text(f'CREATE SCHEMA "{aside}"'))
+    for table in tables:
+        connection.execute(text(f'ALTER TABLE "{table}" SET SCHEMA "{aside}"'))
+    for function in functions:
+        connection.execute(text(f'ALTER FUNCTION "{function}"() SET SCHEMA "{aside}"'))
+    return f"schema {aside}"
+
+
+def _demand_sound(found: list[Diagnosis], what: str) -> None:
+    """Raise BackupError with the first fault, if there is one."""
+    if worst(found) == "fault":
+        fault = next(diagnosis for diagnosis in found if diagnosis.state == "fault")
+        message = f"{what}: {fault.check}: {fault.detail}"
+        raise BackupError(message)
+
+
+def _remove(work: Path) -> None:
+    """Remove a working copy with what SQLite keeps beside it."""
+    for ending in ("", *COMPANIONS):
+        work.with_name(work.name + ending).unlink(missing_ok=True)

@@ -1,0 +1,74 @@
+"""All tables of one archive into another, row by row: between SQLite and PostgreSQL in either direction.
+
+Both sides have the same schema and both are read and written through the same column types, so every value arrives as
+it left: doubles and float32 blobs bit for bit, text as text. The reading side stands in one transaction, the writing
+side in another: a copy is whole or it is not there.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from sqlalchemy import Connection, Integer, Table, func, inspect, select
+
+import db.storage  # noqa: F401 - brings every table of the schema along
+from db.tables import metadata
+from service.records.backup import BackupError
+
+_ROWS = 2000
+#: rows with large blobs are held few at a time
+_ROWS_OF_BLOBS = 100
+_BLOB_TABLES = frozenset({"measurement_segment", "trace"})
+
+#: told the share that is done, 0 to 1
+Progress = Callable[[float], None]
+
+
+def copy_tables(source: Connection, target: Connection, progress: Progress) -> None:
+    """Copy every row of every table into empty tables of the same schema.
+
+    Raises
+    ------
+    BackupError
+        The reading side has other tables than this version.
+    """
+    tables = schema_tables(source)
+    total = sum(source.scalar(select(func.count()).select_from(table)) or 0 for table in tables) or 1
+    done = 0
+    for table in tables:
+        for rows in _pages(source, table):
+            target.execute(table.insert(), rows)
+            done += len(rows)
+            progress(done / total)
+        if target.dialect.name == "postgresql":
+            _move_sequence(target, table)
+
+
+def schema_tables(connection: Connection) -> list[Table]:
+    """Return the tables of the schema, those that others refer to first."""
+    present = set(inspect(connection).get_table_names()) - {"alembic_version"}
+    known = set(metadata.tables)
+    # beside our tables a server may hold anybody's
+    differing = known - present if connection.dialect.name == "postgresql" else known ^ present
+    if differing:
+        detail = f"The tables are not those of this version: {', '.join(sorted(differing))}."
+        raise BackupError(detail)
+    return list(metadata.sorted_tables)
+
+
+def _pages(source: Connection, table: Table) -> Iterator[list[dict[str, Any]]]:
+    """Yield the rows of a table, some at a time."""
+    at_once = _ROWS_OF_BLOBS if table.name in _BLOB_TABLES else _ROWS
+    result = source.execution_options(stream_results=True, max_row_buffer=at_once).execute(select(table))
+    for rows in result.partitions(at_once):
+        yield [dict(row._mapping) for row in rows]  # noqa: SLF001 - SQLAlchemy's public name
+
+
+def _move_sequence(target: Connection, table: Table) -> None:
+    """Let the numbers that PostgreSQL gives go on behind those that were copied."""
+    column = table.autoincrement_column
+    if column is None or not isinstance(column.type, Integer):
+        return
+    name = target.scalar(select(func.pg_get_serial_sequence(table.name, column.name)))
+    if name is not None:
+        newest = target.scalar(select(func.max(column)))
+        target.execute(select(func.setval(name, newest or 1, newest is not None)))

@@ -1,0 +1,50 @@
+"""``soo doctor``: looks at an archive and says in plain words what is wrong and what to do.
+
+Exit codes: 0 sound, 1 something is damaged or does not work, 2 the option is wrong, 3 it works, with warnings.
+"""
+
+import json
+from dataclasses import asdict
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from service.cli.connection import JsonOption
+from service.records.diagnosis import Diagnosis, State, worst
+
+EXIT_OF: dict[State, int] = {"ok": 0, "fault": 1, "warning": 3}
+EXIT_USAGE = 2
+_COLOURS: dict[State, str] = {"ok": "green", "warning": "yellow", "fault": "red"}
+
+
+def doctor(
+    database: Annotated[str | None, typer.Option(help="SQLAlchemy URL of the archive.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Look at an archive, also of a running service, and say what is wrong and what to do."""
+    # the database costs time that other commands need not pay
+    from service.bootstrap import open_keeping
+
+    try:
+        with Console(stderr=True).status("opening") as status:
+            found = open_keeping(database).diagnose(status.update)
+    except ValueError as error:
+        typer.echo(str(error), err=True)
+        raise typer.Exit(EXIT_USAGE) from error
+    show(found, as_json=as_json)
+    raise typer.Exit(EXIT_OF[worst(found)])
+
+
+def show(found: list[Diagnosis], *, as_json: bool) -> None:
+    """Print diagnoses."""
+    if as_json:
+        typer.echo(json.dumps({"state": worst(found), "checks": [asdict(diagnosis) for diagnosis in found]}))
+        return
+    table = Table("check", "state", "what is there, and what to do")
+    for diagnosis in found:
+        words = diagnosis.detail + (f"\n[bold]{diagnosis.advice}[/bold]" if diagnosis.advice else "")
+        colour = _COLOURS[diagnosis.state]
+        table.add_row(diagnosis.check, f"[{colour}]{diagnosis.state}[/{colour}]", words)
+    Console().print(table)

@@ -1,0 +1,66 @@
+"""Manifest of a backup: what it must hold, so that a copy can be judged without the archive it was made of."""
+
+import json
+from dataclasses import asdict, dataclass
+from typing import Any
+
+#: layout of a backup; readers refuse another one
+FORMAT = 1
+
+
+class BackupError(Exception):
+    """A backup cannot be made, trusted or put back; says why and what to do."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpacecraftCount:
+    """What a backup holds of one spacecraft."""
+
+    newest_number: int
+    consumed_number: int
+    newest_epoch_us: int | None
+    result_sequence: int
+    #: rows of each table that names a spacecraft
+    rows: dict[str, int]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Manifest:
+    """What a backup holds."""
+
+    made_at_us: int
+    #: `sqlite` or `postgresql`
+    made_from: str
+    schema_version: str
+    #: name of the file beside the manifest
+    file: str
+    size_bytes: int
+    sha256: str
+    #: rows of each table
+    tables: dict[str, int]
+    spacecraft: dict[str, SpacecraftCount]
+    format: int = FORMAT
+
+    def as_text(self) -> str:
+        """Return the manifest as JSON."""
+        return json.dumps(asdict(self), indent=2, sort_keys=True) + "\n"
+
+
+def parse_manifest(text: str) -> Manifest:
+    """Return a manifest from its JSON.
+
+    Raises
+    ------
+    BackupError
+        The text is no manifest of this format.
+    """
+    try:
+        document: Any = json.loads(text)
+        if document["format"] != FORMAT:
+            message = f"the backup is of format {document['format']}, this version reads format {FORMAT}"
+            raise BackupError(message)
+        counts = {name: SpacecraftCount(**count) for name, count in document.pop("spacecraft").items()}
+        return Manifest(spacecraft=counts, **document)
+    except (ValueError, KeyError, TypeError, AttributeError) as fault:
+        message = f"the manifest cannot be read: {fault}"
+        raise BackupError(message) from fault
