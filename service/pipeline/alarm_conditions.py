@@ -183,23 +183,24 @@ def _of_inputs(alarms: AlarmConfig) -> tuple[Condition, ...]:
         ),
         Condition(
             "link_down",
-            Kind.LASTING,
+            Kind.ABOVE,
             "s",
             "link",
             Origin.CLOCK,
             "the link does not work; it has been so for",
             "see its detail in GET /links; look at front end, analyzer and line; :reset begins a new session",
-            ConditionLimits(distress=30.0, critical=_HOUR_S, off_s=10.0, repeat_s=600.0),
+            # only 0 s lies a deadband inside 30 s: a link is back when it works, not when it has just failed anew
+            ConditionLimits(distress=30.0, critical=_HOUR_S, deadband=30.0, off_s=10.0, repeat_s=600.0),
         ),
         Condition(
             "link_warning",
-            Kind.LASTING,
+            Kind.ABOVE,
             "s",
             "link/warning",
             Origin.CLOCK,
             "the front end warns; it has done so for",
             "see the warning in GET /links; a full spool wants the line to the service or more disk",
-            ConditionLimits(warning=0.0, distress=_HOUR_S, off_s=10.0),
+            ConditionLimits(warning=0.0, distress=_HOUR_S),
         ),
         Condition(
             "rows_missing",
@@ -250,13 +251,13 @@ def _of_service(alarms: AlarmConfig) -> tuple[Condition, ...]:
         Condition(
             "disk_full",
             Kind.BELOW,
-            "percent",
+            "MB",
             "disk",
             Origin.CLOCK,
-            "the share of the archive's disk that is free is",
+            "beside the archive's file there is room for",
             "make room or shorten the retention; rows are refused, and kept by front ends, when nothing is left",
             ConditionLimits(
-                warning=alarms.disk_warning_percent, critical=alarms.disk_critical_percent, deadband=1.0, off_s=60.0
+                warning=alarms.disk_warning_mb, critical=alarms.disk_critical_mb, deadband=64.0, off_s=60.0
             ),
         ),
     )

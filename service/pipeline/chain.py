@@ -15,10 +15,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from service.pipeline.alarm_readings import RowFacts
 from service.pipeline.config import ChainConfig
 from service.pipeline.disagreement import Disagreement, compare
 from service.pipeline.knowledge import Knowledge, Lookup, learn
-from service.pipeline.method_runner import CarrierLevels, MethodRunner
+from service.pipeline.method_runner import MethodRunner
 from service.pipeline.paper_runner import PaperRunner
 from service.pipeline.robust_runner import RobustRunner
 from service.pipeline.wheel_torques import NO_CARRY, compute_command
@@ -146,10 +147,18 @@ class Chain:
             _carrier_state(measurement, k, name, known) for k, name in enumerate(plan.carrier_ids)
         )
 
-    def carrier_levels(self) -> CarrierLevels | None:
-        """Return what the first running method made of the carriers of the newest row; None while none runs."""
+    def facts(self, measurement: Measurement, outcome: Outcome | None) -> RowFacts:
+        """Return what alarms look at in the row that was stepped last."""
         running = next((runner for runner in self._runners if runner.is_running), None)
-        return None if running is None else running.carrier_levels()
+        spacecraft = self._knowledge.spacecraft
+        return RowFacts(
+            measurement=measurement,
+            plan=self._lookup.plan(measurement.plan_id),
+            rows=() if outcome is None else outcome.rows,
+            method=Method.ROBUST if spacecraft is None else spacecraft.control.method,
+            levels=None if running is None else running.carrier_levels(),
+            operations=self._knowledge.operations,
+        )
 
     def _row(
         self, runner: MethodRunner, measurement: Measurement, plan: CarrierPlan, *, is_late: bool, is_catch_up: bool

@@ -205,9 +205,9 @@ class AlarmConfig:
     attitude_critical_deg: float = 0.4
     #: no row for so many row periods
     stale_periods: float = 3.0
-    #: free share of the archive's disk, percent
-    disk_warning_percent: float = 10.0
-    disk_critical_percent: float = 3.0
+    #: free room beside the archive's file, MB
+    disk_warning_mb: float = 1024.0
+    disk_critical_mb: float = 256.0
     #: links, sources and ages are looked at this often, s
     check_period_s: float = 2.0
 

@@ -7,14 +7,17 @@ the chain is brought back by replaying the journal from the last alignment, sile
 
 import logging
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
+from service.pipeline.alarm_readings import RowFacts
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
 from service.ports import LIVE, Outcome, Storage
 from service.records.attitude import AttitudeRow, CarrierState
 from service.records.command import TorqueCommand
-from service.records.inputs import AlignmentSet, CalibrationActivation
+from service.records.inputs import AlignmentSet, AttitudeReference, CalibrationActivation
 from service.records.journal import JournalEntry
 from service.records.measurement import Measurement
 from service.runtime.consumer import Documents, consume, prepare
@@ -26,6 +29,18 @@ _LOG = logging.getLogger("soo.supervisor")
 _ENTRIES_AT_ONCE = 256
 #: wait before an entry is tried again after the storage failed, s
 _RETRY_S = 1.0
+
+
+#: what alarms look at
+Seen = RowFacts | AttitudeReference
+
+
+class Watcher(Protocol):
+    """Looks at what was computed, after it was stored; must not make the chain wait."""
+
+    def see(self, spacecraft_id: str, seen: Sequence[Seen]) -> None:
+        """Take over rows that are neither late nor caught up with, and references, in the order of the journal."""
+        ...
 
 
 @dataclass
@@ -52,10 +67,13 @@ class Supervisor:
         Where outcomes are published after they are stored.
     config : ChainConfig
         Configuration of every chain.
+    watcher : Watcher, optional
+        Who looks at the rows.
     """
 
-    def __init__(self, storage: Storage, feed: LiveFeed, config: ChainConfig) -> None:
+    def __init__(self, storage: Storage, feed: LiveFeed, config: ChainConfig, watcher: Watcher | None = None) -> None:
         self._storage = storage
+        self._watcher = watcher
         self._feed = feed
         self._config = config
         self._followers: dict[str, _Follower] = {}
@@ -78,6 +96,11 @@ class Supervisor:
             self._wake.notify()
         if self._thread is not None:
             self._thread.join()
+
+    @property
+    def is_running(self) -> bool:
+        """Whether the thread follows journals."""
+        return self._thread is not None and self._thread.is_alive()
 
     def notify(self, spacecraft_id: str) -> None:
         """Say that a journal has grown; safe from any thread."""
@@ -131,13 +154,16 @@ class Supervisor:
             entries = self._storage.archive.journal(spacecraft_id, follower.consumed_number, _ENTRIES_AT_ONCE)
             if not entries:
                 return
+            outcomes: list[Outcome] = []
+            seen: list[Seen] = []
             with follower.lock:
-                outcomes = [
-                    outcome
-                    for entry in entries
-                    for outcome in consume(follower.chain, entry, self._storage.archive, spacecraft_id)
-                ]
+                for entry in entries:
+                    told = tuple(consume(follower.chain, entry, self._storage.archive, spacecraft_id))
+                    outcomes += told
+                    seen += _seen(follower.chain, entry, told) if self._watcher is not None else ()
             self._store_and_publish(follower, entries, outcomes)
+            if self._watcher is not None and seen:
+                self._watcher.see(spacecraft_id, seen)
 
     def _store_and_publish(self, follower: _Follower, entries: list[JournalEntry], outcomes: list[Outcome]) -> None:
         """Store a batch in one transaction, then tell the feed."""
@@ -183,6 +209,16 @@ class Supervisor:
                 alignment = self._storage.results.alignment(spacecraft_id, entry.content.alignment_id)
                 return entry.number, alignment.epoch_us
         return None, None
+
+
+def _seen(chain: Chain, entry: JournalEntry, outcomes: Sequence[Outcome]) -> tuple[Seen, ...]:
+    """Return what alarms look at in an entry; rows that came late, or that an alignment ran again, are none."""
+    content = entry.content
+    if isinstance(content, AttitudeReference):
+        return (content,)
+    if not isinstance(content, Measurement) or content.is_late or not content.feeds_estimator:
+        return ()
+    return (chain.facts(content, outcomes[0] if outcomes else None),)
 
 
 def _events(entries: list[JournalEntry], outcomes: list[Outcome], first: int, last: int) -> tuple[FeedEvent, ...]:

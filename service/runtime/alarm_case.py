@@ -1,0 +1,73 @@
+"""The alarms of one spacecraft, or of the service, with what keeps them beyond a restart."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from service.pipeline.alarm_book import AlarmBook
+from service.pipeline.alarm_conditions import Condition
+from service.pipeline.alarm_readings import RowReader
+from service.ports import Alarms
+from service.records.alarm import AlarmChange
+from service.records.alarm_limits import AlarmLimits
+from service.records.alarm_memory import BookMemory
+
+
+class AlarmCase:
+    """A book, its reader of rows, and the changes that wait to be stored.
+
+    Parameters
+    ----------
+    alarms : Alarms
+        Where they are kept; what is open is read from there.
+    spacecraft_id : str or None
+        None: the service as a whole.
+    conditions : mapping
+        Table of conditions.
+    """
+
+    def __init__(self, alarms: Alarms, spacecraft_id: str | None, conditions: Mapping[str, Condition]) -> None:
+        self._alarms = alarms
+        self._spacecraft_id = spacecraft_id
+        self._unsaved: list[AlarmChange] = []
+        self._kept = alarms.memory(spacecraft_id)
+        limits = AlarmLimits() if spacecraft_id is None else alarms.limits(spacecraft_id)
+        self.book = AlarmBook(spacecraft_id, conditions, limits, alarms.open_alarms(spacecraft_id), self._kept)
+        self.reader = RowReader(self.book, self._kept)
+        self.reader.use_nominal(limits.nominal_dbm)
+
+    def use_limits(self, limits: AlarmLimits, at_us: int) -> tuple[AlarmChange, ...]:
+        """Hold values against other limits from now on; return what that changes, stored."""
+        self.book.use_limits(limits)
+        self.reader.use_nominal(limits.nominal_dbm)
+        return self.store(self.book.enter(self.book.circumstances, at_us))
+
+    def store(self, changes: Sequence[AlarmChange]) -> tuple[AlarmChange, ...]:
+        """Store changes, and those that could not be stored before; return them with their numbers.
+
+        Raises
+        ------
+        StorageError
+            Nothing was stored; the next call tries again.
+        """
+        self._unsaved += changes
+        if not self._unsaved:
+            return ()
+        saved = self._alarms.save(self._unsaved)
+        self._unsaved.clear()
+        for change in saved:
+            self.book.adopt(change.alarm)
+        return saved
+
+    def keep_memory(self) -> None:
+        """Store what is about to happen, where it has changed."""
+        memory = BookMemory(self.book.watches(), self.reader.newest_row_us, self.reader.row_period_s)
+        # the newest row alone is no reason to write: it comes with every row
+        if replace(memory, newest_row_us=None) != replace(self._kept, newest_row_us=None) or self._is_far(memory):
+            self._alarms.save_memory(self._spacecraft_id, memory)
+            self._kept = memory
+
+    def _is_far(self, memory: BookMemory) -> bool:
+        """Whether the rows have gone on by much since the memory was stored."""
+        if memory.newest_row_us is None:
+            return False
+        return self._kept.newest_row_us is None or memory.newest_row_us - self._kept.newest_row_us > 600_000_000

@@ -1,0 +1,167 @@
+"""What alarms look at by the clock: rows that do not come, links, ages of what the estimate rests on, keys, disk.
+
+Everything is asked of the archive; links are judged by the system's time, the rest by the spacecraft's clock.
+"""
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from service.errors import NotFoundError
+from service.pipeline.alarm_book import Readings
+from service.pipeline.alarm_readings import RowReader
+from service.ports import Clock, Storage
+from service.records.calibration import CalibrationRequest, CalibrationState
+from service.records.epoch import US_PER_S
+from service.records.link import LinkState
+from service.records.series import SourceState
+
+#: states in which a link brings nothing and should
+_DOWN_STATES = frozenset({"BACKOFF", "FAULT", "FAILED", "STUCK", "SERVICE_AWAY", "UNAVAIL"})
+_SILENT = "SILENT"
+#: the least age of a warning, so that one of this very instant stands too, s
+_LEAST_AGE_S = 1e-3
+_HOUR_US = 3600 * US_PER_S
+_DAY_US = 24 * _HOUR_US
+#: a key that ended so long ago needs no alarm: who used it has noticed
+_ENDED_DAYS = 1.0
+_MB = 1e6
+
+
+@dataclass(slots=True)
+class _Seen:
+    """What the checks of one spacecraft remember; a restart may forget it."""
+
+    #: when the service began to look, by the spacecraft's clock
+    started_us: int
+    #: missing rows of each source over the last hour
+    missing: dict[str, deque[tuple[int, int]]] = field(default_factory=dict)
+
+
+class ClockChecks:
+    """Reads what the clock makes true or false.
+
+    Parameters
+    ----------
+    storage : Storage
+        What is asked.
+    clock : Clock
+        The only source of time.
+    stale_periods : float
+        Periods without a row that are waited for after a start before rows are missed.
+    """
+
+    def __init__(self, storage: Storage, clock: Clock, stale_periods: float) -> None:
+        self._storage = storage
+        self._clock = clock
+        self._grace_periods = stale_periods
+        self._seen: dict[str, _Seen] = {}
+        self._down_since_us: dict[str, int] = {}
+
+    def of_inputs(self, spacecraft_id: str, reader: RowReader, now_us: int) -> Iterator[Readings]:
+        """Yield what is looked at in what comes in: age of the newest row, missing rows, links and their warnings."""
+        seen = self._seen.setdefault(spacecraft_id, _Seen(now_us))
+        sources = self._storage.archive.sources(spacecraft_id)
+        yield from self._age(sources, reader, seen, now_us)
+        yield Readings("rows_missing", *_missing(sources, seen, now_us))
+        yield from self._links(spacecraft_id)
+
+    def of_foundations(self, spacecraft_id: str, now_us: int) -> Iterator[Readings]:
+        """Yield what is looked at in what the estimate rests on: calibrations and ephemeris."""
+        active = self._storage.results.calibrations(spacecraft_id, CalibrationState.ACTIVE)
+        ages = {f"{one.request.method} {one.id}": now_us - _end_us(one.request) for one in active}
+        yield Readings("calibration_old", tuple(ages), tuple(age_us / _DAY_US for age_us in ages.values()))
+        try:
+            ephemeris = self._storage.catalogue.ephemeris(spacecraft_id)
+        except NotFoundError:
+            return
+        yield Readings("ephemeris_ending", ("newest",), ((ephemeris.valid_stop_us - now_us) / _HOUR_US,))
+
+    def of_service(self, now_us: int) -> Iterator[Readings]:
+        """Yield what is looked at in what the service lives on: disk and keys."""
+        free_bytes = self._storage.state().free_bytes
+        if free_bytes is not None:
+            yield Readings("disk_full", ("archive",), (free_bytes / _MB,))
+        left_days = {}
+        for stored in self._storage.keys.all():
+            key = stored.key
+            if key.revoked_at_us is None and key.expires_at_us is not None:
+                left_days[f"{key.name} ({key.id})"] = (key.expires_at_us - now_us) / _DAY_US
+        kept = {name: days for name, days in left_days.items() if days > -_ENDED_DAYS}
+        yield Readings("key_ending", tuple(kept), tuple(kept.values()))
+
+    def _age(self, sources: tuple[SourceState, ...], reader: RowReader, seen: _Seen, now_us: int) -> Iterator[Readings]:
+        """Yield the age of the prime source's newest row in row periods, once rows have come in time."""
+        prime = next((source for source in sources if source.role == "prime"), None)
+        period_s = reader.row_period_s
+        if prime is None or prime.newest_epoch_us is None or reader.newest_row_us is None or not period_s:
+            return
+        age = (now_us - prime.newest_epoch_us) / US_PER_S / period_s
+        waited = (now_us - seen.started_us) / US_PER_S / period_s
+        # a service that was away itself must not blame the source before it had time to send
+        is_known = waited >= self._grace_periods or age < self._grace_periods
+        note = f"the newest row is {age * period_s:.0f} s old, rows come every {period_s:g} s"
+        yield Readings("data_stale", (prime.id,), (age if is_known else float("nan"),), {prime.id: note})
+
+    def _links(self, spacecraft_id: str) -> Iterator[Readings]:
+        """Yield how long links have not worked, and what they warn of."""
+        now_us = self._clock.system_us()
+        links = _links_of(spacecraft_id, self._storage.links.links())
+        down_s, down_notes, warning_s, notes = {}, {}, {}, {}
+        for link in links:
+            down_s[link.report.id] = self._down_s(link, now_us)
+            down_notes[link.report.id] = f"its state is {_state(link, now_us)}"
+            for warning in link.report.warnings:
+                thing = f"{link.report.id}/{warning.code}"
+                since_us = link.reported_at_us if warning.since_us is None else warning.since_us
+                warning_s[thing] = max((now_us - since_us) / US_PER_S, _LEAST_AGE_S)
+                notes[thing] = warning.detail
+        yield Readings("link_down", tuple(down_s), tuple(down_s.values()), down_notes)
+        yield Readings("link_warning", tuple(warning_s), tuple(warning_s.values()), notes)
+
+    def _down_s(self, link: LinkState, now_us: int) -> float:
+        """Return for how long a link that should work has not, 0 while it does."""
+        name, state = link.report.id, _state(link, now_us)
+        if not link.enabled or (state != _SILENT and state not in _DOWN_STATES):
+            self._down_since_us.pop(name, None)
+            return 0.0
+        since_us = self._down_since_us.setdefault(name, link.reported_at_us)
+        return max((now_us - since_us) / US_PER_S, _LEAST_AGE_S)
+
+
+def _state(link: LinkState, now_us: int) -> str:
+    """Return the state as it is told."""
+    return _SILENT if link.is_silent(now_us) else link.report.state
+
+
+def _links_of(spacecraft_id: str, links: tuple[LinkState, ...]) -> list[LinkState]:
+    """Return the links of a spacecraft, and the front ends that hold them."""
+    own = [link for link in links if link.report.spacecraft_id == spacecraft_id]
+    names = {link.report.id for link in own}
+    for link in links:
+        held = link.report.detail.get("analyzers")
+        if link.report.spacecraft_id is None and isinstance(held, list) and names.intersection(map(str, held)):
+            own.append(link)
+    return own
+
+
+def _missing(sources: tuple[SourceState, ...], seen: _Seen, now_us: int) -> tuple[tuple[str, ...], tuple[float, ...]]:
+    """Return by how much the missing rows of each source grew within the last hour."""
+    grown = {}
+    for source in sources:
+        if source.rows_missing is None:
+            continue
+        history = seen.missing.setdefault(source.id, deque())
+        while history and history[0][0] < now_us - _HOUR_US:
+            history.popleft()
+        # of many looks without a change only the newest is kept
+        if len(history) > 1 and history[-1][1] == history[-2][1] == source.rows_missing:
+            history.pop()
+        history.append((now_us, source.rows_missing))
+        grown[source.id] = float(source.rows_missing - min(count for _, count in history))
+    return tuple(grown), tuple(grown.values())
+
+
+def _end_us(request: CalibrationRequest) -> int:
+    """Return the end of the data that a calibration was made from."""
+    return max(request.quiet.stop_us, request.turns.stop_us)

@@ -1,0 +1,274 @@
+"""Alarm desk: one thread that looks at what the chains have computed and at the clock, and does what operators order.
+
+The supervisor hands over rows and goes on; nothing here makes a chain wait. A change is stored, then published, then
+told outside, so that what somebody was told of is never forgotten. While the archive does not answer changes wait in
+order; an operator's order is refused instead.
+"""
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+
+from service.errors import ConflictError, FieldError, InvalidInputError, StorageError
+from service.pipeline.alarm_book import AlarmBook, Key, Readings
+from service.pipeline.alarm_conditions import Condition
+from service.pipeline.alarm_readings import RowFacts
+from service.ports import Clock, Storage
+from service.records.alarm import Alarm, AlarmChange, Handling
+from service.records.alarm_limits import AlarmLimits
+from service.records.epoch import US_PER_S
+from service.runtime.alarm_case import AlarmCase
+from service.runtime.alarm_checks import ClockChecks
+from service.runtime.alarm_notices import NoticeChannels
+from service.runtime.live_feed import Cursor, FeedEvent, LiveFeed
+from service.runtime.supervisor import Seen
+
+_LOG = logging.getLogger("soo.alarms")
+
+#: rows and references that wait to be looked at; more than that are not alarmed on
+_CAPACITY = 5000
+#: longest shelving
+SHELVE_LIMIT_US = 24 * 3600 * US_PER_S
+#: ages of what the estimate rests on are looked at once in so many checks
+_CHECKS_A_LOOK = 15
+
+
+class AlarmDesk:
+    """Alarms of all spacecraft.
+
+    Parameters
+    ----------
+    storage : Storage
+        Where alarms are kept and what is looked at lies.
+    clock : Clock
+        The only source of time.
+    feed : LiveFeed
+        Where changes are published after they are stored.
+    conditions : mapping
+        Table of conditions.
+    notices : NoticeChannels
+        Who is told outside.
+    check_period_s : float
+        Time between looks at the clock.
+    stale_periods : float
+        Row periods that are waited for after a start before rows are missed.
+    """
+
+    def __init__(
+        self,
+        storage: Storage,
+        clock: Clock,
+        feed: LiveFeed,
+        conditions: Mapping[str, Condition],
+        notices: NoticeChannels,
+        *,
+        check_period_s: float = 2.0,
+        stale_periods: float = 3.0,
+    ) -> None:
+        self._storage = storage
+        self._clock = clock
+        self._feed = feed
+        self._notices = notices
+        self.conditions = conditions
+        self._check_period_s = check_period_s
+        self._checks = ClockChecks(storage, clock, stale_periods)
+        self._looks = 0
+        self._cases: dict[str | None, AlarmCase] = {}
+        self._lock = threading.RLock()
+        self._queue: deque[tuple[str, Seen]] = deque()
+        self._arrived = threading.Event()
+        self._is_stopping = False
+        self._is_failing = False
+        self._thread = threading.Thread(target=self._run, name="soo-alarms", daemon=True)
+        #: rows that came faster than they could be looked at
+        self.rows_skipped = 0
+
+    @property
+    def notices(self) -> NoticeChannels:
+        """Who is told outside."""
+        return self._notices
+
+    def start(self) -> None:
+        """Look from now on."""
+        self._notices.start()
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Look at what has been handed over and end."""
+        self._is_stopping = True
+        self._arrived.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        self._notices.stop()
+
+    def see(self, spacecraft_id: str, seen: Sequence[Seen]) -> None:
+        """Take over rows and references; called from the supervisor's thread."""
+        self._queue.extend((spacecraft_id, one) for one in seen)
+        while len(self._queue) > _CAPACITY:
+            self._queue.popleft()
+            self.rows_skipped += 1
+        self._arrived.set()
+
+    def acknowledge(self, alarm_id: int, by: str, comment: str) -> Alarm:
+        """Note that somebody has seen an alarm; ConflictError ``alarm.closed``."""
+        return self._order(alarm_id, by, comment, AlarmBook.acknowledge)
+
+    def clear(self, alarm_id: int, by: str, comment: str) -> Alarm:
+        """Close an alarm; ConflictError ``alarm.closed``."""
+        return self._order(alarm_id, by, comment, AlarmBook.clear)
+
+    def shelve(self, alarm_id: int, by: str, comment: str, until_us: int) -> Alarm:
+        """Keep an alarm quiet until an instant; InvalidInputError ``alarm.shelve_until``."""
+
+        def shelve(book: AlarmBook, key: Key, handling: Handling) -> AlarmChange:
+            if not handling.at_us < until_us <= handling.at_us + SHELVE_LIMIT_US:
+                detail = "until must lie ahead of the spacecraft's clock by at most 24 h"
+                field = FieldError("/until", "alarm.shelve_until", detail)
+                raise InvalidInputError("alarm.shelve_until", detail, (field,))
+            return book.shelve(key, handling, until_us)
+
+        return self._order(alarm_id, by, comment, shelve)
+
+    def unshelve(self, alarm_id: int, by: str, comment: str) -> Alarm:
+        """End a shelving before its time; ConflictError ``alarm.not_shelved``."""
+
+        def unshelve(book: AlarmBook, key: Key, handling: Handling) -> AlarmChange:
+            if book.open_alarms[key].state != "shelved":
+                raise ConflictError("alarm.not_shelved", f"alarm {alarm_id} is not shelved")
+            return book.unshelve(key, handling)
+
+        return self._order(alarm_id, by, comment, unshelve)
+
+    def put_limits(self, spacecraft_id: str, limits: AlarmLimits) -> AlarmLimits:
+        """Store limits as the next version and hold values against them."""
+        with self._lock:
+            stored = self._storage.alarms.put_limits(spacecraft_id, limits)
+            with self._guarded(spacecraft_id):
+                self._tell(self._case(spacecraft_id).use_limits(stored, self._now_us(spacecraft_id)))
+        return stored
+
+    def present_value(self, alarm: Alarm) -> float:
+        """Return the newest value behind an open alarm, NaN where none is known."""
+        case = self._cases.get(alarm.spacecraft_id)
+        return float("nan") if case is None else case.book.present_value(alarm.key)
+
+    def _order(
+        self, alarm_id: int, by: str, comment: str, carry_out: Callable[[AlarmBook, Key, Handling], AlarmChange]
+    ) -> Alarm:
+        """Carry out an operator's order; stored when this returns."""
+        with self._lock:
+            stored = self._storage.alarms.alarm(alarm_id)
+            case = self._case(stored.spacecraft_id)
+            # what could not be stored before goes first; where it still cannot, nothing has been touched
+            self._tell(case.store(()))
+            present = case.book.open_alarms.get(stored.key)
+            if present is None or present.id != alarm_id:
+                raise ConflictError("alarm.closed", f"alarm {alarm_id} is closed; nothing is left to do about it")
+            change = carry_out(case.book, stored.key, Handling(by, self._now_us(stored.spacecraft_id), comment))
+            try:
+                saved = case.store((change,))
+            except StorageError:
+                # the archive knows best what holds
+                self._cases.pop(stored.spacecraft_id, None)
+                raise
+            self._tell(saved)
+            return saved[-1].alarm
+
+    def _run(self) -> None:
+        """Look until stopped, and a last time then."""
+        next_check_s = time.monotonic()
+        while not self._is_stopping:
+            self._arrived.wait(max(0.0, next_check_s - time.monotonic()))
+            self._arrived.clear()
+            self._look_at_rows()
+            if time.monotonic() >= next_check_s:
+                self._look_at_clock()
+                next_check_s = time.monotonic() + self._check_period_s
+        self._look_at_rows()
+        self._look_at_clock()
+
+    def _look_at_rows(self) -> None:
+        """Look at everything that was handed over."""
+        with self._lock:
+            while self._queue:
+                spacecraft_id, seen = self._queue.popleft()
+                with self._guarded(spacecraft_id):
+                    case = self._case(spacecraft_id)
+                    if isinstance(seen, RowFacts):
+                        changes = case.reader.read_row(seen)
+                    else:
+                        changes = case.reader.read_reference(seen)
+                    if changes:
+                        self._tell(case.store(changes))
+
+    def _look_at_clock(self) -> None:
+        """Look at what time makes true, and keep what is about to happen."""
+        is_thorough = self._looks % _CHECKS_A_LOOK == 0
+        self._looks += 1
+        with self._lock:
+            with self._guarded(None):
+                for spacecraft in self._storage.catalogue.all_spacecraft():
+                    with self._guarded(spacecraft.id):
+                        self._check_spacecraft(spacecraft.id, is_thorough=is_thorough)
+            with self._guarded(None):
+                readings = self._checks.of_service(self._clock.system_us()) if is_thorough else iter(())
+                self._check(self._case(None), readings, self._clock.system_us())
+
+    def _check_spacecraft(self, spacecraft_id: str, *, is_thorough: bool) -> None:
+        """Look at one spacecraft; one that has no present yet has nothing to look at."""
+        now_us = self._clock.now_us(spacecraft_id)
+        if now_us is None:
+            return
+        case = self._case(spacecraft_id)
+        readings = list(self._checks.of_inputs(spacecraft_id, case.reader, now_us))
+        if is_thorough:
+            readings += self._checks.of_foundations(spacecraft_id, now_us)
+        self._check(case, readings, now_us)
+
+    def _check(self, case: AlarmCase, readings: Iterable[Readings], now_us: int) -> None:
+        """Hold readings of the clock against the limits, let time pass, and keep what is about to happen."""
+        changes: list[AlarmChange] = []
+        for each in readings:
+            changes += case.book.observe(each, now_us)
+        changes += case.book.pass_time(now_us)
+        self._tell(case.store(changes))
+        case.keep_memory()
+
+    def _tell(self, changes: Sequence[AlarmChange]) -> None:
+        """Publish stored changes and tell them outside."""
+        for change in changes:
+            event = FeedEvent("alarm", Cursor(0, 0, change.sequence), change)
+            about = change.alarm.spacecraft_id
+            for spacecraft_id in [name for name in self._cases if name is not None] if about is None else [about]:
+                self._feed.publish(spacecraft_id, (event,))
+            self._notices.offer(change)
+
+    def _case(self, spacecraft_id: str | None) -> AlarmCase:
+        """Return the alarms of a spacecraft, from the archive where they are not at hand."""
+        case = self._cases.get(spacecraft_id)
+        if case is None:
+            case = self._cases[spacecraft_id] = AlarmCase(self._storage.alarms, spacecraft_id, self.conditions)
+        return case
+
+    def _now_us(self, spacecraft_id: str | None) -> int:
+        """Return the present of a spacecraft, that of the system where it has none."""
+        now_us = None if spacecraft_id is None else self._clock.now_us(spacecraft_id)
+        return self._clock.system_us() if now_us is None else now_us
+
+    @contextmanager
+    def _guarded(self, spacecraft_id: str | None) -> Iterator[None]:
+        """Go on after a fault: changes wait while the archive is away; after any other fault it is read anew."""
+        try:
+            yield
+        except StorageError as error:
+            if not self._is_failing:
+                _LOG.error("alarms of %s wait to be stored: %s", spacecraft_id or "the service", error)
+            self._is_failing = True
+        except Exception:  # noqa: BLE001 the desk outlives every fault; what holds is in the archive
+            _LOG.exception("looking at %s failed; its alarms are read anew", spacecraft_id or "the service")
+            self._cases.pop(spacecraft_id, None)
+        else:
+            self._is_failing = False

@@ -1,0 +1,207 @@
+"""Notices of alarms to the outside: queues with a thread each, so that no receiver makes anybody wait.
+
+A queue is bounded: what it has no place for is dropped, oldest first, and counted. What cannot be delivered after all
+attempts is counted too; an alarm that nobody acts on is told again by itself.
+"""
+
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from service.client.backoff import Backoff
+from service.pipeline.alarm_conditions import Condition
+from service.records.alarm import AlarmChange, Severity
+from service.records.epoch import format_epoch
+
+_LOG = logging.getLogger("soo.notices")
+
+#: notices that one channel holds
+CAPACITY = 1000
+#: attempts for one notice
+ATTEMPTS = 6
+
+
+class DeliveryError(Exception):
+    """A notice did not arrive; whether another attempt makes sense is said by ``is_final``."""
+
+    def __init__(self, words: str, *, is_final: bool = False) -> None:
+        super().__init__(words)
+        self.is_final = is_final
+
+
+@dataclass(slots=True)
+class NoticeCounts:
+    """What became of the notices of one channel."""
+
+    sent: int = 0
+    #: attempts that failed
+    failed_attempts: int = 0
+    #: given up after all attempts, or refused by the receiver
+    failed: int = 0
+    #: no place in the queue
+    dropped: int = 0
+
+
+class Notifier(Protocol):
+    """Takes notices; must not block."""
+
+    def offer(self, change: AlarmChange) -> None:
+        """Take over a change that is to be told."""
+        ...
+
+
+class NoticeChannel:
+    """A bounded queue and a thread that delivers from it.
+
+    Parameters
+    ----------
+    name : str
+        What the log and the figures call it.
+    deliver : callable
+        Delivers one document; raises DeliveryError.
+    conditions : mapping
+        Table of conditions, for what to do next.
+    from_severity : Severity
+        Alarms below are not told.
+    backoff : callable
+        Makes the waiting times between attempts.
+    capacity : int
+        Notices that wait at most.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        deliver: Callable[[dict[str, Any]], None],
+        conditions: Mapping[str, Condition],
+        from_severity: Severity,
+        backoff: Callable[[], Backoff] = Backoff,
+        capacity: int = CAPACITY,
+    ) -> None:
+        self.name = name
+        self.counts = NoticeCounts()
+        self._deliver = deliver
+        self._conditions = conditions
+        self._from_severity = from_severity
+        self._backoff = backoff
+        self._capacity = capacity
+        self._queue: deque[AlarmChange] = deque()
+        self._arrived = threading.Condition()
+        self._is_stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"soo-{name}", daemon=True)
+
+    def start(self) -> None:
+        """Deliver from now on."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End without waiting for receivers that do not answer; the alarms themselves are in the archive."""
+        self._is_stopping.set()
+        with self._arrived:
+            self._arrived.notify()
+        if self._thread.is_alive():
+            self._thread.join(2.0)
+
+    @property
+    def waiting(self) -> int:
+        """How many notices wait."""
+        return len(self._queue)
+
+    def offer(self, change: AlarmChange) -> None:
+        """Queue a change that is to be told; the oldest one makes place where there is none."""
+        if not change.is_told or change.alarm.severity < self._from_severity:
+            return
+        with self._arrived:
+            self._queue.append(change)
+            if len(self._queue) > self._capacity:
+                self._queue.popleft()
+                self.counts.dropped += 1
+            self._arrived.notify()
+
+    def _run(self) -> None:
+        """Deliver until stopped."""
+        while not self._is_stopping.is_set():
+            with self._arrived:
+                while not self._queue and not self._is_stopping.is_set():
+                    self._arrived.wait()
+                if self._is_stopping.is_set():
+                    return
+                change = self._queue.popleft()
+            self._try(notice_of(change, self._conditions))
+
+    def _try(self, notice: dict[str, Any]) -> None:
+        """Deliver one notice, with pauses between attempts."""
+        backoff = self._backoff()
+        for attempt in range(1, ATTEMPTS + 1):
+            try:
+                self._deliver(notice)
+            except DeliveryError as error:
+                self.counts.failed_attempts += 1
+                if error.is_final or attempt == ATTEMPTS:
+                    self.counts.failed += 1
+                    _LOG.error("%s: notice %s given up: %s", self.name, notice["sequence"], error)
+                    return
+                if self._is_stopping.wait(backoff.next_s()):
+                    return
+            except Exception:  # noqa: BLE001 the next notice must go out whatever this one broke
+                self.counts.failed += 1
+                _LOG.exception("%s: notice %s could not be told", self.name, notice["sequence"])
+                return
+            else:
+                self.counts.sent += 1
+                return
+
+
+class NoticeChannels:
+    """All channels as one."""
+
+    def __init__(self, channels: Sequence[NoticeChannel] = ()) -> None:
+        self.channels = tuple(channels)
+
+    def start(self) -> None:
+        """Start every channel."""
+        for channel in self.channels:
+            channel.start()
+
+    def stop(self) -> None:
+        """Stop every channel."""
+        for channel in self.channels:
+            channel.stop()
+
+    def offer(self, change: AlarmChange) -> None:
+        """Offer a change to every channel."""
+        for channel in self.channels:
+            channel.offer(change)
+
+
+def notice_of(change: AlarmChange, conditions: Mapping[str, Condition]) -> dict[str, Any]:
+    """Return what is told: JSON without NaN, epochs as the interface tells them."""
+    alarm, condition = change.alarm, conditions.get(change.alarm.condition)
+    return {
+        "sequence": change.sequence,
+        "change": change.kind.value,
+        "at": format_epoch(change.at_us),
+        "alarm_id": alarm.id,
+        "spacecraft_id": alarm.spacecraft_id,
+        "condition": alarm.condition,
+        "thing": alarm.thing,
+        "state": alarm.state,
+        "severity": alarm.severity.word,
+        "since": format_epoch(alarm.since_us),
+        "value": _finite(alarm.value),
+        "limit": _finite(alarm.limit),
+        "unit": alarm.unit,
+        "detail": alarm.detail,
+        "next_step": "" if condition is None else condition.next_step,
+        "repeats": alarm.repeats,
+        "by": None if change.handling is None else change.handling.by,
+        "comment": None if change.handling is None else change.handling.comment,
+    }
+
+
+def _finite(value: float) -> float | None:
+    """Return None for what JSON cannot tell."""
+    return value if abs(value) < float("inf") else None
