@@ -4,7 +4,8 @@ import typer
 
 from service.cli.acquire import acquire
 from service.cli.demo import demo
-from service.cli.operate import align, calibrate, export, replay
+from service.cli.export import export
+from service.cli.operate import align, calibrate, replay
 from service.cli.plan import plan
 from service.cli.reference import openapi, settings
 from service.cli.send import send

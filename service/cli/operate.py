@@ -1,8 +1,6 @@
-"""Operators' commands over the REST interface: calibrate, align, replay, export."""
+"""Operators' commands over the REST interface: calibrate, align, replay."""
 
 import json
-import sys
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -114,32 +112,6 @@ def replay(
     typer.echo(json.dumps(report) if as_json else ", ".join(f"{name} {value}" for name, value in report.items()))
     if compare and report["rows_different"]:
         raise typer.Exit(1)
-
-
-def export(
-    spacecraft: SpacecraftOption,
-    series: Annotated[str, typer.Option(help="measurements or attitude.")],
-    start: Start,
-    stop: Stop,
-    output: Annotated[Path | None, typer.Option(help="File to write; default standard output.")] = None,
-    format_: Annotated[str, typer.Option("--format", help="File format.")] = "csv",
-    method: Annotated[str | None, typer.Option(help="Estimation method of attitude rows.")] = None,
-    version: Annotated[str | None, typer.Option(help="Version: live or that of a replay.")] = None,
-    service: ServiceUrl = DEFAULT_SERVICE,
-    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
-) -> None:
-    """Download a stretch of the archive."""
-    params = {"format": format_, "start": start, "stop": stop, "method": method, "version": version}
-    with connected(service, key_env) as client:
-        path = f"/spacecraft/{spacecraft}/archive/{series}:export"
-        chunks = client.download(path, {name: value for name, value in params.items() if value is not None})
-        if output is None:
-            for chunk in chunks:
-                sys.stdout.buffer.write(chunk)
-            return
-        with output.open("wb") as file:
-            for chunk in chunks:
-                file.write(chunk)
 
 
 def _wait(client: ServiceClient, job_id: str, what: str) -> None:

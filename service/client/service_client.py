@@ -69,9 +69,9 @@ class ServiceClient:
         """Send any request below ``/api/v1``; see `service.client.transport.Transport.request`."""
         return self._transport.request(method, path, body, params=params, is_keyed=is_keyed)
 
-    def download(self, path: str, params: Mapping[str, Any] | None = None) -> Iterator[bytes]:
+    def download(self, path: str, params: Mapping[str, Any] | None = None, **options: Any) -> Iterator[bytes]:
         """Yield what an export streams; see `service.client.transport.Transport.download`."""
-        return self._transport.download(path, params)
+        return self._transport.download(path, params, **options)
 
     # Catalogue
 

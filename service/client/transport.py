@@ -119,7 +119,14 @@ class Transport:
                 self._sleep(error.retry_after_s or backoff.next_s())
         raise AssertionError  # pragma: no cover - the loop returns or raises
 
-    def download(self, path: str, params: Mapping[str, Any] | None = None) -> Iterator[bytes]:
+    def download(
+        self,
+        path: str,
+        params: Mapping[str, Any] | None = None,
+        *,
+        headers: Mapping[str, str] | None = None,
+        on_status: Callable[[int], None] = lambda _: None,
+    ) -> Iterator[bytes]:
         """Yield the body of a GET as it comes, never the whole of it; asked once, for a part cannot be taken back.
 
         Parameters
@@ -136,12 +143,14 @@ class Transport:
         ServiceUnavailableError
             No answer, or the answer broke off.
         """
-        query = {name: value for name, value in (params or {}).items() if value is not None}
+        query = {name: value for name, value in (params or {}).items() if value is not None} or None
+        told = {"Accept": "*/*", **(headers or {})}
         try:
-            with self._http.stream("GET", BASE_PATH + path, params=query, headers={"Accept": "*/*"}) as response:
+            with self._http.stream("GET", BASE_PATH + path, params=query, headers=told) as response:
                 if not response.is_success:
                     response.read()
                     raise error_of(response)
+                on_status(response.status_code)
                 yield from response.iter_bytes()
         except httpx.TransportError as error:
             message = f"the download of {path} broke off: {type(error).__name__} {error}".rstrip()

@@ -1,0 +1,222 @@
+"""A stretch of the archive onto the disk: day by day, each day verified, going on where it was interrupted.
+
+Examples
+--------
+::
+
+    with ServiceClient("http://127.0.0.1:8000", key) as client:
+        order = DownloadOrder("yamal-202", "measurements", "parquet", start, stop)
+        report = download_archive(client, order, Path("november.parquet"))
+    print(report["rows"], report["sha256"])
+
+Law of this file: what stands under a final name is whole and verified. A day is taken under another name, compared with
+the manifest's SHA-256 and then renamed; so is the file that is made of the days.
+"""
+
+import hashlib
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from service.client.backoff import Backoff
+from service.client.joined_files import joined
+from service.client.problem import ClientError, ServiceUnavailableError
+from service.client.service_client import ServiceClient
+from service.client.transport import BASE_PATH
+
+#: days of one page of the manifest
+_PAGE_DAYS = 7
+_HASHED_BYTES = 1 << 20
+
+
+class DownloadError(ClientError):
+    """The files cannot be had as the manifest tells them."""
+
+
+@dataclass(frozen=True, slots=True)
+class DownloadOrder:
+    """What is wanted."""
+
+    spacecraft_id: str
+    series: str
+    file_format: str
+    #: RFC 3339
+    start: str
+    stop: str
+    method: str | None = None
+    version: str | None = None
+    #: how long a service that does not answer is waited for, s
+    patience_s: float = 600.0
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Parameters of the query."""
+        return {
+            "format": self.file_format,
+            "start": self.start,
+            "stop": self.stop,
+            "method": self.method,
+            "version": self.version,
+        }
+
+
+class DownloadProgress(NamedTuple):
+    """How far it is."""
+
+    #: end of the newest day that is there, RFC 3339
+    until: str
+    rows: int
+    size: int
+
+
+class _Day(NamedTuple):
+    """One day as the manifest tells it."""
+
+    path: Path
+    href: str
+    rows: int
+    size: int
+    sha256: str
+    until: str
+
+
+def download_archive(
+    client: ServiceClient,
+    order: DownloadOrder,
+    output: Path,
+    *,
+    keeps_days: bool = False,
+    on_progress: Callable[[DownloadProgress], None] = lambda _: None,
+) -> dict[str, Any]:
+    """Write a stretch of the archive to a file, or its days to a folder, and return what there is.
+
+    Parameters
+    ----------
+    client : ServiceClient
+        To the service.
+    order : DownloadOrder
+        What is wanted.
+    output : Path
+        File, or with ``keeps_days`` folder.
+    keeps_days : bool
+        Keep one file a day instead of joining them.
+    on_progress : callable
+        Told after every day.
+
+    Raises
+    ------
+    DownloadError
+        The archive changes faster than it can be read.
+    ServiceUnavailableError
+        The service did not answer for longer than the patience; the next call goes on.
+    ProblemError
+        The service refuses.
+    """
+    folder = output if keeps_days else output.with_name(output.name + ".days")
+    folder.mkdir(parents=True, exist_ok=True)
+    download = _Download(client, order, folder)
+    days: list[_Day] = []
+    for day in download.days():
+        download.fetch(day)
+        days.append(day)
+        on_progress(DownloadProgress(day.until, sum(each.rows for each in days), sum(each.size for each in days)))
+    report: dict[str, Any] = {"rows": sum(day.rows for day in days), "days": len(days)}
+    if keeps_days:
+        return report | {"folder": str(output), "bytes": sum(day.size for day in days)}
+    new = output.with_name(output.name + ".new")
+    if days:
+        joined(order.file_format, [day.path for day in days], new)
+    else:
+        download.stream(new)
+    digest = sha256_of(new)
+    new.replace(output)
+    shutil.rmtree(folder)
+    return report | {"file": str(output), "bytes": output.stat().st_size, "sha256": digest}
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file, hexadecimal."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while piece := file.read(_HASHED_BYTES):
+            digest.update(piece)
+    return digest.hexdigest()
+
+
+class _Download:
+    """Takes the days of one order; see `download_archive`."""
+
+    def __init__(self, client: ServiceClient, order: DownloadOrder, folder: Path) -> None:
+        self._client = client
+        self._order = order
+        self._folder = folder
+        self._path = f"/spacecraft/{order.spacecraft_id}/archive/{order.series}"
+
+    def days(self) -> Iterator[_Day]:
+        """Yield the days of the manifest, page by page."""
+        params: dict[str, Any] = {**self._order.parameters, "limit": _PAGE_DAYS}
+        while True:
+            page = self._patiently(lambda: self._client.request("GET", f"{self._path}:manifest", params=params))
+            yield from map(self._day, page["parts"])
+            if page["next"] is None:
+                return
+            params["cursor"] = page["next"]
+
+    def fetch(self, day: _Day) -> None:
+        """Take the file of a day unless it is there already."""
+        if day.path.exists() and sha256_of(day.path) == day.sha256:
+            return
+        part = day.path.with_name(day.path.name + ".part")
+        for _ in range(2):
+            self._patiently(lambda: self._go_on(day, part))
+            if sha256_of(part) == day.sha256:
+                part.replace(day.path)
+                return
+            # what was there before is of other content: once more from the beginning
+            part.unlink()
+        raise DownloadError(f"{day.path.name} is not what the manifest says: rows of that day came late; run again")
+
+    def stream(self, path: Path) -> None:
+        """Take the whole as it streams: a span without rows, whose file is only its head."""
+        with path.open("wb") as file:
+            file.writelines(self._client.download(f"{self._path}:export", self._order.parameters))
+
+    def _go_on(self, day: _Day, part: Path) -> None:
+        """Take what is missing of the file of a day."""
+        there = part.stat().st_size if part.exists() else 0
+        if 0 < day.size <= there:
+            return
+        headers = {"Accept-Encoding": "identity"}
+        if there:
+            headers |= {"Range": f"bytes={there}-", "If-Range": f'"{day.sha256}"'}
+        with part.open("ab") as file:
+
+            def begin(status: int) -> None:
+                # the whole instead of the range: what is there is of no use
+                if status != 206:
+                    file.truncate(0)
+
+            file.writelines(self._client.download(day.href, headers=headers, on_status=begin))
+            file.flush()
+            os.fsync(file.fileno())
+
+    def _patiently(self, attempt: Callable[[], Any]) -> Any:
+        """Return what an attempt gives, again and again while the service is away."""
+        backoff, deadline_s = Backoff(), time.monotonic() + self._order.patience_s
+        while True:
+            try:
+                return attempt()
+            except ServiceUnavailableError as error:
+                wait_s = max(backoff.next_s(), error.retry_after_s or 0.0)
+                if time.monotonic() + wait_s > deadline_s:
+                    raise
+                time.sleep(wait_s)
+
+    def _day(self, part: dict[str, Any]) -> _Day:
+        name = f"{self._order.series}_{part['start'][:10]}.{self._order.file_format}"
+        href = part["href"].removeprefix(BASE_PATH)
+        return _Day(self._folder / name, href, part["rows"], part["bytes"], part["sha256"], part["stop"])

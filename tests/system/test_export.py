@@ -1,0 +1,158 @@
+"""Exports over real sockets: every format of a long span, interrupted and gone on, with memory that does not grow."""
+
+import csv
+import hashlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pyarrow import parquet
+
+from db.storage import SqlStorage
+from service.records.catalogue import Carrier, Site, Spacecraft
+from service.records.measurement import MeasurementBatch
+
+pytestmark = pytest.mark.system
+
+BASE = "/api/v1/spacecraft/sim-1/archive"
+#: 2026-11-01T00:00:00Z
+START_US = 1_793_491_200_000_000
+STEP_US = 10_000_000
+DAY_ROWS = 8640
+INERTIA = ((2600.0, 0.0, 0.0), (0.0, 1400.0, 0.0), (0.0, 0.0, 2600.0))
+
+
+def fill(database: Path, rows: int, carriers: int) -> np.ndarray:
+    """Store rows of random levels, ten seconds apart; return the levels."""
+    storage = SqlStorage(f"sqlite:///{database}")
+    storage.migrate()
+    storage.catalogue.add_spacecraft(Spacecraft("sim-1", "Simulated", 90.0, Site(55.7, 37.6), INERTIA, 0.05))
+    plan = storage.catalogue.put_plan(
+        "sim-1", [Carrier(f"c{k:02d}", "Ku", "Ku1", 11.0e9 + k * 2e6, 1e6) for k in range(carriers)], "plan"
+    )
+    levels = np.random.default_rng(5).normal(-60.0, 5.0, (rows, carriers)).round(2).astype(np.float32)
+    for first in range(0, rows, 5000):
+        part = levels[first : first + 5000]
+        batch = MeasurementBatch(
+            "sim-1",
+            "sa-1",
+            plan.id,
+            START_US + (first + len(part)) * STEP_US,
+            np.arange(len(part)),
+            START_US + (first + np.arange(len(part))) * STEP_US,
+            part,
+            (None,) * len(part),
+            np.zeros(len(part), dtype=bool),
+        )
+        assert storage.archive.append_measurements(batch).result(30).accepted == len(part)
+    storage.close()
+    return levels
+
+
+def resident_mb(process: int) -> float:
+    """Return the greatest resident memory of a process so far, MB."""
+    text = Path(f"/proc/{process}/status").read_text()
+    return int(next(line.split()[1] for line in text.splitlines() if line.startswith("VmHWM"))) / 1024
+
+
+@pytest.mark.timeout(120)
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory of a process is read from /proc")
+def test_memory_of_an_export_does_not_grow_with_its_span(start_service: Any, tmp_path: Path) -> None:
+    database = tmp_path / "soo.db"
+    fill(database, 6 * DAY_ROWS, 16)
+    service = start_service(database=database)
+    grown = {}
+    with service.client() as client:
+        for file_format in ("csv", "ndjson", "parquet", "tdm"):
+            short = {"format": file_format, "stop": "2026-11-02T00:00:00Z"}
+            client.get(f"{BASE}/measurements:export", params=short, timeout=60).raise_for_status()
+        for file_format in ("csv", "ndjson", "parquet", "tdm"):
+            before, size = resident_mb(service.process.pid), 0
+            params = {"format": file_format}
+            with client.stream("GET", f"{BASE}/measurements:export", params=params, timeout=60) as answer:
+                for piece in answer.iter_raw():
+                    size += len(piece)
+            assert answer.status_code == 200
+            grown[file_format] = resident_mb(service.process.pid) - before
+            print(f"{file_format}: {size / 1e6:.1f} MB sent, resident memory +{grown[file_format]:.1f} MB")
+    # asked: 64 MB for any span
+    assert max(grown.values()) <= 64.0, grown
+
+
+def command(url: str, output: Path, *options: str) -> list[str]:
+    """Return the command that exports ten days."""
+    span = ["--start", "2026-11-01T00:00:00Z", "--stop", "2026-11-11T00:00:00Z"]
+    head = [sys.executable, "-m", "service", "export", "--spacecraft", "sim-1", "--series", "measurements", *span]
+    return [*head, "--service", url, "--output", str(output), "--json", *options]
+
+
+@pytest.mark.timeout(120)
+def test_an_interrupted_export_goes_on_and_every_format_is_the_archive(
+    start_service: Any, tmp_path: Path, compiled_environment: dict[str, str]
+) -> None:
+    database = tmp_path / "soo.db"
+    levels = fill(database, 3 * DAY_ROWS, 4)
+    service = start_service(database=database)
+    with service.client() as client:
+        environment = compiled_environment | {"SOO_KEY": client.headers["Authorization"].partition(" ")[2]}
+
+        def run(output: Path, *options: str) -> dict[str, Any]:
+            done = subprocess.run(
+                command(service.url, output, *options), env=environment, capture_output=True, text=True, timeout=60
+            )
+            assert done.returncode == 0, done.stderr
+            return dict(json.loads(done.stdout))
+
+        output = tmp_path / "levels.csv"
+        days = tmp_path / "levels.csv.days"
+        process = subprocess.Popen(command(service.url, output), env=environment, stdout=subprocess.DEVNULL)
+        await_first(days, process)
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait(10)
+        assert not output.exists()
+        # a day that was cut off goes on, one that was spoilt is taken again
+        first = sorted(days.glob("*.csv"))[0]
+        whole = first.read_bytes()
+        first.with_name(first.name + ".part").write_bytes(whole[:1000])
+        first.unlink()
+        report = run(output)
+        assert (report["rows"], report["days"]) == (3 * DAY_ROWS, 3)
+        assert not days.exists()
+        streamed = client.get(f"{BASE}/measurements:export", timeout=60).content
+        assert output.read_bytes() == streamed
+        assert report["sha256"] == hashlib.sha256(streamed).hexdigest()
+        rows = list(csv.reader(streamed.decode().splitlines()))[1:]
+        assert np.array_equal(np.array([row[2:] for row in rows], dtype=np.float32), levels)
+
+        table_path = tmp_path / "levels.parquet"
+        assert run(table_path, "--format", "parquet")["rows"] == len(levels)
+        table = parquet.read_table(table_path)
+        columns = [table.column(f"c{k:02d}_dbm").to_numpy() for k in range(4)]
+        assert np.array_equal(np.stack(columns, axis=1), levels)
+
+        folder = tmp_path / "by-day"
+        kept = run(folder, "--format", "ndjson", "--by-day")
+        assert sorted(path.name for path in folder.iterdir()) == [
+            f"measurements_2026-11-0{day}.ndjson" for day in (1, 2, 3)
+        ]
+        assert kept["bytes"] == sum(path.stat().st_size for path in folder.iterdir())
+        spoilt = folder / "measurements_2026-11-02.ndjson"
+        good = spoilt.read_bytes()
+        spoilt.write_bytes(good[:-1] + b"!")
+        run(folder, "--format", "ndjson", "--by-day")
+        assert spoilt.read_bytes() == good
+
+
+def await_first(folder: Path, process: "subprocess.Popen[bytes]") -> None:
+    """Wait until the first day is there."""
+    deadline = time.monotonic() + 30
+    while not list(folder.glob("*.csv")) and process.poll() is None:
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
