@@ -16,6 +16,7 @@ from service.runtime.jobs import JobRunner
 from service.runtime.live_feed import LiveFeed
 from service.runtime.replaying import Replayer
 from service.runtime.supervisor import Supervisor
+from service.runtime.upkeep import Upkeep
 from service.settings import Settings
 
 
@@ -51,13 +52,17 @@ def build_app(settings: Settings, storage: Storage, key: str) -> FastAPI:
     supervisor = Supervisor(storage, feed, settings.chain_config())
     jobs = JobRunner(storage.results, clock)
 
+    upkeep = Upkeep(storage, clock, settings.sealing, settings.retention)
+
     async def start() -> None:
         jobs.start()
+        upkeep.start()
         supervisor.start()
 
     async def stop() -> None:
         await asyncio.to_thread(supervisor.stop)
         await asyncio.to_thread(jobs.stop)
+        await asyncio.to_thread(upkeep.stop)
         await asyncio.to_thread(storage.close)
 
     context = ApiContext(
@@ -68,6 +73,7 @@ def build_app(settings: Settings, storage: Storage, key: str) -> FastAPI:
             future_tolerance_s=settings.future_tolerance_s,
             future_tolerance_data_s=settings.future_tolerance_data_s,
             late_after_s=settings.late_after_s,
+            retention_s=settings.retention.measurements_days * 86_400 or None,
             max_body_bytes=settings.max_body_bytes,
             max_rows_per_batch=settings.max_rows_per_batch,
             evidence_traces=settings.evidence_traces,

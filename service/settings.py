@@ -20,6 +20,7 @@ from service.pipeline.config import (
     RobustConfig,
     TorqueConfig,
 )
+from service.records.archive_upkeep import RetentionConfig, SealingConfig
 
 
 class Settings(BaseSettings):
@@ -65,6 +66,9 @@ class Settings(BaseSettings):
     torque: TorqueConfig = Field(TorqueConfig(), description="torque pulses")
     robust: RobustConfig = Field(RobustConfig(), description="the robust method in operation")
     operations: OperationConfig = Field(OperationConfig(), description="what declared operations mean to it")
+
+    sealing: SealingConfig = Field(SealingConfig(), description="packing of closed days")
+    retention: RetentionConfig = Field(RetentionConfig(), description="how long series are kept")
 
     def chain_config(self) -> ChainConfig:
         """Return the configuration of every chain."""

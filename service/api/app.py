@@ -46,7 +46,7 @@ def create_app(context: ApiContext) -> FastAPI:
     app.state.context = context
     app.state.plan_widths = PlanWidths(context.storage.catalogue)
     app.state.carrier_names = CarrierNames(context.storage.catalogue)
-    app.state.epoch_limits = EpochLimits(context.clock, context.limits)
+    app.state.epoch_limits = EpochLimits(context.clock, context.limits, context.storage.archive)
     app.state.open_streams = OpenStreams()
     keys = StoredKeys(context.storage.keys, context.bootstrap_key, context.clock.system_us)
     app.state.key_ring = app.state.stored_keys = keys

@@ -10,7 +10,7 @@ from starlette.concurrency import run_in_threadpool
 
 from service.api.deps import Limits
 from service.pipeline.ingest import EpochBounds, data_bounds, system_bounds
-from service.ports import Clock
+from service.ports import Archive, Clock
 from service.records.epoch import US_PER_S
 
 
@@ -20,6 +20,8 @@ class _Known(NamedTuple):
     read_at_us: int
     is_data: bool
     now_us: int | None
+    #: below it rows were dropped
+    kept_from_us: int
 
 
 class EpochLimits:
@@ -31,10 +33,13 @@ class EpochLimits:
         Clock of the service.
     limits : Limits
         Tolerances.
+    archive : Archive
+        Tells what it has dropped.
     """
 
-    def __init__(self, clock: Clock, limits: Limits) -> None:
+    def __init__(self, clock: Clock, limits: Limits, archive: Archive) -> None:
         self._clock = clock
+        self._archive = archive
         self._limits = limits
         self._known: dict[str, _Known] = {}
 
@@ -58,13 +63,15 @@ class EpochLimits:
         self._known.pop(spacecraft_id, None)
 
     def _read(self, spacecraft_id: str) -> _Known:
-        """Ask the clock."""
-        clock = self._clock
-        return _Known(clock.system_us(), clock.is_data(spacecraft_id), clock.now_us(spacecraft_id))
+        """Ask the clock and the archive."""
+        clock, kept_from_us = self._clock, self._archive.kept_from_us(spacecraft_id, "measurements")
+        return _Known(clock.system_us(), clock.is_data(spacecraft_id), clock.now_us(spacecraft_id), kept_from_us)
 
     def _bounds(self, known: _Known) -> EpochBounds:
-        """Return what the clock's word means for epochs."""
+        """Return what the clock's word means for epochs; what was dropped does not come in again."""
         limits = self._limits
         if known.is_data or known.now_us is None:
-            return data_bounds(known.now_us, limits.future_tolerance_data_s, limits.retention_s)
-        return system_bounds(known.now_us, limits.future_tolerance_s, limits.late_after_s, limits.retention_s)
+            bounds = data_bounds(known.now_us, limits.future_tolerance_data_s, limits.retention_s)
+        else:
+            bounds = system_bounds(known.now_us, limits.future_tolerance_s, limits.late_after_s, limits.retention_s)
+        return bounds._replace(earliest_us=max(bounds.earliest_us, known.kept_from_us))

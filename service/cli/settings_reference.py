@@ -42,6 +42,16 @@ _PLAIN_ORIGINS: dict[str, str] = {
 
 #: settings inside a stage's configuration: meaning with unit, origin of the default
 _STAGE_MEANINGS: dict[str, tuple[str, str]] = {
+    "sealing.quiet_s": ("a day is packed this long after its end and after its last row came in, s", CHOSEN),
+    "sealing.period_s": ("between two looks for days to pack and rows to drop, s", CHOSEN),
+    "sealing.pause_s": ("between two transactions of that work, so that rows come in between them, s", CHOSEN),
+    "retention.measurements_days": ("measurements older than this are dropped and refused; 0 = kept for ever", CHOSEN),
+    "retention.attitude_days": ("attitude older than this is dropped; 0 = kept for ever", CHOSEN),
+    "retention.torques_days": ("torque commands older than this are dropped; 0 = kept for ever", CHOSEN),
+    "retention.traces_days": ("evidence traces older than this are dropped; 0 = kept while the ring has place", CHOSEN),
+    "retention.measurements_bytes": ("measurements of one spacecraft take this much at most; 0 = no limit", CHOSEN),
+    "retention.attitude_bytes": ("attitude of one spacecraft takes this much at most; 0 = no limit", CHOSEN),
+    "retention.torques_bytes": ("torque commands of one spacecraft take this much at most; 0 = no limit", CHOSEN),
     "calibration.harmonic.gate_sigma": ("a sample is used while its residual is within this many sigma", PUBLISHED),
     "calibration.harmonic.max_iterations": ("passes of that rejection before the fit gives up", CHOSEN),
     "calibration.criteria.max_residual_rms_db": ("stable: rms after the harmonic at most this, dB", TUNED),

@@ -41,3 +41,41 @@ class Dropped:
     rows: int
     #: nothing older is kept now, microseconds UTC
     kept_from_us: int
+
+
+@dataclass(frozen=True, slots=True)
+class SealingConfig:
+    """When closed days are packed."""
+
+    #: after midnight, and after the last row of a day came in, s
+    quiet_s: float = 900.0
+    #: between two looks for days to seal and rows to drop, s
+    period_s: float = 60.0
+    #: between two transactions, so that rows come in between them, s
+    pause_s: float = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class RetentionConfig:
+    """How long series are kept: 0 = for ever, and without limit of size."""
+
+    measurements_days: float = 0.0
+    attitude_days: float = 0.0
+    torques_days: float = 0.0
+    traces_days: float = 0.0
+    #: of each spacecraft
+    measurements_bytes: int = 0
+    attitude_bytes: int = 0
+    torques_bytes: int = 0
+
+    def days(self, series: str) -> float:
+        """Return how many days of a series are kept, 0 = all."""
+        return float(getattr(self, f"{series}_days"))
+
+    def size_bytes(self, series: str) -> int:
+        """Return how many bytes of a series are kept, 0 = all."""
+        return int(getattr(self, f"{series}_bytes", 0))
+
+
+#: what retention knows
+SERIES = ("measurements", "attitude", "torques", "traces")

@@ -27,13 +27,24 @@ class CountingClock:
         return self.newest_us if self.data else self.system
 
 
+class Marks:
+    """An archive that has dropped what is below a mark."""
+
+    def __init__(self, kept_from_us: int = -1) -> None:
+        self.mark_us = kept_from_us
+
+    def kept_from_us(self, spacecraft_id: str, series: str) -> int:
+        assert series == "measurements"
+        return self.mark_us
+
+
 def known(limits: EpochLimits):
     return asyncio.run(limits.known("sc"))
 
 
 def test_the_data_clock_is_asked_once_a_second():
     clock = CountingClock(is_data=True, newest_us=1000 * S)
-    limits = EpochLimits(clock, LIMITS)
+    limits = EpochLimits(clock, LIMITS, Marks())
     assert [known(limits).latest_us for _ in range(3)] == [4600 * S] * 3
     assert clock.asked == 1
     clock.newest_us, clock.system = 2000 * S, NOW_US + S
@@ -43,7 +54,7 @@ def test_the_data_clock_is_asked_once_a_second():
 
 def test_a_caller_that_would_refuse_gets_the_bounds_of_the_moment():
     clock = CountingClock(is_data=True, newest_us=1000 * S)
-    limits = EpochLimits(clock, LIMITS)
+    limits = EpochLimits(clock, LIMITS, Marks())
     known(limits)
     clock.newest_us = 2000 * S
     assert asyncio.run(limits.present("sc")).latest_us == 5600 * S
@@ -52,7 +63,7 @@ def test_a_caller_that_would_refuse_gets_the_bounds_of_the_moment():
 
 def test_before_the_first_row_nothing_is_remembered():
     clock = CountingClock(is_data=True)
-    limits = EpochLimits(clock, LIMITS)
+    limits = EpochLimits(clock, LIMITS, Marks())
     assert known(limits).latest_us is None
     clock.newest_us = 1000 * S
     assert known(limits).latest_us == 4600 * S
@@ -60,7 +71,7 @@ def test_before_the_first_row_nothing_is_remembered():
 
 def test_under_the_system_clock_the_bounds_move_with_the_time():
     clock = CountingClock(is_data=False)
-    limits = EpochLimits(clock, LIMITS)
+    limits = EpochLimits(clock, LIMITS, Marks())
     assert known(limits).latest_us == NOW_US + 5 * S
     clock.system += S // 2
     assert known(limits).latest_us == NOW_US + 5 * S + S // 2
@@ -70,7 +81,7 @@ def test_under_the_system_clock_the_bounds_move_with_the_time():
 
 def test_a_changed_spacecraft_and_a_clock_set_back_are_asked_about_again():
     clock = CountingClock(is_data=True, newest_us=1000 * S)
-    limits = EpochLimits(clock, LIMITS)
+    limits = EpochLimits(clock, LIMITS, Marks())
     known(limits)
     clock.data = False
     limits.forget("sc")
@@ -78,3 +89,11 @@ def test_a_changed_spacecraft_and_a_clock_set_back_are_asked_about_again():
     clock.system = NOW_US - 10 * S
     known(limits)
     assert clock.asked == 3
+
+
+def test_what_retention_has_dropped_is_too_old():
+    marks = Marks()
+    limits = EpochLimits(CountingClock(is_data=False), LIMITS, marks)
+    before = known(limits).earliest_us
+    marks.mark_us = NOW_US - 100 * S
+    assert asyncio.run(limits.present("sc")).earliest_us == NOW_US - 100 * S > before

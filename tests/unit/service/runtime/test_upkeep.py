@@ -1,0 +1,119 @@
+"""Upkeep seals and drops what is due, step by step, and goes on after a fault."""
+
+import threading
+from types import SimpleNamespace
+
+import pytest
+
+from service.errors import StorageError
+from service.records.archive_upkeep import SERIES, Dropped, RetentionConfig, SealedPart, SealingConfig
+from service.runtime.upkeep import Upkeep
+
+DAY_US = 86_400_000_000
+NOW_US = 20_000 * DAY_US
+PART = SealedPart("sa-1", 1, NOW_US - DAY_US, NOW_US, 10, 10)
+FAST = SealingConfig(quiet_s=900.0, period_s=0.01, pause_s=0.0)
+
+
+class Archive:
+    """Records what it is asked; seals one part and drops two rows each time."""
+
+    def __init__(self):
+        self.asked, self.faults, self.fitting = [], {}, None
+        self.sealed = threading.Event()
+
+    def seal(self, name, before_us, received_before_us):
+        self.asked.append(("seal", name, before_us, received_before_us))
+        if name in self.faults:
+            raise self.faults.pop(name)
+        yield PART
+        self.sealed.set()
+
+    def drop_before(self, name, series, before_us):
+        self.asked.append(("drop", series, before_us))
+        yield Dropped(series, 2, before_us)
+
+    def fitting_us(self, name, series, size_bytes):
+        self.asked.append(("fit", series, size_bytes))
+        return self.fitting
+
+
+class Clock:
+    def __init__(self, now_us=NOW_US):
+        self.now = now_us
+
+    def now_us(self, _name):
+        return self.now
+
+    def system_us(self):
+        return NOW_US + 5
+
+
+@pytest.fixture
+def archive():
+    return Archive()
+
+
+def upkeep(archive, retention=None, clock=None, names=("a",)):
+    catalogue = SimpleNamespace(all_spacecraft=lambda: [SimpleNamespace(id=name) for name in names])
+    storage = SimpleNamespace(catalogue=catalogue, archive=archive)
+    return Upkeep(storage, clock or Clock(), FAST, retention or RetentionConfig())
+
+
+def test_days_are_sealed_after_the_quiet_time_and_nothing_is_dropped_by_default(archive):
+    made = upkeep(archive)
+    made.look_once()
+    quiet_us = 900_000_000
+    assert archive.asked == [("seal", "a", NOW_US - quiet_us, NOW_US + 5 - quiet_us)]
+    assert made.sealed_rows == 10
+    assert set(made.dropped_rows.values()) == {0}
+
+
+def test_series_are_dropped_by_age_and_by_size(archive):
+    archive.fitting = NOW_US - 3 * DAY_US
+    made = upkeep(archive, RetentionConfig(measurements_days=30.0, attitude_bytes=1000))
+    made.look_once()
+    assert archive.asked[:3] == [
+        ("drop", "measurements", NOW_US - 30 * DAY_US),
+        ("fit", "attitude", 1000),
+        ("drop", "attitude", NOW_US - 3 * DAY_US),
+    ]
+    assert made.dropped_rows == {"measurements": 2, "attitude": 2, "torques": 0, "traces": 0}
+    archive.asked.clear()
+    archive.fitting = None
+    made.look_once()
+    assert ("fit", "attitude", 1000) in archive.asked
+    assert not [asked for asked in archive.asked if asked[:2] == ("drop", "attitude")]
+
+
+@pytest.mark.parametrize("series", SERIES)
+def test_every_series_has_its_age(archive, series):
+    upkeep(archive, RetentionConfig(**{f"{series}_days": 1.5})).look_once()
+    assert archive.asked[0] == ("drop", series, NOW_US - 3 * DAY_US // 2)
+
+
+def test_a_clock_that_knows_no_time_yet_seals_nothing(archive):
+    upkeep(archive, clock=Clock(None)).look_once()
+    assert archive.asked == []
+
+
+def test_a_fault_of_one_spacecraft_is_logged_and_keeps_no_other_from_its_turn(archive, caplog):
+    archive.faults["a"] = StorageError("storage.unavailable", "the disk is full")
+    made = upkeep(archive, names=("a", "b"))
+    made.look_once()
+    assert [asked[1] for asked in archive.asked] == ["a", "b"]
+    assert "the disk is full" in caplog.text
+    made.look_once()
+    assert made.sealed_rows == 30
+
+
+def test_the_thread_looks_again_and_again_until_it_is_stopped(archive):
+    made = upkeep(archive)
+    made.start()
+    assert archive.sealed.wait(5)
+    archive.sealed.clear()
+    assert archive.sealed.wait(5)
+    made.stop()
+    count = len(archive.asked)
+    made.look_once()
+    assert len(archive.asked) == count
