@@ -63,7 +63,7 @@ def main() -> None:
     storage = build_storage(settings)
     if options.archive == "none":
         storage.archive = NoArchive(storage.archive)
-    app = build_app(settings, storage, os.environ["SOO_BOOTSTRAP_KEY"])
+    app = build_app(settings, storage)
     listener = socket.socket()
     listener.bind(("127.0.0.1", 0))
     # bound sockets accept connections once the server listens; the client tries again until then

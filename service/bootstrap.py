@@ -1,14 +1,18 @@
 """Composition root: settings become adapters, adapters become an application. The only module that names db."""
 
 import asyncio
-import secrets
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from fastapi import FastAPI
 
 from db.storage import SqlStorage
 from service.api.app import create_app
 from service.api.deps import ApiContext, Limits
+from service.api.observation import Observation
 from service.ports import Clock, Storage
+from service.records.access_key import AccessKey, Role, StoredKey, digest_of, new_key
+from service.records.audit import DONE, Deed
 from service.runtime.aligning import Aligner
 from service.runtime.calibrating import Calibrator
 from service.runtime.clock import DataClock, SystemClock
@@ -18,6 +22,9 @@ from service.runtime.replaying import Replayer
 from service.runtime.supervisor import Supervisor
 from service.runtime.upkeep import Upkeep
 from service.settings import Settings
+
+if TYPE_CHECKING:
+    from db.keeping import Keeping
 
 
 def build_storage(settings: Settings) -> Storage:
@@ -37,15 +44,45 @@ def build_clock(settings: Settings, storage: Storage) -> Clock:
     )
 
 
-def administrator_key(settings: Settings) -> tuple[str, bool]:
-    """Return the administrator's key and whether it was made just now; an empty setting is none."""
-    given = settings.bootstrap_key.get_secret_value() if settings.bootstrap_key is not None else ""
-    if given:
-        return given, False
-    return secrets.token_urlsafe(32), True
+def open_storage(settings: Settings) -> Storage:
+    """Return the archive of the settings as it is, for commands that look at it; ValueError when there is none."""
+    file = Path(settings.database_url.partition(":///")[2].partition("?")[0])
+    if settings.database_url.startswith("sqlite") and not file.is_file():
+        message = f"there is no file {file}"
+        raise ValueError(message)
+    return SqlStorage(settings.database_url)
 
 
-def build_app(settings: Settings, storage: Storage, key: str) -> FastAPI:
+def first_administrator(settings: Settings, storage: Storage) -> str | None:
+    """Return a fresh administrator's key, stored as a digest, when there is none and the settings give none."""
+    if _bootstrap_key(settings):
+        return None
+    now_us = SystemClock().system_us()
+    key_id, text = new_key()
+    key = AccessKey(
+        id=key_id, name="first administrator", role=Role.ADMIN, created_at_us=now_us, created_by="first start"
+    )
+    deed = Deed(
+        at_us=now_us,
+        who="service",
+        key_id="",
+        role="",
+        address="",
+        action="create_first_administrator",
+        target=f"/keys/{key_id}",
+        outcome=DONE,
+        request_id="",
+    )
+    is_stored = storage.keys.add_first_administrator(StoredKey(key, digest_of(text.encode("ascii"))), deed)
+    return text if is_stored else None
+
+
+def _bootstrap_key(settings: Settings) -> str | None:
+    """Return the administrator's key of the settings; an empty one is none."""
+    return (settings.bootstrap_key.get_secret_value() or None) if settings.bootstrap_key is not None else None
+
+
+def build_app(settings: Settings, storage: Storage) -> FastAPI:
     """Return the application over a migrated archive; its start-up starts the supervisor and the jobs."""
     clock = build_clock(settings, storage)
     feed = LiveFeed()
@@ -68,7 +105,7 @@ def build_app(settings: Settings, storage: Storage, key: str) -> FastAPI:
     context = ApiContext(
         storage=storage,
         clock=clock,
-        bootstrap_key=key,
+        bootstrap_key=_bootstrap_key(settings),
         limits=Limits(
             future_tolerance_s=settings.future_tolerance_s,
             future_tolerance_data_s=settings.future_tolerance_data_s,
@@ -78,7 +115,16 @@ def build_app(settings: Settings, storage: Storage, key: str) -> FastAPI:
             max_rows_per_batch=settings.max_rows_per_batch,
             evidence_traces=settings.evidence_traces,
             evidence_bytes=settings.evidence_bytes,
+            rates=settings.rate_limit,
+            max_streams=settings.max_streams,
         ),
+        observation=Observation(
+            metrics_need_key=settings.metrics_need_key,
+            access_log=settings.access_log,
+            ready_lag=settings.ready_lag,
+            min_free_disk_bytes=settings.min_free_disk_bytes,
+        ),
+        is_following=lambda: supervisor.is_running,
         on_accepted=supervisor.notify,
         on_startup=start,
         on_shutdown=stop,
@@ -91,3 +137,11 @@ def build_app(settings: Settings, storage: Storage, key: str) -> FastAPI:
         kernels=settings.kernels,
     )
     return create_app(context)
+
+
+def open_keeping(database_url: str | None) -> "Keeping":
+    """Return what makes backups of an archive and looks at it; without a URL the archive of the settings."""
+    # brings the migrations along, which serving needs at its start only
+    from db.keeping import Keeping
+
+    return Keeping(database_url or Settings.model_validate({}).database_url, SystemClock())

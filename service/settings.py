@@ -4,11 +4,13 @@ Nested settings use a double underscore: ``SOO_INTERLOCK__VALIDITY_LIMIT_DEG=0.3
 publication where it states one, else tuned on the simulator's truth; docs/reference/settings.md lists all.
 """
 
-from typing import Literal
+from ipaddress import ip_network
+from typing import Annotated, Literal
 
-from pydantic import Field, SecretStr
+from pydantic import AfterValidator, Field, SecretStr
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from service.api.rate_limits import RateLimitConfig
 from service.pipeline.config import (
     AlignmentConfig,
     CalibrationConfig,
@@ -21,6 +23,17 @@ from service.pipeline.config import (
     TorqueConfig,
 )
 from service.records.archive_upkeep import RetentionConfig, SealingConfig
+
+
+def _networks(value: str | None) -> str | None:
+    """Return the text unless one of its parts is no address; `*` is none: it would let every client invent its own."""
+    for part in (value or "").split(","):
+        if part.strip():
+            ip_network(part.strip(), strict=False)
+    return value
+
+
+TrustedProxies = Annotated[str | None, AfterValidator(_networks)]
 
 
 class Settings(BaseSettings):
@@ -38,7 +51,7 @@ class Settings(BaseSettings):
 
     database_url: str = Field("sqlite:///soo.db", description="SQLAlchemy URL of the archive")
     bootstrap_key: SecretStr | None = Field(
-        None, description="administrator's bearer key, accepted while it is set; without it a fresh one is printed once"
+        None, description="administrator's bearer key, accepted while set; without it the first start prints one"
     )
     clock: Literal["system", "data"] = Field(
         "system", description="`data` lets accepted epochs move the clock of simulated spacecraft"
@@ -46,6 +59,25 @@ class Settings(BaseSettings):
     host: str = Field("127.0.0.1", description="address to listen on")
     port: int = Field(8000, ge=0, le=65535, description="port to listen on; 0 takes a free one and prints it")
     log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="least severe log line kept")
+    tls_certificate: str | None = Field(None, description="file of the certificate chain, PEM; with it HTTPS is served")
+    tls_key: str | None = Field(None, description="file of the certificate's private key, PEM")
+    trusted_proxies: TrustedProxies = Field(
+        None, description="addresses or networks, by commas, whose X-Forwarded-For and -Proto are believed"
+    )
+    request_timeout_s: float = Field(60.0, gt=0, description="a request has to come whole within this, s")
+    rate_limit: RateLimitConfig = Field(RateLimitConfig(), description="requests by key and class")
+    log_format: Literal["json", "text"] = Field(
+        "json", description="`json` writes one object a line, `text` lines for people"
+    )
+    access_log: bool = Field(True, description="whether a line is written of every request")
+    metrics_need_key: bool = Field(False, description="whether /metrics is given to holders of a key only")
+    ready_lag: int = Field(
+        1000, ge=0, description="entries by which the estimator may lie behind its journal and /readyz yet say ready"
+    )
+    min_free_disk_bytes: int = Field(
+        200_000_000, ge=0, description="free space beside the database below which /readyz says not ready, bytes"
+    )
+    max_streams: int = Field(500, ge=1, description="live streams at once")
     future_tolerance_s: float = Field(5.0, ge=0, description="how far ahead of the system clock an epoch may lie, s")
     future_tolerance_data_s: float = Field(
         2_592_000.0, ge=0, description="how far ahead of the data clock an epoch may lie, s"

@@ -1,4 +1,4 @@
-"""The server: uvicorn, that ends live streams when it is told to stop.
+"""The server: uvicorn as this service wants it, that ends live streams when it is told to stop.
 
 uvicorn waits for answers in progress, and a stream is one that never ends by itself.
 """
@@ -8,7 +8,47 @@ import socket
 import uvicorn
 from fastapi import FastAPI
 
+from service.api.http_protocol import BoundedProtocol
 from service.api.open_streams import OpenStreams
+
+
+def server_config(
+    app: FastAPI,
+    *,
+    certificate: str | None = None,
+    key: str | None = None,
+    trusted_proxies: str | None = None,
+    request_timeout_s: float = BoundedProtocol.request_timeout_s,
+) -> uvicorn.Config:
+    """Return how the application is served.
+
+    Parameters
+    ----------
+    app : FastAPI
+        The application.
+    certificate, key : str or None
+        PEM files of TLS; both or none.
+    trusted_proxies : str or None
+        Addresses or networks, by commas, whose X-Forwarded headers are believed; None = nobody's.
+    request_timeout_s : float
+        A request has to come whole within this.
+    """
+    protocol = type("Protocol", (BoundedProtocol,), {"request_timeout_s": request_timeout_s})
+    return uvicorn.Config(
+        app,
+        http=protocol,
+        ws="none",
+        # one format of log lines, that of the service
+        log_config=None,
+        access_log=False,
+        timeout_graceful_shutdown=5,
+        server_header=False,
+        ssl_certfile=certificate,
+        ssl_keyfile=key,
+        # uvicorn would believe 127.0.0.1 unasked, and whatever stands in the environment
+        proxy_headers=bool(trusted_proxies),
+        forwarded_allow_ips=trusted_proxies or "",
+    )
 
 
 class StreamingServer(uvicorn.Server):

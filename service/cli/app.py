@@ -3,8 +3,12 @@
 import typer
 
 from service.cli.acquire import acquire
+from service.cli.audit import app as audit
+from service.cli.backup import app as backup
 from service.cli.demo import demo
+from service.cli.doctor import doctor
 from service.cli.export import export
+from service.cli.keys import app as keys
 from service.cli.operate import align, calibrate, replay
 from service.cli.plan import plan
 from service.cli.reference import openapi, settings
@@ -20,6 +24,9 @@ app = typer.Typer(
     add_completion=False,
 )
 
-for command in (demo, serve, acquire, send, calibrate, align, replay, export, plan, openapi, settings):
+for command in (demo, serve, acquire, send, calibrate, align, replay, export, plan, doctor, openapi, settings):
     app.command()(command)
+app.add_typer(keys, name="keys")
+app.add_typer(audit, name="audit")
+app.add_typer(backup, name="backup")
 app.add_typer(study, name="study")

@@ -4,10 +4,10 @@ Exit codes: 0 ended by a signal, 2 it could not start as told (settings, address
 """
 
 import json
-import logging
 import os
 import signal
 import socket
+import ssl
 import sys
 from contextlib import closing
 from typing import Annotated, NoReturn
@@ -16,6 +16,7 @@ import typer
 from pydantic import ValidationError
 
 from service.errors import StorageError
+from service.runtime.log_lines import write_log
 from service.settings import Settings
 
 # one thread a matrix product: two of them on small matrices cost far more than they give
@@ -32,17 +33,19 @@ def serve(
     clock: Annotated[
         str | None, typer.Option(help="`system`, or `data`: accepted epochs move the clock of simulated spacecraft.")
     ] = None,
+    tls_certificate: Annotated[
+        str | None, typer.Option(help="Certificate chain, PEM; with it HTTPS is served.")
+    ] = None,
+    tls_key: Annotated[str | None, typer.Option(help="Private key of the certificate, PEM.")] = None,
 ) -> None:
     """Serve the REST interface; creates and migrates its database before it is ready."""
     for number in (signal.SIGTERM, signal.SIGINT):
         # ends a start; once uvicorn serves it stops gracefully first and raises the signal again
         signal.signal(number, lambda *_: sys.exit(0))
-    settings = _settings({"database_url": database, "host": host, "port": port, "clock": clock})
-    logging.basicConfig(
-        level=settings.log_level.upper(), stream=sys.stderr, format="%(asctime)s %(levelname)s %(name)s %(message)s"
-    )
-    # tells of its own parts at every start
-    logging.getLogger("alembic.runtime.plugins").setLevel(logging.WARNING)
+    given = {"database_url": database, "host": host, "port": port, "clock": clock}
+    settings = _settings({**given, "tls_certificate": tls_certificate, "tls_key": tls_key})
+    _check_tls(settings)
+    write_log(settings.log_level, settings.log_format)
     # the address comes first: where another service listens already, its database is not touched
     with closing(_listener(settings)) as listener:
         _serve(settings, listener)
@@ -56,6 +59,20 @@ def _settings(given: dict[str, str | int | None]) -> Settings:
         # the values themselves are left out: one of them is the key
         faults = error.errors(include_url=False, include_input=False, include_context=False)
         _refuse("; ".join(f"setting {'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in faults))
+
+
+def _check_tls(settings: Settings) -> None:
+    """End unless certificate and key are both left out, or belong together."""
+    certificate, key = settings.tls_certificate, settings.tls_key
+    if certificate is None and key is None:
+        return
+    if certificate is None or key is None:
+        _refuse("--tls-certificate and --tls-key go together: one is missing")
+    try:
+        # an encrypted key is refused rather than asked for on a terminal that a service does not have
+        ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(certificate, key, password="")
+    except (OSError, ssl.SSLError) as error:
+        _refuse(f"cannot use certificate {certificate} with key {key}: {error.strerror or error}")
 
 
 def _listener(settings: Settings) -> socket.socket:
@@ -74,21 +91,24 @@ def _listener(settings: Settings) -> socket.socket:
 def _serve(settings: Settings, listener: socket.socket) -> None:
     """Listen, say where, and run until told to stop."""
     # imported here so that other commands start without the web framework and the database
-    import uvicorn
+    from service.api.server import StreamingServer, server_config
+    from service.bootstrap import build_app, build_storage, first_administrator
 
-    from service.api.server import StreamingServer
-    from service.bootstrap import administrator_key, build_app, build_storage
-
-    key, is_fresh = administrator_key(settings)
     try:
         storage = build_storage(settings)
+        fresh = first_administrator(settings, storage)
     except (StorageError, ValueError) as error:
         _refuse(f"cannot use the database: {error}")
-    app = build_app(settings, storage, key)
-    if is_fresh:
-        typer.echo(f"administrator's key, shown this once (set SOO_BOOTSTRAP_KEY to keep one): {key}", err=True)
-    # one format of log lines, that of the service
-    config = uvicorn.Config(app, log_config=None, access_log=False, timeout_graceful_shutdown=5, server_header=False)
+    app = build_app(settings, storage)
+    if fresh is not None:
+        typer.echo(f"administrator's key, shown this once and kept nowhere: {fresh}", err=True)
+    config = server_config(
+        app,
+        certificate=settings.tls_certificate,
+        key=settings.tls_key,
+        trusted_proxies=settings.trusted_proxies,
+        request_timeout_s=settings.request_timeout_s,
+    )
 
     class AnnouncedServer(StreamingServer):
         """Says where it listens once it does."""
@@ -97,7 +117,8 @@ def _serve(settings: Settings, listener: socket.socket) -> None:
             await super().startup(sockets)
             if self.started:
                 name = f"[{settings.host}]" if ":" in settings.host else settings.host
-                address = f"http://{name}:{listener.getsockname()[1]}"
+                scheme = "https" if settings.tls_certificate else "http"
+                address = f"{scheme}://{name}:{listener.getsockname()[1]}"
                 typer.echo(json.dumps({"url": address, "api": f"{address}/api/v1"}))
                 sys.stdout.flush()
 

@@ -30,6 +30,16 @@ _PLAIN_ORIGINS: dict[str, str] = {
     "host": CHOSEN,
     "port": CHOSEN,
     "log_level": CHOSEN,
+    "log_format": CHOSEN,
+    "access_log": CHOSEN,
+    "metrics_need_key": CHOSEN,
+    "ready_lag": CHOSEN,
+    "min_free_disk_bytes": CHOSEN,
+    "max_streams": CHOSEN,
+    "tls_certificate": CHOSEN,
+    "tls_key": CHOSEN,
+    "trusted_proxies": CHOSEN,
+    "request_timeout_s": CHOSEN,
     "future_tolerance_s": CHOSEN,
     "future_tolerance_data_s": CHOSEN,
     "late_after_s": CHOSEN,
@@ -52,6 +62,19 @@ _STAGE_MEANINGS: dict[str, tuple[str, str]] = {
     "retention.measurements_bytes": ("measurements of one spacecraft take this much at most; 0 = no limit", CHOSEN),
     "retention.attitude_bytes": ("attitude of one spacecraft takes this much at most; 0 = no limit", CHOSEN),
     "retention.torques_bytes": ("torque commands of one spacecraft take this much at most; 0 = no limit", CHOSEN),
+    "rate_limit.ingest_per_s": (
+        "batches, traces and reports of stations: requests a second of one key; 0 = no limit",
+        CHOSEN,
+    ),
+    "rate_limit.ingest_burst": ("the same: requests at once", CHOSEN),
+    "rate_limit.read_per_s": ("what is read: requests a second of one key; 0 = no limit", CHOSEN),
+    "rate_limit.read_burst": ("the same: requests at once", CHOSEN),
+    "rate_limit.export_per_s": ("exports: requests a second of one key; 0 = no limit", CHOSEN),
+    "rate_limit.export_burst": ("the same: requests at once", CHOSEN),
+    "rate_limit.control_per_s": ("every other change: requests a second of one key; 0 = no limit", CHOSEN),
+    "rate_limit.control_burst": ("the same: requests at once", CHOSEN),
+    "rate_limit.anonymous_per_s": ("requests without a valid key, by address: requests a second; 0 = no limit", CHOSEN),
+    "rate_limit.anonymous_burst": ("the same: requests at once", CHOSEN),
     "calibration.harmonic.gate_sigma": ("a sample is used while its residual is within this many sigma", PUBLISHED),
     "calibration.harmonic.max_iterations": ("passes of that rejection before the fit gives up", CHOSEN),
     "calibration.criteria.max_residual_rms_db": ("stable: rms after the harmonic at most this, dB", TUNED),
@@ -202,7 +225,7 @@ _HEAD = """# Settings
 Made by `soo settings --markdown`; `tests/docs/test_settings.py` holds page and code together. Settings are read once,
 from the environment. A double underscore leads into the configuration of a stage:
 `SOO_INTERLOCK__VALIDITY_LIMIT_DEG=0.35`. `soo settings` prints the values in force and marks what was changed; the
-database, address, port and clock can be given to `soo serve` as options, which win.
+database, address, port, clock and the files of TLS can be given to `soo serve` as options, which win.
 
 The column *origin* says where a default comes from:
 """

@@ -7,7 +7,7 @@ interface and in the log.
 """
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextvars import ContextVar
 from dataclasses import astuple, dataclass, replace
 from hashlib import sha256
@@ -133,7 +133,10 @@ def naming_result(deed: Deed, result: object) -> Deed:
 
 
 def findings(
-    entries: Iterable[AuditEntry], head: AuditHead, announced: Mapping[int, str] | None = None
+    entries: Iterable[AuditEntry],
+    head: AuditHead,
+    announced: Mapping[int, str] | None = None,
+    head_after: Callable[[], AuditHead] | None = None,
 ) -> Iterator[Finding]:
     """Yield every place where a chain is broken.
 
@@ -142,22 +145,29 @@ def findings(
     entries : iterable of AuditEntry
         All stored entries in order of their numbers.
     head : AuditHead
-        The head that was kept beside them.
+        The head that was kept beside them, read before them.
     announced : mapping, optional
         Hashes by number that were written down elsewhere, for example in the log.
+    head_after : callable, optional
+        Gives the head once the entries have been read, for a log that grows meanwhile; ``head`` by default.
     """
-    expected = AuditHead(0, GENESIS)
+    last = AuditHead(0, GENESIS)
     unseen = dict(announced or {})
     for entry in entries:
-        yield from _against_former(entry, expected)
-        wanted = unseen.pop(entry.number, entry.hash)
-        if wanted != entry.hash:
+        yield from _against_former(entry, last)
+        if unseen.pop(entry.number, entry.hash) != entry.hash:
             yield Finding(entry.number, "announced", "the hash is not the one that was announced")
-        if entry.number > head.number:
-            yield Finding(entry.number, "beyond_head", f"the head was left at number {head.number}")
+        if entry.number == head.number and entry.hash != head.hash:
+            yield Finding(entry.number, "changed", "the hash is not that of the head")
         # go on from what is stored: one fault is told once, not at every later entry
-        expected = entry.head
-    yield from _end(expected, head, unseen)
+        last = entry.head
+    if last.number < head.number:
+        yield Finding(last.number + 1, "truncated", f"entries {last.number + 1} to {head.number} are gone")
+    newest = head_after() if head_after else head
+    if last.number > newest.number:
+        yield Finding(newest.number + 1, "beyond_head", f"the head was left at number {newest.number}")
+    for number in unseen:
+        yield Finding(number, "announced", "an announced entry is gone")
 
 
 def _against_former(entry: AuditEntry, former: AuditHead) -> Iterator[Finding]:
@@ -168,14 +178,3 @@ def _against_former(entry: AuditEntry, former: AuditHead) -> Iterator[Finding]:
         yield Finding(entry.number, "changed", "the entry does not follow the one before it")
     if entry_hash(entry.number, entry.deed, entry.previous_hash) != entry.hash:
         yield Finding(entry.number, "changed", "the fields do not give the hash")
-
-
-def _end(last: AuditHead, head: AuditHead, unseen: Mapping[int, str]) -> Iterator[Finding]:
-    """Yield what is wrong with the end of a chain."""
-    if last.number < head.number:
-        detail = f"entries {last.number + 1} to {head.number} are gone"
-        yield Finding(last.number + 1, "truncated", detail)
-    elif last.number == head.number and last.hash != head.hash:
-        yield Finding(head.number, "changed", "the hash is not that of the head")
-    for number in unseen:
-        yield Finding(number, "announced", "an announced entry is gone")

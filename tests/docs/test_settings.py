@@ -37,6 +37,7 @@ def test_each_setting_has_meaning_and_origin() -> None:
 def test_each_variable_reaches_its_setting(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     default = next(entry.default for entry in DEFAULTS if entry.name == name)
     special = {"SOO_CLOCK": "data", "SOO_LOG_LEVEL": "debug", "SOO_KERNELS": "numpy", "SOO_BOOTSTRAP_KEY": "a-secret"}
+    special["SOO_TRUSTED_PROXIES"] = "10.0.0.1"
     is_number = re.fullmatch(r"\d+(\.\d+)?(e-?\d+)?", default)
     other = special.get(name) or (str(type_of(default)(float(default) * 2.0)) if is_number else f"{default}x")
     monkeypatch.setenv(name, other)

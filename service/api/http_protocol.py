@@ -1,0 +1,135 @@
+"""HTTP connections with bounds: the head of a request has a greatest size, a whole request a longest time.
+
+uvicorn bounds neither. What it cannot read is answered here as a problem, like every other refusal.
+"""
+
+import asyncio
+from http import HTTPStatus
+from typing import Any
+
+from starlette.requests import HTTPConnection
+from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
+
+from service.api.problems import ProblemError, render
+
+#: request line and headers together; a bearer key and a long list of parameters take two of them
+MAX_HEAD_BYTES = 32 * 1024
+REQUEST_TIMEOUT_S = 60.0
+
+
+class _HeadTooLargeError(Exception):
+    """Raised inside the parser to make it stop."""
+
+
+class BoundedProtocol(HttpToolsProtocol):
+    """One connection; ``request_timeout_s`` of the class holds for all of them."""
+
+    request_timeout_s = REQUEST_TIMEOUT_S
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        #: of the present request: bytes of its head that were understood, and that came before its head was whole
+        self._head_bytes = 0
+        self._unread_bytes = 0
+        self._is_head_open = True
+        self._is_message_open = False
+        self._deadline: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override] # as in uvicorn
+        """Begin; a connection that says nothing ends at the deadline of a first request."""
+        super().connection_made(transport)
+        self._arm()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """End."""
+        self._disarm()
+        super().connection_lost(exc)
+
+    def data_received(self, data: bytes) -> None:
+        """Read a piece."""
+        super().data_received(data)
+        if self.transport.is_closing() or not self._is_message_open:
+            self._disarm()
+            return
+        if self._is_head_open:
+            self._unread_bytes += len(data)
+        if self._unread_bytes > MAX_HEAD_BYTES:
+            self._refuse(_head_too_large())
+        elif self._deadline is None:
+            # nearly all requests come in one piece and need no timer
+            self._arm()
+
+    def on_message_begin(self) -> None:
+        """Begin a request."""
+        super().on_message_begin()
+        self._head_bytes, self._unread_bytes = 0, 0
+        self._is_head_open, self._is_message_open = True, True
+
+    def on_url(self, url: bytes) -> None:
+        """Take a piece of the path."""
+        super().on_url(url)
+        self._grow(len(url))
+
+    def on_header(self, name: bytes, value: bytes) -> None:
+        """Take a header."""
+        super().on_header(name, value)
+        self._grow(len(name) + len(value))
+
+    def on_headers_complete(self) -> None:
+        """Take the end of the head."""
+        self._is_head_open, self._unread_bytes = False, 0
+        super().on_headers_complete()
+
+    def on_message_complete(self) -> None:
+        """Take the end of a request."""
+        self._is_message_open = False
+        super().on_message_complete()
+
+    def send_400_response(self, msg: str) -> None:  # noqa: ARG002 - uvicorn's words, ours are better
+        """Answer what the parser could not read."""
+        if self._head_bytes > MAX_HEAD_BYTES:
+            self._refuse(_head_too_large())
+            return
+        detail = "this is not HTTP/1.1 as RFC 9112 has it; check the client, or the proxy between"
+        self._refuse(ProblemError(HTTPStatus.BAD_REQUEST, "http.malformed", detail))
+
+    def _grow(self, size: int) -> None:
+        """Count a part of the head."""
+        self._head_bytes += size
+        if self._head_bytes > MAX_HEAD_BYTES:
+            raise _HeadTooLargeError
+
+    def _arm(self) -> None:
+        self._deadline = self.loop.call_later(self.request_timeout_s, self._on_deadline)
+
+    def _disarm(self) -> None:
+        if self._deadline is not None:
+            self._deadline.cancel()
+            self._deadline = None
+
+    def _on_deadline(self) -> None:
+        """End a connection whose request did not come whole in time."""
+        self._deadline = None
+        if self.transport.is_closing():
+            return
+        # while a head is open the cycle, if any, is that of the request before
+        is_answered = not self._is_head_open and self.cycle.response_started
+        if not self._is_message_open or is_answered:
+            self.transport.close()
+            return
+        detail = f"the request did not come whole within {self.request_timeout_s:g} s; send it faster or in parts"
+        self._refuse(ProblemError(HTTPStatus.REQUEST_TIMEOUT, "request.too_slow", detail))
+
+    def _refuse(self, problem: ProblemError) -> None:
+        """Answer with a problem outside of the application and close the connection."""
+        self._disarm()
+        answer = render(HTTPConnection({"type": "http", "headers": [], "state": {}}), problem)
+        head = b"".join(b"%b: %b\r\n" % header for header in answer.raw_headers)
+        self.transport.write(STATUS_LINE[problem.status] + head + b"connection: close\r\n\r\n" + bytes(answer.body))
+        self.transport.close()
+
+
+def _head_too_large() -> ProblemError:
+    """Return the problem of a head above the limit."""
+    detail = f"request line and headers exceed {MAX_HEAD_BYTES} bytes; send less of them, or use a body"
+    return ProblemError(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE, "head.too_large", detail)

@@ -1,0 +1,102 @@
+"""``soo audit``: the audit log of a database, looked at without the service.
+
+Exit codes of ``verify``: 0 the chain is whole, 1 it is not, 2 there is nothing to look at.
+"""
+
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, NoReturn
+
+import typer
+
+from service.cli.connection import JsonOption
+from service.errors import StorageError
+from service.records.audit import Finding, findings
+from service.settings import Settings
+
+app = typer.Typer(help="The audit log: who did what, chained by hashes.", no_args_is_help=True)
+EXIT_BROKEN, EXIT_USAGE = 1, 2
+_LOGGED = re.compile(r"audit head (\d+) ([0-9a-f]{64})")
+_NOTED = re.compile(r"(\d+):([0-9a-f]{64})")
+
+
+@app.callback()
+def audit() -> None:
+    """Look at the audit log of a database, without the service."""
+
+
+@app.command()
+def verify(
+    database: Annotated[str | None, typer.Option(help="SQLAlchemy URL; default that of the settings.")] = None,
+    head: Annotated[
+        list[str] | None, typer.Option(help="NUMBER:HASH noted elsewhere; may be given many times.")
+    ] = None,
+    log: Annotated[list[Path] | None, typer.Option(help="Log of the service; the heads in it must hold.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Tell whether entries were changed, removed, put in or cut off."""
+    # imported here so that other commands start without the database
+    from service.bootstrap import open_storage
+
+    announced = _noted(head or []) | _logged(log or [])
+    try:
+        storage = open_storage(Settings.model_validate({"database_url": database} if database else {}))
+    except ValueError as error:
+        _refuse(f"cannot use the database: {error}")
+    try:
+        newest = storage.audit.head()
+        found = list(findings(storage.audit.chain(), newest, announced, storage.audit.head))
+    except StorageError as error:
+        _refuse(error.detail)
+    finally:
+        storage.close()
+    if as_json:
+        told = [asdict(each) for each in found]
+        typer.echo(
+            json.dumps({"number": newest.number, "hash": newest.hash, "heads": len(announced), "findings": told})
+        )
+    else:
+        _tell(f"{newest.number} entries, newest hash {newest.hash}, {len(announced)} heads noted elsewhere", found)
+    if found:
+        raise typer.Exit(EXIT_BROKEN)
+
+
+def _tell(summary: str, found: Sequence[Finding]) -> None:
+    """Print what was found."""
+    for each in found:
+        typer.echo(f"entry {each.number}: {each.kind}: {each.detail}")
+    typer.echo(f"{'BROKEN' if found else 'whole'}: {summary}")
+
+
+def _noted(heads: Sequence[str]) -> dict[int, str]:
+    """Return hashes by number of heads given on the command line."""
+    found = {}
+    for text in heads:
+        match = _NOTED.fullmatch(text)
+        if match is None:
+            _refuse(f"a head reads NUMBER:HASH with 64 hexadecimal digits, not {text!r}")
+        found[int(match[1])] = match[2]
+    return found
+
+
+def _logged(logs: Sequence[Path]) -> dict[int, str]:
+    """Return hashes by number of heads that the service announced in its log."""
+    found: dict[int, str] = {}
+    for path in logs:
+        try:
+            with path.open(encoding="utf-8", errors="replace") as lines:
+                matches = [match for line in lines for match in _LOGGED.finditer(line)]
+        except OSError as error:
+            _refuse(f"cannot read {path}: {error.strerror}")
+        # number 0 is the empty log
+        found |= {int(match[1]): match[2] for match in matches if match[1] != "0"}
+    return found
+
+
+def _refuse(message: str) -> NoReturn:
+    """End with a message on standard error."""
+    typer.echo(message, err=True)
+    raise typer.Exit(EXIT_USAGE)

@@ -1,0 +1,67 @@
+"""``soo keys``: access keys made, listed and revoked over the REST interface."""
+
+import json
+from typing import Annotated
+
+import typer
+
+from service.cli.connection import (
+    DEFAULT_KEY_ENVIRONMENT,
+    DEFAULT_SERVICE,
+    JsonOption,
+    KeyEnvironment,
+    ServiceUrl,
+    connected,
+)
+
+app = typer.Typer(help="Access keys of a service: make, list, revoke.", no_args_is_help=True)
+
+
+@app.command()
+def create(
+    name: Annotated[str, typer.Option(help="Who will hold it; it stands in the audit log.")],
+    role: Annotated[str, typer.Option(help="viewer, station, operator, approver or admin.")],
+    expires: Annotated[str | None, typer.Option(help="RFC 3339 instant from which it is no longer valid.")] = None,
+    service: ServiceUrl = DEFAULT_SERVICE,
+    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
+    as_json: JsonOption = False,
+) -> None:
+    """Make a key and print it; nobody can read it again."""
+    with connected(service, key_env) as client:
+        made = client.request("POST", "/keys", {"name": name, "role": role, "expires_at": expires})
+    if as_json:
+        typer.echo(json.dumps(made))
+        return
+    # the key alone on standard output: it goes straight into a file or a variable
+    typer.echo(f"key {made['id']} ({made['role']}) of {made['name']}, shown this once:", err=True)
+    typer.echo(made["key"])
+
+
+@app.command(name="list")
+def list_keys(
+    revoked: Annotated[bool, typer.Option("--revoked", help="List revoked keys too.")] = False,
+    service: ServiceUrl = DEFAULT_SERVICE,
+    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
+    as_json: JsonOption = False,
+) -> None:
+    """List keys without their secrets."""
+    with connected(service, key_env) as client:
+        rows = client.request("GET", "/keys", params={"revoked": str(revoked).lower()})["rows"]
+    if as_json:
+        typer.echo(json.dumps(rows))
+        return
+    for row in rows:
+        expires, used = row["expires_at"] or "never", row["last_used_at"] or "never"
+        typer.echo(f"{row['id']}  {row['state']:7}  {row['role']:8}  expires {expires}  used {used}  {row['name']}")
+
+
+@app.command()
+def revoke(
+    key_id: Annotated[str, typer.Argument(help="Id of the key, not the key.")],
+    service: ServiceUrl = DEFAULT_SERVICE,
+    key_env: KeyEnvironment = DEFAULT_KEY_ENVIRONMENT,
+) -> None:
+    """Make a key worthless, at once."""
+    with connected(service, key_env) as client:
+        client.request("DELETE", f"/keys/{key_id}")
+    typer.echo(f"key {key_id} is revoked")
