@@ -4,6 +4,7 @@ from fastapi import APIRouter
 
 from service.api.routes import (
     alignments,
+    analyses,
     attitude,
     audit,
     calibrations,
@@ -57,5 +58,6 @@ ROUTERS: tuple[APIRouter, ...] = (
     links.router,
     keys.router,
     audit.router,
+    analyses.router,
 )
 PUBLIC_ROUTERS: tuple[APIRouter, ...] = (health.router,)

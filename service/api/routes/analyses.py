@@ -1,0 +1,61 @@
+"""Analyses: pure computations on the parameters of a request; nothing is stored."""
+
+import math
+from collections.abc import Callable
+from http import HTTPStatus
+from typing import Annotated, TypeVar
+
+from fastapi import APIRouter
+
+from service.api.bodies import accepts, body_of
+from service.api.problems import ProblemError
+from service.api.schemas.analyses import (
+    CaptureAnswer,
+    CaptureDocument,
+    LimitCycleAnswer,
+    LimitCycleDocument,
+    ScheduleAnswer,
+    ScheduleDocument,
+)
+from service.core.flexible.capture_analysis import analyse_capture
+from service.core.flexible.limit_cycle import analyse_limit_cycle
+from service.core.flexible.schedule_check import analyse_schedule
+
+router = APIRouter(prefix="/analyses", tags=["analyses"])
+Found = TypeVar("Found")
+
+
+@router.post("/limit-cycle", openapi_extra=accepts(LimitCycleDocument))
+def limit_cycle(body: Annotated[LimitCycleDocument, body_of(LimitCycleDocument)]) -> LimitCycleAnswer:
+    """Return limit cycles, multipliers and the succession map of a relay of pulses on a wheel."""
+    return LimitCycleAnswer.of(_physical(lambda: analyse_limit_cycle(**body.model_dump())))
+
+
+@router.post("/capture-boundary", openapi_extra=accepts(CaptureDocument))
+def capture_boundary(body: Annotated[CaptureDocument, body_of(CaptureDocument)]) -> CaptureAnswer:
+    """Return the swing above which a flexible mode captures the regulator, and the verdict on one swing."""
+    given = body.model_dump()
+    given["pulse_s"] = math.inf if body.pulse_s is None else body.pulse_s
+    return CaptureAnswer.of(_physical(lambda: analyse_capture(**given)))
+
+
+@router.post("/torque-schedule", openapi_extra=accepts(ScheduleDocument))
+def torque_schedule(body: Annotated[ScheduleDocument, body_of(ScheduleDocument)]) -> ScheduleAnswer:
+    """Return whether a torque schedule may be sent without exciting flexible modes, and what would be better."""
+    given = body.model_dump(exclude={"pulses", "modes", "carried"})
+    given["pulse_s"] = math.inf if body.pulse_s is None else body.pulse_s
+    limit = body.momentum_limit_n_m_s
+    given["momentum_limit_n_m_s"] = math.inf if limit is None else limit
+    given["pulses"] = tuple((each.start_s, each.duration_s, each.torque_n_m) for each in body.pulses)
+    given["modes"] = tuple((each.omega_rad_s, each.damping_ratio, each.coupling) for each in body.modes)
+    if body.carried is not None:
+        given["carried_rad"] = tuple(complex(each.re, each.im) for each in body.carried)
+    return ScheduleAnswer.of(_physical(lambda: analyse_schedule(**given)))
+
+
+def _physical(compute: Callable[[], Found]) -> Found:
+    """Return what a computation gives; what is not physical becomes a 422 that says which parameter and why."""
+    try:
+        return compute()
+    except (ValueError, ArithmeticError) as error:
+        raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, "analysis.not_physical", str(error)[:1000]) from error

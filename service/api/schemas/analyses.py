@@ -1,0 +1,247 @@
+"""Analyses: parameters of pure computations and what they give. Angles of the flexible spacecraft are in radians."""
+
+import math
+from typing import Annotated, Any, Self
+
+from pydantic import BeforeValidator, Field
+
+from service.api.schemas.base import Answer, Document
+from service.core.flexible.capture_analysis import CaptureAnalysis
+from service.core.flexible.limit_cycle import LimitCycleAnalysis
+from service.core.flexible.schedule_check import ScheduleCheck
+
+#: keeps every sum and product of the analyses inside a double
+_LARGEST = 1e9
+Quantity = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST)]
+
+
+def _finite_or_none(value: Any) -> Any:
+    """Return None for what is not finite: there is none, or it is unbounded."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+Finding = Annotated[float | None, BeforeValidator(_finite_or_none)]
+
+
+class LimitCycleDocument(Document):
+    """One axis with a wheel and a position relay of pulses."""
+
+    inertia_kg_m2: Quantity
+    motor_torque_n_m: Quantity
+    dry_friction_n_m: Quantity
+    viscous_loss_n_m: Quantity = 0.0
+    """At the momentum limit."""
+    momentum_limit_n_m_s: Quantity = 20.0
+    momentum_n_m_s: Quantity
+    """Of the rotor while the body is at rest."""
+    alpha_rad: Quantity
+    """Line of release."""
+    beta_rad: Quantity
+    """First line of switching on."""
+    pulse_s: Quantity
+    pulse_count: Annotated[int, Field(ge=1, le=64)] = 1
+    line_step_rad: Quantity = 0.0
+    external_torque_n_m: Quantity = 0.0
+    start_speed_rad_s: Quantity | None = None
+    """First arrival of the ladder; default: near half the speed of a pulse."""
+    returns: Annotated[int, Field(ge=1, le=500)] = 50
+    map_points: Annotated[int, Field(ge=2, le=1000)] = 200
+
+
+class LimitCycleFoundAnswer(Answer):
+    """One periodic motion."""
+
+    speed_rad_s: float
+    """At the first line."""
+    period_s: float
+    inner_rad: float
+    outer_rad: float
+    rate_rad_s: float
+    pulses: int
+    multiplier: Finding
+    is_stable: bool
+    momentum_n_m_s: tuple[float, float]
+    """Least and greatest."""
+    is_momentum_consistent: bool
+    """False: the rotor would stop or saturate, and the figures do not belong to this drive."""
+
+
+class SinglePulseAnswer(Answer):
+    """Closed forms of the cycle of one pulse."""
+
+    speed_rad_s: Finding
+    period_s: Finding
+    inner_depth_rad: Finding
+    overshoot_rad: Finding
+    multiplier_frictionless: Finding
+    multiplier: Finding
+    multiplier_truncated: Finding
+    critical_viscous_loss_n_m: Finding
+
+
+class LimitCycleAnswer(Answer):
+    """Cycles, closed forms, succession function and ladder of one axis."""
+
+    cycles: list[LimitCycleFoundAnswer]
+    forms: SinglePulseAnswer
+    passive_rad_s2: float
+    pulse_rad_s2: float
+    speeds_rad_s: list[float]
+    next_speeds_rad_s: list[Finding]
+    ladder_rad_s: list[tuple[float, float]]
+    """Corners of the Koenigs-Lamerey diagram from the chosen start."""
+
+    @classmethod
+    def of(cls, found: LimitCycleAnalysis) -> Self:
+        """Return what an analysis found."""
+        return cls.model_validate(
+            {
+                "cycles": [cycle._asdict() for cycle in found.cycles],
+                "forms": found.forms._asdict(),
+                "passive_rad_s2": found.passive_rad_s2,
+                "pulse_rad_s2": found.pulse_rad_s2,
+                "speeds_rad_s": found.speeds_rad_s.tolist(),
+                "next_speeds_rad_s": found.next_speeds_rad_s.tolist(),
+                "ladder_rad_s": [tuple(corner) for corner in found.ladder_rad_s.tolist()],
+            }
+        )
+
+
+class CaptureDocument(Document):
+    """One switching of a regulator while a flexible mode swings."""
+
+    omega_rad_s: Quantity
+    damping_ratio: Quantity
+    coupling: Quantity
+    inertia_kg_m2: Quantity
+    motor_torque_n_m: Quantity
+    friction_torque_n_m: Quantity = 0.0
+    alpha_rad: Quantity
+    beta_rad: Quantity
+    pulse_s: Quantity | None = None
+    """Length of a pulse; null: a relay."""
+    rate_rad_s: Quantity = 0.0
+    amplitude_rad: Quantity = 0.0
+    """Swing of the mode at the hub before the switching."""
+    is_friction_outward: bool = True
+
+
+class StableBandAnswer(Answer):
+    """Frequencies of the mode without capture; both null: none, upper null: unbounded."""
+
+    low_rad_s: Finding
+    high_rad_s: Finding
+
+
+class CaptureAnswer(Answer):
+    """Where capture begins and what is said of the swing."""
+
+    verdict: str
+    """captured, free, or always: any switching is captured."""
+    p_cr_rad: Finding
+    p_cr_refined_rad: Finding
+    p_min_rad: Finding
+    margin_rad: Finding
+    p_inf_rad: Finding
+    perpetual_capture: str
+    """none, irregular or possible."""
+    band: StableBandAnswer
+    rigid_frequency_rad_s: Finding
+    swing: Finding
+
+    @classmethod
+    def of(cls, found: CaptureAnalysis) -> Self:
+        """Return what an analysis found."""
+        return cls.model_validate({**found._asdict(), "band": found.band._asdict()})
+
+
+class PulseDocument(Document):
+    """Torque on the body, constant for a while."""
+
+    start_s: Quantity
+    duration_s: Quantity
+    torque_n_m: Quantity
+
+
+class FlexibleModeDocument(Document):
+    """One flexible mode that the axis feels."""
+
+    omega_rad_s: Quantity
+    damping_ratio: Quantity
+    coupling: Quantity
+
+
+class PhasorDocument(Document):
+    """Swing of a mode at time zero, rad: real and imaginary part."""
+
+    re: Quantity
+    im: Quantity
+
+
+class ScheduleDocument(Document):
+    """A torque schedule of one axis, and what it meets."""
+
+    pulses: Annotated[list[PulseDocument], Field(min_length=1, max_length=500)]
+    inertia_kg_m2: Quantity
+    modes: Annotated[list[FlexibleModeDocument], Field(min_length=1, max_length=16)]
+    peak_allowed_rad: Quantity
+    alpha_rad: Quantity | None = None
+    beta_rad: Quantity | None = None
+    pulse_s: Quantity | None = None
+    """Length of a pulse of the regulator on board; null: a relay."""
+    motor_torque_n_m: Quantity | None = None
+    friction_torque_n_m: Quantity = 0.0
+    rate_rad_s: Quantity = 0.0
+    momentum_n_m_s: Quantity = 0.0
+    momentum_limit_n_m_s: Quantity | None = None
+    carried: Annotated[list[PhasorDocument], Field(max_length=16)] | None = None
+    """What the schedule before left, one a mode; null: at rest."""
+
+
+class PhasorAnswer(Answer):
+    """Swing of a mode, rad: real and imaginary part."""
+
+    re: float
+    im: float
+
+
+class SuggestionAnswer(Answer):
+    """One change of the schedule and what it would give."""
+
+    kind: str
+    """split, width, interval or wait."""
+    value_s: float
+    verdict: str
+    peak_rad: float
+    residual_rad: float
+
+
+class ScheduleAnswer(Answer):
+    """Verdict on a torque schedule."""
+
+    verdict: str
+    """accept, warn or reject."""
+    reasons: list[str]
+    peak_rad: float
+    """Worst over +-15 % of each frequency, summed over the modes."""
+    residual_rad: float
+    swing_rad: float
+    p_cr_rad: Finding
+    margin_rad: Finding
+    p_inf_rad: Finding
+    worst_mode: int
+    worst_omega_rad_s: float
+    momentum_n_m_s: tuple[float, float]
+    suggestions: list[SuggestionAnswer]
+    nominal_peak_rad: list[float]
+    phasors: list[PhasorAnswer]
+    """At `end_s`, to be carried to the next schedule."""
+    end_s: float
+
+    @classmethod
+    def of(cls, found: ScheduleCheck) -> Self:
+        """Return what a check found."""
+        told = found._asdict()
+        phasors = [{"re": phasor.real, "im": phasor.imag} for phasor in told.pop("phasor_rad")]
+        suggestions = [each._asdict() for each in found.suggestions]
+        return cls.model_validate({**told, "suggestions": suggestions, "phasors": phasors})
