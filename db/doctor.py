@@ -7,6 +7,7 @@ service stops.
 import os
 import shutil
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 from sqlalchemy import Connection, Engine, select, text
@@ -14,8 +15,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from db.archive_files import reading_engine, sqlite_path
 from db.engine import open_engines, translated_faults
-from db.examination import Report, examine
-from db.schema_version import newest_version, version_of
+from db.examination import Report, examine, guarded
 from db.tables import head, measurement
 from service.errors import StorageError
 from service.records.diagnosis import Diagnosis
@@ -65,9 +65,9 @@ def _examined(engine: Engine, now_us: int, report: Report) -> list[Diagnosis]:
     try:
         with translated_faults(), engine.connect() as connection:
             found = examine(connection, report)
-            if version_of(connection) == newest_version():
+            if not any(each.check == "schema" and each.state == "fault" for each in found):
                 report("clock")
-                found += _clock(connection, now_us)
+                found += guarded("clock", partial(_clock, connection, now_us))
             return found
     except (StorageError, SQLAlchemyError) as fault:
         said = fault.detail if isinstance(fault, StorageError) else str(fault)

@@ -45,34 +45,43 @@ def examine(connection: Connection, report: Report) -> list[Diagnosis]:
     found: list[Diagnosis] = []
     for name, check in (("integrity", _integrity), ("schema", _schema)):
         report(name)
-        found += _guarded(name, partial(check, connection))
+        found += guarded(name, partial(check, connection))
     if any(diagnosis.state == "fault" and diagnosis.check == "schema" for diagnosis in found):
         return found
     found += examine_content(connection, report)
     report("audit")
-    return found + _guarded("audit", partial(_audit, connection))
+    return found + guarded("audit", partial(_audit, connection))
 
 
 def examine_content(connection: Connection, report: Report) -> list[Diagnosis]:
     """Return whether journal, counts, sealed days and results agree; the schema is the present one."""
     found: list[Diagnosis] = []
-    names = {row.spacecraft_key: row.id for row in connection.execute(select(spacecraft))}
-    for state in heads_of_all(connection):
+    try:
+        names = {row.spacecraft_key: row.id for row in connection.execute(select(spacecraft))}
+        states = heads_of_all(connection)
+    except SQLAlchemyError as fault:
+        return [_unreadable("journal", fault)]
+    for state in states:
         name = names.get(state.spacecraft_key, f"key {state.spacecraft_key}")
         report(f"journal of {name}")
-        found += _guarded("journal", partial(_one, connection, state, name))
+        found += guarded("journal", partial(_one, connection, state, name))
     if not found:
         found.append(Diagnosis("journal", "ok", "no spacecraft yet"))
     return found
 
 
-def _guarded(check: str, run: Callable[[], Iterator[Diagnosis]]) -> list[Diagnosis]:
+def guarded(check: str, run: Callable[[], Iterator[Diagnosis]]) -> list[Diagnosis]:
     """Run a check; what the database refuses to read is a fault."""
     try:
         return list(run())
     except SQLAlchemyError as fault:
-        said = str(getattr(fault, "orig", fault)).strip()
-        return [Diagnosis(check, "fault", f"the database cannot be read: {said}", _RESTORE)]
+        return [_unreadable(check, fault)]
+
+
+def _unreadable(check: str, fault: SQLAlchemyError) -> Diagnosis:
+    """Return the diagnosis for what the database refuses to read."""
+    said = str(getattr(fault, "orig", fault)).strip()
+    return Diagnosis(check, "fault", f"the database cannot be read: {said}", _RESTORE)
 
 
 def _integrity(connection: Connection) -> Iterator[Diagnosis]:
@@ -82,10 +91,10 @@ def _integrity(connection: Connection) -> Iterator[Diagnosis]:
         return
     off = [name for name in _NEEDED if connection.exec_driver_sql(f"SHOW {name}").scalar() == "off"]
     for name in off:
-        yield Diagnosis("integrity", "fault", f"the server runs with {name}=off: {_NEEDED[name]}", f"Set {name}=on.")
+        yield Diagnosis("server", "fault", f"the server runs with {name}=off: {_NEEDED[name]}", f"Set {name}=on.")
     if not off:
         version = connection.exec_driver_sql("SHOW server_version").scalar()
-        yield Diagnosis("integrity", "ok", f"PostgreSQL {version} answers and keeps commits")
+        yield Diagnosis("server", "ok", f"PostgreSQL {version} answers and keeps commits")
 
 
 def _sqlite_integrity(connection: Connection) -> Iterator[Diagnosis]:
@@ -144,13 +153,14 @@ def _journal(state: Row[Any], name: str, ledger: Ledger) -> Iterator[Diagnosis]:
         detail = f"{name}: {ledger.beyond} entries have numbers above the head, {state.newest_number}"
         yield Diagnosis("journal", "fault", detail, _RESTORE)
     # of a sealed day that cannot be read the numbers are not known; that is said already
-    if len(holes) > ledger.rows_dropped and not ledger.damaged:
-        kept = f", {ledger.rows_dropped} of them by retention" if ledger.rows_dropped else ""
+    dropped = ledger.measurements_dropped
+    if len(holes) > dropped and not ledger.damaged:
+        kept = f", of which retention took {dropped}" if dropped else ""
         detail = f"{name}: {len(holes)} numbers are missing{kept}: {named(holes.tolist())}"
         yield Diagnosis("journal", "fault", detail, _RESTORE)
-    if not (len(doubles) or ledger.beyond or (len(holes) > ledger.rows_dropped)):
-        dropped = f", {len(holes)} taken away by retention" if len(holes) else ""
-        yield Diagnosis("journal", "ok", f"{name}: numbers 1 to {state.newest_number} without holes{dropped}")
+    if not (len(doubles) or ledger.beyond or len(holes) > dropped):
+        gone = f", {dropped} taken away by retention" if dropped else ""
+        yield Diagnosis("journal", "ok", f"{name}: numbers 1 to {state.newest_number} without holes{gone}")
 
 
 def _counts(connection: Connection, state: Row[Any], name: str, ledger: Ledger) -> Iterator[Diagnosis]:
@@ -160,7 +170,7 @@ def _counts(connection: Connection, state: Row[Any], name: str, ledger: Ledger) 
     for row in connection.execute(select(source).where(source.c.spacecraft_key == state.spacecraft_key)):
         held = ledger.rows_of_source.pop(row.source_key, 0)
         counted += row.row_count
-        if held > row.row_count or held + ledger.rows_dropped < row.row_count:
+        if held > row.row_count or held + ledger.measurements_dropped < row.row_count:
             wrong.append(f"source {row.name} counts {row.row_count} rows and has {held}")
     wrong += [f"{held} rows belong to no source" for held in ledger.rows_of_source.values()]
     if state.consumed_number > state.newest_number:
@@ -191,7 +201,7 @@ def _results(connection: Connection, state: Row[Any], name: str, ledger: Ledger)
     """Every result has the row it was computed from, and a place in the order of results."""
     key = state.spacecraft_key
     wrong = []
-    if not ledger.damaged and not ledger.rows_dropped:
+    if not ledger.damaged:
         for series, numbers in orphans(connection, key, ledger).items():
             wrong.append(f"{series} rows were computed from measurements that are not there: {named(numbers)}")
     sequences = 0

@@ -35,8 +35,10 @@ class Ledger:
         Entries with numbers above the head.
     rows_of_source : dict
         Measurements by key of their source.
-    rows_dropped : int
-        What retention has taken away.
+    rows_dropped : dict
+        What retention has taken away of each series.
+    kept_from_us : int
+        Epoch from which on measurements are kept.
     damaged : list of str
         What is wrong with sealed days that cannot be read.
     """
@@ -44,7 +46,8 @@ class Ledger:
     times_held: NDArray[np.uint8]
     beyond: int = 0
     rows_of_source: dict[int, int] = field(default_factory=dict)
-    rows_dropped: int = 0
+    rows_dropped: dict[str, int] = field(default_factory=dict)
+    kept_from_us: int = 0
     rows_sealed: int = 0
     segments: int = 0
     damaged: list[str] = field(default_factory=list)
@@ -54,6 +57,11 @@ class Ledger:
         known = numbers[(numbers >= 1) & (numbers < len(self.times_held))]
         self.beyond += len(numbers) - len(known)
         np.add.at(self.times_held, known, np.uint8(1))
+
+    @property
+    def measurements_dropped(self) -> int:
+        """Return how many measurements retention has taken away."""
+        return self.rows_dropped.get("measurements", 0)
 
     def holes(self) -> IntArray:
         """Return the numbers that nothing holds."""
@@ -73,18 +81,21 @@ def read_ledger(connection: Connection, state: Row[Any]) -> Ledger:
             ledger.take(numbers)
     counted = select(measurement.c.source_key, func.count()).where(measurement.c.spacecraft_key == key)
     ledger.rows_of_source = {row[0]: row[1] for row in connection.execute(counted.group_by(measurement.c.source_key))}
-    dropped = select(func.sum(retention_mark.c.rows_dropped)).where(retention_mark.c.spacecraft_key == key)
-    ledger.rows_dropped = int(connection.scalar(dropped) or 0)
+    for mark in connection.execute(select(retention_mark).where(retention_mark.c.spacecraft_key == key)):
+        ledger.rows_dropped[mark.series] = mark.rows_dropped
+        if mark.series == "measurements":
+            ledger.kept_from_us = mark.kept_from_us
     _take_segments(connection, key, ledger)
     return ledger
 
 
 def orphans(connection: Connection, key: int, ledger: Ledger) -> dict[str, list[int]]:
-    """Return numbers of measurements that results name and nothing holds, by table; at most a few each."""
+    """Return numbers of measurements that results name and nothing holds, by table; below a mark none can be told."""
     found = {}
     for table in (attitude, torque):
         lacking: list[int] = []
-        for numbers in _numbers(connection, table, table.c.spacecraft_key == key):
+        is_kept = (table.c.spacecraft_key == key) & (table.c.epoch_us >= ledger.kept_from_us)
+        for numbers in _numbers(connection, table, is_kept):
             inside = (numbers >= 1) & (numbers < len(ledger.times_held))
             is_held = np.zeros(len(numbers), dtype=np.bool_)
             is_held[inside] = ledger.times_held[numbers[inside]] > 0

@@ -1,0 +1,270 @@
+"""The doctor on archives with one fault each: the fault is found, named, and nothing else is."""
+
+import os
+import shutil
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from sqlalchemy import text
+
+import db.doctor
+from db.doctor import diagnose
+from db.engine import open_engines
+from db.migrate import upgrade
+from db.schema_version import known_versions
+from service.ports import Outcome
+from service.records.archive_upkeep import SealedPart
+from service.records.audit import Deed
+from service.records.diagnosis import worst
+from service.records.inputs import Correction
+from service.runtime.clock import system_now_us
+
+DAY_US = 86_400_000_000
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def ignore(_name):
+    """Tell nobody of the progress."""
+
+
+@pytest.fixture
+def filled(setting, make):
+    """Two sealed days, one open one, results, an audit log."""
+    for day in range(3):
+        setting.append([day * DAY_US + place for place in range(1, 21)], flags=[(1, 2, 3)] + [None] * 19)
+    setting.storage.archive.append_inputs(
+        setting.id, [Correction(1, 2, make.attitude_row(setting.rows()[0]).attitude_deg)]
+    )
+    rows = setting.rows()
+    setting.consume([Outcome(tuple(make.attitude_row(row) for row in rows), make.torque_command(rows[0]))])
+    sealed: list[SealedPart] = list(setting.storage.archive.seal(setting.id, 2 * DAY_US, system_now_us()))
+    assert sum(part.rows for part in sealed) == 40
+    deed = {"who": "a", "key_id": "k", "role": "admin", "address": "::1", "action": "x", "target": "/y"}
+    for number in range(3):
+        setting.storage.audit.append(Deed(at_us=number, outcome="done", request_id="r", **deed))
+    return setting
+
+
+def looked_at(url, now_us=None):
+    """Return all that the doctor says."""
+    return diagnose(url, system_now_us() if now_us is None else now_us, ignore)
+
+
+def faults(url, now_us=None):
+    """Return checks, and words, of what is not well."""
+    return [(found.check, found.detail) for found in looked_at(url, now_us) if found.state != "ok"]
+
+
+#: settings with which the server of the tests runs to be quick
+FSYNC_IS_OFF = "fsync=off"
+
+
+def of_archive(url, now_us=None):
+    """Return what is wrong with the archive, not with the server of the tests."""
+    return [(check, detail) for check, detail in faults(url, now_us) if FSYNC_IS_OFF not in detail]
+
+
+def test_a_sound_archive_is_called_sound_while_it_is_open(filled, url):
+    assert of_archive(url) == []
+    checks = [found.check for found in looked_at(url)]
+    outside = ["file", "permissions", "disk", "wal"] if url.startswith("sqlite") else []
+    assert checks[-7:] == ["schema", "segments", "journal", "counts", "results", "audit", "clock"]
+    assert checks[: len(outside)] == outside
+    # and after it was closed in good order
+    filled.storage.close()
+    assert of_archive(url) == []
+
+
+DELETE_SEALED = "DELETE FROM measurement_segment WHERE day = 0"
+#: statement, check that finds it, words
+SPOILT = [
+    (
+        "DELETE FROM measurement WHERE epoch_us = 172800000005",
+        {"journal", "counts", "results"},
+        "1 numbers are missing: 48",
+    ),
+    ("DELETE FROM journal WHERE kind = 'correction'", {"journal"}, "numbers are missing: 64"),
+    (DELETE_SEALED, {"journal", "counts", "results"}, "20 numbers are missing: 4, 5, 6, 7, 8 and 15 more"),
+    (
+        "UPDATE head SET newest_number = 60",
+        {"journal", "counts", "results"},
+        "4 entries have numbers above the head, 60",
+    ),
+    ("UPDATE head SET newest_number = 66", {"journal"}, "2 numbers are missing: 65, 66"),
+    ("UPDATE head SET consumed_number = 999", {"counts"}, "stands at 999, beyond the journal's 64"),
+    ("UPDATE head SET result_sequence = 70", {"results"}, "where the head counts 70"),
+    ("UPDATE source SET row_count = 59", {"counts"}, "source sa-1 counts 59 rows and has 60"),
+    ("DELETE FROM torque", {"results"}, "60 results up to 60, where the head counts 61"),
+    ("UPDATE measurement_segment SET crc32 = crc32 + 1 WHERE day = 1", {"segments"}, "1970-01-02"),
+    ("UPDATE measurement_segment SET codec = 99 WHERE day = 1", {"segments"}, "codec 99"),
+    ("UPDATE measurement_segment SET row_count = 19 WHERE day = 1", {"segments", "counts"}, "1970-01-02"),
+    ("UPDATE audit_head SET number = 2", {"audit"}, "the head was left at number 2"),
+]
+
+
+@pytest.mark.parametrize(("statement", "checks", "words"), SPOILT, ids=[statement for statement, _, _ in SPOILT])
+def test_what_was_changed_by_hand_is_found_and_named(filled, url, statement, checks, words):
+    with filled.storage._database.engines.write.begin() as connection:
+        connection.exec_driver_sql(statement)
+    found = [(check, detail) for check, detail in of_archive(url)]
+    assert {check for check, _ in found} == checks
+    assert any(words in detail for _, detail in found), found
+    bad = [each for each in looked_at(url) if each.state == "fault"]
+    assert all(each.advice for each in bad)
+
+
+def test_an_audit_entry_that_was_changed_is_found(filled, url):
+    with filled.storage._database.engines.write.begin() as connection:
+        if connection.dialect.name == "sqlite":
+            connection.exec_driver_sql("DROP TRIGGER audit_entry_no_UPDATE")
+        else:
+            connection.exec_driver_sql("SET LOCAL session_replication_role = replica")
+        connection.exec_driver_sql("UPDATE audit_entry SET who = 'b' WHERE number = 2")
+    assert [check for check, _ in of_archive(url)] == ["audit"]
+
+
+def test_a_clock_that_was_set_back_is_found(filled, url):
+    assert [check for check, _ in of_archive(url, now_us=1)] == ["clock"]
+    row = filled.rows()[-1]
+    with filled.storage._database.engines.write.begin() as connection:
+        later = {"at": system_now_us() + 3_600_000_000, "epoch": row.epoch_us}
+        connection.execute(text("UPDATE measurement SET received_at_us = :at WHERE epoch_us = :epoch"), later)
+    found = of_archive(url)
+    assert [check for check, _ in found] == ["clock"]
+    assert " s in the future" in found[0][1]
+
+
+def test_retention_leaves_no_fault_behind(filled, url):
+    dropped = list(filled.storage.archive.drop_before(filled.id, "measurements", DAY_US))
+    assert sum(each.rows for each in dropped) == 20
+    assert of_archive(url) == []
+    assert any("20 taken away by retention" in found.detail for found in looked_at(url))
+    # a hole beside what retention took is found all the same
+    with filled.storage._database.engines.write.begin() as connection:
+        connection.exec_driver_sql("DELETE FROM measurement WHERE epoch_us = 172800000005")
+    assert {check for check, _ in of_archive(url)} >= {"journal", "results"}
+
+
+def test_an_older_and_a_newer_schema_are_told_apart(tmp_path):
+    url = f"sqlite:///{tmp_path / 'soo.db'}"
+    engines = open_engines(url)
+    upgrade(engines.write, known_versions()[0])
+    found = faults(url)
+    assert [check for check, _ in found] == ["schema"]
+    assert "older" in found[0][1]
+    with engines.write.begin() as connection:
+        connection.exec_driver_sql("UPDATE alembic_version SET version_num = '9999'")
+    assert "not known" in faults(url)[0][1]
+    with engines.write.begin() as connection:
+        connection.exec_driver_sql("DROP TABLE alembic_version")
+    assert "holds no archive" in faults(url)[0][1]
+    engines.dispose()
+
+
+def test_a_server_that_is_away_is_said():
+    found = looked_at("postgresql+psycopg://nobody@127.0.0.1:1/none")
+    assert [(each.check, each.state) for each in found] == [("connection", "fault")]
+    assert "Start the database" in found[0].advice
+
+
+def test_a_server_that_does_not_keep_commits_is_said(postgresql_cluster):
+    if postgresql_cluster.folder is None:
+        pytest.skip("the settings of a server of others are not known")
+    url = postgresql_cluster.shared_database()
+    assert [check for check, detail in faults(url) if FSYNC_IS_OFF in detail] == ["server"]
+
+
+@pytest.fixture
+def file(filled, url, tmp_path):
+    """The file of a closed archive."""
+    if not url.startswith("sqlite"):
+        pytest.skip("about files")
+    filled.storage.close()
+    return tmp_path / "soo.db"
+
+
+def test_a_missing_file_is_said_and_not_made(tmp_path):
+    path = tmp_path / "none.db"
+    assert faults(f"sqlite:///{path}") == [("file", f"there is no file {path}")]
+    assert not path.exists()
+
+
+def test_pages_that_were_overwritten_are_found(file):
+    with file.open("r+b") as opened:
+        size = file.stat().st_size
+        for page in range(4, size // 4096):
+            opened.seek(page * 4096)
+            opened.write(b"\x5a" * 512)
+    found = faults(f"sqlite:///{file}")
+    assert found[0][0] == "integrity"
+    assert "damaged" in found[0][1] or "cannot be read" in found[0][1]
+
+
+def test_a_file_that_is_no_database_is_said(file):
+    file.write_bytes(b"no database at all " * 300)
+    found = faults(f"sqlite:///{file}")
+    assert {check for check, _ in found} <= {"integrity", "schema", "connection"}
+    assert "not a database" in found[0][1]
+
+
+def test_a_row_without_its_parent_is_found(file):
+    connection = sqlite3.connect(file)
+    connection.execute("INSERT INTO operation VALUES (12345, 1, 1, 1)")
+    connection.commit()
+    connection.close()
+    assert faults(f"sqlite:///{file}") == [
+        ("integrity", "1 rows name a row that is not there, the first in table operation")
+    ]
+
+
+@pytest.mark.parametrize(("free_mib", "state"), [(10, "fault"), (500, "warning"), (5000, "ok")])
+def test_a_disk_that_runs_full_is_told_before_it_is(file, monkeypatch, free_mib, state):
+    usage = shutil.disk_usage(file)._replace(free=free_mib << 20)
+    monkeypatch.setattr(db.doctor.shutil, "disk_usage", lambda _path: usage)
+    found = {each.check: each.state for each in looked_at(f"sqlite:///{file}")}
+    assert found["disk"] == state
+
+
+def test_a_log_that_grew_is_told(file, monkeypatch):
+    monkeypatch.setattr(db.doctor, "WAL_BYTES_WARNING", 1000)
+    connection = sqlite3.connect(file)
+    connection.execute("PRAGMA journal_mode=WAL")
+    connection.execute("UPDATE spacecraft SET document = document || ' '")
+    connection.commit()
+    found = faults(f"sqlite:///{file}")
+    connection.close()
+    assert [check for check, _ in found] == ["wal"]
+
+
+def test_a_file_that_this_user_cannot_write_is_told(file, monkeypatch):
+    monkeypatch.setattr(db.doctor.os, "access", lambda path, _mode: Path(path) != file)
+    found = faults(f"sqlite:///{file}")
+    assert [check for check, _ in found] == ["permissions"]
+    assert str(file) in found[0][1]
+    monkeypatch.undo()
+    monkeypatch.setattr(db.doctor.os, "geteuid", lambda: os.getuid() + 1)
+    assert [check for check, _ in faults(f"sqlite:///{file}")] == ["permissions"]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "code"),
+    [
+        (None, 0),
+        ("UPDATE head SET newest_number = newest_number + 1", 1),
+    ],
+)
+def test_exit_codes_tell_scripts(file, spoil, code):
+    if spoil:
+        connection = sqlite3.connect(file)
+        connection.execute(spoil)
+        connection.commit()
+        connection.close()
+    command = [sys.executable, "-m", "service", "doctor", "--database", f"sqlite:///{file}", "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=19, cwd=ROOT, check=False)
+    # a nearly full disk of the tests' machine is a warning
+    assert done.returncode in ({code, 3} if code == 0 else {code}), done.stderr
+    assert ('"state": "fault"' in done.stdout) == (code == 1)
+    assert worst([]) == "ok"
