@@ -23,6 +23,7 @@ from service.cli.connection import (
     SpacecraftOption,
     connected,
 )
+from service.cli.tdm_archive import open_any_archive
 from service.client.service_client import ServiceClient
 from service.frontend import backfill
 from service.frontend.backfill import ArchiveOrder, check_archive, send_archive
@@ -32,7 +33,7 @@ EXIT_STOPPED, EXIT_USAGE, EXIT_REFUSED = 1, 2, 3
 
 
 def send(
-    file: Annotated[Path, typer.Argument(help="CSV or Parquet file.", dir_okay=False, exists=True)],
+    file: Annotated[Path, typer.Argument(help="CSV, NDJSON, Parquet or TDM file.", dir_okay=False, exists=True)],
     *,
     spacecraft: SpacecraftOption,
     source: Annotated[str, typer.Option(help="Source under which the rows are stored.")],
@@ -54,7 +55,9 @@ def send(
     as_json: JsonOption = False,
 ) -> None:
     """Send an archive of carrier powers to the service; goes on where it was interrupted."""
-    order = ArchiveOrder(file, spacecraft, source, from_source, refuse_unknown, batch_rows, patience, state)
+    order = ArchiveOrder(
+        file, spacecraft, source, from_source, refuse_unknown, batch_rows, patience, state, open_any_archive
+    )
     signal.signal(signal.SIGTERM, _stop)
     with connected(service, key_env, retries=0, timeout_s=60.0) as client:
         try:

@@ -26,7 +26,6 @@ from service.client.backoff import Backoff
 from service.client.joined_files import joined
 from service.client.problem import ClientError, ServiceUnavailableError
 from service.client.service_client import ServiceClient
-from service.client.transport import BASE_PATH
 
 #: days of one page of the manifest
 _PAGE_DAYS = 7
@@ -218,5 +217,5 @@ class _Download:
 
     def _day(self, part: dict[str, Any]) -> _Day:
         name = f"{self._order.series}_{part['start'][:10]}.{self._order.file_format}"
-        href = part["href"].removeprefix(BASE_PATH)
+        href = self._path + part["href"].rpartition(f"/archive/{self._order.series}")[2]
         return _Day(self._folder / name, href, part["rows"], part["bytes"], part["sha256"], part["stop"])

@@ -61,6 +61,8 @@ class ArchiveOrder:
     patience_s: float = 600.0
     #: where state and refused rows are kept; None: beside the file
     folder: Path | None = None
+    #: reads the file; archives of other formats come with readers of their own
+    open_file: Callable[[Path], ArchiveFile] = open_archive
 
 
 class Progress(NamedTuple):
@@ -100,7 +102,7 @@ class _Foreign(NamedTuple):
 
 def check_archive(client: ServiceClient, order: ArchiveOrder) -> dict[str, Any]:
     """Return what sending would meet: rows, span, columns, sources, and the first faults; nothing is sent."""
-    with closing(open_archive(order.path)) as archive:
+    with closing(order.open_file(order.path)) as archive:
         _, columns = _plan_columns(client, order, archive)
         rows, unreadable, in_order = 0, 0, True
         first_us = last_us = before_us = None
@@ -156,7 +158,7 @@ def send_archive(
     state = SendState(order.path, destination, order.folder)
     state.load()
     resumed_at = state.counters.rows
-    with closing(open_archive(order.path)) as archive:
+    with closing(order.open_file(order.path)) as archive:
         plan_id, columns = _plan_columns(client, order, archive)
         if not state.is_complete:
             state.begin()

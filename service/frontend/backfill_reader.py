@@ -1,11 +1,12 @@
-"""An archive's file, read row by row: CSV with the standard library, Parquet with pyarrow.
+"""An archive's file, read row by row: CSV and NDJSON with the standard library, Parquet with pyarrow.
 
-Memory holds one row of a CSV file or one piece of a Parquet file, however long the file is.
+Memory holds one row of a text file or one piece of a Parquet file, however long the file is.
 """
 
 import csv
 import hashlib
-from collections.abc import Iterator
+import json
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -19,7 +20,7 @@ _HASHED_BYTES = 1 << 20
 class FileRow(NamedTuple):
     """One row as the file has it."""
 
-    #: line of a CSV file, row of a Parquet file; the first line is 1
+    #: line of a text file, row of a Parquet file; the first line is 1
     line: int
     cells: list[Any]
 
@@ -44,7 +45,7 @@ class ArchiveFile(Protocol):
 def open_archive(path: Path) -> ArchiveFile:
     """Return a file by the ending of its name; ArchiveError when it cannot be read as that."""
     try:
-        return ParquetArchive(path) if path.suffix.lower() == ".parquet" else CsvArchive(path)
+        return _ARCHIVES.get(path.suffix.lower(), CsvArchive)(path)
     except OSError as error:
         raise ArchiveError(f"{path}: {error.strerror or error}") from error
 
@@ -105,6 +106,52 @@ class CsvArchive:
                 raise ArchiveError(f"line {self._line} is not UTF-8: {error.reason}") from error
 
 
+class NdjsonArchive:
+    """One JSON object a line, all with the names of the first.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.done = 0
+        self.total = path.stat().st_size
+        self._path = path
+        with path.open("rb") as file:
+            first = next((line for line in file if line.strip()), b"{}")
+        self.header = list(_json_row(first, 1))
+
+    def rows(self) -> Iterator[FileRow]:
+        """Yield the rows; empty lines are none."""
+        names = set(self.header)
+        with self._path.open("rb") as file:
+            for number, line in enumerate(file, start=1):
+                self.done += len(line)
+                if not line.strip():
+                    continue
+                row = _json_row(line, number)
+                if set(row) != names:
+                    odd = ", ".join(sorted(names ^ set(row))[:5])
+                    raise ArchiveError(f"line {number} has other names than the first: {odd}")
+                yield FileRow(number, [row[name] for name in self.header])
+
+    def close(self) -> None:
+        """Nothing stays open."""
+
+
+def _json_row(line: bytes, number: int) -> dict[str, Any]:
+    """Return the object of a line."""
+    try:
+        row = json.loads(line)
+    except ValueError as error:
+        raise ArchiveError(f"line {number} is no JSON: {error}") from error
+    if not isinstance(row, dict):
+        raise ArchiveError(f"line {number} is no JSON object")
+    return row
+
+
 class ParquetArchive:
     """A Parquet file; epochs as text, as int64 microseconds, or as instants with a time zone.
 
@@ -154,3 +201,11 @@ class ParquetArchive:
             column = column.cast(self._arrow.timestamp("us", tz="UTC"), safe=False).cast("int64")
         values: list[Any] = column.to_pylist()
         return values
+
+
+#: ending of a name -> what reads it; CSV any other
+_ARCHIVES: dict[str, Callable[[Path], ArchiveFile]] = {
+    ".parquet": ParquetArchive,
+    ".ndjson": NdjsonArchive,
+    ".jsonl": NdjsonArchive,
+}
