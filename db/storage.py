@@ -11,9 +11,11 @@ from db.keys import SqlKeys
 from db.links import SqlLinks
 from db.notes import SqlNotes
 from db.results import SqlResults
+from db.storage_state import disk_of, newest_revision, present_revision
 from db.tables import head
 from db.traces import SqlTraces
 from service.ports import Alarms, Archive, Audit, Catalogue, Keys, Links, Notes, Results, Traces
+from service.records.storage_state import StorageState
 
 
 class SqlStorage:
@@ -54,7 +56,9 @@ class SqlStorage:
 
     def migrate(self) -> None:
         """Bring the schema to the present version."""
-        # alembic costs a quarter of a second to import, which only this call needs
+        if present_revision(self._database.engines.write) == newest_revision():
+            # alembic costs a quarter of a second and 10 MB to import, which only a change needs
+            return
         from db.migrate import upgrade
 
         upgrade(self._database.engines.write)
@@ -62,6 +66,13 @@ class SqlStorage:
     def check(self) -> None:
         """Raise StorageError unless the database answers."""
         self._database.fetch_one(select(head.c.spacecraft_key).limit(1))
+
+    def state(self) -> StorageState:
+        """Return what the storage says of itself; StorageError unless the database answers."""
+        engines = self._database.engines
+        free_bytes, is_writable = disk_of(engines.read)
+        schema = present_revision(engines.read)
+        return StorageState(schema, newest_revision(), self._database.queued_writes, free_bytes, is_writable)
 
     def close(self) -> None:
         """Commit what is queued and let go of the database."""

@@ -67,6 +67,11 @@ class Writer:
             self._queue.put(task)
         return task.future
 
+    @property
+    def waiting(self) -> int:
+        """How many functions wait for their turn."""
+        return self._queue.qsize()
+
     def close(self) -> None:
         """Run what is queued, commit it and stop."""
         with self._lock:

@@ -1,0 +1,17 @@
+"""State of the storage, as readiness and metrics tell it."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class StorageState:
+    """What the storage says of itself; the database was asked just now."""
+
+    #: revision of the schema, and the one that this program needs; None = no schema yet
+    schema: str | None
+    wanted_schema: str
+    #: writes that wait for the writer
+    queued_writes: int
+    #: free bytes beside the database and whether it can be written there; None where it is on another machine
+    free_bytes: int | None = None
+    is_writable: bool | None = None
