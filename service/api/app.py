@@ -1,6 +1,7 @@
 """The application: routes, layers and handlers put together, nothing else.
 
-Layers from outside in: request ids (and the last 500), access (rates, audit), packing of answers, body limit, routes.
+Layers from outside in: request ids (and the last 500), figures and access log, access (rates, audit), packing of
+answers, body limit, routes.
 """
 
 from collections.abc import AsyncIterator
@@ -8,7 +9,7 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 from fastapi import FastAPI
-from starlette.middleware.gzip import GZipMiddleware
+from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
 
 from service.api import openapi
 from service.api.access_keeping import AccessKeeping
@@ -20,11 +21,16 @@ from service.api.carrier_names import CarrierNames
 from service.api.deps import ApiContext, Limits
 from service.api.epoch_limits import EpochLimits
 from service.api.errors import add_handlers
+from service.api.event_stream import StreamParts
+from service.api.metrics import Metrics
+from service.api.observation import Observation
 from service.api.open_streams import OpenStreams
 from service.api.plan_widths import PlanWidths
 from service.api.rate_limits import RateLimits
 from service.api.refusals import Refusals
+from service.api.request_figures import RequestFigures
 from service.api.request_ids import RequestIds
+from service.api.request_log import RequestLog
 from service.api.routes import PUBLIC_ROUTERS, ROUTERS
 from service.api.stored_keys import StoredKeys
 
@@ -42,12 +48,16 @@ def create_app(context: ApiContext) -> FastAPI:
     context : ApiContext
         Ports, limits, key and hooks. ``on_startup`` and ``on_shutdown`` run inside the server's event loop.
     """
-    app = _bare_app(context.limits)
+    figures = RequestFigures()
+    app = _bare_app(context.limits, figures, context.observation)
     app.state.context = context
     app.state.plan_widths = PlanWidths(context.storage.catalogue)
     app.state.carrier_names = CarrierNames(context.storage.catalogue)
     app.state.epoch_limits = EpochLimits(context.clock, context.limits, context.storage.archive)
-    app.state.open_streams = OpenStreams()
+    app.state.open_streams = streams = OpenStreams(context.limits.max_streams)
+    app.state.stream_parts = StreamParts(context, app.state.carrier_names, streams)
+    app.state.request_figures = figures
+    app.state.metrics = Metrics(context, figures, streams)
     keys = StoredKeys(context.storage.keys, context.bootstrap_key, context.clock.system_us)
     app.state.key_ring = app.state.stored_keys = keys
     app.state.rate_limits = RateLimits(context.limits.rates)
@@ -57,7 +67,7 @@ def create_app(context: ApiContext) -> FastAPI:
 
 def render_openapi() -> str:
     """Return the OpenAPI document as it is committed in docs/reference/openapi.json."""
-    document: dict[str, Any] = _bare_app(Limits()).openapi()
+    document: dict[str, Any] = _bare_app(Limits(), RequestFigures(), Observation()).openapi()
     return openapi.as_text(document)
 
 
@@ -85,7 +95,7 @@ class _Application(FastAPI):
         return self.openapi_schema
 
 
-def _bare_app(limits: Limits) -> FastAPI:
+def _bare_app(limits: Limits, figures: RequestFigures, observation: Observation) -> FastAPI:
     """Return the application without a context."""
     app = _Application(
         title="SOO",
@@ -97,8 +107,15 @@ def _bare_app(limits: Limits) -> FastAPI:
     )
     # the layer added last is the outermost
     app.add_middleware(BodyLimit, max_body_bytes=limits.max_body_bytes)
-    app.add_middleware(GZipMiddleware, minimum_size=_PACK_FROM_BYTES, compresslevel=_PACK_LEVEL)
+    app.add_middleware(
+        GZipMiddleware,
+        minimum_size=_PACK_FROM_BYTES,
+        compresslevel=_PACK_LEVEL,
+        # Parquet is packed inside
+        exclude_content_types=(*DEFAULT_EXCLUDED_CONTENT_TYPES, "application/vnd.apache.parquet"),
+    )
     app.add_middleware(AccessLayer)
+    app.add_middleware(RequestLog, figures=figures, base_path=BASE_PATH, is_writing=observation.access_log)
     app.add_middleware(RequestIds)
     add_handlers(app)
     # each router by itself: a router of routers would be searched on every request

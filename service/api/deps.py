@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 from fastapi import Depends, Path, Request
 
 from service.api.carrier_names import CarrierNames
-from service.api.open_streams import OpenStreams
+from service.api.observation import Observation
 from service.api.plan_widths import PlanWidths
 from service.api.rate_limits import RateLimitConfig
 from service.errors import NotFoundError
@@ -43,14 +43,16 @@ class Limits:
     retention_s: float | None = None
     max_body_bytes: int = 8 * 1024 * 1024
     max_rows_per_batch: int = 10_000
-    #: a body has to come whole within this
-    body_timeout_s: float = 60.0
     #: requests a second, by key and class or by address
     rates: RateLimitConfig = field(default_factory=RateLimitConfig)
     #: age from which the newest attitude is no longer valid under the system clock: three row periods and 30 s
     expired_after_s: float = 210.0
     #: a silent stream says so this often
     stream_heartbeat_s: float = 15.0
+    #: a client of a stream that takes nothing for so long is gone
+    stream_stall_s: float = 60.0
+    #: live streams at once
+    max_streams: int = 500
     #: evidence traces kept of one source, and bytes that their points may take
     evidence_traces: int = 2880
     evidence_bytes: int = 64 * 1024 * 1024
@@ -58,6 +60,11 @@ class Limits:
 
 def _ignore(_spacecraft_id: str) -> None:
     """Tell nobody."""
+
+
+def _always() -> bool:
+    """Return True."""
+    return True
 
 
 async def _nothing() -> None:
@@ -82,6 +89,9 @@ class ApiContext:
     #: administrator's key; None = every request is refused
     bootstrap_key: str | None = field(default=None, repr=False)
     limits: Limits = field(default_factory=Limits)
+    observation: Observation = field(default_factory=Observation)
+    #: whether the estimator runs
+    is_following: Callable[[], bool] = _always
     #: who writes exported levels
     kernels: Literal["numba", "numpy"] = "numba"
     #: told the spacecraft whenever something of it entered the journal
@@ -108,12 +118,6 @@ async def carrier_names_of(request: Request) -> CarrierNames:
     return names
 
 
-async def open_streams_of(request: Request) -> OpenStreams:
-    """Return the live streams that the application has open."""
-    streams: OpenStreams = request.app.state.open_streams
-    return streams
-
-
 SpacecraftIdText = Annotated[
     str, Path(description="Id of a spacecraft", json_schema_extra={"pattern": SPACECRAFT_ID_PATTERN})
 ]
@@ -135,5 +139,4 @@ async def spacecraft_id_of(spacecraft_id: SpacecraftIdText) -> str:
 Context = Annotated[ApiContext, Depends(context_of)]
 Widths = Annotated[PlanWidths, Depends(plan_widths_of)]
 Names = Annotated[CarrierNames, Depends(carrier_names_of)]
-Streams = Annotated[OpenStreams, Depends(open_streams_of)]
 SpacecraftId = Annotated[str, Depends(spacecraft_id_of)]

@@ -1,19 +1,49 @@
-"""Live streams that are open: a server that stops ends them first, for they would never end by themselves."""
+"""Live streams that are open: how many there may be, and their end when the server stops.
 
+A stream never ends by itself, so a server that stops ends them first.
+"""
+
+from collections import Counter
+from http import HTTPStatus
+
+from service.api.problems import RETRY_AFTER_S, ProblemError
 from service.runtime.live_feed import Subscription
 
 
 class OpenStreams:
-    """Subscriptions being read; used inside the server's event loop."""
+    """Subscriptions being read; used inside the server's event loop.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    limit : int
+        Most streams at once.
+    """
+
+    def __init__(self, limit: int = 500) -> None:
         self._subscriptions: set[Subscription] = set()
+        self._limit = limit
         self._is_closed = False
+        #: events sent since the start of the process, by kind
+        self.sent: Counter[str] = Counter()
+        #: events that clients were too slow for
+        self.dropped = 0
 
     @property
     def is_closed(self) -> bool:
         """Whether streams are to end."""
         return self._is_closed
+
+    @property
+    def count(self) -> int:
+        """How many streams are open."""
+        return len(self._subscriptions)
+
+    def check_room(self) -> None:
+        """Raise the 503 that refuses one stream too many."""
+        if self.count >= self._limit:
+            detail = f"{self.count} streams are open, the service gives {self._limit}; close one, or try again later"
+            headers = {"Retry-After": str(RETRY_AFTER_S)}
+            raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, "stream.too_many", detail, headers=headers)
 
     def add(self, subscription: Subscription) -> None:
         """Remember a subscription while its stream is open."""
@@ -27,4 +57,4 @@ class OpenStreams:
         """End all streams; each wakes up and sees it."""
         self._is_closed = True
         for subscription in tuple(self._subscriptions):
-            subscription.offer(())
+            subscription.wake()

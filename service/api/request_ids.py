@@ -16,6 +16,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.api.problems import ProblemError, render
 from service.records.access_key import without_secrets
+from service.runtime.log_lines import REQUEST_ID
 
 _HEADER = "X-Request-ID"
 _HARMLESS = re.compile(r"[A-Za-z0-9._:-]{1,64}", re.ASCII)
@@ -45,6 +46,7 @@ class RequestIds:
             return
         request_id = _request_id(scope)
         scope.setdefault("state", {})["request_id"] = request_id
+        token = REQUEST_ID.set(request_id)
         is_answered = False
 
         async def send_with_id(message: Message) -> None:
@@ -64,6 +66,8 @@ class RequestIds:
             detail = f"the service failed; its log tells why under request id {request_id}"
             problem = ProblemError(HTTPStatus.INTERNAL_SERVER_ERROR, "service.failed", detail)
             await render(HTTPConnection(scope), problem)(scope, receive, send_with_id)
+        finally:
+            REQUEST_ID.reset(token)
 
 
 def _request_id(scope: Scope) -> str:

@@ -1,73 +1,105 @@
 """Live feed: bounded fan-out of what the service accepted and computed.
 
-A subscriber has a queue of its own. One that does not keep up loses the oldest events and is told how many; it never
-slows the estimator or other subscribers. Events carry a cursor from which a stream resumes: the archive holds all
-that was published, so nothing is lost by a reconnect.
+A subscriber has a queue of its own. One that does not keep up loses the oldest events and is told how many of each
+kind; it never slows the estimator or other subscribers. Events carry a cursor from which a stream resumes: the archive
+holds all that was published, so nothing is lost by a reconnect.
 """
 
 import asyncio
 import threading
-from collections import deque
-from dataclasses import dataclass
+from collections import Counter, deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from service.records.alarm import AlarmChange
 from service.records.attitude import AttitudeRow
 from service.records.command import TorqueCommand
 from service.records.measurement import Measurement
 
+#: what an event may tell; None: something is to be looked up
+Content = Measurement | AttitudeRow | TorqueCommand | AlarmChange | None
+
 
 class Cursor(NamedTuple):
-    """Place in a live stream: the newest journal number of a measurement and the newest result sequence sent."""
+    """Place in a live stream: the newest journal number, result sequence and alarm sequence that were sent."""
 
     number: int
     sequence: int
+    alarm: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class FeedEvent:
     """One event of one spacecraft."""
 
-    #: measurement, attitude, torque or status
+    #: measurement, attitude, torque, alarm or status
     kind: str
+    #: of an alarm's event only ``alarm`` counts
     cursor: Cursor
-    content: Measurement | AttitudeRow | TorqueCommand | None
+    content: Content
+
+    @property
+    def at_us(self) -> int | None:
+        """Instant that the event is about."""
+        return getattr(self.content, "epoch_us", None)
+
+
+@dataclass(slots=True)
+class Dropped:
+    """What the queue of a slow subscriber had no place for."""
+
+    #: by kind of event
+    counts: Counter[str] = field(default_factory=Counter)
+    #: least and greatest epoch among them, microseconds UTC
+    first_us: int | None = None
+    last_us: int | None = None
+
+    def __bool__(self) -> bool:
+        return bool(self.counts)
+
+    def add(self, event: FeedEvent) -> None:
+        """Count one event."""
+        self.counts[event.kind] += 1
+        at_us = event.at_us
+        if at_us is not None:
+            self.first_us = at_us if self.first_us is None else min(self.first_us, at_us)
+            self.last_us = at_us if self.last_us is None else max(self.last_us, at_us)
 
 
 class Subscription:
     """One subscriber's bounded queue; made by LiveFeed.subscribe inside a running event loop."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop, capacity: int) -> None:
-        self._loop = loop
+        self.loop = loop
         self._events: deque[FeedEvent] = deque()
         self._capacity = capacity
         self._arrived = asyncio.Event()
-        self._missed = 0
+        self._dropped = Dropped()
 
-    def offer(self, events: tuple[FeedEvent, ...]) -> None:
-        """Hand over events from any thread."""
-        if not self._loop.is_closed():
-            self._loop.call_soon_threadsafe(self._take, events)
-
-    def _take(self, events: tuple[FeedEvent, ...]) -> None:
+    def take(self, events: Sequence[FeedEvent]) -> None:
         """Queue events in the subscriber's own loop; drop the oldest when full."""
         self._events.extend(events)
         while len(self._events) > self._capacity:
-            self._events.popleft()
-            self._missed += 1
+            self._dropped.add(self._events.popleft())
         self._arrived.set()
 
-    async def next_events(self, timeout_s: float) -> tuple[tuple[FeedEvent, ...], int]:
-        """Return the queued events and how many were lost before them; nothing after the timeout."""
+    def wake(self) -> None:
+        """Let the reader look around, in the subscriber's own loop."""
+        self._arrived.set()
+
+    async def next_events(self, timeout_s: float) -> tuple[tuple[FeedEvent, ...], Dropped]:
+        """Return the queued events and what was lost before them; nothing after the timeout."""
         if not self._events:
             self._arrived.clear()
             try:
                 await asyncio.wait_for(self._arrived.wait(), timeout_s)
             except TimeoutError:
-                return (), 0
-        events, missed = tuple(self._events), self._missed
+                return (), Dropped()
+        events, dropped = tuple(self._events), self._dropped
         self._events.clear()
-        self._missed = 0
-        return events, missed
+        self._dropped = Dropped()
+        return events, dropped
 
 
 class LiveFeed:
@@ -76,10 +108,10 @@ class LiveFeed:
     Parameters
     ----------
     capacity : int
-        Events that one slow subscriber may hold.
+        Events that one slow subscriber may hold; all subscribers share the events themselves.
     """
 
-    def __init__(self, capacity: int = 10_000) -> None:
+    def __init__(self, capacity: int = 2_000) -> None:
         self._capacity = capacity
         self._lock = threading.Lock()
         self._subscribers: dict[str, set[Subscription]] = {}
@@ -105,8 +137,19 @@ class LiveFeed:
             return bool(self._subscribers.get(spacecraft_id))
 
     def publish(self, spacecraft_id: str, events: tuple[FeedEvent, ...]) -> None:
-        """Hand events to every subscriber of a spacecraft; called from the supervisor's thread."""
+        """Hand events to every subscriber of a spacecraft; called from any thread, after they were stored."""
         with self._lock:
             subscribers = tuple(self._subscribers.get(spacecraft_id, ()))
+        by_loop: dict[asyncio.AbstractEventLoop, list[Subscription]] = {}
         for subscription in subscribers:
-            subscription.offer(events)
+            by_loop.setdefault(subscription.loop, []).append(subscription)
+        for loop, readers in by_loop.items():
+            # one call a loop, not one a reader: each wakes the loop
+            if not loop.is_closed():
+                loop.call_soon_threadsafe(_hand_over, readers, events)
+
+
+def _hand_over(readers: Sequence[Subscription], events: Sequence[FeedEvent]) -> None:
+    """Give events to subscribers inside their loop."""
+    for reader in readers:
+        reader.take(events)

@@ -35,7 +35,7 @@ def assert_problem(answer: httpx.Response, status: int, code: str) -> dict[str, 
 async def test_health_needs_no_key(soo):
     for path, status in (("/healthz", "ok"), ("/readyz", "ready")):
         answer = await soo.client.get(path, headers={"Authorization": ""})
-        assert (answer.status_code, answer.json()) == (200, {"status": status})
+        assert (answer.status_code, answer.json()["status"]) == (200, status)
 
 
 async def test_readiness_fails_with_the_archive(soo, monkeypatch):

@@ -38,6 +38,7 @@ def test_each_variable_reaches_its_setting(name: str, monkeypatch: pytest.Monkey
     default = next(entry.default for entry in DEFAULTS if entry.name == name)
     special = {"SOO_CLOCK": "data", "SOO_LOG_LEVEL": "debug", "SOO_KERNELS": "numpy", "SOO_BOOTSTRAP_KEY": "a-secret"}
     special["SOO_TRUSTED_PROXIES"] = "10.0.0.1"
+    special |= {"SOO_LOG_FORMAT": "text", "SOO_ACCESS_LOG": "False", "SOO_METRICS_NEED_KEY": "True"}
     is_number = re.fullmatch(r"\d+(\.\d+)?(e-?\d+)?", default)
     other = special.get(name) or (str(type_of(default)(float(default) * 2.0)) if is_number else f"{default}x")
     monkeypatch.setenv(name, other)

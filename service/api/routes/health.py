@@ -1,32 +1,67 @@
-"""Outside the base path: whether the process lives, whether it can keep what it is sent, and the reference page."""
+"""Outside the base path: whether the process lives, whether it can keep what it is sent, figures, reference page."""
 
-from fastapi import APIRouter, Request
+from http import HTTPStatus
+from typing import Literal
+
+from fastapi import APIRouter, Request, Response
 from fastapi.responses import HTMLResponse
 from pydantic import BaseModel
+from starlette.concurrency import run_in_threadpool
 
+from service.api.auth import authenticated
 from service.api.deps import Context
+from service.api.metrics import MEDIA_TYPE, Metrics
+from service.api.readiness import parts_of, require_ready
 from service.api.reference_page import render_page
 
 router = APIRouter(tags=["health"])
 
 
 class HealthAnswer(BaseModel):
-    """State of the service."""
+    """State of the process."""
 
-    status: str
+    status: Literal["ok"] = "ok"
+
+
+class PartAnswer(BaseModel):
+    """One part of the service that is ready."""
+
+    name: str
+    detail: str
+
+
+class ReadinessAnswer(BaseModel):
+    """State of a service that is ready; one that is not answers 503 with a problem that names the parts."""
+
+    status: Literal["ready"] = "ready"
+    parts: list[PartAnswer]
 
 
 @router.get("/healthz")
 async def get_health() -> HealthAnswer:
     """Tell that the process lives."""
-    return HealthAnswer(status="ok")
+    return HealthAnswer()
 
 
 @router.get("/readyz")
-def get_readiness(context: Context) -> HealthAnswer:
-    """Tell whether the database answers; 503 with Retry-After when it does not."""
-    context.storage.check()
-    return HealthAnswer(status="ready")
+def get_readiness(context: Context) -> ReadinessAnswer:
+    """Tell whether every part is ready: database, migration, disk, consumers; 503 names those that are not."""
+    parts = parts_of(context)
+    require_ready(parts)
+    return ReadinessAnswer(parts=[PartAnswer(name=part.name, detail=part.detail) for part in parts])
+
+
+@router.get(
+    "/metrics",
+    response_class=Response,
+    responses={HTTPStatus.OK: {"content": {"text/plain": {"schema": {"type": "string"}}}, "description": "Metrics"}},
+)
+async def get_metrics(request: Request, context: Context) -> Response:
+    """Return the figures of the service in the text form of Prometheus; a key is needed by setting only."""
+    if context.observation.metrics_need_key:
+        await authenticated(request)
+    metrics: Metrics = request.app.state.metrics
+    return Response(await run_in_threadpool(metrics.render), media_type=MEDIA_TYPE)
 
 
 @router.get("/docs", include_in_schema=False)

@@ -18,6 +18,7 @@ from service.api.epoch_limits import EpochLimits
 from service.api.epochs import EpochTextError, parse_epochs
 from service.api.plan_widths import PlanWidths
 from service.api.problems import ProblemError, invalid_request
+from service.api.request_figures import RequestFigures
 from service.api.schemas.measurements import MeasurementBatchDocument, MeasurementReceiptAnswer
 from service.errors import FieldError
 from service.pipeline.ingest import ReceivedRows, screen
@@ -61,6 +62,8 @@ async def send_measurements(spacecraft_id: SpacecraftIdText, request: Request) -
     receipt = _NOTHING_STORED
     if len(batch.index):
         receipt = await asyncio.wrap_future(context.storage.archive.append_measurements(batch))
+    figures: RequestFigures = request.app.state.request_figures
+    figures.add_receipt(spacecraft_id, receipt, screened)
     if receipt.accepted:
         context.on_accepted(spacecraft_id)
     return JSONResponse(_answer(body, receipt, screened))

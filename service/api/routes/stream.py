@@ -1,28 +1,42 @@
-"""Stream: measurements, attitude, torques and status as they come, as server-sent events."""
+"""Stream: measurements, attitude, torques, alarms and status as they come, as server-sent events."""
 
+import asyncio
+import logging
 from typing import Annotated
 
-from fastapi import APIRouter, Header
+from fastapi import APIRouter, Header, Request
 from fastapi.responses import StreamingResponse
 from starlette.concurrency import run_in_threadpool
-from starlette.types import Send
+from starlette.types import Message, Send
 
-from service.api.deps import Context, Names, SpacecraftId, Streams
-from service.api.event_stream import EventStream, cursor_of
+from service.api.deps import Context, SpacecraftId
+from service.api.event_stream import EventStream, StreamParts
+from service.api.stream_places import MAX_ID_LENGTH, cursor_of
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/stream", tags=["stream"])
 _HEADERS = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+_LOG = logging.getLogger(__name__)
 
 
 class EventStreamResponse(StreamingResponse):
-    """A stream whose source is let go of at once when the client leaves."""
+    """A stream whose source is let go of when the client leaves, or takes nothing for long."""
 
     media_type = "text/event-stream"
+    #: a client that takes nothing for so long is gone, s
+    stall_s = 60.0
 
     async def stream_response(self, send: Send) -> None:
         """Send chunks until there are no more or the client has gone."""
+
+        async def send_in_time(message: Message) -> None:
+            async with asyncio.timeout(self.stall_s):
+                await send(message)
+
         try:
-            await super().stream_response(send)
+            await super().stream_response(send_in_time)
+        except TimeoutError:
+            # the connection is cut by leaving the answer unfinished
+            _LOG.warning("a client of a stream took nothing for %g s; its stream ends", self.stall_s)
         finally:
             close = getattr(self.body_iterator, "aclose", None)
             if close is not None:
@@ -37,12 +51,16 @@ class EventStreamResponse(StreamingResponse):
 async def stream(
     spacecraft_id: SpacecraftId,
     context: Context,
-    names: Names,
-    streams: Streams,
-    last_event_id: Annotated[str | None, Header(max_length=64, description="Id of the last event received")] = None,
+    request: Request,
+    last_event_id: Annotated[
+        str | None, Header(max_length=MAX_ID_LENGTH, description="Id of the last event received")
+    ] = None,
 ) -> EventStreamResponse:
-    """Follow a spacecraft: events measurement, attitude, torque, status; Last-Event-ID resumes without loss."""
-    resume = cursor_of(last_event_id)
+    """Follow a spacecraft: events measurement, attitude, torque, alarm, status, dropped; Last-Event-ID resumes."""
+    parts: StreamParts = request.app.state.stream_parts
+    resume = cursor_of(spacecraft_id, last_event_id)
+    parts.streams.check_room()
     await run_in_threadpool(context.storage.catalogue.spacecraft, spacecraft_id)
-    source = EventStream(context, names, streams, spacecraft_id, resume)
-    return EventStreamResponse(source.chunks(), headers=_HEADERS)
+    response = EventStreamResponse(EventStream(parts, spacecraft_id, resume).chunks(), headers=_HEADERS)
+    response.stall_s = context.limits.stream_stall_s
+    return response

@@ -171,10 +171,10 @@ async def test_stream_tells_what_the_rest_interface_tells(served, source, bench,
         assert [event.kind for event in (measurement, attitude, torque)] == ["measurement", "attitude", "torque"]
         number = events[0].cursor.number
         assert [event.id for event in (status, measurement, attitude, torque)] == [
-            f"{number - 1}.2",
-            f"{number}.2",
-            f"{number}.3",
-            f"{number}.4",
+            f"{make.sc}:{number - 1}.2.0",
+            f"{make.sc}:{number}.2.0",
+            f"{make.sc}:{number}.3.0",
+            f"{make.sc}:{number}.4.0",
         ]
         wait_until(lambda: (reader.take(1, "status"), reader.comments)[1] >= 1)
     wait_until(lambda: source.subscribers() == 0)
@@ -239,11 +239,11 @@ async def test_event_without_content_sends_streams_to_the_archive(served, source
         source.publish((*stored[:2], FeedEvent("status", last, None)))
         assert named(reader.take(6)) == [(e.kind, format_epoch(e.content.epoch_us)) for e in stored]
         (status,) = reader.take(1, "status")
-        assert status.id == f"{last.number}.{last.sequence}"
+        assert status.id == f"yamal-202:{last.number}.{last.sequence}.0"
         assert status.data["newest_attitude"] == format_epoch(stored[-1].content.epoch_us)
 
 
-async def test_slow_client_is_told_and_gets_everything(served, source):
+async def test_slow_client_is_told_and_gets_everything(served, source, bench):
     with served.open() as response:
         reader = Reader(response)
         reader.take(1, "status")
@@ -251,24 +251,33 @@ async def test_slow_client_is_told_and_gets_everything(served, source):
         for batch in batches:
             source.publish(batch)
             time.sleep(0.002)
-        events = reader.take(601, "measurement", "attitude", "torque", "missed")
-        while sum(event.kind != "missed" for event in events) < 600:
-            events += reader.take(1, "measurement", "attitude", "torque", "missed")
-    missed = [event.data["count"] for event in events if event.kind == "missed"]
+        events = reader.take(601, "measurement", "attitude", "torque", "dropped")
+        while sum(event.kind != "dropped" for event in events) < 600:
+            events += reader.take(1, "measurement", "attitude", "torque", "dropped")
+    told_of = [event.data for event in events if event.kind == "dropped"]
     # the queue holds 50 events and the reader is slower than the writer; how many are dropped depends on the machine
-    assert sum(missed) > 0
+    assert sum(sum(each["counts"].values()) for each in told_of) > 0
+    for each in told_of:
+        assert (each["reason"], each["follows"]) == ("slow_client", True)
+        for path in each["history"]:
+            page = await bench.client.get(path)
+            assert page.status_code == 200, path
+            assert page.json()["rows"], path
     for kind in ("measurement", "attitude", "torque"):
         epochs = [event.data["epoch"] for event in events if event.kind == kind]
         told = [format_epoch(e.content.epoch_us) for batch in batches for e in batch if e.kind == kind]
         assert epochs == told, kind
 
 
-async def test_id_beyond_the_archive_starts_with_the_present(served, source):
+@pytest.mark.parametrize("beyond", ["900.2.0", "1.900.0"])
+async def test_id_beyond_the_archive_starts_with_the_present_and_says_so(served, source, beyond):
     source.store(1)
-    with served.open("900.900") as response:
+    with served.open(f"yamal-202:{beyond}") as response:
         reader = Reader(response)
         (status,) = reader.take(1, "status")
-        assert status.id.endswith(".2")
+        assert status.id.endswith(".2.0")
+        (dropped,) = reader.take(1, "dropped")
+        assert (dropped.data["reason"], dropped.data["follows"]) == ("archive_restored", False)
         fresh = source.store(1)
         source.publish(fresh)
         assert len(reader.take(3)) == 3

@@ -2,12 +2,20 @@
 
 import asyncio
 import threading
+from collections import Counter
+from types import SimpleNamespace
 
 import pytest
 
-from service.runtime.live_feed import Cursor, FeedEvent, LiveFeed, Subscription
+from service.runtime.live_feed import Cursor, Dropped, FeedEvent, LiveFeed
 
 pytestmark = pytest.mark.anyio
+
+
+@pytest.fixture
+def make_row():
+    """Return a maker of contents that know nothing but their epoch."""
+    return lambda epoch_us: SimpleNamespace(epoch_us=epoch_us)
 
 
 def events(*numbers):
@@ -25,9 +33,9 @@ async def test_events_arrive_in_order_and_none_is_lost():
     feed.publish("a", events(3))
     await asyncio.sleep(0)
     for subscription in (one, two):
-        found, missed = await subscription.next_events(1.0)
-        assert (numbers(found), missed) == ([1, 2, 3], 0)
-    assert await one.next_events(0.01) == ((), 0)
+        found, dropped = await subscription.next_events(1.0)
+        assert (numbers(found), dropped) == ([1, 2, 3], Dropped())
+    assert await one.next_events(0.01) == ((), Dropped())
 
 
 async def test_a_waiting_subscriber_wakes_up_for_events_from_another_thread():
@@ -46,13 +54,13 @@ async def test_a_slow_subscriber_loses_the_oldest_and_is_told_how_many():
     assert numbers((await quick.next_events(1.0))[0]) == [1, 2]
     feed.publish("a", events(3, 4, 5))
     await asyncio.sleep(0)
-    found, missed = await slow.next_events(1.0)
-    assert (numbers(found), missed) == ([3, 4, 5], 2)
+    found, dropped = await slow.next_events(1.0)
+    assert (numbers(found), dropped.counts) == ([3, 4, 5], {"status": 2})
     assert (numbers((await quick.next_events(1.0))[0])) == [3, 4, 5]
     feed.publish("a", events(6))
     await asyncio.sleep(0)
     # what was told once is not told again
-    assert await slow.next_events(1.0) == (events(6), 0)
+    assert await slow.next_events(1.0) == (events(6), Dropped())
 
 
 async def test_others_spacecraft_and_former_subscribers_hear_nothing():
@@ -62,13 +70,33 @@ async def test_others_spacecraft_and_former_subscribers_hear_nothing():
     feed.unsubscribe("nobody", gone)
     feed.publish("a", events(1))
     await asyncio.sleep(0)
-    assert await other.next_events(0.01) == ((), 0)
-    assert await gone.next_events(0.01) == ((), 0)
+    assert await other.next_events(0.01) == ((), Dropped())
+    assert await gone.next_events(0.01) == ((), Dropped())
 
 
 async def test_a_subscriber_whose_loop_is_closed_is_passed_over():
+    feed = LiveFeed()
+
+    async def subscribe():
+        return feed.subscribe("a")
+
     loop = asyncio.new_event_loop()
-    subscription = Subscription(loop, 5)
+    gone = await asyncio.to_thread(loop.run_until_complete, subscribe())
     loop.close()
-    subscription.offer(events(1))
-    assert await subscription.next_events(0.01) == ((), 0)
+    here = feed.subscribe("a")
+    feed.publish("a", events(1))
+    assert numbers((await here.next_events(1.0))[0]) == [1]
+    assert gone.loop is loop
+
+
+async def test_what_was_dropped_is_told_by_kind_and_span(make_row):
+    feed = LiveFeed(capacity=1)
+    slow = feed.subscribe("a")
+    rows = tuple(FeedEvent("measurement", Cursor(k, 0), make_row(1_000_000 * k)) for k in (3, 1, 2))
+    feed.publish("a", rows)
+    await asyncio.sleep(0)
+    found, dropped = await slow.next_events(1.0)
+    assert numbers(found) == [2]
+    assert dropped == Dropped(Counter({"measurement": 2}), 1_000_000, 3_000_000)
+    assert dropped
+    assert not Dropped()

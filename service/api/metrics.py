@@ -1,0 +1,204 @@
+"""Metrics: the figures of the service in the text form of Prometheus, gathered when they are asked for.
+
+Nothing is kept between two looks but counts. A database that does not answer leaves out what stands in it; the rest is
+told all the same, with ``soo_ready{part="database"} 0``.
+"""
+
+import logging
+import math
+from collections.abc import Iterable, Iterator
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+from service.api.deps import ApiContext
+from service.api.links import links_told
+from service.api.metric_families import (
+    FAMILIES,
+    MAX_CARRIERS,
+    MAX_LINKS,
+    MAX_SOURCES,
+    MAX_SPACECRAFT,
+    STATUS_NUMBERS,
+)
+from service.api.open_streams import OpenStreams
+from service.api.readiness import parts_of
+from service.api.request_figures import DURATION_BOUNDS_S, RequestFigures
+from service.api.validity import newest_attitude
+from service.errors import StorageError
+from service.records.attitude import AttitudeRow
+from service.records.catalogue import Method, Spacecraft
+from service.records.epoch import US_PER_S
+from service.runtime.process_figures import process_figures
+
+MEDIA_TYPE = "text/plain; version=0.0.4; charset=utf-8"
+_LOG = logging.getLogger(__name__)
+#: name of a metric, values of its labels, value
+Sample = tuple[str, tuple[str, ...], float]
+
+
+class Metrics:
+    """What one application tells.
+
+    Parameters
+    ----------
+    context : ApiContext
+        Archive, clock and supervisor.
+    figures : RequestFigures
+        Counts of requests and rows.
+    streams : OpenStreams
+        Live streams.
+    """
+
+    def __init__(self, context: ApiContext, figures: RequestFigures, streams: OpenStreams) -> None:
+        self._context = context
+        self._figures = figures
+        self._streams = streams
+
+    def render(self) -> bytes:
+        """Return all metrics as text."""
+        # imported when somebody asks for the first time: 50 ms and 5 MB that many installations never need
+        from prometheus_client import CollectorRegistry, generate_latest
+
+        registry = CollectorRegistry(auto_describe=False)
+        registry.register(self)
+        return generate_latest(registry)
+
+    def collect(self) -> Iterator[Any]:
+        """Yield every metric that has a value, as prometheus_client wants them."""
+        from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
+
+        kinds = {"gauge": GaugeMetricFamily, "counter": CounterMetricFamily}
+        made: dict[str, Any] = {}
+        for name, labels, value in self._samples():
+            family = FAMILIES[name]
+            if name not in made:
+                made[name] = kinds[family.kind](name, family.help, labels=family.labels)
+            if not math.isnan(value):
+                made[name].add_metric([_label(label) for label in labels], value)
+        yield from made.values()
+        yield self._durations()
+
+    def _samples(self) -> Iterator[Sample]:
+        """Yield all samples but the histograms."""
+        yield from self._process()
+        yield from self._requests()
+        parts = parts_of(self._context)
+        yield from (("soo_ready", (part.name,), float(part.fault is None)) for part in parts)
+        try:
+            # a list: what was gathered before the database left is not told half
+            yield from list(self._stored())
+        except StorageError as error:
+            _LOG.warning("metrics of the archive are left out: %s", error)
+
+    def _process(self) -> Iterator[Sample]:
+        """Yield what the process takes."""
+        figures = process_figures()
+        yield "soo_build_info", (_version(),), 1.0
+        yield "soo_process_resident_memory_bytes", (), float(figures.rss_bytes)
+        yield "soo_process_cpu_seconds_total", (), figures.cpu_s
+        for name, value in (("open_files", figures.open_files), ("threads", figures.threads)):
+            if value is not None:
+                yield f"soo_process_{name}", (), float(value)
+
+    def _requests(self) -> Iterator[Sample]:
+        """Yield counts of requests, rows and events; copies, for the event loop goes on counting."""
+        figures = self._figures
+        for (method, route, status), count in sorted(figures.requests.copy().items()):
+            yield "soo_http_requests_total", (method, route, str(status)), float(count)
+        yield "soo_http_requests_in_progress", (), float(figures.in_progress)
+        for key, count in sorted(figures.rows.copy().items()):
+            yield "soo_rows_total", key, float(count)
+        for key, count in sorted(figures.refused.copy().items()):
+            yield "soo_rows_refused_total", key, float(count)
+        yield "soo_stream_clients", (), float(self._streams.count)
+        for kind, count in sorted(self._streams.sent.copy().items()):
+            yield "soo_stream_events_total", (kind,), float(count)
+        yield "soo_stream_dropped_total", (), float(self._streams.dropped)
+
+    def _durations(self) -> Any:
+        """Return the histogram of durations."""
+        from prometheus_client.core import HistogramMetricFamily
+
+        name = "soo_http_request_duration_seconds"
+        family = HistogramMetricFamily(name, FAMILIES[name].help, labels=FAMILIES[name].labels)
+        bounds = (*map(str, DURATION_BOUNDS_S), "+Inf")
+        for route, durations in sorted(self._figures.durations.copy().items()):
+            counts = list(durations.counts)
+            buckets = [(bound, float(sum(counts[: place + 1]))) for place, bound in enumerate(bounds)]
+            family.add_metric([route], buckets, durations.total_s)
+        return family
+
+    def _stored(self) -> Iterator[Sample]:
+        """Yield what the archive tells."""
+        state = self._context.storage.state()
+        yield "soo_writer_queue", (), float(state.queued_writes)
+        if state.free_bytes is not None:
+            yield "soo_disk_free_bytes", (), float(state.free_bytes)
+        for spacecraft in self._context.storage.catalogue.all_spacecraft()[:MAX_SPACECRAFT]:
+            yield from self._sources(spacecraft.id)
+            yield from self._attitude(spacecraft)
+        yield from self._links()
+
+    def _sources(self, spacecraft_id: str) -> Iterator[Sample]:
+        """Yield age and gaps of each source, the lag of the estimator, and the state of each carrier."""
+        archive, now_us = self._context.storage.archive, self._context.clock.now_us(spacecraft_id)
+        head = archive.head(spacecraft_id)
+        yield "soo_journal_lag", (spacecraft_id,), float(head.newest_number - head.consumed_number)
+        for source in archive.sources(spacecraft_id)[:MAX_SOURCES]:
+            key = (spacecraft_id, source.id)
+            if now_us is not None and source.newest_epoch_us is not None:
+                yield "soo_sample_age_seconds", key, max(0.0, (now_us - source.newest_epoch_us) / US_PER_S)
+            if source.rows_missing is not None:
+                yield "soo_rows_missing", key, float(source.rows_missing)
+        yield from self._carriers(spacecraft_id, now_us)
+
+    def _carriers(self, spacecraft_id: str, now_us: int | None) -> Iterator[Sample]:
+        """Yield the state of each carrier of the newest row."""
+        known = self._context.supervisor.carrier_states(spacecraft_id)
+        if known is None:
+            return
+        row, states = known
+        limit_us = self._context.limits.expired_after_s * US_PER_S
+        is_data = self._context.clock.is_data(spacecraft_id)
+        is_old = not is_data and now_us is not None and now_us - row.epoch_us > limit_us
+        for state in states[:MAX_CARRIERS]:
+            word = {"absent": "NOT_RECEIVED", "excluded": "INVALID"}.get(state.state, "ACQUIRED")
+            yield "soo_series_status", (spacecraft_id, state.carrier), STATUS_NUMBERS["EXPIRED" if is_old else word]
+
+    def _attitude(self, spacecraft: Spacecraft) -> Iterator[Sample]:
+        """Yield the newest attitude of each method."""
+        for method in Method:
+            row = newest_attitude(self._context, spacecraft.id, method)
+            if row is not None:
+                yield from _angles(spacecraft.id, row)
+            if method is spacecraft.control.method:
+                yield "soo_control_allowed", (spacecraft.id,), float(row is not None and row.control_allowed)
+
+    def _links(self) -> Iterator[Sample]:
+        """Yield the state of each link."""
+        for link in links_told(self._context, self._context.storage.links.links()[:MAX_LINKS]):
+            yield "soo_link_state", (link.id, link.state), 1.0
+            if link.last_good_age_s is not None:
+                yield "soo_link_last_good_age_seconds", (link.id,), link.last_good_age_s
+
+
+def _angles(spacecraft_id: str, row: AttitudeRow) -> Iterable[Sample]:
+    """Yield one attitude; axes without an angle are left out."""
+    method = row.method.value
+    yield "soo_attitude_status", (spacecraft_id, method), float(STATUS_NUMBERS[row.status.value])
+    for axis in ("yaw", "roll", "pitch"):
+        yield "soo_attitude_deg", (spacecraft_id, method, axis), getattr(row.attitude_deg, axis)
+        yield "soo_attitude_sigma_deg", (spacecraft_id, method, axis), getattr(row.sigma_deg, axis)
+
+
+def _label(text: str) -> str:
+    """Return a label's value of bounded length."""
+    return text[:128]
+
+
+def _version() -> str:
+    """Return the version of the program."""
+    try:
+        return version("soo")
+    except PackageNotFoundError:
+        return "unknown"

@@ -1,0 +1,17 @@
+"""How the service is looked at from outside: what counts as ready, who reads metrics, what is written of requests."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Observation:
+    """Settings of readiness, metrics and access log."""
+
+    #: whether /metrics wants a key
+    metrics_need_key: bool = False
+    #: whether a line is written of every request
+    access_log: bool = True
+    #: entries by which the estimator may lie behind the journal and yet be ready
+    ready_lag: int = 1000
+    #: free space beside the database below which the service is not ready
+    min_free_disk_bytes: int = 200_000_000

@@ -1,0 +1,83 @@
+"""Readiness: whether the service can keep what it is sent and computes from it, and what stands in the way if not.
+
+Parts are looked at one after another and each says for itself whether it is ready; what cannot be known because the
+database does not answer is not told.
+"""
+
+from collections.abc import Iterator
+from http import HTTPStatus
+from typing import NamedTuple
+
+from service.api.deps import ApiContext
+from service.api.problems import RETRY_AFTER_S, ProblemError
+from service.errors import FieldError, StorageError
+from service.records.storage_state import StorageState
+
+
+class Part(NamedTuple):
+    """One part of the service."""
+
+    name: str
+    #: code of the fault, None = ready
+    fault: str | None
+    detail: str
+
+
+def parts_of(context: ApiContext) -> tuple[Part, ...]:
+    """Return every part of the service whose state can be known."""
+    try:
+        context.storage.check()
+        state = context.storage.state()
+    except StorageError as error:
+        return (Part("database", error.code, error.detail),)
+    database = Part("database", None, "the database answers")
+    return (database, _schema(state), *_disk(state, context), *_consumers(context))
+
+
+def require_ready(parts: tuple[Part, ...]) -> None:
+    """Raise the 503 that names every part that is not ready."""
+    faults = [part for part in parts if part.fault is not None]
+    if not faults:
+        return
+    fields = [FieldError(f"/{part.name}", part.fault or "", part.detail) for part in faults]
+    code = fields[0].code if len(fields) == 1 else "service.not_ready"
+    detail = "; ".join(f"{part.name}: {part.detail}" for part in faults)
+    headers = {"Retry-After": str(RETRY_AFTER_S)}
+    raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, code, detail, fields, headers)
+
+
+def _schema(state: StorageState) -> Part:
+    """Return whether the database has the schema of this program."""
+    if state.schema == state.wanted_schema:
+        return Part("migration", None, f"schema {state.schema}")
+    detail = f"the schema is {state.schema or 'none'}, this program needs {state.wanted_schema}; restart it to migrate"
+    return Part("migration", "migration.pending", detail)
+
+
+def _disk(state: StorageState, context: ApiContext) -> Iterator[Part]:
+    """Yield whether there is room beside the database, where that can be known."""
+    if state.free_bytes is None:
+        return
+    free_mb, least_mb = state.free_bytes // 10**6, context.observation.min_free_disk_bytes // 10**6
+    if not state.is_writable:
+        yield Part("disk", "disk.read_only", "the database's file or its folder cannot be written")
+    elif free_mb < least_mb:
+        yield Part("disk", "disk.full", f"{free_mb} MB are free beside the database, {least_mb} MB are wanted")
+    else:
+        yield Part("disk", None, f"{free_mb} MB free")
+
+
+def _consumers(context: ApiContext) -> Iterator[Part]:
+    """Yield whether the estimator runs and how far it lies behind."""
+    if not context.is_following():
+        yield Part("consumers", "consumers.stopped", "the estimator does not run; restart the service")
+        return
+    archive, limit = context.storage.archive, context.observation.ready_lag
+    heads = {craft.id: archive.head(craft.id) for craft in context.storage.catalogue.all_spacecraft()}
+    lags = {name: head.newest_number - head.consumed_number for name, head in heads.items()}
+    behind = [f"{name} by {lag}" for name, lag in lags.items() if lag > limit]
+    if behind:
+        detail = f"the estimator is behind the journal of {', '.join(behind[:10])} entries; {limit} are allowed"
+        yield Part("consumers", "consumers.behind", detail)
+    else:
+        yield Part("consumers", None, f"{len(lags)} spacecraft, at most {max(lags.values(), default=0)} entries behind")

@@ -1,0 +1,116 @@
+"""Access log: one line a request, written when it has ended, and its figures.
+
+The line names the route by its template, so that ids of things do not make lines of their own kind, the key by its id,
+and never a query: it could hold what somebody took for a harmless place to put a key.
+"""
+
+import logging
+import time
+from typing import Any
+
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from service.api.request_figures import RequestFigures
+
+_LOG = logging.getLogger("soo.access")
+#: what is served without a route of its own
+_PLAIN_PATHS = frozenset({"/openapi.json"})
+_EVENT_STREAM = b"text/event-stream"
+#: status that is told of a request whose client left before there was one
+_CLIENT_LEFT = 499
+
+
+class RequestLog:
+    """Counts requests and writes a line of each.
+
+    Parameters
+    ----------
+    app : ASGIApp
+        What lies inside.
+    figures : RequestFigures
+        Where requests are counted.
+    base_path : str
+        Stands before the templates of routes that lie below it.
+    is_writing : bool
+        Whether lines are written; requests are counted either way.
+    """
+
+    def __init__(self, app: ASGIApp, figures: RequestFigures, base_path: str, *, is_writing: bool = True) -> None:
+        self._app = app
+        self._figures = figures
+        self._base_path = base_path
+        self._is_writing = is_writing
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle one connection."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        answer = _Answer()
+
+        async def send_seen(message: Message) -> None:
+            answer.see(message)
+            await send(message)
+
+        began_s = time.perf_counter()
+        self._figures.in_progress += 1
+        try:
+            await self._app(scope, receive, send_seen)
+        except Exception:
+            answer.status = answer.status or 500
+            raise
+        finally:
+            self._figures.in_progress -= 1
+            self._tell(scope, answer, time.perf_counter() - began_s)
+
+    def _tell(self, scope: Scope, answer: "_Answer", duration_s: float) -> None:
+        """Count a request and write its line."""
+        route, method, status = self._route(scope), scope["method"], answer.status or _CLIENT_LEFT
+        self._figures.add_request(method, route, status, duration_s, is_stream=answer.is_stream)
+        if self._is_writing and _LOG.isEnabledFor(logging.INFO):
+            fields: dict[str, Any] = {
+                "method": method,
+                "route": route,
+                "status": status,
+                "duration_ms": round(1e3 * duration_s, 3),
+                "bytes": answer.size_bytes,
+                "key": _key_id(scope),
+                "client": (scope.get("client") or ("",))[0],
+            }
+            _LOG.info("request", extra={"fields": fields})
+
+    def _route(self, scope: Scope) -> str:
+        """Return the template of the route that served a request."""
+        template = getattr(scope.get("route"), "path", None)
+        path = str(scope["path"])
+        if template is None:
+            return path if path in _PLAIN_PATHS else "unmatched"
+        is_below = path.startswith(self._base_path) and not template.startswith(self._base_path)
+        return f"{self._base_path}{template}" if is_below else str(template)
+
+
+class _Answer:
+    """What was seen of an answer on its way out."""
+
+    def __init__(self) -> None:
+        self.status: int | None = None
+        self.is_stream = False
+        self.size_bytes = 0
+
+    def see(self, message: Message) -> None:
+        """Look at one message."""
+        if message["type"] == "http.response.start":
+            self.status = message["status"]
+            self.is_stream = any(
+                name == b"content-type" and value.startswith(_EVENT_STREAM) for name, value in message["headers"]
+            )
+        else:
+            self.size_bytes += len(message.get("body", b""))
+
+
+def _key_id(scope: Scope) -> str | None:
+    """Return the id of the key that a request came with, None without a valid one."""
+    principal = scope.get("state", {}).get("principal")
+    if principal is None:
+        return None
+    return str(getattr(principal, "key_id", "") or getattr(principal, "name", "")) or None

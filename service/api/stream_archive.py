@@ -1,0 +1,88 @@
+"""What a stream reads from the archive: pages of events beyond a place, and what retention has taken from between.
+
+Journal numbers and result sequences have no gaps, so a missing number is one that is no longer kept.
+"""
+
+from typing import NamedTuple
+
+from service.api.carrier_names import CarrierNames
+from service.api.stream_places import DroppedAnswer, lost_to_retention
+from service.ports import Storage
+from service.records.attitude import AttitudeRow
+from service.records.measurement import Measurement
+from service.runtime.live_feed import Cursor, FeedEvent
+
+#: journal entries and results read in one go
+_AT_ONCE = 200
+#: sequences looked through in one go where nothing is kept
+_MOST_AT_ONCE = 10_000
+
+
+class Page(NamedTuple):
+    """The next events beyond a place."""
+
+    events: list[FeedEvent]
+    #: where the page ends
+    place: Cursor
+    #: what is no longer kept of what the page spans
+    lost: DroppedAnswer | None
+
+
+class ArchiveReader:
+    """Reads one spacecraft's events; called outside the event loop.
+
+    Parameters
+    ----------
+    storage : Storage
+        Archive and results.
+    names : CarrierNames
+        Learns the plans of rows that are read.
+    spacecraft_id : str
+        An existing spacecraft.
+    """
+
+    def __init__(self, storage: Storage, names: CarrierNames, spacecraft_id: str) -> None:
+        self._storage = storage
+        self._names = names
+        self._spacecraft_id = spacecraft_id
+        self._results_at_once = _AT_ONCE
+
+    def present_and_end(self) -> tuple[Cursor, Cursor]:
+        """Return the place of the present, and the greatest place that an id can name."""
+        head = self._storage.archive.head(self._spacecraft_id)
+        return Cursor(head.consumed_number, head.result_sequence), Cursor(head.newest_number, head.result_sequence)
+
+    def next_page(self, place: Cursor) -> Page:
+        """Return the next measurements and results beyond a place, in this order."""
+        head = self._storage.archive.head(self._spacecraft_id)
+        rows, number, lost_rows = self._rows(place)
+        results, sequence, lost_results = self._results(place._replace(number=number), head.result_sequence)
+        lost = lost_to_retention(lost_rows, lost_results) if lost_rows or lost_results else None
+        return Page([*rows, *results], place._replace(number=number, sequence=sequence), lost)
+
+    def _rows(self, place: Cursor) -> tuple[list[FeedEvent], int, int]:
+        """Return the next measurements, the number that they reach to, and how many numbers are missing."""
+        events, number, lost = [], place.number, 0
+        for entry in self._storage.archive.journal(self._spacecraft_id, number, _AT_ONCE):
+            lost += entry.number - number - 1
+            number = entry.number
+            if isinstance(entry.content, Measurement):
+                self._names.of(self._spacecraft_id, entry.content.plan_id)
+                events.append(FeedEvent("measurement", place._replace(number=number), entry.content))
+        return events, number, lost
+
+    def _results(self, place: Cursor, newest: int) -> tuple[list[FeedEvent], int, int]:
+        """Return the next results, the sequence that they reach to, and how many sequences are missing."""
+        events, sequence, lost = [], place.sequence, 0
+        for at, result in self._storage.results.results_after(self._spacecraft_id, sequence, self._results_at_once):
+            lost += at - sequence - 1
+            sequence = at
+            kind = "attitude" if isinstance(result, AttitudeRow) else "torque"
+            events.append(FeedEvent(kind, place._replace(sequence=sequence), result))
+        if events or sequence >= newest:
+            self._results_at_once = _AT_ONCE
+            return events, sequence, lost
+        # nothing is kept of this stretch: look further each time
+        reached = min(newest, sequence + self._results_at_once)
+        self._results_at_once = min(2 * self._results_at_once, _MOST_AT_ONCE)
+        return events, reached, reached - sequence
