@@ -15,6 +15,7 @@ from rich.live import Live
 from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from service.client.documents import Json
 from service.client.problem import ClientError
 from service.client.service_client import ServiceClient
 from service.records.epoch import parse_epoch
@@ -211,7 +212,8 @@ def _play(directory: Path, endpoints: Endpoints, presenter: Presenter, figure: P
 
 def _tracking_table(scene: Scene) -> Table:
     """Return the newest angles beside the truth, the torques and who is left out."""
-    attitude, beside = (scene.client.attitude(scene.story.spacecraft_id, method) for method in METHODS)
+    # angles are looked up by names that are put together
+    attitude, beside = (Json(scene.client.attitude(scene.story.spacecraft_id, method)) for method in METHODS)
     torques = scene.client.torques(scene.story.spacecraft_id)
     truth = scene.story.truth_deg.get(parse_epoch(attitude["epoch"]))
     columns = ("axis", f"{METHODS[0]}, deg", "sigma, deg", "truth, deg", f"{METHODS[1]}, deg", "torque, N m")

@@ -1,27 +1,22 @@
 """The REST contract as methods: one thin method an endpoint, dictionaries as the contract shows them.
 
 Epochs go in as RFC 3339 text or as int64 microseconds UTC. Nothing is interpreted here; errors are those of
-`service.client.problem`.
+`service.client.problem`. `service.client.async_service_client` has the same methods to be awaited.
 """
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, Self
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Self, cast
 
-from service.client.problem import ClientError
-from service.client.transport import Json, Transport
-from service.records.epoch import format_epoch
+from service.client import endpoints
+from service.client.call import Epoch, epoch_text
+from service.client.documents import Attitude, Job, Json, Measurement, PlanPut, Receipt, Status
+from service.client.endpoints import PAGE_ROWS, Rows, below
+from service.client.event_lines import Follower, StreamEvent
+from service.client.jobs import JobFailedError, JobWatch
+from service.client.transport import Transport
 
-Epoch = str | int
-
-
-class JobFailedError(ClientError):
-    """A job of the service ended with an error, or did not end in time."""
-
-
-def epoch_text(epoch: Epoch) -> str:
-    """Return RFC 3339 text of an epoch given as text or as microseconds UTC."""
-    return format_epoch(epoch) if isinstance(epoch, int) else epoch
+__all__ = ["Epoch", "JobFailedError", "ServiceClient", "StreamEvent", "epoch_text"]
 
 
 class ServiceClient:
@@ -66,34 +61,61 @@ class ServiceClient:
         params: Mapping[str, Any] | None = None,
         is_keyed: bool = False,
     ) -> Any:
-        """Send any request below ``/api/v1``; see `service.client.transport.Transport.request`."""
+        """Send any request below ``/api/v1``; see `service.client.call.Call`."""
         return self._transport.request(method, path, body, params=params, is_keyed=is_keyed)
 
     def download(self, path: str, params: Mapping[str, Any] | None = None, **options: Any) -> Iterator[bytes]:
         """Yield what an export streams; see `service.client.transport.Transport.download`."""
         return self._transport.download(path, params, **options)
 
+    def pages(self, path: str, params: Mapping[str, Any] | None = None, *, rows: str = "rows") -> Iterator[Json]:
+        """Yield every row of a list below ``/api/v1``, page after page; ``rows`` names the field that holds them."""
+        cursor: str | None = None
+        while True:
+            page = self._transport.send(endpoints.page(path, params or {}, cursor))
+            yield from page[rows]
+            cursor = page.get("next")
+            if not cursor:
+                return
+
+    def stream(
+        self, spacecraft_id: str, *, last_event_id: str | None = None, patience_s: float | None = None
+    ) -> Iterator[StreamEvent]:
+        """Yield what happens to a spacecraft, without end; lost connections are made anew where they broke off.
+
+        Parameters
+        ----------
+        spacecraft_id : str
+            Spacecraft.
+        last_event_id : str, optional
+            ``id`` of the last event that was dealt with; None starts with the present.
+        patience_s : float, optional
+            How long the service may be away at a stretch; None: for ever.
+        """
+        follower = Follower(last_event_id, patience_s)
+        return self._transport.follow(below(spacecraft_id, "/stream"), follower)
+
     # Catalogue
 
     def create_spacecraft(self, spacecraft: Mapping[str, Any]) -> Json:
         """Add a spacecraft."""
-        return self._json("POST", "/spacecraft", spacecraft)
+        return self._transport.send(endpoints.create_spacecraft(spacecraft))
 
     def spacecraft(self, spacecraft_id: str) -> Json:
         """Return one spacecraft."""
-        return self._json("GET", f"/spacecraft/{spacecraft_id}")
+        return self._transport.send(endpoints.spacecraft(spacecraft_id))
 
-    def put_carriers(self, spacecraft_id: str, carriers: Sequence[Mapping[str, Any]]) -> Json:
+    def put_carriers(self, spacecraft_id: str, carriers: Rows) -> PlanPut:
         """Store a carrier plan; the same content gives the same plan_id."""
-        return self._json("PUT", f"/spacecraft/{spacecraft_id}/carriers", {"carriers": list(carriers)})
+        return self._transport.send(endpoints.put_carriers(spacecraft_id, carriers))
 
     def carriers(self, spacecraft_id: str, plan_id: int | None = None) -> Json:
         """Return the newest carrier plan, or the one with this number."""
-        return self._json("GET", f"/spacecraft/{spacecraft_id}/carriers", params={"plan_id": plan_id})
+        return self._transport.send(endpoints.carriers(spacecraft_id, plan_id))
 
     def put_ephemeris(self, spacecraft_id: str, ephemeris: Mapping[str, Any]) -> Json:
         """Store an ephemeris: nodes and period, TLE, or OEM."""
-        return self._json("PUT", f"/spacecraft/{spacecraft_id}/ephemeris", ephemeris)
+        return self._transport.send(endpoints.put_ephemeris(spacecraft_id, ephemeris))
 
     # Into the service
 
@@ -101,65 +123,58 @@ class ServiceClient:
         self,
         spacecraft_id: str,
         plan_id: int,
-        measurements: Sequence[Mapping[str, Any]],
+        measurements: Rows,
         *,
         source: str | None = None,
         first_seq: int | None = None,
-    ) -> Json:
+    ) -> Receipt:
         """Send rows of carrier powers; repeating a batch is safe."""
-        body: Json = {"plan_id": plan_id, "measurements": list(measurements)}
-        if source is not None:
-            body["source"] = source
-        if first_seq is not None:
-            body["first_seq"] = first_seq
-        return self._batch(spacecraft_id, "measurements", body)
+        call = endpoints.post_measurements(spacecraft_id, plan_id, measurements, source, first_seq)
+        return self._transport.send(call)
 
-    def post_traces(self, spacecraft_id: str, source: str, traces: Sequence[Mapping[str, Any]]) -> Json:
+    def post_traces(self, spacecraft_id: str, source: str, traces: Rows) -> Json:
         """Send evidence traces of one source; repeating them is safe, the service keeps a ring of the newest."""
-        body = {"source": source, "traces": list(traces)}
-        answer: Json = self._transport.request("POST", f"/spacecraft/{spacecraft_id}/traces", body, is_keyed=True)
-        return answer
+        return self._transport.send(endpoints.post_traces(spacecraft_id, source, traces))
 
-    def report_links(self, links: Sequence[Mapping[str, Any]]) -> list[Json]:
+    def report_links(self, links: Rows) -> list[Json]:
         """Report the state of links and return what the operator wants of each: id, enabled, reset."""
-        # a report that is told twice says the same twice
-        answer: Json = self._transport.request("POST", "/links:report", {"links": list(links)}, is_keyed=True)
-        wanted: list[Json] = answer["links"]
-        return wanted
+        return cast("list[Json]", self._transport.send(endpoints.report_links(links))["links"])
 
-    def post_references(self, spacecraft_id: str, source: str, references: Sequence[Mapping[str, Any]]) -> Json:
+    def post_references(self, spacecraft_id: str, source: str, references: Rows) -> Json:
         """Send attitude references."""
-        return self._batch(spacecraft_id, "attitude-references", {"source": source, "references": list(references)})
+        body = {"source": source, "references": list(references)}
+        return self._transport.send(endpoints.post_batch(spacecraft_id, "attitude-references", body))
 
-    def post_corrections(self, spacecraft_id: str, corrections: Sequence[Mapping[str, Any]]) -> Json:
+    def post_corrections(self, spacecraft_id: str, corrections: Rows) -> Json:
         """Send attitude changes commanded through other channels."""
-        return self._batch(spacecraft_id, "corrections", {"corrections": list(corrections)})
+        body = {"corrections": list(corrections)}
+        return self._transport.send(endpoints.post_batch(spacecraft_id, "corrections", body))
 
     def post_operation(self, spacecraft_id: str, operation: Mapping[str, Any]) -> Json:
         """Announce an operation (station keeping, eclipse, carrier work)."""
-        return self._json("POST", f"/spacecraft/{spacecraft_id}/operations", operation)
+        return self._transport.send(endpoints.post_operation(spacecraft_id, operation))
 
     # Calibration and alignment
 
     def start_calibration(self, spacecraft_id: str, calibration: Mapping[str, Any]) -> Json:
         """Start a calibration; the answer names its job."""
-        return self._json("POST", f"/spacecraft/{spacecraft_id}/calibrations", calibration)
+        return self._transport.send(endpoints.start_calibration(spacecraft_id, calibration))
 
     def calibration(self, spacecraft_id: str, calibration_id: int) -> Json:
         """Return one calibration with its carriers."""
-        return self._json("GET", f"/spacecraft/{spacecraft_id}/calibrations/{calibration_id}")
+        return self._transport.send(endpoints.calibration(spacecraft_id, calibration_id))
 
     def activate_calibration(self, spacecraft_id: str, calibration_id: int) -> Json:
         """Make a calibration the active one of its method."""
-        return self._json("POST", f"/spacecraft/{spacecraft_id}/calibrations/{calibration_id}:activate")
+        return self._transport.send(endpoints.activate_calibration(spacecraft_id, calibration_id))
 
     def align(self, spacecraft_id: str, alignment: Mapping[str, Any]) -> Json:
         """Tie the estimator to known angles."""
-        return self._json("POST", f"/spacecraft/{spacecraft_id}/alignments", alignment)
+        return self._transport.send(endpoints.align(spacecraft_id, alignment))
 
-    def job(self, job_id: str) -> Json:
+    def job(self, job_id: str) -> Job:
         """Return the state and progress of a job."""
-        return self._json("GET", f"/jobs/{job_id}")
+        return self._transport.send(endpoints.job(job_id))
 
     def wait_job(
         self,
@@ -168,7 +183,7 @@ class ServiceClient:
         timeout_s: float = 600.0,
         poll_s: float = 0.2,
         on_progress: Callable[[float], None] | None = None,
-    ) -> Json:
+    ) -> Job:
         """Return a job when it is done.
 
         Parameters
@@ -185,38 +200,35 @@ class ServiceClient:
         JobFailedError
             The job failed, or is not done in time.
         """
-        deadline = time.monotonic() + timeout_s
-        while True:
-            job = self.job(job_id)
-            if on_progress is not None:
-                on_progress(float(job.get("progress") or 0.0))
-            if job["state"] == "done":
-                return job
-            if job["state"] == "failed":
-                message = f"job {job_id} failed: {job.get('error')}"
-                raise JobFailedError(message)
-            if time.monotonic() > deadline:
-                message = f"job {job_id} is {job['state']} after {timeout_s:g} s"
-                raise JobFailedError(message)
+        watch = JobWatch(job_id, timeout_s, on_progress)
+        while not watch.is_done(job := self.job(job_id)):
             time.sleep(poll_s)
+        return job
 
     # Out of the service
 
-    def status(self, spacecraft_id: str) -> Json:
+    def status(self, spacecraft_id: str) -> Status:
         """Return what is newest, pending and in force."""
-        return self._json("GET", f"/spacecraft/{spacecraft_id}/status")
+        return self._transport.send(endpoints.status(spacecraft_id))
 
     def measurements(self, spacecraft_id: str) -> Json:
         """Return the newest row of carrier powers."""
-        return self._json("GET", f"/spacecraft/{spacecraft_id}/measurements")
+        return self._transport.send(endpoints.measurements(spacecraft_id))
 
-    def attitude(self, spacecraft_id: str, method: str | None = None) -> Json:
+    def attitude(self, spacecraft_id: str, method: str | None = None) -> Attitude:
         """Return the newest attitude."""
-        return self._json("GET", f"/spacecraft/{spacecraft_id}/attitude", params={"method": method})
+        return self._transport.send(endpoints.attitude(spacecraft_id, method))
 
     def torques(self, spacecraft_id: str) -> Json:
         """Return the newest computed torque command."""
-        return self._json("GET", f"/spacecraft/{spacecraft_id}/torques")
+        return self._transport.send(endpoints.torques(spacecraft_id))
+
+    def measurement_history(
+        self, spacecraft_id: str, start: Epoch | None = None, stop: Epoch | None = None, *, limit: int = PAGE_ROWS
+    ) -> Iterator[Measurement]:
+        """Yield every row of carrier powers of an interval; parameters as for `attitude_history`."""
+        params = endpoints.window(start, stop, limit)
+        return cast("Iterator[Measurement]", self.pages(below(spacecraft_id, "/measurements/history"), params))
 
     def attitude_history(
         self,
@@ -226,8 +238,8 @@ class ServiceClient:
         *,
         method: str | None = None,
         version: str | None = None,
-        limit: int = 10_000,
-    ) -> Iterator[Json]:
+        limit: int = PAGE_ROWS,
+    ) -> Iterator[Attitude]:
         """Yield every attitude row of an interval, page after page.
 
         Parameters
@@ -241,33 +253,5 @@ class ServiceClient:
         limit : int
             Rows a page.
         """
-        params: Json = {
-            "start": None if start is None else epoch_text(start),
-            "stop": None if stop is None else epoch_text(stop),
-            "method": method,
-            "version": version,
-            "limit": limit,
-        }
-        while True:
-            page = self._json("GET", f"/spacecraft/{spacecraft_id}/attitude/history", params=params)
-            yield from page["rows"]
-            if not page.get("next"):
-                return
-            params["cursor"] = page["next"]
-
-    def _json(
-        self,
-        method: str,
-        path: str,
-        body: Mapping[str, Any] | None = None,
-        *,
-        params: Mapping[str, Any] | None = None,
-    ) -> Json:
-        """Send one request whose answer is an object (or whatever the endpoint documents)."""
-        answer: Json = self._transport.request(method, path, body, params=params)
-        return answer
-
-    def _batch(self, spacecraft_id: str, kind: str, body: Json) -> Json:
-        """Send one batch; the service keys its rows by content, so repeating it is safe."""
-        answer: Json = self._transport.request("POST", f"/spacecraft/{spacecraft_id}/{kind}:batch", body, is_keyed=True)
-        return answer
+        params = endpoints.window(start, stop, limit, method=method, version=version)
+        return cast("Iterator[Attitude]", self.pages(below(spacecraft_id, "/attitude/history"), params))

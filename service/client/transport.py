@@ -1,24 +1,17 @@
-"""One request to the service: key, JSON, errors, and retries where a second attempt cannot do harm.
+"""Requests to the service, one after another: key, JSON, errors, and retries where they cannot do harm."""
 
-Law of this file: GET and PUT are repeated, and POSTs that the service keys by content (``:batch``); any other POST only
-when the connection was never made. A request that may have been carried out is never sent twice.
-"""
-
-import json
 import time
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Self
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import closing
+from typing import Any, Self, TypeVar
 
 import httpx
 
-from service.client.backoff import Backoff
+from service.client.call import BASE_PATH, Attempts, Call, broke_off, decoded, default_headers, no_answer
+from service.client.event_lines import Follower, StreamEvent
 from service.client.problem import ServiceUnavailableError, error_of
 
-Json = dict[str, Any]
-
-#: base path of the API, version 1
-BASE_PATH = "/api/v1"
-_REPEATABLE = frozenset({"GET", "HEAD", "PUT", "DELETE"})
+Result = TypeVar("Result")
 
 
 class Transport:
@@ -53,12 +46,13 @@ class Transport:
         sleep: Callable[[float], None] = time.sleep,
         first_wait_s: float = 0.5,
     ) -> None:
-        headers = {"Accept": "application/json", "User-Agent": "soo-client/1"}
-        if key:
-            headers["Authorization"] = f"Bearer {key}"
         # The environment's proxies are not used: a key for the station network stays in it.
         self._http = httpx.Client(
-            base_url=service_url.rstrip("/"), headers=headers, timeout=timeout_s, transport=http, trust_env=False
+            base_url=service_url.rstrip("/"),
+            headers=default_headers(key),
+            timeout=timeout_s,
+            transport=http,
+            trust_env=False,
         )
         self._retries = retries
         self._sleep = sleep
@@ -83,20 +77,12 @@ class Transport:
         params: Mapping[str, Any] | None = None,
         is_keyed: bool = False,
     ) -> Any:
-        """Return the decoded answer of one request.
+        """Return the decoded answer of one request; see `service.client.call.Call`."""
+        call: Call[Any] = Call(method, path, body, params or {}, is_keyed)
+        return self.send(call)
 
-        Parameters
-        ----------
-        method : str
-            HTTP method.
-        path : str
-            Below ``/api/v1`` unless it names one of the endpoints outside (``/healthz``).
-        body : mapping, optional
-            Sent as JSON; NaN is refused here already.
-        params : mapping, optional
-            Query; None values are left out.
-        is_keyed : bool
-            The service recognises a repetition of this request by its content.
+    def send(self, call: Call[Result]) -> Result:
+        """Return the decoded answer of one call.
 
         Raises
         ------
@@ -105,19 +91,13 @@ class Transport:
         ServiceUnavailableError
             No answer, or try later, after all attempts.
         """
-        content = None if body is None else json.dumps(body, allow_nan=False, separators=(",", ":")).encode()
-        query = {name: value for name, value in (params or {}).items() if value is not None}
-        is_safe = is_keyed or method in _REPEATABLE
-        backoff = Backoff(first_s=self._first_wait_s, limit_s=10.0)
-        for attempt in range(self._retries + 1):
+        attempts = Attempts(self._retries, self._first_wait_s, is_safe=call.is_safe)
+        while True:
             try:
-                return self._send(method, path, content, query)
+                return self._send_once(call)
             except ServiceUnavailableError as error:
-                was_never_sent = isinstance(error.__cause__, httpx.ConnectError)
-                if attempt == self._retries or not (is_safe or was_never_sent):
-                    raise
-                self._sleep(error.retry_after_s or backoff.next_s())
-        raise AssertionError  # pragma: no cover - the loop returns or raises
+                wait_s = attempts.wait_after(error)
+            self._sleep(wait_s)
 
     def download(
         self,
@@ -135,6 +115,10 @@ class Transport:
             Below ``/api/v1``.
         params : mapping, optional
             Query; None values are left out.
+        headers : mapping, optional
+            Of the request, such as ``Range``.
+        on_status : callable
+            Told the status before the first byte: 206 when a range is given.
 
         Raises
         ------
@@ -143,6 +127,7 @@ class Transport:
         ServiceUnavailableError
             No answer, or the answer broke off.
         """
+        # None leaves the query that a path may carry
         query = {name: value for name, value in (params or {}).items() if value is not None} or None
         told = {"Accept": "*/*", **(headers or {})}
         try:
@@ -153,30 +138,47 @@ class Transport:
                 on_status(response.status_code)
                 yield from response.iter_bytes()
         except httpx.TransportError as error:
-            message = f"the download of {path} broke off: {type(error).__name__} {error}".rstrip()
-            raise ServiceUnavailableError(message) from error
+            raise broke_off(path, error) from error
 
-    def _send(self, method: str, path: str, content: bytes | None, query: Mapping[str, Any]) -> Any:
-        """Send once."""
-        url = path if path in {"/healthz", "/readyz", "/openapi.json"} else BASE_PATH + path
-        headers = {"Content-Type": "application/json"} if content is not None else None
+    def follow(self, path: str, follower: Follower) -> Iterator[StreamEvent]:
+        """Yield the events of a stream, through every end of the connection, until the follower has had enough.
+
+        Raises
+        ------
+        ProblemError
+            The service refused.
+        ServiceUnavailableError
+            The service did not come back in time.
+        """
+        while True:
+            try:
+                with closing(self._chunks(path, follower)) as chunks:
+                    for chunk in chunks:
+                        yield from follower.take(chunk)
+                fault = ServiceUnavailableError(f"the stream {path} ended")
+            except ServiceUnavailableError as error:
+                fault = error
+            self._sleep(follower.wait_after(fault))
+
+    def _chunks(self, path: str, follower: Follower) -> Generator[bytes, None, None]:
+        """Yield what comes over one connection."""
+        headers, timeout = follower.headers(), follower.timeout(self._http.timeout)
         try:
-            response = self._http.request(method, url, content=content, params=query, headers=headers)
+            with self._http.stream("GET", BASE_PATH + path, headers=headers, timeout=timeout) as response:
+                if not response.is_success:
+                    response.read()
+                    raise error_of(response)
+                yield from response.iter_bytes()
         except httpx.TransportError as error:
-            what = type(error).__name__
-            message = f"no answer from {self._http.base_url} to {method} {url}: {what} {error}".rstrip()
-            raise ServiceUnavailableError(message) from error
-        if not response.is_success:
-            raise error_of(response)
-        return _decoded(response)
+            raise no_answer(self._http.base_url, "GET", BASE_PATH + path, error) from error
 
-
-def _decoded(response: httpx.Response) -> Any:
-    """Return the JSON of a good answer, None for an empty one."""
-    if not response.content:
-        return None
-    try:
-        return response.json()
-    except ValueError as error:
-        message = f"{response.request.url} answered {response.status_code} with something that is not JSON"
-        raise ServiceUnavailableError(message, response.status_code) from error
+    def _send_once(self, call: Call[Result]) -> Result:
+        """Send once."""
+        try:
+            response = self._http.request(
+                call.method, call.url, content=call.content, params=call.query, headers=call.headers
+            )
+        except httpx.TransportError as error:
+            raise no_answer(self._http.base_url, call.method, call.url, error) from error
+        answer: Result = decoded(response)
+        return answer

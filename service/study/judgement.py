@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from service.client.documents import Json
 from service.client.service_client import ServiceClient
 from service.records.attitude import BoolArray, FloatArray, IntArray
 from service.records.epoch import parse_epoch
@@ -31,7 +32,8 @@ class TrackedAngles(NamedTuple):
 def tracked_angles(story: Story, client: ServiceClient, method: str) -> TrackedAngles:
     """Return what the service keeps of the operation phase beside the truth."""
     start, stop = story.phases["operation"]
-    rows = list(client.attitude_history(story.spacecraft_id, start, stop, method=method))
+    # angles are looked up by names that are put together
+    rows: list[Json] = [{**row} for row in client.attitude_history(story.spacecraft_id, start, stop, method=method)]
     epochs_us = [parse_epoch(row["epoch"]) for row in rows]
     nothing = (float("nan"),) * 3
     return TrackedAngles(

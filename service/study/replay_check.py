@@ -1,8 +1,8 @@
 """Replay against live operation, row by row: what a replay writes must equal what was written live to the last bit."""
 
 from collections.abc import Sequence
-from typing import Any
 
+from service.client.documents import Attitude
 from service.client.service_client import ServiceClient
 
 #: the method that drives control by default, and the one beside it
@@ -31,6 +31,6 @@ def compare_with_live(
     return found
 
 
-def _key(row: dict[str, Any]) -> tuple[str, str]:
+def _key(row: Attitude) -> tuple[str | None, str | None]:
     """Return what names a row of one method."""
     return row["epoch"], row["received_at"]

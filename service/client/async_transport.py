@@ -1,0 +1,110 @@
+"""Requests to the service inside an event loop: as `service.client.transport`, awaited."""
+
+import asyncio
+from collections.abc import AsyncGenerator, AsyncIterator, Awaitable, Callable, Mapping
+from contextlib import aclosing
+from typing import Any, Self, TypeVar
+
+import httpx
+
+from service.client.call import BASE_PATH, Attempts, Call, broke_off, decoded, default_headers, no_answer
+from service.client.event_lines import Follower, StreamEvent
+from service.client.problem import ServiceUnavailableError, error_of
+
+Result = TypeVar("Result")
+
+
+class AsyncTransport:
+    """Send requests with one key to one service; parameters are those of `service.client.transport.Transport`."""
+
+    def __init__(
+        self,
+        service_url: str,
+        key: str | None = None,
+        *,
+        timeout_s: float = 10.0,
+        retries: int = 3,
+        http: httpx.AsyncBaseTransport | None = None,
+        sleep: Callable[[float], Awaitable[None]] = asyncio.sleep,
+        first_wait_s: float = 0.5,
+    ) -> None:
+        self._http = httpx.AsyncClient(
+            base_url=service_url.rstrip("/"),
+            headers=default_headers(key),
+            timeout=timeout_s,
+            transport=http,
+            trust_env=False,
+        )
+        self._retries = retries
+        self._sleep = sleep
+        self._first_wait_s = first_wait_s
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.close()
+
+    async def close(self) -> None:
+        """Close the connections."""
+        await self._http.aclose()
+
+    async def send(self, call: Call[Result]) -> Result:
+        """Return the decoded answer of one call; errors as in `service.client.transport.Transport.send`."""
+        attempts = Attempts(self._retries, self._first_wait_s, is_safe=call.is_safe)
+        while True:
+            try:
+                return await self._send_once(call)
+            except ServiceUnavailableError as error:
+                wait_s = attempts.wait_after(error)
+            await self._sleep(wait_s)
+
+    async def download(self, path: str, params: Mapping[str, Any] | None = None) -> AsyncIterator[bytes]:
+        """Yield the body of a GET as it comes; see `service.client.transport.Transport.download`."""
+        query = {name: value for name, value in (params or {}).items() if value is not None}
+        try:
+            async with self._http.stream("GET", BASE_PATH + path, params=query, headers={"Accept": "*/*"}) as response:
+                if not response.is_success:
+                    await response.aread()
+                    raise error_of(response)
+                async for chunk in response.aiter_bytes():
+                    yield chunk
+        except httpx.TransportError as error:
+            raise broke_off(path, error) from error
+
+    async def follow(self, path: str, follower: Follower) -> AsyncIterator[StreamEvent]:
+        """Yield the events of a stream; see `service.client.transport.Transport.follow`."""
+        while True:
+            try:
+                async with aclosing(self._chunks(path, follower)) as chunks:
+                    async for chunk in chunks:
+                        for event in follower.take(chunk):
+                            yield event
+                fault = ServiceUnavailableError(f"the stream {path} ended")
+            except ServiceUnavailableError as error:
+                fault = error
+            await self._sleep(follower.wait_after(fault))
+
+    async def _chunks(self, path: str, follower: Follower) -> AsyncGenerator[bytes, None]:
+        """Yield what comes over one connection."""
+        headers, timeout = follower.headers(), follower.timeout(self._http.timeout)
+        try:
+            async with self._http.stream("GET", BASE_PATH + path, headers=headers, timeout=timeout) as response:
+                if not response.is_success:
+                    await response.aread()
+                    raise error_of(response)
+                async for chunk in response.aiter_bytes():
+                    yield chunk
+        except httpx.TransportError as error:
+            raise no_answer(self._http.base_url, "GET", BASE_PATH + path, error) from error
+
+    async def _send_once(self, call: Call[Result]) -> Result:
+        """Send once."""
+        try:
+            response = await self._http.request(
+                call.method, call.url, content=call.content, params=call.query, headers=call.headers
+            )
+        except httpx.TransportError as error:
+            raise no_answer(self._http.base_url, call.method, call.url, error) from error
+        answer: Result = decoded(response)
+        return answer

@@ -1,0 +1,150 @@
+"""One request as a value, and when it may be sent again; both clients send these, one waits and one awaits.
+
+Law of this file: GET, PUT and DELETE are repeated, and POSTs that the service keys by content (``:batch``); any other
+POST only when the connection was never made. A request that may have been carried out is never sent twice.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Generic, TypeVar
+
+import httpx
+
+from service.client.backoff import Backoff
+from service.client.problem import ServiceUnavailableError, error_of
+from service.records.epoch import format_epoch
+
+Result = TypeVar("Result")
+#: RFC 3339 text or int64 microseconds UTC
+Epoch = str | int
+
+#: base path of the API, version 1
+BASE_PATH = "/api/v1"
+#: what stands outside of it
+_OUTSIDE = frozenset({"/healthz", "/readyz", "/metrics", "/openapi.json"})
+_REPEATABLE = frozenset({"GET", "HEAD", "PUT", "DELETE"})
+#: no answer makes a client wait longer than this before it tries again, s
+LONGEST_WAIT_S = 60.0
+
+
+def epoch_text(epoch: Epoch) -> str:
+    """Return RFC 3339 text of an epoch given as text or as microseconds UTC."""
+    return format_epoch(epoch) if isinstance(epoch, int) else epoch
+
+
+@dataclass(frozen=True, slots=True)
+class Call(Generic[Result]):
+    """One request; ``Result`` is what its answer holds.
+
+    Parameters
+    ----------
+    method : str
+        HTTP method.
+    path : str
+        Below ``/api/v1`` unless it names one of the endpoints outside (``/healthz``).
+    body : mapping, optional
+        Sent as JSON; NaN is refused here already.
+    params : mapping
+        Query; None values are left out.
+    is_keyed : bool
+        The service recognises a repetition of this request by its content.
+    """
+
+    method: str
+    path: str
+    body: Mapping[str, Any] | None = None
+    params: Mapping[str, Any] = field(default_factory=dict)
+    is_keyed: bool = False
+
+    @property
+    def url(self) -> str:
+        """Path on the server."""
+        return self.path if self.path in _OUTSIDE else BASE_PATH + self.path
+
+    @property
+    def query(self) -> dict[str, Any]:
+        """Parameters that are set, epochs as text."""
+        return {name: value for name, value in self.params.items() if value is not None}
+
+    @property
+    def content(self) -> bytes | None:
+        """Body as it is sent."""
+        if self.body is None:
+            return None
+        return json.dumps(self.body, allow_nan=False, separators=(",", ":")).encode()
+
+    @property
+    def headers(self) -> dict[str, str]:
+        """Headers of its own."""
+        return {} if self.body is None else {"Content-Type": "application/json"}
+
+    @property
+    def is_safe(self) -> bool:
+        """Whether sending it twice does what sending it once does."""
+        return self.is_keyed or self.method in _REPEATABLE
+
+
+class Attempts:
+    """Decides after a failed attempt whether there is another one, and when.
+
+    Parameters
+    ----------
+    is_safe : bool
+        Whether a request that may have been carried out may be repeated.
+    retries : int
+        Further attempts after the first.
+    first_wait_s : float
+        Waiting time before the second attempt; doubles.
+    """
+
+    def __init__(self, retries: int, first_wait_s: float, *, is_safe: bool) -> None:
+        self._left = retries
+        self._is_safe = is_safe
+        self._backoff = Backoff(first_s=first_wait_s, limit_s=10.0)
+
+    def wait_after(self, error: ServiceUnavailableError) -> float:
+        """Return how long to wait before the next attempt, s; raise the error when there is none."""
+        was_never_sent = isinstance(error.__cause__, httpx.ConnectError)
+        if self._left == 0 or not (self._is_safe or was_never_sent):
+            raise error
+        self._left -= 1
+        return min(error.retry_after_s or self._backoff.next_s(), LONGEST_WAIT_S)
+
+
+def decoded(response: httpx.Response) -> Any:
+    """Return the JSON of an answer, None for an empty one.
+
+    Raises
+    ------
+    ProblemError
+        The service refused.
+    ServiceUnavailableError
+        Try later, or the answer is not JSON.
+    """
+    if not response.is_success:
+        raise error_of(response)
+    if not response.content:
+        return None
+    try:
+        return response.json()
+    except ValueError as error:
+        message = f"{response.request.url} answered {response.status_code} with something that is not JSON"
+        raise ServiceUnavailableError(message, response.status_code) from error
+
+
+def no_answer(address: object, method: str, url: str, error: httpx.TransportError) -> ServiceUnavailableError:
+    """Return the error that a request without an answer stands for."""
+    what = type(error).__name__
+    return ServiceUnavailableError(f"no answer from {address} to {method} {url}: {what} {error}".rstrip())
+
+
+def broke_off(path: str, error: httpx.TransportError) -> ServiceUnavailableError:
+    """Return the error of a download that ended before its end."""
+    return ServiceUnavailableError(f"the download of {path} broke off: {type(error).__name__} {error}".rstrip())
+
+
+def default_headers(key: str | None) -> dict[str, str]:
+    """Return the headers of every request."""
+    headers = {"Accept": "application/json", "User-Agent": "soo-client/1"}
+    return {**headers, "Authorization": f"Bearer {key}"} if key else headers

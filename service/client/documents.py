@@ -1,0 +1,134 @@
+"""Answers of the service as types: what they hold stands in the OpenAPI document, these are its names for programs.
+
+Answers stay plain dictionaries; a field that a newer service adds is there though it has no name here.
+``tests/docs/test_client_documents.py`` compares every type with the OpenAPI document.
+"""
+
+from typing import Any, Literal, TypedDict
+
+Json = dict[str, Any]
+
+
+class Angles(TypedDict):
+    """One value an axis; None = absent."""
+
+    yaw: float | None
+    roll: float | None
+    pitch: float | None
+
+
+class AllowedAxes(TypedDict):
+    """Which axes may be controlled."""
+
+    yaw: bool
+    roll: bool
+    pitch: bool
+
+
+class Refused(TypedDict):
+    """A row that was not stored, and why."""
+
+    index: int
+    seq: int | None
+    code: str
+    detail: str
+
+
+class Receipt(TypedDict):
+    """What became of the rows of a batch of measurements."""
+
+    received: int
+    accepted: int
+    duplicates: int
+    #: among the accepted ones
+    late: int
+    durable: bool
+    last_seq: int | None
+    refused: list[Refused]
+
+
+class PlanPut(TypedDict):
+    """A carrier plan that was stored."""
+
+    plan_id: int
+    sha256: str
+    carriers: int
+
+
+class Measurement(TypedDict):
+    """One row of carrier powers; every dictionary is by carrier id."""
+
+    epoch: str
+    received_at: str
+    source: str
+    seq: int | None
+    plan_id: int
+    late: bool
+    feeds_estimator: bool
+    power_dbm: dict[str, float | None]
+    flags: dict[str, int] | None
+    flag_names: dict[str, list[str]] | None
+    measured_sigma_db: dict[str, float | None] | None
+    c_n0_db_hz: dict[str, float | None] | None
+    occupied_bandwidth_hz: dict[str, float | None] | None
+    centroid_offset_hz: dict[str, float | None] | None
+
+
+class Exclusion(TypedDict):
+    """A carrier left out of a fix, and why."""
+
+    carrier: str
+    reason: str
+
+
+class Attitude(TypedDict):
+    """What one method says about one measurement; angles None = not known."""
+
+    epoch: str | None
+    received_at: str | None
+    method: str
+    yaw_deg: float | None
+    roll_deg: float | None
+    pitch_deg: float | None
+    rates_deg_s: Angles | None
+    sigma_deg: Angles
+    status: str
+    control_allowed: bool
+    control_allowed_axes: AllowedAxes
+    inhibitions: list[str]
+    carriers_used: int
+    excluded: list[Exclusion]
+    downlink_fade: bool
+    downlink_fade_db: float | None
+    common_db: float | None
+    residual_rms_db: float | None
+    calibration_id: int | None
+    alignment_id: int | None
+    advice: list[str]
+    version: str
+
+
+class Job(TypedDict):
+    """A calculation that takes its time."""
+
+    state: Literal["queued", "running", "done", "failed"]
+    progress: float
+    error: str | None
+
+
+class Status(TypedDict):
+    """What is newest, pending and in force of a spacecraft."""
+
+    newest_measurement: str | None
+    newest_attitude: str | None
+    pending: int
+    aligned: bool
+    realignment_advised: bool
+    methods_disagree: bool
+    clock: Literal["system", "data"]
+    now: str | None
+    links: list[Json]
+    interlock: Json
+    method: str
+    calibration_id: int | None
+    alignment_id: int | None

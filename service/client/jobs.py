@@ -1,0 +1,43 @@
+"""Waiting for a job of the service: what counts as done, as failed, as too long."""
+
+import time
+from collections.abc import Callable
+
+from service.client.documents import Job
+from service.client.problem import ClientError
+
+
+class JobFailedError(ClientError):
+    """A job of the service ended with an error, or did not end in time."""
+
+
+class JobWatch:
+    """Judges one look at a job after another.
+
+    Parameters
+    ----------
+    job_id : str
+        Names the job in errors.
+    timeout_s : float
+        Bound on the whole wait.
+    on_progress : callable, optional
+        Gets the progress 0..1 at every look.
+    """
+
+    def __init__(self, job_id: str, timeout_s: float, on_progress: Callable[[float], None] | None) -> None:
+        self._job_id = job_id
+        self._timeout_s = timeout_s
+        self._deadline_s = time.monotonic() + timeout_s
+        self._on_progress = on_progress
+
+    def is_done(self, job: Job) -> bool:
+        """Whether a job is done; JobFailedError when it failed or takes too long."""
+        if self._on_progress is not None:
+            self._on_progress(float(job.get("progress") or 0.0))
+        if job["state"] == "failed":
+            message = f"job {self._job_id} failed: {job.get('error')}"
+            raise JobFailedError(message)
+        if job["state"] != "done" and time.monotonic() > self._deadline_s:
+            message = f"job {self._job_id} is {job['state']} after {self._timeout_s:g} s"
+            raise JobFailedError(message)
+        return job["state"] == "done"
