@@ -8,12 +8,14 @@ would let a transaction that the database has already given up pass for committe
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
 
+from db.file_watch import FileWatch
 from service.errors import StorageError
 
 BUSY_TIMEOUT_MS = 10_000
@@ -79,11 +81,23 @@ def _sqlite_engines(target: URL) -> Engines:
     read = create_engine(target, pool_size=READERS, max_overflow=READERS)
     event.listen(write, "connect", _prepare_writer)
     event.listen(read, "connect", _prepare_reader)
+    watch = FileWatch(Path(target.database or ""))
+    event.listen(write, "connect", lambda *_: watch.note())
+    event.listen(read, "connect", lambda *_: watch.note())
     event.listen(write, "begin", _begin_immediate)
     event.listen(read, "begin", _begin)
     for engine in (write, read):
         event.listen(engine, "commit", _commit)
+        _guard(engine, watch)
     return Engines(write, read)
+
+
+def _guard(engine: Engine, watch: FileWatch) -> None:
+    """Let no transaction of an engine begin or end on a file that is no longer there."""
+    # connecting to a name without a file would make an empty one
+    event.listen(engine, "do_connect", lambda *_: watch.check())
+    event.listen(engine, "begin", lambda _: watch.check(), insert=True)
+    event.listen(engine, "commit", lambda _: watch.check())
 
 
 def _postgresql_engines(target: URL) -> Engines:

@@ -24,6 +24,7 @@ from service.runtime.upkeep import Upkeep
 from service.settings import Settings
 
 if TYPE_CHECKING:
+    from db.file_watch import FileWatch
     from db.keeping import Keeping
 
 
@@ -32,6 +33,19 @@ def build_storage(settings: Settings) -> Storage:
     storage = SqlStorage(settings.database_url)
     storage.migrate()
     return storage
+
+
+def watch_file(settings: Settings) -> "FileWatch | None":
+    """Return what tells whether another file has taken the place of the archive's; None for a server."""
+    from db.archive_files import sqlite_path
+    from db.file_watch import FileWatch
+
+    path = sqlite_path(settings.database_url)
+    if path is None:
+        return None
+    watch = FileWatch(path)
+    watch.note()
+    return watch
 
 
 def build_clock(settings: Settings, storage: Storage) -> Clock:

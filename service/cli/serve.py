@@ -4,13 +4,17 @@ Exit codes: 0 ended by a signal, 2 it could not start as told (settings, address
 """
 
 import json
+import logging
 import os
 import signal
 import socket
 import ssl
 import sys
+import time
+from collections.abc import Callable
 from contextlib import closing
-from typing import Annotated, NoReturn
+from threading import Event, Thread
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 from pydantic import ValidationError
@@ -19,11 +23,23 @@ from service.errors import StorageError
 from service.runtime.log_lines import write_log
 from service.settings import Settings
 
+if TYPE_CHECKING:
+    from fastapi import FastAPI
+
+    from service.api.server import StreamingServer
+    from service.ports import Storage
+
+_LOG = logging.getLogger("soo.serve")
+
 # one thread a matrix product: two of them on small matrices cost far more than they give
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 #: wrong settings, or what they name cannot be had
 EXIT_USAGE = 2
+#: a database server that is away at the start is waited for so long
+_PATIENCE_S = 30.0
+#: between two looks at the database
+_LOOK_S = 1.0
 
 
 def serve(
@@ -89,19 +105,69 @@ def _listener(settings: Settings) -> socket.socket:
 
 
 def _serve(settings: Settings, listener: socket.socket) -> None:
-    """Listen, say where, and run until told to stop."""
+    """Listen, say where, and run until told to stop; begin anew on an archive that was put in the place of ours."""
     # imported here so that other commands start without the web framework and the database
-    from service.api.server import StreamingServer, server_config
-    from service.bootstrap import build_app, build_storage, first_administrator
+    from service.bootstrap import build_app, first_administrator, watch_file
 
-    try:
-        storage = build_storage(settings)
+    is_announced = False
+    while True:
+        storage = _opened(settings)
         fresh = first_administrator(settings, storage)
-    except (StorageError, ValueError) as error:
-        _refuse(f"cannot use the database: {error}")
-    app = build_app(settings, storage)
-    if fresh is not None:
-        typer.echo(f"administrator's key, shown this once and kept nowhere: {fresh}", err=True)
+        watch = watch_file(settings)
+        server = _server(settings, build_app(settings, storage), None if is_announced else listener)
+        if fresh is not None:
+            typer.echo(f"administrator's key, shown this once and kept nowhere: {fresh}", err=True)
+        replaced = Event()
+        if watch is not None:
+            Thread(target=_stop_when, args=(watch.is_replaced, server, replaced), daemon=True).start()
+        server.run(sockets=[listener.dup()])
+        if not replaced.is_set():
+            return
+        _LOG.warning("another archive stands in the place of the one that was open; beginning anew on it")
+        is_announced = True
+
+
+def _stop_when(is_replaced: Callable[[], bool], server: "StreamingServer", replaced: Event) -> None:
+    """End a server when its archive was replaced."""
+    while not server.should_exit:
+        time.sleep(_LOOK_S)
+        if is_replaced():
+            replaced.set()
+            server.should_exit = True
+
+
+def _opened(settings: Settings) -> "Storage":
+    """Return the archive; one behind a server is waited for, because both may have been started together."""
+    from service.bootstrap import build_storage
+
+    until = time.monotonic() + _PATIENCE_S
+    while True:
+        try:
+            return build_storage(settings)
+        except (StorageError, ValueError) as error:
+            is_away = isinstance(error, StorageError) and settings.database_url.startswith("postgresql")
+            if not is_away or time.monotonic() > until:
+                _refuse(f"cannot use the database: {error}")
+            _LOG.warning("waiting for the database: %s", error)
+        time.sleep(_LOOK_S)
+
+
+def _server(settings: Settings, app: "FastAPI", announced: socket.socket | None) -> "StreamingServer":
+    """Return a server that says where it listens once it does, when it is given a socket to say it of."""
+    from service.api.server import StreamingServer, server_config
+
+    class AnnouncedServer(StreamingServer):
+        """Says where it listens once it does."""
+
+        async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+            await super().startup(sockets)
+            if self.started and announced is not None:
+                name = f"[{settings.host}]" if ":" in settings.host else settings.host
+                scheme = "https" if settings.tls_certificate else "http"
+                address = f"{scheme}://{name}:{announced.getsockname()[1]}"
+                typer.echo(json.dumps({"url": address, "api": f"{address}/api/v1"}))
+                sys.stdout.flush()
+
     config = server_config(
         app,
         certificate=settings.tls_certificate,
@@ -109,20 +175,7 @@ def _serve(settings: Settings, listener: socket.socket) -> None:
         trusted_proxies=settings.trusted_proxies,
         request_timeout_s=settings.request_timeout_s,
     )
-
-    class AnnouncedServer(StreamingServer):
-        """Says where it listens once it does."""
-
-        async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-            await super().startup(sockets)
-            if self.started:
-                name = f"[{settings.host}]" if ":" in settings.host else settings.host
-                scheme = "https" if settings.tls_certificate else "http"
-                address = f"{scheme}://{name}:{listener.getsockname()[1]}"
-                typer.echo(json.dumps({"url": address, "api": f"{address}/api/v1"}))
-                sys.stdout.flush()
-
-    AnnouncedServer(config, app).run(sockets=[listener])
+    return AnnouncedServer(config, app)
 
 
 def _refuse(message: str) -> NoReturn:

@@ -1,0 +1,91 @@
+"""The file under a name is the one that was opened: rows written into a file that was taken away are kept by nobody.
+
+SQLite goes on reading and writing a file that was deleted, moved or replaced, and says nothing. Here the identities of
+the file and of its log are looked at before every transaction and after every COMMIT, at 3 us a look, so that an
+answer never vouches for a file that nobody will find again.
+"""
+
+import os
+from pathlib import Path
+from threading import Lock
+
+from sqlalchemy.exc import SQLAlchemyError
+
+from db.archive_files import reading_engine
+from db.schema_version import known_versions, version_of
+from service.errors import StorageError
+
+#: device and number of a file
+_Identity = tuple[int, int]
+
+
+class FileWatch:
+    """Identity of a database's file, from its first opening on.
+
+    Parameters
+    ----------
+    path : Path
+        Name of the file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._names = (path, path.with_name(f"{path.name}-wal"))
+        self._seen: dict[Path, _Identity] = {}
+        self._lock = Lock()
+
+    def note(self) -> None:
+        """Remember what stands under the names now; a file that was seen before stays the one."""
+        with self._lock:
+            for name in self._names:
+                identity = _identity_of(name)
+                if identity is not None:
+                    self._seen.setdefault(name, identity)
+
+    def check(self) -> None:
+        """Raise StorageError ``storage.gone`` or ``storage.replaced`` unless the files are those that were opened."""
+        if len(self._seen) < len(self._names):
+            # the log appears with the first transaction
+            self.note()
+        for name, seen in tuple(self._seen.items()):
+            identity = _identity_of(name)
+            if identity == seen:
+                continue
+            if identity is None:
+                detail = f"The file {name.name} of the archive was taken away; nothing is kept until it is back."
+                raise StorageError("storage.gone", detail)
+            detail = f"Another file stands in the place of {name.name}; the service opens it if it is an archive."
+            raise StorageError("storage.replaced", detail)
+
+    def is_replaced(self) -> bool:
+        """Return whether another file that is an archive stands under the name.
+
+        The log of the file that was opened is put aside first: SQLite would take it for one of the new file.
+        """
+        path, log = self._names
+        identity = _identity_of(path)
+        if identity is None or identity == self._seen.get(path):
+            return False
+        if _identity_of(log) == self._seen.get(log, (0, 0)):
+            log.replace(log.with_name(f"{log.name}.of-replaced"))
+            path.with_name(f"{path.name}-shm").unlink(missing_ok=True)
+        return _holds_archive(path)
+
+
+def _holds_archive(path: Path) -> bool:
+    """Return whether a file is an archive that this version can open; it is only read."""
+    engine = reading_engine(path)
+    try:
+        with engine.connect() as connection:
+            return version_of(connection) in known_versions()
+    except SQLAlchemyError:
+        return False
+    finally:
+        engine.dispose()
+
+
+def _identity_of(path: Path) -> _Identity | None:
+    try:
+        state = os.stat(path)  # noqa: PTH116 - a third of the time of Path.stat, at every commit
+    except OSError:
+        return None
+    return state.st_dev, state.st_ino
