@@ -64,6 +64,12 @@ class ServiceProcess:
         return self.output.read_text() + self.log.read_text()
 
 
+@pytest.fixture(scope="session")
+def service_process() -> type[ServiceProcess]:
+    """Return the class of processes, for fixtures that outlive a test."""
+    return ServiceProcess
+
+
 #: starts a service on a database, with further arguments
 StartService = Callable[..., ServiceProcess]
 

@@ -2,7 +2,6 @@
 
 import socket
 import time
-from pathlib import Path
 
 import httpx
 import pytest
@@ -142,19 +141,3 @@ def test_the_given_key_is_never_written(start_service):
     service.end()
     assert KEY not in service.written()
     assert "another-key-than-ours" not in service.written()
-
-
-def test_without_a_given_key_a_fresh_one_is_written_once(start_service, tmp_path: Path):
-    service = start_service(environment={"SOO_BOOTSTRAP_KEY": ""})
-    url = service.url
-    said = [line for line in service.written().splitlines() if "administrator's key" in line]
-    assert len(said) == 1
-    fresh = said[0].rpartition(" ")[2]
-    # 32 random bytes
-    assert len(fresh) >= 40
-    answer = httpx.get(url + BASE, headers={"Authorization": f"Bearer {fresh}"}, trust_env=False)
-    assert answer.status_code == 200
-    assert httpx.get(url + BASE, headers={"Authorization": "Bearer"}, trust_env=False).status_code == 401
-    service.end()
-    assert service.written().count(fresh) == 1
-    assert fresh.encode() not in (tmp_path / "soo.db").read_bytes()

@@ -1,0 +1,237 @@
+"""Requests that mean no good, over real sockets: each gets a clear 4xx, soon, and the service does not swell."""
+
+import gzip
+import json
+import socket
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import httpx
+import pytest
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(60)]
+
+KEY = "a-key-for-tests-only"
+SC = "/api/v1/spacecraft"
+BODY_LIMIT = 1_000_000
+#: a service at rest grows by a few MB as it warms up; a bomb of this test would take 100 MB and more
+MAX_GROWTH_BYTES = 40_000_000
+REQUEST_TIMEOUT_S = 1.0
+
+
+class Target:
+    """One service and raw connections to it."""
+
+    def __init__(self, url: str, process_id: int) -> None:
+        address = urlsplit(url)
+        self.address = (str(address.hostname), int(address.port or 0))
+        self.url = url
+        self._status = Path(f"/proc/{process_id}/status")
+
+    def resident_bytes(self) -> int:
+        """Return how much memory the service holds."""
+        line = next(line for line in self._status.read_text().splitlines() if line.startswith("VmRSS"))
+        return int(line.split()[1]) * 1024
+
+    def connect(self) -> socket.socket:
+        """Return a connection."""
+        return socket.create_connection(self.address, timeout=10)
+
+    def answer(self, *pieces: bytes, pause_s: float = 0.0) -> tuple[int, dict[str, Any]]:
+        """Send pieces and return status and problem of what comes back."""
+        with closing(self.connect()) as connection:
+            try:
+                for piece in pieces:
+                    connection.sendall(piece)
+                    time.sleep(pause_s)
+            except (BrokenPipeError, ConnectionResetError):
+                # it was refused before all was sent, as it should be
+                pass
+            return read_answer(connection)
+
+
+def read_answer(connection: socket.socket) -> tuple[int, dict[str, Any]]:
+    """Return status and JSON of an answer."""
+    received = b""
+    while b"\r\n\r\n" not in received:
+        piece = connection.recv(65536)
+        assert piece, f"the connection was closed after {received[:200]!r}"
+        received += piece
+    head, _, body = received.partition(b"\r\n\r\n")
+    names = dict(line.lower().split(b": ", 1) for line in head.split(b"\r\n")[1:])
+    assert names[b"content-type"] == b"application/problem+json", head
+    while len(body) < int(names[b"content-length"]):
+        body += connection.recv(65536)
+    return int(head.split()[1]), json.loads(body)
+
+
+def head(method: str, path: str, *headers: str, host: bool = True) -> bytes:
+    """Return the head of a request with the key."""
+    lines = [f"{method} {path} HTTP/1.1", *(["Host: x"] if host else []), f"Authorization: Bearer {KEY}", *headers]
+    return ("\r\n".join(lines) + "\r\n\r\n").encode("latin-1")
+
+
+@pytest.fixture(scope="module")
+def target(
+    service_process: Any, compiled_environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Target]:
+    """A service with small limits, for all tests of this file; at the end it still answers and has not grown."""
+    folder = tmp_path_factory.mktemp("hostile")
+    limits = {"SOO_MAX_BODY_BYTES": str(BODY_LIMIT), "SOO_REQUEST_TIMEOUT_S": str(REQUEST_TIMEOUT_S)}
+    own = {"SOO_BOOTSTRAP_KEY": KEY, "SOO_KERNELS": "numpy", **limits}
+    service = service_process(folder, folder / "soo.db", ["--port", "0"], {**compiled_environment, **own})
+    try:
+        found = Target(service.url, service.process.pid)
+        with service.client() as client:
+            for _ in range(20):
+                assert client.get(SC).status_code == 200
+        before = found.resident_bytes()
+        yield found
+        with service.client() as client:
+            assert client.get(SC).json() == {"rows": [], "next": None}
+        assert found.resident_bytes() - before < MAX_GROWTH_BYTES
+        assert service.end()[0] == 0
+        assert "Traceback" not in service.written()
+    finally:
+        service.process.kill()
+        service.process.wait()
+
+
+def sized(body: bytes, *headers: str) -> bytes:
+    """Return a POST with a body."""
+    return head("POST", SC, f"Content-Length: {len(body)}", "Content-Type: application/json", *headers) + body
+
+
+def chunked(*chunks: bytes) -> bytes:
+    """Return a POST whose body comes in chunks."""
+    framed = b"".join(b"%x\r\n%b\r\n" % (len(chunk), chunk) for chunk in chunks)
+    return head("POST", SC, "Transfer-Encoding: chunked") + framed + b"0\r\n\r\n"
+
+
+REFUSED: list[tuple[str, Callable[[], bytes], int, str]] = [
+    ("body above the limit", lambda: sized(b" " * (BODY_LIMIT + 1)), 413, "body.too_large"),
+    ("said to be huge", lambda: head("POST", SC, f"Content-Length: {2**62}"), 413, "body.too_large"),
+    ("chunks above the limit", lambda: chunked(*[b" " * 65536] * 20), 413, "body.too_large"),
+    ("gzip bomb", lambda: sized(gzip.compress(b"\0" * 200_000_000), "Content-Encoding: gzip"), 413, "body.too_large"),
+    ("many gzip members", lambda: sized(gzip.compress(b"") * 20_000, "Content-Encoding: gzip"), 400, "json.malformed"),
+    ("not gzip", lambda: sized(b"{}", "Content-Encoding: gzip"), 400, "body.gzip"),
+    ("unknown packing", lambda: sized(b"{}", "Content-Encoding: br"), 415, "encoding.unsupported"),
+    ("nested lists", lambda: sized(b"[" * 500_000), 400, "json.malformed"),
+    ("nested and closed", lambda: sized(b"[" * 100_000 + b"]" * 100_000), 400, "json.malformed"),
+    ("nested objects", lambda: sized(b'{"a":' * 100_000), 400, "json.malformed"),
+    ("a number of 900 kB", lambda: sized(b'{"longitude_deg":' + b"9" * 900_000 + b"}"), 400, "json.malformed"),
+    ("100 000 fields", lambda: sized(b"{" + b",".join(b'"f%d":1' % k for k in range(90_000)) + b"}"), 422, ""),
+    ("invalid UTF-8", lambda: sized(b'{"id":"\xff\xfe"}'), 400, "json.malformed"),
+    ("half a surrogate", lambda: sized(b'{"id":"\\ud800"}'), 400, "json.malformed"),
+    ("a NUL", lambda: sized(b'{"id":"a\\u0000"}'), 422, "request.invalid"),
+    ("other content", lambda: head("POST", SC, "Content-Length: 2", "Content-Type: text/xml") + b"{}", 415, ""),
+    ("one huge header", lambda: head("GET", SC, "X-Filler: " + "a" * 100_000), 431, "head.too_large"),
+    ("5000 headers", lambda: head("GET", SC, *[f"X-{k}: 1" for k in range(5000)]), 431, "head.too_large"),
+    ("a path of 100 kB", lambda: head("GET", f"{SC}/{'a' * 100_000}"), 431, "head.too_large"),
+    ("a path of 20 kB", lambda: head("GET", f"{SC}/{'a' * 20_000}"), 404, "spacecraft.unknown"),
+    ("2000 parameters", lambda: head("GET", SC + "?" + "&".join(["a=1"] * 2000)), 400, "query.too_many"),
+    ("a parameter of 20 kB", lambda: head("GET", f"/api/v1/audit?start={'1' * 20_000}"), 422, "value.length"),
+    ("a path that is no ASCII", lambda: head("GET", f"{SC}/\xe9"), 400, "http.malformed"),
+    ("a path that is no UTF-8", lambda: head("GET", f"{SC}/%ff%fe"), 404, "spacecraft.unknown"),
+    ("a NUL in the path", lambda: head("GET", f"{SC}/%00"), 404, "spacecraft.unknown"),
+    ("no HTTP", lambda: b"\x16\x03\x01\x02\x00" * 20 + b"\r\n\r\n", 400, "http.malformed"),
+    ("two lengths", lambda: head("POST", SC, "Content-Length: 2", "Content-Length: 3") + b"{}", 400, "http.malformed"),
+    ("length and chunks", lambda: head("POST", SC, "Content-Length: 2", "Transfer-Encoding: chunked"), 400, ""),
+    ("a length that is none", lambda: head("POST", SC, "Content-Length: -1"), 400, "http.malformed"),
+    ("a chunk that is none", lambda: head("POST", SC, "Transfer-Encoding: chunked") + b"zz\r\n", 400, ""),
+    ("a method of its own", lambda: head("BREW", SC), 400, "http.malformed"),
+    ("a web socket", lambda: head("GET", "/ws", "Connection: Upgrade", "Upgrade: websocket"), 404, "path.unknown"),
+]
+
+
+@pytest.mark.parametrize(("request_of", "status", "code"), [case[1:] for case in REFUSED], ids=[c[0] for c in REFUSED])
+def test_what_cannot_be_meant_is_refused_soon(target, request_of, status, code):
+    whole = request_of()
+    began = time.monotonic()
+    answered, problem = target.answer(whole)
+    assert (answered, problem["status"]) == (status, status), problem
+    assert problem["code"] == code or not code, problem
+    assert time.monotonic() - began < 5.0
+    assert len(json.dumps(problem)) < 20_000
+
+
+@pytest.mark.parametrize(
+    "piece",
+    [b"GET /api/v1/spacecraft HTTP/1.1\r\nX-Slow: ", head("POST", SC, "Content-Length: 1000"), b"G"],
+    ids=["a head", "a body", "a letter"],
+)
+def test_what_stops_in_the_middle_is_ended(target, piece):
+    began = time.monotonic()
+    status, problem = target.answer(piece)
+    assert (status, problem["code"]) == (408, "request.too_slow")
+    assert REQUEST_TIMEOUT_S * 0.9 < time.monotonic() - began < REQUEST_TIMEOUT_S + 3.0
+
+
+def test_what_comes_drop_by_drop_is_ended_and_holds_up_nobody(target):
+    with closing(target.connect()) as slow:
+        slow.sendall(head("POST", SC, "Content-Length: 1000"))
+        began = time.monotonic()
+        while time.monotonic() - began < 10:
+            try:
+                slow.sendall(b" ")
+            except (BrokenPipeError, ConnectionResetError):
+                break
+            time.sleep(0.05)
+            assert httpx.get(target.url + "/healthz", trust_env=False, timeout=2).status_code == 200
+        assert time.monotonic() - began < 5.0
+
+
+def test_who_says_nothing_is_let_go(target):
+    with closing(target.connect()) as silent:
+        began = time.monotonic()
+        assert silent.recv(100) == b""
+        assert time.monotonic() - began < REQUEST_TIMEOUT_S + 3.0
+
+
+def test_a_body_that_breaks_off_stores_nothing(target):
+    for length in (1, 500):
+        with closing(target.connect()) as connection:
+            connection.sendall(head("POST", SC, "Content-Length: 1000") + b" " * length)
+    with httpx.Client(headers={"Authorization": f"Bearer {KEY}"}, trust_env=False) as client:
+        assert client.get(target.url + SC).json()["rows"] == []
+
+
+def test_200_slow_connections_do_not_keep_others_out(target):
+    held = [target.connect() for _ in range(200)]
+    try:
+        for connection in held:
+            connection.sendall(b"GET /")
+        began = time.monotonic()
+        answer = httpx.get(target.url + SC, headers={"Authorization": f"Bearer {KEY}"}, trust_env=False, timeout=5)
+        assert answer.status_code == 200
+        assert time.monotonic() - began < 2.0
+    finally:
+        for connection in held:
+            connection.close()
+
+
+def test_a_small_request_after_another_in_one_piece_is_answered(target):
+    """The bounds count each request for itself."""
+    filler = "X-Filler: " + "a" * 20_000
+    with closing(target.connect()) as connection:
+        for _ in range(5):
+            connection.sendall(head("GET", f"{SC}/unknown", filler))
+            assert read_answer(connection)[0] == 404
+        connection.sendall(head("GET", f"{SC}/unknown") * 3)
+        assert [read_answer_exact(connection)[0] for _ in range(3)] == [404] * 3
+
+
+def read_answer_exact(connection: socket.socket) -> tuple[int, dict[str, Any]]:
+    """Return one answer of several that may come together."""
+    received = b""
+    while b"\r\n\r\n" not in received:
+        received += connection.recv(1)
+    names = dict(line.lower().split(b": ", 1) for line in received.strip().split(b"\r\n")[1:])
+    body = b""
+    while len(body) < int(names[b"content-length"]):
+        body += connection.recv(int(names[b"content-length"]) - len(body))
+    return int(received.split()[1]), json.loads(body)
