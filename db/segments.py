@@ -148,6 +148,12 @@ class SegmentCache:
             while self._bytes > self._size_bytes and len(self._held) > 1:
                 self._bytes -= self._held.popitem(last=False)[1][0]
 
+    def clear(self) -> None:
+        """Forget every piece."""
+        with self._lock:
+            self._held.clear()
+            self._bytes = 0
+
 
 def crc32_of(head: SegmentHead, blobs: Blobs) -> int:
     """Return the checksum of a segment; id and checksum of the head do not count."""

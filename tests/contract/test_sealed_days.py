@@ -288,4 +288,4 @@ def damage(setting, first_epoch_us, column):
         found = connection.scalar(select(measurement_segment.c[column]).where(is_it))
         changed = found + 1 if isinstance(found, int) else found[:-1] + bytes([found[-1] ^ 1])
         connection.execute(update(measurement_segment).where(is_it).values({column: changed}))
-    setting.storage._database.segments._held.clear()
+    setting.storage._database.segments.clear()
