@@ -5,14 +5,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fastapi import FastAPI
+from pydantic import SecretStr
 
 from db.storage import SqlStorage
 from service.api.app import create_app
 from service.api.deps import ApiContext, Limits
 from service.api.observation import Observation
+from service.pipeline.alarm_conditions import condition_table
 from service.ports import Clock, Storage
 from service.records.access_key import AccessKey, Role, StoredKey, digest_of, new_key
+from service.records.alarm import Severity
 from service.records.audit import DONE, Deed
+from service.runtime.alarm_desk import AlarmDesk
+from service.runtime.alarm_mail import Mail, MailRoute
+from service.runtime.alarm_notices import NoticeChannel, NoticeChannels
+from service.runtime.alarm_webhook import Webhook
 from service.runtime.aligning import Aligner
 from service.runtime.calibrating import Calibrator
 from service.runtime.clock import DataClock, SystemClock
@@ -96,11 +103,48 @@ def _bootstrap_key(settings: Settings) -> str | None:
     return (settings.bootstrap_key.get_secret_value() or None) if settings.bootstrap_key is not None else None
 
 
+def build_alarms(settings: Settings, storage: Storage, clock: Clock, feed: LiveFeed) -> AlarmDesk:
+    """Return the alarm desk with the notices of the settings."""
+    conditions = condition_table(settings.alarms, settings.robust)
+    from_severity = Severity[settings.alarm_notices_from.upper()]
+    channels = []
+    url = _secret(settings.alarm_webhook_url)
+    if url:
+        webhook = Webhook(url, _secret(settings.alarm_webhook_secret), clock.system_us)
+        channels.append(NoticeChannel("webhook", webhook.deliver, conditions, from_severity))
+    if settings.alarm_mail_host and settings.alarm_mail_to:
+        route = MailRoute(
+            host=settings.alarm_mail_host,
+            port=settings.alarm_mail_port,
+            sender=settings.alarm_mail_from,
+            receivers=tuple(part.strip() for part in settings.alarm_mail_to.split(",") if part.strip()),
+            security=settings.alarm_mail_security,
+            user=settings.alarm_mail_user or "",
+            password=_secret(settings.alarm_mail_password),
+        )
+        channels.append(NoticeChannel("mail", Mail(route).deliver, conditions, from_severity))
+    return AlarmDesk(
+        storage,
+        clock,
+        feed,
+        conditions,
+        NoticeChannels(channels),
+        check_period_s=settings.alarms.check_period_s,
+        stale_periods=settings.alarms.stale_periods,
+    )
+
+
+def _secret(value: SecretStr | None) -> str:
+    """Return a secret, empty when there is none."""
+    return "" if value is None else value.get_secret_value()
+
+
 def build_app(settings: Settings, storage: Storage) -> FastAPI:
     """Return the application over a migrated archive; its start-up starts the supervisor and the jobs."""
     clock = build_clock(settings, storage)
     feed = LiveFeed()
-    supervisor = Supervisor(storage, feed, settings.chain_config())
+    alarms = build_alarms(settings, storage, clock, feed)
+    supervisor = Supervisor(storage, feed, settings.chain_config(), alarms)
     jobs = JobRunner(storage.results, clock)
 
     upkeep = Upkeep(storage, clock, settings.sealing, settings.retention)
@@ -108,10 +152,12 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
     async def start() -> None:
         jobs.start()
         upkeep.start()
+        alarms.start()
         supervisor.start()
 
     async def stop() -> None:
         await asyncio.to_thread(supervisor.stop)
+        await asyncio.to_thread(alarms.stop)
         await asyncio.to_thread(jobs.stop)
         await asyncio.to_thread(upkeep.stop)
         await asyncio.to_thread(storage.close)
@@ -143,6 +189,7 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
         on_startup=start,
         on_shutdown=stop,
         supervisor=supervisor,
+        alarms=alarms,
         feed=feed,
         calibrator=Calibrator(storage, clock, jobs, settings.calibration),
         aligner=Aligner(storage, clock, settings.alignment),

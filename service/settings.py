@@ -12,6 +12,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from service.api.rate_limits import RateLimitConfig
 from service.pipeline.config import (
+    AlarmConfig,
     AlignmentConfig,
     CalibrationConfig,
     ChainConfig,
@@ -87,6 +88,18 @@ class Settings(BaseSettings):
     max_rows_per_batch: int = Field(10_000, ge=1, description="most rows of one batch")
     evidence_traces: int = Field(2880, ge=0, description="evidence traces kept of one source; 0 keeps none")
     evidence_bytes: int = Field(67_108_864, ge=0, description="bytes that the points of those traces may take")
+    alarm_notices_from: Literal["watch", "warning", "distress", "critical", "severe"] = Field(
+        "warning", description="least severity of alarms that are told by webhook and mail"
+    )
+    alarm_webhook_url: SecretStr | None = Field(None, description="where notices of alarms are POSTed to as JSON")
+    alarm_webhook_secret: SecretStr | None = Field(None, description="shared with the receiver, signs the notices")
+    alarm_mail_host: str | None = Field(None, description="mail server that takes notices of alarms")
+    alarm_mail_port: int = Field(587, ge=1, le=65535, description="its port")
+    alarm_mail_security: Literal["starttls", "tls", "none"] = Field("starttls", description="how the line is secured")
+    alarm_mail_user: str | None = Field(None, description="user at the mail server; without one nobody logs in")
+    alarm_mail_password: SecretStr | None = Field(None, description="that user's password")
+    alarm_mail_from: str = Field("soo@localhost", description="sender of notices")
+    alarm_mail_to: str | None = Field(None, description="receivers of notices, by commas")
     kernels: Literal["numba", "numpy"] = Field(
         "numba", description="who computes the robust filter: `numba` is faster, `numpy` spares 130 MB of memory"
     )
@@ -99,6 +112,7 @@ class Settings(BaseSettings):
     robust: RobustConfig = Field(RobustConfig(), description="the robust method in operation")
     operations: OperationConfig = Field(OperationConfig(), description="what declared operations mean to it")
 
+    alarms: AlarmConfig = Field(AlarmConfig(), description="alarms by default")
     sealing: SealingConfig = Field(SealingConfig(), description="packing of closed days")
     retention: RetentionConfig = Field(RetentionConfig(), description="how long series are kept")
 

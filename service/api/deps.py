@@ -17,6 +17,7 @@ from service.api.rate_limits import RateLimitConfig
 from service.errors import NotFoundError
 from service.pipeline.config import CalibrationConfig
 from service.ports import Clock, Storage
+from service.runtime.alarm_desk import AlarmDesk
 from service.runtime.aligning import Aligner
 from service.runtime.calibrating import Calibrator
 from service.runtime.live_feed import LiveFeed
@@ -79,6 +80,7 @@ class ApiContext:
     clock: Clock
     #: knows the newest carriers, and is told when a journal has grown
     supervisor: Supervisor
+    alarms: AlarmDesk
     #: source of live streams
     feed: LiveFeed
     calibrator: Calibrator

@@ -47,11 +47,27 @@ _PLAIN_ORIGINS: dict[str, str] = {
     "max_rows_per_batch": CHOSEN,
     "evidence_traces": CHOSEN,
     "evidence_bytes": CHOSEN,
+    "alarm_notices_from": CHOSEN,
+    "alarm_webhook_url": CHOSEN,
+    "alarm_webhook_secret": CHOSEN,
+    "alarm_mail_host": CHOSEN,
+    "alarm_mail_port": CHOSEN,
+    "alarm_mail_security": CHOSEN,
+    "alarm_mail_user": CHOSEN,
+    "alarm_mail_password": CHOSEN,
+    "alarm_mail_from": CHOSEN,
+    "alarm_mail_to": CHOSEN,
     "kernels": CHOSEN,
 }
 
 #: settings inside a stage's configuration: meaning with unit, origin of the default
 _STAGE_MEANINGS: dict[str, tuple[str, str]] = {
+    "alarms.attitude_warning_deg": ("an angle beyond this is a warning, deg", PUBLISHED),
+    "alarms.attitude_critical_deg": ("an angle beyond this is critical, deg", PUBLISHED),
+    "alarms.stale_periods": ("no row for so many row periods is a warning", CHOSEN),
+    "alarms.disk_warning_mb": ("less room than this beside the archive's file is a warning, MB", CHOSEN),
+    "alarms.disk_critical_mb": ("less room than this is critical, MB", CHOSEN),
+    "alarms.check_period_s": ("links, sources and ages are looked at this often, s", CHOSEN),
     "sealing.quiet_s": ("a day is packed this long after its end and after its last row came in, s", CHOSEN),
     "sealing.period_s": ("between two looks for days to pack and rows to drop, s", CHOSEN),
     "sealing.pause_s": ("between two transactions of that work, so that rows come in between them, s", CHOSEN),

@@ -15,7 +15,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from service.pipeline.alarm_conditions import Condition
+from service.errors import FieldError
+from service.pipeline.alarm_conditions import Condition, Kind
 from service.records.alarm_limits import AlarmLimits, ConditionLimits, Statement
 from service.records.catalogue import CarrierPlan
 from service.records.inputs import Operation
@@ -112,3 +113,31 @@ def _changed(limits: ConditionLimits, name: str, stated: AlarmLimits, sets: Sequ
         changes: dict[str, Any] = {**DEFAULT_SETS[chosen].get(name, {}), **stated.sets.get(chosen, {}).get(name, {})}
         limits = replace(limits, **changes) if changes else limits
     return limits
+
+
+def faults_of(conditions: Mapping[str, Condition], stated: AlarmLimits) -> tuple[FieldError, ...]:
+    """Return what is wrong with stated limits: unknown conditions, severities out of order."""
+    faults = []
+    for chosen, statements in stated.sets.items():
+        for name in statements:
+            pointer = f"/sets/{chosen}/{name}"
+            if name not in conditions:
+                detail = f"there is no condition {name[:64]!r}; docs/reference/alarms.md lists them"
+                faults.append(FieldError(pointer, "alarm_limits.condition", detail))
+            elif not _is_ordered(
+                conditions[name].kind, _changed(conditions[name].limits, name, stated, _up_to(chosen))
+            ):
+                detail = "a higher severity must not be reached before a lower one; mind the limits that are not stated"
+                faults.append(FieldError(pointer, "alarm_limits.order", detail))
+    return tuple(faults)
+
+
+def _up_to(chosen: str) -> tuple[str, ...]:
+    """Return the sets that hold when one is in force alone."""
+    return (NORMAL,) if chosen == NORMAL else (NORMAL, chosen)
+
+
+def _is_ordered(kind: Kind, limits: ConditionLimits) -> bool:
+    """Whether limits of rising severity lie ever farther out."""
+    stated = [threshold for threshold in limits.thresholds if threshold is not None]
+    return stated == sorted(stated, reverse=kind is Kind.BELOW)

@@ -103,6 +103,11 @@ class CalibrationRequest:
     source_roll: str = "star_tracker"
     source_pitch: str = "star_tracker"
 
+    @property
+    def data_until_us(self) -> int:
+        """End of the data that it is made from."""
+        return max(self.quiet.stop_us, self.turns.stop_us)
+
 
 @dataclass(frozen=True, slots=True)
 class CalibrationResult:

@@ -11,6 +11,8 @@ DEFAULT_PERIOD_S = 60.0
 SILENT_PERIODS = 3.0
 #: state of the last report of a front end that ends in good order; no further one is to be expected
 STOPPED = "STOPPED"
+#: states in which a link brings nothing and should
+DOWN_STATES = frozenset({"BACKOFF", "FAULT", "FAILED", "STUCK", "SERVICE_AWAY", "UNAVAIL"})
 #: how fast a learned period follows the times between reports, and the least and greatest it can become, s
 _LEARNING_RATE = 0.25
 _SHORTEST_PERIOD_S = 1.0
@@ -70,6 +72,10 @@ class LinkState:
     def is_silent(self, now_us: int) -> bool:
         """Whether the link has missed its reports; one that has said that it stops owes none."""
         return self.report.state != STOPPED and now_us - self.reported_at_us > SILENT_PERIODS * self.period_s * US_PER_S
+
+    def is_down(self, now_us: int) -> bool:
+        """Whether a link that should work does not."""
+        return self.enabled and (self.is_silent(now_us) or self.report.state in DOWN_STATES)
 
 
 def learn_period(before_s: float | None, interval_s: float) -> float:

@@ -11,13 +11,11 @@ from service.errors import NotFoundError
 from service.pipeline.alarm_book import Readings
 from service.pipeline.alarm_readings import RowReader
 from service.ports import Clock, Storage
-from service.records.calibration import CalibrationRequest, CalibrationState
+from service.records.calibration import CalibrationState
 from service.records.epoch import US_PER_S
 from service.records.link import LinkState
 from service.records.series import SourceState
 
-#: states in which a link brings nothing and should
-_DOWN_STATES = frozenset({"BACKOFF", "FAULT", "FAILED", "STUCK", "SERVICE_AWAY", "UNAVAIL"})
 _SILENT = "SILENT"
 #: the least age of a warning, so that one of this very instant stands too, s
 _LEAST_AGE_S = 1e-3
@@ -69,7 +67,7 @@ class ClockChecks:
     def of_foundations(self, spacecraft_id: str, now_us: int) -> Iterator[Readings]:
         """Yield what is looked at in what the estimate rests on: calibrations and ephemeris."""
         active = self._storage.results.calibrations(spacecraft_id, CalibrationState.ACTIVE)
-        ages = {f"{one.request.method} {one.id}": now_us - _end_us(one.request) for one in active}
+        ages = {f"{one.request.method} {one.id}": now_us - one.request.data_until_us for one in active}
         yield Readings("calibration_old", tuple(ages), tuple(age_us / _DAY_US for age_us in ages.values()))
         try:
             ephemeris = self._storage.catalogue.ephemeris(spacecraft_id)
@@ -121,8 +119,8 @@ class ClockChecks:
 
     def _down_s(self, link: LinkState, now_us: int) -> float:
         """Return for how long a link that should work has not, 0 while it does."""
-        name, state = link.report.id, _state(link, now_us)
-        if not link.enabled or (state != _SILENT and state not in _DOWN_STATES):
+        name = link.report.id
+        if not link.is_down(now_us):
             self._down_since_us.pop(name, None)
             return 0.0
         since_us = self._down_since_us.setdefault(name, link.reported_at_us)
@@ -160,8 +158,3 @@ def _missing(sources: tuple[SourceState, ...], seen: _Seen, now_us: int) -> tupl
         history.append((now_us, source.rows_missing))
         grown[source.id] = float(source.rows_missing - min(count for _, count in history))
     return tuple(grown), tuple(grown.values())
-
-
-def _end_us(request: CalibrationRequest) -> int:
-    """Return the end of the data that a calibration was made from."""
-    return max(request.quiet.stop_us, request.turns.stop_us)

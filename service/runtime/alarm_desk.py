@@ -150,6 +150,11 @@ class AlarmDesk:
                 self._tell(self._case(spacecraft_id).use_limits(stored, self._now_us(spacecraft_id)))
         return stored
 
+    def sets_in_force(self, spacecraft_id: str) -> tuple[str, ...]:
+        """Return the limit sets in force, as the newest row found them."""
+        with self._lock:
+            return self._case(spacecraft_id).book.circumstances.sets
+
     def present_value(self, alarm: Alarm) -> float:
         """Return the newest value behind an open alarm, NaN where none is known."""
         case = self._cases.get(alarm.spacecraft_id)

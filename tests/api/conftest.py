@@ -90,6 +90,7 @@ async def soo(storage: SqlStorage) -> AsyncIterator[Soo]:
         clock=clock,
         # the routes under these tests store and list; none of them may ask for what computes
         supervisor=cast("Any", None),
+        alarms=cast("Any", None),
         feed=cast("Any", None),
         calibrator=cast("Any", None),
         aligner=cast("Any", None),

@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
+from pydantic import SecretStr
 from typer.testing import CliRunner
 
 from service.cli.app import app
@@ -39,13 +40,15 @@ def test_each_variable_reaches_its_setting(name: str, monkeypatch: pytest.Monkey
     special = {"SOO_CLOCK": "data", "SOO_LOG_LEVEL": "debug", "SOO_KERNELS": "numpy", "SOO_BOOTSTRAP_KEY": "a-secret"}
     special["SOO_TRUSTED_PROXIES"] = "10.0.0.1"
     special |= {"SOO_LOG_FORMAT": "text", "SOO_ACCESS_LOG": "False", "SOO_METRICS_NEED_KEY": "True"}
+    special |= {"SOO_ALARM_NOTICES_FROM": "critical", "SOO_ALARM_MAIL_SECURITY": "tls"}
     is_number = re.fullmatch(r"\d+(\.\d+)?(e-?\d+)?", default)
     other = special.get(name) or (str(type_of(default)(float(default) * 2.0)) if is_number else f"{default}x")
     monkeypatch.setenv(name, other)
     entries = list(setting_entries(Settings.model_validate({})))
     changed = {entry.name: entry.value for entry in entries if entry.value != entry.default}
     assert list(changed) == [name]
-    assert changed[name] == ("(set)" if name == "SOO_BOOTSTRAP_KEY" else other)
+    is_secret = isinstance(getattr(Settings.model_validate({}), name.removeprefix("SOO_").lower(), None), SecretStr)
+    assert changed[name] == ("(set)" if is_secret else other)
 
 
 def type_of(default: str) -> type[int] | type[float]:

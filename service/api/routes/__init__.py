@@ -3,6 +3,8 @@
 from fastapi import APIRouter
 
 from service.api.routes import (
+    alarm_limits,
+    alarms,
     alignments,
     analyses,
     attitude,
@@ -12,6 +14,7 @@ from service.api.routes import (
     carriers,
     ephemeris,
     export,
+    handover,
     harmonics,
     health,
     inputs,
@@ -20,6 +23,7 @@ from service.api.routes import (
     links,
     measurements,
     measurements_ingest,
+    notes,
     operations,
     replays,
     samples,
@@ -56,6 +60,11 @@ ROUTERS: tuple[APIRouter, ...] = (
     jobs.router,
     links.report_router,
     links.router,
+    alarms.list_router,
+    alarms.router,
+    alarm_limits.router,
+    notes.router,
+    handover.router,
     keys.router,
     audit.router,
     analyses.router,

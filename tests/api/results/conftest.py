@@ -14,7 +14,8 @@ from fastapi import FastAPI
 from db.storage import SqlStorage
 from service.api.app import create_app
 from service.api.deps import ApiContext, Limits
-from service.pipeline.config import AlignmentConfig, CalibrationConfig, ChainConfig
+from service.pipeline.alarm_conditions import condition_table
+from service.pipeline.config import AlarmConfig, AlignmentConfig, CalibrationConfig, ChainConfig, RobustConfig
 from service.ports import LIVE, Outcome
 from service.records.attitude import AttitudeRow, Axes, Exclusion, Status
 from service.records.calibration import (
@@ -44,6 +45,8 @@ from service.records.catalogue import (
 from service.records.command import Pulse, TorqueCommand
 from service.records.job import Replay
 from service.records.measurement import CarrierDetails, Measurement, MeasurementBatch
+from service.runtime.alarm_desk import AlarmDesk
+from service.runtime.alarm_notices import NoticeChannels
 from service.runtime.aligning import Aligner
 from service.runtime.calibrating import Calibrator
 from service.runtime.jobs import JobRunner
@@ -294,6 +297,8 @@ async def bench(storage: SqlStorage) -> AsyncIterator[Bench]:
         storage=storage,
         clock=clock,
         supervisor=Supervisor(storage, feed, config),
+        # its thread is not started: tests look when they want to
+        alarms=AlarmDesk(storage, clock, feed, condition_table(AlarmConfig(), RobustConfig()), NoticeChannels()),
         feed=feed,
         calibrator=Calibrator(storage, clock, jobs, CalibrationConfig()),
         aligner=Aligner(storage, clock, AlignmentConfig()),

@@ -31,6 +31,13 @@ PLAIN = {
     "SOO_MAX_ROWS_PER_BATCH": ("max_rows_per_batch", "5", 5),
     "SOO_EVIDENCE_TRACES": ("evidence_traces", "0", 0),
     "SOO_EVIDENCE_BYTES": ("evidence_bytes", "1000", 1000),
+    "SOO_ALARM_NOTICES_FROM": ("alarm_notices_from", "critical", "critical"),
+    "SOO_ALARM_MAIL_HOST": ("alarm_mail_host", "mail.test", "mail.test"),
+    "SOO_ALARM_MAIL_PORT": ("alarm_mail_port", "25", 25),
+    "SOO_ALARM_MAIL_SECURITY": ("alarm_mail_security", "tls", "tls"),
+    "SOO_ALARM_MAIL_USER": ("alarm_mail_user", "anna", "anna"),
+    "SOO_ALARM_MAIL_FROM": ("alarm_mail_from", "soo@ground.test", "soo@ground.test"),
+    "SOO_ALARM_MAIL_TO": ("alarm_mail_to", "a@x.test,b@x.test", "a@x.test,b@x.test"),
 }
 
 

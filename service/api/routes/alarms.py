@@ -1,0 +1,107 @@
+"""Alarms: what stands, what happened, and what operators do about it."""
+
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Depends, Path, Query, Request, Response
+from pydantic import TypeAdapter
+
+from service.api.auth import MAY_OPERATE, CurrentPrincipal
+from service.api.bodies import accepts, body_of, read_body
+from service.api.deps import Context, SpacecraftId
+from service.api.paging import Page, Place, cut_page
+from service.api.schemas.alarms import (
+    AlarmAnswer,
+    AlarmChangeAnswer,
+    AlarmHistoryAnswer,
+    AlarmPage,
+    RemarkDocument,
+    ShelveDocument,
+    StateWord,
+)
+from service.api.schemas.base import WindowAnswer
+from service.records.alarm import Alarm
+
+#: lists stand below a spacecraft, ids are global
+list_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/alarms", tags=["alarms"])
+router = APIRouter(prefix="/alarms", tags=["alarms"])
+AlarmId = Annotated[int, Path(ge=1, le=2**53)]
+_REMARK: TypeAdapter[RemarkDocument] = TypeAdapter(RemarkDocument)
+
+
+async def _remark(request: Request) -> RemarkDocument:
+    """Return what the operator says; an empty body says nothing."""
+    return await read_body(request, _REMARK) if await request.body() else RemarkDocument()
+
+
+def _accepts_remark() -> dict[str, Any]:
+    """Return what the OpenAPI document says about a body that may be left out."""
+    told = accepts(RemarkDocument)
+    return {"requestBody": {**told["requestBody"], "required": False}}
+
+
+Said = Annotated[RemarkDocument, Depends(_remark)]
+
+
+@list_router.get("")
+def list_alarms(
+    spacecraft_id: SpacecraftId,
+    page: Page,
+    context: Context,
+    request: Request,
+    response: Response,
+    state: Annotated[list[StateWord] | None, Query(description="Default open; may be repeated")] = None,
+) -> AlarmPage:
+    """List alarms of a spacecraft and of the service raised in the range, those that stand by default."""
+    context.storage.catalogue.spacecraft(spacecraft_id)
+    states = state or ["open"]
+    found = context.storage.alarms.alarms(spacecraft_id, states, page.window, page.limit + 1, page.after)
+    alarms, cursor = cut_page(found, page.limit, _place, request, response)
+    rows = [AlarmAnswer.of(alarm, context.alarms.present_value(alarm)) for alarm in alarms]
+    return AlarmPage(range=WindowAnswer.of(page.window), rows=rows, next=cursor)
+
+
+@router.get("/{alarm_id}")
+def get_alarm(alarm_id: AlarmId, context: Context) -> AlarmHistoryAnswer:
+    """Return an alarm and what happened to it."""
+    alarm = context.storage.alarms.alarm(alarm_id)
+    changes = [AlarmChangeAnswer.of(change) for change in context.storage.alarms.changes(alarm_id)]
+    return AlarmHistoryAnswer(alarm=AlarmAnswer.of(alarm, context.alarms.present_value(alarm)), changes=changes)
+
+
+@router.post("/{alarm_id}:acknowledge", dependencies=[MAY_OPERATE], openapi_extra=_accepts_remark())
+def acknowledge_alarm(alarm_id: AlarmId, body: Said, context: Context, principal: CurrentPrincipal) -> AlarmAnswer:
+    """Say that the alarm was seen; it is told no more unless it becomes worse or comes back."""
+    return _told(context, context.alarms.acknowledge(alarm_id, principal.name, body.comment))
+
+
+@router.post("/{alarm_id}:shelve", dependencies=[MAY_OPERATE], openapi_extra=accepts(ShelveDocument))
+def shelve_alarm(
+    alarm_id: AlarmId,
+    body: Annotated[ShelveDocument, body_of(ShelveDocument)],
+    context: Context,
+    principal: CurrentPrincipal,
+) -> AlarmAnswer:
+    """Keep the alarm quiet until an instant, at most 24 h ahead."""
+    return _told(context, context.alarms.shelve(alarm_id, principal.name, body.comment, body.until))
+
+
+@router.post("/{alarm_id}:unshelve", dependencies=[MAY_OPERATE], openapi_extra=_accepts_remark())
+def unshelve_alarm(alarm_id: AlarmId, body: Said, context: Context, principal: CurrentPrincipal) -> AlarmAnswer:
+    """End a shelving before its time."""
+    return _told(context, context.alarms.unshelve(alarm_id, principal.name, body.comment))
+
+
+@router.post("/{alarm_id}:clear", dependencies=[MAY_OPERATE], openapi_extra=_accepts_remark())
+def clear_alarm(alarm_id: AlarmId, body: Said, context: Context, principal: CurrentPrincipal) -> AlarmAnswer:
+    """Close the alarm; a condition that still stands alarms anew after its time."""
+    return _told(context, context.alarms.clear(alarm_id, principal.name, body.comment))
+
+
+def _told(context: Context, alarm: Alarm) -> AlarmAnswer:
+    """Return an alarm as it is told."""
+    return AlarmAnswer.of(alarm, context.alarms.present_value(alarm))
+
+
+def _place(alarm: Alarm) -> Place:
+    """Return where an alarm stands in its list."""
+    return alarm.raised_at_us, alarm.id

@@ -1,0 +1,15 @@
+"""Hand-over: what the next shift must know."""
+
+from fastapi import APIRouter
+
+from service.api.deps import Context, SpacecraftId
+from service.api.handover import handover_of
+from service.api.schemas.handover import HandoverAnswer
+
+router = APIRouter(prefix="/spacecraft/{spacecraft_id}/handover", tags=["shift log"])
+
+
+@router.get("")
+def get_handover(spacecraft_id: SpacecraftId, context: Context) -> HandoverAnswer:
+    """Return alarms, control, ages, links, missing rows and newest notes of a spacecraft."""
+    return handover_of(context, spacecraft_id)

@@ -1,0 +1,272 @@
+"""Alarms, what happens to them, and their limits."""
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BeforeValidator, Field
+
+from service.api.schemas.base import Answer, Document, Epoch, EpochAnswer, Figure, Name, Remark, Text, WindowAnswer
+from service.pipeline.alarm_conditions import condition_table
+from service.pipeline.config import AlarmConfig, RobustConfig
+from service.records.alarm import Alarm, AlarmChange
+from service.records.alarm_limits import AlarmLimits, ConditionLimits, Statement
+
+StateWord = Literal["open", "unacknowledged", "acknowledged", "returned", "latched", "shelved", "suppressed", "closed"]
+SetName = Literal["normal", "rain", "eclipse", "manoeuvre"]
+SeverityWord = Literal["watch", "warning", "distress", "critical", "severe"]
+ConditionName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
+Threshold = Annotated[float | None, Field(ge=-1e9, le=1e9)]
+Seconds = Annotated[float, Field(ge=0, le=604_800)]
+
+#: the words of a condition do not depend on its limits
+_CONDITIONS = condition_table(AlarmConfig(), RobustConfig())
+
+
+def _finite(value: Any) -> Any:
+    """Return None for what JSON cannot tell."""
+    return value if isinstance(value, float) and abs(value) < float("inf") else None
+
+
+FiniteFigure = Annotated[float | None, BeforeValidator(_finite)]
+
+
+class RemarkDocument(Document):
+    """What an operator says to what he does."""
+
+    comment: Remark = ""
+
+
+class ShelveDocument(RemarkDocument):
+    """Until when an alarm is to be quiet."""
+
+    until: Epoch
+    """By the spacecraft's clock, at most 24 h ahead."""
+
+
+class HandlingAnswer(Answer):
+    """What somebody did."""
+
+    by: str
+    at: EpochAnswer = Field(validation_alias="at_us")
+    comment: str
+
+
+class AlarmAnswer(Answer):
+    """One alarm."""
+
+    id: int
+    spacecraft_id: str | None
+    """Null: it concerns the service as a whole."""
+    condition: str
+    thing: str
+    """Which carrier, axis, link .. it is about."""
+    state: Literal["normal", "unacknowledged", "acknowledged", "returned", "latched", "shelved", "suppressed"]
+    """That of the cover where there is one; normal = closed."""
+    is_active: bool
+    """Whether the condition stands."""
+    severity: SeverityWord
+    """Worst since it was raised."""
+    since: EpochAnswer
+    raised_at: EpochAnswer
+    changed_at: EpochAnswer
+    returned_at: EpochAnswer | None
+    value: FiniteFigure
+    """What raised it, or made it worse."""
+    limit: FiniteFigure
+    unit: str
+    present_value: FiniteFigure
+    """Newest value; null where none is known."""
+    detail: str
+    next_step: str
+    count: int
+    """How often the condition came back before the alarm was closed."""
+    repeats: int
+    announced_at: EpochAnswer | None
+    acknowledged: HandlingAnswer | None
+    shelved: HandlingAnswer | None
+    shelved_until: EpochAnswer | None
+    cleared: HandlingAnswer | None
+
+    @classmethod
+    def of(cls, alarm: Alarm, present_value: float = float("nan")) -> Self:
+        """Return the answer that tells an alarm."""
+        condition = _CONDITIONS.get(alarm.condition)
+        return cls.model_validate(
+            {
+                "id": alarm.id,
+                "spacecraft_id": alarm.spacecraft_id,
+                "condition": alarm.condition,
+                "thing": alarm.thing,
+                "state": alarm.state,
+                "is_active": alarm.is_active,
+                "severity": alarm.severity.word,
+                "since": alarm.since_us,
+                "raised_at": alarm.raised_at_us,
+                "changed_at": alarm.changed_at_us,
+                "returned_at": alarm.returned_at_us,
+                "value": alarm.value,
+                "limit": alarm.limit,
+                "unit": alarm.unit,
+                "present_value": present_value,
+                "detail": alarm.detail,
+                "next_step": "" if condition is None else condition.next_step,
+                "count": alarm.count,
+                "repeats": alarm.repeats,
+                "announced_at": alarm.announced_at_us,
+                "acknowledged": alarm.acknowledged,
+                "shelved": alarm.shelved,
+                "shelved_until": alarm.shelved_until_us,
+                "cleared": alarm.cleared,
+            }
+        )
+
+
+class AlarmChangeAnswer(Answer):
+    """One change of an alarm; events `alarm` of the stream tell the same."""
+
+    sequence: int
+    change: str
+    """raised, escalated, returned, repeated, acknowledged, shelved, unshelved, suppressed, released or cleared."""
+    at: EpochAnswer
+    is_told: bool
+    """Whether somebody is told outside: never while it is shelved or suppressed."""
+    by: str | None
+    comment: str | None
+    alarm: AlarmAnswer
+    """The alarm after it."""
+
+    @classmethod
+    def of(cls, change: AlarmChange) -> Self:
+        """Return the answer that tells a change."""
+        return cls.model_validate(
+            {
+                "sequence": change.sequence,
+                "change": change.kind.value,
+                "at": change.at_us,
+                "is_told": change.is_told,
+                "by": None if change.handling is None else change.handling.by,
+                "comment": None if change.handling is None else change.handling.comment,
+                "alarm": AlarmAnswer.of(change.alarm),
+            }
+        )
+
+
+class AlarmPage(Answer):
+    """One page of alarms."""
+
+    range: WindowAnswer
+    rows: list[AlarmAnswer]
+    next: str | None
+
+
+class AlarmHistoryAnswer(Answer):
+    """One alarm and all that happened to it."""
+
+    alarm: AlarmAnswer
+    changes: list[AlarmChangeAnswer]
+
+
+class StatementDocument(Document):
+    """What a set states for one condition; what is left out keeps its default, a threshold of null is switched off."""
+
+    watch: Threshold = None
+    warning: Threshold = None
+    distress: Threshold = None
+    critical: Threshold = None
+    severe: Threshold = None
+    deadband: Annotated[float, Field(ge=0, le=1e9)] = 0.0
+    on_s: Seconds = 0.0
+    off_s: Seconds = 0.0
+    repeat_s: Annotated[float | None, Field(ge=10, le=604_800)] = None
+    latching: bool = False
+    suppressed: bool = False
+    enabled: bool = True
+
+    def to_record(self) -> Statement:
+        """Return what was stated, and no more."""
+        return self.model_dump(exclude_unset=True)
+
+
+class LimitsDocument(Document):
+    """Limits of a spacecraft; what GET gives can be PUT, for this or another spacecraft."""
+
+    sets: dict[SetName, dict[ConditionName, StatementDocument]] = Field(default_factory=dict)
+    nominal_dbm: dict[Name, Annotated[float, Field(ge=-250, le=50)]] = Field(default_factory=dict, max_length=1000)
+    """Levels of carriers of which nothing better is expected."""
+    comment: Remark = ""
+    version: Annotated[int, Field(ge=0)] | None = None
+    """As exported; not looked at."""
+    created_at: Epoch | None = None
+    """As exported; not looked at."""
+    created_by: Text | None = None
+    """As exported; not looked at."""
+
+    def to_record(self, created_at_us: int, created_by: str) -> AlarmLimits:
+        """Return the limits that this document states."""
+        sets: dict[str, dict[str, Statement]] = {
+            chosen: {name: statement.to_record() for name, statement in statements.items()}
+            for chosen, statements in self.sets.items()
+        }
+        return AlarmLimits(0, created_at_us, created_by, self.comment, sets, dict(self.nominal_dbm))
+
+
+class LimitsAnswer(Answer):
+    """One version of the limits of a spacecraft: what it states beyond the defaults."""
+
+    version: int
+    """0 = the defaults, nothing was stated."""
+    created_at: EpochAnswer | None
+    created_by: str | None
+    comment: str
+    sets: dict[str, dict[str, dict[str, float | bool | None]]]
+    nominal_dbm: dict[str, float]
+
+    @classmethod
+    def of(cls, limits: AlarmLimits) -> Self:
+        """Return the answer that tells a version."""
+        return cls.model_validate(
+            {
+                "version": limits.version,
+                "created_at": limits.created_at_us if limits.version else None,
+                "created_by": limits.created_by if limits.version else None,
+                "comment": limits.comment,
+                "sets": limits.sets,
+                "nominal_dbm": limits.nominal_dbm,
+            }
+        )
+
+
+class ConditionLimitsAnswer(Answer):
+    """Limits of one condition as they are in force."""
+
+    kind: str
+    """above, below or lasting."""
+    unit: str
+    watch: Figure
+    warning: Figure
+    distress: Figure
+    critical: Figure
+    severe: Figure
+    deadband: float
+    on_s: float
+    off_s: float
+    repeat_s: float | None
+    latching: bool
+    suppressed: bool
+    enabled: bool
+
+    @classmethod
+    def of(cls, name: str, limits: ConditionLimits) -> Self:
+        """Return the answer that tells the limits of a condition."""
+        names = ConditionLimits.__dataclass_fields__
+        condition = _CONDITIONS[name]
+        told = {field: getattr(limits, field) for field in names}
+        return cls.model_validate({"kind": condition.kind.value, "unit": condition.unit, **told})
+
+
+class LimitsInForceAnswer(Answer):
+    """Limits as they are in force now."""
+
+    version: int
+    sets: list[str]
+    """Sets in force, the later ones prevail."""
+    conditions: dict[str, ConditionLimitsAnswer]

@@ -1,0 +1,106 @@
+"""Hand-over: what the next shift must know."""
+
+from service.api.schemas.alarms import AlarmAnswer
+from service.api.schemas.base import Answer, EpochAnswer
+from service.api.schemas.links import LinkAnswer
+from service.api.schemas.notes import NoteAnswer
+from service.api.schemas.operations import OperationAnswer
+from service.api.schemas.status import StatusAnswer
+
+
+class HandoverControlAnswer(Answer):
+    """What control does."""
+
+    mode: str
+    release: str
+    method: str
+    state: str
+    reasons: list[str]
+    """Why no torque reaches the spacecraft by itself."""
+    authorised_until: EpochAnswer | None
+    """End of the time for which control was given free; null: it is not bounded in time."""
+
+
+class HandoverCalibrationAnswer(Answer):
+    """An active calibration."""
+
+    id: int
+    method: str
+    created_at: EpochAnswer
+    data_until: EpochAnswer
+    """End of the data that it was made from."""
+    age_days: float
+
+
+class HandoverEphemerisAnswer(Answer):
+    """The ephemeris in force."""
+
+    id: int
+    valid_start: EpochAnswer
+    valid_stop: EpochAnswer
+    hours_left: float
+
+
+class HandoverAlignmentAnswer(Answer):
+    """The alignment in force."""
+
+    id: int
+    epoch: EpochAnswer
+    age_hours: float
+
+
+class HandoverKeyAnswer(Answer):
+    """A key that ends soon."""
+
+    id: str
+    name: str
+    role: str
+    expires_at: EpochAnswer
+    days_left: float
+
+
+class HandoverSourceAnswer(Answer):
+    """Rows that did not come."""
+
+    source: str
+    role: str
+    newest_epoch: EpochAnswer | None
+    rows_missing: int | None
+
+
+class HandoverNoticesAnswer(Answer):
+    """What became of notices to the outside."""
+
+    channel: str
+    waiting: int
+    sent: int
+    failed: int
+    dropped: int
+
+
+class HandoverAnswer(Answer):
+    """What the next shift must know of a spacecraft."""
+
+    spacecraft_id: str
+    at: EpochAnswer
+    """By the spacecraft's clock."""
+    alarms: list[AlarmAnswer]
+    """Those that stand, worst first."""
+    shelved: list[AlarmAnswer]
+    """With the instant at which each one comes back."""
+    suppressed: list[AlarmAnswer]
+    control: HandoverControlAnswer
+    status: StatusAnswer
+    calibrations: list[HandoverCalibrationAnswer]
+    alignment: HandoverAlignmentAnswer | None
+    ephemeris: HandoverEphemerisAnswer | None
+    keys: list[HandoverKeyAnswer]
+    """Those that end within 30 days."""
+    links: list[LinkAnswer]
+    """Those that do not work, are disabled or warn."""
+    sources: list[HandoverSourceAnswer]
+    operations: list[OperationAnswer]
+    """In force, or beginning within 24 h."""
+    notes: list[NoteAnswer]
+    """The newest 20, newest first."""
+    notices: list[HandoverNoticesAnswer]

@@ -1,0 +1,63 @@
+"""Notes of the shift log."""
+
+from typing import Annotated, Self
+
+from pydantic import Field, StringConstraints
+
+from service.api.deps import SPACECRAFT_ID_PATTERN
+from service.api.schemas.base import Answer, Document, Epoch, EpochAnswer, Name, WindowAnswer
+from service.records.note import Note
+
+MAX_TAGS = 16
+NoteText = Annotated[
+    str, StringConstraints(min_length=1, max_length=8000, pattern=r"^[^\x00-\x08\x0b\x0c\x0e-\x1f\x7f]*$")
+]
+
+
+class NoteDocument(Document):
+    """A note; it cannot be changed, a later one may correct it."""
+
+    text: NoteText
+    spacecraft_id: Annotated[str, StringConstraints(pattern=SPACECRAFT_ID_PATTERN)] | None = None
+    epoch: Epoch | None = None
+    """Instant that it is about; default now, by the spacecraft's clock."""
+    tags: list[Name] = Field(default_factory=list, max_length=MAX_TAGS)
+    corrects: Annotated[int, Field(ge=1, le=2**53)] | None = None
+    """Id of the note that this one corrects."""
+
+
+class NoteAnswer(Answer):
+    """A note."""
+
+    id: int
+    spacecraft_id: str | None
+    epoch: EpochAnswer
+    written_at: EpochAnswer
+    author: str
+    text: str
+    tags: list[str]
+    corrects: int | None
+
+    @classmethod
+    def of(cls, note: Note) -> Self:
+        """Return the answer that tells a note."""
+        return cls.model_validate(
+            {
+                "id": note.id,
+                "spacecraft_id": note.spacecraft_id,
+                "epoch": note.epoch_us,
+                "written_at": note.written_at_us,
+                "author": note.author,
+                "text": note.text,
+                "tags": list(note.tags),
+                "corrects": note.corrects,
+            }
+        )
+
+
+class NotePage(Answer):
+    """One page of notes."""
+
+    range: WindowAnswer
+    rows: list[NoteAnswer]
+    next: str | None
