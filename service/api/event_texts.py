@@ -11,6 +11,7 @@ from starlette.concurrency import run_in_threadpool
 
 from service.api.carrier_names import CarrierNames
 from service.api.deps import ApiContext
+from service.api.schemas.alarms import AlarmChangeAnswer
 from service.api.schemas.attitude import AttitudeAnswer
 from service.api.schemas.base import Answer
 from service.api.schemas.measurement_rows import MeasurementAnswer
@@ -18,6 +19,7 @@ from service.api.schemas.status import StatusAnswer
 from service.api.schemas.torques import TorqueAnswer
 from service.api.status import status_of
 from service.ports import LIVE
+from service.records.alarm import AlarmChange
 from service.records.attitude import AttitudeRow
 from service.records.command import TorqueCommand
 from service.records.measurement import Measurement
@@ -59,6 +61,8 @@ class EventTexts:
                 return AttitudeAnswer.of(row, LIVE)
             case TorqueCommand() as command:
                 return TorqueAnswer.of(command)
+            case AlarmChange() as change:
+                return AlarmChangeAnswer.of(change)
             case content:
                 message = f"an event {event.kind} tells {type(content).__name__}"
                 raise TypeError(message)

@@ -50,15 +50,24 @@ class ArchiveReader:
     def present_and_end(self) -> tuple[Cursor, Cursor]:
         """Return the place of the present, and the greatest place that an id can name."""
         head = self._storage.archive.head(self._spacecraft_id)
-        return Cursor(head.consumed_number, head.result_sequence), Cursor(head.newest_number, head.result_sequence)
+        alarm = self._storage.alarms.newest_sequence()
+        present = Cursor(head.consumed_number, head.result_sequence, alarm)
+        return present, present._replace(number=head.newest_number)
 
     def next_page(self, place: Cursor) -> Page:
-        """Return the next measurements and results beyond a place, in this order."""
+        """Return the next measurements, results and changes of alarms beyond a place, in this order."""
         head = self._storage.archive.head(self._spacecraft_id)
         rows, number, lost_rows = self._rows(place)
         results, sequence, lost_results = self._results(place._replace(number=number), head.result_sequence)
         lost = lost_to_retention(lost_rows, lost_results) if lost_rows or lost_results else None
-        return Page([*rows, *results], place._replace(number=number, sequence=sequence), lost)
+        changes = self._changes(place._replace(number=number, sequence=sequence))
+        reached = changes[-1].cursor if changes else place._replace(number=number, sequence=sequence)
+        return Page([*rows, *results, *changes], reached, lost)
+
+    def _changes(self, place: Cursor) -> list[FeedEvent]:
+        """Return the next changes of alarms; their numbers are shared by all spacecraft, so none is missed in a gap."""
+        found = self._storage.alarms.changes_after(self._spacecraft_id, place.alarm, _AT_ONCE)
+        return [FeedEvent("alarm", place._replace(alarm=change.sequence), change) for change in found]
 
     def _rows(self, place: Cursor) -> tuple[list[FeedEvent], int, int]:
         """Return the next measurements, the number that they reach to, and how many numbers are missing."""
