@@ -1,16 +1,41 @@
 """Migrations go up, down and up again, and what they make is what the tables say."""
 
+import numpy as np
 import pytest
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
-from sqlalchemy import inspect
+from sqlalchemy import inspect, select
 
 import db.alarm_tables
 import db.key_tables  # noqa: F401 - their tables belong to the schema
 from db.engine import open_engines
 from db.migrate import downgrade, upgrade
 from db.sequence_numbers import Block, SequenceNumbers, Tail
-from db.tables import metadata
+from db.storage import SqlStorage
+from db.tables import measurement, measurement_detail, metadata
+from service.records.catalogue import Carrier, Site, Spacecraft
+from service.records.measurement import CarrierDetails, MeasurementBatch
+
+INERTIA = ((4000.0, 0.0, 0.0), (0.0, 2000.0, 0.0), (0.0, 0.0, 4000.0))
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def url(request, tmp_path):
+    """An empty database of each kind."""
+    if request.param == "sqlite":
+        yield f"sqlite:///{tmp_path / 'soo.db'}"
+        return
+    cluster = request.getfixturevalue("postgresql_cluster")
+    made = cluster.new_database()
+    yield made
+    cluster.drop(made)
+
+
+@pytest.fixture
+def any_engine(url):
+    engines = open_engines(url)
+    yield engines.write
+    engines.dispose()
 
 
 @pytest.fixture
@@ -21,28 +46,78 @@ def engine(tmp_path):
 
 
 def schema(engine):
+    """Return what each table is made of, as text."""
+    if engine.dialect.name == "postgresql":
+        found = inspect(engine)
+        parts = (found.get_columns, found.get_pk_constraint, found.get_indexes, found.get_unique_constraints)
+        names = [name for name in found.get_table_names() if not name.startswith("alembic")]
+        return {name: repr([part(name) for part in parts]) for name in names}
     with engine.connect() as connection:
         rows = connection.exec_driver_sql("SELECT name, sql FROM sqlite_master ORDER BY name").all()
     return {name: sql for name, sql in rows if not name.startswith("alembic")}
 
 
-def test_up_down_up_leaves_the_same_schema(engine):
-    upgrade(engine)
-    first = schema(engine)
-    downgrade(engine)
-    assert {name for name in schema(engine) if not name.startswith("sqlite_")} == set()
-    upgrade(engine)
-    assert schema(engine) == first
+def test_up_down_up_leaves_the_same_schema(any_engine):
+    upgrade(any_engine)
+    first = schema(any_engine)
+    assert "measurement_segment" in first
+    downgrade(any_engine)
+    assert {name for name in schema(any_engine) if not name.startswith("sqlite_")} == set()
+    upgrade(any_engine)
+    assert schema(any_engine) == first
 
 
-def test_migrating_twice_changes_nothing(engine):
+def test_a_schema_without_segments_gets_their_rows_back(url):
+    """An archive with sealed days goes down to the version before them and up again, and loses nothing."""
+    storage = SqlStorage(url)
+    storage.migrate()
+    engine = storage._database.engines.write
+    storage.catalogue.add_spacecraft(Spacecraft("craft", "craft", 90.0, Site(55.0, 38.0), INERTIA, 0.05))
+    plan = storage.catalogue.put_plan("craft", [Carrier("c00", "C", "t0", 3.7e9, 5e6)], "sha")
+    for source, has_more in (("sa-1", True), ("sa-2", False)):
+        details = CarrierDetails(*np.full((4, 3, 1), 0.1, dtype=np.float32)) if has_more else None
+        batch = MeasurementBatch(
+            "craft",
+            source,
+            plan.id,
+            received_at_us=77,
+            index=np.arange(3),
+            epochs_us=np.array([10, 30, 20]),
+            power_dbm=np.array([[-50.1], [np.nan], [-0.0]], dtype=np.float32),
+            flags=((1 << 22,), None, (0,)) if has_more else (None,) * 3,
+            is_stale=np.array([True, False, False]),
+            first_seq=5 if has_more else None,
+            details=details,
+        )
+        storage.archive.append_measurements(batch).result(10)
+    before = stored_rows(engine)
+    journal = repr(storage.archive.journal("craft", 0, 99))
+    assert sum(part.rows for part in storage.archive.seal("craft", 1 << 60, 1 << 60)) == 6
+    assert stored_rows(engine) == ([], [])
+    assert repr(storage.archive.journal("craft", 0, 99)) == journal
+    downgrade(engine, "0004")
+    assert stored_rows(engine) == before
     upgrade(engine)
-    first = schema(engine)
-    upgrade(engine)
-    assert schema(engine) == first
+    assert repr(storage.archive.journal("craft", 0, 99)) == journal
+    storage.close()
 
 
-def test_the_migrations_make_the_tables_of_the_code(engine):
+def stored_rows(engine):
+    with engine.connect() as connection:
+        rows = connection.execute(select(measurement).order_by(measurement.c.number)).all()
+        order = measurement_detail.c.source_key, measurement_detail.c.epoch_us
+        return rows, connection.execute(select(measurement_detail).order_by(*order)).all()
+
+
+def test_migrating_twice_changes_nothing(any_engine):
+    upgrade(any_engine)
+    first = schema(any_engine)
+    upgrade(any_engine)
+    assert schema(any_engine) == first
+
+
+def test_the_migrations_make_the_tables_of_the_code(any_engine):
+    engine = any_engine
     upgrade(engine)
     with engine.connect() as connection:
         context = MigrationContext.configure(connection, opts={"compare_type": False})
