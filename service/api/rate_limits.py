@@ -17,6 +17,8 @@ MAX_ADDRESSES = 4096
 _SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 #: ends of the paths that stations send to
 _INGEST_ENDS = (":batch", ":report", "/traces")
+#: ends of the paths that may read the whole archive
+_EXPORT_ENDS = (":export", ":manifest")
 
 
 class RateClass(StrEnum):
@@ -142,7 +144,7 @@ def class_of(method: str, path: str) -> RateClass:
     'ingest'
     """
     if method in _SAFE_METHODS:
-        return RateClass.EXPORT if path.endswith(":export") else RateClass.READ
+        return RateClass.EXPORT if path.endswith(_EXPORT_ENDS) else RateClass.READ
     return RateClass.INGEST if path.endswith(_INGEST_ENDS) else RateClass.CONTROL
 
 
