@@ -30,6 +30,19 @@ def test_a_replay_in_the_order_of_the_journal_is_the_live_run_bit_for_bit(lived,
     assert [repr(item) for item in commands] == [repr(item) for item in lived.commands(start=start, stop=stop)]
 
 
+def test_sealed_days_replay_bit_for_bit(lived):
+    live = [repr(row) for row in lived.rows()]
+    before = [repr(row) for row in lived.rows(lived.replay(1, 300))]
+    by_epoch = [repr(row) for row in lived.rows(lived.replay(1, 300, order="epoch"))]
+    entries = repr(lived.storage.archive.journal(lived.id, 0, 100_000))
+    sealed = sum(part.rows for part in lived.storage.archive.seal(lived.id, 1 << 60, 1 << 60))
+    assert sealed == sum(source.rows for source in lived.storage.archive.sources(lived.id)) > 1000
+    assert repr(lived.storage.archive.journal(lived.id, 0, 100_000)) == entries
+    assert [repr(row) for row in lived.rows()] == live
+    assert [repr(row) for row in lived.rows(lived.replay(1, 300))] == before == live
+    assert [repr(row) for row in lived.rows(lived.replay(1, 300, order="epoch"))] == by_epoch
+
+
 def test_the_day_holds_what_its_name_promises(lived):
     rows = lived.rows()
     reasons = {reason for row in rows for reason in row.inhibitions}
