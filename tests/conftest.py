@@ -63,3 +63,23 @@ def postgresql_cluster() -> Iterator[object]:
         pytest.skip(str(fault))
     yield cluster
     cluster.close()
+
+
+@pytest.fixture(scope="session")
+def durable_postgresql_cluster() -> Iterator[object]:
+    """One PostgreSQL server a session whose commits survive a kill; skips, and says why, where there is none."""
+    module = _load("postgresql_cluster")
+    try:
+        cluster = module.PostgresqlCluster(fsync=True)
+        # the server of others is not ours to kill
+        assert cluster.data
+    except module.NoServerError as fault:
+        pytest.skip(str(fault))
+    yield cluster
+    cluster.close()
+
+
+@pytest.fixture(scope="session")
+def chaos() -> ModuleType:
+    """Posting clients for chaos tests."""
+    return _load("chaos_clients")
