@@ -11,13 +11,17 @@ import numpy as np
 from sqlalchemy import Connection
 
 from db.compiled import run_bare
-from db.tables import measurement_detail
 from service.records.attitude import BoolArray, FloatArray
 from service.records.measurement import DETAIL_NAMES, CarrierDetails
 
 _AT_ONCE = """
 INSERT INTO measurement_detail (spacecraft_key, source_key, epoch_us, figures)
 SELECT ?1, ?2, row.value, substr(?3, 1 + row.key * ?4, ?4) FROM json_each(?5) AS row
+"""
+_AT_ONCE_ON_A_SERVER = """
+INSERT INTO measurement_detail (spacecraft_key, source_key, epoch_us, figures)
+SELECT %s, %s, row.epoch_us, substr(%s::bytea, (1 + (row.place - 1) * %s)::int, %s)
+FROM unnest(%s::bigint[]) WITH ORDINALITY AS row (epoch_us, place)
 """
 
 
@@ -55,17 +59,9 @@ def insert_details(
         return
     if connection.dialect.name == "sqlite":
         run_bare(connection, _AT_ONCE, (spacecraft_key, source_key, figures, width, json.dumps(epochs_us)))
-        return
-    rows = [
-        {
-            "spacecraft_key": spacecraft_key,
-            "source_key": source_key,
-            "epoch_us": epoch_us,
-            "figures": figures[place * width : (place + 1) * width],
-        }
-        for place, epoch_us in enumerate(epochs_us)
-    ]
-    connection.execute(measurement_detail.insert(), rows)
+    else:
+        values = (spacecraft_key, source_key, figures, width, width, epochs_us)
+        connection.exec_driver_sql(_AT_ONCE_ON_A_SERVER, values)
 
 
 def details_of(blob: bytes, carriers: int) -> CarrierDetails:

@@ -6,14 +6,19 @@ from hypothesis import strategies as st
 from sqlalchemy import delete, select
 
 from db.engine import open_engines
+from db.measurement_details import insert_details
 from db.migrate import upgrade
-from db.row_insert import Run, _values, insert_run
-from db.tables import measurement
+from db.row_insert import Run, insert_run
+from db.tables import measurement, measurement_detail
 
 
-@pytest.fixture(scope="module")
-def engine(tmp_path_factory):
-    engines = open_engines(f"sqlite:///{tmp_path_factory.mktemp('rows') / 'soo.db'}")
+@pytest.fixture(scope="module", params=["sqlite", "postgresql"])
+def engine(request, tmp_path_factory):
+    if request.param == "sqlite":
+        url = f"sqlite:///{tmp_path_factory.mktemp('rows') / 'soo.db'}"
+    else:
+        url = request.getfixturevalue("postgresql_cluster").new_database()
+    engines = open_engines(url)
     upgrade(engines.write)
     yield engines.write
     engines.dispose()
@@ -38,14 +43,53 @@ def runs(draw):
     )
 
 
+def rows_of(run):
+    """Return the columns of each row."""
+    width = len(run.powers) // len(run.epochs_us)
+    return [
+        {
+            "spacecraft_key": run.spacecraft_key,
+            "source_key": run.source_key,
+            "plan_id": run.plan_id,
+            "received_at_us": run.received_at_us,
+            "feeds": run.feeds,
+            "is_late": run.is_late,
+            "number": run.first_number + place,
+            "seq": None if run.first_seq is None else run.first_seq + place,
+            "epoch_us": epoch_us,
+            "powers": run.powers[place * width : (place + 1) * width],
+            "flags": None if run.flags is None else run.flags[place * width : (place + 1) * width],
+        }
+        for place, epoch_us in enumerate(run.epochs_us)
+    ]
+
+
 @settings(derandomize=True, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(run=runs())
 def test_a_run_is_stored_as_its_rows(engine, run):
     stored = []
-    for store in (lambda c: insert_run(c, run), lambda c: c.execute(measurement.insert(), _values(run))):
+    for store in (lambda c: insert_run(c, run), lambda c: c.execute(measurement.insert(), rows_of(run))):
         with engine.begin() as connection:
             connection.execute(delete(measurement))
             store(connection)
             stored.append(connection.execute(select(measurement).order_by(measurement.c.number)).all())
     assert stored[0] == stored[1]
     assert len(stored[0]) == len(run.epochs_us)
+
+
+@settings(derandomize=True, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    epochs_us=st.lists(st.integers(-(1 << 63), (1 << 63) - 1), min_size=1, max_size=6, unique=True),
+    width=st.integers(1, 9),
+    noise=st.randoms(use_true_random=False),
+)
+def test_details_are_stored_row_by_row(engine, epochs_us, width, noise):
+    figures = noise.randbytes(width * len(epochs_us))
+    with engine.begin() as connection:
+        connection.execute(delete(measurement_detail))
+        insert_details(connection, 3, 7, epochs_us, width, figures)
+        stored = {row.epoch_us: row for row in connection.execute(select(measurement_detail))}
+    assert [bytes(stored[epoch_us].figures) for epoch_us in epochs_us] == [
+        figures[place * width : (place + 1) * width] for place in range(len(epochs_us))
+    ]
+    assert {(row.spacecraft_key, row.source_key) for row in stored.values()} == {(3, 7)}
