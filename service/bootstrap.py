@@ -76,7 +76,7 @@ def open_storage(settings: Settings) -> Storage:
 
 def first_administrator(settings: Settings, storage: Storage) -> str | None:
     """Return a fresh administrator's key, stored as a digest, when there is none and the settings give none."""
-    if _bootstrap_key(settings):
+    if _secret(settings.bootstrap_key):
         return None
     now_us = SystemClock().system_us()
     key_id, text = new_key()
@@ -96,11 +96,6 @@ def first_administrator(settings: Settings, storage: Storage) -> str | None:
     )
     is_stored = storage.keys.add_first_administrator(StoredKey(key, digest_of(text.encode("ascii"))), deed)
     return text if is_stored else None
-
-
-def _bootstrap_key(settings: Settings) -> str | None:
-    """Return the administrator's key of the settings; an empty one is none."""
-    return (settings.bootstrap_key.get_secret_value() or None) if settings.bootstrap_key is not None else None
 
 
 def build_alarms(settings: Settings, storage: Storage, clock: Clock, feed: LiveFeed) -> AlarmDesk:
@@ -139,6 +134,22 @@ def _secret(value: SecretStr | None) -> str:
     return "" if value is None else value.get_secret_value()
 
 
+def _limits(settings: Settings) -> Limits:
+    """Return the limits of what may come in."""
+    return Limits(
+        future_tolerance_s=settings.future_tolerance_s,
+        future_tolerance_data_s=settings.future_tolerance_data_s,
+        late_after_s=settings.late_after_s,
+        retention_s=settings.retention.measurements_days * 86_400 or None,
+        max_body_bytes=settings.max_body_bytes,
+        max_rows_per_batch=settings.max_rows_per_batch,
+        evidence_traces=settings.evidence_traces,
+        evidence_bytes=settings.evidence_bytes,
+        rates=settings.rate_limit,
+        max_streams=settings.max_streams,
+    )
+
+
 def build_app(settings: Settings, storage: Storage) -> FastAPI:
     """Return the application over a migrated archive; its start-up starts the supervisor and the jobs."""
     clock = build_clock(settings, storage)
@@ -165,19 +176,8 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
     context = ApiContext(
         storage=storage,
         clock=clock,
-        bootstrap_key=_bootstrap_key(settings),
-        limits=Limits(
-            future_tolerance_s=settings.future_tolerance_s,
-            future_tolerance_data_s=settings.future_tolerance_data_s,
-            late_after_s=settings.late_after_s,
-            retention_s=settings.retention.measurements_days * 86_400 or None,
-            max_body_bytes=settings.max_body_bytes,
-            max_rows_per_batch=settings.max_rows_per_batch,
-            evidence_traces=settings.evidence_traces,
-            evidence_bytes=settings.evidence_bytes,
-            rates=settings.rate_limit,
-            max_streams=settings.max_streams,
-        ),
+        bootstrap_key=_secret(settings.bootstrap_key) or None,
+        limits=_limits(settings),
         observation=Observation(
             metrics_need_key=settings.metrics_need_key,
             access_log=settings.access_log,
