@@ -1,6 +1,7 @@
 """Stretches of a series as they are read for a file: blocks of arrays or pages of records, in order of epoch."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import groupby, pairwise
 from typing import Protocol, TypeVar
@@ -60,6 +61,18 @@ def pages_of(read: Callable[[tuple[int, int] | None], Sequence[D]], number_of: C
 def record_page(records: Sequence[Dated]) -> RecordPage:
     """Return records with their epochs beside them."""
     return RecordPage(np.array([record.epoch_us for record in records], dtype=np.int64), records)
+
+
+def read_ahead(chunks: Iterator[Chunk]) -> Iterator[Chunk]:
+    """Yield the same chunks, the next one read by a thread of its own while one is written.
+
+    Reading unpacks and writing formats without Python's lock, so both run at once.
+    """
+    with ThreadPoolExecutor(1, thread_name_prefix="read-ahead") as pool:
+        coming = pool.submit(next, chunks, None)
+        while (chunk := coming.result()) is not None:
+            coming = pool.submit(next, chunks, None)
+            yield chunk
 
 
 def by_day(chunks: Iterable[Chunk]) -> Iterator[tuple[int, Iterator[Chunk]]]:

@@ -11,7 +11,7 @@ from heapq import merge
 from itertools import islice
 from typing import Any, Literal, NamedTuple, cast
 
-from service.api.archive_chunks import PAGE_ROWS, Chunk, RecordPage, pages_of, record_page
+from service.api.archive_chunks import PAGE_ROWS, Chunk, RecordPage, pages_of, read_ahead, record_page
 from service.api.deps import ApiContext
 from service.api.methods import check_version
 from service.errors import InvalidInputError, NotFoundError
@@ -149,7 +149,7 @@ class _Maker:
         def read(window: Window) -> Iterator[Chunk]:
             # a plan that came up after the columns were fixed is of rows that came after the asking
             blocks = archive.measurement_blocks(self._sc, window)
-            return (block for block in blocks if block.plan_id in plan_ids)
+            return read_ahead(block for block in blocks if block.plan_id in plan_ids)
 
         def write(chunks: Iterable[Chunk], _: Window) -> Iterator[bytes]:
             file = measurement_file(columns, cast("TableFormat", self._format), self._context.kernels)

@@ -27,6 +27,9 @@ FillRows = Callable[
 
 _POWERS = np.array([10**k for k in range(18)], dtype=np.int64)
 _DIGIT = ord("0")
+#: both digits of the numbers below 100, and the bytes of point and digits that hundredths need
+_PAIRS = np.array([[_DIGIT + k // 10, _DIGIT + k % 10] for k in range(100)], dtype=np.uint8)
+_DECIMALS_BYTES = np.array([0 if k == 0 else 2 if k % 10 == 0 else 3 for k in range(100)], dtype=np.int64)
 
 
 def fill_rows(
@@ -72,11 +75,39 @@ def fill_rows(
                 out[at] = leads[place]
                 at += 1
             value = values[row, column]
-            at = _put_bytes(out, at, absent) if np.isnan(value) else _put_value(out, at, value)
+            size = np.float64(abs(value))
+            # false for what is absent; the comparison comes first, for what is too large is no number of hundredths
+            hundredths = np.uint32(size * 100.0 + 0.5) if size < 1000.0 else np.uint32(0)
+            if size < 1000.0 and np.float32(hundredths * 0.01) == np.float32(size):
+                at = _put_hundredths(out, at, hundredths, np.signbit(value))
+            else:
+                at = _put_bytes(out, at, absent) if np.isnan(value) else _put_value(out, at, value)
             if at < 0:
                 return -1
         at = _put_bytes(out, at, after)
     return at
+
+
+def _put_hundredths(out: Bytes, at: int, hundredths: np.uint32, is_negative: bool) -> int:  # noqa: FBT001 compiled in
+    """Write hundredths below 100 000 without the zeros that say nothing: nearly every level there is.
+
+    What does not belong to the text is written too and then written over, which costs less than a branch.
+    """
+    out[at] = 45  # minus
+    at += 1 if is_negative else 0
+    whole = hundredths // np.uint32(100)
+    rest = hundredths - whole * np.uint32(100)
+    hundreds = whole // np.uint32(100)
+    tens = whole - hundreds * np.uint32(100)
+    out[at] = _DIGIT + hundreds
+    at += 1 if hundreds > np.uint32(0) else 0
+    out[at] = _PAIRS[tens, 0]
+    at += 1 if whole >= np.uint32(10) else 0
+    out[at] = _PAIRS[tens, 1]
+    out[at + 1] = 46  # point
+    out[at + 2] = _PAIRS[rest, 0]
+    out[at + 3] = _PAIRS[rest, 1]
+    return at + 1 + int(_DECIMALS_BYTES[rest])
 
 
 def _put_bytes(out: Bytes, at: int, piece: Bytes) -> int:
@@ -91,6 +122,9 @@ def _put_value(out: Bytes, at: int, value: np.float32) -> int:
     """Write one finite value at a place; return the next place, -1 when it does not fit the form."""
     size = np.float32(abs(value))
     wide = np.float64(size)
+    if np.signbit(value):
+        out[at] = 45  # minus
+        at += 1
     if wide >= 1e6 or (wide > 0.0 and wide < 1e-3):
         return -1
     decimals = 5
@@ -106,9 +140,6 @@ def _put_value(out: Bytes, at: int, value: np.float32) -> int:
     while decimals > 0 and digits % 10 == 0:
         digits //= 10
         decimals -= 1
-    if np.signbit(value):
-        out[at] = 45  # minus
-        at += 1
     return _put_decimal(out, at, digits, decimals)
 
 
@@ -182,6 +213,7 @@ def compiled_fill_rows() -> FillRows:
     register_jitable(_put_digits)
     register_jitable(_put_epoch)
     register_jitable(_rounded)
+    register_jitable(inline="always")(_put_hundredths)
     register_jitable(_put_value)
     try:
         compiled: FillRows = njit(nogil=True, error_model="numpy", cache=True)(fill_rows)

@@ -1,6 +1,6 @@
 """Rows of float32 values as text for CSV and NDJSON: epoch, values, fixed pieces around them.
 
-Two ways to the same text: a compiled loop (35 ns a value) and numpy with Python (400 ns). A block that holds what the
+Two ways to the same text: a compiled loop (11 ns a value) and numpy with Python (400 ns). A block that holds what the
 loop cannot write, such as 1e-05, goes the other way, and nobody can tell.
 """
 
@@ -14,8 +14,8 @@ from service.formats.numbers import text_of_float32
 from service.formats.row_kernel import EPOCH_BYTES, LAST_EPOCH_US, VALUE_BYTES, FillRows, compiled_fill_rows
 from service.records.epoch import format_epoch
 
-#: rows written at once; the text of 32 carriers takes 5 MB
-BLOCK_ROWS = 8192
+#: rows written at once; the text of 32 carriers takes 6 MB
+BLOCK_ROWS = 10_000
 
 
 class RowFrame(NamedTuple):

@@ -1,0 +1,287 @@
+"""Exports of the archive against what others need for the same rows; ratios of one run.
+
+Run ``python -m bench.bench_export``; ``--rows 3153600`` is a year of a row every ten seconds. Levels are rounded to
+.01 dB, in 16 columns; days are sealed as the service seals them. Measured: rows from the archive to a file, the same
+through a server as a process over HTTP, and beside them csv, pyarrow and, where it is installed, polars on what lies in
+memory already. csv and json are slow: they write a part of the rows, and their time is scaled to all.
+"""
+
+import argparse
+import csv
+import importlib
+import importlib.util
+import json
+import os
+import secrets
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import httpx
+import numpy as np
+import pyarrow as pa
+from pyarrow import parquet
+
+from db.storage import SqlStorage
+from service.api.archive_files import FileOrder, archive_file
+from service.formats.measurement_file import MeasurementColumns, file_bytes, measurement_file
+from service.records.calibration import Window
+from service.records.catalogue import Carrier, Site, Spacecraft
+from service.records.epoch import format_epoch
+from service.records.measurement import MeasurementBatch
+from service.records.measurement_block import MeasurementBlock
+
+CARRIERS = 16
+STEP_US = 10_000_000
+DAY_ROWS = 8640
+#: 2025-01-01T00:00:00Z
+START_US = 1_735_689_600_000_000
+#: rows that csv and json write
+PART_ROWS = 40_000
+FORMATS = ("csv", "ndjson", "parquet")
+GOALS = {"csv": 15.0, "polars": 1.2, "parquet": 1.6, "ndjson": 1e6, "memory": 64.0}
+
+
+class Rows(NamedTuple):
+    """The rows in memory."""
+
+    epochs_us: np.ndarray
+    levels: np.ndarray
+
+
+def main() -> bool:
+    """Print the figures and return whether the goals are met."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rows", type=int, default=400_000)
+    parser.add_argument("--repeats", type=int, default=5)
+    options, _ = parser.parse_known_args()
+    rng = np.random.default_rng(1)
+    levels = rng.normal(-60.0, 5.0, (options.rows, CARRIERS)).round(2).astype(np.float32)
+    rows = Rows(START_US + STEP_US * np.arange(options.rows), levels)
+    with tempfile.TemporaryDirectory(dir=Path.cwd(), prefix="bench-") as name:
+        path = Path(name) / "archive.db"
+        began = time.perf_counter()
+        fill(path, rows)
+        print(f"{options.rows} rows x {CARRIERS} carriers stored and sealed in {time.perf_counter() - began:.1f} s")
+        return report(rows, path, options.repeats)
+
+
+def fill(path: Path, rows: Rows) -> None:
+    """Store the rows and seal their days."""
+    storage = SqlStorage(f"sqlite:///{path}")
+    storage.migrate()
+    inertia = ((2600.0, 0.0, 0.0), (0.0, 1400.0, 0.0), (0.0, 0.0, 2600.0))
+    storage.catalogue.add_spacecraft(Spacecraft("bench", "Bench", 90.0, Site(55.0, 38.0), inertia, 0.05))
+    carriers = [Carrier(f"c{k:02d}", "Ku", "Ku1", 11.2e9 + k * 2e6, 1e6) for k in range(CARRIERS)]
+    plan_id = storage.catalogue.put_plan("bench", carriers, "bench").id
+    for first in range(0, len(rows.levels), DAY_ROWS):
+        part = rows.levels[first : first + DAY_ROWS]
+        batch = MeasurementBatch(
+            "bench",
+            "sa-1",
+            plan_id,
+            int(rows.epochs_us[first]),
+            np.arange(len(part)),
+            rows.epochs_us[first : first + DAY_ROWS],
+            part,
+            (None,) * len(part),
+            np.zeros(len(part), dtype=bool),
+        )
+        storage.archive.append_measurements(batch).result()
+    last_us = int(rows.epochs_us[-1]) + 1
+    for _ in storage.archive.seal("bench", last_us, last_us):
+        pass
+    storage.close()
+
+
+def report(rows: Rows, path: Path, repeats: int) -> bool:
+    """Measure, interleaved, and print."""
+    taken: dict[str, list[float]] = {}
+    with served(path) as (client, process):
+        works = Works(rows, path, client).by_name()
+        for work in works.values():  # compiled, read once
+            work()
+        before = resident_mb(process)
+        for _ in range(repeats):
+            for name, work in works.items():
+                began = time.perf_counter()
+                scale = work()
+                taken.setdefault(name, []).append((time.perf_counter() - began) * scale)
+        grown = resident_mb(process) - before
+    seconds = {name: statistics.median(each) for name, each in taken.items()}
+    for name, each in seconds.items():
+        print(f"  {name:34} {each:7.2f} s {rows.levels.size / each / 1e6:7.2f} M values/s")
+
+    def ratio(one: str, other: str) -> float:
+        return statistics.median(a / b for a, b in zip(taken[one], taken[other], strict=True))
+
+    figures = [
+        ("G11 CSV: csv module / archive to CSV", ratio("csv module", "archive to csv"), GOALS["csv"], True),
+        ("G12 Parquet: archive / pyarrow on arrays", ratio("archive to parquet", "pyarrow"), GOALS["parquet"], False),
+        ("NDJSON values/s", rows.levels.size / seconds["archive to ndjson"], GOALS["ndjson"], True),
+        ("G13 resident memory of the server, +MB", grown, GOALS["memory"], False),
+        ("CSV over HTTP: csv module / server", ratio("csv module", "http csv"), GOALS["csv"], True),
+        ("Parquet over HTTP: server / pyarrow", ratio("http parquet", "pyarrow"), GOALS["parquet"], False),
+        ("NDJSON over HTTP, values/s", rows.levels.size / seconds["http ndjson"], GOALS["ndjson"], True),
+    ]
+    if "polars" in taken:
+        figures.append(("G11 CSV: arrays / polars", ratio("arrays to csv", "polars"), GOALS["polars"], False))
+        figures.append(("G11 CSV: archive / polars", ratio("archive to csv", "polars"), GOALS["polars"], False))
+    is_met = True
+    for name, figure, goal, is_least in figures:
+        is_good = figure >= goal if is_least else figure <= goal
+        is_met = is_met and is_good
+        word = "at least" if is_least else "at most"
+        print(f"  {name:44} {figure:12.4g}, {word} {goal:g}: {'PASS' if is_good else 'MISS'}")
+    return is_met
+
+
+class Works:
+    """What is measured, each a callable that returns what its time is scaled by.
+
+    Parameters
+    ----------
+    rows : Rows
+        In memory.
+    path : Path
+        Archive with the same rows.
+    client : httpx.Client
+        To a server over it.
+    """
+
+    def __init__(self, rows: Rows, path: Path, client: httpx.Client) -> None:
+        self._rows = rows
+        self._client = client
+        self._sink = path.with_name("out")
+        self._names = [f"c{k:02d}" for k in range(CARRIERS)]
+        self._columns = MeasurementColumns([self._names], lambda _: self._names)
+        # what a file of measurements asks of the service's context
+        self._context: Any = SimpleNamespace(storage=SqlStorage(f"sqlite:///{path}"), kernels="numba")
+        self._span = Window(START_US, int(rows.epochs_us[-1]) + 1)
+        self._by_column = np.ascontiguousarray(rows.levels.T)
+
+    def by_name(self) -> dict[str, Callable[[], float]]:
+        """Return all of them."""
+        works: dict[str, Callable[[], float]] = {"csv module": self.by_csv, "json module": self.by_json}
+        works["pyarrow"] = self.by_pyarrow
+        for file_format in FORMATS:
+            works[f"archive to {file_format}"] = partial(self.from_archive, file_format)
+            works[f"http {file_format}"] = partial(self.from_server, file_format)
+        works["arrays to csv"] = self.from_arrays
+        return works | self.by_polars()
+
+    def from_archive(self, file_format: Any) -> float:
+        """Write what the archive gives."""
+        order = FileOrder("bench", "measurements", file_format, self._span)
+        file = archive_file(self._context, lambda *_: self._names, order)
+        return self._write(file.write(file.read(self._span), self._span))
+
+    def from_server(self, file_format: str) -> float:
+        """Write what the server sends."""
+        url = "/api/v1/spacecraft/bench/archive/measurements:export"
+        headers, params = {"Accept-Encoding": "identity"}, {"format": file_format}
+        with self._client.stream("GET", url, params=params, headers=headers) as answer:
+            answer.raise_for_status()
+            return self._write(answer.iter_raw())
+
+    def from_arrays(self) -> float:
+        """Write rows that lie in memory."""
+        epochs_us, levels = self._rows
+        blocks = (
+            MeasurementBlock("sa-1", 1, epochs_us[first : first + DAY_ROWS], levels[first : first + DAY_ROWS])
+            for first in range(0, len(levels), DAY_ROWS)
+        )
+        return self._write(file_bytes(measurement_file(self._columns, "csv"), blocks))
+
+    def by_csv(self) -> float:
+        """Write a part of the rows with the standard library."""
+        with self._sink.open("w", newline="") as file:
+            writer = csv.writer(file)
+            for epoch_us, levels in self._part():
+                writer.writerow([format_epoch(epoch_us), "sa-1", *levels])
+        return self._part_scale
+
+    def by_json(self) -> float:
+        """Write a part of the rows as objects with the standard library."""
+        names = [f"{name}_dbm" for name in self._names]
+        with self._sink.open("w") as file:
+            for epoch_us, levels in self._part():
+                row = {"epoch": format_epoch(epoch_us), "source": "sa-1", **dict(zip(names, levels, strict=True))}
+                file.write(json.dumps(row) + "\n")
+        return self._part_scale
+
+    def by_pyarrow(self) -> float:
+        """Write arrays in memory as one table."""
+        epochs = pa.array(self._rows.epochs_us).cast(pa.timestamp("us", tz="UTC"))
+        levels = {f"{name}_dbm": pa.array(self._by_column[k]) for k, name in enumerate(self._names)}
+        source = pa.DictionaryArray.from_arrays(np.zeros(len(epochs), dtype=np.int32), ["sa-1"])
+        parquet.write_table(pa.table({"epoch": epochs, "source": source, **levels}), self._sink, compression="zstd")
+        return 1.0
+
+    def by_polars(self) -> dict[str, Callable[[], float]]:
+        """Return what polars does with a frame in memory, where it is installed."""
+        if importlib.util.find_spec("polars") is None:
+            return {}
+        pl: Any = importlib.import_module("polars")
+        levels = {f"{name}_dbm": self._by_column[k] for k, name in enumerate(self._names)}
+        frame = pl.DataFrame({"epoch": self._rows.epochs_us, **levels})
+        frame = frame.with_columns(pl.col("epoch").cast(pl.Datetime("us", "UTC")), source=pl.lit("sa-1"))
+
+        def write() -> float:
+            frame.write_csv(self._sink, datetime_format="%Y-%m-%dT%H:%M:%S%.6fZ")
+            return 1.0
+
+        return {"polars": write}
+
+    @property
+    def _part_scale(self) -> float:
+        return max(1.0, len(self._rows.levels) / PART_ROWS)
+
+    def _part(self) -> Iterator[tuple[int, list[float]]]:
+        """Yield the first rows as Python has them."""
+        # the shortest decimals: what a program that read .01 dB from somewhere holds
+        levels = self._rows.levels[:PART_ROWS].astype(np.float64).round(2).tolist()
+        return zip(self._rows.epochs_us[:PART_ROWS].tolist(), levels, strict=True)
+
+    def _write(self, pieces: Iterable[bytes]) -> float:
+        with self._sink.open("wb") as file:
+            file.writelines(pieces)
+        return 1.0
+
+
+@contextmanager
+def served(path: Path) -> Iterator[tuple[httpx.Client, int]]:
+    """Run the service over the archive; give a client and its process."""
+    key = secrets.token_urlsafe(16)
+    environment = {**os.environ, "SOO_BOOTSTRAP_KEY": key, "OPENBLAS_NUM_THREADS": "1"}
+    command = [sys.executable, "-m", "service", "serve", "--port", "0", "--database", f"sqlite:///{path}"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment)
+    try:
+        assert process.stdout is not None
+        url = json.loads(process.stdout.readline())["url"]
+        headers = {"Authorization": f"Bearer {key}"}
+        with httpx.Client(base_url=url, headers=headers, timeout=300.0, trust_env=False) as client:
+            yield client, process.pid
+    finally:
+        process.terminate()
+        process.wait(30)
+
+
+def resident_mb(process: int) -> float:
+    """Return the greatest resident memory of a process so far, MB; 0 where nobody tells."""
+    status = Path(f"/proc/{process}/status")
+    if not status.exists():
+        return 0.0
+    return int(next(line.split()[1] for line in status.read_text().splitlines() if line.startswith("VmHWM"))) / 1024
+
+
+if __name__ == "__main__":
+    sys.exit(0 if main() else 1)
