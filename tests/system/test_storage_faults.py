@@ -1,0 +1,263 @@
+"""Faults of the storage under a running service: 503 with a code and Retry-After, nothing acknowledged that is not
+kept, and everything goes on by itself when the fault is over: ingest, reads, consumer.
+
+Two clients post through every fault and repeat what is not acknowledged; at the end history, samples and export must
+tell exactly what they were promised, every row of the prime source must have its results, and the doctor must find
+nothing.
+"""
+
+import os
+import resource
+import shutil
+import sqlite3
+import subprocess
+import time
+from contextlib import contextmanager
+
+import pytest
+
+from db.backup import create_backup
+from db.doctor import diagnose
+from db.restore import restore_backup
+from service.runtime.clock import system_now_us
+
+pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(180)]
+
+SEED = 22
+BASE = "/api/v1/spacecraft/sim-1"
+#: who waits for a lock gives up after 0.7 s in place of 10 s
+IMPATIENT = "import db.engine\ndb.engine.BUSY_TIMEOUT_MS = 700\n"
+
+
+class Trial:
+    """A service, two clients that post to it, and what can be done to its file."""
+
+    def __init__(self, start_service, chaos, spacecraft, carriers, folder, options=(), code="", settings=None):
+        (folder / "site").mkdir(exist_ok=True)
+        (folder / "site" / "sitecustomize.py").write_text(code)
+        self.chaos, self.file = chaos, folder / "soo.db"
+        key = "a-key-for-tests-only"
+        environment = {"SOO_BOOTSTRAP_KEY": key, "PYTHONPATH": str(folder / "site"), **(settings or {})}
+        self.service = start_service("--port", "0", "--clock", "data", *options, environment=environment)
+        self.client = self.service.client()
+        self.plan_id = chaos.set_up(self.client, spacecraft, carriers)
+        self.clients = chaos.start_clients(self.service.url, key, self.plan_id, SEED, clients=2)
+        self.await_counts(lambda counts: counts["accepted"] > 100)
+
+    def counts(self):
+        """Return what the clients have counted so far."""
+        found = self.clients[0].counts + self.clients[1].counts
+        return found + self.clients[0].codes + self.clients[1].codes
+
+    def await_counts(self, is_enough, timeout_s=30.0):
+        """Wait until the clients have counted enough."""
+        deadline = time.monotonic() + timeout_s
+        while not is_enough(self.counts()):
+            assert time.monotonic() < deadline, f"{dict(self.counts())}\n{self.service.written()[-3000:]}"
+            assert [client.faults for client in self.clients] == [[], []]
+            time.sleep(0.02)
+
+    def await_code(self, code, more=3):
+        """Wait until the clients were refused some times more with a code."""
+        before = self.counts()[code]
+        self.await_counts(lambda counts: counts[code] >= before + more)
+
+    def await_rows(self, more=50):
+        """Wait until the service takes rows again."""
+        before = self.counts()["accepted"]
+        self.await_counts(lambda counts: counts["accepted"] >= before + more)
+
+    def read(self):
+        """Return the status and code of a read of the history."""
+        answer = self.client.get(f"{BASE}/measurements/history", params={"limit": 5})
+        if answer.status_code == 503:
+            assert int(answer.headers["Retry-After"]) >= 1
+            return 503, answer.json()["code"]
+        return answer.status_code, None
+
+    def conclude(self, url=None):
+        """Demand that all that was promised is there, once, with its results, and that nothing is wrong."""
+        self.await_rows()
+        counts = self.chaos.finish(self.clients)
+        promised = self.chaos.promised(self.clients)
+        self.chaos.await_consumed(self.client, promised)
+        told = self.chaos.compare(self.client, promised)
+        print(told, dict(counts))
+        found = diagnose(url or f"sqlite:///{self.file}", system_now_us(), lambda _: None)
+        # the disk of the tests' machine may be small
+        assert [each for each in found if each.state != "ok" and each.check != "disk"] == []
+        assert self.service.end()[0] == 0
+        assert "Internal Server Error" not in self.service.written()
+
+
+@pytest.fixture
+def trial(start_service, chaos, spacecraft, carriers, tmp_path):
+    """Return a maker of trials."""
+
+    def make(**options):
+        made.append(Trial(start_service, chaos, spacecraft, carriers, tmp_path, **options))
+        return made[-1]
+
+    made: list[Trial] = []
+    yield make
+    for one in made:
+        for client in one.clients:
+            client.stop()
+        one.client.close()
+
+
+def test_a_disk_that_takes_no_more_a_lock_and_a_file_that_is_moved(trial, tmp_path):
+    one = trial(code=IMPATIENT)
+    pid = one.service.process.pid
+    limits = resource.prlimit(pid, resource.RLIMIT_FSIZE)
+    # no file of the process may be written beyond the limit
+    resource.prlimit(pid, resource.RLIMIT_FSIZE, (16_384, limits[1]))
+    one.await_code("storage.unavailable")
+    assert one.read()[0] == 200
+    assert one.client.get("/healthz").status_code == 200
+    resource.prlimit(pid, resource.RLIMIT_FSIZE, limits)
+    one.await_rows()
+
+    other = sqlite3.connect(one.file, isolation_level=None, timeout=10)
+    other.execute("BEGIN IMMEDIATE")
+    one.await_code("storage.unavailable", more=1)
+    assert one.read() == (200, None)
+    other.execute("ROLLBACK")
+    other.close()
+    one.await_rows()
+
+    away = tmp_path / "away.db"
+    one.file.rename(away)
+    one.await_code("storage.gone")
+    assert one.read() == (503, "storage.gone")
+    assert one.client.get("/readyz").status_code == 503
+    assert not one.file.exists(), "a name without a file was made into an empty archive"
+    away.rename(one.file)
+    one.await_rows()
+    assert one.client.get("/readyz").status_code == 200
+    one.conclude()
+
+
+def test_an_archive_that_is_put_in_the_place_of_the_open_one_is_opened(trial, chaos, tmp_path):
+    one = trial()
+    in_backup = chaos.promised(one.clients)
+    create_backup(f"sqlite:///{one.file}", tmp_path / "backup", 1, lambda *_: None)
+    one.await_rows()
+    chaos.finish(one.clients)
+    restore_backup(tmp_path / "backup", f"sqlite:///{tmp_path / 'put.db'}", "x", lambda *_: None, may_replace=False)
+    # what an operator must not do, and does: the service runs on
+    (tmp_path / "put.db").replace(one.file)
+    assert one.read() == (503, "storage.replaced")
+    deadline = time.monotonic() + 30
+    status = 0
+    while status != 200 and time.monotonic() < deadline:
+        time.sleep(0.1)
+        try:
+            status = one.read()[0]
+        except OSError:
+            status = 0
+    told = {(row["source"], row["epoch"]) for row in chaos.history(one.client)}
+    assert told >= {(source, chaos.text_of(epoch_us)) for source, epoch_us in in_backup}
+    row = {"epoch": "2026-11-22T00:00:00Z", "power_dbm": [-50.0] * 16}
+    body = {"plan_id": one.plan_id, "source": "sa-0", "measurements": [row]}
+    assert one.client.post(f"{BASE}/measurements:batch", json=body).json()["accepted"] == 1
+    assert one.service.output.read_text().count("\n") == 1, "the address is announced once"
+    assert one.service.end()[0] == 0
+    found = diagnose(f"sqlite:///{one.file}", system_now_us(), lambda _: None)
+    assert [each for each in found if each.state != "ok" and each.check != "disk"] == []
+
+
+@contextmanager
+def small_volume(folder, size):
+    """Mount a volume of some size; skip where that is not allowed."""
+    folder.mkdir()
+    done = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", folder], capture_output=True, check=False
+    )
+    if done.returncode:
+        pytest.skip(f"volumes cannot be mounted here: {done.stderr.decode().strip()}")
+    try:
+        yield folder
+    finally:
+        subprocess.run(["umount", "-l", folder], check=True)
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root mounts volumes")
+def test_a_full_volume_and_a_volume_that_is_read_only_at_the_start(trial, start_service, tmp_path):
+    with small_volume(tmp_path / "volume", "6m") as volume:
+        database = volume / "soo.db"
+        # a volume of this size is nearly full from the beginning
+        settings = {"SOO_MIN_FREE_DISK_BYTES": "0"}
+        one = trial(options=("--database", f"sqlite:///{database}"), settings=settings)
+        one.file = database
+        with (volume / "filler").open("wb") as filler:
+            while shutil.disk_usage(volume).free:
+                try:
+                    filler.write(b"\0" * 4096)
+                    filler.flush()
+                except OSError:
+                    break
+        one.await_code("storage.unavailable")
+        assert one.read()[0] == 200
+        (volume / "filler").unlink()
+        one.conclude()
+        subprocess.run(["mount", "-o", "remount,ro", volume], check=True)
+        refused = start_service("--port", "0", "--database", f"sqlite:///{database}")
+        assert refused.process.wait(60) == 2, refused.written()
+        assert "cannot use the database" in refused.written()
+        assert "Traceback" not in refused.written()
+        subprocess.run(["mount", "-o", "remount,rw", volume], check=True)
+
+
+def test_a_server_that_stops_and_comes_back(trial, durable_postgresql_cluster):
+    cluster = durable_postgresql_cluster
+    url = cluster.new_database()
+    one = trial(options=("--database", url))
+    cluster.program("pg_ctl", "stop", "-D", str(cluster.data), "-m", "fast")
+    one.await_code("storage.unavailable")
+    assert one.read() == (503, "storage.unavailable")
+    assert one.client.get("/readyz").status_code == 503
+    assert one.client.get("/healthz").status_code == 200
+    cluster.start(fsync=True)
+    one.conclude(url)
+    cluster.drop(url)
+
+
+def test_a_damaged_day_is_refused_alone(trial):
+    settings = {"SOO_SEALING__QUIET_S": "0.1", "SOO_SEALING__PERIOD_S": "0.2"}
+    one = trial(settings=settings)
+    # the day of the clients' rows ends when the clock of the data passes midnight
+    row = {"epoch": "2026-11-23T00:00:00Z", "power_dbm": [-50.0] * 16}
+    body = {"plan_id": one.plan_id, "source": "sa-0", "measurements": [row]}
+    one.chaos.finish(one.clients)
+    assert one.client.post(f"{BASE}/measurements:batch", json=body).json()["accepted"] == 1
+    day = {"start": "2026-11-21T00:00:00Z", "stop": "2026-11-22T00:00:00Z"}
+    other = sqlite3.connect(one.file, isolation_level=None, timeout=10)
+    deadline = time.monotonic() + 30
+    while not other.execute("SELECT count(*) FROM measurement_segment").fetchone()[0]:
+        assert time.monotonic() < deadline, "the day was not sealed"
+        time.sleep(0.1)
+    time.sleep(0.5)
+    other.execute("UPDATE measurement_segment SET crc32 = crc32 + 1")
+    answer = one.client.get(f"{BASE}/measurements/history", params=day)
+    assert (answer.status_code, answer.json()["code"]) == (503, "storage.corrupt")
+    assert "2026-11-21" in answer.json()["detail"]
+    assert answer.headers["Retry-After"]
+    # other days, ingest and consumer are not touched
+    assert one.client.get(f"{BASE}/measurements/history", params={"start": "2026-11-22T00:00:00Z"}).status_code == 200
+    body["measurements"][0]["epoch"] = "2026-11-23T00:00:01Z"
+    assert one.client.post(f"{BASE}/measurements:batch", json=body).json()["accepted"] == 1
+    deadline = time.monotonic() + 10
+    while one.client.get(f"{BASE}/attitude").json()["epoch"] != "2026-11-23T00:00:01.000000Z":
+        assert time.monotonic() < deadline, "the consumer stands still"
+        time.sleep(0.05)
+    faults = [
+        each.check
+        for each in diagnose(f"sqlite:///{one.file}", system_now_us(), lambda _: None)
+        if each.state == "fault"
+    ]
+    assert set(faults) == {"segments"}
+    other.execute("UPDATE measurement_segment SET crc32 = crc32 - 1")
+    other.close()
+    assert one.client.get(f"{BASE}/measurements/history", params=day).status_code == 200
+    assert one.service.end()[0] == 0
