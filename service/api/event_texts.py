@@ -18,6 +18,7 @@ from service.api.schemas.measurement_rows import MeasurementAnswer
 from service.api.schemas.status import StatusAnswer
 from service.api.schemas.torques import TorqueAnswer
 from service.api.status import status_of
+from service.api.stream_places import PART_MOVED
 from service.ports import LIVE
 from service.records.alarm import AlarmChange
 from service.records.attitude import AttitudeRow
@@ -95,6 +96,5 @@ class StatusTexts:
 
 def _place(event: FeedEvent) -> int:
     """Return what tells an event from all others of its kind."""
-    content = event.content
     # several results stand under one journal number, several rows under one result sequence
-    return content.number if isinstance(content, Measurement) else max(event.cursor.sequence, event.cursor.alarm)
+    return event.cursor[PART_MOVED[event.kind]]

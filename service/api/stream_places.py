@@ -18,7 +18,7 @@ MAX_ID_LENGTH = 128
 _EVENT_ID = re.compile(r"([a-z0-9][a-z0-9-]{0,63}):(\d{1,18})\.(\d{1,18})\.(\d{1,18})", re.ASCII)
 _POINTER = "/header/Last-Event-ID"
 #: part of the place that a kind of event moves; others move none
-_PART = {"measurement": 0, "attitude": 1, "torque": 1, "alarm": 2}
+PART_MOVED = {"measurement": 0, "attitude": 1, "torque": 1, "alarm": 2}
 #: histories by kind of event
 _HISTORIES = {
     "measurement": "measurements/history",
@@ -63,7 +63,7 @@ def cursor_of(spacecraft_id: str, text: str | None) -> Cursor | None:
 
 def advanced(place: Cursor, event: FeedEvent) -> Cursor | None:
     """Return the place beyond an event, None when it lies behind the place already."""
-    part = _PART.get(event.kind)
+    part = PART_MOVED.get(event.kind)
     if part is None or event.cursor[part] <= place[part]:
         return None
     if part == 1:

@@ -93,7 +93,8 @@ class Subscription:
         if not self._events:
             self._arrived.clear()
             try:
-                await asyncio.wait_for(self._arrived.wait(), timeout_s)
+                async with asyncio.timeout(timeout_s):
+                    await self._arrived.wait()
             except TimeoutError:
                 return (), Dropped()
         events, dropped = tuple(self._events), self._dropped

@@ -154,6 +154,8 @@ class Supervisor:
             entries = self._storage.archive.journal(spacecraft_id, follower.consumed_number, _ENTRIES_AT_ONCE)
             if not entries:
                 return
+            # rows were stored before they were accepted: listeners need not wait for what is computed from them
+            self._publish(spacecraft_id, _row_events(entries, follower.sequence))
             outcomes: list[Outcome] = []
             seen: list[Seen] = []
             with follower.lock:
@@ -164,6 +166,9 @@ class Supervisor:
             self._store_and_publish(follower, entries, outcomes)
             if self._watcher is not None and seen:
                 self._watcher.see(spacecraft_id, seen)
+            if len(entries) < _ENTRIES_AT_ONCE:
+                # nothing unconsumed is ever dropped, so this was all; what came since has notified
+                return
 
     def _store_and_publish(self, follower: _Follower, entries: list[JournalEntry], outcomes: list[Outcome]) -> None:
         """Store a batch in one transaction, then tell the feed."""
@@ -175,12 +180,16 @@ class Supervisor:
             follower.spacecraft_id, LIVE, outcomes, entries[-1].number, follower.consumed_epoch_us
         )
         follower.consumed_number = entries[-1].number
-        # asked after the rows were stored: whoever subscribes from here on finds them in the archive
-        if self._feed.has_subscribers(follower.spacecraft_id):
-            self._feed.publish(follower.spacecraft_id, _events(entries, outcomes, follower.sequence, sequence))
+        self._publish(follower.spacecraft_id, _result_events(entries, outcomes, follower.sequence, sequence))
         follower.sequence = sequence
         if any(outcome.applied is not None for outcome in outcomes):
             self.notify(follower.spacecraft_id)
+
+    def _publish(self, spacecraft_id: str, events: tuple[FeedEvent, ...]) -> None:
+        """Tell the feed what was stored, if anybody listens."""
+        # asked after it was stored: whoever subscribes from here on finds it in the archive
+        if events and self._feed.has_subscribers(spacecraft_id):
+            self._feed.publish(spacecraft_id, events)
 
     def _rebuild(self, spacecraft_id: str) -> _Follower:
         """Bring a chain to where its results were stored, without storing or publishing anything."""
@@ -221,16 +230,25 @@ def _seen(chain: Chain, entry: JournalEntry, outcomes: Sequence[Outcome]) -> tup
     return (chain.facts(content, outcomes[0] if outcomes else None),)
 
 
-def _events(entries: list[JournalEntry], outcomes: list[Outcome], first: int, last: int) -> tuple[FeedEvent, ...]:
-    """Return the events of a batch: its rows, then its results, stored under the sequences after ``first``.
+def _row_events(entries: list[JournalEntry], sequence: int) -> tuple[FeedEvent, ...]:
+    """Return the events of the rows of a batch."""
+    rows = (entry.content for entry in entries)
+    return tuple(
+        FeedEvent("measurement", Cursor(row.number, sequence), row) for row in rows if isinstance(row, Measurement)
+    )
+
+
+def _result_events(
+    entries: list[JournalEntry], outcomes: list[Outcome], first: int, last: int
+) -> tuple[FeedEvent, ...]:
+    """Return the events of the results of a batch, stored under the sequences after ``first``.
 
     Of rows that an alignment ran again some results may have been stored before. Which ones the archive knows alone, so
     subscribers are told, by a status event without content, to read there; the same says that a new alignment or
     calibration holds.
     """
     number = entries[-1].number
-    rows = [entry.content for entry in entries if isinstance(entry.content, Measurement)]
-    events = [FeedEvent("measurement", Cursor(row.number, first), row) for row in rows]
+    events: list[FeedEvent] = []
     results = [result for outcome in outcomes for result in (*outcome.rows, outcome.command) if result is not None]
     is_whole = len(results) == last - first
     if is_whole:

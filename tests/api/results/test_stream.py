@@ -15,6 +15,7 @@ import uvicorn
 
 from service.api.server import StreamingServer
 from service.ports import Outcome
+from service.records.alarm import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
 from service.records.epoch import format_epoch
 from service.runtime.live_feed import Cursor, FeedEvent
 
@@ -319,3 +320,91 @@ async def test_many_clients_get_the_same(served, source):
     assert all(seen == told[0] for seen in told)
     assert named(told[0]) == [(e.kind, format_epoch(e.content.epoch_us)) for e in events]
     wait_until(lambda: source.subscribers() == 0)
+
+
+@pytest.mark.parametrize(
+    "id_", ["900.900", "yamal-202:1.2", "yamal-202:1.2.3.4", "x", "yamal-202:-1.0.0", "Yamal:1.1.1"]
+)
+async def test_an_id_that_no_stream_gave_is_refused(bench, id_):
+    answer = await bench.refused("GET", "/spacecraft/yamal-202/stream", headers={"Last-Event-ID": id_})
+    assert answer == (422, "cursor.invalid", ["/header/Last-Event-ID"])
+
+
+async def test_an_id_of_another_spacecraft_is_refused_by_name(bench):
+    answer = await bench.refused("GET", "/spacecraft/yamal-202/stream", headers={"Last-Event-ID": "yamal-201:1.1.0"})
+    assert answer == (422, "cursor.spacecraft", ["/header/Last-Event-ID"])
+
+
+async def test_an_id_older_than_retention_goes_on_with_what_is_kept(served, source, bench, monkeypatch):
+    published = source.store(4)
+    journal, results = bench.storage.archive.journal, bench.storage.results.results_after
+    # as if retention had taken the first two rows with their results
+    kept = [event.cursor.number for event in published if event.kind == "measurement"][1]
+    monkeypatch.setattr(bench.storage.archive, "journal", lambda sc, after, limit: journal(sc, max(after, kept), limit))
+    monkeypatch.setattr(
+        bench.storage.results, "results_after", lambda sc, after, limit: results(sc, max(after, 4), limit)
+    )
+    with served.open(f"yamal-202:{kept - 2}.0.0") as response:
+        reader = Reader(response)
+        (dropped,) = reader.take(1, "dropped")
+        assert (dropped.data["reason"], dropped.data["follows"]) == ("retention", False)
+        assert dropped.data["counts"] == {"measurement": 2, "result": 4}
+        told = named(reader.take(6))
+    assert sorted(told) == sorted((e.kind, format_epoch(e.content.epoch_us)) for e in published[2:4] + published[8:])
+
+
+async def test_one_stream_too_many_is_refused_and_room_comes_back(served, source, bench):
+    bench.app.state.open_streams._limit = 2
+    with served.open() as first, served.open() as second:
+        for response in (first, second):
+            Reader(response).take(1, "status")
+        answer = await bench.refused("GET", "/spacecraft/yamal-202/stream")
+        assert answer[:2] == (503, "stream.too_many")
+    wait_until(lambda: source.subscribers() == 0)
+    with served.open() as response:
+        Reader(response).take(1, "status")
+
+
+async def test_alarms_are_told_and_resumed(served, bench, make):
+    def alarm(condition: str) -> AlarmChange:
+        raised = Alarm(
+            id=0,
+            spacecraft_id=make.sc,
+            condition=condition,
+            thing="c00",
+            process=Process.UNACKNOWLEDGED,
+            cover=Cover.NONE,
+            severity=Severity.WARNING,
+            since_us=make.now_us,
+            raised_at_us=make.now_us,
+            changed_at_us=make.now_us,
+            value=1.0,
+            limit=0.5,
+            unit="dB",
+            detail="told by a test",
+        )
+        return bench.storage.alarms.save([AlarmChange(ChangeKind.RAISED, raised, make.now_us, is_told=True)])[0]
+
+    with served.open() as response:
+        reader = Reader(response)
+        (status,) = reader.take(1, "status")
+        change = alarm("first")
+        bench.context.feed.publish(make.sc, (FeedEvent("alarm", Cursor(0, 0, change.sequence), change),))
+        (event,) = reader.take(1, "alarm")
+        assert (event.data["change"], event.data["alarm"]["condition"]) == ("raised", "first")
+        assert event.id == f"{status.id.rpartition('.')[0]}.{change.sequence}"
+    second = alarm("second")
+    with served.open(status.id) as response:
+        told = Reader(response).take(2, "alarm")
+    assert [event.data["alarm"]["condition"] for event in told] == ["first", "second"]
+    assert told[-1].id.endswith(f".{second.sequence}")
+
+
+async def test_a_client_that_takes_nothing_is_let_go(served, source, bench):
+    object.__setattr__(bench.context.limits, "stream_stall_s", 0.2)
+    with served.open() as response:
+        Reader(response).take(1, "status")
+        for _ in range(60):
+            source.publish(source.store(5))
+        # nothing is read; the buffers of both ends hold some hundred events
+        wait_until(lambda: source.subscribers() == 0)

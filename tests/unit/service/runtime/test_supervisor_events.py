@@ -9,7 +9,7 @@ from service.records.inputs import AlignmentSet, SpacecraftChange
 from service.records.journal import JournalEntry
 from service.records.measurement import Measurement
 from service.runtime.live_feed import Cursor
-from service.runtime.supervisor import _events
+from service.runtime.supervisor import _result_events, _row_events
 
 
 def entry(number: int) -> JournalEntry:
@@ -24,7 +24,9 @@ def row(number: int) -> AttitudeRow:
 
 def told(*batch: object) -> list[tuple[str, Cursor]]:
     """Return kind and cursor of each event of a batch."""
-    return [(event.kind, event.cursor) for event in _events(*batch)]  # type: ignore[arg-type]
+    entries, _, first, _ = batch
+    events = (*_row_events(entries, first), *_result_events(*batch))  # type: ignore[arg-type]
+    return [(event.kind, event.cursor) for event in events]
 
 
 def test_rows_come_first_then_results_under_their_sequences():
