@@ -12,7 +12,7 @@ import asyncio
 import io
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from analyzer_sim.dialects.dialects import DIALECTS
@@ -20,10 +20,14 @@ from analyzer_sim.epochs import epoch_us_from_text
 from analyzer_sim.export import run_export
 from analyzer_sim.instrument.painter import Detail
 from analyzer_sim.instrument.sweep_life import Pace
-from analyzer_sim.plant import run_plant
+from analyzer_sim.plant import PlantOptions
+from analyzer_sim.plant_lines import run_plant
 from analyzer_sim.serving import parse_fault, serve
-from analyzer_sim.world.scenario import SCENARIOS, Scenario, scenario_named
+from analyzer_sim.world.hub_tones import HubTone, parse_tone
+from analyzer_sim.world.scenario import CLOSED_SCENARIOS, SCENARIOS, Scenario, scenario_named
 from analyzer_sim.world.scenario_table import markdown_page, plain_table
+from analyzer_sim.world.uplink import UPLINKS
+from analyzer_sim.world.wheels import AXES
 
 _SUBCOMMANDS = ("serve", "export", "plant", "scenarios")
 
@@ -56,9 +60,26 @@ def _port(text: str) -> int:
     return value
 
 
-def _add_story(parser: argparse.ArgumentParser) -> None:
+def _tone(text: str) -> HubTone:
+    try:
+        return parse_tone(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def _response(text: str) -> tuple[str, float]:
+    axis, _, value = text.partition("=")
+    if axis not in AXES or not value:
+        raise argparse.ArgumentTypeError(f"{text!r} is not AXIS=FACTOR with an axis of {', '.join(AXES)}")
+    factor = float(value)
+    if not -2.0 <= factor <= 2.0:
+        raise argparse.ArgumentTypeError("the factor lies outside -2..2")
+    return axis, factor
+
+
+def _add_story(parser: argparse.ArgumentParser, names: Iterable[str] = SCENARIOS) -> None:
     """Add the options that choose the world."""
-    parser.add_argument("--scenario", default="demo", choices=sorted(SCENARIOS), help="the story (default: demo)")
+    parser.add_argument("--scenario", default="demo", choices=sorted(names), help="the story (default: demo)")
     parser.add_argument("--seed", type=_seed, default=1, help="seed of every random quantity (default: 1)")
     parser.add_argument("--start", type=_epoch_us, help="first epoch, RFC 3339 with zone")
     parser.add_argument("--operation-days", type=_positive, help="length of the operation phase, days")
@@ -99,6 +120,39 @@ def _add_serve(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_plant(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a closed loop."""
+    _add_story(parser, CLOSED_SCENARIOS)
+    parser.add_argument(
+        "--uplink",
+        default="ideal",
+        choices=sorted(UPLINKS),
+        help="ideal: a schedule arrives at once; link: after 30-120 s, 2%% lost, 1%% twice (default: ideal)",
+    )
+    parser.add_argument(
+        "--onboard",
+        default="wheels",
+        choices=["wheels", "perfect"],
+        help="wheels: the loop on board is flown; perfect: taken as perfect, torques of any size act (default: wheels)",
+    )
+    parser.add_argument(
+        "--response",
+        type=_response,
+        action="append",
+        default=[],
+        metavar="AXIS=FACTOR",
+        help="what a commanded torque does about an axis, -1 = the opposite; may repeat",
+    )
+    parser.add_argument(
+        "--tone",
+        type=_tone,
+        action="append",
+        default=[],
+        metavar="AXIS:OMEGA:DAMPING:COUPLING",
+        help="flexible mode that moves the hub, rad/s; may repeat",
+    )
+
+
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser of the command line."""
     parser = argparse.ArgumentParser(prog="soo-analyzer", description="Simulated spectrum analyzer and its world.")
@@ -108,7 +162,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_story(export)
     export.add_argument("--out", type=Path, required=True, help="file to write, .npz")
     plant = commands.add_parser("plant", help="close a loop: powers to standard output, torque schedules from input")
-    _add_story(plant)
+    _add_plant(plant)
     for command in (export, plant):
         command.add_argument(
             "--sweep-noise", type=float, default=1.0, help="scale of the sweep's own noise (default: 1)"
@@ -129,10 +183,13 @@ def _scenario(options: argparse.Namespace) -> Scenario:
 
 def _run_plant(options: argparse.Namespace) -> int:
     """Close a loop over the standard streams; a reader that leaves ends it without a complaint."""
+    factors = {**dict.fromkeys(AXES, 1.0), **dict(options.response)}
+    response = (factors["roll"], factors["pitch"], factors["yaw"])
+    flown = PlantOptions(options.uplink, options.onboard, response, tuple(options.tone))
     # bytes that are no text must reach the parser of lines, which answers them
     source = io.TextIOWrapper(sys.stdin.buffer, encoding="utf-8", errors="replace")
     try:
-        return run_plant(_scenario(options), options.seed, options.sweep_noise, source, sys.stdout)
+        return run_plant(_scenario(options), options.seed, options.sweep_noise, source, sys.stdout, flown)
     except BrokenPipeError:
         # the interpreter flushes once more at its end
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -25,11 +25,12 @@ class Disturbance(NamedTuple):
     """What acts in the step after each row of operation; (T, 3), order yaw, roll, pitch."""
 
     drift_deg_s: FloatArray
-    torque_n_m: FloatArray
+    #: whole torque of the Sun's light, before any of it is fed forward
+    solar_n_m: FloatArray
 
 
 def disturbance(scenario: Scenario, seed: int, epochs_us: EpochArray) -> Disturbance:
-    """Return drift and residual torque for the epochs (T,) of the operation phase."""
+    """Return drift and the torque of the Sun for the epochs (T,) of the operation phase."""
     figures, count, step_s = scenario.keeping, len(epochs_us), scenario.row_period_s
     drift_deg_h = [
         first_order(stream(seed, "drift", axis), count, step_s, sigma, figures.drift_tau_s)
@@ -42,5 +43,4 @@ def disturbance(scenario: Scenario, seed: int, epochs_us: EpochArray) -> Disturb
     # of the middle of the step
     days = (epochs_us - scenario.start_us + 0.5 * scenario.row_period_us) / US_PER_DAY
     wave = np.cos(2.0 * np.pi * days[:, None] + phase)
-    torque_n_m = (1.0 - FED_FORWARD_SHARE) * np.array(SOLAR_TORQUE_N_M) * wave
-    return Disturbance(np.stack(drift_deg_h, axis=1) / 3600.0, np.asarray(torque_n_m))
+    return Disturbance(np.stack(drift_deg_h, axis=1) / 3600.0, np.asarray(np.array(SOLAR_TORQUE_N_M) * wave))

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+from analyzer_sim.world.catalogue_closed import CLOSED
 from analyzer_sim.world.catalogue_hard import HARD
 from analyzer_sim.world.catalogue_plain import PLAIN, downlink_rain
 from analyzer_sim.world.catalogue_sources import SOURCES_OF_REALITY
@@ -9,6 +10,7 @@ from analyzer_sim.world.catalogue_wrong import WRONG
 from analyzer_sim.world.story import DEFAULT_START_US, KeepingFigures, NoiseFigures, Phase, RepeaterFigures, Scenario
 
 __all__ = [
+    "CLOSED_SCENARIOS",
     "DEFAULT_START_US",
     "SCENARIOS",
     "KeepingFigures",
@@ -22,6 +24,8 @@ __all__ = [
 
 #: every scenario by name
 SCENARIOS: dict[str, Scenario] = {scenario.name: scenario for scenario in (*PLAIN, *HARD, *WRONG, *SOURCES_OF_REALITY)}
+#: those that can be flown in closed loop: a few more
+CLOSED_SCENARIOS: dict[str, Scenario] = {**SCENARIOS, **{scenario.name: scenario for scenario in CLOSED}}
 
 
 def scenario_named(
@@ -38,9 +42,9 @@ def scenario_named(
     KeyError
         No scenario has this name; the message lists those that exist.
     """
-    if name not in SCENARIOS:
-        raise KeyError(f"no scenario {name!r}; there are {', '.join(sorted(SCENARIOS))}")
-    chosen = SCENARIOS[name]
+    if name not in CLOSED_SCENARIOS:
+        raise KeyError(f"no scenario {name!r}; there are {', '.join(sorted(CLOSED_SCENARIOS))}")
+    chosen = CLOSED_SCENARIOS[name]
     return replace(
         chosen,
         operation_h=chosen.operation_h if operation_days is None else 24.0 * operation_days,

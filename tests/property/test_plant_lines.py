@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from analyzer_sim.epochs import rfc3339
-from analyzer_sim.plant import ScheduleError, parse_schedule
+from analyzer_sim.schedule_lines import ScheduleError, parse_schedule
 
 NOW_US = 1_793_491_200_000_000
 
@@ -29,9 +29,9 @@ schedules = st.fixed_dictionaries({"schedule": st.lists(elements | documents, ma
 
 @given(st.text() | documents.map(json.dumps) | schedules.map(json.dumps))
 def test_a_line_is_a_schedule_or_is_refused(text):
-    flown = []
+    flown = ()
     with suppress(ScheduleError):
-        flown = parse_schedule(text, NOW_US)
+        flown = parse_schedule(text, NOW_US).elements
     for element in flown:
         assert NOW_US <= element.start_us < element.stop_us
         assert all(math.isfinite(torque) and abs(torque) <= 0.05 for torque in element.torque_n_m)

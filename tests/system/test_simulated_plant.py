@@ -17,6 +17,7 @@ SEED = 1
 COMMAND = [sys.executable, "-m", "analyzer_sim", "plant", "--scenario", "nominal", "--seed", str(SEED)]
 #: about yaw, roll, pitch, kg m2
 INERTIA = {"yaw": 2600.0, "roll": 2600.0, "pitch": 1400.0}
+QUANTUM_N_M = 0.002
 
 
 @pytest.fixture
@@ -34,14 +35,17 @@ def say(process: subprocess.Popen, data: bytes) -> None:
 
 
 def steered(truth: dict) -> dict:
-    """Return a pulse of a minute against what the truth says."""
+    """Return pulses of one quantum whose mean over a minute works against what the truth says."""
     frequency, damping = 2.0 * math.pi / 7200.0, 0.9
-    torque = {
-        f"{axis}_n_m": -inertia
-        * math.radians(frequency**2 * truth[f"{axis}_deg"] + 2.0 * damping * frequency * truth["rates_deg_s"][axis])
-        for axis, inertia in INERTIA.items()
-    }
-    return {"schedule": [{"start": truth["epoch"], "duration_s": 60.0, **torque}]}
+    still = {"roll_n_m": 0.0, "pitch_n_m": 0.0, "yaw_n_m": 0.0}
+    elements = []
+    for axis, inertia in INERTIA.items():
+        rate = truth["rates_deg_s"][axis]
+        torque = -inertia * math.radians(frequency**2 * truth[f"{axis}_deg"] + 2.0 * damping * frequency * rate)
+        one = math.copysign(QUANTUM_N_M, torque)
+        duration_s = max(1e-3, min(60.0, abs(torque) * 60.0 / QUANTUM_N_M))
+        elements.append({"start": truth["epoch"], "duration_s": duration_s, **still, f"{axis}_n_m": one})
+    return {"schedule": elements}
 
 
 def test_a_loop_closes_over_pipes(plant) -> None:
@@ -79,8 +83,8 @@ def test_a_bad_line_is_answered(plant, data: bytes) -> None:
     say(plant, data)
     assert json.loads(plant.stdout.readline())["type"] == "error"
     say(plant, b'{"schedule":[]}')
-    types = [json.loads(plant.stdout.readline())["type"] for _ in range(2)]
-    assert types == ["truth", "row"]
+    types = [json.loads(plant.stdout.readline())["type"] for _ in range(3)]
+    assert types == ["ground", "truth", "row"]
     plant.stdin.close()
     assert plant.wait(10) == 0
 

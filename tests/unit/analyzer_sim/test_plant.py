@@ -12,7 +12,9 @@ import pytest
 
 from analyzer_sim.epochs import epoch_us_from_text, rfc3339
 from analyzer_sim.export import export_arrays
-from analyzer_sim.plant import Plant, ScheduleError, parse_schedule, run_plant
+from analyzer_sim.plant import Plant, PlantOptions
+from analyzer_sim.plant_lines import run_plant
+from analyzer_sim.schedule_lines import Schedule, ScheduleError, parse_schedule
 from analyzer_sim.world.events import Gap, SwitchOff
 from analyzer_sim.world.ground_bodies import INERTIA_KG_M2
 from analyzer_sim.world.rigid_body import TorqueElement
@@ -33,11 +35,14 @@ SHORT = Scenario(
 )
 START_US = SHORT.operation_start_us
 ROLL, PITCH, YAW = INERTIA_KG_M2
+#: torques of any size act, and the body is integrated exactly
+PERFECT = PlantOptions(onboard="perfect")
+NOTHING = Schedule(())
 
 
-def played(text: str, scenario: Scenario = SHORT) -> list[dict]:
+def played(text: str, scenario: Scenario = SHORT, options: PlantOptions | None = None) -> list[dict]:
     sink = io.StringIO()
-    assert run_plant(scenario, 1, 1.0, io.StringIO(text), sink) == 0
+    assert run_plant(scenario, 1, 1.0, io.StringIO(text), sink, options) == 0
     return [json.loads(line) for line in sink.getvalue().splitlines()]
 
 
@@ -93,11 +98,11 @@ def test_at_the_attitude_of_the_world_the_powers_are_those_of_the_export(name: s
 
 
 def test_a_known_pulse_moves_the_angle_as_torque_over_inertia_says() -> None:
-    flown, still = Plant(SHORT, 1), Plant(SHORT, 1)
+    flown, still = Plant(SHORT, 1, 1.0, PERFECT), Plant(SHORT, 1, 1.0, PERFECT)
     pulse = TorqueElement(START_US + 5_000_000, START_US + 25_000_000, (0.0, 0.0, 0.03))
-    for plant, schedule in ((flown, [pulse]), (still, [])):
+    for plant, schedule in ((flown, Schedule((pulse,))), (still, NOTHING)):
         plant.advance(schedule)
-        plant.advance([])
+        plant.advance(NOTHING)
     moved = np.subtract(flown.state, still.state)
     rate = math.degrees(20.0 * 0.03 / PITCH)
     np.testing.assert_allclose(moved[1], [0.0, 0.0, rate], atol=1e-15)
@@ -114,6 +119,9 @@ def test_a_known_pulse_moves_the_angle_as_torque_over_inertia_says() -> None:
         ("[1]", "schedule"),
         ('{"schedule":{}}', "schedule"),
         ('{"schedule":[],"more":1}', "schedule"),
+        ('{"schedule":[],"counter":-1}', "counter"),
+        ('{"schedule":[],"counter":1.5}', "counter"),
+        ('{"schedule":[],"counter":"1"}', "counter"),
         ("[" * 100_000, "JSON object"),
         ('{"schedule":[1]}', "element 0: the fields"),
         (json.dumps({"schedule": [element(START_US, duration_s=0.0)]}), "duration_s"),
@@ -157,7 +165,8 @@ def test_elements_may_last_beyond_the_next_row() -> None:
 
 def controlled(seed: int, hours: float, sign_after: float, limit_deg: float) -> tuple[float, float]:
     """Return the largest angle under a PD on the truth for some hours, and minutes until a limit is crossed after."""
-    plant = Plant(replace(scenario_named("nominal"), quiet_h=1.0, operation_h=hours + 4.0), seed)
+    scenario = replace(scenario_named("nominal"), quiet_h=1.0, operation_h=hours + 4.0)
+    plant = Plant(scenario, seed, 1.0, PERFECT)
     frequency, damping = 2.0 * math.pi / 7200.0, 0.9
     largest = 0.0
     for minute in range(round((hours + 4.0) * 60.0)):
@@ -167,7 +176,7 @@ def controlled(seed: int, hours: float, sign_after: float, limit_deg: float) -> 
             for inertia, angle, rate in zip((YAW, ROLL, PITCH), *plant.state, strict=True)
         ]
         now_us = plant.epoch_us
-        plant.advance([TorqueElement(now_us, now_us + 60_000_000, (torque[0], torque[1], torque[2]))])
+        plant.advance(Schedule((TorqueElement(now_us, now_us + 60_000_000, (torque[0], torque[1], torque[2])),)))
         angles = np.abs(plant.state.attitude_deg)
         if minute < hours * 60.0:
             largest = max(largest, float(angles.max()))
@@ -190,13 +199,71 @@ def test_the_truth_can_be_held_and_leaves_when_control_stops(seed: int) -> None:
 def test_an_uncoupled_story_flies_an_uncoupled_body() -> None:
     plain = replace(SHORT, keeping=KeepingFigures(drift_deg_h=(0.0, 0.0, 0.0)))
     free = replace(plain, keeping=replace(plain.keeping, is_coupled=False))
-    coupled, uncoupled = Plant(plain, 1), Plant(free, 1)
+    coupled, uncoupled = Plant(plain, 1, 1.0, PERFECT), Plant(free, 1, 1.0, PERFECT)
     for plant in (coupled, uncoupled):
         plant.state = plant.state._replace(attitude_deg=(0.4, 0.0, 0.0))
         for _ in range(10):
-            plant.advance([])
+            plant.advance(NOTHING)
     moved = coupled.state.attitude_deg[1] - uncoupled.state.attitude_deg[1]
     assert moved == pytest.approx(0.4 * 7.292e-5 * 600.0, rel=0.01)  # deg; yaw itself moves by a hundredth
+
+
+def test_the_flown_craft_goes_where_a_perfect_loop_would_take_it() -> None:
+    scenario = replace(scenario_named("nominal"), quiet_h=1.0, operation_h=2.0)
+    for seed in (1, 2, 3):
+        flown, perfect = Plant(scenario, seed), Plant(scenario, seed, 1.0, PERFECT)
+        apart_deg = []
+        for minute in range(119):
+            now_us = flown.epoch_us
+            # out and back again: nobody holds the craft, and angles of a degree are not small any more
+            torque = {0: 0.004, 20: -0.004, 40: -0.004, 60: 0.004}.get(minute % 80, 0.0)
+            pulse = TorqueElement(now_us + 3_000_000, now_us + 5_500_000, (torque, -torque, 0.5 * torque))
+            for plant in (flown, perfect):
+                plant.advance(Schedule((pulse,) if torque else ()))
+            apart_deg.append(np.abs(np.subtract(flown.state.attitude_deg, perfect.state.attitude_deg)).max())
+        print(f"seed {seed}: {max(apart_deg):.1e} deg apart, momentum {flown.momentum_n_m_s}")
+        assert 1e-6 < max(apart_deg) < 3e-3  # ripple of the drives, friction, products of angles
+
+
+def test_a_wheel_with_the_wrong_sign_turns_the_other_way() -> None:
+    scenario = replace(SHORT, keeping=KeepingFigures(drift_deg_h=(0.0, 0.0, 0.0)))
+    right, wrong, still = (
+        Plant(scenario, 1, 1.0, PlantOptions(response=(sign, 1.0, 1.0))) for sign in (1.0, -1.0, 1.0)
+    )
+    pulse = TorqueElement(START_US + 5_000_000, START_US + 15_000_000, (0.0, 0.006, 0.0))
+    for plant, schedule in ((right, Schedule((pulse,))), (wrong, Schedule((pulse,))), (still, NOTHING)):
+        plant.advance(schedule)
+        for _ in range(10):
+            plant.advance(NOTHING)
+    moved = [plant.state.attitude_deg[1] - still.state.attitude_deg[1] for plant in (right, wrong)]
+    assert moved[0] == pytest.approx(math.degrees(0.06 / ROLL) * 650.0, rel=0.01)
+    assert moved[1] == pytest.approx(-moved[0], rel=0.01)
+
+
+def test_a_counter_is_flown_once_and_told() -> None:
+    command = {"schedule": [element(START_US + 60_000_000, roll_n_m=0.0049, duration_s=2.0)], "counter": 7}
+    lines = played((json.dumps(command) + "\n") * 2 + '{"schedule":[]}\n' * 40)
+    reports = [line for line in lines if line["type"] == "report"]
+    assert [(report["counter"], report["state"]) for report in reports] == [(7, "repeated"), (7, "executed")]
+    assert reports[1]["executed_from"] == rfc3339(START_US + 60_000_000)
+    # rounded to two quanta of 2 mN m
+    assert reports[1]["impulse_n_m_s"] == pytest.approx({"yaw": 0.0, "roll": 0.008, "pitch": 0.0})
+    rates = [line["rates_deg_s"]["roll"] for line in lines if line["type"] == "truth" and "rates_deg_s" in line]
+    assert rates[-1] - rates[0] == pytest.approx(math.degrees(0.008 / ROLL), rel=0.1)
+
+
+def test_telemetry_of_the_craft_stands_before_each_row() -> None:
+    records = [
+        line["line"]["body"]["records"]
+        for line in quiet_play()
+        if line["type"] == "ground" and line["line"]["kind"] == "telemetry"
+    ]
+    own = [record for (record,) in records if "wheel_speed_rpm" in record]
+    assert len(own) == quiet_play()[0]["closed_rows"]
+    assert own[0]["onboard_mode"] == "inertial_forecast"
+    assert own[0]["wheel_speed_rpm"][1] == pytest.approx(
+        own[0]["wheel_momentum_n_m_s"][1] / 0.04 * 30.0 / math.pi, rel=1e-4
+    )
 
 
 def test_a_story_with_power_control_can_be_flown() -> None:

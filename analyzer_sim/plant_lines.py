@@ -1,0 +1,160 @@
+"""Lines of the plant: the dialogue over a pair of text streams, one JSON object a line.
+
+Out, in this order; fields in brackets are not always there:
+
+    {"type":"start","scenario":..,"seed":..,"carriers":[ids],"open_rows":n,"closed_rows":m,"uplink":..,"onboard":..}
+    {"type":"ground","line":{..}}                what the ground port would send, corrections left out
+    {"type":"report","counter":..,"state":"executed|repeated|late|refused","told":..,"received":..,
+     ["executed_from":..,"executed_until":..,"impulse_n_m_s":{..}]}
+    {"type":"truth","epoch":..,"yaw_deg":..,..}  for the judge alone
+    {"type":"row","epoch":..,"power_dbm":[..]}   null = absent; rows of a gap are left out
+    {"type":"end"}
+
+Quiet phase, turns and alignment run through without an answer. In operation each row is preceded by a telemetry
+record of its own (a ``ground`` line: momentum and speed of the wheels, rate of the body as the model on board has it)
+and by the reports of commands since the row before; of a command that was lost there is none. After each row of
+operation the plant waits for one line
+
+    {"schedule":[{"start":..,"duration_s":..,"roll_n_m":..,"pitch_n_m":..,"yaw_n_m":..},..],["counter":..]}
+
+Elements begin not before the row. Without a counter the plant counts the schedules that are not empty. A line that is
+not understood is answered by `{"type":"error","detail":..}`, changes nothing, and another one is awaited. The end of
+standard input ends the plant.
+"""
+
+import json
+import math
+from collections.abc import Iterator
+from typing import Any, TextIO
+
+from analyzer_sim.epochs import rfc3339
+from analyzer_sim.plant import Plant, PlantOptions
+from analyzer_sim.schedule_lines import MAX_LINE_CHARACTERS, Schedule, ScheduleError, parse_schedule
+from analyzer_sim.streams import FloatArray
+from analyzer_sim.world.ground import catalogue_lines, chunks_of, told_lines, truth_row
+from analyzer_sim.world.story import Scenario
+from analyzer_sim.world.telemetry import PERIOD_H
+from analyzer_sim.world.uplink import Report
+from analyzer_sim.world.wheels import rotor_speed_rpm
+
+Line = dict[str, Any]
+
+_AXES = ("yaw", "roll", "pitch")
+#: lines of the story that are not told in operation: nobody flies its corrections, and the craft has its own telemetry
+_NOT_FLOWN = {"corrections", "telemetry"}
+_US_PER_H = 3_600_000_000
+
+
+def run_plant(
+    scenario: Scenario,
+    seed: int,
+    sweep_noise: float,
+    source: TextIO,
+    sink: TextIO,
+    options: PlantOptions | None = None,
+) -> int:
+    """Play a story over a pair of text streams and return the exit status.
+
+    Raises
+    ------
+    BrokenPipeError
+        The reader has left.
+    """
+    options = options or PlantOptions()
+    plant = Plant(scenario, seed, sweep_noise, options)
+    _send(sink, _opening(plant, options))
+    while True:
+        _send(sink, _present(plant))
+        schedule = _await_schedule(plant, source, sink) if plant.is_measured else Schedule(())
+        if schedule is None:
+            return 0
+        if not plant.advance(schedule):
+            _send(sink, iter([{"type": "end"}]))
+            return 0
+
+
+def _opening(plant: Plant, options: PlantOptions) -> Iterator[Line]:
+    """Yield everything before operation."""
+    world = plant.world
+    rows = {"open_rows": plant.first_row, "closed_rows": plant.row_count - plant.first_row}
+    what = {"uplink": options.uplink, "onboard": options.onboard}
+    carriers = list(world.carrier_ids)
+    yield {"type": "start", "scenario": world.scenario.name, "seed": world.seed, "carriers": carriers, **rows, **what}
+    yield from ({"type": "ground", "line": line} for line in catalogue_lines(world))
+    for first, last, phase in chunks_of(world):
+        if phase != "operation":
+            yield from ({"type": "ground", "line": line} for line in told_lines(world, first, last))
+            for row in range(first, last + 1):
+                yield {"type": "truth", **truth_row(world, row, world.rows.attitude_deg[row])}
+                yield _row_line(int(world.rows.epochs_us[row]), plant.open_dbm[row])
+
+
+def _present(plant: Plant) -> Iterator[Line]:
+    """Yield what belongs to the present row of operation."""
+    for line in told_lines(plant.world, plant.row, plant.row):
+        if line["kind"] not in _NOT_FLOWN:
+            yield {"type": "ground", "line": line}
+    yield {"type": "ground", "line": {"kind": "telemetry", "body": {"records": [_telemetry(plant)]}}}
+    yield from (_report_line(report) for report in plant.reports)
+    rates = dict(zip(_AXES, plant.state.rate_deg_s, strict=True))
+    truth = truth_row(plant.world, plant.row, plant.state.attitude_deg)
+    yield {"type": "truth", **truth, "rates_deg_s": rates}
+    if plant.is_measured:
+        yield _row_line(plant.epoch_us, plant.power_dbm())
+
+
+def _telemetry(plant: Plant) -> Line:
+    """Return what the craft says of itself; its inertial model does not see the drift of its rate."""
+    momentum, told = plant.momentum_n_m_s, plant.told_telemetry()
+    x, y, z = (math.degrees(rate) for rate in plant.craft.commanded_rad_s)
+    return {
+        "epoch": rfc3339(plant.epoch_us),
+        "onboard_mode": told.onboard_mode,
+        "wheel_momentum_n_m_s": [round(h, 6) for h in momentum],
+        "wheel_speed_rpm": [round(rotor_speed_rpm(h), 3) for h in momentum],
+        "thrusters_active": told.thrusters_active and plant.epoch_us - told.told_us < PERIOD_H * _US_PER_H // 2,
+        "body_rate_deg_s": {"yaw": round(z, 9), "roll": round(x, 9), "pitch": round(y, 9)},
+    }
+
+
+def _report_line(report: Report) -> Line:
+    line: Line = {
+        "type": "report",
+        "counter": report.counter,
+        "state": report.fate.value,
+        "told": rfc3339(report.told_us),
+        "received": rfc3339(report.received_us),
+    }
+    if report.executed_us is not None:
+        line["executed_from"], line["executed_until"] = (rfc3339(epoch_us) for epoch_us in report.executed_us)
+        line["impulse_n_m_s"] = dict(zip(_AXES, report.impulse_n_m_s, strict=True))
+    return line
+
+
+def _row_line(epoch_us: int, power_dbm: FloatArray) -> Line:
+    levels = [None if math.isnan(level) else round(level, 5) for level in power_dbm.tolist()]
+    return {"type": "row", "epoch": rfc3339(epoch_us), "power_dbm": levels}
+
+
+def _await_schedule(plant: Plant, source: TextIO, sink: TextIO) -> Schedule | None:
+    """Return the next schedule; None at the end of the input."""
+    while text := source.readline(MAX_LINE_CHARACTERS + 1):
+        try:
+            if len(text) > MAX_LINE_CHARACTERS:
+                _skip_line(text, source)
+            return parse_schedule(text, plant.epoch_us)
+        except ScheduleError as error:
+            _send(sink, iter([{"type": "error", "detail": str(error)}]))
+    return None
+
+
+def _skip_line(text: str, source: TextIO) -> None:
+    """Read the rest of a line that is too long."""
+    while text and not text.endswith("\n"):
+        text = source.readline(MAX_LINE_CHARACTERS)
+
+
+def _send(sink: TextIO, lines: Iterator[Line]) -> None:
+    for line in lines:
+        sink.write(json.dumps(line, allow_nan=False, separators=(",", ":")) + "\n")
+    sink.flush()

@@ -1,0 +1,89 @@
+"""Lines of the plant's input: a torque schedule, perhaps with its counter, within the limits of what can be flown."""
+
+import json
+import math
+from typing import NamedTuple
+
+from analyzer_sim.epochs import US_PER_S, epoch_us_from_text, rfc3339
+from analyzer_sim.world.ground_bodies import TORQUE_LIMIT_N_M
+from analyzer_sim.world.rigid_body import TorqueElement
+
+#: longest line, elements of one schedule, duration of one element, s, and largest counter
+MAX_LINE_CHARACTERS = 1_000_000
+MAX_ELEMENTS = 10_000
+MIN_DURATION_S, MAX_DURATION_S = 1e-6, 86_400.0
+MAX_COUNTER = 2**32 - 1
+_FIELDS = {"start", "duration_s", "roll_n_m", "pitch_n_m", "yaw_n_m"}
+
+
+class ScheduleError(ValueError):
+    """A line holds no schedule that can be flown; the text says why."""
+
+
+class Schedule(NamedTuple):
+    """What a line holds."""
+
+    elements: tuple[TorqueElement, ...]
+    #: None = the plant counts
+    counter: int | None = None
+
+
+def parse_schedule(text: str, not_before_us: int) -> Schedule:
+    """Return the schedule of a line.
+
+    Raises
+    ------
+    ScheduleError
+        Too long, not JSON, not a schedule, an element that begins before `not_before_us` or exceeds a limit.
+    """
+    if len(text) > MAX_LINE_CHARACTERS:
+        raise ScheduleError(f"a line holds at most {MAX_LINE_CHARACTERS} characters")
+    try:
+        # an integer of a thousand digits is infinite, not an error
+        message = json.loads(text, parse_int=float)
+    except (ValueError, RecursionError):
+        raise ScheduleError("a line is one JSON object") from None
+    if not isinstance(message, dict) or not {"schedule"} <= set(message) <= {"schedule", "counter"}:
+        raise ScheduleError('a line is {"schedule": [..]}, perhaps with a counter, and nothing else')
+    told = message["schedule"]
+    if not isinstance(told, list):
+        raise ScheduleError("the schedule is a list of elements")
+    if len(told) > MAX_ELEMENTS:
+        raise ScheduleError(f"a schedule holds at most {MAX_ELEMENTS} elements")
+    elements = tuple(_element(k, item, not_before_us) for k, item in enumerate(told))
+    return Schedule(elements, _counter(message["counter"]) if "counter" in message else None)
+
+
+def _counter(value: object) -> int:
+    if not isinstance(value, float) or not 0.0 <= value <= MAX_COUNTER or not value.is_integer():
+        raise ScheduleError(f"the counter is a whole number of 0..{MAX_COUNTER}")
+    return int(value)
+
+
+def _element(number: int, item: object, not_before_us: int) -> TorqueElement:
+    if not isinstance(item, dict) or set(item) != _FIELDS:
+        raise ScheduleError(f"element {number}: the fields are {', '.join(sorted(_FIELDS))}")
+    duration_s = _number(number, item, "duration_s")
+    if not MIN_DURATION_S <= duration_s <= MAX_DURATION_S:
+        raise ScheduleError(f"element {number}: duration_s lies outside {MIN_DURATION_S:g}..{MAX_DURATION_S:g}")
+    start_us = _start_us(number, item["start"])
+    if start_us < not_before_us:
+        raise ScheduleError(f"element {number}: it begins before the row of {rfc3339(not_before_us)}")
+    yaw, roll, pitch = (_number(number, item, f"{axis}_n_m") for axis in ("yaw", "roll", "pitch"))
+    if max(abs(yaw), abs(roll), abs(pitch)) > TORQUE_LIMIT_N_M:
+        raise ScheduleError(f"element {number}: a torque exceeds {TORQUE_LIMIT_N_M:g} N m")
+    return TorqueElement(start_us, start_us + round(duration_s * US_PER_S), (yaw, roll, pitch))
+
+
+def _number(number: int, item: dict[str, object], name: str) -> float:
+    value = item[name]
+    if not isinstance(value, float) or not math.isfinite(value):
+        raise ScheduleError(f"element {number}: {name} is not a finite number")
+    return value
+
+
+def _start_us(number: int, text: object) -> int:
+    try:
+        return epoch_us_from_text(str(text))
+    except (ValueError, OverflowError):
+        raise ScheduleError(f"element {number}: start is no RFC 3339 epoch with a zone") from None

@@ -1,0 +1,17 @@
+"""Catalogue, stories for closed loops alone: they begin away from zero and mean nothing where no torque is flown."""
+
+from analyzer_sim.world.events import DownlinkRain
+from analyzer_sim.world.story import KeepingFigures, Scenario
+
+#: size of the angles from which the loop slews to zero, deg
+SLEW_DEG = 0.35
+
+CLOSED: tuple[Scenario, ...] = (
+    Scenario(
+        "slew_fade",
+        "Roll and pitch begin 0.35 deg off; 20 min into the slew to zero all carriers fade by 2 dB for an hour.",
+        keeping=KeepingFigures(alignment_deg=(0.0, SLEW_DEG, SLEW_DEG)),
+        operation_h=12.0,
+        faults=(DownlinkRain("downlink rain", (1.0 / 3.0, 1.0 / 3.0), (2.0, 2.0), (0.3, 0.3), (60.0, 60.0)),),
+    ),
+)
