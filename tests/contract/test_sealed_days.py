@@ -70,7 +70,7 @@ def answers(setting, windows, methods=tuple(Method)) -> dict[str, str]:
         "sources": archive.sources(name),
         "newest": archive.newest_measurement(name),
         "journal": archive.journal(name, 0, 10_000),
-        "journal by parts": [archive.journal(name, after, 7) for after in range(0, newest, 7)],
+        "journal by parts": [archive.journal(name, after, 25) for after in range(0, newest, 25)],
         "pending": [results.pending(name, chosen) for chosen in ([Method.PAPER], list(methods))],
         # counted from the beginning, as after a restart
         "attitude now": [results.newest_attitude(name, "live", method) for method in methods],
@@ -115,7 +115,8 @@ def some_batch(setting, make, dice, plans):
     )
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("seed", range(3))
 def test_sealing_at_random_moments_changes_no_answer(new_setting, make, monkeypatch, seed):
     """Two spacecraft live the same life; days of one are sealed again and again, into segments of few rows."""
     monkeypatch.setattr(sealing, "SEGMENT_ROWS", 3 if seed % 2 else 10_800)
@@ -127,14 +128,14 @@ def test_sealing_at_random_moments_changes_no_answer(new_setting, make, monkeypa
         lives.append((setting, random.Random(seed), plans))
     dice = random.Random(1000 + seed)
     moved = 0
-    for step in range(25):
+    for step in range(16):
         receipts = [some_batch(setting, make, thrown, plans) for setting, thrown, plans in lives]
         assert receipts[0] == receipts[1], f"seed {seed} step {step}"
         if step == 5:
             for setting in (plain, sealed):
                 setting.calibrate()
                 setting.align(STEP_US * 9)
-        if step == 12:
+        if step == 9:
             for setting in (plain, sealed):
                 setting.storage.archive.select_source(setting.id, "sa-2")
                 setting.storage.archive.append_inputs(setting.id, [Correction(1, 2, Axes(0.1, 0.2, 0.3))])
