@@ -244,6 +244,8 @@ class AlarmDesk:
 
     def _tell(self, changes: Sequence[AlarmChange]) -> None:
         """Publish stored changes and tell them outside."""
+        if changes:
+            self._is_failing = False
         for change in changes:
             event = FeedEvent("alarm", Cursor(0, 0, change.sequence), change)
             about = change.alarm.spacecraft_id
@@ -275,5 +277,3 @@ class AlarmDesk:
         except Exception:  # noqa: BLE001 the desk outlives every fault; what holds is in the archive
             _LOG.exception("looking at %s failed; its alarms are read anew", spacecraft_id or "the service")
             self._cases.pop(spacecraft_id, None)
-        else:
-            self._is_failing = False
