@@ -1,0 +1,36 @@
+"""Ports: what the inside of the service asks of the outside. Adapters implement them; nothing here imports one.
+
+``Archive`` holds the promise of the product: when an append returns a receipt, what it counts as accepted is durable,
+visible and counted once. Every call may raise StorageError, for example ``storage.corrupt`` when a sealed day that it
+needs is damaged. Unknown names raise NotFoundError with the codes
+``spacecraft.unknown``, ``plan.unknown``, ``ephemeris.unknown``, ``calibration.unknown``, ``alignment.unknown``,
+``operation.unknown``, ``source.unknown``, ``job.unknown``, ``replay.unknown``, ``link.unknown``, ``key.unknown``.
+
+While a request has an audit note (``service.records.audit.CURRENT_NOTE``), the first write that it waits for commits
+its audit entry together with the change.
+"""
+
+from service.ports.access import Audit, Keys
+from service.ports.archive import Archive
+from service.ports.catalogue import Catalogue
+from service.ports.clock import Clock
+from service.ports.results import LIVE, Outcome, Results
+from service.ports.stations import Links, Traces
+from service.ports.storage import Storage
+from service.ports.watch import Alarms, Notes
+
+__all__ = [
+    "LIVE",
+    "Alarms",
+    "Archive",
+    "Audit",
+    "Catalogue",
+    "Clock",
+    "Keys",
+    "Links",
+    "Notes",
+    "Outcome",
+    "Results",
+    "Storage",
+    "Traces",
+]

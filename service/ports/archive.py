@@ -1,0 +1,136 @@
+"""The port of inputs: measurements, slow inputs, and the journal that orders them."""
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future
+from typing import Protocol
+
+from service.records.archive_upkeep import Dropped, SealedPart, SegmentState
+from service.records.calibration import Window
+from service.records.inputs import Operation
+from service.records.journal import JournalEntry, SlowInput
+from service.records.measurement import BatchReceipt, Measurement, MeasurementBatch
+from service.records.measurement_block import MeasurementBlock
+from service.records.series import HeadState, InputReceipt, MeasurementSeries, ReferenceSeries, SourceState
+
+
+class Archive(Protocol):
+    """Inputs of the chain and the journal that orders them."""
+
+    def append_measurements(self, batch: MeasurementBatch) -> Future[BatchReceipt]:
+        """Store and journal the rows of a batch; the future resolves after the commit that made them durable.
+
+        Same key and content: duplicate. Same key, other content: refused ``measurement.conflict``. A row is late when
+        it is stale or below the newest epoch that the live chain has consumed.
+        """
+        ...
+
+    def append_inputs(self, spacecraft_id: str, records: Sequence[SlowInput]) -> InputReceipt:
+        """Store and journal slow inputs; same key, other content: refused ``input.conflict``."""
+        ...
+
+    def add_operation(self, spacecraft_id: str, operation: Operation) -> Operation:
+        """Store and journal an operation (its id is ignored) and return it with its id."""
+        ...
+
+    def replace_operation(self, spacecraft_id: str, operation: Operation) -> Operation:
+        """Store and journal a changed operation under the next revision."""
+        ...
+
+    def operation(self, spacecraft_id: str, operation_id: int) -> Operation:
+        """Return the newest revision of one operation."""
+        ...
+
+    def sources(self, spacecraft_id: str) -> tuple[SourceState, ...]:
+        """Return all measurement sources."""
+        ...
+
+    def select_source(self, spacecraft_id: str, source: str) -> SourceState:
+        """Make a source the prime one, journaled; rows stored from then on feed the estimator."""
+        ...
+
+    def head(self, spacecraft_id: str) -> HeadState:
+        """Return where journal and consumer stand."""
+        ...
+
+    def journal(self, spacecraft_id: str, after: int, limit: int) -> list[JournalEntry]:
+        """Return at most ``limit`` entries with a number above ``after``, in order.
+
+        Numbers have no gap but where retention has taken rows away; empty only when nothing follows.
+        """
+        ...
+
+    def slow_inputs_before(self, spacecraft_id: str, number: int, kinds: Sequence[str]) -> list[JournalEntry]:
+        """Return all slow inputs of some kinds with a number below the given one, in order."""
+        ...
+
+    def inputs(
+        self, spacecraft_id: str, kind: str, window: Window, limit: int, after: tuple[int, int] | None
+    ) -> list[JournalEntry]:
+        """Return slow inputs of a kind that overlap a window, in order of (start, number), beyond a cursor.
+
+        Of operations only the newest revision is returned.
+        """
+        ...
+
+    def newest_measurement(self, spacecraft_id: str) -> Measurement | None:
+        """Return the newest row of the prime source."""
+        ...
+
+    def measurements(
+        self, spacecraft_id: str, window: Window, limit: int, after: tuple[int, int] | None, source: str | None = None
+    ) -> list[Measurement]:
+        """Return rows in order of (epoch, number) beyond a cursor; every source unless one is named."""
+        ...
+
+    def measurement_blocks(
+        self, spacecraft_id: str, window: Window, *, source: str | None = None, feeds_estimator_only: bool = False
+    ) -> Iterator[MeasurementBlock]:
+        """Yield the rows of a window as blocks, in order of (epoch, number) within and across blocks.
+
+        A block holds rows of one source under one plan; interleaved sources make short blocks. What is held at once
+        does not grow with the window. Rows stored while blocks are read may be missed or told, never told twice.
+        """
+        ...
+
+    def plan_ids(self, spacecraft_id: str, window: Window) -> tuple[int, ...]:
+        """Return the numbers of the carrier plans under which the rows of a window were stored, ascending."""
+        ...
+
+    def measurements_after(self, spacecraft_id: str, epoch_us: int, before_number: int) -> list[Measurement]:
+        """Return rows that feed the estimator, later than an epoch, stored before a journal number, by epoch."""
+        ...
+
+    def measurement_series(self, spacecraft_id: str, window: Window, carrier_ids: Sequence[str]) -> MeasurementSeries:
+        """Return the rows that feed the estimator as arrays, columns matched by carrier id across plans."""
+        ...
+
+    def reference_series(self, spacecraft_id: str, window: Window) -> tuple[ReferenceSeries, ...]:
+        """Return the attitude references of every sensor in a window."""
+        ...
+
+    def seal(self, spacecraft_id: str, before_us: int, received_before_us: int) -> Iterator[SealedPart]:
+        """Pack the rows of days that ended by an epoch into segments, a short transaction a step.
+
+        Days of a source with a row received at or after ``received_before_us`` wait: more may be coming. Nothing that
+        any method answers changes.
+        """
+        ...
+
+    def segments(self, spacecraft_id: str) -> Iterator[SegmentState]:
+        """Read every sealed segment and yield whether it can be read; nothing is raised for one that cannot."""
+        ...
+
+    def drop_before(self, spacecraft_id: str, series: str, before_us: int) -> Iterator[Dropped]:
+        """Drop the rows of a series of whole days before an epoch, a short transaction a step.
+
+        Series: ``measurements``, ``attitude``, ``torques``, ``traces``. What the live chain has not consumed stays.
+        """
+        ...
+
+    def fitting_us(self, spacecraft_id: str, series: str, size_bytes: int) -> int | None:
+        """Return the midnight from which on the days of a series fit a size; None when all of them do."""
+        ...
+
+    def kept_from_us(self, spacecraft_id: str, series: str) -> int:
+        """Return the epoch below which rows of a series were dropped; far below every epoch when none were."""
+        ...

@@ -1,0 +1,160 @@
+"""The port of everything the service computed."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from service.records.attitude import AttitudeRow
+from service.records.calibration import (
+    Alignment,
+    Calibration,
+    CalibrationRequest,
+    CalibrationResult,
+    CalibrationState,
+    Window,
+)
+from service.records.catalogue import Method
+from service.records.command import AppliedCommand, TorqueCommand
+from service.records.job import Job, JobState, Replay
+
+#: version under which the live chain writes
+LIVE = "live"
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What the chain made of one consumed measurement."""
+
+    rows: tuple[AttitudeRow, ...]
+    command: TorqueCommand | None
+    #: set when the command counts as applied: it enters the journal with the outcome
+    applied: AppliedCommand | None = None
+
+
+class Results(Protocol):
+    """Everything the service computed: calibrations, alignments, attitude, commands, jobs, replays."""
+
+    def add_calibration(
+        self,
+        spacecraft_id: str,
+        request: CalibrationRequest,
+        plan_id: int,
+        ephemeris_id: int,
+        created_at_us: int,
+        created_by: str,
+    ) -> Calibration:
+        """Store a draft without a result and return it with its id."""
+        ...
+
+    def finish_calibration(
+        self, spacecraft_id: str, calibration_id: int, result: CalibrationResult | None, error: str | None
+    ) -> Calibration:
+        """Store the result of a draft, or why it failed."""
+        ...
+
+    def activate_calibration(self, spacecraft_id: str, calibration_id: int) -> Calibration:
+        """Make a calibration the active one of its method, journaled; the former becomes superseded."""
+        ...
+
+    def calibration(self, spacecraft_id: str, calibration_id: int) -> Calibration:
+        """Return one calibration."""
+        ...
+
+    def calibrations(self, spacecraft_id: str, state: CalibrationState | None = None) -> tuple[Calibration, ...]:
+        """Return calibrations, newest first."""
+        ...
+
+    def add_alignment(self, spacecraft_id: str, alignment: Alignment) -> Alignment:
+        """Store and journal an alignment (its id is ignored) and return it with its id."""
+        ...
+
+    def alignment(self, spacecraft_id: str, alignment_id: int) -> Alignment:
+        """Return one alignment."""
+        ...
+
+    def alignments(self, spacecraft_id: str) -> tuple[Alignment, ...]:
+        """Return alignments, newest first."""
+        ...
+
+    def alignment_number(self, spacecraft_id: str, alignment_id: int) -> int:
+        """Return the journal number of an alignment."""
+        ...
+
+    def save_outcomes(
+        self,
+        spacecraft_id: str,
+        version: str,
+        outcomes: Sequence[Outcome],
+        consumed_number: int,
+        consumed_epoch_us: int | None,
+    ) -> int:
+        """Store outcomes in one transaction and return the last result sequence.
+
+        Attitude rows that exist already under (version, method, measurement) stay as they are. For the live version
+        applied commands enter the journal and the consumer's head moves to ``consumed_number``.
+        """
+        ...
+
+    def attitude_rows(
+        self,
+        spacecraft_id: str,
+        version: str,
+        method: Method,
+        window: Window,
+        limit: int,
+        after: tuple[int, int] | None,
+    ) -> list[AttitudeRow]:
+        """Return rows in order of (epoch, number of the measurement) beyond a cursor.
+
+        Of the live version exactly one row a consumed measurement: where nothing was computed, the row has null angles,
+        status INVALID and the inhibition ``no_calibration`` or ``not_aligned`` that held when it was consumed.
+        """
+        ...
+
+    def newest_attitude(self, spacecraft_id: str, version: str, method: Method) -> AttitudeRow | None:
+        """Return the row with the greatest epoch."""
+        ...
+
+    def commands(
+        self, spacecraft_id: str, version: str, window: Window, limit: int, after: tuple[int, int] | None
+    ) -> list[TorqueCommand]:
+        """Return computed commands in order of (epoch, number) beyond a cursor."""
+        ...
+
+    def newest_command(self, spacecraft_id: str, version: str) -> TorqueCommand | None:
+        """Return the newest computed command."""
+        ...
+
+    def results_after(
+        self, spacecraft_id: str, sequence: int, limit: int
+    ) -> list[tuple[int, AttitudeRow | TorqueCommand]]:
+        """Return live results with a sequence above the given one, in order: what a resumed stream missed."""
+        ...
+
+    def pending(self, spacecraft_id: str, methods: Sequence[Method]) -> int:
+        """Return how many rows that feed the estimator, later than the alignment's epoch, lack a result of a method."""
+        ...
+
+    def add_job(self, job: Job) -> None:
+        """Store a new job."""
+        ...
+
+    def update_job(self, job_id: str, state: JobState, progress: float, error: str | None = None) -> None:
+        """Store how far a job is."""
+        ...
+
+    def job(self, job_id: str) -> Job:
+        """Return one job."""
+        ...
+
+    def fail_unfinished_jobs(self, error: str) -> int:
+        """Mark jobs that a former process left queued or running as failed; return how many."""
+        ...
+
+    def add_replay(self, spacecraft_id: str, replay: Replay) -> Replay:
+        """Store a replay (its id is ignored) and return it with its id."""
+        ...
+
+    def replay(self, spacecraft_id: str, version: str) -> Replay:
+        """Return the replay that wrote a version."""
+        ...

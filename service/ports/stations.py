@@ -1,0 +1,70 @@
+"""The ports of what front ends say of themselves: links and evidence traces."""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from service.records.calibration import Window
+from service.records.link import LinkReport, LinkState
+from service.records.trace import KeptTrace, Ring, Trace, TraceHead, TraceReceipt
+
+
+class Links(Protocol):
+    """What front ends report of themselves, and what operators want of them."""
+
+    def report(self, reports: Sequence[LinkReport], at_us: int) -> tuple[LinkState, ...]:
+        """Store the newest reports in one transaction and return the state of each link; a new link is enabled.
+
+        ConflictError ``link.too_many``: a thousand links are known already.
+        """
+        ...
+
+    def links(self, spacecraft_id: str | None = None) -> tuple[LinkState, ...]:
+        """Return all links, or those of one spacecraft, in order of id."""
+        ...
+
+    def link(self, link_id: str) -> LinkState:
+        """Return one link; NotFoundError ``link.unknown``."""
+        ...
+
+    def set_enabled(self, link_id: str, *, enabled: bool) -> LinkState:
+        """Say whether a link shall work; it stays so until it is said otherwise."""
+        ...
+
+    def request_reset(self, link_id: str) -> LinkState:
+        """Count one more reset that is wanted of a link."""
+        ...
+
+    def remove(self, link_id: str) -> None:
+        """Forget a link; it comes back with its next report, enabled."""
+        ...
+
+
+class Traces(Protocol):
+    """Evidence traces: a ring of sweeps a source."""
+
+    def append(
+        self, spacecraft_id: str, source: str, traces: Sequence[Trace], received_at_us: int, ring: Ring
+    ) -> TraceReceipt:
+        """Store traces of one source and drop, oldest epoch first, what its ring has no place for, as one.
+
+        Same source, sweep and epoch: duplicate, the first one stays.
+        """
+        ...
+
+    def heads(
+        self,
+        spacecraft_id: str,
+        window: Window,
+        limit: int,
+        after: tuple[int, int] | None,
+        source: str | None = None,
+        sweep: str | None = None,
+    ) -> list[TraceHead]:
+        """Return kept traces without their points in order of (epoch, number) beyond a cursor."""
+        ...
+
+    def trace(
+        self, spacecraft_id: str, epoch_us: int, source: str | None = None, sweep: str | None = None
+    ) -> KeptTrace:
+        """Return the trace of an epoch; NotFoundError ``trace.unknown``, ConflictError ``trace.ambiguous``."""
+        ...

@@ -1,0 +1,41 @@
+"""One database seen as a whole."""
+
+from typing import Protocol
+
+from service.ports.access import Audit, Keys
+from service.ports.archive import Archive
+from service.ports.catalogue import Catalogue
+from service.ports.results import Results
+from service.ports.stations import Links, Traces
+from service.ports.watch import Alarms, Notes
+from service.records.storage_state import StorageState
+
+
+class Storage(Protocol):
+    """One database seen as a whole."""
+
+    catalogue: Catalogue
+    archive: Archive
+    results: Results
+    links: Links
+    alarms: Alarms
+    notes: Notes
+    traces: Traces
+    keys: Keys
+    audit: Audit
+
+    def migrate(self) -> None:
+        """Bring the schema to the present version."""
+        ...
+
+    def check(self) -> None:
+        """Raise StorageError unless the database answers."""
+        ...
+
+    def state(self) -> StorageState:
+        """Return what the storage says of itself; StorageError unless the database answers."""
+        ...
+
+    def close(self) -> None:
+        """Commit what is queued and let go of the database."""
+        ...
