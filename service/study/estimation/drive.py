@@ -94,7 +94,7 @@ def drive(ground: Ground, config: ChainConfig | None = None) -> Driven:
     entries = slow_entries(ground, documents)
     start_us = ground.phases["operation"].start_us
     before = [entry.content for entry in entries if entry.epoch_us < start_us]
-    documents.alignments[1] = _align(ground, documents)
+    documents.alignments[1] = align(ground, documents)
     chain = Chain(documents, config or ChainConfig())
     for content in (*opening, CalibrationActivation(1, 1), *before, AlignmentSet(1)):
         chain.learn(content)
@@ -129,8 +129,14 @@ def calibrate(ground: Ground, plan: CarrierPlan, ephemeris: Ephemeris) -> Calibr
     return Calibration(1, 1, 1, CalibrationState.ACTIVE, request, 0, "study", result)
 
 
-def _align(ground: Ground, documents: Documents) -> Alignment:
-    """Return the alignment from the last hour in which the sensor is on."""
+def align(ground: Ground, documents: Documents) -> Alignment:
+    """Return the alignment from the last hour in which the sensor is on.
+
+    Raises
+    ------
+    UndrivenError
+        No sensor tells all angles.
+    """
     window = ground.phases["alignment"]
     calibration, ephemeris = documents.calibrations[1], documents.ephemerides[max(documents.ephemerides)]
     stated, missing = smooth_angles(ground.references_in(window), ground.sensors)
