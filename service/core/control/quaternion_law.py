@@ -1,0 +1,209 @@
+"""Attitude control law by quaternion error, for a craft whose roll and yaw exchange at the orbital rate.
+
+The angles of a craft that an inertial loop holds and that follows its orbit move as
+
+    yaw' = -w0 roll + v_yaw      roll' = w0 yaw + v_roll      pitch' = v_pitch      I v' = u + d
+
+w0 orbital rate, rad/s; v rate against inertial space that the ground's torque u (N m) and the disturbance d change.
+The law asks for the acceleration ``a = -w^2 e - 2 z w r``, w = 2 pi / period, z damping, e twice the vector part of
+the quaternion from target to body, r rate of the body against the orbit, and gives ``u = I (a - C r) - d``: coupling
+and disturbance cancelled, each axis is a damped oscillator of its own. Order everywhere: yaw, roll, pitch.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from service.core.geometry.quaternion import quaternion_of_attitude
+
+FloatArray = NDArray[np.float64]
+
+#: rad/s, one turn in a sidereal day
+GEOSTATIONARY_RATE_RAD_S = 7.2921159e-5
+#: places of yaw, roll, pitch among the body axes x roll, y pitch, z yaw
+ANGLES_FROM_BODY = (2, 0, 1)
+#: relative departure from symmetry and from the triangle rule that rounding of a catalogue explains
+_ROUNDING = 1e-9
+#: a loop sampled more coarsely than this many times a period is not the loop that was designed
+_LEAST_SAMPLES = 10.0
+
+
+class Gains(NamedTuple):
+    """Gains of the law about yaw, roll, pitch."""
+
+    #: (3, 3) kg m^2 in the order yaw, roll, pitch
+    inertia_kg_m2: FloatArray
+    #: 1/s^2, of the angle
+    stiffness_1_s2: float
+    #: 1/s, of the rate
+    friction_1_s: float
+    #: 0 where the on-board mode does not follow the orbit
+    orbital_rate_rad_s: float
+
+
+def inertia_about_angles(inertia_kg_m2: ArrayLike) -> FloatArray:
+    """Return the tensor (3, 3), kg m^2, of axes x, y, z in the order yaw, roll, pitch.
+
+    Raises
+    ------
+    ValueError
+        Not finite, not symmetric, a principal moment not positive, or one above the sum of the others.
+
+    Examples
+    --------
+    >>> inertia_about_angles(np.diag([2600.0, 1400.0, 2500.0])).diagonal().tolist()
+    [2500.0, 2600.0, 1400.0]
+    """
+    tensor = np.asarray(inertia_kg_m2, dtype=np.float64)
+    if tensor.shape != (3, 3) or not np.isfinite(tensor).all():
+        raise ValueError("the inertia must be a 3 x 3 tensor of finite numbers, kg m^2")
+    if np.abs(tensor - tensor.T).max() > _ROUNDING * np.abs(tensor).max():
+        raise ValueError("the inertia tensor is not symmetric; state both products of inertia alike")
+    least, middle, greatest = np.linalg.eigvalsh(tensor).tolist()
+    if least <= 0.0:
+        raise ValueError(f"a principal moment of inertia is {least:g} kg m^2; all three must be positive")
+    if greatest > (least + middle) * (1.0 + _ROUNDING):
+        raise ValueError(
+            f"the principal moment {greatest:g} exceeds the sum of the others, {least + middle:g} kg m^2; no body is so"
+        )
+    return np.asarray(tensor[np.ix_(ANGLES_FROM_BODY, ANGLES_FROM_BODY)])
+
+
+def loop_gains(
+    inertia_kg_m2: ArrayLike,
+    *,
+    period_s: float,
+    damping: float,
+    torque_limit_n_m: float,
+    command_period_s: float,
+    angle_deg: float = 0.4,
+    orbital_rate_rad_s: float = GEOSTATIONARY_RATE_RAD_S,
+) -> Gains:
+    """Return the gains of a closed loop of some period and damping.
+
+    Parameters
+    ----------
+    inertia_kg_m2 : array_like, shape (3, 3), kg m^2
+        Tensor about x roll, y pitch, z yaw.
+    period_s : float, s
+        Undamped period of the closed loop.
+    damping : float
+        Damping ratio.
+    torque_limit_n_m : float, N m
+        Greatest torque on an axis.
+    command_period_s : float, s
+        Time between commands.
+    angle_deg : float, deg
+        Greatest angle from which the loop must work without meeting the limit.
+    orbital_rate_rad_s : float, rad/s
+        0 where roll and yaw do not exchange.
+
+    Raises
+    ------
+    ValueError
+        A number is not finite or not positive, the inertia is no body's, the gains saturate, or commands come too
+        rarely for the period. The message says what to change.
+
+    Examples
+    --------
+    >>> inertia = np.diag([2600.0, 1400.0, 2600.0])
+    >>> gains = loop_gains(inertia, period_s=7200.0, damping=0.9, torque_limit_n_m=0.05, command_period_s=60.0)
+    >>> f"{gains.stiffness_1_s2:.3e} {gains.friction_1_s:.3e}"
+    '7.615e-07 1.571e-03'
+    """
+    tensor = inertia_about_angles(inertia_kg_m2)
+    named = {"period_s": period_s, "damping": damping, "torque_limit_n_m": torque_limit_n_m}
+    for name, value in {**named, "command_period_s": command_period_s, "angle_deg": angle_deg}.items():
+        if not (math.isfinite(value) and value > 0.0):
+            raise ValueError(f"{name} is {value:g}; it must be finite and positive")
+    if not math.isfinite(orbital_rate_rad_s):
+        raise ValueError("orbital_rate_rad_s must be finite")
+    if period_s < _LEAST_SAMPLES * command_period_s:
+        raise ValueError(
+            f"a period of {period_s:g} s is too short for commands every {command_period_s:g} s; "
+            f"take at least {_LEAST_SAMPLES * command_period_s:g} s"
+        )
+    omega_rad_s = 2.0 * math.pi / period_s
+    torque_n_m = float(np.abs(tensor).sum(axis=1).max()) * omega_rad_s**2 * math.radians(angle_deg)
+    if torque_n_m > torque_limit_n_m:
+        longer_s = period_s * math.sqrt(torque_n_m / torque_limit_n_m)
+        raise ValueError(
+            f"the gains saturate: {angle_deg:g} deg would ask for {torque_n_m:.3g} N m of {torque_limit_n_m:g}; "
+            f"take a period of at least {math.ceil(longer_s):d} s"
+        )
+    return Gains(tensor, omega_rad_s**2, 2.0 * damping * omega_rad_s, orbital_rate_rad_s)
+
+
+def error_angles_rad(attitude_deg: ArrayLike, target_deg: ArrayLike) -> FloatArray:
+    """Return twice the vector part (3,) of the quaternion from target to body, by the shorter way, rad.
+
+    Order yaw, roll, pitch; equal to the angles of rotation to third order.
+
+    Examples
+    --------
+    >>> np.degrees(error_angles_rad([0.0, 0.1, 0.0], [0.0, 0.0, 0.0])).round(6).tolist()
+    [0.0, 0.1, 0.0]
+    """
+    x, y, z, w = quaternion_of_attitude(attitude_deg).tolist()
+    tx, ty, tz, tw = quaternion_of_attitude(target_deg).tolist()
+    # frame rotations follow one another as body = error after target: q_error = conj(q_target) * q_body
+    scalar = tw * w + tx * x + ty * y + tz * z
+    roll = tw * x - w * tx - (ty * z - tz * y)
+    pitch = tw * y - w * ty - (tz * x - tx * z)
+    yaw = tw * z - w * tz - (tx * y - ty * x)
+    return math.copysign(2.0, scalar) * np.array([yaw, roll, pitch])
+
+
+def body_rate_rad_s(attitude_deg: ArrayLike, rates_deg_s: ArrayLike) -> FloatArray:
+    """Return the rate of the body against the orbit (3,) about its own axes, of the rates of its angles (3,)."""
+    _, roll, pitch = np.radians(np.asarray(attitude_deg, dtype=np.float64)).tolist()
+    yaw_rate, roll_rate, pitch_rate = np.radians(np.asarray(rates_deg_s, dtype=np.float64)).tolist()
+    about_yaw = yaw_rate * math.cos(pitch) * math.cos(roll) - pitch_rate * math.sin(roll)
+    about_roll = roll_rate - yaw_rate * math.sin(pitch)
+    about_pitch = yaw_rate * math.cos(pitch) * math.sin(roll) + pitch_rate * math.cos(roll)
+    return np.array([about_yaw, about_roll, about_pitch])
+
+
+def feedback_torque(
+    gains: Gains,
+    attitude_deg: ArrayLike,
+    rates_deg_s: ArrayLike,
+    *,
+    target_deg: ArrayLike = (0.0, 0.0, 0.0),
+    disturbance_n_m: ArrayLike = (0.0, 0.0, 0.0),
+) -> FloatArray:
+    """Return the torque on the body about yaw, roll, pitch (3,), N m, not yet limited.
+
+    Parameters
+    ----------
+    gains : Gains
+        Of `loop_gains`.
+    attitude_deg, rates_deg_s : array_like, shape (3,), deg and deg/s
+        Filtered angles and their rates: yaw, roll, pitch.
+    target_deg : array_like, shape (3,), deg
+        Attitude to hold.
+    disturbance_n_m : array_like, shape (3,), N m
+        Estimated torque on the body that nobody commanded; it is cancelled.
+
+    Raises
+    ------
+    ValueError
+        A number is not finite.
+
+    Examples
+    --------
+    >>> inertia = np.diag([2600.0, 1400.0, 2600.0])
+    >>> gains = loop_gains(inertia, period_s=7200.0, damping=0.9, torque_limit_n_m=0.05, command_period_s=60.0)
+    >>> feedback_torque(gains, [0.0, 0.1, 0.0], [0.0, 0.0, 0.0]).round(9).tolist()
+    [0.0, -3.456e-06, 0.0]
+    """
+    given = np.array([attitude_deg, rates_deg_s, target_deg, disturbance_n_m], dtype=np.float64)
+    if given.shape != (4, 3) or not np.isfinite(given).all():
+        raise ValueError("attitude, rates, target and disturbance must each be three finite numbers: yaw, roll, pitch")
+    rate = body_rate_rad_s(given[0], given[1])
+    yaw_rate, roll_rate, _ = rate.tolist()
+    exchanged = gains.orbital_rate_rad_s * np.array([-roll_rate, yaw_rate, 0.0])
+    wanted = -gains.stiffness_1_s2 * error_angles_rad(given[0], given[2]) - gains.friction_1_s * rate
+    return np.asarray(gains.inertia_kg_m2 @ (wanted - exchanged) - given[3]) + 0.0

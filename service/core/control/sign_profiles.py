@@ -1,0 +1,102 @@
+"""Turns by which the sign of each axis is proven, small enough that a wrong sign loses less than a tenth of a degree.
+
+Roll and pitch swing as far to one side as to the other: the powers see the whole swing, the craft leaves its attitude
+by half of it, whatever the sign. Yaw hardly shows in the powers; held to one side and then to the other it makes roll
+rise and fall, ``roll' = w0 yaw``.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+#: places of the axes in yaw, roll, pitch
+YAW, ROLL, PITCH = 0, 1, 2
+
+
+class Leg(NamedTuple):
+    """One slew of a profile; it ends without a rate."""
+
+    start_s: float
+    duration_s: float
+    #: change of the angle of the profile's axis
+    change_deg: float
+
+
+class Profile(NamedTuple):
+    """Slews about one axis and the rest after each."""
+
+    #: 0 yaw, 1 roll, 2 pitch
+    axis: int
+    legs: tuple[Leg, ...]
+    stop_s: float
+
+
+def roll_profile(side_deg: float = 0.08) -> Profile:
+    """Return the roll check: 45 minutes, 0.08 deg to either side, each slew 480 s."""
+    return Profile(ROLL, _swing(side_deg, 480.0, 260.0), 2700.0)
+
+
+def pitch_profile(side_deg: float = 0.075) -> Profile:
+    """Return the pitch check: 45 minutes, a swing of 0.15 deg, each slew 300 s."""
+    return Profile(PITCH, _swing(side_deg, 300.0, 500.0), 2700.0)
+
+
+def _swing(side_deg: float, slew_s: float, rest_s: float) -> tuple[Leg, ...]:
+    """Return out, rest, back in two slews and beyond, rest, back: each slew no further than a side."""
+    back_s = slew_s + rest_s
+    return (
+        Leg(0.0, slew_s, side_deg),
+        Leg(back_s, slew_s, -side_deg),
+        Leg(back_s + slew_s, slew_s, -side_deg),
+        Leg(2.0 * back_s + slew_s, slew_s, side_deg),
+    )
+
+
+def yaw_profile(side_deg: float = 0.25, hold_s: float = 3600.0) -> Profile:
+    """Return the yaw check: 4 hours, one side, the other, back; slews in parts of at most 0.1 deg."""
+    parts = int(np.ceil(side_deg / 0.1 - 1e-9))
+    step, slew_s = side_deg / parts, 600.0
+    legs = [Leg(k * slew_s, slew_s, step) for k in range(parts)]
+    begin_s = parts * slew_s + hold_s
+    legs += [Leg(begin_s + k * slew_s, slew_s, -step) for k in range(2 * parts)]
+    begin_s += 2 * parts * slew_s + hold_s
+    legs += [Leg(begin_s + k * slew_s, slew_s, step) for k in range(parts)]
+    return Profile(YAW, tuple(legs), begin_s + parts * slew_s)
+
+
+def profile_angles_deg(profile: Profile, epochs_s: FloatArray, coupling_per_h: float = 0.2625162) -> FloatArray:
+    """Return the turn (T, 3), deg, that a profile makes by some epochs (T,), s.
+
+    Parameters
+    ----------
+    profile : Profile
+        Slews at a steady rate between their pulses.
+    epochs_s : ndarray, shape (T,), s
+        From the beginning of the profile.
+    coupling_per_h : float, 1/h
+        Exchange of roll and yaw; a turn about yaw drags roll behind it (and a turn about roll yaw), to first order.
+    """
+    turn = np.zeros((len(epochs_s), 3))
+    dragged = np.zeros(len(epochs_s))
+    for leg in profile.legs:
+        since_s = np.maximum(0.0, epochs_s - leg.start_s)
+        beyond_s = np.maximum(0.0, since_s - leg.duration_s)
+        turn[:, profile.axis] += leg.change_deg * np.minimum(1.0, since_s / leg.duration_s)
+        # integral over time, deg h
+        area = 0.5 * (since_s**2 - beyond_s**2) / leg.duration_s
+        dragged += leg.change_deg * area / 3600.0
+    if profile.axis == YAW:
+        turn[:, ROLL] = coupling_per_h * dragged
+    elif profile.axis == ROLL:
+        turn[:, YAW] = -coupling_per_h * dragged
+    return turn
+
+
+def greatest_loss_deg(profile: Profile) -> float:
+    """Return how far yaw, roll or pitch leaves its place at most if the sign of the profile's axis is wrong."""
+    epochs_s = np.arange(0.0, profile.stop_s + 1.0, 10.0)
+    turn = np.abs(profile_angles_deg(profile, epochs_s)).max(axis=0)
+    return float(turn.max())

@@ -1,0 +1,259 @@
+"""Slews as pairs of pulses: one that gives the rate, one that takes it away; and what a schedule does to the craft.
+
+A craft that is stopped in the middle of a slew keeps its rate until somebody takes it; each slew therefore carries
+the pulse that nulls its rate, and both are sent together. A pulse of impulse J (N m s) acts as a step of the rate in
+its middle; two pulses a time T apart turn the craft by ``I^-1 J T``. Order everywhere: yaw, roll, pitch.
+"""
+
+import math
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+Triple = tuple[float, float, float]
+
+#: share of the horizon that one pulse may take
+_LONGEST_SHARE = 0.25
+_ROUNDING = 1e-9
+_AXES = ("yaw", "roll", "pitch")
+
+
+class Drive(NamedTuple):
+    """What the drives of the wheels can execute, about each body axis."""
+
+    limit_n_m: float
+    #: pulse torques are whole multiples of it
+    quantum_n_m: float
+    min_pulse_s: float
+    #: grid of durations
+    time_step_s: float
+
+    @property
+    def steps_at_limit(self) -> int:
+        """Quanta within the limit."""
+        return math.floor(self.limit_n_m / self.quantum_n_m * (1.0 + 1e-12))
+
+
+class AxisPulse(NamedTuple):
+    """A torque about one axis that ends by itself."""
+
+    #: 0 yaw, 1 roll, 2 pitch
+    axis: int
+    #: from the beginning of the schedule
+    start_s: float
+    duration_s: float
+    torque_n_m: float
+
+    @property
+    def stop_s(self) -> float:
+        """When it ends."""
+        return self.start_s + self.duration_s
+
+    @property
+    def impulse_n_m_s(self) -> float:
+        """Torque times duration."""
+        return self.torque_n_m * self.duration_s
+
+
+class Effect(NamedTuple):
+    """What a schedule changes against no command; triples in the order yaw, roll, pitch."""
+
+    impulse_n_m_s: Triple
+    #: sum of the sizes of all pulses: a pair that nulls itself counts twice
+    gross_impulse_n_m_s: Triple
+    #: when the horizon ends
+    angle_change_deg: Triple
+    rate_change_deg_s: Triple
+    #: greatest on the way, with sign
+    peak_angle_deg: Triple
+    peak_rate_deg_s: Triple
+    #: (W,) N m s, change of each wheel's momentum
+    wheel_momentum_n_m_s: tuple[float, ...]
+
+
+def plan_slew(
+    angle_change_deg: ArrayLike, rate_deg_s: ArrayLike, inertia_kg_m2: FloatArray, horizon_s: float, drive: Drive
+) -> tuple[AxisPulse, ...]:
+    """Return the pulses that turn a craft by some angles within a time and leave it without a rate.
+
+    Parameters
+    ----------
+    angle_change_deg : array_like, shape (3,), deg
+        Wanted change of yaw, roll, pitch.
+    rate_deg_s : array_like, shape (3,), deg/s
+        Rate that the craft has and shall lose.
+    inertia_kg_m2 : ndarray, shape (3, 3), kg m^2
+        Tensor in the order yaw, roll, pitch (`quaternion_law.inertia_about_angles`).
+    horizon_s : float, s
+        Both pulses lie within it.
+    drive : Drive
+        Limit, quantum, shortest pulse and grid.
+
+    Returns
+    -------
+    tuple of AxisPulse
+        In order of time. The angle is met by the time between the pulses, so quantum and grid cost no accuracy; a
+        wish too small for the shortest pulse is left out. The rate left is below one tick of one quantum.
+
+    Raises
+    ------
+    ValueError
+        A number is not finite, the drive cannot give a pulse, or the time is too short for the torque.
+    """
+    change, rate = _finite_triples(angle_change_deg, rate_deg_s)
+    _require_drive(drive, horizon_s)
+    longest_s = _LONGEST_SHARE * horizon_s
+    apart_s = horizon_s - longest_s
+    first = _shaped(inertia_kg_m2 @ (change / apart_s - rate), drive, longest_s)
+    given = np.array([torque * duration for torque, duration in first])
+    sailing = rate + np.linalg.solve(inertia_kg_m2, given)
+    second = _shaped(-(inertia_kg_m2 @ sailing), drive, longest_s)
+    pulses: list[AxisPulse] = []
+    for axis in range(3):
+        (torque, duration_s), (_, last_s) = first[axis], second[axis]
+        # what is still to be turned from the middle of the first pulse on, and when that is done
+        left_rad = float(change[axis] - rate[axis] * duration_s / 2.0)
+        middle_s = (duration_s + last_s) / 2.0
+        reached_s = left_rad / float(sailing[axis]) if sailing[axis] else 0.0
+        between_s = min(max(reached_s, middle_s), horizon_s - middle_s)
+        if duration_s:
+            pulses.append(AxisPulse(axis, 0.0, duration_s, torque))
+        if last_s:
+            pulses.append(AxisPulse(axis, between_s + (duration_s - last_s) / 2.0, last_s, second[axis][0]))
+    return tuple(sorted(pulses, key=lambda pulse: (pulse.start_s, pulse.axis)))
+
+
+def _finite_triples(change_deg: ArrayLike, rate_deg_s: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Return both in rad; refused where one is not three finite numbers."""
+    change, rate = np.asarray(change_deg, dtype=np.float64), np.asarray(rate_deg_s, dtype=np.float64)
+    if change.shape != (3,) or rate.shape != (3,) or not (np.isfinite(change).all() and np.isfinite(rate).all()):
+        raise ValueError("angle change and rate must be three finite numbers each: yaw, roll, pitch")
+    return np.radians(change), np.radians(rate)
+
+
+def _require_drive(drive: Drive, horizon_s: float) -> None:
+    """Refuse a drive that cannot give a pulse within the horizon."""
+    if not all(math.isfinite(each) and each > 0.0 for each in (*drive, horizon_s)):
+        raise ValueError("limit, quantum, shortest pulse, grid and horizon must be finite and positive")
+    if drive.steps_at_limit < 1:
+        raise ValueError(f"the quantum {drive.quantum_n_m:g} N m exceeds the torque limit {drive.limit_n_m:g} N m")
+    if drive.min_pulse_s > _LONGEST_SHARE * horizon_s:
+        raise ValueError(f"{horizon_s:g} s have no room for two pulses of at least {drive.min_pulse_s:g} s")
+
+
+def _shaped(impulse_n_m_s: FloatArray, drive: Drive, longest_s: float) -> list[tuple[float, float]]:
+    """Return torque and duration of the pulse on each axis, zeros where it would be below the shortest one."""
+    shaped = []
+    for axis, wanted in enumerate(impulse_n_m_s.tolist()):
+        steps = max(1, math.ceil(abs(wanted) / (drive.quantum_n_m * longest_s) - _ROUNDING))
+        if steps > drive.steps_at_limit:
+            raise ValueError(
+                f"about {_AXES[axis]} {abs(wanted):.3g} N m s within {longest_s:g} s exceed the torque limit "
+                f"{drive.limit_n_m:g} N m; allow the slew more time"
+            )
+        torque = math.copysign(steps * drive.quantum_n_m, wanted)
+        ticks = round(abs(wanted) / abs(torque) / drive.time_step_s)
+        duration_s = ticks * drive.time_step_s
+        # half of the shortest pulse is nearer to it than to nothing
+        if drive.min_pulse_s / 2.0 <= duration_s < drive.min_pulse_s:
+            duration_s = math.ceil(drive.min_pulse_s / drive.time_step_s - _ROUNDING) * drive.time_step_s
+        shaped.append((torque, duration_s) if duration_s >= drive.min_pulse_s else (0.0, 0.0))
+    return shaped
+
+
+def superseded(pulses: tuple[AxisPulse, ...], at_s: float) -> tuple[AxisPulse, ...]:
+    """Return what of a schedule has begun when the next one takes its place; a pulse in flight is cut there."""
+    begun = [pulse for pulse in pulses if pulse.start_s < at_s]
+    return tuple(pulse._replace(duration_s=min(pulse.duration_s, at_s - pulse.start_s)) for pulse in begun)
+
+
+def predicted_effect(
+    pulses: tuple[AxisPulse, ...], inertia_kg_m2: FloatArray, wheel_axes: FloatArray, horizon_s: float
+) -> Effect:
+    """Return what a schedule does to angles, rates and wheels.
+
+    Parameters
+    ----------
+    pulses : tuple of AxisPulse
+        In any order; those about one axis must not overlap.
+    inertia_kg_m2 : ndarray, shape (3, 3), kg m^2
+        Tensor in the order yaw, roll, pitch.
+    wheel_axes : ndarray, shape (W, 3)
+        Unit axes in the same order (`wheel_allocation.Wheels.axes`).
+    horizon_s : float, s
+        Instant for which the change of the angles is stated; not before the last pulse ends.
+
+    Raises
+    ------
+    ValueError
+        Pulses overlap, are not finite, begin before zero, or end after the horizon.
+
+    Notes
+    -----
+    Exact for a rigid body at small angles; the exchange of roll and yaw at the orbital rate is left out (at 1e-2 of
+    the angle in half an hour it belongs to the filter, not to the command).
+    """
+    _require_schedule(pulses, horizon_s)
+    inverse: FloatArray = np.asarray(np.linalg.inv(inertia_kg_m2), dtype=np.float64)
+    impulse, gross = np.zeros(3), np.zeros(3)
+    for pulse in pulses:
+        impulse[pulse.axis] += pulse.impulse_n_m_s
+        gross[pulse.axis] += abs(pulse.impulse_n_m_s)
+    angles, rates = _trajectory(pulses, inverse, horizon_s)
+    columns = np.arange(3)
+    return Effect(
+        impulse_n_m_s=triple_of(impulse),
+        gross_impulse_n_m_s=triple_of(gross),
+        angle_change_deg=triple_of(np.degrees(angles[-1])),
+        rate_change_deg_s=triple_of(np.degrees(inverse @ impulse)),
+        peak_angle_deg=triple_of(np.degrees(angles[np.abs(angles).argmax(axis=0), columns])),
+        peak_rate_deg_s=triple_of(np.degrees(rates[np.abs(rates).argmax(axis=0), columns])),
+        wheel_momentum_n_m_s=tuple((-impulse @ np.linalg.pinv(wheel_axes) + 0.0).tolist()),
+    )
+
+
+def triple_of(values: FloatArray) -> Triple:
+    """Return an array (3,) as a tuple of plain numbers."""
+    yaw, roll, pitch = values.tolist()
+    return yaw, roll, pitch
+
+
+def _require_schedule(pulses: tuple[AxisPulse, ...], horizon_s: float) -> None:
+    """Refuse pulses that overlap or that do not lie within the horizon."""
+    numbers = [horizon_s, *(number for pulse in pulses for number in pulse[1:])]
+    if not all(math.isfinite(number) for number in numbers):
+        raise ValueError("pulses and horizon must be finite")
+    if any(pulse.start_s < 0.0 or pulse.duration_s <= 0.0 for pulse in pulses):
+        raise ValueError("a pulse begins before the schedule or does not last")
+    if max((pulse.stop_s for pulse in pulses), default=0.0) > horizon_s * (1.0 + _ROUNDING):
+        raise ValueError(f"a pulse ends after the horizon of {horizon_s:g} s")
+    for axis in range(3):
+        own = sorted((pulse for pulse in pulses if pulse.axis == axis), key=lambda pulse: pulse.start_s)
+        if any(latter.start_s < former.stop_s * (1.0 - _ROUNDING) for former, latter in pairwise(own)):
+            raise ValueError(f"two pulses about {_AXES[axis]} overlap")
+
+
+def _trajectory(pulses: tuple[AxisPulse, ...], inverse: FloatArray, horizon_s: float) -> tuple[FloatArray, FloatArray]:
+    """Return angles and rates (K, 3), rad, at every edge and every turning point of an angle, the horizon last."""
+    edges_s = sorted({0.0, horizon_s, *(e for pulse in pulses for e in (pulse.start_s, min(pulse.stop_s, horizon_s)))})
+    angle, rate = np.zeros(3), np.zeros(3)
+    angles, rates = [angle], [rate]
+    for start_s, stop_s in pairwise(edges_s):
+        torque, middle_s = np.zeros(3), (start_s + stop_s) / 2.0
+        for pulse in pulses:
+            if pulse.start_s <= middle_s < pulse.stop_s:
+                torque[pulse.axis] += pulse.torque_n_m
+        acceleration = inverse @ torque
+        after = rate + acceleration * (stop_s - start_s)
+        is_turning = rate * after < 0.0
+        # v^2 / 2a further on it turns back
+        turned = angle - 0.5 * rate**2 / np.where(is_turning, acceleration, 1.0)
+        angles.append(np.where(is_turning, turned, angle))
+        angle = angle + 0.5 * (rate + after) * (stop_s - start_s)
+        rates += [rate, after]
+        angles.append(angle)
+        rate = after
+    return np.array(angles), np.array(rates)

@@ -1,0 +1,84 @@
+"""Powers of a craft that answers commands with some sign: a simulation of its own, many runs at once."""
+
+import numpy as np
+
+from service.core.control import sign_check
+from service.core.control.sign_check import Circumstances, Decision, Evidence, Sign, decide
+from service.core.control.sign_profiles import Profile, profile_angles_deg
+from service.core.estimation.filtering.filter_model import CarrierModel
+
+#: white noise of a row and coloured parts as (dB, s), those that the links of rf-attitude.md have
+NOMINAL = (0.155, ((0.09, 1200.0),))
+FLICKER = (0.10, ((0.07, 300.0), (0.07, 3600.0), (0.07, 43_200.0)))
+LOUD = (0.25, ((0.15, 1200.0),))
+
+
+def payload(seed: int, carriers: int = 16) -> CarrierModel:
+    """Return a payload seen from 90 E with stations over Russia and shaped beams, noise as nominal."""
+    rng = np.random.default_rng(seed)
+    el, az = np.radians(rng.uniform(6.3, 8.5, carriers)), np.radians(rng.uniform(-5.2, 5.0, carriers))
+    slope_x, slope_y = rng.normal(0.0, 1.2, carriers), rng.normal(0.0, 1.4, carriers)
+    hessian = np.zeros((carriers, 3, 3))
+    hessian[:, 1, 1], hessian[:, 2, 2] = -2.7, -1.5
+    white_db, coloured = NOMINAL
+    return CarrierModel(
+        gradient_db_deg=np.stack([-el * slope_x + az * slope_y, -slope_y, -slope_x], axis=1),
+        hessian_db_deg2=hessian,
+        rain_share=np.ones(carriers),
+        transponder=np.zeros(carriers, dtype=np.int64),
+        white_sigma_db=np.full(carriers, white_db),
+        coloured_sigma_db=np.full((carriers, 1), coloured[0][0]),
+        coloured_tau_s=np.full((carriers, 1), coloured[0][1]),
+        reference_walk_db=np.full(carriers, 0.003),
+        common_sigma_db=np.zeros(0),
+        common_tau_s=np.zeros(0),
+        coefficient_covariance=np.zeros((carriers, 9, 9)),
+    )
+
+
+def powers_db(
+    model: CarrierModel,
+    epochs_s: np.ndarray,
+    profile: Profile,
+    sign: Sign,
+    runs: int,
+    rng: np.random.Generator,
+    noise: tuple = NOMINAL,
+) -> np.ndarray:
+    """Return deviations (R, T, N), dB: levels off, chain walking, inertial drift, white and coloured noise."""
+    rows, carriers = len(epochs_s), model.carriers
+    white_db, coloured = noise
+    powers = rng.normal(0.0, white_db, (runs, rows, carriers))
+    steps_s = np.diff(epochs_s, prepend=epochs_s[0])
+    for sigma_db, tau_s in coloured:
+        level = rng.normal(0.0, sigma_db, (runs, carriers))
+        for k, step_s in enumerate(steps_s):
+            keep = np.exp(-step_s / tau_s)
+            level = keep * level + np.sqrt(1.0 - keep**2) * sigma_db * rng.normal(size=level.shape)
+            powers[:, k] += level
+    hours = epochs_s / 3600.0
+    drift = rng.normal(size=(runs, 1, 3)) * [0.05, 0.04, 0.035]
+    turn = sign.value * profile_angles_deg(profile, epochs_s) + drift * hours[:, None]
+    powers += turn @ model.gradient_db_deg.T
+    powers += 0.5 * np.einsum("rti,nij,rtj->rtn", turn, model.hessian_db_deg2, turn)
+    walk = np.cumsum(rng.normal(size=(runs, rows, 1)) * 0.03 * np.sqrt(steps_s / 3600.0)[:, None], axis=1)
+    return powers + walk + rng.normal(0.0, 0.5, (runs, 1, 1)) + rng.normal(0.0, 0.5, (runs, 1, carriers))
+
+
+def decisions(model: CarrierModel, epochs_s: np.ndarray, profile: Profile, powers: np.ndarray) -> list[Decision]:
+    """Return what `weigh` and `decide` say of each run; one factor serves all of them."""
+    still = Circumstances(np.zeros(3))
+    turn = profile_angles_deg(profile, epochs_s)
+    rows, carriers = len(epochs_s), model.carriers
+    covariance = sign_check._covariance(model, epochs_s, still, np.ones((rows, carriers), dtype=bool))
+    sums = []
+    for sign in (Sign.PLUS, Sign.NOTHING, Sign.MINUS):
+        residual = powers - sign_check._signature(model, still.attitude_deg, sign.value * turn)
+        white = sign_check._whitened(covariance, residual.reshape(len(powers), -1).T)
+        sums.append((white**2).reshape(rows, carriers, -1).sum(axis=1).cumsum(axis=0))
+    values = carriers * np.arange(1, rows + 1)
+    squares = np.stack(sums, axis=-1)
+    return [
+        decide(Evidence(-0.5 * squares[:, run], squares[:, run].min(axis=1) / values, values))
+        for run in range(len(powers))
+    ]
