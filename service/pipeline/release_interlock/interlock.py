@@ -1,0 +1,260 @@
+"""The interlock: its memory, and how an instant or an order moves it through its table.
+
+Law of this file: only `fire` changes the state, by a row of the table; what a state remembers follows from the row.
+"""
+
+from dataclasses import dataclass, field, replace
+
+from service.core.control.envelope import Envelope
+from service.pipeline.release_interlock.interlock_conditions import (
+    Condition,
+    Consequence,
+    Durations,
+    RowFacts,
+    Surroundings,
+    Unreported,
+    lasting_conditions,
+    row_conditions,
+    surrounding_conditions,
+)
+from service.pipeline.release_interlock.interlock_states import Guard, State, Transition, Trigger, rows_of
+from service.pipeline.release_interlock.release_settings import ReleaseSettings, microseconds
+
+
+@dataclass(frozen=True, slots=True)
+class Instant:
+    """The service's clock and one that nobody sets, read together."""
+
+    now_us: int
+    #: None: not comparable, as after a restart
+    steady_us: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class Terms:
+    """What a standing authorisation allows."""
+
+    until_us: int
+    envelope: Envelope
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What a first person asked for."""
+
+    by: str
+    at_us: int
+    terms: Terms
+
+
+@dataclass(frozen=True, slots=True)
+class Authorisation:
+    """Standing authorisation of two persons."""
+
+    persons: tuple[str, str]
+    terms: Terms
+
+
+@dataclass(frozen=True, slots=True)
+class Interlock:
+    """State and memory of the interlock of one spacecraft."""
+
+    state: State = State.INHIBITED
+    since_us: int = 0
+    row: RowFacts | None = None
+    around: Surroundings = field(default_factory=Surroundings)
+    durations: Durations = field(default_factory=Durations)
+    clock: Instant | None = None
+    #: since when no condition inhibits
+    good_since_us: int | None = None
+    is_armed: bool = False
+    #: calibration, plan and spacecraft with which it was armed
+    armed_with: tuple[int | None, int | None, int | None] | None = None
+    request: Request | None = None
+    authorisation: Authorisation | None = None
+    #: latched until reset
+    trips: tuple[Condition, ...] = ()
+    #: everything that stands at the newest instant
+    standing: tuple[Condition, ...] = ()
+    #: axes whose sign is proven
+    proven_axes: tuple[str, ...] = ()
+
+    @property
+    def inhibiting(self) -> tuple[Condition, ...]:
+        """Conditions for which no torque may go."""
+        severe = (Consequence.INHIBIT, Consequence.TRIP)
+        return tuple(condition for condition in self.standing if condition.consequence in severe)
+
+    @property
+    def is_yaw_withheld(self) -> bool:
+        """Whether the yaw torque must be zero."""
+        return any(condition.consequence is Consequence.YAW for condition in self.standing)
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why no torque may go, or which axis is withheld, in words that programs see."""
+        words = [
+            condition.word for condition in (*self.trips, *self.standing) if condition is not Condition.DISAGREEMENT
+        ]
+        if self.state is State.INHIBITED and not self.is_armed:
+            words.append("not_armed")
+        if self.state is State.INHIBITED and not self.inhibiting and self.is_armed:
+            words.append("good_minutes")
+        return tuple(dict.fromkeys(words))
+
+    @property
+    def configuration(self) -> tuple[int | None, int | None, int | None]:
+        """What must not change while control is armed."""
+        return self.around.calibration_id, self.around.plan_id, self.around.spacecraft_version
+
+
+def settle(interlock: Interlock, at: Instant, unreported: Unreported, settings: ReleaseSettings) -> Interlock:
+    """Return the interlock at an instant: conditions judged anew, and every change of state that follows."""
+    standing = conditions_at(interlock, at, unreported, settings)
+    is_good = not any(c.consequence in (Consequence.INHIBIT, Consequence.TRIP) for c in standing)
+    good_since_us = (interlock.good_since_us if interlock.good_since_us is not None else at.now_us) if is_good else None
+    settled = replace(interlock, standing=standing, good_since_us=good_since_us, clock=at)
+    for trigger in (Trigger.TRIP, Trigger.EXPIRE, Trigger.INHIBIT, Trigger.CLEAR, Trigger.BEYOND, Trigger.WITHIN):
+        if _is_due(settled, trigger, at, settings):
+            settled = fire(settled, trigger, at, settings) or settled
+    return settled
+
+
+def conditions_at(
+    interlock: Interlock, at: Instant, unreported: Unreported, settings: ReleaseSettings
+) -> tuple[Condition, ...]:
+    """Return everything that stands, in the order of the table of conditions."""
+    found = (
+        row_conditions(interlock.row, at.now_us, settings)
+        | surrounding_conditions(interlock.around, at.now_us, settings)
+        | lasting_conditions(interlock.durations, unreported, at.now_us, settings)
+    )
+    own = {
+        Condition.CLOCK_JUMP: _has_jumped(interlock.clock, at, settings),
+        Condition.CONFIGURATION: interlock.armed_with is not None and interlock.armed_with != interlock.configuration,
+        Condition.YAW_SIGN: "yaw" not in interlock.proven_axes,
+    }
+    found |= {condition for condition, is_standing in own.items() if is_standing}
+    return tuple(condition for condition in Condition if condition in found)
+
+
+def fire(
+    interlock: Interlock, trigger: Trigger, at: Instant, settings: ReleaseSettings, asked: Request | None = None
+) -> Interlock | None:
+    """Return the interlock after a trigger, None where no row of the table holds."""
+    for row in rows_of(interlock.state, trigger):
+        if _holds(row.guard, interlock, at, settings, asked):
+            since_us = at.now_us if row.target is not interlock.state else interlock.since_us
+            return replace(_remembering(interlock, row, asked), state=row.target, since_us=since_us)
+    return None
+
+
+def tripped(interlock: Interlock, condition: Condition, at: Instant, settings: ReleaseSettings) -> Interlock:
+    """Return the interlock after something that trips at one instant only."""
+    latched = tuple(dict.fromkeys((*interlock.trips, condition)))
+    moved = fire(interlock, Trigger.TRIP, at, settings) or interlock
+    return replace(moved, trips=latched)
+
+
+def is_beyond(row: RowFacts | None, settings: ReleaseSettings) -> bool:
+    """Whether roll or pitch is known to be beyond the range of automatic release; what is not known inhibits."""
+    if row is None:
+        return False
+    angles = (row.attitude_deg.roll, row.attitude_deg.pitch)
+    return any(abs(angle) > settings.recovery_deg for angle in angles)
+
+
+def _is_due(interlock: Interlock, trigger: Trigger, at: Instant, settings: ReleaseSettings) -> bool:
+    """Whether an instant brings a trigger about."""
+    is_good = not interlock.inhibiting
+    authorisation = interlock.authorisation
+    if trigger is Trigger.TRIP:
+        return any(condition.consequence is Consequence.TRIP for condition in interlock.standing)
+    if trigger is Trigger.EXPIRE:
+        return authorisation is not None and at.now_us >= authorisation.terms.until_us
+    if trigger is Trigger.INHIBIT:
+        return not is_good
+    if trigger is Trigger.CLEAR:
+        return is_good and _has_been_good(interlock, at, settings)
+    beyond = is_beyond(interlock.row, settings)
+    return beyond if trigger is Trigger.BEYOND else is_good and not beyond
+
+
+def _has_been_good(interlock: Interlock, at: Instant, settings: ReleaseSettings) -> bool:
+    since_us = interlock.good_since_us
+    return since_us is not None and at.now_us - since_us >= microseconds(settings.good_s)
+
+
+def _holds(guard: Guard, interlock: Interlock, at: Instant, settings: ReleaseSettings, asked: Request | None) -> bool:
+    """Whether a guard lets a transition happen."""
+    beyond = is_beyond(interlock.row, settings)
+    may_arm = not interlock.inhibiting and _has_been_good(interlock, at, settings)
+    verdicts = {
+        Guard.ALWAYS: True,
+        Guard.BEYOND_AND_ARMED: interlock.is_armed and beyond,
+        Guard.AUTHORISED: interlock.authorisation is not None,
+        Guard.ARMED: interlock.is_armed,
+        Guard.MAY_ARM_BEYOND: may_arm and beyond,
+        Guard.MAY_ARM: may_arm,
+        Guard.SECOND_PERSON: _is_second(interlock.request, asked, settings),
+        Guard.FIRST_PERSON: _is_first(interlock.request, asked, settings),
+        Guard.NO_TRIP_STANDS: not any(c.consequence is Consequence.TRIP for c in interlock.standing),
+    }
+    return verdicts[guard]
+
+
+def _is_second(open_request: Request | None, asked: Request | None, settings: ReleaseSettings) -> bool:
+    """Whether a request is that of another person for the same, in time."""
+    if open_request is None or asked is None or open_request.by == asked.by or open_request.terms != asked.terms:
+        return False
+    return 0 <= asked.at_us - open_request.at_us <= microseconds(settings.request_s)
+
+
+def _is_first(open_request: Request | None, asked: Request | None, settings: ReleaseSettings) -> bool:
+    """Whether a request begins anew: none is open, it is too old, or the same person asks again."""
+    if asked is None:
+        return False
+    if open_request is None or open_request.by == asked.by:
+        return True
+    return asked.at_us - open_request.at_us > microseconds(settings.request_s)
+
+
+def _remembering(interlock: Interlock, row: Transition, asked: Request | None) -> Interlock:
+    """Return the interlock with what a transition makes it remember and forget."""
+    if row.trigger is Trigger.TRIP:
+        now = tuple(c for c in interlock.standing if c.consequence is Consequence.TRIP)
+        latched = tuple(dict.fromkeys((*interlock.trips, *now)))
+        return replace(_disarmed(interlock), trips=latched)
+    if row.trigger is Trigger.ARM:
+        return replace(interlock, is_armed=True, armed_with=interlock.configuration)
+    if row.trigger is Trigger.ENGAGE:
+        return _engaged(interlock, row, asked)
+    if row.trigger is Trigger.DISENGAGE and row.target is State.INHIBITED:
+        return _disarmed(interlock)
+    if row.trigger in (Trigger.BEYOND, Trigger.EXPIRE, Trigger.DISENGAGE) or row.target is State.RECOVERY:
+        return replace(interlock, authorisation=None, request=None)
+    if row.trigger is Trigger.RESET:
+        return replace(interlock, trips=(), good_since_us=None)
+    return replace(interlock, request=None)
+
+
+def _disarmed(interlock: Interlock) -> Interlock:
+    return replace(interlock, is_armed=False, armed_with=None, request=None, authorisation=None)
+
+
+def _engaged(interlock: Interlock, row: Transition, asked: Request | None) -> Interlock:
+    """Return the interlock with a request kept, or joined to an authorisation."""
+    if row.guard is not Guard.SECOND_PERSON or interlock.request is None or asked is None:
+        return replace(interlock, request=asked)
+    authorisation = Authorisation((interlock.request.by, asked.by), asked.terms)
+    return replace(interlock, request=None, authorisation=authorisation)
+
+
+def _has_jumped(before: Instant | None, at: Instant, settings: ReleaseSettings) -> bool:
+    """Whether the clock moved otherwise than the steady one; after a restart only a step back can be told."""
+    if before is None:
+        return False
+    allowed_us = microseconds(settings.clock_jump_s)
+    if before.steady_us is None or at.steady_us is None:
+        return at.now_us < before.now_us - allowed_us
+    return abs((at.now_us - before.now_us) - (at.steady_us - before.steady_us)) > allowed_us

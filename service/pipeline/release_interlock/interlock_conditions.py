@@ -1,0 +1,191 @@
+"""Conditions of the interlock: what each does when it stands, and when it stands.
+
+Law of this file: what is not known counts as bad. A condition is judged from facts and an instant alone.
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+
+from service.pipeline.release_interlock.release_settings import ReleaseSettings, microseconds
+from service.records.attitude import Axes
+
+
+class Consequence(Enum):
+    """What a condition does."""
+
+    #: no torque; clears itself
+    INHIBIT = "INHIBITED until 10 good minutes have passed"
+    #: no torque until a person resets it
+    TRIP = "TRIPPED until reset"
+    #: the yaw torque is withheld, roll and pitch go on
+    YAW = "no yaw torque; roll and pitch go on"
+    ALARM = "alarm only"
+
+
+class Condition(Enum):
+    """Reasons of the interlock; the name in small letters is the word that programs see."""
+
+    ESTIMATE_OLD = (Consequence.INHIBIT, "no estimate, or older than 3 row periods + 30 s")
+    ESTIMATOR = (Consequence.INHIBIT, "the estimator itself forbids control on the newest row")
+    NOT_ALIGNED = (Consequence.INHIBIT, "no alignment holds")
+    SIGMA_ROLL = (Consequence.INHIBIT, "sigma of roll above 0.06 deg, or not known")
+    SIGMA_PITCH = (Consequence.INHIBIT, "sigma of pitch above 0.10 deg, or not known")
+    FADE = (Consequence.INHIBIT, "downlink fade")
+    REDUNDANCY = (Consequence.INHIBIT, "fewer than 2 carriers beyond the unknowns")
+    GAP = (Consequence.INHIBIT, "the newest row came after a gap")
+    OPERATION = (Consequence.INHIBIT, "a declared operation inhibits control")
+    EPHEMERIS = (Consequence.INHIBIT, "a burn without a new ephemeris, or it ends within 6 h")
+    INNOVATION = (Consequence.INHIBIT, "innovations outside their 99 % band for 30 min")
+    ONBOARD_MODE = (Consequence.INHIBIT, "the on-board mode is not on the operator's list")
+    REPORT_LATE = (Consequence.INHIBIT, "a released command is 10 min past its end without a report (alarm)")
+    HAND_OVER = (Consequence.INHIBIT, "roll or pitch beyond 0.6 deg: over to the sensor mode (alarm)")
+    CLOCK_JUMP = (Consequence.TRIP, "the clock jumped by more than 2 s against the steady one")
+    MOMENTUM = (Consequence.TRIP, "a wheel holds more than 80 % of its greatest momentum")
+    RESPONSE_MISSED = (Consequence.TRIP, "the powers say that a command did nothing or the reverse, ratio above 9")
+    ENVELOPE = (Consequence.TRIP, "the control law asked for more than the envelope")
+    CONFIGURATION = (Consequence.TRIP, "calibration, carrier plan or spacecraft changed since control was armed")
+    UNREPORTED = (Consequence.TRIP, "more than one released command without a report")
+    LEASE = (Consequence.TRIP, "the estimator's lease is held twice")
+    STOP = (Consequence.TRIP, "an operator stopped control")
+    SIGMA_YAW = (Consequence.YAW, "sigma of yaw above 0.20 deg, or not known")
+    YAW_SIGN = (Consequence.YAW, "the sign of yaw is not proven")
+    YAW_BEYOND = (Consequence.YAW, "yaw beyond 0.4 deg, or not known")
+    DISAGREEMENT = (Consequence.ALARM, "the methods differ by more than 0.15 deg in roll or pitch for 15 min")
+
+    def __init__(self, consequence: Consequence, meaning: str) -> None:
+        self.consequence = consequence
+        self.meaning = meaning
+
+    @property
+    def word(self) -> str:
+        """Name as programs see it."""
+        return self.name.lower()
+
+
+#: conditions beside which an alarm is raised
+ALARMED = frozenset({Condition.REPORT_LATE, Condition.HAND_OVER, Condition.DISAGREEMENT})
+
+
+@dataclass(frozen=True, slots=True)
+class RowFacts:
+    """What the interlock must know of the newest attitude row of the method that drives control."""
+
+    epoch_us: int
+    #: expected time to the next row
+    period_s: float
+    attitude_deg: Axes
+    sigma_deg: Axes
+    #: carriers beyond the unknowns
+    redundancy: int
+    is_fading: bool = False
+    is_innovation_in_band: bool = True
+    #: why the estimator forbids control; that the angle is large is the interlock's own affair
+    inhibitions: tuple[str, ...] = ()
+    #: set by the interlock
+    is_after_gap: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What the interlock must know beside the row; told anew whenever one of them changes."""
+
+    is_aligned: bool = False
+    onboard_mode: str | None = None
+    has_inhibiting_operation: bool = False
+    #: when the newest burn ended
+    burn_stop_us: int | None = None
+    ephemeris_received_us: int | None = None
+    ephemeris_stop_us: int | None = None
+    calibration_id: int | None = None
+    plan_id: int | None = None
+    #: version of the catalogue's inertia and wheels; signs are proven for one version
+    spacecraft_version: int | None = None
+    #: of the fullest wheel; None: no telemetry
+    momentum_share: float | None = None
+    lease_holders: int = 1
+    #: greatest difference of the methods in roll or pitch, deg
+    disagreement_deg: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Unreported:
+    """Released commands of which nobody has told what became of them."""
+
+    count: int = 0
+    #: when the oldest of them ended
+    oldest_stop_us: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Durations:
+    """Since when something has been so; None: it is not."""
+
+    innovation_since_us: int | None = None
+    disagreement_since_us: int | None = None
+
+
+def row_conditions(row: RowFacts | None, now_us: int, settings: ReleaseSettings) -> frozenset[Condition]:
+    """Return the conditions that lie in the newest row."""
+    if row is None:
+        return frozenset({Condition.ESTIMATE_OLD})
+    stale_us = microseconds(settings.stale_periods * row.period_s + settings.stale_margin_s)
+    # negated, so that what is not a number is bad
+    stands = {
+        # an estimate from the future is as little to be believed as an old one
+        Condition.ESTIMATE_OLD: not -stale_us <= now_us - row.epoch_us <= stale_us,
+        Condition.ESTIMATOR: bool(row.inhibitions),
+        Condition.SIGMA_ROLL: not row.sigma_deg.roll <= settings.roll_sigma_limit_deg,
+        Condition.SIGMA_PITCH: not row.sigma_deg.pitch <= settings.pitch_sigma_limit_deg,
+        Condition.FADE: row.is_fading,
+        Condition.REDUNDANCY: row.redundancy < settings.min_redundancy,
+        Condition.GAP: row.is_after_gap,
+        Condition.HAND_OVER: not all(
+            abs(angle) <= settings.hand_over_deg for angle in (row.attitude_deg.roll, row.attitude_deg.pitch)
+        ),
+        Condition.SIGMA_YAW: not row.sigma_deg.yaw <= settings.yaw_sigma_limit_deg,
+        Condition.YAW_BEYOND: not abs(row.attitude_deg.yaw) <= settings.recovery_deg,
+    }
+    return frozenset(condition for condition, is_standing in stands.items() if is_standing)
+
+
+def surrounding_conditions(around: Surroundings, now_us: int, settings: ReleaseSettings) -> frozenset[Condition]:
+    """Return the conditions that lie beside the row."""
+    has_mode = not settings.entry_modes or around.onboard_mode in settings.entry_modes
+    stands = {
+        Condition.NOT_ALIGNED: not around.is_aligned,
+        Condition.OPERATION: around.has_inhibiting_operation,
+        Condition.EPHEMERIS: _is_ephemeris_stale(around, now_us, settings),
+        Condition.ONBOARD_MODE: not has_mode,
+        # a momentum that is not told trips nothing; one that is not a number does
+        Condition.MOMENTUM: around.momentum_share is not None
+        and not around.momentum_share <= settings.momentum_share_limit,
+        Condition.LEASE: around.lease_holders > 1,
+    }
+    return frozenset(condition for condition, is_standing in stands.items() if is_standing)
+
+
+def lasting_conditions(
+    durations: Durations, unreported: Unreported, now_us: int, settings: ReleaseSettings
+) -> frozenset[Condition]:
+    """Return the conditions that need time to stand."""
+    stands = {
+        Condition.INNOVATION: _has_lasted(durations.innovation_since_us, now_us, settings.innovation_s),
+        Condition.DISAGREEMENT: _has_lasted(durations.disagreement_since_us, now_us, settings.disagreement_s),
+        Condition.REPORT_LATE: _has_lasted(unreported.oldest_stop_us, now_us, settings.report_s),
+        Condition.UNREPORTED: unreported.count > settings.max_unreported,
+    }
+    return frozenset(condition for condition, is_standing in stands.items() if is_standing)
+
+
+def _has_lasted(since_us: int | None, now_us: int, seconds: float) -> bool:
+    return since_us is not None and now_us - since_us >= microseconds(seconds)
+
+
+def _is_ephemeris_stale(around: Surroundings, now_us: int, settings: ReleaseSettings) -> bool:
+    """Whether the orbit is not known well enough."""
+    if around.ephemeris_stop_us is None or around.ephemeris_received_us is None:
+        return True
+    if around.ephemeris_stop_us - now_us < microseconds(settings.ephemeris_ahead_s):
+        return True
+    burn_us = around.burn_stop_us
+    return burn_us is not None and burn_us <= now_us and around.ephemeris_received_us <= burn_us

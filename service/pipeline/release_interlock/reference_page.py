@@ -1,0 +1,72 @@
+"""The page of the reference about interlock and commands, drawn from the tables that the code runs by."""
+
+from collections.abc import Sequence
+
+from service.pipeline.release_interlock.command_states import LIVES, Life, Turn
+from service.pipeline.release_interlock.interlock_conditions import Condition, Consequence
+from service.pipeline.release_interlock.interlock_states import TRANSITIONS, Guard, State, Trigger
+
+
+def interlock_diagram() -> str:
+    """Return the states of the interlock as a Mermaid state diagram; what stays in its state is left out."""
+    lines = ["stateDiagram-v2", f"    [*] --> {State.INHIBITED.name}"]
+    arrows: dict[tuple[State, State], list[str]] = {}
+    for row in TRANSITIONS:
+        if row.source is not row.target:
+            guard = f" [{row.guard.value}]" if row.guard is not Guard.ALWAYS else ""
+            arrows.setdefault((row.source, row.target), []).append(row.trigger.name + guard)
+    lines += [f"    {a.name} --> {b.name}: {', '.join(names)}" for (a, b), names in arrows.items()]
+    return "\n".join(lines)
+
+
+def command_diagram() -> str:
+    """Return the life of a command as a Mermaid state diagram."""
+    lines = ["stateDiagram-v2", f"    [*] --> {Life.PREPARED.name}"]
+    for life, row in LIVES.items():
+        lines += [f"    {life.name} --> {target.name}: {turn.name}" for turn, target in row.items()]
+        lines += [] if row else [f"    {life.name} --> [*]"]
+    return "\n".join(lines)
+
+
+def reference_page() -> str:
+    """Return the page (Markdown)."""
+    parts = [
+        "# Interlock and commands",
+        "Drawn from the tables that the code runs by, `service/pipeline/release_interlock`.\n"
+        "`tests/docs/test_interlock_page.py` holds page and tables equal,\n"
+        "`tests/property/test_release_interlock.py` that no sequence of events yields a torque while a reason stands.\n"
+        "Every figure is the default of a setting. The interlock stops control, never estimation.",
+        "## States",
+        "```mermaid\n" + interlock_diagram() + "\n```",
+        _table(("state", "meaning"), [(f"`{state.name}`", state.value) for state in State]),
+        _table(("trigger", "when"), [(f"`{trigger.name}`", trigger.value) for trigger in Trigger]),
+        "Of several rows of one state and trigger the first holds whose guard does. A trigger without a row is\n"
+        "refused where a person ordered it, and means nothing where time brought it about.",
+        _table(
+            ("state", "trigger", "guard", "next state"),
+            [(row.source.name, row.trigger.name, row.guard.value or "-", row.target.name) for row in TRANSITIONS],
+        ),
+        "## Conditions",
+        *(_conditions_of(consequence) for consequence in Consequence),
+        "What is not known counts as bad; only a momentum that no telemetry tells is passed over. A trip takes arming\n"
+        "and authorisation away: after the reset come ten good minutes, and an operator arms again.",
+        "## Life of a command",
+        "```mermaid\n" + command_diagram() + "\n```",
+        _table(("life", "meaning"), [(f"`{life.name}`", life.value) for life in Life]),
+        _table(("turn", "when"), [(f"`{turn.name}`", turn.value) for turn in Turn]),
+        "A command released by standing authorisation goes from PREPARED to EXECUTED in one step: it counts as\n"
+        "applied. One that persons confirmed is uncertainty of the filter, with its whole effect, until its report.",
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _conditions_of(consequence: Consequence) -> str:
+    """Return a consequence and the conditions that have it."""
+    rows = [(f"`{each.word}`", each.meaning) for each in Condition if each.consequence is consequence]
+    return f"{consequence.value}:\n\n" + _table(("condition", "stands when"), rows)
+
+
+def _table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
+    """Return a Markdown table."""
+    lines = [f"| {' | '.join(row)} |" for row in rows]
+    return "\n".join([f"| {' | '.join(head)} |", "|" + "---|" * len(head), *lines])

@@ -1,0 +1,120 @@
+"""What must hold at the moment of a release: each check by name, with the code by which it refuses."""
+
+from typing import NamedTuple
+
+from service.core.control.envelope import Envelope, envelope_excesses
+from service.core.control.slew_schedule import Triple
+from service.pipeline.release_interlock.command_states import UNREPORTED
+from service.pipeline.release_interlock.interlock import Instant
+from service.pipeline.release_interlock.interlock_conditions import Unreported
+from service.pipeline.release_interlock.interlock_states import State
+from service.pipeline.release_interlock.release_events import CommandRecord, Proposal, Refusal, ReleaseState
+from service.pipeline.release_interlock.release_settings import ReleaseSettings, microseconds
+from service.records.epoch import US_PER_S
+
+_HOUR_US = 3600 * US_PER_S
+#: states in which a command may go
+_MAY_RELEASE = frozenset({State.ARMED, State.ENGAGED, State.RECOVERY})
+
+
+class Check(NamedTuple):
+    """One check of a proposal."""
+
+    name: str
+    is_ok: bool
+    #: by which it refuses
+    code: str
+    detail: str
+
+
+def release_checks(
+    state: ReleaseState,
+    proposal: Proposal,
+    at: Instant,
+    settings: ReleaseSettings,
+    *,
+    envelope: Envelope,
+    waiting_s: float,
+) -> tuple[Check, ...]:
+    """Return every check of a proposal against a settled state, those that fail and those that hold.
+
+    Parameters
+    ----------
+    state : ReleaseState
+        At the instant.
+    envelope : Envelope
+        Of the settings, or the authorised one.
+    waiting_s : float, s
+        How long a person may look at a proposal before it is too old; 0 for the law.
+    """
+    interlock = state.interlock
+    sent = sent_within_an_hour(state, at.now_us)
+    excesses = envelope_excesses(proposal.effect, sent, envelope)
+    row = interlock.row
+    newest_us, period_s = (0, 0.0) if row is None else (row.epoch_us, row.period_s)
+    stale_us = microseconds(settings.stale_periods * period_s + settings.stale_margin_s + waiting_s)
+    yaw = proposal.effect.gross_impulse_n_m_s[0]
+    waiting = [command.counter for command in state.commands if command.life in UNREPORTED and not command.is_automatic]
+    return (
+        _interlock_check(state),
+        Check("envelope", not excesses, "envelope.exceeded", "; ".join(map(str, excesses))),
+        Check(
+            "flexible response",
+            proposal.schedule_verdict in ("accept", "warn"),
+            "schedule.rejected",
+            f"the flexible-response check says {proposal.schedule_verdict}",
+        ),
+        Check(
+            "yaw",
+            yaw == 0.0 or not interlock.is_yaw_withheld,
+            "interlock.yaw_withheld",
+            "the yaw torque is withheld: leave it out",
+        ),
+        Check(
+            "reports",
+            not waiting,
+            "command.unreported",
+            f"what became of command {', '.join(map(str, waiting))} is not reported: report it first",
+        ),
+        Check(
+            "estimate",
+            0 < proposal.attitude_epoch_us <= newest_us and newest_us - proposal.attitude_epoch_us <= stale_us,
+            "command.estimate_stale",
+            "computed from an estimate that is not the newest any more: prepare anew",
+        ),
+        Check("start", proposal.start_us >= at.now_us, "command.start_passed", "the schedule begins in the past"),
+        Check("pulses", bool(proposal.pulses), "command.empty", "a command without a pulse does nothing"),
+    )
+
+
+def first_failure(checks: tuple[Check, ...]) -> Refusal | None:
+    """Return the refusal of the first check that fails."""
+    return next((Refusal(check.code, check.detail) for check in checks if not check.is_ok), None)
+
+
+def sent_within_an_hour(state: ReleaseState, now_us: int) -> Triple:
+    """Return the sum of the impulses sent within the hour before an instant, yaw, roll, pitch, N m s."""
+    recent = [sent.impulse_n_m_s for sent in state.sent if now_us - sent.at_us < _HOUR_US]
+    yaw, roll, pitch = (float(sum(values)) for values in zip(*recent, strict=True)) if recent else (0.0, 0.0, 0.0)
+    return yaw, roll, pitch
+
+
+def unreported_of(commands: tuple[CommandRecord, ...]) -> Unreported:
+    """Return what nobody has reported among the commands that went out by confirmation."""
+    waiting = [command for command in commands if command.life in UNREPORTED and not command.is_automatic]
+    stops_us = [max(command.proposal.stop_us, command.released_us or 0) for command in waiting]
+    return Unreported(len(waiting), min(stops_us, default=None))
+
+
+def _interlock_check(state: ReleaseState) -> Check:
+    """Return the check that the interlock lets commands go at all."""
+    interlock = state.interlock
+    reasons = ", ".join(interlock.reasons)
+    if interlock.state is State.TRIPPED:
+        return Check(
+            "interlock", False, "interlock.tripped", f"control tripped ({reasons}): find the cause, reset, arm"
+        )
+    if interlock.state is State.INHIBITED and not interlock.inhibiting and not interlock.is_armed:
+        return Check("interlock", False, "interlock.not_armed", "control is not armed")
+    is_ok = interlock.state in _MAY_RELEASE and not interlock.inhibiting
+    return Check("interlock", is_ok, "interlock.inhibited", f"control is inhibited: {reasons}")

@@ -1,0 +1,55 @@
+"""Settings of the release interlock; the defaults are those of its table in the reference."""
+
+from dataclasses import dataclass, field
+
+from service.core.control.envelope import Envelope
+from service.records.catalogue import Release
+from service.records.epoch import US_PER_S
+
+
+@dataclass(frozen=True, slots=True)
+class ReleaseSettings:
+    """What inhibits, what trips, and how long things last."""
+
+    release: Release = Release.TWO_STEP
+    #: beyond it no command goes, whoever confirms it
+    envelope: Envelope = field(default_factory=Envelope)
+    #: an estimate is too old after this many row periods and so many seconds
+    stale_periods: float = 3.0
+    stale_margin_s: float = 30.0
+    roll_sigma_limit_deg: float = 0.06
+    pitch_sigma_limit_deg: float = 0.10
+    yaw_sigma_limit_deg: float = 0.20
+    min_redundancy: int = 2
+    #: the ephemeris must reach this far ahead
+    ephemeris_ahead_s: float = 6 * 3600.0
+    #: innovations outside their band for this long inhibit
+    innovation_s: float = 1800.0
+    #: an inhibition clears after this long without a reason
+    good_s: float = 600.0
+    #: share of a wheel's greatest momentum
+    momentum_share_limit: float = 0.8
+    clock_jump_s: float = 2.0
+    #: log-likelihood ratio with which a command's response is missed
+    missed_log_ratio: float = 9.0
+    #: methods that differ by this in roll or pitch for this long raise an alarm
+    disagreement_deg: float = 0.15
+    disagreement_s: float = 900.0
+    #: roll or pitch beyond it: automatic release off; beyond the second: over to the sensor mode
+    recovery_deg: float = 0.4
+    hand_over_deg: float = 0.6
+    #: on-board modes from which control may be entered; empty: not looked at
+    entry_modes: tuple[str, ...] = ()
+    longest_authorisation_s: float = 12 * 3600.0
+    #: the second person must follow the first within this
+    request_s: float = 600.0
+    #: a prepared command waits this long for its confirmation
+    prepared_s: float = 600.0
+    #: commands that may be without a report at a time, and how long after their end
+    max_unreported: int = 1
+    report_s: float = 600.0
+
+
+def microseconds(seconds: float) -> int:
+    """Return a duration in microseconds."""
+    return round(seconds * US_PER_S)

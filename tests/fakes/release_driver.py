@@ -1,0 +1,236 @@
+"""Drives the release as a service would: rows every minute, persons, reports; and judges it by rules of its own."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from service.core.control.envelope import Envelope
+from service.core.control.sign_check import Verdict
+from service.core.control.slew_schedule import Drive, plan_slew, predicted_effect
+from service.pipeline.release_interlock.interlock import Instant
+from service.pipeline.release_interlock.interlock_conditions import RowFacts, Surroundings
+from service.pipeline.release_interlock.release import advance, restored
+from service.pipeline.release_interlock.release_events import (
+    ActionKind,
+    Automatic,
+    Confirm,
+    Engage,
+    Event,
+    Order,
+    OrderKind,
+    Prepare,
+    Proposal,
+    ReleaseState,
+    ResponseJudged,
+    RowSeen,
+    SignJudged,
+    Step,
+    Tick,
+    Told,
+)
+from service.pipeline.release_interlock.release_settings import ReleaseSettings
+from service.records.attitude import Axes
+from service.records.catalogue import Release
+
+US = 1_000_000
+MINUTE_US = 60 * US
+START_US = 1_900_000_000 * US
+#: inertia about yaw, roll, pitch
+INERTIA = np.diag([2600.0, 2600.0, 1400.0])
+DRIVE = Drive(0.05, 0.002, 0.1, 0.001)
+SETTINGS = ReleaseSettings(release=Release.AUTOMATIC)
+AROUND = Surroundings(
+    is_aligned=True,
+    ephemeris_received_us=START_US - 3600 * US,
+    ephemeris_stop_us=START_US + 90 * 86_400 * US,
+    calibration_id=7,
+    plan_id=3,
+    spacecraft_version=1,
+    momentum_share=0.2,
+)
+GOOD = RowFacts(
+    epoch_us=START_US,
+    period_s=60.0,
+    attitude_deg=Axes(0.05, 0.02, -0.03),
+    sigma_deg=Axes(0.08, 0.02, 0.03),
+    redundancy=9,
+)
+
+
+@lru_cache
+def slew(yaw_deg: float, roll_deg: float, pitch_deg: float, horizon_s: float) -> tuple[tuple, object]:
+    """Return pulses and effect of a slew."""
+    pulses = plan_slew([yaw_deg, roll_deg, pitch_deg], [0.0, 0.0, 0.0], INERTIA, horizon_s, DRIVE)
+    return pulses, predicted_effect(pulses, INERTIA, np.eye(3), horizon_s)
+
+
+class ReleaseDriver:
+    """One spacecraft's release, its clocks and what has gone out."""
+
+    def __init__(self, settings: ReleaseSettings = SETTINGS) -> None:
+        self.settings = settings
+        self.state = ReleaseState()
+        self.now_us, self.steady_us = START_US, 5 * US
+        self.row: RowFacts | None = None
+        self.around = Surroundings()
+        #: counter, instant, effect
+        self.released: list[tuple[int, int, object]] = []
+        self.alarms: list[str] = []
+        #: whether something has tripped since the last reset, by the driver's own account
+        self.is_tripped = False
+        self.last_bad_us = self.now_us
+
+    @property
+    def at(self) -> Instant:
+        return Instant(self.now_us, self.steady_us)
+
+    @property
+    def name(self) -> str:
+        return self.state.interlock.state.name
+
+    def pass_time(self, seconds: float) -> None:
+        self.now_us += round(seconds * US)
+        self.steady_us += round(seconds * US)
+
+    def jump_clock(self, seconds: float) -> None:
+        self.now_us += round(seconds * US)
+        self.is_tripped |= abs(seconds) > self.settings.clock_jump_s
+
+    def send(self, event: Event) -> Step:
+        """Handle an event and hold the laws: refused means unchanged, released means nothing stood in the way."""
+        before = self.state
+        step = advance(before, event, self.settings)
+        if step.refusal is not None:
+            assert step.state == before, "an illegal event changed the state"
+            assert step.actions == (), "an illegal event did something"
+            assert step.refusal.code
+            assert step.refusal.detail
+            return step
+        if isinstance(event, RowSeen) and (self.row is None or event.row.epoch_us > self.row.epoch_us):
+            self.row = event.row
+        if isinstance(event, Told):
+            self.around = event.around
+            self.is_tripped |= event.around.lease_holders > 1 or (event.around.momentum_share or 0.0) > 0.8
+        if isinstance(event, ResponseJudged):
+            self.is_tripped |= event.log_ratio > 9.0
+        if isinstance(event, SignJudged):
+            self.is_tripped |= event.verdict in (Verdict.MINUS, Verdict.NOTHING)
+        if isinstance(event, Order):
+            self.is_tripped = (self.is_tripped or event.kind is OrderKind.STOP) and event.kind is not OrderKind.RESET
+        # before the event is looked at, and with what it told
+        if self.is_bad():
+            self.last_bad_us = self.now_us
+        for action in step.actions:
+            if action.kind is ActionKind.RELEASE:
+                self._judge_release(step.state, action.counter)
+            if action.kind is ActionKind.ALARM:
+                self.alarms.append(action.detail)
+        self.state = step.state
+        return step
+
+    def is_bad(self) -> bool:
+        """Whether no torque may go, by the facts alone."""
+        row, around = self.row, self.around
+        if row is None or not around.is_aligned or around.has_inhibiting_operation or around.lease_holders > 1:
+            return True
+        age_s = (self.now_us - row.epoch_us) / US
+        burn_us = around.burn_stop_us
+        return (
+            abs(age_s) > 3.0 * row.period_s + 30.0
+            or bool(set(row.inhibitions) - {"beyond_validity"})
+            or row.is_fading
+            or row.redundancy < 2
+            or not (row.sigma_deg.roll <= 0.06 and row.sigma_deg.pitch <= 0.10)
+            or not (abs(row.attitude_deg.roll) <= 0.6 and abs(row.attitude_deg.pitch) <= 0.6)
+            or (around.momentum_share or 0.0) > 0.8
+            or around.ephemeris_stop_us is None
+            or around.ephemeris_stop_us - self.now_us < 6 * 3600 * US
+            or (burn_us is not None and around.ephemeris_received_us <= burn_us <= self.now_us)
+        )
+
+    def _judge_release(self, state: ReleaseState, counter: int) -> None:
+        """Hold what must be true of every torque that goes out."""
+        assert not self.is_bad(), "released while a reason stands"
+        assert not self.is_tripped, "released after a trip"
+        assert self.now_us - self.last_bad_us >= 600 * US, "released before ten good minutes"
+        assert counter not in [each for each, _, _ in self.released], "released twice"
+        proposal = next(each.proposal for each in state.commands if each.counter == counter)
+        gross = np.array(proposal.effect.gross_impulse_n_m_s)
+        assert (gross <= 0.02 + 1e-12).all(), "beyond the impulse of a command"
+        assert max(map(abs, proposal.effect.peak_angle_deg)) <= 0.1 + 1e-9
+        assert max(map(abs, proposal.effect.peak_rate_deg_s)) <= 3e-4 + 1e-12
+        self.released.append((counter, self.now_us, proposal.effect))
+        hour = [np.array(e.gross_impulse_n_m_s) for _, t, e in self.released if self.now_us - t < 3600 * US]
+        assert (np.sum(hour, axis=0) <= 0.1 + 1e-9).all(), "beyond the impulse of an hour"
+
+    def proposal(
+        self, roll_deg: float = 0.02, *, yaw_deg: float = 0.0, pitch_deg: float = 0.0, horizon_s: float = 900.0
+    ):
+        """Return a slew computed from the newest row, to begin in eleven minutes."""
+        pulses, effect = slew(yaw_deg, roll_deg, pitch_deg, horizon_s)
+        epoch_us = self.row.epoch_us if self.row else self.now_us
+        return Proposal(epoch_us, self.now_us + 660 * US, pulses, effect, "accept")
+
+    def rows(self, count: int, row: RowFacts = GOOD, lag_s: float = 10.0) -> None:
+        """Let rows come, one a minute."""
+        for _ in range(count):
+            self.pass_time(60.0)
+            self.send(RowSeen(self.at, replace(row, epoch_us=self.now_us - round(lag_s * US))))
+
+    def tell(self, **changes: object) -> Step:
+        return self.send(Told(self.at, replace(self.around, **changes)))
+
+    def order(self, kind: OrderKind, by: str = "ann") -> Step:
+        return self.send(Order(self.at, by, kind))
+
+    def engage(self, by: str, hours: float = 6.0, is_approver: bool = True, until_us: int | None = None) -> Step:
+        until = START_US + round(hours * 3600 * US) if until_us is None else until_us
+        return self.send(Engage(self.at, by, until, Envelope(), is_approver))
+
+    def prepare(self, by: str = "ann", **wish: float) -> Step:
+        return self.send(Prepare(self.at, by, self.proposal(**wish)))
+
+    def confirm(self, by: str = "bob", counter: int | None = None, is_approver: bool = True) -> Step:
+        command = self.state.commands[-1] if counter is None else self.command(counter)
+        return self.send(Confirm(self.at, by, command.counter, command.digest, is_approver))
+
+    def automatic(self, **wish: float) -> Step:
+        return self.send(Automatic(self.at, self.proposal(**wish)))
+
+    def command(self, counter: int):
+        return next(each for each in self.state.commands if each.counter == counter)
+
+    def tick(self, seconds: float = 0.0) -> Step:
+        self.pass_time(seconds)
+        return self.send(Tick(self.at))
+
+    def forget(self, axis: str) -> None:
+        """Make the sign of an axis unproven."""
+        others = tuple(each for each in self.state.interlock.proven_axes if each != axis)
+        self.state = replace(self.state, interlock=replace(self.state.interlock, proven_axes=others))
+
+    def restart(self) -> None:
+        """Kill the process: what is stored comes back, the steady clock begins anew, facts must be told again."""
+        self.state = restored(self.state)
+        self.row = None
+        self.steady_us = 0
+        self.last_bad_us = self.now_us
+
+    def armed(self) -> "ReleaseDriver":
+        """Bring control to ARMED with the signs of all axes proven."""
+        self.send(Told(self.at, AROUND))
+        self.rows(11)
+        self.order(OrderKind.ARM)
+        for axis in ("yaw", "roll", "pitch"):
+            self.send(SignJudged(self.at, axis, Verdict.PLUS))
+        assert self.name == "ARMED"
+        return self
+
+    def engaged(self) -> "ReleaseDriver":
+        """Bring control to ENGAGED by two persons."""
+        self.armed()
+        self.engage("ann")
+        self.engage("bob")
+        assert self.name == "ENGAGED"
+        return self

@@ -1,0 +1,232 @@
+"""Life of a command: persons, digests, times, reports; each illegal step with its code and without effect."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from release_driver import US, ReleaseDriver
+
+from service.core.control.slew_schedule import AxisPulse
+from service.pipeline.release_interlock.command_states import LIVES, OPEN, UNREPORTED, Life, Turn, next_life
+from service.pipeline.release_interlock.release import advance, uncertainty_of
+from service.pipeline.release_interlock.release_checks import release_checks, sent_within_an_hour
+from service.pipeline.release_interlock.release_commands import executed_part
+from service.pipeline.release_interlock.release_events import ActionKind, Cancel, Confirm, Prepare, Report, digest_of
+
+
+@pytest.fixture
+def driver() -> ReleaseDriver:
+    return ReleaseDriver().armed()
+
+
+def report(driver, turn, counter=1, **part):
+    return driver.send(Report(driver.at, counter, turn, **part))
+
+
+def test_what_has_gone_out_cannot_be_called_back_and_ends_are_ends():
+    for life in UNREPORTED:
+        assert not {Turn.CANCEL, Turn.EXPIRE, Turn.REJECT, Turn.RELEASE} & set(LIVES[life])
+    ends = set(Life) - OPEN - UNREPORTED
+    assert all(LIVES[life] == {} for life in ends)
+    assert next_life(Life.EXECUTED, Turn.EXECUTED) is None
+
+
+def test_a_command_is_prepared_confirmed_released_sent_and_executed(driver):
+    assert driver.prepare("ann").refusal is None
+    step = driver.confirm("bob")
+    assert [action.kind for action in step.actions] == [ActionKind.RELEASE, ActionKind.UNCERTAIN]
+    command = driver.command(1)
+    assert (command.life, command.prepared_by, command.confirmed_by) == (Life.RELEASED, "ann", "bob")
+    report(driver, Turn.SENT)
+    step = report(driver, Turn.EXECUTED)
+    assert [action.kind for action in step.actions] == [ActionKind.CERTAIN, ActionKind.KNOWN_INPUT]
+    assert driver.command(1).executed == command.proposal.pulses
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        ({"digest": "0" * 64}, "command.digest"),
+        ({"by": "ann"}, "command.second_person"),
+        ({"is_approver": False}, "command.second_person"),
+        ({"counter": 2}, "command.unknown"),
+    ],
+)
+def test_confirmations_that_do_not_hold_are_refused(driver, change, code):
+    driver.prepare("ann")
+    command = driver.command(1)
+    given = {"by": "bob", "counter": 1, "digest": command.digest, "is_approver": True, **change}
+    assert driver.send(Confirm(driver.at, **given)).refusal.code == code
+    assert driver.command(1) == command
+
+
+def test_two_operators_at_once_meet_a_clear_answer(driver):
+    driver.prepare("ann")
+    assert driver.prepare("cas").refusal.code == "command.open"
+    driver.confirm("bob")
+    assert driver.confirm("cas").refusal.code == "command.state"
+    assert driver.send(Cancel(driver.at, "ann", 1)).refusal.code == "command.state"
+    assert driver.prepare("cas").refusal.code == "command.unreported"
+
+
+def test_confirmation_after_expiry_is_refused(driver):
+    driver.prepare("ann")
+    driver.rows(10)
+    assert driver.confirm("bob").refusal.code == "command.expired"
+    assert driver.command(1).life is Life.EXPIRED
+
+
+def test_a_cancelled_command_makes_room(driver):
+    driver.prepare("ann")
+    assert driver.send(Cancel(driver.at, "ann", 1)).refusal is None
+    assert driver.prepare("ann").refusal is None
+    assert driver.command(2).digest != driver.command(1).digest
+
+
+def test_reports_for_unknown_or_finished_commands_are_refused(driver):
+    assert report(driver, Turn.EXECUTED, counter=9).refusal.code == "command.unknown"
+    driver.prepare()
+    assert report(driver, Turn.EXECUTED).refusal.code == "command.state"
+    driver.confirm()
+    report(driver, Turn.FAILED)
+    assert report(driver, Turn.FAILED).refusal.code == "command.state"
+    assert report(driver, Turn.SENT).refusal.code == "command.state"
+    assert report(driver, Turn.CONFIRM).refusal.code == "command.state"
+
+
+def test_an_interval_that_ends_before_it_begins_is_refused(driver):
+    driver.prepare()
+    driver.confirm()
+    step = report(driver, Turn.EXECUTED, executed_from_us=driver.now_us, executed_until_us=driver.now_us - 1)
+    assert step.refusal.code == "report.interval"
+
+
+def test_a_command_that_failed_half_way_is_known_input_as_far_as_it_went(driver):
+    driver.prepare()
+    driver.confirm()
+    proposal = driver.command(1).proposal
+    middle_us = proposal.start_us + 100 * US
+    step = report(driver, Turn.FAILED, executed_from_us=proposal.start_us, executed_until_us=middle_us)
+    assert [action.kind for action in step.actions] == [ActionKind.CERTAIN, ActionKind.KNOWN_INPUT]
+    # the first pulse went, the one that nulls the rate did not: the craft is turning
+    assert driver.command(1).executed == proposal.pulses[:1]
+
+
+def test_a_pulse_that_was_cut_is_cut_in_the_record(driver):
+    proposal = replace(driver.proposal(), pulses=(AxisPulse(1, 10.0, 4.0, 0.002),))
+    start_us = proposal.start_us
+    (part,) = executed_part(proposal, start_us + 11 * US, start_us + 13 * US)
+    assert part == AxisPulse(1, 11.0, 2.0, 0.002)
+    assert executed_part(proposal, start_us, start_us + 9 * US) == ()
+
+
+def test_an_unreported_command_is_uncertainty_with_its_whole_effect(driver):
+    assert not np.any(uncertainty_of(driver.state))
+    driver.prepare(roll_deg=0.05)
+    assert not np.any(uncertainty_of(driver.state))
+    driver.confirm()
+    found = uncertainty_of(driver.state)
+    assert found.angle_deg[1] == pytest.approx(0.05)
+    # the greatest rate, though none is left in the end
+    assert found.rate_deg_s[1] > 5e-5
+    report(driver, Turn.EXECUTED)
+    assert not np.any(uncertainty_of(driver.state))
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        ({"schedule_verdict": "reject"}, "schedule.rejected"),
+        ({"schedule_verdict": ""}, "schedule.rejected"),
+        ({"pulses": ()}, "command.empty"),
+        ({"start_us": 0}, "command.start_passed"),
+        ({"attitude_epoch_us": 1}, "command.estimate_stale"),
+        ({"attitude_epoch_us": 2**62}, "command.estimate_stale"),
+    ],
+)
+def test_proposals_that_must_not_go_are_refused(driver, change, code):
+    proposal = replace(driver.proposal(), **change)
+    assert driver.send(Prepare(driver.at, "ann", proposal)).refusal.code == code
+
+
+@pytest.mark.parametrize(
+    "wish",
+    [
+        {"roll_deg": 0.11, "horizon_s": 3600.0},
+        {"roll_deg": 0.09, "horizon_s": 300.0},
+        {"roll_deg": 0.0, "pitch_deg": 0.1, "horizon_s": 400.0},
+    ],
+)
+def test_beyond_the_envelope_a_command_is_refused_never_clipped(driver, wish):
+    refusal = driver.prepare(**wish).refusal
+    assert refusal.code == "envelope.exceeded"
+    assert " of " in refusal.detail
+
+
+def test_the_hour_holds_over_many_commands_and_frees_itself():
+    driver, went = ReleaseDriver().engaged(), 0
+    for _ in range(20):
+        driver.rows(1, lag_s=0.0)
+        step = driver.send(Prepare(driver.at, "ann", driver.proposal(roll_deg=0.08, horizon_s=900.0)))
+        if step.refusal is not None:
+            break
+        driver.confirm("bob")
+        report(driver, Turn.EXECUTED, counter=driver.state.commands[-1].counter)
+        went += 1
+    assert step.refusal.code == "envelope.exceeded"
+    # 0.010756 N m s each
+    assert went == 9
+    assert sent_within_an_hour(driver.state, driver.now_us)[1] == pytest.approx(9 * 0.010756, rel=1e-3)
+    driver.rows(60)
+    assert driver.prepare(roll_deg=0.08).refusal is None
+
+
+def test_an_authorised_envelope_that_is_narrower_holds_without_a_trip():
+    driver = ReleaseDriver().armed()
+    narrow = driver.settings.envelope._replace(angle_change_deg=0.03)
+    for person in ("ann", "bob"):
+        step = driver.engage(person)
+        assert step.refusal is None
+    authorisation = driver.state.interlock.authorisation
+    terms = replace(authorisation.terms, envelope=narrow)
+    interlock = replace(driver.state.interlock, authorisation=replace(authorisation, terms=terms))
+    driver.state = replace(driver.state, interlock=interlock)
+    assert driver.automatic(roll_deg=0.05).refusal.code == "envelope.exceeded"
+    assert driver.name == "ENGAGED"
+    assert driver.prepare(roll_deg=0.05).refusal is None
+
+
+def test_checks_tell_all_that_is_wrong_at_once(driver):
+    proposal = replace(driver.proposal(roll_deg=0.11, horizon_s=3600.0), schedule_verdict="reject")
+    checks = release_checks(
+        driver.state, proposal, driver.at, driver.settings, envelope=driver.settings.envelope, waiting_s=0.0
+    )
+    assert [check.name for check in checks if not check.is_ok] == ["envelope", "flexible response"]
+
+
+def test_the_digest_changes_with_the_last_bit(driver):
+    proposal = driver.proposal()
+    first = proposal.pulses[0]
+    nudged = first._replace(torque_n_m=np.nextafter(first.torque_n_m, 1.0).item())
+    others = [
+        digest_of(2, proposal),
+        digest_of(1, replace(proposal, start_us=proposal.start_us + 1)),
+        digest_of(1, replace(proposal, pulses=(nudged, *proposal.pulses[1:]))),
+    ]
+    assert len({digest_of(1, proposal), *others}) == 4
+    assert digest_of(1, proposal) == digest_of(1, replace(proposal))
+
+
+def test_commands_that_ended_an_hour_ago_are_forgotten_and_waiting_ones_never(driver):
+    driver.prepare()
+    driver.confirm()
+    driver.rows(150)
+    assert driver.command(1).life is Life.RELEASED
+    report(driver, Turn.EXECUTED)
+    driver.rows(61)
+    assert driver.state.commands == ()
+
+
+def test_the_same_events_lead_to_the_same_state(driver):
+    event = Prepare(driver.at, "ann", driver.proposal())
+    assert advance(driver.state, event, driver.settings) == advance(driver.state, event, driver.settings)

@@ -1,0 +1,317 @@
+"""Every condition of the table, alone: what it does to control, and that it clears or latches as the table says."""
+
+from dataclasses import replace
+
+import pytest
+from release_driver import GOOD, MINUTE_US, START_US, US, ReleaseDriver
+
+from service.core.control.sign_check import Verdict
+from service.pipeline.release_interlock.interlock_conditions import Condition, Consequence
+from service.pipeline.release_interlock.release_events import (
+    Engage,
+    OrderKind,
+    ResponseJudged,
+    SignJudged,
+)
+from service.pipeline.release_interlock.release_settings import ReleaseSettings
+from service.records.attitude import Axes
+from service.records.catalogue import Release
+
+NAN = float("nan")
+
+
+def row(**change):
+    return lambda driver: driver.rows(1, replace(GOOD, **change))
+
+
+def told(**change):
+    return lambda driver: driver.tell(**change)
+
+
+def after_a_gap(driver):
+    driver.pass_time(200.0)
+    driver.rows(1, lag_s=0.0)
+
+
+def bad_innovations(driver):
+    driver.rows(31, replace(GOOD, is_innovation_in_band=False))
+
+
+def another_mode(driver):
+    driver.settings = replace(driver.settings, entry_modes=("FORECAST",))
+    driver.tell(onboard_mode="SAFE")
+
+
+def late_report(driver):
+    driver.prepare()
+    driver.confirm()
+    driver.rows(40)
+
+
+def clock_jump(driver):
+    driver.jump_clock(2.5)
+    driver.rows(1)
+
+
+def too_much(driver):
+    driver.rows(1, lag_s=0.0)
+    driver.automatic(roll_deg=0.2)
+
+
+def two_unreported(driver):
+    driver.settings = replace(driver.settings, max_unreported=0)
+    driver.prepare()
+    driver.confirm()
+
+
+def long_disagreement(driver):
+    driver.tell(disagreement_deg=0.2)
+    driver.rows(16)
+
+
+def engage(driver):
+    driver.engage("ann")
+    driver.engage("bob")
+
+
+CASES = {
+    Condition.ESTIMATE_OLD: [lambda driver: driver.tick(201.0)],
+    Condition.ESTIMATOR: [row(inhibitions=("chain_step",))],
+    Condition.NOT_ALIGNED: [told(is_aligned=False)],
+    Condition.SIGMA_ROLL: [row(sigma_deg=Axes(0.1, 0.061, 0.03)), row(sigma_deg=Axes(0.1, NAN, 0.03))],
+    Condition.SIGMA_PITCH: [row(sigma_deg=Axes(0.1, 0.02, 0.101)), row(sigma_deg=Axes(0.1, 0.02, NAN))],
+    Condition.FADE: [row(is_fading=True)],
+    Condition.REDUNDANCY: [row(redundancy=1)],
+    Condition.GAP: [after_a_gap],
+    Condition.OPERATION: [told(has_inhibiting_operation=True)],
+    Condition.EPHEMERIS: [
+        told(ephemeris_stop_us=None),
+        told(ephemeris_stop_us=START_US + 6 * 3600 * US),
+        told(burn_stop_us=START_US),
+    ],
+    Condition.INNOVATION: [bad_innovations],
+    Condition.ONBOARD_MODE: [another_mode],
+    Condition.REPORT_LATE: [late_report],
+    Condition.HAND_OVER: [row(attitude_deg=Axes(0.0, 0.0, -0.61)), row(attitude_deg=Axes(0.0, NAN, 0.0))],
+    Condition.CLOCK_JUMP: [clock_jump],
+    Condition.MOMENTUM: [told(momentum_share=0.81), told(momentum_share=NAN)],
+    Condition.RESPONSE_MISSED: [
+        lambda driver: driver.send(ResponseJudged(driver.at, 9.1)),
+        lambda driver: driver.send(ResponseJudged(driver.at, NAN)),
+        lambda driver: driver.send(SignJudged(driver.at, "roll", Verdict.MINUS)),
+        lambda driver: driver.send(SignJudged(driver.at, "pitch", Verdict.NOTHING)),
+    ],
+    Condition.ENVELOPE: [lambda driver: [engage(driver), too_much(driver)]],
+    Condition.CONFIGURATION: [told(calibration_id=8), told(plan_id=4), told(spacecraft_version=2)],
+    Condition.UNREPORTED: [two_unreported],
+    Condition.LEASE: [told(lease_holders=2)],
+    Condition.STOP: [lambda driver: driver.order(OrderKind.STOP)],
+    Condition.SIGMA_YAW: [row(sigma_deg=Axes(0.21, 0.02, 0.03)), row(sigma_deg=Axes(NAN, 0.02, 0.03))],
+    Condition.YAW_SIGN: [lambda driver: driver.forget("yaw")],
+    Condition.YAW_BEYOND: [row(attitude_deg=Axes(0.41, 0.0, 0.0))],
+    Condition.DISAGREEMENT: [long_disagreement],
+}
+FLAT = [(condition, act) for condition, acts in CASES.items() for act in acts]
+STOPS = [(c, act) for c, act in FLAT if c.consequence in (Consequence.INHIBIT, Consequence.TRIP)]
+
+
+def test_every_condition_has_a_case():
+    assert set(CASES) == set(Condition)
+
+
+@pytest.mark.parametrize(("condition", "act"), STOPS, ids=lambda each: getattr(each, "word", ""))
+def test_a_condition_alone_stops_every_release(condition, act):
+    driver = ReleaseDriver().armed()
+    act(driver)
+    expected = "TRIPPED" if condition.consequence is Consequence.TRIP else "INHIBITED"
+    assert driver.name == expected
+    assert condition.word in driver.state.interlock.reasons
+    refusal = driver.prepare(by="cas").refusal
+    assert refusal.code in ("interlock.inhibited", "interlock.tripped")
+    assert condition.word in refusal.detail
+
+
+@pytest.mark.parametrize("act", [row(is_fading=True), row(redundancy=0), after_a_gap, row(inhibitions=("late",))])
+def test_an_inhibition_clears_itself_after_ten_good_minutes_and_no_sooner(act):
+    driver = ReleaseDriver().engaged()
+    act(driver)
+    driver.rows(10)
+    assert driver.name == "INHIBITED"
+    assert driver.state.interlock.reasons == ("good_minutes",)
+    driver.rows(1)
+    assert driver.name == "ENGAGED"
+
+
+def test_a_reason_within_the_ten_minutes_begins_them_anew():
+    driver = ReleaseDriver().engaged()
+    driver.rows(1, replace(GOOD, is_fading=True))
+    driver.rows(9)
+    driver.rows(1, replace(GOOD, is_fading=True))
+    driver.rows(10)
+    assert driver.name == "INHIBITED"
+
+
+def test_silence_is_no_good_time():
+    driver = ReleaseDriver().engaged()
+    driver.rows(1, replace(GOOD, is_fading=True))
+    driver.rows(1)
+    driver.pass_time(900.0)
+    driver.rows(1)
+    assert driver.name == "INHIBITED"
+
+
+def test_innovations_may_be_outside_their_band_for_less_than_half_an_hour():
+    driver = ReleaseDriver().armed()
+    driver.rows(30, replace(GOOD, is_innovation_in_band=False))
+    driver.rows(1)
+    driver.rows(30, replace(GOOD, is_innovation_in_band=False))
+    assert driver.name == "ARMED"
+
+
+def test_trips_are_latched_until_reset_and_the_way_back_is_the_whole_one():
+    driver = ReleaseDriver().engaged()
+    driver.tell(momentum_share=0.9)
+    driver.tell(momentum_share=0.2)
+    driver.rows(120)
+    assert driver.name == "TRIPPED"
+    assert driver.order(OrderKind.ARM).refusal.code == "interlock.tripped"
+    assert driver.order(OrderKind.RESET).refusal is None
+    assert driver.order(OrderKind.ARM).refusal.code == "interlock.inhibited"
+    driver.rows(11)
+    assert driver.name == "INHIBITED"
+    assert driver.state.interlock.authorisation is None
+    assert driver.order(OrderKind.ARM).refusal is None
+
+
+def test_a_trip_that_stands_cannot_be_reset():
+    driver = ReleaseDriver().armed()
+    driver.tell(momentum_share=0.9)
+    assert driver.order(OrderKind.RESET).refusal.code == "interlock.trip_stands"
+
+
+def test_a_trip_rejects_what_waits():
+    driver = ReleaseDriver().armed()
+    driver.prepare()
+    driver.order(OrderKind.STOP)
+    assert driver.state.commands[-1].life.name == "REJECTED"
+
+
+@pytest.mark.parametrize(
+    "act",
+    [*CASES[Condition.SIGMA_YAW], *CASES[Condition.YAW_BEYOND], *CASES[Condition.YAW_SIGN]],
+)
+def test_yaw_is_withheld_while_roll_and_pitch_go_on(act):
+    driver = ReleaseDriver().engaged()
+    act(driver)
+    assert driver.name == "ENGAGED"
+    assert driver.automatic(roll_deg=0.0, yaw_deg=0.03).refusal.code == "interlock.yaw_withheld"
+    assert driver.automatic(roll_deg=0.03).refusal is None
+
+
+def test_disagreement_of_the_methods_is_an_alarm_only():
+    driver = ReleaseDriver().engaged()
+    long_disagreement(driver)
+    assert driver.name == "ENGAGED"
+    assert driver.alarms == ["disagreement"]
+
+
+def test_beyond_the_range_automatic_release_is_off_and_stays_off():
+    driver = ReleaseDriver().engaged()
+    driver.rows(1, replace(GOOD, attitude_deg=Axes(0.0, 0.42, 0.0), inhibitions=("beyond_validity",)))
+    assert driver.name == "RECOVERY"
+    assert driver.automatic(roll_deg=-0.09, horizon_s=1200.0).refusal.code == "interlock.not_engaged"
+    assert driver.prepare(roll_deg=-0.3, horizon_s=3600.0).refusal.code == "envelope.exceeded"
+    assert driver.prepare(roll_deg=-0.09, horizon_s=1200.0).refusal is None
+    assert driver.confirm().refusal is None
+    driver.rows(1)
+    assert driver.name == "ARMED"
+    assert driver.state.interlock.authorisation is None
+
+
+def test_beyond_the_range_while_inhibited_takes_the_authorisation_too():
+    driver = ReleaseDriver().engaged()
+    driver.rows(1, replace(GOOD, attitude_deg=Axes(0.0, 0.42, 0.0), is_fading=True))
+    driver.rows(12)
+    assert driver.name == "ARMED"
+
+
+def test_a_new_spacecraft_version_forgets_the_signs():
+    driver = ReleaseDriver().armed()
+    driver.tell(spacecraft_version=2)
+    assert driver.state.interlock.proven_axes == ()
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        ({"until_us": START_US}, "interlock.authorisation"),
+        ({"until_us": START_US + 14 * 3600 * US}, "interlock.authorisation"),
+        ({"wide": True}, "envelope.wider"),
+    ],
+)
+def test_terms_that_are_not_allowed_are_refused(change, code):
+    driver = ReleaseDriver().armed()
+    wide = {"envelope": replace_envelope(driver, 0.2)} if change.pop("wide", False) else {}
+    given = {"until_us": START_US + 3600 * US, "envelope": driver.settings.envelope, **change, **wide}
+    assert driver.send(Engage(driver.at, "ann", is_approver=True, **given)).refusal.code == code
+
+
+def replace_envelope(driver, angle_deg):
+    return driver.settings.envelope._replace(angle_change_deg=angle_deg)
+
+
+def test_one_person_is_not_enough_nor_are_two_who_want_different_things():
+    driver = ReleaseDriver().armed()
+    assert driver.engage("ann").refusal is None
+    assert driver.engage("ann").refusal is None
+    assert driver.name == "ARMED"
+    assert driver.engage("bob", hours=5.0).refusal.code == "interlock.second_person"
+    assert driver.engage("bob", is_approver=False).refusal.code == "interlock.second_person"
+    driver.rows(11)
+    # the first one asked too long ago: bob begins anew
+    assert driver.engage("bob").refusal is None
+    assert driver.name == "ARMED"
+    driver.engage("ann")
+    assert driver.name == "ENGAGED"
+    assert driver.state.interlock.authorisation.persons == ("bob", "ann")
+
+
+def test_nobody_engages_an_axis_whose_sign_is_not_proven():
+    driver = ReleaseDriver().armed()
+    driver.forget("pitch")
+    assert driver.engage("ann").refusal.code == "interlock.sign_unproven"
+
+
+def test_the_authorisation_ends_by_itself():
+    driver = ReleaseDriver().engaged()
+    driver.rows(360)
+    assert driver.name == "ARMED"
+    assert driver.automatic().refusal.code == "interlock.not_engaged"
+
+
+@pytest.mark.parametrize(
+    ("state", "kind", "code"),
+    [
+        ("armed", OrderKind.ARM, "interlock.state"),
+        ("armed", OrderKind.RESET, "interlock.state"),
+        ("nothing", OrderKind.DISENGAGE, "interlock.not_armed"),
+        ("nothing", OrderKind.ARM, "interlock.inhibited"),
+    ],
+)
+def test_orders_that_mean_nothing_are_refused(state, kind, code):
+    driver = ReleaseDriver()
+    if state == "armed":
+        driver.armed()
+    assert driver.order(kind).refusal.code == code
+
+
+def test_two_step_lets_nothing_go_by_itself():
+    driver = ReleaseDriver(ReleaseSettings(release=Release.TWO_STEP)).engaged()
+    assert driver.automatic().refusal.code == "release.two_step"
+
+
+def test_a_row_from_the_future_is_not_believed():
+    driver = ReleaseDriver().engaged()
+    driver.rows(1, lag_s=-600.0)
+    assert driver.name == "INHIBITED"
+    assert driver.row.epoch_us - driver.now_us == 10 * MINUTE_US
