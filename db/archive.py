@@ -120,6 +120,10 @@ class SqlArchive:
 
     def _next_number(self, connection: Connection, key: int, after: int) -> int | None:
         """Return the smallest number above the given one."""
+        newest = select(head.c.newest_number).where(head.c.spacecraft_key == key)
+        if (connection.scalar(newest) or 0) <= after:
+            # nearly always: whoever follows the journal is at its end
+            return None
         slow = select(func.min(journal.c.number)).where(journal.c.spacecraft_key == key, journal.c.number > after)
         found = (connection.scalar(slow), self._pages(connection, key).next_number(after))
         return min((number for number in found if number is not None), default=None)

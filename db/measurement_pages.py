@@ -6,6 +6,7 @@ that follow each other within one piece.
 """
 
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -151,8 +152,6 @@ class MeasurementPages:
         self._connection = connection
         self._cache = cache
         self._key = key
-        named = select(source.c.source_key, source.c.name).where(source.c.spacecraft_key == key)
-        self._names: dict[int, str] = {row[0]: row[1] for row in connection.execute(named)}
 
     def read(self, chosen: Chosen, limit: int, after: Cursor | None, *, columns: Columns = FULL) -> list[Run]:
         """Return the next rows behind a cursor as runs; fewer than ``limit`` only when there are no more."""
@@ -288,6 +287,12 @@ class MeasurementPages:
         if chosen.before_number is not None:
             conditions.append(measurement_segment.c.first_number < chosen.before_number)
         return conditions
+
+    @cached_property
+    def _names(self) -> dict[int, str]:
+        """Return the names of the sources."""
+        named = select(source.c.source_key, source.c.name).where(source.c.spacecraft_key == self._key)
+        return {row[0]: row[1] for row in self._connection.execute(named)}
 
     def _source_key(self, name: str) -> int:
         """Return the key of a source, 0, which no source has, for an unknown one."""
