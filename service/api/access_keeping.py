@@ -67,7 +67,11 @@ class AccessKeeping:
 
     async def _run(self) -> None:
         while True:
-            await asyncio.to_thread(self.keep)
+            try:
+                await asyncio.to_thread(self.keep)
+            except Exception:  # noqa: BLE001 - the keeper must live on
+                # whatever it was, the next minute shall be tried: an audit log nobody keeps would go unnoticed
+                _LOG.exception("keys and audit log were not kept this time")
             await asyncio.sleep(PERIOD_S)
 
     def _announce(self, *, is_last: bool) -> None:

@@ -8,6 +8,7 @@ is counted together. The log so grows by less than fifty entries in ten minutes,
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from threading import Lock
 
 from service.records.audit import Deed
 
@@ -37,9 +38,24 @@ class Refusals:
         self._monotonic_s = monotonic_s
         self._groups: dict[tuple[str, str, str], _Group] = {}
         self._until_s = monotonic_s() + WINDOW_S
+        #: requests come on the loop, another thread takes away what was counted
+        self._lock = Lock()
 
     def admit(self, deed: Deed) -> bool:
         """Whether a refusal is to be written now; the others are counted."""
+        with self._lock:
+            return self._is_first(deed)
+
+    def settled(self, *, is_last: bool = False) -> list[Deed]:
+        """Return what was counted, when its time is over or nothing more will come, and begin anew."""
+        now_s = self._monotonic_s()
+        if now_s < self._until_s and not is_last:
+            return []
+        with self._lock:
+            groups, self._groups, self._until_s = self._groups, {}, now_s + WINDOW_S
+        return [replace(group.last, times=group.times) for group in groups.values() if group.times]
+
+    def _is_first(self, deed: Deed) -> bool:
         name = (deed.outcome, deed.key_id, deed.address)
         group = self._groups.get(name)
         is_new = group is None
@@ -51,11 +67,3 @@ class Refusals:
             return True
         group.last, group.times = deed, group.times + 1
         return False
-
-    def settled(self, *, is_last: bool = False) -> list[Deed]:
-        """Return what was counted, when its time is over or nothing more will come, and begin anew."""
-        now_s = self._monotonic_s()
-        if now_s < self._until_s and not is_last:
-            return []
-        groups, self._groups, self._until_s = self._groups, {}, now_s + WINDOW_S
-        return [replace(group.last, times=group.times) for group in groups.values() if group.times]

@@ -10,6 +10,7 @@ import logging
 import math
 import time
 from collections.abc import Callable
+from threading import Lock
 
 from starlette.concurrency import run_in_threadpool
 
@@ -50,6 +51,8 @@ class StoredKeys:
         self._changes = 0
         self._lock = asyncio.Lock()
         self._used_us: dict[str, int] = {}
+        #: requests note their use on the loop, another thread takes the notes away
+        self._used_lock = Lock()
 
     async def principal(self, key: str) -> Principal | None:
         """Return the holder of a valid key, None for any other text."""
@@ -67,7 +70,8 @@ class StoredKeys:
         now_us = self._system_us()
         if not stored.key.is_valid(now_us):
             return None
-        self._used_us[key_id] = now_us
+        with self._used_lock:
+            self._used_us[key_id] = now_us
         return Principal(stored.key.name, stored.key.role, key_id)
 
     async def still_holds(self, principal: Principal) -> bool:
@@ -89,13 +93,15 @@ class StoredKeys:
 
     def write_down_used(self) -> None:
         """Store when keys were last used; called once a minute, never by a request."""
-        used_us, self._used_us = self._used_us, {}
+        with self._used_lock:
+            used_us, self._used_us = self._used_us, {}
         if not used_us:
             return
         try:
             self._keys.note_used(used_us)
         except StorageError as error:
-            self._used_us = used_us | self._used_us
+            with self._used_lock:
+                self._used_us = used_us | self._used_us
             _LOG.warning("times of last use were not stored: %s", error)
 
     async def _refresh(self, oldest_s: float) -> None:
