@@ -105,6 +105,7 @@ def fill(path: Path, rows: Rows) -> None:
 def report(rows: Rows, path: Path, repeats: int) -> bool:
     """Measure, interleaved, and print."""
     taken: dict[str, list[float]] = {}
+    busy: dict[str, list[float]] = {}
     with served(path) as (client, process):
         works = Works(rows, path, client).by_name()
         for work in works.values():  # compiled, read once
@@ -112,13 +113,15 @@ def report(rows: Rows, path: Path, repeats: int) -> bool:
         before = resident_mb(process)
         for _ in range(repeats):
             for name, work in works.items():
-                began = time.perf_counter()
+                began, began_busy = time.perf_counter(), time.process_time()
                 scale = work()
                 taken.setdefault(name, []).append((time.perf_counter() - began) * scale)
+                busy.setdefault(name, []).append((time.process_time() - began_busy) * scale)
         grown = resident_mb(process) - before
     seconds = {name: statistics.median(each) for name, each in taken.items()}
     for name, each in seconds.items():
-        print(f"  {name:34} {each:7.2f} s {rows.levels.size / each / 1e6:7.2f} M values/s")
+        rate = rows.levels.size / each / 1e6
+        print(f"  {name:20} {each:7.2f} s {statistics.median(busy[name]):7.2f} s of a core {rate:7.2f} M values/s")
 
     def ratio(one: str, other: str) -> float:
         return statistics.median(a / b for a, b in zip(taken[one], taken[other], strict=True))
