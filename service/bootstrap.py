@@ -150,6 +150,11 @@ def _limits(settings: Settings) -> Limits:
     )
 
 
+def build_upkeep(settings: Settings, storage: Storage, clock: Clock) -> Upkeep:
+    """Return what seals closed days and drops what is no longer kept."""
+    return Upkeep(storage, clock, settings.sealing, settings.retention)
+
+
 def build_app(settings: Settings, storage: Storage) -> FastAPI:
     """Return the application over a migrated archive; its start-up starts the supervisor and the jobs."""
     clock = build_clock(settings, storage)
@@ -158,7 +163,7 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
     supervisor = Supervisor(storage, feed, settings.chain_config(), alarms)
     jobs = JobRunner(storage.results, clock)
 
-    upkeep = Upkeep(storage, clock, settings.sealing, settings.retention)
+    upkeep = build_upkeep(settings, storage, clock)
 
     async def start() -> None:
         jobs.start()

@@ -15,6 +15,7 @@ from service.cli.reference import openapi, settings
 from service.cli.send import send
 from service.cli.serve import serve
 from service.cli.study import app as study
+from service.cli.upkeep import upkeep
 
 app = typer.Typer(
     name="soo",
@@ -24,7 +25,7 @@ app = typer.Typer(
     add_completion=False,
 )
 
-for command in (demo, serve, acquire, send, calibrate, align, replay, export, plan, doctor, openapi, settings):
+for command in (demo, serve, acquire, send, calibrate, align, replay, export, plan, doctor, upkeep, openapi, settings):
     app.command()(command)
 app.add_typer(keys, name="keys")
 app.add_typer(audit, name="audit")

@@ -43,6 +43,8 @@ class Upkeep:
         #: rows sealed, and rows dropped of each series, since the start
         self.sealed_rows = 0
         self.dropped_rows = dict.fromkeys(SERIES, 0)
+        #: looks at a spacecraft that failed, since the start
+        self.failed_looks = 0
 
     def start(self) -> None:
         """Look after the archive until stopped."""
@@ -63,6 +65,7 @@ class Upkeep:
             try:
                 self._look_at(spacecraft.id)
             except Exception:  # noqa: BLE001 the thread outlives every fault; what is due stays due
+                self.failed_looks += 1
                 _LOG.exception("upkeep of the archive of %s failed; it is tried again", spacecraft.id)
 
     def _run(self) -> None:

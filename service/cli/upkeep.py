@@ -1,0 +1,46 @@
+"""``soo upkeep``: seals closed days and drops what retention no longer keeps, now; a running service may go on.
+
+Exit codes: 0 done, 1 the archive of a spacecraft failed, 2 the option is wrong.
+"""
+
+import json
+from typing import Annotated
+
+import typer
+
+from service.cli.connection import JsonOption
+
+EXIT_FAULT = 1
+EXIT_USAGE = 2
+
+
+def upkeep(
+    database: Annotated[str | None, typer.Option(help="SQLAlchemy URL of the archive.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Seal closed days and drop what retention no longer keeps, as the service does by itself."""
+    # the database costs time that other commands need not pay
+    from service.bootstrap import build_clock, build_upkeep, open_storage
+    from service.settings import Settings
+
+    settings = Settings.model_validate({} if database is None else {"database_url": database})
+    try:
+        storage = open_storage(settings)
+    except ValueError as error:
+        typer.echo(str(error), err=True)
+        raise typer.Exit(EXIT_USAGE) from error
+    try:
+        work = build_upkeep(settings, storage, build_clock(settings, storage))
+        work.look_once()
+    finally:
+        storage.close()
+    dropped = {series: rows for series, rows in work.dropped_rows.items() if rows}
+    if as_json:
+        told = {"sealed_rows": work.sealed_rows, "dropped_rows": dropped, "failed_spacecraft": work.failed_looks}
+        typer.echo(json.dumps(told))
+    else:
+        typer.echo(f"sealed {work.sealed_rows} rows")
+        for series, rows in dropped.items():
+            typer.echo(f"dropped {rows} rows of {series}")
+    if work.failed_looks:
+        raise typer.Exit(EXIT_FAULT)
