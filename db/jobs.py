@@ -23,7 +23,8 @@ class SqlJobs:
 
     def add_job(self, job: Job) -> None:
         """Store a new job; ConflictError ``job.exists``."""
-        self._database.write(lambda connection: _insert_job(connection, job))
+        # a job keeps the books of a change; the request's audit entry goes with the change itself
+        self._database.submit(lambda connection: _insert_job(connection, job)).result()
 
     def update_job(self, job_id: str, state: JobState, progress: float, error: str | None = None) -> None:
         """Store how far a job is."""

@@ -144,6 +144,13 @@ async def test_from_powers_to_torques(bench, make):
     await replay_equals_live(bench, live_us)
     told = await bench.get("/carrier-selection", count=5)
     assert len(told["selected"]) == 5
+    # each step stands in the audit log once, with the number of what it made
+    assert [(entry.deed.action, entry.deed.target) for entry in bench.storage.audit.chain()] == [
+        ("start_calibration", f"{SC}/calibrations/{started['id']}"),
+        ("activate_calibration", f"{SC}/calibrations/{started['id']}:activate"),
+        ("align", f"{SC}/alignments/{aligned['id']}"),
+        ("start_replay", f"{SC}/replays/1"),
+    ]
 
 
 async def replay_equals_live(bench: Any, live_us: np.ndarray) -> None:
