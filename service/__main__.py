@@ -1,10 +1,21 @@
 """Entry point of ``soo`` and ``python -m service``."""
 
-from service.cli.app import app
+import sys
 
 
 def main() -> None:
-    """Run the command line."""
+    """Run the command line; the service starts without the modules of the other commands, which take half a second."""
+    if sys.argv[1:2] == ["serve"]:
+        import typer
+
+        from service.cli.serve import serve
+
+        alone = typer.Typer(pretty_exceptions_show_locals=False, add_completion=False)
+        alone.command()(serve)
+        alone(args=sys.argv[2:], prog_name="soo serve")
+        return
+    from service.cli.app import app
+
     app()
 
 

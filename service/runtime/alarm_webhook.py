@@ -11,8 +11,6 @@ from collections.abc import Callable
 from hashlib import sha256
 from typing import Any
 
-import httpx
-
 from service.runtime.alarm_notices import DeliveryError
 
 TIMEOUT_S = 10.0
@@ -42,6 +40,9 @@ class Webhook:
 
     def deliver(self, notice: dict[str, Any]) -> None:
         """Deliver one notice; DeliveryError is final for a 4xx other than 408, 425 and 429."""
+        # a tenth of a second of the start of a service that most often has no webhook
+        import httpx
+
         body = json.dumps(notice, allow_nan=False, ensure_ascii=False).encode()
         headers = {"Content-Type": "application/json", **self._signature(body)}
         try:

@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 
 FloatArray = NDArray[np.float64]
 
@@ -96,6 +95,9 @@ def whitened_rows(
     ndarray, shape (N, B, K)
         Rows without weight are zero.
     """
+    # a tenth of a second and 10 MB that only a calibration needs
+    from scipy.linalg import solve_triangular
+
     lag_s = np.abs(centre_s[:, np.newaxis] - centre_s)
     out = np.zeros_like(rows)
     for carrier in range(len(rows)):
