@@ -1,0 +1,140 @@
+"""From the start of ``soo serve`` to its first ``ready``, and the memory that it holds when nothing happens.
+
+Run ``python -m bench.bench_start``. Starts: without a database, with an empty one, with one of 8 million values that
+were consumed. Memory: as started, with the kernels of the filter warm (``SOO_KERNELS=numba``), and with numpy's. Each
+start is done several times and the best counts, for a start is work of one core and whatever else runs only adds to it.
+"""
+
+import argparse
+import os
+import secrets
+import sys
+import tempfile
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from bench.server_process import ServedProcess, running
+from db.storage import SqlStorage
+from service.ports import LIVE
+from service.records.measurement import MeasurementBatch
+from tests.fakes.synthetic_payload import SC, START_US, S, SyntheticPayload
+
+CARRIERS = 16
+GOAL_EMPTY_S, GOAL_FULL_S = 1.5, 3.0
+GOAL_NUMBA_MB, GOAL_NUMPY_MB = 280, 150
+_BATCH_ROWS = 10_000
+_MB = 1 << 20
+
+
+class Start(NamedTuple):
+    """What one start came to."""
+
+    ready_s: float
+    #: processor time until then, which other programs stretch far less than the time
+    cpu_s: float
+    rss_mb: float
+
+
+def main() -> bool:
+    """Print the figures and return whether the goals are met."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rows", type=int, default=500_000)
+    parser.add_argument("--repeats", type=int, default=3)
+    options, _ = parser.parse_known_args()
+    print(f"start and memory, load of the machine before {os.getloadavg()[0]:.1f} of {os.cpu_count()}")
+    with tempfile.TemporaryDirectory(dir=Path.cwd(), prefix="bench-") as name:
+        empty, full = Path(name) / "empty.db", Path(name) / "full.db"
+        first = started(Path(name) / "new.db")
+        started(empty)
+        none = min(started(empty) for _ in range(options.repeats))
+        fill(full, options.rows)
+        filled = min(started(full) for _ in range(options.repeats))
+        warm = started(full, "numba", module="bench.warm_server")
+        lean = started(full, "numpy", module="bench.warm_server")
+    is_met = [
+        _show_start("first start, database made", first, GOAL_EMPTY_S),
+        _show_start("start, empty database", none, GOAL_EMPTY_S),
+        _show_start(f"start, {options.rows * CARRIERS / 1e6:g} M values", filled, GOAL_FULL_S),
+        _show("memory, kernels warm", warm.rss_mb, "MB", GOAL_NUMBA_MB),
+        _show("memory, numpy kernels", lean.rss_mb, "MB", GOAL_NUMPY_MB),
+    ]
+    return all(is_met)
+
+
+def _show_start(what: str, start: Start, goal_s: float) -> bool:
+    """Print one start and return whether its goal is met."""
+    return _show(f"{what} ({start.cpu_s:.2f} s of processor time)", start.ready_s, "s", goal_s)
+
+
+def _show(what: str, value: float, unit: str, goal: float) -> bool:
+    """Print one figure and return whether its goal is met."""
+    print(f"  {what}: {value:.2f} {unit}, goal {goal:g}: {'PASS' if value <= goal else 'MISS'}")
+    return value <= goal
+
+
+def started(database: Path, kernels: str = "numba", *, module: str = "service") -> Start:
+    """Start a service over a database, wait until it is ready and idle, and end it."""
+    command = [sys.executable, "-m", module, "serve", "--database", f"sqlite:///{database}", "--port", "0"]
+    began_s = time.perf_counter()
+    with running([*command, "--clock", "data"], secrets.token_urlsafe(16), SOO_KERNELS=kernels) as process:
+        _await_ready(process)
+        ready_s, cpu_s = time.perf_counter() - began_s, process.cpu_s()
+        # what a start leaves behind in other threads has come to rest
+        time.sleep(0.5)
+        return Start(ready_s, cpu_s, process.rss_bytes() / _MB)
+
+
+def _await_ready(process: ServedProcess) -> None:
+    """Ask until the service says that it is ready."""
+    while True:
+        try:
+            with urllib.request.urlopen(process.url + "/readyz", timeout=10) as answer:  # noqa: S310 - our own address
+                if answer.status == 200:
+                    return
+        except urllib.error.URLError:
+            time.sleep(0.005)
+
+
+def fill(database: Path, rows: int) -> None:
+    """Make an archive of consumed rows."""
+    payload = SyntheticPayload.make(CARRIERS, 5)
+    with _storage(database) as storage:
+        storage.catalogue.add_spacecraft(payload.spacecraft())
+        storage.catalogue.put_plan(SC, payload.carriers(), "bench")
+        rng = np.random.default_rng(1)
+        for first in range(0, rows, _BATCH_ROWS):
+            count = min(_BATCH_ROWS, rows - first)
+            batch = MeasurementBatch(
+                SC,
+                "sa-1",
+                1,
+                received_at_us=START_US,
+                index=np.arange(count),
+                epochs_us=START_US + S * np.arange(first, first + count),
+                power_dbm=rng.normal(-45.0, 1.0, (count, CARRIERS)).astype(np.float32),
+                flags=(None,) * count,
+                is_stale=np.zeros(count, dtype=bool),
+            )
+            assert storage.archive.append_measurements(batch).result(timeout=60).accepted == count
+        head = storage.archive.head(SC)
+        storage.results.save_outcomes(SC, LIVE, [], head.newest_number, head.newest_epoch_us)
+
+
+@contextmanager
+def _storage(database: Path) -> Iterator[SqlStorage]:
+    """Give a migrated archive and close it."""
+    storage = SqlStorage(f"sqlite:///{database}")
+    storage.migrate()
+    yield storage
+    storage.close()
+
+
+if __name__ == "__main__":
+    sys.exit(0 if main() else 1)
