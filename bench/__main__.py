@@ -2,14 +2,14 @@
 
 import sys
 
-from bench import bench_chain, bench_ingest, bench_spool, bench_start, bench_storage, bench_stream
+from bench import bench_alarms, bench_chain, bench_export, bench_ingest, bench_spool, bench_start, bench_storage, bench_stream
 
 
 def main() -> int:
     """Run them and return the exit code."""
     bench_storage.main()
     bench_spool.main()
-    is_met = [bench_ingest.main(), bench_chain.main(), bench_stream.main(), bench_start.main()]
+    is_met = [bench_ingest.main(), bench_chain.main(), bench_stream.main(), bench_start.main(), bench_export.main()]
     return 0 if all(is_met) else 1
 
 

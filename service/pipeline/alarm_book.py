@@ -49,17 +49,18 @@ class _InForce:
     def __post_init__(self) -> None:
         self.bound = outermost(self.condition.kind, self.limits) if self.limits.enabled else None
 
+    def is_beyond(self, value: float) -> bool:
+        """Whether a value has passed a limit; one that is not known has not."""
+        if self.bound is None:
+            return False
+        if self.condition.kind is Kind.BELOW:
+            return value < self.bound
+        return value > (0.0 if self.condition.kind is Kind.LASTING else self.bound)
+
     def suspects(self, values: Sequence[float] | FloatArray) -> list[int]:
         """Return the places of values that have passed a limit."""
-        if self.bound is None:
-            return []
-        kind = self.condition.kind
-        bound = 0.0 if kind is Kind.LASTING else self.bound
-        if isinstance(values, np.ndarray):
-            beyond = values < bound if kind is Kind.BELOW else values > bound
-            # most rows have none: any() is a third of the cost of flatnonzero()
-            return np.flatnonzero(beyond).tolist() if beyond.any() else []
-        return [k for k, value in enumerate(values) if (value < bound if kind is Kind.BELOW else value > bound)]
+        told = values.tolist() if isinstance(values, np.ndarray) else values
+        return [k for k, value in enumerate(told) if self.is_beyond(value)]
 
 
 class AlarmBook:
@@ -144,6 +145,10 @@ class AlarmBook:
             elif not is_quiet and alarm.cover is Cover.SUPPRESSED:
                 changes.append(self._cover(alarm, CoverEvent.RELEASE, ChangeKind.RELEASED, at_us))
         return changes
+
+    def is_settled(self, condition: str, extreme: float) -> bool:
+        """Whether values need no look: nothing is remembered, and the extreme one has passed no limit."""
+        return not self._watches[condition] and not self._in_force[condition].is_beyond(extreme)
 
     def observe(self, readings: Readings, at_us: int) -> list[AlarmChange]:
         """Hold values against the limits in force and return what changes."""

@@ -3,9 +3,9 @@
 import math
 from collections import deque
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from itertools import pairwise
 from statistics import median
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,10 +31,11 @@ _SENSOR_SIGMAS = 3.0
 #: a fade of unknown depth is a fade
 _SOME_FADE_DB = 1e-3
 _AXES = ("yaw", "roll", "pitch")
+#: inhibition of a row whose method has only begun
+_SETTLING = "settling"
 
 
-@dataclass(frozen=True, slots=True)
-class RowFacts:
+class RowFacts(NamedTuple):
     """One row as the chain leaves it: neither late nor caught up with."""
 
     measurement: Measurement
@@ -67,7 +68,7 @@ class RowReader:
         self._nominal_dbm: Mapping[str, float] = {}
         self._told: deque[AttitudeRow] = deque(maxlen=_KEPT_ROWS)
         self._holds = Circumstances()
-        self._holds_for: tuple[object, object, bool] = (None, None, False)
+        self._holds_for: tuple[object, object, object] = (None, None, None)
         self._plan: CarrierPlan | None = None
         self._carrier_ids: tuple[str, ...] = ()
         self._bandwidth_db: FloatArray = np.zeros(0)
@@ -97,8 +98,11 @@ class RowReader:
         self._recent_us.append(epoch_us)
         driving = next((row for row in facts.rows if row.method is facts.method), None)
         changes = self._circumstances(facts, epoch_us, is_raining=driving is not None and driving.downlink_fade)
-        for readings in (*self._of_carriers(facts), *_of_attitude(facts, driving)):
+        for readings in self._of_carriers(facts):
             changes += self._book.observe(readings, epoch_us)
+        if driving is not None:
+            for readings in self._of_attitude(facts, driving):
+                changes += self._book.observe(readings, epoch_us)
         if driving is not None and driving.status is Status.ACQUIRED:
             self._told.append(driving)
         return changes + self._book.pass_time(epoch_us)
@@ -116,33 +120,64 @@ class RowReader:
 
     def _circumstances(self, facts: RowFacts, epoch_us: int, *, is_raining: bool) -> list[AlarmChange]:
         """Find out what holds, where it can have changed."""
-        holds, held_for = self._holds, (facts.operations, facts.plan, is_raining)
-        is_same = all(one is other for one, other in zip(held_for, self._holds_for, strict=True))
+        holds, former = self._holds, self._holds_for
+        is_same = former[0] is facts.operations and former[1] is facts.plan and former[2] is is_raining
         if is_same and holds.since_us <= epoch_us < holds.until_us:
             return []
-        self._holds_for = held_for
+        self._holds_for = (facts.operations, facts.plan, is_raining)
         self._holds = circumstances(facts.operations.values(), facts.plan, epoch_us, is_raining=is_raining)
         return self._book.enter(self._holds, epoch_us)
 
     def _of_carriers(self, facts: RowFacts) -> Iterator[Readings]:
-        """Yield what is looked at carrier by carrier."""
+        """Yield what is to be looked at carrier by carrier: rows as they should be cost a few extremes of arrays."""
         if facts.plan is not self._plan:
             self._use_plan(facts.plan)
-        measurement, ids = facts.measurement, self._carrier_ids
+        measurement, is_settled = facts.measurement, self._book.is_settled
+        # the sum is NaN where one of them is
+        if math.isnan(measurement.power_dbm.sum()) or not is_settled("carrier_absent", 0.0):
+            yield self._absence(measurement)
+        if measurement.details is not None:
+            c_n_db = measurement.details.c_n0_db_hz - self._bandwidth_db
+            if not is_settled("carrier_c_n0", float(np.fmin.reduce(c_n_db))):
+                yield Readings("carrier_c_n0", self._carrier_ids, c_n_db)
+        if facts.levels is None or self._nominal_dbm:
+            yield self._level_by_name(facts)
+        else:
+            yield from self._extremes("carrier_level", facts.levels, facts.levels.deviation_db)
+        if facts.levels is not None:
+            yield from self._extremes("carrier_residual", facts.levels, facts.levels.residual_db)
+
+    def _extremes(self, condition: str, levels: CarrierLevels, values_db: FloatArray) -> Iterator[Readings]:
+        """Yield the sizes of what carriers differ by, where one of them wants a look."""
+        away_db = np.abs(values_db)
+        if not self._book.is_settled(condition, float(np.fmax.reduce(away_db))):
+            yield Readings(condition, levels.carrier_ids, away_db)
+
+    def _of_attitude(self, facts: RowFacts, driving: AttitudeRow) -> Iterator[Readings]:
+        """Yield what is to be looked at in the rows of the methods."""
+        is_settled, is_told = self._book.is_settled, driving.status is Status.ACQUIRED
+        angles_deg = tuple(map(abs, driving.attitude_deg)) if is_told else (math.nan,) * 3
+        if not is_settled("attitude_angle", max(angles_deg)):
+            yield Readings("attitude_angle", _AXES, angles_deg)
+        # a method whose means are still filling is not lost
+        lost = math.nan if _SETTLING in driving.inhibitions else float(not is_told)
+        if not is_settled("attitude_lost", lost):
+            yield Readings("attitude_lost", (driving.method.value,), (lost,))
+        apart_deg = _methods_apart_deg(facts.rows)
+        if not is_settled("methods_disagree", apart_deg):
+            yield Readings("methods_disagree", ("robust, paper",), (apart_deg,))
+        fade_db = driving.downlink_fade_db if driving.downlink_fade else 0.0
+        is_deep = not driving.downlink_fade or fade_db > 0.0
+        fade_db = fade_db if is_deep else _SOME_FADE_DB
+        if not is_settled("downlink_fade", fade_db):
+            yield Readings("downlink_fade", ("receiving site",), (fade_db,))
+
+    def _absence(self, measurement: Measurement) -> Readings:
+        """Return which carriers are absent; of one that is not measured nothing is known."""
         is_absent = np.isnan(measurement.power_dbm).astype(np.float64)
         if measurement.flags is not None:
             is_absent[(measurement.flags & QualityFlag.NOT_MEASURED) != 0] = math.nan
-        yield Readings("carrier_absent", ids, is_absent)
-        if measurement.details is not None:
-            c_n_db = measurement.details.c_n0_db_hz - self._bandwidth_db
-            yield Readings("carrier_c_n0", ids, np.asarray(c_n_db, dtype=np.float64))
-        levels = facts.levels
-        if levels is not None and not self._nominal_dbm:
-            yield Readings("carrier_level", levels.carrier_ids, np.abs(levels.deviation_db))
-        else:
-            yield self._level_by_name(facts)
-        if levels is not None:
-            yield Readings("carrier_residual", levels.carrier_ids, np.abs(levels.residual_db))
+        return Readings("carrier_absent", self._carrier_ids, is_absent)
 
     def _level_by_name(self, facts: RowFacts) -> Readings:
         """Return the deviations, from the nominal level where nothing is expected of a carrier."""
@@ -161,22 +196,12 @@ class RowReader:
         self._bandwidth_db = 10.0 * np.log10([carrier.bandwidth_hz for carrier in plan.carriers])
 
 
-def _of_attitude(facts: RowFacts, driving: AttitudeRow | None) -> Iterator[Readings]:
-    """Yield what is looked at in the rows of the methods."""
-    if driving is None:
-        return
-    is_told = driving.status is Status.ACQUIRED
-    angles_deg = tuple(map(abs, driving.attitude_deg)) if is_told else (math.nan,) * 3
-    yield Readings("attitude_angle", _AXES, angles_deg)
-    yield Readings("attitude_lost", (driving.method.value,), (float(not is_told),))
-    told = [row.attitude_deg for row in facts.rows if row.status is Status.ACQUIRED]
-    apart_deg = math.nan
-    if len(told) == 2:
-        apart_deg = max(abs(told[0].roll - told[1].roll), abs(told[0].pitch - told[1].pitch))
-    yield Readings("methods_disagree", ("robust, paper",), (apart_deg,))
-    fade_db = driving.downlink_fade_db if driving.downlink_fade else 0.0
-    is_known = not driving.downlink_fade or fade_db > 0.0
-    yield Readings("downlink_fade", ("receiving site",), (fade_db if is_known else _SOME_FADE_DB,))
+def _methods_apart_deg(rows: tuple[AttitudeRow, ...]) -> float:
+    """Return by how much the methods differ in roll or pitch, NaN unless both tell angles."""
+    if len(rows) != 2 or rows[0].status is not Status.ACQUIRED or rows[1].status is not Status.ACQUIRED:
+        return math.nan
+    one, other = rows[0].attitude_deg, rows[1].attitude_deg
+    return max(abs(one.roll - other.roll), abs(one.pitch - other.pitch))
 
 
 def _apart_deg(reference: AttitudeReference, row: AttitudeRow) -> float | None:

@@ -97,6 +97,11 @@ def test_the_method_that_drives_control_is_looked_at():
     assert Rig().alarms(1, rows=rows, method=Method.PAPER) == {("attitude_angle", "pitch")}
 
 
+def test_a_method_that_has_only_begun_is_not_lost():
+    begun = attitude(1, angles=NO_ANGLES, status=Status.INVALID, inhibitions=("settling",))
+    assert Rig().alarms(1, rows=(begun,)) == set()
+
+
 def test_a_carrier_that_is_not_measured_is_not_absent():
     flags = (0, int(QualityFlag.NOT_MEASURED), int(QualityFlag.NO_CARRIER))
     assert Rig().alarms(1, power_dbm=(-40.0, NAN, NAN), flags=flags) == {("carrier_absent", "c2")}
