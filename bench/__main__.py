@@ -2,14 +2,24 @@
 
 import sys
 
-from bench import bench_alarms, bench_chain, bench_export, bench_ingest, bench_spool, bench_start, bench_storage, bench_stream
+from bench import (
+    bench_alarms,
+    bench_chain,
+    bench_export,
+    bench_ingest,
+    bench_spool,
+    bench_start,
+    bench_storage,
+    bench_stream,
+)
 
 
 def main() -> int:
     """Run them and return the exit code."""
     bench_storage.main()
     bench_spool.main()
-    is_met = [bench_ingest.main(), bench_chain.main(), bench_stream.main(), bench_start.main(), bench_export.main()]
+    measured = (bench_ingest, bench_chain, bench_alarms, bench_stream, bench_start, bench_export)
+    is_met = [each.main() for each in measured]
     return 0 if all(is_met) else 1
 
 
