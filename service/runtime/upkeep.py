@@ -6,6 +6,7 @@ logged and the work tried again at the next look: nothing depends on when it is 
 
 import logging
 import threading
+import time
 from collections.abc import Iterable, Iterator
 from typing import TypeVar
 
@@ -15,6 +16,8 @@ from service.records.epoch import US_PER_S, format_epoch
 
 _LOG = logging.getLogger("soo.upkeep")
 _DAY_US = 86_400 * US_PER_S
+#: between two looks at the sizes of series, which read them through, s
+SIZING_S = 3600.0
 _Step = TypeVar("_Step", SealedPart, Dropped)
 
 
@@ -43,6 +46,8 @@ class Upkeep:
         #: rows sealed, and rows dropped of each series, since the start
         self.sealed_rows = 0
         self.dropped_rows = dict.fromkeys(SERIES, 0)
+        #: when the sizes of a spacecraft's series were looked at, s of a clock that only counts
+        self._sized_at_s: dict[str, float] = {}
         #: looks at a spacecraft that failed, since the start
         self.failed_looks = 0
 
@@ -63,7 +68,8 @@ class Upkeep:
             if self._stopping.is_set():
                 return
             try:
-                self._look_at(spacecraft.id)
+                self._drop(spacecraft.id)
+                self._seal(spacecraft.id)
             except Exception:  # noqa: BLE001 the thread outlives every fault; what is due stays due
                 self.failed_looks += 1
                 _LOG.exception("upkeep of the archive of %s failed; it is tried again", spacecraft.id)
@@ -75,28 +81,34 @@ class Upkeep:
             except Exception:  # noqa: BLE001 as above
                 _LOG.exception("upkeep of the archive failed; it is tried again")
 
-    def _look_at(self, spacecraft_id: str) -> None:
+    def _drop(self, spacecraft_id: str) -> None:
+        """Drop what is no longer kept; before days are packed, since what goes need not be."""
+        is_sizing = time.monotonic() - self._sized_at_s.get(spacecraft_id, -SIZING_S) >= SIZING_S
+        for series in SERIES:
+            for before_us in self._bounds(spacecraft_id, series, is_sizing=is_sizing):
+                for dropped in self._paced(self._storage.archive.drop_before(spacecraft_id, series, before_us)):
+                    self.dropped_rows[series] += dropped.rows
+        if is_sizing:
+            self._sized_at_s[spacecraft_id] = time.monotonic()
+
+    def _bounds(self, spacecraft_id: str, series: str, *, is_sizing: bool) -> Iterator[int]:
+        """Yield the epochs before which a series is not kept, by age first."""
         now_us = self._clock.now_us(spacecraft_id)
+        if (days := self._retention.days(series)) and now_us is not None:
+            yield now_us - int(days * _DAY_US)
+        if (size_bytes := self._retention.size_bytes(series)) and is_sizing:
+            before_us = self._storage.archive.fitting_us(spacecraft_id, series, size_bytes)
+            if before_us is not None:
+                yield before_us
+
+    def _seal(self, spacecraft_id: str) -> None:
+        """Pack days that have ended and are quiet."""
+        now_us, quiet_us = self._clock.now_us(spacecraft_id), int(self._sealing.quiet_s * US_PER_S)
         if now_us is None:
             return
-        # dropped first: what goes need not be packed
-        for series in SERIES:
-            for dropped in self._paced(self._due_to_drop(spacecraft_id, series, now_us)):
-                self.dropped_rows[series] += dropped.rows
-        quiet_us = int(self._sealing.quiet_s * US_PER_S)
         parts = self._storage.archive.seal(spacecraft_id, now_us - quiet_us, self._clock.system_us() - quiet_us)
         for part in self._paced(parts):
             self._count(spacecraft_id, part)
-
-    def _due_to_drop(self, spacecraft_id: str, series: str, now_us: int) -> Iterator[Dropped]:
-        """Yield what retention takes away, by age first."""
-        archive = self._storage.archive
-        if days := self._retention.days(series):
-            yield from archive.drop_before(spacecraft_id, series, now_us - int(days * _DAY_US))
-        if size_bytes := self._retention.size_bytes(series):
-            before_us = archive.fitting_us(spacecraft_id, series, size_bytes)
-            if before_us is not None:
-                yield from archive.drop_before(spacecraft_id, series, before_us)
 
     def _paced(self, steps: Iterable[_Step]) -> Iterator[_Step]:
         """Yield steps with pauses until the thread is to stop."""

@@ -69,7 +69,7 @@ def test_days_are_sealed_after_the_quiet_time_and_nothing_is_dropped_by_default(
     assert set(made.dropped_rows.values()) == {0}
 
 
-def test_series_are_dropped_by_age_and_by_size(archive):
+def test_series_are_dropped_by_age_and_by_size(archive, monkeypatch):
     archive.fitting = NOW_US - 3 * DAY_US
     made = upkeep(archive, RetentionConfig(measurements_days=30.0, attitude_bytes=1000))
     made.look_once()
@@ -80,6 +80,9 @@ def test_series_are_dropped_by_age_and_by_size(archive):
     ]
     assert made.dropped_rows == {"measurements": 2, "attitude": 2, "torques": 0, "traces": 0}
     archive.asked.clear()
+    made.look_once()
+    assert ("fit", "attitude", 1000) not in archive.asked, "sizes are looked at once an hour"
+    monkeypatch.setattr("service.runtime.upkeep.SIZING_S", 0.0)
     archive.fitting = None
     made.look_once()
     assert ("fit", "attitude", 1000) in archive.asked
