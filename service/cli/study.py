@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from service.cli.study_closed_loop import closed_loop
 from service.cli.study_limit_cycles import limit_cycles
 from service.cli.study_orbital_frame import orbital_frame
 
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 app = typer.Typer(help="Campaigns on simulated truth and reproductions of papers.", no_args_is_help=True)
 app.command()(orbital_frame)
 app.command()(limit_cycles)
+app.command()(closed_loop)
 
 #: columns of a table that is written to a file
 _FILE_WIDTH = 150

@@ -1,0 +1,104 @@
+"""The campaign: closed loops of every scenario, seed and sensing over processes, and their figures."""
+
+import multiprocessing
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from service.study.closed_loop.controllers import Sensing
+from service.study.closed_loop.merit import GroupMerit, group_merit
+from service.study.closed_loop.run import LoopResult, LoopUnit, fly_unit
+
+_THREADS = "OPENBLAS_NUM_THREADS"
+#: called after each run with how many are done and how many there are
+Show = Callable[[int, int], None]
+
+
+class LoopPlan(NamedTuple):
+    """What to run."""
+
+    scenarios: tuple[str, ...]
+    runs: int
+    workers: int = 2
+    uplink: str = "link"
+    operation_days: float | None = None
+    #: drift of the inertial model that the filter believes in, deg/h, yaw, roll, pitch; None = the product's
+    drift_deg_h: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class LoopCampaign:
+    """What came out of a campaign."""
+
+    plan: LoopPlan
+    seconds: float
+    results: tuple[LoopResult, ...]
+    groups: tuple[GroupMerit, ...]
+
+    @property
+    def missed(self) -> tuple[GroupMerit, ...]:
+        """Groups that did not do what was asked: control that fails, and no control that does not."""
+        return tuple(group for group in self.groups if group.is_met == (group.sensing is Sensing.OFF))
+
+
+def run_loops(plan: LoopPlan, show: Show) -> LoopCampaign:
+    """Fly every unit of a plan.
+
+    Raises
+    ------
+    PlantFailedError
+        The plant does not know a scenario, or failed.
+    BrokenExecutor
+        A process of the study was ended by someone else.
+    """
+    began_s = time.monotonic()
+    keys = [(scenario, sensing) for scenario in plan.scenarios for sensing in Sensing]
+    units = {
+        key: [
+            LoopUnit(*_named(key, seed), plan.uplink, plan.operation_days, plan.drift_deg_h)
+            for seed in range(1, plan.runs + 1)
+        ]
+        for key in keys
+    }
+    # the slow ones first
+    queue = sorted((unit for some in units.values() for unit in some), key=lambda u: u.sensing is not Sensing.AUTOMATIC)
+    with _pool(plan.workers) as pool:
+        flying = {pool.submit(fly_unit, unit): unit for unit in queue}
+        flown: dict[LoopUnit, LoopResult] = {}
+        for number, done in enumerate(as_completed(flying), start=1):
+            flown[flying[done]] = done.result()
+            show(number, len(flying))
+    groups = tuple(group_merit([flown[unit] for unit in units[key]]) for key in keys)
+    results = tuple(flown[unit] for some in units.values() for unit in some)
+    return LoopCampaign(plan, time.monotonic() - began_s, results, groups)
+
+
+def _named(key: tuple[str, Sensing], seed: int) -> tuple[str, int, Sensing]:
+    return key[0], seed, key[1]
+
+
+@contextmanager
+def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """Give processes with one thread a matrix product; an early end ends them."""
+    former = os.environ.get(_THREADS)
+    os.environ[_THREADS] = "1"
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(workers, context, signal.signal, (signal.SIGINT, signal.SIG_IGN))
+    try:
+        yield pool
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        for child in multiprocessing.active_children():
+            child.terminate()
+        raise
+    finally:
+        pool.shutdown(wait=True)
+        if former is None:
+            del os.environ[_THREADS]
+        else:
+            os.environ[_THREADS] = former

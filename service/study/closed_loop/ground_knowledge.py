@@ -1,0 +1,96 @@
+"""What the ground knows when operation begins, from the plant's opening, and what it learns later."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from service.records.attitude import BoolArray, IntArray
+from service.records.calibration import Window
+from service.records.epoch import parse_epoch
+from service.records.inputs import SourceSelection
+from service.records.journal import SlowInput
+from service.records.series import ReferenceSeries
+from service.study.closed_loop.plant_process import Line, Opening
+from service.study.estimation.catalogue_lines import (
+    read_carriers,
+    read_ephemeris,
+    read_operation,
+    read_spacecraft,
+    read_telemetry,
+)
+from service.study.estimation.journal import Documents
+from service.study.estimation.world import AXES, Ground
+
+_SOURCE = "sa-1"
+_NAN = float("nan")
+
+
+def ground_of(opening: Opening) -> Ground:
+    """Return what the ground knows before operation; corrections are not flown."""
+    bodies: dict[str, Line] = {}
+    for line in opening.ground:
+        bodies.setdefault(line["kind"], line.get("body", {}))
+    epochs_us = np.array(opening.epochs_us, dtype=np.int64)
+    phases = [line for line in opening.ground if line["kind"] == "phase"]
+    windows = {line["name"]: Window(parse_epoch(line["start"]), parse_epoch(line["stop"])) for line in phases}
+    return Ground(
+        spacecraft=read_spacecraft(bodies["spacecraft"]),
+        carriers=read_carriers(bodies["carriers"]),
+        ephemeris=read_ephemeris(bodies["ephemeris"]),
+        news=(),
+        corrections=(),
+        phases=windows,
+        carrier_ids=opening.carrier_ids,
+        epochs_us=epochs_us,
+        power_dbm=opening.power_dbm,
+        is_measured=_is_measured(opening),
+        source=_one_source(len(epochs_us)),
+        source_names=(_SOURCE,),
+        references=_references(opening),
+    )
+
+
+def slow_inputs(lines: tuple[Line, ...], documents: Documents, number: int) -> Iterator[SlowInput]:
+    """Yield what some lines of the ground tell the chain; operations are numbered from ``number`` on."""
+    for place, line in enumerate(lines):
+        kind, body = line["kind"], line.get("body", {})
+        if kind == "carriers":
+            yield documents.add_plan(read_carriers(body))
+        elif kind == "ephemeris":
+            yield documents.add_ephemeris(read_ephemeris(body))
+        elif kind == "operations":
+            yield read_operation(body, number + place)
+        elif kind == "telemetry":
+            # numbers of the wheels' speed and of the body's rate are not read by the chain
+            yield from read_telemetry(body)
+        elif kind == "source":
+            yield SourceSelection(body["source"], number + place)
+
+
+def _is_measured(opening: Opening) -> BoolArray:
+    return np.asarray(np.isfinite(opening.power_dbm).any(axis=1))
+
+
+def _one_source(count: int) -> IntArray:
+    return np.zeros(count, dtype=np.int64)
+
+
+def _references(opening: Opening) -> tuple[ReferenceSeries, ...]:
+    """Return the angles of every sensor."""
+    told: dict[str, list[Line]] = {}
+    for line in opening.ground:
+        if line["kind"] == "references":
+            told.setdefault(line["body"]["source"], []).extend(line["body"]["references"])
+    return tuple(
+        ReferenceSeries(
+            source,
+            np.array([parse_epoch(one["epoch"]) for one in entries], dtype=np.int64),
+            np.array([[_number(one[f"{axis}_deg"]) for axis in AXES] for one in entries]),
+            np.array([[_number(one["sigma_deg"][axis]) for axis in AXES] for one in entries]),
+        )
+        for source, entries in told.items()
+    )
+
+
+def _number(value: float | None) -> float:
+    return _NAN if value is None else value

@@ -1,0 +1,133 @@
+"""Figures of merit of closed loops and what was asked of them."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from service.study.closed_loop.controllers import Sensing
+from service.study.closed_loop.run import Flight, LoopResult
+
+#: deg, yaw, roll, pitch: 95 % of the runs within the first, all of them within the second
+NARROW_DEG = (0.4, 0.2, 0.2)
+WIDE_DEG = (0.5, 0.3, 0.3)
+NARROW_SHARE = 0.95
+#: roll and pitch of a fade in mid-slew: throughout, and reached so long after the fade, deg and h
+FADE_LIMIT_DEG, FADE_SETTLED_DEG, FADE_SETTLE_H = 0.4, 0.1, 3.0
+#: the scenario that begins off zero and is judged by the fade's limits
+FADE_SCENARIO = "slew_fade"
+PERCENTILES = (50, 95, 100)
+
+
+class RunMerit(NamedTuple):
+    """Figures of one run; triples in the order yaw, roll, pitch."""
+
+    largest_deg: tuple[float, float, float]
+    rms_deg: tuple[float, float, float]
+    impulse_n_m_s: tuple[float, float, float]
+    inhibited_h: float
+    #: h after the end of the fade until roll and pitch are both small; inf = never, None = no fade
+    settled_h: float | None
+
+    @property
+    def is_narrow(self) -> bool:
+        """Whether every angle stays within the limits of 95 % of the runs."""
+        return all(angle < limit for angle, limit in zip(self.largest_deg, NARROW_DEG, strict=True))
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether every angle stays within the limits of all runs."""
+        return all(angle < limit for angle, limit in zip(self.largest_deg, WIDE_DEG, strict=True))
+
+    @property
+    def is_fade_survived(self) -> bool:
+        """Whether roll and pitch stay within the fade's limit and come back in time."""
+        is_settled = self.settled_h is not None and self.settled_h <= FADE_SETTLE_H
+        return max(self.largest_deg[1:]) < FADE_LIMIT_DEG and is_settled
+
+
+@dataclass(frozen=True)
+class GroupMerit:
+    """Figures of the runs of one scenario under one sensing; refused runs count as missed."""
+
+    scenario: str
+    sensing: Sensing
+    runs: int
+    refused: int
+    narrow_share: float
+    wide_share: float
+    #: of 50, 95 and 100 % of the runs; (3,) yaw, roll, pitch each
+    largest_deg: tuple[tuple[float, float, float], ...]
+    impulse_n_m_s: tuple[tuple[float, float, float], ...]
+    inhibited_h: tuple[float, ...]
+    #: share of the runs that survive the fade, and the longest time to come back; None = no such story
+    survived_share: float | None
+    settled_h: float | None
+
+    @property
+    def is_met(self) -> bool:
+        """Whether what was asked is reached; without control it must not be."""
+        if self.survived_share is not None:
+            return self.survived_share == 1.0
+        return self.narrow_share >= NARROW_SHARE and self.wide_share == 1.0
+
+
+def run_merit(flight: Flight) -> RunMerit:
+    """Return the figures of one flight."""
+    size = np.abs(flight.truth_deg)
+    step_h = float(np.median(np.diff(flight.hours)))
+    return RunMerit(
+        _triple(size.max(axis=0)),
+        _triple(np.sqrt(np.mean(size**2, axis=0))),
+        flight.impulse_n_m_s,
+        float(flight.is_inhibited.sum()) * step_h,
+        _settled_h(flight),
+    )
+
+
+def group_merit(results: Sequence[LoopResult]) -> GroupMerit:
+    """Return the figures of the runs of one scenario under one sensing."""
+    unit, runs = results[0].unit, len(results)
+    merits = [run_merit(result.flight) for result in results if result.flight is not None]
+    is_fade = unit.scenario == FADE_SCENARIO
+
+    def share(is_kept: Callable[[RunMerit], bool]) -> float:
+        return sum(map(is_kept, merits)) / runs
+
+    return GroupMerit(
+        scenario=unit.scenario,
+        sensing=unit.sensing,
+        runs=runs,
+        refused=runs - len(merits),
+        narrow_share=share(lambda merit: merit.is_narrow),
+        wide_share=share(lambda merit: merit.is_wide),
+        largest_deg=_percentiles([merit.largest_deg for merit in merits]),
+        impulse_n_m_s=_percentiles([merit.impulse_n_m_s for merit in merits]),
+        inhibited_h=tuple(triple[0] for triple in _percentiles([(merit.inhibited_h,) * 3 for merit in merits])),
+        survived_share=share(lambda merit: merit.is_fade_survived) if is_fade else None,
+        settled_h=max((merit.settled_h or 0.0 for merit in merits), default=float("inf")) if is_fade else None,
+    )
+
+
+def _percentiles(values: Sequence[tuple[float, float, float]]) -> tuple[tuple[float, float, float], ...]:
+    """Return the percentiles over the runs, one triple each; NaN where none was flown."""
+    if not values:
+        return ((float("nan"),) * 3,) * len(PERCENTILES)
+    # the next run that was flown, nothing in between: a percentile of few runs is a run
+    table = np.percentile(np.array(values), PERCENTILES, axis=0, method="higher")
+    return tuple(_triple(row) for row in table)
+
+
+def _settled_h(flight: Flight) -> float | None:
+    """Return the time from the end of the fade until roll and pitch are both small."""
+    wet = np.flatnonzero(flight.is_faded)
+    if not len(wet):
+        return None
+    end = int(wet[-1])
+    small = np.flatnonzero((np.abs(flight.truth_deg[end:, 1:]) < FADE_SETTLED_DEG).all(axis=1))
+    return float(flight.hours[end + int(small[0])] - flight.hours[end]) if len(small) else float("inf")
+
+
+def _triple(values: np.ndarray) -> tuple[float, float, float]:
+    return float(values[0]), float(values[1]), float(values[2])

@@ -1,0 +1,174 @@
+"""One closed loop: the plant in its process, the chain in this one, row by row."""
+
+import time
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from service.pipeline.chain import Chain
+from service.pipeline.config import ChainConfig
+from service.records.attitude import BoolArray, FloatArray
+from service.records.catalogue import Release
+from service.records.inputs import AlignmentSet, CalibrationActivation, PlanChange, SpacecraftChange
+from service.records.measurement import Measurement
+from service.study.closed_loop.controllers import LEAD_S, ByChain, ByTruth, Controller, Idle, Sensing
+from service.study.closed_loop.ground_knowledge import ground_of, slow_inputs
+from service.study.closed_loop.plant_process import PlantProcess, PlantRow
+from service.study.estimation.drive import UndrivenError, align, calibrate
+from service.study.estimation.journal import Documents
+from service.study.estimation.world import Ground
+
+
+class LoopUnit(NamedTuple):
+    """What to fly."""
+
+    scenario: str
+    seed: int
+    sensing: Sensing
+    #: ``ideal`` or ``link``
+    uplink: str = "link"
+    #: None = as long as the scenario is
+    operation_days: float | None = None
+    #: drift of the inertial model that the filter believes in, deg/h, yaw, roll, pitch; None = the product's
+    drift_deg_h: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Flight:
+    """What was flown; T rows of operation."""
+
+    #: (T,) since its start
+    hours: FloatArray
+    #: (T, 3) deg, yaw, roll, pitch
+    truth_deg: FloatArray
+    #: (T, 3) deg, NaN = the ground did not look
+    estimate_deg: FloatArray
+    #: (T,)
+    is_inhibited: BoolArray
+    is_faded: BoolArray
+    #: N m s, sum of the sizes of all impulses that were flown
+    impulse_n_m_s: tuple[float, float, float]
+    #: commands sent, and how many the craft told to have executed, to have had before, to have got too late or refused
+    sent: int
+    reported: dict[str, int]
+
+
+@dataclass(frozen=True)
+class LoopResult:
+    """What came out of a unit."""
+
+    unit: LoopUnit
+    seconds: float
+    #: why nothing was flown, empty where it was
+    refusal: str = ""
+    flight: Flight | None = None
+
+
+def fly_unit(unit: LoopUnit) -> LoopResult:
+    """Fly a unit.
+
+    Raises
+    ------
+    PlantFailedError
+        The plant knows no such scenario, or failed.
+    """
+    began_s = time.monotonic()
+    with PlantProcess(unit.scenario, unit.seed, unit.uplink, unit.operation_days) as plant:
+        ground = ground_of(plant.opening())
+        documents = Documents()
+        plan = documents.add_plan(ground.carriers)
+        try:
+            controller = _controller(unit, ground, documents, plan)
+        except UndrivenError as error:
+            return LoopResult(unit, time.monotonic() - began_s, str(error))
+        flight = _fly(plant, controller, _Journal(ground, documents, plan.plan_id))
+    return LoopResult(unit, time.monotonic() - began_s, "", flight)
+
+
+def _controller(unit: LoopUnit, ground: Ground, documents: Documents, plan: PlanChange) -> Controller:
+    """Return who closes the loop."""
+    lead_s = 0.0 if unit.uplink == "ideal" else LEAD_S
+    control = replace(ground.spacecraft.control, release=Release.AUTOMATIC)
+    spacecraft = replace(ground.spacecraft, control=control)
+    if unit.sensing is Sensing.OFF:
+        return Idle()
+    if unit.sensing is Sensing.TRUTH:
+        return ByTruth(spacecraft, lead_s, float(np.median(np.diff(ground.epochs_us))) / 1e6)
+    opening = (SpacecraftChange(spacecraft, 1), plan, documents.add_ephemeris(ground.ephemeris))
+    documents.calibrations[1] = calibrate(ground, documents.plans[1], documents.ephemerides[1])
+    documents.alignments[1] = align(ground, documents)
+    chain = Chain(documents, _config(unit))
+    for content in (*opening, CalibrationActivation(1, 1), AlignmentSet(1)):
+        chain.learn(content)
+    return ByChain(chain, lead_s)
+
+
+def _config(unit: LoopUnit) -> ChainConfig:
+    """Return the numbers of the stages: the product's, the drift apart where the unit says so."""
+    config = ChainConfig()
+    if unit.drift_deg_h is None:
+        return config
+    yaw, roll, pitch = unit.drift_deg_h
+    drift = {"yaw_drift_deg_h": yaw, "roll_drift_deg_h": roll, "pitch_drift_deg_h": pitch}
+    return replace(config, robust=replace(config.robust, **drift))
+
+
+@dataclass
+class _Journal:
+    """Hands measurements and slow inputs to whoever reads powers."""
+
+    ground: Ground
+    documents: Documents
+    plan_id: int
+    number: int = 0
+
+    def learn(self, row: PlantRow, controller: Controller) -> None:
+        """Take what the ground was told."""
+        for content in slow_inputs(row.ground, self.documents, 1000 * self.number):
+            if isinstance(content, PlanChange):
+                self.plan_id = content.plan_id
+            if isinstance(controller, ByChain):
+                controller.chain.learn(content)
+
+    def measurement(self, row: PlantRow) -> Measurement:
+        """Return the powers of a row in the order of the plan."""
+        self.number += 1
+        columns = [self.ground.carrier_ids.index(name) for name in self.documents.plans[self.plan_id].carrier_ids]
+        power_dbm = np.zeros(0) if row.power_dbm is None else row.power_dbm[columns]
+        epoch_us, source = row.truth.epoch_us, self.ground.source_names[0]
+        return Measurement(epoch_us, epoch_us, self.number, source, self.plan_id, power_dbm, None, feeds_estimator=True)
+
+
+def _fly(plant: PlantProcess, controller: Controller, journal: _Journal) -> Flight:
+    """Fly to the end of the story."""
+    truth, estimates, inhibited, faded = [], [], [], []
+    impulse, reported, sent = np.zeros(3), dict.fromkeys(("executed", "repeated", "late", "refused"), 0), 0
+    nothing = (np.nan,) * 3
+    for row in plant.rows():
+        journal.learn(row, controller)
+        controller.hear(row.reports)
+        for report in row.reports:
+            reported[report.state] += 1
+            impulse += np.abs(report.impulse_n_m_s)
+        angles, is_inhibited = None, True
+        if row.power_dbm is not None:
+            decision = controller.decide(journal.measurement(row), row.truth, sent + 1)
+            sent += bool(decision.schedule)
+            plant.send(decision.schedule, sent if decision.schedule else None)
+            angles, is_inhibited = decision.attitude_deg, decision.is_inhibited
+        truth.append(row.truth)
+        estimates.append(nothing if angles is None else tuple(angles))
+        inhibited.append(is_inhibited)
+        faded.append(row.truth.downlink_fade_db > 0.0)
+    epochs_us = np.array([state.epoch_us for state in truth])
+    return Flight(
+        hours=(epochs_us - epochs_us[0]) / 3.6e9,
+        truth_deg=np.array([state.attitude_deg for state in truth]),
+        estimate_deg=np.array(estimates),
+        is_inhibited=np.array(inhibited),
+        is_faded=np.array(faded),
+        impulse_n_m_s=(float(impulse[0]), float(impulse[1]), float(impulse[2])),
+        sent=sent,
+        reported=reported,
+    )
