@@ -21,6 +21,7 @@ from service.formats.series_tables import ATTITUDE, EVENTS, REFERENCES, TORQUES,
 from service.formats.table_file import Table, TableFormat, table_bytes
 from service.formats.tdm import TdmWriter, TrackingMessage
 from service.ports import LIVE
+from service.records.alarm import Alarm
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.inputs import AttitudeReference
@@ -212,9 +213,9 @@ class _Maker:
         """Return the file of events that begin in the span, in order of their beginning."""
 
         def read(window: Window) -> Iterator[Chunk]:
-            kinds = (self._entries(kind, window) for kind in EVENT_KINDS)
-            entries = merge(*kinds, key=lambda entry: (entry.start_us or 0, entry.number))
-            return _paged(_event(entry) for entry in entries if (entry.start_us or 0) >= window.start_us)
+            kinds = [map(_event, self._entries(kind, window)) for kind in EVENT_KINDS]
+            rows = merge(*kinds, self._alarms(window), key=lambda row: (row.epoch_us, row.number))
+            return _paged(row for row in rows if row.epoch_us >= window.start_us)
 
         return ArchiveFile("events", (), read, self._table(EVENTS))
 
@@ -227,6 +228,16 @@ class _Maker:
             if len(page) < PAGE_ROWS:
                 return
             after = (page[-1].start_us or 0, page[-1].number)
+
+    def _alarms(self, window: Window) -> Iterator[EventRow]:
+        """Yield the alarms that were raised, in order of (raised, id)."""
+        after: tuple[int, int] | None = None
+        while True:
+            page = self._context.storage.alarms.alarms(self._sc, (), window, PAGE_ROWS, after)
+            yield from map(_alarm_event, page)
+            if len(page) < PAGE_ROWS:
+                return
+            after = (page[-1].raised_at_us, page[-1].id)
 
     def _measurement_rows(self, window: Window) -> Iterator[Chunk]:
         archive = self._context.storage.archive
@@ -291,3 +302,10 @@ def _event(entry: JournalEntry) -> EventRow:
     start_us = entry.start_us or 0
     stop_us = None if entry.stop_us == start_us else entry.stop_us
     return EventRow(start_us, stop_us, entry.number, KIND_OF[type(content)], content.key, plain_value(content))
+
+
+def _alarm_event(alarm: Alarm) -> EventRow:
+    """Return the event that an alarm is, as it stands now."""
+    document = {**plain_value(alarm), "severity": alarm.severity.word}
+    key = f"{alarm.condition}/{alarm.thing}"
+    return EventRow(alarm.raised_at_us, alarm.returned_at_us, alarm.id, "alarm", key, document)

@@ -20,9 +20,9 @@ class EventRow:
     epoch_us: int
     #: None = an instant, or still open
     stop_us: int | None
-    #: journal number
+    #: journal number, or id of an alarm
     number: int
-    #: operation, correction, calibration activation ...: the kind in the journal
+    #: kind in the journal (operation, correction, activation ..), or alarm
     kind: str
     #: its key within the kind
     key: str
@@ -161,7 +161,7 @@ EVENTS = Table(
 
 
 def plain_value(value: Any) -> Any:
-    """Return a record, or a part of one, as JSON can hold it: NaN becomes null, ``_us`` an RFC 3339 text.
+    """Return a record, or a part of one, as JSON can hold it: null for what is not finite, RFC 3339 for ``_us``.
 
     Examples
     --------
@@ -176,7 +176,7 @@ def plain_value(value: Any) -> Any:
         return [plain_value(each) for each in value]
     if isinstance(value, Enum):
         return value.value
-    return None if isinstance(value, float) and math.isnan(value) else value
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _member(name: str, value: Any) -> tuple[str, Any]:

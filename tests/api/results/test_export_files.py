@@ -16,6 +16,7 @@ from service.api.archive_files import OFFERED
 from service.formats.aem import read_aem
 from service.formats.tdm import read_tdm
 from service.ports import Outcome
+from service.records.alarm import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
 from service.records.attitude import NO_ANGLES, Axes
 from service.records.epoch import format_epoch
 from service.records.inputs import AttitudeReference, Correction, Operation, TelemetryRecord
@@ -157,6 +158,33 @@ async def test_events_tell_what_was_declared_and_decided(bench, make):
     assert (operation["kind"], operation["stop"]) == ("eclipse", None)
     (correction,) = [row for row in rows if row["kind"] == "correction"]
     assert correction["stop"] == format_epoch(make.now_us - DAY + 3_600_000_000)
+
+
+async def test_alarms_are_events(bench, make):
+    bench.append([make.now_us - make.s])
+    raised = Alarm(
+        id=0,
+        spacecraft_id=make.sc,
+        condition="carrier_level",
+        thing="c03",
+        process=Process.UNACKNOWLEDGED,
+        cover=Cover.NONE,
+        severity=Severity.WARNING,
+        since_us=make.now_us - make.s,
+        raised_at_us=make.now_us,
+        changed_at_us=make.now_us,
+        value=math.inf,
+        limit=-3.0,
+        unit="dB",
+        detail="3 dB below its level",
+    )
+    bench.storage.alarms.save([AlarmChange(ChangeKind.RAISED, raised, make.now_us, is_told=True)])
+    rows = table_of((await file_of(bench, "events")).text)
+    (alarm,) = [row for row in rows if row["kind"] == "alarm"]
+    assert (alarm["epoch"], alarm["stop"], alarm["key"]) == (format_epoch(make.now_us), "", "carrier_level/c03")
+    document = json.loads(alarm["document"])
+    assert (document["severity"], document["process"], document["value"]) == ("warning", "unacknowledged", None)
+    assert document["raised_at"] == format_epoch(make.now_us)
 
 
 async def test_a_file_of_a_day_is_taken_in_ranges(bench, make):
