@@ -60,7 +60,7 @@ class Rows(NamedTuple):
 def main() -> bool:
     """Print the figures and return whether the goals are met."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rows", type=int, default=400_000)
+    parser.add_argument("--rows", type=int, default=200_000)
     parser.add_argument("--repeats", type=int, default=5)
     options, _ = parser.parse_known_args()
     rng = np.random.default_rng(1)
