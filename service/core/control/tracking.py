@@ -1,0 +1,80 @@
+"""What a slew shall do in tracking: the law's motion over one command period, as an angle to turn and a rate to lose.
+
+A pair of pulses cannot follow a torque that changes; it sails at one rate and stops. Over a time T it therefore takes
+the share ``1 - exp(-w T / 2 z)`` of the error, w = 2 pi / period, z damping: the slow motion of the law's oscillator,
+which for T towards zero is its steady approach ``w / 2 z`` and never overshoots. After the slew the craft stands where
+roll and yaw exchange at the orbital rate; the rate that holds it there is left to it.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from service.core.control.quaternion_law import Gains, error_angles_rad
+
+FloatArray = NDArray[np.float64]
+
+
+class SlewWish(NamedTuple):
+    """What `slew_schedule.plan_slew` is asked for; (3,) in the order yaw, roll, pitch."""
+
+    angle_change_deg: FloatArray
+    rate_deg_s: FloatArray
+
+
+def tracking_wish(
+    gains: Gains,
+    attitude_deg: ArrayLike,
+    rates_deg_s: ArrayLike,
+    horizon_s: float,
+    *,
+    target_deg: ArrayLike = (0.0, 0.0, 0.0),
+    disturbance_n_m: ArrayLike = (0.0, 0.0, 0.0),
+    least_deg: float = 0.0,
+) -> SlewWish:
+    """Return the slew that takes a share of the error within a command period.
+
+    Parameters
+    ----------
+    gains : Gains
+        Of `quaternion_law.loop_gains`.
+    attitude_deg, rates_deg_s : array_like, shape (3,), deg and deg/s
+        Filtered angles and rates.
+    horizon_s : float, s
+        Command period.
+    target_deg : array_like, shape (3,), deg
+        Attitude to hold.
+    disturbance_n_m : array_like, shape (3,), N m
+        Estimated torque that nobody commanded; what it will have turned in the middle of the period is taken out.
+    least_deg : float, deg
+        Errors below it are left alone: only their rate is taken.
+
+    Raises
+    ------
+    ValueError
+        A number is not finite, or the horizon is not positive.
+
+    Examples
+    --------
+    >>> from service.core.control.quaternion_law import loop_gains
+    >>> inertia = np.diag([2600.0, 1400.0, 2600.0])
+    >>> gains = loop_gains(inertia, period_s=7200.0, damping=0.9, torque_limit_n_m=0.05, command_period_s=60.0)
+    >>> tracking_wish(gains, [0.0, 0.1, 0.0], [0.0, 0.0, 0.0], 600.0).angle_change_deg.round(4).tolist()
+    [0.0, -0.0252, 0.0]
+    """
+    given = np.array([attitude_deg, rates_deg_s, target_deg, disturbance_n_m], dtype=np.float64)
+    if given.shape != (4, 3) or not np.isfinite(given).all():
+        raise ValueError("attitude, rates, target and disturbance must each be three finite numbers: yaw, roll, pitch")
+    if not (math.isfinite(horizon_s) and horizon_s > 0.0):
+        raise ValueError("the horizon must be finite and positive")
+    error_deg = np.degrees(error_angles_rad(given[0], given[2]))
+    error_deg = np.where(np.abs(error_deg) < least_deg, 0.0, error_deg)
+    share = 1.0 - math.exp(-gains.stiffness_1_s2 / gains.friction_1_s * horizon_s)
+    change_deg = -share * error_deg + 0.0
+    # of the present rate, that which holds the craft where it stands turns into that which holds it where it will be
+    yaw_deg, roll_deg, _ = change_deg.tolist()
+    exchanged_deg_s = gains.orbital_rate_rad_s * np.array([-roll_deg, yaw_deg, 0.0])
+    pushed_deg_s = np.degrees(np.linalg.solve(gains.inertia_kg_m2, given[3])) * horizon_s / 2.0
+    return SlewWish(change_deg, given[1] + exchanged_deg_s + pushed_deg_s)
