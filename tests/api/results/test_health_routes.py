@@ -1,0 +1,196 @@
+"""Readiness names what is not ready, metrics tell archive, estimator and interface, every request has its line."""
+
+import json
+import logging
+import re
+from dataclasses import replace
+
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+
+from service.api.metric_families import FAMILIES
+from service.errors import StorageError
+from service.ports import Outcome
+from service.records.attitude import Axes, CarrierState
+from service.records.link import LinkReport
+from service.runtime.log_lines import JsonLines
+
+pytestmark = pytest.mark.anyio
+
+
+def samples(text: str) -> dict[tuple[str, ...], float]:
+    """Return values by name and values of labels, in the order in which they are declared."""
+    told = {}
+    for family in text_string_to_metric_families(text):
+        for sample in family.samples:
+            known = FAMILIES.get(sample.name) or FAMILIES[re.sub(r"_(bucket|count|sum)$", "", sample.name)]
+            names = [*known.labels, *(["le"] if sample.name.endswith("_bucket") else [])]
+            assert sorted(names) == sorted(sample.labels)
+            told[sample.name, *(sample.labels[name] for name in names)] = sample.value
+    return told
+
+
+def change(bench, **changes) -> None:
+    """Change what the context of the application holds."""
+    for name, value in changes.items():
+        object.__setattr__(bench.context, name, value)
+
+
+async def unready(bench) -> dict:
+    """Return the problem of a service that is not ready."""
+    answer = await bench.client.get("/readyz", headers={"Authorization": ""})
+    assert answer.status_code == 503
+    assert answer.headers["retry-after"] == "5"
+    assert answer.headers["content-type"] == "application/problem+json"
+    return answer.json()
+
+
+async def test_a_ready_service_tells_its_parts(bench):
+    answer = await bench.client.get("/readyz", headers={"Authorization": ""})
+    assert answer.status_code == 200
+    assert [part["name"] for part in answer.json()["parts"]] == ["database", "migration", "disk", "consumers"]
+
+
+async def test_an_estimator_that_is_behind_is_named(bench, make):
+    bench.append([make.now_us + k * make.s for k in range(5)])
+    change(bench, observation=replace(bench.context.observation, ready_lag=3))
+    problem = await unready(bench)
+    assert problem["code"] == "consumers.behind"
+    assert "yamal-202 by " in problem["detail"]
+    assert problem["errors"][0]["pointer"] == "/consumers"
+    bench.consume()
+    assert (await bench.client.get("/readyz")).status_code == 200
+
+
+async def test_several_parts_are_all_named(bench, monkeypatch):
+    state = bench.storage.state()
+    monkeypatch.setattr(bench.storage, "state", lambda: replace(state, schema="0001", free_bytes=1000))
+    change(bench, is_following=lambda: False)
+    problem = await unready(bench)
+    assert problem["code"] == "service.not_ready"
+    assert [error["code"] for error in problem["errors"]] == ["migration.pending", "disk.full", "consumers.stopped"]
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "code"), [("is_writable", False, "disk.read_only"), ("schema", None, "migration.pending")]
+)
+async def test_each_fault_of_the_storage_has_its_code(bench, monkeypatch, field, value, code):
+    state = bench.storage.state()
+    monkeypatch.setattr(bench.storage, "state", lambda: replace(state, **{field: value}))
+    assert (await unready(bench))["code"] == code
+
+
+async def test_metrics_tell_the_archive_and_the_interface(bench, make, monkeypatch):
+    (row,) = bench.append([make.now_us - 90 * make.s], source="sa-1")
+    bench.consume([Outcome((make.row(row),), make.command(row))])
+    report = LinkReport("link-1", "analyzer", make.sc, "sa-1", "MEASURING", {}, {}, make.now_us - 5 * make.s)
+    bench.storage.links.report([report], make.now_us)
+    states = [
+        CarrierState(f"c{k:02d}", -42.0, -42.0, 0.0, 0.0, 0.1, 0, word)
+        for k, word in enumerate(["used", "absent", "excluded"])
+    ]
+    monkeypatch.setattr(bench.context.supervisor, "carrier_states", lambda _: (row, tuple(states)))
+    body = {"plan_id": 1, "source": "sa-1", "measurements": [{"epoch": "2026-11-21T04:00:00Z", "power_dbm": [-42] * 6}]}
+    assert (await bench.client.post(f"{bench.url}/measurements:batch", json=body)).json()["refused"]
+    await bench.client.get("/api/v1/nothing/here")
+    answer = await bench.client.get("/metrics", headers={"Authorization": ""})
+    assert answer.status_code == 200
+    assert answer.headers["content-type"].startswith("text/plain; version=0.0.4")
+    told, sc = samples(answer.text), make.sc
+    assert told["soo_sample_age_seconds", sc, "sa-1"] == 90.0
+    assert [told["soo_series_status", sc, f"c{k:02d}"] for k in range(3)] == [1.0, 0.0, 2.0]
+    assert told["soo_attitude_deg", sc, "paper", "roll"] == -0.02
+    assert told["soo_attitude_sigma_deg", sc, "paper", "pitch"] == 0.02
+    assert told["soo_attitude_status", sc, "paper"] == 1.0
+    assert told["soo_control_allowed", sc] == 1.0
+    assert told["soo_rows_refused_total", sc, "time.future"] == 1.0
+    assert told["soo_link_state", "link-1", "MEASURING"] == 1.0
+    assert told["soo_link_last_good_age_seconds", "link-1"] == 5.0
+    assert told["soo_journal_lag", sc] == 0.0
+    route = "/api/v1/spacecraft/{spacecraft_id}/measurements:batch"
+    assert told["soo_http_requests_total", "POST", route, "200"] == 1.0
+    assert told["soo_http_requests_total", "GET", "unmatched", "404"] == 1.0
+    assert told["soo_http_request_duration_seconds_count", route] == 1.0
+    assert told["soo_http_request_duration_seconds_bucket", route, "+Inf"] == 1.0
+    assert told["soo_ready", "database"] == 1.0
+    assert told["soo_process_resident_memory_bytes",] > 10e6
+
+
+async def test_an_angle_that_is_not_known_is_left_out(bench, make):
+    (row,) = bench.append([make.now_us])
+    bench.consume([Outcome((make.row(row, attitude_deg=Axes(make.nan, 0.1, make.nan)),), None)])
+    told = samples((await bench.client.get("/metrics")).text)
+    assert ("soo_attitude_deg", make.sc, "paper", "yaw") not in told
+    assert told["soo_attitude_deg", make.sc, "paper", "roll"] == 0.1
+
+
+async def test_metrics_without_the_database_tell_the_rest(bench, monkeypatch):
+    def fail() -> None:
+        raise StorageError("storage.unavailable", "gone")
+
+    monkeypatch.setattr(bench.storage, "check", fail)
+    monkeypatch.setattr(bench.storage, "state", fail)
+    answer = await bench.client.get("/metrics")
+    assert answer.status_code == 200
+    told = samples(answer.text)
+    assert told["soo_ready", "database"] == 0.0
+    assert ("soo_writer_queue",) not in told
+    assert ("soo_process_threads",) in told
+
+
+async def test_metrics_may_need_a_key(bench):
+    change(bench, observation=replace(bench.context.observation, metrics_need_key=True))
+    assert (await bench.client.get("/metrics", headers={"Authorization": ""})).status_code == 401
+    assert (await bench.client.get("/metrics")).status_code == 200
+
+
+async def test_label_sets_do_not_grow_with_what_is_asked(bench, make):
+    for k in range(40):
+        await bench.client.get(f"/api/v1/spacecraft/craft-{k}/status")
+        await bench.client.get(f"/made-up-{k}")
+        await bench.client.request(f"VERB{k}", "/healthz")
+    told = samples((await bench.client.get("/metrics")).text)
+    routes = {key[2] for key in told if key[0] == "soo_http_requests_total"}
+    assert len(routes) <= 4, routes
+    assert {key[1] for key in told if key[0] == "soo_http_requests_total"} <= {"GET", "other"}
+    names = {re.sub(r"_(total|bucket|count|sum)$", "", key[0]) for key in told}
+    assert names <= {re.sub(r"_total$", "", name) for name in FAMILIES}
+
+
+async def test_every_request_has_a_line_with_its_id_and_template(bench, make, caplog):
+    with caplog.at_level(logging.INFO, "soo.access"):
+        path = f"/api/v1/spacecraft/{make.sc}/status"
+        await bench.client.get(path, params={"key": "swordfish"}, headers={"X-Request-ID": "r-77"})
+        await bench.client.get("/api/v1/spacecraft", headers={"Authorization": "Bearer swordfish"})
+    lines = [record.fields for record in caplog.records if record.name == "soo.access"]
+    assert [(line["method"], line["route"], line["status"]) for line in lines] == [
+        ("GET", "/api/v1/spacecraft/{spacecraft_id}/status", 200),
+        ("GET", "/api/v1/spacecraft", 401),
+    ]
+    assert lines[0]["key"] == "bootstrap"
+    assert lines[1]["key"] is None
+    assert lines[0]["duration_ms"] > 0
+    assert "swordfish" not in json.dumps(lines)
+    assert "swordfish" not in caplog.text
+
+
+async def test_lines_written_while_a_request_is_served_name_it(bench, monkeypatch):
+    written = []
+    handler = logging.Handler()
+    handler.setFormatter(JsonLines())
+    handler.emit = lambda record: written.append(json.loads(handler.format(record)))
+
+    def fail() -> None:
+        raise RuntimeError("the password is swordfish")
+
+    monkeypatch.setattr(bench.storage, "check", fail)
+    root = logging.getLogger()
+    root.addHandler(handler)
+    try:
+        answer = await bench.client.get("/readyz", headers={"X-Request-ID": "r-78"})
+    finally:
+        root.removeHandler(handler)
+    assert answer.json()["request_id"] == "r-78"
+    failed = next(line for line in written if line["level"] == "error")
+    assert failed["request_id"] == "r-78"
+    assert "RuntimeError" in failed["traceback"]

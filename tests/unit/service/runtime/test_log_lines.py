@@ -1,0 +1,100 @@
+"""Lines of the log: one event a line, parts that JSON can tell, no secrets."""
+
+import io
+import json
+import logging
+import sys
+
+import pytest
+
+from service.runtime.log_lines import REQUEST_ID, JsonLines, TextLines, write_log
+
+
+def record(message: str, *args: object, fields: dict | None = None, exc_info=None) -> logging.LogRecord:
+    """Return an event at the beginning of time."""
+    made = logging.LogRecord("soo.test", logging.WARNING, "file.py", 1, message, args, exc_info)
+    made.created = 1.5
+    if fields is not None:
+        made.fields = fields
+    return made
+
+
+def fault() -> tuple:
+    """Return what an exception leaves behind."""
+    try:
+        int("no\nluck with Bearer abc")
+    except ValueError:
+        return sys.exc_info()
+    raise AssertionError
+
+
+def test_a_line_holds_what_is_known():
+    token = REQUEST_ID.set("r-1")
+    try:
+        line = JsonLines().format(record("%d rows", 3, fields={"status": 200, "route": "/x"}))
+    finally:
+        REQUEST_ID.reset(token)
+    assert json.loads(line) == {
+        "time": "1970-01-01T00:00:01.500000Z",
+        "level": "warning",
+        "logger": "soo.test",
+        "message": "3 rows",
+        "request_id": "r-1",
+        "status": 200,
+        "route": "/x",
+    }
+
+
+@pytest.mark.parametrize("form", [JsonLines, TextLines])
+def test_nobody_writes_lines_of_his_own(form):
+    line = form().format(record("a\nb\r\x1b[31m\u2028\x85\x7f", fields={"path": "/x\n{}"}))
+    assert not [c for c in line if ord(c) < 32 or c in "\u2028\x85\x7f"]
+    if form is JsonLines:
+        assert json.loads(line)["message"] == "a\nb\r\x1b[31m\u2028\x85\x7f"
+
+
+def test_a_traceback_stays_on_the_line_in_json_and_follows_it_in_text():
+    line = JsonLines().format(record("failed", exc_info=fault()))
+    assert "\n" not in line
+    assert "ValueError" in json.loads(line)["traceback"]
+    assert len(TextLines().format(record("failed", exc_info=fault())).splitlines()) > 2
+
+
+@pytest.mark.parametrize("form", [JsonLines, TextLines])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Authorization: Bearer swordfish",
+        "bearer  swordfish",
+        "postgresql+psycopg://soo:swordfish@db.example/soo is away",
+    ],
+)
+def test_secrets_are_left_out(form, text):
+    told = form().format(record("%s", text, fields={"note": text}))
+    assert "swordfish" not in told
+    assert "[hidden]" in told
+    assert "abc" not in form().format(record("failed", exc_info=fault())).replace("Traceback", "")
+
+
+@pytest.fixture
+def _untouched_loggers():
+    """Put the loggers of the process back as they were."""
+    root = logging.getLogger()
+    kept, level = list(root.handlers), root.level
+    levels = {name: logging.getLogger(name).level for name in ("uvicorn.access", "httpx", "httpcore")}
+    yield
+    root.handlers[:] = kept
+    root.setLevel(level)
+    for name, former in levels.items():
+        logging.getLogger(name).setLevel(former)
+    logging.captureWarnings(capture=False)
+
+
+@pytest.mark.usefixtures("_untouched_loggers")
+def test_every_logger_of_the_process_writes_the_same_form():
+    out = io.StringIO()
+    write_log("info", "json", out)
+    logging.getLogger("uvicorn.error").info("started")
+    logging.getLogger("sqlalchemy.pool").warning("slow")
+    logging.getLogger("uvicorn.access").info("not this one")
+    assert [json.loads(line)["logger"] for line in out.getvalue().splitlines()] == ["uvicorn.error", "sqlalchemy.pool"]
