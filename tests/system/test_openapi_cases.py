@@ -41,8 +41,8 @@ CHECKS = [
 ]
 #: an answer that never ends is asked for with unknown spacecraft only
 ENDLESS = "/api/v1/spacecraft/{spacecraft_id}/stream"
-#: no key, a key of each role, and more of those that get further in
-ROLES = ("", *map(str, Role), Role.OPERATOR.value, Role.ADMIN.value, Role.ADMIN.value)
+#: a key of each role and none; the first ones, which are drawn most often, get furthest in
+ROLES = (*map(str, reversed(Role)), Role.ADMIN.value, "")
 MODES = (schemathesis.GenerationMode.POSITIVE, schemathesis.GenerationMode.NEGATIVE)
 #: rates would hold up the flood of cases; no limit
 NO_RATES = {f"SOO_RATE_LIMIT__{each}_PER_S": "0" for each in ("INGEST", "READ", "EXPORT", "CONTROL", "ANONYMOUS")}
@@ -65,7 +65,7 @@ class Field:
             for name in self.names.keys() & set(case.path_parameters or {}):
                 case.path_parameters[name] = self.names[name]
         headers = {"Authorization": f"Bearer {self.keys[role]}"} if role else {}
-        answer = case.call(base_url=self.url, session=self.session, headers=headers, timeout=20)
+        answer = case.call(base_url=self.url, session=self.session, headers=headers, timeout=60)
         self.asked[role, answer.status_code] += 1
         case.validate_response(answer, checks=CHECKS)
 
@@ -179,7 +179,7 @@ def check(filled: Field, cases: int, seed: int) -> None:
     assert by_status[200] > cases / 50
 
 
-@pytest.mark.timeout(120)
+@pytest.mark.timeout(240)
 def test_a_thousand_cases_are_answered_as_the_document_says(filled):
     check(filled, 1000, 20_261_122)
 
