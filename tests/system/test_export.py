@@ -66,7 +66,8 @@ def resident_mb(process: int) -> float:
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memory of a process is read from /proc")
 def test_memory_of_an_export_does_not_grow_with_its_span(start_service: Any, tmp_path: Path) -> None:
     database = tmp_path / "soo.db"
-    fill(database, 6 * DAY_ROWS, 16)
+    # more rows than a segment of TDM holds
+    fill(database, 3 * DAY_ROWS, 16)
     service = start_service(database=database)
     grown = {}
     with service.client() as client:
@@ -75,8 +76,8 @@ def test_memory_of_an_export_does_not_grow_with_its_span(start_service: Any, tmp
             client.get(f"{BASE}/measurements:export", params=short, timeout=60).raise_for_status()
         for file_format in ("csv", "ndjson", "parquet", "tdm"):
             before, size = resident_mb(service.process.pid), 0
-            params = {"format": file_format}
-            with client.stream("GET", f"{BASE}/measurements:export", params=params, timeout=60) as answer:
+            asked = {"params": {"format": file_format}, "headers": {"Accept-Encoding": "identity"}, "timeout": 60}
+            with client.stream("GET", f"{BASE}/measurements:export", **asked) as answer:
                 for piece in answer.iter_raw():
                     size += len(piece)
             assert answer.status_code == 200
@@ -98,7 +99,7 @@ def test_an_interrupted_export_goes_on_and_every_format_is_the_archive(
     start_service: Any, tmp_path: Path, compiled_environment: dict[str, str]
 ) -> None:
     database = tmp_path / "soo.db"
-    levels = fill(database, 3 * DAY_ROWS, 4)
+    levels = fill(database, 3 * DAY_ROWS, 2)
     service = start_service(database=database)
     with service.client() as client:
         environment = compiled_environment | {"SOO_KEY": client.headers["Authorization"].partition(" ")[2]}
@@ -134,7 +135,7 @@ def test_an_interrupted_export_goes_on_and_every_format_is_the_archive(
         table_path = tmp_path / "levels.parquet"
         assert run(table_path, "--format", "parquet")["rows"] == len(levels)
         table = parquet.read_table(table_path)
-        columns = [table.column(f"c{k:02d}_dbm").to_numpy() for k in range(4)]
+        columns = [table.column(f"c{k:02d}_dbm").to_numpy() for k in range(2)]
         assert np.array_equal(np.stack(columns, axis=1), levels)
 
         folder = tmp_path / "by-day"
