@@ -49,7 +49,8 @@ class Condition:
 
 def condition_table(alarms: AlarmConfig, robust: RobustConfig) -> dict[str, Condition]:
     """Return every condition by name."""
-    rows = (*_of_carriers(), *_of_attitude(alarms, robust), *_of_inputs(alarms), *_of_service(alarms))
+    estimate = (*_of_attitude(alarms), *_of_agreement(robust))
+    rows = (*_of_carriers(), *estimate, *_of_inputs(alarms), *_of_service(alarms))
     return {row.name: row for row in rows}
 
 
@@ -100,7 +101,7 @@ def _of_carriers() -> tuple[Condition, ...]:
     )
 
 
-def _of_attitude(alarms: AlarmConfig, robust: RobustConfig) -> tuple[Condition, ...]:
+def _of_attitude(alarms: AlarmConfig) -> tuple[Condition, ...]:
     """Return what is looked at in the attitude rows of the method that drives control."""
     return (
         Condition(
@@ -131,6 +132,12 @@ def _of_attitude(alarms: AlarmConfig, robust: RobustConfig) -> tuple[Condition, 
             "see the inhibitions and the excluded carriers of GET .../attitude",
             ConditionLimits(warning=300.0, critical=1800.0, off_s=120.0),
         ),
+    )
+
+
+def _of_agreement(robust: RobustConfig) -> tuple[Condition, ...]:
+    """Return what is looked at between methods, sensors and carriers."""
+    return (
         Condition(
             "methods_disagree",
             Kind.ABOVE,
@@ -245,7 +252,7 @@ def _of_service(alarms: AlarmConfig) -> tuple[Condition, ...]:
             "key",
             Origin.CLOCK,
             "the key is valid for another",
-            "make a new key (`soo keys add`), hand it to its user, remove the old one",
+            "make a new key (`soo keys create`), hand it to its user, remove the old one",
             ConditionLimits(watch=14.0, warning=3.0, repeat_s=24 * _HOUR_S),
         ),
         Condition(
