@@ -1,0 +1,52 @@
+"""Closed loops as the study flies them: the plant in its process, the chain in this one."""
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from service.cli.app import app
+from service.study.closed_loop.controllers import Sensing
+from service.study.closed_loop.plant_process import PlantFailedError
+from service.study.closed_loop.run import LoopUnit, fly_unit
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
+
+SEED = 1
+HOURS = 4.0
+
+
+def flown(sensing: Sensing, uplink: str = "link", scenario: str = "nominal"):
+    result = fly_unit(LoopUnit(scenario, SEED, sensing, uplink, HOURS / 24.0))
+    assert result.refusal == ""
+    return result.flight
+
+
+def test_perfect_sensing_holds_the_craft_that_is_lost_without_control():
+    held, lost = flown(Sensing.TRUTH), flown(Sensing.OFF)
+    largest, free = (np.abs(flight.truth_deg).max(axis=0) for flight in (held, lost))
+    print(f"seed {SEED}, {HOURS:g} h, yaw/roll/pitch: held {largest.round(3)} deg, free {free.round(3)} deg")
+    assert largest.max() < 0.1
+    assert free[1:].max() > 0.4
+    assert held.sent > 20
+    # one in fifty is lost, the last ones are still under way
+    assert 0.85 * held.sent < held.reported["executed"] <= held.sent
+    assert held.reported["late"] == held.reported["refused"] == 0
+    assert lost.sent == 0
+
+
+def test_the_chain_closes_the_loop_over_a_link():
+    flight = flown(Sensing.AUTOMATIC)
+    rows = round(HOURS * 60.0)
+    assert len(flight.hours) == rows
+    assert np.isfinite(flight.estimate_deg).all()
+    settled = flight.estimate_deg[:60, 1:] - flight.truth_deg[:60, 1:]
+    assert np.abs(settled).max() < 0.1  # before the residual torque has turned the craft
+    assert sum(flight.reported.values()) <= 2 * flight.sent
+
+
+def test_an_unknown_scenario_is_the_plants_to_refuse():
+    with pytest.raises(PlantFailedError, match="invalid choice"):
+        fly_unit(LoopUnit("unheard", SEED, Sensing.OFF))
+    told = CliRunner().invoke(app, ["study", "closed-loop", "--runs", "1", "--uplink", "pigeon"])
+    assert told.exit_code == 2
+    assert "no uplink 'pigeon'" in told.output
