@@ -39,6 +39,9 @@ def closed_loop(
         tuple[float, float, float] | None,
         typer.Option(help="Drift that the filter believes in: yaw, roll, pitch; default: the product's."),
     ] = None,
+    yaw_sigma_deg: Annotated[
+        float | None, typer.Option(help="Sigma of yaw up to which it is controlled; default: the product's.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print figures and runs as JSON only.")] = False,
     as_markdown: Annotated[bool, typer.Option("--markdown", help="Print the table as a section of a page.")] = False,
     figures: Annotated[Path | None, typer.Option(help="Draw PNG figures into this folder.", file_okay=False)] = None,
@@ -51,7 +54,8 @@ def closed_loop(
     if uplink not in _UPLINKS:
         typer.echo(f"no uplink {uplink!r}; there are {', '.join(_UPLINKS)}", err=True)
         raise typer.Exit(_EXIT_FAILED)
-    plan = LoopPlan(tuple(dict.fromkeys(scenario or SCENARIOS)), runs, workers, uplink, operation_days, drift_deg_h)
+    scenarios = tuple(dict.fromkeys(scenario or SCENARIOS))
+    plan = LoopPlan(scenarios, runs, workers, uplink, operation_days, drift_deg_h, yaw_sigma_deg)
     try:
         campaign = _run(plan)
     except KeyboardInterrupt:
@@ -99,6 +103,7 @@ def _command(plan: "LoopPlan") -> str:
     words += [word for name in plan.scenarios for word in ("--scenario", name)]
     words += ["--operation-days", f"{plan.operation_days:g}"] if plan.operation_days else []
     words += ["--drift-deg-h", *(f"{drift:g}" for drift in plan.drift_deg_h)] if plan.drift_deg_h else []
+    words += ["--yaw-sigma-deg", f"{plan.yaw_sigma_deg:g}"] if plan.yaw_sigma_deg else []
     return shlex.join(words)
 
 

@@ -12,7 +12,7 @@ from service.study.closed_loop.run import LoopUnit, fly_unit
 pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
 
 SEED = 1
-HOURS = 4.0
+HOURS = 3.0
 
 
 def flown(sensing: Sensing, uplink: str = "link", scenario: str = "nominal"):

@@ -29,6 +29,8 @@ class LoopPlan(NamedTuple):
     operation_days: float | None = None
     #: drift of the inertial model that the filter believes in, deg/h, yaw, roll, pitch; None = the product's
     drift_deg_h: tuple[float, float, float] | None = None
+    #: sigma of yaw up to which it is controlled, deg; None = the product's
+    yaw_sigma_deg: float | None = None
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ def run_loops(plan: LoopPlan, show: Show) -> LoopCampaign:
     keys = [(scenario, sensing) for scenario in plan.scenarios for sensing in Sensing]
     units = {
         key: [
-            LoopUnit(*_named(key, seed), plan.uplink, plan.operation_days, plan.drift_deg_h)
+            LoopUnit(*_named(key, seed), plan.uplink, plan.operation_days, plan.drift_deg_h, plan.yaw_sigma_deg)
             for seed in range(1, plan.runs + 1)
         ]
         for key in keys

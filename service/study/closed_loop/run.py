@@ -32,6 +32,8 @@ class LoopUnit(NamedTuple):
     operation_days: float | None = None
     #: drift of the inertial model that the filter believes in, deg/h, yaw, roll, pitch; None = the product's
     drift_deg_h: tuple[float, float, float] | None = None
+    #: sigma of yaw up to which it is controlled, deg; None = the product's
+    yaw_sigma_deg: float | None = None
 
 
 @dataclass(frozen=True)
@@ -105,13 +107,17 @@ def _controller(unit: LoopUnit, ground: Ground, documents: Documents, plan: Plan
 
 
 def _config(unit: LoopUnit) -> ChainConfig:
-    """Return the numbers of the stages: the product's, the drift apart where the unit says so."""
+    """Return the numbers of the stages: the product's but for what the unit says."""
     config = ChainConfig()
-    if unit.drift_deg_h is None:
-        return config
-    yaw, roll, pitch = unit.drift_deg_h
-    drift = {"yaw_drift_deg_h": yaw, "roll_drift_deg_h": roll, "pitch_drift_deg_h": pitch}
-    return replace(config, robust=replace(config.robust, **drift))
+    if unit.drift_deg_h is not None:
+        yaw, roll, pitch = unit.drift_deg_h
+        drift = {"yaw_drift_deg_h": yaw, "roll_drift_deg_h": roll, "pitch_drift_deg_h": pitch}
+        config = replace(config, robust=replace(config.robust, **drift))
+    if unit.yaw_sigma_deg is not None:
+        robust = replace(config.robust, yaw_sigma_limit_deg=unit.yaw_sigma_deg)
+        interlock = replace(config.interlock, yaw_sigma_limit_deg=unit.yaw_sigma_deg)
+        config = replace(config, robust=robust, interlock=interlock)
+    return config
 
 
 @dataclass
