@@ -59,12 +59,6 @@ def release_checks(
         _interlock_check(state),
         Check("envelope", not excesses, "envelope.exceeded", "; ".join(map(str, excesses))),
         Check(
-            "flexible response",
-            proposal.schedule_verdict in ("accept", "warn"),
-            "schedule.rejected",
-            f"the flexible-response check says {proposal.schedule_verdict}",
-        ),
-        Check(
             "yaw",
             yaw == 0.0 or not interlock.is_yaw_withheld,
             "interlock.yaw_withheld",
@@ -82,7 +76,27 @@ def release_checks(
             "command.estimate_stale",
             "computed from an estimate that is not the newest any more: prepare anew",
         ),
+        *_schedule_checks(proposal, at, settings),
+    )
+
+
+def _schedule_checks(proposal: Proposal, at: Instant, settings: ReleaseSettings) -> tuple[Check, ...]:
+    """Return the checks of the schedule itself."""
+    latest_us = at.now_us + microseconds(settings.latest_stop_s)
+    return (
+        Check(
+            "flexible response",
+            proposal.schedule_verdict in ("accept", "warn"),
+            "schedule.rejected",
+            f"the flexible-response check says {proposal.schedule_verdict}",
+        ),
         Check("start", proposal.start_us >= at.now_us, "command.start_passed", "the schedule begins in the past"),
+        Check(
+            "end",
+            proposal.stop_us <= latest_us,
+            "command.too_long",
+            f"the schedule must be over within {settings.latest_stop_s:g} s: what has gone out no trip can stop",
+        ),
         Check("pulses", bool(proposal.pulses), "command.empty", "a command without a pulse does nothing"),
     )
 

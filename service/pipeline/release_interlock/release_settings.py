@@ -45,6 +45,8 @@ class ReleaseSettings:
     request_s: float = 600.0
     #: a prepared command waits this long for its confirmation
     prepared_s: float = 600.0
+    #: a schedule must be over this long after its release: what has gone out no trip can stop
+    latest_stop_s: float = 7200.0
     #: commands that may be without a report at a time, and how long after their end
     max_unreported: int = 1
     report_s: float = 600.0

@@ -140,6 +140,7 @@ def test_an_unreported_command_is_uncertainty_with_its_whole_effect(driver):
         ({"schedule_verdict": ""}, "schedule.rejected"),
         ({"pulses": ()}, "command.empty"),
         ({"start_us": 0}, "command.start_passed"),
+        ({"start_us": 2**62}, "command.too_long"),
         ({"attitude_epoch_us": 1}, "command.estimate_stale"),
         ({"attitude_epoch_us": 2**62}, "command.estimate_stale"),
     ],
@@ -166,7 +167,7 @@ def test_beyond_the_envelope_a_command_is_refused_never_clipped(driver, wish):
 def test_the_hour_holds_over_many_commands_and_frees_itself():
     driver, went = ReleaseDriver().engaged(), 0
     for _ in range(20):
-        driver.rows(1, lag_s=0.0)
+        driver.rows(5, lag_s=0.0)
         step = driver.send(Prepare(driver.at, "ann", driver.proposal(roll_deg=0.08, horizon_s=900.0)))
         if step.refusal is not None:
             break
@@ -225,6 +226,25 @@ def test_commands_that_ended_an_hour_ago_are_forgotten_and_waiting_ones_never(dr
     report(driver, Turn.EXECUTED)
     driver.rows(61)
     assert driver.state.commands == ()
+
+
+def test_a_report_is_late_ten_minutes_after_the_end_of_the_schedule(driver):
+    driver.prepare()
+    driver.confirm()
+    over_us = driver.command(1).proposal.stop_us + 600 * US
+    driver.rows((over_us - driver.now_us) // (60 * US))
+    assert driver.name == "ARMED"
+    driver.rows(1)
+    assert driver.name == "INHIBITED"
+    assert driver.alarms == ["report_late"]
+
+
+def test_a_command_from_an_estimate_that_was_used_is_refused():
+    driver = ReleaseDriver().engaged()
+    assert driver.automatic().refusal is None
+    assert driver.automatic().refusal.code == "command.duplicate"
+    driver.rows(1)
+    assert driver.automatic().refusal is None
 
 
 def test_the_same_events_lead_to_the_same_state(driver):
