@@ -64,15 +64,25 @@ def record_page(records: Sequence[Dated]) -> RecordPage:
 
 
 def read_ahead(chunks: Iterator[Chunk]) -> Iterator[Chunk]:
-    """Yield the same chunks, the next one read by a thread of its own while one is written.
+    """Yield the same chunks, the next ones read by a thread of its own while these are written.
 
     Reading unpacks and writing formats without Python's lock, so both run at once.
     """
     with ThreadPoolExecutor(1, thread_name_prefix="read-ahead") as pool:
-        coming = pool.submit(next, chunks, None)
-        while (chunk := coming.result()) is not None:
-            coming = pool.submit(next, chunks, None)
-            yield chunk
+        coming = pool.submit(_some, chunks)
+        while some := coming.result():
+            coming = pool.submit(_some, chunks)
+            yield from some
+
+
+def _some(chunks: Iterator[Chunk]) -> list[Chunk]:
+    """Return one chunk, or as many small ones as are worth the way between two threads."""
+    some: list[Chunk] = []
+    rows = 0
+    while rows < PAGE_ROWS and (chunk := next(chunks, None)) is not None:
+        some.append(chunk)
+        rows += len(chunk.epochs_us)
+    return some
 
 
 def by_day(chunks: Iterable[Chunk]) -> Iterator[tuple[int, Iterator[Chunk]]]:

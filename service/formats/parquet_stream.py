@@ -5,6 +5,8 @@ from typing import Any
 
 #: rows of a group; a reader holds one at a time
 GROUP_ROWS = 131_072
+#: batches that are made one: two sources that take turns come row by row, and a batch costs a kilobyte a column
+MERGED_BATCHES = 512
 
 
 class ParquetStream:
@@ -31,13 +33,16 @@ class ParquetStream:
         self._writer: Any = parquet.ParquetWriter(
             self._sink, schema, compression="zstd", use_dictionary=list(dictionary), use_byte_stream_split=split
         )
+        self._fresh: list[Any] = []
         self._held: list[Any] = []
         self._held_rows = 0
 
     def add(self, batch: Any) -> bytes:
         """Add a record batch; return the bytes of the groups that it completes."""
-        self._held.append(batch)
+        self._fresh.append(batch)
         self._held_rows += batch.num_rows
+        if len(self._fresh) >= MERGED_BATCHES:
+            self._merge()
         if self._held_rows >= GROUP_ROWS:
             self._flush()
         return self.taken()
@@ -55,10 +60,16 @@ class ParquetStream:
         self._sink.truncate()
         return taken
 
+    def _merge(self) -> None:
+        """Make one batch of those that came last."""
+        table = self._pa.Table.from_batches(self._fresh, schema=self._schema)
+        self._held += table.unify_dictionaries().combine_chunks().to_batches()
+        self._fresh = []
+
     def _flush(self, *, is_last: bool = False) -> None:
         """Write whole groups; how rows came in batches leaves no trace, so the same rows make the same bytes."""
-        table = self._pa.Table.from_batches(self._held, schema=self._schema)
-        start = 0
+        table = self._pa.Table.from_batches([*self._held, *self._fresh], schema=self._schema)
+        self._fresh, start = [], 0
         while table.num_rows - start >= GROUP_ROWS or (is_last and start < table.num_rows):
             group = table.slice(start, GROUP_ROWS).unify_dictionaries().combine_chunks()
             self._writer.write_table(group, row_group_size=GROUP_ROWS)

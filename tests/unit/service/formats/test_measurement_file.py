@@ -4,6 +4,8 @@ import csv
 import io
 import json
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from service.formats.measurement_file import (
     NdjsonFile,
     ParquetFile,
     file_bytes,
+    measurement_file,
 )
 from service.records.epoch import format_epoch, parse_epoch
 from service.records.measurement_block import MeasurementBlock
@@ -115,6 +118,28 @@ def test_parquet_gives_its_bytes_group_by_group() -> None:
     pieces = [file.rows(_block(1, 50_000, start=50_000 * k)) for k in range(6)]
     assert [bool(piece) for piece in pieces] == [False, False, True, False, False, True]
     assert file.end().endswith(b"PAR1")
+
+
+@pytest.mark.parametrize("file_format", ["csv", "ndjson", "parquet"])
+def test_two_sources_that_take_turns_make_the_same_file_however_rows_come(
+    file_format: Literal["csv", "ndjson", "parquet"],
+) -> None:
+    whole = _block(1, 1500)
+    rows = [
+        replace(whole, source=f"sa-{k % 2}", epochs_us=whole.epochs_us[k : k + 1], power_dbm=whole.power_dbm[k : k + 1])
+        for k in range(1500)
+    ]
+    written = _written(measurement_file(_columns(1), file_format), rows)
+    if file_format == "parquet":
+        table = parquet.read_table(io.BytesIO(written))
+        assert table.column("source").to_pylist() == [f"sa-{k % 2}" for k in range(1500)]
+        assert _same(table.column("c01_dbm").to_numpy().astype(np.float32), whole.power_dbm[:, 1])
+    else:
+        assert written.count(b"sa-1") == 750
+        one = [replace(row, source="sa-0") for row in rows]
+        assert _written(measurement_file(_columns(1), file_format), one) == _written(
+            measurement_file(_columns(1), file_format), [replace(whole, source="sa-0")]
+        )
 
 
 def test_blocks_are_taken_one_at_a_time() -> None:
