@@ -5,6 +5,7 @@ segments it was made of, and fails when these are no longer all there: a crash l
 never changed, and rows stored meanwhile have higher numbers, so a row is moved or stays, never lost.
 """
 
+import logging
 from collections.abc import Iterator, Sequence
 from functools import partial
 from itertools import pairwise
@@ -23,6 +24,7 @@ from service.errors import StorageError
 from service.records.archive_upkeep import SealedPart, SegmentState
 from service.records.measurement import DETAIL_NAMES, Measurement
 
+_LOG = logging.getLogger(__name__)
 #: rows of a segment: a day at a row every eight seconds, 1.4 MB of powers of 32 carriers in memory
 SEGMENT_ROWS = 10_800
 
@@ -72,6 +74,7 @@ def seal(database: Database, key: int, before_us: int, received_before_us: int) 
             except StorageError as fault:
                 if fault.code != "storage.corrupt":
                     raise
+                _LOG.warning("late rows wait in the table of rows: %s", fault.detail)
                 break
             if change is None:
                 break
