@@ -5,12 +5,9 @@ Exit codes: 0 every bound kept, 1 one missed or a world refused, 2 the study cou
 
 import json
 import shlex
-import signal
-from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -18,6 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from service.cli.study_closed_loop import closed_loop
+from service.cli.study_ending import ended_by_signals
 from service.cli.study_limit_cycles import limit_cycles
 from service.cli.study_orbital_frame import orbital_frame
 
@@ -65,7 +63,7 @@ def estimation(
     console = _console(is_report_elsewhere=as_json or as_markdown)
     plan = Plan(_scenarios(scenario, group), seeds, workers, operation_days)
     try:
-        with _ended_by_signals():
+        with ended_by_signals():
             campaign = _run(plan, run_campaign, console)
     except KeyboardInterrupt:
         console.print("stopped")
@@ -142,21 +140,3 @@ def _command(scenario: list[str] | None, group: str | None, seeds: int, operatio
     words += ["--seeds", str(seeds)]
     words += ["--operation-days", f"{operation_days:g}"] if operation_days else []
     return shlex.join(words)
-
-
-@contextmanager
-def _ended_by_signals() -> Iterator[None]:
-    """Let the first signal end the study; further ones do not disturb the end of its processes."""
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-
-    def end(*_: object) -> NoReturn:
-        for number in numbers:
-            signal.signal(number, signal.SIG_IGN)
-        raise KeyboardInterrupt
-
-    former = {number: signal.signal(number, end) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in former.items():
-            signal.signal(number, handler)

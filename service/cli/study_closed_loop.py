@@ -14,6 +14,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from service.cli.study_ending import ended_by_signals
+
 if TYPE_CHECKING:
     from service.study.closed_loop.campaign import LoopCampaign, LoopPlan
 
@@ -57,7 +59,8 @@ def closed_loop(
     scenarios = tuple(dict.fromkeys(scenario or SCENARIOS))
     plan = LoopPlan(scenarios, runs, workers, uplink, operation_days, drift_deg_h, yaw_sigma_deg)
     try:
-        campaign = _run(plan)
+        with ended_by_signals():
+            campaign = _run(plan)
     except KeyboardInterrupt:
         typer.echo("stopped", err=True)
         raise typer.Exit(_EXIT_FAILED) from None

@@ -1,20 +1,16 @@
 """The campaign: closed loops of every scenario, seed and sensing over processes, and their figures."""
 
-import multiprocessing
-import os
-import signal
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from collections.abc import Callable
+from concurrent.futures import as_completed
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from service.study.closed_loop.controllers import Sensing
 from service.study.closed_loop.merit import GroupMerit, group_merit
 from service.study.closed_loop.run import LoopResult, LoopUnit, fly_unit
+from service.study.estimation.campaign import do_work, process_pool
 
-_THREADS = "OPENBLAS_NUM_THREADS"
 #: called after each run with how many are done and how many there are
 Show = Callable[[int, int], None]
 
@@ -69,8 +65,8 @@ def run_loops(plan: LoopPlan, show: Show) -> LoopCampaign:
     }
     # the slow ones first
     queue = sorted((unit for some in units.values() for unit in some), key=lambda u: u.sensing is not Sensing.AUTOMATIC)
-    with _pool(plan.workers) as pool:
-        flying = {pool.submit(fly_unit, unit): unit for unit in queue}
+    with process_pool(plan.workers) as pool:
+        flying = {pool.submit(do_work, fly_unit, unit): unit for unit in queue}
         flown: dict[LoopUnit, LoopResult] = {}
         for number, done in enumerate(as_completed(flying), start=1):
             flown[flying[done]] = done.result()
@@ -82,25 +78,3 @@ def run_loops(plan: LoopPlan, show: Show) -> LoopCampaign:
 
 def _named(key: tuple[str, Sensing], seed: int) -> tuple[str, int, Sensing]:
     return key[0], seed, key[1]
-
-
-@contextmanager
-def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Give processes with one thread a matrix product; an early end ends them."""
-    former = os.environ.get(_THREADS)
-    os.environ[_THREADS] = "1"
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(workers, context, signal.signal, (signal.SIGINT, signal.SIG_IGN))
-    try:
-        yield pool
-    except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
-        for child in multiprocessing.active_children():
-            child.terminate()
-        raise
-    finally:
-        pool.shutdown(wait=True)
-        if former is None:
-            del os.environ[_THREADS]
-        else:
-            os.environ[_THREADS] = former

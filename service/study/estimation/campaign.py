@@ -92,11 +92,11 @@ def run_campaign(plan: Plan, show: Show) -> Campaign:
     seeds = range(1, plan.seeds + 1)
     units = [Unit(name, seed, plan.operation_days) for name in plan.scenarios if name != SNAPSHOT for seed in seeds]
     trials = range(1, max(plan.seeds, _SNAPSHOT_SEEDS) + 1) if SNAPSHOT in plan.scenarios else range(0)
-    with _pool(plan.workers) as pool:
+    with process_pool(plan.workers) as pool:
         told: dict[Future[UnitResult], Unit] = {
-            pool.submit(_work, run_unit, unit): unit for unit in _longest_first(units)
+            pool.submit(do_work, run_unit, unit): unit for unit in _longest_first(units)
         }
-        tried = [pool.submit(_work, _trials, seed) for seed in trials]
+        tried = [pool.submit(do_work, _trials, seed) for seed in trials]
         everything: list[Future[UnitResult] | Future[SnapshotTrials | None]] = [*told, *tried]
         for number, done in enumerate(as_completed(everything), start=1):
             done.result()
@@ -182,8 +182,8 @@ def _longest_first(units: Sequence[Unit]) -> list[Unit]:
 
 
 @contextmanager
-def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Give processes, and end them with what they have started when the campaign ends early."""
+def process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """Give processes, one thread a matrix product; end them with what they have started when the study ends early."""
     former = os.environ.get(_THREADS)
     os.environ[_THREADS] = "1"
     context = multiprocessing.get_context("spawn")
@@ -222,7 +222,7 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _work(run: Callable[[_Asked], _Told], asked: _Asked) -> _Told:
+def do_work(run: Callable[[_Asked], _Told], asked: _Asked) -> _Told:
     """Do one piece of work in a process of the pool, which would take its end for a result and go on."""
     try:
         return run(asked)
