@@ -108,9 +108,10 @@ class AlarmBook:
         return self._circumstances
 
     def watches(self) -> tuple[WatchMemory, ...]:
-        """Return what is watched, for the next start."""
+        """Return what is watched, for the next start; newest values are told anew by the next row."""
+        fresh = Watch()
         return tuple(
-            WatchMemory(condition, thing, replace(watch))
+            WatchMemory(condition, thing, replace(watch, value=fresh.value, newest_us=fresh.newest_us))
             for condition, watched in self._watches.items()
             for thing, watch in watched.items()
         )

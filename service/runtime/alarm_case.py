@@ -1,7 +1,6 @@
 """The alarms of one spacecraft, or of the service, with what keeps them beyond a restart."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 from service.pipeline.alarm_book import AlarmBook
 from service.pipeline.alarm_conditions import Condition
@@ -10,6 +9,11 @@ from service.ports import Alarms
 from service.records.alarm import AlarmChange
 from service.records.alarm_limits import AlarmLimits
 from service.records.alarm_memory import BookMemory
+from service.records.epoch import US_PER_S
+
+#: what is kept of the rows may be so old, us, and their period so far off
+_FAR_US = 600 * US_PER_S
+_OTHER_PACE = 0.2
 
 
 class AlarmCase:
@@ -61,13 +65,17 @@ class AlarmCase:
     def keep_memory(self) -> None:
         """Store what is about to happen, where it has changed."""
         memory = BookMemory(self.book.watches(), self.reader.newest_row_us, self.reader.row_period_s)
-        # the newest row alone is no reason to write: it comes with every row
-        if replace(memory, newest_row_us=None) != replace(self._kept, newest_row_us=None) or self._is_far(memory):
+        # rows alone are no reason to write, nor is the jitter of their period
+        if memory.watches != self._kept.watches or _is_other(memory, self._kept):
             self._alarms.save_memory(self._spacecraft_id, memory)
             self._kept = memory
 
-    def _is_far(self, memory: BookMemory) -> bool:
-        """Whether the rows have gone on by much since the memory was stored."""
-        if memory.newest_row_us is None:
-            return False
-        return self._kept.newest_row_us is None or memory.newest_row_us - self._kept.newest_row_us > 600_000_000
+
+def _is_other(memory: BookMemory, kept: BookMemory) -> bool:
+    """Whether rows have gone on by much, or come at another pace, since the memory was stored."""
+    if memory.newest_row_us is None or memory.newest_row_us == kept.newest_row_us:
+        return False
+    if kept.newest_row_us is None or memory.newest_row_us - kept.newest_row_us > _FAR_US:
+        return True
+    before_s, now_s = kept.row_period_s or 0.0, memory.row_period_s or 0.0
+    return abs(now_s - before_s) > _OTHER_PACE * before_s

@@ -10,7 +10,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 from service.errors import ConflictError, FieldError, InvalidInputError, StorageError
 from service.pipeline.alarm_book import AlarmBook, Key, Readings
@@ -107,9 +107,11 @@ class AlarmDesk:
     def see(self, spacecraft_id: str, seen: Sequence[Seen]) -> None:
         """Take over rows and references; called from the supervisor's thread."""
         self._queue.extend((spacecraft_id, one) for one in seen)
-        while len(self._queue) > _CAPACITY:
-            self._queue.popleft()
-            self.rows_skipped += 1
+        # the desk may empty the queue at the same time
+        with suppress(IndexError):
+            while len(self._queue) > _CAPACITY:
+                self._queue.popleft()
+                self.rows_skipped += 1
         self._arrived.set()
 
     def acknowledge(self, alarm_id: int, by: str, comment: str) -> Alarm:

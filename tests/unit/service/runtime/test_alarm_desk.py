@@ -75,7 +75,7 @@ class Rig:
         self.desk = AlarmDesk(self.storage, self.clock, feed, conditions, self.notices)
 
     def row(self, minute, *power_dbm, is_late=False):
-        epoch_us = START + minute * MINUTE
+        epoch_us = START + round(minute * MINUTE)
         self.clock.us = max(self.clock.us, epoch_us)
         measurement = Measurement(epoch_us, epoch_us, minute, "sa", 1, np.array(power_dbm), None, is_late)
         facts = RowFacts(measurement, self.plan, (), Method.ROBUST, None, {})
@@ -375,6 +375,20 @@ def test_a_fault_in_one_look_is_logged_and_the_next_one_goes_on(rig, monkeypatch
     rig.told()
     rig.rows(range(5, 8), -40.0, -40.0)
     assert rig.told() == [("returned", True, *ABSENT)]
+
+
+def test_an_alarm_that_stands_is_not_written_down_again_and_again(rig, monkeypatch):
+    rig.rows(range(1, 6), -40.0, NAN)
+    rig.look()
+    written = []
+    monkeypatch.setattr(rig.storage.alarms, "save_memory", lambda *memory: written.append(memory))
+    for minute in range(6, 15):
+        rig.row(minute + 0.001 * (minute % 2), -40.0, NAN)
+        rig.look()
+    assert written == []
+    rig.row(40, -40.0, NAN)
+    rig.look()
+    assert len(written) == 1
 
 
 def test_too_many_rows_at_once_are_counted_not_kept(rig):
