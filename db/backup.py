@@ -18,7 +18,8 @@ from db.archive_files import Progress, flush, reading_engine, settle, sha256_of,
 from db.engine import open_engines
 from db.examination import OLDER, examine
 from db.migrate import upgrade
-from db.schema_version import newest_version, version_of
+from db.schema_version import version_of
+from db.storage_state import newest_revision
 from db.table_copy import copy_tables
 from service.records.backup import BackupError, Manifest, SpacecraftCount, parse_manifest
 from service.records.diagnosis import Diagnosis
@@ -152,8 +153,8 @@ def _copy_rows(url: str, archive: Path, progress: Progress) -> None:
     try:
         with source.read.connect() as reading:
             version = version_of(reading)
-            if version != newest_version():
-                message = f"the schema is {version}, this version copies {newest_version()}: start `soo serve` once"
+            if version != newest_revision():
+                message = f"the schema is {version}, this version copies {newest_revision()}: start `soo serve` once"
                 raise BackupError(message)
             upgrade(target.write)
             archive.chmod(0o600)

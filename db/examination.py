@@ -14,7 +14,8 @@ from sqlalchemy.exc import SQLAlchemyError
 from db.audit import SqlAudit
 from db.database import Database
 from db.journal_ledger import Ledger, heads_of_all, named, orphans, read_ledger
-from db.schema_version import known_versions, newest_version, version_of
+from db.schema_version import known_versions, version_of
+from db.storage_state import newest_revision
 from db.tables import attitude, measurement, measurement_detail, source, spacecraft, torque
 from service.ports import LIVE
 from service.records.audit import findings
@@ -112,7 +113,7 @@ def _sqlite_integrity(connection: Connection) -> Iterator[Diagnosis]:
 
 def _schema(connection: Connection) -> Iterator[Diagnosis]:
     """Compare the schema with that of the code."""
-    version, newest = version_of(connection), newest_version()
+    version, newest = version_of(connection), newest_revision()
     if version == newest:
         yield Diagnosis("schema", "ok", f"version {version}")
     elif version is None:

@@ -148,6 +148,6 @@ def _numbers_of(connection: Connection, segment: SegmentHead, ledger: Ledger) ->
 def _numbers(connection: Connection, table: Table, condition: ColumnElement[bool]) -> Iterator[IntArray]:
     """Yield the numbers of a table, some at a time."""
     options = {"stream_results": True, "max_row_buffer": _FETCH}
-    result = connection.execution_options(**options).execute(select(table.c.number).where(condition))
+    result = connection.execute(select(table.c.number).where(condition), execution_options=options)
     for rows in result.partitions(_FETCH):
         yield np.fromiter((row[0] for row in rows), dtype=np.int64, count=len(rows))

@@ -15,7 +15,8 @@ from db.backup import Report, read_manifest, verify_backup
 from db.engine import open_engines
 from db.examination import examine, examine_content
 from db.migrate import change_schema, upgrade, wait_for_turn
-from db.schema_version import newest_version, version_of
+from db.schema_version import version_of
+from db.storage_state import newest_revision
 from db.table_copy import copy_tables
 from db.tables import metadata
 from service.records.backup import BackupError, Manifest
@@ -93,7 +94,7 @@ def _to_file(
         flush(path.parent)
     finally:
         _remove(work)
-    return Restored(manifest, None if aside is None else str(aside), newest_version())
+    return Restored(manifest, None if aside is None else str(aside), newest_revision())
 
 
 def _migrated_copy(archive: Path, work: Path, report: Report) -> None:

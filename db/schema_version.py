@@ -1,23 +1,16 @@
-"""Which schema a database has, and which one this version of the service knows."""
+"""Which schema a database has, and from which ones this version of the service can go on."""
 
-import re
 from pathlib import Path
 
 from sqlalchemy import Connection, inspect, text
 
 _VERSIONS = Path(__file__).parent / "migrations" / "versions"
-_REVISION = re.compile(r'^revision = "(\w+)"$', re.MULTILINE)
 
 
 def known_versions() -> tuple[str, ...]:
     """Return the versions that this code can migrate from, oldest first."""
-    found = (_REVISION.search(path.read_text(encoding="utf-8")) for path in _VERSIONS.glob("[0-9]*.py"))
-    return tuple(sorted(match[1] for match in found if match is not None))
-
-
-def newest_version() -> str:
-    """Return the version that this code works with."""
-    return known_versions()[-1]
+    # the files of the migrations are numbered
+    return tuple(sorted(path.stem.partition("_")[0] for path in _VERSIONS.glob("[0-9]*_*.py")))
 
 
 def version_of(connection: Connection) -> str | None:

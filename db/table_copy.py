@@ -58,7 +58,8 @@ def schema_tables(connection: Connection) -> list[Table]:
 def _pages(source: Connection, table: Table) -> Iterator[list[dict[str, Any]]]:
     """Yield the rows of a table, some at a time."""
     at_once = _ROWS_OF_BLOBS if table.name in _BLOB_TABLES else _ROWS
-    result = source.execution_options(stream_results=True, max_row_buffer=at_once).execute(select(table))
+    options = {"stream_results": True, "max_row_buffer": at_once}
+    result = source.execute(select(table), execution_options=options)
     for rows in result.partitions(at_once):
         yield [dict(row._mapping) for row in rows]  # noqa: SLF001 - SQLAlchemy's public name
 

@@ -11,8 +11,9 @@ from db.backup import ARCHIVE_FILE, MANIFEST_FILE, create_backup, verify_backup
 from db.engine import open_engines
 from db.migrate import upgrade
 from db.restore import restore_backup
-from db.schema_version import known_versions, newest_version
+from db.schema_version import known_versions
 from db.storage import SqlStorage
+from db.storage_state import newest_revision
 from db.tables import metadata
 from service.ports import Outcome
 from service.records.audit import Deed
@@ -92,7 +93,7 @@ def test_a_backup_put_back_on_either_database_is_the_same_archive(filled, url, e
     assert {diagnosis.check for diagnosis in found} >= {"file", "manifest", "integrity", "journal", "counts", "results"}
     target = empty(kind)
     restored = restore_backup(tmp_path / "b", target, STAMP, ignore, may_replace=False)
-    assert (restored.aside, restored.schema_version) == (None, newest_version())
+    assert (restored.aside, restored.schema_version) == (None, newest_revision())
     assert content(target) == before
     # what is given out next goes on behind what was restored
     storage = SqlStorage(target)
@@ -263,5 +264,5 @@ def test_an_older_backup_is_sound_and_is_migrated_by_its_restore(backup, tmp_pat
     assert worst(found) == "ok", found
     assert any("a restore migrates it" in diagnosis.detail for diagnosis in found)
     restored = restore_backup(backup, f"sqlite:///{tmp_path / 'new.db'}", STAMP, ignore, may_replace=False)
-    assert restored.schema_version == newest_version() != restored.manifest.schema_version
+    assert restored.schema_version == newest_revision() != restored.manifest.schema_version
     assert content(f"sqlite:///{tmp_path / 'new.db'}")["spacecraft"] == ["(1, 'craft', '{}')"]
