@@ -17,9 +17,7 @@ from service.records.access_key import AccessKey, Role, StoredKey, digest_of, ne
 from service.records.alarm import Severity
 from service.records.audit import DONE, Deed
 from service.runtime.alarm_desk import AlarmDesk
-from service.runtime.alarm_mail import Mail, MailRoute
 from service.runtime.alarm_notices import NoticeChannel, NoticeChannels
-from service.runtime.alarm_webhook import Webhook
 from service.runtime.aligning import Aligner
 from service.runtime.calibrating import Calibrator
 from service.runtime.clock import DataClock, SystemClock
@@ -105,9 +103,14 @@ def build_alarms(settings: Settings, storage: Storage, clock: Clock, feed: LiveF
     channels = []
     url = _secret(settings.alarm_webhook_url)
     if url:
+        # brings httpx along
+        from service.runtime.alarm_webhook import Webhook
+
         webhook = Webhook(url, _secret(settings.alarm_webhook_secret), clock.system_us)
         channels.append(NoticeChannel("webhook", webhook.deliver, conditions, from_severity))
     if settings.alarm_mail_host and settings.alarm_mail_to:
+        from service.runtime.alarm_mail import Mail, MailRoute
+
         route = MailRoute(
             host=settings.alarm_mail_host,
             port=settings.alarm_mail_port,
