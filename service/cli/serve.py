@@ -3,6 +3,7 @@
 Exit codes: 0 ended by a signal, 2 it could not start as told (settings, address, database); the reason is said.
 """
 
+import gc
 import json
 import logging
 import os
@@ -115,6 +116,10 @@ def _serve(settings: Settings, listener: socket.socket) -> None:
         fresh = first_administrator(settings, storage)
         watch = watch_file(settings)
         server = _server(settings, build_app(settings, storage), None if is_announced else listener)
+        if not is_announced:
+            # what is there now stays for good: a full collection need not look at it again, and pauses stay short
+            gc.freeze()
+            gc.enable()
         if fresh is not None:
             typer.echo(f"administrator's key, shown this once and kept nowhere: {fresh}", err=True)
         replaced = Event()
