@@ -266,6 +266,20 @@ def test_telemetry_of_the_craft_stands_before_each_row() -> None:
     )
 
 
+def test_the_fade_comes_twenty_minutes_into_the_slew() -> None:
+    plant = Plant(replace(scenario_named("slew_fade"), quiet_h=1.0), 1)
+    yaw, roll, pitch = np.abs(plant.state.attitude_deg)
+    # beside the limit cycle under the star tracker
+    assert yaw < 0.1
+    assert (roll, pitch) == (pytest.approx(0.35, abs=0.095), pytest.approx(0.35, abs=0.095))
+    fade = plant.world.rows.downlink_fade_db[plant.first_row :]
+    assert np.flatnonzero(fade)[0] == pytest.approx(20, abs=1)
+    # rain trembles about its depth, which it reaches at 0.3 dB a minute
+    assert np.median(fade[30:80]) == pytest.approx(2.0, abs=0.3)
+    assert np.flatnonzero(fade > 1.0)[0] == pytest.approx(20 + 1.0 / 0.3, abs=2)
+    assert (fade > 1.0).sum() == pytest.approx(60 + 2 * 3, abs=5)
+
+
 def test_a_story_with_power_control_can_be_flown() -> None:
     scenario = replace(SHORT, repeater=RepeaterFigures(power_controlled=("c04",), alc_transponders=("Ku3",)))
     rows = [line for line in played('{"schedule":[]}\n' * 40, scenario) if line["type"] == "row"]
