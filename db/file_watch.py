@@ -1,8 +1,8 @@
 """The file under a name is the one that was opened: rows written into a file that was taken away are kept by nobody.
 
 SQLite goes on reading and writing a file that was deleted, moved or replaced, and says nothing. Here the identities of
-the file and of its log are looked at before every transaction and after every COMMIT, at 3 us a look, so that an
-answer never vouches for a file that nobody will find again.
+the file and of its log are looked at before every transaction and after every COMMIT, some microseconds each time, so
+that an answer never vouches for a file that nobody will find again.
 """
 
 import os
@@ -56,14 +56,17 @@ class FileWatch:
             detail = f"Another file stands in the place of {name.name}; the service opens it if it is an archive."
             raise StorageError("storage.replaced", detail)
 
-    def is_replaced(self) -> bool:
-        """Return whether another file that is an archive stands under the name.
+    def is_to_be_reopened(self) -> bool:
+        """Return whether another file that is an archive stands under the name, or the log alone was taken away.
 
-        The log of the file that was opened is put aside first: SQLite would take it for one of the new file.
+        Of a file that was replaced the log is put aside first: SQLite would take it for one of the new file. A log that
+        was taken away is taken into the file when the last connection closes.
         """
         path, log = self._names
         identity = _identity_of(path)
-        if identity is None or identity == self._seen.get(path):
+        if identity == self._seen.get(path):
+            return log in self._seen and _identity_of(log) is None
+        if identity is None:
             return False
         if _identity_of(log) == self._seen.get(log, (0, 0)):
             log.replace(log.with_name(f"{log.name}.of-replaced"))

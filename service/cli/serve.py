@@ -124,19 +124,19 @@ def _serve(settings: Settings, listener: socket.socket) -> None:
             typer.echo(f"administrator's key, shown this once and kept nowhere: {fresh}", err=True)
         replaced = Event()
         if watch is not None:
-            Thread(target=_stop_when, args=(watch.is_replaced, server, replaced), daemon=True).start()
+            Thread(target=_stop_when, args=(watch.is_to_be_reopened, server, replaced), daemon=True).start()
         server.run(sockets=[listener.dup()])
         if not replaced.is_set():
             return
-        _LOG.warning("another archive stands in the place of the one that was open; beginning anew on it")
+        _LOG.warning("the files of the archive are not those that were opened; beginning anew on what is there")
         is_announced = True
 
 
-def _stop_when(is_replaced: Callable[[], bool], server: "StreamingServer", replaced: Event) -> None:
+def _stop_when(is_due: Callable[[], bool], server: "StreamingServer", replaced: Event) -> None:
     """End a server when its archive was replaced."""
     while not server.should_exit:
         time.sleep(_LOOK_S)
-        if is_replaced():
+        if is_due():
             replaced.set()
             server.should_exit = True
 
