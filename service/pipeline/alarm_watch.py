@@ -126,7 +126,10 @@ def _is_gone(kind: Kind, told: float, limits: ConditionLimits) -> bool:
         return True
     if kind is Kind.LASTING:
         return told <= 0.0
-    return told >= bound + limits.deadband if kind is Kind.BELOW else told <= bound - limits.deadband
+    if kind is Kind.BELOW:
+        return told >= bound + limits.deadband
+    # values above limits are sizes: a deadband wider than the limit still lets nothing at all count as gone
+    return told <= (max(bound - limits.deadband, 0.0) if bound >= 0.0 else bound - limits.deadband)
 
 
 def _is_beyond(kind: Kind, value: float, threshold: float) -> bool:

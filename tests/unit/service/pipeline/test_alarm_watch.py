@@ -37,6 +37,11 @@ def test_a_value_is_over_when_it_is_inside_by_the_deadband_for_its_time():
     assert run([4, 4, 4, 2.5, 2.6, 2.5, 2.5]) == [(2, Verdict.RAISE), (6, Verdict.RETURN)]
 
 
+def test_a_deadband_wider_than_the_limit_leaves_a_way_back():
+    wide = ConditionLimits(warning=3.0, deadband=30.0)
+    assert run([4, 1, 0], wide) == [(0, Verdict.RAISE), (2, Verdict.RETURN)]
+
+
 def test_a_value_that_flutters_about_its_limit_alarms_once():
     assert run([4, 4, 4] + [2.9, 3.1] * 50) == [(2, Verdict.RAISE)]
 
