@@ -98,7 +98,7 @@ class AnyOrder(RuleBasedStateMachine):
     def time_passes(self, seconds):
         self.driver.tick(seconds)
 
-    @rule(seconds=st.sampled_from([-600.0, -3.0, -1.0, 1.0, 3.0, 600.0]))
+    @rule(seconds=st.sampled_from([-1.0, -0.5, 0.5, 1.0, -600.0, -3.0, 3.0, 600.0]))
     def clock_jumps(self, seconds):
         self.driver.jump_clock(seconds)
         self.driver.tick()
@@ -111,7 +111,7 @@ class AnyOrder(RuleBasedStateMachine):
     def all_is_well(self):
         self.send(Told(self.driver.at, replace(AROUND, spacecraft_version=self.driver.around.spacecraft_version)))
 
-    @rule(by=PERSONS, kind=st.sampled_from([OrderKind.ARM, OrderKind.ARM, *OrderKind]))
+    @rule(by=PERSONS, kind=st.sampled_from([OrderKind.ARM] * 6 + list(OrderKind)))
     def order(self, by, kind):
         self.driver.order(kind, by)
 
@@ -123,11 +123,11 @@ class AnyOrder(RuleBasedStateMachine):
         envelope = Envelope(angle_change_deg=0.5) if wide else Envelope()
         self.send(Engage(self.driver.at, by, until_us, envelope, is_approver))
 
-    @rule(axis=st.sampled_from(["yaw", "roll", "pitch"]), verdict=st.sampled_from([Verdict.PLUS, *Verdict]))
+    @rule(axis=st.sampled_from(["yaw", "roll", "pitch"]), verdict=st.sampled_from([Verdict.PLUS] * 6 + list(Verdict)))
     def sign(self, axis, verdict):
         self.send(SignJudged(self.driver.at, axis, verdict))
 
-    @rule(log_ratio=st.sampled_from([1.0, 8.9, 9.5]))
+    @rule(log_ratio=st.sampled_from([1.0, 2.0, -3.0, 8.9, 9.5]))
     def response(self, log_ratio):
         self.send(ResponseJudged(self.driver.at, log_ratio))
 
@@ -193,6 +193,25 @@ class AnyOrder(RuleBasedStateMachine):
             driver.send(SignJudged(driver.at, axis, Verdict.PLUS))
         for person in ("ann", "bob"):
             driver.engage(person, until_us=driver.now_us + hours * 3600 * US)
+
+    @rule(wish=WISHES, count=st.integers(1, 12))
+    def the_law_goes_on(self, wish, count):
+        """Minute by minute; small wishes, and at last any."""
+        if self.driver.name != "ENGAGED":
+            self.everything_is_put_right(6)
+        for _ in range(count):
+            self.driver.rows(1)
+            self.automatic({"roll_deg": 0.03})
+        self.automatic(wish)
+
+    @rule(wish=WISHES, ending=st.sampled_from([Turn.EXECUTED, Turn.FAILED, Turn.SENT]), by=PERSONS)
+    def persons_send_one(self, wish, ending, by):
+        if self.driver.name not in ("ARMED", "ENGAGED", "RECOVERY"):
+            self.everything_is_put_right(6)
+        self.driver.prepare("ann", **wish)
+        if self.driver.state.commands:
+            self.confirm(by, True, True)
+            self.report(self.driver.state.commands[-1].counter, ending)
 
     @rule()
     def killed(self):
