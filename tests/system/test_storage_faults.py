@@ -228,7 +228,9 @@ def test_a_damaged_day_is_refused_alone(trial):
     one = trial(settings=settings)
     # the day of the clients' rows ends when the clock of the data passes midnight
     row = {"epoch": "2026-11-23T00:00:00Z", "power_dbm": [-50.0] * 16}
-    body = {"plan_id": one.plan_id, "source": "sa-0", "measurements": [row]}
+    sources = one.client.get(f"{BASE}/sources").json()["rows"]
+    prime = next(each["id"] for each in sources if each["role"] == "prime")
+    body = {"plan_id": one.plan_id, "source": prime, "measurements": [row]}
     one.chaos.finish(one.clients)
     assert one.client.post(f"{BASE}/measurements:batch", json=body).json()["accepted"] == 1
     day = {"start": "2026-11-21T00:00:00Z", "stop": "2026-11-22T00:00:00Z"}
@@ -248,8 +250,8 @@ def test_a_damaged_day_is_refused_alone(trial):
     body["measurements"][0]["epoch"] = "2026-11-23T00:00:01Z"
     assert one.client.post(f"{BASE}/measurements:batch", json=body).json()["accepted"] == 1
     deadline = time.monotonic() + 10
-    while one.client.get(f"{BASE}/attitude").json()["epoch"] != "2026-11-23T00:00:01.000000Z":
-        assert time.monotonic() < deadline, "the consumer stands still"
+    while (said := one.client.get(f"{BASE}/attitude").json()).get("epoch") != "2026-11-23T00:00:01.000000Z":
+        assert time.monotonic() < deadline, said
         time.sleep(0.05)
     faults = [
         each.check
