@@ -16,6 +16,7 @@ NOT_CODES = {
     "http.request": "type of an ASGI message",
     "http.disconnect": "type of an ASGI message",
     "http.response.start": "type of an ASGI message",
+    "uvicorn.access": "name of a logger",
     "spacecraft.spacecraft_key": "column that foreign keys name",
 }
 #: codes that are put together from two parts in one function
