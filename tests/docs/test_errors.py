@@ -48,7 +48,7 @@ def codes_in_use() -> set[str]:
     """Return every code of the code base."""
     found: set[str] = set().union(*(codes_of(path) for path in code_files()))
     is_file_name = re.compile(r".*\.(py|db|json|csv|mako|ini)")
-    return {code for code in found if not is_file_name.fullmatch(code)} - set(NOT_CODES) | COMPOSED | {"service.failed"}
+    return {code for code in found if not is_file_name.fullmatch(code)} - set(NOT_CODES) | COMPOSED | {"service.failed", "service.not_ready"}
 
 
 def documented() -> dict[str, str]:
