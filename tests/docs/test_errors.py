@@ -21,6 +21,8 @@ NOT_CODES = {
 }
 #: codes that are put together from two parts in one function
 COMPOSED = {"plan.none", "ephemeris.none", "ephemeris.unknown"}
+#: codes that look like names of modules
+OF_THE_SERVICE = {"service.failed", "service.not_ready"}
 #: folders whose texts reach a client or the operator of a front end
 FOLDERS = ("api", "formats", "frontend", "pipeline", "records", "runtime")
 
@@ -48,7 +50,7 @@ def codes_in_use() -> set[str]:
     """Return every code of the code base."""
     found: set[str] = set().union(*(codes_of(path) for path in code_files()))
     is_file_name = re.compile(r".*\.(py|db|json|csv|mako|ini)")
-    return {code for code in found if not is_file_name.fullmatch(code)} - set(NOT_CODES) | COMPOSED | {"service.failed", "service.not_ready"}
+    return {code for code in found if not is_file_name.fullmatch(code)} - set(NOT_CODES) | COMPOSED | OF_THE_SERVICE
 
 
 def documented() -> dict[str, str]:
