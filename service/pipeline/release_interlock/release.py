@@ -1,7 +1,7 @@
 """The one function that steps interlock and commands: state and event in, state, actions and refusal out.
 
-Law of this file: an event is judged against the state as it is at the event's instant; where it is refused the state
-is the one before, to the last field. No clock is read here.
+Law of this file: an event is judged against the state as it is at the event's instant; where it is refused
+nothing happens but what a tick at that instant does, so a trip found then is kept. No clock is read here.
 """
 
 from dataclasses import replace
@@ -75,15 +75,14 @@ def advance(state: ReleaseState, event: Event, settings: ReleaseSettings) -> Ste
     Returns
     -------
     Step
-        State, what the world must do, and a refusal with a code where the event was illegal; then the state is the
-        one before and nothing is to be done.
+        State, what the world must do, and a refusal with a code where the event was illegal; then state and actions
+        are those of a `Tick` at the same instant.
     """
     settled = settled_at(state, event.at, settings)
     step = _handled(settled, event, settings)
-    if step.refusal is not None:
-        return Step(state, (), step.refusal)
+    # a refused step holds the settled state: time passes all the same, and what it brings to light is kept
     after = settled_at(step.state, event.at, settings)
-    return Step(after, (*step.actions, *_changes(state, after)))
+    return Step(after, (*step.actions, *_changes(state, after)), step.refusal)
 
 
 def settled_at(state: ReleaseState, at: Instant, settings: ReleaseSettings) -> ReleaseState:

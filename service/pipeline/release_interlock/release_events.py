@@ -247,7 +247,7 @@ class Refusal:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """What an event leads to; with a refusal the state is the one before."""
+    """What an event leads to; with a refusal no more than a tick does."""
 
     state: ReleaseState
     actions: tuple[Action, ...] = ()
