@@ -95,6 +95,10 @@ class Craft:
         assert answer.json()["accepted"] == stop - first
         return answer.json()["late"]
 
+    def consumed(self):
+        """Return a row for each measurement that the chain has seen; rows before it are late from then on."""
+        return self.client.get(f"{SC}/attitude/history", params={"limit": 10_000}).json()["rows"]
+
     def alarms(self, state="open"):
         return self.client.get(f"{SC}/alarms", params={"state": state}).json()["rows"]
 
@@ -112,6 +116,7 @@ def test_a_switched_off_carrier_alarms_is_acknowledged_and_closes_when_it_return
         put = client.put(f"{SC}/carriers", json={"carriers": carriers})
         craft = Craft(client, story, put.json()["plan_id"])
         craft.send(30, off + 1)
+        wait_for(lambda: len(craft.consumed()) == off + 1 - 30)
         # one row of silence, and rows of the past in which every carrier is absent, alarm nothing
         assert craft.send(0, 30, absent=range(16)) == 30
         assert craft.alarms() == []

@@ -39,6 +39,7 @@ PLAIN = {
     "SOO_ALARM_MAIL_FROM": ("alarm_mail_from", "soo@ground.test", "soo@ground.test"),
     "SOO_ALARM_MAIL_TO": ("alarm_mail_to", "a@x.test,b@x.test", "a@x.test,b@x.test"),
 }
+SECRET = ("bootstrap_key", "alarm_webhook_url", "alarm_webhook_secret", "alarm_mail_password")
 
 
 def leaves(value, path):
@@ -69,10 +70,11 @@ def test_a_plain_setting_comes_from_its_variable(monkeypatch, variable):
     assert getattr(Settings(), name) == expected
 
 
-def test_the_key_is_read_and_never_shown(monkeypatch):
-    monkeypatch.setenv("SOO_BOOTSTRAP_KEY", "top-secret")
+@pytest.mark.parametrize("name", SECRET)
+def test_a_secret_is_read_and_never_shown(monkeypatch, name):
+    monkeypatch.setenv(f"SOO_{name.upper()}", "top-secret")
     settings = Settings()
-    assert settings.bootstrap_key.get_secret_value() == "top-secret"
+    assert getattr(settings, name).get_secret_value() == "top-secret"
     assert "top-secret" not in repr(settings)
 
 
@@ -95,7 +97,7 @@ def test_a_nested_setting_comes_from_its_variable_and_moves_nothing_else(monkeyp
 
 
 def test_every_setting_is_tried_here_and_says_what_it_is():
-    tried = {name for name, _, _ in PLAIN.values()} | set(GROUPS) | {"bootstrap_key"}
+    tried = {name for name, _, _ in PLAIN.values()} | set(GROUPS) | set(SECRET)
     assert tried == set(Settings.model_fields)
     assert all(field.description for field in Settings.model_fields.values())
 
