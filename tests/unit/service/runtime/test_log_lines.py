@@ -77,20 +77,24 @@ def test_secrets_are_left_out(form, text):
 
 
 @pytest.fixture
-def _untouched_loggers():
-    """Put the loggers of the process back as they were."""
-    root = logging.getLogger()
-    kept, level = list(root.handlers), root.level
-    levels = {name: logging.getLogger(name).level for name in ("uvicorn.access", "httpx", "httpcore")}
+def _fresh_loggers():
+    """Give loggers as a new process has them, and put them back: a server of another test leaves its own settings."""
+    names = ("", "uvicorn", "uvicorn.error", "uvicorn.access", "httpx", "httpcore", "sqlalchemy", "sqlalchemy.pool")
+    loggers = [logging.getLogger(name) for name in names]
+    kept = [(list(each.handlers), each.level, each.propagate) for each in loggers]
+    for each in loggers[1:]:
+        each.handlers[:] = []
+        each.setLevel(logging.NOTSET)
+        each.propagate = True
     yield
-    root.handlers[:] = kept
-    root.setLevel(level)
-    for name, former in levels.items():
-        logging.getLogger(name).setLevel(former)
+    for each, (handlers, level, propagate) in zip(loggers, kept, strict=True):
+        each.handlers[:] = handlers
+        each.setLevel(level)
+        each.propagate = propagate
     logging.captureWarnings(capture=False)
 
 
-@pytest.mark.usefixtures("_untouched_loggers")
+@pytest.mark.usefixtures("_fresh_loggers")
 def test_every_logger_of_the_process_writes_the_same_form():
     out = io.StringIO()
     write_log("info", "json", out)
