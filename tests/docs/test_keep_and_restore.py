@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from page_blocks import CRAFT
 
 from db.doctor import CLOCK_TOLERANCE_US, FREE_BYTES_FAULT, FREE_BYTES_WARNING, WAL_BYTES_WARNING
 from db.storage import SqlStorage
@@ -22,15 +23,6 @@ from service.records.measurement import Measurement, MeasurementBatch
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "keep-and-restore.md"
 TEXT = PAGE.read_text()
-CRAFT = {
-    "id": "yamal-202",
-    "name": "Yamal-202",
-    "longitude_deg": 90.0,
-    "simulated": True,
-    "receiving_site": {"name": "site", "latitude_deg": 55.0, "longitude_deg": 38.0, "height_m": 200.0},
-    "inertia_kg_m2": [[4000, 0, 0], [0, 2000, 0], [0, 0, 4000]],
-    "torque_limit_n_m": 0.05,
-}
 #: what each block prints, in the order of the page; those after the restore run without the service
 WANTED = ["", "folder: monday.backup", "file", "kept: ", "schema_version", "journal"]
 STOPPED_FROM = 3

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from page_blocks import CRAFT
 
 from service.api.links import SILENT
 from service.client.service_client import ServiceClient
@@ -16,15 +17,6 @@ from service.records.link import STOPPED
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "watch-the-links.md"
 #: told in place of the state of an acquisition that hangs
 STUCK = "STUCK"
-CRAFT = {
-    "id": "yamal-202",
-    "name": "Yamal-202",
-    "longitude_deg": 90.0,
-    "simulated": True,
-    "receiving_site": {"name": "site", "latitude_deg": 55.0, "longitude_deg": 38.0, "height_m": 200.0},
-    "inertia_kg_m2": [[4000, 0, 0], [0, 2000, 0], [0, 0, 4000]],
-    "torque_limit_n_m": 0.05,
-}
 CARRIER = {"id": "b0", "band": "Ku", "transponder": "Ku1", "downlink_hz": 11.2e9, "bandwidth_hz": 1e3, "kind": "beacon"}
 EPOCH = "2026-11-21T03:00:00.000000Z"
 TRACE = {
