@@ -9,7 +9,7 @@ from db.database import Span, add_entries, lock_head, next_id
 from db.documents import encode, is_same_input, kind_of
 from db.tables import journal, operation
 from service.errors import InvalidInputError, NotFoundError
-from service.records.command import AppliedCommand
+from service.records.command import AppliedCommand, ReleasedCommand, ReportedCommand
 from service.records.inputs import AttitudeReference, Correction, Operation, TelemetryRecord
 from service.records.journal import SlowInput
 from service.records.measurement import Refusal
@@ -17,7 +17,7 @@ from service.records.series import InputReceipt
 
 LOOKUP_CHUNK = 500
 #: what carries its own key; everything else is journaled by the call that makes it
-KEYED = AttitudeReference | Correction | TelemetryRecord | AppliedCommand
+KEYED = AttitudeReference | Correction | TelemetryRecord | AppliedCommand | ReleasedCommand | ReportedCommand
 
 
 def span_of(record: KEYED) -> Span:
@@ -26,6 +26,10 @@ def span_of(record: KEYED) -> Span:
         return Span(record.start_us, record.stop_us)
     if isinstance(record, AppliedCommand):
         return Span(record.command.epoch_us, record.command.valid_until_us)
+    if isinstance(record, ReleasedCommand):
+        return Span(record.released_us, record.stop_us)
+    if isinstance(record, ReportedCommand):
+        return Span(record.reported_us, record.reported_us)
     return Span(record.epoch_us, record.epoch_us)
 
 

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from service.records.attitude import Axes
+from service.records.epoch import US_PER_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,3 +53,39 @@ class AppliedCommand:
     def key(self) -> str:
         """Natural key within a spacecraft."""
         return str(self.command.number)
+
+
+@dataclass(frozen=True, slots=True)
+class ReleasedCommand:
+    """A command that persons released: until it is reported its whole effect is uncertain."""
+
+    #: rises by one with each command of a spacecraft; the uplink product carries it
+    counter: int
+    released_us: int
+    schedule: tuple[Pulse, ...]
+
+    @property
+    def stop_us(self) -> int:
+        """When its last pulse ends."""
+        ends = (pulse.start_us + round(pulse.duration_s * US_PER_S) for pulse in self.schedule)
+        return max(ends, default=self.released_us)
+
+    @property
+    def key(self) -> str:
+        """Natural key within a spacecraft."""
+        return str(self.counter)
+
+
+@dataclass(frozen=True, slots=True)
+class ReportedCommand:
+    """What the centre reported of a released command: known input of the filter from now on."""
+
+    counter: int
+    reported_us: int
+    #: what was carried out; empty = nothing
+    executed: tuple[Pulse, ...]
+
+    @property
+    def key(self) -> str:
+        """Natural key within a spacecraft."""
+        return str(self.counter)

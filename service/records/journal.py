@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from service.records.command import AppliedCommand
+from service.records.command import AppliedCommand, ReleasedCommand, ReportedCommand
 from service.records.inputs import (
     AlignmentSet,
     AttitudeReference,
@@ -30,6 +30,8 @@ SlowInput = (
     | SourceSelection
     | SpacecraftChange
     | AppliedCommand
+    | ReleasedCommand
+    | ReportedCommand
 )
 
 #: name of each kind of slow input in the tables and in the journal
@@ -45,6 +47,8 @@ KINDS: dict[str, type[SlowInput]] = {
     "alignment": AlignmentSet,
     "source": SourceSelection,
     "applied_command": AppliedCommand,
+    "released_command": ReleasedCommand,
+    "reported_command": ReportedCommand,
 }
 KIND_OF = {record: kind for kind, record in KINDS.items()}
 

@@ -10,7 +10,7 @@ from service.pipeline.chain import Chain
 from service.ports import Archive, Catalogue, Outcome, Results
 from service.records.calibration import Alignment, Calibration, Window
 from service.records.catalogue import CarrierPlan, Ephemeris
-from service.records.command import AppliedCommand
+from service.records.command import AppliedCommand, ReleasedCommand, ReportedCommand
 from service.records.inputs import AlignmentSet, Correction
 from service.records.journal import JournalEntry
 from service.records.measurement import Measurement
@@ -18,7 +18,7 @@ from service.records.measurement import Measurement
 #: kinds of slow input that the chain must know from before an alignment; the others concern rows after it
 STANDING_KINDS = ("spacecraft", "plan", "ephemeris", "activation", "operation")
 #: kinds that the chain must know as far as they reach beyond an alignment
-MOTION_KINDS = ("correction", "applied_command")
+MOTION_KINDS = ("correction", "applied_command", "released_command", "reported_command")
 _INPUTS_AT_ONCE = 1000
 _FOR_EVER_US = 1 << 62
 
@@ -114,5 +114,9 @@ def _start_us(entry: JournalEntry) -> int:
         return content.start_us
     if isinstance(content, AppliedCommand):
         return content.command.epoch_us
+    if isinstance(content, ReleasedCommand):
+        return content.released_us
+    if isinstance(content, ReportedCommand):
+        return content.reported_us
     message = f"journal entry {entry.number} is no commanded motion"
     raise TypeError(message)
