@@ -7,6 +7,7 @@ import numpy as np
 from service.pipeline.knowledge import Knowledge
 from service.records.attitude import AttitudeRow, CarrierState, FloatArray, IntArray
 from service.records.catalogue import Carrier, CarrierPlan, Method
+from service.records.disturbance import Disturbance
 from service.records.journal import SlowInput
 from service.records.measurement import Measurement
 
@@ -58,6 +59,10 @@ class MethodRunner(Protocol):
 
     def carrier_levels(self) -> CarrierLevels | None:
         """Return the figures of the newest row that was not late, None before it; they are not copied."""
+        ...
+
+    def disturbance(self) -> Disturbance | None:
+        """Return the torque that acts without being fed forward; None where the method knows of none."""
         ...
 
 

@@ -100,6 +100,9 @@ class PaperRunner:
         outcome, model = self._last
         return CarrierLevels(model.sensitivity.carrier_ids, outcome.deviation.deviation_db, outcome.fix.residual_db)
 
+    def disturbance(self) -> None:
+        """Know of no torque: the method has no dynamics."""
+
     def _model_of(self, knowledge: Knowledge) -> tuple[PaperModel | None, CalibratedColumns | None]:
         """Return the model that holds and the order of its carriers."""
         alignment, calibration = knowledge.alignment, knowledge.calibration_for(Method.PAPER)

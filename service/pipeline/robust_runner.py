@@ -12,6 +12,7 @@ from service.records.attitude import AttitudeRow, CarrierState
 from service.records.calibration import Alignment, Calibration
 from service.records.catalogue import CarrierPlan, Ephemeris, Method, Spacecraft
 from service.records.command import AppliedCommand
+from service.records.disturbance import Disturbance
 from service.records.epoch import US_PER_S
 from service.records.inputs import Correction
 from service.records.journal import SlowInput
@@ -134,6 +135,10 @@ class RobustRunner:
             return None
         outcome, model = self._last
         return CarrierLevels(model.carrier_ids, outcome.deviation_db, outcome.residual_db)
+
+    def disturbance(self) -> Disturbance | None:
+        """Return the torque that acts without being fed forward; None where the catalogue states none."""
+        return None
 
     def _forget(self, before_us: int) -> None:
         """Let go of the oldest motions; torques come with every row, and an alignment may be months away."""

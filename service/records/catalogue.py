@@ -80,6 +80,8 @@ class Onboard:
     forecast_mode: bool = False
     #: roll and yaw exchange at the orbital rate
     roll_yaw_coupling: bool = True
+    #: size of the disturbance torque an axis that is not fed forward on board, N m; 0 = there is none
+    residual_torque_n_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

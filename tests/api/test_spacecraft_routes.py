@@ -28,7 +28,12 @@ async def test_minimal_spacecraft_gets_the_defaults_of_the_contract(soo, spacecr
         "period_s": 7200,
         "damping": 0.9,
     }
-    assert document["onboard"] == {"fast_loop": False, "forecast_mode": False, "roll_yaw_coupling": True}
+    assert document["onboard"] == {
+        "fast_loop": False,
+        "forecast_mode": False,
+        "roll_yaw_coupling": True,
+        "residual_torque_n_m": 0.0,
+    }
     assert (await soo.client.get(f"{URL}/yamal-202")).json() == document
     assert (await soo.client.get(URL)).json() == {"rows": [document], "next": None}
     assert soo.accepted == ["yamal-202"]
@@ -44,7 +49,12 @@ async def test_full_spacecraft_reads_back_as_sent(soo, spacecraft):
             "torque_quantum_n_m": 0.001,
         },
         "modes": [{"axis": "roll", "omega_rad_s": 0.6, "damping_ratio": 0.003, "coupling": 0.4}],
-        "onboard": {"fast_loop": True, "forecast_mode": True, "roll_yaw_coupling": False},
+        "onboard": {
+            "fast_loop": True,
+            "forecast_mode": True,
+            "roll_yaw_coupling": False,
+            "residual_torque_n_m": 5e-7,
+        },
         "control": {"method": "paper", "mode": "ground", "release": "automatic", "period_s": 3600, "damping": 0.7},
     }
     created = await soo.client.post(URL, json=document)
@@ -119,6 +129,18 @@ BAD: list[tuple[str, dict[str, Any], str, str]] = [
         {"control": {"mode": "ground"}, "onboard": {"fast_loop": True}},
         "control.no_fast_loop",
         "/control/mode",
+    ),
+    (
+        "residual torque below zero",
+        {"onboard": {"residual_torque_n_m": -1e-9}},
+        "value.range",
+        "/onboard/residual_torque_n_m",
+    ),
+    (
+        "residual torque of a thruster",
+        {"onboard": {"residual_torque_n_m": 0.1}},
+        "value.range",
+        "/onboard/residual_torque_n_m",
     ),
     ("cospar id", {"cospar_id": "2003"}, "value.pattern", "/cospar_id"),
 ]

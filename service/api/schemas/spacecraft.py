@@ -111,6 +111,8 @@ class OnboardDocument(Document):
     fast_loop: bool = False
     forecast_mode: bool = False
     roll_yaw_coupling: bool = True
+    residual_torque_n_m: Annotated[float, Field(ge=0, le=1e-3)] = 0.0
+    """Size of the disturbance torque an axis that is not fed forward on board, for the filter to learn; 0 = none."""
 
 
 class ControlDocument(Document):
