@@ -155,18 +155,18 @@ class MeasurementPages:
 
     def read(self, chosen: Chosen, limit: int, after: Cursor | None, *, columns: Columns = FULL) -> list[Run]:
         """Return the next rows behind a cursor as runs; fewer than ``limit`` only when there are no more."""
+        sealed = list(self._sealed(chosen, limit, after))
+        # behind the place up to which sealed rows fill the page there may be any number of rows: they are not for it
+        stop_us = min(chosen.window.stop_us, _end_us(sealed, limit))
         query = (
             self._rows(chosen, columns)
-            .where(beyond(measurement.c.epoch_us, measurement.c.number, after))
+            .where(beyond(measurement.c.epoch_us, measurement.c.number, after), measurement.c.epoch_us < stop_us)
             .order_by(measurement.c.epoch_us, measurement.c.number)
             .limit(limit)
         )
         rows = self._connection.execute(query).all()
-        parts = [_Part(piece, np.arange(len(piece.epochs_us))) for piece in self._pieces(rows)]
-        # behind the last row of a full page there may be more rows: what is sealed there belongs to the next page
-        stop_us = chosen.window.stop_us if len(rows) < limit else min(chosen.window.stop_us, rows[-1].epoch_us + 1)
-        parts += self._sealed(chosen, limit, after, stop_us)
-        return _merged(parts, limit)
+        held = [_Part(piece, np.arange(len(piece.epochs_us))) for piece in self._pieces(rows)]
+        return _merged([*held, *sealed], limit)
 
     def read_all(self, chosen: Chosen, *, columns: Columns = FULL) -> Iterator[Run]:
         """Yield all rows as runs."""
@@ -237,20 +237,18 @@ class MeasurementPages:
         piece = read_piece(self._connection, self._cache, head)
         return len(_places(piece, Chosen(window), None, window.stop_us)) > 0
 
-    def _sealed(self, chosen: Chosen, limit: int, after: Cursor | None, stop_us: int) -> Iterator["_Part"]:
+    def _sealed(self, chosen: Chosen, limit: int, after: Cursor | None) -> Iterator["_Part"]:
         """Yield parts of segments until they hold the next ``limit`` rows of their own."""
         start_us = chosen.window.start_us if after is None else max(chosen.window.start_us, after[0])
-        epochs_us: list[IntArray] = []
-        for head in heads(self._connection, self._key, start_us, stop_us, *self._of_segments(chosen)):
-            if sum(map(len, epochs_us)) >= limit:
-                everything = np.concatenate(epochs_us)
-                if head.first_epoch_us > np.partition(everything, limit - 1)[limit - 1]:
-                    return
+        parts: list[_Part] = []
+        for head in heads(self._connection, self._key, start_us, chosen.window.stop_us, *self._of_segments(chosen)):
+            if head.first_epoch_us >= _end_us(parts, limit):
+                return
             piece = read_piece(self._connection, self._cache, head)
-            places = _places(piece, chosen, after, stop_us)
+            places = _places(piece, chosen, after, chosen.window.stop_us)
             if len(places):
-                epochs_us.append(piece.epochs_us[places])
-                yield _Part(piece, places)
+                parts.append(_Part(piece, places))
+                yield parts[-1]
 
     def _rows(self, chosen: Chosen, columns: Columns) -> Select[Any]:
         """Return the query for the chosen rows of the table of rows."""
@@ -339,6 +337,14 @@ def _places(piece: SegmentPiece, chosen: Chosen, after: Cursor | None, stop_us: 
     epochs_us, numbers = piece.epochs_us[places], piece.numbers[places]
     is_beyond: BoolArray = (epochs_us > after[0]) | ((epochs_us == after[0]) & (numbers > after[1]))
     return places[is_beyond]
+
+
+def _end_us(parts: Sequence[_Part], limit: int) -> int:
+    """Return the epoch right behind the first ``limit`` rows of parts, behind everything when they hold fewer."""
+    if sum(len(places) for _, places in parts) < limit:
+        return EVER.stop_us
+    epochs_us = np.concatenate([piece.epochs_us[places] for piece, places in parts])
+    return int(np.partition(epochs_us, limit - 1)[limit - 1]) + 1
 
 
 def _merged(parts: Sequence[_Part], limit: int) -> list[Run]:
