@@ -123,7 +123,7 @@ class Plant:
         if self.row + 1 >= self.row_count:
             return False
         begin_us, end_us = self.epoch_us, int(self._epochs_us[self.row + 1])
-        self._send(schedule, begin_us)
+        self.send(schedule)
         self._receive(begin_us, end_us)
         self._fly(begin_us, end_us)
         self.reports = sorted([*self.reports, *self._store.ended(end_us)])
@@ -131,13 +131,14 @@ class Plant:
         self._attitude_deg[self.row] = self.state.attitude_deg
         return True
 
-    def _send(self, schedule: Schedule, now_us: int) -> None:
-        """Hand a schedule to the channel; nothing is sent where nothing is wanted."""
+    def send(self, schedule: Schedule) -> int | None:
+        """Hand a schedule to the channel at the present row; None = nothing is sent where nothing is wanted."""
         if schedule.counter is None and not schedule.elements:
-            return
+            return None
         counter = self._counter + 1 if schedule.counter is None else schedule.counter
         self._counter = max(self._counter, counter)
-        self._uplink.send(Command(counter, schedule.elements), now_us)
+        self._uplink.send(Command(counter, schedule.elements), self.epoch_us)
+        return counter
 
     def _receive(self, begin_us: int, end_us: int) -> None:
         """Let the craft take what arrives before the next row."""

@@ -94,8 +94,8 @@ def _present(plant: Plant) -> Iterator[Line]:
     for line in told_lines(plant.world, plant.row, plant.row):
         if line["kind"] not in _NOT_FLOWN:
             yield {"type": "ground", "line": line}
-    yield {"type": "ground", "line": {"kind": "telemetry", "body": {"records": [_telemetry(plant)]}}}
-    yield from (_report_line(report) for report in plant.reports)
+    yield {"type": "ground", "line": {"kind": "telemetry", "body": {"records": [telemetry_of(plant)]}}}
+    yield from (report_line(report) for report in plant.reports)
     rates = dict(zip(_AXES, plant.state.rate_deg_s, strict=True))
     truth = truth_row(plant.world, plant.row, plant.state.attitude_deg)
     yield {"type": "truth", **truth, "rates_deg_s": rates}
@@ -103,7 +103,7 @@ def _present(plant: Plant) -> Iterator[Line]:
         yield _row_line(plant.epoch_us, plant.power_dbm())
 
 
-def _telemetry(plant: Plant) -> Line:
+def telemetry_of(plant: Plant) -> Line:
     """Return what the craft says of itself; its inertial model does not see the drift of its rate."""
     momentum, told = plant.momentum_n_m_s, plant.told_telemetry()
     x, y, z = (math.degrees(rate) for rate in plant.craft.commanded_rad_s)
@@ -117,7 +117,8 @@ def _telemetry(plant: Plant) -> Line:
     }
 
 
-def _report_line(report: Report) -> Line:
+def report_line(report: Report) -> Line:
+    """Return what the craft tells of a command."""
     line: Line = {
         "type": "report",
         "counter": report.counter,
