@@ -3,8 +3,10 @@
 The tree, with the HTTP status that service.api gives each::
 
     SooError
+    |- ForbiddenError       403  another person must do this
     |- NotFoundError        404  the named thing does not exist
     |- ConflictError        409  the thing exists already, or its state forbids the step
+    |- GoneError            410  the thing was there and its time is over
     |- InvalidInputError    422  the input contradicts itself or the catalogue; carries field errors
     |- StorageError         503  the archive cannot keep what was sent; nothing was acknowledged
 
@@ -46,12 +48,20 @@ class SooError(Exception):
         self.fields = fields
 
 
+class ForbiddenError(SooError):
+    """Another person must do this."""
+
+
 class NotFoundError(SooError):
     """The named thing does not exist."""
 
 
 class ConflictError(SooError):
     """The thing exists already, or its state forbids the step."""
+
+
+class GoneError(SooError):
+    """The thing was there and its time is over."""
 
 
 class InvalidInputError(SooError):

@@ -12,15 +12,26 @@ from fastapi.responses import JSONResponse
 from pydantic import BaseModel, Field
 from starlette.requests import HTTPConnection
 
-from service.errors import ConflictError, FieldError, InvalidInputError, NotFoundError, SooError, StorageError
+from service.errors import (
+    ConflictError,
+    FieldError,
+    ForbiddenError,
+    GoneError,
+    InvalidInputError,
+    NotFoundError,
+    SooError,
+    StorageError,
+)
 
 PROBLEM_MEDIA_TYPE = "application/problem+json"
 #: seconds after which a client may try again when the archive was not ready
 RETRY_AFTER_S = 5
 
 _STATUS_OF: tuple[tuple[type[SooError], int], ...] = (
+    (ForbiddenError, HTTPStatus.FORBIDDEN),
     (NotFoundError, HTTPStatus.NOT_FOUND),
     (ConflictError, HTTPStatus.CONFLICT),
+    (GoneError, HTTPStatus.GONE),
     (InvalidInputError, HTTPStatus.UNPROCESSABLE_ENTITY),
     (StorageError, HTTPStatus.SERVICE_UNAVAILABLE),
 )

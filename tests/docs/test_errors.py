@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from http import HTTPStatus
 from pathlib import Path
 
-from service.errors import ConflictError, InvalidInputError, NotFoundError, StorageError
+from service.errors import ConflictError, ForbiddenError, GoneError, InvalidInputError, NotFoundError, StorageError
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "reference" / "errors.md"
@@ -69,7 +69,14 @@ def test_every_code_is_documented_and_no_other() -> None:
 
 def raised(path: Path) -> Iterator[tuple[str, str]]:
     """Yield code and status of each error that a file makes with both written out."""
-    status_of = {NotFoundError: 404, ConflictError: 409, InvalidInputError: 422, StorageError: 503}
+    status_of = {
+        ForbiddenError: 403,
+        NotFoundError: 404,
+        ConflictError: 409,
+        GoneError: 410,
+        InvalidInputError: 422,
+        StorageError: 503,
+    }
     kinds = {kind.__name__: str(status) for kind, status in status_of.items()}
     for node in ast.walk(ast.parse(path.read_text())):
         if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Name)):

@@ -1,0 +1,203 @@
+"""Release of torques as it is stored and told: interlock, commands, uplink products. Triples by yaw, roll, pitch."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from service.records.attitude import Axes
+from service.records.command import Pulse, TorqueCommand
+
+
+@dataclass(frozen=True, slots=True)
+class EnvelopeLimits:
+    """What a command may change at most, about each axis."""
+
+    angle_change_deg: float = 0.1
+    rate_change_deg_s: float = 3e-4
+    #: sum of the sizes of a command's pulses
+    impulse_n_m_s: float = 0.02
+    #: the same over everything that was sent within an hour
+    impulse_an_hour_n_m_s: float = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class InterlockHold:
+    """The interlock withholds torques from an instant on, or does not any more; an entry of the journal."""
+
+    at_us: int
+    #: of the interlock
+    state: str
+    reasons: tuple[str, ...]
+    is_withheld: bool
+
+    @property
+    def key(self) -> str:
+        """Natural key within a spacecraft."""
+        return str(self.at_us)
+
+
+@dataclass(frozen=True, slots=True)
+class SignCheckView:
+    """The newest sign check, or the one that is under way."""
+
+    #: yaw, roll or pitch
+    axis: str
+    #: running, plus (proven), minus, nothing, open, contradicted, interrupted
+    state: str
+    started_us: int
+    started_by: str
+    #: when it ends undecided
+    until_us: int
+    legs: int
+    #: reported executed
+    legs_done: int
+    #: log-likelihood of plus, nothing and minus against the best of them, by the powers
+    log_ratio: Axes | None = None
+    #: yaw: the same word by wheel telemetry
+    wheels: str | None = None
+    #: why a leg could not be prepared or what is waited for
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ControlView:
+    """What the interlock of one spacecraft says."""
+
+    #: INHIBITED, ARMED, ENGAGED, RECOVERY or TRIPPED
+    state: str
+    since_us: int
+    reasons: tuple[str, ...]
+    #: latched until reset, a part of the reasons
+    trips: tuple[str, ...]
+    is_armed: bool
+    #: whether computed commands are zeroed: a trip in release automatic
+    is_withheld: bool
+    #: two_step or automatic
+    release: str
+    #: ground, onboard or off
+    mode: str
+    #: that of the authorisation, else that of the settings
+    envelope: EnvelopeLimits
+    authorised_by: tuple[str, ...]
+    authorised_until_us: int | None
+    #: who waits for a second person, and for what end of the authorisation
+    requested_by: str | None
+    requested_until_us: int | None
+    proven_axes: tuple[str, ...]
+    #: counters of commands that wait for a confirmation, and of those that wait for a report
+    open_commands: tuple[int, ...]
+    unreported_commands: tuple[int, ...]
+    #: sum of the sizes of what was sent within the hour, N m s
+    sent_impulse_n_m_s: Axes
+    sign_check: SignCheckView | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CommandWish:
+    """What a person wants to have prepared; None: the default."""
+
+    reason: str
+    #: estimate that the person has looked at; None: the newest
+    attitude_epoch_us: int | None = None
+    #: when the schedule begins; None: as soon as the uplink allows
+    start_us: int | None = None
+    #: from the first pulse to the end of the last; None: the command period
+    duration_s: float | None = None
+    max_torque_n_m: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CheckView:
+    """One check of a command."""
+
+    name: str
+    is_ok: bool
+    detail: str
+
+
+class Purpose(StrEnum):
+    """What a command is for."""
+
+    CONTROL = "control"
+    #: a turn whose torque the filter is not told of
+    SIGN_CHECK = "sign_check"
+
+
+@dataclass(frozen=True, slots=True)
+class CommandView:
+    """One command that was prepared, as it stands."""
+
+    #: rises by one with each command of a spacecraft: its id in paths and in the uplink product
+    counter: int
+    #: PREPARED, CONFIRMED, RELEASED, SENT, EXECUTED, FAILED, EXPIRED, CANCELLED or REJECTED
+    state: str
+    #: what a person confirms
+    digest: str
+    purpose: Purpose
+    #: released by standing authorisation
+    is_automatic: bool
+    is_simulated: bool
+    reason: str
+    prepared_by: str
+    prepared_us: int
+    #: it cannot be confirmed from then on
+    expires_us: int
+    #: of the estimate that it was computed from
+    attitude_epoch_us: int
+    start_us: int
+    stop_us: int
+    schedule: tuple[Pulse, ...]
+    #: net, N m s
+    impulse_n_m_s: Axes
+    #: sum of the sizes of the pulses, N m s: what the envelope counts
+    gross_impulse_n_m_s: Axes
+    #: when the last pulse has ended
+    angle_change_deg: Axes
+    rate_change_deg_s: Axes
+    #: greatest on the way, with sign
+    peak_angle_deg: Axes
+    peak_rate_deg_s: Axes
+    #: (W,) N m s, change of stored momentum of each wheel
+    wheel_momentum_n_m_s: tuple[float, ...]
+    #: as they were when it was prepared
+    checks: tuple[CheckView, ...] = ()
+    #: the computed command that it is, with its schedule check
+    computed: TorqueCommand | None = None
+    confirmed_by: str | None = None
+    comment: str = ""
+    released_us: int | None = None
+    sent_us: int | None = None
+    reported_us: int | None = None
+    reported_by: str | None = None
+    #: what of the schedule was carried out
+    executed: tuple[Pulse, ...] = ()
+    #: only looked at: nothing is stored, the counter is the one that it would get
+    is_dry_run: bool = False
+
+
+class ProductForm(StrEnum):
+    """What an uplink product carries."""
+
+    #: mode ground: a released schedule
+    TORQUES = "torques"
+    #: mode onboard: angles
+    ATTITUDE = "attitude"
+
+
+@dataclass(frozen=True, slots=True)
+class UplinkProduct:
+    """What goes up through the centre's own channels; never changed once it is stored."""
+
+    form: ProductForm
+    #: torques: that of the command; attitude: rises by one with each product
+    counter: int
+    created_us: int
+    valid_from_us: int
+    #: not to be used from then on
+    valid_until_us: int
+    attitude_epoch_us: int
+    is_simulated: bool
+    #: of the command
+    digest: str = ""
+    schedule: tuple[Pulse, ...] = ()
+    attitude_deg: Axes | None = None
+    sigma_deg: Axes | None = None
