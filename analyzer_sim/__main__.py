@@ -3,8 +3,10 @@
 ``serve`` prints one line of JSON when all ports are open, then serves until SIGTERM or SIGINT and ends with 0; a port
 that is taken is told and ends it with 1. HiSLIP is served when its port is given; nothing is announced by mDNS::
 
-    {"scpi_port": 5025, "alias_ports": [], "hislip_port": null, "ground_port": 5026, "dialect": "rs",
-     "scenario": "demo", "seed": 1}
+    {"scpi_port": 5025, "alias_ports": [], "hislip_port": null, "ground_port": 5026, "uplink_port": null,
+     "dialect": "rs", "scenario": "demo", "seed": 1}
+
+With ``--uplink-port`` the craft is flown: schedules come in on that port (``uplink_port.py``).
 """
 
 import argparse
@@ -88,13 +90,14 @@ def _add_story(parser: argparse.ArgumentParser, names: Iterable[str] = SCENARIOS
 
 def _add_serve(parser: argparse.ArgumentParser) -> None:
     """Add the options of the served instrument."""
-    _add_story(parser)
+    _add_story(parser, CLOSED_SCENARIOS)
     parser.add_argument("--dialect", default="rs", choices=sorted(DIALECTS), help="language (default: rs)")
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: 127.0.0.1)")
     parser.add_argument("--port", type=_port, default=5025, help="SCPI port, 0 = a free one (default: 5025)")
     parser.add_argument("--alias-port", type=_port, action="append", default=[], help="further SCPI port; may repeat")
     parser.add_argument("--hislip-port", type=_port, help="HiSLIP port, usually 4880, 0 = a free one (default: none)")
     parser.add_argument("--ground-port", type=_port, default=5026, help="ground port, 0 = a free one (default: 5026)")
+    parser.add_argument("--uplink-port", type=_port, help="fly the craft by schedules, 0 = a free port (default: none)")
     parser.add_argument("--await-ground", action="store_true", help="sweep no row before a ground client allows it")
     parser.add_argument(
         "--detail",
@@ -118,11 +121,11 @@ def _add_serve(parser: argparse.ArgumentParser) -> None:
         metavar="NAME[:TIMES]",
         help="fault of the next answers or traces, for tests of clients; may repeat",
     )
+    _add_craft(parser)
 
 
-def _add_plant(parser: argparse.ArgumentParser) -> None:
-    """Add the options of a closed loop."""
-    _add_story(parser, CLOSED_SCENARIOS)
+def _add_craft(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a craft that is flown."""
     parser.add_argument(
         "--uplink",
         default="ideal",
@@ -162,7 +165,8 @@ def build_parser() -> argparse.ArgumentParser:
     _add_story(export)
     export.add_argument("--out", type=Path, required=True, help="file to write, .npz")
     plant = commands.add_parser("plant", help="close a loop: powers to standard output, torque schedules from input")
-    _add_plant(plant)
+    _add_story(plant, CLOSED_SCENARIOS)
+    _add_craft(plant)
     for command in (export, plant):
         command.add_argument(
             "--sweep-noise", type=float, default=1.0, help="scale of the sweep's own noise (default: 1)"
@@ -181,15 +185,18 @@ def _scenario(options: argparse.Namespace) -> Scenario:
     )
 
 
-def _run_plant(options: argparse.Namespace) -> int:
-    """Close a loop over the standard streams; a reader that leaves ends it without a complaint."""
+def _flown(options: argparse.Namespace) -> PlantOptions:
     factors = {**dict.fromkeys(AXES, 1.0), **dict(options.response)}
     response = (factors["roll"], factors["pitch"], factors["yaw"])
-    flown = PlantOptions(options.uplink, options.onboard, response, tuple(options.tone))
+    return PlantOptions(options.uplink, options.onboard, response, tuple(options.tone))
+
+
+def _run_plant(options: argparse.Namespace) -> int:
+    """Close a loop over the standard streams; a reader that leaves ends it without a complaint."""
     # bytes that are no text must reach the parser of lines, which answers them
     source = io.TextIOWrapper(sys.stdin.buffer, encoding="utf-8", errors="replace")
     try:
-        return run_plant(_scenario(options), options.seed, options.sweep_noise, source, sys.stdout, flown)
+        return run_plant(_scenario(options), options.seed, options.sweep_noise, source, sys.stdout, _flown(options))
     except BrokenPipeError:
         # the interpreter flushes once more at its end
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -201,7 +208,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     if not given or (given[0] not in _SUBCOMMANDS and given[0] not in {"-h", "--help"}):
         given.insert(0, "serve")
-    options = build_parser().parse_args(given)
+    parser = build_parser()
+    options = parser.parse_args(given)
     if options.command == "scenarios":
         sys.stdout.write(markdown_page() if options.markdown else plain_table())
         return 0
@@ -209,8 +217,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return run_export(_scenario(options), options.seed, options.out, options.sweep_noise)
     if options.command == "plant":
         return _run_plant(options)
+    if options.uplink_port is None and options.scenario not in SCENARIOS:
+        parser.error(f"scenario {options.scenario} is for closed loops alone: give --uplink-port")
     try:
-        asyncio.run(serve(options, _scenario(options)))
+        asyncio.run(serve(options, _scenario(options), _flown(options)))
     except OSError as error:
         sys.stderr.write(f"soo-analyzer: {error}\n")
         return 1

@@ -31,7 +31,7 @@ from analyzer_sim.epochs import rfc3339
 from analyzer_sim.plant import Plant, PlantOptions
 from analyzer_sim.schedule_lines import MAX_LINE_CHARACTERS, Schedule, ScheduleError, parse_schedule
 from analyzer_sim.streams import FloatArray
-from analyzer_sim.world.ground import catalogue_lines, chunks_of, told_lines, truth_row
+from analyzer_sim.world.ground import catalogue_lines, chunks_of, flown_lines, told_lines, truth_row
 from analyzer_sim.world.story import Scenario
 from analyzer_sim.world.telemetry import PERIOD_H
 from analyzer_sim.world.uplink import Report
@@ -40,8 +40,6 @@ from analyzer_sim.world.wheels import rotor_speed_rpm
 Line = dict[str, Any]
 
 _AXES = ("yaw", "roll", "pitch")
-#: lines of the story that are not told in operation: nobody flies its corrections, and the craft has its own telemetry
-_NOT_FLOWN = {"corrections", "telemetry"}
 _US_PER_H = 3_600_000_000
 
 
@@ -91,9 +89,7 @@ def _opening(plant: Plant, options: PlantOptions) -> Iterator[Line]:
 
 def _present(plant: Plant) -> Iterator[Line]:
     """Yield what belongs to the present row of operation."""
-    for line in told_lines(plant.world, plant.row, plant.row):
-        if line["kind"] not in _NOT_FLOWN:
-            yield {"type": "ground", "line": line}
+    yield from ({"type": "ground", "line": line} for line in flown_lines(plant.world, plant.row, plant.row))
     yield {"type": "ground", "line": {"kind": "telemetry", "body": {"records": [telemetry_of(plant)]}}}
     yield from (report_line(report) for report in plant.reports)
     rates = dict(zip(_AXES, plant.state.rate_deg_s, strict=True))

@@ -5,11 +5,13 @@ import asyncio
 import json
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Awaitable, Callable, Iterator, Mapping
 from contextlib import contextmanager
+from typing import NamedTuple
 
 from analyzer_sim.dialects.dialect import Dialect
 from analyzer_sim.dialects.dialects import DIALECTS
+from analyzer_sim.flown_world import FlownWorld
 from analyzer_sim.instrument.imperfections import IDEAL
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import Detail, TracePainter
@@ -18,6 +20,8 @@ from analyzer_sim.instrument.trace_faults import TraceFault, TraceFaults
 from analyzer_sim.instrument.truth_log import TruthLog
 from analyzer_sim.lines.line_faults import LineFault, LineFaults
 from analyzer_sim.lines.server import SimulatedAnalyzer, port_error
+from analyzer_sim.plant import PlantOptions
+from analyzer_sim.uplink_port import UplinkPort
 from analyzer_sim.world.ground_port import Gate, serve_ground
 from analyzer_sim.world.scenario import Scenario
 from analyzer_sim.world.world import World
@@ -55,20 +59,21 @@ def arm(faults: list[tuple[str, int]], line: LineFaults, trace: TraceFaults) -> 
             trace.arm(TraceFault(name), times)
 
 
-async def serve(options: argparse.Namespace, scenario: Scenario) -> None:
-    """Serve until SIGTERM or SIGINT.
+async def serve(options: argparse.Namespace, scenario: Scenario, flown: PlantOptions) -> None:
+    """Serve until SIGTERM or SIGINT; with a port for the uplink the craft is flown.
 
     Raises
     ------
     OSError
         A port is taken, or the truth log cannot be written; the text says which.
     """
-    world = World(scenario, options.seed)
+    craft = None if options.uplink_port is None else FlownWorld(scenario, options.seed, flown)
+    world = World(scenario, options.seed) if craft is None else craft.world
     gate = Gate()
     dialect = DIALECTS[options.dialect]
     with _truth_log(options, world) as truth:
         instrument = Instrument(
-            world,
+            craft or world,
             _painter(options, dialect),
             may_advance=lambda: _may_advance(world, gate),
             model=dialect.model,
@@ -85,26 +90,57 @@ async def serve(options: argparse.Namespace, scenario: Scenario) -> None:
             hislip_port=options.hislip_port,
         )
         arm(options.fault, analyzer.faults, instrument.trace_faults)
-        await _serve_both(options, world, gate, analyzer)
+        await _serve_all(options, _Station(world, gate, craft, analyzer))
 
 
-async def _serve_both(options: argparse.Namespace, world: World, gate: Gate, analyzer: SimulatedAnalyzer) -> None:
+class _Station(NamedTuple):
+    """What is behind the ports."""
+
+    world: World
+    gate: Gate
+    #: None = the story is only replayed
+    craft: FlownWorld | None
+    analyzer: SimulatedAnalyzer
+
+
+async def _serve_all(options: argparse.Namespace, station: _Station) -> None:
     """Open all ports, tell them, wait for a signal, close them."""
     stop_wanted = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         asyncio.get_running_loop().add_signal_handler(number, stop_wanted.set)
+    servers = await _control_servers(options, station)
     try:
-        ground = await serve_ground(
-            world, gate, host=options.host, port=options.ground_port, await_ground=options.await_ground
-        )
-    except OSError as error:
-        raise port_error("ground", options.ground_port, options.host, error) from error
-    try:
-        async with analyzer:
-            _announce(options, analyzer, ground.sockets[0].getsockname()[1])
+        async with station.analyzer:
+            ports = {name: server.sockets[0].getsockname()[1] for name, server in servers.items()}
+            _announce(options, station.analyzer, ports)
             await stop_wanted.wait()
     finally:
-        ground.close()  # not waited for: a connected ground client must not keep the process alive
+        for server in servers.values():
+            server.close()  # not waited for: a connected client must not keep the process alive
+
+
+async def _control_servers(options: argparse.Namespace, station: _Station) -> dict[str, asyncio.Server]:
+    """Open the ground port and, where a craft is flown, the uplink."""
+    opening: dict[str, Callable[[], Awaitable[asyncio.Server]]] = {
+        "ground": lambda: serve_ground(
+            station.world,
+            station.gate,
+            host=options.host,
+            port=options.ground_port,
+            await_ground=options.await_ground,
+            flight=station.craft,
+        )
+    }
+    if station.craft is not None:
+        uplink = UplinkPort(station.craft)
+        opening["uplink"] = lambda: uplink.serve(options.host, options.uplink_port)
+    servers: dict[str, asyncio.Server] = {}
+    for name, serve_port in opening.items():
+        try:
+            servers[name] = await serve_port()
+        except OSError as error:
+            raise port_error(name, getattr(options, f"{name}_port"), options.host, error) from error
+    return servers
 
 
 @contextmanager
@@ -133,13 +169,14 @@ async def _permission(world: World, gate: Gate) -> None:
         await gate.wait(world.next_epoch_us)
 
 
-def _announce(options: argparse.Namespace, analyzer: SimulatedAnalyzer, ground_port: int) -> None:
+def _announce(options: argparse.Namespace, analyzer: SimulatedAnalyzer, ports: Mapping[str, int]) -> None:
     """Tell the parent process where to connect."""
     line = {
         "scpi_port": analyzer.port,
         "alias_ports": list(analyzer.alias_ports),
         "hislip_port": analyzer.hislip_port,
-        "ground_port": ground_port,
+        "ground_port": ports["ground"],
+        "uplink_port": ports.get("uplink"),
         "dialect": options.dialect,
         "scenario": options.scenario,
         "seed": options.seed,

@@ -36,6 +36,8 @@ from analyzer_sim.world.world import World
 
 #: rows that one hold of the ground port spans
 ROWS_PER_CHUNK = 60
+#: lines that are not told where torques are flown: nobody flies corrections, and the craft has telemetry of its own
+_NOT_FLOWN = {"corrections", "telemetry"}
 
 
 def ground_lines(world: World, rows_per_chunk: int = ROWS_PER_CHUNK) -> Iterator[Line]:
@@ -61,6 +63,19 @@ def chunks_of(world: World, rows_per_chunk: int = ROWS_PER_CHUNK) -> list[tuple[
         for begin, end in pairwise(edges):
             rows = range(begin, end, rows_per_chunk)
             chunks += [(row, min(row + rows_per_chunk, end) - 1, phase.name) for row in rows]
+    return chunks
+
+
+def flown_chunks_of(world: World, rows_per_chunk: int = ROWS_PER_CHUNK) -> list[tuple[int, int, str]]:
+    """Return the chunks of a world that is flown: in operation each ends with the only row in it that is measured.
+
+    Rows without a measurement at the very end belong to none.
+    """
+    chunks = [chunk for chunk in chunks_of(world, rows_per_chunk) if chunk[2] != "operation"]
+    first = int(np.searchsorted(world.rows.epochs_us, world.scenario.operation_start_us))
+    for row in (first + np.flatnonzero(~world.rows.is_gap[first:])).tolist():
+        chunks.append((first, row, "operation"))
+        first = row + 1
     return chunks
 
 
@@ -136,6 +151,11 @@ def told_lines(world: World, first: int, last: int) -> Iterator[Line]:
     timely = [c for c in world.corrections if start_us <= c.start_us < stop_us and not c.is_late]
     if timely:
         yield {"kind": "corrections", "body": corrections_body(timely)}
+
+
+def flown_lines(world: World, first: int, last: int) -> Iterator[Line]:
+    """Yield what the ground is told with the rows first..last where torques are flown: all that the craft does not."""
+    yield from (line for line in told_lines(world, first, last) if line["kind"] not in _NOT_FLOWN)
 
 
 def _chunk_news(world: World, first: int, last: int) -> Iterator[Line]:

@@ -5,23 +5,40 @@ these rows and `{"kind":"hold","until":<epoch of the last row>,"phase":<name>}`.
 once it has forwarded them; only then may the world be swept up to that epoch. After the last row: `{"kind":"end"}`.
 A client that comes back receives the catalogue and resumes at the first chunk it has not confirmed. A line that is not
 understood is answered with `{"kind":"error",...}` and changes nothing. One client holds the port at a time.
+
+Where a craft is flown nobody knows its attitude beforehand: a chunk of operation ends with its only row that is
+measured, and telemetry and truth of its rows follow once it has been swept.
 """
 
 import asyncio
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 from analyzer_sim.epochs import rfc3339
-from analyzer_sim.world.ground import catalogue_lines, chunk_lines, chunks_of
+from analyzer_sim.world.ground import catalogue_lines, chunk_lines, chunks_of, flown_chunks_of, flown_lines
 from analyzer_sim.world.world import World
 
 #: longest line a client may send, bytes
 MAX_LINE_BYTES = 65_536
 #: larger than any epoch: nothing is held back
 NO_LIMIT_US = 2**63 - 1
+#: how often a client that waits for a row to be swept is looked after, s
+_LOOK_S = 0.2
+
+
+class Flight(Protocol):
+    """A craft that is flown."""
+
+    def listen(self, listener: Callable[[int, list[dict[str, Any]]], None]) -> None:
+        """Let somebody hear the epoch of each row to which the craft has flown."""
+        ...
+
+    def told_after(self, first: int, last: int) -> Iterator[dict[str, Any]]:
+        """Yield what the ground is told once the rows first..last have been flown."""
+        ...
 
 
 class Gate:
@@ -88,9 +105,18 @@ class _Session:
     #: whether the gate stays closed while nobody is connected
     await_ground: bool
     chunks: list[tuple[int, int, str]]
+    flight: Flight | None = None
     #: first chunk that no client has confirmed
     next_chunk: int = 0
-    is_taken: bool = field(default=False)
+    #: first chunk whose rows' truth is still to be told, where it follows them
+    next_told: int = 0
+    is_taken: bool = False
+    #: lets pass what has been flown
+    flown: Gate = field(default_factory=lambda: Gate(is_open=False))
+
+    def is_flown(self, chunk: int) -> bool:
+        """Tell whether the truth of a chunk follows its rows."""
+        return self.flight is not None and self.chunks[chunk][2] == "operation"
 
 
 async def serve_ground(
@@ -101,13 +127,17 @@ async def serve_ground(
     port: int = 0,
     rows_per_chunk: int = 60,
     await_ground: bool = False,
+    flight: Flight | None = None,
 ) -> asyncio.Server:
     """Start the ground port and return the listening server; port 0 takes a free one.
 
     With `await_ground` the gate is closed at once and whenever no client is connected; without it the gate is open
     until a client connects and again after it has left.
     """
-    session = _Session(world, gate, await_ground, chunks_of(world, rows_per_chunk))
+    chunks = flown_chunks_of if flight else chunks_of
+    session = _Session(world, gate, await_ground, chunks(world, rows_per_chunk), flight)
+    if flight is not None:
+        flight.listen(lambda epoch_us, _lines: session.flown.grant_until(epoch_us))
     if await_ground:
         gate.close()
 
@@ -142,17 +172,40 @@ async def _converse(session: _Session, reader: asyncio.StreamReader, writer: asy
 async def _steer(session: _Session, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
     """Send catalogue and chunks; move on with each confirmation."""
     await _send(writer, catalogue_lines(session.world))
+    await _tell_flown(session, reader, writer)
     while session.next_chunk < len(session.chunks):
         first, last, phase = session.chunks[session.next_chunk]
         until_us = int(session.world.rows.epochs_us[last])
-        await _send(writer, chunk_lines(session.world, first, last))
+        lines = flown_lines if session.is_flown(session.next_chunk) else chunk_lines
+        await _send(writer, lines(session.world, first, last))
         await _send(writer, [{"kind": "hold", "until": rfc3339(until_us), "phase": phase}])
         await _await_proceed(reader, writer)
         session.gate.grant_until(until_us)
         session.next_chunk += 1
+        await _tell_flown(session, reader, writer)
     await _send(writer, [{"kind": "end"}])
     while await reader.read(MAX_LINE_BYTES):
         pass  # nothing is left to say; the client closes
+
+
+async def _tell_flown(session: _Session, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+    """Tell what follows the rows of a chunk that was confirmed, once they have been swept."""
+    while session.flight is not None and session.next_told < session.next_chunk:
+        first, last, _phase = session.chunks[session.next_told]
+        if session.is_flown(session.next_told):
+            await _await_flown(session, int(session.world.rows.epochs_us[last]), reader)
+            await _send(writer, session.flight.told_after(first, last))
+        session.next_told += 1
+
+
+async def _await_flown(session: _Session, epoch_us: int, reader: asyncio.StreamReader) -> None:
+    """Return once a row has been swept; a client that leaves meanwhile lets go of the port."""
+    while not session.flown.is_granted(epoch_us):
+        with suppress(TimeoutError):
+            async with asyncio.timeout(_LOOK_S):
+                await session.flown.wait(epoch_us)
+        if reader.at_eof():
+            raise ConnectionResetError
 
 
 async def _await_proceed(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

@@ -154,11 +154,12 @@ class World:
         """Return what arrives at the present instant; before the first `advance` that is the first row."""
         return self.emission(self.row_index)
 
-    def emission(self, row: int) -> Emission:
-        """Return what arrives in a row, given by its index in `rows`."""
+    def emission(self, row: int, carrier_dbm: FloatArray | None = None) -> Emission:
+        """Return what arrives in a row, given by its index in `rows`; its carriers (N,) may be given, dBm."""
         rows = self.rows
+        powers_dbm = rows.carrier_dbm[row] if carrier_dbm is None else carrier_dbm
         signals: list[Signal] = []
-        columns = zip(self.plan.carriers, rows.carrier_dbm[row].tolist(), rows.is_on[row].tolist(), strict=True)
+        columns = zip(self.plan.carriers, powers_dbm.tolist(), rows.is_on[row].tolist(), strict=True)
         for number, (carrier, power_dbm, is_on) in enumerate(columns):
             if is_on:
                 signals.append(Signal(carrier.id, carrier.center_hz, carrier.symbol_rate_hz, ROLLOFF, power_dbm))

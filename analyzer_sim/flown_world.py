@@ -1,0 +1,133 @@
+"""Flown world: the world behind a served instrument whose operation phase is flown by torques.
+
+Up to the first row of operation it is the world as told; from there on each sweep flies the craft to the row that is
+swept, with what has come over the uplink until then, and shows the powers of the attitude flown.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from analyzer_sim.emission import Emission
+from analyzer_sim.epochs import rfc3339
+from analyzer_sim.plant import Plant, PlantOptions
+from analyzer_sim.plant_lines import report_line, telemetry_of
+from analyzer_sim.schedule_lines import Schedule, ScheduleError, parse_schedule
+from analyzer_sim.world.ground import truth_row
+from analyzer_sim.world.story import Scenario
+from analyzer_sim.world.world import World
+
+Line = dict[str, Any]
+#: hears what a craft has told on the way to a row: the row's epoch and the lines
+Listener = Callable[[int, list[Line]], None]
+
+#: schedules that may be sent from one row: more than anybody needs, few enough to keep the store small
+SCHEDULES_A_ROW = 100
+_NOTHING = Schedule(())
+
+
+class FlownWorld:
+    """A world whose craft answers torque schedules; implements `EmissionSource`.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The story; its manoeuvres are not flown.
+    seed : int
+        Seed of every named stream.
+    options : PlantOptions
+        Craft and channel.
+
+    Attributes
+    ----------
+    world : World
+        The story; before operation its rows are what is swept.
+    options : PlantOptions
+        Craft and channel.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int, options: PlantOptions) -> None:
+        self.options = options
+        # the instrument has noise of its own
+        self._plant = Plant(scenario, seed, 0.0, options)
+        self.world: World = self._plant.world
+        self._attitude_deg = self.world.rows.attitude_deg.copy()
+        self._attitude_deg[self._plant.row] = self._plant.state.attitude_deg
+        self._sent_from_row = 0
+        self._listeners: list[Listener] = []
+        self._emission: Emission | None = None
+
+    @property
+    def epoch_us(self) -> int | None:
+        """Epoch to which the craft has been flown; None before operation."""
+        return self._plant.epoch_us if self._is_flown(self.world.row_index) else None
+
+    def listen(self, listener: Listener) -> None:
+        """Let somebody hear what the craft tells with each row."""
+        self._listeners.append(listener)
+
+    def advance(self) -> Emission:
+        """Move to the next row that is measured and return what arrives there.
+
+        Raises
+        ------
+        EndOfScenario
+            There is no further row.
+        """
+        self._emission = self.world.advance()
+        if self._is_flown(self.world.row_index):
+            self._fly_to(self.world.row_index)
+            self._emission = self._flown_emission(self.world.row_index)
+        return self._emission
+
+    def current(self) -> Emission:
+        """Return what arrives at the present instant."""
+        return self._emission or self.world.current()
+
+    def send(self, text: str) -> int | None:
+        """Hand a line with a schedule to the uplink at the present row; return its counter, None = nothing to send.
+
+        Raises
+        ------
+        ScheduleError
+            The line holds no schedule that can be flown, or nothing is flown yet, or too many came from this row.
+        """
+        if self.epoch_us is None:
+            start = rfc3339(self.world.scenario.operation_start_us)
+            raise ScheduleError(f"the craft is under its sensors until {start} has been measured")
+        schedule = parse_schedule(text, self.epoch_us)
+        if self._sent_from_row >= SCHEDULES_A_ROW:
+            raise ScheduleError(f"more than {SCHEDULES_A_ROW} schedules from one row")
+        self._sent_from_row += 1
+        return self._plant.send(schedule)
+
+    def told_after(self, first: int, last: int) -> Iterator[Line]:
+        """Yield what the ground is told once rows of operation have been flown: telemetry, and truth for the judge."""
+        start_us, stop_us = (int(self.world.rows.epochs_us[row]) for row in (first, last))
+        if any(start_us <= record.told_us <= stop_us for record in self.world.telemetry):
+            yield {"kind": "telemetry", "body": {"records": [telemetry_of(self._plant)]}}
+        rows = [truth_row(self.world, row, self._attitude_deg[row]) for row in range(first, last + 1)]
+        yield {"kind": "truth", "rows": rows}
+
+    def _is_flown(self, row: int) -> bool:
+        return row >= self._plant.first_row
+
+    def _fly_to(self, row: int) -> None:
+        """Fly the craft to a row, over gaps too."""
+        while self._plant.row < row:
+            self._plant.advance(_NOTHING)
+            self._attitude_deg[self._plant.row] = self._plant.state.attitude_deg
+            self._tell([report_line(report) for report in self._plant.reports])
+        if self._plant.row == self._plant.first_row:
+            self._tell([])
+        self._sent_from_row = 0
+
+    def _tell(self, lines: list[Line]) -> None:
+        for listener in self._listeners:
+            listener(self._plant.epoch_us, lines)
+
+    def _flown_emission(self, row: int) -> Emission:
+        """Return what arrives at the attitude flown."""
+        # power control remembers, so that its rows are computed from the first one on
+        first = 0 if self.world.terms.has_control else row
+        levels = self.world.terms.levels(self._attitude_deg[first : row + 1], first)
+        return self.world.emission(row, levels.carrier_dbm[-1])
