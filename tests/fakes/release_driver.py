@@ -8,6 +8,7 @@ import numpy as np
 from service.core.control.envelope import Envelope
 from service.core.control.sign_check import Verdict
 from service.core.control.slew_schedule import Drive, plan_slew, predicted_effect
+from service.pipeline.release_interlock.command_states import Turn
 from service.pipeline.release_interlock.interlock import Instant
 from service.pipeline.release_interlock.interlock_conditions import RowFacts, Surroundings
 from service.pipeline.release_interlock.release import advance, restored
@@ -22,6 +23,7 @@ from service.pipeline.release_interlock.release_events import (
     Prepare,
     Proposal,
     ReleaseState,
+    Report,
     ResponseJudged,
     RowSeen,
     SignJudged,
@@ -31,7 +33,6 @@ from service.pipeline.release_interlock.release_events import (
 )
 from service.pipeline.release_interlock.release_settings import ReleaseSettings
 from service.records.attitude import Axes
-from service.records.catalogue import Release
 
 US = 1_000_000
 MINUTE_US = 60 * US
@@ -39,7 +40,7 @@ START_US = 1_900_000_000 * US
 #: inertia about yaw, roll, pitch
 INERTIA = np.diag([2600.0, 2600.0, 1400.0])
 DRIVE = Drive(0.05, 0.002, 0.1, 0.001)
-SETTINGS = ReleaseSettings(release=Release.AUTOMATIC)
+SETTINGS = ReleaseSettings()
 AROUND = Surroundings(
     is_aligned=True,
     ephemeris_received_us=START_US - 3600 * US,
@@ -203,8 +204,12 @@ class ReleaseDriver:
         command = self.state.commands[-1] if counter is None else self.command(counter)
         return self.send(Confirm(self.at, by, command.counter, command.digest, is_approver))
 
-    def automatic(self, **wish: float) -> Step:
-        return self.send(Automatic(self.at, self.proposal(**wish)))
+    def automatic(self, *, is_reported: bool = True, **wish: float) -> Step:
+        """Let the law send; the centre reports at once."""
+        step = self.send(Automatic(self.at, self.proposal(**wish)))
+        if is_reported and any(action.kind is ActionKind.RELEASE for action in step.actions):
+            self.send(Report(self.at, self.state.commands[-1].counter, Turn.EXECUTED))
+        return step
 
     def command(self, counter: int):
         return next(each for each in self.state.commands if each.counter == counter)

@@ -14,7 +14,7 @@ class Life(Enum):
     CONFIRMED = "confirmed, about to be released"
     RELEASED = "given out for uplink; its effect is uncertain until it is reported"
     SENT = "the centre reports that it was uplinked"
-    EXECUTED = "reported executed, or applied by standing authorisation: known input of the filter"
+    EXECUTED = "reported executed: known input of the filter"
     FAILED = "reported not executed, or in part"
     EXPIRED = "not confirmed in time"
     CANCELLED = "taken back before its release"

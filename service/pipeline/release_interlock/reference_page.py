@@ -54,8 +54,9 @@ def reference_page() -> str:
         "```mermaid\n" + command_diagram() + "\n```",
         _table(("life", "meaning"), [(f"`{life.name}`", life.value) for life in Life]),
         _table(("turn", "when"), [(f"`{turn.name}`", turn.value) for turn in Turn]),
-        "A command released by standing authorisation goes from PREPARED to EXECUTED in one step: it counts as\n"
-        "applied. One that persons confirmed is uncertainty of the filter, with its whole effect, until its report.",
+        "A command released by standing authorisation goes from PREPARED to RELEASED in one step. Every released\n"
+        "command is uncertainty of the filter, with its whole effect, until its report; one at a time. In release\n"
+        "`automatic` computed commands count as applied and have no life here: one beyond the envelope trips.",
     ]
     return "\n\n".join(parts) + "\n"
 

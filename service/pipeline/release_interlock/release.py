@@ -24,10 +24,19 @@ from service.pipeline.release_interlock.interlock import (
 from service.pipeline.release_interlock.interlock_conditions import ALARMED, Condition, RowFacts
 from service.pipeline.release_interlock.interlock_states import REFUSALS, State, Trigger, rows_of
 from service.pipeline.release_interlock.release_checks import unreported_of
-from service.pipeline.release_interlock.release_commands import automatic, cancel, confirm, prepare, refused, report
+from service.pipeline.release_interlock.release_commands import (
+    applied,
+    automatic,
+    cancel,
+    confirm,
+    prepare,
+    refused,
+    report,
+)
 from service.pipeline.release_interlock.release_events import (
     Action,
     ActionKind,
+    Applied,
     Automatic,
     Cancel,
     CommandRecord,
@@ -120,7 +129,7 @@ def uncertainty_of(state: ReleaseState) -> Uncertainty:
     """Return what unreported commands may have done: their whole effect, at its greatest."""
     angle, rate = np.zeros(3), np.zeros(3)
     for command in state.commands:
-        if command.life in UNREPORTED and not command.is_automatic:
+        if command.life in UNREPORTED and not command.proposal.is_sign_check:
             effect = command.proposal.effect
             angle += np.maximum(np.abs(effect.angle_change_deg), np.abs(effect.peak_angle_deg))
             rate += np.maximum(np.abs(effect.rate_change_deg_s), np.abs(effect.peak_rate_deg_s))
@@ -136,6 +145,8 @@ def _handled(state: ReleaseState, event: Event, settings: ReleaseSettings) -> St
             return confirm(state, event, settings)
         case Automatic():
             return automatic(state, event, settings)
+        case Applied():
+            return applied(state, event, settings)
         case Cancel():
             return cancel(state, event)
         case Report():

@@ -5,8 +5,8 @@ from typing import NamedTuple
 from service.core.control.envelope import Envelope, envelope_excesses
 from service.core.control.slew_schedule import Triple
 from service.pipeline.release_interlock.command_states import UNREPORTED
-from service.pipeline.release_interlock.interlock import Instant
-from service.pipeline.release_interlock.interlock_conditions import Unreported
+from service.pipeline.release_interlock.interlock import Instant, Interlock
+from service.pipeline.release_interlock.interlock_conditions import Condition, Consequence, Unreported
 from service.pipeline.release_interlock.interlock_states import State
 from service.pipeline.release_interlock.release_events import CommandRecord, Proposal, Refusal, ReleaseState
 from service.pipeline.release_interlock.release_settings import ReleaseSettings, microseconds
@@ -54,13 +54,13 @@ def release_checks(
     newest_us, period_s = (0, 0.0) if row is None else (row.epoch_us, row.period_s)
     stale_us = microseconds(settings.stale_periods * period_s + settings.stale_margin_s + waiting_s)
     yaw = proposal.effect.gross_impulse_n_m_s[0]
-    waiting = [command.counter for command in state.commands if command.life in UNREPORTED and not command.is_automatic]
+    waiting = [command.counter for command in state.commands if command.life in UNREPORTED]
     return (
         _interlock_check(state),
         Check("envelope", not excesses, "envelope.exceeded", "; ".join(map(str, excesses))),
         Check(
             "yaw",
-            yaw == 0.0 or not interlock.is_yaw_withheld,
+            yaw == 0.0 or not _is_yaw_withheld(interlock, proposal),
             "interlock.yaw_withheld",
             "the yaw torque is withheld: leave it out",
         ),
@@ -114,10 +114,16 @@ def sent_within_an_hour(state: ReleaseState, now_us: int) -> Triple:
 
 
 def unreported_of(commands: tuple[CommandRecord, ...]) -> Unreported:
-    """Return what nobody has reported among the commands that went out by confirmation."""
-    waiting = [command for command in commands if command.life in UNREPORTED and not command.is_automatic]
+    """Return what nobody has reported among the commands that went out."""
+    waiting = [command for command in commands if command.life in UNREPORTED]
     stops_us = [max(command.proposal.stop_us, command.released_us or 0) for command in waiting]
     return Unreported(len(waiting), min(stops_us, default=None))
+
+
+def _is_yaw_withheld(interlock: Interlock, proposal: Proposal) -> bool:
+    """Whether a yaw torque may not go; that the sign is not proven does not hold back the check that proves it."""
+    standing = {each for each in interlock.standing if each.consequence is Consequence.YAW}
+    return bool(standing - {Condition.YAW_SIGN} if proposal.is_sign_check else standing)
 
 
 def _interlock_check(state: ReleaseState) -> Check:

@@ -1,19 +1,22 @@
 """Commands: prepared, confirmed, released, reported.
 
-Law of this file: every function gets a settled state, and returns a step whose refusal means that nothing changed.
+Law of this file: every function gets a settled state, and returns a step whose refusal means that nothing changed. The
+torque of a sign check is not told to the filter; its actions say so, the rest of its life is that of any command.
 """
 
 from dataclasses import replace
 
+from service.core.control.envelope import envelope_excesses
 from service.core.control.slew_schedule import AxisPulse
 from service.pipeline.release_interlock.command_states import OPEN, Life, Turn, next_life
 from service.pipeline.release_interlock.interlock import Instant, tripped
 from service.pipeline.release_interlock.interlock_conditions import Condition
 from service.pipeline.release_interlock.interlock_states import State
-from service.pipeline.release_interlock.release_checks import first_failure, release_checks
+from service.pipeline.release_interlock.release_checks import first_failure, release_checks, sent_within_an_hour
 from service.pipeline.release_interlock.release_events import (
     Action,
     ActionKind,
+    Applied,
     Automatic,
     Cancel,
     CommandRecord,
@@ -28,7 +31,6 @@ from service.pipeline.release_interlock.release_events import (
     digest_of,
 )
 from service.pipeline.release_interlock.release_settings import ReleaseSettings, microseconds
-from service.records.catalogue import Release
 from service.records.epoch import US_PER_S
 
 #: who stands behind a command that nobody confirmed by hand
@@ -60,7 +62,7 @@ def confirm(state: ReleaseState, event: Confirm, settings: ReleaseSettings) -> S
     confirmed = replace(command, life=_turned(command, Turn.CONFIRM), confirmed_by=event.by)
     released = replace(confirmed, life=_turned(confirmed, Turn.RELEASE), released_us=event.at.now_us)
     actions = (
-        Action(ActionKind.RELEASE, "two_step", command.counter),
+        Action(ActionKind.RELEASE, "confirmed", command.counter),
         Action(ActionKind.UNCERTAIN, "until reported", command.counter),
     )
     return Step(_with_released(state, released, event.at), actions)
@@ -70,11 +72,9 @@ def automatic(state: ReleaseState, event: Automatic, settings: ReleaseSettings) 
     """Return the state with a command of the law released under the standing authorisation.
 
     A wish beyond the envelope of the settings trips: the law does not ask for such things. One beyond the authorised
-    envelope only is refused; it may be prepared and confirmed.
+    envelope only is refused; it may be prepared and confirmed. What was released waits for its report like any other.
     """
     interlock = state.interlock
-    if settings.release is not Release.AUTOMATIC:
-        return refused(state, "release.two_step", "commands of this spacecraft are confirmed one by one")
     if interlock.state in (State.ARMED, State.RECOVERY) or interlock.authorisation is None:
         return refused(state, *_no_authorisation(interlock.state))
     if event.proposal.attitude_epoch_us <= state.released_epoch_us:
@@ -93,13 +93,27 @@ def automatic(state: ReleaseState, event: Automatic, settings: ReleaseSettings) 
     command = _new(state, event.proposal, AUTHORISATION, event.at, settings)
     confirmed = replace(command, life=_turned(command, Turn.CONFIRM), confirmed_by=AUTHORISATION, is_automatic=True)
     released = replace(confirmed, life=_turned(confirmed, Turn.RELEASE), released_us=event.at.now_us)
-    applied = replace(released, life=_turned(released, Turn.EXECUTED), executed=event.proposal.pulses)
     numbered = replace(state, commands=(*state.commands, command), next_counter=state.next_counter + 1)
     actions = (
-        Action(ActionKind.RELEASE, "automatic", command.counter),
-        Action(ActionKind.KNOWN_INPUT, "applied from its start on", command.counter),
+        Action(ActionKind.RELEASE, "authorised", command.counter),
+        Action(ActionKind.UNCERTAIN, "until reported", command.counter),
     )
-    return Step(_with_released(numbered, applied, event.at), actions)
+    return Step(_with_released(numbered, released, event.at), actions)
+
+
+def applied(state: ReleaseState, event: Applied, settings: ReleaseSettings) -> Step:
+    """Return the state with a computed command that counts as applied without anybody's confirmation.
+
+    It has been told already, so nothing can be refused: one beyond the envelope trips, and none is told any more.
+    """
+    sent = SentImpulse(event.at.now_us, event.effect.gross_impulse_n_m_s)
+    counted = replace(state, sent=(*state.sent, sent))
+    excesses = envelope_excesses(event.effect, sent_within_an_hour(state, event.at.now_us), settings.envelope)
+    if not excesses:
+        return Step(counted)
+    stopped = tripped(state.interlock, Condition.ENVELOPE, event.at, settings)
+    detail = f"envelope: {'; '.join(map(str, excesses))}"
+    return Step(replace(counted, interlock=stopped), (Action(ActionKind.ALARM, detail),))
 
 
 def _failure_by_hand(state: ReleaseState, proposal: Proposal, at: Instant, settings: ReleaseSettings) -> Refusal | None:

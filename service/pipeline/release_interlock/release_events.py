@@ -27,6 +27,8 @@ class Proposal:
     #: of the flexible-response check: accept, warn or reject
     schedule_verdict: str
     reason: str = ""
+    #: a turn by which a sign is proven: the filter is not told of its torque
+    is_sign_check: bool = False
 
     @property
     def stop_us(self) -> int:
@@ -184,6 +186,14 @@ class Automatic:
 
 
 @dataclass(frozen=True, slots=True)
+class Applied:
+    """A computed command counts as applied (release automatic): whoever applies torques has been told of it."""
+
+    at: Instant
+    effect: Effect
+
+
+@dataclass(frozen=True, slots=True)
 class Report:
     """The centre tells what became of a released command."""
 
@@ -208,6 +218,7 @@ Event = (
     | Confirm
     | Cancel
     | Automatic
+    | Applied
     | Report
 )
 

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field
 
 from service.core.control.envelope import Envelope
-from service.records.catalogue import Release
 from service.records.epoch import US_PER_S
 
 
@@ -11,7 +10,6 @@ from service.records.epoch import US_PER_S
 class ReleaseSettings:
     """What inhibits, what trips, and how long things last."""
 
-    release: Release = Release.TWO_STEP
     #: beyond it no command goes, whoever confirms it
     envelope: Envelope = field(default_factory=Envelope)
     #: an estimate is too old after this many row periods and so many seconds

@@ -3,19 +3,22 @@
 from dataclasses import replace
 
 import pytest
-from release_driver import GOOD, MINUTE_US, START_US, US, ReleaseDriver
+from release_driver import GOOD, MINUTE_US, START_US, US, ReleaseDriver, slew
 
 from service.core.control.sign_check import Verdict
+from service.pipeline.release_interlock.command_states import Turn
 from service.pipeline.release_interlock.interlock_conditions import Condition, Consequence
 from service.pipeline.release_interlock.release_events import (
+    Applied,
+    Cancel,
     Engage,
     OrderKind,
+    Prepare,
+    Report,
     ResponseJudged,
     SignJudged,
 )
-from service.pipeline.release_interlock.release_settings import ReleaseSettings
 from service.records.attitude import Axes
-from service.records.catalogue import Release
 
 NAN = float("nan")
 
@@ -305,9 +308,42 @@ def test_orders_that_mean_nothing_are_refused(state, kind, code):
     assert driver.order(kind).refusal.code == code
 
 
-def test_two_step_lets_nothing_go_by_itself():
-    driver = ReleaseDriver(ReleaseSettings(release=Release.TWO_STEP)).engaged()
-    assert driver.automatic().refusal.code == "release.two_step"
+def test_what_the_authorisation_sends_waits_for_its_report_like_any_other():
+    driver = ReleaseDriver().engaged()
+    assert driver.automatic(is_reported=False).refusal is None
+    driver.rows(1)
+    assert driver.automatic().refusal.code == "command.unreported"
+    assert driver.send(Report(driver.at, 1, Turn.EXECUTED)).refusal is None
+    assert driver.automatic().refusal is None
+
+
+def test_a_computed_command_that_counts_as_applied_trips_beyond_the_envelope_and_counts_for_the_hour():
+    driver = ReleaseDriver().armed()
+    _, effect = slew(0.0, 0.05, 0.0, 900.0)
+    _, far = slew(0.0, 0.5, 0.0, 3600.0)
+    times = int(0.1 / effect.gross_impulse_n_m_s[1])
+    for _ in range(times):
+        assert driver.send(Applied(driver.at, effect)).refusal is None
+        driver.rows(1)
+    assert driver.name == "ARMED"
+    assert driver.prepare(roll_deg=0.05).refusal.code == "envelope.exceeded"
+    driver.send(Applied(driver.at, effect))
+    assert driver.name == "TRIPPED"
+    driver = ReleaseDriver().armed()
+    driver.send(Applied(driver.at, far))
+    assert (driver.name, driver.state.interlock.trips[0].word) == ("TRIPPED", "envelope")
+
+
+def test_a_sign_check_of_yaw_needs_no_proven_sign_and_every_other_reason_still_holds():
+    driver = ReleaseDriver().armed()
+    driver.forget("yaw")
+    wish = replace(driver.proposal(roll_deg=0.0, yaw_deg=0.03), is_sign_check=True)
+    assert driver.send(Prepare(driver.at, "ann", replace(wish, is_sign_check=False))).refusal is not None
+    assert driver.send(Prepare(driver.at, "ann", wish)).refusal is None
+    driver.send(Cancel(driver.at, "ann", 1))
+    driver.rows(1, replace(GOOD, sigma_deg=Axes(0.3, 0.02, 0.03)))
+    late = replace(wish, attitude_epoch_us=driver.row.epoch_us, start_us=driver.now_us + 600 * US)
+    assert driver.send(Prepare(driver.at, "ann", late)).refusal.code == "interlock.yaw_withheld"
 
 
 def test_a_row_from_the_future_is_not_believed():
