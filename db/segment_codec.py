@@ -100,9 +100,8 @@ def unpack_columns(blob: bytes, count: int) -> Columns:
 
 
 def unpack_powers(blob: bytes, count: int) -> Float32Array:
-    """Return the powers of a segment, (T, N) dBm, row by row in memory, read-only."""
-    raw = _unpacked(blob, None)
-    powers: Float32Array = np.ascontiguousarray(np.frombuffer(raw, dtype="<f4").reshape(-1, count).T)
+    """Return the powers of a segment, (T, N) dBm, carrier by carrier in memory, read-only."""
+    powers: Float32Array = np.frombuffer(_unpacked(blob, None), dtype="<f4").reshape(-1, count).T
     powers.setflags(write=False)
     return powers
 
