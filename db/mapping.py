@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from sqlalchemy import ColumnElement, Row
 
-from db.documents import decode_all, encode_all
+from db.documents import decode, decode_all, encode, encode_all
 from db.measurement_details import details_of
 from db.tables import measurement, measurement_detail, source
 from service.records.attitude import NO_ANGLES, AttitudeRow, Axes, Exclusion, FloatArray, IntArray, Status
 from service.records.catalogue import Method
-from service.records.command import Pulse, TorqueCommand
+from service.records.command import Pulse, ScheduleVerdict, TorqueCommand
 from service.records.measurement import Float32Array, Measurement
 
 #: what ``measurement_of`` reads, in this order
@@ -152,6 +152,7 @@ def torque_values(key: int, version: str, command: TorqueCommand, sequence: int 
         "predicted_wheel_momentum_n_m_s": encode_all(float, command.predicted_wheel_momentum_n_m_s),
         "control_allowed": command.control_allowed,
         "inhibitions": json.dumps(command.inhibitions),
+        "schedule_check": None if command.schedule_check is None else encode(command.schedule_check),
     }
 
 
@@ -174,6 +175,7 @@ def torque_of(row: Row[Any]) -> TorqueCommand:
         predicted_wheel_momentum_n_m_s=decode_all(float, row.predicted_wheel_momentum_n_m_s),
         control_allowed=row.control_allowed,
         inhibitions=tuple(json.loads(row.inhibitions)),
+        schedule_check=None if row.schedule_check is None else decode(ScheduleVerdict, row.schedule_check),
     )
 
 

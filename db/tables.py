@@ -309,6 +309,7 @@ torque = Table(
     Column("predicted_wheel_momentum_n_m_s", Text, nullable=False),
     Column("control_allowed", Boolean, nullable=False),
     Column("inhibitions", Text, nullable=False),
+    Column("schedule_check", Text),
     Index("torque_sequence", "spacecraft_key", "sequence", unique=True),
     sqlite_with_rowid=False,
 )

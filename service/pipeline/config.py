@@ -194,6 +194,18 @@ class TorqueConfig:
     default_period_s: float = 60.0
     #: rows from whose median the command period is taken
     period_rows: int = 15
+    #: part of a command's period within which it slews; the rest is for its report and for the next one's way
+    slew_share: float = 0.75
+    #: a known torque is balanced this often after the slew, s
+    balance_s: float = 900.0
+    #: share of the envelope that the law uses by itself
+    envelope_share: float = 0.95
+    #: momentum from which null motion keeps a wheel away, N m s; wheels beyond three have it
+    least_wheel_momentum_n_m_s: float = 0.2
+    #: momentum that was told longer ago is not known any more, s
+    telemetry_age_s: float = 3600.0
+    #: what flexible modes may add to the angle of the hub, deg
+    panel_peak_limit_deg: float = 0.005
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,21 +1,31 @@
-"""Wheel torques, L4 to L5: the control law's mean torque as pulses that end by themselves, and each wheel's share.
+"""Wheel torques, L4 to L5: the control law's torque as pulses that end by themselves, and each wheel's share.
 
-State kept: the impulse not yet given. Whenever an inhibition stands the command is zero, says why, and the carry is
-dropped: a wish from before an inhibition is not given after it.
+Release ``automatic``: every row has its command, the mean torque of the law until the next one; the impulse that is too
+small for a pulse is carried. Release ``two_step``: a command is a slew that takes its own rate away and the pulses that
+balance the known torque until its horizon ends, so that the craft is at rest whatever happens to the link.
+
+Whenever an inhibition stands the command is zero, says why, and the carry is dropped: a wish from before an inhibition
+is not given after it.
 """
 
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.core.control.attitude_law import proportional_derivative_torque
-from service.core.control.pulses import PulseTrain, shape_pulses
-from service.core.control.wheels import allocate_to_wheels, body_torque_limit_n_m
+from service.core.control.command_plan import Forecast, Situation, plan_command
+from service.core.control.envelope import Envelope
+from service.core.control.pulses import shape_pulses
+from service.core.control.quaternion_law import feedback_torque
+from service.core.control.slew_schedule import AxisPulse
+from service.core.control.wheel_allocation import Allocation, Wheels, allocate
+from service.pipeline.command_record import Span, command_of, impulse_of, predicted, zero_command
 from service.pipeline.config import TorqueConfig
-from service.records.attitude import AttitudeRow, Axes, FloatArray, named_axes
-from service.records.catalogue import ControlMode, Spacecraft, WheelSet
-from service.records.command import Pulse, TorqueCommand
+from service.pipeline.control_design import ControlDesign, control_design
+from service.pipeline.schedule_verdict import PanelSwing, schedule_verdict
+from service.records.attitude import AttitudeRow, FloatArray
+from service.records.catalogue import ControlMode, Release, Spacecraft
+from service.records.command import TorqueCommand
+from service.records.disturbance import Disturbance
 from service.records.epoch import US_PER_S
 
 #: reasons beside those of the interlock for which a command stays zero, with what each one says
@@ -24,12 +34,12 @@ CONTROL_INHIBITIONS: dict[str, str] = {
     "mode_off": "attitude control is switched off",
     "no_fast_loop": "the catalogue states no fast loop or no Forecast mode on board",
     "no_rate": "too few fixes yet for an angular rate",
+    "no_law": "inertia, wheels, period and damping of the catalogue make no control law; the log says why",
+    "tripped": "control has tripped; find the cause and reset",
 }
 
 NO_CARRY = np.zeros(3)
-_ZERO = Axes(0.0, 0.0, 0.0)
-#: places of yaw, roll, pitch among the body axes x roll, y pitch, z yaw
-_BODY_FROM_ANGLES = np.array([1, 2, 0])
+_ENVELOPE = Envelope()
 
 
 @dataclass(frozen=True)
@@ -41,7 +51,7 @@ class TorqueOutcome:
     carry_n_m_s: FloatArray
 
 
-def control_inhibitions(row: AttitudeRow, spacecraft: Spacecraft) -> tuple[str, ...]:
+def control_inhibitions(row: AttitudeRow, spacecraft: Spacecraft, *, is_withheld: bool = False) -> tuple[str, ...]:
     """Return why this row may not lead to a torque: the row's reasons and those of the spacecraft's settings."""
     reasons = list(row.inhibitions)
     if spacecraft.control.mode is not ControlMode.GROUND:
@@ -50,117 +60,216 @@ def control_inhibitions(row: AttitudeRow, spacecraft: Spacecraft) -> tuple[str, 
         reasons.append("no_fast_loop")
     if not row.inhibitions and row.rates_deg_s is None:
         reasons.append("no_rate")
+    if is_withheld:
+        reasons.append("tripped")
     return tuple(reasons)
 
 
 def compute_command(
-    row: AttitudeRow, spacecraft: Spacecraft, carry_n_m_s: FloatArray, period_s: float, config: TorqueConfig
+    row: AttitudeRow,
+    spacecraft: Spacecraft,
+    carry_n_m_s: FloatArray,
+    period_s: float,
+    config: TorqueConfig,
+    disturbance: Disturbance | None = None,
+    momentum_n_m_s: tuple[float, ...] | None = None,
+    *,
+    swing: PanelSwing | None = None,
+    is_withheld: bool = False,
 ) -> TorqueOutcome:
-    """Return the command that follows from one attitude row."""
+    """Return the command that follows from one attitude row.
+
+    Parameters
+    ----------
+    row : AttitudeRow
+        Of the method that drives control.
+    spacecraft : Spacecraft
+        Law, wheels, modes and the way of release.
+    carry_n_m_s : ndarray, shape (3,), N m s
+        Left over from earlier commands; release ``automatic`` alone has it.
+    period_s : float, s
+        Expected time to the next command.
+    disturbance : Disturbance, optional
+        Torque that nobody commanded, fed forward.
+    momentum_n_m_s : tuple of float, optional
+        Momentum of each wheel; None: not known, and its limit is not looked at.
+    swing : PanelSwing, optional
+        What earlier schedules have left in the flexible modes.
+    is_withheld : bool
+        Whether control has tripped.
+    """
     # a simulated spacecraft lives on its own epochs, a real one can be commanded only from the receipt on
     epoch_us = row.epoch_us if spacecraft.simulated else max(row.epoch_us, row.received_at_us)
+    span = Span(epoch_us, period_s)
+    inhibitions = control_inhibitions(row, spacecraft, is_withheld=is_withheld)
+    if inhibitions:
+        return TorqueOutcome(zero_command(row, spacecraft, span, inhibitions), NO_CARRY)
+    if spacecraft.control.release is Release.TWO_STEP:
+        command = _forecast_command(row, spacecraft, span, None, config, disturbance, momentum_n_m_s)
+        outcome = TorqueOutcome(command, NO_CARRY)
+    else:
+        outcome = _mean_command(row, spacecraft, span, carry_n_m_s, config, disturbance, momentum_n_m_s)
+    verdict = schedule_verdict(outcome.command.schedule, spacecraft, config, swing)
+    return outcome if verdict is None else replace(outcome, command=replace(outcome.command, schedule_check=verdict))
+
+
+def command_for(
+    row: AttitudeRow,
+    spacecraft: Spacecraft,
+    start_us: int,
+    duration_s: float,
+    max_torque_n_m: float | None,
+    config: TorqueConfig,
+    disturbance: Disturbance | None = None,
+    momentum_n_m_s: tuple[float, ...] | None = None,
+    *,
+    swing: PanelSwing | None = None,
+) -> TorqueCommand:
+    """Return the command that would be released: from a start that lies ahead, for a whole horizon.
+
+    Parameters
+    ----------
+    row : AttitudeRow
+        Newest row of the method that drives control; its angles are carried on to the start.
+    start_us : int
+        When the first pulse may begin.
+    duration_s : float, s
+        Horizon. The slew takes its part of a command period, or of the horizon where that is shorter; what follows is
+        as long as the envelope allows.
+    max_torque_n_m : float or None
+        Greatest torque of a pulse; None: what the craft has.
+
+    Returns
+    -------
+    TorqueCommand
+        ``command_period_s`` is the horizon; zero with the reasons where the row or the settings forbid control.
+    """
+    span = Span(start_us, duration_s)
     inhibitions = control_inhibitions(row, spacecraft)
-    if inhibitions or row.rates_deg_s is None:
-        return TorqueOutcome(_zero_command(row, spacecraft, epoch_us, period_s, inhibitions), NO_CARRY)
-    wanted = proportional_derivative_torque(
-        np.array(row.attitude_deg),
-        np.array(row.rates_deg_s),
-        _principal_inertia(spacecraft),
-        spacecraft.control.period_s,
-        spacecraft.control.damping,
+    if inhibitions:
+        return zero_command(row, spacecraft, span, inhibitions)
+    command = _forecast_command(row, spacecraft, span, max_torque_n_m, config, disturbance, momentum_n_m_s)
+    return replace(command, schedule_check=schedule_verdict(command.schedule, spacecraft, config, swing))
+
+
+def _mean_command(
+    row: AttitudeRow,
+    spacecraft: Spacecraft,
+    span: Span,
+    carry_n_m_s: FloatArray,
+    config: TorqueConfig,
+    disturbance: Disturbance | None,
+    momentum_n_m_s: tuple[float, ...] | None,
+) -> TorqueOutcome:
+    """Return the command whose mean is the law's torque."""
+    try:
+        design = control_design(spacecraft, config)
+    except ValueError:
+        return TorqueOutcome(zero_command(row, spacecraft, span, ("no_law",)), NO_CARRY)
+    middle_us = (span.epoch_us + span.stop_us) // 2
+    wanted = feedback_torque(
+        design.gains,
+        row.attitude_deg,
+        _rates(row),
+        disturbance_n_m=NO_CARRY if disturbance is None else disturbance.torque_n_m(middle_us),
     )
     is_allowed = np.array(row.control_allowed_axes)
-    pulses = shape_pulses(
+    train = shape_pulses(
         np.where(is_allowed, wanted, 0.0),
         np.where(is_allowed, carry_n_m_s, 0.0),
-        period_s=period_s,
-        limit_n_m=min(spacecraft.torque_limit_n_m, _wheels_limit_n_m(spacecraft.wheels)),
-        quantum_n_m=spacecraft.wheels.torque_quantum_n_m,
+        period_s=span.period_s,
+        limit_n_m=design.drive.limit_n_m,
+        quantum_n_m=design.drive.quantum_n_m,
         min_pulse_s=config.min_pulse_s,
         time_step_s=config.time_step_s,
     )
-    return TorqueOutcome(_command(row, spacecraft, epoch_us, period_s, pulses), pulses.carry_n_m_s)
+    told = enumerate(zip(train.duration_s.tolist(), train.torque_n_m.tolist(), strict=True))
+    pulses = tuple(AxisPulse(axis, 0.0, duration_s, torque) for axis, (duration_s, torque) in told if duration_s)
+    command = _allocated(row, spacecraft, span, pulses, design, momentum_n_m_s, is_cut=bool(train.is_saturated.any()))
+    return TorqueOutcome(command, train.carry_n_m_s)
 
 
-@lru_cache(maxsize=64)
-def _wheels_limit_n_m(wheels: WheelSet) -> float:
-    """Return the body torque up to which no wheel exceeds its own limit; a set of wheels hardly ever changes."""
-    return body_torque_limit_n_m(np.array(wheels.axes, dtype=np.float64), wheels.torque_limit_n_m)
-
-
-@lru_cache(maxsize=64)
-def _wheels_of_body(wheels: WheelSet) -> FloatArray:
-    """Return the share (3, W) of each wheel in a torque about x roll, y pitch, z yaw; nobody may write it."""
-    shares = allocate_to_wheels(np.array(wheels.axes, dtype=np.float64), np.eye(3))
-    shares.setflags(write=False)
-    return shares
-
-
-def _principal_inertia(spacecraft: Spacecraft) -> FloatArray:
-    """Return the inertia about yaw, roll and pitch."""
-    x, y, z = (spacecraft.inertia_kg_m2[k][k] for k in range(3))
-    return np.array([z, x, y])
-
-
-def _command(
-    row: AttitudeRow, spacecraft: Spacecraft, epoch_us: int, period_s: float, pulses: PulseTrain
+def _forecast_command(
+    row: AttitudeRow,
+    spacecraft: Spacecraft,
+    span: Span,
+    max_torque_n_m: float | None,
+    config: TorqueConfig,
+    disturbance: Disturbance | None,
+    momentum_n_m_s: tuple[float, ...] | None,
 ) -> TorqueCommand:
-    """Return the command of some pulses."""
-    impulse = pulses.impulse_n_m_s
-    rate_change_rad_s = impulse / _principal_inertia(spacecraft)
-    # every pulse starts with the period and is short beside it: the gained rate turns the body until the period ends
-    angle_change_rad = rate_change_rad_s * (period_s - pulses.duration_s / 2.0)
-    wheel_impulse = impulse[_BODY_FROM_ANGLES] @ _wheels_of_body(spacecraft.wheels) + 0.0
-    return TorqueCommand(
-        epoch_us=epoch_us,
-        number=row.number,
-        attitude_epoch_us=row.epoch_us,
-        mode=spacecraft.control.mode.value,
-        torque_n_m=named_axes(impulse / period_s),
-        wheels_n_m=tuple((wheel_impulse / period_s).tolist()),
-        saturated=bool(pulses.is_saturated.any()),
-        command_period_s=period_s,
-        valid_until_us=epoch_us + round(period_s * US_PER_S),
-        schedule=_schedule(epoch_us, pulses),
-        impulse_n_m_s=named_axes(impulse),
-        predicted_angle_change_deg=named_axes(np.rad2deg(angle_change_rad)),
-        predicted_rate_change_deg_s=named_axes(np.rad2deg(rate_change_rad_s)),
-        predicted_wheel_momentum_n_m_s=tuple(wheel_impulse.tolist()),
-        control_allowed=True,
-        inhibitions=(),
-    )
+    """Return the command of a slew and of what balances the known torque after it."""
+    try:
+        design = control_design(spacecraft, config)
+        drive = design.drive
+        if max_torque_n_m is not None:
+            drive = drive._replace(limit_n_m=min(drive.limit_n_m, max_torque_n_m))
+        situation = _situation_at(row, span.epoch_us, design, disturbance)
+        envelope = Envelope(*(config.envelope_share * limit for limit in _ENVELOPE))
+        forecast = _forecast(spacecraft, span, config, disturbance)
+        plan = plan_command(design.gains, drive, situation, forecast, envelope)
+    except ValueError:
+        return zero_command(row, spacecraft, span, ("no_law",))
+    return _allocated(row, spacecraft, span, plan.pulses, design, momentum_n_m_s, is_cut=plan.is_shortened)
 
 
-def _zero_command(
-    row: AttitudeRow, spacecraft: Spacecraft, epoch_us: int, period_s: float, inhibitions: tuple[str, ...]
+def _situation_at(row: AttitudeRow, start_us: int, design: ControlDesign, disturbance: Disturbance | None) -> Situation:
+    """Return the craft at an instant after its row."""
+    ahead_s = max(0.0, (start_us - row.epoch_us) / US_PER_S)
+    pushed_deg_s2 = np.zeros(3)
+    if disturbance is not None:
+        middle_us = (row.epoch_us + start_us) // 2
+        pushed_deg_s2 = np.degrees(np.linalg.solve(design.gains.inertia_kg_m2, disturbance.torque_n_m(middle_us)))
+    rates = _rates(row)
+    attitude = np.array(row.attitude_deg) + rates * ahead_s + 0.5 * pushed_deg_s2 * ahead_s**2
+    return Situation(attitude, rates + pushed_deg_s2 * ahead_s, np.array(row.control_allowed_axes))
+
+
+def _forecast(spacecraft: Spacecraft, span: Span, config: TorqueConfig, disturbance: Disturbance | None) -> Forecast:
+    """Return the parts of a horizon and the torque expected in each."""
+    slew_s = config.slew_share * min(span.period_s, spacecraft.control.command_period_s)
+    left_s = span.period_s - slew_s
+    # slices of a whole period where there is room, else one for what is left of the only period
+    slices = max(1, int(left_s / config.balance_s)) if left_s > 0.0 else 0
+    slice_s = left_s / slices if slices else config.balance_s
+    if disturbance is None:
+        return Forecast(slew_s, slice_s, np.zeros((1 + slices, 3)))
+    middles_s = [0.5 * slew_s, *(slew_s + slice_s * (k + 0.5) for k in range(slices))]
+    instants = [span.epoch_us + round(s * US_PER_S) for s in middles_s]
+    return Forecast(slew_s, slice_s, np.array([disturbance.torque_n_m(at_us) for at_us in instants]))
+
+
+def _allocated(
+    row: AttitudeRow,
+    spacecraft: Spacecraft,
+    span: Span,
+    pulses: tuple[AxisPulse, ...],
+    design: ControlDesign,
+    momentum_n_m_s: tuple[float, ...] | None,
+    *,
+    is_cut: bool,
 ) -> TorqueCommand:
-    """Return the command that does nothing and says why."""
-    wheels = tuple(0.0 for _ in spacecraft.wheels.axes)
-    return TorqueCommand(
-        epoch_us=epoch_us,
-        number=row.number,
-        attitude_epoch_us=row.epoch_us,
-        mode=spacecraft.control.mode.value,
-        torque_n_m=_ZERO,
-        wheels_n_m=wheels,
-        saturated=False,
-        command_period_s=period_s,
-        valid_until_us=epoch_us + round(period_s * US_PER_S),
-        schedule=(),
-        impulse_n_m_s=_ZERO,
-        predicted_angle_change_deg=_ZERO,
-        predicted_rate_change_deg_s=_ZERO,
-        predicted_wheel_momentum_n_m_s=wheels,
-        control_allowed=False,
-        inhibitions=inhibitions,
-    )
+    """Return the command with each wheel's share; a wheel at its limit of momentum makes all pulses shorter."""
+    shares = _shares(pulses, span, design.wheels, momentum_n_m_s)
+    if shares.share < 1.0:
+        step_s = design.drive.time_step_s
+        shorter = (p._replace(duration_s=int(p.duration_s * shares.share / step_s) * step_s) for p in pulses)
+        pulses = tuple(pulse for pulse in shorter if pulse.duration_s >= design.drive.min_pulse_s)
+        shares = _shares(pulses, span, design.wheels, momentum_n_m_s)
+        is_cut = True
+    prediction = predicted(pulses, design.gains.inertia_kg_m2, span.period_s)
+    return command_of(row, spacecraft, span, pulses, prediction, shares, is_saturated=is_cut)
 
 
-def _schedule(epoch_us: int, pulses: PulseTrain) -> tuple[Pulse, ...]:
-    """Return one element an axis that has a pulse."""
-    torques, durations = pulses.torque_n_m.tolist(), pulses.duration_s.tolist()
-    return tuple(
-        Pulse(epoch_us, duration_s, Axes(*(torque if place == axis else 0.0 for place, torque in enumerate(torques))))
-        for axis, duration_s in enumerate(durations)
-        if duration_s > 0.0
-    )
+def _shares(
+    pulses: tuple[AxisPulse, ...], span: Span, wheels: Wheels, momentum_n_m_s: tuple[float, ...] | None
+) -> Allocation:
+    """Return each wheel's share of the mean torque, null motion included where the momenta are known."""
+    is_known = momentum_n_m_s is not None and len(momentum_n_m_s) == wheels.size
+    momentum = np.array(momentum_n_m_s) if is_known else np.full(wheels.size, wheels.least_momentum_n_m_s)
+    return allocate(wheels, impulse_of(pulses) / span.period_s, momentum, span.period_s)
+
+
+def _rates(row: AttitudeRow) -> FloatArray:
+    """Return the rates of a row that has them; a command without them is inhibited before."""
+    return NO_CARRY if row.rates_deg_s is None else np.array(row.rates_deg_s)

@@ -94,6 +94,10 @@ class ControlSettings:
     #: period of the closed loop, s
     period_s: float = 7200.0
     damping: float = 0.9
+    #: time between commands under release in two steps, s; under the automatic one it is the time between rows
+    command_period_s: float = 900.0
+    #: how far the pulses against a known torque of a released command reach at most, s
+    forecast_horizon_s: float = 3600.0
 
 
 @dataclass(frozen=True, slots=True)

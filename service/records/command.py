@@ -17,6 +17,24 @@ class Pulse:
 
 
 @dataclass(frozen=True, slots=True)
+class ScheduleVerdict:
+    """What the flexible modes say of a schedule, the worst of the axes."""
+
+    #: accept, warn or reject
+    verdict: str
+    #: what the panels add to the angle of the hub at their greatest, over +-15 % of each frequency
+    peak_deg: float
+    #: what still swings after the last pulse
+    residual_deg: float
+    #: share of the allowed peak that is left; negative: exceeded
+    margin: float
+    #: place among the modes of the catalogue
+    worst_mode: int
+    #: what would be better, in words; None where nothing is wrong or nothing helps
+    suggestion: str | None
+
+
+@dataclass(frozen=True, slots=True)
 class TorqueCommand:
     """What the chain wants the wheels to do from ``epoch_us`` on, for one command period."""
 
@@ -41,6 +59,8 @@ class TorqueCommand:
     predicted_wheel_momentum_n_m_s: tuple[float, ...]
     control_allowed: bool
     inhibitions: tuple[str, ...]
+    #: None: the catalogue knows no flexible mode, or nothing is commanded
+    schedule_check: ScheduleVerdict | None = None
 
 
 @dataclass(frozen=True, slots=True)

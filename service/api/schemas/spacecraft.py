@@ -123,6 +123,10 @@ class ControlDocument(Document):
     release: Release = Release.TWO_STEP
     period_s: Annotated[float, Field(ge=60, le=1e6)] = 7200.0
     damping: Annotated[float, Field(gt=0, le=5)] = 0.9
+    command_period_s: Annotated[float, Field(ge=60, le=7200)] = 900.0
+    """Time between commands under release `two_step`; under `automatic` it is the time between rows."""
+    forecast_horizon_s: Annotated[float, Field(ge=60, le=7200)] = 3600.0
+    """How far the pulses against a known torque of a released command reach at most; the envelope may shorten it."""
 
 
 class SpacecraftDocument(Document):

@@ -1,6 +1,6 @@
 """Torque commands as they go out. Torque is the torque on the body; every element of a schedule ends by itself."""
 
-from typing import Self
+from typing import Literal, Self
 
 from service.api.schemas.base import AnglesAnswer, Answer, EpochAnswer, Figure, WindowAnswer
 from service.records.attitude import NO_ANGLES
@@ -27,6 +27,23 @@ class PredictedAnswer(Answer):
     """Change of the stored momentum of each wheel."""
 
 
+class ScheduleCheckAnswer(Answer):
+    """What the flexible modes say of a schedule, the worst of the axes."""
+
+    verdict: Literal["accept", "warn", "reject"]
+    """A rejected schedule is not released."""
+    peak_deg: float
+    """What the panels add to the angle of the hub at their greatest, over +-15 % of each frequency."""
+    residual_deg: float
+    """What still swings after the last pulse."""
+    margin: float
+    """Share of the allowed peak that is left; negative: exceeded."""
+    worst_mode: int
+    """Place among the modes of the catalogue, from 0."""
+    suggestion: str | None
+    """What would be better; null where nothing is wrong or nothing helps."""
+
+
 class TorqueAnswer(Answer):
     """A computed command; null torques before the first."""
 
@@ -50,8 +67,8 @@ class TorqueAnswer(Answer):
     predicted: PredictedAnswer | None
     control_allowed: bool
     inhibitions: list[str]
-    schedule_check: None = None
-    """Verdict of the flexible modes; this version has none."""
+    schedule_check: ScheduleCheckAnswer | None = None
+    """Verdict of the flexible modes; null where the catalogue knows none, or nothing is commanded."""
 
     @classmethod
     def of(cls, command: TorqueCommand) -> Self:
@@ -86,6 +103,7 @@ class TorqueAnswer(Answer):
                 },
                 "control_allowed": command.control_allowed,
                 "inhibitions": command.inhibitions,
+                "schedule_check": command.schedule_check,
             }
         )
 

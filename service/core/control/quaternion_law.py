@@ -77,7 +77,7 @@ def loop_gains(
     period_s: float,
     damping: float,
     torque_limit_n_m: float,
-    command_period_s: float,
+    command_period_s: float | None,
     angle_deg: float = 0.4,
     orbital_rate_rad_s: float = GEOSTATIONARY_RATE_RAD_S,
 ) -> Gains:
@@ -93,8 +93,8 @@ def loop_gains(
         Damping ratio.
     torque_limit_n_m : float, N m
         Greatest torque on an axis.
-    command_period_s : float, s
-        Time between commands.
+    command_period_s : float or None, s
+        Time between commands; None where each command takes away the rate that it gives, which no sampling upsets.
     angle_deg : float, deg
         Greatest angle from which the loop must work without meeting the limit.
     orbital_rate_rad_s : float, rad/s
@@ -115,15 +115,16 @@ def loop_gains(
     """
     tensor = inertia_about_angles(inertia_kg_m2)
     named = {"period_s": period_s, "damping": damping, "torque_limit_n_m": torque_limit_n_m}
-    for name, value in {**named, "command_period_s": command_period_s, "angle_deg": angle_deg}.items():
+    sampled_s = period_s / _LEAST_SAMPLES if command_period_s is None else command_period_s
+    for name, value in {**named, "command_period_s": sampled_s, "angle_deg": angle_deg}.items():
         if not (math.isfinite(value) and value > 0.0):
             raise ValueError(f"{name} is {value:g}; it must be finite and positive")
     if not math.isfinite(orbital_rate_rad_s):
         raise ValueError("orbital_rate_rad_s must be finite")
-    if period_s < _LEAST_SAMPLES * command_period_s:
+    if period_s < _LEAST_SAMPLES * sampled_s * (1.0 - _ROUNDING):
         raise ValueError(
-            f"a period of {period_s:g} s is too short for commands every {command_period_s:g} s; "
-            f"take at least {_LEAST_SAMPLES * command_period_s:g} s"
+            f"a period of {period_s:g} s is too short for commands every {sampled_s:g} s; "
+            f"take at least {_LEAST_SAMPLES * sampled_s:g} s"
         )
     omega_rad_s = 2.0 * math.pi / period_s
     torque_n_m = float(np.abs(tensor).sum(axis=1).max()) * omega_rad_s**2 * math.radians(angle_deg)

@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
 #: share of the horizon that one pulse may take
-_LONGEST_SHARE = 0.25
+LONGEST_SHARE = 0.25
 _ROUNDING = 1e-9
 _AXES = ("yaw", "roll", "pitch")
 
@@ -105,7 +105,7 @@ def plan_slew(
     """
     change, rate = _finite_triples(angle_change_deg, rate_deg_s)
     _require_drive(drive, horizon_s)
-    longest_s = _LONGEST_SHARE * horizon_s
+    longest_s = LONGEST_SHARE * horizon_s
     apart_s = horizon_s - longest_s
     first = _shaped(inertia_kg_m2 @ (change / apart_s - rate), drive, longest_s)
     given = np.array([torque * duration for torque, duration in first])
@@ -140,7 +140,7 @@ def _require_drive(drive: Drive, horizon_s: float) -> None:
         raise ValueError("limit, quantum, shortest pulse, grid and horizon must be finite and positive")
     if drive.steps_at_limit < 1:
         raise ValueError(f"the quantum {drive.quantum_n_m:g} N m exceeds the torque limit {drive.limit_n_m:g} N m")
-    if drive.min_pulse_s > _LONGEST_SHARE * horizon_s:
+    if drive.min_pulse_s > LONGEST_SHARE * horizon_s:
         raise ValueError(f"{horizon_s:g} s have no room for two pulses of at least {drive.min_pulse_s:g} s")
 
 

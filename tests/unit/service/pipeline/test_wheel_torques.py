@@ -129,7 +129,7 @@ def test_reasons_of_the_row_come_first_and_make_a_missing_rate_no_news(craft):
 
 
 def test_every_reason_that_stands_here_is_explained():
-    assert set(CONTROL_INHIBITIONS) == {*REFUSALS, "no_rate"}
+    assert set(CONTROL_INHIBITIONS) == {*REFUSALS, "no_rate", "no_law", "tripped"}
     assert all(len(text) > 10 for text in CONTROL_INHIBITIONS.values())
 
 

@@ -1,0 +1,192 @@
+"""The pulses of one command: a slew that ends without a rate, then rare pulses against a torque that is known.
+
+A craft behind a link cannot be asked again at once, so a command holds for its whole horizon: the slew of
+`tracking.tracking_wish` within its first part, and from there on pulses that hold the craft where the slew has left
+it. What is too much for the envelope is asked for in smaller steps: first the horizon becomes shorter, then the slew.
+Nothing is cut afterwards. Order everywhere: yaw, roll, pitch.
+"""
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from service.core.control.envelope import Envelope
+from service.core.control.quaternion_law import Gains
+from service.core.control.slew_schedule import LONGEST_SHARE, AxisPulse, Drive, plan_slew
+from service.core.control.tracking import tracking_wish
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+
+class Situation(NamedTuple):
+    """The craft when the command begins; (3,) each."""
+
+    attitude_deg: FloatArray
+    rates_deg_s: FloatArray
+    #: axes about which nothing may be commanded are False
+    is_allowed: BoolArray
+
+
+class Forecast(NamedTuple):
+    """How a command is divided, and the torque that nobody commanded in each part."""
+
+    slew_s: float
+    slice_s: float
+    #: (1 + K, 3) N m: mean over the slew and over each slice after it
+    torque_n_m: FloatArray
+
+    @property
+    def slices(self) -> int:
+        """Number of slices K."""
+        return len(self.torque_n_m) - 1
+
+
+class Plan(NamedTuple):
+    """Pulses of a command."""
+
+    #: in order of time
+    pulses: tuple[AxisPulse, ...]
+    #: whether the envelope made the slew smaller than the law wanted it
+    is_shortened: bool
+
+
+class _Wish(NamedTuple):
+    """What the pulses of the slew shall do; (3,) rad and rad/s."""
+
+    change_rad: FloatArray
+    rate_rad_s: FloatArray
+
+
+def plan_command(gains: Gains, drive: Drive, situation: Situation, forecast: Forecast, envelope: Envelope) -> Plan:
+    """Return the pulses of a command.
+
+    Parameters
+    ----------
+    gains : Gains
+        Of `quaternion_law.loop_gains`.
+    drive : Drive
+        Limit, quantum, shortest pulse and grid.
+    situation : Situation
+        Angles, rates and what may be commanded.
+    forecast : Forecast
+        The slew's time, and the torque to be balanced.
+    envelope : Envelope
+        What the command may change at most against no command, until its horizon ends.
+
+    Raises
+    ------
+    ValueError
+        A number is not finite, or the drive cannot give the slew in its time.
+
+    Notes
+    -----
+    When the slew ends the craft has no rate and the torque has been balanced until then; after each slice angle and
+    rate are back, but for what the shortest pulse cannot express, which the next slice takes.
+    """
+    wish = _wish_of(gains, situation, forecast)
+    fitted, slices = _fitted(wish, gains.inertia_kg_m2.diagonal(), forecast, envelope)
+    slew = plan_slew(
+        np.degrees(fitted.change_rad), np.degrees(fitted.rate_rad_s), gains.inertia_kg_m2, forecast.slew_s, drive
+    )
+    pulses = [pulse for pulse in slew if situation.is_allowed[pulse.axis]]
+    left_n_m_s = gains.inertia_kg_m2 @ fitted.rate_rad_s
+    for pulse in pulses:
+        left_n_m_s[pulse.axis] += pulse.impulse_n_m_s
+    for axis in np.flatnonzero(situation.is_allowed).tolist():
+        torques = forecast.torque_n_m[1 : slices + 1, axis].tolist()
+        pulses += _balancing(axis, float(left_n_m_s[axis]), torques, forecast, drive)
+    is_shortened = bool(np.abs(fitted.change_rad - wish.change_rad).max() > 1e-12)
+    return Plan(tuple(sorted(pulses, key=lambda pulse: (pulse.start_s, pulse.axis))), is_shortened)
+
+
+def _wish_of(gains: Gains, situation: Situation, forecast: Forecast) -> _Wish:
+    """Return what the pulses shall do: the law's slew, and what the torque would turn and leave until its end."""
+    slew = tracking_wish(gains, situation.attitude_deg, situation.rates_deg_s, forecast.slew_s)
+    pushed_rad_s2 = np.linalg.solve(gains.inertia_kg_m2, forecast.torque_n_m[0])
+    change = np.radians(slew.angle_change_deg) + 0.5 * pushed_rad_s2 * forecast.slew_s**2
+    rate = np.radians(slew.rate_deg_s) + pushed_rad_s2 * forecast.slew_s
+    return _Wish(np.where(situation.is_allowed, change, 0.0), np.where(situation.is_allowed, rate, 0.0))
+
+
+def _fitted(wish: _Wish, inertia: FloatArray, forecast: Forecast, envelope: Envelope) -> tuple[_Wish, int]:
+    """Return a wish inside the envelope and how many slices may follow it."""
+    for slices in range(forecast.slices, 0, -1):
+        lower, upper = _bounds(wish.rate_rad_s, inertia, forecast, slices, envelope)
+        if ((lower <= wish.change_rad) & (wish.change_rad <= upper)).all():
+            return wish, slices
+    # the greatest rate that any slew may take away
+    greatest = np.minimum(
+        np.minimum(np.radians(envelope.rate_change_deg_s), envelope.impulse_n_m_s / inertia),
+        np.radians(envelope.angle_change_deg) / forecast.slew_s,
+    )
+    rate = np.clip(wish.rate_rad_s, -greatest, greatest)
+    lower, upper = _bounds(rate, inertia, forecast, 0, envelope)
+    return _Wish(np.clip(wish.change_rad, lower, upper), rate), 0
+
+
+def _bounds(
+    rate: FloatArray, inertia: FloatArray, forecast: Forecast, slices: int, envelope: Envelope
+) -> tuple[FloatArray, FloatArray]:
+    """Return the least and greatest change of the slew (3,), rad, with which a command keeps to the envelope.
+
+    With x = change over the time between its pulses, the first one gives the rate x - rate, the second one takes x;
+    until the horizon ends they turn the craft by change - rate * horizon, the slices by their own part.
+    """
+    apart_s = (1.0 - LONGEST_SHARE) * forecast.slew_s
+    horizon_s = forecast.slew_s + slices * forecast.slice_s
+    middles_s = forecast.slew_s + forecast.slice_s * (np.arange(slices) + 0.5)
+    given = forecast.torque_n_m[1 : slices + 1] * forecast.slice_s / inertia
+    turned = (given * (horizon_s - middles_s)[:, None]).sum(axis=0)
+    gross = np.abs(given).sum(axis=0)
+    angle, step = np.radians(envelope.angle_change_deg), np.radians(envelope.rate_change_deg_s)
+    room = envelope.impulse_n_m_s / inertia - gross
+    lower = [
+        -angle + rate * horizon_s + turned,
+        -angle + rate * forecast.slew_s,
+        apart_s * (rate - step),
+        apart_s * (rate - room) / 2.0,
+    ]
+    upper = [
+        angle + rate * horizon_s + turned,
+        angle + rate * forecast.slew_s,
+        apart_s * (rate + step),
+        apart_s * (rate + room) / 2.0,
+    ]
+    return np.max(lower, axis=0), np.min(upper, axis=0)
+
+
+def _balancing(
+    axis: int, left_n_m_s: float, torques_n_m: list[float], forecast: Forecast, drive: Drive
+) -> Iterator[AxisPulse]:
+    """Yield the pulses that hold an axis against a torque, one at the beginning of each slice and one at the end."""
+    momentum, angle = left_n_m_s, 0.0
+    slice_s = forecast.slice_s
+    for number, torque in enumerate(torques_n_m):
+        wanted = -0.5 * torque * slice_s - angle / slice_s - momentum
+        pulse = _pulse(axis, forecast.slew_s + number * slice_s, wanted, slice_s, drive)
+        if pulse is not None:
+            momentum += pulse.impulse_n_m_s
+            yield pulse
+        angle += momentum * slice_s + 0.5 * torque * slice_s**2
+        momentum += torque * slice_s
+    if torques_n_m:
+        stop_s = forecast.slew_s + len(torques_n_m) * slice_s
+        last = _pulse(axis, stop_s, -momentum, slice_s, drive)
+        if last is not None:
+            yield last._replace(start_s=stop_s - last.duration_s)
+
+
+def _pulse(axis: int, start_s: float, impulse_n_m_s: float, slice_s: float, drive: Drive) -> AxisPulse | None:
+    """Return the pulse nearest to an impulse; None where that is none."""
+    # of two pulses in a slice, at its beginning and at its end, none may reach the other
+    steps = max(1, math.ceil(abs(impulse_n_m_s) / (drive.quantum_n_m * LONGEST_SHARE * slice_s)))
+    torque = min(steps, drive.steps_at_limit) * drive.quantum_n_m
+    ideal_s = min(abs(impulse_n_m_s) / torque, LONGEST_SHARE * slice_s)
+    duration_s = round(ideal_s / drive.time_step_s) * drive.time_step_s
+    if duration_s < drive.min_pulse_s / 2.0:
+        return None
+    return AxisPulse(axis, start_s, max(duration_s, drive.min_pulse_s), math.copysign(torque, impulse_n_m_s))

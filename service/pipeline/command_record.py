@@ -1,0 +1,111 @@
+"""Pulses as the torque command that is stored, shown and released."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from service.core.control.slew_schedule import AxisPulse
+from service.core.control.wheel_allocation import Allocation
+from service.records.attitude import AttitudeRow, Axes, FloatArray, named_axes
+from service.records.catalogue import Spacecraft
+from service.records.command import Pulse, TorqueCommand
+from service.records.epoch import US_PER_S
+
+_ZERO = Axes(0.0, 0.0, 0.0)
+
+
+class Span(NamedTuple):
+    """For when a command is meant."""
+
+    epoch_us: int
+    period_s: float
+
+    @property
+    def stop_us(self) -> int:
+        """Return its end."""
+        return self.epoch_us + round(self.period_s * US_PER_S)
+
+
+class Prediction(NamedTuple):
+    """What pulses change when their span ends; (3,) yaw, roll, pitch."""
+
+    angle_change_rad: FloatArray
+    rate_change_rad_s: FloatArray
+
+
+def command_of(
+    row: AttitudeRow,
+    spacecraft: Spacecraft,
+    span: Span,
+    pulses: Sequence[AxisPulse],
+    prediction: Prediction,
+    shares: Allocation,
+    *,
+    is_saturated: bool,
+) -> TorqueCommand:
+    """Return the command of some pulses; ``shares`` are the wheels' shares of their mean torque."""
+    impulse = impulse_of(pulses)
+    return TorqueCommand(
+        epoch_us=span.epoch_us,
+        number=row.number,
+        attitude_epoch_us=row.epoch_us,
+        mode=spacecraft.control.mode.value,
+        torque_n_m=named_axes(impulse / span.period_s),
+        wheels_n_m=tuple((shares.wheels_n_m + 0.0).tolist()),
+        saturated=is_saturated,
+        command_period_s=span.period_s,
+        valid_until_us=span.stop_us,
+        schedule=tuple(_pulse(span.epoch_us, pulse) for pulse in pulses),
+        impulse_n_m_s=named_axes(impulse),
+        predicted_angle_change_deg=named_axes(np.rad2deg(prediction.angle_change_rad)),
+        predicted_rate_change_deg_s=named_axes(np.rad2deg(prediction.rate_change_rad_s)),
+        predicted_wheel_momentum_n_m_s=tuple((shares.wheels_n_m * span.period_s + 0.0).tolist()),
+        control_allowed=True,
+        inhibitions=(),
+    )
+
+
+def zero_command(row: AttitudeRow, spacecraft: Spacecraft, span: Span, inhibitions: tuple[str, ...]) -> TorqueCommand:
+    """Return the command that does nothing and says why."""
+    wheels = tuple(0.0 for _ in spacecraft.wheels.axes)
+    return TorqueCommand(
+        epoch_us=span.epoch_us,
+        number=row.number,
+        attitude_epoch_us=row.epoch_us,
+        mode=spacecraft.control.mode.value,
+        torque_n_m=_ZERO,
+        wheels_n_m=wheels,
+        saturated=False,
+        command_period_s=span.period_s,
+        valid_until_us=span.stop_us,
+        schedule=(),
+        impulse_n_m_s=_ZERO,
+        predicted_angle_change_deg=_ZERO,
+        predicted_rate_change_deg_s=_ZERO,
+        predicted_wheel_momentum_n_m_s=wheels,
+        control_allowed=False,
+        inhibitions=inhibitions,
+    )
+
+
+def impulse_of(pulses: Sequence[AxisPulse]) -> FloatArray:
+    """Return the impulse (3,) of some pulses, N m s."""
+    impulse = np.zeros(3)
+    for pulse in pulses:
+        impulse[pulse.axis] += pulse.impulse_n_m_s
+    return impulse
+
+
+def predicted(pulses: Sequence[AxisPulse], inertia_kg_m2: FloatArray, period_s: float) -> Prediction:
+    """Return what pulses change when their span ends, exactly: each one's rate turns the body from its middle on."""
+    turned = np.zeros(3)
+    for pulse in pulses:
+        turned[pulse.axis] += pulse.impulse_n_m_s * (period_s - pulse.start_s - 0.5 * pulse.duration_s)
+    inverse = np.linalg.inv(inertia_kg_m2)
+    return Prediction(inverse @ turned, inverse @ impulse_of(pulses))
+
+
+def _pulse(epoch_us: int, pulse: AxisPulse) -> Pulse:
+    torque = Axes(*(pulse.torque_n_m if place == pulse.axis else 0.0 for place in range(3)))
+    return Pulse(epoch_us + round(pulse.start_s * US_PER_S), pulse.duration_s, torque)
