@@ -1,0 +1,65 @@
+"""The stored text of a state comes back equal, whatever happened before; a text that is none is refused."""
+
+import json
+import math
+from dataclasses import replace
+
+import pytest
+from release_driver import GOOD, ReleaseDriver
+
+from service.pipeline.release_interlock.release_document import document_of, state_of
+from service.pipeline.release_interlock.release_events import OrderKind, ReleaseState
+from service.records.attitude import Axes
+
+
+def stories():
+    yield ReleaseDriver()
+    engaged = ReleaseDriver().engaged()
+    engaged.automatic(is_reported=False)
+    yield engaged
+    armed = ReleaseDriver().armed()
+    armed.engage("ann")
+    armed.prepare()
+    yield armed
+    armed.order(OrderKind.STOP)
+    yield armed
+
+
+@pytest.mark.parametrize("driver", list(stories()))
+def test_a_state_comes_back_equal(driver):
+    assert state_of(document_of(driver.state)) == driver.state
+
+
+def test_not_a_number_and_infinity_come_back():
+    driver = ReleaseDriver().armed()
+    driver.rows(1, replace(GOOD, attitude_deg=Axes(math.nan, -0.0, math.inf)))
+    angles = state_of(document_of(driver.state)).interlock.row.attitude_deg
+    assert repr(tuple(angles)) == "(nan, -0.0, inf)"
+
+
+def test_an_empty_text_is_the_state_before_the_first_event():
+    assert state_of("") == ReleaseState()
+
+
+def test_a_field_that_is_not_there_takes_its_default_and_one_too_many_is_passed_over():
+    document = json.loads(document_of(ReleaseDriver().armed().state))
+    del document["interlock"]["proven_axes"]
+    document["interlock"]["former"] = 7
+    assert state_of(json.dumps(document)).interlock.proven_axes == ()
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"next_counter": "one"},
+        {"interlock": {"state": "OPEN"}},
+        {"commands": [{"counter": 1}]},
+        {"sent": 5},
+        {"interlock": None},
+        {"sent": [{"at_us": 1, "impulse_n_m_s": [0.0]}]},
+    ],
+)
+def test_a_text_that_does_not_fit_is_refused(change):
+    document = json.loads(document_of(ReleaseState()))
+    with pytest.raises(ValueError, match=r"."):
+        state_of(json.dumps({**document, **change}))
