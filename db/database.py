@@ -40,10 +40,12 @@ class Database:
     ----------
     url : str
         SQLAlchemy URL of a SQLite file or of a PostgreSQL database.
+    limit_s : float
+        Longest wait for a lock or for an answer of a server.
     """
 
-    def __init__(self, url: str) -> None:
-        self.engines = open_engines(url)
+    def __init__(self, url: str, limit_s: float) -> None:
+        self.engines = open_engines(url, limit_s)
         self._writer = Writer(self.engines.write)
         self._keys: dict[str, int] = {}
         #: sealed days read lately

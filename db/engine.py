@@ -8,6 +8,7 @@ would let a transaction that the database has already given up pass for committe
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,8 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
 from db.file_watch import FileWatch
 from service.errors import StorageError
 
-BUSY_TIMEOUT_MS = 10_000
+#: wait for a lock where no other is wanted, s
+BUSY_TIMEOUT_S = 10.0
 READERS = 8
 
 
@@ -35,8 +37,16 @@ class Engines:
         self.write.dispose()
 
 
-def open_engines(url: str) -> Engines:
+def open_engines(url: str, limit_s: float | None = None) -> Engines:
     """Return engines for a database URL; nothing is connected yet.
+
+    Parameters
+    ----------
+    url : str
+        SQLAlchemy URL.
+    limit_s : float, optional
+        Longest wait for a lock, and for an answer of a server; without it a lock is waited for for 10 s and a server
+        for as long as it takes.
 
     Raises
     ------
@@ -50,9 +60,12 @@ def open_engines(url: str) -> Engines:
         message = "the database's URL cannot be read; write sqlite:///file or postgresql+psycopg://user@host/name"
         raise ValueError(message) from fault
     if target.get_backend_name() == "sqlite":
-        return _sqlite_engines(target)
+        return _sqlite_engines(target, BUSY_TIMEOUT_S if limit_s is None else limit_s)
     if target.get_backend_name() == "postgresql":
-        return _postgresql_engines(target)
+        # the driver costs time and memory that a file does not need
+        from db.postgresql_engines import postgresql_engines
+
+        return Engines(*postgresql_engines(target, READERS, limit_s))
     message = f"database {target.get_backend_name()!r} is not supported: use sqlite:///file or postgresql+psycopg://..."
     raise ValueError(message)
 
@@ -73,14 +86,15 @@ def storage_error(fault: SQLAlchemyError) -> StorageError:
     return StorageError("storage.unavailable", detail)
 
 
-def _sqlite_engines(target: URL) -> Engines:
+def _sqlite_engines(target: URL, busy_s: float) -> Engines:
     if target.database in (None, "", ":memory:"):
         message = "an in-memory database keeps nothing: name a file, sqlite:///path/to/file.db"
         raise ValueError(message)
     write = create_engine(target, pool_size=1, max_overflow=0)
     read = create_engine(target, pool_size=READERS, max_overflow=READERS)
-    event.listen(write, "connect", _prepare_writer)
-    event.listen(read, "connect", _prepare_reader)
+    for engine in (write, read):
+        event.listen(engine, "connect", partial(_prepare, busy_s))
+    event.listen(read, "connect", _forbid_writing)
     watch = FileWatch(Path(target.database or ""))
     event.listen(write, "connect", lambda *_: watch.note())
     event.listen(read, "connect", lambda *_: watch.note())
@@ -100,28 +114,15 @@ def _guard(engine: Engine, watch: FileWatch) -> None:
     event.listen(engine, "commit", lambda _: watch.check())
 
 
-def _postgresql_engines(target: URL) -> Engines:
-    write = create_engine(target, pool_size=1, max_overflow=1, pool_pre_ping=True)
-    read = create_engine(target, pool_size=READERS, max_overflow=READERS, pool_pre_ping=True).execution_options(
-        isolation_level="REPEATABLE READ", postgresql_readonly=True
-    )
-    return Engines(write, read)
-
-
-def _prepare(connection: Any) -> None:
+def _prepare(busy_s: float, connection: Any, _record: object) -> None:
     connection.isolation_level = None
-    connection.execute(f"PRAGMA busy_timeout={BUSY_TIMEOUT_MS}")
+    connection.execute(f"PRAGMA busy_timeout={round(1000 * busy_s)}")
     connection.execute("PRAGMA journal_mode=WAL")
     connection.execute("PRAGMA synchronous=FULL")
     connection.execute("PRAGMA foreign_keys=ON")
 
 
-def _prepare_writer(connection: Any, _record: object) -> None:
-    _prepare(connection)
-
-
-def _prepare_reader(connection: Any, _record: object) -> None:
-    _prepare(connection)
+def _forbid_writing(connection: Any, _record: object) -> None:
     connection.execute("PRAGMA query_only=ON")
 
 

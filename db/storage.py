@@ -7,6 +7,7 @@ from db.archive import SqlArchive
 from db.audit import SqlAudit
 from db.catalogue import SqlCatalogue
 from db.database import Database
+from db.engine import open_engines
 from db.keys import SqlKeys
 from db.links import SqlLinks
 from db.notes import SqlNotes
@@ -25,6 +26,8 @@ class SqlStorage:
     ----------
     url : str
         SQLAlchemy URL, for example ``sqlite:///soo.db`` or ``postgresql+psycopg://user@host/soo``.
+    limit_s : float
+        Longest wait for a lock or for an answer of a server; what takes longer fails and can be tried again.
 
     Raises
     ------
@@ -42,8 +45,9 @@ class SqlStorage:
     keys: Keys
     audit: Audit
 
-    def __init__(self, url: str) -> None:
-        self._database = Database(url)
+    def __init__(self, url: str, limit_s: float = 10.0) -> None:
+        self._url = url
+        self._database = Database(url, limit_s)
         self.catalogue = SqlCatalogue(self._database)
         self.archive = SqlArchive(self._database)
         self.results = SqlResults(self._database)
@@ -61,7 +65,12 @@ class SqlStorage:
             return
         from db.migrate import upgrade
 
-        upgrade(self._database.engines.write)
+        # a large table takes its time: no limit
+        engines = open_engines(self._url)
+        try:
+            upgrade(engines.write)
+        finally:
+            engines.dispose()
 
     def check(self) -> None:
         """Raise StorageError unless the database answers."""

@@ -3,9 +3,13 @@
 A future resolves only after the COMMIT of its group has returned, so what a caller hears of is durable. When a function
 fails, the group is rolled back and runs again with a SAVEPOINT around each function, so that only the failing one is
 lost; functions therefore depend on nothing but the connection. A COMMIT that fails takes the whole group with it.
+
+A server that stops deadlocks or conflicts by ending one transaction has the group run again. Where a wait has come to
+its end, so have the others: what was queued meanwhile fails with the group, each after one wait and none after many.
 """
 
 import logging
+import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from queue import Empty, SimpleQueue
@@ -16,10 +20,13 @@ from sqlalchemy import Connection, Engine
 from sqlalchemy.exc import SQLAlchemyError
 
 from db.engine import storage_error
+from db.fault_kinds import is_passing, is_wait_ended
 from service.errors import StorageError
 
 Result = TypeVar("Result")
 GROUP_LIMIT = 64
+#: a group that the server ended in favour of another transaction runs so often
+ATTEMPTS = 5
 
 _log = logging.getLogger(__name__)
 
@@ -105,15 +112,45 @@ class Writer:
     def _run(self, group: list[_Task[Any]]) -> None:
         """Run a group, commit it, tell the callers."""
         try:
-            with self._engine.connect() as connection:
-                if not _is_run_together(connection, group):
-                    _run_apart(connection, group)
+            self._carry_out(group)
         except Exception as fault:  # noqa: BLE001 - every fault belongs to the callers, the thread must live on
+            if is_wait_ended(fault):
+                group += self._taken_away()
             _log.warning("a group of %d writes was rolled back: %s", len(group), fault)
             for task in group:
                 task.fault = task.fault or fault
         for task in group:
             task.settle()
+
+    def _carry_out(self, group: list[_Task[Any]]) -> None:
+        """Run a group and commit it, again where the server ended it in favour of another transaction."""
+        for attempt in range(1, ATTEMPTS + 1):
+            for task in group:
+                task.fault = None
+            try:
+                with self._engine.connect() as connection:
+                    if not _is_run_together(connection, group):
+                        _run_apart(connection, group)
+            except SQLAlchemyError as fault:
+                if attempt == ATTEMPTS or not is_passing(fault):
+                    raise
+                _log.info("a group of %d writes runs again: %s", len(group), fault)
+                time.sleep(0.01 * attempt)
+            else:
+                return
+
+    def _taken_away(self) -> list[_Task[Any]]:
+        """Take what is queued now out of the queue."""
+        taken: list[_Task[Any]] = []
+        for _ in range(self._queue.qsize()):
+            task = self._queue.get()
+            if task is None:
+                # the end stays the last
+                self._queue.put(None)
+                break
+            if task.future.set_running_or_notify_cancel():
+                taken.append(task)
+        return taken
 
 
 def _is_run_together(connection: Connection, group: list[_Task[Any]]) -> bool:
@@ -125,8 +162,10 @@ def _is_run_together(connection: Connection, group: list[_Task[Any]]) -> bool:
     try:
         for task in group:
             task.result = task.work(connection)
-    except Exception as fault:  # noqa: BLE001 - the fault belongs to the caller of this function
+    except Exception as fault:
         transaction.rollback()
+        if is_passing(fault) or is_wait_ended(fault):
+            raise
         if len(group) > 1:
             return False
         group[0].fault = fault
@@ -150,7 +189,7 @@ def _attempt(connection: Connection, task: _Task[Any]) -> None:
     except Exception as fault:
         # raises when the transaction went with the fault: then nothing of the group may pass for stored
         savepoint.rollback()
-        if connection.invalidated:
+        if connection.invalidated or is_passing(fault) or is_wait_ended(fault):
             raise
         task.fault = fault
     else:

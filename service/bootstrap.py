@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 def build_storage(settings: Settings) -> Storage:
     """Return the archive of the settings with its schema brought to the present version."""
-    storage = SqlStorage(settings.database_url)
+    storage = SqlStorage(settings.database_url, settings.database_timeout_s)
     storage.migrate()
     return storage
 
@@ -69,7 +69,7 @@ def open_storage(settings: Settings) -> Storage:
     if settings.database_url.startswith("sqlite") and not file.is_file():
         message = f"there is no file {file}"
         raise ValueError(message)
-    return SqlStorage(settings.database_url)
+    return SqlStorage(settings.database_url, settings.database_timeout_s)
 
 
 def first_administrator(settings: Settings, storage: Storage) -> str | None:

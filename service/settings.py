@@ -51,6 +51,9 @@ class Settings(BaseSettings):
     )
 
     database_url: str = Field("sqlite:///soo.db", description="SQLAlchemy URL of the archive")
+    database_timeout_s: float = Field(
+        10.0, gt=0, description="a lock, or an answer of the database, is waited for so long; then 503, s"
+    )
     bootstrap_key: SecretStr | None = Field(
         None, description="administrator's bearer key, accepted while set; without it the first start prints one"
     )

@@ -48,6 +48,9 @@ class StoredKeys:
         self._system_us = system_us
         self._known: dict[str, StoredKey] = {}
         self._loaded_s = -math.inf
+        #: when keys could not be read last, and why
+        self._failed_s = -math.inf
+        self._fault: StorageError | None = None
         self._changes = 0
         self._lock = asyncio.Lock()
         self._used_us: dict[str, int] = {}
@@ -110,17 +113,27 @@ class StoredKeys:
         # one request reads, the others go on with what is known
         if age_s <= oldest_s or (age_s <= HOLDS_S and self._lock.locked()):
             return
+        asked_s = time.monotonic()
         async with self._lock:
             if time.monotonic() - self._loaded_s <= oldest_s:
+                return
+            if self._failed_s >= asked_s and self._fault is not None:
+                # an archive that does not answer is waited for together, not by one request after another
+                self._fail(self._fault, asked_s)
                 return
             changes, began_s = self._changes, time.monotonic()
             try:
                 stored = await run_in_threadpool(self._keys.all)
             except StorageError as error:
-                if began_s - self._loaded_s > HOLDS_S:
-                    raise
-                _LOG.warning("keys could not be read, those known hold on: %s", error)
+                self._failed_s, self._fault = time.monotonic(), error
+                self._fail(error, began_s)
                 return
             self._known = {each.key.id: each for each in stored}
             # a key that changed meanwhile may be missing in what was read
             self._loaded_s = began_s if changes == self._changes else -math.inf
+
+    def _fail(self, error: StorageError, at_s: float) -> None:
+        """Raise what kept the keys from being read unless those known hold on."""
+        if at_s - self._loaded_s > HOLDS_S:
+            raise StorageError(error.code, error.detail) from error
+        _LOG.warning("keys could not be read, those known hold on: %s", error)

@@ -25,6 +25,7 @@ ORIGINS: dict[str, str] = {
 #: settings that are plain fields: origin only, the meaning stands with the field
 _PLAIN_ORIGINS: dict[str, str] = {
     "database_url": CHOSEN,
+    "database_timeout_s": CHOSEN,
     "bootstrap_key": CHOSEN,
     "clock": CHOSEN,
     "host": CHOSEN,

@@ -59,6 +59,8 @@ class ChaosClient(threading.Thread):
         self.counts: Counter[str] = Counter()
         self.codes: Counter[str] = Counter()
         self.faults: list[str] = []
+        #: longest wait for an answer
+        self.slowest_s = 0.0
         #: where rows that come late belong: places left out before
         self._left_out: list[int] = []
         self._place = 0
@@ -135,11 +137,13 @@ class ChaosClient(threading.Thread):
     def _answered(self, client: httpx.Client, form: str, body: Any) -> httpx.Response | None:
         """Return the first answer that is none of a service in trouble; None when asked to stop meanwhile."""
         while True:
+            asked_s = time.monotonic()
             try:
                 answer = client.post(f"{BASE}/sim-1/measurements:batch", **{form: body})
             except httpx.TransportError as error:
                 self.codes[type(error).__name__] += 1
             else:
+                self.slowest_s = max(self.slowest_s, time.monotonic() - asked_s)
                 if answer.status_code != 503:
                     return answer
                 self.codes[answer.json()["code"]] += 1

@@ -9,12 +9,15 @@ nothing.
 import os
 import resource
 import shutil
+import signal
 import sqlite3
 import subprocess
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 
 import pytest
+from sqlalchemy import create_engine
 
 from db.backup import create_backup
 from db.doctor import diagnose
@@ -26,18 +29,16 @@ pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(180)]
 SEED = 22
 BASE = "/api/v1/spacecraft/sim-1"
 #: who waits for a lock gives up after 0.7 s in place of 10 s
-IMPATIENT = "import db.engine\ndb.engine.BUSY_TIMEOUT_MS = 700\n"
+IMPATIENT = {"SOO_DATABASE_TIMEOUT_S": "0.7"}
 
 
 class Trial:
     """A service, two clients that post to it, and what can be done to its file."""
 
-    def __init__(self, start_service, chaos, spacecraft, carriers, folder, options=(), code="", settings=None):
-        (folder / "site").mkdir(exist_ok=True)
-        (folder / "site" / "sitecustomize.py").write_text(code)
+    def __init__(self, start_service, chaos, spacecraft, carriers, folder, options=(), settings=None):
         self.chaos, self.file = chaos, folder / "soo.db"
         key = "a-key-for-tests-only"
-        environment = {"SOO_BOOTSTRAP_KEY": key, "PYTHONPATH": str(folder / "site"), **(settings or {})}
+        environment = {"SOO_BOOTSTRAP_KEY": key, **(settings or {})}
         self.service = start_service("--port", "0", "--clock", "data", *options, environment=environment)
         self.client = self.service.client()
         self.plan_id = chaos.set_up(self.client, spacecraft, carriers)
@@ -48,6 +49,10 @@ class Trial:
         """Return what the clients have counted so far."""
         found = self.clients[0].counts + self.clients[1].counts
         return found + self.clients[0].codes + self.clients[1].codes
+
+    def slowest_s(self):
+        """Return the longest time that a client has waited for an answer."""
+        return max(client.slowest_s for client in self.clients)
 
     def await_counts(self, is_enough, timeout_s=30.0):
         """Wait until the clients have counted enough."""
@@ -107,7 +112,7 @@ def trial(start_service, chaos, spacecraft, carriers, tmp_path):
 
 
 def test_a_disk_that_takes_no_more_a_lock_and_a_file_that_is_moved(trial, tmp_path):
-    one = trial(code=IMPATIENT)
+    one = trial(settings=IMPATIENT)
     pid = one.service.process.pid
     limits = resource.prlimit(pid, resource.RLIMIT_FSIZE)
     # no file of the process may be written beyond the limit
@@ -263,3 +268,45 @@ def test_a_damaged_day_is_refused_alone(trial):
     other.close()
     assert one.client.get(f"{BASE}/measurements/history", params=day).status_code == 200
     assert one.service.end()[0] == 0
+
+
+@contextmanager
+def stopped_server(cluster):
+    """Stop every process of a server as SIGSTOP does: it takes connections and answers nobody."""
+    postmaster = int((cluster.data / "postmaster.pid").read_text().split()[0])
+    pids = [postmaster, *map(int, Path(f"/proc/{postmaster}/task/{postmaster}/children").read_text().split())]
+    for pid in pids:
+        os.kill(pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        for pid in pids:
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGCONT)
+
+
+def test_a_server_that_does_not_answer_and_a_lock_that_is_held(trial, durable_postgresql_cluster):
+    cluster = durable_postgresql_cluster
+    url = cluster.new_database()
+    one = trial(options=("--database", url), settings=IMPATIENT)
+    # an answer (0.7 s and 1 s of grace), a connection (at least 2 s), for keys and for the rows themselves
+    bound_s = 2 * (0.7 + 1.0 + 2.0)
+    with stopped_server(cluster):
+        one.await_code("storage.unavailable")
+        began = time.monotonic()
+        assert one.read() == (503, "storage.unavailable")
+        assert time.monotonic() - began < bound_s
+        assert one.client.get("/healthz").status_code == 200
+        assert one.slowest_s() < bound_s
+    one.await_rows()
+
+    engine = create_engine(url)
+    with engine.connect() as other:
+        other.exec_driver_sql("SELECT * FROM head FOR UPDATE")
+        one.await_code("storage.unavailable")
+        assert one.read() == (200, None)
+        other.rollback()
+    engine.dispose()
+    one.conclude(url)
+    assert one.slowest_s() < bound_s
+    cluster.drop(url)

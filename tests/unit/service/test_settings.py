@@ -9,6 +9,7 @@ from service.settings import Settings
 
 PLAIN = {
     "SOO_DATABASE_URL": ("database_url", "sqlite:///elsewhere.db", "sqlite:///elsewhere.db"),
+    "SOO_DATABASE_TIMEOUT_S": ("database_timeout_s", "2.5", 2.5),
     "SOO_CLOCK": ("clock", "data", "data"),
     "SOO_HOST": ("host", "0.0.0.0", "0.0.0.0"),  # noqa: S104 - a value to read, nothing listens
     "SOO_PORT": ("port", "0", 0),

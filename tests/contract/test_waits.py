@@ -1,0 +1,173 @@
+"""No wait has no end: a server that stopped, a lock that is held, a transaction that was ended for another one."""
+
+import os
+import signal
+import time
+from concurrent.futures import wait
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from psycopg import Connection
+from sqlalchemy import create_engine
+
+from db.postgresql_engines import BoundedConnection, NoAnswerError
+from db.storage import SqlStorage
+from db.writer import ATTEMPTS
+from service.errors import StorageError
+
+LIMIT_S = 0.6
+#: an answer that does not come, a connection that is not made (the driver waits for two seconds at least), and a margin
+BOUND_S = LIMIT_S + 1.0 + 2.0 + 1.0
+
+
+@pytest.fixture
+def impatient(setting, url):
+    """The setting on a storage that does not wait for long."""
+    first, setting.storage = setting.storage, SqlStorage(url, LIMIT_S)
+    yield setting
+    setting.storage.close()
+    setting.storage = first
+
+
+@pytest.fixture
+def server(impatient):
+    """The setting, on a server."""
+    if impatient.storage._database.engines.write.dialect.name == "sqlite":
+        pytest.skip("SQLite has one writer, which waits for nobody")
+    return impatient
+
+
+def failed(future):
+    """Return the code of a write that must fail."""
+    with pytest.raises(StorageError) as caught:
+        future.result(BOUND_S)
+    return caught.value.code
+
+
+def lock_all(url):
+    """Return a foreign connection that keeps every writer away."""
+    engine = create_engine(url, isolation_level="AUTOCOMMIT") if url.startswith("sqlite") else create_engine(url)
+    connection = engine.connect()
+    if url.startswith("sqlite"):
+        connection.connection.driver_connection.isolation_level = None
+        connection.exec_driver_sql("BEGIN IMMEDIATE")
+    else:
+        connection.exec_driver_sql("SELECT * FROM head FOR UPDATE")
+    return connection
+
+
+def test_a_lock_that_is_held_is_waited_for_once_by_all_who_wait(impatient, url):
+    held = lock_all(url)
+    began = time.monotonic()
+    futures = [impatient.storage.archive.append_measurements(impatient.batch([epoch])) for epoch in range(200)]
+    wait(futures, 10)
+    assert time.monotonic() - began < 3 * LIMIT_S
+    assert {failed(future) for future in futures} == {"storage.unavailable"}
+    held.connection.driver_connection.rollback()
+    held.close()
+    held.engine.dispose()
+    assert impatient.append(range(200)).accepted == 200
+
+
+def test_readers_do_not_wait_for_a_lock(impatient, url):
+    impatient.append([1])
+    held = lock_all(url)
+    assert len(impatient.rows()) == 1
+    held.connection.driver_connection.rollback()
+    held.close()
+    held.engine.dispose()
+
+
+def processes(cluster):
+    """Return the process of a server and its children."""
+    postmaster = int((cluster.data / "postmaster.pid").read_text().split()[0])
+    children = Path(f"/proc/{postmaster}/task/{postmaster}/children").read_text().split()
+    return [postmaster, *map(int, children)]
+
+
+@pytest.fixture
+def stopped(server, postgresql_cluster):
+    """Stop all processes of the server; they go on at the end."""
+    if postgresql_cluster.folder is None:
+        pytest.skip("only a server of our own can be stopped")
+    server.append([1000])
+    pids = processes(postgresql_cluster)
+    for pid in pids:
+        os.kill(pid, signal.SIGSTOP)
+    yield pids
+    for pid in pids:
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGCONT)
+
+
+def test_a_server_that_stopped_is_not_waited_for_without_end(server, stopped):
+    began = time.monotonic()
+    futures = [server.storage.archive.append_measurements(server.batch([epoch])) for epoch in range(100)]
+    assert {failed(future) for future in futures} == {"storage.unavailable"}
+    assert time.monotonic() - began < BOUND_S
+    with pytest.raises(StorageError, match=r"not answered|no connection"):
+        server.rows()
+    for pid in stopped:
+        os.kill(pid, signal.SIGCONT)
+    # what was given up may have been carried out, a part of it, after all
+    receipts = [server.append([epoch]) for epoch in range(100)]
+    assert [receipt.accepted + receipt.duplicates for receipt in receipts] == [1] * 100
+    assert [row.epoch_us for row in server.rows()] == [*range(100), 1000]
+
+
+def test_a_commit_whose_answer_was_lost_makes_the_row_a_duplicate(server, monkeypatch):
+    def commit_unheard(connection):
+        Connection.commit(connection)
+        connection.pgconn.finish()
+        message = "the server has not answered"
+        raise NoAnswerError(message)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(BoundedConnection, "commit", commit_unheard)
+        assert failed(server.storage.archive.append_measurements(server.batch([5]))) == "storage.unavailable"
+    receipt = server.append([5])
+    assert (receipt.accepted, receipt.duplicates) == (0, 1)
+    assert [entry.number for entry in server.storage.archive.journal(server.id, 3, 99)] == [4]
+
+
+def deadlock(connection):
+    """Fail as a statement fails that the server ended in favour of another transaction."""
+    connection.exec_driver_sql("DO $$ BEGIN RAISE EXCEPTION USING ERRCODE = 'deadlock_detected'; END $$")
+
+
+@pytest.mark.parametrize("is_alone", [True, False])
+def test_a_group_that_lost_a_deadlock_runs_again(server, is_alone):
+    runs = []
+
+    def victim(connection):
+        runs.append(1)
+        if len(runs) < ATTEMPTS:
+            deadlock(connection)
+        return "done"
+
+    others = [] if is_alone else [server.storage.archive.append_measurements(server.batch([7]))]
+    told = server.storage._database.submit(victim)
+    assert told.result(10) == "done"
+    assert [other.result(10).accepted for other in others] == ([] if is_alone else [1])
+    assert len(runs) == ATTEMPTS
+
+
+def test_a_deadlock_without_end_is_told(server):
+    assert failed(server.storage._database.submit(deadlock)) == "storage.unavailable"
+    assert server.append([7]).accepted == 1
+
+
+def test_groups_of_two_services_in_opposite_order_do_not_stop_each_other(impatient, new_setting, url):
+    other = new_setting()
+    twins = [impatient.storage, SqlStorage(url, LIMIT_S)]
+    try:
+        futures = []
+        for place in range(150):
+            batches = [impatient.batch([place]), other.batch([place])]
+            futures += [twins[0].archive.append_measurements(batch) for batch in batches]
+            futures += [twins[1].archive.append_measurements(batch) for batch in reversed(batches)]
+        receipts = [future.result(10) for future in futures]
+        assert sum(receipt.accepted for receipt in receipts) == sum(receipt.duplicates for receipt in receipts) == 300
+    finally:
+        twins[1].close()
