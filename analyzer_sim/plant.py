@@ -142,13 +142,12 @@ class Plant:
 
     def _receive(self, begin_us: int, end_us: int) -> None:
         """Let the craft take what arrives before the next row."""
-        self._acting = [element for element in self._acting if element.stop_us > begin_us]
         self.reports = []
         roll, pitch, yaw = self.momentum_n_m_s
         for arrival in self._uplink.arrivals(end_us):
-            report, elements = self._store.receive(arrival, (yaw, roll, pitch))
-            self._acting += elements
+            report, _ = self._store.receive(arrival, (yaw, roll, pitch))
             self.reports += [] if report is None else [report]
+        self._acting = self._store.acting(begin_us)
 
     def _fly(self, begin_us: int, end_us: int) -> None:
         """Fly from one row to the next."""

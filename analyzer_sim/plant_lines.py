@@ -4,7 +4,7 @@ Out, in this order; fields in brackets are not always there:
 
     {"type":"start","scenario":..,"seed":..,"carriers":[ids],"open_rows":n,"closed_rows":m,"uplink":..,"onboard":..}
     {"type":"ground","line":{..}}                what the ground port would send, corrections left out
-    {"type":"report","counter":..,"state":"executed|repeated|late|refused","told":..,"received":..,
+    {"type":"report","counter":..,"state":"executed|executing|replaced|repeated|late|refused","told":..,"received":..,
      ["executed_from":..,"executed_until":..,"impulse_n_m_s":{..}]}
     {"type":"truth","epoch":..,"yaw_deg":..,..}  for the judge alone
     {"type":"row","epoch":..,"power_dbm":[..]}   null = absent; rows of a gap are left out

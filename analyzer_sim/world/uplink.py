@@ -7,12 +7,17 @@ stream of its own. On board, in this order:
 * a command of which an element should have begun already is left out as a whole, because the half of a slew leaves a
   rate behind: ``late``
 * a command that would bring a wheel to its limit of momentum is left out: ``refused``
-* every other one is executed, each torque rounded to whole quanta, and told when it has ended: ``executed``
+* every other one is executed, each torque rounded to whole quanta, and told when it has ended: ``executed``; while
+  elements of it lie ahead that have not begun, what has ended is told as ``executing``
+* from the first element of a command on it takes the place of every older one, one with a smaller counter: what of
+  them has not begun by then is left out, what is in flight ends there. A command of which nothing is left is told as
+  ``replaced``, with an impulse of zero
 
-Commands may overtake one another; the order of counters means nothing. What is lost is not told: no report comes.
+Commands may overtake one another; which of two takes the other's place is told by their counters, not by their
+arrivals. What is lost is not told: no report comes.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -20,6 +25,10 @@ from analyzer_sim.epochs import US_PER_S
 from analyzer_sim.streams import stream
 from analyzer_sim.world.rigid_body import TorqueElement, Triple
 from analyzer_sim.world.wheels import MOMENTUM_LIMIT_N_M_S, QUANTUM_N_M
+
+
+#: commands whose begin is kept for older ones that may still come
+_REMEMBERED = 16
 
 
 class UplinkFigures(NamedTuple):
@@ -41,6 +50,8 @@ class Fate(StrEnum):
     """What became of a command that arrived."""
 
     EXECUTED = "executed"
+    EXECUTING = "executing"
+    REPLACED = "replaced"
     REPEATED = "repeated"
     LATE = "late"
     REFUSED = "refused"
@@ -100,13 +111,31 @@ class Uplink:
 
 
 @dataclass(slots=True)
+class _Accepted:
+    """A command that is carried out."""
+
+    arrival: Arrival
+    elements: tuple[TorqueElement, ...]
+    #: where the first element begins as it was sent; None = there was none
+    start_us: int | None
+    #: elements whose end has been told
+    told: int = 0
+
+    @property
+    def counter(self) -> int:
+        return self.arrival.command.counter
+
+
+@dataclass(slots=True)
 class CommandStore:
     """The commands on board."""
 
     #: torques are rounded to whole multiples of it, N m; 0 = torques of any size act
     quantum_n_m: float = QUANTUM_N_M
     _known: set[int] = field(default_factory=set)
-    _executing: list[tuple[Arrival, tuple[TorqueElement, ...]]] = field(default_factory=list)
+    _executing: list[_Accepted] = field(default_factory=list)
+    #: counter and begin of commands that take the place of older ones, as far as older ones may still come
+    _begun: dict[int, int] = field(default_factory=dict)
 
     def receive(self, arrival: Arrival, momentum_n_m_s: Triple) -> tuple[Report | None, tuple[TorqueElement, ...]]:
         """Return what is told at once and the elements to fly; momentum of the wheels as yaw, roll, pitch."""
@@ -116,22 +145,36 @@ class CommandStore:
         if fate is not None:
             return Report(received_us, command.counter, fate, received_us), ()
         elements = tuple(_in_quanta(element, self.quantum_n_m) for element in command.elements)
-        self._executing.append((arrival, elements))
+        start_us = min((element.start_us for element in elements), default=None)
+        for counter, begin_us in self._begun.items():
+            if counter > command.counter:
+                elements = _until(elements, begin_us)
+        if start_us is not None:
+            # the oldest is forgotten: no command comes later than so many younger ones
+            self._begun = dict([*self._begun.items(), (command.counter, start_us)][-_REMEMBERED:])
+            for older in self._executing:
+                if older.counter < command.counter:
+                    older.elements = _until(older.elements, start_us)
+        self._executing.append(_Accepted(arrival, elements, start_us))
         return None, elements
 
+    def acting(self, from_us: int) -> list[TorqueElement]:
+        """Return the elements of all commands that have not ended by an epoch."""
+        return [e for accepted in self._executing for e in accepted.elements if e.stop_us > from_us]
+
     def ended(self, until_us: int) -> list[Report]:
-        """Return the reports of the commands whose last element has ended by an epoch."""
+        """Return what is told of commands by an epoch: those that have ended, and what has ended of the others."""
         reports, left = [], []
-        for arrival, elements in self._executing:
-            stop_us = max((element.stop_us for element in elements), default=arrival.received_us)
-            if stop_us > until_us:
-                left.append((arrival, elements))
+        for accepted in self._executing:
+            over = tuple(element for element in accepted.elements if element.stop_us <= until_us)
+            if len(over) == len(accepted.elements):
+                reports.append(_end_report(accepted, until_us))
                 continue
-            start_us = min((element.start_us for element in elements), default=arrival.received_us)
-            span_us, impulse = (start_us, stop_us), impulse_of(elements)
-            reports.append(
-                Report(stop_us, arrival.command.counter, Fate.EXECUTED, arrival.received_us, span_us, impulse)
-            )
+            left.append(accepted)
+            is_between = all(element.start_us >= until_us for element in accepted.elements if element not in over)
+            if len(over) > accepted.told and is_between:
+                accepted.told = len(over)
+                reports.append(_report(accepted, over, Fate.EXECUTING))
         self._executing = left
         return reports
 
@@ -152,6 +195,27 @@ def impulse_of(elements: tuple[TorqueElement, ...]) -> Triple:
         sum(e.torque_n_m[axis] * (e.stop_us - e.start_us) / US_PER_S for e in elements) for axis in range(3)
     )
     return yaw, roll, pitch
+
+
+def _end_report(accepted: _Accepted, until_us: int) -> Report:
+    """Return the report of a command of which nothing lies ahead."""
+    if accepted.elements or accepted.start_us is None:
+        return _report(accepted, accepted.elements, Fate.EXECUTED)
+    received_us = accepted.arrival.received_us
+    return Report(until_us, accepted.counter, Fate.REPLACED, received_us)
+
+
+def _report(accepted: _Accepted, elements: tuple[TorqueElement, ...], fate: Fate) -> Report:
+    """Return what is told of elements that have ended."""
+    received_us = accepted.arrival.received_us
+    start_us = min((element.start_us for element in elements), default=received_us)
+    stop_us = max((element.stop_us for element in elements), default=received_us)
+    return Report(stop_us, accepted.counter, fate, received_us, (start_us, stop_us), impulse_of(elements))
+
+
+def _until(elements: tuple[TorqueElement, ...], stop_us: int) -> tuple[TorqueElement, ...]:
+    """Return what of some elements comes before an epoch."""
+    return tuple(replace(e, stop_us=min(e.stop_us, stop_us)) for e in elements if e.start_us < stop_us)
 
 
 def _in_quanta(element: TorqueElement, quantum_n_m: float) -> TorqueElement:

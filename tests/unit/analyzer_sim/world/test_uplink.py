@@ -66,11 +66,36 @@ def test_a_counter_is_executed_once_whatever_comes_with_it():
     assert store.ended(900 * S) == []
 
 
-def test_commands_may_overtake_one_another():
+def test_a_newer_command_takes_the_place_of_what_has_not_begun_of_an_older_one():
+    store = CommandStore()
+    older = Command(1, tuple(element for at_s in (100, 198, 300) for element in command(1, at_s).elements))
+    store.receive(Arrival(40 * S, older), STILL)
+    (report,) = store.ended(150 * S)
+    assert (report.counter, report.fate, report.executed_us) == (1, Fate.EXECUTING, (100 * S, 105 * S))
+    # told once
+    assert store.ended(160 * S) == []
+    store.receive(Arrival(170 * S, command(2)), STILL)
+    flown = sorted((element.start_us // S, element.stop_us // S) for element in store.acting(150 * S))
+    assert flown == [(198, 200), (200, 205)]
+    reports = {report.counter: report for report in store.ended(400 * S)}
+    assert [(reports[c].fate, reports[c].executed_us) for c in (1, 2)] == [
+        (Fate.EXECUTED, (100 * S, 200 * S)),
+        (Fate.EXECUTED, (200 * S, 205 * S)),
+    ]
+    # 5 s and 2 s of 0.004 N m
+    assert reports[1].impulse_n_m_s == pytest.approx((0.0, 0.028, 0.0))
+
+
+def test_a_command_that_is_overtaken_by_a_newer_one_gives_way_to_it():
     store = CommandStore()
     assert store.receive(Arrival(40 * S, command(8)), STILL)[0] is None
-    assert store.receive(Arrival(50 * S, command(7)), STILL)[0] is None
-    assert [report.counter for report in store.ended(205 * S)] == [8, 7]
+    assert store.receive(Arrival(50 * S, command(7)), STILL) == (None, ())
+    assert store.receive(Arrival(60 * S, command(6, 100)), STILL)[1] == command(6, 100).elements
+    assert {report.counter: report.fate for report in store.ended(205 * S)} == {
+        6: Fate.EXECUTED,
+        7: Fate.REPLACED,
+        8: Fate.EXECUTED,
+    }
 
 
 def test_a_command_that_comes_too_late_is_left_out_as_a_whole():
