@@ -22,12 +22,13 @@ from service.pipeline.knowledge import Knowledge, Lookup, learn
 from service.pipeline.method_runner import MethodRunner
 from service.pipeline.paper_runner import PaperRunner
 from service.pipeline.robust_runner import RobustRunner
+from service.pipeline.schedule_verdict import PanelSwing, swing_after
 from service.pipeline.wheel_torques import NO_CARRY, compute_command
 from service.ports import Outcome
 from service.records.attitude import AttitudeRow, CarrierState, IntArray, row_without_attitude
 from service.records.calibration import Calibration
-from service.records.catalogue import CarrierPlan, Method, Release
-from service.records.command import AppliedCommand
+from service.records.catalogue import CarrierPlan, Method, Release, Spacecraft
+from service.records.command import AppliedCommand, ReleasedCommand
 from service.records.epoch import US_PER_S
 from service.records.inputs import AlignmentSet, CalibrationActivation, EphemerisChange, SpacecraftChange
 from service.records.journal import SlowInput
@@ -71,6 +72,7 @@ class Chain:
         }
         self._runners: tuple[MethodRunner, ...] = tuple(kinds[m](lookup, config) for m in METHODS if m in methods)
         self._carry_n_m_s = NO_CARRY
+        self._swing: PanelSwing | None = None
         self._newest_us: int | None = None
         self._recent_us: IntArray = np.zeros(0, dtype=np.int64)
         self._disagreement = Disagreement()
@@ -99,6 +101,7 @@ class Chain:
             self._knowledge = replace(self._knowledge, active=active)
         for runner in self._runners:
             runner.hear(content, self._knowledge)
+        self._remember_swing(content)
         alignment = self._knowledge.alignment
         if alignment is None:
             return
@@ -176,8 +179,20 @@ class Chain:
         self._newest_us = epoch_us
         self._recent_us = np.append(self._recent_us, np.int64(epoch_us))[-self._config.torque.period_rows - 1 :]
 
-    def _command_period_s(self) -> float:
-        """Return the expected time to the next command: the median row period."""
+    def _remember_swing(self, content: SlowInput) -> None:
+        """Let what was sent swing the flexible modes."""
+        spacecraft = self._knowledge.spacecraft
+        if spacecraft is None or not spacecraft.modes:
+            return
+        if isinstance(content, AppliedCommand):
+            self._swing = swing_after(self._swing, content.command.schedule, spacecraft)
+        elif isinstance(content, ReleasedCommand):
+            self._swing = swing_after(self._swing, content.schedule, spacecraft)
+
+    def _command_period_s(self, spacecraft: Spacecraft) -> float:
+        """Return the expected time to the next command: that of the catalogue, or the median row period."""
+        if spacecraft.control.release is Release.TWO_STEP:
+            return spacecraft.control.command_period_s
         if len(self._recent_us) < 2:
             return self._config.torque.default_period_s
         return float(np.median(np.diff(self._recent_us))) / US_PER_S
@@ -191,7 +206,19 @@ class Chain:
         if all(runner.method is not wanted for runner in self._runners):
             return Outcome(rows, None)
         driving = next((row for row in rows if row.method is wanted), None) or self._row_of_silent(rows[0], wanted)
-        torque = compute_command(driving, spacecraft, self._carry_n_m_s, self._command_period_s(), self._config.torque)
+        runner = next(runner for runner in self._runners if runner.method is wanted)
+        config = self._config.torque
+        torque = compute_command(
+            driving,
+            spacecraft,
+            self._carry_n_m_s,
+            self._command_period_s(spacecraft),
+            config,
+            runner.disturbance(),
+            self._knowledge.momentum_n_m_s(driving.epoch_us, config.telemetry_age_s),
+            swing=self._swing,
+            is_withheld=self._knowledge.is_withheld,
+        )
         self._carry_n_m_s = torque.carry_n_m_s
         is_applied = torque.command.control_allowed and spacecraft.control.release is Release.AUTOMATIC
         return Outcome(rows, torque.command, AppliedCommand(torque.command) if is_applied else None)

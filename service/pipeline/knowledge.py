@@ -17,8 +17,10 @@ from service.records.inputs import (
     Operation,
     PlanChange,
     SpacecraftChange,
+    TelemetryRecord,
 )
 from service.records.journal import SlowInput
+from service.records.release import InterlockHold
 
 
 class Lookup(Protocol):
@@ -53,6 +55,22 @@ class Knowledge:
     alignment: Alignment | None = None
     #: newest revision of each operation, by id
     operations: dict[int, Operation] = field(default_factory=dict)
+    #: newest record that told the momentum of the wheels
+    telemetry: TelemetryRecord | None = None
+    #: newest word of the interlock; none: it never withheld anything
+    hold: InterlockHold | None = None
+
+    @property
+    def is_withheld(self) -> bool:
+        """Whether the interlock withholds torques."""
+        return self.hold is not None and self.hold.is_withheld
+
+    def momentum_n_m_s(self, epoch_us: int, age_s: float) -> tuple[float, ...] | None:
+        """Return the momentum of each wheel as it was told within an age before an epoch; None where it was not."""
+        told = self.telemetry
+        if told is None or not 0 <= epoch_us - told.epoch_us <= age_s * US_PER_S:
+            return None
+        return told.wheel_momentum_n_m_s
 
     def calibration_for(self, method: Method) -> Calibration | None:
         """Return the calibration of a method; a ``geometry`` one serves ``paper`` while no ``paper`` one is active."""
@@ -96,5 +114,10 @@ def learn(knowledge: Knowledge, content: SlowInput, lookup: Lookup) -> Knowledge
             return replace(knowledge, alignment=lookup.alignment(content.alignment_id))
         case Operation():
             return replace(knowledge, operations={**knowledge.operations, content.id: content})
+        case TelemetryRecord() if content.wheel_momentum_n_m_s is not None:
+            newest = knowledge.telemetry
+            return knowledge if newest and newest.epoch_us > content.epoch_us else replace(knowledge, telemetry=content)
+        case InterlockHold():
+            return replace(knowledge, hold=content)
         case _:
             return knowledge
