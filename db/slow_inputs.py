@@ -13,11 +13,20 @@ from service.records.command import AppliedCommand, ReleasedCommand, ReportedCom
 from service.records.inputs import AttitudeReference, Correction, Operation, TelemetryRecord
 from service.records.journal import SlowInput
 from service.records.measurement import Refusal
+from service.records.release import InterlockHold
 from service.records.series import InputReceipt
 
 LOOKUP_CHUNK = 500
 #: what carries its own key; everything else is journaled by the call that makes it
-KEYED = AttitudeReference | Correction | TelemetryRecord | AppliedCommand | ReleasedCommand | ReportedCommand
+KEYED = (
+    AttitudeReference
+    | Correction
+    | TelemetryRecord
+    | AppliedCommand
+    | ReleasedCommand
+    | ReportedCommand
+    | InterlockHold
+)
 
 
 def span_of(record: KEYED) -> Span:
@@ -30,6 +39,8 @@ def span_of(record: KEYED) -> Span:
         return Span(record.released_us, record.stop_us)
     if isinstance(record, ReportedCommand):
         return Span(record.reported_us, record.reported_us)
+    if isinstance(record, InterlockHold):
+        return Span(record.at_us, None)
     return Span(record.epoch_us, record.epoch_us)
 
 

@@ -11,11 +11,12 @@ from db.engine import open_engines
 from db.keys import SqlKeys
 from db.links import SqlLinks
 from db.notes import SqlNotes
+from db.releases import SqlReleases
 from db.results import SqlResults
 from db.storage_state import disk_of, newest_revision, present_revision
 from db.tables import head
 from db.traces import SqlTraces
-from service.ports import Alarms, Archive, Audit, Catalogue, Keys, Links, Notes, Results, Traces
+from service.ports import Alarms, Archive, Audit, Catalogue, Keys, Links, Notes, Releases, Results, Traces
 from service.records.storage_state import StorageState
 
 
@@ -41,6 +42,7 @@ class SqlStorage:
     links: Links
     alarms: Alarms
     notes: Notes
+    releases: Releases
     traces: Traces
     keys: Keys
     audit: Audit
@@ -54,6 +56,7 @@ class SqlStorage:
         self.links = SqlLinks(self._database)
         self.alarms = SqlAlarms(self._database)
         self.notes = SqlNotes(self._database)
+        self.releases = SqlReleases(self._database)
         self.traces = SqlTraces(self._database)
         self.keys = SqlKeys(self._database)
         self.audit = SqlAudit(self._database)

@@ -5,6 +5,7 @@ from typing import Protocol
 from service.ports.access import Audit, Keys
 from service.ports.archive import Archive
 from service.ports.catalogue import Catalogue
+from service.ports.release import Releases
 from service.ports.results import Results
 from service.ports.stations import Links, Traces
 from service.ports.watch import Alarms, Notes
@@ -20,6 +21,7 @@ class Storage(Protocol):
     links: Links
     alarms: Alarms
     notes: Notes
+    releases: Releases
     traces: Traces
     keys: Keys
     audit: Audit

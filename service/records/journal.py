@@ -16,6 +16,7 @@ from service.records.inputs import (
     TelemetryRecord,
 )
 from service.records.measurement import Measurement
+from service.records.release import InterlockHold
 
 #: an input other than a row of carrier powers
 SlowInput = (
@@ -32,6 +33,7 @@ SlowInput = (
     | AppliedCommand
     | ReleasedCommand
     | ReportedCommand
+    | InterlockHold
 )
 
 #: name of each kind of slow input in the tables and in the journal
@@ -49,6 +51,7 @@ KINDS: dict[str, type[SlowInput]] = {
     "applied_command": AppliedCommand,
     "released_command": ReleasedCommand,
     "reported_command": ReportedCommand,
+    "interlock": InterlockHold,
 }
 KIND_OF = {record: kind for kind, record in KINDS.items()}
 

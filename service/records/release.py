@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from service.records.attitude import Axes
-from service.records.command import Pulse, TorqueCommand
+from service.records.command import Pulse, ReleasedCommand, ReportedCommand, TorqueCommand
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,11 +28,13 @@ class InterlockHold:
     state: str
     reasons: tuple[str, ...]
     is_withheld: bool
+    #: of the release's state that it came with
+    version: int
 
     @property
     def key(self) -> str:
         """Natural key within a spacecraft."""
-        return str(self.at_us)
+        return str(self.version)
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,3 +203,28 @@ class UplinkProduct:
     schedule: tuple[Pulse, ...] = ()
     attitude_deg: Axes | None = None
     sigma_deg: Axes | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class StoredRelease:
+    """Interlock and commands of one spacecraft as one document."""
+
+    #: rises by one with each change; 0 before the first
+    version: int = 0
+    #: empty before the first
+    document: str = ""
+    #: process that stored it
+    holder: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ReleaseChange:
+    """What is stored together, in one transaction."""
+
+    document: str
+    holder: str
+    #: commands that are new or have changed
+    commands: tuple[CommandView, ...] = ()
+    products: tuple[UplinkProduct, ...] = ()
+    #: for the journal
+    told: tuple[ReleasedCommand | ReportedCommand | InterlockHold, ...] = ()

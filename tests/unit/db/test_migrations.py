@@ -7,7 +7,8 @@ from alembic.migration import MigrationContext
 from sqlalchemy import inspect, select
 
 import db.alarm_tables
-import db.key_tables  # noqa: F401 - their tables belong to the schema
+import db.key_tables
+import db.release_tables  # noqa: F401 - their tables belong to the schema
 from db.engine import open_engines
 from db.migrate import downgrade, upgrade
 from db.sequence_numbers import Block, SequenceNumbers, Tail

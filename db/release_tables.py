@@ -1,0 +1,38 @@
+"""Tables of the release of torques: its state, its commands, its uplink products."""
+
+from sqlalchemy import BigInteger, Column, Index, Integer, Table, Text
+
+from db.tables import metadata
+
+#: one document a spacecraft; whoever changes it must know the version that he changes
+release_state = Table(
+    "release_state",
+    metadata,
+    Column("spacecraft_key", Integer, primary_key=True, autoincrement=False),
+    Column("version", BigInteger, nullable=False),
+    Column("holder", Text, nullable=False),
+    Column("document", Text, nullable=False),
+)
+
+release_command = Table(
+    "release_command",
+    metadata,
+    Column("spacecraft_key", Integer, primary_key=True, autoincrement=False),
+    Column("counter", BigInteger, primary_key=True, autoincrement=False),
+    Column("prepared_us", BigInteger, nullable=False),
+    Column("state", Text, nullable=False),
+    Column("digest", Text, nullable=False),
+    Column("document", Text, nullable=False),
+    Index("release_command_prepared", "spacecraft_key", "prepared_us", "counter"),
+)
+
+#: only ever added to
+uplink_product = Table(
+    "uplink_product",
+    metadata,
+    Column("spacecraft_key", Integer, primary_key=True, autoincrement=False),
+    Column("form", Text, primary_key=True),
+    Column("counter", BigInteger, primary_key=True, autoincrement=False),
+    Column("created_us", BigInteger, nullable=False),
+    Column("document", Text, nullable=False),
+)

@@ -1,0 +1,134 @@
+"""State, commands and uplink products of the release of torques; implements ``service.ports.Releases``."""
+
+from sqlalchemy import ColumnElement, Connection, and_, select, update
+
+from db.database import Database, beyond, lock_head, within
+from db.documents import decode, encode
+from db.release_tables import release_command, release_state, uplink_product
+from db.slow_inputs import store_inputs
+from service.errors import ConflictError, NotFoundError
+from service.records.calibration import Window
+from service.records.release import CommandView, ProductForm, ReleaseChange, StoredRelease, UplinkProduct
+
+
+class SqlReleases:
+    """Releases in a relational database.
+
+    Parameters
+    ----------
+    database : Database
+        Where they are kept.
+    """
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def stored(self, spacecraft_id: str) -> StoredRelease:
+        """Return the newest state; version 0 and an empty document before the first."""
+        key = self._database.key(spacecraft_id)
+        row = self._database.fetch_one(select(release_state).where(release_state.c.spacecraft_key == key))
+        return StoredRelease() if row is None else StoredRelease(int(row.version), row.document, row.holder)
+
+    def save(self, spacecraft_id: str, version: int, change: ReleaseChange) -> int:
+        """Store a change in one transaction and return its version; ConflictError ``release.changed``."""
+        key = self._database.key(spacecraft_id)
+
+        def store(connection: Connection) -> int:
+            # the head keeps every other writer of this spacecraft away, of this process and of any other
+            lock_head(connection, key)
+            _swap(connection, key, version, change)
+            for command in change.commands:
+                _store_command(connection, key, command)
+            for product in change.products:
+                _store_product(connection, key, product)
+            if change.told and store_inputs(connection, key, change.told).accepted != len(change.told):
+                raise _changed(f"journal entries of version {version + 1} are there already")
+            return version + 1
+
+        return self._database.write(store)
+
+    def command(self, spacecraft_id: str, counter: int) -> CommandView:
+        """Return one command; NotFoundError ``command.unknown``."""
+        key = self._database.key(spacecraft_id)
+        row = self._database.fetch_one(select(release_command.c.document).where(_is_command(key, counter)))
+        if row is None:
+            raise NotFoundError("command.unknown", f"There is no command {counter} of this spacecraft.")
+        return decode(CommandView, row.document)
+
+    def commands(
+        self, spacecraft_id: str, window: Window, limit: int, after: tuple[int, int] | None
+    ) -> list[CommandView]:
+        """Return commands prepared in a window in order of (prepared, counter) beyond a cursor."""
+        prepared, counter = release_command.c.prepared_us, release_command.c.counter
+        query = select(release_command.c.document).where(
+            release_command.c.spacecraft_key == self._database.key(spacecraft_id),
+            within(prepared, window),
+            beyond(prepared, counter, after),
+        )
+        rows = self._database.fetch(query.order_by(prepared, counter).limit(limit))
+        return [decode(CommandView, row.document) for row in rows]
+
+    def product(self, spacecraft_id: str, form: ProductForm, counter: int) -> UplinkProduct:
+        """Return one uplink product; NotFoundError ``uplink.unknown``."""
+        key = self._database.key(spacecraft_id)
+        row = self._database.fetch_one(select(uplink_product.c.document).where(_is_product(key, form, counter)))
+        if row is None:
+            raise NotFoundError("uplink.unknown", f"There is no uplink product {counter} with {form.value}.")
+        return decode(UplinkProduct, row.document)
+
+    def newest_product(self, spacecraft_id: str, form: ProductForm) -> UplinkProduct | None:
+        """Return the product of a form with the greatest counter."""
+        table = uplink_product
+        query = select(table.c.document).where(
+            table.c.spacecraft_key == self._database.key(spacecraft_id), table.c.form == form.value
+        )
+        row = self._database.fetch_one(query.order_by(table.c.counter.desc()).limit(1))
+        return None if row is None else decode(UplinkProduct, row.document)
+
+
+def _swap(connection: Connection, key: int, version: int, change: ReleaseChange) -> None:
+    """Put a state in the place of the version given, ConflictError where another one is stored."""
+    values = {"version": version + 1, "holder": change.holder, "document": change.document}
+    found = connection.scalar(select(release_state.c.version).where(release_state.c.spacecraft_key == key))
+    if (found or 0) != version:
+        raise _changed(f"version {found} is stored, not {version}")
+    if found is None:
+        connection.execute(release_state.insert().values(spacecraft_key=key, **values))
+    else:
+        connection.execute(update(release_state).where(release_state.c.spacecraft_key == key).values(values))
+
+
+def _store_command(connection: Connection, key: int, command: CommandView) -> None:
+    """Store a command, new or changed; what was prepared under a counter never becomes something else."""
+    is_it = _is_command(key, command.counter)
+    digest = connection.scalar(select(release_command.c.digest).where(is_it))
+    values = {"state": command.state, "document": encode(command)}
+    if digest is None:
+        whole = {"spacecraft_key": key, "counter": command.counter, "prepared_us": command.prepared_us, **values}
+        connection.execute(release_command.insert().values(digest=command.digest, **whole))
+    elif digest == command.digest:
+        connection.execute(update(release_command).where(is_it).values(values))
+    else:
+        raise _changed(f"another command {command.counter} is stored")
+
+
+def _store_product(connection: Connection, key: int, product: UplinkProduct) -> None:
+    """Add a product; one that exists is never changed."""
+    is_it = _is_product(key, product.form, product.counter)
+    if connection.scalar(select(uplink_product.c.counter).where(is_it)) is not None:
+        raise _changed(f"an uplink product {product.counter} with {product.form.value} is stored")
+    values = {"form": product.form.value, "counter": product.counter, "created_us": product.created_us}
+    connection.execute(uplink_product.insert().values(spacecraft_key=key, document=encode(product), **values))
+
+
+def _is_command(key: int, counter: int) -> ColumnElement[bool]:
+    return and_(release_command.c.spacecraft_key == key, release_command.c.counter == counter)
+
+
+def _is_product(key: int, form: ProductForm, counter: int) -> ColumnElement[bool]:
+    table = uplink_product
+    return and_(table.c.spacecraft_key == key, table.c.form == form.value, table.c.counter == counter)
+
+
+def _changed(what: str) -> ConflictError:
+    return ConflictError("release.changed", f"Somebody else has changed the release of torques: {what}.")
