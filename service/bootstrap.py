@@ -11,7 +11,10 @@ from db.storage import SqlStorage
 from service.api.app import create_app
 from service.api.deps import ApiContext, Limits
 from service.api.observation import Observation
+from service.core.dynamics.orbital_frame_analysis import MOST_STEPS_PLAIN
+from service.core.dynamics.orbital_frame_kernel import fly
 from service.pipeline.alarm_conditions import condition_table
+from service.pipeline.dynamics_kernels import flight_kernel
 from service.ports import Clock, Storage
 from service.records.access_key import AccessKey, Role, StoredKey, digest_of, new_key
 from service.records.alarm import Severity
@@ -21,6 +24,7 @@ from service.runtime.alarm_notices import NoticeChannel, NoticeChannels
 from service.runtime.aligning import Aligner
 from service.runtime.calibrating import Calibrator
 from service.runtime.clock import DataClock, SystemClock
+from service.runtime.flight_analyses import FlightAnalyses
 from service.runtime.jobs import JobRunner
 from service.runtime.live_feed import LiveFeed
 from service.runtime.replaying import Replayer
@@ -158,6 +162,13 @@ def build_upkeep(settings: Settings, storage: Storage, clock: Clock) -> Upkeep:
     return Upkeep(storage, clock, settings.sealing, settings.retention)
 
 
+def _flights(settings: Settings, jobs: JobRunner) -> FlightAnalyses:
+    """Return what flies analyses; without a compiler shorter ones only."""
+    if settings.kernels == "numba":
+        return FlightAnalyses(jobs, flight_kernel)
+    return FlightAnalyses(jobs, lambda: fly, MOST_STEPS_PLAIN)
+
+
 def build_app(settings: Settings, storage: Storage) -> FastAPI:
     """Return the application over a migrated archive; its start-up starts the supervisor and the jobs."""
     clock = build_clock(settings, storage)
@@ -165,6 +176,8 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
     alarms = build_alarms(settings, storage, clock, feed)
     supervisor = Supervisor(storage, feed, settings.chain_config(), alarms)
     jobs = JobRunner(storage.results, clock)
+    # apart, so that no calibration waits for an analysis
+    analyses = JobRunner(storage.results, clock)
 
     upkeep = build_upkeep(settings, storage, clock)
 
@@ -178,6 +191,7 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
         await asyncio.to_thread(supervisor.stop)
         await asyncio.to_thread(alarms.stop)
         await asyncio.to_thread(jobs.stop)
+        await asyncio.to_thread(analyses.stop)
         await asyncio.to_thread(upkeep.stop)
         await asyncio.to_thread(storage.close)
 
@@ -202,6 +216,7 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
         calibrator=Calibrator(storage, clock, jobs, settings.calibration),
         aligner=Aligner(storage, clock, settings.alignment),
         replayer=Replayer(storage, clock, jobs, settings.chain_config()),
+        flights=_flights(settings, analyses),
         calibration=settings.calibration,
         kernels=settings.kernels,
     )

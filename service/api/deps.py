@@ -20,6 +20,7 @@ from service.ports import Clock, Storage
 from service.runtime.alarm_desk import AlarmDesk
 from service.runtime.aligning import Aligner
 from service.runtime.calibrating import Calibrator
+from service.runtime.flight_analyses import FlightAnalyses
 from service.runtime.live_feed import LiveFeed
 from service.runtime.replaying import Replayer
 from service.runtime.supervisor import Supervisor
@@ -86,6 +87,7 @@ class ApiContext:
     calibrator: Calibrator
     aligner: Aligner
     replayer: Replayer
+    flights: FlightAnalyses
     #: how harmonics are fitted and carriers judged on demand
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
     #: administrator's key; None = every request is refused

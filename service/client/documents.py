@@ -114,6 +114,8 @@ class Job(TypedDict):
     state: Literal["queued", "running", "done", "failed"]
     progress: float
     error: str | None
+    #: path of what it gave, for analyses
+    result: str | None
 
 
 class Status(TypedDict):

@@ -95,6 +95,7 @@ async def soo(storage: SqlStorage) -> AsyncIterator[Soo]:
         calibrator=cast("Any", None),
         aligner=cast("Any", None),
         replayer=cast("Any", None),
+        flights=cast("Any", None),
         bootstrap_key=KEY,
         limits=limits,
         on_accepted=accepted.append,

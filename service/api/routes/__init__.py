@@ -12,6 +12,7 @@ from service.api.routes import (
     calibrations,
     carrier_selection,
     carriers,
+    closed_loop,
     ephemeris,
     export,
     handover,
@@ -68,5 +69,6 @@ ROUTERS: tuple[APIRouter, ...] = (
     keys.router,
     audit.router,
     analyses.router,
+    closed_loop.router,
 )
 PUBLIC_ROUTERS: tuple[APIRouter, ...] = (health.router,)

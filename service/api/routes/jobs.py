@@ -5,6 +5,7 @@ from typing import Annotated
 from fastapi import APIRouter, Path
 
 from service.api.deps import Context
+from service.api.routes.closed_loop import RESULTS
 from service.api.schemas.jobs import JobAnswer
 
 router = APIRouter(prefix="/jobs", tags=["jobs"])
@@ -13,4 +14,6 @@ router = APIRouter(prefix="/jobs", tags=["jobs"])
 @router.get("/{job_id}")
 def get_job(job_id: Annotated[str, Path(max_length=64)], context: Context) -> JobAnswer:
     """Return how far a job is."""
-    return JobAnswer.of(context.storage.results.job(job_id))
+    job = context.storage.results.job(job_id)
+    has_result = context.flights.result(job_id) is not None
+    return JobAnswer.of(job, f"{RESULTS}/{job_id}" if has_result else None)

@@ -17,9 +17,11 @@ class JobAnswer(Answer):
     created_at: EpochAnswer
     error: str | None
     """Why it failed, and what to do."""
+    result: str | None
+    """Path of what it gave, while that is kept; null for jobs whose result stands elsewhere."""
 
     @classmethod
-    def of(cls, job: Job) -> Self:
+    def of(cls, job: Job, result: str | None = None) -> Self:
         """Return the answer that tells a job."""
         return cls.model_validate(
             {
@@ -29,5 +31,6 @@ class JobAnswer(Answer):
                 "progress": job.progress,
                 "created_at": job.created_at_us,
                 "error": job.error,
+                "result": result,
             }
         )

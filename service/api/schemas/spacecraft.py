@@ -63,6 +63,8 @@ def _unit_axes(axes: tuple[Vector3, ...]) -> tuple[Vector3, ...]:
 #: bounds keep the checks from overflowing
 InertiaElement = Annotated[float, Field(ge=-1e8, le=1e8)]
 InertiaRow = tuple[InertiaElement, InertiaElement, InertiaElement]
+#: elements of the tensor of a body that can be, kg m^2
+InertiaTensor = Annotated[tuple[InertiaRow, InertiaRow, InertiaRow], AfterValidator(_check_inertia)]
 AxisElement = Annotated[float, Field(ge=-1e3, le=1e3)]
 WheelAxis = tuple[AxisElement, AxisElement, AxisElement]
 
@@ -140,11 +142,7 @@ class SpacecraftDocument(Document):
     simulated: bool = False
     """Lives under the data clock; never commanded by mistake for a real one."""
     receiving_site: SiteDocument
-    inertia_kg_m2: Annotated[
-        tuple[InertiaRow, InertiaRow, InertiaRow],
-        Field(description="Tensor elements; x roll, y pitch, z yaw"),
-        AfterValidator(_check_inertia),
-    ]
+    inertia_kg_m2: Annotated[InertiaTensor, Field(description="Tensor elements; x roll, y pitch, z yaw")]
     torque_limit_n_m: Positive
     """Greatest torque on the body an axis."""
     wheels: WheelsDocument = WheelsDocument()

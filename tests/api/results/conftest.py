@@ -14,6 +14,7 @@ from fastapi import FastAPI
 from db.storage import SqlStorage
 from service.api.app import create_app
 from service.api.deps import ApiContext, Limits
+from service.core.dynamics.orbital_frame_kernel import fly
 from service.pipeline.alarm_conditions import condition_table
 from service.pipeline.config import AlarmConfig, AlignmentConfig, CalibrationConfig, ChainConfig, RobustConfig
 from service.ports import LIVE, Outcome
@@ -49,6 +50,7 @@ from service.runtime.alarm_desk import AlarmDesk
 from service.runtime.alarm_notices import NoticeChannels
 from service.runtime.aligning import Aligner
 from service.runtime.calibrating import Calibrator
+from service.runtime.flight_analyses import FlightAnalyses
 from service.runtime.jobs import JobRunner
 from service.runtime.live_feed import LiveFeed
 from service.runtime.replaying import Replayer
@@ -303,6 +305,7 @@ async def bench(storage: SqlStorage) -> AsyncIterator[Bench]:
         calibrator=Calibrator(storage, clock, jobs, CalibrationConfig()),
         aligner=Aligner(storage, clock, AlignmentConfig()),
         replayer=Replayer(storage, clock, jobs, config),
+        flights=FlightAnalyses(jobs, lambda: fly),
         bootstrap_key=KEY,
         limits=Limits(stream_heartbeat_s=0.3),
     )

@@ -1,0 +1,53 @@
+"""Closed loops in the orbital frame: flown in a job, read while the result is kept. Nothing is stored but the job."""
+
+from http import HTTPStatus
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Response
+
+from service.api.bodies import accepts, body_of
+from service.api.deps import Context
+from service.api.problems import ProblemError
+from service.api.schemas.closed_loop import ClosedLoopAnswer, ClosedLoopDocument, ClosedLoopStartedAnswer
+from service.records.job import JobState
+from service.runtime.flight_analyses import KIND, MOST_RESULTS, MOST_WAITING
+
+router = APIRouter(prefix="/analyses/closed-loop", tags=["analyses"])
+#: path below which results stand
+RESULTS = "/api/v1/analyses/closed-loop"
+_RETRY_AFTER_S = 2
+
+
+@router.post("", status_code=HTTPStatus.ACCEPTED, openapi_extra=accepts(ClosedLoopDocument))
+def start_closed_loop(
+    body: Annotated[ClosedLoopDocument, body_of(ClosedLoopDocument)], context: Context, response: Response
+) -> ClosedLoopStartedAnswer:
+    """Fly a craft in the orbital frame under the gyro-orbitant law; the job tells when its result can be read."""
+    try:
+        job = context.flights.start(body.to_wish(), body.points)
+    except ValueError as error:
+        raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, "analysis.not_physical", str(error)[:1000]) from error
+    if job is None:
+        detail = f"{MOST_WAITING} analyses wait or fly already; try again later"
+        headers = {"Retry-After": str(_RETRY_AFTER_S)}
+        raise ProblemError(HTTPStatus.TOO_MANY_REQUESTS, "analysis.busy", detail, headers=headers)
+    response.headers["Location"] = f"/api/v1/jobs/{job.id}"
+    return ClosedLoopStartedAnswer(job=job.id, result=f"{RESULTS}/{job.id}")
+
+
+@router.get("/{job_id}")
+def get_closed_loop(job_id: Annotated[str, Path(max_length=64)], context: Context) -> ClosedLoopAnswer:
+    """Return time series and figures of merit of a flight that is over."""
+    found = context.flights.result(job_id)
+    if found is not None:
+        return ClosedLoopAnswer.of(job_id, found)
+    job = context.storage.results.job(job_id)
+    if job.kind != KIND:
+        raise ProblemError(HTTPStatus.NOT_FOUND, "job.unknown", f"job {job_id} is no closed loop")
+    if job.state is JobState.FAILED:
+        raise ProblemError(HTTPStatus.CONFLICT, "analysis.failed", f"the flight failed: {job.error or ''}"[:1000])
+    if job.state is not JobState.DONE:
+        detail = f"the flight is {job.state.value}; ask again when its job is done"
+        raise ProblemError(HTTPStatus.CONFLICT, "analysis.unfinished", detail)
+    detail = f"the newest {MOST_RESULTS} results are kept until the service ends; send the same request again"
+    raise ProblemError(HTTPStatus.GONE, "analysis.gone", detail)

@@ -1,0 +1,365 @@
+"""Closed loops in the orbital frame: what flies, and what a flight gave.
+
+Axes are those of the model (z up, y along the orbit normal); against the service's, pitch and yaw are reversed.
+Defaults are those with which the figures of the paper reproduce. Every component can be made ideal by null.
+"""
+
+import math
+from typing import Annotated, Literal, Self
+
+from pydantic import AfterValidator, Field
+from pydantic_core import PydanticCustomError
+
+from service.api.schemas.base import Answer, Document, Figure
+from service.api.schemas.spacecraft import InertiaTensor
+from service.core.dynamics.orbital_frame_analysis import (
+    LONGEST_S,
+    BeyondOrbitalRate,
+    ClosedLoop,
+    Wish,
+)
+from service.core.dynamics.orbital_frame_flight import FloatArray, Start
+from service.core.dynamics.orbital_frame_model import (
+    AS_PRINTED,
+    DOWN,
+    MAX_GAINS,
+    NEAREST,
+    NOMINAL_INERTIA,
+    ORBITAL_RATE_RAD_S,
+    TILT_FIRST,
+    TO_ZERO,
+    YAW_FIRST,
+    Computer,
+    Craft,
+    Gains,
+    Inertia,
+    Law,
+    RateSensor,
+    Tones,
+    Triple,
+    VerticalSensor,
+    Wheels,
+)
+from service.records.catalogue import Matrix3
+
+_PRODUCTS = {"tilt_first": TILT_FIRST, "as_printed": AS_PRINTED, "yaw_first": YAW_FIRST}
+_ROUNDINGS = {"nearest": NEAREST, "to_zero": TO_ZERO, "down": DOWN}
+#: bounds keep every step inside a double; none of them lies near a real spacecraft
+Gain = Annotated[float, Field(ge=0, le=1e6)]
+Size = Annotated[float, Field(gt=0, le=1e6)]
+NotNegative = Annotated[float, Field(ge=0, le=1e6)]
+Small = Annotated[float, Field(ge=-1, le=1)]
+Frequency = Annotated[float, Field(gt=0, le=4)]
+
+
+class AxesDocument(Document):
+    """One value an axis."""
+
+    roll: Small = 0.0
+    pitch: Small = 0.0
+    yaw: Small = 0.0
+
+    def to_triple(self) -> Triple:
+        """Return roll, pitch, yaw."""
+        return (self.roll, self.pitch, self.yaw)
+
+
+class GainsDocument(Document):
+    """Gains of the law: N m a unit of half-angle, and N m s."""
+
+    roll_stiffness_n_m: Gain = MAX_GAINS.roll_stiffness
+    roll_damping_n_m_s: Gain = MAX_GAINS.roll_damping
+    pitch_stiffness_n_m: Gain = MAX_GAINS.pitch_stiffness
+    pitch_damping_n_m_s: Gain = MAX_GAINS.pitch_damping
+    yaw_stiffness_n_m: Gain = MAX_GAINS.yaw_stiffness
+    yaw_damping_n_m_s: Gain = MAX_GAINS.yaw_damping
+
+    def to_gains(self) -> Gains:
+        """Return the gains of the law."""
+        return Gains(
+            self.roll_stiffness_n_m,
+            self.roll_damping_n_m_s,
+            self.pitch_stiffness_n_m,
+            self.pitch_damping_n_m_s,
+            self.yaw_stiffness_n_m,
+            self.yaw_damping_n_m_s,
+        )
+
+
+class LawDocument(Document):
+    """The gyro-orbitant law: tilt is measured, yaw comes from the roll rate."""
+
+    gains: GainsDocument = GainsDocument()
+    orbital_rate_rad_s: Annotated[float, Field(ge=1e-5, le=2e-3)] = ORBITAL_RATE_RAD_S
+    slope: Annotated[float, Field(gt=0, le=1)] = 1.0 / math.sqrt(2.0)
+    """Share of roll rate over orbital rate in the yaw quaternion."""
+    product: Literal["tilt_first", "as_printed", "yaw_first"] = "tilt_first"
+    """Which product of tilt and yaw the law takes."""
+    beyond_orbital_rate: Literal["refuse", "second_branch", "as_printed"] = "refuse"
+    """What happens where the roll rate exceeds the orbital rate: nothing is clipped."""
+
+    def to_law(self) -> Law:
+        """Return the law."""
+        return Law(self.gains.to_gains(), self.orbital_rate_rad_s, self.slope, _PRODUCTS[self.product])
+
+
+class ComputerDocument(Document):
+    """On-board computer: samples, computes, rounds, holds."""
+
+    is_continuous: bool = False
+    """True: no period and no quantum; sensors and wheels must be ideal."""
+    period_s: Annotated[float, Field(ge=0.01, le=10)] = Computer().period_s
+    torque_limit_n_m: Annotated[float, Field(gt=0, le=100)] = Computer().torque_limit_n_m
+    torque_quantum_n_m: Annotated[float, Field(gt=0, le=100)] = Computer().torque_quantum_n_m
+    rounding: Literal["nearest", "to_zero", "down"] = "nearest"
+    yaw_rate_correction_rad_s: Small = 0.0
+
+    def to_computer(self) -> Computer:
+        """Return the computer."""
+        return Computer(
+            not self.is_continuous,
+            self.period_s,
+            self.torque_limit_n_m,
+            self.torque_quantum_n_m,
+            _ROUNDINGS[self.rounding],
+            self.yaw_rate_correction_rad_s,
+        )
+
+
+class VerticalSensorDocument(Document):
+    """Sensor of the local vertical: roll and pitch."""
+
+    limit_rad: Size = VerticalSensor().limit_rad
+    lag_s: Size = VerticalSensor().lag_s
+    quantum_rad: Size = VerticalSensor().quantum_rad
+    noise_rad: NotNegative = VerticalSensor().noise_rad
+    noise_time_s: Size = VerticalSensor().noise_time_s
+    roll_bias_rad: Small = 0.0
+    pitch_bias_rad: Small = 0.0
+
+
+class RateSensorDocument(Document):
+    """Sensors of the three rates."""
+
+    limit_rad_s: Size = RateSensor().limit_rad_s
+    quantum_rad_s: Size = RateSensor().quantum_rad_s
+    null_rad_s: AxesDocument = AxesDocument(roll=RateSensor().null_rad_s[0])
+    noise_rad_s: NotNegative = RateSensor().noise_rad_s
+    delay_periods: Annotated[int, Field(ge=0, le=1)] = 1
+
+    def to_sensor(self) -> RateSensor:
+        """Return the sensor."""
+        return RateSensor(**{**self.model_dump(), "null_rad_s": self.null_rad_s.to_triple()})
+
+
+class FlownWheelsDocument(Document):
+    """One reaction wheel an axis."""
+
+    slope: Annotated[float, Field(gt=0, le=10)] = Wheels().slope
+    """Torque given over torque asked for, at rest."""
+    no_load_rad_s: Size = Wheels().no_load_rad_s
+    inertia_kg_m2: Annotated[float, Field(ge=1e-4, le=1e3)] = Wheels().inertia_kg_m2
+    momentum_limit_n_m_s: Size = Wheels().momentum_limit_n_m_s
+    dry_friction_n_m: NotNegative = Wheels().dry_friction_n_m
+    viscous_friction_n_m_s: Annotated[float, Field(ge=0, le=1e-2)] = Wheels().viscous_friction_n_m_s
+    cogging_n_m: NotNegative = Wheels().cogging_n_m
+    cogging_periods: Annotated[float, Field(ge=0, le=1000)] = Wheels().cogging_periods
+
+
+class TonesDocument(Document):
+    """Three flexible tones of roll and three of yaw, which the sensors see."""
+
+    roll_hz: tuple[Frequency, Frequency, Frequency] = Tones().roll_hz
+    yaw_hz: tuple[Frequency, Frequency, Frequency] = Tones().yaw_hz
+    damping_ratio: Annotated[float, Field(gt=0, lt=1)] = Tones().damping_ratio
+    gains: tuple[Gain, Gain, Gain] = Tones().gains
+
+
+class FlightStartDocument(Document):
+    """Attitude and rate at the start."""
+
+    roll_deg: Annotated[float, Field(ge=-180, le=180)] = 0.0
+    pitch_deg: Annotated[float, Field(gt=-90, lt=90)] = 0.0
+    yaw_deg: Annotated[float, Field(ge=-180, le=180)] = 0.0
+    is_literal: bool = True
+    """The orbital rate along the body's own y, as the paper has it; false: turned with the attitude."""
+    rate_rad_s: AxesDocument | None = None
+    """Inertial rate of the body in place of the orbital one."""
+
+    def to_start(self) -> Start:
+        """Return the start."""
+        rate = None if self.rate_rad_s is None else self.rate_rad_s.to_triple()
+        return Start(self.roll_deg, self.pitch_deg, self.yaw_deg, self.is_literal, rate)
+
+
+def _bounded(tensor: Matrix3) -> Matrix3:
+    """Refuse moments of inertia far from those of spacecraft, which would leave the numbers."""
+    if not all(1.0 <= tensor[k][k] <= 1e8 for k in range(3)):
+        raise PydanticCustomError("value.range", "moments of inertia of a flight lie between 1 and 1e8 kg m2")
+    return tensor
+
+
+_J = NOMINAL_INERTIA
+_NOMINAL_TENSOR = ((_J.xx, _J.xy, _J.xz), (_J.xy, _J.yy, _J.yz), (_J.xz, _J.yz, _J.zz))
+
+
+class ClosedLoopDocument(Document):
+    """A craft in a circular orbit, its control, and how it starts."""
+
+    inertia_kg_m2: Annotated[InertiaTensor, AfterValidator(_bounded)] = _NOMINAL_TENSOR
+    """Tensor elements; x roll, y pitch, z yaw of the model."""
+    law: LawDocument = LawDocument()
+    computer: ComputerDocument = ComputerDocument()
+    vertical_sensor: VerticalSensorDocument | None = VerticalSensorDocument()
+    """Null: shows the truth."""
+    rate_sensor: RateSensorDocument | None = RateSensorDocument()
+    """Null: shows the truth."""
+    wheels: FlownWheelsDocument | None = FlownWheelsDocument()
+    """Null: give what they are told."""
+    tones: TonesDocument | None = TonesDocument()
+    """Null: a rigid craft."""
+    has_gravity_torque: bool = True
+    steps: Annotated[int, Field(ge=1, le=16)] = 1
+    """Runge-Kutta steps a period of the computer."""
+    start: FlightStartDocument = FlightStartDocument()
+    duration_s: Annotated[float, Field(gt=0, le=LONGEST_S)] = 15_000.0
+    seed: Annotated[int, Field(ge=0, le=2**63 - 1)] = 1
+    """Of the sensors' noise; the same seed gives the same flight."""
+    settled_after_s: Annotated[float, Field(ge=0, le=LONGEST_S)] = 1500.0
+    """From then on figures of the settled loop count."""
+    bound_deg: Annotated[float, Field(gt=0, le=90)] = 0.1
+    """Within it an axis counts as settled."""
+    points: Annotated[int, Field(ge=2, le=5000)] = 1000
+    """Rows of the time series at most; figures are those of every period."""
+
+    def to_wish(self) -> Wish:
+        """Return what is to be flown."""
+        return Wish(
+            self._craft(),
+            self.start.to_start(),
+            self.duration_s,
+            self.seed,
+            BeyondOrbitalRate(self.law.beyond_orbital_rate),
+            self.settled_after_s,
+            self.bound_deg,
+        )
+
+    def _craft(self) -> Craft:
+        t = self.inertia_kg_m2
+        sensor, rates, wheels, tones = self.vertical_sensor, self.rate_sensor, self.wheels, self.tones
+        return Craft(
+            inertia=Inertia(t[0][0], t[1][1], t[2][2], t[0][1], t[0][2], t[1][2]),
+            law=self.law.to_law(),
+            computer=self.computer.to_computer(),
+            vertical_sensor=VerticalSensor(False) if sensor is None else VerticalSensor(**sensor.model_dump()),
+            rate_sensor=RateSensor(False) if rates is None else rates.to_sensor(),
+            wheels=Wheels(False) if wheels is None else Wheels(**wheels.model_dump()),
+            tones=Tones(False) if tones is None else Tones(**tones.model_dump()),
+            has_gravity_torque=self.has_gravity_torque,
+            steps=self.steps,
+        )
+
+
+class AxisFiguresAnswer(Answer):
+    """One figure an axis; null: the flight is too short for it."""
+
+    roll: Figure
+    pitch: Figure
+    yaw: Figure
+
+
+class AxisSeriesAnswer(Answer):
+    """One column an axis."""
+
+    roll: list[float]
+    pitch: list[float]
+    yaw: list[float]
+
+
+class MeritAnswer(Answer):
+    """Figures of merit, from every period of the computer."""
+
+    peak_deg: AxisFiguresAnswer
+    settled_peak_deg: AxisFiguresAnswer
+    settled_rms_deg: AxisFiguresAnswer
+    time_within_bound_s: AxisFiguresAnswer
+    """From when on the angle stays within `bound_deg`; null: not at the end."""
+    mean_yaw_deg: Figure
+    """Over the last two whole orbits, or the last one."""
+    harmonic_deg: AxisFiguresAnswer
+    """Amplitude at the orbital frequency over the last orbit."""
+    largest_torque_n_m: AxisFiguresAnswer
+    saturated_share: AxisFiguresAnswer
+    """Of the flight during which the torque is at its limit."""
+    largest_momentum_n_m_s: AxisFiguresAnswer
+    largest_rate_ratio: float
+    """Measured roll rate over orbital rate."""
+
+
+class FlightWarningAnswer(Answer):
+    """Something to beware of."""
+
+    code: str
+    detail: str
+
+
+class FlightSeriesAnswer(Answer):
+    """Record of the flight, thinned."""
+
+    time_s: list[float]
+    roll_deg: list[float]
+    pitch_deg: list[float]
+    yaw_deg: list[float]
+    torque_n_m: AxisSeriesAnswer
+    """Of the wheels on the body."""
+    momentum_n_m_s: AxisSeriesAnswer
+    """Of the wheels."""
+    rate_ratio: list[float]
+
+
+class ClosedLoopAnswer(Answer):
+    """What a flight gave; axes of the model."""
+
+    job: str
+    merit: MeritAnswer
+    warnings: list[FlightWarningAnswer]
+    series: FlightSeriesAnswer
+
+    @classmethod
+    def of(cls, job_id: str, found: ClosedLoop) -> Self:
+        """Return the answer that tells a flight."""
+        flight = found.flight
+        named = {name: value for name, value in found.merit._asdict().items() if isinstance(value, tuple)}
+        plain = {name: value for name, value in found.merit._asdict().items() if name not in named}
+        return cls.model_validate(
+            {
+                "job": job_id,
+                "merit": {**{name: _by_axis(value) for name, value in named.items()}, **plain},
+                "warnings": [{"code": code, "detail": detail} for code, detail in found.warnings],
+                "series": {
+                    "time_s": flight.time_s.tolist(),
+                    "roll_deg": flight.roll_deg.tolist(),
+                    "pitch_deg": flight.pitch_deg.tolist(),
+                    "yaw_deg": flight.yaw_deg.tolist(),
+                    "torque_n_m": _columns(flight.torque_n_m),
+                    "momentum_n_m_s": _columns(flight.momentum_n_m_s),
+                    "rate_ratio": flight.rate_ratio.tolist(),
+                },
+            }
+        )
+
+
+class ClosedLoopStartedAnswer(Answer):
+    """A flight that was queued."""
+
+    job: str
+    result: str
+    """Path of the result, once the job is done."""
+
+
+def _by_axis(values: Triple) -> dict[str, float]:
+    return dict(zip(("roll", "pitch", "yaw"), values, strict=True))
+
+
+def _columns(values: FloatArray) -> dict[str, list[float]]:
+    return dict(zip(("roll", "pitch", "yaw"), values.T.tolist(), strict=True))
