@@ -26,7 +26,6 @@ from analyzer_sim.streams import stream
 from analyzer_sim.world.rigid_body import TorqueElement, Triple
 from analyzer_sim.world.wheels import MOMENTUM_LIMIT_N_M_S, QUANTUM_N_M
 
-
 #: commands whose begin is kept for older ones that may still come
 _REMEMBERED = 16
 

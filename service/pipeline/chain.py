@@ -207,21 +207,21 @@ class Chain:
             return Outcome(rows, None)
         driving = next((row for row in rows if row.method is wanted), None) or self._row_of_silent(rows[0], wanted)
         runner = next(runner for runner in self._runners if runner.method is wanted)
-        config = self._config.torque
+        config, disturbance = self._config.torque, runner.disturbance()
         torque = compute_command(
             driving,
             spacecraft,
             self._carry_n_m_s,
             self._command_period_s(spacecraft),
             config,
-            runner.disturbance(),
+            disturbance,
             self._knowledge.momentum_n_m_s(driving.epoch_us, config.telemetry_age_s),
             swing=self._swing,
             is_withheld=self._knowledge.is_withheld,
         )
         self._carry_n_m_s = torque.carry_n_m_s
         is_applied = torque.command.control_allowed and spacecraft.control.release is Release.AUTOMATIC
-        return Outcome(rows, torque.command, AppliedCommand(torque.command) if is_applied else None)
+        return Outcome(rows, torque.command, AppliedCommand(torque.command) if is_applied else None, disturbance)
 
     def _row_of_silent(self, row: AttitudeRow, method: Method) -> AttitudeRow:
         """Return the row of a method that cannot run on the measurement of a row of another."""

@@ -15,6 +15,7 @@ from service.records.calibration import (
 )
 from service.records.catalogue import Method
 from service.records.command import AppliedCommand, TorqueCommand
+from service.records.disturbance import Disturbance
 from service.records.job import Job, JobState, Replay
 
 #: version under which the live chain writes
@@ -29,6 +30,8 @@ class Outcome:
     command: TorqueCommand | None
     #: set when the command counts as applied: it enters the journal with the outcome
     applied: AppliedCommand | None = None
+    #: torque that the method which drives control knows of; a command for a later start is computed with it
+    disturbance: Disturbance | None = None
 
 
 class Results(Protocol):
