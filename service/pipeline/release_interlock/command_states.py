@@ -29,7 +29,7 @@ class Turn(Enum):
     SENT = "report: uplinked"
     EXECUTED = "report: executed"
     FAILED = "report: failed"
-    EXPIRE = "its time is over, or its start has come"
+    EXPIRE = "its time is over, or the uplink cannot bring it before its start any more"
     CANCEL = "an operator takes it back"
     REJECT = "the interlock tripped"
 

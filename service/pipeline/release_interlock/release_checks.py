@@ -90,7 +90,12 @@ def _schedule_checks(proposal: Proposal, at: Instant, settings: ReleaseSettings)
             "schedule.rejected",
             f"the flexible-response check says {proposal.schedule_verdict}",
         ),
-        Check("start", proposal.start_us >= at.now_us, "command.start_passed", "the schedule begins in the past"),
+        Check(
+            "start",
+            proposal.start_us >= at.now_us + microseconds(settings.uplink_lead_s),
+            "command.start_passed",
+            f"the uplink needs {settings.uplink_lead_s:g} s: the schedule begins before it can be there",
+        ),
         Check(
             "end",
             proposal.stop_us <= latest_us,

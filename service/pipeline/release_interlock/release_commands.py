@@ -202,8 +202,9 @@ def _illegal(state: ReleaseState, command: CommandRecord) -> Step:
 
 
 def _new(state: ReleaseState, proposal: Proposal, by: str, at: Instant, settings: ReleaseSettings) -> CommandRecord:
-    """Return a prepared command with the next counter; it expires when its schedule begins, if not before."""
-    expires_us = min(at.now_us + microseconds(settings.prepared_s), proposal.start_us)
+    """Return a prepared command with the next counter; it expires when the uplink cannot bring it in time any more."""
+    latest_us = proposal.start_us - microseconds(settings.uplink_lead_s) + 1
+    expires_us = min(at.now_us + microseconds(settings.prepared_s), latest_us)
     digest = digest_of(state.next_counter, proposal)
     return CommandRecord(state.next_counter, Life.PREPARED, proposal, digest, by, at.now_us, expires_us)
 

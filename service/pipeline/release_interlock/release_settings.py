@@ -43,6 +43,16 @@ class ReleaseSettings:
     request_s: float = 600.0
     #: a prepared command waits this long for its confirmation
     prepared_s: float = 600.0
+    #: the uplink needs this long: no schedule begins sooner after its release
+    uplink_lead_s: float = 150.0
+    #: persons are given this long before a schedule has to be released, where they do not say when it begins
+    confirm_s: float = 180.0
+    #: a sign check of roll or pitch ends undecided after this long, one of yaw after the second and not before the third
+    sign_check_s: float = 2700.0
+    yaw_sign_check_s: float = 18_000.0
+    yaw_sign_least_s: float = 10_800.0
+    #: error of a change of a wheel's momentum in telemetry, one standard deviation
+    wheel_sigma_n_m_s: float = 0.002
     #: a schedule must be over this long after its release: what has gone out no trip can stop
     latest_stop_s: float = 7200.0
     #: commands that may be without a report at a time, and how long after their end
