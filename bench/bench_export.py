@@ -199,7 +199,7 @@ class Works:
         """Write rows that lie in memory."""
         epochs_us, levels = self._rows
         blocks = (
-            MeasurementBlock("sa-1", 1, epochs_us[first : first + DAY_ROWS], levels[first : first + DAY_ROWS])
+            MeasurementBlock(("sa-1",), 1, epochs_us[first : first + DAY_ROWS], levels[first : first + DAY_ROWS])
             for first in range(0, len(levels), DAY_ROWS)
         )
         return self._write(file_bytes(measurement_file(self._columns, "csv"), blocks))

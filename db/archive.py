@@ -11,7 +11,8 @@ from db import retention, sealing
 from db.database import Database, add_entries, beyond, count_entries, lock_head, within
 from db.documents import decode, decode_all, decode_input
 from db.ingest import prepare, store_batch
-from db.measurement_pages import EVER, PAGE_ROWS, POWERS, Chosen, Cursor, MeasurementPages
+from db.measurement_pages import EVER, PAGE_ROWS, Chosen, MeasurementPages
+from db.measurement_runs import Cursor
 from db.slow_inputs import revise_operation, store_inputs, store_operation
 from db.tables import carrier_plan, head, journal, operation, source
 from service.errors import InvalidInputError, NotFoundError
@@ -181,12 +182,10 @@ class SqlArchive:
         after: Cursor | None = None
         while True:
             with self._database.read() as connection:
-                runs = self._pages(connection, key).read(chosen, PAGE_ROWS, after, columns=POWERS)
-            if not runs:
+                blocks, after = self._pages(connection, key).read_blocks(chosen, PAGE_ROWS, after)
+            yield from blocks
+            if after is None:
                 return
-            for run in runs:
-                yield MeasurementBlock(run.piece.source, run.piece.plan_id, run.epochs_us(), run.power_dbm())
-            after = runs[-1].end
 
     def plan_ids(self, spacecraft_id: str, window: Window) -> tuple[int, ...]:
         """Return the numbers of the carrier plans under which the rows of a window were stored, ascending."""

@@ -1,19 +1,18 @@
 """Reading measurements in order: one page of rows at a time, each in one consistent state of the database.
 
-A page begins behind a cursor (epoch, number), which stays true whatever happens to the rows between two pages. Rows of
-one source under one plan form a piece; a page is the pieces' rows in order of (epoch, number), told as runs of rows
-that follow each other within one piece.
+A page begins behind a cursor (epoch, number), which stays true whatever happens to the rows between two pages.
 """
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, select
 
 from db.database import beyond, within
 from db.mapping import MEASUREMENT_COLUMNS, measurement_of, measurements_of, powers_of
+from db.measurement_runs import Cursor, OrderedRows, Run, end_us
 from db.segments import (
     SegmentCache,
     SegmentHead,
@@ -28,9 +27,8 @@ from db.tables import measurement, measurement_detail, measurement_segment, sour
 from service.records.attitude import BoolArray, IntArray
 from service.records.calibration import Window
 from service.records.measurement import Float32Array, Measurement
+from service.records.measurement_block import MeasurementBlock
 
-#: place of a row in the order of epochs: its epoch and its journal number
-Cursor = tuple[int, int]
 Columns = tuple[ColumnElement[Any], ...]
 #: rows that a reader of everything holds at once
 PAGE_ROWS = 8192
@@ -61,59 +59,6 @@ class Chosen(NamedTuple):
     feeds_only: bool = False
     #: only those with a smaller journal number
     before_number: int | None = None
-
-
-class Piece(Protocol):
-    """Rows of one source under one plan."""
-
-    source: str
-    plan_id: int
-    #: (T,) microseconds UTC
-    epochs_us: IntArray
-    #: (T,) journal numbers
-    numbers: IntArray
-    #: (T,) microseconds UTC
-    received_at_us: IntArray
-
-    def power_dbm(self) -> Float32Array:
-        """Return the powers as stored, (T, N) dBm."""
-        ...
-
-    def record(self, place: int) -> Measurement:
-        """Return the row at a place."""
-        ...
-
-
-class Run(NamedTuple):
-    """Rows of one piece that follow each other in the order of epochs."""
-
-    piece: Piece
-    #: (n,) places within the piece
-    places: IntArray
-
-    @property
-    def end(self) -> Cursor:
-        """Return the cursor behind the last row."""
-        return int(self.piece.epochs_us[self.places[-1]]), int(self.piece.numbers[self.places[-1]])
-
-    def records(self) -> Iterator[Measurement]:
-        """Yield the rows."""
-        return map(self.piece.record, self.places.tolist())
-
-    def power_dbm(self) -> Float32Array:
-        """Return the powers of the rows, (n, N) dBm, read-only."""
-        first, last = int(self.places[0]), int(self.places[-1])
-        held = self.piece.power_dbm()
-        # nearly always the rows lie side by side: nothing is copied
-        powers = held[first : last + 1] if last - first + 1 == len(self.places) else held[self.places]
-        powers.setflags(write=False)
-        return powers
-
-    def epochs_us(self) -> IntArray:
-        """Return the epochs of the rows, (n,) microseconds UTC, read-only."""
-        epochs_us = self.piece.epochs_us[self.places]
-        epochs_us.setflags(write=False)
-        return epochs_us
 
 
 class RowPiece:
@@ -155,9 +100,29 @@ class MeasurementPages:
 
     def read(self, chosen: Chosen, limit: int, after: Cursor | None, *, columns: Columns = FULL) -> list[Run]:
         """Return the next rows behind a cursor as runs; fewer than ``limit`` only when there are no more."""
+        parts = self._parts(chosen, limit, after, columns)
+        if len(parts) < 2:
+            return [Run(piece, places[:limit]) for piece, places in parts]
+        return OrderedRows(parts, limit).runs()
+
+    def read_blocks(
+        self, chosen: Chosen, limit: int, after: Cursor | None
+    ) -> tuple[list[MeasurementBlock], Cursor | None]:
+        """Return the next rows behind a cursor as blocks, and the cursor behind them; None when there are none."""
+        parts = self._parts(chosen, limit, after, POWERS)
+        if not parts:
+            return [], None
+        if len(parts) == 1:
+            run = Run(parts[0].piece, parts[0].places[:limit])
+            return [run.block()], run.end
+        rows = OrderedRows(parts, limit)
+        return rows.blocks(), rows.end
+
+    def _parts(self, chosen: Chosen, limit: int, after: Cursor | None, columns: Columns) -> list[Run]:
+        """Return pieces that hold the next ``limit`` rows."""
         sealed = list(self._sealed(chosen, limit, after))
         # behind the place up to which sealed rows fill the page there may be any number of rows: they are not for it
-        stop_us = min(chosen.window.stop_us, _end_us(sealed, limit))
+        stop_us = min(chosen.window.stop_us, end_us(sealed, limit) or EVER.stop_us)
         query = (
             self._rows(chosen, columns)
             .where(beyond(measurement.c.epoch_us, measurement.c.number, after), measurement.c.epoch_us < stop_us)
@@ -165,8 +130,7 @@ class MeasurementPages:
             .limit(limit)
         )
         rows = self._connection.execute(query).all()
-        held = [_Part(piece, np.arange(len(piece.epochs_us))) for piece in self._pieces(rows)]
-        return _merged([*held, *sealed], limit)
+        return [*(Run(piece, np.arange(len(piece.epochs_us))) for piece in self._pieces(rows)), *sealed]
 
     def read_all(self, chosen: Chosen, *, columns: Columns = FULL) -> Iterator[Run]:
         """Yield all rows as runs."""
@@ -237,17 +201,18 @@ class MeasurementPages:
         piece = read_piece(self._connection, self._cache, head)
         return len(_places(piece, Chosen(window), None, window.stop_us)) > 0
 
-    def _sealed(self, chosen: Chosen, limit: int, after: Cursor | None) -> Iterator["_Part"]:
+    def _sealed(self, chosen: Chosen, limit: int, after: Cursor | None) -> Iterator[Run]:
         """Yield parts of segments until they hold the next ``limit`` rows of their own."""
         start_us = chosen.window.start_us if after is None else max(chosen.window.start_us, after[0])
-        parts: list[_Part] = []
+        parts: list[Run] = []
         for head in heads(self._connection, self._key, start_us, chosen.window.stop_us, *self._of_segments(chosen)):
-            if head.first_epoch_us >= _end_us(parts, limit):
+            reached_us = end_us(parts, limit)
+            if reached_us is not None and head.first_epoch_us >= reached_us:
                 return
             piece = read_piece(self._connection, self._cache, head)
             places = _places(piece, chosen, after, chosen.window.stop_us)
             if len(places):
-                parts.append(_Part(piece, places))
+                parts.append(Run(piece, places))
                 yield parts[-1]
 
     def _rows(self, chosen: Chosen, columns: Columns) -> Select[Any]:
@@ -316,14 +281,6 @@ def _columns(rows: Sequence[Row[Any]]) -> dict[str, tuple[Any, ...]]:
     return dict(zip(rows[0]._fields, zip(*rows, strict=True), strict=True))
 
 
-class _Part(NamedTuple):
-    """Chosen rows of a piece."""
-
-    piece: Piece
-    #: places in the piece, in order of epoch
-    places: IntArray
-
-
 def _places(piece: SegmentPiece, chosen: Chosen, after: Cursor | None, stop_us: int) -> IntArray:
     """Return the places of the chosen rows of a segment behind a cursor."""
     first, last = np.searchsorted(piece.epochs_us, (chosen.window.start_us, stop_us))
@@ -337,27 +294,3 @@ def _places(piece: SegmentPiece, chosen: Chosen, after: Cursor | None, stop_us: 
     epochs_us, numbers = piece.epochs_us[places], piece.numbers[places]
     is_beyond: BoolArray = (epochs_us > after[0]) | ((epochs_us == after[0]) & (numbers > after[1]))
     return places[is_beyond]
-
-
-def _end_us(parts: Sequence[_Part], limit: int) -> int:
-    """Return the epoch right behind the first ``limit`` rows of parts, behind everything when they hold fewer."""
-    if sum(len(places) for _, places in parts) < limit:
-        return EVER.stop_us
-    epochs_us = np.concatenate([piece.epochs_us[places] for piece, places in parts])
-    return int(np.partition(epochs_us, limit - 1)[limit - 1]) + 1
-
-
-def _merged(parts: Sequence[_Part], limit: int) -> list[Run]:
-    """Return the rows of parts in order of (epoch, number), at most ``limit``, as runs."""
-    if len(parts) < 2:
-        return [Run(piece, places[:limit]) for piece, places in parts]
-    epochs_us = np.concatenate([piece.epochs_us[places] for piece, places in parts])
-    numbers = np.concatenate([piece.numbers[places] for piece, places in parts])
-    order = np.lexsort((numbers, epochs_us))[:limit]
-    owners = np.repeat(np.arange(len(parts)), [len(places) for _, places in parts])[order]
-    chosen = np.concatenate([places for _, places in parts])[order]
-    breaks = np.flatnonzero(np.diff(owners)) + 1
-    return [
-        Run(parts[owner[0]].piece, places)
-        for owner, places in zip(np.split(owners, breaks), np.split(chosen, breaks), strict=True)
-    ]

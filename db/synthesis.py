@@ -14,7 +14,8 @@ from sqlalchemy import Connection, Select, select
 from db.database import beyond, within
 from db.documents import decode
 from db.mapping import attitude_of
-from db.measurement_pages import EVER, LIGHT, Chosen, MeasurementPages, Run
+from db.measurement_pages import EVER, LIGHT, Chosen, MeasurementPages
+from db.measurement_runs import Run
 from db.retention import kept_from_us
 from db.segments import SegmentCache
 from db.tables import attitude, calibration, head, journal

@@ -1,8 +1,7 @@
 """Stretches of a series as they are read for a file: blocks of arrays or pages of records, in order of epoch."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import groupby, pairwise
 from typing import Protocol, TypeVar
 
@@ -63,28 +62,6 @@ def record_page(records: Sequence[Dated]) -> RecordPage:
     return RecordPage(np.array([record.epoch_us for record in records], dtype=np.int64), records)
 
 
-def read_ahead(chunks: Iterator[Chunk]) -> Iterator[Chunk]:
-    """Yield the same chunks, the next ones read by a thread of its own while these are written.
-
-    Reading unpacks and writing formats without Python's lock, so both run at once.
-    """
-    with ThreadPoolExecutor(1, thread_name_prefix="read-ahead") as pool:
-        coming = pool.submit(_some, chunks)
-        while some := coming.result():
-            coming = pool.submit(_some, chunks)
-            yield from some
-
-
-def _some(chunks: Iterator[Chunk]) -> list[Chunk]:
-    """Return one chunk, or as many small ones as are worth the way between two threads."""
-    some: list[Chunk] = []
-    rows = 0
-    while rows < PAGE_ROWS and (chunk := next(chunks, None)) is not None:
-        some.append(chunk)
-        rows += len(chunk.epochs_us)
-    return some
-
-
 def by_day(chunks: Iterable[Chunk]) -> Iterator[tuple[int, Iterator[Chunk]]]:
     """Yield each UTC day that holds rows (its first microsecond) with its rows; a day is read before the next begins.
 
@@ -105,6 +82,6 @@ def _cut_by_day(chunk: Chunk) -> Iterator[Chunk]:
         if last - first == len(days):
             yield chunk
         elif isinstance(chunk, MeasurementBlock):
-            yield replace(chunk, epochs_us=chunk.epochs_us[first:last], power_dbm=chunk.power_dbm[first:last])
+            yield chunk.part(first, last)
         else:
             yield RecordPage(chunk.epochs_us[first:last], chunk.records[first:last])

@@ -102,8 +102,9 @@ class CsvFile:
 
     def rows(self, block: MeasurementBlock) -> bytes:
         """Return one line a row."""
-        frame = RowFrame(b"", f",{csv_field(block.source)}".encode(), self._leads, b"", b"\r\n")
-        return self._text.rows(block.epochs_us, self._columns.values(block), frame)
+        sources = tuple(f",{csv_field(source)}".encode() for source in block.sources)
+        frame = RowFrame(b"", sources, self._leads, b"", b"\r\n")
+        return self._text.rows(block.epochs_us, self._columns.values(block), frame, block.source_places)
 
     def end(self) -> bytes:
         """Return nothing."""
@@ -124,9 +125,9 @@ class NdjsonFile:
 
     def rows(self, block: MeasurementBlock) -> bytes:
         """Return one line a row."""
-        between = f'","source":{json.dumps(block.source)}'.encode()
-        frame = RowFrame(b'{"epoch":"', between, self._leads, b"null", b"}\n")
-        return self._text.rows(block.epochs_us, self._columns.values(block), frame)
+        sources = tuple(f'","source":{json.dumps(source)}'.encode() for source in block.sources)
+        frame = RowFrame(b'{"epoch":"', sources, self._leads, b"null", b"}\n")
+        return self._text.rows(block.epochs_us, self._columns.values(block), frame, block.source_places)
 
     def end(self) -> bytes:
         """Return nothing."""
@@ -163,7 +164,8 @@ class ParquetFile:
     def _batch(self, block: MeasurementBlock) -> Any:
         pa = self._pa
         epochs = pa.array(block.epochs_us, type=pa.int64()).cast(self._schema.field(0).type)
-        source = pa.DictionaryArray.from_arrays(np.zeros(len(block.epochs_us), dtype=np.int32), [block.source])
+        places = np.zeros(len(block.epochs_us)) if block.source_places is None else block.source_places
+        source = pa.DictionaryArray.from_arrays(places.astype(np.int32), list(block.sources))
         # by columns in memory: each becomes an array of its own without a further copy
         values = np.asfortranarray(self._columns.values(block))
         levels = [pa.array(values[:, k], from_pandas=True) for k in range(values.shape[1])]

@@ -22,9 +22,10 @@ VALUE_BYTES = 18
 #: instants that the calendar below is meant for: 1970 to 9999
 LAST_EPOCH_US = 253_402_300_800_000_000
 
-#: out, epochs, values, before, between, leads, ends of the leads, absent, after
+Places = NDArray[np.int64]
+#: out, epochs, values, before, betweens, their ends, which of them, leads, ends of the leads, absent, after
 FillRows = Callable[
-    [Bytes, NDArray[np.int64], NDArray[np.float32], Bytes, Bytes, Bytes, NDArray[np.int64], Bytes, Bytes], int
+    [Bytes, Places, NDArray[np.float32], Bytes, Bytes, Places, Places, Bytes, Places, Bytes, Bytes], int
 ]
 
 _POWERS = np.array([10**k for k in range(18)], dtype=np.int64)
@@ -36,12 +37,14 @@ _DECIMALS_BYTES = np.array([0 if k == 0 else 2 if k % 10 == 0 else 3 for k in ra
 
 def fill_rows(
     out: Bytes,
-    epochs_us: NDArray[np.int64],
+    epochs_us: Places,
     values: NDArray[np.float32],
     before: Bytes,
-    between: Bytes,
+    betweens: Bytes,
+    between_ends: Places,
+    between_of: Places,
     leads: Bytes,
-    lead_ends: NDArray[np.int64],
+    lead_ends: Places,
     absent: Bytes,
     after: Bytes,
 ) -> int:
@@ -55,8 +58,14 @@ def fill_rows(
         Microseconds UTC, 1970 to 9999.
     values : ndarray of float32, shape (T, N)
         NaN is written as ``absent``.
-    before, between, absent, after : ndarray of uint8
+    before, absent, after : ndarray of uint8
         Fixed pieces of a row.
+    betweens : ndarray of uint8
+        What may stand between epoch and values, one after the other.
+    between_ends : ndarray, shape (B + 1,)
+        Where each of them begins, and where the last one ends.
+    between_of : ndarray, shape (T,)
+        Which of them stands in a row.
     leads : ndarray of uint8
         What stands before each value, one after the other.
     lead_ends : ndarray, shape (N + 1,)
@@ -79,11 +88,9 @@ def fill_rows(
             known_day = day
         at = _put_bytes(out, at, date)
         at = _put_time(out, at, epochs_us[row] - day * 86_400_000_000)
-        at = _put_bytes(out, at, between)
+        at = _put_piece(out, at, betweens, between_ends, between_of[row])
         for column in range(values.shape[1]):
-            for place in range(lead_ends[column], lead_ends[column + 1]):
-                out[at] = leads[place]
-                at += 1
+            at = _put_piece(out, at, leads, lead_ends, column)
             value = values[row, column]
             size = np.float64(abs(value))
             # false for what is absent; the comparison comes first, for what is too large is no number of hundredths
@@ -124,6 +131,14 @@ def _put_bytes(out: Bytes, at: int, piece: Bytes) -> int:
     """Write a fixed piece at a place; return the next place."""
     for byte in piece:
         out[at] = byte
+        at += 1
+    return at
+
+
+def _put_piece(out: Bytes, at: int, pieces: Bytes, ends: Places, which: int | np.int64) -> int:
+    """Write one of several pieces that lie one after the other; return the next place."""
+    for place in range(ends[which], ends[which + 1]):
+        out[at] = pieces[place]
         at += 1
     return at
 
@@ -221,7 +236,7 @@ def _put_time(out: Bytes, at: int, rest_us: np.int64) -> int:
     return at + 1
 
 
-def _put_pair(out: Bytes, at: int, number: np.int64) -> int:
+def _put_pair(out: Bytes, at: int, number: np.int64 | np.uint32) -> int:
     """Write a number below 100 as two digits; return the next place."""
     out[at] = _PAIRS[number, 0]
     out[at + 1] = _PAIRS[number, 1]
@@ -238,6 +253,7 @@ def compiled_fill_rows() -> FillRows:
     register_jitable(_put_decimal)
     register_jitable(_put_date)
     register_jitable(inline="always")(_put_pair)
+    register_jitable(_put_piece)
     register_jitable(_put_time)
     register_jitable(_rounded)
     register_jitable(inline="always")(_put_hundredths)

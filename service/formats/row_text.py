@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.formats.numbers import text_of_float32
-from service.formats.row_kernel import EPOCH_BYTES, LAST_EPOCH_US, VALUE_BYTES, FillRows, compiled_fill_rows
+from service.formats.row_kernel import EPOCH_BYTES, LAST_EPOCH_US, VALUE_BYTES, FillRows, Places, compiled_fill_rows
 from service.records.epoch import format_epoch
 
 #: rows written at once; the text of 32 carriers takes 6 MB
@@ -22,8 +22,8 @@ class RowFrame(NamedTuple):
     """What stands around epoch and values of a row."""
 
     before: bytes
-    #: after the epoch
-    between: bytes
+    #: what may stand after the epoch
+    betweens: tuple[bytes, ...]
     #: before each value
     leads: tuple[bytes, ...]
     #: in place of a value that is absent
@@ -44,7 +44,9 @@ class RowText:
         self._fill: Callable[[], FillRows] | None = compiled_fill_rows if kernels == "numba" else None
         self._buffer = np.empty(0, dtype=np.uint8)
 
-    def rows(self, epochs_us: NDArray[np.int64], values: NDArray[np.float32], frame: RowFrame) -> bytes:
+    def rows(
+        self, epochs_us: Places, values: NDArray[np.float32], frame: RowFrame, between_of: Places | None = None
+    ) -> bytes:
         """Return the text of rows.
 
         Parameters
@@ -55,19 +57,20 @@ class RowText:
             NaN = absent.
         frame : RowFrame
             Fixed pieces.
+        between_of : ndarray, shape (T,), optional
+            Place of what stands after the epoch among ``frame.betweens``; None: the first.
         """
-        parts = [
-            self._block(epochs_us[start : start + BLOCK_ROWS], values[start : start + BLOCK_ROWS], frame)
-            for start in range(0, len(epochs_us), BLOCK_ROWS)
-        ]
-        return b"".join(parts)
+        if between_of is None:
+            between_of = np.zeros(len(epochs_us), dtype=np.int64)
+        parts = [slice(start, start + BLOCK_ROWS) for start in range(0, len(epochs_us), BLOCK_ROWS)]
+        return b"".join(self._block(epochs_us[part], values[part], frame, between_of[part]) for part in parts)
 
-    def _block(self, epochs_us: NDArray[np.int64], values: NDArray[np.float32], frame: RowFrame) -> bytes:
+    def _block(self, epochs_us: Places, values: NDArray[np.float32], frame: RowFrame, between_of: Places) -> bytes:
         is_in_calendar = int(epochs_us.min()) >= 0 and int(epochs_us.max()) < LAST_EPOCH_US
         if self._fill is None or not is_in_calendar or np.isinf(values).any():
-            return plain_rows(epochs_us, values, frame)
+            return plain_rows(epochs_us, values, frame, between_of)
         leads = b"".join(frame.leads)
-        fixed = len(frame.before) + len(frame.between) + len(leads) + len(frame.after)
+        fixed = len(frame.before) + max(map(len, frame.betweens)) + len(leads) + len(frame.after)
         row_bytes = EPOCH_BYTES + fixed + values.shape[1] * max(VALUE_BYTES, len(frame.absent))
         if len(self._buffer) < len(epochs_us) * row_bytes:
             self._buffer = np.empty(len(epochs_us) * row_bytes, dtype=np.uint8)
@@ -76,33 +79,43 @@ class RowText:
             epochs_us,
             np.ascontiguousarray(values),
             _as_array(frame.before),
-            _as_array(frame.between),
+            _as_array(b"".join(frame.betweens)),
+            _ends(frame.betweens),
+            between_of,
             _as_array(leads),
-            np.cumsum([0, *map(len, frame.leads)], dtype=np.int64),
+            _ends(frame.leads),
             _as_array(frame.absent),
             _as_array(frame.after),
         )
-        return self._buffer[:written].tobytes() if written >= 0 else plain_rows(epochs_us, values, frame)
+        return self._buffer[:written].tobytes() if written >= 0 else plain_rows(epochs_us, values, frame, between_of)
 
 
 def _as_array(piece: bytes) -> NDArray[np.uint8]:
     return np.frombuffer(piece, dtype=np.uint8)
 
 
-def plain_rows(epochs_us: NDArray[np.int64], values: NDArray[np.float32], frame: RowFrame) -> bytes:
+def _ends(pieces: tuple[bytes, ...]) -> Places:
+    """Return where each piece begins, and where the last one ends, when they lie one after the other."""
+    return np.cumsum([0, *map(len, pieces)], dtype=np.int64)
+
+
+def plain_rows(
+    epochs_us: Places, values: NDArray[np.float32], frame: RowFrame, between_of: Places | None = None
+) -> bytes:
     """Return the text of rows without a compiler.
 
     Examples
     --------
-    >>> frame = RowFrame(b"", b"", (b",", b","), b"", b";")
+    >>> frame = RowFrame(b"", (b",sa-1",), (b",", b","), b"", b";")
     >>> plain_rows(np.array([0]), np.array([[-42.1, np.nan]], dtype=np.float32), frame)
-    b'1970-01-01T00:00:00.000000Z,-42.1,;'
+    b'1970-01-01T00:00:00.000000Z,sa-1,-42.1,;'
     """
     width = values.shape[1]
     texts = [text.removesuffix(".0").encode() or frame.absent for text in text_of_float32(values)]
     parts: list[bytes] = []
-    for row, epoch_us in enumerate(epochs_us.tolist()):
-        parts += (frame.before, format_epoch(epoch_us).encode(), frame.between)
+    places = [0] * len(epochs_us) if between_of is None else between_of.tolist()
+    for row, (epoch_us, which) in enumerate(zip(epochs_us.tolist(), places, strict=True)):
+        parts += (frame.before, format_epoch(epoch_us).encode(), frame.betweens[which])
         for lead, text in zip(frame.leads, texts[row * width : (row + 1) * width], strict=True):
             parts += (lead, text)
         parts.append(frame.after)

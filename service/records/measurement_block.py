@@ -1,4 +1,4 @@
-"""Level L1 by columns: many measurements of one source under one plan, as arrays."""
+"""Level L1 by columns: many measurements under one plan, as arrays."""
 
 from dataclasses import dataclass
 
@@ -10,9 +10,25 @@ from service.records.measurement import Float32Array
 class MeasurementBlock:
     """Rows in order of epoch."""
 
-    source: str
+    #: who sent them
+    sources: tuple[str, ...]
     plan_id: int
     #: (T,) microseconds UTC
     epochs_us: IntArray
     #: (T, N) dBm as stored, in the order of the plan; NaN = absent
     power_dbm: Float32Array
+    #: (T,) place of each row's source in ``sources``; None = every row is of the first
+    source_places: IntArray | None = None
+
+    def part(self, first: int, last: int) -> "MeasurementBlock":
+        """Return the rows at the places ``first`` to ``last - 1``."""
+        places = None if self.source_places is None else self.source_places[first:last]
+        return MeasurementBlock(
+            self.sources, self.plan_id, self.epochs_us[first:last], self.power_dbm[first:last], places
+        )
+
+    def row_sources(self) -> list[str]:
+        """Return the source of each row."""
+        if self.source_places is None:
+            return [self.sources[0]] * len(self.epochs_us)
+        return [self.sources[place] for place in self.source_places.tolist()]

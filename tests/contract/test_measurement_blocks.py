@@ -13,8 +13,8 @@ def told(setting, window, **options):
     for block in setting.storage.archive.measurement_blocks(setting.id, window, **options):
         assert block.power_dbm.dtype == np.float32
         assert block.power_dbm.shape[0] == len(block.epochs_us) > 0
-        for epoch_us, powers in zip(block.epochs_us.tolist(), block.power_dbm, strict=True):
-            found.append((block.source, block.plan_id, epoch_us, powers.tobytes()))
+        rows = zip(block.row_sources(), block.epochs_us.tolist(), block.power_dbm, strict=True)
+        found += [(source, block.plan_id, epoch_us, powers.tobytes()) for source, epoch_us, powers in rows]
     return found
 
 
@@ -43,6 +43,16 @@ def test_rows_of_one_source_under_one_plan_make_one_block(setting, make):
     for array in (block.power_dbm, block.epochs_us):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0
+
+
+def test_sources_that_take_turns_row_by_row_make_few_blocks(setting, make):
+    for source, first in (("sa-1", 0), ("sa-2", 1), ("sa-3", 2)):
+        setting.append(range(first, 600, 3), source=source)
+    blocks = list(setting.storage.archive.measurement_blocks(setting.id, make.ever))
+    assert len(blocks) == 1
+    assert told(setting, make.ever) == expected(setting.rows())
+    assert blocks[0].row_sources()[:4] == ["sa-1", "sa-2", "sa-3", "sa-1"]
+    assert blocks[0].part(100, 102).row_sources() == ["sa-2", "sa-3"]
 
 
 def test_an_unknown_spacecraft_is_told_before_the_first_block(storage, make):

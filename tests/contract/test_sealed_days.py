@@ -48,9 +48,11 @@ def flat(value):
 def blocks(archive, name, window, **options):
     """Return the rows of blocks without their division."""
     return [
-        (block.source, block.plan_id, epoch_us, powers.tobytes())
+        (source, block.plan_id, epoch_us, powers.tobytes())
         for block in archive.measurement_blocks(name, window, **options)
-        for epoch_us, powers in zip(block.epochs_us.tolist(), block.power_dbm, strict=True)
+        for source, epoch_us, powers in zip(
+            block.row_sources(), block.epochs_us.tolist(), block.power_dbm, strict=True
+        )
     ]
 
 

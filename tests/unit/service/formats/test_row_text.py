@@ -19,7 +19,7 @@ COMPILED = RowText("numba")
 
 
 def _csv(width: int) -> RowFrame:
-    return RowFrame(b"", b",sa-1", (b",",) * width, b"", b"\r\n")
+    return RowFrame(b"", (b",sa-1",), (b",",) * width, b"", b"\r\n")
 
 
 def _read_csv(text: bytes) -> tuple[list[str], NDArray[np.float32]]:
@@ -63,12 +63,24 @@ def test_rounded_levels_are_written_with_their_own_decimals(decimals: int) -> No
 
 def test_lines_of_json_hold_null_for_what_is_absent() -> None:
     values = np.array([[-42.1, np.nan], [np.nan, np.nan]], dtype=np.float32)
-    frame = RowFrame(b'{"epoch":"', b'"', (b',"c00_dbm":', b',"c1_dbm":'), b"null", b"}\n")
+    frame = RowFrame(b'{"epoch":"', (b'"',), (b',"c00_dbm":', b',"c1_dbm":'), b"null", b"}\n")
     lines = COMPILED.rows(np.array([0, 1_500_000]), values, frame).splitlines()
     assert [json.loads(line) for line in lines] == [
         {"epoch": "1970-01-01T00:00:00.000000Z", "c00_dbm": -42.1, "c1_dbm": None},
         {"epoch": "1970-01-01T00:00:01.500000Z", "c00_dbm": None, "c1_dbm": None},
     ]
+
+
+def test_what_stands_after_the_epoch_is_chosen_row_by_row() -> None:
+    values = np.array([[-42.1], [np.nan], [1e-30]], dtype=np.float32)
+    frame = RowFrame(b"", (b",a", b",longer", b""), (b",",), b"", b";")
+    places = np.array([1, 0, 2])
+    text = "1970-01-01T00:00:00.000000Z,longer,-42.1;1970-01-01T00:00:00.000001Z,a,;"
+    assert COMPILED.rows(np.arange(2), values[:2], frame, places[:2]).decode() == text
+    assert plain_rows(np.arange(2), values[:2], frame, places[:2]).decode() == text
+    # the last value is for the way without a compiler alone
+    whole = f"{text}1970-01-01T00:00:00.000002Z,1e-30;"
+    assert COMPILED.rows(np.arange(3), values, frame, places).decode() == whole
 
 
 def test_nothing_gives_nothing() -> None:
