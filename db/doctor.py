@@ -150,7 +150,7 @@ def _newest_receipt_us(connection: Connection) -> int:
     newest = [0]
     for state in connection.execute(select(head.c.spacecraft_key, head.c.newest_number)):
         query = (
-            select(measurement.c.received_at_us)
+            select(measurement.c.epoch_us + measurement.c.delay_us)
             .where(measurement.c.spacecraft_key == state.spacecraft_key)
             .order_by(measurement.c.number.desc())
             .limit(1)

@@ -4,18 +4,18 @@ Of a batch ``received = accepted + duplicates + refused``. Whether a row is know
 epoch is not above the newest stored one of its source, and of sealed days only where one reaches to its epoch.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from sqlalchemy import Connection, and_, bindparam, select, update
+from sqlalchemy import Connection, Row, Select, and_, bindparam, select, update
 
 from db.compiled import CompiledStatement
 from db.database import lock_head
-from db.mapping import flags_as_bytes, powers_as_bytes
 from db.measurement_details import PreparedDetails, insert_details, prepare_details
+from db.power_codec import NO_FLAGS, StoredRows, canonical_powers, pack_flags, pack_powers, unpack_flags, unpack_parts
 from db.row_insert import Run, insert_run
 from db.segments import SegmentCache, sealed_contents
 from db.sequence_numbers import NumberedRow, SequenceNumbers, Tail, blocks_of
@@ -80,7 +80,7 @@ _MOVE_SOURCE = CompiledStatement(
 _NO_NUMBERS = (None,) * len(Tail._fields)
 
 
-#: powers and flags of one row
+#: powers and flags of one row, as float32 and int32 little endian
 Content = tuple[bytes, bytes | None]
 
 
@@ -91,11 +91,9 @@ class PreparedBatch:
     spacecraft_key: int
     batch: MeasurementBatch
     epochs_us: list[int]
-    #: bytes of one row of powers, and of one row of flags
-    width: int
-    powers: bytes
+    powers: StoredRows
     #: zeros where a row has none
-    flags: bytes
+    flags: StoredRows
     #: (T,)
     has_flags: BoolArray
     is_ascending: bool
@@ -106,8 +104,9 @@ class PreparedBatch:
 
     def content(self, place: int) -> Content:
         """Return what a row holds, to be compared with what is stored."""
-        row = slice(place * self.width, (place + 1) * self.width)
-        return self.powers[row], self.flags[row] if self.has_flags[place] else None
+        flags = self.batch.flags[place]
+        powers = canonical_powers(self.batch.power_dbm[place]).tobytes()
+        return powers, None if flags is None else np.array(flags, dtype="<i4").tobytes()
 
 
 class _State(NamedTuple):
@@ -151,14 +150,19 @@ def prepare(spacecraft_key: int, batch: MeasurementBatch) -> PreparedBatch:
         spacecraft_key,
         batch,
         epochs_us=batch.epochs_us.tolist(),
-        width=4 * batch.power_dbm.shape[1],
-        powers=powers_as_bytes(batch.power_dbm),
-        flags=flags_as_bytes(batch.flags, batch.power_dbm.shape[1]) if has_flags.any() else b"",
+        powers=pack_powers(batch.power_dbm),
+        flags=_flags(batch) if has_flags.any() else NO_FLAGS,
         has_flags=has_flags,
         is_ascending=bool(np.all(batch.epochs_us[1:] > batch.epochs_us[:-1])),
         is_even=bool(np.all(np.diff(batch.index) == 1) and has_flags.all() == has_flags.any()),
         details=prepare_details(batch.details),
     )
+
+
+def _flags(batch: MeasurementBatch) -> StoredRows:
+    """Return the bit masks of a batch, zeros where a row has none."""
+    blank = (0,) * batch.power_dbm.shape[1]
+    return pack_flags(np.array([blank if row is None else row for row in batch.flags], dtype=np.int32))
 
 
 def store_batch(connection: Connection, prepared: PreparedBatch, cache: SegmentCache) -> BatchReceipt:
@@ -218,15 +222,24 @@ def _stored(connection: Connection, prepared: PreparedBatch, state: _State, cach
     epochs_us = [] if newest_us is None else [epoch_us for epoch_us in prepared.epochs_us if epoch_us <= newest_us]
     known: dict[int, Content] = {}
     for start in range(0, len(epochs_us), LOOKUP_CHUNK):
-        query = select(measurement.c.epoch_us, measurement.c.powers, measurement.c.flags).where(
+        query: Select[Any] = select(measurement.c.epoch_us, measurement.c.powers, measurement.c.flags).where(
             measurement.c.spacecraft_key == prepared.spacecraft_key,
             measurement.c.source_key == state.source_key,
             measurement.c.epoch_us.in_(epochs_us[start : start + LOOKUP_CHUNK]),
         )
-        known.update((epoch_us, (powers, flags)) for epoch_us, powers, flags in connection.execute(query))
+        known.update(_contents(connection.execute(query).all()))
     unknown_us = [epoch_us for epoch_us in epochs_us if epoch_us not in known]
     known.update(sealed_contents(connection, cache, prepared.spacecraft_key, state.source_key, unknown_us))
     return known
+
+
+def _contents(rows: Sequence[Row[Any]]) -> Iterator[tuple[int, Content]]:
+    """Yield what stored rows of (epoch, powers, flags) hold."""
+    for places, power_dbm in unpack_parts([row.powers for row in rows]):
+        for place, powers in zip(places, power_dbm, strict=True):
+            epoch_us, _, blob = tuple(rows[place])
+            flags = None if blob is None else unpack_flags(blob, len(powers)).astype("<i4").tobytes()
+            yield epoch_us, (powers.tobytes(), flags)
 
 
 def _conflict(batch: MeasurementBatch, place: int) -> Refusal:
@@ -248,7 +261,7 @@ def _lateness(batch: MeasurementBatch, consumed_us: int | None) -> BoolArray:
 
 def _runs(prepared: PreparedBatch, accepted: IntArray, is_late: BoolArray, state: _State) -> Iterator[Run]:
     """Yield the accepted rows as runs, numbered on from the head."""
-    batch, width = prepared.batch, prepared.width
+    batch = prepared.batch
     is_whole = prepared.is_even and len(accepted) == len(prepared.epochs_us) and is_late.all() == is_late.any()
     breaks = [] if is_whole else _breaks(prepared, accepted, is_late)
     for start, stop in pairwise([0, *breaks, len(accepted)]):
@@ -264,8 +277,8 @@ def _runs(prepared: PreparedBatch, accepted: IntArray, is_late: BoolArray, state
             first_number=state.newest_number + 1 + start,
             first_seq=_seq(batch, place),
             epochs_us=prepared.epochs_us[place:after],
-            powers=prepared.powers[place * width : after * width],
-            flags=prepared.flags[place * width : after * width] if prepared.has_flags[place] else None,
+            powers=prepared.powers.part(place, after),
+            flags=prepared.flags.part(place, after) if prepared.has_flags[place] else None,
         )
 
 

@@ -9,16 +9,19 @@ from sqlalchemy import ColumnElement, Row
 
 from db.documents import decode, decode_all, encode, encode_all
 from db.measurement_details import details_of
+from db.power_codec import unpack_flags, unpack_parts, unpack_powers
 from db.tables import measurement, measurement_detail, source
 from service.records.attitude import NO_ANGLES, AttitudeRow, Axes, Exclusion, FloatArray, IntArray, Status
 from service.records.catalogue import Method
 from service.records.command import Pulse, ScheduleVerdict, TorqueCommand
-from service.records.measurement import Float32Array, Measurement
+from service.records.measurement import Measurement
 
+#: when a row was received; the table holds how long after its epoch that was, which takes half the bytes
+RECEIVED_AT_US: ColumnElement[int] = (measurement.c.epoch_us + measurement.c.delay_us).label("received_at_us")
 #: what ``measurement_of`` reads, in this order
 MEASUREMENT_COLUMNS: tuple[ColumnElement[Any], ...] = (
     measurement.c.epoch_us,
-    measurement.c.received_at_us,
+    RECEIVED_AT_US,
     measurement.c.number,
     source.c.name,
     measurement.c.plan_id,
@@ -32,43 +35,29 @@ MEASUREMENT_COLUMNS: tuple[ColumnElement[Any], ...] = (
 )
 
 
-def powers_as_bytes(power_dbm: Float32Array) -> bytes:
-    """Return (T, N) powers row by row as float32 little endian, every NaN the same NaN."""
-    canonical = np.array(power_dbm, dtype="<f4", order="C")
-    canonical[np.isnan(canonical)] = np.nan
-    return canonical.tobytes()
-
-
-def flags_as_bytes(flags: Sequence[tuple[int, ...] | None], carriers: int) -> bytes:
-    """Return the bit masks row by row as int32 little endian, zeros where none were sent."""
-    blank = (0,) * carriers
-    return np.array([blank if row is None else row for row in flags], dtype="<i4").tobytes()
-
-
 def powers_of(blob: bytes) -> FloatArray:
     """Return stored powers widened to float64, shape (N,), read-only."""
-    return _read_only(np.frombuffer(blob, dtype="<f4").astype(np.float64))
+    return _read_only(unpack_powers([blob])[0].astype(np.float64))
 
 
 def measurement_of(row: Row[Any], power_dbm: FloatArray | None = None) -> Measurement:
     """Return the record of a row of ``MEASUREMENT_COLUMNS``, with its powers where they were read already."""
     epoch_us, received_at_us, number, name, plan_id, powers, flags, is_late, feeds, seq, figures, _ = tuple(row)
+    values = powers_of(powers) if power_dbm is None else power_dbm
     masks: IntArray | None = None
     if flags is not None:
-        masks = np.frombuffer(flags, dtype="<i4").astype(np.int64)
+        masks = unpack_flags(flags, len(values))
         masks.setflags(write=False)
-    values = powers_of(powers) if power_dbm is None else power_dbm
     details = None if figures is None else details_of(figures, len(values))
     return Measurement(epoch_us, received_at_us, number, name, plan_id, values, masks, is_late, feeds, seq, details)
 
 
 def measurements_of(rows: Sequence[Row[Any]]) -> list[Measurement]:
-    """Return the records of many rows of ``MEASUREMENT_COLUMNS``; powers of one width are read in one go."""
-    blobs = [row.powers for row in rows]
-    if not rows or len(set(map(len, blobs))) > 1:
-        return [measurement_of(row) for row in rows]
-    power_dbm = powers_of(b"".join(blobs)).reshape(len(rows), -1)
-    return [measurement_of(row, values) for row, values in zip(rows, power_dbm, strict=True)]
+    """Return the records of many rows of ``MEASUREMENT_COLUMNS``; powers of one form are read in one go."""
+    power_dbm: dict[int, FloatArray] = {}
+    for places, part in unpack_parts([row.powers for row in rows]):
+        power_dbm.update(zip(places, _read_only(part.astype(np.float64)), strict=True))
+    return [measurement_of(row, power_dbm[place]) for place, row in enumerate(rows)]
 
 
 def attitude_values(key: int, version: str, row: AttitudeRow, sequence: int | None) -> dict[str, Any]:

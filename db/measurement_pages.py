@@ -11,7 +11,8 @@ import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, select
 
 from db.database import beyond, within
-from db.mapping import MEASUREMENT_COLUMNS, measurement_of, measurements_of, powers_of
+from db.mapping import MEASUREMENT_COLUMNS, RECEIVED_AT_US, measurement_of, measurements_of
+from db.power_codec import unpack_powers
 from db.measurement_runs import Cursor, OrderedRows, Run, end_us
 from db.segments import (
     SegmentCache,
@@ -41,7 +42,7 @@ FULL: Columns = MEASUREMENT_COLUMNS
 LIGHT: Columns = (
     measurement.c.epoch_us,
     measurement.c.number,
-    measurement.c.received_at_us,
+    RECEIVED_AT_US,
     measurement.c.source_key,
     measurement.c.plan_id,
 )
@@ -67,17 +68,22 @@ class RowPiece:
     def __init__(self, name: str, rows: Sequence[Row[Any]], columns: dict[str, tuple[Any, ...]]) -> None:
         self._rows = rows
         self.source, self.plan_id = name, columns["plan_id"][0]
-        self._powers = columns.get("powers", ())
+        self._blobs: tuple[bytes, ...] = columns.get("powers", ())
+        self._power_dbm: Float32Array | None = None
         places = (np.array(columns[name], dtype=np.int64) for name in ("epoch_us", "number", "received_at_us"))
         self.epochs_us, self.numbers, self.received_at_us = places
 
     def power_dbm(self) -> Float32Array:
         """Return the powers as stored, (T, N) dBm."""
-        return np.frombuffer(b"".join(self._powers), dtype="<f4").reshape(len(self._rows), -1)
+        if self._power_dbm is None:
+            self._power_dbm = unpack_powers(self._blobs)
+        return self._power_dbm
 
     def record(self, place: int) -> Measurement:
         """Return the row at a place."""
-        return measurement_of(self._rows[place], powers_of(self._rows[place].powers))
+        power_dbm = self.power_dbm()[place].astype(np.float64)
+        power_dbm.setflags(write=False)
+        return measurement_of(self._rows[place], power_dbm)
 
 
 class MeasurementPages:

@@ -11,18 +11,19 @@ from typing import NamedTuple
 from sqlalchemy import Connection
 
 from db.compiled import run_bare
+from db.power_codec import StoredRows
 
 _AT_ONCE = """
 INSERT INTO measurement
-  (spacecraft_key, source_key, plan_id, received_at_us, feeds, is_late, number, seq, epoch_us, powers, flags)
-SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7 + row.key, ?8 + row.key, row.value,
-  substr(?9, 1 + row.key * ?10, ?10), substr(?11, 1 + row.key * ?10, ?10)
-FROM json_each(?12) AS row
+  (spacecraft_key, source_key, plan_id, delay_us, feeds, is_late, number, seq, epoch_us, powers, flags)
+SELECT ?1, ?2, ?3, ?4 - row.value, ?5, ?6, ?7 + row.key, ?8 + row.key, row.value,
+  substr(?9, 1 + row.key * ?10, ?10), substr(?11, 1 + row.key * ?12, ?12)
+FROM json_each(?13) AS row
 """
 _AT_ONCE_ON_A_SERVER = """
 INSERT INTO measurement
-  (spacecraft_key, source_key, plan_id, received_at_us, feeds, is_late, number, seq, epoch_us, powers, flags)
-SELECT %s, %s, %s, %s, %s, %s, %s::bigint + row.place, %s::bigint + row.place, row.epoch_us,
+  (spacecraft_key, source_key, plan_id, delay_us, feeds, is_late, number, seq, epoch_us, powers, flags)
+SELECT %s, %s, %s, %s::bigint - row.epoch_us, %s, %s, %s::bigint + row.place, %s::bigint + row.place, row.epoch_us,
   substr(%s::bytea, (1 + row.place * %s)::int, %s), substr(%s::bytea, (1 + row.place * %s)::int, %s)
 FROM (SELECT epoch_us, place - 1 AS place FROM unnest(%s::bigint[]) WITH ORDINALITY AS given (epoch_us, place)) AS row
 """
@@ -42,17 +43,20 @@ class Run(NamedTuple):
     #: sequence number of the first row
     first_seq: int | None
     epochs_us: list[int]
-    #: float32 little endian of all rows
-    powers: bytes
-    #: int32 little endian of all rows
-    flags: bytes | None
+    #: of all rows, as ``db.power_codec`` lays them out
+    powers: StoredRows
+    flags: StoredRows | None
 
 
 def insert_run(connection: Connection, run: Run) -> None:
     """Insert the rows of a run."""
-    width = len(run.powers) // len(run.epochs_us)
+    width, powers = run.powers
+    flag_width, flags = (0, None) if run.flags is None else run.flags
     if connection.dialect.name == "sqlite":
-        run_bare(connection, _AT_ONCE, (*run[:8], run.powers, width, run.flags, json.dumps(run.epochs_us)))
+        # no part of no bytes is NULL to SQLite, no part of any byte is an empty blob
+        of_any = b"\0" if flags == b"" else flags
+        values = (*run[:8], powers, width, of_any, flag_width, json.dumps(run.epochs_us))
+        run_bare(connection, _AT_ONCE, values)
     else:
-        values = (*run[:8], run.powers, width, width, run.flags, width, width, run.epochs_us)
-        connection.exec_driver_sql(_AT_ONCE_ON_A_SERVER, values)
+        blobs = (powers, width, width, flags, flag_width, flag_width)
+        connection.exec_driver_sql(_AT_ONCE_ON_A_SERVER, (*run[:8], *blobs, run.epochs_us))

@@ -15,7 +15,7 @@ import numpy as np
 from sqlalchemy import ColumnElement, Connection, and_, delete, func, select
 
 from db.database import Database, lock_head
-from db.mapping import MEASUREMENT_COLUMNS, measurements_of
+from db.mapping import MEASUREMENT_COLUMNS, RECEIVED_AT_US, measurements_of
 from db.segment_codec import CODEC, Blobs, SealedRows, pack
 from db.segments import DAY_US, HEAD_COLUMNS, SegmentHead, SegmentPiece, crc32_of, day_of, heads, read_piece
 from db.tables import head as head_table
@@ -93,7 +93,7 @@ def _groups(database: Database, key: int, before_us: int, received_before_us: in
             if day is None:
                 return
             found = connection.execute(
-                select(measurement.c.source_key, measurement.c.plan_id, func.max(measurement.c.received_at_us))
+                select(measurement.c.source_key, measurement.c.plan_id, func.max(RECEIVED_AT_US))
                 .where(measurement.c.spacecraft_key == key)
                 .where(measurement.c.epoch_us >= day * DAY_US, measurement.c.epoch_us < (day + 1) * DAY_US)
                 .group_by(measurement.c.source_key, measurement.c.plan_id)

@@ -1,6 +1,6 @@
 """Tables: one schema for SQLite and PostgreSQL.
 
-Epochs are BIGINT microseconds UTC, powers are float32 little endian in one BLOB a row, records without a query on
+Epochs are BIGINT microseconds UTC, the powers of a row are one BLOB (see db.power_codec), records without a query on
 their inside are JSON documents. Tables that grow with every measurement carry no foreign keys: their rows are written
 under the lock of the spacecraft's head by code that has just read the parents.
 """
@@ -144,9 +144,11 @@ measurement = Table(
     Column("number", BigInteger, nullable=False),
     Column("plan_id", Integer, nullable=False),
     Column("seq", BigInteger),
-    Column("received_at_us", BigInteger, nullable=False),
+    # from the epoch to the receipt, microseconds
+    Column("delay_us", BigInteger, nullable=False),
     Column("is_late", Boolean, nullable=False),
     Column("feeds", Boolean, nullable=False),
+    # both as db.power_codec lays them out
     Column("powers", LargeBinary, nullable=False),
     Column("flags", LargeBinary),
     Index("measurement_number", "spacecraft_key", "number", unique=True),

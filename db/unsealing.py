@@ -1,11 +1,75 @@
-"""Taking sealed days apart again: for a schema that knows only the table of rows."""
+"""Taking sealed days apart and packed powers out again: for schemas that know only the plain table of rows."""
 
-from sqlalchemy import Connection, delete, select
+from collections.abc import Sequence
+from typing import Any
+
+from sqlalchemy import (
+    BigInteger,
+    Boolean,
+    Connection,
+    Integer,
+    LargeBinary,
+    Row,
+    Select,
+    bindparam,
+    column,
+    delete,
+    select,
+    table,
+    tuple_,
+    update,
+)
 
 from db.measurement_details import insert_details, prepare_details
+from db.power_codec import unpack_flags, unpack_parts
 from db.segments import HEAD_COLUMNS, SegmentHead, read_piece
-from db.tables import measurement, measurement_segment
+from db.tables import measurement_segment
 from service.records.measurement import DETAIL_NAMES, CarrierDetails
+
+_ROWS = 2000
+#: the table of rows as it was until schema 0008
+_plain = table(
+    "measurement",
+    column("spacecraft_key", Integer),
+    column("epoch_us", BigInteger),
+    column("source_key", Integer),
+    column("number", BigInteger),
+    column("plan_id", Integer),
+    column("seq", BigInteger),
+    column("received_at_us", BigInteger),
+    column("is_late", Boolean),
+    column("feeds", Boolean),
+    column("powers", LargeBinary),
+    column("flags", LargeBinary),
+)
+_KEY = (_plain.c.spacecraft_key, _plain.c.epoch_us, _plain.c.source_key)
+_SET_PLAIN = (
+    update(_plain)
+    .where(*(part == bindparam(f"of_{part.name}") for part in _KEY))
+    .values(powers=bindparam("to_powers"), flags=bindparam("to_flags"))
+)
+
+
+def unpack_everything(connection: Connection) -> None:
+    """Write powers and flags of all rows of the table of rows as float32 and int32, four bytes a carrier."""
+    place = tuple_(*_KEY)
+    query: Select[Any] = select(*_KEY, _plain.c.powers, _plain.c.flags).order_by(*_KEY).limit(_ROWS)
+    rows = connection.execute(query).all()
+    while rows:
+        connection.execute(_SET_PLAIN, _as_plain(rows))
+        rows = connection.execute(query.where(place > tuple(rows[-1][:3]))).all()
+
+
+def _as_plain(rows: Sequence[Row[Any]]) -> list[dict[str, Any]]:
+    """Return what rows are to hold."""
+    changed = []
+    for places, power_dbm in unpack_parts([row.powers for row in rows]):
+        for place, powers in zip(places, power_dbm, strict=True):
+            row = rows[place]
+            flags = None if row.flags is None else unpack_flags(row.flags, len(powers)).astype("<i4").tobytes()
+            key = {f"of_{part.name}": value for part, value in zip(_KEY, row, strict=False)}
+            changed.append({**key, "to_powers": powers.tobytes(), "to_flags": flags})
+    return changed
 
 
 def unseal_everything(connection: Connection) -> None:
@@ -39,7 +103,7 @@ def _unseal(connection: Connection, head: SegmentHead) -> None:
         if row.details is not None:
             stated = CarrierDetails(*(getattr(row.details, name)[None] for name in DETAIL_NAMES))
             _keep_details(connection, head, row.epoch_us, stated)
-    connection.execute(measurement.insert(), rows)
+    connection.execute(_plain.insert(), rows)
     connection.execute(delete(measurement_segment).where(measurement_segment.c.segment_id == head.segment_id))
 
 

@@ -134,7 +134,7 @@ def test_a_clock_that_was_set_back_is_found(filled, url):
     row = filled.rows()[-1]
     with filled.storage._database.engines.write.begin() as connection:
         later = {"at": system_now_us() + 3_600_000_000, "epoch": row.epoch_us}
-        connection.execute(text("UPDATE measurement SET received_at_us = :at WHERE epoch_us = :epoch"), later)
+        connection.execute(text("UPDATE measurement SET delay_us = :at - epoch_us WHERE epoch_us = :epoch"), later)
     found = of_archive(url)
     assert [check for check, _ in found] == ["clock"]
     assert " s in the future" in found[0][1]

@@ -14,6 +14,7 @@ from sqlalchemy import text
 
 from db.archive_files import reading_engine
 from db.examination import examine
+from db.power_codec import unpack_powers
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
 
@@ -33,7 +34,8 @@ def stored_rows(database, copy):
         found = examine(connection, lambda _: None)
         assert [each for each in found if each.state != "ok"] == []
         query = "SELECT name, epoch_us, powers FROM measurement JOIN source USING (spacecraft_key, source_key)"
-        return {(name, epoch_us): powers for name, epoch_us, powers in connection.execute(text(query))}
+        rows = connection.execute(text(query))
+        return {(name, epoch_us): unpack_powers([powers])[0].tobytes() for name, epoch_us, powers in rows}
 
 
 @pytest.mark.timeout(900)

@@ -13,7 +13,7 @@ from db.engine import open_engines
 from db.migrate import downgrade, upgrade
 from db.sequence_numbers import Block, SequenceNumbers, Tail
 from db.storage import SqlStorage
-from db.tables import measurement, measurement_detail, metadata
+from db.tables import measurement_detail, metadata
 from service.records.catalogue import Carrier, Site, Spacecraft
 from service.records.measurement import CarrierDetails, MeasurementBatch
 
@@ -68,15 +68,18 @@ def test_up_down_up_leaves_the_same_schema(any_engine):
     assert schema(any_engine) == first
 
 
-def test_a_schema_without_segments_gets_their_rows_back(url):
-    """An archive with sealed days goes down to the version before them and up again, and loses nothing."""
+@pytest.mark.parametrize(("revision", "is_sealed"), [("0004", True), ("0008", False)])
+def test_an_older_schema_gets_plain_rows_back(url, revision, is_sealed):
+    """An archive goes down to the version before sealed days, or before packed powers, and up, and loses nothing."""
     storage = SqlStorage(url)
     storage.migrate()
     engine = storage._database.engines.write
     storage.catalogue.add_spacecraft(Spacecraft("craft", "craft", 90.0, Site(55.0, 38.0), INERTIA, 0.05))
-    plan = storage.catalogue.put_plan("craft", [Carrier("c00", "C", "t0", 3.7e9, 5e6)], "sha")
+    plan = storage.catalogue.put_plan("craft", [Carrier(f"c{k}", "C", "t0", 3.7e9, 5e6) for k in range(8)], "sha")
+    power_dbm = (np.arange(24).reshape(3, 8) / 100 - 50).astype(np.float32)
+    power_dbm[1] = np.nan
     for source, has_more in (("sa-1", True), ("sa-2", False)):
-        details = CarrierDetails(*np.full((4, 3, 1), 0.1, dtype=np.float32)) if has_more else None
+        details = CarrierDetails(*np.full((4, 3, 8), 0.1, dtype=np.float32)) if has_more else None
         batch = MeasurementBatch(
             "craft",
             source,
@@ -84,30 +87,52 @@ def test_a_schema_without_segments_gets_their_rows_back(url):
             received_at_us=77,
             index=np.arange(3),
             epochs_us=np.array([10, 30, 20]),
-            power_dbm=np.array([[-50.1], [np.nan], [-0.0]], dtype=np.float32),
-            flags=((1 << 22,), None, (0,)) if has_more else (None,) * 3,
+            power_dbm=power_dbm if has_more else np.where(power_dbm == -50, np.float32(-0.0), power_dbm),
+            flags=((1 << 22,) * 8, None, (0,) * 8) if has_more else (None,) * 3,
             is_stale=np.array([True, False, False]),
             first_seq=5 if has_more else None,
             details=details,
         )
         storage.archive.append_measurements(batch).result(10)
-    before = stored_rows(engine)
+    details = stored_details(engine)
     journal = repr(storage.archive.journal("craft", 0, 99))
-    assert sum(part.rows for part in storage.archive.seal("craft", 1 << 60, 1 << 60)) == 6
-    assert stored_rows(engine) == ([], [])
-    assert repr(storage.archive.journal("craft", 0, 99)) == journal
-    downgrade(engine, "0004")
-    assert stored_rows(engine) == before
+    if is_sealed:
+        assert sum(part.rows for part in storage.archive.seal("craft", 1 << 60, 1 << 60)) == 6
+        assert stored_details(engine) == []
+        assert repr(storage.archive.journal("craft", 0, 99)) == journal
+    else:
+        assert packed_rows(engine) == 3
+    downgrade(engine, revision)
+    assert plain_rows(engine) == [
+        (10, 1, 3, 5, 77, True, True, power_dbm[0].tobytes(), np.full(8, 1 << 22, dtype="<i4").tobytes()),
+        (30, 1, 4, 6, 77, False, True, power_dbm[1].tobytes(), None),
+        (20, 1, 5, 7, 77, False, True, power_dbm[2].tobytes(), bytes(32)),
+        (10, 2, 6, None, 77, True, False, batch.power_dbm[0].tobytes(), None),
+        (30, 2, 7, None, 77, False, False, power_dbm[1].tobytes(), None),
+        (20, 2, 8, None, 77, False, False, power_dbm[2].tobytes(), None),
+    ]
+    assert stored_details(engine) == details
     upgrade(engine)
     assert repr(storage.archive.journal("craft", 0, 99)) == journal
     storage.close()
 
 
-def stored_rows(engine):
+def plain_rows(engine):
+    query = "SELECT epoch_us, source_key, number, seq, received_at_us, is_late, feeds, powers, flags FROM measurement"
     with engine.connect() as connection:
-        rows = connection.execute(select(measurement).order_by(measurement.c.number)).all()
+        rows = connection.exec_driver_sql(f"{query} ORDER BY number").all()
+    return [tuple(row) for row in rows]
+
+
+def packed_rows(engine):
+    with engine.connect() as connection:
+        return connection.exec_driver_sql("SELECT count(*) FROM measurement WHERE length(powers) < 32").scalar_one()
+
+
+def stored_details(engine):
+    with engine.connect() as connection:
         order = measurement_detail.c.source_key, measurement_detail.c.epoch_us
-        return rows, connection.execute(select(measurement_detail).order_by(*order)).all()
+        return connection.execute(select(measurement_detail).order_by(*order)).all()
 
 
 def test_migrating_twice_changes_nothing(any_engine):

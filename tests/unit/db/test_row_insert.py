@@ -8,6 +8,7 @@ from sqlalchemy import delete, select
 from db.engine import open_engines
 from db.measurement_details import insert_details
 from db.migrate import upgrade
+from db.power_codec import StoredRows
 from db.row_insert import Run, insert_run
 from db.tables import measurement, measurement_detail
 
@@ -25,40 +26,44 @@ def engine(request, tmp_path_factory):
 
 
 @st.composite
+def blobs(draw, rows, least=1):
+    width = draw(st.integers(least, 9))
+    return StoredRows(width, draw(st.binary(min_size=rows * width, max_size=rows * width)))
+
+
+@st.composite
 def runs(draw):
-    rows, width = draw(st.integers(1, 6)), 4 * draw(st.integers(1, 4))
-    blob = st.binary(min_size=rows * width, max_size=rows * width)
+    rows = draw(st.integers(1, 6))
     return Run(
         spacecraft_key=draw(st.integers(1, 9)),
         source_key=draw(st.integers(1, 9)),
         plan_id=draw(st.integers(1, 9)),
-        received_at_us=draw(st.integers(-(1 << 62), 1 << 62)),
+        received_at_us=draw(st.integers(-(1 << 61), 1 << 61)),
         feeds=draw(st.booleans()),
         is_late=draw(st.booleans()),
         first_number=draw(st.integers(1, 1 << 62)),
         first_seq=draw(st.none() | st.integers(0, 1 << 62)),
-        epochs_us=draw(st.lists(st.integers(-(1 << 63), (1 << 63) - 1), min_size=rows, max_size=rows, unique=True)),
-        powers=draw(blob),
-        flags=draw(st.none() | blob),
+        epochs_us=draw(st.lists(st.integers(-(1 << 61), 1 << 61), min_size=rows, max_size=rows, unique=True)),
+        powers=draw(blobs(rows)),
+        flags=draw(st.none() | blobs(rows, 0)),
     )
 
 
 def rows_of(run):
     """Return the columns of each row."""
-    width = len(run.powers) // len(run.epochs_us)
     return [
         {
             "spacecraft_key": run.spacecraft_key,
             "source_key": run.source_key,
             "plan_id": run.plan_id,
-            "received_at_us": run.received_at_us,
+            "delay_us": run.received_at_us - epoch_us,
             "feeds": run.feeds,
             "is_late": run.is_late,
             "number": run.first_number + place,
             "seq": None if run.first_seq is None else run.first_seq + place,
             "epoch_us": epoch_us,
-            "powers": run.powers[place * width : (place + 1) * width],
-            "flags": None if run.flags is None else run.flags[place * width : (place + 1) * width],
+            "powers": run.powers.part(place, place + 1).rows,
+            "flags": None if run.flags is None else run.flags.part(place, place + 1).rows,
         }
         for place, epoch_us in enumerate(run.epochs_us)
     ]
