@@ -5,6 +5,7 @@ falls into rows that were consumed before it became known is applied to the stat
 same journal gives the same input, and nothing counts twice.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +18,8 @@ from service.records.epoch import US_PER_S
 from service.records.inputs import Correction
 
 _US_PER_H = 3600 * US_PER_S
+#: torque that gives 1 kg m^2 an acceleration of 1 deg/h^2
+DEG_H2_N_M = math.radians(1.0) / 3600.0**2
 
 
 @dataclass(frozen=True)
@@ -93,14 +96,19 @@ def _of_command(applied: AppliedCommand, craft: Spacecraft | None) -> tuple[_Mot
     """Return the pulses of a command; without a spacecraft nothing is known of their effect."""
     if craft is None:
         return ()
-    x, y, z = (craft.inertia_kg_m2[k][k] for k in range(3))
-    inertia = np.array([z, x, y])
+    inertia = np.array(angle_inertia_kg_m2(craft))
     motions = []
     for pulse in applied.command.schedule:
         gained_deg_h = np.rad2deg(np.array(pulse.torque_n_m) * pulse.duration_s / inertia) * 3600.0
         stop_us = pulse.start_us + max(1, round(pulse.duration_s * US_PER_S))
         motions.append(_Motion(pulse.start_us, stop_us, np.zeros(3), gained_deg_h))
     return tuple(motions)
+
+
+def angle_inertia_kg_m2(craft: Spacecraft) -> tuple[float, float, float]:
+    """Return the inertia about yaw, roll and pitch."""
+    x, y, z = (craft.inertia_kg_m2[k][k] for k in range(3))
+    return z, x, y
 
 
 def _triple(values: FloatArray) -> tuple[float, float, float]:

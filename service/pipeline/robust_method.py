@@ -5,6 +5,7 @@ state alone. Without an ephemeris that reaches the row, or with fewer than four 
 on with an honest sigma, and control waits.
 """
 
+import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -21,18 +22,21 @@ from service.core.estimation.filtering.filter_state import (
     initial_gaussian,
 )
 from service.core.estimation.filtering.filter_update import site_db
+from service.core.estimation.filtering.hidden_motion import DAY_US, is_pushed, torque_prior_deg_h2, torque_states
 from service.core.estimation.snapshot.snapshot import Snapshots, solve_snapshots
 from service.pipeline.config import ChainConfig
 from service.pipeline.declared_operations import declared_between, with_chain_step
 from service.pipeline.filter_kernels import kernels_named
 from service.pipeline.knowledge import Knowledge
-from service.pipeline.known_motion import CommandedMotion, take
+from service.pipeline.known_motion import DEG_H2_N_M, CommandedMotion, take
 from service.pipeline.level_control import without_group_gain
 from service.pipeline.robust_model import RobustModel, signals
 from service.pipeline.robust_row import Fixed, filtered_row, late_row
 from service.pipeline.stated_angles import usual_sigma_deg
-from service.records.attitude import AttitudeRow, FloatArray
+from service.records.attitude import AttitudeRow, FloatArray, named_axes
 from service.records.calibration import Alignment
+from service.records.disturbance import Disturbance
+from service.records.epoch import US_PER_S
 from service.records.measurement import Measurement
 
 
@@ -42,6 +46,8 @@ class RobustState:
 
     filter: FilterState
     commanded: CommandedMotion
+    #: what each command that nobody has reported would do, by counter; one share each in the filter's state
+    released: tuple[tuple[int, CommandedMotion], ...] = ()
     #: source of the newest row, None before the first
     source: str | None = None
 
@@ -69,6 +75,7 @@ def initial_state(
         sigma_db,
         drift_deg_h=model.settings.drift_deg_h,
         chain_sigma_db=config.robust.common_reference_sigma_db,
+        hidden_sigma=torque_prior_deg_h2(model.settings) if is_pushed(model.settings) else None,
     )
     state = start(model.filter, alignment.epoch_us, gaussian)
     # a carrier that nobody knows has no level to come back to
@@ -142,7 +149,7 @@ def step_robust(
         has_inhibiting_operation=bool(knowledge.inhibiting_operations(measurement.epoch_us)),
         validity_limit_deg=config.interlock.validity_limit_deg,
     )
-    after = RobustState(told.state, commanded, measurement.source)
+    after = RobustState(told.state, commanded, state.released, measurement.source)
     return RobustStep(row, expected_dbm, deviation_db, fixed.residual_db(model), after)
 
 
@@ -152,6 +159,26 @@ def rates_deg_s(model: RobustModel, told: FilterStep) -> FloatArray:
     yaw, roll, _pitch = mean[ATTITUDE].tolist()
     exchanged = np.array([-turn * roll, turn * yaw, 0.0])
     return np.asarray((exchanged + mean[DRIFT] + mean[RATE]) / 3600.0)
+
+
+def known_disturbance(state: RobustState, model: RobustModel) -> Disturbance | None:
+    """Return the torque that acts without being fed forward, its phase zero at the newest row; None = there is none."""
+    gaussian, epoch_us = state.filter.gaussian, state.filter.epoch_us
+    places = torque_states(model.filter, gaussian, len(state.released))
+    if places is None or model.inertia_kg_m2 is None:
+        return None
+    phase = 2.0 * math.pi * (epoch_us % DAY_US) / DAY_US
+    cos, sin = math.cos(phase), math.sin(phase)
+    # what was a cosine since midnight is a cosine and a sine since the row
+    turn = np.kron(np.array([[1.0, 0.0, 0.0], [0.0, cos, sin], [0.0, -sin, cos]]), np.eye(3))
+    unit = np.array(model.inertia_kg_m2) * DEG_H2_N_M
+    constant, cosine, sine = (turn @ gaussian.mean[places]).reshape(3, 3) * unit
+    covariance = turn @ gaussian.covariance[places, places] @ turn.T
+    now = np.kron(np.array([1.0, 1.0, 0.0]), np.eye(3))
+    sigma = np.sqrt(np.diag(now @ covariance @ now.T)) * unit
+    return Disturbance(
+        epoch_us, DAY_US / US_PER_S, named_axes(constant), named_axes(cosine), named_axes(sine), named_axes(sigma)
+    )
 
 
 def _declared(

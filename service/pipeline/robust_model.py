@@ -14,6 +14,7 @@ from service.pipeline.declared_operations import CarrierNames
 from service.pipeline.expected_level import ExpectedLevel, daily_error_db
 from service.pipeline.geometry_model import GeometryModel, carrier_model, geometry_model
 from service.pipeline.knowledge import Knowledge
+from service.pipeline.known_motion import DEG_H2_N_M, angle_inertia_kg_m2
 from service.pipeline.level_control import centred_model, centred_response, member_groups
 from service.records.attitude import BoolArray, FloatArray, IntArray
 from service.records.calibration import Alignment, Calibration, CalibrationResult
@@ -55,6 +56,8 @@ class RobustModel:
     is_referenced: BoolArray
     #: members of each level-controlled group
     groups: tuple[IntArray, ...]
+    #: about yaw, roll and pitch; None while no spacecraft is known
+    inertia_kg_m2: tuple[float, float, float] | None
     calibration_id: int
     alignment_id: int
 
@@ -118,6 +121,7 @@ def robust_model(
         is_used=is_used,
         is_referenced=np.isfinite(offset_db),
         groups=groups,
+        inertia_kg_m2=None if knowledge.spacecraft is None else angle_inertia_kg_m2(knowledge.spacecraft),
         calibration_id=calibration.id,
         alignment_id=alignment.id,
     )
@@ -214,7 +218,18 @@ def _filter_settings(spacecraft: Spacecraft | None, config: RobustConfig) -> Fil
         correction_scale=config.correction_scale_error,
         torque_scale=config.torque_scale_error,
         chain_walk_db=config.chain_walk_db_sqrt_h,
+        torque_deg_h2=_torque_deg_h2(spacecraft),
     )
+
+
+def _torque_deg_h2(spacecraft: Spacecraft | None) -> tuple[float, float, float]:
+    """Return what the torque that is not fed forward does to yaw, roll and pitch."""
+    if spacecraft is None:
+        return (0.0, 0.0, 0.0)
+    yaw, roll, pitch = (
+        spacecraft.onboard.residual_torque_n_m / DEG_H2_N_M / inertia for inertia in angle_inertia_kg_m2(spacecraft)
+    )
+    return yaw, roll, pitch
 
 
 def _limits(interlock: InterlockConfig, config: RobustConfig) -> IntegrityLimits:

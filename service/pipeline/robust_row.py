@@ -7,7 +7,7 @@ import numpy as np
 from service.core.estimation.filtering.attitude_filter import MIN_CARRIERS, FilterStep
 from service.core.estimation.filtering.carrier_faults import QUIET_ROWS, QUIET_STD_DB
 from service.core.estimation.filtering.declared import Declared
-from service.core.estimation.filtering.filter_state import FIRST_COMMON, core_size
+from service.core.estimation.filtering.filter_state import common_states
 from service.core.estimation.filtering.filter_update import site_db
 from service.core.estimation.snapshot.snapshot import CarrierUse, Snapshots
 from service.pipeline.interlock import INHIBITIONS
@@ -61,7 +61,7 @@ def filtered_row(
     inhibitions = tuple(dict.fromkeys(one for one in (*INHIBITIONS, *told.integrity.reasons) if one in standing))
     residual_db = fixed.residual_db(model)[told.used]
     is_raining = told.state.rain.is_raining
-    common = told.state.gaussian.mean[FIRST_COMMON : core_size(model.filter)]
+    common = told.state.gaussian.mean[common_states(model.filter)]
     return AttitudeRow(
         epoch_us=measurement.epoch_us,
         received_at_us=measurement.received_at_us,

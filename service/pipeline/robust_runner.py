@@ -1,12 +1,21 @@
 """The robust method in the chain: its model, its state, commanded motion, and what is known of each carrier."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from service.pipeline.config import ChainConfig
 from service.pipeline.knowledge import Knowledge, Lookup
 from service.pipeline.known_motion import CommandedMotion, heard
 from service.pipeline.method_runner import CalibratedColumns, CarrierLevels
-from service.pipeline.robust_method import RobustState, RobustStep, carried_state, initial_state, step_robust
+from service.pipeline.robust_method import (
+    RobustState,
+    RobustStep,
+    carried_state,
+    initial_state,
+    known_disturbance,
+    step_robust,
+)
 from service.pipeline.robust_model import RobustModel, robust_model
 from service.records.attitude import AttitudeRow, CarrierState
 from service.records.calibration import Alignment, Calibration
@@ -63,7 +72,7 @@ class RobustRunner:
         self._told.append((content, knowledge.spacecraft))
         if self._state is not None:
             commanded = heard(self._state.commanded, content, knowledge.spacecraft, self._state.filter.epoch_us)
-            self._state = RobustState(self._state.filter, commanded, self._state.source)
+            self._state = replace(self._state, commanded=commanded)
             self._forget(self._state.filter.epoch_us - _KEPT_US)
 
     def start(self, knowledge: Knowledge) -> None:
@@ -138,7 +147,9 @@ class RobustRunner:
 
     def disturbance(self) -> Disturbance | None:
         """Return the torque that acts without being fed forward; None where the catalogue states none."""
-        return None
+        if self._model is None or self._state is None:
+            return None
+        return known_disturbance(self._state, self._model)
 
     def _forget(self, before_us: int) -> None:
         """Let go of the oldest motions; torques come with every row, and an alignment may be months away."""

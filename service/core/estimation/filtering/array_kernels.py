@@ -37,15 +37,27 @@ def fade(
 
 
 def turn(
-    mean: FloatArray, covariance: FloatArray, transition: FloatArray, drift_noise: FloatArray, push: FloatArray
+    mean: FloatArray,
+    covariance: FloatArray,
+    transition: FloatArray,
+    drift_noise: FloatArray,
+    push: FloatArray,
+    first_hidden: int,
 ) -> None:
-    """Move the first nine states: mean to ``T mean + push``, covariance to ``T P T' + noise``, in place."""
-    moved = transition @ covariance[:_MOVING]
-    own = moved[:, :_MOVING] @ transition.T
+    """Move the first nine states: mean to ``T x + push``, covariance to ``T P T' + noise``, in place.
+
+    T (9, 9 + E) takes the first nine states and the E hidden ones, which stand from `first_hidden` on and stay.
+    """
+    places: IntArray | slice = slice(_MOVING)
+    if transition.shape[1] > _MOVING:
+        hidden = first_hidden + np.arange(transition.shape[1] - _MOVING)
+        places = np.concatenate([np.arange(_MOVING), hidden])
+    moved = transition @ covariance[places]
+    own = moved[:, places] @ transition.T
     moved[:, :_MOVING] = 0.5 * (own + own.T) + drift_noise
     # one product serves both sides: symmetric to the last bit
     covariance[:_MOVING], covariance[:, :_MOVING] = moved, moved.T
-    mean[:_MOVING] = transition @ mean[:_MOVING] + push
+    mean[:_MOVING] = transition @ mean[places] + push
 
 
 def model_variance(coefficient_covariance: FloatArray, attitude_deg: FloatArray) -> FloatArray:
@@ -93,14 +105,16 @@ def linearise(
     deviation_db: FloatArray,
     carriers: IntArray,
     common: int,
+    hidden: int,
 ) -> tuple[FloatArray, FloatArray]:
     """Return innovations (n,) in dB and Jacobian (n, C) of the core states, patterns linearised at `at_deg` (3,)."""
-    core = FIRST_COMMON + common
+    core = FIRST_COMMON + common + hidden
     bend = hessian_db_deg2[carriers] @ at_deg
     gradient = gradient_db_deg[carriers] + bend
     jacobian = np.ones((len(carriers), core))
     jacobian[:, ATTITUDE] = gradient
     jacobian[:, ATTITUDE.stop : CHAIN] = 0.0
+    jacobian[:, core - hidden :] = 0.0
     jacobian[:, RAIN] = -rain_share[carriers]
     # gradient l - half of bend at: the pattern where it is linearised and its slope from there on
     own = mean[core:].reshape(-1, len(rain_share)).sum(axis=0)[carriers]

@@ -37,7 +37,7 @@ from service.core.estimation.filtering.filter_model import (
 )
 from service.core.estimation.filtering.filter_predict import Weather, predict
 from service.core.estimation.filtering.filter_records import FilterState, FilterStep, start
-from service.core.estimation.filtering.filter_state import ATTITUDE, CHAIN, RAIN
+from service.core.estimation.filtering.filter_state import ATTITUDE, CHAIN, RAIN, hidden_count
 from service.core.estimation.filtering.filter_update import innovate, update
 from service.core.estimation.filtering.integrity import Evidence, IntegrityLimits, assess
 from service.core.estimation.filtering.kernels import ARRAYS, Kernels
@@ -139,7 +139,7 @@ def _ahead(
     )
     now = doubting_settings(scaled_settings(settings, state.drift), state.command)
     believed = believed_motion(state.command, known)
-    predicted, variance = predict(model, now, state.gaussian, step_us, believed, weather, kernels)
+    predicted, variance = predict(model, now, state.gaussian, step_us, believed, weather, kernels, state.epoch_us)
     is_flagged, is_raining = state.carriers.is_flagged, state.rain.is_raining
     ahead = state._replace(
         epoch_us=state.epoch_us + step_us,
@@ -147,7 +147,17 @@ def _ahead(
         rain=pass_hold(state.rain, minutes),
         motion=pass_motion(state.motion, minutes),
         model_variance_db2=variance,
-        command=pass_commands(model, now, state.command, step_us, known, is_flagged, is_raining=is_raining),
+        command=pass_commands(
+            model,
+            now,
+            state.command,
+            step_us,
+            known,
+            is_flagged,
+            is_raining=is_raining,
+            from_us=state.epoch_us,
+            hidden=hidden_count(model, len(predicted.mean)),
+        ),
     )
     return ahead if declared is None else with_declared(model, ahead, declared)
 

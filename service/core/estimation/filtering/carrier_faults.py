@@ -19,6 +19,7 @@ from service.core.estimation.filtering.filter_model import BoolArray, CarrierMod
 from service.core.estimation.filtering.filter_state import (
     FREE_REFERENCE_DB2,
     Gaussian,
+    hidden_count,
     reference_states,
     reset_carriers,
 )
@@ -149,7 +150,7 @@ def flag_failed(
     if not is_failed.any():
         return state, watch
     failed = np.flatnonzero(is_failed)
-    places = reference_states(model, failed)
+    places = reference_states(model, failed, hidden_count(model, len(state.mean)))
     saved, variance = watch.saved_reference_db.copy(), watch.saved_variance_db2.copy()
     saved[failed], variance[failed] = before.mean[places], before.covariance[places, places]
     return (

@@ -1,8 +1,8 @@
 """A change of the carrier plan in operation: the filter goes on with the carriers that stay.
 
-Attitude, drift, commanded rate, chain and rain belong to the craft and the site and are kept with what they share with
-the carriers that stay. The law of this file: nothing is learned here; what the new plan does not know begins as wide
-as it is.
+Attitude, drift, commanded rate, chain, rain and hidden states belong to the craft and the site and are kept with what
+they share with the carriers that stay. The law of this file: nothing is learned here; what the new plan does not know
+begins as wide as it is.
 """
 
 import numpy as np
@@ -17,7 +17,9 @@ from service.core.estimation.filtering.filter_state import (
     FREE_REFERENCE_DB2,
     Gaussian,
     carrier_states,
+    common_states,
     core_size,
+    hidden_count,
 )
 
 
@@ -115,11 +117,13 @@ def _carried_gaussian(
     sigma_db: FloatArray,
 ) -> Gaussian:
     """Return the state vector of the new plan."""
-    origin = _origins(old, new, source)
+    hidden = hidden_count(old, len(gaussian.mean))
+    origin = _origins(old, new, source, hidden)
     fresh = np.concatenate(
         [
             np.zeros(FIRST_COMMON),
             new.common_sigma_db**2,
+            np.zeros(hidden),
             (new.coloured_sigma_db.T**2).ravel(),
             np.asarray(sigma_db) ** 2,
         ]
@@ -133,14 +137,15 @@ def _carried_gaussian(
     return Gaussian(mean, covariance)
 
 
-def _origins(old: CarrierModel, new: CarrierModel, source: IntArray) -> IntArray:
+def _origins(old: CarrierModel, new: CarrierModel, source: IntArray, hidden: int) -> IntArray:
     """Return where each state of the new plan (D,) stood in the old one, -1 = nowhere."""
-    origin = np.full(core_size(new) + new.carriers * (new.components + 1), -1, dtype=np.int64)
+    origin = np.full(core_size(new, hidden) + new.carriers * (new.components + 1), -1, dtype=np.int64)
     origin[:FIRST_COMMON] = np.arange(FIRST_COMMON)
     if core_size(old) == core_size(new):
-        origin[FIRST_COMMON : core_size(new)] = np.arange(FIRST_COMMON, core_size(old))
+        origin[common_states(new)] = np.arange(FIRST_COMMON, core_size(old))
+    origin[core_size(new) : core_size(new, hidden)] = np.arange(core_size(old), core_size(old, hidden))
     staying = np.flatnonzero(source >= 0)
-    there, here = carrier_states(old, source[staying]), carrier_states(new, staying)
+    there, here = carrier_states(old, source[staying], hidden), carrier_states(new, staying, hidden)
     origin[here[-1]] = there[-1]
     if old.components == new.components:
         origin[here[:-1]] = there[:-1]

@@ -23,8 +23,9 @@ from service.core.estimation.filtering.filter_model import (
     KnownMotion,
 )
 from service.core.estimation.filtering.filter_predict import motion_over
-from service.core.estimation.filtering.filter_state import ATTITUDE, FIRST_COMMON, RAIN, Gaussian, core_size
+from service.core.estimation.filtering.filter_state import ATTITUDE, RAIN, Gaussian, common_states, core_size
 from service.core.estimation.filtering.filter_update import Innovation
+from service.core.estimation.filtering.hidden_motion import hidden_transition
 
 #: shares that an on-board mode makes of a command: other sign, nothing, half, all, twice
 SHARES = (-1.0, 0.0, 0.5, 1.0, 2.0)
@@ -87,6 +88,8 @@ def pass_commands(
     is_flagged: BoolArray,
     *,
     is_raining: bool,
+    from_us: int = 0,
+    hidden: int = 0,
 ) -> CommandWatch:
     """Return the watch after a step, before its measurement.
 
@@ -106,8 +109,13 @@ def pass_commands(
         Carriers that are out: their own states have no part in it.
     is_raining : bool
         Whether rain is kept.
+    from_us : int, microseconds UTC
+        Epoch at which the step begins.
+    hidden : int
+        Hidden states of the filter.
     """
-    size = core_size(model) + model.carriers * (model.components + 1)
+    core = core_size(model, hidden)
+    size = core + model.carriers * (model.components + 1)
     seconds = step_us / 1e6
     minutes = seconds / 60.0
     left = max(0.0, watch.minutes_left - minutes)
@@ -122,12 +130,15 @@ def pass_commands(
     if not is_commanded and not watch.sensitivity.any():
         return watch
     moved = watch.sensitivity.copy()
-    core = core_size(model)
+    common = common_states(model)
     moved[:9] = motion_over(step_us, settings).transition @ moved[:9]
+    if hidden:
+        added = hidden_transition(hidden, from_us, step_us, settings, known)
+        moved[:9] += added @ watch.sensitivity[common.stop : core]
     moved[ATTITUDE, 0] += known.correction_deg
     moved[ATTITUDE.start, 1] += seconds / 3600.0
     moved[RAIN] *= 1.0 if is_raining else math.exp(-seconds / settings.rain_dry_tau_s)
-    moved[FIRST_COMMON:core] *= np.exp(-seconds / model.common_tau_s)[:, None]
+    moved[common] *= np.exp(-seconds / model.common_tau_s)[:, None]
     own = moved[core:].reshape(-1, model.carriers, 2)
     own[:-1] *= np.exp(-seconds / model.coloured_tau_s).T[:, :, None]
     own[:, is_flagged] = 0.0
@@ -178,7 +189,7 @@ def push_row(
 
 def _seen(model: CarrierModel, used: Innovation, change: FloatArray) -> FloatArray:
     """Return what changes (D, 2) of the state do to the carriers used (n, 2), dB."""
-    core = core_size(model)
+    core = used.core_jacobian.shape[1]
     own = change[core:].reshape(-1, model.carriers, 2).sum(axis=0)
     return np.asarray(used.core_jacobian @ change[:core] + own[used.carriers])
 

@@ -13,7 +13,7 @@ from service.core.estimation.filtering.carrier_faults import CarrierWatch
 from service.core.estimation.filtering.common_change import common_value, quiet_cusum
 from service.core.estimation.filtering.fault_hypotheses import GROUP_STEP_DB, JUMP_DEG, Cause, Choice, Chooser
 from service.core.estimation.filtering.filter_model import CarrierModel
-from service.core.estimation.filtering.filter_state import ATTITUDE, Gaussian, freed, reference_states
+from service.core.estimation.filtering.filter_state import ATTITUDE, Gaussian, freed, hidden_count, reference_states
 from service.core.estimation.filtering.filter_update import Innovation
 from service.core.estimation.filtering.rain_state import SUDDEN, RainWatch, common_fell, common_rose, is_down, is_up
 
@@ -107,7 +107,8 @@ def widen(
     calm = carriers._replace(cusum=quiet_cusum(model.carriers))
     if choice.cause is Cause.GROUP:
         members = np.flatnonzero((model.transponder == choice.transponder) & ~carriers.is_flagged)
-        return Widened(freed(gaussian, reference_states(model, members), GROUP_STEP_DB**2), calm, rain)
+        places = reference_states(model, members, hidden_count(model, len(gaussian.mean)))
+        return Widened(freed(gaussian, places, GROUP_STEP_DB**2), calm, rain)
     if choice.cause is Cause.ATTITUDE:
         for axis in range(ATTITUDE.start, ATTITUDE.stop):
             gaussian = freed(gaussian, np.array([axis]), JUMP_DEG**2)

@@ -82,6 +82,9 @@ class FilterSettings(NamedTuple):
     rain_dry_tau_s: float = 1800.0
     #: drift during an alarm about motion that nobody announced, deg/sqrt(h)
     unannounced_walk_deg: tuple[float, float, float] = (0.3, 0.15, 0.15)
+    #: size of the torque that is not fed forward, as acceleration, deg/h^2, and how long what is learned of it holds, h
+    torque_deg_h2: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    torque_tau_h: float = 2400.0
 
 
 class KnownMotion(NamedTuple):
@@ -93,6 +96,8 @@ class KnownMotion(NamedTuple):
     late_correction_deg: FloatArray
     #: rates that torques added within the step, deg/h
     rate_change_deg_h: FloatArray
+    #: (n, 2, 3) what n commands that nobody has reported would have turned, deg, and their rates at the end, deg/h
+    unreported: FloatArray = np.zeros((0, 2, 3))
 
 
 def no_motion() -> KnownMotion:

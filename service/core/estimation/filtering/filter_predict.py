@@ -4,7 +4,8 @@
     d' = -d / tau + noise               m = rate left behind by torques, it does not decay
 
 w 1/h, rates in deg/h. With z = yaw + j roll the transition is a closed form of complex exponentials, exact for steps of
-a second and gaps of hours alike; the noise that the drifts leave is integrated by ten Gauss points.
+a second and gaps of hours alike; the noise that the drifts leave is integrated by ten Gauss points. What hidden states
+add stands in `hidden_motion`.
 """
 
 import cmath
@@ -28,8 +29,10 @@ from service.core.estimation.filtering.filter_state import (
     RATE,
     Gaussian,
     core_size,
+    hidden_count,
     reference_states,
 )
+from service.core.estimation.filtering.hidden_motion import hidden_noise, hidden_transition
 from service.core.estimation.filtering.kernels import ARRAYS, Kernels
 
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
@@ -124,6 +127,7 @@ def predict(
     known: KnownMotion,
     weather: Weather,
     kernels: Kernels = ARRAYS,
+    from_us: int = 0,
 ) -> tuple[Gaussian, FloatArray]:
     """Return the state after a step, before its measurement.
 
@@ -143,6 +147,8 @@ def predict(
         Rain, suspicion, scale of noise, declared operations.
     kernels : Kernels
         Who does the arithmetic.
+    from_us : int, microseconds UTC
+        Epoch of the state: the hour of the day counts for a torque that goes round with the Sun.
 
     Returns
     -------
@@ -156,16 +162,25 @@ def predict(
     hours = seconds / _S_PER_H
     # rain that is none is forgotten
     rain_factor = 1.0 if weather.is_raining else math.exp(-seconds / settings.rain_dry_tau_s)
+    hidden = hidden_count(model, len(state.mean))
+    transition, common_sigma, common_tau_s = motion.transition, model.common_sigma_db, model.common_tau_s
+    if hidden:
+        # beside the common parts: they fade and grow as those do
+        transition = np.hstack([transition, hidden_transition(hidden, from_us, step_us, settings, known)])
+        hidden_sigma, hidden_tau_s = hidden_noise(hidden, len(known.unreported), settings)
+        common_sigma = np.concatenate([common_sigma, hidden_sigma])
+        common_tau_s = np.concatenate([common_tau_s, hidden_tau_s])
     mean, covariance, factor = kernels.fade(
-        state.mean, state.covariance, rain_factor, seconds, model.common_tau_s, model.coloured_tau_s
+        state.mean, state.covariance, rain_factor, seconds, common_tau_s, model.coloured_tau_s
     )
-    kernels.turn(mean, covariance, motion.transition, motion.noise, _push(hours, known))
+    first_hidden = core_size(model)
+    kernels.turn(mean, covariance, transition, motion.noise, _push(hours, known), first_hidden)
     variance = kernels.model_variance(model.coefficient_covariance, mean[ATTITUDE])
     kernels.grow(
         covariance,
         factor,
         np.array(_core_variance(settings, hours, known, weather)),
-        model.common_sigma_db,
+        common_sigma,
         model.coloured_sigma_db,
         model.coloured_tau_s,
         model.reference_walk_db,
@@ -175,7 +190,7 @@ def predict(
         variance,
     )
     if weather.declared is not None:
-        covariance.ravel()[:: len(mean) + 1] += _declared_variance(model, weather.declared, hours)
+        covariance.ravel()[:: len(mean) + 1] += _declared_variance(model, weather.declared, hours, len(mean))
         _move_together(model, covariance, weather.declared.group_step_db)
     return Gaussian(mean, covariance), variance
 
@@ -211,9 +226,9 @@ def _core_variance(settings: FilterSettings, hours: float, known: KnownMotion, w
     return attitude + [0.0] * (DRIFT.stop - DRIFT.start) + [rate**2 for rate in rates] + rest
 
 
-def _declared_variance(model: CarrierModel, declared: Declared, hours: float) -> FloatArray:
+def _declared_variance(model: CarrierModel, declared: Declared, hours: float, states: int) -> FloatArray:
     """Return the variance (D,) that declared operations add to single states."""
-    added = np.zeros(core_size(model) + model.carriers * (model.components + 1))
+    added = np.zeros(states)
     added[ATTITUDE] = declared.attitude_walk_deg**2 * hours + declared.attitude_step_deg**2
     added[CHAIN] = declared.chain_walk_db**2 * hours + declared.chain_step_db**2
     added[-model.carriers :] = declared.reference_walk_db**2 * hours + declared.reference_step_db**2
@@ -222,6 +237,7 @@ def _declared_variance(model: CarrierModel, declared: Declared, hours: float) ->
 
 def _move_together(model: CarrierModel, covariance: FloatArray, group_step_db: FloatArray) -> None:
     """Add to a covariance, in place, that the references of each transponder moved by one and the same amount."""
+    hidden = hidden_count(model, len(covariance))
     for transponder in np.flatnonzero(group_step_db).tolist():
-        places = reference_states(model, np.flatnonzero(model.transponder == transponder))
+        places = reference_states(model, np.flatnonzero(model.transponder == transponder), hidden)
         covariance[np.ix_(places, places)] += group_step_db[transponder] ** 2

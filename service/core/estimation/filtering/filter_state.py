@@ -1,9 +1,10 @@
 """State vector of the attitude filter: which number stands where, and how blocks of it are set free.
 
-    x = [yaw roll pitch | 3 drifts | 3 commanded rates | chain | rain | G common parts
+    x = [yaw roll pitch | 3 drifts | 3 commanded rates | chain | rain | G common parts | E hidden
          | N first components | ... | N last components | N references]
 
-Angles in deg, rates in deg/h, levels in dB. The law of this file: a mean and a covariance are values; every function
+Angles in deg, rates in deg/h, levels in dB. Hidden states move the craft and stand in no level (`hidden_motion`); most
+craft have none. A vector carries its own E. The law of this file: a mean and a covariance are values; every function
 returns new ones.
 """
 
@@ -39,20 +40,30 @@ class Gaussian(NamedTuple):
         return np.asarray(np.sqrt(self.covariance.diagonal()[ATTITUDE]))
 
 
-def core_size(model: CarrierModel) -> int:
-    """Return the number of states that no single carrier owns."""
-    return FIRST_COMMON + len(model.common_sigma_db)
+def common_states(model: CarrierModel) -> slice:
+    """Return the places of the G parts that all carriers share."""
+    return slice(FIRST_COMMON, FIRST_COMMON + len(model.common_sigma_db))
 
 
-def carrier_states(model: CarrierModel, carriers: IntArray) -> IntArray:
+def core_size(model: CarrierModel, hidden: int = 0) -> int:
+    """Return the number of states that no single carrier owns, `hidden` ones among them."""
+    return FIRST_COMMON + len(model.common_sigma_db) + hidden
+
+
+def hidden_count(model: CarrierModel, states: int) -> int:
+    """Return how many hidden states a vector of a size has."""
+    return states - core_size(model) - model.carriers * (model.components + 1)
+
+
+def carrier_states(model: CarrierModel, carriers: IntArray, hidden: int = 0) -> IntArray:
     """Return the places (K + 1, n) of the states of some carriers, components first, references last."""
-    blocks = core_size(model) + model.carriers * np.arange(model.components + 1)
+    blocks = core_size(model, hidden) + model.carriers * np.arange(model.components + 1)
     return np.asarray(blocks[:, None] + carriers[None, :])
 
 
-def reference_states(model: CarrierModel, carriers: IntArray) -> IntArray:
+def reference_states(model: CarrierModel, carriers: IntArray, hidden: int = 0) -> IntArray:
     """Return the places (n,) of the reference errors of some carriers."""
-    return np.asarray(core_size(model) + model.carriers * model.components + carriers)
+    return np.asarray(core_size(model, hidden) + model.carriers * model.components + carriers)
 
 
 def initial_gaussian(
@@ -63,6 +74,7 @@ def initial_gaussian(
     *,
     drift_deg_h: tuple[float, float, float],
     chain_sigma_db: float = 0.1,
+    hidden_sigma: FloatArray | None = None,
 ) -> Gaussian:
     """Return the state at an alignment.
 
@@ -78,6 +90,8 @@ def initial_gaussian(
         Drift of the inertial model, one standard deviation.
     chain_sigma_db : float, dB
         What all references may have wrong together.
+    hidden_sigma : ndarray, shape (E,), optional
+        One standard deviation of each hidden state.
 
     Returns
     -------
@@ -90,6 +104,7 @@ def initial_gaussian(
         np.full(3, _RATE_FLOOR_DEG_H**2),
         np.array([chain_sigma_db**2, _RAIN_FLOOR_DB**2]),
         model.common_sigma_db**2,
+        np.zeros(0) if hidden_sigma is None else hidden_sigma**2,
     ]
     variance = np.concatenate([*core, (model.coloured_sigma_db.T**2).ravel(), reference_sigma_db**2])
     mean = np.zeros(len(variance))
@@ -135,7 +150,7 @@ def reset_carriers(
     Gaussian
         Coloured parts of these carriers at zero with stationary variance, correlated with nothing.
     """
-    places = carrier_states(model, carriers)
+    places = carrier_states(model, carriers, hidden_count(model, len(state.mean)))
     mean, covariance = state.mean.copy(), state.covariance.copy()
     flat = places.ravel()
     mean[flat] = 0.0

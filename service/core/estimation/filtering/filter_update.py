@@ -3,11 +3,11 @@
     nu = y - h(x),   S = H P H' + R = L L',   W = L^-1 H P,   w = L^-1 nu
     x' = x + W' w,   P' = P - W' W
 
-H has three columns of attitude, one each of chain and rain, and ones at the carrier's own states, so that H P is a sum
-of rows and nothing of size (D, D) is ever multiplied with another of that size. The law of this file: the covariance
-stays symmetric, to the last bit, and positive definite. What W' W loses to rounding in row i and column j is some
-n eps sqrt(P_ii P_jj), 1e-14 of the two sigmas; every step adds far more than that to each state that rows tell about,
-and the white noise keeps what is left of it large against that.
+H has three columns of attitude, one each of chain and rain, ones at common parts and the carrier's own states, so that
+H P is a sum of rows and nothing of size (D, D) is ever multiplied with another of that size. The law of this file: the
+covariance stays symmetric, to the last bit, and positive definite. What W' W loses to rounding in row i and column j is
+some n eps sqrt(P_ii P_jj), 1e-14 of the two sigmas; every step adds far more than that to each state that rows tell
+about, and the white noise keeps what is left of it large against that.
 """
 
 from typing import NamedTuple
@@ -15,7 +15,15 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.estimation.filtering.filter_model import CarrierModel, FloatArray, IntArray, pattern_change
-from service.core.estimation.filtering.filter_state import ATTITUDE, CHAIN, FIRST_COMMON, RAIN, Gaussian, core_size
+from service.core.estimation.filtering.filter_state import (
+    ATTITUDE,
+    CHAIN,
+    RAIN,
+    Gaussian,
+    common_states,
+    core_size,
+    hidden_count,
+)
 from service.core.estimation.filtering.kernels import ARRAYS, Kernels
 
 #: an update that moves the attitude by more than this is linearised again where it leads, deg
@@ -53,13 +61,13 @@ class Innovation(NamedTuple):
 
 def expected_db(model: CarrierModel, mean: FloatArray, carriers: IntArray) -> FloatArray:
     """Return the deviations (n,) that a state makes, dB."""
-    own = mean[core_size(model) :].reshape(-1, model.carriers).sum(axis=0)
+    own = mean[core_size(model, hidden_count(model, len(mean))) :].reshape(-1, model.carriers).sum(axis=0)
     return np.asarray((site_db(model, mean) + own)[carriers])
 
 
 def site_db(model: CarrierModel, mean: FloatArray) -> FloatArray:
     """Return the deviations (N,) of attitude, chain, rain and common parts, without the carriers' own states, dB."""
-    common = mean[CHAIN] + mean[FIRST_COMMON : core_size(model)].sum() - model.rain_share * mean[RAIN]
+    common = mean[CHAIN] + mean[common_states(model)].sum() - model.rain_share * mean[RAIN]
     return np.asarray(pattern_change(model, mean[ATTITUDE]).deviation_db + common)
 
 
@@ -105,6 +113,7 @@ def innovate(
         deviation_db,
         carriers,
         len(model.common_sigma_db),
+        hidden_count(model, len(state.mean)),
     )
     cross = kernels.project(state.covariance, jacobian, carriers, model.carriers)
     predicted = kernels.spread(cross, jacobian, carriers, model.carriers)

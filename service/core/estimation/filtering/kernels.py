@@ -4,8 +4,8 @@
 of numba. The law of this file: a set is chosen once, where the program is put together, and handed down; the sets agree
 to rounding, and each gives the same bits for the same row: no sum is reordered, nothing runs in parallel.
 
-Shapes: D states, of them C in front that no single carrier owns, G of these common parts; N carriers of K components
-each, n of them used in a row.
+Shapes: D states, of them C in front that no single carrier owns, G of these common parts and E hidden; N carriers of K
+components each, n of them used in a row.
 """
 
 from collections.abc import Callable
@@ -22,7 +22,7 @@ class Kernels(NamedTuple):
     fade: Callable[
         [FloatArray, FloatArray, float, float, FloatArray, FloatArray], tuple[FloatArray, FloatArray, FloatArray]
     ]
-    turn: Callable[[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray], None]
+    turn: Callable[[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, int], None]
     model_variance: Callable[[FloatArray, FloatArray], FloatArray]
     grow: Callable[
         [
@@ -41,7 +41,7 @@ class Kernels(NamedTuple):
         None,
     ]
     linearise: Callable[
-        [FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, IntArray, int],
+        [FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, IntArray, int, int],
         tuple[FloatArray, FloatArray],
     ]
     project: Callable[[FloatArray, FloatArray, IntArray, int], FloatArray]

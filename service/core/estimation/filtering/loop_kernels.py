@@ -45,18 +45,24 @@ def fade(
 
 
 def turn(
-    mean: FloatArray, covariance: FloatArray, transition: FloatArray, drift_noise: FloatArray, push: FloatArray
+    mean: FloatArray,
+    covariance: FloatArray,
+    transition: FloatArray,
+    drift_noise: FloatArray,
+    push: FloatArray,
+    first_hidden: int,
 ) -> None:
     """Move the first nine states in place."""
-    size = len(mean)
+    size, moving = len(mean), transition.shape[1]
     # the last column carries the mean
     moved = np.zeros((_MOVING, size + 1))
     for row in range(_MOVING):
         moved[row, size] = push[row]
-        for inner in range(_MOVING):
-            moved[row, size] += transition[row, inner] * mean[inner]
+        for inner in range(moving):
+            place = inner if inner < _MOVING else first_hidden + inner - _MOVING
+            moved[row, size] += transition[row, inner] * mean[place]
             for column in range(size):
-                moved[row, column] += transition[row, inner] * covariance[inner, column]
+                moved[row, column] += transition[row, inner] * covariance[place, column]
     for row in range(_MOVING):
         mean[row] = moved[row, size]
         for column in range(_MOVING, size):
@@ -64,8 +70,9 @@ def turn(
             covariance[column, row] = moved[row, column]
         for column in range(row + 1):
             total = drift_noise[row, column]
-            for inner in range(_MOVING):
-                total += moved[row, inner] * transition[column, inner]
+            for inner in range(moving):
+                place = inner if inner < _MOVING else first_hidden + inner - _MOVING
+                total += moved[row, place] * transition[column, inner]
             covariance[row, column] = total
             covariance[column, row] = total
 
@@ -134,13 +141,15 @@ def linearise(
     deviation_db: FloatArray,
     carriers: IntArray,
     common: int,
+    hidden: int,
 ) -> tuple[FloatArray, FloatArray]:
     """Return innovations and Jacobian of the core states."""
-    count, core = len(rain_share), _FIRST_COMMON + common
+    count, seen = len(rain_share), _FIRST_COMMON + common
+    core = seen + hidden
     innovation_db = np.empty(len(carriers))
     jacobian = np.zeros((len(carriers), core))
     level_db = mean[_CHAIN]
-    for place in range(_FIRST_COMMON, core):
+    for place in range(_FIRST_COMMON, seen):
         level_db += mean[place]
     for row in range(len(carriers)):
         carrier = carriers[row]
@@ -151,7 +160,7 @@ def linearise(
                 bend += hessian_db_deg2[carrier, axis, other] * at_deg[other]
             jacobian[row, axis] = gradient_db_deg[carrier, axis] + bend
             expected_db += jacobian[row, axis] * mean[axis] - 0.5 * bend * at_deg[axis]
-        for place in range(_CHAIN, core):
+        for place in range(_CHAIN, seen):
             jacobian[row, place] = 1.0
         jacobian[row, _RAIN] = -rain_share[carrier]
         for place in range(core + carrier, len(mean), count):

@@ -1,0 +1,154 @@
+"""Hidden states: what moves the craft without standing in any level.
+
+    h = [n shares | 3 constant torques | 3 cosines | 3 sines]         each triple yaw, roll, pitch
+    m' = h_const + h_cos cos(p) + h_sin sin(p)       p = phase of the day, zero at midnight UTC
+
+A share says how much of a released command was carried out: nobody knows until its report comes, so it begins at 0 with
+a sigma of 1. Torques stand as angular accelerations in deg/h^2; they act on the rates of the body, which is where the
+loop on board lets go what it does not feed forward, and roll and yaw exchange through the attitude as ever. They
+forget so slowly that what was learned holds for weeks. The law of this file: hidden states do not move one another.
+"""
+
+import cmath
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from service.core.estimation.filtering.filter_model import CarrierModel, FilterSettings, FloatArray, KnownMotion
+from service.core.estimation.filtering.filter_state import Gaussian, common_states, hidden_count
+
+#: states of the residual torque
+TORQUES = 9
+#: the Sun turns round the body once in this time, us
+DAY_US = 86_400_000_000
+#: one standard deviation of the share of a command that nobody has reported
+SHARE_SIGMA = 1.0
+_GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
+_US_PER_H = 3.6e9
+#: longest span that ten nodes integrate, h
+_PANEL_H = 6.0
+
+
+class Response(NamedTuple):
+    """What a constant, a cosine and a sine that begin at phase zero have done after a step, (3,) each."""
+
+    #: gained rate per acceleration, h
+    rate_h: FloatArray
+    #: what yaw and roll have turned, h^2: the real part of yaw + j roll is the axis' own, the imaginary the other's
+    turned_h2: tuple[complex, complex, complex]
+    #: what pitch has turned, h^2
+    pitch_h2: FloatArray
+
+
+def torque_prior_deg_h2(settings: FilterSettings) -> FloatArray:
+    """Return the standard deviation (9,) of the torque states.
+
+    Constant and wave have half of the variance each: at every hour the torque has the size that was stated.
+    """
+    return np.tile(np.array(settings.torque_deg_h2) * math.sqrt(0.5), 3)
+
+
+def is_pushed(settings: FilterSettings) -> bool:
+    """Return whether a torque acts that is not fed forward."""
+    return max(settings.torque_deg_h2) > 0.0
+
+
+@lru_cache(maxsize=64)
+def response_over(step_us: int, coupling_per_h: float) -> Response:
+    """Return what accelerations of one do over a step, us, under an exchange of roll and yaw, 1/h."""
+    hours, day_h = step_us / _US_PER_H, DAY_US / _US_PER_H
+    around = 2.0 * math.pi / day_h
+    panels = max(1, math.ceil(hours / _PANEL_H))
+    edge = hours / panels
+    turned, pitch = np.zeros(3, dtype=np.complex128), np.zeros(3)
+    for panel in range(panels):
+        for node, weight in zip(_GAUSS_NODES.tolist(), _GAUSS_WEIGHTS.tolist(), strict=True):
+            elapsed = edge * (panel + 0.5 * (1.0 + node))
+            gained = 0.5 * edge * weight * _gained_h(elapsed, around)
+            turned += cmath.exp(complex(0.0, coupling_per_h * (hours - elapsed))) * gained
+            pitch += gained
+    constant, cosine, sine = turned.tolist()
+    return Response(_gained_h(hours, around), (constant, cosine, sine), pitch)
+
+
+def _gained_h(hours: float, around_per_h: float) -> FloatArray:
+    """Return the rate (3,) that a constant, a cosine and a sine of one have left after some hours."""
+    angle = around_per_h * hours
+    return np.array([hours, math.sin(angle) / around_per_h, 2.0 * math.sin(0.5 * angle) ** 2 / around_per_h])
+
+
+def hidden_transition(
+    hidden: int, from_us: int, step_us: int, settings: FilterSettings, known: KnownMotion
+) -> FloatArray:
+    """Return what the hidden states add to attitude, drift and rate over a step, (9, E).
+
+    Parameters
+    ----------
+    hidden : int
+        E of the state.
+    from_us, step_us : int, microseconds
+        Epoch at which the step begins, and its length.
+    settings : FilterSettings
+        The craft.
+    known : KnownMotion
+        With what the commands would do that nobody has reported.
+
+    Raises
+    ------
+    ValueError
+        The state has other shares than there are commands.
+    """
+    shares = len(known.unreported)
+    if hidden - shares not in (0, TORQUES):
+        message = f"{shares} commands are unreported, which does not fit {hidden} hidden states"
+        raise ValueError(message)
+    matrix = np.zeros((9, hidden))
+    matrix[0:3, :shares], matrix[6:9, :shares] = known.unreported[:, 0].T, known.unreported[:, 1].T
+    if hidden == shares:
+        return matrix
+    response = response_over(step_us, settings.coupling_per_h)
+    phase = 2.0 * math.pi * (from_us % DAY_US) / DAY_US
+    cos, sin = math.cos(phase), math.sin(phase)
+    for block, (constant, cosine, sine) in enumerate(((1.0, 0.0, 0.0), (0.0, cos, -sin), (0.0, sin, cos))):
+        parts = np.array([constant, cosine, sine])
+        turned = complex(parts @ np.array(response.turned_h2))
+        first = shares + 3 * block
+        matrix[0:2, first : first + 2] = [[turned.real, -turned.imag], [turned.imag, turned.real]]
+        matrix[2, first + 2] = float(parts @ response.pitch_h2)
+        matrix[(6, 7, 8), (first, first + 1, first + 2)] = float(parts @ response.rate_h)
+    return matrix
+
+
+def hidden_noise(hidden: int, shares: int, settings: FilterSettings) -> tuple[FloatArray, FloatArray]:
+    """Return sigma (E,) and correlation time (E,), s, of the noise that keeps the hidden states alive."""
+    torques = hidden - shares
+    sigma = np.concatenate([np.zeros(shares), torque_prior_deg_h2(settings)[:torques]])
+    return sigma, np.concatenate([np.full(shares, np.inf), np.full(torques, 3600.0 * settings.torque_tau_h)])
+
+
+def torque_states(model: CarrierModel, state: Gaussian, shares: int) -> slice | None:
+    """Return the places of the torque states, None where there are none."""
+    hidden = hidden_count(model, len(state.mean))
+    first = common_states(model).stop + shares
+    return slice(first, first + TORQUES) if hidden > shares else None
+
+
+def inserted(state: Gaussian, place: int, variance: FloatArray) -> Gaussian:
+    """Return the state with new ones (n,) at a place, zero and correlated with nothing."""
+    added = len(variance)
+    size = len(state.mean) + added
+    kept = np.concatenate([np.arange(place), np.arange(place + added, size)])
+    mean, covariance = np.zeros(size), np.zeros((size, size))
+    mean[kept] = state.mean
+    covariance[np.ix_(kept, kept)] = state.covariance
+    new = np.arange(place, place + added)
+    covariance[new, new] = variance
+    return Gaussian(mean, covariance)
+
+
+def dropped(state: Gaussian, places: slice) -> Gaussian:
+    """Return the state without some: what the others owe to them stays their uncertainty."""
+    covariance = np.delete(np.delete(state.covariance, places, axis=0), places, axis=1)
+    return Gaussian(np.delete(state.mean, places), covariance)
