@@ -44,7 +44,7 @@ class SqlAlarms:
             fresh: dict[_Instance, int] = {}
             return tuple(_store(connection, change, fresh) for change in changes)
 
-        return self._database.write(store)
+        return self._database.write(self._database.lease.under(store))
 
     def alarm(self, alarm_id: int) -> Alarm:
         """Return one alarm; NotFoundError ``alarm.unknown``."""
@@ -112,7 +112,7 @@ class SqlAlarms:
                 )
             )
 
-        self._database.write(store)
+        self._database.write(self._database.lease.under(store))
 
     def limits(self, spacecraft_id: str, version: int | None = None) -> AlarmLimits:
         """Return a version of the limits, or the newest; version 0 are the defaults."""

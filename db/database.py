@@ -15,6 +15,7 @@ from sqlalchemy.dialects import postgresql, sqlite
 from db.audit_chain import accompanied
 from db.documents import encode, kind_of
 from db.engine import open_engines, translated_faults
+from db.lease import SqlLease
 from db.segments import SegmentCache
 from db.tables import head, journal, spacecraft
 from db.writer import Writer
@@ -47,6 +48,8 @@ class Database:
     def __init__(self, url: str, limit_s: float) -> None:
         self.engines = open_engines(url, limit_s)
         self._writer = Writer(self.engines.write)
+        #: whether this process may write what only one service writes
+        self.lease = SqlLease(url, limit_s, self._writer)
         self._keys: dict[str, int] = {}
         #: sealed days read lately
         self.segments = SegmentCache()
@@ -76,6 +79,7 @@ class Database:
 
     def close(self) -> None:
         """Commit what is queued and let go of the database."""
+        self.lease.give_back()
         self._writer.close()
         self.engines.dispose()
 

@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 from psycopg import Connection as PsycopgConnection
 from psycopg import OperationalError
 from psycopg.errors import ConnectionTimeout
-from sqlalchemy import Connection, create_engine, event, text
+from sqlalchemy import Connection, Engine, NullPool, create_engine, event, text
 from sqlalchemy.engine import URL
 
 #: the server speaks first: an answer that says why is better than a closed connection, s
@@ -58,7 +58,7 @@ class BoundedConnection(PsycopgConnection[Any]):
         return answer
 
 
-def postgresql_engines(target: URL, readers: int, limit_s: float | None) -> tuple[Any, Any]:
+def postgresql_engines(target: URL, readers: int, limit_s: float | None) -> tuple[Engine, Engine]:
     """Return the engine of the writer and that of readers.
 
     Parameters
@@ -81,12 +81,19 @@ def postgresql_engines(target: URL, readers: int, limit_s: float | None) -> tupl
     return write, read
 
 
+def lease_engine(target: URL, limit_s: float) -> Engine:
+    """Return an engine whose one connection holds a lock for as long as it is open, outside any transaction."""
+    engine = create_engine(target, poolclass=NullPool, isolation_level="AUTOCOMMIT")
+    _bound(engine, limit_s, frozenset())
+    return engine
+
+
 def _wait_for_turn(connection: Connection) -> None:
     """Let one transaction write at a time, as SQLite does: groups of two services never wait for each other's rows."""
     connection.execute(_WAIT_FOR_TURN)
 
 
-def _bound(engine: Any, limit_s: float, more: set[str] | frozenset[str]) -> None:
+def _bound(engine: Engine, limit_s: float, more: set[str] | frozenset[str]) -> None:
     """Give every connection of an engine its limits."""
     limits = " ".join(f"-c {name}={round(1000 * limit_s)}" for name in ("statement_timeout", "lock_timeout", *more))
 

@@ -38,7 +38,11 @@ class SqlResults(SqlCalibrations, SqlJobs):
         """Store outcomes in one transaction and return the last result sequence."""
         key = self._database.key(spacecraft_id)
         consumed = Consumed(consumed_number, consumed_epoch_us)
-        return self._database.write(lambda connection: store_outcomes(connection, key, version, outcomes, consumed))
+
+        def store(connection: Connection) -> int:
+            return store_outcomes(connection, key, version, outcomes, consumed)
+
+        return self._database.write(self._database.lease.under(store) if version == LIVE else store)
 
     def attitude_rows(
         self,

@@ -16,7 +16,19 @@ from db.results import SqlResults
 from db.storage_state import disk_of, newest_revision, present_revision
 from db.tables import head
 from db.traces import SqlTraces
-from service.ports import Alarms, Archive, Audit, Catalogue, Keys, Links, Notes, Releases, Results, Traces
+from service.ports import (
+    Alarms,
+    Archive,
+    Audit,
+    Catalogue,
+    Keys,
+    Lease,
+    Links,
+    Notes,
+    Releases,
+    Results,
+    Traces,
+)
 from service.records.storage_state import StorageState
 
 
@@ -46,6 +58,7 @@ class SqlStorage:
     traces: Traces
     keys: Keys
     audit: Audit
+    lease: Lease
 
     def __init__(self, url: str, limit_s: float = 10.0) -> None:
         self._url = url
@@ -60,6 +73,7 @@ class SqlStorage:
         self.traces = SqlTraces(self._database)
         self.keys = SqlKeys(self._database)
         self.audit = SqlAudit(self._database)
+        self.lease = self._database.lease
 
     def migrate(self) -> None:
         """Bring the schema to the present version."""

@@ -26,6 +26,7 @@ from service.runtime.calibrating import Calibrator
 from service.runtime.clock import DataClock, SystemClock
 from service.runtime.flight_analyses import FlightAnalyses
 from service.runtime.jobs import JobRunner
+from service.runtime.leading import Leading, Turn, always
 from service.runtime.live_feed import LiveFeed
 from service.runtime.replaying import Replayer
 from service.runtime.supervisor import Supervisor
@@ -100,7 +101,7 @@ def first_administrator(settings: Settings, storage: Storage) -> str | None:
     return text if is_stored else None
 
 
-def build_alarms(settings: Settings, storage: Storage, clock: Clock, feed: LiveFeed) -> AlarmDesk:
+def build_alarms(settings: Settings, storage: Storage, clock: Clock, feed: LiveFeed, turn: Turn) -> AlarmDesk:
     """Return the alarm desk with the notices of the settings."""
     conditions = condition_table(settings.alarms, settings.robust)
     from_severity = Severity[settings.alarm_notices_from.upper()]
@@ -133,6 +134,7 @@ def build_alarms(settings: Settings, storage: Storage, clock: Clock, feed: LiveF
         NoticeChannels(channels),
         check_period_s=settings.alarms.check_period_s,
         stale_periods=settings.alarms.stale_periods,
+        turn=turn,
     )
 
 
@@ -157,9 +159,9 @@ def _limits(settings: Settings) -> Limits:
     )
 
 
-def build_upkeep(settings: Settings, storage: Storage, clock: Clock) -> Upkeep:
+def build_upkeep(settings: Settings, storage: Storage, clock: Clock, turn: Turn = always) -> Upkeep:
     """Return what seals closed days and drops what is no longer kept."""
-    return Upkeep(storage, clock, settings.sealing, settings.retention)
+    return Upkeep(storage, clock, settings.sealing, settings.retention, turn)
 
 
 def _flights(settings: Settings, jobs: JobRunner) -> FlightAnalyses:
@@ -173,16 +175,17 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
     """Return the application over a migrated archive; its start-up starts the supervisor and the jobs."""
     clock = build_clock(settings, storage)
     feed = LiveFeed()
-    alarms = build_alarms(settings, storage, clock, feed)
-    supervisor = Supervisor(storage, feed, settings.chain_config(), alarms)
+    leading = Leading(storage.lease)
+    alarms = build_alarms(settings, storage, clock, feed, leading.turn)
+    supervisor = Supervisor(storage, feed, settings.chain_config(), alarms, leading.turn)
     jobs = JobRunner(storage.results, clock)
     # apart, so that no calibration waits for an analysis
     analyses = JobRunner(storage.results, clock)
 
-    upkeep = build_upkeep(settings, storage, clock)
+    upkeep = build_upkeep(settings, storage, clock, leading.turn)
 
     async def start() -> None:
-        jobs.start()
+        await asyncio.to_thread(leading.start, [jobs.start])
         upkeep.start()
         alarms.start()
         supervisor.start()
@@ -193,6 +196,7 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
         await asyncio.to_thread(jobs.stop)
         await asyncio.to_thread(analyses.stop)
         await asyncio.to_thread(upkeep.stop)
+        await asyncio.to_thread(leading.stop)
         await asyncio.to_thread(storage.close)
 
     context = ApiContext(

@@ -14,6 +14,7 @@ from service.ports.access import Audit, Keys
 from service.ports.archive import Archive
 from service.ports.catalogue import Catalogue
 from service.ports.clock import Clock
+from service.ports.lease import Lease
 from service.ports.release import Releases
 from service.ports.results import LIVE, Outcome, Results
 from service.ports.stations import Links, Traces
@@ -28,6 +29,7 @@ __all__ = [
     "Catalogue",
     "Clock",
     "Keys",
+    "Lease",
     "Links",
     "Notes",
     "Outcome",

@@ -23,6 +23,7 @@ from service.records.epoch import US_PER_S
 from service.runtime.alarm_case import AlarmCase
 from service.runtime.alarm_checks import ClockChecks
 from service.runtime.alarm_notices import NoticeChannels
+from service.runtime.leading import Turn, always, elsewhere
 from service.runtime.live_feed import Cursor, FeedEvent, LiveFeed
 from service.runtime.supervisor import Seen
 
@@ -55,6 +56,8 @@ class AlarmDesk:
         Time between looks at the clock.
     stale_periods : float
         Row periods that are waited for after a start before rows are missed.
+    turn : Turn
+        Tells whether this service leads: one that does not alarms nobody.
     """
 
     def __init__(
@@ -67,7 +70,11 @@ class AlarmDesk:
         *,
         check_period_s: float = 2.0,
         stale_periods: float = 3.0,
+        turn: Turn = always,
     ) -> None:
+        self._turn = turn
+        #: turn from which on the cases are what the archive holds
+        self._served_turn = 0
         self._storage = storage
         self._clock = clock
         self._feed = feed
@@ -148,6 +155,8 @@ class AlarmDesk:
         """Store limits as the next version and hold values against them."""
         with self._lock:
             stored = self._storage.alarms.put_limits(spacecraft_id, limits)
+            if not self._is_on_duty():
+                return stored
             with self._guarded(spacecraft_id):
                 self._tell(self._case(spacecraft_id).use_limits(stored, self._now_us(spacecraft_id)))
         return stored
@@ -155,6 +164,7 @@ class AlarmDesk:
     def sets_in_force(self, spacecraft_id: str) -> tuple[str, ...]:
         """Return the limit sets in force, as the newest row found them."""
         with self._lock:
+            self._is_on_duty()
             return self._case(spacecraft_id).book.circumstances.sets
 
     def present_value(self, alarm: Alarm) -> float:
@@ -168,6 +178,8 @@ class AlarmDesk:
         """Carry out an operator's order; stored when this returns."""
         with self._lock:
             stored = self._storage.alarms.alarm(alarm_id)
+            if not self._is_on_duty():
+                raise elsewhere()
             case = self._case(stored.spacecraft_id)
             # what could not be stored before goes first; where it still cannot, nothing has been touched
             self._tell(case.store(()))
@@ -200,6 +212,8 @@ class AlarmDesk:
     def _look_at_rows(self) -> None:
         """Look at everything that was handed over."""
         with self._lock:
+            if not self._is_on_duty():
+                self._queue.clear()
             while self._queue:
                 spacecraft_id, seen = self._queue.popleft()
                 with self._guarded(spacecraft_id):
@@ -216,6 +230,8 @@ class AlarmDesk:
         is_thorough = self._looks % _CHECKS_A_LOOK == 0
         self._looks += 1
         with self._lock:
+            if not self._is_on_duty():
+                return
             with self._guarded(None):
                 for spacecraft in self._storage.catalogue.all_spacecraft():
                     with self._guarded(spacecraft.id):
@@ -254,6 +270,14 @@ class AlarmDesk:
             for spacecraft_id in [name for name in self._cases if name is not None] if about is None else [about]:
                 self._feed.publish(spacecraft_id, (event,))
             self._notices.offer(change)
+
+    def _is_on_duty(self) -> bool:
+        """Return whether this service leads; what another one may have changed meanwhile is read anew."""
+        turn = self._turn()
+        if turn == 0 or turn != self._served_turn:
+            self._cases.clear()
+            self._served_turn = turn
+        return turn > 0
 
     def _case(self, spacecraft_id: str | None) -> AlarmCase:
         """Return the alarms of a spacecraft, from the archive where they are not at hand."""

@@ -40,10 +40,16 @@ class JobRunner:
         self._clock = clock
         self._executor = ThreadPoolExecutor(1, thread_name_prefix="soo-job")
         self._is_stopping = threading.Event()
+        self._lock = threading.Lock()
+        #: jobs of this process that have not ended
+        self._unfinished = 0
 
     def start(self) -> None:
-        """Mark what a former process left unfinished."""
-        self._results.fail_unfinished_jobs("the service was restarted while the job ran; start it again")
+        """Mark what a process that has ended left unfinished; called when this service begins to lead."""
+        with self._lock:
+            # unfinished jobs cannot be told from those of other services but by having none here
+            if not self._unfinished:
+                self._results.fail_unfinished_jobs("the service was restarted while the job ran; start it again")
 
     def stop(self) -> None:
         """Ask the running job to end at its next progress report and wait for it."""
@@ -53,7 +59,9 @@ class JobRunner:
     def add(self, kind: str) -> Job:
         """Store a job that waits for its work."""
         job = Job(f"{kind}-{uuid.uuid4().hex[:12]}", kind, JobState.QUEUED, 0.0, self._clock.system_us())
-        self._results.add_job(job)
+        with self._lock:
+            self._results.add_job(job)
+            self._unfinished += 1
         return job
 
     def run(self, job: Job, work: Callable[[Progress], None]) -> None:
@@ -78,3 +86,6 @@ class JobRunner:
         except Exception as error:  # noqa: BLE001 a job's fault must reach its operator, whatever it is
             _LOG.exception("job %s failed", job_id)
             self._results.update_job(job_id, JobState.FAILED, 1.0, f"internal error, see the log: {error!r}")
+        finally:
+            with self._lock:
+                self._unfinished -= 1

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from service.errors import StorageError
 from service.pipeline.alarm_readings import RowFacts
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
@@ -21,7 +22,9 @@ from service.records.inputs import AlignmentSet, AttitudeReference, CalibrationA
 from service.records.journal import JournalEntry
 from service.records.measurement import Measurement
 from service.runtime.consumer import Documents, consume, prepare
+from service.runtime.leading import Turn, always
 from service.runtime.live_feed import Cursor, FeedEvent, LiveFeed
+from service.runtime.relay import Relay
 
 _LOG = logging.getLogger("soo.supervisor")
 
@@ -29,6 +32,8 @@ _LOG = logging.getLogger("soo.supervisor")
 _ENTRIES_AT_ONCE = 256
 #: wait before an entry is tried again after the storage failed, s
 _RETRY_S = 1.0
+#: between two looks at the journals for what other services have taken in, s
+_POLL_S = 0.5
 
 
 #: what alarms look at
@@ -49,6 +54,8 @@ class _Follower:
 
     spacecraft_id: str
     chain: Chain
+    #: in which turn of leading the chain was brought back
+    turn: int
     consumed_number: int
     consumed_epoch_us: int | None
     #: sequence of the newest stored result
@@ -69,10 +76,21 @@ class Supervisor:
         Configuration of every chain.
     watcher : Watcher, optional
         Who looks at the rows.
+    turn : Turn, optional
+        Tells whether this service leads; while another one does, the feed is told what that one has stored.
     """
 
-    def __init__(self, storage: Storage, feed: LiveFeed, config: ChainConfig, watcher: Watcher | None = None) -> None:
+    def __init__(
+        self,
+        storage: Storage,
+        feed: LiveFeed,
+        config: ChainConfig,
+        watcher: Watcher | None = None,
+        turn: Turn = always,
+    ) -> None:
         self._storage = storage
+        self._turn = turn
+        self._relay = Relay(storage, feed)
         self._watcher = watcher
         self._feed = feed
         self._config = config
@@ -84,8 +102,7 @@ class Supervisor:
 
     def start(self) -> None:
         """Bring every chain back to where it was and follow the journals from there."""
-        for spacecraft in self._storage.catalogue.all_spacecraft():
-            self._due.add(spacecraft.id)
+        self._due.update(spacecraft.id for spacecraft in self._storage.catalogue.all_spacecraft())
         self._thread = threading.Thread(target=self._run, name="soo-supervisor", daemon=True)
         self._thread.start()
 
@@ -128,13 +145,29 @@ class Supervisor:
         """Follow journals until stopped."""
         while True:
             with self._wake:
-                while not self._due and not self._is_stopping:
-                    self._wake.wait()
+                if not self._due and not self._is_stopping:
+                    self._wake.wait(_POLL_S)
                 if self._is_stopping:
                     return
                 due, self._due = self._due, set()
-            for spacecraft_id in sorted(due):
+            for spacecraft_id in sorted(due or self._grown()):
                 self._follow_guarded(spacecraft_id)
+
+    def _grown(self) -> tuple[str, ...]:
+        """Return the spacecraft of which another service may have taken something in."""
+        try:
+            known = self._storage.catalogue.all_spacecraft()
+            return tuple(each.id for each in known if self._is_to_be_followed(each.id))
+        except StorageError:
+            # whoever uses the archive says so
+            return ()
+
+    def _is_to_be_followed(self, spacecraft_id: str) -> bool:
+        """Return whether there is something to consume, or to pass on."""
+        turn, follower = self._turn(), self._followers.get(spacecraft_id)
+        if turn == 0 or follower is None or follower.turn != turn:
+            return True
+        return self._storage.archive.head(spacecraft_id).newest_number > follower.consumed_number
 
     def _follow_guarded(self, spacecraft_id: str) -> None:
         """Follow one journal to its end; a fault is logged, the state is rebuilt and the journal tried again."""
@@ -149,8 +182,16 @@ class Supervisor:
 
     def _follow(self, spacecraft_id: str) -> None:
         """Consume all entries of one journal that are there."""
-        follower = self._followers.get(spacecraft_id) or self._rebuild(spacecraft_id)
-        while not self._is_stopping:
+        turn = self._turn()
+        if turn == 0:
+            self._followers.pop(spacecraft_id, None)
+            self._relay.look(spacecraft_id)
+            return
+        self._relay.forget()
+        follower = self._followers.get(spacecraft_id)
+        if follower is None or follower.turn != turn:
+            follower = self._rebuild(spacecraft_id, turn)
+        while not self._is_stopping and self._turn() == turn:
             entries = self._storage.archive.journal(spacecraft_id, follower.consumed_number, _ENTRIES_AT_ONCE)
             if not entries:
                 return
@@ -191,7 +232,7 @@ class Supervisor:
         if events and self._feed.has_subscribers(spacecraft_id):
             self._feed.publish(spacecraft_id, events)
 
-    def _rebuild(self, spacecraft_id: str) -> _Follower:
+    def _rebuild(self, spacecraft_id: str, turn: int) -> _Follower:
         """Bring a chain to where its results were stored, without storing or publishing anything."""
         archive, results = self._storage.archive, self._storage.results
         head = archive.head(spacecraft_id)
@@ -206,7 +247,8 @@ class Supervisor:
                     for _ in consume(chain, entry, archive, spacecraft_id):
                         pass
             position = entries[-1].number if entries else head.consumed_number
-        follower = _Follower(spacecraft_id, chain, head.consumed_number, head.consumed_epoch_us, head.result_sequence)
+        stood = (head.consumed_number, head.consumed_epoch_us, head.result_sequence)
+        follower = _Follower(spacecraft_id, chain, turn, *stood)
         self._followers[spacecraft_id] = follower
         return follower
 

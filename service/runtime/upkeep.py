@@ -13,6 +13,7 @@ from typing import TypeVar
 from service.ports import Clock, Storage
 from service.records.archive_upkeep import SERIES, Dropped, RetentionConfig, SealedPart, SealingConfig
 from service.records.epoch import US_PER_S, format_epoch
+from service.runtime.leading import Turn, always
 
 _LOG = logging.getLogger("soo.upkeep")
 _DAY_US = 86_400 * US_PER_S
@@ -34,9 +35,19 @@ class Upkeep:
         When days are packed.
     retention : RetentionConfig
         How long series are kept.
+    turn : Turn, optional
+        Tells whether this service leads: another one's archive is its own to look after.
     """
 
-    def __init__(self, storage: Storage, clock: Clock, sealing: SealingConfig, retention: RetentionConfig) -> None:
+    def __init__(
+        self,
+        storage: Storage,
+        clock: Clock,
+        sealing: SealingConfig,
+        retention: RetentionConfig,
+        turn: Turn = always,
+    ) -> None:
+        self._turn = turn
         self._storage = storage
         self._clock = clock
         self._sealing = sealing
@@ -77,7 +88,8 @@ class Upkeep:
     def _run(self) -> None:
         while not self._stopping.wait(self._sealing.period_s):
             try:
-                self.look_once()
+                if self._turn():
+                    self.look_once()
             except Exception:  # noqa: BLE001 as above
                 _LOG.exception("upkeep of the archive failed; it is tried again")
 

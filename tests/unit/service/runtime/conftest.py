@@ -286,3 +286,9 @@ def lived(_lived: Path, tmp_path: Path, payload: Any, synthetic: Any) -> Iterato
 def anyio_backend() -> str:
     """Run asynchronous tests on asyncio."""
     return "asyncio"
+
+
+@pytest.fixture
+def wait() -> Callable[..., None]:
+    """Return what waits until a condition holds."""
+    return wait_for

@@ -1,0 +1,64 @@
+"""Relay: tells the live feed of a service that does not lead what the leading one has stored.
+
+It looks at the archive some times a second. Rows and changes of alarms are told themselves; of results it is told
+where they stand, and each stream reads them from the archive, as it does after a gap.
+"""
+
+from service.ports import Storage
+from service.records.measurement import Measurement
+from service.runtime.live_feed import Cursor, FeedEvent, LiveFeed
+
+#: entries and changes read in one go
+_AT_ONCE = 256
+
+
+class Relay:
+    """Follows what is stored of each spacecraft.
+
+    Parameters
+    ----------
+    storage : Storage
+        The archive.
+    feed : LiveFeed
+        Where it is told.
+    """
+
+    def __init__(self, storage: Storage, feed: LiveFeed) -> None:
+        self._storage = storage
+        self._feed = feed
+        self._places: dict[str, Cursor] = {}
+
+    def forget(self) -> None:
+        """Begin with the present when it is needed again."""
+        self._places.clear()
+
+    def look(self, spacecraft_id: str) -> None:
+        """Tell what has come since the last look."""
+        present = self._present(spacecraft_id)
+        place = self._places.setdefault(spacecraft_id, present)
+        # who subscribes from here on finds in the archive what was stored up to this present
+        if not self._feed.has_subscribers(spacecraft_id):
+            self._places[spacecraft_id] = present
+            return
+        while events := self._events(spacecraft_id, place):
+            place = self._places[spacecraft_id] = events[-1].cursor
+            self._feed.publish(spacecraft_id, tuple(events))
+
+    def _present(self, spacecraft_id: str) -> Cursor:
+        head = self._storage.archive.head(spacecraft_id)
+        return Cursor(head.newest_number, head.result_sequence, self._storage.alarms.newest_sequence())
+
+    def _events(self, spacecraft_id: str, place: Cursor) -> list[FeedEvent]:
+        """Return the next events; the last one stands where all that was read ends."""
+        entries = self._storage.archive.journal(spacecraft_id, place.number, _AT_ONCE)
+        rows = [entry.content for entry in entries if isinstance(entry.content, Measurement)]
+        events = [FeedEvent("measurement", place._replace(number=row.number), row) for row in rows]
+        changes = self._storage.alarms.changes_after(spacecraft_id, place.alarm, _AT_ONCE)
+        events += [FeedEvent("alarm", place._replace(alarm=change.sequence), change) for change in changes]
+        sequence = self._storage.archive.head(spacecraft_id).result_sequence
+        end = Cursor(
+            entries[-1].number if entries else place.number,
+            sequence,
+            changes[-1].sequence if changes else place.alarm,
+        )
+        return [] if end == place else [*events, FeedEvent("status", end, None)]
