@@ -28,6 +28,7 @@ from service.runtime.flight_analyses import FlightAnalyses
 from service.runtime.jobs import JobRunner
 from service.runtime.leading import Leading, Turn, always
 from service.runtime.live_feed import LiveFeed
+from service.runtime.release_desk import ReleaseDesk
 from service.runtime.replaying import Replayer
 from service.runtime.supervisor import Supervisor
 from service.runtime.upkeep import Upkeep
@@ -221,6 +222,7 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
         aligner=Aligner(storage, clock, settings.alignment),
         replayer=Replayer(storage, clock, jobs, settings.chain_config()),
         flights=_flights(settings, analyses),
+        desk=ReleaseDesk(storage, clock),
         calibration=settings.calibration,
         kernels=settings.kernels,
     )

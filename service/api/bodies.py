@@ -86,10 +86,20 @@ def body_of(model: type[M]) -> Any:
     return Depends(read)
 
 
-def accepts(model: type[BaseModel], *, is_csv: bool = False) -> dict[str, Any]:
+def optional_body(model: type[M]) -> Any:
+    """Return the dependency that reads a body as a model; no body is the model without any field."""
+    adapter = TypeAdapter(model)
+
+    async def read(request: Request) -> M:
+        return await read_body(request, adapter) if await request.body() else model()
+
+    return Depends(read)
+
+
+def accepts(model: type[BaseModel], *, is_csv: bool = False, is_required: bool = True) -> dict[str, Any]:
     """Return what the OpenAPI document says about a body; ``openapi.py`` lifts the definitions out of it."""
     schema = model.model_json_schema(ref_template=_REF_TEMPLATE)
     content: dict[str, Any] = {"application/json": {"schema": schema}}
     if is_csv:
         content["text/csv"] = {"schema": {"type": "string"}}
-    return {"requestBody": {"required": True, "content": content}}
+    return {"requestBody": {"required": is_required, "content": content}}

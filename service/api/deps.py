@@ -22,6 +22,7 @@ from service.runtime.aligning import Aligner
 from service.runtime.calibrating import Calibrator
 from service.runtime.flight_analyses import FlightAnalyses
 from service.runtime.live_feed import LiveFeed
+from service.runtime.release_desk import ReleaseDesk
 from service.runtime.replaying import Replayer
 from service.runtime.supervisor import Supervisor
 
@@ -88,6 +89,8 @@ class ApiContext:
     aligner: Aligner
     replayer: Replayer
     flights: FlightAnalyses
+    #: interlock and commands
+    desk: ReleaseDesk
     #: how harmonics are fitted and carriers judged on demand
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
     #: administrator's key; None = every request is refused

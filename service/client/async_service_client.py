@@ -5,12 +5,12 @@
 
 import asyncio
 from collections.abc import AsyncIterator, Callable, Mapping
-from typing import Any, Self, cast
+from typing import Any, Literal, Self, cast
 
 from service.client import endpoints
 from service.client.async_transport import AsyncTransport
 from service.client.call import Call, Epoch
-from service.client.documents import Attitude, Job, Json, Measurement, PlanPut, Receipt, Status
+from service.client.documents import Attitude, Command, Control, Job, Json, Measurement, PlanPut, Receipt, Status
 from service.client.endpoints import PAGE_ROWS, Rows, below
 from service.client.event_lines import Follower, StreamEvent
 from service.client.jobs import JobWatch
@@ -258,3 +258,118 @@ class AsyncServiceClient:
         """
         params = endpoints.window(start, stop, limit, method=method, version=version)
         return cast("AsyncIterator[Attitude]", self.pages(below(spacecraft_id, "/attitude/history"), params))
+
+    # Release of torques
+
+    async def prepare_torques(
+        self,
+        spacecraft_id: str,
+        reason: str,
+        *,
+        attitude_epoch: Epoch | None = None,
+        start: Epoch | None = None,
+        duration_s: float | None = None,
+        max_torque_n_m: float | None = None,
+        dry_run: bool = False,
+    ) -> Command:
+        """Return a command that waits for another person to confirm its digest.
+
+        Parameters
+        ----------
+        spacecraft_id, reason : str
+            Spacecraft, and why.
+        attitude_epoch, start : str or int, optional
+            Estimate that was looked at, default the newest; begin of the schedule, default as soon as can be.
+        duration_s, max_torque_n_m : float, optional
+            Default the command period, and the limits of craft and wheels.
+        dry_run : bool
+            Only look: nothing is stored, and failing checks are told instead of refused.
+        """
+        epochs = {"attitude_epoch": attitude_epoch, "start": start}
+        figures = {"duration_s": duration_s, "max_torque_n_m": max_torque_n_m}
+        call = endpoints.prepare_torques(spacecraft_id, reason, epochs, figures, dry_run=dry_run)
+        return await self._transport.send(call)
+
+    async def command(self, spacecraft_id: str, command_id: int) -> Command:
+        """Return one command as it stands."""
+        return await self._transport.send(endpoints.command(spacecraft_id, command_id))
+
+    def commands(
+        self, spacecraft_id: str, start: Epoch | None = None, stop: Epoch | None = None, *, limit: int = PAGE_ROWS
+    ) -> AsyncIterator[Command]:
+        """Yield every command that was prepared in an interval; parameters as for `attitude_history`."""
+        params = endpoints.window(start, stop, limit)
+        return cast("AsyncIterator[Command]", self.pages(below(spacecraft_id, "/torques/commands"), params))
+
+    async def confirm_torques(self, spacecraft_id: str, command_id: int, digest: str, comment: str = "") -> Command:
+        """Return a command that another person prepared, released."""
+        return await self._transport.send(endpoints.confirm_torques(spacecraft_id, command_id, digest, comment))
+
+    async def cancel_torques(self, spacecraft_id: str, command_id: int, comment: str = "") -> Command:
+        """Take a prepared command back."""
+        return await self._transport.send(endpoints.cancel_torques(spacecraft_id, command_id, comment))
+
+    async def report_torques(
+        self,
+        spacecraft_id: str,
+        command_id: int,
+        turn: Literal["sent", "executed", "failed"],
+        *,
+        at: Epoch | None = None,
+        executed_from: Epoch | None = None,
+        executed_until: Epoch | None = None,
+    ) -> Command:
+        """Report what became of a released command; repeating a report is safe.
+
+        Parameters
+        ----------
+        spacecraft_id, command_id : str and int
+            Which command.
+        turn : str
+            ``sent``, ``executed`` or ``failed``.
+        at : str or int, optional
+            When; default now.
+        executed_from, executed_until : str or int, optional
+            Part that was carried out; default all of it (executed) or nothing (failed).
+        """
+        told = {"at": at, "executed_from": executed_from, "executed_until": executed_until}
+        return await self._transport.send(endpoints.report_torques(spacecraft_id, command_id, turn, told))
+
+    async def uplink(self, spacecraft_id: str, command_id: int) -> Json:
+        """Return what goes up of a released command."""
+        return await self._transport.send(endpoints.uplink(spacecraft_id, command_id))
+
+    async def attitude_uplink(self, spacecraft_id: str) -> Json:
+        """Return the newest angles for a spacecraft in mode onboard."""
+        return await self._transport.send(endpoints.attitude_uplink(spacecraft_id))
+
+    async def control(self, spacecraft_id: str) -> Control:
+        """Return what the interlock says, and why."""
+        return await self._transport.send(endpoints.control(spacecraft_id))
+
+    async def order_control(
+        self, spacecraft_id: str, order: Literal["arm", "disengage", "reset", "stop"], comment: str = ""
+    ) -> Control:
+        """Give the interlock an order; a comment goes to the shift log."""
+        return await self._transport.send(endpoints.order_control(spacecraft_id, order, {"comment": comment}))
+
+    async def engage_control(
+        self, spacecraft_id: str, until: Epoch, envelope: Mapping[str, float] | None = None, comment: str = ""
+    ) -> Control:
+        """Ask for standing authorisation, or join another person who asked for the same."""
+        return await self._transport.send(endpoints.engage_control(spacecraft_id, until, envelope, comment))
+
+    async def check_sign(self, spacecraft_id: str, axis: str | None = None, comment: str = "") -> Control:
+        """Begin to prove the sign of an axis; default the first that is not proven."""
+        body = {"axis": axis, "comment": comment}
+        return await self._transport.send(endpoints.order_control(spacecraft_id, "sign-check", body))
+
+    # Analyses
+
+    async def start_closed_loop(self, wish: Mapping[str, Any]) -> Json:
+        """Start a flight in the orbital frame; the answer names its job."""
+        return await self._transport.send(endpoints.start_closed_loop(wish))
+
+    async def closed_loop(self, job_id: str) -> Json:
+        """Return time series and figures of merit of a flight that is over."""
+        return await self._transport.send(endpoints.closed_loop(job_id))

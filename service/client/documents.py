@@ -134,3 +134,78 @@ class Status(TypedDict):
     method: str
     calibration_id: int | None
     alignment_id: int | None
+
+
+class Pulse(TypedDict):
+    """One element of a schedule; torque on the body."""
+
+    start: str
+    duration_s: float
+    roll_n_m: float
+    pitch_n_m: float
+    yaw_n_m: float
+
+
+class Check(TypedDict):
+    """One check of a command."""
+
+    name: str
+    ok: bool
+    detail: str
+
+
+class Command(TypedDict):
+    """A command that was prepared, as it stands."""
+
+    id: int
+    state: str
+    digest: str
+    counter: int
+    expires_at: str
+    purpose: str
+    reason: str
+    dry_run: bool
+    simulated: bool
+    automatic: bool
+    needs_approver: bool
+    attitude_epoch: str
+    start: str
+    stop: str
+    schedule: list[Pulse]
+    impulse_n_m_s: Angles
+    gross_impulse_n_m_s: Angles
+    predicted: Json
+    checks: list[Check]
+    schedule_check: Json | None
+    prepared_by: str
+    prepared_at: str
+    confirmed_by: str | None
+    comment: str
+    released_at: str | None
+    sent_at: str | None
+    reported_at: str | None
+    reported_by: str | None
+    executed: list[Pulse]
+
+
+class Control(TypedDict):
+    """What the interlock of a spacecraft says."""
+
+    state: Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "TRIPPED"]
+    since: str | None
+    reasons: list[str]
+    trips: list[str]
+    armed: bool
+    withheld: bool
+    release: str
+    mode: str
+    envelope: Json
+    authorised_by: list[str]
+    authorised_until: str | None
+    requested_by: str | None
+    requested_until: str | None
+    proven_axes: list[str]
+    open_commands: list[int]
+    unreported_commands: list[int]
+    sent_impulse_n_m_s: Angles
+    sign_check: Json | None

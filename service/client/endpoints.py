@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from service.client.call import Call, Epoch, epoch_text
-from service.client.documents import Attitude, Job, Json, PlanPut, Receipt, Status
+from service.client.documents import Attitude, Command, Control, Job, Json, PlanPut, Receipt, Status
 
 Rows = Sequence[Mapping[str, Any]]
 #: rows a page when nothing else is said: the most that the service gives
@@ -117,6 +117,80 @@ def attitude(spacecraft_id: str, method: str | None) -> Call[Attitude]:
 def torques(spacecraft_id: str) -> Call[Json]:
     """Look up the newest computed torque command."""
     return Call("GET", below(spacecraft_id, "/torques"))
+
+
+def prepare_torques(
+    spacecraft_id: str,
+    reason: str,
+    epochs: Mapping[str, Epoch | None],
+    figures: Mapping[str, float | None],
+    *,
+    dry_run: bool,
+) -> Call[Command]:
+    """Have a command prepared; never sent twice, for a second one would be another command."""
+    told = {name: epoch_text(at) for name, at in epochs.items() if at is not None}
+    wish = {"reason": reason, "dry_run": dry_run, **told, **figures}
+    return Call("POST", below(spacecraft_id, "/torques:prepare"), wish)
+
+
+def command(spacecraft_id: str, command_id: int) -> Call[Command]:
+    """Look up a command."""
+    return Call("GET", below(spacecraft_id, f"/torques/{command_id}"))
+
+
+def confirm_torques(spacecraft_id: str, command_id: int, digest: str, comment: str) -> Call[Command]:
+    """Confirm a command; never sent twice: a second one would be refused though the first released it."""
+    path = below(spacecraft_id, f"/torques/{command_id}:confirm")
+    return Call("POST", path, {"digest": digest, "comment": comment})
+
+
+def cancel_torques(spacecraft_id: str, command_id: int, comment: str) -> Call[Command]:
+    """Take a prepared command back."""
+    return Call("POST", below(spacecraft_id, f"/torques/{command_id}:cancel"), {"comment": comment})
+
+
+def report_torques(spacecraft_id: str, command_id: int, turn: str, told: Mapping[str, Any]) -> Call[Command]:
+    """Report what became of a command; the same report again changes nothing, so it may be sent again."""
+    body = {name: epoch_text(at) for name, at in told.items() if at is not None}
+    return Call("POST", below(spacecraft_id, f"/torques/{command_id}:{turn}"), body, is_keyed=True)
+
+
+def uplink(spacecraft_id: str, command_id: int) -> Call[Json]:
+    """Look up what goes up of a released command."""
+    return Call("GET", below(spacecraft_id, f"/torques/{command_id}/uplink"))
+
+
+def attitude_uplink(spacecraft_id: str) -> Call[Json]:
+    """Look up the newest angles for uplink."""
+    return Call("GET", below(spacecraft_id, "/attitude/uplink"))
+
+
+def control(spacecraft_id: str) -> Call[Control]:
+    """Look up what the interlock says."""
+    return Call("GET", below(spacecraft_id, "/control"))
+
+
+def order_control(spacecraft_id: str, order: str, body: Mapping[str, Any]) -> Call[Control]:
+    """Order the interlock; `order` is what stands behind the colon of the path."""
+    return Call("POST", below(spacecraft_id, f"/control:{order}"), body)
+
+
+def engage_control(
+    spacecraft_id: str, until: Epoch, envelope: Mapping[str, float] | None, comment: str
+) -> Call[Control]:
+    """Ask for standing authorisation."""
+    body = {"until": epoch_text(until), "envelope": envelope, "comment": comment}
+    return order_control(spacecraft_id, "engage", body)
+
+
+def start_closed_loop(wish: Mapping[str, Any]) -> Call[Json]:
+    """Start a flight in the orbital frame."""
+    return Call("POST", "/analyses/closed-loop", wish)
+
+
+def closed_loop(job_id: str) -> Call[Json]:
+    """Look up what a flight gave."""
+    return Call("GET", f"/analyses/closed-loop/{job_id}")
 
 
 def window(start: Epoch | None, stop: Epoch | None, limit: int, **filters: Any) -> Json:

@@ -6,11 +6,11 @@ Epochs go in as RFC 3339 text or as int64 microseconds UTC. Nothing is interpret
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Self, cast
+from typing import Any, Literal, Self, cast
 
 from service.client import endpoints
 from service.client.call import Epoch, epoch_text
-from service.client.documents import Attitude, Job, Json, Measurement, PlanPut, Receipt, Status
+from service.client.documents import Attitude, Command, Control, Job, Json, Measurement, PlanPut, Receipt, Status
 from service.client.endpoints import PAGE_ROWS, Rows, below
 from service.client.event_lines import Follower, StreamEvent
 from service.client.jobs import JobFailedError, JobWatch
@@ -255,3 +255,118 @@ class ServiceClient:
         """
         params = endpoints.window(start, stop, limit, method=method, version=version)
         return cast("Iterator[Attitude]", self.pages(below(spacecraft_id, "/attitude/history"), params))
+
+    # Release of torques
+
+    def prepare_torques(
+        self,
+        spacecraft_id: str,
+        reason: str,
+        *,
+        attitude_epoch: Epoch | None = None,
+        start: Epoch | None = None,
+        duration_s: float | None = None,
+        max_torque_n_m: float | None = None,
+        dry_run: bool = False,
+    ) -> Command:
+        """Return a command that waits for another person to confirm its digest.
+
+        Parameters
+        ----------
+        spacecraft_id, reason : str
+            Spacecraft, and why.
+        attitude_epoch, start : str or int, optional
+            Estimate that was looked at, default the newest; begin of the schedule, default as soon as can be.
+        duration_s, max_torque_n_m : float, optional
+            Default the command period, and the limits of craft and wheels.
+        dry_run : bool
+            Only look: nothing is stored, and failing checks are told instead of refused.
+        """
+        epochs = {"attitude_epoch": attitude_epoch, "start": start}
+        figures = {"duration_s": duration_s, "max_torque_n_m": max_torque_n_m}
+        call = endpoints.prepare_torques(spacecraft_id, reason, epochs, figures, dry_run=dry_run)
+        return self._transport.send(call)
+
+    def command(self, spacecraft_id: str, command_id: int) -> Command:
+        """Return one command as it stands."""
+        return self._transport.send(endpoints.command(spacecraft_id, command_id))
+
+    def commands(
+        self, spacecraft_id: str, start: Epoch | None = None, stop: Epoch | None = None, *, limit: int = PAGE_ROWS
+    ) -> Iterator[Command]:
+        """Yield every command that was prepared in an interval; parameters as for `attitude_history`."""
+        params = endpoints.window(start, stop, limit)
+        return cast("Iterator[Command]", self.pages(below(spacecraft_id, "/torques/commands"), params))
+
+    def confirm_torques(self, spacecraft_id: str, command_id: int, digest: str, comment: str = "") -> Command:
+        """Return a command that another person prepared, released."""
+        return self._transport.send(endpoints.confirm_torques(spacecraft_id, command_id, digest, comment))
+
+    def cancel_torques(self, spacecraft_id: str, command_id: int, comment: str = "") -> Command:
+        """Take a prepared command back."""
+        return self._transport.send(endpoints.cancel_torques(spacecraft_id, command_id, comment))
+
+    def report_torques(
+        self,
+        spacecraft_id: str,
+        command_id: int,
+        turn: Literal["sent", "executed", "failed"],
+        *,
+        at: Epoch | None = None,
+        executed_from: Epoch | None = None,
+        executed_until: Epoch | None = None,
+    ) -> Command:
+        """Report what became of a released command; repeating a report is safe.
+
+        Parameters
+        ----------
+        spacecraft_id, command_id : str and int
+            Which command.
+        turn : str
+            ``sent``, ``executed`` or ``failed``.
+        at : str or int, optional
+            When; default now.
+        executed_from, executed_until : str or int, optional
+            Part that was carried out; default all of it (executed) or nothing (failed).
+        """
+        told = {"at": at, "executed_from": executed_from, "executed_until": executed_until}
+        return self._transport.send(endpoints.report_torques(spacecraft_id, command_id, turn, told))
+
+    def uplink(self, spacecraft_id: str, command_id: int) -> Json:
+        """Return what goes up of a released command."""
+        return self._transport.send(endpoints.uplink(spacecraft_id, command_id))
+
+    def attitude_uplink(self, spacecraft_id: str) -> Json:
+        """Return the newest angles for a spacecraft in mode onboard."""
+        return self._transport.send(endpoints.attitude_uplink(spacecraft_id))
+
+    def control(self, spacecraft_id: str) -> Control:
+        """Return what the interlock says, and why."""
+        return self._transport.send(endpoints.control(spacecraft_id))
+
+    def order_control(
+        self, spacecraft_id: str, order: Literal["arm", "disengage", "reset", "stop"], comment: str = ""
+    ) -> Control:
+        """Give the interlock an order; a comment goes to the shift log."""
+        return self._transport.send(endpoints.order_control(spacecraft_id, order, {"comment": comment}))
+
+    def engage_control(
+        self, spacecraft_id: str, until: Epoch, envelope: Mapping[str, float] | None = None, comment: str = ""
+    ) -> Control:
+        """Ask for standing authorisation, or join another person who asked for the same."""
+        return self._transport.send(endpoints.engage_control(spacecraft_id, until, envelope, comment))
+
+    def check_sign(self, spacecraft_id: str, axis: str | None = None, comment: str = "") -> Control:
+        """Begin to prove the sign of an axis; default the first that is not proven."""
+        body = {"axis": axis, "comment": comment}
+        return self._transport.send(endpoints.order_control(spacecraft_id, "sign-check", body))
+
+    # Analyses
+
+    def start_closed_loop(self, wish: Mapping[str, Any]) -> Json:
+        """Start a flight in the orbital frame; the answer names its job."""
+        return self._transport.send(endpoints.start_closed_loop(wish))
+
+    def closed_loop(self, job_id: str) -> Json:
+        """Return time series and figures of merit of a flight that is over."""
+        return self._transport.send(endpoints.closed_loop(job_id))

@@ -96,6 +96,7 @@ async def soo(storage: SqlStorage) -> AsyncIterator[Soo]:
         aligner=cast("Any", None),
         replayer=cast("Any", None),
         flights=cast("Any", None),
+        desk=cast("Any", None),
         bootstrap_key=KEY,
         limits=limits,
         on_accepted=accepted.append,

@@ -18,6 +18,10 @@ TYPES = {
     documents.AllowedAxes: "AllowedAxesAnswer",
     documents.Exclusion: "ExclusionAnswer",
     documents.Status: "StatusAnswer",
+    documents.Pulse: "PulseAnswer",
+    documents.Check: "CheckAnswer",
+    documents.Command: "CommandAnswer",
+    documents.Control: "ControlAnswer",
 }
 
 

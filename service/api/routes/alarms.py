@@ -1,20 +1,19 @@
 """Alarms: what stands, what happened, and what operators do about it."""
 
-from typing import Annotated, Any
+from typing import Annotated
 
-from fastapi import APIRouter, Depends, Path, Query, Request, Response
-from pydantic import TypeAdapter
+from fastapi import APIRouter, Path, Query, Request, Response
 
 from service.api.auth import MAY_OPERATE, CurrentPrincipal
-from service.api.bodies import accepts, body_of, read_body
+from service.api.bodies import accepts, body_of
 from service.api.deps import Context, SpacecraftId
 from service.api.paging import Page, Place, cut_page
+from service.api.remarks import Said, accepts_remark
 from service.api.schemas.alarms import (
     AlarmAnswer,
     AlarmChangeAnswer,
     AlarmHistoryAnswer,
     AlarmPage,
-    RemarkDocument,
     ShelveDocument,
     StateWord,
 )
@@ -25,21 +24,6 @@ from service.records.alarm import Alarm
 list_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/alarms", tags=["alarms"])
 router = APIRouter(prefix="/alarms", tags=["alarms"])
 AlarmId = Annotated[int, Path(ge=1, le=2**53)]
-_REMARK: TypeAdapter[RemarkDocument] = TypeAdapter(RemarkDocument)
-
-
-async def _remark(request: Request) -> RemarkDocument:
-    """Return what the operator says; an empty body says nothing."""
-    return await read_body(request, _REMARK) if await request.body() else RemarkDocument()
-
-
-def _accepts_remark() -> dict[str, Any]:
-    """Return what the OpenAPI document says about a body that may be left out."""
-    told = accepts(RemarkDocument)
-    return {"requestBody": {**told["requestBody"], "required": False}}
-
-
-Said = Annotated[RemarkDocument, Depends(_remark)]
 
 
 @list_router.get("")
@@ -68,7 +52,7 @@ def get_alarm(alarm_id: AlarmId, context: Context) -> AlarmHistoryAnswer:
     return AlarmHistoryAnswer(alarm=AlarmAnswer.of(alarm, context.alarms.present_value(alarm)), changes=changes)
 
 
-@router.post("/{alarm_id}:acknowledge", dependencies=[MAY_OPERATE], openapi_extra=_accepts_remark())
+@router.post("/{alarm_id}:acknowledge", dependencies=[MAY_OPERATE], openapi_extra=accepts_remark())
 def acknowledge_alarm(alarm_id: AlarmId, body: Said, context: Context, principal: CurrentPrincipal) -> AlarmAnswer:
     """Say that the alarm was seen; it is told no more unless it becomes worse or comes back."""
     return _told(context, context.alarms.acknowledge(alarm_id, principal.name, body.comment))
@@ -85,13 +69,13 @@ def shelve_alarm(
     return _told(context, context.alarms.shelve(alarm_id, principal.name, body.comment, body.until))
 
 
-@router.post("/{alarm_id}:unshelve", dependencies=[MAY_OPERATE], openapi_extra=_accepts_remark())
+@router.post("/{alarm_id}:unshelve", dependencies=[MAY_OPERATE], openapi_extra=accepts_remark())
 def unshelve_alarm(alarm_id: AlarmId, body: Said, context: Context, principal: CurrentPrincipal) -> AlarmAnswer:
     """End a shelving before its time."""
     return _told(context, context.alarms.unshelve(alarm_id, principal.name, body.comment))
 
 
-@router.post("/{alarm_id}:clear", dependencies=[MAY_OPERATE], openapi_extra=_accepts_remark())
+@router.post("/{alarm_id}:clear", dependencies=[MAY_OPERATE], openapi_extra=accepts_remark())
 def clear_alarm(alarm_id: AlarmId, body: Said, context: Context, principal: CurrentPrincipal) -> AlarmAnswer:
     """Close the alarm; a condition that still stands alarms anew after its time."""
     return _told(context, context.alarms.clear(alarm_id, principal.name, body.comment))

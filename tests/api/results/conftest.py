@@ -53,6 +53,7 @@ from service.runtime.calibrating import Calibrator
 from service.runtime.flight_analyses import FlightAnalyses
 from service.runtime.jobs import JobRunner
 from service.runtime.live_feed import LiveFeed
+from service.runtime.release_desk import ReleaseDesk
 from service.runtime.replaying import Replayer
 from service.runtime.supervisor import Supervisor
 
@@ -306,6 +307,7 @@ async def bench(storage: SqlStorage) -> AsyncIterator[Bench]:
         aligner=Aligner(storage, clock, AlignmentConfig()),
         replayer=Replayer(storage, clock, jobs, config),
         flights=FlightAnalyses(jobs, lambda: fly),
+        desk=ReleaseDesk(storage, clock),
         bootstrap_key=KEY,
         limits=Limits(stream_heartbeat_s=0.3),
     )

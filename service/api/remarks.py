@@ -1,0 +1,30 @@
+"""What persons say to what they do: remarks that may be left out, comments that go to the shift log."""
+
+from typing import Annotated, Any
+
+from service.api.bodies import accepts, optional_body
+from service.api.deps import ApiContext
+from service.api.principals import Principal
+from service.api.schemas.alarms import RemarkDocument
+from service.records.note import Note
+
+TAG = "control"
+
+
+def accepts_remark() -> dict[str, Any]:
+    """Return what the OpenAPI document says about a remark that may be left out."""
+    return accepts(RemarkDocument, is_required=False)
+
+
+Said = Annotated[RemarkDocument, optional_body(RemarkDocument)]
+
+
+def log_comment(context: ApiContext, spacecraft_id: str, principal: Principal, order: str, comment: str) -> None:
+    """Write what a person says to an order into the shift log; nothing where nothing is said."""
+    if not comment.strip():
+        return
+    now_us = context.clock.system_us()
+    present_us = context.clock.now_us(spacecraft_id)
+    epoch_us = now_us if present_us is None else present_us
+    note = Note(0, spacecraft_id, epoch_us, now_us, principal.name, f"{order}: {comment}", (TAG,))
+    context.storage.notes.add(note)

@@ -1,0 +1,109 @@
+"""Control: the interlock's state, and orders of persons to it."""
+
+from typing import Annotated
+
+from fastapi import APIRouter
+
+from service.api.auth import MAY_APPROVE, MAY_OPERATE, CurrentPrincipal
+from service.api.bodies import accepts, optional_body
+from service.api.deps import Context, SpacecraftId
+from service.api.principals import Permission, Principal
+from service.api.problems import invalid_request
+from service.api.remarks import log_comment
+from service.api.schemas.control import ControlAnswer, OrderDocument, SignCheckDocument
+from service.errors import FieldError
+from service.pipeline.release_interlock.release_events import OrderKind
+
+router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["control"])
+Ordered = Annotated[OrderDocument, optional_body(OrderDocument)]
+_ACCEPTS_ORDER = accepts(OrderDocument, is_required=False)
+#: order in which signs are checked where none is named: yaw turns by the roll that it causes, so it comes last
+_CHECK_ORDER = ("roll", "pitch", "yaw")
+
+
+@router.get("/control")
+def get_control(spacecraft_id: SpacecraftId, context: Context) -> ControlAnswer:
+    """Return what the interlock says, and every reason that stands."""
+    return ControlAnswer.of(context.desk.control(spacecraft_id))
+
+
+@router.post("/control:arm", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_ORDER)
+def arm_control(
+    spacecraft_id: SpacecraftId, body: Ordered, context: Context, principal: CurrentPrincipal
+) -> ControlAnswer:
+    """Arm: from now on commands may be prepared and confirmed, unless a reason stands."""
+    return _order(context, spacecraft_id, OrderKind.ARM, principal, body)
+
+
+@router.post("/control:disengage", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_ORDER)
+def disengage_control(
+    spacecraft_id: SpacecraftId, body: Ordered, context: Context, principal: CurrentPrincipal
+) -> ControlAnswer:
+    """Take the standing authorisation back; where there is none, the arming."""
+    return _order(context, spacecraft_id, OrderKind.DISENGAGE, principal, body)
+
+
+@router.post("/control:reset", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_ORDER)
+def reset_control(
+    spacecraft_id: SpacecraftId, body: Ordered, context: Context, principal: CurrentPrincipal
+) -> ControlAnswer:
+    """Reset a trip once what tripped is over; ten good minutes and an arming follow."""
+    return _order(context, spacecraft_id, OrderKind.RESET, principal, body)
+
+
+@router.post("/control:stop", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_ORDER)
+def stop_control(
+    spacecraft_id: SpacecraftId, body: Ordered, context: Context, principal: CurrentPrincipal
+) -> ControlAnswer:
+    """Trip: no torque goes out until a reset; what has gone out already cannot be stopped."""
+    return _order(context, spacecraft_id, OrderKind.STOP, principal, body)
+
+
+@router.post("/control:engage", dependencies=[MAY_APPROVE], openapi_extra=accepts(OrderDocument))
+def engage_control(
+    spacecraft_id: SpacecraftId, body: Ordered, context: Context, principal: CurrentPrincipal
+) -> ControlAnswer:
+    """Ask for standing authorisation within an envelope, or join another person who asked for the same."""
+    if body.until is None:
+        detail = "say until when the authorisation holds, at most 12 h ahead"
+        raise invalid_request([FieldError("/until", "field.missing", detail)])
+    limits = None
+    if body.envelope is not None:
+        limits = body.envelope.to_limits(context.desk.control(spacecraft_id).envelope)
+    engaged = context.desk.engage(
+        spacecraft_id,
+        principal.name,
+        is_approver=principal.may(Permission.APPROVE),
+        until_us=body.until,
+        envelope=limits,
+    )
+    log_comment(context, spacecraft_id, principal, "engage", body.comment)
+    return ControlAnswer.of(engaged)
+
+
+@router.post(
+    "/control:sign-check", dependencies=[MAY_OPERATE], openapi_extra=accepts(SignCheckDocument, is_required=False)
+)
+def check_sign(
+    spacecraft_id: SpacecraftId,
+    body: Annotated[SignCheckDocument, optional_body(SignCheckDocument)],
+    context: Context,
+    principal: CurrentPrincipal,
+) -> ControlAnswer:
+    """Begin to prove the sign of an axis: small turns are prepared one by one, each to be confirmed and reported."""
+    axis: str | None = body.axis
+    if axis is None:
+        proven = context.desk.control(spacecraft_id).proven_axes
+        axis = next((each for each in _CHECK_ORDER if each not in proven), _CHECK_ORDER[0])
+    begun = context.desk.sign_check(spacecraft_id, axis, principal.name)
+    log_comment(context, spacecraft_id, principal, f"sign check of {axis}", body.comment)
+    return ControlAnswer.of(begun)
+
+
+def _order(
+    context: Context, spacecraft_id: str, kind: OrderKind, principal: Principal, body: OrderDocument
+) -> ControlAnswer:
+    """Return what the interlock says after an order."""
+    view = context.desk.order(spacecraft_id, kind, principal.name)
+    log_comment(context, spacecraft_id, principal, kind.value, body.comment)
+    return ControlAnswer.of(view)

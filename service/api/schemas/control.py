@@ -1,0 +1,158 @@
+"""Control: what the interlock says, and what persons order."""
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field
+
+from service.api.schemas.base import AnglesAnswer, Answer, Document, Epoch, EpochAnswer, Remark
+from service.records.catalogue import ControlMode, Release
+from service.records.release import ControlView, EnvelopeLimits, SignCheckView
+
+Limit = Annotated[float, Field(gt=0, le=1e3)]
+
+
+class EnvelopeDocument(Document):
+    """What a command may change at most about each axis; null: as wide as the settings allow."""
+
+    angle_change_deg: Limit | None = None
+    rate_change_deg_s: Limit | None = None
+    impulse_n_m_s: Limit | None = None
+    """Sum of the sizes of a command's pulses."""
+    impulse_an_hour_n_m_s: Limit | None = None
+    """The same over everything that was sent within an hour."""
+
+    def to_limits(self, widest: EnvelopeLimits) -> EnvelopeLimits:
+        """Return the limits, those that are not given from the widest allowed."""
+
+        def chosen(given: float | None, otherwise: float) -> float:
+            return otherwise if given is None else given
+
+        return EnvelopeLimits(
+            chosen(self.angle_change_deg, widest.angle_change_deg),
+            chosen(self.rate_change_deg_s, widest.rate_change_deg_s),
+            chosen(self.impulse_n_m_s, widest.impulse_n_m_s),
+            chosen(self.impulse_an_hour_n_m_s, widest.impulse_an_hour_n_m_s),
+        )
+
+
+class OrderDocument(Document):
+    """An order to the interlock; a comment goes to the shift log."""
+
+    until: Epoch | None = None
+    """End of a standing authorisation; engaging needs it, every other order leaves it unread."""
+    envelope: EnvelopeDocument | None = None
+    """Of a standing authorisation; null: that of the settings."""
+    comment: Remark = ""
+
+
+class SignCheckDocument(Document):
+    """Which axis is to be checked."""
+
+    axis: Literal["yaw", "roll", "pitch"] | None = None
+    """Null: the first of roll, pitch and yaw whose sign is not proven."""
+    comment: Remark = ""
+
+
+class EnvelopeAnswer(Answer):
+    """What a command may change at most about each axis."""
+
+    angle_change_deg: float
+    rate_change_deg_s: float
+    impulse_n_m_s: float
+    """Sum of the sizes of a command's pulses."""
+    impulse_an_hour_n_m_s: float
+    """The same over everything that was sent within an hour."""
+
+
+class SignCheckAnswer(Answer):
+    """The newest sign check, or the one that is under way."""
+
+    axis: Literal["yaw", "roll", "pitch"]
+    state: str
+    """running, plus (proven), minus, nothing, open, contradicted or interrupted."""
+    started_at: EpochAnswer
+    started_by: str
+    until: EpochAnswer
+    """It ends undecided then."""
+    legs: int
+    legs_done: int
+    """Reported executed."""
+    log_ratio: AnglesAnswer | None
+    wheels: str | None
+    """Yaw: the same word by wheel telemetry."""
+    detail: str
+
+    @classmethod
+    def of(cls, check: SignCheckView) -> Self:
+        """Return the answer that tells a sign check."""
+        return cls.model_validate(
+            {
+                "axis": check.axis,
+                "state": check.state,
+                "started_at": check.started_us,
+                "started_by": check.started_by,
+                "until": check.until_us,
+                "legs": check.legs,
+                "legs_done": check.legs_done,
+                "log_ratio": check.log_ratio,
+                "wheels": check.wheels,
+                "detail": check.detail,
+            }
+        )
+
+
+class ControlAnswer(Answer):
+    """What the interlock of a spacecraft says."""
+
+    state: Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "TRIPPED"]
+    since: EpochAnswer | None
+    reasons: list[str]
+    """Why no torque may go, or which axis is withheld; see the page of the interlock."""
+    trips: list[str]
+    """Latched until reset, a part of the reasons."""
+    armed: bool
+    withheld: bool
+    """Computed commands are zeroed: a trip under release automatic."""
+    release: Release
+    mode: ControlMode
+    envelope: EnvelopeAnswer
+    """That of the standing authorisation, else that of the settings."""
+    authorised_by: list[str]
+    authorised_until: EpochAnswer | None
+    requested_by: str | None
+    """Who waits for a second person to engage."""
+    requested_until: EpochAnswer | None
+    proven_axes: list[Literal["yaw", "roll", "pitch"]]
+    open_commands: list[int]
+    """Wait for a confirmation."""
+    unreported_commands: list[int]
+    """Wait for a report."""
+    sent_impulse_n_m_s: AnglesAnswer
+    """Sum of the sizes of what was sent within the hour."""
+    sign_check: SignCheckAnswer | None
+
+    @classmethod
+    def of(cls, view: ControlView) -> Self:
+        """Return the answer that tells what the interlock says."""
+        told: dict[str, Any] = {
+            "state": view.state,
+            # before anything ever happened there is no instant
+            "since": view.since_us or None,
+            "reasons": view.reasons,
+            "trips": view.trips,
+            "armed": view.is_armed,
+            "withheld": view.is_withheld,
+            "release": view.release,
+            "mode": view.mode,
+            "envelope": view.envelope,
+            "authorised_by": view.authorised_by,
+            "authorised_until": view.authorised_until_us,
+            "requested_by": view.requested_by,
+            "requested_until": view.requested_until_us,
+            "proven_axes": view.proven_axes,
+            "open_commands": view.open_commands,
+            "unreported_commands": view.unreported_commands,
+            "sent_impulse_n_m_s": view.sent_impulse_n_m_s,
+            "sign_check": None if view.sign_check is None else SignCheckAnswer.of(view.sign_check),
+        }
+        return cls.model_validate(told)

@@ -1,0 +1,221 @@
+"""Commands to be released: what a person wants, what was prepared, what became of it, what goes up."""
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field
+
+from service.api.schemas.base import AnglesAnswer, Answer, Document, Epoch, EpochAnswer, Remark, Text, WindowAnswer
+from service.api.schemas.torques import PulseAnswer, ScheduleCheckAnswer
+from service.records.command import Pulse
+from service.records.release import CommandView, CommandWish, ProductForm, Purpose, UplinkProduct
+
+#: a reason is asked for, so one must stand there
+Reason = Annotated[Remark, Field(min_length=1)]
+CommandState = Literal[
+    "PREPARED", "CONFIRMED", "RELEASED", "SENT", "EXECUTED", "FAILED", "EXPIRED", "CANCELLED", "REJECTED"
+]
+
+
+class PrepareDocument(Document):
+    """What a person wants to have prepared."""
+
+    reason: Reason
+    """Why; it stands with the command for ever."""
+    attitude_epoch: Epoch | None = None
+    """Estimate that the person has looked at; null: the newest."""
+    start: Epoch | None = None
+    """When the schedule begins; null: as soon as the uplink allows."""
+    duration_s: Annotated[float, Field(gt=0, le=86_400)] | None = None
+    """From the first pulse to the end of the last; null: the command period."""
+    max_torque_n_m: Annotated[float, Field(gt=0, le=1e3)] | None = None
+    """No pulse is stronger; null: the limit of the craft and its wheels."""
+    dry_run: bool = False
+    """True: nothing is stored, and checks that fail are told instead of refused."""
+
+    def to_wish(self) -> CommandWish:
+        """Return the wish as the release desk takes it."""
+        return CommandWish(self.reason, self.attitude_epoch, self.start, self.duration_s, self.max_torque_n_m)
+
+
+class ConfirmDocument(Document):
+    """What a second person confirms."""
+
+    digest: Annotated[Text, Field(min_length=1)]
+    """Of the command as it was prepared."""
+    comment: Remark = ""
+
+
+class ReportDocument(Document):
+    """What the centre tells of a released command; the same report again changes nothing."""
+
+    at: Epoch | None = None
+    """When it happened; null: now."""
+    executed_from: Epoch | None = None
+    """Part that was carried out; null: from the beginning."""
+    executed_until: Epoch | None = None
+    """Null: to the end (executed), or nothing at all (failed, with a null `executed_from`)."""
+
+
+class CheckAnswer(Answer):
+    """One check of a command."""
+
+    name: str
+    ok: bool
+    detail: str
+    """What is wrong; empty where nothing is."""
+
+
+class PredictedCommandAnswer(Answer):
+    """What a command will have done when its last pulse has ended, against no command."""
+
+    angle_change_deg: AnglesAnswer
+    rate_change_deg_s: AnglesAnswer
+    peak_angle_deg: AnglesAnswer
+    """Greatest on the way, with sign."""
+    peak_rate_deg_s: AnglesAnswer
+    wheel_momentum_n_m_s: list[float]
+    """Change of the stored momentum of each wheel."""
+
+
+class CommandAnswer(Answer):
+    """A command that was prepared, as it stands."""
+
+    id: int
+    """Its counter, which stands in paths and in the uplink product."""
+    state: CommandState
+    digest: str
+    """What a second person confirms: SHA-256 of counter, estimate, start and pulses to the last bit."""
+    counter: int
+    expires_at: EpochAnswer
+    """It cannot be confirmed from then on."""
+    purpose: Purpose
+    reason: str
+    dry_run: bool
+    simulated: bool
+    automatic: bool
+    """Released by standing authorisation."""
+    needs_approver: bool
+    """It waits for a second person, an approver."""
+    attitude_epoch: EpochAnswer
+    start: EpochAnswer
+    stop: EpochAnswer
+    schedule: list[PulseAnswer]
+    impulse_n_m_s: AnglesAnswer
+    gross_impulse_n_m_s: AnglesAnswer
+    """Sum of the sizes of the pulses: what the envelope counts."""
+    predicted: PredictedCommandAnswer
+    checks: list[CheckAnswer]
+    """As they were when it was prepared; all are made again when it is confirmed."""
+    schedule_check: ScheduleCheckAnswer | None
+    prepared_by: str
+    prepared_at: EpochAnswer
+    confirmed_by: str | None
+    comment: str
+    released_at: EpochAnswer | None
+    sent_at: EpochAnswer | None
+    reported_at: EpochAnswer | None
+    reported_by: str | None
+    executed: list[PulseAnswer]
+    """What of the schedule was carried out, by report."""
+
+    @classmethod
+    def of(cls, command: CommandView) -> Self:
+        """Return the answer that tells a command."""
+        computed = command.computed
+        return cls.model_validate(
+            {
+                "id": command.counter,
+                "state": command.state,
+                "digest": command.digest,
+                "counter": command.counter,
+                "expires_at": command.expires_us,
+                "purpose": command.purpose,
+                "reason": command.reason,
+                "dry_run": command.is_dry_run,
+                "simulated": command.is_simulated,
+                "automatic": command.is_automatic,
+                "needs_approver": command.state == "PREPARED",
+                "attitude_epoch": command.attitude_epoch_us,
+                "start": command.start_us,
+                "stop": command.stop_us,
+                "schedule": [_pulse(pulse) for pulse in command.schedule],
+                "impulse_n_m_s": command.impulse_n_m_s,
+                "gross_impulse_n_m_s": command.gross_impulse_n_m_s,
+                "predicted": {
+                    "angle_change_deg": command.angle_change_deg,
+                    "rate_change_deg_s": command.rate_change_deg_s,
+                    "peak_angle_deg": command.peak_angle_deg,
+                    "peak_rate_deg_s": command.peak_rate_deg_s,
+                    "wheel_momentum_n_m_s": command.wheel_momentum_n_m_s,
+                },
+                "checks": [{"name": each.name, "ok": each.is_ok, "detail": each.detail} for each in command.checks],
+                "schedule_check": None if computed is None else computed.schedule_check,
+                "prepared_by": command.prepared_by,
+                "prepared_at": command.prepared_us,
+                "confirmed_by": command.confirmed_by,
+                "comment": command.comment,
+                "released_at": command.released_us,
+                "sent_at": command.sent_us,
+                "reported_at": command.reported_us,
+                "reported_by": command.reported_by,
+                "executed": [_pulse(pulse) for pulse in command.executed],
+            }
+        )
+
+
+class CommandPage(Answer):
+    """Commands in order of their preparation."""
+
+    range: WindowAnswer
+    rows: list[CommandAnswer]
+    next: str | None
+
+
+class UplinkAnswer(Answer):
+    """What goes up through the centre's own channels; it never changes."""
+
+    form: ProductForm
+    counter: int
+    """Torques: that of the command; angles: rises by one with each product. A receiver takes none twice."""
+    created_at: EpochAnswer
+    valid_from: EpochAnswer
+    valid_until: EpochAnswer
+    """Not to be used from then on."""
+    attitude_epoch: EpochAnswer
+    simulated: bool
+    """Of a simulated spacecraft: never to be sent to a real one."""
+    digest: str | None
+    schedule: list[PulseAnswer]
+    """Torque on the body; every element ends by itself."""
+    attitude_deg: AnglesAnswer | None
+    sigma_deg: AnglesAnswer | None
+
+    @classmethod
+    def of(cls, product: UplinkProduct) -> Self:
+        """Return the answer that tells an uplink product."""
+        return cls.model_validate(
+            {
+                "form": product.form,
+                "counter": product.counter,
+                "created_at": product.created_us,
+                "valid_from": product.valid_from_us,
+                "valid_until": product.valid_until_us,
+                "attitude_epoch": product.attitude_epoch_us,
+                "simulated": product.is_simulated,
+                "digest": product.digest or None,
+                "schedule": [_pulse(pulse) for pulse in product.schedule],
+                "attitude_deg": product.attitude_deg,
+                "sigma_deg": product.sigma_deg,
+            }
+        )
+
+
+def _pulse(pulse: Pulse) -> dict[str, Any]:
+    """Return one element of a schedule."""
+    return {
+        "start": pulse.start_us,
+        "duration_s": pulse.duration_s,
+        "roll_n_m": pulse.torque_n_m.roll,
+        "pitch_n_m": pulse.torque_n_m.pitch,
+        "yaw_n_m": pulse.torque_n_m.yaw,
+    }

@@ -1,0 +1,256 @@
+"""Release of torques over the interface: what reaches the desk, how its answers and refusals leave, who may what."""
+
+from typing import Any
+
+import pytest
+
+from service.errors import ConflictError, ForbiddenError, GoneError, InvalidInputError, NotFoundError
+from service.records.release import CommandWish, EnvelopeLimits
+from tests.fakes.scripted_desk import AT_US, S, ScriptedDesk
+
+pytestmark = pytest.mark.anyio
+SC = "yamal-202"
+URL = f"/api/v1/spacecraft/{SC}"
+UNTIL = "2026-11-21T06:00:00.000000Z"
+UNTIL_US = AT_US + 3 * 3600 * S
+PREPARE = {"reason": "roll is off"}
+
+
+@pytest.fixture
+def desk(soo) -> ScriptedDesk:
+    """The desk of the service under test."""
+    scripted = ScriptedDesk()
+    object.__setattr__(soo.app.state.context, "desk", scripted)
+    return scripted
+
+
+async def key(soo: Any, name: str, role: str) -> dict[str, str]:
+    """Return the header of a new key."""
+    made = await soo.client.post("/api/v1/keys", json={"name": name, "role": role})
+    assert made.status_code == 201, made.text
+    return {"Authorization": f"Bearer {made.json()['key']}"}
+
+
+async def test_a_wish_reaches_the_desk_and_the_command_comes_back(soo, desk):
+    anna = await key(soo, "Anna", "operator")
+    wish = {
+        "reason": "roll is off",
+        "attitude_epoch": "2026-11-21T02:59:30Z",
+        "start": "2026-11-21T03:01:00Z",
+        "duration_s": 600.0,
+        "max_torque_n_m": 0.01,
+    }
+    answer = await soo.client.post(f"{URL}/torques:prepare", json=wish, headers=anna)
+    assert answer.status_code == 201, answer.text
+    wanted = CommandWish("roll is off", AT_US - 30 * S, AT_US + 60 * S, 600.0, 0.01)
+    assert desk.asked == [("prepare", SC, "Anna", wanted, False)]
+    assert answer.headers["location"] == f"{URL}/torques/7"
+    told = answer.json()
+    assert (told["id"], told["counter"], told["state"], told["digest"]) == (7, 7, "PREPARED", "ab" * 32)
+    assert told["expires_at"] == "2026-11-21T03:01:00.000000Z"
+    assert told["needs_approver"] is True
+    assert told["checks"] == [{"name": "envelope", "ok": True, "detail": ""}]
+    assert told["schedule"][0]["start"] == "2026-11-21T03:01:00.000000Z"
+    assert told["schedule"][0]["roll_n_m"] == 0.002
+    assert told["impulse_n_m_s"] == {"yaw": 0.0, "roll": 0.0, "pitch": 0.0}
+    assert told["predicted"]["angle_change_deg"]["roll"] == 0.04
+    assert told["schedule_check"] is None
+
+
+async def test_a_dry_run_stores_nothing_and_says_so(soo, desk):
+    answer = await soo.client.post(f"{URL}/torques:prepare", json={**PREPARE, "dry_run": True})
+    assert (answer.status_code, answer.json()["dry_run"]) == (200, True)
+    assert "location" not in answer.headers
+    assert desk.asked[0][-1] is True
+
+
+async def test_confirm_takes_digest_and_person(soo, desk):
+    boris = await key(soo, "Boris", "approver")
+    body = {"digest": "ab" * 32, "comment": "looked at the pulses"}
+    answer = await soo.client.post(f"{URL}/torques/7:confirm", json=body, headers=boris)
+    assert answer.status_code == 200, answer.text
+    said = {"is_approver": True, "comment": "looked at the pulses"}
+    assert desk.asked == [("confirm", SC, 7, "Boris", "ab" * 32, said)]
+    assert (answer.json()["state"], answer.json()["confirmed_by"]) == ("RELEASED", "Boris")
+    assert answer.json()["needs_approver"] is False
+
+
+@pytest.mark.parametrize("turn", ["sent", "executed", "failed"])
+async def test_reports_reach_the_desk_with_and_without_a_body(soo, desk, turn):
+    plain = await soo.client.post(f"{URL}/torques/7:{turn}")
+    assert (plain.status_code, plain.json()["state"]) == (200, turn.upper())
+    times = {"at": "2026-11-21T03:05:00Z", "executed_from": "2026-11-21T03:01:00Z", "executed_until": None}
+    await soo.client.post(f"{URL}/torques/7:{turn}", json=times)
+    nothing = {"by": "bootstrap", "at_us": None, "executed_from_us": None, "executed_until_us": None}
+    some = {**nothing, "at_us": AT_US + 300 * S, "executed_from_us": AT_US + 60 * S}
+    assert [(asked[:4], asked[4]) for asked in desk.asked] == [
+        (("report", SC, 7, turn), nothing),
+        (("report", SC, 7, turn), some),
+    ]
+
+
+@pytest.mark.parametrize("order", ["arm", "disengage", "reset", "stop"])
+async def test_orders_reach_the_desk_and_what_is_said_goes_to_the_shift_log(soo, desk, spacecraft, order):
+    await soo.client.post("/api/v1/spacecraft", json=spacecraft)
+    anna = await key(soo, "Anna", "operator")
+    for body in ({"content": b""}, {"json": {"comment": "shift begins"}}):
+        answer = await soo.client.post(f"{URL}/control:{order}", headers=anna, **body)
+        assert (answer.status_code, answer.json()["state"]) == (200, "ARMED"), answer.text
+    assert desk.asked == [("order", SC, order, "Anna")] * 2
+    notes = (await soo.client.get("/api/v1/notes", params={"spacecraft_id": SC})).json()["rows"]
+    assert [(note["text"], note["author"], note["tags"]) for note in notes] == [
+        (f"{order}: shift begins", "Anna", ["control"])
+    ]
+
+
+async def test_engage_asks_with_the_limits_that_are_given_and_the_rest_as_wide_as_allowed(soo, desk):
+    boris = await key(soo, "Boris", "approver")
+    body = {"until": UNTIL, "envelope": {"impulse_n_m_s": 0.01}}
+    answer = await soo.client.post(f"{URL}/control:engage", json=body, headers=boris)
+    assert answer.status_code == 200, answer.text
+    terms = {"is_approver": True, "until_us": UNTIL_US, "envelope": EnvelopeLimits(0.1, 3e-4, 0.01, 0.1)}
+    assert desk.asked == [("control", SC), ("engage", SC, "Boris", terms)]
+    await soo.client.post(f"{URL}/control:engage", json={"until": UNTIL}, headers=boris)
+    assert desk.asked[-1][-1]["envelope"] is None
+
+
+async def test_a_sign_check_takes_the_axis_or_the_first_that_is_not_proven(soo, desk):
+    assert (await soo.client.post(f"{URL}/control:sign-check", json={"axis": "yaw"})).status_code == 200
+    assert (await soo.client.post(f"{URL}/control:sign-check")).status_code == 200
+    orders = [asked for asked in desk.asked if asked[0] == "sign_check"]
+    assert [order[2] for order in orders] == ["yaw", "pitch"]
+
+
+async def test_what_stands_can_be_read(soo, desk):
+    viewer = await key(soo, "Vera", "viewer")
+    control = (await soo.client.get(f"{URL}/control", headers=viewer)).json()
+    assert (control["state"], control["reasons"], control["proven_axes"]) == ("ARMED", ["yaw_sign"], ["roll"])
+    assert (control["since"], control["authorised_until"]) == ("2026-11-21T03:00:00.000000Z", None)
+    assert control["envelope"]["impulse_n_m_s"] == 0.02
+    assert control["sign_check"]["log_ratio"] == {"yaw": 0.0, "roll": -12.0, "pitch": -40.0}
+    command = (await soo.client.get(f"{URL}/torques/7", headers=viewer)).json()
+    assert (command["prepared_by"], command["executed"]) == ("Anna", [])
+    product = (await soo.client.get(f"{URL}/torques/7/uplink", headers=viewer)).json()
+    assert (product["form"], product["counter"], product["simulated"]) == ("torques", 7, True)
+    assert [pulse["duration_s"] for pulse in product["schedule"]] == [4.0, 4.0]
+    angles = (await soo.client.get(f"{URL}/attitude/uplink", headers=viewer)).json()
+    assert (angles["form"], angles["counter"], angles["digest"]) == ("attitude", 41, None)
+    assert angles["attitude_deg"] == {"yaw": None, "roll": 0.02, "pitch": -0.01}
+
+
+async def test_commands_are_listed_page_by_page(soo, desk, spacecraft):
+    await soo.client.post("/api/v1/spacecraft", json=spacecraft)
+    first = (await soo.client.get(f"{URL}/torques/commands", params={"limit": 1})).json()
+    assert [row["id"] for row in first["rows"]] == [7]
+    second = (await soo.client.get(f"{URL}/torques/commands", params={"limit": 1, "cursor": first["next"]})).json()
+    assert ([row["id"] for row in second["rows"]], second["next"]) == ([8], None)
+    assert (await soo.client.get("/api/v1/spacecraft/nobody/torques/commands")).status_code == 404
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [
+        (ConflictError("interlock.inhibited", "control is inhibited: fade"), 409),
+        (ConflictError("interlock.simulated", "the data clock runs"), 409),
+        (ConflictError("command.digest", "another digest"), 409),
+        (ConflictError("envelope.exceeded", "roll: impulse .03 N m s, allowed .02"), 409),
+        (GoneError("command.expired", "prepare anew"), 410),
+        (ForbiddenError("command.second_person", "another person"), 403),
+        (NotFoundError("command.unknown", "no command 7"), 404),
+        (InvalidInputError("report.interval", "ends before it begins"), 422),
+    ],
+)
+async def test_refusals_of_the_desk_leave_as_problems_and_stand_in_the_audit_log(soo, desk, error, status):
+    desk.error = error
+    calls = [
+        ("torques:prepare", PREPARE),
+        ("torques/7:confirm", {"digest": "ab"}),
+        ("torques/7:cancel", {}),
+        ("torques/7:executed", {}),
+        ("control:arm", {"comment": "not told: it was refused"}),
+        ("control:engage", {"until": UNTIL}),
+        ("control:sign-check", {"axis": "roll"}),
+    ]
+    for path, body in calls:
+        answer = await soo.client.post(f"{URL}/{path}", json=body)
+        problem = answer.json()
+        assert (answer.status_code, problem["code"], problem["detail"]) == (status, error.code, error.detail), path
+    audit = (await soo.client.get("/api/v1/audit", params={"outcome": "done"})).json()
+    assert [entry for entry in audit["rows"] if SC in entry["target"]] == []
+    assert (await soo.client.get("/api/v1/notes")).json()["rows"] == []
+
+
+async def test_every_order_stands_in_the_audit_log_with_person_and_body(soo, desk):
+    anna, boris = await key(soo, "Anna", "operator"), await key(soo, "Boris", "approver")
+    orders = [
+        (anna, "torques:prepare", PREPARE, "prepare_torques"),
+        (boris, "torques/7:confirm", {"digest": "ab"}, "confirm_torques"),
+        (anna, "torques/7:cancel", {}, "cancel_torques"),
+        (anna, "torques/7:sent", {}, "report_sent"),
+        (anna, "torques/7:executed", {}, "report_executed"),
+        (anna, "torques/7:failed", {}, "report_failed"),
+        (anna, "control:arm", {}, "arm_control"),
+        (boris, "control:engage", {"until": UNTIL}, "engage_control"),
+        (anna, "control:disengage", {}, "disengage_control"),
+        (anna, "control:reset", {}, "reset_control"),
+        (anna, "control:sign-check", {}, "check_sign"),
+        (anna, "control:stop", {}, "stop_control"),
+    ]
+    for headers, path, body, _ in orders:
+        answer = await soo.client.post(f"{URL}/{path}", json=body, headers=headers)
+        assert answer.status_code in (200, 201), answer.text
+    found = (await soo.client.get("/api/v1/audit")).json()["rows"]
+    told = [entry for entry in found if SC in entry["target"]]
+    assert [(entry["action"], entry["target"], entry["who"]) for entry in told] == [
+        (action, f"/spacecraft/{SC}/{path}", "Anna" if headers is anna else "Boris")
+        for headers, path, _, action in orders
+    ]
+    assert all(entry["outcome"] == "done" and entry["body_sha256"] for entry in told)
+
+
+@pytest.mark.parametrize(
+    ("role", "path"),
+    [
+        ("viewer", "torques:prepare"),
+        ("station", "torques/7:executed"),
+        ("operator", "torques/7:confirm"),
+        ("operator", "control:engage"),
+        ("station", "control:stop"),
+    ],
+)
+async def test_who_may_not_is_stopped_before_the_desk(soo, desk, role, path):
+    headers = await key(soo, "Nobody", role)
+    answer = await soo.client.post(f"{URL}/{path}", json={"digest": "ab", "until": UNTIL}, headers=headers)
+    assert (answer.status_code, answer.json()["code"]) == (403, "key.forbidden")
+    assert desk.asked == []
+
+
+@pytest.mark.parametrize(
+    ("path", "body", "code", "pointer"),
+    [
+        ("torques:prepare", {}, "field.missing", "/reason"),
+        ("torques:prepare", {"reason": ""}, "value.length", "/reason"),
+        ("torques:prepare", {**PREPARE, "duration_s": 0.0}, "value.range", "/duration_s"),
+        ("torques:prepare", {**PREPARE, "max_torque_n_m": -0.1}, "value.range", "/max_torque_n_m"),
+        ("torques:prepare", {**PREPARE, "max_torque_n_m": "0.1"}, "value.type", "/max_torque_n_m"),
+        ("torques:prepare", {**PREPARE, "start": "soon"}, "epoch.malformed", "/start"),
+        ("torques:prepare", {**PREPARE, "axis": "roll"}, "field.unknown", "/axis"),
+        ("torques/7:confirm", {}, "field.missing", "/digest"),
+        ("torques/7:confirm", {"digest": ""}, "value.length", "/digest"),
+        ("torques/7:executed", {"at": 5}, "epoch.malformed", "/at"),
+        ("torques/7:executed", {"until": UNTIL}, "field.unknown", "/until"),
+        ("torques/x:executed", {}, "value.type", "/path/command_id"),
+        ("torques/0:executed", {}, "value.range", "/path/command_id"),
+        ("control:engage", {}, "field.missing", "/until"),
+        ("control:engage", {"until": UNTIL, "envelope": {"impulse_n_m_s": 0.0}}, "value.range", None),
+        ("control:engage", {"until": UNTIL, "envelope": {"impulse": 0.1}}, "field.unknown", None),
+        ("control:arm", {"comment": "a\u0000b"}, "value.pattern", "/comment"),
+        ("control:sign-check", {"axis": "x"}, "value.choice", "/axis"),
+    ],
+)
+async def test_bad_bodies_are_refused_by_place_and_never_reach_the_desk(soo, desk, path, body, code, pointer):
+    answer = await soo.client.post(f"{URL}/{path}", json=body)
+    problem = answer.json()
+    assert (answer.status_code, problem["code"]) == (422, code), answer.text
+    assert pointer in (None, problem["errors"][0]["pointer"])
+    assert desk.asked == []
