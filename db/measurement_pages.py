@@ -12,8 +12,8 @@ from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, selec
 
 from db.database import beyond, within
 from db.mapping import MEASUREMENT_COLUMNS, RECEIVED_AT_US, measurement_of, measurements_of
-from db.power_codec import unpack_powers
 from db.measurement_runs import Cursor, OrderedRows, Run, end_us
+from db.power_codec import unpack_powers
 from db.segments import (
     SegmentCache,
     SegmentHead,
