@@ -163,6 +163,7 @@ _STAGE_MEANINGS: dict[str, tuple[str, str]] = {
     "robust.chain_walk_db_sqrt_h": ("random walk of the receiving chain, dB per square root of hour", TUNED),
     "robust.common_reference_sigma_db": ("what all references may have wrong together at an alignment, dB", TUNED),
     "robust.min_white_db": ("white noise of a carrier is never believed to be below this, dB", TUNED),
+    "robust.yaw_validity_limit_deg": ("yaw beyond it is left alone, deg", CHOSEN),
     "robust.yaw_sigma_limit_deg": ("greatest sigma with which the robust method lets yaw be controlled, deg", TUNED),
     "robust.innovation_limit": ("mean normalised innovation squared above which control is withheld", TUNED),
     "robust.relearned_share": ("share of references learned anew above which an alignment is advised", TUNED),

@@ -143,6 +143,8 @@ class RobustConfig:
     min_white_db: float = 0.02
     #: greatest own sigma of yaw with which it is controlled, deg
     yaw_sigma_limit_deg: float = 0.125
+    #: yaw beyond it is left alone, deg; it moves no station by more than a sixth of itself
+    yaw_validity_limit_deg: float = 1.0
     #: running mean of the normalised innovation squared above which the model is not believed
     innovation_limit: float = 2.0
     #: share of references learned anew above which an alignment is advised
@@ -172,7 +174,7 @@ class OperationConfig:
 class InterlockConfig:
     """What inhibits control."""
 
-    #: validity of the linear model in roll and pitch, deg; yaw beyond it withholds the yaw torque only
+    #: validity of the model in roll and pitch, deg; under `paper` yaw beyond it withholds the yaw torque only
     validity_limit_deg: float = 0.4
     #: greatest own sigma with which an axis is controlled, deg
     yaw_sigma_limit_deg: float = 0.20

@@ -148,6 +148,7 @@ def step_robust(
         is_catch_up=is_catch_up,
         has_inhibiting_operation=bool(knowledge.inhibiting_operations(measurement.epoch_us)),
         validity_limit_deg=config.interlock.validity_limit_deg,
+        yaw_validity_limit_deg=config.robust.yaw_validity_limit_deg,
     )
     after = RobustState(told.state, commanded, state.released, measurement.source)
     return RobustStep(row, expected_dbm, deviation_db, fixed.residual_db(model), after)

@@ -46,6 +46,7 @@ def filtered_row(
     is_catch_up: bool,
     has_inhibiting_operation: bool,
     validity_limit_deg: float,
+    yaw_validity_limit_deg: float,
 ) -> AttitudeRow:
     """Return the archive's row of one step of the filter."""
     told = fixed.told
@@ -72,7 +73,7 @@ def filtered_row(
         rates_deg_s=named_axes(fixed.rates_deg_s),
         status=Status.ACQUIRED if len(told.used) >= MIN_CARRIERS else Status.EXPIRED,
         control_allowed=not inhibitions,
-        control_allowed_axes=_allowed_axes(told, inhibitions, validity_limit_deg),
+        control_allowed_axes=_allowed_axes(told, inhibitions, yaw_validity_limit_deg),
         inhibitions=inhibitions,
         carriers_used=len(told.used),
         excluded=_exclusions(model, fixed),
