@@ -3,9 +3,9 @@
 ``automatic`` sends what the chain computes; ``truth`` applies the chain's law to the true state, the best that the law
 could do with perfect sensing; ``off`` sends nothing and has to fail.
 
-A craft behind a link must have its commands before they begin: every pulse is sent a lead time ahead, and the chain
-hears of it when the report of its execution has come, which is what release in two steps does. Over an ideal uplink
-there is no lead, and a command counts as applied from its epoch (release ``automatic``).
+A craft behind a link must have its commands before they begin: they are released in two steps (`released.Releaser`), a
+lead time ahead and for a whole horizon. Over an ideal uplink there is no lead, and a command counts as applied from its
+epoch (release ``automatic``).
 """
 
 from dataclasses import dataclass, field, replace
@@ -14,15 +14,17 @@ from typing import Protocol
 
 import numpy as np
 
+from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S
 from service.pipeline.chain import Chain
 from service.pipeline.config import TorqueConfig
 from service.pipeline.wheel_torques import NO_CARRY, compute_command
 from service.records.attitude import AttitudeRow, Axes, FloatArray, Status
 from service.records.catalogue import Method, Spacecraft
-from service.records.command import AppliedCommand, Pulse, TorqueCommand
+from service.records.command import Pulse, TorqueCommand
 from service.records.epoch import US_PER_S
 from service.records.measurement import Measurement
 from service.study.closed_loop.plant_process import CommandReport, CraftTruth
+from service.study.closed_loop.released import Releaser
 
 #: the slowest way to the craft takes two minutes
 LEAD_S = 150.0
@@ -76,30 +78,27 @@ class ByChain:
     """The service's chain and the law in it."""
 
     chain: Chain
-    #: 0 = an ideal uplink
-    lead_s: float
-    _under_way: dict[int, AppliedCommand] = field(default_factory=dict)
+    #: None = an ideal uplink: what the chain computes counts as applied from its epoch
+    release: Releaser | None = None
 
     def decide(self, measurement: Measurement, truth: CraftTruth, counter: int) -> Decision:  # noqa: ARG002
-        """Return what the chain computes from the powers of the row."""
+        """Return what the chain computes from the powers of the row, or what is released of it."""
         outcome = self.chain.step(measurement)
         if outcome is None or outcome.command is None:
             return Decision(is_inhibited=True)
-        command = postponed(outcome.command, self.lead_s)
-        if command.control_allowed and not self.lead_s:
-            self.chain.learn(AppliedCommand(command))
-        elif command.schedule:
-            self._under_way[counter] = AppliedCommand(command)
         driving = next((row for row in outcome.rows if row.method is Method.ROBUST), None)
         angles = None if driving is None else driving.attitude_deg
-        return Decision(command.schedule, not command.control_allowed, angles)
+        command, schedule = outcome.command, outcome.command.schedule
+        if self.release is not None and driving is not None:
+            schedule = self.release.wanted(outcome, driving, measurement, counter)
+        elif outcome.applied is not None:
+            self.chain.learn(outcome.applied)
+        return Decision(schedule, not command.control_allowed, angles)
 
     def hear(self, reports: tuple[CommandReport, ...]) -> None:
-        """Tell the chain what was executed."""
-        for report in reports:
-            applied = self._under_way.pop(report.counter, None) if report.state == "executed" else None
-            if applied is not None:
-                self.chain.learn(applied)
+        """Take what the craft has told of released commands."""
+        if self.release is not None:
+            self.release.hear(reports)
 
 
 @dataclass
@@ -138,7 +137,7 @@ def _row_of_truth(measurement: Measurement, truth: CraftTruth) -> AttitudeRow:
         method=Method.ROBUST,
         attitude_deg=truth.attitude_deg,
         sigma_deg=Axes(0.0, 0.0, 0.0),
-        rates_deg_s=truth.rates_deg_s,
+        rates_deg_s=_rates_of_angles(truth),
         status=Status.ACQUIRED,
         control_allowed=True,
         control_allowed_axes=(True, True, True),
@@ -152,3 +151,10 @@ def _row_of_truth(measurement: Measurement, truth: CraftTruth) -> AttitudeRow:
         calibration_id=None,
         alignment_id=None,
     )
+
+
+def _rates_of_angles(truth: CraftTruth) -> Axes:
+    """Return how the angles turn: what torques have given, and the exchange of roll and yaw."""
+    rates, exchange = truth.rates_deg_s, GEOSTATIONARY_RATE_RAD_S
+    yaw_deg, roll_deg, _ = truth.attitude_deg
+    return Axes(rates.yaw - exchange * roll_deg, rates.roll + exchange * yaw_deg, rates.pitch)

@@ -41,10 +41,13 @@ class CommandReport(NamedTuple):
     """What the craft tells of a command."""
 
     counter: int
-    #: executed, repeated, late or refused
+    #: executed, executing, replaced, repeated, late or refused
     state: str
     #: N m s, of what was executed
     impulse_n_m_s: Axes
+    told_us: int = 0
+    #: end of what was executed; None = nothing was
+    executed_until_us: int | None = None
 
 
 @dataclass(frozen=True)
@@ -204,7 +207,9 @@ def _row(here: _Gathered, power_dbm: FloatArray | None) -> PlantRow:
 
 
 def _report(line: Line) -> CommandReport:
-    return CommandReport(line["counter"], line["state"], Axes(**line.get("impulse_n_m_s", dict.fromkeys(_AXES, 0.0))))
+    impulse = Axes(**line.get("impulse_n_m_s", dict.fromkeys(_AXES, 0.0)))
+    until_us = parse_epoch(line["executed_until"]) if "executed_until" in line else None
+    return CommandReport(line["counter"], line["state"], impulse, parse_epoch(line["told"]), until_us)
 
 
 def _powers(line: Line) -> FloatArray:

@@ -9,15 +9,21 @@ import numpy as np
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
 from service.records.attitude import BoolArray, FloatArray
-from service.records.catalogue import Release
+from service.records.catalogue import Method, Release, Spacecraft
 from service.records.inputs import AlignmentSet, CalibrationActivation, PlanChange, SpacecraftChange
 from service.records.measurement import Measurement
 from service.study.closed_loop.controllers import LEAD_S, ByChain, ByTruth, Controller, Idle, Sensing
 from service.study.closed_loop.ground_knowledge import ground_of, slow_inputs
 from service.study.closed_loop.plant_process import PlantProcess, PlantRow
+from service.study.closed_loop.released import Releaser
 from service.study.estimation.drive import UndrivenError, align, calibrate
 from service.study.estimation.journal import Documents
 from service.study.estimation.world import Ground
+
+#: what the craft tells of commands
+STATES = ("executed", "executing", "replaced", "repeated", "late", "refused")
+#: N m, one sigma of what the craft's own loop does not feed forward, as its catalogue would state it
+RESIDUAL_TORQUE_N_M = 5e-7
 
 
 class LoopUnit(NamedTuple):
@@ -90,20 +96,27 @@ def fly_unit(unit: LoopUnit) -> LoopResult:
 
 def _controller(unit: LoopUnit, ground: Ground, documents: Documents, plan: PlanChange) -> Controller:
     """Return who closes the loop."""
-    lead_s = 0.0 if unit.uplink == "ideal" else LEAD_S
-    control = replace(ground.spacecraft.control, release=Release.AUTOMATIC)
-    spacecraft = replace(ground.spacecraft, control=control)
+    is_ideal = unit.uplink == "ideal"
+    spacecraft = _flown_spacecraft(ground.spacecraft, Release.AUTOMATIC if is_ideal else Release.TWO_STEP)
     if unit.sensing is Sensing.OFF:
         return Idle()
     if unit.sensing is Sensing.TRUTH:
-        return ByTruth(spacecraft, lead_s, float(np.median(np.diff(ground.epochs_us))) / 1e6)
+        automatic = _flown_spacecraft(ground.spacecraft, Release.AUTOMATIC)
+        return ByTruth(automatic, 0.0 if is_ideal else LEAD_S, float(np.median(np.diff(ground.epochs_us))) / 1e6)
     opening = (SpacecraftChange(spacecraft, 1), plan, documents.add_ephemeris(ground.ephemeris))
     documents.calibrations[1] = calibrate(ground, documents.plans[1], documents.ephemerides[1])
     documents.alignments[1] = align(ground, documents)
-    chain = Chain(documents, _config(unit))
+    config = _config(unit)
+    chain = Chain(documents, config, methods=(Method.ROBUST,))
     for content in (*opening, CalibrationActivation(1, 1), AlignmentSet(1)):
         chain.learn(content)
-    return ByChain(chain, lead_s)
+    return ByChain(chain, None if is_ideal else Releaser(chain, spacecraft, LEAD_S, config.torque))
+
+
+def _flown_spacecraft(spacecraft: Spacecraft, release: Release) -> Spacecraft:
+    """Return the catalogue's spacecraft under a way of release, with the torque that its loop does not feed forward."""
+    onboard = replace(spacecraft.onboard, residual_torque_n_m=RESIDUAL_TORQUE_N_M)
+    return replace(spacecraft, onboard=onboard, control=replace(spacecraft.control, release=release))
 
 
 def _config(unit: LoopUnit) -> ChainConfig:
@@ -149,14 +162,15 @@ class _Journal:
 def _fly(plant: PlantProcess, controller: Controller, journal: _Journal) -> Flight:
     """Fly to the end of the story."""
     truth, estimates, inhibited, faded = [], [], [], []
-    impulse, reported, sent = np.zeros(3), dict.fromkeys(("executed", "repeated", "late", "refused"), 0), 0
+    impulse, reported, sent = np.zeros(3), dict.fromkeys(STATES, 0), 0
     nothing = (np.nan,) * 3
     for row in plant.rows():
         journal.learn(row, controller)
         controller.hear(row.reports)
         for report in row.reports:
             reported[report.state] += 1
-            impulse += np.abs(report.impulse_n_m_s)
+            if report.state == "executed":
+                impulse += np.abs(report.impulse_n_m_s)
         angles, is_inhibited = None, True
         if row.power_dbm is not None:
             decision = controller.decide(journal.measurement(row), row.truth, sent + 1)
