@@ -1,7 +1,9 @@
-"""The service of the ingest benchmark: the real application and server, over the real archive or over none.
+"""The service of the ingest benchmark: the real application and server, over the real archive or over another.
 
 Run ``python -m bench.ingest_server --archive durable --database sqlite:///file.db``. It announces its address as
-``soo serve`` does. With ``--archive none`` the endpoint is the same, but rows count as stored the moment they come.
+``soo serve`` does. The endpoint is always the same. With ``--archive none`` rows count as stored the moment they come,
+with ``--archive each`` every request is committed by a thread of its own, with ``--archive single`` by the product's
+one writer, which takes nothing along.
 """
 
 import argparse
@@ -13,6 +15,8 @@ from typing import Any
 
 import uvicorn
 
+import db.writer
+from bench.commit_per_request import CommitPerRequest
 from service.api.server import StreamingServer
 from service.bootstrap import build_app, build_storage
 from service.records.measurement import BatchReceipt, MeasurementBatch
@@ -55,14 +59,18 @@ class NoArchive:
 def main() -> None:
     """Serve until told to stop."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--archive", choices=("durable", "none"), required=True)
+    parser.add_argument("--archive", choices=("durable", "none", "each", "single"), required=True)
     parser.add_argument("--database", required=True)
     options = parser.parse_args()
     os.environ |= {"SOO_DATABASE_URL": options.database, "SOO_CLOCK": "data"}
     settings = Settings()
+    if options.archive == "single":
+        db.writer.GROUP_LIMIT = 1
     storage = build_storage(settings)
     if options.archive == "none":
         storage.archive = NoArchive(storage.archive)
+    elif options.archive == "each":
+        storage.archive = CommitPerRequest(storage.archive, options.database)
     app = build_app(settings, storage)
     listener = socket.socket()
     listener.bind(("127.0.0.1", 0))
