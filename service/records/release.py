@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import NamedTuple
 
 from service.records.attitude import Axes
 from service.records.command import Pulse, ReleasedCommand, ReportedCommand, TorqueCommand
@@ -37,6 +38,14 @@ class InterlockHold:
         return str(self.version)
 
 
+class SignRatios(NamedTuple):
+    """Log-likelihood of each answer of a craft against the best of them."""
+
+    plus: float
+    nothing: float
+    minus: float
+
+
 @dataclass(frozen=True, slots=True)
 class SignCheckView:
     """The newest sign check, or the one that is under way."""
@@ -52,8 +61,8 @@ class SignCheckView:
     legs: int
     #: reported executed
     legs_done: int
-    #: log-likelihood of plus, nothing and minus against the best of them, by the powers
-    log_ratio: Axes | None = None
+    #: by the powers
+    log_ratio: SignRatios | None = None
     #: yaw: the same word by wheel telemetry
     wheels: str | None = None
     #: why a leg could not be prepared or what is waited for

@@ -2,6 +2,7 @@
 
 from service.errors import ConflictError, ForbiddenError, GoneError, InvalidInputError, NotFoundError, SooError
 from service.pipeline.release_interlock.release_events import Refusal
+from service.records.catalogue import ControlMode, Release, Spacecraft
 
 #: every other code is a conflict
 _KINDS: dict[str, type[SooError]] = {
@@ -24,3 +25,15 @@ def error_of(refusal: Refusal) -> SooError:
     GoneError('command.expired: prepare anew')
     """
     return _KINDS.get(refusal.code, ConflictError)(refusal.code, refusal.detail)
+
+
+def require_release(spacecraft: Spacecraft) -> None:
+    """Raise ConflictError ``control.mode`` or ``release.automatic`` where no command is released one by one."""
+    control, onboard = spacecraft.control, spacecraft.onboard
+    if control.mode is not ControlMode.GROUND:
+        raise ConflictError("control.mode", f"{spacecraft.id} takes no torques: its mode is {control.mode.value}")
+    if not (onboard.fast_loop and onboard.forecast_mode):
+        raise ConflictError("control.mode", f"{spacecraft.id} states no fast loop or no Forecast mode on board")
+    if control.release is Release.AUTOMATIC:
+        detail = "computed commands of this spacecraft count as applied; nothing is prepared or authorised"
+        raise ConflictError("release.automatic", detail)

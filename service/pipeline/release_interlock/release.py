@@ -60,7 +60,7 @@ from service.records.epoch import US_PER_S
 
 _HOUR_US = 3600 * US_PER_S
 #: reasons of the estimator that the interlock judges itself, by wider limits
-_OWN_AFFAIR = frozenset({"beyond_validity", "sigma_roll", "sigma_pitch"})
+OWN_AFFAIR = frozenset({"beyond_validity", "sigma_roll", "sigma_pitch"})
 _TRIGGERS = {
     OrderKind.ARM: Trigger.ARM,
     OrderKind.DISENGAGE: Trigger.DISENGAGE,
@@ -188,7 +188,7 @@ def _with_row(interlock: Interlock, event: RowSeen, settings: ReleaseSettings) -
     is_after_gap = before is not None and row.epoch_us - before.epoch_us > _stale_us(before, settings)
     since_us = _since(interlock.durations.innovation_since_us, event.at.now_us, is_so=not row.is_innovation_in_band)
     durations = replace(interlock.durations, innovation_since_us=since_us)
-    others = tuple(reason for reason in row.inhibitions if reason not in _OWN_AFFAIR)
+    others = tuple(reason for reason in row.inhibitions if reason not in OWN_AFFAIR)
     return replace(interlock, row=replace(row, is_after_gap=is_after_gap, inhibitions=others), durations=durations)
 
 

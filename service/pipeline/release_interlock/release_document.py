@@ -7,36 +7,65 @@ default, one that the code does not have any more is passed over; a text that do
 """
 
 import json
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from enum import Enum
 from functools import cache
 from types import NoneType, UnionType
 from typing import Any, get_args, get_origin, get_type_hints
 
+from service.pipeline.release_interlock.interlock_conditions import Durations, Surroundings
 from service.pipeline.release_interlock.release_events import ReleaseState
+from service.records.release import SignCheckView
 
 
-def document_of(state: ReleaseState) -> str:
-    """Return the text of a state."""
-    return json.dumps(_plain(state), separators=(",", ":"))
+@dataclass(frozen=True, slots=True)
+class ReleaseMemory:
+    """What is stored of the release of one spacecraft as one document."""
+
+    state: ReleaseState = field(default_factory=ReleaseState)
+    #: the newest, or the one that is under way
+    sign_check: SignCheckView | None = None
 
 
-def state_of(document: str) -> ReleaseState:
-    """Return the state of a text; the state before the first event for an empty one.
+def document_of(memory: ReleaseMemory) -> str:
+    """Return the text of a memory."""
+    return json.dumps(_plain(memory), separators=(",", ":"))
+
+
+def memory_of(document: str) -> ReleaseMemory:
+    """Return the memory of a text; that before the first event for an empty one.
 
     Raises
     ------
     ValueError
-        The text is not that of a state.
+        The text is not that of a memory.
     """
     if not document:
-        return ReleaseState()
+        return ReleaseMemory()
     try:
-        state: ReleaseState = _read(ReleaseState, json.loads(document))
+        memory: ReleaseMemory = _read(ReleaseMemory, json.loads(document))
     except (KeyError, TypeError, AttributeError) as error:
         message = f"the stored state of the release cannot be read: {error!r}"
         raise ValueError(message) from error
-    return state
+    return memory
+
+
+def essence(state: ReleaseState) -> ReleaseState:
+    """Return what of a state must not be lost; rows and surroundings are told anew after a restart."""
+    interlock = state.interlock
+    calibration_id, plan_id, version = interlock.configuration
+    around = Surroundings(calibration_id=calibration_id, plan_id=plan_id, spacecraft_version=version)
+    kept = replace(
+        interlock,
+        row=None,
+        around=around,
+        durations=Durations(),
+        clock=None,
+        good_since_us=None,
+        standing=(),
+    )
+    # impulses are kept with the release that they belong to
+    return replace(state, interlock=kept, sent=())
 
 
 def _plain(value: Any) -> Any:
@@ -82,7 +111,7 @@ def _read_tuple(kinds: tuple[Any, ...], value: Any) -> tuple[Any, ...]:
 def _names(kind: Any) -> tuple[str, ...] | None:
     """Return the fields of a record, None for what is no record."""
     if is_dataclass(kind):
-        return tuple(field.name for field in fields(kind))
+        return tuple(each.name for each in fields(kind))
     named: tuple[str, ...] | None = getattr(kind, "_fields", None)
     return named
 

@@ -1,6 +1,6 @@
 """Settings of the release interlock; the defaults are those of its table in the reference."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from service.core.control.envelope import Envelope
 from service.records.epoch import US_PER_S
@@ -10,8 +10,11 @@ from service.records.epoch import US_PER_S
 class ReleaseSettings:
     """What inhibits, what trips, and how long things last."""
 
-    #: beyond it no command goes, whoever confirms it
-    envelope: Envelope = field(default_factory=Envelope)
+    #: envelope about each axis: beyond it no command goes, whoever confirms it
+    angle_change_deg: float = 0.1
+    rate_change_deg_s: float = 3e-4
+    impulse_n_m_s: float = 0.02
+    impulse_an_hour_n_m_s: float = 0.1
     #: an estimate is too old after this many row periods and so many seconds
     stale_periods: float = 3.0
     stale_margin_s: float = 30.0
@@ -47,7 +50,7 @@ class ReleaseSettings:
     uplink_lead_s: float = 150.0
     #: persons are given this long before a schedule has to be released, where they do not say when it begins
     confirm_s: float = 180.0
-    #: a sign check of roll or pitch ends undecided after this long, one of yaw after the second and not before the third
+    #: a sign check of roll or pitch ends undecided after this long; one of yaw after the second, and it takes the third
     sign_check_s: float = 2700.0
     yaw_sign_check_s: float = 18_000.0
     yaw_sign_least_s: float = 10_800.0
@@ -58,6 +61,13 @@ class ReleaseSettings:
     #: commands that may be without a report at a time, and how long after their end
     max_unreported: int = 1
     report_s: float = 600.0
+    #: time passes for the interlock at least this often
+    tick_s: float = 10.0
+
+    @property
+    def envelope(self) -> Envelope:
+        """Return the envelope beyond which no command goes."""
+        return Envelope(self.angle_change_deg, self.rate_change_deg_s, self.impulse_n_m_s, self.impulse_an_hour_n_m_s)
 
 
 def microseconds(seconds: float) -> int:

@@ -7,9 +7,10 @@ from dataclasses import replace
 import pytest
 from release_driver import GOOD, ReleaseDriver
 
-from service.pipeline.release_interlock.release_document import document_of, state_of
-from service.pipeline.release_interlock.release_events import OrderKind, ReleaseState
+from service.pipeline.release_interlock.release_document import ReleaseMemory, document_of, memory_of
+from service.pipeline.release_interlock.release_events import OrderKind
 from service.records.attitude import Axes
+from service.records.release import SignCheckView, SignRatios
 
 
 def stories():
@@ -27,25 +28,27 @@ def stories():
 
 @pytest.mark.parametrize("driver", list(stories()))
 def test_a_state_comes_back_equal(driver):
-    assert state_of(document_of(driver.state)) == driver.state
+    check = SignCheckView("roll", "running", 5, "ann", 9, 4, 1, log_ratio=SignRatios(0.0, -3.5, -math.inf))
+    for memory in (ReleaseMemory(driver.state), ReleaseMemory(driver.state, check)):
+        assert memory_of(document_of(memory)) == memory
 
 
 def test_not_a_number_and_infinity_come_back():
     driver = ReleaseDriver().armed()
     driver.rows(1, replace(GOOD, attitude_deg=Axes(math.nan, -0.0, math.inf)))
-    angles = state_of(document_of(driver.state)).interlock.row.attitude_deg
+    angles = memory_of(document_of(ReleaseMemory(driver.state))).state.interlock.row.attitude_deg
     assert repr(tuple(angles)) == "(nan, -0.0, inf)"
 
 
 def test_an_empty_text_is_the_state_before_the_first_event():
-    assert state_of("") == ReleaseState()
+    assert memory_of("") == ReleaseMemory()
 
 
 def test_a_field_that_is_not_there_takes_its_default_and_one_too_many_is_passed_over():
-    document = json.loads(document_of(ReleaseDriver().armed().state))
-    del document["interlock"]["proven_axes"]
-    document["interlock"]["former"] = 7
-    assert state_of(json.dumps(document)).interlock.proven_axes == ()
+    document = json.loads(document_of(ReleaseMemory(ReleaseDriver().armed().state)))
+    del document["state"]["interlock"]["proven_axes"]
+    document["state"]["interlock"]["former"] = 7
+    assert memory_of(json.dumps(document)).state.interlock.proven_axes == ()
 
 
 @pytest.mark.parametrize(
@@ -60,6 +63,6 @@ def test_a_field_that_is_not_there_takes_its_default_and_one_too_many_is_passed_
     ],
 )
 def test_a_text_that_does_not_fit_is_refused(change):
-    document = json.loads(document_of(ReleaseState()))
+    document = json.loads(document_of(ReleaseMemory()))
     with pytest.raises(ValueError, match=r"."):
-        state_of(json.dumps({**document, **change}))
+        memory_of(json.dumps({"state": {**document["state"], **change}}))

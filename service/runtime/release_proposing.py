@@ -1,0 +1,147 @@
+"""What is proposed for release: commands of the control law, for persons and for a standing authorisation."""
+
+from dataclasses import replace
+
+from service.errors import ConflictError, InvalidInputError
+from service.pipeline.config import TorqueConfig
+from service.pipeline.release_interlock.interlock import Instant, Interlock
+from service.pipeline.release_interlock.release import OWN_AFFAIR, settled_at
+from service.pipeline.release_interlock.release_checks import release_checks
+from service.pipeline.release_interlock.release_events import Proposal
+from service.pipeline.release_interlock.release_proposals import proposal_of
+from service.pipeline.release_interlock.release_settings import ReleaseSettings, microseconds
+from service.pipeline.schedule_verdict import PanelSwing, swing_after
+from service.pipeline.wheel_torques import command_for
+from service.ports import Releases
+from service.records.attitude import AttitudeRow
+from service.records.calibration import Window
+from service.records.catalogue import Spacecraft
+from service.records.command import TorqueCommand
+from service.records.epoch import US_PER_S
+from service.records.release import CommandWish
+from service.runtime.release_entry import ReleaseEntry
+from service.runtime.release_views import Dress, check_views
+
+#: what was sent longer ago has left nothing in the flexible modes
+_SWING_US = 3 * 3600 * US_PER_S
+_COMMANDS_AT_ONCE = 500
+
+
+class Proposals:
+    """Commands that may be asked to be released.
+
+    Parameters
+    ----------
+    releases : Releases
+        What was released before.
+    settings : ReleaseSettings
+        Lead of the uplink, time for persons, limits.
+    torque : TorqueConfig
+        Of the control law.
+    """
+
+    def __init__(self, releases: Releases, settings: ReleaseSettings, torque: TorqueConfig) -> None:
+        self._releases = releases
+        self._settings = settings
+        self._torque = torque
+
+    def wished(
+        self, entry: ReleaseEntry, spacecraft: Spacecraft, wish: CommandWish, at: Instant
+    ) -> tuple[Proposal, Dress]:
+        """Return what a person wants as a proposal, with every check as it stands.
+
+        ConflictError ``command.no_estimate``, ``command.estimate_stale``; InvalidInputError ``command.wish``.
+        """
+        row, settings = _row_of(entry), self._settings
+        stale_us = microseconds(settings.stale_periods * entry.period_s + settings.stale_margin_s)
+        epoch_us = wish.attitude_epoch_us
+        if epoch_us is not None and not 0 <= row.epoch_us - epoch_us <= stale_us:
+            raise ConflictError("command.estimate_stale", "attitude_epoch is not that of a recent estimate")
+        start_us = wish.start_us or soonest_start_us(at.now_us, settings, is_for_persons=True)
+        duration_s = wish.duration_s or spacecraft.control.forecast_horizon_s
+        if not 0.0 < duration_s <= settings.latest_stop_s:
+            raise InvalidInputError("command.wish", f"duration_s must lie between 0 and {settings.latest_stop_s:g} s")
+        if not -US_PER_S <= start_us - at.now_us <= microseconds(settings.latest_stop_s):
+            detail = f"start must lie ahead of the spacecraft's clock by at most {settings.latest_stop_s:g} s"
+            raise InvalidInputError("command.wish", detail)
+        command = self.law(entry, spacecraft, start_us, duration_s, wish.max_torque_n_m)
+        try:
+            proposal = proposal_of(command, spacecraft, wish.reason)
+        except ValueError as error:
+            raise InvalidInputError("command.wish", str(error)) from error
+        return proposal, self._dressed(entry, spacecraft, proposal, command, at)
+
+    def law(
+        self,
+        entry: ReleaseEntry,
+        spacecraft: Spacecraft,
+        start_us: int,
+        duration_s: float,
+        max_torque_n_m: float | None = None,
+    ) -> TorqueCommand:
+        """Return what the law wants from an instant on; what the interlock withholds is left out."""
+        row = _row_of(entry)
+        return command_for(
+            allowed_row(row, entry.case.state.interlock),
+            spacecraft,
+            start_us,
+            duration_s,
+            max_torque_n_m,
+            self._torque,
+            None if entry.seen is None else entry.seen.disturbance,
+            None if entry.facts is None else entry.facts.momentum_n_m_s(row.epoch_us),
+            swing=swing_left(self._releases, spacecraft, start_us),
+        )
+
+    def _dressed(
+        self, entry: ReleaseEntry, spacecraft: Spacecraft, proposal: Proposal, command: TorqueCommand, at: Instant
+    ) -> Dress:
+        """Return what a proposal carries beside itself."""
+        settled = settled_at(entry.case.state, at, self._settings)
+        envelope, waiting_s = self._settings.envelope, self._settings.prepared_s
+        checks = release_checks(settled, proposal, at, self._settings, envelope=envelope, waiting_s=waiting_s)
+        return Dress(spacecraft, check_views(checks), command)
+
+
+def allowed_row(row: AttitudeRow, interlock: Interlock) -> AttitudeRow:
+    """Return a row with the reasons and axes that hold for the release.
+
+    The interlock judges range and sigma itself, by limits that let an approver bring a craft back from beyond the
+    range of automatic control.
+    """
+    reasons = tuple(reason for reason in row.inhibitions if reason not in OWN_AFFAIR)
+    yaw, roll, pitch = row.control_allowed_axes
+    if not reasons:
+        roll = pitch = True
+    return replace(
+        row,
+        inhibitions=reasons,
+        control_allowed=not reasons,
+        control_allowed_axes=(yaw and not interlock.is_yaw_withheld, roll, pitch),
+    )
+
+
+def swing_left(releases: Releases, spacecraft: Spacecraft, now_us: int) -> PanelSwing | None:
+    """Return what released schedules have left in the flexible modes; unreported ones count as carried out."""
+    if not spacecraft.modes:
+        return None
+    swing = None
+    window = Window(now_us - _SWING_US, now_us + 1)
+    for command in releases.commands(spacecraft.id, window, _COMMANDS_AT_ONCE, None):
+        if command.released_us is not None:
+            schedule = command.schedule if command.reported_us is None else command.executed
+            swing = swing_after(swing, schedule, spacecraft)
+    return swing
+
+
+def soonest_start_us(now_us: int, settings: ReleaseSettings, *, is_for_persons: bool) -> int:
+    """Return when a schedule may begin at the soonest; persons get time to confirm it."""
+    waiting_s = settings.confirm_s if is_for_persons else 0.0
+    return now_us + microseconds(settings.uplink_lead_s + waiting_s)
+
+
+def _row_of(entry: ReleaseEntry) -> AttitudeRow:
+    """Return the newest row, ConflictError ``command.no_estimate`` before it."""
+    if entry.row is None:
+        raise ConflictError("command.no_estimate", "there is no row of the method that drives control yet")
+    return entry.row

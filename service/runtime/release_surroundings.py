@@ -1,0 +1,159 @@
+"""What the interlock must know beside the rows, asked of the archive."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+
+from service.errors import NotFoundError
+from service.pipeline.release_interlock.interlock_conditions import Surroundings
+from service.ports import Storage
+from service.records.calibration import CalibrationMethod, CalibrationState, Window
+from service.records.catalogue import Method, Spacecraft
+from service.records.epoch import US_PER_S
+from service.records.inputs import Operation, TelemetryRecord
+
+#: operations are looked for so far back: a burn of then without a new ephemeris still counts
+_OPERATIONS_BACK_US = 60 * 86_400 * US_PER_S
+#: telemetry that is older tells nothing of the present
+_TELEMETRY_US = 600 * US_PER_S
+_AHEAD_US = 86_400 * US_PER_S
+_AT_ONCE = 1000
+_EVERY_NUMBER = 1 << 62
+#: an operation of this kind changes the orbit
+_BURN = "station_keeping"
+
+
+@dataclass(frozen=True, slots=True)
+class KnownFacts:
+    """What holds for a spacecraft until somebody says otherwise."""
+
+    spacecraft: Spacecraft
+    is_aligned: bool
+    plan_id: int | None
+    calibration_id: int | None
+    ephemeris_received_us: int | None
+    ephemeris_stop_us: int | None
+    operations: tuple[Operation, ...]
+    #: newest
+    telemetry: TelemetryRecord | None
+
+    def momentum_n_m_s(self, now_us: int) -> tuple[float, ...] | None:
+        """Return the momentum of each wheel, None where none was told lately."""
+        telemetry = self.telemetry_at(now_us)
+        return None if telemetry is None else telemetry.wheel_momentum_n_m_s
+
+    def telemetry_at(self, now_us: int) -> TelemetryRecord | None:
+        """Return the newest telemetry unless it is too old to tell anything."""
+        if self.telemetry is None or now_us - self.telemetry.epoch_us > _TELEMETRY_US:
+            return None
+        return self.telemetry
+
+
+def read_facts(storage: Storage, spacecraft_id: str, now_us: int) -> KnownFacts:
+    """Return what the archive says; NotFoundError ``spacecraft.unknown``."""
+    spacecraft = storage.catalogue.spacecraft(spacecraft_id)
+    received_us, stop_us = _ephemeris(storage, spacecraft_id)
+    window = Window(now_us - _OPERATIONS_BACK_US, now_us + _AHEAD_US)
+    operations = [entry.content for entry in storage.archive.inputs(spacecraft_id, "operation", window, _AT_ONCE, None)]
+    return KnownFacts(
+        spacecraft=spacecraft,
+        is_aligned=bool(storage.results.alignments(spacecraft_id)),
+        plan_id=_plan_id(storage, spacecraft_id),
+        calibration_id=_calibration_id(storage, spacecraft),
+        ephemeris_received_us=received_us,
+        ephemeris_stop_us=stop_us,
+        operations=tuple(each for each in operations if isinstance(each, Operation)),
+        telemetry=_newest(read_telemetry(storage, spacecraft_id, now_us - _TELEMETRY_US)),
+    )
+
+
+def read_telemetry(storage: Storage, spacecraft_id: str, from_us: int) -> tuple[TelemetryRecord, ...]:
+    """Return telemetry since an instant, in order of epoch."""
+    window, after = Window(from_us, _EVERY_NUMBER), None
+    found: list[TelemetryRecord] = []
+    while True:
+        page = storage.archive.inputs(spacecraft_id, "telemetry", window, _AT_ONCE, after)
+        found += [entry.content for entry in page if isinstance(entry.content, TelemetryRecord)]
+        if len(page) < _AT_ONCE:
+            return tuple(found)
+        after = (found[-1].epoch_us, page[-1].number)
+
+
+def surroundings_of(facts: KnownFacts, now_us: int, *, lease_holders: int, disagreement_deg: float) -> Surroundings:
+    """Return what the interlock must know at an instant."""
+    telemetry = facts.telemetry_at(now_us)
+    burns_us = [
+        each.stop_us for each in facts.operations if each.kind == _BURN and each.stop_us and each.stop_us <= now_us
+    ]
+    return Surroundings(
+        is_aligned=facts.is_aligned,
+        onboard_mode=None if telemetry is None else telemetry.onboard_mode,
+        has_inhibiting_operation=any(_is_inhibiting(each, now_us) for each in facts.operations),
+        burn_stop_us=max(burns_us, default=None),
+        ephemeris_received_us=facts.ephemeris_received_us,
+        ephemeris_stop_us=facts.ephemeris_stop_us,
+        calibration_id=facts.calibration_id,
+        plan_id=facts.plan_id,
+        spacecraft_version=version_of(facts.spacecraft),
+        momentum_share=_momentum_share(facts.spacecraft, facts.momentum_n_m_s(now_us)),
+        lease_holders=lease_holders,
+        disagreement_deg=disagreement_deg,
+    )
+
+
+def version_of(spacecraft: Spacecraft) -> int:
+    """Return a number that changes with all that a torque's effect depends on, and with nothing else."""
+    parts = (
+        spacecraft.inertia_kg_m2,
+        spacecraft.torque_limit_n_m,
+        spacecraft.wheels,
+        spacecraft.modes,
+        spacecraft.onboard,
+        spacecraft.control,
+    )
+    return int.from_bytes(sha256(repr(parts).encode()).digest()[:6], "big")
+
+
+def _is_inhibiting(operation: Operation, now_us: int) -> bool:
+    is_over = operation.stop_us is not None and operation.stop_us <= now_us
+    return operation.inhibit_control and operation.start_us <= now_us and not is_over
+
+
+def _momentum_share(spacecraft: Spacecraft, momentum_n_m_s: Sequence[float] | None) -> float | None:
+    """Return how full the fullest wheel is; not a number where telemetry holds one that is none."""
+    if not momentum_n_m_s:
+        return None
+    if any(math.isnan(each) for each in momentum_n_m_s):
+        return math.nan
+    return max(map(abs, momentum_n_m_s)) / spacecraft.wheels.momentum_limit_n_m_s
+
+
+def _ephemeris(storage: Storage, spacecraft_id: str) -> tuple[int | None, int | None]:
+    """Return when the newest ephemeris came, by the rows, and when it ends."""
+    try:
+        stop_us = storage.catalogue.ephemeris(spacecraft_id).valid_stop_us
+    except NotFoundError:
+        return None, None
+    entries = storage.archive.slow_inputs_before(spacecraft_id, _EVERY_NUMBER, ("ephemeris",))
+    return (entries[-1].start_us if entries else None), stop_us
+
+
+def _plan_id(storage: Storage, spacecraft_id: str) -> int | None:
+    try:
+        return storage.catalogue.plan(spacecraft_id).id
+    except NotFoundError:
+        return None
+
+
+def _calibration_id(storage: Storage, spacecraft: Spacecraft) -> int | None:
+    """Return the active calibration of the method that drives control."""
+    active = {
+        one.request.method: one.id for one in storage.results.calibrations(spacecraft.id, CalibrationState.ACTIVE)
+    }
+    geometry = active.get(CalibrationMethod.GEOMETRY)
+    return geometry if spacecraft.control.method is Method.ROBUST else active.get(CalibrationMethod.PAPER, geometry)
+
+
+def _newest(telemetry: tuple[TelemetryRecord, ...]) -> TelemetryRecord | None:
+    return telemetry[-1] if telemetry else None

@@ -1,0 +1,187 @@
+"""One sign check under way: its legs, what was carried out of them, the rows meanwhile, and what they say.
+
+The filter is not told of the torque, so the powers alone must show the turn. Legs go one by one, each confirmed by
+persons and reported by the centre; what counts as commanded is what was reported executed, and nothing is judged
+while a leg is out. Rows live in this process only: a check that a restart interrupts begins anew.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S
+from service.core.control.sign_check import Circumstances, Decision, Verdict, decide, weigh, wheel_decision
+from service.core.control.sign_profiles import Profile, pitch_profile, roll_profile, yaw_profile
+from service.core.control.slew_schedule import AxisPulse, Drive, plan_slew
+from service.core.estimation.filtering.filter_model import CarrierModel
+from service.pipeline.release_interlock.release_settings import ReleaseSettings, microseconds
+from service.records.attitude import Axes, FloatArray
+from service.records.command import Pulse
+from service.records.epoch import US_PER_S
+from service.records.inputs import TelemetryRecord
+
+AXES = ("yaw", "roll", "pitch")
+#: time from the middle of a leg's first pulse to that of its second, s; roll slower, so that it stays in the envelope
+_SAILING_S = {"yaw": 600.0, "roll": 400.0, "pitch": 300.0}
+#: share of its time in which a slew of two pulses sails
+_SAILING_SHARE = 0.75
+#: more rows than this are averaged before they are weighed: time grows with the third power
+_MOST_ROWS = 100
+_LEAST_ROWS = 4
+
+
+@dataclass(slots=True)
+class SignCheckRun:
+    """A sign check of one axis."""
+
+    axis: str
+    by: str
+    started_us: int
+    #: attitude before it, deg
+    attitude_deg: Axes
+    #: (3, 3) in the order yaw, roll, pitch
+    inertia_kg_m2: FloatArray
+    has_coupling: bool
+    settings: ReleaseSettings
+    #: counter of the leg that is prepared or out
+    pending: int | None = None
+    #: what was carried out of each leg
+    done: list[tuple[Pulse, ...]] = field(default_factory=list)
+    model: CarrierModel | None = None
+    epochs_us: list[int] = field(default_factory=list)
+    deviations_db: list[FloatArray] = field(default_factory=list)
+
+    @property
+    def profile(self) -> Profile:
+        """The turns that are planned."""
+        return {"yaw": yaw_profile, "roll": roll_profile, "pitch": pitch_profile}[self.axis]()
+
+    @property
+    def until_us(self) -> int:
+        """When it ends undecided: its time runs from the first turn on, and persons get theirs before."""
+        limit_s = self.settings.yaw_sign_check_s if self.axis == "yaw" else self.settings.sign_check_s
+        if self.done:
+            return self.done[0][0].start_us + microseconds(limit_s)
+        return self.started_us + microseconds(limit_s + self.settings.prepared_s)
+
+    def see(self, epoch_us: int, model: CarrierModel, deviation_db: FloatArray) -> None:
+        """Keep a row; those of another model than the first one's carriers do not fit."""
+        if self.model is not None and model.carriers != self.model.carriers:
+            return
+        self.model = model
+        self.epochs_us.append(epoch_us)
+        self.deviations_db.append(deviation_db)
+
+    def is_leg_due(self, start_us: int) -> bool:
+        """Whether the next leg may begin at an instant: yaw stays on each side for its time."""
+        legs = self.profile.legs
+        if self.pending is not None or len(self.done) >= len(legs):
+            return False
+        if not self.done:
+            return True
+        return start_us >= self.done[0][0].start_us + microseconds(legs[len(self.done)].start_s)
+
+    def leg(self, drive: Drive) -> tuple[AxisPulse, ...]:
+        """Return the pulses of the next leg; ValueError where the drive cannot give them."""
+        change = np.zeros(3)
+        change[AXES.index(self.axis)] = self.profile.legs[len(self.done)].change_deg
+        horizon_s = _SAILING_S[self.axis] / _SAILING_SHARE
+        return plan_slew(change, np.zeros(3), self.inertia_kg_m2, horizon_s, drive)
+
+    def decision(self) -> Decision | None:
+        """Return what the powers say; None while there is nothing to judge."""
+        if self.pending is not None or not self.done or self.model is None or len(self.epochs_us) < _LEAST_ROWS:
+            return None
+        epochs_us, deviation_db = np.array(self.epochs_us), np.array(self.deviations_db)
+        size = math.ceil(len(epochs_us) / _MOST_ROWS)
+        model = self.model._replace(white_sigma_db=self.model.white_sigma_db / math.sqrt(size))
+        epochs_us, deviation_db = _averaged(epochs_us, deviation_db, size)
+        epochs_s = (epochs_us - epochs_us[0]) / US_PER_S
+        turn = turned_deg(self.done, epochs_us, self.inertia_kg_m2, has_coupling=self.has_coupling)
+        return decide(weigh(model, epochs_s, deviation_db, turn, Circumstances(np.array(self.attitude_deg))))
+
+    def wheel_verdict(self, telemetry: tuple[TelemetryRecord, ...], wheel_axes: FloatArray) -> Verdict:
+        """Return what wheel telemetry says: momentum while sailing against that before each leg."""
+        predicted, measured = [], []
+        for schedule in self.done:
+            told = _sailing_change(schedule, telemetry)
+            if told is not None and len(told) == len(wheel_axes):
+                impulse = np.array(schedule[0].torque_n_m) * schedule[0].duration_s
+                predicted.append(-impulse @ np.linalg.pinv(wheel_axes))
+                measured.append(told)
+        if not predicted:
+            return Verdict.OPEN
+        sigma = self.settings.wheel_sigma_n_m_s
+        return wheel_decision(np.concatenate(predicted), np.concatenate(measured), sigma).verdict
+
+    def verdict(self, powers: Verdict, wheels: Verdict | None, now_us: int) -> Verdict:
+        """Return what holds: powers alone for roll and pitch; for yaw both, and not before its time."""
+        if wheels is None:
+            return powers
+        if not self.done or now_us - self.done[0][0].start_us < microseconds(self.settings.yaw_sign_least_s):
+            return Verdict.OPEN
+        wrong = [each for each in (powers, wheels) if each in (Verdict.MINUS, Verdict.NOTHING)]
+        if wrong:
+            return wrong[0]
+        return Verdict.PLUS if powers is wheels is Verdict.PLUS else Verdict.OPEN
+
+
+def turned_deg(
+    schedules: list[tuple[Pulse, ...]], epochs_us: FloatArray, inertia_kg_m2: FloatArray, *, has_coupling: bool
+) -> FloatArray:
+    """Return the turn (T, 3), yaw, roll, pitch, that schedules make by some epochs, deg.
+
+    Parameters
+    ----------
+    schedules : list of tuples of Pulse
+        As they were carried out.
+    epochs_us : ndarray, shape (T,), microseconds UTC
+        Of the rows.
+    inertia_kg_m2 : ndarray, shape (3, 3)
+        In the order yaw, roll, pitch.
+    has_coupling : bool
+        Whether roll and yaw exchange at the orbital rate; to first order.
+
+    Notes
+    -----
+    A pulse acts as a step of the rate in its middle: exact after its end.
+    """
+    turn = np.zeros((len(epochs_us), 3))
+    dragged = np.zeros((len(epochs_us), 3))
+    for pulse in (pulse for schedule in schedules for pulse in schedule):
+        since_s = np.maximum(0.0, (epochs_us - pulse.start_us) / US_PER_S - 0.5 * pulse.duration_s)
+        step_rad_s = np.linalg.solve(inertia_kg_m2, np.array(pulse.torque_n_m) * pulse.duration_s)
+        turn += since_s[:, None] * step_rad_s
+        dragged += 0.5 * np.square(since_s)[:, None] * step_rad_s
+    if has_coupling:
+        yaw, roll, _ = dragged.T
+        turn[:, 1] += GEOSTATIONARY_RATE_RAD_S * yaw
+        turn[:, 0] -= GEOSTATIONARY_RATE_RAD_S * roll
+    return np.asarray(np.degrees(turn))
+
+
+def _averaged(epochs_us: FloatArray, deviation_db: FloatArray, size: int) -> tuple[FloatArray, FloatArray]:
+    """Return means of so many rows each; what is left over at the beginning is dropped."""
+    if size == 1:
+        return epochs_us, deviation_db
+    first = len(epochs_us) % size
+    epochs = epochs_us[first:].reshape(-1, size).mean(axis=1)
+    # a carrier that is absent in one of them is absent in the mean
+    return epochs, deviation_db[first:].reshape(len(epochs), size, -1).mean(axis=1)
+
+
+def _sailing_change(schedule: tuple[Pulse, ...], telemetry: tuple[TelemetryRecord, ...]) -> FloatArray | None:
+    """Return by how much the wheels' momentum changed with the first pulse of a leg; None where nobody told."""
+    if len(schedule) < 2:
+        return None
+    first, last = schedule[0], schedule[-1]
+    sailing_us = first.start_us + round(first.duration_s * US_PER_S)
+    before = [each for each in telemetry if each.epoch_us <= first.start_us]
+    while_sailing = [each for each in telemetry if sailing_us <= each.epoch_us <= last.start_us]
+    if not before or not while_sailing:
+        return None
+    newest, sailing = before[-1].wheel_momentum_n_m_s, while_sailing[0].wheel_momentum_n_m_s
+    if newest is None or sailing is None or len(newest) != len(sailing):
+        return None
+    return np.asarray(np.subtract(sailing, newest))
