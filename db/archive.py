@@ -1,7 +1,8 @@
 """Archive: inputs of the chain and the journal that orders them; implements ``service.ports.Archive``."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,7 @@ class SqlArchive:
         self._database = database
         #: carriers of the plans met; a stored plan never changes
         self._carriers: dict[tuple[int, int], tuple[str, ...]] = {}
+        self._listener: Callable[[MeasurementBatch, BatchReceipt], None] | None = None
 
     def append_measurements(self, batch: MeasurementBatch) -> Future[BatchReceipt]:
         """Store and journal the rows of a batch; the future resolves after the commit that made them durable."""
@@ -46,7 +48,13 @@ class SqlArchive:
             detail = f"Plan {batch.plan_id} of {batch.spacecraft_id!r} has {expected} carriers, the rows have {sent}."
             raise InvalidInputError("value.count", detail)
         prepared, cache = prepare(key, batch), self._database.segments
-        return self._database.submit(lambda connection: store_batch(connection, prepared, cache))
+        listener = self._listener
+        told = None if listener is None else partial(listener, batch)
+        return self._database.submit(lambda connection: store_batch(connection, prepared, cache), told)
+
+    def listen(self, listener: Callable[[MeasurementBatch, BatchReceipt], None] | None) -> None:
+        """Tell a listener of every batch right after its commit; None: nobody any more."""
+        self._listener = listener
 
     def append_inputs(self, spacecraft_id: str, records: Sequence[SlowInput]) -> InputReceipt:
         """Store and journal slow inputs; same key, other content: refused ``input.conflict``."""

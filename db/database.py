@@ -60,9 +60,11 @@ class Database:
         with translated_faults(), self.engines.read.connect() as connection:
             yield connection
 
-    def submit(self, work: Callable[[Connection], Result]) -> Future[Result]:
-        """Queue a write; the future resolves after its commit."""
-        return self._writer.submit(work)
+    def submit(
+        self, work: Callable[[Connection], Result], told: Callable[[Result], None] | None = None
+    ) -> Future[Result]:
+        """Queue a write; after its commit the result is told, in the order of commits, and the future resolves."""
+        return self._writer.submit(work, told)
 
     def write(self, work: Callable[[Connection], Result]) -> Result:
         """Do a write and wait for its commit; a request's first write takes the request's audit entry along."""

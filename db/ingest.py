@@ -178,7 +178,14 @@ def store_batch(connection: Connection, prepared: PreparedBatch, cache: SegmentC
         insert_run(connection, run)
     _store_details(connection, prepared, outcome.accepted, state)
     _advance(connection, prepared, outcome, state)
-    return BatchReceipt(len(outcome.accepted), len(outcome.duplicates), int(is_late.sum()), outcome.refused)
+    return BatchReceipt(
+        len(outcome.accepted),
+        len(outcome.duplicates),
+        int(is_late.sum()),
+        outcome.refused,
+        first_number=state.newest_number + 1,
+        feeds_estimator=bool(state.is_prime),
+    )
 
 
 def _state(connection: Connection, key: int, name: str) -> _State:

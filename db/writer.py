@@ -34,18 +34,24 @@ _log = logging.getLogger(__name__)
 class _Task(Generic[Result]):
     """One function on its way through the queue."""
 
-    def __init__(self, work: Callable[[Connection], Result]) -> None:
+    def __init__(self, work: Callable[[Connection], Result], told: Callable[[Result], None] | None) -> None:
         self.work = work
+        self._told = told
         self.future: Future[Result] = Future()
         self.result: Result | None = None
         self.fault: BaseException | None = None
 
     def settle(self) -> None:
         """Tell the caller what became of it."""
-        if self.fault is None:
-            self.future.set_result(self.result)  # type: ignore[arg-type]  # set by the work
-        else:
+        if self.fault is not None:
             self.future.set_exception(_told(self.fault))
+            return
+        try:
+            if self._told is not None:
+                self._told(self.result)  # type: ignore[arg-type]  # set by the work
+        except Exception:  # noqa: BLE001 what is stored is stored, whoever listens
+            _log.exception("telling of a write failed")
+        self.future.set_result(self.result)  # type: ignore[arg-type]
 
 
 class Writer:
@@ -65,9 +71,14 @@ class Writer:
         self._thread = Thread(target=self._serve, name="storage-writer", daemon=True)
         self._thread.start()
 
-    def submit(self, work: Callable[[Connection], Result]) -> Future[Result]:
-        """Queue a function; its future resolves after the commit."""
-        task = _Task(work)
+    def submit(
+        self, work: Callable[[Connection], Result], told: Callable[[Result], None] | None = None
+    ) -> Future[Result]:
+        """Queue a function; its future resolves after the commit.
+
+        ``told`` gets the result between commit and future, in the order of the commits; it must be quick.
+        """
+        task = _Task(work, told)
         with self._lock:
             if self._is_closed:
                 raise StorageError("storage.closed", "The archive is closing; send it again after the restart.")

@@ -1,6 +1,6 @@
 """The port of inputs: measurements, slow inputs, and the journal that orders them."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from typing import Protocol
 
@@ -21,6 +21,13 @@ class Archive(Protocol):
 
         Same key and content: duplicate. Same key, other content: refused ``measurement.conflict``. A row is late when
         it is stale or below the newest epoch that the live chain has consumed.
+        """
+        ...
+
+    def listen(self, listener: Callable[[MeasurementBatch, BatchReceipt], None] | None) -> None:
+        """Tell a listener of every batch right after its commit, before its future resolves; None: nobody any more.
+
+        Batches are told in the order of their commits. The listener holds up all writing, so it must be quick.
         """
         ...
 

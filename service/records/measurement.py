@@ -1,6 +1,6 @@
 """Level L1: one power per carrier, and what becomes of a batch of them."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,7 @@ class CarrierDetails:
 
 
 #: what may be stated beside powers, in the order in which it is stored
-DETAIL_NAMES: tuple[str, ...] = tuple(field.name for field in fields(CarrierDetails))
+DETAIL_NAMES: tuple[str, ...] = tuple(each.name for each in fields(CarrierDetails))
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,3 +97,7 @@ class BatchReceipt:
     duplicates: int
     late: int
     refused: tuple[Refusal, ...]
+    #: journal number of the first row accepted, the others follow it; None when there is none
+    first_number: int | None = field(default=None, compare=False)
+    #: whether its source was the prime one
+    feeds_estimator: bool = field(default=False, compare=False)

@@ -25,6 +25,7 @@ from service.runtime.consumer import Documents, consume, prepare
 from service.runtime.leading import Turn, always
 from service.runtime.live_feed import Cursor, FeedEvent, LiveFeed
 from service.runtime.relay import Relay
+from service.runtime.row_news import RowNews
 
 _LOG = logging.getLogger("soo.supervisor")
 
@@ -91,6 +92,7 @@ class Supervisor:
         self._storage = storage
         self._turn = turn
         self._relay = Relay(storage, feed)
+        self._news = RowNews(feed)
         self._watcher = watcher
         self._feed = feed
         self._config = config
@@ -103,11 +105,13 @@ class Supervisor:
     def start(self) -> None:
         """Bring every chain back to where it was and follow the journals from there."""
         self._due.update(spacecraft.id for spacecraft in self._storage.catalogue.all_spacecraft())
+        self._storage.archive.listen(self._news.stored)
         self._thread = threading.Thread(target=self._run, name="soo-supervisor", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
         """Finish the batch in hand and end the thread."""
+        self._storage.archive.listen(None)
         with self._wake:
             self._is_stopping = True
             self._wake.notify()
@@ -196,7 +200,7 @@ class Supervisor:
             if not entries:
                 return
             # rows were stored before they were accepted: listeners need not wait for what is computed from them
-            self._publish(spacecraft_id, _row_events(entries, follower.sequence))
+            self._news.followed(spacecraft_id, entries)
             outcomes: list[Outcome] = []
             seen: list[Seen] = []
             with follower.lock:
@@ -250,6 +254,7 @@ class Supervisor:
         stood = (head.consumed_number, head.consumed_epoch_us, head.result_sequence)
         follower = _Follower(spacecraft_id, chain, turn, *stood)
         self._followers[spacecraft_id] = follower
+        self._news.begin(spacecraft_id, follower.consumed_number)
         return follower
 
     def _last_alignment(self, spacecraft_id: str, consumed_number: int) -> tuple[int | None, int | None]:
@@ -270,14 +275,6 @@ def _seen(chain: Chain, entry: JournalEntry, outcomes: Sequence[Outcome]) -> tup
     if not isinstance(content, Measurement) or content.is_late or not content.feeds_estimator:
         return ()
     return (chain.facts(content, outcomes[0] if outcomes else None),)
-
-
-def _row_events(entries: list[JournalEntry], sequence: int) -> tuple[FeedEvent, ...]:
-    """Return the events of the rows of a batch."""
-    rows = (entry.content for entry in entries)
-    return tuple(
-        FeedEvent("measurement", Cursor(row.number, sequence), row) for row in rows if isinstance(row, Measurement)
-    )
 
 
 def _result_events(

@@ -9,7 +9,7 @@ from service.records.inputs import AlignmentSet, SpacecraftChange
 from service.records.journal import JournalEntry
 from service.records.measurement import Measurement
 from service.runtime.live_feed import Cursor
-from service.runtime.supervisor import _result_events, _row_events
+from service.runtime.supervisor import _result_events
 
 
 def entry(number: int) -> JournalEntry:
@@ -24,16 +24,12 @@ def row(number: int) -> AttitudeRow:
 
 def told(*batch: object) -> list[tuple[str, Cursor]]:
     """Return kind and cursor of each event of a batch."""
-    entries, _, first, _ = batch
-    events = (*_row_events(entries, first), *_result_events(*batch))  # type: ignore[arg-type]
-    return [(event.kind, event.cursor) for event in events]
+    return [(event.kind, event.cursor) for event in _result_events(*batch)]  # type: ignore[arg-type]
 
 
-def test_rows_come_first_then_results_under_their_sequences():
+def test_results_stand_under_their_sequences_and_the_newest_row():
     outcomes = [Outcome((row(5),), None), Outcome((row(6),), None)]
     assert told([entry(5), entry(6)], outcomes, 10, 12) == [
-        ("measurement", Cursor(5, 10)),
-        ("measurement", Cursor(6, 10)),
         ("attitude", Cursor(6, 11)),
         ("attitude", Cursor(6, 12)),
     ]
@@ -43,10 +39,7 @@ def test_results_stored_before_are_not_published_under_sequences_of_others():
     alignment = JournalEntry(6, AlignmentSet(2))
     # two rows run again were stored by an earlier alignment; of three results only one is new
     outcomes = [Outcome((row(number),), None) for number in (5, 3, 4)]
-    assert told([entry(5), alignment], outcomes, 10, 11) == [
-        ("measurement", Cursor(5, 10)),
-        ("status", Cursor(6, 11)),
-    ]
+    assert told([entry(5), alignment], outcomes, 10, 11) == [("status", Cursor(6, 11))]
 
 
 def test_alignment_is_news_of_its_own():

@@ -1,0 +1,179 @@
+"""News of rows: each once, in the order of the journal, told by whoever comes first."""
+
+import asyncio
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.records.inputs import AlignmentSet
+from service.records.journal import JournalEntry
+from service.records.measurement import BatchReceipt, CarrierDetails, MeasurementBatch
+from service.runtime.live_feed import FeedEvent, LiveFeed
+from service.runtime.row_news import RowNews, stored_rows
+
+
+class Listener(LiveFeed):
+    """A feed with one listener, who writes down what comes."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.numbers: list[int] = []
+
+    def has_subscribers(self, spacecraft_id: str) -> bool:
+        """Return whether it is the spacecraft that the listener wants."""
+        return spacecraft_id == "sc"
+
+    def publish(self, spacecraft_id: str, events: tuple[FeedEvent, ...]) -> None:
+        """Write down the numbers of the rows."""
+        assert spacecraft_id == "sc"
+        self.numbers += [event.cursor.number for event in events]
+
+
+@pytest.fixture
+def listener():
+    return Listener()
+
+
+@pytest.fixture
+def news(listener):
+    """Return news of a journal that is followed from behind number 10."""
+    news = RowNews(listener)
+    news.begin("sc", 10)
+    return news
+
+
+def batch(rows: int) -> MeasurementBatch:
+    """Return a batch of some rows."""
+    epochs_us = 1_000_000 * np.arange(rows)
+    powers = np.zeros((rows, 2), dtype=np.float32)
+    return MeasurementBatch(
+        "sc", "sa-1", 1, 5, np.arange(rows), epochs_us, powers, (None,) * rows, np.zeros(rows, bool)
+    )
+
+
+def stored(news: RowNews, first: int, rows: int = 1, **changes: int) -> None:
+    """Tell of a batch that was stored under the numbers from ``first`` on."""
+    receipt = BatchReceipt(rows, 0, 0, (), first_number=first, feeds_estimator=True)
+    news.stored(batch(rows), replace(receipt, **changes))  # type: ignore[arg-type]
+
+
+def followed(news: RowNews, *numbers: int) -> None:
+    """Come to entries of the journal."""
+    (row,) = stored_rows(batch(1), BatchReceipt(1, 0, 0, (), first_number=1))
+    news.followed("sc", [JournalEntry(number, replace(row, number=number)) for number in numbers])
+
+
+def test_what_the_writer_told_is_not_told_again(news, listener):
+    stored(news, 11, rows=2)
+    stored(news, 13)
+    followed(news, 11, 12, 13, 14)
+    stored(news, 15)
+    assert listener.numbers == [11, 12, 13, 14, 15]
+
+
+def test_rows_behind_something_else_are_left_to_who_follows_the_journal(news, listener):
+    # 11 is of another service, or no row: telling 12 now would hide it for good
+    stored(news, 12)
+    stored(news, 13)
+    assert listener.numbers == []
+    followed(news, 11, 12)
+    news.followed("sc", [JournalEntry(13, AlignmentSet(1))])
+    stored(news, 14)
+    assert listener.numbers == [11, 12, 14]
+
+
+def test_who_follows_comes_first(news, listener):
+    followed(news, 11)
+    stored(news, 11)
+    assert listener.numbers == [11]
+
+
+def test_a_journal_that_nobody_follows_yet_is_not_told(news, listener):
+    fresh = RowNews(listener)
+    stored(fresh, 1)
+    assert listener.numbers == []
+
+
+def test_following_anew_from_further_back_tells_nothing_twice(news, listener):
+    stored(news, 11)
+    news.begin("sc", 10)
+    followed(news, 11, 12)
+    assert listener.numbers == [11, 12]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"accepted": 1, "duplicates": 1}, {"late": 1}, {"accepted": 0, "first_number": None}],
+    ids=["a duplicate among them", "one of two late", "nothing stored"],
+)
+def test_batches_in_part_are_left_to_who_follows_the_journal(news, listener, changes):
+    stored(news, 11, rows=2, **changes)
+    assert listener.numbers == []
+
+
+def test_a_backlog_is_left_to_who_follows_the_journal(news, listener):
+    stored(news, 11, rows=17)
+    assert listener.numbers == []
+
+
+def test_rows_without_a_listener_count_as_told(listener):
+    news = RowNews(LiveFeed())
+    news.begin("sc", 10)
+    stored(news, 11)
+    news._feed = listener
+    stored(news, 12)
+    assert listener.numbers == [12]
+
+
+def test_rows_are_those_that_the_archive_gives(ground):
+    nan = float("nan")
+    rng = np.random.default_rng(3)
+    powers = rng.normal(-60.0, 5.0, (3, 12)).astype(np.float32)
+    powers[1, 4] = nan
+    details = rng.normal(50.0, 3.0, (4, 3, 12)).astype(np.float32)
+    details[1:3] = nan
+    details[:, 2] = nan
+    told = []
+    ground.storage.archive.listen(lambda *stored: told.extend(stored_rows(*stored)))
+    ground.append_rows(
+        [ground.at(k) for k in (1, 2, 3)],
+        powers,
+        flags=((0,) * 12, None, (16, 0, 1 << 20) + (0,) * 9),
+        details=CarrierDetails(*details),
+        first_seq=1042,
+    )
+    ground.append_rows([ground.at(4)], powers[:1], source="sa-2", is_stale=np.array([True]))
+    ground.storage.archive.listen(None)
+    ground.append_rows([ground.at(5)], powers[:1])
+    entries = ground.storage.archive.journal(ground.id, told[0].number - 1, 4)
+    assert repr(told) == repr([entry.content for entry in entries])
+    assert [(row.is_late, row.feeds_estimator) for row in told] == [(False, True)] * 3 + [(True, False)]
+
+
+def test_a_listener_that_fails_does_not_hold_up_the_writer(ground, caplog):
+    def fail(*_: object) -> None:
+        message = "no"
+        raise ValueError(message)
+
+    ground.storage.archive.listen(fail)
+    assert ground.append([1]).accepted == 1
+    assert "telling of a write failed" in caplog.text
+
+
+def test_a_row_is_told_before_anybody_follows_the_journal(ground, monkeypatch):
+    monkeypatch.setattr("service.runtime.supervisor._POLL_S", 60.0)
+
+    async def heard() -> list[int]:
+        feed = LiveFeed()
+        with ground.supervised(feed=feed) as supervisor:
+            ground.append([1])
+            ground.settle(supervisor)
+            subscription = feed.subscribe(ground.id)
+            # nobody says that the journal has grown
+            receipt = await asyncio.to_thread(ground.append, [2])
+            events, _ = await subscription.next_events(5.0)
+            assert receipt.first_number is not None
+            return [event.cursor.number - receipt.first_number for event in events if event.kind == "measurement"]
+
+    assert asyncio.run(heard()) == [0]
