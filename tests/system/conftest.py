@@ -12,6 +12,7 @@ from typing import Any
 
 import httpx
 import pytest
+from storage_trial import Trial
 
 KEY = "a-key-for-tests-only"
 #: a start takes 2 s alone; the machine may be busy with other tests
@@ -132,3 +133,25 @@ def carriers() -> list[dict[str, Any]]:
         }
         for k in range(16)
     ]
+
+
+@pytest.fixture
+def trial(
+    start_service: StartService,
+    chaos: Any,
+    spacecraft: dict[str, Any],
+    carriers: list[dict[str, Any]],
+    tmp_path: Path,
+) -> Iterator[Callable[..., Trial]]:
+    """Give a maker of trials."""
+
+    def make(**options: Any) -> Trial:
+        made.append(Trial(start_service, chaos, spacecraft, carriers, tmp_path, **options))
+        return made[-1]
+
+    made: list[Trial] = []
+    yield make
+    for one in made:
+        for client in one.clients:
+            client.stop()
+        one.client.close()

@@ -9,15 +9,12 @@ nothing.
 import os
 import resource
 import shutil
-import signal
 import sqlite3
 import subprocess
 import time
-from contextlib import contextmanager, suppress
-from pathlib import Path
 
 import pytest
-from sqlalchemy import create_engine
+from storage_trial import BASE, IMPATIENT, disk_volume, small_volume
 
 from db.backup import create_backup
 from db.doctor import diagnose
@@ -25,90 +22,6 @@ from db.restore import restore_backup
 from service.runtime.clock import system_now_us
 
 pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(180)]
-
-SEED = 22
-BASE = "/api/v1/spacecraft/sim-1"
-#: who waits for a lock gives up after 0.7 s in place of 10 s
-IMPATIENT = {"SOO_DATABASE_TIMEOUT_S": "0.7"}
-
-
-class Trial:
-    """A service, two clients that post to it, and what can be done to its file."""
-
-    def __init__(self, start_service, chaos, spacecraft, carriers, folder, options=(), settings=None):
-        self.chaos, self.file = chaos, folder / "soo.db"
-        key = "a-key-for-tests-only"
-        environment = {"SOO_BOOTSTRAP_KEY": key, **(settings or {})}
-        self.service = start_service("--port", "0", "--clock", "data", *options, environment=environment)
-        self.client = self.service.client()
-        self.plan_id = chaos.set_up(self.client, spacecraft, carriers)
-        self.clients = chaos.start_clients(self.service.url, key, self.plan_id, SEED, clients=2)
-        self.await_counts(lambda counts: counts["accepted"] > 100)
-
-    def counts(self):
-        """Return what the clients have counted so far."""
-        found = self.clients[0].counts + self.clients[1].counts
-        return found + self.clients[0].codes + self.clients[1].codes
-
-    def slowest_s(self):
-        """Return the longest time that a client has waited for an answer."""
-        return max(client.slowest_s for client in self.clients)
-
-    def await_counts(self, is_enough, timeout_s=30.0):
-        """Wait until the clients have counted enough."""
-        deadline = time.monotonic() + timeout_s
-        while not is_enough(self.counts()):
-            assert time.monotonic() < deadline, f"{dict(self.counts())}\n{self.service.written()[-3000:]}"
-            assert [client.faults for client in self.clients] == [[], []]
-            time.sleep(0.02)
-
-    def await_code(self, code, more=3):
-        """Wait until the clients were refused some times more with a code."""
-        before = self.counts()[code]
-        self.await_counts(lambda counts: counts[code] >= before + more)
-
-    def await_rows(self, more=50):
-        """Wait until the service takes rows again."""
-        before = self.counts()["accepted"]
-        self.await_counts(lambda counts: counts["accepted"] >= before + more)
-
-    def read(self):
-        """Return the status and code of a read of the history."""
-        answer = self.client.get(f"{BASE}/measurements/history", params={"limit": 5})
-        if answer.status_code == 503:
-            assert int(answer.headers["Retry-After"]) >= 1
-            return 503, answer.json()["code"]
-        return answer.status_code, None
-
-    def conclude(self, url=None):
-        """Demand that all that was promised is there, once, with its results, and that nothing is wrong."""
-        self.await_rows()
-        counts = self.chaos.finish(self.clients)
-        promised = self.chaos.promised(self.clients)
-        self.chaos.await_consumed(self.client, promised)
-        told = self.chaos.compare(self.client, promised)
-        print(told, dict(counts))
-        found = diagnose(url or f"sqlite:///{self.file}", system_now_us(), lambda _: None)
-        # the disk of the tests' machine may be small
-        assert [each for each in found if each.state != "ok" and each.check != "disk"] == []
-        assert self.service.end()[0] == 0
-        assert "Internal Server Error" not in self.service.written()
-
-
-@pytest.fixture
-def trial(start_service, chaos, spacecraft, carriers, tmp_path):
-    """Return a maker of trials."""
-
-    def make(**options):
-        made.append(Trial(start_service, chaos, spacecraft, carriers, tmp_path, **options))
-        return made[-1]
-
-    made: list[Trial] = []
-    yield make
-    for one in made:
-        for client in one.clients:
-            client.stop()
-        one.client.close()
 
 
 def test_a_disk_that_takes_no_more_a_lock_and_a_file_that_is_moved(trial, tmp_path):
@@ -172,21 +85,6 @@ def test_an_archive_that_is_put_in_the_place_of_the_open_one_is_opened(trial, ch
     assert [each for each in found if each.state != "ok" and each.check != "disk"] == []
 
 
-@contextmanager
-def small_volume(folder, size):
-    """Mount a volume of some size; skip where that is not allowed."""
-    folder.mkdir()
-    done = subprocess.run(
-        ["mount", "-t", "tmpfs", "-o", f"size={size}", "tmpfs", folder], capture_output=True, check=False
-    )
-    if done.returncode:
-        pytest.skip(f"volumes cannot be mounted here: {done.stderr.decode().strip()}")
-    try:
-        yield folder
-    finally:
-        subprocess.run(["umount", "-l", folder], check=True)
-
-
 @pytest.mark.skipif(os.getuid() != 0, reason="only root mounts volumes")
 def test_a_full_volume_and_a_volume_that_is_read_only_at_the_start(trial, start_service, tmp_path):
     with small_volume(tmp_path / "volume", "6m") as volume:
@@ -212,20 +110,6 @@ def test_a_full_volume_and_a_volume_that_is_read_only_at_the_start(trial, start_
         assert "cannot use the database" in refused.written()
         assert "Traceback" not in refused.written()
         subprocess.run(["mount", "-o", "remount,rw", volume], check=True)
-
-
-def test_a_server_that_stops_and_comes_back(trial, durable_postgresql_cluster):
-    cluster = durable_postgresql_cluster
-    url = cluster.new_database()
-    one = trial(options=("--database", url))
-    cluster.program("pg_ctl", "stop", "-D", str(cluster.data), "-m", "fast")
-    one.await_code("storage.unavailable")
-    assert one.read() == (503, "storage.unavailable")
-    assert one.client.get("/readyz").status_code == 503
-    assert one.client.get("/healthz").status_code == 200
-    cluster.start(fsync=True)
-    one.conclude(url)
-    cluster.drop(url)
 
 
 def test_a_damaged_day_is_refused_alone(trial):
@@ -270,43 +154,21 @@ def test_a_damaged_day_is_refused_alone(trial):
     assert one.service.end()[0] == 0
 
 
-@contextmanager
-def stopped_server(cluster):
-    """Stop every process of a server as SIGSTOP does: it takes connections and answers nobody."""
-    postmaster = int((cluster.data / "postmaster.pid").read_text().split()[0])
-    pids = [postmaster, *map(int, Path(f"/proc/{postmaster}/task/{postmaster}/children").read_text().split())]
-    for pid in pids:
-        os.kill(pid, signal.SIGSTOP)
-    try:
-        yield
-    finally:
-        for pid in pids:
-            with suppress(ProcessLookupError):
-                os.kill(pid, signal.SIGCONT)
-
-
-def test_a_server_that_does_not_answer_and_a_lock_that_is_held(trial, durable_postgresql_cluster):
-    cluster = durable_postgresql_cluster
-    url = cluster.new_database()
-    one = trial(options=("--database", url), settings=IMPATIENT)
-    # an answer (0.7 s and 1 s of grace), a connection (at least 2 s), for keys and for the rows themselves
-    bound_s = 2 * (0.7 + 1.0 + 2.0)
-    with stopped_server(cluster):
+@pytest.mark.skipif(os.getuid() != 0, reason="only root mounts volumes")
+def test_a_volume_that_turns_read_only_under_the_service(trial, start_service, tmp_path):
+    with disk_volume(tmp_path / "volume", "32M") as volume:
+        database = volume.folder / "soo.db"
+        one = trial(options=("--database", f"sqlite:///{database}"), settings={"SOO_MIN_FREE_DISK_BYTES": "0"})
+        one.file = database
+        volume.fail()
         one.await_code("storage.unavailable")
-        began = time.monotonic()
-        assert one.read() == (503, "storage.unavailable")
-        assert time.monotonic() - began < bound_s
+        assert one.read()[0] == 200
         assert one.client.get("/healthz").status_code == 200
-        assert one.slowest_s() < bound_s
-    one.await_rows()
-
-    engine = create_engine(url)
-    with engine.connect() as other:
-        other.exec_driver_sql("SELECT * FROM head FOR UPDATE")
-        one.await_code("storage.unavailable")
-        assert one.read() == (200, None)
-        other.rollback()
-    engine.dispose()
-    one.conclude(url)
-    assert one.slowest_s() < bound_s
-    cluster.drop(url)
+        # the file system is checked and mounted anew, as a failed disk demands, and the service started again
+        port = one.service.url.rpartition(":")[2]
+        assert one.service.end()[0] == 0
+        volume.repair()
+        options = ("--clock", "data", "--database", f"sqlite:///{database}")
+        one.service = start_service("--port", port, *options, environment=one.environment)
+        one.service.await_announcement()
+        one.conclude()
