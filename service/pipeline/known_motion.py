@@ -6,6 +6,7 @@ same journal gives the same input, and nothing counts twice.
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from service.core.estimation.filtering.filter_model import KnownMotion
 from service.records.attitude import FloatArray
 from service.records.catalogue import Spacecraft
-from service.records.command import AppliedCommand
+from service.records.command import AppliedCommand, Pulse, ReleasedCommand, ReportedCommand
 from service.records.epoch import US_PER_S
 from service.records.inputs import Correction
 
@@ -32,6 +33,8 @@ class _Motion:
     change_deg: FloatArray
     #: (3,) deg/h, gained in the middle of the interval
     rate_change_deg_h: FloatArray
+    #: whether the next command that counts as applied ends it
+    is_replaced: bool = False
 
 
 @dataclass(frozen=True)
@@ -46,16 +49,72 @@ class CommandedMotion:
 
 
 def heard(
-    commanded: CommandedMotion, content: Correction | AppliedCommand, craft: Spacecraft | None, newest_us: int
+    commanded: CommandedMotion,
+    content: Correction | AppliedCommand | ReportedCommand,
+    craft: Spacecraft | None,
+    newest_us: int,
 ) -> CommandedMotion:
-    """Return the changes with one more, which became known when rows up to ``newest_us`` had been consumed."""
-    told = _of_correction(content) if isinstance(content, Correction) else _of_command(content, craft)
+    """Return the changes with one more, which became known when rows up to ``newest_us`` had been consumed.
+
+    A command that counts as applied ends the one before it: what that one had left is not flown.
+    """
+    match content:
+        case Correction():
+            return _with(commanded, _of_correction(content), newest_us)
+        case ReportedCommand():
+            return _with(commanded, _of_pulses(content.executed, craft), newest_us)
+        case AppliedCommand():
+            ended = _ended(commanded, content.command.epoch_us, newest_us)
+            return _with(ended, _of_pulses(content.command.schedule, craft, is_replaced=True), newest_us)
+
+
+def motions_of_released(
+    commanded: CommandedMotion, released: ReleasedCommand, craft: Spacecraft | None, newest_us: int
+) -> CommandedMotion:
+    """Return the changes with those that a released command would make."""
+    return _with(commanded, _of_pulses(released.schedule, craft), newest_us)
+
+
+def end_us(content: Correction | AppliedCommand | ReportedCommand) -> int:
+    """Return when a commanded motion ends."""
+    match content:
+        case Correction():
+            return content.stop_us
+        case ReportedCommand():
+            return max(map(_pulse_stop_us, content.executed), default=content.reported_us)
+        case AppliedCommand():
+            return max(content.command.valid_until_us, *map(_pulse_stop_us, content.command.schedule), 0)
+
+
+def _ended(commanded: CommandedMotion, stop_us: int, newest_us: int) -> CommandedMotion:
+    """Return the changes whose pulses of replaced commands end at an instant; rows may have consumed more of them."""
+    kept, undone = [], []
+    for motion in commanded.motions:
+        if not motion.is_replaced or motion.stop_us <= stop_us:
+            kept.append(motion)
+            continue
+        cut_us = max(motion.start_us, stop_us)
+        share = (motion.stop_us - cut_us) / (motion.stop_us - motion.start_us)
+        rest = replace(motion, start_us=cut_us, rate_change_deg_h=-share * motion.rate_change_deg_h)
+        if cut_us < newest_us:
+            undone.append(rest)
+        if cut_us > motion.start_us:
+            left = (1.0 - share) * motion.rate_change_deg_h
+            kept.append(replace(motion, stop_us=cut_us, rate_change_deg_h=left))
+    return _with(replace(commanded, motions=tuple(kept)), tuple(undone), newest_us, are_kept=False)
+
+
+def _with(
+    commanded: CommandedMotion, told: tuple[_Motion, ...], newest_us: int, *, are_kept: bool = True
+) -> CommandedMotion:
+    """Return the changes with some more; only their past counts where they are not kept."""
     late_deg, late_rate = np.array(commanded.late_deg), np.array(commanded.late_rate_deg_h)
     for motion in told:
         change_deg, rate_deg_h, lag_deg = _between(motion, commanded.since_us, newest_us)
         late_deg = late_deg + change_deg + lag_deg
         late_rate = late_rate + rate_deg_h
-    kept = tuple(motion for motion in (*commanded.motions, *told) if motion.stop_us > newest_us)
+    motions = (*commanded.motions, *told) if are_kept else commanded.motions
+    kept = tuple(motion for motion in motions if motion.stop_us > newest_us)
     return replace(commanded, motions=kept, late_deg=_triple(late_deg), late_rate_deg_h=_triple(late_rate))
 
 
@@ -92,17 +151,21 @@ def _of_correction(correction: Correction) -> tuple[_Motion, ...]:
     return (_Motion(correction.start_us, max(correction.stop_us, correction.start_us + 1), change_deg, np.zeros(3)),)
 
 
-def _of_command(applied: AppliedCommand, craft: Spacecraft | None) -> tuple[_Motion, ...]:
+def _of_pulses(pulses: Iterable[Pulse], craft: Spacecraft | None, *, is_replaced: bool = False) -> tuple[_Motion, ...]:
     """Return the pulses of a command; without a spacecraft nothing is known of their effect."""
     if craft is None:
         return ()
     inertia = np.array(angle_inertia_kg_m2(craft))
     motions = []
-    for pulse in applied.command.schedule:
+    for pulse in pulses:
         gained_deg_h = np.rad2deg(np.array(pulse.torque_n_m) * pulse.duration_s / inertia) * 3600.0
-        stop_us = pulse.start_us + max(1, round(pulse.duration_s * US_PER_S))
-        motions.append(_Motion(pulse.start_us, stop_us, np.zeros(3), gained_deg_h))
+        stop_us = max(pulse.start_us + 1, _pulse_stop_us(pulse))
+        motions.append(_Motion(pulse.start_us, stop_us, np.zeros(3), gained_deg_h, is_replaced))
     return tuple(motions)
+
+
+def _pulse_stop_us(pulse: Pulse) -> int:
+    return pulse.start_us + round(pulse.duration_s * US_PER_S)
 
 
 def angle_inertia_kg_m2(craft: Spacecraft) -> tuple[float, float, float]:

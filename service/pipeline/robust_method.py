@@ -23,6 +23,7 @@ from service.core.estimation.filtering.filter_state import (
 )
 from service.core.estimation.filtering.filter_update import site_db
 from service.core.estimation.filtering.hidden_motion import DAY_US, is_pushed, torque_prior_deg_h2, torque_states
+from service.core.estimation.filtering.hidden_shares import with_stated_torque
 from service.core.estimation.snapshot.snapshot import Snapshots, solve_snapshots
 from service.pipeline.config import ChainConfig
 from service.pipeline.declared_operations import declared_between, with_chain_step
@@ -88,6 +89,9 @@ def initial_state(
 
 def carried_state(state: RobustState, old: RobustModel, new: RobustModel) -> RobustState:
     """Return the state under another calibration: the craft and the carriers that stay keep what is known of them."""
+    if old.settings.torque_deg_h2 != new.settings.torque_deg_h2:
+        pushed = with_stated_torque(old.filter, state.filter, len(state.released), old.settings, new.settings)
+        state = replace(state, filter=pushed)
     if old.carrier_ids == new.carrier_ids and old.calibration_id == new.calibration_id:
         return state
     place_of = {signal: k for k, signal in enumerate(signals(old.carrier_ids, old.fit))}
@@ -125,6 +129,7 @@ def step_robust(
         return RobustStep(row, expected_dbm, deviation_db, fixes.residual_db[0], state)
     from_us = state.filter.epoch_us
     known, commanded = take(state.commanded, from_us, measurement.epoch_us)
+    unreported, released = _unreported(state.released, from_us, measurement.epoch_us)
     declared = _declared(state, model, knowledge, measurement, config)
     told = step(
         model.filter,
@@ -132,7 +137,7 @@ def step_robust(
         state.filter,
         measurement.epoch_us,
         deviation_db,
-        known,
+        known._replace(unreported=unreported),
         limits=model.limits,
         declared=declared,
         kernels=kernels_named(config.kernels),
@@ -150,7 +155,7 @@ def step_robust(
         validity_limit_deg=config.interlock.validity_limit_deg,
         yaw_validity_limit_deg=config.robust.yaw_validity_limit_deg,
     )
-    after = RobustState(told.state, commanded, state.released, measurement.source)
+    after = RobustState(told.state, commanded, released, measurement.source)
     return RobustStep(row, expected_dbm, deviation_db, fixed.residual_db(model), after)
 
 
@@ -160,6 +165,20 @@ def rates_deg_s(model: RobustModel, told: FilterStep) -> FloatArray:
     yaw, roll, _pitch = mean[ATTITUDE].tolist()
     exchanged = np.array([-turn * roll, turn * yaw, 0.0])
     return np.asarray((exchanged + mean[DRIFT] + mean[RATE]) / 3600.0)
+
+
+def _unreported(
+    released: tuple[tuple[int, CommandedMotion], ...], from_us: int, to_us: int
+) -> tuple[FloatArray, tuple[tuple[int, CommandedMotion], ...]]:
+    """Return what each unreported command would do between two epochs (n, 2, 3), deg and deg/h, and what is left."""
+    effects, left = np.zeros((len(released), 2, 3)), []
+    half_h = 0.5 * (to_us - from_us) / US_PER_S / 3600.0
+    for place, (counter, motion) in enumerate(released):
+        known, rest = take(motion, from_us, to_us)
+        rate = known.rate_change_deg_h
+        effects[place] = known.correction_deg + known.late_correction_deg + half_h * rate, rate
+        left.append((counter, rest))
+    return effects, tuple(left)
 
 
 def known_disturbance(state: RobustState, model: RobustModel) -> Disturbance | None:

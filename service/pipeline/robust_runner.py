@@ -1,13 +1,17 @@
 """The robust method in the chain: its model, its state, commanded motion, and what is known of each carrier."""
 
-from dataclasses import replace
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
+from service.core.estimation.filtering.command_watch import missed_log_ratio, share_log_ratio
+from service.core.estimation.filtering.filter_state import core_size
+from service.core.estimation.filtering.hidden_motion import SHARE_SIGMA
 from service.pipeline.config import ChainConfig
 from service.pipeline.knowledge import Knowledge, Lookup
-from service.pipeline.known_motion import CommandedMotion, heard
-from service.pipeline.method_runner import CalibratedColumns, CarrierLevels
+from service.pipeline.known_motion import CommandedMotion, end_us, heard
+from service.pipeline.method_runner import CalibratedColumns, CarrierLevels, CommandEvidence
 from service.pipeline.robust_method import (
     RobustState,
     RobustStep,
@@ -17,10 +21,22 @@ from service.pipeline.robust_method import (
     step_robust,
 )
 from service.pipeline.robust_model import RobustModel, robust_model
+from service.pipeline.unreported_commands import (
+    MAX_ROWS,
+    Branch,
+    Motion,
+    Step,
+    Told,
+    closed,
+    open_branch,
+    reported,
+    stepped,
+    told_to,
+)
 from service.records.attitude import AttitudeRow, CarrierState
 from service.records.calibration import Alignment, Calibration
 from service.records.catalogue import CarrierPlan, Ephemeris, Method, Spacecraft
-from service.records.command import AppliedCommand
+from service.records.command import AppliedCommand, ReleasedCommand, ReportedCommand
 from service.records.disturbance import Disturbance
 from service.records.epoch import US_PER_S
 from service.records.inputs import Correction
@@ -56,7 +72,10 @@ class RobustRunner:
         self._state: RobustState | None = None
         self._columns: CalibratedColumns | None = None
         self._last: tuple[RobustStep, RobustModel] | None = None
-        self._told: list[tuple[Correction | AppliedCommand, Spacecraft | None]] = []
+        self._told: list[tuple[Motion, Spacecraft | None]] = []
+        #: released and not reported, by counter
+        self._open: dict[int, tuple[ReleasedCommand, Spacecraft | None]] = {}
+        self._branch: Branch | None = None
         #: orbit that held at the alignment; references are re-derived under it
         self._aligned_under: Ephemeris | None = None
 
@@ -66,20 +85,54 @@ class RobustRunner:
         return self._model is not None
 
     def hear(self, content: SlowInput, knowledge: Knowledge) -> None:
-        """Take in a correction or an applied command."""
-        if not isinstance(content, Correction | AppliedCommand):
+        """Take in a correction, a command that counts as applied, a release or a report."""
+        craft = knowledge.spacecraft
+        match content:
+            case ReleasedCommand() if content.counter not in self._open:
+                self._open[content.counter] = content, craft
+                self._uncertain(content, craft)
+            case ReportedCommand() if content.counter in self._open:
+                self._told.append((content, self._open.pop(content.counter)[1]))
+                if self._branch is not None:
+                    self._state, self._branch = reported(self._branch, content)
+            case Correction() | AppliedCommand():
+                self._told.append((content, craft))
+                self._known(content, craft)
+            case _:
+                pass
+
+    def _known(self, content: Correction | AppliedCommand, craft: Spacecraft | None) -> None:
+        """Let the filter know of a motion."""
+        if self._state is None or self._model is None:
             return
-        self._told.append((content, knowledge.spacecraft))
-        if self._state is not None:
-            commanded = heard(self._state.commanded, content, knowledge.spacecraft, self._state.filter.epoch_us)
-            self._state = replace(self._state, commanded=commanded)
-            self._forget(self._state.filter.epoch_us - _KEPT_US)
+        told = Told(content, craft, self._model)
+        self._state = told_to(self._state, told)
+        if self._branch is not None:
+            self._branch = open_branch(self._branch, self._state, told)
+        self._forget(self._state.filter.epoch_us - _KEPT_US)
+
+    def _uncertain(self, content: ReleasedCommand, craft: Spacecraft | None) -> None:
+        """Let the effect of a released command be uncertain from now on."""
+        if self._state is None or self._model is None:
+            return
+        told = Told(content, craft, self._model)
+        self._branch = open_branch(self._branch, self._state, told)
+        self._state = told_to(self._state, told)
+
+    def _took(self, taken: Step) -> None:
+        """Keep what is to be done again when a report comes; after too many rows powers have told it."""
+        if self._branch is None or self._state is None or self._model is None:
+            return
+        if self._branch.rows >= MAX_ROWS:
+            self._state, self._branch = closed(self._state, self._model), None
+        else:
+            self._branch = stepped(self._branch, taken)
 
     def start(self, knowledge: Knowledge) -> None:
         """Begin at the alignment that holds."""
         self._aligned_under = knowledge.ephemeris
         self._model, self._columns = self._model_of(knowledge)
-        self._state, self._last = None, None
+        self._state, self._last, self._branch = None, None, None
         if self._model is not None and knowledge.alignment is not None:
             self._state = self._initial(self._model, knowledge.alignment)
 
@@ -92,7 +145,9 @@ class RobustRunner:
         if self._state is None or former is None:
             self._state = self._initial(self._model, knowledge.alignment)
         else:
-            self._state = carried_state(self._state, former, self._model)
+            taken = partial(carried_state, old=former, new=self._model)
+            self._state = taken(self._state)
+            self._took(taken)
 
     def step(
         self, measurement: Measurement, plan: CarrierPlan, knowledge: Knowledge, *, is_late: bool, is_catch_up: bool
@@ -102,19 +157,21 @@ class RobustRunner:
             message = "the robust method was stepped without a model"
             raise ValueError(message)
         is_unfit = (self._columns.flags(measurement, plan) & _UNFIT) != 0
-        outcome = step_robust(
-            self._state,
-            self._model,
-            knowledge,
-            measurement,
-            np.where(is_unfit, np.nan, self._columns.power_dbm(measurement, plan)),
+        take = partial(
+            step_robust,
+            model=self._model,
+            knowledge=knowledge,
+            measurement=measurement,
+            power_dbm=np.where(is_unfit, np.nan, self._columns.power_dbm(measurement, plan)),
             is_late=is_late,
             is_catch_up=is_catch_up,
             config=self._config,
         )
+        outcome = take(self._state)
         self._state = outcome.state
         if not is_late:
             self._last = (outcome, self._model)
+            self._took(partial(_again, take))
         return outcome.row
 
     def carrier_states(self) -> dict[str, CarrierState]:
@@ -145,6 +202,23 @@ class RobustRunner:
         outcome, model = self._last
         return CarrierLevels(model.carrier_ids, outcome.deviation_db, outcome.residual_db)
 
+    def command_evidence(self) -> CommandEvidence | None:
+        """Return what the newest row that was not late says of commands, None before it."""
+        if self._last is None or self._state is None:
+            return None
+        outcome, model = self._last
+        gaussian, place = self._state.filter.gaussian, core_size(model.filter)
+        unreported = None
+        if self._state.released:
+            mean, variance = float(gaussian.mean[place]), float(gaussian.covariance[place, place])
+            unreported = share_log_ratio(mean, variance, SHARE_SIGMA)
+        return CommandEvidence(
+            model.filter,
+            np.where(model.is_used, outcome.deviation_db, np.nan),
+            missed_log_ratio(self._state.filter.command),
+            unreported,
+        )
+
     def disturbance(self) -> Disturbance | None:
         """Return the torque that acts without being fed forward; None where the catalogue states none."""
         if self._model is None or self._state is None:
@@ -153,17 +227,24 @@ class RobustRunner:
 
     def _forget(self, before_us: int) -> None:
         """Let go of the oldest motions; torques come with every row, and an alignment may be months away."""
-        while self._told and _stop_us(self._told[0][0]) <= before_us:
+        self._open = {n: kept for n, kept in self._open.items() if kept[0].stop_us > before_us}
+        while self._told and end_us(self._told[0][0]) <= before_us:
             del self._told[0]
 
     def _initial(self, model: RobustModel, alignment: Alignment) -> RobustState:
         """Return the state at an alignment, with what was commanded after its epoch."""
         since_us = alignment.epoch_us
-        self._told = [told for told in self._told if _stop_us(told[0]) > since_us - _KEPT_US]
+        self._told = [told for told in self._told if end_us(told[0]) > since_us - _KEPT_US]
         commanded = CommandedMotion(since_us)
         for content, craft in self._told:
             commanded = heard(commanded, content, craft, since_us)
-        return initial_state(model, alignment, commanded, self._config)
+        state = initial_state(model, alignment, commanded, self._config)
+        for released, craft in self._open.values():
+            if released.stop_us > since_us:
+                told = Told(released, craft, model)
+                self._branch = open_branch(self._branch, state, told)
+                state = told_to(state, told)
+        return state
 
     def _model_of(self, knowledge: Knowledge) -> tuple[RobustModel | None, CalibratedColumns | None]:
         """Return the model that holds and the order of its carriers."""
@@ -181,6 +262,9 @@ class RobustRunner:
         return self._lookup.calibration(alignment.calibration_by_method[Method.ROBUST.value])
 
 
-def _stop_us(content: Correction | AppliedCommand) -> int:
-    """Return when a commanded motion ends."""
-    return content.stop_us if isinstance(content, Correction) else content.command.valid_until_us
+def _again(take: Callable[[RobustState], RobustStep], state: RobustState) -> RobustState:
+    """Return the state after a row that is taken again; one that breaks the numbers is left out as ever."""
+    try:
+        return take(state).state
+    except ArithmeticError:
+        return state

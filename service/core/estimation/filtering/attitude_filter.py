@@ -39,9 +39,10 @@ from service.core.estimation.filtering.filter_predict import Weather, predict
 from service.core.estimation.filtering.filter_records import FilterState, FilterStep, start
 from service.core.estimation.filtering.filter_state import ATTITUDE, CHAIN, RAIN, hidden_count
 from service.core.estimation.filtering.filter_update import innovate, update
+from service.core.estimation.filtering.hidden_motion import is_pushed, with_doubted_torque
 from service.core.estimation.filtering.integrity import Evidence, IntegrityLimits, assess
 from service.core.estimation.filtering.kernels import ARRAYS, Kernels
-from service.core.estimation.filtering.motion_watch import pass_motion
+from service.core.estimation.filtering.motion_watch import newly_excused, pass_motion
 from service.core.estimation.filtering.rain_state import pass_hold, pass_minutes
 from service.core.estimation.filtering.row_stages import common_first, is_shared, moved, trusted, watched
 
@@ -132,7 +133,7 @@ def _ahead(
     minutes = min(step_us / 60e6, 1.0)
     weather = Weather(
         state.rain.is_raining,
-        state.motion.is_unannounced,
+        state.motion.is_followed,
         state.noise.slow_scale,
         state.model_variance_db2,
         declared,
@@ -198,7 +199,11 @@ def _judged(
     updated, after = None, freed
     if len(kept.carriers) >= MIN_CARRIERS:
         updated = update(model, freed.gaussian, row.deviation_db, kept, kernels)
-        after = freed._replace(gaussian=updated.state, motion=moved(freed, updated, choice))
+        motion = moved(freed, updated, choice, is_pushed=is_pushed(settings))
+        axes = newly_excused(freed.motion, motion)
+        if axes.any():
+            updated = updated._replace(state=with_doubted_torque(model, updated.state, settings, axes))
+        after = freed._replace(gaussian=updated.state, motion=motion)
         command = push_row(model, freed.command, kept, updated.state.covariance, is_shared=is_shared(choice))
         command, gaussian = judge_commands(command, updated.state)
         after = after._replace(gaussian=gaussian, command=command)

@@ -194,14 +194,53 @@ def _seen(model: CarrierModel, used: Innovation, change: FloatArray) -> FloatArr
     return np.asarray(used.core_jacobian @ change[:core] + own[used.carriers])
 
 
-def likelier_share(watch: CommandWatch) -> float | None:
-    """Return the share that explains the commands beyond chance, None = the believed one does."""
+def share_gains(watch: CommandWatch) -> dict[float, float]:
+    """Return the log likelihood ratio of each share against the believed one."""
     excused = watch.information[0, 1] / (watch.information[1, 1] + _UNTOLD_YAW_DEG_H**-2)
     score = float(watch.score[0] - excused * watch.score[1])
     information = float(watch.information[0, 0] - excused * watch.information[0, 1])
-    gains = [(s - watch.share) * score - 0.5 * (s - watch.share) ** 2 * information for s in SHARES]
-    best = max(range(len(SHARES)), key=gains.__getitem__)
-    return SHARES[best] if gains[best] > BELIEVED else None
+    return {s: (s - watch.share) * score - 0.5 * (s - watch.share) ** 2 * information for s in SHARES}
+
+
+def likelier_share(watch: CommandWatch) -> float | None:
+    """Return the share that explains the commands beyond chance, None = the believed one does."""
+    gains = share_gains(watch)
+    best = max(SHARES, key=gains.__getitem__)
+    return best if gains[best] > BELIEVED else None
+
+
+def missed_log_ratio(watch: CommandWatch) -> float:
+    """Return how much likelier "no effect" or "reversed" is than that commands are carried out, logarithm.
+
+    Once one of both is believed the ratio with which it came to be believed stands, and what the rows since then say
+    of whole commands is added; where another share is believed commands act, and nothing is missed.
+    """
+    gains = share_gains(watch)
+    if watch.share == 1.0:
+        return max(gains[0.0], gains[-1.0])
+    return BELIEVED - gains[1.0] if watch.share <= 0.0 else 0.0
+
+
+def share_log_ratio(mean: float, variance: float, prior_sigma: float) -> float:
+    """Return how much likelier the powers make a command that did nothing or the reverse than one that was carried out.
+
+    Parameters
+    ----------
+    mean, variance : float
+        Of the share of the command that was carried out, as the filter has it after the powers; variance > 0.
+    prior_sigma : float
+        Before them, about 0.
+
+    Examples
+    --------
+    >>> round(share_log_ratio(0.0, 0.02, 1.0), 1), round(share_log_ratio(1.0, 0.02, 1.0), 1)
+    (24.5, -25.5)
+    """
+
+    def likelihood(share: float) -> float:
+        return -0.5 * (share - mean) ** 2 / variance + 0.5 * (share / prior_sigma) ** 2
+
+    return max(likelihood(0.0), likelihood(-1.0)) - likelihood(1.0)
 
 
 def judge_commands(watch: CommandWatch, state: Gaussian) -> tuple[CommandWatch, Gaussian]:

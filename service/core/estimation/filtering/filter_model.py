@@ -84,7 +84,7 @@ class FilterSettings(NamedTuple):
     unannounced_walk_deg: tuple[float, float, float] = (0.3, 0.15, 0.15)
     #: size of the torque that is not fed forward, as acceleration, deg/h^2, and how long what is learned of it holds, h
     torque_deg_h2: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    torque_tau_h: float = 2400.0
+    torque_tau_h: float = 24_000.0
 
 
 class KnownMotion(NamedTuple):

@@ -16,7 +16,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.filter_model import CarrierModel, FilterSettings, FloatArray, KnownMotion
+from service.core.estimation.filtering.filter_model import (
+    BoolArray,
+    CarrierModel,
+    FilterSettings,
+    FloatArray,
+    KnownMotion,
+)
 from service.core.estimation.filtering.filter_state import Gaussian, common_states, hidden_count
 
 #: states of the residual torque
@@ -152,3 +158,20 @@ def dropped(state: Gaussian, places: slice) -> Gaussian:
     """Return the state without some: what the others owe to them stays their uncertainty."""
     covariance = np.delete(np.delete(state.covariance, places, axis=0), places, axis=1)
     return Gaussian(np.delete(state.mean, places), covariance)
+
+
+def with_wider_torque(gaussian: Gaussian, places: slice, variance: FloatArray) -> Gaussian:
+    """Return the state whose torques are known less by a variance (9,), (deg/h^2)^2."""
+    covariance = gaussian.covariance.copy()
+    at = np.arange(places.start, places.start + TORQUES)
+    covariance[at, at] += variance
+    return Gaussian(gaussian.mean, covariance)
+
+
+def with_doubted_torque(model: CarrierModel, gaussian: Gaussian, settings: FilterSettings, axes: BoolArray) -> Gaussian:
+    """Return the state whose torque about some axes (3,) may be another than was learned, by as much as was stated."""
+    # shares stand before the torques
+    places = torque_states(model, gaussian, max(0, hidden_count(model, len(gaussian.mean)) - TORQUES))
+    if places is None:
+        return gaussian
+    return with_wider_torque(gaussian, places, np.tile(axes, 3) * torque_prior_deg_h2(settings) ** 2)

@@ -2,8 +2,10 @@
 
 While the model holds, what a row adds to an angle, in units of its sigma, is white and of unit variance. A correction
 that was lost, doubled or turned round, or a coupling that does not act, makes shifts of one sign: the two-sided sum
-finds them, the axis is followed with a wide drift for an hour and control is told. The law of this file: one value a
-minute and axis, order yaw, roll, pitch.
+finds them, the axis is followed with a wide drift for an hour and control is told. Where a torque that nobody feeds
+forward is among the states it may be greater than it was thought to be: the first alarm of an axis widens it, and
+control goes on, for to stop it would leave the craft to that torque. What moves the axis on within the hour is
+something else. The law of this file: one value a minute and axis, order yaw, roll, pitch.
 """
 
 from typing import NamedTuple
@@ -11,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.estimation.filtering.common_change import THRESHOLD, Cusum, push_cusum, quiet_cusum, reset_cusum
-from service.core.estimation.filtering.filter_model import FloatArray
+from service.core.estimation.filtering.filter_model import BoolArray, FloatArray
 from service.core.estimation.filtering.minute_sums import MinuteSums, empty_minute, push_minute
 
 #: minutes for which an axis is followed after an alarm
@@ -25,28 +27,43 @@ class MotionWatch(NamedTuple):
     cusum: Cusum
     #: (3,) minutes for which each axis is still followed
     minutes_left: FloatArray
+    #: (3,) minutes for which a torque may explain what each axis does
+    excused_minutes: FloatArray
+
+    @property
+    def is_followed(self) -> tuple[bool, bool, bool]:
+        """Whether each axis is followed with a wide drift."""
+        yaw, roll, pitch = (self.minutes_left > 0.0).tolist()
+        return yaw, roll, pitch
 
     @property
     def is_unannounced(self) -> tuple[bool, bool, bool]:
-        """Whether each axis is suspected to move as nobody announced."""
-        yaw, roll, pitch = (self.minutes_left > 0.0).tolist()
+        """Whether each axis is suspected to move as nobody announced and no torque explains."""
+        yaw, roll, pitch = (self.minutes_left > self.excused_minutes).tolist()
         return yaw, roll, pitch
 
 
 def still_watch(epoch_us: int) -> MotionWatch:
     """Return the watch of a craft that does what it is told."""
-    return MotionWatch(empty_minute(3, epoch_us), quiet_cusum(3), np.zeros(3))
+    return MotionWatch(empty_minute(3, epoch_us), quiet_cusum(3), np.zeros(3), np.zeros(3))
 
 
-def push_shift(watch: MotionWatch, epoch_us: int, shift: FloatArray) -> MotionWatch:
-    """Return the watch with the shifts (3,) of one row, in sigmas."""
+def push_shift(watch: MotionWatch, epoch_us: int, shift: FloatArray, *, is_pushed: bool = False) -> MotionWatch:
+    """Return the watch with the shifts (3,) of one row, in sigmas; `is_pushed` = a torque is among the states."""
     sums, values = push_minute(watch.minute, epoch_us, shift)
     if values is None:
         return watch._replace(minute=sums)
     pushed = push_cusum(watch.cusum, values)
     is_alarm = np.maximum(pushed.up, pushed.down) > THRESHOLD
     left = np.where(is_alarm, FOLLOWED_MINUTES, watch.minutes_left)
-    return MotionWatch(sums, reset_cusum(pushed, is_alarm), left)
+    is_excused = is_alarm & (watch.minutes_left == 0.0) & is_pushed
+    excused = np.where(is_excused, FOLLOWED_MINUTES, np.where(is_alarm, 0.0, watch.excused_minutes))
+    return MotionWatch(sums, reset_cusum(pushed, is_alarm), left, excused)
+
+
+def newly_excused(before: MotionWatch, after: MotionWatch) -> BoolArray:
+    """Return the axes (3,) whose motion a torque is to explain from this row on."""
+    return np.asarray(after.excused_minutes > before.excused_minutes)
 
 
 def forget_shifts(watch: MotionWatch, epoch_us: int) -> MotionWatch:
@@ -56,9 +73,11 @@ def forget_shifts(watch: MotionWatch, epoch_us: int) -> MotionWatch:
 
 def follow_all(watch: MotionWatch) -> MotionWatch:
     """Return the watch of a craft that has jumped: all axes are followed."""
-    return watch._replace(cusum=quiet_cusum(3), minutes_left=np.full(3, FOLLOWED_MINUTES))
+    left = np.full(3, FOLLOWED_MINUTES)
+    return watch._replace(cusum=quiet_cusum(3), minutes_left=left, excused_minutes=np.zeros(3))
 
 
 def pass_motion(watch: MotionWatch, minutes: float) -> MotionWatch:
     """Return the watch some minutes of data later."""
-    return watch._replace(minutes_left=np.maximum(0.0, watch.minutes_left - minutes))
+    left, excused = watch.minutes_left - minutes, watch.excused_minutes - minutes
+    return watch._replace(minutes_left=np.maximum(0.0, left), excused_minutes=np.maximum(0.0, excused))

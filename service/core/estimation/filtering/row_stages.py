@@ -62,12 +62,12 @@ def is_shared(choice: Choice | None) -> bool:
     return choice is not None and choice.cause is not Cause.INDEPENDENT
 
 
-def moved(state: FilterState, updated: Updated, choice: Choice | None) -> MotionWatch:
-    """Return the watch on motion after an update."""
+def moved(state: FilterState, updated: Updated, choice: Choice | None, *, is_pushed: bool) -> MotionWatch:
+    """Return the watch on motion after an update; `is_pushed` = a torque is among the states."""
     motion, epoch_us = state.motion, state.epoch_us
-    return (
-        forget_shifts(motion, epoch_us) if is_shared(choice) else push_shift(motion, epoch_us, updated.attitude_shift)
-    )
+    if is_shared(choice):
+        return forget_shifts(motion, epoch_us)
+    return push_shift(motion, epoch_us, updated.attitude_shift, is_pushed=is_pushed)
 
 
 def trusted(innovation: Innovation, excess: FloatArray) -> Innovation:

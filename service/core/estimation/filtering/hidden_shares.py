@@ -1,0 +1,60 @@
+"""Shares and torques that come to the states of a running filter, or leave them.
+
+The law of this file: whatever holds one number a state moves with the states: mean, covariance and what the watch on
+commands derives.
+"""
+
+import numpy as np
+
+from service.core.estimation.filtering.command_watch import obeyed_commands
+from service.core.estimation.filtering.filter_model import CarrierModel, FilterSettings
+from service.core.estimation.filtering.filter_records import FilterState
+from service.core.estimation.filtering.filter_state import core_size
+from service.core.estimation.filtering.hidden_motion import (
+    SHARE_SIGMA,
+    dropped,
+    inserted,
+    is_pushed,
+    torque_prior_deg_h2,
+    torque_states,
+    with_wider_torque,
+)
+
+
+def with_share(model: CarrierModel, state: FilterState, shares: int) -> FilterState:
+    """Return the state with one share more, of which nothing is known, behind those it has."""
+    place = core_size(model, shares)
+    gaussian = inserted(state.gaussian, place, np.array([SHARE_SIGMA**2]))
+    command = state.command
+    if len(command.sensitivity):
+        command = command._replace(sensitivity=np.insert(command.sensitivity, place, 0.0, axis=0))
+    return state._replace(gaussian=gaussian, command=command)
+
+
+def without_shares(model: CarrierModel, state: FilterState, shares: int) -> FilterState:
+    """Return the state without its shares."""
+    places = slice(core_size(model), core_size(model, shares))
+    command = state.command
+    if len(command.sensitivity):
+        command = command._replace(sensitivity=np.delete(command.sensitivity, places, axis=0))
+    return state._replace(gaussian=dropped(state.gaussian, places), command=command)
+
+
+def with_stated_torque(
+    model: CarrierModel, state: FilterState, shares: int, before: FilterSettings, after: FilterSettings
+) -> FilterState:
+    """Return the state after the catalogue states another torque that is not fed forward.
+
+    Where it states one for the first time its states come, where it states none they go; a greater one is known less.
+    """
+    places = torque_states(model, state.gaussian, shares)
+    first = core_size(model, shares)
+    if places is None:
+        gaussian = inserted(state.gaussian, first, torque_prior_deg_h2(after) ** 2)
+    elif is_pushed(after):
+        grown = torque_prior_deg_h2(after) ** 2 - torque_prior_deg_h2(before) ** 2
+        gaussian = with_wider_torque(state.gaussian, places, np.maximum(0.0, grown))
+    else:
+        gaussian = dropped(state.gaussian, places)
+    command = obeyed_commands()._replace(share=state.command.share, minutes_left=state.command.minutes_left)
+    return state._replace(gaussian=gaussian, command=command)

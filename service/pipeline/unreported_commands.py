@@ -1,0 +1,97 @@
+"""Released commands that nobody has reported: where the filter goes back to when a report comes.
+
+Between release and report a command's whole effect is uncertain: its pulses act by a share among the filter's states.
+When the report comes the filter goes back to where the command was released, takes what was executed as known from then
+on and the rows again, so that detectors and faults too are those of a filter that always knew. Rows already told stay
+as they were told. The law of this file: entries in the order of the journal; the same entries give the same state.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from service.core.estimation.filtering.hidden_shares import with_share, without_shares
+from service.pipeline.known_motion import CommandedMotion, heard, motions_of_released
+from service.pipeline.robust_method import RobustState
+from service.pipeline.robust_model import RobustModel
+from service.records.catalogue import Spacecraft
+from service.records.command import AppliedCommand, ReleasedCommand, ReportedCommand
+from service.records.inputs import Correction
+
+#: rows that are kept to be taken again, an hour of rows a second; behind them the powers have told what happened
+MAX_ROWS = 3600
+
+#: what the filter did with a row or a change of its model
+Step = Callable[[RobustState], RobustState]
+Motion = Correction | AppliedCommand | ReportedCommand
+
+
+@dataclass(frozen=True)
+class Told:
+    """A motion or a release that the ground told."""
+
+    content: Motion | ReleasedCommand
+    craft: Spacecraft | None
+    model: RobustModel
+
+
+@dataclass(frozen=True)
+class Branch:
+    """State before the oldest command that is not reported, and all that happened since."""
+
+    base: RobustState
+    entries: tuple[Told | Step, ...] = ()
+    rows: int = 0
+
+
+def open_branch(branch: Branch | None, state: RobustState, told: Told) -> Branch:
+    """Return the branch with a release, begun at the state before it where there was none."""
+    branch = branch or Branch(state)
+    return replace(branch, entries=(*branch.entries, told))
+
+
+def stepped(branch: Branch, taken: Step) -> Branch:
+    """Return the branch with a row, or a change of the model."""
+    return replace(branch, entries=(*branch.entries, taken), rows=branch.rows + 1)
+
+
+def told_to(state: RobustState, told: Told) -> RobustState:
+    """Return the state that has heard of a motion, or of a release whose effect is uncertain."""
+    content, newest_us = told.content, state.filter.epoch_us
+    if not isinstance(content, ReleasedCommand):
+        return replace(state, commanded=heard(state.commanded, content, told.craft, newest_us))
+    motion = motions_of_released(CommandedMotion(state.commanded.since_us), content, told.craft, newest_us)
+    widened = with_share(told.model.filter, state.filter, len(state.released))
+    return replace(state, filter=widened, released=(*state.released, (content.counter, motion)))
+
+
+def reported(branch: Branch, report: ReportedCommand) -> tuple[RobustState, Branch | None]:
+    """Return state and branch after a report; the branch is None where nothing is uncertain any longer."""
+    entries: list[Told | Step] = []
+    for entry in branch.entries:
+        if not _is_release(entry, report.counter):
+            entries.append(entry)
+        elif isinstance(entry, Told) and report.executed:
+            entries.append(replace(entry, content=report))
+    first = next((place for place, entry in enumerate(entries) if _is_release(entry)), len(entries))
+    base = _taken(branch.base, entries[:first])
+    if first == len(entries):
+        return base, None
+    left = tuple(entries[first:])
+    return _taken(base, left), Branch(base, left, sum(not isinstance(entry, Told) for entry in left))
+
+
+def closed(state: RobustState, model: RobustModel) -> RobustState:
+    """Return the state without its shares: what they have done stays uncertain until powers tell."""
+    return replace(state, filter=without_shares(model.filter, state.filter, len(state.released)), released=())
+
+
+def _taken(state: RobustState, entries: Sequence[Told | Step]) -> RobustState:
+    for entry in entries:
+        state = told_to(state, entry) if isinstance(entry, Told) else entry(state)
+    return state
+
+
+def _is_release(entry: "Told | Step", counter: int | None = None) -> bool:
+    if not isinstance(entry, Told) or not isinstance(entry.content, ReleasedCommand):
+        return False
+    return counter is None or entry.content.counter == counter
