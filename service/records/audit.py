@@ -8,6 +8,7 @@ interface and in the log.
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import astuple, dataclass, replace
 from hashlib import sha256
@@ -110,6 +111,16 @@ class Note:
 
 #: note of the request in progress; empty outside of requests and in requests that change nothing
 CURRENT_NOTE: ContextVar[Note | None] = ContextVar("audit_note", default=None)
+
+
+@contextmanager
+def apart_from_request() -> Iterator[None]:
+    """Keep what is written meanwhile apart from the request in progress: it is not what was asked for."""
+    token = CURRENT_NOTE.set(None)
+    try:
+        yield
+    finally:
+        CURRENT_NOTE.reset(token)
 
 
 def next_entry(head: AuditHead, deed: Deed) -> AuditEntry:

@@ -179,6 +179,8 @@ class CommandView:
     sent_us: int | None = None
     reported_us: int | None = None
     reported_by: str | None = None
+    #: from when until when the report says it was carried out, as it says it
+    told_executed_us: tuple[int | None, int | None] = (None, None)
     #: what of the schedule was carried out
     executed: tuple[Pulse, ...] = ()
     #: only looked at: nothing is stored, the counter is the one that it would get

@@ -8,6 +8,7 @@ control trips, for a release that two processes hold is held by none.
 import threading
 import time
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -19,14 +20,21 @@ from service.pipeline.release_interlock.release_document import ReleaseMemory, d
 from service.pipeline.release_interlock.release_events import (
     Action,
     ActionKind,
+    Cancel,
     CommandRecord,
+    Confirm,
+    Engage,
     Event,
+    Order,
+    Prepare,
     ReleaseState,
+    Report,
     Step,
     Told,
 )
 from service.pipeline.release_interlock.release_settings import ReleaseSettings
 from service.ports import Releases
+from service.records.audit import apart_from_request
 from service.records.command import ReleasedCommand, ReportedCommand
 from service.records.epoch import US_PER_S
 from service.records.release import (
@@ -122,7 +130,8 @@ class ReleaseCase:
             for _ in range(_ATTEMPTS):
                 step = self._judged(event, settings)
                 try:
-                    return step, self._keep(step, event.at, annex or Annex())
+                    with nullcontext() if is_deed(event, step) else apart_from_request():
+                        return step, self._keep(step, event.at, annex or Annex())
                 except ConflictError as error:
                     if error.code != "release.changed":
                         raise
@@ -242,6 +251,11 @@ class ReleaseCase:
         self._memory = ReleaseMemory(restored(memory.state), check)
         self._version = stored.version
         self._views.clear()
+
+
+def is_deed(event: Event, step: Step) -> bool:
+    """Whether a step is what a person ordered, and not what time, rows or a refusal brought along."""
+    return isinstance(event, Order | Engage | Prepare | Confirm | Cancel | Report) and step.refusal is None
 
 
 def _record(state: ReleaseState, action: Action) -> CommandRecord | None:

@@ -10,6 +10,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from uuid import uuid4
 
@@ -36,6 +37,7 @@ from service.pipeline.release_interlock.release_events import (
 from service.pipeline.release_interlock.release_settings import ReleaseSettings
 from service.pipeline.release_interlock.row_facts import SeenRow
 from service.ports import Clock, Storage
+from service.records.audit import apart_from_request
 from service.records.calibration import Window
 from service.records.catalogue import ControlMode, Spacecraft
 from service.records.epoch import US_PER_S
@@ -47,14 +49,14 @@ from service.records.release import (
     ProductForm,
     UplinkProduct,
 )
-from service.runtime.release_case import Annex, ReleaseCase
+from service.runtime.release_case import Annex, ReleaseCase, is_deed
 from service.runtime.release_entry import ReleaseEntry
 from service.runtime.release_proposing import Proposals
 from service.runtime.release_refusals import error_of, require_release
 from service.runtime.release_rows import RowWork
 from service.runtime.release_surroundings import KnownFacts, read_facts, surroundings_of
 from service.runtime.release_tidings import Tidings
-from service.runtime.release_views import control_view, envelope_of
+from service.runtime.release_views import control_view, envelope_of, is_told_already
 
 _LOG = logging.getLogger("soo.release")
 
@@ -220,17 +222,20 @@ class ReleaseDesk:
     ) -> CommandView:
         """Take what the centre tells of a released command: ``sent``, ``executed`` or ``failed``.
 
-        NotFoundError ``command.unknown``; ConflictError ``command.state``; InvalidInputError ``report.interval``,
-        ``report.time``.
+        The same report again changes nothing. NotFoundError ``command.unknown``; ConflictError ``command.state``;
+        InvalidInputError ``report.interval``, ``report.time``.
         """
         entry = self._entry(spacecraft_id)
+        executed = (executed_from_us, executed_until_us)
         with entry.case.lock:
+            if is_told_already(entry.case.view(counter), turn, at_us, executed):
+                return entry.case.view(counter)
             at, facts = self._present(entry, spacecraft_id)
             if at_us is not None:
                 self._require_time(entry, counter, at_us, at, is_data=self._clock.is_data(spacecraft_id))
             told_us = at.now_us if at_us is None else at_us
-            notes = {"sent_us": told_us} if turn == "sent" else {"reported_by": by}
-            event = Report(at, counter, _TURNS[turn], executed_from_us, executed_until_us)
+            notes = {"sent_us": told_us} if turn == "sent" else {"reported_by": by, "told_executed_us": executed}
+            event = Report(at, counter, _TURNS[turn], *executed)
             self._done(entry, facts, event, Annex(notes={counter: notes}))
             self._rows.go_on(entry, facts, at)
             return entry.case.view(counter)
@@ -377,7 +382,8 @@ class ReleaseDesk:
     def _step(self, entry: ReleaseEntry, spacecraft: Spacecraft, event: Event, annex: Annex | None = None) -> Step:
         """Judge and store an event, and tell who has to know."""
         step, entries = entry.case.step(event, self._settings, annex)
-        self._tidings.told(spacecraft, step, event.at, has_entries=bool(entries))
+        with nullcontext() if is_deed(event, step) else apart_from_request():
+            self._tidings.told(spacecraft, step, event.at, has_entries=bool(entries))
         return step
 
     def _done(self, entry: ReleaseEntry, facts: KnownFacts, event: Event, annex: Annex | None = None) -> None:

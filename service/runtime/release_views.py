@@ -179,3 +179,12 @@ def envelope_of(limits: EnvelopeLimits) -> Envelope:
 
 def _counters(state: ReleaseState, is_wanted: Callable[[Life], bool]) -> tuple[int, ...]:
     return tuple(command.counter for command in state.commands if is_wanted(command.life))
+
+
+def is_told_already(
+    view: CommandView, turn: str, at_us: int | None, executed_us: tuple[int | None, int | None]
+) -> bool:
+    """Whether a report says what the newest one of its kind has said; then it was sent again, and means nothing."""
+    if turn == "sent":
+        return view.sent_us is not None and at_us in (None, view.sent_us)
+    return view.state == turn.upper() and view.told_executed_us == executed_us
