@@ -33,8 +33,8 @@ class _Motion:
     change_deg: FloatArray
     #: (3,) deg/h, gained in the middle of the interval
     rate_change_deg_h: FloatArray
-    #: whether the next command that counts as applied ends it
-    is_replaced: bool = False
+    #: journal number of the row whose command it belongs to: the next command ends it; None = nothing ends it
+    number: int | None = None
 
 
 @dataclass(frozen=True)
@@ -64,8 +64,9 @@ def heard(
         case ReportedCommand():
             return _with(commanded, _of_pulses(content.executed, craft), newest_us)
         case AppliedCommand():
-            ended = _ended(commanded, content.command.epoch_us, newest_us)
-            return _with(ended, _of_pulses(content.command.schedule, craft, is_replaced=True), newest_us)
+            command = content.command
+            ended = _ended(commanded, command.number, command.epoch_us, newest_us)
+            return _with(ended, _of_pulses(command.schedule, craft, command.number), newest_us)
 
 
 def motions_of_released(
@@ -86,11 +87,11 @@ def end_us(content: Correction | AppliedCommand | ReportedCommand) -> int:
             return max(content.command.valid_until_us, *map(_pulse_stop_us, content.command.schedule), 0)
 
 
-def _ended(commanded: CommandedMotion, stop_us: int, newest_us: int) -> CommandedMotion:
-    """Return the changes whose pulses of replaced commands end at an instant; rows may have consumed more of them."""
+def _ended(commanded: CommandedMotion, number: int, stop_us: int, newest_us: int) -> CommandedMotion:
+    """Return the changes when pulses of earlier commands end at an instant; rows may have consumed more of them."""
     kept, undone = [], []
     for motion in commanded.motions:
-        if not motion.is_replaced or motion.stop_us <= stop_us:
+        if motion.number is None or motion.number >= number or motion.stop_us <= stop_us:
             kept.append(motion)
             continue
         cut_us = max(motion.start_us, stop_us)
@@ -151,7 +152,7 @@ def _of_correction(correction: Correction) -> tuple[_Motion, ...]:
     return (_Motion(correction.start_us, max(correction.stop_us, correction.start_us + 1), change_deg, np.zeros(3)),)
 
 
-def _of_pulses(pulses: Iterable[Pulse], craft: Spacecraft | None, *, is_replaced: bool = False) -> tuple[_Motion, ...]:
+def _of_pulses(pulses: Iterable[Pulse], craft: Spacecraft | None, number: int | None = None) -> tuple[_Motion, ...]:
     """Return the pulses of a command; without a spacecraft nothing is known of their effect."""
     if craft is None:
         return ()
@@ -160,7 +161,7 @@ def _of_pulses(pulses: Iterable[Pulse], craft: Spacecraft | None, *, is_replaced
     for pulse in pulses:
         gained_deg_h = np.rad2deg(np.array(pulse.torque_n_m) * pulse.duration_s / inertia) * 3600.0
         stop_us = max(pulse.start_us + 1, _pulse_stop_us(pulse))
-        motions.append(_Motion(pulse.start_us, stop_us, np.zeros(3), gained_deg_h, is_replaced))
+        motions.append(_Motion(pulse.start_us, stop_us, np.zeros(3), gained_deg_h, number))
     return tuple(motions)
 
 
