@@ -278,7 +278,7 @@ class ServiceClient:
         attitude_epoch, start : str or int, optional
             Estimate that was looked at, default the newest; begin of the schedule, default as soon as can be.
         duration_s, max_torque_n_m : float, optional
-            Default the command period, and the limits of craft and wheels.
+            Default the forecast horizon of the spacecraft, and the limits of craft and wheels.
         dry_run : bool
             Only look: nothing is stored, and failing checks are told instead of refused.
         """

@@ -111,7 +111,7 @@ class CommandWish:
     attitude_epoch_us: int | None = None
     #: when the schedule begins; None: as soon as the uplink allows
     start_us: int | None = None
-    #: from the first pulse to the end of the last; None: the command period
+    #: from the first pulse to the end of the last; None: the forecast horizon of the spacecraft's control
     duration_s: float | None = None
     max_torque_n_m: float | None = None
 

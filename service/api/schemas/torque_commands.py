@@ -26,7 +26,7 @@ class PrepareDocument(Document):
     start: Epoch | None = None
     """When the schedule begins; null: as soon as the uplink allows."""
     duration_s: Annotated[float, Field(gt=0, le=86_400)] | None = None
-    """From the first pulse to the end of the last; null: the command period."""
+    """From the first pulse to the end of the last; null: the forecast horizon of the spacecraft's control."""
     max_torque_n_m: Annotated[float, Field(gt=0, le=1e3)] | None = None
     """No pulse is stronger; null: the limit of the craft and its wheels."""
     dry_run: bool = False
