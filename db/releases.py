@@ -45,7 +45,7 @@ class SqlReleases:
                 raise _changed(f"journal entries of version {version + 1} are there already")
             return version + 1
 
-        return self._database.write(store)
+        return self._database.write(self._database.lease.under(store))
 
     def command(self, spacecraft_id: str, counter: int) -> CommandView:
         """Return one command; NotFoundError ``command.unknown``."""

@@ -29,6 +29,7 @@ from service.runtime.jobs import JobRunner
 from service.runtime.leading import Leading, Turn, always
 from service.runtime.live_feed import LiveFeed
 from service.runtime.release_desk import ReleaseDesk
+from service.runtime.release_tidings import Tidings
 from service.runtime.replaying import Replayer
 from service.runtime.supervisor import Supervisor
 from service.runtime.upkeep import Upkeep
@@ -165,6 +166,19 @@ def build_upkeep(settings: Settings, storage: Storage, clock: Clock, turn: Turn 
     return Upkeep(storage, clock, settings.sealing, settings.retention, turn)
 
 
+def build_desk(settings: Settings, storage: Storage, clock: Clock, tidings: Tidings, leading: Leading) -> ReleaseDesk:
+    """Return the desk that releases torques while this service leads."""
+    return ReleaseDesk(
+        storage,
+        clock,
+        settings.release,
+        settings.torque,
+        tidings,
+        is_data_service=settings.clock == "data",
+        turn=leading.turn,
+    )
+
+
 def _flights(settings: Settings, jobs: JobRunner) -> FlightAnalyses:
     """Return what flies analyses; without a compiler shorter ones only."""
     if settings.kernels == "numba":
@@ -178,7 +192,8 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
     feed = LiveFeed()
     leading = Leading(storage.lease)
     alarms = build_alarms(settings, storage, clock, feed, leading.turn)
-    supervisor = Supervisor(storage, feed, settings.chain_config(), alarms, leading.turn)
+    desk = build_desk(settings, storage, clock, Tidings(storage.audit, feed, lambda sc: supervisor.notify(sc)), leading)
+    supervisor = Supervisor(storage, feed, settings.chain_config(), alarms, leading.turn, desk)
     jobs = JobRunner(storage.results, clock)
     # apart, so that no calibration waits for an analysis
     analyses = JobRunner(storage.results, clock)
@@ -190,8 +205,10 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
         upkeep.start()
         alarms.start()
         supervisor.start()
+        desk.start()
 
     async def stop() -> None:
+        await asyncio.to_thread(desk.stop)
         await asyncio.to_thread(supervisor.stop)
         await asyncio.to_thread(alarms.stop)
         await asyncio.to_thread(jobs.stop)
@@ -222,7 +239,7 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
         aligner=Aligner(storage, clock, settings.alignment),
         replayer=Replayer(storage, clock, jobs, settings.chain_config()),
         flights=_flights(settings, analyses),
-        desk=ReleaseDesk(storage, clock),
+        desk=desk,
         calibration=settings.calibration,
         kernels=settings.kernels,
     )

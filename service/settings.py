@@ -23,6 +23,7 @@ from service.pipeline.config import (
     RobustConfig,
     TorqueConfig,
 )
+from service.pipeline.release_interlock.release_settings import ReleaseSettings
 from service.records.archive_upkeep import RetentionConfig, SealingConfig
 
 
@@ -112,6 +113,7 @@ class Settings(BaseSettings):
     fade: FadeConfig = Field(FadeConfig(), description="downlink rain rule")
     interlock: InterlockConfig = Field(InterlockConfig(), description="what inhibits control")
     torque: TorqueConfig = Field(TorqueConfig(), description="torque pulses")
+    release: ReleaseSettings = Field(ReleaseSettings(), description="release of torques")
     robust: RobustConfig = Field(RobustConfig(), description="the robust method in operation")
     operations: OperationConfig = Field(OperationConfig(), description="what declared operations mean to it")
 

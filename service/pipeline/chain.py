@@ -19,7 +19,7 @@ from service.pipeline.alarm_readings import RowFacts
 from service.pipeline.config import ChainConfig
 from service.pipeline.disagreement import Disagreement, compare
 from service.pipeline.knowledge import Knowledge, Lookup, learn
-from service.pipeline.method_runner import MethodRunner
+from service.pipeline.method_runner import CommandEvidence, MethodRunner
 from service.pipeline.paper_runner import PaperRunner
 from service.pipeline.robust_runner import RobustRunner
 from service.pipeline.schedule_verdict import PanelSwing, swing_after
@@ -149,6 +149,11 @@ class Chain:
         return measurement, tuple(
             _carrier_state(measurement, k, name, known) for k, name in enumerate(plan.carrier_ids)
         )
+
+    def command_evidence(self) -> CommandEvidence | None:
+        """Return what the newest row that was not late says of commands; None where no method can tell."""
+        told = (runner.command_evidence() for runner in self._runners)
+        return next((evidence for evidence in told if evidence is not None), None)
 
     def facts(self, measurement: Measurement, outcome: Outcome | None) -> RowFacts:
         """Return what alarms look at in the row that was stepped last."""

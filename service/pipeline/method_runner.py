@@ -4,6 +4,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from service.core.estimation.filtering.filter_model import CarrierModel
 from service.pipeline.knowledge import Knowledge
 from service.records.attitude import AttitudeRow, CarrierState, FloatArray, IntArray
 from service.records.catalogue import Carrier, CarrierPlan, Method
@@ -20,6 +21,19 @@ class CarrierLevels(NamedTuple):
     deviation_db: FloatArray
     #: dB, what the attitude does not explain
     residual_db: FloatArray
+
+
+class CommandEvidence(NamedTuple):
+    """What a row says of commands, beside the attitude."""
+
+    #: geometry and noise of the N carriers
+    model: CarrierModel
+    #: (N,) dB, measured minus expected; NaN = absent or not used
+    deviation_db: FloatArray
+    #: how much likelier the powers make "no effect" or "reversed" than what was told of commands, logarithm
+    missed_log_ratio: float
+    #: the same of the command that nobody has reported; None: there is none
+    unreported_log_ratio: float | None
 
 
 class MethodRunner(Protocol):
@@ -59,6 +73,10 @@ class MethodRunner(Protocol):
 
     def carrier_levels(self) -> CarrierLevels | None:
         """Return the figures of the newest row that was not late, None before it; they are not copied."""
+        ...
+
+    def command_evidence(self) -> CommandEvidence | None:
+        """Return what the newest row that was not late says of commands; None where the method cannot tell."""
         ...
 
     def disturbance(self) -> Disturbance | None:

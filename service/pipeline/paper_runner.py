@@ -2,7 +2,7 @@
 
 from service.pipeline.config import ChainConfig
 from service.pipeline.knowledge import Knowledge, Lookup
-from service.pipeline.method_runner import CalibratedColumns, CarrierLevels
+from service.pipeline.method_runner import CalibratedColumns, CarrierLevels, CommandEvidence
 from service.pipeline.paper_method import PaperModel, PaperState, PaperStep, initial_state, paper_model, step_paper
 from service.records.attitude import AttitudeRow, CarrierState
 from service.records.catalogue import CarrierPlan, Method
@@ -99,6 +99,10 @@ class PaperRunner:
             return None
         outcome, model = self._last
         return CarrierLevels(model.sensitivity.carrier_ids, outcome.deviation.deviation_db, outcome.fix.residual_db)
+
+    def command_evidence(self) -> CommandEvidence | None:
+        """Return None: the method has no model of the noise."""
+        return None
 
     def disturbance(self) -> None:
         """Know of no torque: the method has no dynamics."""

@@ -16,7 +16,7 @@ from service.records.journal import JournalEntry
 from service.records.measurement import Measurement
 
 #: kinds of slow input that the chain must know from before an alignment; the others concern rows after it
-STANDING_KINDS = ("spacecraft", "plan", "ephemeris", "activation", "operation")
+STANDING_KINDS = ("spacecraft", "plan", "ephemeris", "activation", "operation", "interlock")
 #: kinds that the chain must know as far as they reach beyond an alignment
 MOTION_KINDS = ("correction", "applied_command", "released_command", "reported_command")
 _INPUTS_AT_ONCE = 1000

@@ -36,6 +36,8 @@ class ReleaseEntry:
     """One spacecraft on the desk."""
 
     case: ReleaseCase
+    #: of the service as the one that leads
+    turn: int = 1
     facts: KnownFacts | None = None
     read_s: float = 0.0
     #: newest instant of the spacecraft that was looked at

@@ -88,7 +88,7 @@ class Proposals:
             duration_s,
             max_torque_n_m,
             self._torque,
-            None if entry.seen is None else entry.seen.disturbance,
+            None if entry.seen is None else entry.seen.outcome.disturbance,
             None if entry.facts is None else entry.facts.momentum_n_m_s(row.epoch_us),
             swing=swing_left(self._releases, spacecraft, start_us),
         )

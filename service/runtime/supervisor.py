@@ -15,9 +15,10 @@ from service.errors import StorageError
 from service.pipeline.alarm_readings import RowFacts
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
+from service.pipeline.release_interlock.row_facts import SeenRow
 from service.ports import LIVE, Outcome, Storage
 from service.records.attitude import AttitudeRow, CarrierState
-from service.records.command import TorqueCommand
+from service.records.command import AppliedCommand, TorqueCommand
 from service.records.inputs import AlignmentSet, AttitudeReference, CalibrationActivation
 from service.records.journal import JournalEntry
 from service.records.measurement import Measurement
@@ -46,6 +47,14 @@ class Watcher(Protocol):
 
     def see(self, spacecraft_id: str, seen: Sequence[Seen]) -> None:
         """Take over rows that are neither late nor caught up with, and references, in the order of the journal."""
+        ...
+
+
+class ReleaseWatcher(Protocol):
+    """Looks at what control may follow from, after it was stored."""
+
+    def see(self, spacecraft_id: str, seen: Sequence[SeenRow], *, has_inputs: bool = False) -> None:
+        """Take over what was computed, and whether inputs other than rows came in; nothing is raised."""
         ...
 
 
@@ -79,6 +88,8 @@ class Supervisor:
         Who looks at the rows.
     turn : Turn, optional
         Tells whether this service leads; while another one does, the feed is told what that one has stored.
+    release : ReleaseWatcher, optional
+        Who releases torques.
     """
 
     def __init__(
@@ -88,8 +99,10 @@ class Supervisor:
         config: ChainConfig,
         watcher: Watcher | None = None,
         turn: Turn = always,
+        release: ReleaseWatcher | None = None,
     ) -> None:
         self._storage = storage
+        self._release = release
         self._turn = turn
         self._relay = Relay(storage, feed)
         self._news = RowNews(feed)
@@ -201,19 +214,30 @@ class Supervisor:
                 return
             # rows were stored before they were accepted: listeners need not wait for what is computed from them
             self._news.followed(spacecraft_id, entries)
-            outcomes: list[Outcome] = []
-            seen: list[Seen] = []
-            with follower.lock:
-                for entry in entries:
-                    told = tuple(consume(follower.chain, entry, self._storage.archive, spacecraft_id))
-                    outcomes += told
-                    seen += _seen(follower.chain, entry, told) if self._watcher is not None else ()
-            self._store_and_publish(follower, entries, outcomes)
-            if self._watcher is not None and seen:
-                self._watcher.see(spacecraft_id, seen)
+            self._take(follower, entries)
             if len(entries) < _ENTRIES_AT_ONCE:
                 # nothing unconsumed is ever dropped, so this was all; what came since has notified
                 return
+
+    def _take(self, follower: _Follower, entries: list[JournalEntry]) -> None:
+        """Consume a batch, store what came of it, and hand it to those who look at it."""
+        outcomes: list[Outcome] = []
+        seen: list[Seen] = []
+        released: list[SeenRow] = []
+        chain, archive, spacecraft_id = follower.chain, self._storage.archive, follower.spacecraft_id
+        with follower.lock:
+            for entry in entries:
+                told = tuple(consume(chain, entry, archive, spacecraft_id))
+                outcomes += told
+                seen += _seen(chain, entry, told) if self._watcher is not None else ()
+                if isinstance(entry.content, Measurement):
+                    released += (SeenRow(outcome, chain.command_evidence()) for outcome in told)
+        self._store_and_publish(follower, entries, outcomes)
+        if self._watcher is not None and seen:
+            self._watcher.see(spacecraft_id, seen)
+        if self._release is not None:
+            has_inputs = any(not isinstance(entry.content, Measurement | AppliedCommand) for entry in entries)
+            self._release.see(spacecraft_id, released, has_inputs=has_inputs)
 
     def _store_and_publish(self, follower: _Follower, entries: list[JournalEntry], outcomes: list[Outcome]) -> None:
         """Store a batch in one transaction, then tell the feed."""

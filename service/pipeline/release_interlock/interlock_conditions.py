@@ -150,7 +150,8 @@ def row_conditions(row: RowFacts | None, now_us: int, settings: ReleaseSettings)
 
 def surrounding_conditions(around: Surroundings, now_us: int, settings: ReleaseSettings) -> frozenset[Condition]:
     """Return the conditions that lie beside the row."""
-    has_mode = not settings.entry_modes or around.onboard_mode in settings.entry_modes
+    modes = settings.allowed_modes
+    has_mode = not modes or around.onboard_mode in modes
     stands = {
         Condition.NOT_ALIGNED: not around.is_aligned,
         Condition.OPERATION: around.has_inhibiting_operation,

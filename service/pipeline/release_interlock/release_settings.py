@@ -39,8 +39,8 @@ class ReleaseSettings:
     #: roll or pitch beyond it: automatic release off; beyond the second: over to the sensor mode
     recovery_deg: float = 0.4
     hand_over_deg: float = 0.6
-    #: on-board modes from which control may be entered; empty: not looked at
-    entry_modes: tuple[str, ...] = ()
+    #: on-board modes from which control may be entered, by commas; any: not looked at
+    entry_modes: str = "any"
     longest_authorisation_s: float = 12 * 3600.0
     #: the second person must follow the first within this
     request_s: float = 600.0
@@ -63,6 +63,12 @@ class ReleaseSettings:
     report_s: float = 600.0
     #: time passes for the interlock at least this often
     tick_s: float = 10.0
+
+    @property
+    def allowed_modes(self) -> tuple[str, ...]:
+        """Return the on-board modes from which control may be entered; none: they are not looked at."""
+        modes = tuple(part.strip() for part in self.entry_modes.split(",") if part.strip())
+        return () if modes == ("any",) else modes
 
     @property
     def envelope(self) -> Envelope:

@@ -2,11 +2,10 @@
 
 from typing import NamedTuple
 
-from service.core.estimation.filtering.filter_model import CarrierModel
+from service.pipeline.method_runner import CommandEvidence
 from service.pipeline.release_interlock.interlock_conditions import RowFacts
 from service.ports import Outcome
-from service.records.attitude import AttitudeRow, FloatArray, Status
-from service.records.disturbance import Disturbance
+from service.records.attitude import AttitudeRow, Status
 
 #: standard normal quantile of 0.995: 99 % lie between it and its opposite
 _QUANTILE = 2.5758293
@@ -14,23 +13,10 @@ _QUANTILE = 2.5758293
 _UNKNOWNS = 3
 
 
-class CommandEvidence(NamedTuple):
-    """What a row says of commands, beside the attitude."""
-
-    #: geometry and noise of the N carriers
-    model: CarrierModel
-    #: (N,) dB, measured minus expected; NaN = absent or not used
-    deviation_db: FloatArray
-    #: how much likelier the powers make "no effect" or "reversed" than what was commanded, logarithm
-    missed_log_ratio: float
-
-
 class SeenRow(NamedTuple):
     """A row as the release sees it, after it was stored."""
 
     outcome: Outcome
-    #: torque that nobody commanded
-    disturbance: Disturbance | None = None
     evidence: CommandEvidence | None = None
 
 

@@ -16,7 +16,15 @@ from service.api.app import create_app
 from service.api.deps import ApiContext, Limits
 from service.core.dynamics.orbital_frame_kernel import fly
 from service.pipeline.alarm_conditions import condition_table
-from service.pipeline.config import AlarmConfig, AlignmentConfig, CalibrationConfig, ChainConfig, RobustConfig
+from service.pipeline.config import (
+    AlarmConfig,
+    AlignmentConfig,
+    CalibrationConfig,
+    ChainConfig,
+    RobustConfig,
+    TorqueConfig,
+)
+from service.pipeline.release_interlock.release_settings import ReleaseSettings
 from service.ports import LIVE, Outcome
 from service.records.attitude import AttitudeRow, Axes, Exclusion, Status
 from service.records.calibration import (
@@ -54,6 +62,7 @@ from service.runtime.flight_analyses import FlightAnalyses
 from service.runtime.jobs import JobRunner
 from service.runtime.live_feed import LiveFeed
 from service.runtime.release_desk import ReleaseDesk
+from service.runtime.release_tidings import Tidings
 from service.runtime.replaying import Replayer
 from service.runtime.supervisor import Supervisor
 
@@ -296,6 +305,7 @@ async def bench(storage: SqlStorage) -> AsyncIterator[Bench]:
     storage.catalogue.put_ephemeris(SC, Ephemeris(0, nodes_us, 86_328.0, nodes_us[0], nodes_us[-1], "nodes"))
     clock, feed, config = SetClock(), LiveFeed(capacity=50), ChainConfig()
     jobs = JobRunner(storage.results, clock)
+    tidings = Tidings(storage.audit, feed, lambda _: None)
     context = ApiContext(
         storage=storage,
         clock=clock,
@@ -307,7 +317,7 @@ async def bench(storage: SqlStorage) -> AsyncIterator[Bench]:
         aligner=Aligner(storage, clock, AlignmentConfig()),
         replayer=Replayer(storage, clock, jobs, config),
         flights=FlightAnalyses(jobs, lambda: fly),
-        desk=ReleaseDesk(storage, clock),
+        desk=ReleaseDesk(storage, clock, ReleaseSettings(), TorqueConfig(), tidings),
         bootstrap_key=KEY,
         limits=Limits(stream_heartbeat_s=0.3),
     )

@@ -89,7 +89,7 @@ def test_an_empty_variable_counts_as_not_set(monkeypatch):
     ("path", "default"), NESTED, ids=lambda value: "__".join(value) if isinstance(value, tuple) else ""
 )
 def test_a_nested_setting_comes_from_its_variable_and_moves_nothing_else(monkeypatch, path, default):
-    changed = default + 1
+    changed = default + type(default)(1)
     monkeypatch.setenv("SOO_" + "__".join(path).upper(), str(changed))
     settings = Settings()
     assert read(settings, path) == changed

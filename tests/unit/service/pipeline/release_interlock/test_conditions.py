@@ -41,7 +41,7 @@ def bad_innovations(driver):
 
 
 def another_mode(driver):
-    driver.settings = replace(driver.settings, entry_modes=("FORECAST",))
+    driver.settings = replace(driver.settings, entry_modes="FORECAST, EARTH")
     driver.tell(onboard_mode="SAFE")
 
 

@@ -1,0 +1,221 @@
+"""The floor of the release desk: each spacecraft's case, the present, rows and time as they come in.
+
+Persons' orders stand in `service.runtime.release_desk`. Only the service that leads its archive judges events; what a
+service knew in an earlier turn is read from the archive anew.
+"""
+
+import logging
+import math
+import threading
+import time
+from collections.abc import Callable, Sequence
+from uuid import uuid4
+
+from service.pipeline.config import TorqueConfig
+from service.pipeline.release_interlock.interlock import Instant
+from service.pipeline.release_interlock.release import settled_at
+from service.pipeline.release_interlock.release_document import memory_of
+from service.pipeline.release_interlock.release_events import Event, Step, Tick, Told
+from service.pipeline.release_interlock.release_settings import ReleaseSettings
+from service.pipeline.release_interlock.row_facts import SeenRow
+from service.ports import Clock, Storage
+from service.records.catalogue import Spacecraft
+from service.records.epoch import US_PER_S
+from service.records.release import ControlView
+from service.runtime.leading import Turn, always, elsewhere
+from service.runtime.release_case import Annex, ReleaseCase
+from service.runtime.release_entry import ReleaseEntry
+from service.runtime.release_proposing import Proposals
+from service.runtime.release_rows import RowWork
+from service.runtime.release_surroundings import KnownFacts, read_facts, surroundings_of
+from service.runtime.release_tidings import Tidings
+from service.runtime.release_views import control_view
+
+_LOG = logging.getLogger("soo.release")
+
+
+def _steady_us() -> int:
+    """Return a clock that nobody sets."""
+    return round(time.monotonic() * US_PER_S)
+
+
+class ReleaseFloor:
+    """Cases of all spacecraft, and what rows and time bring about.
+
+    Parameters
+    ----------
+    storage : Storage
+        Where state, commands and uplink products are kept.
+    clock : Clock
+        The only source of time.
+    settings : ReleaseSettings
+        What inhibits, what trips, and how long things last.
+    torque : TorqueConfig
+        Of the control law.
+    tidings : Tidings
+        Who is told of what has been stored.
+    is_data_service : bool
+        Whether the service runs under the data clock: then only simulated craft get commands.
+    turn : Turn, optional
+        Tells whether this service leads.
+    steady : callable, optional
+        A clock that nobody sets, microseconds.
+    """
+
+    def __init__(
+        self,
+        storage: Storage,
+        clock: Clock,
+        settings: ReleaseSettings,
+        torque: TorqueConfig,
+        tidings: Tidings,
+        *,
+        is_data_service: bool = False,
+        turn: Turn = always,
+        steady: Callable[[], int] = _steady_us,
+    ) -> None:
+        self._storage = storage
+        self._clock = clock
+        self._settings = settings
+        self._tidings = tidings
+        self._is_data_service = is_data_service
+        self._turn = turn
+        self._steady = steady
+        self._holder = uuid4().hex
+        self._entries: dict[str, ReleaseEntry] = {}
+        self._making = threading.Lock()
+        self._proposals = Proposals(storage.releases, settings, torque)
+        self._rows = RowWork(storage, settings, torque, self._step, self._proposals)
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="soo-release", daemon=True)
+
+    def start(self) -> None:
+        """Let time pass from now on."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread."""
+        self._stopping.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def see(self, spacecraft_id: str, seen: Sequence[SeenRow], *, has_inputs: bool = False) -> None:
+        """Take over rows after they were stored, and that other inputs came in; called from the supervisor's thread.
+
+        Nothing is raised: estimation goes on whatever happens to control.
+        """
+        try:
+            entry = self._entry(spacecraft_id)
+            with entry.case.lock:
+                if has_inputs:
+                    entry.read_s = -math.inf
+                for one in seen:
+                    self._see_one(entry, spacecraft_id, one)
+                self._tell(entry, spacecraft_id)
+        except Exception:  # noqa: BLE001 rows go on; what was not stored does not hold, and old estimates inhibit
+            _LOG.exception("the release of %s could not take rows over", spacecraft_id)
+
+    def tick(self) -> None:
+        """Let time pass for every spacecraft whose clock does not wait for rows; nothing while another one leads."""
+        if self._turn() == 0:
+            return
+        for spacecraft in self._storage.catalogue.all_spacecraft():
+            if self._clock.is_data(spacecraft.id):
+                continue
+            entry = self._entry(spacecraft.id)
+            with entry.case.lock:
+                at, facts = self._present(entry, spacecraft.id)
+                self._step(entry, facts.spacecraft, Tick(at))
+                self._rows.go_on(entry, facts, at)
+                self._tell(entry, spacecraft.id)
+
+    def _run(self) -> None:
+        """Let time pass until stopped."""
+        while not self._stopping.wait(self._settings.tick_s):
+            try:
+                self.tick()
+            except Exception:  # noqa: BLE001 time goes on; a state that grows old inhibits
+                _LOG.exception("time could not pass for the release")
+
+    def _entry(self, spacecraft_id: str) -> ReleaseEntry:
+        """Return what is kept of a spacecraft.
+
+        NotFoundError ``spacecraft.unknown``; StorageError ``lease.elsewhere`` while another service leads.
+        """
+        turn = self._turn()
+        if turn == 0:
+            raise elsewhere()
+        with self._making:
+            entry = self._entries.get(spacecraft_id)
+            if entry is None or entry.turn != turn:
+                case = ReleaseCase(self._storage.releases, spacecraft_id, f"{self._holder}/{turn}")
+                stored = case.state.interlock.clock
+                entry = ReleaseEntry(case, turn, newest_us=0 if stored is None else stored.now_us)
+                self._entries[spacecraft_id] = entry
+            return entry
+
+    def _instant(self, entry: ReleaseEntry, spacecraft_id: str, epoch_us: int | None = None) -> Instant:
+        """Return the present; under the data clock the newest epoch that was looked at, which never goes back."""
+        if not self._clock.is_data(spacecraft_id):
+            return Instant(self._clock.system_us(), self._steady())
+        now_us = epoch_us if epoch_us is not None else self._clock.now_us(spacecraft_id)
+        entry.newest_us = max(entry.newest_us, now_us or 0)
+        return Instant(entry.newest_us, entry.newest_us)
+
+    def _present(self, entry: ReleaseEntry, spacecraft_id: str) -> tuple[Instant, KnownFacts]:
+        """Return the present with what holds at it, told to the interlock."""
+        at = self._instant(entry, spacecraft_id)
+        return at, self._informed(entry, spacecraft_id, at)
+
+    def _informed(self, entry: ReleaseEntry, spacecraft_id: str, at: Instant) -> KnownFacts:
+        """Return what holds beside the rows, and tell the interlock where it has changed."""
+        if entry.facts is None or entry.are_facts_old:
+            entry.facts = read_facts(self._storage, spacecraft_id, at.now_us)
+            entry.read_s = time.monotonic()
+        facts, case = entry.facts, entry.case
+        holders, differing_deg = case.lease_holders(at.now_us), entry.disagreement_deg
+        around = surroundings_of(facts, at.now_us, lease_holders=holders, disagreement_deg=differing_deg)
+        if around != case.state.interlock.around:
+            self._step(entry, facts.spacecraft, Told(at, around))
+        return facts
+
+    def _see_one(self, entry: ReleaseEntry, spacecraft_id: str, one: SeenRow) -> None:
+        """Take over one row."""
+        epochs_us = [row.epoch_us for row in one.outcome.rows]
+        at = self._instant(entry, spacecraft_id, max(epochs_us, default=None))
+        facts = self._informed(entry, spacecraft_id, at)
+        row = entry.take(one, facts.spacecraft.control.method)
+        if row is not None:
+            self._informed(entry, spacecraft_id, at)
+            self._rows.see(entry, facts, one, row, at, may_send=self._may_send(facts.spacecraft))
+
+    def _step(self, entry: ReleaseEntry, spacecraft: Spacecraft, event: Event, annex: Annex | None = None) -> Step:
+        """Judge and store an event, and tell who has to know."""
+        step, entries = entry.case.step(event, self._settings, annex)
+        self._tidings.told(spacecraft, step, event.at, has_entries=bool(entries))
+        return step
+
+    def _tell(self, entry: ReleaseEntry, spacecraft_id: str) -> None:
+        """Tell streams that something has changed, if it has."""
+        interlock = entry.case.state.interlock
+        lives = tuple((command.counter, command.life) for command in entry.case.state.commands)
+        told = (interlock.state, interlock.reasons, interlock.authorisation, lives, entry.case.sign_check)
+        if told != entry.told:
+            entry.told = told
+            self._tidings.changed(spacecraft_id)
+
+    def _view(self, entry: ReleaseEntry, facts: KnownFacts, at: Instant) -> ControlView:
+        """Return what the interlock says at an instant; nothing is stored."""
+        state = settled_at(entry.case.state, at, self._settings)
+        return control_view(state, facts.spacecraft, self._settings, at.now_us, entry.case.sign_check)
+
+    def _stored_view(self, spacecraft_id: str) -> ControlView:
+        """Return what the service that leads has stored last."""
+        memory = memory_of(self._storage.releases.stored(spacecraft_id).document)
+        spacecraft = self._storage.catalogue.spacecraft(spacecraft_id)
+        now_us = self._clock.now_us(spacecraft_id) or 0
+        return control_view(memory.state, spacecraft, self._settings, now_us, memory.sign_check)
+
+    def _may_send(self, spacecraft: Spacecraft) -> bool:
+        """Whether a spacecraft gets commands at all under the clock of this service."""
+        return not self._is_data_service or spacecraft.simulated
