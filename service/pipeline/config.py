@@ -144,7 +144,7 @@ class RobustConfig:
     #: greatest own sigma of yaw with which it is controlled, deg
     yaw_sigma_limit_deg: float = 0.125
     #: yaw beyond it is left alone, deg; it moves no station by more than a sixth of itself
-    yaw_validity_limit_deg: float = 1.0
+    yaw_validity_limit_deg: float = 2.0
     #: running mean of the normalised innovation squared above which the model is not believed
     innovation_limit: float = 2.0
     #: share of references learned anew above which an alignment is advised

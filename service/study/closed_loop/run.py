@@ -24,6 +24,9 @@ from service.study.estimation.world import Ground
 STATES = ("executed", "executing", "replaced", "repeated", "late", "refused")
 #: N m, one sigma of what the craft's own loop does not feed forward, as its catalogue would state it
 RESIDUAL_TORQUE_N_M = 5e-7
+#: s: of the closed loop and between commands over the link, as quick as delay, report and envelope allow
+LOOP_PERIOD_S = 2400.0
+COMMAND_PERIOD_S = 600.0
 
 
 class LoopUnit(NamedTuple):
@@ -116,7 +119,10 @@ def _controller(unit: LoopUnit, ground: Ground, documents: Documents, plan: Plan
 def _flown_spacecraft(spacecraft: Spacecraft, release: Release) -> Spacecraft:
     """Return the catalogue's spacecraft under a way of release, with the torque that its loop does not feed forward."""
     onboard = replace(spacecraft.onboard, residual_torque_n_m=RESIDUAL_TORQUE_N_M)
-    return replace(spacecraft, onboard=onboard, control=replace(spacecraft.control, release=release))
+    control = replace(spacecraft.control, release=release)
+    if release is Release.TWO_STEP:
+        control = replace(control, period_s=LOOP_PERIOD_S, command_period_s=COMMAND_PERIOD_S)
+    return replace(spacecraft, onboard=onboard, control=control)
 
 
 def _config(unit: LoopUnit) -> ChainConfig:

@@ -96,7 +96,7 @@ def test_beyond_the_range_of_the_model_nothing_is_controlled_and_of_yaw_alone_on
     row = far.run([1])[0]
     assert row.inhibitions == ("beyond_validity",)
     assert row.control_allowed_axes == (False, False, False)
-    turned = Flight(PAYLOAD, (1.1, 0.0, 0.0)).run([1])[0]
+    turned = Flight(PAYLOAD, (2.2, 0.0, 0.0)).run([1])[0]
     assert turned.inhibitions == ()
     assert turned.control_allowed_axes == (False, True, True)
     assert Flight(PAYLOAD, (0.8, 0.0, 0.0)).run([1])[0].control_allowed_axes == (True, True, True)
