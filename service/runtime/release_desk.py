@@ -40,7 +40,7 @@ from service.runtime.release_entry import ReleaseEntry
 from service.runtime.release_floor import ReleaseFloor
 from service.runtime.release_refusals import error_of, require_release
 from service.runtime.release_surroundings import KnownFacts
-from service.runtime.release_views import envelope_of
+from service.runtime.release_views import envelope_of, is_told_already
 
 _TURNS = {"sent": Turn.SENT, "executed": Turn.EXECUTED, "failed": Turn.FAILED}
 #: a report may be this much older than the release, and this much ahead of the clock: clocks of two centres differ
@@ -151,17 +151,20 @@ class ReleaseDesk(ReleaseFloor):
     ) -> CommandView:
         """Take what the centre tells of a released command: ``sent``, ``executed`` or ``failed``.
 
-        NotFoundError ``command.unknown``; ConflictError ``command.state``; InvalidInputError ``report.interval``,
-        ``report.time``.
+        The same report again changes nothing. NotFoundError ``command.unknown``; ConflictError ``command.state``;
+        InvalidInputError ``report.interval``, ``report.time``.
         """
         entry = self._entry(spacecraft_id)
+        executed = (executed_from_us, executed_until_us)
         with entry.case.lock:
             at, facts = self._present(entry, spacecraft_id)
+            if is_told_already(entry.case.view(counter), turn, at_us, executed):
+                return entry.case.view(counter)
             if at_us is not None:
                 self._require_time(entry, counter, at_us, at, is_data=self._clock.is_data(spacecraft_id))
             told_us = at.now_us if at_us is None else at_us
-            notes = {"sent_us": told_us} if turn == "sent" else {"reported_by": by}
-            event = Report(at, counter, _TURNS[turn], executed_from_us, executed_until_us)
+            notes = {"sent_us": told_us} if turn == "sent" else {"reported_by": by, "told_executed_us": executed}
+            event = Report(at, counter, _TURNS[turn], *executed)
             self._done(entry, facts, event, Annex(notes={counter: notes}))
             self._hold_against_powers(entry, facts.spacecraft, event)
             self._rows.go_on(entry, facts, at)

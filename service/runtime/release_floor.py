@@ -9,6 +9,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from uuid import uuid4
 
 from service.pipeline.config import TorqueConfig
@@ -19,11 +20,12 @@ from service.pipeline.release_interlock.release_events import Event, Step, Tick,
 from service.pipeline.release_interlock.release_settings import ReleaseSettings
 from service.pipeline.release_interlock.row_facts import SeenRow
 from service.ports import Clock, Storage
+from service.records.audit import apart_from_request
 from service.records.catalogue import Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.release import ControlView
 from service.runtime.leading import Turn, always, elsewhere
-from service.runtime.release_case import Annex, ReleaseCase
+from service.runtime.release_case import Annex, ReleaseCase, is_deed
 from service.runtime.release_entry import ReleaseEntry
 from service.runtime.release_proposing import Proposals
 from service.runtime.release_rows import RowWork
@@ -192,7 +194,8 @@ class ReleaseFloor:
     def _step(self, entry: ReleaseEntry, spacecraft: Spacecraft, event: Event, annex: Annex | None = None) -> Step:
         """Judge and store an event, and tell who has to know."""
         step, entries = entry.case.step(event, self._settings, annex)
-        self._tidings.told(spacecraft, step, event.at, has_entries=bool(entries))
+        with nullcontext() if is_deed(event, step) else apart_from_request():
+            self._tidings.told(spacecraft, step, event.at, has_entries=bool(entries))
         return step
 
     def _tell(self, entry: ReleaseEntry, spacecraft_id: str) -> None:
