@@ -6,7 +6,7 @@ import pytest
 
 from service.errors import ConflictError, ForbiddenError, GoneError, InvalidInputError, NotFoundError
 from service.records.release import CommandWish, EnvelopeLimits
-from tests.fakes.scripted_desk import AT_US, S, ScriptedDesk
+from scripted_desk import AT_US, S, ScriptedDesk
 
 pytestmark = pytest.mark.anyio
 SC = "yamal-202"
