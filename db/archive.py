@@ -11,7 +11,8 @@ from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, or_, 
 from db import retention, sealing
 from db.database import Database, add_entries, beyond, count_entries, lock_head, within
 from db.documents import decode, decode_all, decode_input
-from db.ingest import prepare, store_batch
+from db.ingest import prepare
+from db.ingest_together import StoreBatch
 from db.measurement_pages import EVER, PAGE_ROWS, Chosen, MeasurementPages
 from db.measurement_runs import Cursor
 from db.slow_inputs import revise_operation, store_inputs, store_operation
@@ -47,10 +48,10 @@ class SqlArchive:
         if sent != expected:
             detail = f"Plan {batch.plan_id} of {batch.spacecraft_id!r} has {expected} carriers, the rows have {sent}."
             raise InvalidInputError("value.count", detail)
-        prepared, cache = prepare(key, batch), self._database.segments
+        work = StoreBatch(prepare(key, batch), self._database.segments)
         listener = self._listener
         told = None if listener is None else partial(listener, batch)
-        return self._database.submit(lambda connection: store_batch(connection, prepared, cache), told)
+        return self._database.submit(work, told)
 
     def listen(self, listener: Callable[[MeasurementBatch, BatchReceipt], None] | None) -> None:
         """Tell a listener of every batch right after its commit; None: nobody any more."""

@@ -20,6 +20,10 @@ class Answer(Protocol):
         """Return the next row, None after the last."""
         ...
 
+    def fetchall(self) -> Any:
+        """Return all rows."""
+        ...
+
 
 def run_bare(connection: Connection, text: str, values: tuple[Any, ...]) -> sqlite3.Cursor:
     """Run a statement on SQLite's driver; its faults come as those of SQLAlchemy."""

@@ -26,28 +26,30 @@ from service.records.measurement import BatchReceipt, MeasurementBatch, Refusal
 #: epochs in one query; SQLite before 3.32 binds 999 values at most
 LOOKUP_CHUNK = 500
 
+#: of ``IngestState``
+STATE_COLUMNS = (
+    head.c.newest_number,
+    head.c.newest_epoch_us,
+    head.c.consumed_epoch_us,
+    source.c.source_key,
+    source.c.is_prime,
+    source.c.row_count,
+    source.c.newest_epoch_us.label("source_newest_epoch_us"),
+    source.c.seq_run,
+    source.c.seq_after_us,
+    source.c.seq_start,
+    source.c.seq_last,
+    source.c.rows_missing,
+)
 _READ_STATE = CompiledStatement(
-    select(
-        head.c.newest_number,
-        head.c.newest_epoch_us,
-        head.c.consumed_epoch_us,
-        source.c.source_key,
-        source.c.is_prime,
-        source.c.row_count,
-        source.c.newest_epoch_us.label("source_newest_epoch_us"),
-        source.c.seq_run,
-        source.c.seq_after_us,
-        source.c.seq_start,
-        source.c.seq_last,
-        source.c.rows_missing,
-    )
+    select(*STATE_COLUMNS)
     .select_from(head)
     .outerjoin(source, and_(source.c.spacecraft_key == head.c.spacecraft_key, source.c.name == bindparam("of_name")))
     .where(head.c.spacecraft_key == bindparam("of_spacecraft")),
     "of_spacecraft",
     "of_name",
 )
-_MOVE_HEAD = CompiledStatement(
+MOVE_HEAD = CompiledStatement(
     update(head)
     .where(head.c.spacecraft_key == bindparam("of_spacecraft"))
     .values(newest_number=bindparam("to_number"), newest_epoch_us=bindparam("to_epoch_us")),
@@ -109,8 +111,8 @@ class PreparedBatch:
         return powers, None if flags is None else np.array(flags, dtype="<i4").tobytes()
 
 
-class _State(NamedTuple):
-    """Head of a spacecraft and figures of a source; the columns of ``_READ_STATE``."""
+class IngestState(NamedTuple):
+    """Head of a spacecraft and figures of a source; the columns ``STATE_COLUMNS``."""
 
     newest_number: int
     newest_epoch_us: int | None
@@ -188,21 +190,21 @@ def store_batch(connection: Connection, prepared: PreparedBatch, cache: SegmentC
     )
 
 
-def _state(connection: Connection, key: int, name: str) -> _State:
+def _state(connection: Connection, key: int, name: str) -> IngestState:
     """Return head and source; the first source of a spacecraft becomes the prime one."""
     if connection.dialect.name != "sqlite":
         # elsewhere other processes write too: what is read before the lock is granted could be stale
         lock_head(connection, key)
     row = _READ_STATE.run(connection, key, name).fetchone()
-    if row[_State._fields.index("source_key")] is not None:
-        return _State(*row)
+    if row[IngestState._fields.index("source_key")] is not None:
+        return IngestState(*row)
     known = connection.execute(select(source.c.source_key).where(source.c.spacecraft_key == key)).all()
     values = {"spacecraft_key": key, "source_key": len(known) + 1, "name": name, "is_prime": not known, "row_count": 0}
     connection.execute(source.insert().values(values))
-    return _State(*_READ_STATE.run(connection, key, name).fetchone())
+    return IngestState(*_READ_STATE.run(connection, key, name).fetchone())
 
 
-def _sort(connection: Connection, prepared: PreparedBatch, state: _State, cache: SegmentCache) -> _Sorted:
+def _sort(connection: Connection, prepared: PreparedBatch, state: IngestState, cache: SegmentCache) -> _Sorted:
     """Tell new rows, duplicates and conflicts apart."""
     newest_us = state.source_newest_epoch_us
     if prepared.is_ascending and (newest_us is None or prepared.epochs_us[0] > newest_us):
@@ -223,7 +225,9 @@ def _sort(connection: Connection, prepared: PreparedBatch, state: _State, cache:
     return _Sorted(np.array(accepted, dtype=np.int64), tuple(duplicates), tuple(refused))
 
 
-def _stored(connection: Connection, prepared: PreparedBatch, state: _State, cache: SegmentCache) -> dict[int, Content]:
+def _stored(
+    connection: Connection, prepared: PreparedBatch, state: IngestState, cache: SegmentCache
+) -> dict[int, Content]:
     """Return the content of those epochs of a source that are stored."""
     newest_us = state.source_newest_epoch_us
     epochs_us = [] if newest_us is None else [epoch_us for epoch_us in prepared.epochs_us if epoch_us <= newest_us]
@@ -266,7 +270,7 @@ def _lateness(batch: MeasurementBatch, consumed_us: int | None) -> BoolArray:
     return batch.is_stale if consumed_us is None else batch.is_stale | (batch.epochs_us < consumed_us)
 
 
-def _runs(prepared: PreparedBatch, accepted: IntArray, is_late: BoolArray, state: _State) -> Iterator[Run]:
+def _runs(prepared: PreparedBatch, accepted: IntArray, is_late: BoolArray, state: IngestState) -> Iterator[Run]:
     """Yield the accepted rows as runs, numbered on from the head."""
     batch = prepared.batch
     is_whole = prepared.is_even and len(accepted) == len(prepared.epochs_us) and is_late.all() == is_late.any()
@@ -298,7 +302,7 @@ def _breaks(prepared: PreparedBatch, accepted: IntArray, is_late: BoolArray) -> 
     return found
 
 
-def _store_details(connection: Connection, prepared: PreparedBatch, accepted: IntArray, state: _State) -> None:
+def _store_details(connection: Connection, prepared: PreparedBatch, accepted: IntArray, state: IngestState) -> None:
     """Store what the new rows state beside their powers."""
     details = prepared.details
     if details is None:
@@ -311,18 +315,18 @@ def _store_details(connection: Connection, prepared: PreparedBatch, accepted: In
     insert_details(connection, prepared.spacecraft_key, state.source_key, epochs_us, width, figures)
 
 
-def _advance(connection: Connection, prepared: PreparedBatch, outcome: _Sorted, state: _State) -> None:
+def _advance(connection: Connection, prepared: PreparedBatch, outcome: _Sorted, state: IngestState) -> None:
     """Move the head of the spacecraft and the figures of the source past the stored rows."""
     key, stored = prepared.spacecraft_key, len(outcome.accepted)
     newest_us = int(prepared.batch.epochs_us[outcome.accepted].max())
-    _MOVE_HEAD.run(connection, key, state.newest_number + stored, _later(newest_us, state.newest_epoch_us))
-    source_newest_us = _later(newest_us, state.source_newest_epoch_us)
+    MOVE_HEAD.run(connection, key, state.newest_number + stored, later(newest_us, state.newest_epoch_us))
+    source_newest_us = later(newest_us, state.source_newest_epoch_us)
     tail = _numbered(connection, prepared, outcome, state)
     numbers = _NO_NUMBERS if tail is None else tail
     _MOVE_SOURCE.run(connection, key, state.source_key, state.row_count + stored, source_newest_us, *numbers)
 
 
-def _numbered(connection: Connection, prepared: PreparedBatch, outcome: _Sorted, state: _State) -> Tail | None:
+def _numbered(connection: Connection, prepared: PreparedBatch, outcome: _Sorted, state: IngestState) -> Tail | None:
     """Return where the sequence numbers of the source stand after the batch."""
     batch, tail, newest_us = prepared.batch, state.tail, state.source_newest_epoch_us
     if batch.first_seq is None:
@@ -347,5 +351,6 @@ def _held_rows(prepared: PreparedBatch, outcome: _Sorted) -> Iterator[NumberedRo
         yield NumberedRow(seqs[place], prepared.epochs_us[place], place not in known)
 
 
-def _later(epoch_us: int, other_us: int | None) -> int:
+def later(epoch_us: int, other_us: int | None) -> int:
+    """Return the later of two epochs."""
     return epoch_us if other_us is None else max(epoch_us, other_us)

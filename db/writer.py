@@ -2,7 +2,8 @@
 
 A future resolves only after the COMMIT of its group has returned, so what a caller hears of is durable. When a function
 fails, the group is rolled back and runs again with a SAVEPOINT around each function, so that only the failing one is
-lost; functions therefore depend on nothing but the connection. A COMMIT that fails takes the whole group with it.
+lost; functions therefore depend on nothing but the connection. Neighbours of a class that has ``together`` are run by
+it in one call, with what each would have come to alone. A COMMIT that fails takes the whole group with it.
 
 A server that stops deadlocks or conflicts by ending one transaction has the group run again. Where a wait has come to
 its end, so have the others: what was queued meanwhile fails with the group, each after one wait and none after many.
@@ -12,6 +13,7 @@ import logging
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from itertools import groupby
 from queue import Empty, SimpleQueue
 from threading import Lock, Thread
 from typing import Any, Generic, TypeVar
@@ -171,8 +173,7 @@ def _is_run_together(connection: Connection, group: list[_Task[Any]]) -> bool:
     """
     transaction = connection.begin()
     try:
-        for task in group:
-            task.result = task.work(connection)
+        _run_in_turn(connection, group)
     except Exception as fault:
         transaction.rollback()
         if is_passing(fault) or is_wait_ended(fault):
@@ -183,6 +184,20 @@ def _is_run_together(connection: Connection, group: list[_Task[Any]]) -> bool:
         return True
     transaction.commit()
     return True
+
+
+def _run_in_turn(connection: Connection, group: list[_Task[Any]]) -> None:
+    """Run a group; neighbours of a kind that can work together do."""
+    for kind, neighbours in groupby(group, key=lambda task: type(task.work)):
+        tasks = list(neighbours)
+        together: Callable[..., list[Any]] | None = getattr(kind, "together", None)
+        if together is None or len(tasks) == 1:
+            for task in tasks:
+                task.result = task.work(connection)
+        else:
+            results = together(connection, [task.work for task in tasks])
+            for task, result in zip(tasks, results, strict=True):
+                task.result = result
 
 
 def _run_apart(connection: Connection, group: list[_Task[Any]]) -> None:
