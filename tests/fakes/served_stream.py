@@ -11,6 +11,7 @@ from typing import Any
 
 import httpx
 import pytest
+import uvicorn
 
 from service.api.server import StreamingServer
 from service.ports import Outcome
@@ -82,6 +83,24 @@ class Served:
             client.stream("GET", self.url + STREAM, headers=headers) as response,
         ):
             yield response
+
+
+@contextmanager
+def serving(app: Any, key: str) -> Iterator[Served]:
+    """Serve an application in a thread, and end it."""
+    listener = socket.create_server(("127.0.0.1", 0))
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER_BYTES)
+    server = StreamingServer(uvicorn.Config(app, log_level="warning", access_log=False), app)
+    thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
+    thread.start()
+    wait_until(lambda: server.started)
+    try:
+        yield Served(f"http://127.0.0.1:{listener.getsockname()[1]}", key, server, thread)
+    finally:
+        server.should_exit = True
+        thread.join(10)
+        listener.close()
+    assert not thread.is_alive()
 
 
 def wait_until(is_true: Callable[[], Any]) -> None:

@@ -1,16 +1,12 @@
 """Live stream over a real server: order, resume, slow clients, stop."""
 
-import socket
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 
 import pytest
-import uvicorn
-from served_stream import BUFFER_BYTES, Event, Reader, Served, Source, wait_until
+from served_stream import Event, Reader, Served, Source, serving, wait_until
 
-from service.api.server import StreamingServer
 from service.records.alarm import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
 from service.records.epoch import format_epoch
 from service.runtime.live_feed import Cursor, FeedEvent
@@ -20,18 +16,8 @@ pytestmark = pytest.mark.anyio
 
 @pytest.fixture
 def served(bench, make) -> Iterator[Served]:
-    listener = socket.create_server(("127.0.0.1", 0))
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER_BYTES)
-    config = uvicorn.Config(bench.app, log_level="warning", access_log=False)
-    server = StreamingServer(config, bench.app)
-    thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
-    thread.start()
-    wait_until(lambda: server.started)
-    yield Served(f"http://127.0.0.1:{listener.getsockname()[1]}", make.key, server, thread)
-    server.should_exit = True
-    thread.join(10)
-    listener.close()
-    assert not thread.is_alive()
+    with serving(bench.app, make.key) as served:
+        yield served
 
 
 @pytest.fixture
