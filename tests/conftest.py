@@ -1,12 +1,16 @@
 """Fixtures that several trees of tests share; the makers themselves lie in tests/fakes."""
 
 import importlib.util
+import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+
+# two workers on two cores: a second thread of each matrix product takes the other worker's core and gives nothing
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 def _load(name: str) -> ModuleType:
