@@ -1,0 +1,237 @@
+"""Drives a release desk as a service would, over an archive in memory, and judges what went out by rules of its own."""
+
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+from release_storage import SC, FakeArchive, KilledError
+
+from service.core.control.sign_check import Verdict
+from service.pipeline.config import TorqueConfig
+from service.pipeline.release_interlock.release_events import OrderKind, SignJudged
+from service.pipeline.release_interlock.release_settings import ReleaseSettings
+from service.pipeline.release_interlock.row_facts import SeenRow
+from service.ports import Outcome
+from service.records.attitude import AttitudeRow, Axes, Status
+from service.records.catalogue import Method
+from service.records.inputs import TelemetryRecord
+from service.records.release import CommandView, CommandWish, ControlView
+from service.runtime.live_feed import LiveFeed
+from service.runtime.release_desk import ReleaseDesk
+from service.runtime.release_tidings import Tidings
+
+US = 1_000_000
+MINUTE_US = 60 * US
+START_US = 1_900_000_000 * US
+#: reasons of the estimator that the interlock judges itself
+OWN = {"beyond_validity", "sigma_roll", "sigma_pitch"}
+GOOD = AttitudeRow(
+    epoch_us=START_US,
+    received_at_us=START_US,
+    number=1,
+    method=Method.ROBUST,
+    attitude_deg=Axes(0.02, 0.06, -0.03),
+    sigma_deg=Axes(0.08, 0.02, 0.03),
+    rates_deg_s=Axes(0.0, 0.0, 0.0),
+    status=Status.ACQUIRED,
+    control_allowed=True,
+    control_allowed_axes=(True, True, True),
+    inhibitions=(),
+    carriers_used=12,
+    excluded=(),
+    downlink_fade=False,
+    downlink_fade_db=0.0,
+    common_db=0.0,
+    residual_rms_db=0.1,
+    calibration_id=7,
+    alignment_id=1,
+)
+
+
+class FakeClock:
+    """A clock that tests set, and one that they cannot set by mistake."""
+
+    def __init__(self) -> None:
+        self.now, self.steady, self.is_of_data = START_US, 5 * US, False
+
+    def now_us(self, spacecraft_id):
+        return self.now
+
+    def system_us(self):
+        return self.now
+
+    def is_data(self, spacecraft_id):
+        return self.is_of_data
+
+
+class DeskDriver:
+    """One spacecraft's desk, its clocks, its archive and its persons."""
+
+    def __init__(self, settings: ReleaseSettings | None = None, **desk: object) -> None:
+        self.archive, self.clock = FakeArchive(START_US), FakeClock()
+        self.settings, self._desk = settings or ReleaseSettings(), desk
+        self.row: AttitudeRow | None = None
+        self.notified: list[str] = []
+        #: instant and command of each release that was stored
+        self.released: list[tuple[int, CommandView]] = []
+        self.last_bad_us = START_US
+        self.start()
+
+    def start(self) -> None:
+        """Start the service on what is stored."""
+        tidings = Tidings(self.archive.audit, LiveFeed(), self.notified.append)
+        self.desk = ReleaseDesk(
+            self.archive,
+            self.clock,
+            self.settings,
+            TorqueConfig(),
+            tidings,
+            steady=lambda: self.clock.steady,
+            **self._desk,
+        )
+
+    def restart(self) -> None:
+        """Kill the service and start it again."""
+        self.clock.steady, self.row, self.last_bad_us = 0, None, self.clock.now
+        self.start()
+
+    @property
+    def releases(self):
+        return self.archive.releases
+
+    @property
+    def view(self) -> ControlView:
+        return self.desk.control(SC)
+
+    @property
+    def state(self) -> str:
+        return self.view.state
+
+    def pass_time(self, seconds: float) -> None:
+        self.clock.now += round(seconds * US)
+        self.clock.steady += round(seconds * US)
+
+    def rows(self, count: int = 1, lag_s: float = 10.0, **change: object) -> None:
+        """Let rows come, one a minute."""
+        for _ in range(count):
+            self.pass_time(60.0)
+            epoch_us = self.clock.now - round(lag_s * US)
+            self.row = replace(GOOD, epoch_us=epoch_us, number=epoch_us // US, **change)
+            self.see()
+
+    def see(self, *others: AttitudeRow, applied=None, evidence=None) -> None:
+        """Hand the newest row over, beside those of other methods."""
+        self.note()
+        outcome = Outcome((self.row, *others), None if applied is None else applied.command, applied)
+        self.desk.see(SC, [SeenRow(outcome, evidence)])
+        self.judge()
+
+    def tell(self, **facts: object) -> None:
+        """Change what the archive says."""
+        for name, value in facts.items():
+            setattr(self.archive, name, value)
+        self.desk.see(SC, [], has_inputs=True)
+        self.note()
+
+    def momentum(self, n_m_s: float) -> None:
+        self.archive.telemetry.append(TelemetryRecord(self.clock.now, wheel_momentum_n_m_s=(n_m_s, 0.0, 0.0)))
+        self.tell()
+
+    def order(self, kind: OrderKind, by: str = "ann") -> ControlView:
+        return self.desk.order(SC, kind, by)
+
+    def prepare(self, by: str = "ann", **wish: object) -> CommandView:
+        return self.desk.prepare(SC, by, CommandWish("test", **wish))
+
+    def confirm(
+        self, command: CommandView, by: str = "bob", *, is_approver: bool = True, digest: str = ""
+    ) -> CommandView:
+        self.note()
+        try:
+            return self.desk.confirm(SC, command.counter, by, digest or command.digest, is_approver=is_approver)
+        finally:
+            self.judge()
+
+    def report(self, counter: int, turn: str = "executed", **told: object) -> CommandView:
+        return self.desk.report(SC, counter, turn, by="centre", **told)
+
+    def engage(self, by: str, hours: float = 6.0, *, is_approver: bool = True) -> ControlView:
+        until_us = self.clock.now + round(hours * 3600 * US)
+        return self.desk.engage(SC, by, is_approver=is_approver, until_us=until_us)
+
+    def prove(self, *axes: str) -> None:
+        """Let sign checks have proven some axes."""
+        entry = self.desk._entry(SC)
+        for axis in axes:
+            at = self.desk._instant(entry, SC)
+            entry.case.step(SignJudged(at, axis, Verdict.PLUS), self.settings)
+
+    def armed(self) -> "DeskDriver":
+        self.rows(12)
+        self.order(OrderKind.ARM)
+        self.prove("roll", "pitch")
+        assert self.state == "ARMED"
+        return self
+
+    def engaged(self) -> "DeskDriver":
+        self.armed()
+        self.engage("ann")
+        self.engage("bob")
+        assert self.state == "ENGAGED"
+        return self
+
+    def sent(self) -> CommandView:
+        """Bring a command out by two persons."""
+        return self.confirm(self.prepare())
+
+    def killed_at(self, moment: str, act) -> None:
+        """Kill the service before or after it has stored what an act leads to, and start it again."""
+        self.releases.kill = moment
+        with suppress(KilledError):
+            act()
+        self.releases.kill = None
+        self.judge()
+        self.restart()
+
+    def is_bad(self) -> bool:
+        """Whether no torque may go, by the facts alone."""
+        row, archive = self.row, self.archive
+        if row is None or not archive.is_aligned or archive.operations:
+            return True
+        told = archive.telemetry[-1] if archive.telemetry else None
+        is_full = told is not None and abs(told.wheel_momentum_n_m_s[0]) > 16.0
+        age_s = (self.clock.now - row.epoch_us) / US
+        return (
+            abs(age_s) > 3.0 * 60.0 + 30.0
+            or bool(set(row.inhibitions) - OWN)
+            or row.downlink_fade
+            or row.carriers_used < 5
+            or not (row.sigma_deg.roll <= 0.06 and row.sigma_deg.pitch <= 0.10)
+            or not (abs(row.attitude_deg.roll) <= 0.6 and abs(row.attitude_deg.pitch) <= 0.6)
+            or is_full
+            or archive.ephemeris_stop_us - self.clock.now < 6 * 3600 * US
+        )
+
+    def note(self) -> None:
+        """Keep when something last stood in the way."""
+        if self.is_bad():
+            self.last_bad_us = self.clock.now
+
+    def judge(self) -> None:
+        """Hold what must be true of everything that was stored as released since the last look."""
+        fresh = self.releases.released[len(self.released) :]
+        known = {view.counter for _, view in self.released}
+        for entry in fresh:
+            view = self.releases.views[entry.counter]
+            assert entry.counter not in known, "sent twice"
+            known.add(entry.counter)
+            assert not self.is_bad(), "released while a reason stands"
+            assert self.clock.now - self.last_bad_us >= 600 * US, "released before ten good minutes"
+            assert view.confirmed_by != view.prepared_by or view.is_automatic, "released by one person"
+            assert max(map(abs, view.gross_impulse_n_m_s)) <= 0.02 + 1e-12, "beyond the impulse of a command"
+            assert view.start_us >= self.clock.now + 150 * US, "begins before the uplink can bring it"
+            self.released.append((self.clock.now, view))
+            hour = [np.array(v.gross_impulse_n_m_s) for t, v in self.released if self.clock.now - t < 3600 * US]
+            assert (np.sum(hour, axis=0) <= 0.1 + 1e-9).all(), "beyond the impulse of an hour"
+        unreported = [v for v in self.releases.views.values() if v.state in ("RELEASED", "SENT")]
+        assert len(unreported) <= 1, "two commands without a report"

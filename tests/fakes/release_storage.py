@@ -1,0 +1,133 @@
+"""What the release desk asks of an archive, in memory; a process that is killed leaves behind what was stored."""
+
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+
+from service.errors import ConflictError, NotFoundError, StorageError
+from service.records.calibration import CalibrationMethod
+from service.records.catalogue import Onboard, Site, Spacecraft
+from service.records.command import ReleasedCommand
+from service.records.inputs import EphemerisChange, Operation, TelemetryRecord
+from service.records.journal import JournalEntry
+from service.records.release import ReleaseChange, StoredRelease
+
+SC = "craft"
+#: x roll, y pitch, z yaw
+INERTIA = ((2600.0, 0.0, 0.0), (0.0, 1400.0, 0.0), (0.0, 0.0, 2600.0))
+CRAFT = Spacecraft(SC, SC, 90.0, Site(55.0, 38.0), INERTIA, 0.05, onboard=Onboard(fast_loop=True, forecast_mode=True))
+
+
+class KilledError(BaseException):
+    """The process was killed: no code of the service goes on."""
+
+
+@dataclass
+class FakeReleases:
+    """`Releases` of one spacecraft; can be away, and can be where a process is killed."""
+
+    stored_release: StoredRelease = field(default_factory=StoredRelease)
+    views: dict = field(default_factory=dict)
+    products: dict = field(default_factory=dict)
+    #: what entered the journal
+    told: list = field(default_factory=list)
+    saves: int = 0
+    is_away: bool = False
+    #: "before" or "after" the next change is stored
+    kill: str | None = None
+
+    def stored(self, spacecraft_id):
+        return self.stored_release
+
+    def save(self, spacecraft_id: str, version: int, change: ReleaseChange) -> int:
+        if self.is_away:
+            raise StorageError("storage.unavailable", "away")
+        kill, self.kill = self.kill, None
+        if kill == "before":
+            raise KilledError
+        if version != self.stored_release.version:
+            raise ConflictError("release.changed", "another version")
+        for command in change.commands:
+            former = self.views.get(command.counter)
+            assert former is None or former.digest == command.digest, "a command became another one"
+            self.views[command.counter] = command
+        for product in change.products:
+            key = product.form, product.counter
+            assert key not in self.products, "an uplink product was made twice"
+            self.products[key] = product
+        self.told += change.told
+        self.stored_release = StoredRelease(version + 1, change.document, change.holder)
+        self.saves += 1
+        if kill == "after":
+            raise KilledError
+        return version + 1
+
+    def command(self, spacecraft_id, counter):
+        if counter not in self.views:
+            raise NotFoundError("command.unknown", "no such command")
+        return self.views[counter]
+
+    def commands(self, spacecraft_id, window, limit, after):
+        found = [each for each in self.views.values() if window.start_us <= each.prepared_us < window.stop_us]
+        return sorted(found, key=lambda each: (each.prepared_us, each.counter))[:limit]
+
+    def product(self, spacecraft_id, form, counter):
+        if (form, counter) not in self.products:
+            raise NotFoundError("uplink.unknown", "no such product")
+        return self.products[form, counter]
+
+    def newest_product(self, spacecraft_id, form):
+        counters = [counter for of, counter in self.products if of is form]
+        return self.products[form, max(counters)] if counters else None
+
+    @property
+    def released(self):
+        return [entry for entry in self.told if isinstance(entry, ReleasedCommand)]
+
+
+class FakeArchive:
+    """The storage of one spacecraft as the desk sees it; facts are changed by assignment."""
+
+    def __init__(self, start_us: int) -> None:
+        self.craft = CRAFT
+        self.is_aligned = True
+        self.plan_id, self.calibration_id = 3, 7
+        self.ephemeris_received_us = start_us - 3_600_000_000
+        self.ephemeris_stop_us = start_us + 90 * 86_400_000_000
+        self.operations: list[Operation] = []
+        self.telemetry: list[TelemetryRecord] = []
+        self.deeds: list = []
+        self.releases = FakeReleases()
+        self.catalogue = SimpleNamespace(
+            spacecraft=self._spacecraft,
+            all_spacecraft=lambda: (self.craft,),
+            plan=lambda _: SimpleNamespace(id=self.plan_id),
+            ephemeris=lambda _: SimpleNamespace(valid_stop_us=self.ephemeris_stop_us),
+        )
+        self.archive = SimpleNamespace(inputs=self._inputs, slow_inputs_before=self._ephemerides)
+        self.results = SimpleNamespace(
+            alignments=lambda _: (1,) if self.is_aligned else (),
+            calibrations=lambda *_: (self._calibration(),),
+        )
+        self.audit = SimpleNamespace(append=self.deeds.append)
+
+    def change_craft(self, **changes: object) -> None:
+        """Change the catalogue's statement; fields of ``control`` by their own names."""
+        own = {name: value for name, value in changes.items() if hasattr(self.craft.control, name)}
+        rest = {name: value for name, value in changes.items() if name not in own}
+        self.craft = replace(self.craft, control=replace(self.craft.control, **own), **rest)
+
+    def _spacecraft(self, spacecraft_id):
+        if spacecraft_id != SC:
+            raise NotFoundError("spacecraft.unknown", spacecraft_id)
+        return self.craft
+
+    def _calibration(self):
+        return SimpleNamespace(id=self.calibration_id, request=SimpleNamespace(method=CalibrationMethod.GEOMETRY))
+
+    def _inputs(self, spacecraft_id, kind, window, limit, after):
+        records = self.operations if kind == "operation" else self.telemetry
+        told = [each for each in records if getattr(each, "epoch_us", window.stop_us) >= window.start_us]
+        return [JournalEntry(k, each) for k, each in enumerate(told, start=1)]
+
+    def _ephemerides(self, *_):
+        return [JournalEntry(1, EphemerisChange(1), self.ephemeris_received_us)]

@@ -1,0 +1,368 @@
+"""The release desk: orders reach the interlock, everything is stored before it holds, a restart sends nothing again."""
+
+from dataclasses import replace
+
+import pytest
+from desk_driver import GOOD, MINUTE_US, START_US, US, DeskDriver
+from release_storage import SC
+
+from service.errors import ConflictError, ForbiddenError, GoneError, InvalidInputError, NotFoundError, StorageError
+from service.pipeline.method_runner import CommandEvidence
+from service.pipeline.release_interlock.release_events import OrderKind
+from service.records.attitude import Axes
+from service.records.catalogue import ControlMode, Onboard, Release
+from service.records.command import ReportedCommand
+from service.records.inputs import Operation
+from service.records.release import CommandWish, EnvelopeLimits, InterlockHold, ProductForm
+from service.runtime.leading import elsewhere
+
+
+@pytest.fixture
+def driver():
+    return DeskDriver()
+
+
+def test_before_anything_nothing_may_go_and_it_says_why(driver):
+    view = driver.view
+    assert (view.state, view.release, view.mode, view.is_armed) == ("INHIBITED", "two_step", "ground", False)
+    assert view.reasons == ("estimate_old", "yaw_sign", "not_armed")
+    assert view.envelope == EnvelopeLimits()
+    with pytest.raises(ConflictError, match=r"interlock\.inhibited"):
+        driver.order(OrderKind.ARM)
+    with pytest.raises(ConflictError, match=r"command\.no_estimate"):
+        driver.prepare()
+    with pytest.raises(NotFoundError, match=r"spacecraft\.unknown"):
+        driver.desk.control("nobody")
+
+
+def test_ten_good_minutes_arm_and_two_persons_release(driver):
+    driver.armed()
+    command = driver.prepare()
+    assert (command.counter, command.state, command.prepared_by) == (1, "PREPARED", "ann")
+    assert all(check.is_ok for check in command.checks)
+    assert command.start_us == driver.clock.now + 330 * US
+    assert command.impulse_n_m_s.yaw == 0.0
+    for by, is_approver in (("ann", True), ("bob", False)):
+        with pytest.raises(ForbiddenError, match=r"command\.second_person"):
+            driver.confirm(command, by, is_approver=is_approver)
+    with pytest.raises(ConflictError, match=r"command\.digest"):
+        driver.confirm(command, digest="0" * 64)
+    released = driver.confirm(command)
+    assert (released.state, released.confirmed_by, released.released_us) == ("RELEASED", "bob", driver.clock.now)
+    assert driver.releases.released[0].schedule == command.schedule
+    assert driver.notified == [SC]
+    product = driver.desk.uplink(SC, 1)
+    assert (product.counter, product.digest, product.schedule) == (1, command.digest, command.schedule)
+    assert (product.is_simulated, product.valid_until_us) == (False, command.start_us)
+
+
+def test_a_dry_run_tells_failing_checks_and_stores_nothing(driver):
+    driver.rows(2)
+    saves = driver.releases.saves
+    told = driver.desk.prepare(SC, "ann", CommandWish("look"), dry_run=True)
+    assert (told.is_dry_run, told.counter, driver.releases.views) == (True, 1, {})
+    assert [check.name for check in told.checks if not check.is_ok] == ["interlock"]
+    assert driver.releases.saves == saves
+
+
+def test_a_report_makes_it_known_and_the_next_command_may_go(driver):
+    driver.armed()
+    sent = driver.sent()
+    driver.rows(1)
+    with pytest.raises(ConflictError, match=r"command\.unreported"):
+        driver.prepare()
+    assert driver.report(1, "sent").state == "SENT"
+    assert driver.report(1, executed_from_us=sent.start_us).state == "EXECUTED"
+    assert driver.releases.told[-1] == ReportedCommand(1, driver.clock.now, sent.schedule)
+    told = len(driver.releases.told)
+    driver.report(1, executed_from_us=sent.start_us)
+    with pytest.raises(ConflictError, match=r"command\.state"):
+        driver.report(1, "failed")
+    assert len(driver.releases.told) == told
+    assert driver.prepare().counter == 2
+
+
+@pytest.mark.parametrize(("turn", "executed"), [("failed", ()), ("executed", None)])
+def test_what_was_not_carried_out_is_told_as_nothing(driver, turn, executed):
+    driver.armed()
+    sent = driver.sent()
+    report = driver.report(1, turn)
+    assert report.executed == (sent.schedule if executed is None else executed)
+    assert report.reported_by == "centre"
+
+
+def test_reports_of_other_commands_and_other_times_are_refused(driver):
+    driver.armed()
+    driver.sent()
+    for counter in (0, 2, 99):
+        with pytest.raises(NotFoundError, match=r"command\.unknown"):
+            driver.report(counter)
+    for at_us in (START_US - 3600 * US, driver.clock.now + 3600 * US):
+        with pytest.raises(InvalidInputError, match=r"report\.time"):
+            driver.report(1, at_us=at_us)
+    with pytest.raises(InvalidInputError, match=r"report\.interval"):
+        driver.report(1, executed_from_us=10, executed_until_us=5)
+    driver.report(1)
+    driver.rows(70)
+    with pytest.raises(ConflictError, match=r"command\.state"):
+        driver.report(1, "failed")
+
+
+def test_what_waits_too_long_expires_and_what_is_cancelled_is_over(driver):
+    driver.armed()
+    first = driver.prepare()
+    with pytest.raises(ConflictError, match=r"command\.open"):
+        driver.prepare()
+    driver.rows(4)
+    assert driver.desk.command(SC, 1).state == "EXPIRED"
+    with pytest.raises(GoneError, match=r"command\.expired"):
+        driver.confirm(first)
+    second = driver.prepare()
+    assert driver.desk.cancel(SC, 2, "ann").state == "CANCELLED"
+    with pytest.raises(ConflictError, match=r"command\.state"):
+        driver.confirm(second)
+
+
+@pytest.mark.parametrize(
+    ("wish", "error", "code"),
+    [
+        ({"duration_s": 0.5}, ConflictError, "command.empty"),
+        ({"duration_s": 9000.0}, InvalidInputError, "command.wish"),
+        ({"start_us": 5}, InvalidInputError, "command.wish"),
+        ({"start_us": 1 << 61}, InvalidInputError, "command.wish"),
+        ({"max_torque_n_m": 1e-9}, ConflictError, "command.empty"),
+        ({"attitude_epoch_us": 5}, ConflictError, "command.estimate_stale"),
+        ({"attitude_epoch_us": 1 << 61}, ConflictError, "command.estimate_stale"),
+    ],
+)
+def test_wishes_that_cannot_be_met_are_refused(driver, wish, error, code):
+    driver.armed()
+    with pytest.raises(error, match=code.replace(".", r"\.")):
+        driver.prepare(**wish)
+    assert driver.releases.views == {}
+
+
+def test_engaging_needs_signs_two_persons_and_an_end(driver):
+    driver.rows(12)
+    driver.order(OrderKind.ARM)
+    with pytest.raises(ConflictError, match=r"interlock\.sign_unproven"):
+        driver.engage("ann")
+    driver.prove("roll", "pitch")
+    with pytest.raises(InvalidInputError, match=r"interlock\.authorisation"):
+        driver.engage("ann", hours=13.0)
+    with pytest.raises(InvalidInputError, match=r"envelope\.wider"):
+        driver.desk.engage(
+            SC, "ann", is_approver=True, until_us=driver.clock.now + US, envelope=EnvelopeLimits(impulse_n_m_s=0.03)
+        )
+    assert driver.engage("ann").requested_by == "ann"
+    with pytest.raises(ForbiddenError, match=r"interlock\.second_person"):
+        driver.engage("bob", is_approver=False)
+    view = driver.engage("bob")
+    assert (view.state, view.authorised_by) == ("ENGAGED", ("ann", "bob"))
+
+
+def test_engaged_the_law_sends_once_a_period_while_nothing_waits_for_a_report(driver):
+    driver.engaged()
+    driver.rows(1)
+    (command,) = driver.releases.views.values()
+    assert (command.state, command.is_automatic, command.confirmed_by) == ("RELEASED", True, "authorisation")
+    assert command.start_us == driver.clock.now + 150 * US
+    assert [deed.action for deed in driver.archive.deeds].count("release_torque") == 1
+    driver.rows(20)
+    assert len(driver.releases.views) == 1
+    driver.report(1)
+    driver.rows(1)
+    assert len(driver.releases.views) == 2
+    driver.report(2)
+    driver.rows(14)
+    assert len(driver.releases.views) == 2
+    driver.rows(1)
+    assert len(driver.releases.views) == 3
+
+
+def test_a_late_report_inhibits_and_the_report_brings_control_back(driver):
+    driver.armed()
+    sent = driver.sent()
+    driver.rows((sent.stop_us - driver.clock.now) // MINUTE_US + 11)
+    assert (driver.state, "report_late" in driver.view.reasons) == ("INHIBITED", True)
+    driver.report(1)
+    driver.rows(11)
+    assert driver.state == "ARMED"
+
+
+@pytest.mark.parametrize("moment", ["before", "after"])
+def test_killed_while_a_release_is_stored_it_is_sent_once_or_never(driver, moment):
+    driver.armed()
+    command = driver.prepare()
+    driver.killed_at(moment, lambda: driver.confirm(command))
+    assert len(driver.releases.released) == (1 if moment == "after" else 0)
+    with pytest.raises((ConflictError, GoneError)):
+        driver.confirm(command)
+    if moment == "after":
+        assert driver.view.unreported_commands == (1,)
+        assert driver.report(1).state == "EXECUTED"
+        assert isinstance(driver.releases.told[-1], ReportedCommand)
+    assert len(driver.releases.released) == (1 if moment == "after" else 0)
+    driver.rows(12)
+    assert driver.state == "ARMED"
+
+
+def test_while_the_archive_is_away_nothing_holds(driver):
+    driver.armed()
+    command = driver.prepare()
+    driver.releases.is_away = True
+    with pytest.raises(StorageError):
+        driver.confirm(command)
+    assert driver.view.unreported_commands == ()
+    driver.releases.is_away = False
+    assert driver.confirm(command).state == "RELEASED"
+
+
+def test_of_two_services_on_one_archive_one_releases_and_control_trips(driver):
+    driver.armed()
+    command = driver.prepare()
+    first = driver.desk
+    driver.start()
+    second, driver.desk = driver.desk, first
+    second.order(SC, OrderKind.STOP, "bob")
+    with pytest.raises(ConflictError, match=r"command\.state"):
+        driver.confirm(command)
+    assert driver.releases.released == []
+    assert "lease" in driver.view.reasons
+    with pytest.raises(ConflictError, match=r"interlock\.trip_stands"):
+        driver.order(OrderKind.RESET)
+    driver.rows(12)
+    assert driver.order(OrderKind.RESET).state == "INHIBITED"
+
+
+def test_a_service_that_does_not_lead_tells_what_is_stored_and_takes_no_orders(driver):
+    driver.armed()
+    turns = [0]
+    driver._desk = {"turn": lambda: turns[0]}
+    driver.start()
+    assert driver.state == "ARMED"
+    for order in (lambda: driver.order(OrderKind.STOP), driver.prepare, lambda: driver.report(1)):
+        with pytest.raises(StorageError, match=elsewhere().code.replace(".", r"\.")):
+            order()
+    driver.desk.tick()
+    turns[0] = 1
+    assert driver.state == "INHIBITED"
+    driver.rows(12)
+    assert driver.state == "ARMED"
+
+
+def test_a_trip_is_told_to_the_journal_and_its_reset_as_well(driver):
+    driver.armed()
+    driver.prepare()
+    driver.momentum(17.0)
+    driver.rows(1)
+    assert driver.desk.command(SC, 1).state == "REJECTED"
+    hold = driver.releases.told[-1]
+    assert isinstance(hold, InterlockHold)
+    assert (hold.state, hold.is_withheld, "momentum" in hold.reasons) == ("TRIPPED", True, True)
+    driver.momentum(1.0)
+    driver.order(OrderKind.RESET)
+    assert driver.releases.told[-1].is_withheld is False
+    assert [deed.action for deed in driver.archive.deeds] == [
+        "interlock_armed",
+        "interlock_tripped",
+        "interlock_inhibited",
+    ]
+
+
+def test_under_automatic_release_the_interlock_watches_and_a_trip_withholds():
+    driver = DeskDriver()
+    driver.archive.change_craft(release=Release.AUTOMATIC)
+    driver.rows(2)
+    assert driver.state == "ENGAGED"
+    for order in (lambda: driver.order(OrderKind.ARM), driver.prepare, lambda: driver.engage("ann")):
+        with pytest.raises(ConflictError, match=r"release\.automatic"):
+            order()
+    view = driver.order(OrderKind.STOP)
+    assert (view.state, view.is_withheld, view.trips) == ("TRIPPED", True, ("stop",))
+    assert driver.releases.told[-1].is_withheld
+    assert driver.order(OrderKind.RESET).is_withheld is False
+
+
+@pytest.mark.parametrize(
+    ("changes", "code"),
+    [
+        ({"mode": ControlMode.ONBOARD}, "control.mode"),
+        ({"mode": ControlMode.OFF}, "control.mode"),
+        ({"onboard": Onboard(fast_loop=True)}, "control.mode"),
+    ],
+)
+def test_modes_without_torques_from_the_ground_release_none(driver, changes, code):
+    driver.archive.change_craft(**changes)
+    driver.rows(12)
+    for order in (lambda: driver.order(OrderKind.ARM), driver.prepare, lambda: driver.engage("ann")):
+        with pytest.raises(ConflictError, match=code.replace(".", r"\.")):
+            order()
+
+
+def test_mode_onboard_gets_angles_while_they_are_fit_for_use(driver):
+    with pytest.raises(ConflictError, match=r"control\.mode"):
+        driver.desk.attitude_uplink(SC)
+    driver.archive.change_craft(mode=ControlMode.ONBOARD)
+    with pytest.raises(NotFoundError, match=r"uplink\.unknown"):
+        driver.desk.attitude_uplink(SC)
+    driver.rows(3)
+    product = driver.desk.attitude_uplink(SC)
+    assert (product.form, product.counter, product.attitude_deg) == (ProductForm.ATTITUDE, 3, GOOD.attitude_deg)
+    driver.rows(3, control_allowed=False, inhibitions=("downlink_fade",))
+    assert driver.desk.attitude_uplink(SC) == product
+    driver.rows(1, downlink_fade=True)
+    with pytest.raises(GoneError, match=r"uplink\.expired"):
+        driver.desk.attitude_uplink(SC)
+
+
+def test_under_the_data_clock_only_simulated_craft_get_commands():
+    driver = DeskDriver(is_data_service=True)
+    driver.rows(12)
+    with pytest.raises(ConflictError, match=r"interlock\.simulated"):
+        driver.order(OrderKind.ARM)
+    driver = DeskDriver(is_data_service=True)
+    driver.archive.change_craft(simulated=True)
+    driver.clock.is_of_data = True
+    driver.armed()
+    assert driver.sent().is_simulated
+    assert driver.desk.uplink(SC, 1).is_simulated
+
+
+def test_facts_of_the_archive_reach_the_interlock(driver):
+    driver.armed()
+    driver.tell(operations=[Operation(1, "station_keeping", driver.clock.now, None, inhibit_control=True)])
+    assert "operation" in driver.view.reasons
+    driver.tell(operations=[Operation(1, "station_keeping", 5, driver.clock.now - US)])
+    assert "ephemeris" in driver.view.reasons
+    driver.tell(ephemeris_received_us=driver.clock.now)
+    assert "ephemeris" not in driver.view.reasons
+    driver.tell(calibration_id=8)
+    assert driver.view.trips == ("configuration",)
+
+
+def test_a_command_that_did_nothing_trips_when_it_is_reported_executed(driver):
+    evidence = CommandEvidence(None, None, 0.0, 12.0)
+    driver.armed()
+    driver.sent()
+    driver.row = replace(GOOD, epoch_us=driver.clock.now)
+    driver.see(evidence=evidence)
+    assert driver.state == "ARMED"
+    driver.report(1)
+    assert driver.view.trips == ("response_missed",)
+
+
+def test_from_beyond_the_range_only_an_approver_brings_it_back_and_in_small_steps(driver):
+    driver.engaged()
+    far = Axes(0.0, 0.45, 0.0)
+    driver.rows(1, attitude_deg=far, inhibitions=("beyond_validity",), control_allowed=False)
+    assert driver.state == "RECOVERY"
+    command = driver.sent()
+    assert -0.1 <= command.peak_angle_deg.roll < -0.05
+
+
+def test_idle_rows_cost_no_write(driver):
+    driver.rows(5)
+    saves = driver.releases.saves
+    driver.rows(100)
+    assert driver.releases.saves == saves
