@@ -111,13 +111,13 @@ class DeskDriver:
         self.clock.now += round(seconds * US)
         self.clock.steady += round(seconds * US)
 
-    def rows(self, count: int = 1, lag_s: float = 10.0, **change: object) -> None:
+    def rows(self, count: int = 1, lag_s: float = 10.0, evidence: object = None, **change: object) -> None:
         """Let rows come, one a minute."""
         for _ in range(count):
             self.pass_time(60.0)
             epoch_us = self.clock.now - round(lag_s * US)
             self.row = replace(GOOD, epoch_us=epoch_us, number=epoch_us // US, **change)
-            self.see()
+            self.see(evidence=evidence)
 
     def see(self, *others: AttitudeRow, applied=None, evidence=None) -> None:
         """Hand the newest row over, beside those of other methods."""
