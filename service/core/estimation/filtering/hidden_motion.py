@@ -29,6 +29,8 @@ from service.core.estimation.filtering.filter_state import Gaussian, common_stat
 TORQUES = 9
 #: the Sun turns round the body once in this time, us
 DAY_US = 86_400_000_000
+#: the constant part of the residual torque, as a share of the whole
+CONSTANT_SHARE = 0.2
 #: one standard deviation of the share of a command that nobody has reported
 SHARE_SIGMA = 1.0
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
@@ -51,9 +53,12 @@ class Response(NamedTuple):
 def torque_prior_deg_h2(settings: FilterSettings) -> FloatArray:
     """Return the standard deviation (9,) of the torque states.
 
-    Constant and wave have half of the variance each: at every hour the torque has the size that was stated.
+    At every hour the torque has the size that was stated. What pushes is the light of the Sun, which goes round: nearly
+    all of it is wave. A constant part as large would leave yaw unknown for a day where half a day tells it.
     """
-    return np.tile(np.array(settings.torque_deg_h2) * math.sqrt(0.5), 3)
+    size = np.array(settings.torque_deg_h2)
+    wave = math.sqrt(1.0 - CONSTANT_SHARE**2)
+    return np.concatenate([CONSTANT_SHARE * size, wave * size, wave * size])
 
 
 def is_pushed(settings: FilterSettings) -> bool:
