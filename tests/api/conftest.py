@@ -14,6 +14,11 @@ from fastapi import FastAPI
 from db.storage import SqlStorage
 from service.api.app import create_app
 from service.api.deps import ApiContext, Limits
+from service.pipeline.config import TorqueConfig
+from service.pipeline.release_interlock.release_settings import ReleaseSettings
+from service.runtime.live_feed import LiveFeed
+from service.runtime.release_desk import ReleaseDesk
+from service.runtime.release_tidings import Tidings
 
 KEY = "test-key-of-the-administrator"
 #: 2026-11-21T03:00:00Z
@@ -96,7 +101,9 @@ async def soo(storage: SqlStorage) -> AsyncIterator[Soo]:
         aligner=cast("Any", None),
         replayer=cast("Any", None),
         flights=cast("Any", None),
-        desk=cast("Any", None),
+        desk=ReleaseDesk(
+            storage, clock, ReleaseSettings(), TorqueConfig(), Tidings(storage.audit, LiveFeed(), accepted.append)
+        ),
         bootstrap_key=KEY,
         limits=limits,
         on_accepted=accepted.append,

@@ -3,10 +3,10 @@
 from typing import Any
 
 import pytest
+from scripted_desk import AT_US, S, ScriptedDesk
 
 from service.errors import ConflictError, ForbiddenError, GoneError, InvalidInputError, NotFoundError
 from service.records.release import CommandWish, EnvelopeLimits
-from scripted_desk import AT_US, S, ScriptedDesk
 
 pytestmark = pytest.mark.anyio
 SC = "yamal-202"

@@ -27,10 +27,10 @@ class StatusLinkAnswer(Answer):
 
 
 class InterlockAnswer(Answer):
-    """Whether computed torques are given to the spacecraft, and why not."""
+    """Whether torques are given to the spacecraft, and why not; `GET .../control` tells all of it."""
 
-    state: Literal["INHIBITED", "ENGAGED"]
-    """ENGAGED: release is automatic and the newest command may be applied."""
+    state: Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "TRIPPED"]
+    """ENGAGED: the newest command may be applied, or goes by itself under the standing authorisation."""
     reasons: list[str]
 
 

@@ -80,9 +80,14 @@ async def test_history_pages(bench, make):
     assert rest["next"] is None
 
 
+#: of the release: no row was seen, the ephemeris ends soon, nobody has armed
+NOT_READY = {
+    "state": "INHIBITED",
+    "reasons": ["estimate_old", "not_aligned", "ephemeris", "yaw_sign", "not_armed"],
+}
 INTERLOCKS = {
     "automatic": (Release.AUTOMATIC, ControlMode.GROUND, {"state": "ENGAGED", "reasons": []}),
-    "two steps": (Release.TWO_STEP, ControlMode.GROUND, {"state": "INHIBITED", "reasons": ["release_two_step"]}),
+    "two steps": (Release.TWO_STEP, ControlMode.GROUND, NOT_READY),
 }
 
 
