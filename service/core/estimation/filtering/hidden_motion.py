@@ -23,7 +23,7 @@ from service.core.estimation.filtering.filter_model import (
     FloatArray,
     KnownMotion,
 )
-from service.core.estimation.filtering.filter_state import Gaussian, common_states, hidden_count
+from service.core.estimation.filtering.filter_state import RATE, Gaussian, common_states, hidden_count
 
 #: states of the residual torque
 TORQUES = 9
@@ -35,6 +35,9 @@ CONSTANT_SHARE = 0.2
 SHARE_SIGMA = 1.0
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
 _US_PER_H = 3.6e9
+#: a torque that motion makes doubtful may be this many times what was stated, and have been so for this long, h
+_DOUBT = 5.0
+_DOUBTED_H = 2.0
 #: longest span that ten nodes integrate, h
 _PANEL_H = 6.0
 
@@ -174,9 +177,14 @@ def with_wider_torque(gaussian: Gaussian, places: slice, variance: FloatArray) -
 
 
 def with_doubted_torque(model: CarrierModel, gaussian: Gaussian, settings: FilterSettings, axes: BoolArray) -> Gaussian:
-    """Return the state whose torque about some axes (3,) may be another than was learned, by as much as was stated."""
+    """Return the state whose torque about some axes (3,) may for a while have been some times what was stated."""
     # shares stand before the torques
     places = torque_states(model, gaussian, max(0, hidden_count(model, len(gaussian.mean)) - TORQUES))
     if places is None:
         return gaussian
-    return with_wider_torque(gaussian, places, np.tile(axes, 3) * torque_prior_deg_h2(settings) ** 2)
+    covariance = gaussian.covariance.copy()
+    for axis in np.flatnonzero(axes).tolist():
+        together = np.array([RATE.start + axis, places.start + axis])
+        gained = _DOUBT * settings.torque_deg_h2[axis] * np.array([_DOUBTED_H, 1.0])
+        covariance[np.ix_(together, together)] += np.multiply.outer(gained, gained)
+    return Gaussian(gaussian.mean, covariance)

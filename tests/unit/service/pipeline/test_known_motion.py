@@ -9,7 +9,7 @@ from geometry_flight import HOUR, INERTIA, LONGITUDE_DEG, MINUTE, SITE, S
 from service.pipeline.known_motion import CommandedMotion, heard, take
 from service.records.attitude import Axes
 from service.records.catalogue import Spacecraft
-from service.records.command import AppliedCommand, Pulse, TorqueCommand
+from service.records.command import AppliedCommand, Pulse, ReportedCommand, TorqueCommand
 from service.records.inputs import Correction
 
 CRAFT = Spacecraft("yamal-test", "Test", LONGITUDE_DEG, SITE, INERTIA, 0.05)
@@ -162,3 +162,37 @@ def test_a_pulse_without_length_and_a_command_without_a_craft_do_nothing():
     np.testing.assert_array_equal(rates, 0.0)
     unknown = heard(CommandedMotion(0), command(Pulse(60 * S, 9.0, Axes(0.1, 0.1, 0.1))), None, 0)
     assert unknown == CommandedMotion(0)
+
+
+# ---- commands that end one another ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("newest_min", [0, 5, 11], ids=["before", "within the pulse", "after the next began"])
+def test_a_command_that_counts_as_applied_ends_the_pulses_of_the_one_before(newest_min):
+    """Ten minutes of 1e-4 N m of which the next command leaves six; whatever rows had already consumed."""
+    first = command(Pulse(2 * MINUTE, 600.0, Axes(0.0, 1e-4, 0.0)), Pulse(30 * MINUTE, 9.0, Axes(0.0, 1e-4, 0.0)))
+    second = command(Pulse(20 * MINUTE, 60.0, Axes(0.0, 0.0, 1e-4)), epoch_us=8 * MINUTE, number=8)
+    commanded = heard(CommandedMotion(0), first, CRAFT, 0)
+    angle, rate = np.zeros(3), np.zeros(3)
+    for minute in range(1, 41):
+        if minute == newest_min + 1:
+            commanded = heard(commanded, second, CRAFT, newest_min * MINUTE)
+        known, commanded = take(commanded, (minute - 1) * MINUTE, minute * MINUTE)
+        angle = angle + known.correction_deg + known.late_correction_deg + (rate + 0.5 * known.rate_change_deg_h) / 60.0
+        rate = rate + known.rate_change_deg_h
+    expected = [0.0, gained_deg_h(1e-4, 360.0, INERTIA[0][0]), gained_deg_h(1e-4, 60.0, INERTIA[1][1])]
+    np.testing.assert_allclose(rate, expected, rtol=EXACT)
+    # each acts from the middle of its pulse on, in hours
+    np.testing.assert_allclose(angle, np.array(expected) * [0.0, 35.0 / 60.0, 19.5 / 60.0], rtol=1e-9)
+
+
+def test_an_older_command_and_a_report_end_nothing():
+    first = command(Pulse(10 * MINUTE, 60.0, Axes(0.0, 1e-4, 0.0)), number=9)
+    older = command(epoch_us=5 * MINUTE, number=8)
+    report = ReportedCommand(3, 5 * MINUTE, (Pulse(6 * MINUTE, 60.0, Axes(1e-4, 0.0, 0.0)),))
+    commanded = CommandedMotion(0)
+    for content in (first, older, report):
+        commanded = heard(commanded, content, CRAFT, 0)
+    known, _ = take(commanded, 0, 20 * MINUTE)
+    expected = [gained_deg_h(1e-4, 60.0, INERTIA[2][2]), gained_deg_h(1e-4, 60.0, INERTIA[0][0]), 0.0]
+    np.testing.assert_allclose(known.rate_change_deg_h, expected, rtol=EXACT)

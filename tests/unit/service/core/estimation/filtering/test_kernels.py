@@ -7,7 +7,9 @@ from service.core.estimation.filtering import loop_kernels
 from service.core.estimation.filtering.attitude_filter import start, step
 from service.core.estimation.filtering.filter_model import FilterSettings, KnownMotion, model_variance_db2, no_motion
 from service.core.estimation.filtering.filter_predict import Weather, predict
+from service.core.estimation.filtering.filter_state import core_size
 from service.core.estimation.filtering.filter_update import innovate, update
+from service.core.estimation.filtering.hidden_motion import inserted
 from service.core.estimation.filtering.kernels import ARRAYS, Kernels, compiled_kernels
 
 #: the first run after a change of the loops compiles them: six seconds of an idle processor
@@ -23,14 +25,16 @@ def compiled():
     return compiled_kernels()
 
 
-def walk(model, state, kernels, rows):
+def walk(model, state, kernels, rows, shares=0):
     """Return the states of some rows with rain, commands, a jump and carriers that come and go."""
-    rng, settings, states = np.random.default_rng(11), FilterSettings(), []
+    rng, settings, states = np.random.default_rng(11), FilterSettings(torque_deg_h2=(0.1, 0.1, 0.2)), []
     variance = np.zeros(model.carriers)
     for row in range(rows):
         known = KnownMotion(*(0.01 * rng.standard_normal((3, 3))))
+        known = known._replace(unreported=0.01 * rng.standard_normal((shares, 2, 3)))
         weather = Weather(row % 5 == 0, (False, row % 3 == 0, False), 1.3, variance)
-        state, variance = predict(model, settings, state, MINUTE_US * (1 + row % 4), known, weather, kernels)
+        step_us = MINUTE_US * (1 + row % 4)
+        state, variance = predict(model, settings, state, step_us, known, weather, kernels, 3_600_000_000 * row)
         deviation_db = 0.2 * rng.standard_normal(model.carriers) - 3.0 * (row == rows // 2)
         carriers = np.flatnonzero(rng.random(model.carriers) < 0.8)
         innovation = innovate(model, state, deviation_db, carriers, model.white_sigma_db**2, None, kernels)
@@ -56,6 +60,19 @@ def test_both_sets_agree(filter_models, compiled, components, common):
     arrays, loops = walk(model, start, ARRAYS, 40), walk(model, start, compiled, 40)
     assert_alike(arrays, loops, 1e-10)  # 1e-12 of one row, and forty rows build upon one another
     assert_alike(arrays[:1], loops[:1], 1e-12)
+
+
+@pytest.mark.parametrize("shares", [0, 2])
+def test_both_sets_agree_on_hidden_states(filter_models, compiled, shares):
+    model = filter_models.carrier_model(components=2, common=1)
+    hidden = np.concatenate([np.ones(shares), np.full(9, 0.1)])
+    state = inserted(filter_models.aligned(model), core_size(model), hidden**2)
+    arrays, loops = (walk(model, state, kernels, 40, shares) for kernels in (ARRAYS, compiled))
+    assert_alike(arrays, loops, 1e-10)
+    assert_alike(arrays[:1], loops[:1], 1e-12)
+    assert_alike(walk(model, state, UNCOMPILED, 2, shares), walk(model, state, compiled, 2, shares), 1e-12)
+    for _, covariance, _ in loops:
+        np.testing.assert_array_equal(covariance, covariance.T)
 
 
 def test_the_loops_are_python_too(filter_models, compiled):

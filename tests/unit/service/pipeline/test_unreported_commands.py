@@ -1,0 +1,302 @@
+"""Claims about commands between release and report: uncertain until then, and afterwards as if always known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from geometry_flight import HOUR, INERTIA, Flight, FlightPayload
+
+from service.pipeline import robust_runner
+from service.records.attitude import Axes
+from service.records.catalogue import Method, Onboard
+from service.records.command import AppliedCommand, Pulse, ReleasedCommand, ReportedCommand, TorqueCommand
+from service.records.inputs import AlignmentSet, Correction, SpacecraftChange
+
+PAYLOAD = FlightPayload.make()
+ZERO = Axes(0.0, 0.0, 0.0)
+#: minutes, s, N m: 0.1 deg about roll and pitch in a quarter of an hour, and the pulse that ends both
+SLEW = ((10.2, 20.0, (0.0, 2.5e-4, 0.0)), (10.6, 20.0, (0.0, 0.0, -1.4e-4)), (25.2, 20.0, (0.0, -2.5e-4, 1.4e-4)))
+LAST = 34
+
+
+def chain_of(**options):
+    """Return a chain of the robust method alone."""
+    return Flight(PAYLOAD, methods=(Method.ROBUST,), **options)
+
+
+def pulses(flight, told=SLEW):
+    return tuple(Pulse(flight.at(start), duration_s, Axes(*torque)) for start, duration_s, torque in told)
+
+
+def released(flight, counter=1, told=SLEW, minute=5):
+    return ReleasedCommand(counter, flight.at(minute), pulses(flight, told))
+
+
+def reported(flight, counter=1, told=SLEW, minute=20):
+    return ReportedCommand(counter, flight.at(minute), pulses(flight, told))
+
+
+def applied(flight, told=SLEW, minute=5):
+    nothing = (0.0, 0.0, 0.0)
+    return AppliedCommand(
+        TorqueCommand(
+            epoch_us=flight.at(minute),
+            number=1,
+            attitude_epoch_us=flight.at(minute),
+            mode="ground",
+            torque_n_m=ZERO,
+            wheels_n_m=nothing,
+            saturated=False,
+            command_period_s=3600.0,
+            valid_until_us=flight.at(minute + 60),
+            schedule=pulses(flight, told),
+            impulse_n_m_s=ZERO,
+            predicted_angle_change_deg=ZERO,
+            predicted_rate_change_deg_s=ZERO,
+            predicted_wheel_momentum_n_m_s=nothing,
+            control_allowed=True,
+            inhibitions=(),
+        )
+    )
+
+
+def turned_deg(minute, told=SLEW):
+    """Return what the pulses have turned by a minute; roll and yaw are not coupled here."""
+    turned = np.zeros(3)
+    for start, duration_s, torque in told:
+        rate = np.degrees(np.array(torque) * duration_s / [INERTIA[2][2], INERTIA[0][0], INERTIA[1][1]])
+        turned += rate * max(0.0, 60.0 * (minute - start) - 0.5 * duration_s)
+    return turned
+
+
+def flown(flight, inputs, last=LAST, told=SLEW):
+    """Fly rows with inputs of minutes; the craft does what ``told`` says."""
+    noise, rows = np.random.default_rng(6).normal(0.0, 0.05, (last + 1, 16)), []
+    for minute in range(1, last + 1):
+        for content in inputs.get(minute, ()):
+            flight.chain.learn(content)
+        rows.append(flight.robust(flight.changed(minute, noise[minute], flight.truth_deg + turned_deg(minute, told))))
+    return rows
+
+
+def state_of(flight):
+    return flight.chain._runners[0]._state
+
+
+def assert_same(first, second):
+    """Claim that two filters know the same, to the last bit."""
+    one, other = state_of(first), state_of(second)
+    np.testing.assert_array_equal(one.filter.gaussian.mean, other.filter.gaussian.mean)
+    np.testing.assert_array_equal(one.filter.gaussian.covariance, other.filter.gaussian.covariance)
+    # detectors, sums and motions that are still to come too
+    # what counts as applied keeps the number of its command
+    assert repr(one).replace("number=1)", "number=None)") == repr(other).replace("number=1)", "number=None)")
+
+
+@pytest.fixture
+def flight():
+    return chain_of()
+
+
+# ---- the report -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("after", [6, 18, 30], ids=["before it acts", "within", "after rows"])
+def test_reported_executed_is_known_from_the_release_on(flight, after):
+    known = chain_of()
+    rows = flown(flight, {5: (released(flight),), after: (reported(flight),)})
+    same = flown(known, {5: (applied(known),)})
+    assert_same(flight, known)
+    assert [repr(row) for row in rows[after - 1 :]] == [repr(row) for row in same[after - 1 :]]
+    assert all(row.control_allowed for row in rows[after:])
+
+
+@pytest.mark.parametrize("after", [6, 18, 30])
+def test_reported_failed_was_never_released(flight, after):
+    never = chain_of()
+    flown(flight, {5: (released(flight),), after: (reported(flight, told=()),)}, told=())
+    flown(never, {}, told=())
+    assert_same(flight, never)
+
+
+@pytest.mark.parametrize(
+    "executed", [SLEW[:1], SLEW[:2], ((10.2, 7.5, (0.0, 0.0063, 0.0)),)], ids=["one pulse", "two", "cut short"]
+)
+def test_what_was_executed_in_part_is_known_in_part(flight, executed):
+    known = chain_of()
+    rows = flown(flight, {5: (released(flight),), 15: (reported(flight, told=executed),)}, told=executed)
+    flown(known, {5: (applied(known, executed),)}, told=executed)
+    assert_same(flight, known)
+    angles = flight.truth_deg + turned_deg(LAST, executed)
+    np.testing.assert_allclose(np.array(rows[-1].attitude_deg)[1:], angles[1:], atol=0.02)
+
+
+def test_between_release_and_report_the_effect_is_uncertain(flight):
+    never = chain_of()
+    flown(flight, {5: (released(flight),)}, last=9, told=())
+    flown(never, {}, last=9, told=())
+    # nothing has acted yet: the filter knows what it knew
+    one, other = (state_of(chain).filter.gaussian.mean[:9] for chain in (flight, never))
+    np.testing.assert_allclose(one, other, rtol=1e-12)
+    absent, other = (one.robust(one.changed(30, np.nan)) for one in (flight, never))
+    np.testing.assert_allclose(absent.attitude_deg, other.attitude_deg, rtol=1e-12)
+    for axis in ("roll", "pitch"):
+        turned = dict(zip(("roll", "pitch"), turned_deg(30)[1:], strict=True))[axis]
+        grown = np.sqrt(getattr(absent.sigma_deg, axis) ** 2 - getattr(other.sigma_deg, axis) ** 2)
+        assert grown == pytest.approx(abs(turned), rel=1e-6)  # one sigma: all of it, or the opposite
+    assert absent.sigma_deg.yaw == pytest.approx(other.sigma_deg.yaw, rel=1e-9)
+
+
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_powers_tell_of_a_command_that_nobody_reports(flight, share):
+    told = tuple((start, duration_s, tuple(share * np.array(torque))) for start, duration_s, torque in SLEW)
+    rows = flown(flight, {5: (released(flight),)}, told=told)
+    place = 11
+    gaussian = state_of(flight).filter.gaussian
+    assert gaussian.mean[place] == pytest.approx(share, abs=0.1)
+    assert np.sqrt(gaussian.covariance[place, place]) < 0.1
+    np.testing.assert_allclose(
+        np.array(rows[-1].attitude_deg)[1:], (flight.truth_deg + turned_deg(LAST, told))[1:], atol=0.02
+    )
+    assert not any("unannounced_motion" in row.inhibitions for row in rows)
+
+
+def test_reports_of_unknown_and_finished_commands_do_nothing(flight):
+    once = chain_of()
+    flown(once, {5: (released(once),), 20: (reported(once),)})
+    inputs = {5: (reported(flight, 9), released(flight)), 20: (reported(flight), reported(flight)), 28: ()}
+    flown(flight, {**inputs, 30: (reported(flight, told=()), reported(flight, 7))})
+    assert_same(flight, once)
+
+
+def test_a_release_that_is_told_twice_counts_once(flight):
+    once = chain_of()
+    flown(once, {5: (released(once),), 20: (reported(once),)})
+    flown(flight, {5: (released(flight), released(flight)), 20: (reported(flight),)})
+    assert_same(flight, once)
+
+
+def test_the_same_journal_gives_the_same_bits(flight):
+    again = chain_of()
+    for one in (flight, again):
+        flown(one, {5: (released(one),), 30: (reported(one, told=SLEW[:2]),)}, told=SLEW[:2])
+    assert_same(flight, again)
+
+
+# ---- more than one, and what comes between --------------------------------------------------------------------------
+
+LATER = ((28.0, 10.0, (0.0, 0.0, 2e-4)),)
+
+
+@pytest.mark.parametrize("order", [(1, 2), (2, 1)])
+def test_reports_of_two_commands_may_come_in_any_order(flight, order):
+    known = chain_of()
+    contents = {1: reported(flight, told=SLEW[:2]), 2: reported(flight, 2, LATER)}
+    both = (*SLEW[:2], *LATER)
+    first, second = (contents[counter] for counter in order)
+    inputs = {5: (released(flight),), 22: (released(flight, 2, LATER),), 30: (first,), 32: (second,)}
+    flown(flight, inputs, told=both)
+    flown(known, {5: (reported_at_once(known, SLEW[:2]),), 22: (reported_at_once(known, LATER),)}, told=both)
+    assert_same(flight, known)
+
+
+def reported_at_once(flight, told):
+    """Return a command that counts as applied and that the next one does not end."""
+    return AppliedCommand(replace(applied(flight, told).command, number=0))
+
+
+def test_corrections_and_late_rows_between_release_and_report_are_kept(flight):
+    known = chain_of()
+    turn = Correction(flight.at(14), flight.at(30), Axes(0.0, 0.03, 0.0))
+    for one, first, second in ((flight, released(flight), reported(flight)), (known, applied(known), None)):
+        flown(one, {5: (first,), 12: (turn,)}, last=15)
+        one.robust(one.row(13.5))
+        for minute in range(16, 32):
+            if minute == 25 and second is not None:
+                one.chain.learn(second)
+            one.robust(one.row(minute, one.truth_deg + turned_deg(minute)))
+    assert_same(flight, known)
+
+
+def test_another_statement_about_the_craft_between_release_and_report_is_kept(flight):
+    known = chain_of()
+    onboard = Onboard(fast_loop=True, forecast_mode=True, roll_yaw_coupling=False, residual_torque_n_m=5e-7)
+    stated = SpacecraftChange(replace(flight.spacecraft, onboard=onboard), 2)
+    flown(flight, {5: (released(flight),), 12: (stated,), 30: (reported(flight),)})
+    flown(known, {5: (applied(known),), 12: (stated,)})
+    assert_same(flight, known)
+    assert flight.chain._runners[0].disturbance() is not None
+
+
+def test_an_alignment_between_release_and_report_begins_with_what_is_still_uncertain(flight):
+    known = chain_of()
+    for one, first, second in ((flight, released(flight), reported(flight)), (known, applied(known), None)):
+        one.documents.alignments[2] = PAYLOAD.alignment(
+            one.at(15), 2, angles_deg=(one.truth_deg + turned_deg(15)).tolist()
+        )
+        inputs = {5: (first,), 16: (AlignmentSet(2),), 30: () if second is None else (second,)}
+        flown(one, inputs)
+    assert_same(flight, known)
+
+
+def test_a_command_that_is_over_at_the_alignment_is_part_of_it(flight):
+    aligned = chain_of()
+    for one in (flight, aligned):
+        one.documents.alignments[2] = PAYLOAD.alignment(one.at(30), 2)
+    flown(flight, {5: (released(flight),), 31: (AlignmentSet(2),), 33: (reported(flight),)}, told=())
+    flown(aligned, {31: (AlignmentSet(2),)}, told=())
+    assert_same(flight, aligned)
+
+
+def test_before_the_alignment_a_release_waits_for_it():
+    flight, known = (chain_of(is_opened=False) for _ in range(2))
+    for one, first in ((flight, released(flight)), (known, applied(known))):
+        for content in (*one.opening()[:-1], first, one.opening()[-1]):
+            one.chain.learn(content)
+    flown(flight, {20: (reported(flight),)})
+    flown(known, {})
+    assert_same(flight, known)
+
+
+def test_after_too_many_rows_the_powers_have_told_and_a_report_is_no_news(flight, monkeypatch):
+    monkeypatch.setattr(robust_runner, "MAX_ROWS", 20)
+    rows = flown(flight, {5: (released(flight),), 33: (reported(flight),)})
+    assert state_of(flight).released == ()
+    assert flight.chain._runners[0]._branch is None
+    np.testing.assert_allclose(
+        np.array(rows[-1].attitude_deg)[1:], (flight.truth_deg + turned_deg(LAST))[1:], atol=0.02
+    )
+
+
+def test_a_command_of_more_than_a_week_ago_is_forgotten(flight):
+    runner = flight.chain._runners[0]
+    flown(flight, {5: (released(flight),)}, last=10)
+    start_us = flight.at(0) + 9 * 24 * HOUR
+    flight.robust(flight.payload.measurement(start_us, power_dbm=np.full(16, np.nan)))
+    flight.chain.learn(Correction(start_us, start_us + 1, ZERO))
+    assert runner._open == {}
+
+
+# ---- the torque that acts -------------------------------------------------------------------------------------------
+
+
+def test_the_disturbance_is_told_as_a_torque_with_its_sigma():
+    pushed = PAYLOAD.spacecraft()
+    flight = chain_of(spacecraft=replace(pushed, onboard=replace(pushed.onboard, residual_torque_n_m=5e-7)))
+    robust = flight.chain._runners[0]
+    flown(flight, {}, last=1, told=())
+    told = robust.disturbance()
+    assert (told.epoch_us, told.period_s) == (flight.at(1), 86_400.0)
+    np.testing.assert_allclose(told.sigma_n_m, 5e-7, rtol=1e-3)
+    # 2e-7 N m of roll, most of it learned in three hours
+    for minute in range(2, 181, 2):
+        angles = np.array([0.0, 0.5 * np.degrees(2e-7 / INERTIA[0][0]) * (60.0 * minute) ** 2, 0.0])
+        flight.robust(flight.row(minute, flight.truth_deg + angles))
+    told = robust.disturbance()
+    assert told.torque_n_m(told.epoch_us).roll == pytest.approx(2e-7, abs=3.0 * told.sigma_n_m.roll)
+    assert told.sigma_n_m.roll < 2e-7
+
+
+def test_without_a_statement_no_disturbance_is_told(flight):
+    flown(flight, {}, last=3)
+    assert flight.chain._runners[0].disturbance() is None
