@@ -10,9 +10,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Literal, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from service.formats.csv_field import csv_field
-from service.formats.parquet_stream import ParquetStream
+from service.formats.parquet_stream import GROUP_ROWS, ParquetStream
 from service.formats.row_text import RowFrame, RowText
 from service.records.attitude import IntArray
 from service.records.measurement import Float32Array
@@ -135,7 +136,11 @@ class NdjsonFile:
 
 
 class ParquetFile:
-    """Parquet: timestamps in UTC, float32 levels, null for what is absent; zstd."""
+    """Parquet: timestamps in UTC, float32 levels, null for what is absent; zstd.
+
+    Blocks are held until they make a group of rows: how rows came leaves no trace in the file, and each array that
+    pyarrow makes costs a turn at Python's lock, which whoever reads the next blocks wants too.
+    """
 
     def __init__(self, columns: MeasurementColumns) -> None:
         # 90 ms that only Parquet needs
@@ -148,6 +153,8 @@ class ParquetFile:
         fields += [pa.field(name, pa.float32()) for name in columns.names[2:]]
         self._schema: Any = pa.schema(fields)
         self._stream = ParquetStream(self._schema, ("source",))
+        self._held: list[MeasurementBlock] = []
+        self._held_rows = 0
 
     def begin(self) -> bytes:
         """Return the mark of the format."""
@@ -155,21 +162,51 @@ class ParquetFile:
 
     def rows(self, block: MeasurementBlock) -> bytes:
         """Return the groups of rows that a block completes."""
-        return self._stream.add(self._batch(block))
+        self._held.append(block)
+        self._held_rows += len(block.epochs_us)
+        return b"".join(self._group(GROUP_ROWS) for _ in range(self._held_rows // GROUP_ROWS))
 
     def end(self) -> bytes:
         """Return the last group and the index."""
-        return self._stream.end()
+        return (self._group(self._held_rows) if self._held_rows else b"") + self._stream.end()
 
-    def _batch(self, block: MeasurementBlock) -> Any:
+    def _group(self, rows: int) -> bytes:
+        """Write the first rows of those that are held."""
+        blocks, missing = [], rows
+        while missing:
+            block = self._held.pop(0)
+            if len(block.epochs_us) > missing:
+                self._held.insert(0, block.part(missing, len(block.epochs_us)))
+                block = block.part(0, missing)
+            blocks.append(block)
+            missing -= len(block.epochs_us)
+        self._held_rows -= rows
+        return self._stream.write_group(self._table(blocks))
+
+    def _table(self, blocks: Sequence[MeasurementBlock]) -> Any:
         pa = self._pa
-        epochs = pa.array(block.epochs_us, type=pa.int64()).cast(self._schema.field(0).type)
-        places = np.zeros(len(block.epochs_us)) if block.source_places is None else block.source_places
-        source = pa.DictionaryArray.from_arrays(places.astype(np.int32), list(block.sources))
-        # by columns in memory: each becomes an array of its own without a further copy
-        values = np.asfortranarray(self._columns.values(block))
-        levels = [pa.array(values[:, k], from_pandas=True) for k in range(values.shape[1])]
-        return pa.RecordBatch.from_arrays([epochs, source, *levels], schema=self._schema)
+        epochs = pa.array(np.concatenate([block.epochs_us for block in blocks])).cast(self._schema.field(0).type)
+        source = pa.DictionaryArray.from_arrays(*_numbered_sources(blocks))
+        values = [self._columns.values(block) for block in blocks]
+        levels = [
+            pa.array(np.concatenate([part[:, k] for part in values]), from_pandas=True)
+            for k in range(len(self._columns.carriers))
+        ]
+        return pa.Table.from_arrays([epochs, source, *levels], schema=self._schema)
+
+
+def _numbered_sources(blocks: Sequence[MeasurementBlock]) -> tuple[NDArray[np.int32], list[str]]:
+    """Return the number of each row's source, and the sources by number, as they first occur."""
+    numbers: dict[str, int] = {}
+    of_rows = []
+    for block in blocks:
+        places = np.zeros(len(block.epochs_us), np.int64) if block.source_places is None else block.source_places
+        found, first = np.unique(places, return_index=True)
+        table = np.zeros(len(block.sources), dtype=np.int32)
+        for place in found[np.argsort(first)].tolist():
+            table[place] = numbers.setdefault(block.sources[place], len(numbers))
+        of_rows.append(table[places])
+    return np.concatenate(of_rows), list(numbers)
 
 
 def measurement_file(

@@ -47,6 +47,11 @@ class ParquetStream:
             self._flush()
         return self.taken()
 
+    def write_group(self, group: Any) -> bytes:
+        """Write a table as one group and return its bytes; for who does not add batches."""
+        self._writer.write_table(group, row_group_size=GROUP_ROWS)
+        return self.taken()
+
     def end(self) -> bytes:
         """Return the last group and the index."""
         self._flush(is_last=True)
@@ -60,14 +65,6 @@ class ParquetStream:
         self._sink.truncate()
         return taken
 
-    def _renamed(self, group: Any) -> Any:
-        """Return a group whose texts are numbered as they first occur: batches number them as it suits them."""
-        for place, field in enumerate(self._schema):
-            if self._pa.types.is_dictionary(field.type) and len(group.column(place).chunk(0).dictionary) > 1:
-                texts = group.column(place).cast(field.type.value_type)
-                group = group.set_column(place, field, texts.dictionary_encode().cast(field.type))
-        return group
-
     def _merge(self) -> None:
         """Make one batch of those that came last."""
         table = self._pa.Table.from_batches(self._fresh, schema=self._schema)
@@ -80,7 +77,7 @@ class ParquetStream:
         self._fresh, start = [], 0
         while table.num_rows - start >= GROUP_ROWS or (is_last and start < table.num_rows):
             group = table.slice(start, GROUP_ROWS).unify_dictionaries().combine_chunks()
-            self._writer.write_table(self._renamed(group), row_group_size=GROUP_ROWS)
+            self._writer.write_table(group, row_group_size=GROUP_ROWS)
             start += GROUP_ROWS
         self._held = table.slice(start).to_batches() if start < table.num_rows else []
         self._held_rows = max(table.num_rows - start, 0)
