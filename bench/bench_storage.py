@@ -3,11 +3,16 @@
 Run ``python -m bench.bench_storage``; ``--help`` tells the options. Every batch counted is committed with
 ``synchronous=FULL``. Rates depend on disk and minute, so the same rows go through the bare driver in the same run:
 one thread, ``executemany``, eight batches a commit, no receipts, no journal numbers, no duplicates. The ratio counts.
-Then days of one source are read into arrays as rows, sealed, and read again. ``--url`` takes a PostgreSQL server.
+
+Then days of one source are read into arrays as rows, sealed, and read again, for each kind of levels: of carriers
+spread over 20 dB, in hundredths and thousandths of a decibel as analyzers tell them, in five decimals and with flags as
+the front end sends them, and with every bit of a float32. At last come the rows of results. ``--url`` takes an empty
+database of a PostgreSQL server for each kind, with ``{}`` for their numbers from 0 on.
 """
 
 import argparse
 import sqlite3
+import sys
 import tempfile
 import time
 from collections import deque
@@ -19,35 +24,49 @@ import numpy as np
 
 from db.segments import DAY_US
 from db.storage import SqlStorage
+from service.ports import LIVE, Outcome
+from service.records.attitude import AttitudeRow, Axes, Status
 from service.records.calibration import Window
-from service.records.catalogue import Carrier, Site, Spacecraft
-from service.records.measurement import BatchReceipt, MeasurementBatch
+from service.records.catalogue import Carrier, Method, Site, Spacecraft
+from service.records.command import Pulse, TorqueCommand
+from service.records.measurement import BatchReceipt, Measurement, MeasurementBatch
 
 START_US = 1_795_000_000_000_000
 STEP_US = 100_000
 #: rows of one day at a row every ten seconds
 DAY_ROWS = 8640
+#: bytes of a row over those of its powers as float32: in the table of rows, in sealed days of two decimals
+GOAL_HOT, GOAL_HOT_SERVER, GOAL_SEALED = 1.35, 1.75, 0.35
+#: rows a second read from sealed days over those read as rows
+GOAL_READ = 2.5
+#: decimals of levels, None = as they come
+KINDS: dict[str, int | None] = {"0.01 dB": 2, "0.001 dB": 3, "front end": 5, "all bits": None}
 #: batches a thread keeps under way, as a server with several connections does
 DEPTH = 4
 
 
-def main() -> None:
-    """Print batches a second, rows a second and bytes a row."""
+def main() -> bool:
+    """Print batches a second, rows a second and bytes a row; return whether the goals are met."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--threads", type=int, default=4)
-    parser.add_argument("--seconds", type=float, default=5.0)
+    parser.add_argument("--seconds", type=float, default=3.0)
     parser.add_argument("--rows", type=int, default=100)
     parser.add_argument("--carriers", type=int, default=32)
     parser.add_argument("--flags", action="store_true", help="send quality flags with every row")
-    parser.add_argument("--days", type=int, default=8, help="days of 8640 rows to read as rows and sealed")
-    parser.add_argument("--decimals", type=int, default=2, help="of the levels, as the analyzer gives them")
-    parser.add_argument("--url", help="an empty database to measure instead of a SQLite file")
-    options = parser.parse_args()
-    with tempfile.TemporaryDirectory(dir=Path.cwd()) as folder:
-        bare = measure_driver(Path(folder) / "driver.db", options)
-        rate = measure(Path(folder) / "bench.db", options)
+    parser.add_argument("--days", type=int, default=4, help="days of 8640 rows to read as rows and sealed")
+    parser.add_argument("--url", help="empty databases to measure instead of a SQLite file")
+    options, _ = parser.parse_known_args()
+    with tempfile.TemporaryDirectory(dir=Path.cwd()) as name:
+        folder = Path(name)
+        bare = measure_driver(folder / "driver.db", options)
+        rate = measure(folder / "bench.db", options)
         print(f"ratio to the bare driver {rate / bare:.2f}")
-        measure_reading(options.url or f"sqlite:///{Path(folder) / 'days.db'}", options)
+        urls = {kind: f"sqlite:///{folder / str(place)}.db" for place, kind in enumerate(KINDS)}
+        if options.url:
+            urls = {kind: options.url.format(place) for place, kind in enumerate(KINDS)}
+        is_met = [measure_reading(url, kind, options) for kind, url in urls.items()]
+        measure_results(f"sqlite:///{folder / 'results'}.db", options)
+    return all(is_met)
 
 
 def measure_driver(path: Path, options: argparse.Namespace) -> float:
@@ -113,35 +132,130 @@ def measure(path: Path, options: argparse.Namespace) -> float:
     return batches / elapsed_s
 
 
-def measure_reading(url: str, options: argparse.Namespace) -> None:
-    """Print bytes a row and rows a second read into arrays, as rows and sealed."""
+def measure_reading(url: str, kind: str, options: argparse.Namespace) -> bool:
+    """Print bytes a row and rows a second read into arrays, as rows and sealed; return whether the goals are met."""
     storage = SqlStorage(url)
     storage.migrate()
     plan_id = prepare_catalogue(storage, options)
-    first_us = START_US // DAY_US * DAY_US
-    rows = options.days * DAY_ROWS // options.rows * options.rows
-    for start in range(0, rows, options.rows):
-        epochs_us = first_us + (start + np.arange(options.rows)) * (DAY_US // DAY_ROWS)
-        made = replace(batch(0, plan_id, start, options), epochs_us=epochs_us, received_at_us=int(epochs_us[-1]))
-        storage.archive.append_measurements(replace(made, first_seq=start)).result()
+    rows = send_days(storage, plan_id, kind, options)
     by_rows = read_rate(storage, rows)
-    hot = size_of_rows(storage)
+    payload = 4 * options.carriers * rows
+    hot = size_of_rows(storage) / payload
     started = time.perf_counter()
     sealed = sum(part.rows for part in storage.archive.seal("bench", 1 << 60, 1 << 60))
     sealing_s = time.perf_counter() - started
     assert sealed == rows, f"{sealed} rows sealed of {rows}"
     by_segments = read_rate(storage, rows)
-    packed = size_of_segments(storage)
+    packed = size_of_segments(storage) / payload
     storage.close()
-    report_reading("rows", hot / rows, by_rows, options)
-    report_reading("sealed", packed / rows, by_segments, options)
-    print(f"sealed are read {by_segments / by_rows:.1f} times as fast; sealed at {rows / sealing_s:.0f} rows/s")
+    print(
+        f"levels {kind}: read {by_rows:.0f} rows/s as rows, {by_segments:.0f} sealed; sealed at {rows / sealing_s:.0f}"
+    )
+    goal = GOAL_HOT if url.startswith("sqlite") else GOAL_HOT_SERVER
+    judged = [judge("hot over powers", hot, goal, f"{hot * 4 * options.carriers:.0f} B a row")]
+    of_sealed = f"{packed * 4 * options.carriers:.0f} B a row"
+    if kind == "0.01 dB":
+        judged.append(judge("sealed over powers", packed, GOAL_SEALED, of_sealed))
+    else:
+        print(f"  sealed over powers {packed:.2f} ({of_sealed})")
+    judged.append(judge("read sealed over rows", by_segments / by_rows, GOAL_READ, "times", is_least=True))
+    return all(judged)
 
 
-def report_reading(name: str, size: float, rate: float, options: argparse.Namespace) -> None:
-    """Print one line of figures."""
-    share = size / (4 * options.carriers)
-    print(f"{name:8} {size:6.1f} B/row = {share:.2f} of the powers, read {rate:9.0f} rows/s")
+def send_days(storage: SqlStorage, plan_id: int, kind: str, options: argparse.Namespace) -> int:
+    """Store whole days of one front end and return how many rows; those of the front end have all that it sends."""
+    first_us = START_US // DAY_US * DAY_US
+    rows: int = options.days * DAY_ROWS // options.rows * options.rows
+    zeros = ((0,) * options.carriers,) * options.rows
+    for start in range(0, rows, options.rows):
+        epochs_us = first_us + (start + np.arange(options.rows)) * (DAY_US // DAY_ROWS)
+        made = batch(0, plan_id, start, options, KINDS[kind])
+        made = replace(made, epochs_us=epochs_us, received_at_us=int(epochs_us[-1]) + 700_000, first_seq=start)
+        if kind == "front end":
+            made = replace(made, flags=zeros)
+        storage.archive.append_measurements(made).result()
+    return rows
+
+
+def measure_results(url: str, options: argparse.Namespace) -> None:
+    """Print bytes a row of attitude, two methods a measurement, and of torques."""
+    storage = SqlStorage(url)
+    storage.migrate()
+    plan_id = prepare_catalogue(storage, options)
+    send_days(storage, plan_id, "0.01 dB", argparse.Namespace(**{**vars(options), "days": 1}))
+    random = np.random.default_rng(1)
+    entries = storage.archive.journal("bench", 0, 1 << 30)
+    measured = [entry.content for entry in entries if isinstance(entry.content, Measurement)]
+    for start in range(0, len(measured), options.rows):
+        outcomes = [outcome_of(row, random) for row in measured[start : start + options.rows]]
+        storage.results.save_outcomes("bench", LIVE, outcomes, measured[start].number, measured[start].epoch_us)
+    attitude = _size(storage, "attitude", "attitude_sequence") / (2 * len(measured))
+    torque = _size(storage, "torque", "torque_sequence") / len(measured)
+    storage.close()
+    print(f"results: {attitude:.0f} B a row of attitude (two a measurement), {torque:.0f} B a torque command")
+
+
+def outcome_of(row: Measurement, random: np.random.Generator) -> Outcome:
+    """Return results with all bits in use, as a calm day gives them."""
+    rows = []
+    for method in Method:
+        angles, sigma, rates = (Axes(*random.normal(0.0, 0.05, 3).tolist()) for _ in range(3))
+        figures = random.normal(0.0, 0.1, 2).tolist()
+        rows.append(
+            AttitudeRow(
+                epoch_us=row.epoch_us,
+                received_at_us=row.received_at_us,
+                number=row.number,
+                method=method,
+                attitude_deg=angles,
+                sigma_deg=sigma,
+                rates_deg_s=rates if method is Method.ROBUST else None,
+                status=Status.ACQUIRED,
+                control_allowed=True,
+                control_allowed_axes=(True, True, True),
+                inhibitions=(),
+                carriers_used=32,
+                excluded=(),
+                downlink_fade=False,
+                downlink_fade_db=0.0,
+                common_db=figures[0],
+                residual_rms_db=figures[1],
+                calibration_id=1,
+                alignment_id=1,
+            )
+        )
+    return Outcome(tuple(rows), command_of(row, random))
+
+
+def command_of(row: Measurement, random: np.random.Generator) -> TorqueCommand:
+    """Return a command of one element."""
+    torque, impulse, angles, rates = (Axes(*random.normal(0.0, 0.01, 3).tolist()) for _ in range(4))
+    return TorqueCommand(
+        epoch_us=row.epoch_us,
+        number=row.number,
+        attitude_epoch_us=row.epoch_us,
+        mode="ground",
+        torque_n_m=torque,
+        wheels_n_m=torque,
+        saturated=False,
+        command_period_s=60.0,
+        valid_until_us=row.epoch_us + 60_000_000,
+        schedule=(Pulse(row.epoch_us, 2.5, torque),),
+        impulse_n_m_s=impulse,
+        predicted_angle_change_deg=angles,
+        predicted_rate_change_deg_s=rates,
+        predicted_wheel_momentum_n_m_s=impulse,
+        control_allowed=True,
+        inhibitions=(),
+    )
+
+
+def judge(name: str, figure: float, goal: float, unit: str, *, is_least: bool = False) -> bool:
+    """Print a figure beside its goal and return whether it is met."""
+    is_met = figure >= goal if is_least else figure <= goal
+    sign = ">=" if is_least else "<="
+    print(f"  {name} {figure:.2f} ({unit}), goal {sign} {goal:.2f}: {'PASS' if is_met else 'MISS'}")
+    return is_met
 
 
 def read_rate(storage: SqlStorage, rows: int) -> float:
@@ -184,10 +298,13 @@ def prepare_catalogue(storage: SqlStorage, options: argparse.Namespace) -> int:
     return storage.catalogue.put_plan("bench", carriers, "bench").id
 
 
-def batch(worker: int, plan_id: int, seed: int, options: argparse.Namespace) -> MeasurementBatch:
-    """Return a batch of one front end."""
+def batch(
+    worker: int, plan_id: int, seed: int, options: argparse.Namespace, decimals: int | None = 2
+) -> MeasurementBatch:
+    """Return a batch of one front end: carriers spread over 20 dB, each with noise of 0.1 dB."""
     rows = options.rows
     random = np.random.default_rng(1000 * worker + seed)
+    levels = np.linspace(-70.0, -50.0, options.carriers) + random.normal(0.0, 0.1, (rows, options.carriers))
     return MeasurementBatch(
         spacecraft_id="bench",
         source=f"sa-{worker}",
@@ -195,7 +312,7 @@ def batch(worker: int, plan_id: int, seed: int, options: argparse.Namespace) -> 
         received_at_us=START_US,
         index=np.arange(rows),
         epochs_us=np.arange(rows),
-        power_dbm=np.round(random.normal(-60.0, 0.1, (rows, options.carriers)), options.decimals).astype(np.float32),
+        power_dbm=(levels if decimals is None else np.round(levels, decimals)).astype(np.float32),
         flags=((0,) * options.carriers,) * rows if options.flags else (None,) * rows,
         is_stale=np.zeros(rows, dtype=bool),
         first_seq=0,
@@ -203,4 +320,4 @@ def batch(worker: int, plan_id: int, seed: int, options: argparse.Namespace) -> 
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(0 if main() else 1)
