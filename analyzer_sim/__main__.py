@@ -85,6 +85,7 @@ def _add_story(parser: argparse.ArgumentParser, names: Iterable[str] = SCENARIOS
     parser.add_argument("--seed", type=_seed, default=1, help="seed of every random quantity (default: 1)")
     parser.add_argument("--start", type=_epoch_us, help="first epoch, RFC 3339 with zone")
     parser.add_argument("--operation-days", type=_positive, help="length of the operation phase, days")
+    parser.add_argument("--quiet-days", type=_positive, help="length of the quiet phase, days")
     parser.add_argument("--row-period", type=_positive, help="time between rows, seconds")
 
 
@@ -180,6 +181,7 @@ def _scenario(options: argparse.Namespace) -> Scenario:
     return scenario_named(
         options.scenario,
         operation_days=options.operation_days,
+        quiet_days=options.quiet_days,
         row_period_s=options.row_period,
         start_us=options.start,
     )

@@ -32,6 +32,7 @@ def scenario_named(
     name: str,
     *,
     operation_days: float | None = None,
+    quiet_days: float | None = None,
     row_period_s: float | None = None,
     start_us: int | None = None,
 ) -> Scenario:
@@ -48,6 +49,7 @@ def scenario_named(
     return replace(
         chosen,
         operation_h=chosen.operation_h if operation_days is None else 24.0 * operation_days,
+        quiet_h=chosen.quiet_h if quiet_days is None else 24.0 * quiet_days,
         row_period_s=chosen.row_period_s if row_period_s is None else row_period_s,
         start_us=chosen.start_us if start_us is None else start_us,
     )

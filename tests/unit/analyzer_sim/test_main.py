@@ -17,6 +17,7 @@ def test_serve_has_the_documented_defaults() -> None:
     assert (options.dialect, options.port, options.ground_port) == ("rs", 5025, 5026)
     assert (options.scenario, options.seed, options.host, options.detail) == ("demo", 1, "127.0.0.1", "fast")
     assert not options.await_ground
+    assert (options.uplink_port, options.uplink, options.onboard) == (None, "ideal", "wheels")
     assert (options.hislip_port, options.alias_port, options.pace, options.truth_log, options.fault) == (
         None,
         [],
@@ -37,6 +38,10 @@ def test_serve_has_the_documented_defaults() -> None:
         ["--start", "yesterday"],
         ["--operation-days", "nan"],
         ["--operation-days", "-1"],
+        ["--quiet-days", "0"],
+        ["--scenario", "slew_fade"],
+        ["--uplink-port", "-1"],
+        ["--uplink", "none"],
         ["--dialect", "klingon"],
         ["--pace", "slow"],
         ["--hislip-port", "-1"],
@@ -63,7 +68,7 @@ def test_export_writes_the_scenario(tmp_path: Path, capsys: pytest.CaptureFixtur
         assert int(arrays["seed"]) == 4
 
 
-@pytest.mark.parametrize("option", ["--port", "--alias-port", "--hislip-port", "--ground-port"])
+@pytest.mark.parametrize("option", ["--port", "--alias-port", "--hislip-port", "--ground-port", "--uplink-port"])
 def test_port_in_use_is_told_without_a_traceback(option: str, capsys: pytest.CaptureFixture[str]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])

@@ -1,0 +1,238 @@
+"""Uplink port over real sockets: schedules in, reports out, and nothing that a client does can break it."""
+
+import asyncio
+import json
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from analyzer_sim import uplink_port
+from analyzer_sim.epochs import rfc3339
+from analyzer_sim.flown_world import FlownWorld
+from analyzer_sim.plant import PlantOptions
+from analyzer_sim.schedule_lines import MAX_LINE_CHARACTERS
+from analyzer_sim.uplink_port import UplinkPort
+from analyzer_sim.world.ground_port import Gate, serve_ground
+from analyzer_sim.world.scenario import scenario_named
+
+STORY = replace(scenario_named("nominal"), quiet_h=0.5, operation_h=0.2)
+SEED = 1
+PROCEED = b'{"kind":"proceed"}\n'
+
+
+class Client:
+    """A client that reads line by line."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.reader, self.writer = reader, writer
+
+    async def line(self) -> dict[str, Any]:
+        return json.loads(await asyncio.wait_for(self.reader.readline(), 5.0))
+
+    async def ask(self, data: bytes) -> dict[str, Any]:
+        await self.send(data + b"\n")
+        return await self.line()
+
+    async def send(self, data: bytes) -> None:
+        self.writer.write(data)
+        await self.writer.drain()
+
+    async def until(self, kind: str) -> list[dict[str, Any]]:
+        """Read up to and including the first line of a kind."""
+        lines = [await self.line()]
+        while lines[-1]["kind"] != kind:
+            lines.append(await self.line())
+        return lines
+
+
+@asynccontextmanager
+async def connected(port: int) -> AsyncIterator[Client]:
+    reader, writer = await asyncio.open_connection("127.0.0.1", port, limit=1 << 22)
+    try:
+        yield Client(reader, writer)
+    finally:
+        writer.close()
+
+
+def run(story: Callable[[int, FlownWorld], Awaitable[None]], *, rows: int = 1) -> None:
+    """Serve the port of a craft that has flown some rows while a story is told with it."""
+
+    async def told() -> None:
+        craft = FlownWorld(STORY, SEED, PlantOptions())
+        while rows and craft.epoch_us is None:
+            craft.advance()
+        server = await UplinkPort(craft).serve("127.0.0.1", 0)
+        async with server:
+            await story(server.sockets[0].getsockname()[1], craft)
+            for _ in range(20):
+                await asyncio.sleep(0)  # lets the handlers notice that their clients left
+
+    asyncio.run(told())
+
+
+def schedule(craft: FlownWorld, counter: int) -> bytes:
+    assert craft.epoch_us is not None
+    element = {"start": rfc3339(craft.epoch_us), "duration_s": 10.0, "roll_n_m": 0.0, "pitch_n_m": 0.01, "yaw_n_m": 0.0}
+    return json.dumps({"schedule": [element], "counter": counter}).encode()
+
+
+def test_a_schedule_is_taken_and_its_report_comes_before_the_row_that_was_flown() -> None:
+    async def story(port: int, craft: FlownWorld) -> None:
+        async with connected(port) as client:
+            opening = await client.line()
+            assert opening == {
+                "type": "start",
+                "scenario": "nominal",
+                "seed": SEED,
+                "uplink": "ideal",
+                "onboard": "wheels",
+                "operation_start": rfc3339(STORY.operation_start_us),
+            }
+            sent = rfc3339(craft.epoch_us)
+            assert await client.ask(schedule(craft, 4)) == {"type": "taken", "counter": 4, "sent": sent}
+            assert await client.ask(b'{"schedule":[]}') == {"type": "taken", "counter": None, "sent": sent}
+            craft.advance()
+            report, flown = await client.line(), await client.line()
+            assert (report["type"], report["counter"], report["state"]) == ("report", 4, "executed")
+            assert flown == {"type": "flown", "epoch": rfc3339(craft.epoch_us)}
+
+    run(story)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"\xff\xfe\x00",
+        b"[" * 5000,
+        b'{"schedule":[{"start":1}]}',
+        b'{"schedule":[],"counter":-1}',
+        b'{"schedule":[],"counter":1e999}',
+        b'{"kind":"proceed"}',
+    ],
+)
+def test_garbage_is_answered_and_changes_nothing(data: bytes) -> None:
+    async def story(port: int, craft: FlownWorld) -> None:
+        async with connected(port) as client:
+            await client.line()
+            answer = await client.ask(data)
+            assert answer["type"] == "error"
+            assert (await client.ask(schedule(craft, 1)))["type"] == "taken"
+
+    run(story)
+
+
+def test_a_line_that_is_too_long_is_skipped_to_its_end() -> None:
+    async def story(port: int, craft: FlownWorld) -> None:
+        async with connected(port) as client:
+            await client.line()
+            answer = await client.ask(b"x" * (2 * MAX_LINE_CHARACTERS + 7))
+            assert "at most 1000000 characters" in answer["detail"]
+            assert (await client.ask(schedule(craft, 1)))["type"] == "taken"
+
+    run(story)
+
+
+def test_before_operation_nothing_is_taken() -> None:
+    async def story(port: int, craft: FlownWorld) -> None:
+        async with connected(port) as client:
+            await client.line()
+            assert "under its sensors" in (await client.ask(b'{"schedule":[]}'))["detail"]
+
+    run(story, rows=0)
+
+
+def test_a_second_client_is_turned_away_and_the_first_goes_on() -> None:
+    async def story(port: int, craft: FlownWorld) -> None:
+        async with connected(port) as first:
+            await first.line()
+            async with connected(port) as second:
+                assert await second.line() == {"type": "error", "detail": "another client holds the uplink"}
+                assert await second.reader.read() == b""
+            assert (await first.ask(schedule(craft, 1)))["type"] == "taken"
+            craft.advance()
+            assert [(await first.line())["type"] for _ in range(2)] == ["report", "flown"]
+
+    run(story)
+
+
+def test_what_was_told_while_nobody_was_there_is_told_to_the_next() -> None:
+    async def story(port: int, craft: FlownWorld) -> None:
+        async with connected(port) as client:
+            await client.line()
+            await client.ask(schedule(craft, 9))
+            await client.send(b'{"schedule":')  # half a line, then gone
+        await asyncio.sleep(0.05)
+        craft.advance()
+        async with connected(port) as client:
+            opening, report = await client.line(), await client.line()
+            assert (opening["type"], report["type"], report["counter"]) == ("start", "report", 9)
+            craft.advance()
+            assert (await client.line())["type"] == "flown"
+
+    run(story)
+
+
+def test_a_client_that_does_not_read_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(uplink_port, "MAX_WAITING_BYTES", 0)
+
+    async def story(port: int, craft: FlownWorld) -> None:
+        async with connected(port) as deaf:
+            await deaf.line()
+            # more than the buffers of both systems take
+            lines: list[dict[str, Any]] = [{"filler": "x" * 1_000_000} for _ in range(20)]
+            craft._tell(lines)
+            await asyncio.sleep(0.05)
+            async with connected(port) as client:
+                assert (await client.line())["type"] == "start"
+
+    run(story)
+
+
+def test_the_ground_port_tells_truth_and_telemetry_after_the_row() -> None:
+    async def told() -> None:
+        craft, gate = FlownWorld(STORY, SEED, PlantOptions()), Gate()
+        server = await serve_ground(craft.world, gate, await_ground=True, flight=craft)
+        async with server, connected(server.sockets[0].getsockname()[1]) as client:
+            held = await client.until("hold")
+            while held[-1]["phase"] != "operation":
+                assert "truth" in {line["kind"] for line in held}, "before operation it is known beforehand"
+                await client.send(PROCEED)
+                held = await client.until("hold")
+            assert {line["kind"] for line in held} == {"phase", "hold"}, "nobody knows what will be flown"
+            while craft.world.next_epoch_us < STORY.operation_start_us:
+                craft.advance()
+            await client.send(PROCEED)
+            await gate.wait(STORY.operation_start_us)
+            assert not gate.is_granted(STORY.operation_start_us + 1), "each row waits for the command of the one before"
+            craft.advance()
+            telemetry, truth, hold = await client.until("hold")
+            assert telemetry["body"]["records"][0]["epoch"] == truth["rows"][0]["epoch"]
+            assert hold["until"] == rfc3339(STORY.operation_start_us + 60_000_000)
+
+    asyncio.run(told())
+
+
+def test_a_ground_client_that_leaves_while_a_row_is_due_hears_its_truth_later() -> None:
+    async def told() -> None:
+        craft, gate = FlownWorld(STORY, SEED, PlantOptions()), Gate()
+        server = await serve_ground(craft.world, gate, await_ground=True, flight=craft)
+        port = server.sockets[0].getsockname()[1]
+        async with server:
+            async with connected(port) as client:
+                while (await client.until("hold"))[-1]["phase"] != "operation":
+                    await client.send(PROCEED)
+                await client.send(PROCEED)
+                await gate.wait(STORY.operation_start_us)
+            await asyncio.sleep(0.5)  # the port is let go of
+            while craft.epoch_us is None:
+                craft.advance()
+            async with connected(port) as client:
+                lines = await client.until("hold")
+                assert [line["kind"] for line in lines][-3:] == ["telemetry", "truth", "hold"]
+                assert "error" not in {line["kind"] for line in lines}
+
+    asyncio.run(told())
