@@ -143,6 +143,8 @@ class RobustConfig:
     min_white_db: float = 0.02
     #: greatest own sigma of yaw with which it is controlled, deg
     yaw_sigma_limit_deg: float = 0.125
+    #: the same of a craft that a residual torque turns: left alone its yaw is lost within hours
+    pushed_yaw_sigma_limit_deg: float = 0.5
     #: yaw beyond it is left alone, deg; it moves no station by more than a sixth of itself
     yaw_validity_limit_deg: float = 2.0
     #: running mean of the normalised innovation squared above which the model is not believed

@@ -7,6 +7,7 @@ import numpy as np
 
 from service.core.estimation.calibration.quadratic_response import QuadraticResponse, predict_deviation
 from service.core.estimation.filtering.filter_model import CarrierModel, FilterSettings
+from service.core.estimation.filtering.hidden_motion import is_pushed
 from service.core.estimation.filtering.integrity import IntegrityLimits
 from service.core.estimation.snapshot.snapshot_start import subset_orders
 from service.pipeline.config import ChainConfig, InterlockConfig, RobustConfig
@@ -102,14 +103,15 @@ def robust_model(
     is_used = np.array(fit.is_used, dtype=np.bool_) & is_known
     groups = member_groups(fit.alc_group, is_used)
     grown_db = _grown_error_db(arrays, fit, ephemeris, max(alignment.epoch_us, ephemeris.valid_start_us))
+    settings = _filter_settings(knowledge.spacecraft, config.robust)
     return RobustModel(
         carrier_ids=carrier_ids,
         filter=_with_daily_error(
             centred_model(carrier_model(arrays, fit, result.carriers, config.robust), groups),
             grown_db,
         ),
-        settings=_filter_settings(knowledge.spacecraft, config.robust),
-        limits=_limits(config.interlock, config.robust),
+        settings=settings,
+        limits=_limits(config.interlock, config.robust, settings),
         response=centred_response(arrays.response, groups),
         orders=subset_orders(len(carrier_ids), _SUBSETS),
         level=level,
@@ -232,10 +234,11 @@ def _torque_deg_h2(spacecraft: Spacecraft | None) -> tuple[float, float, float]:
     return yaw, roll, pitch
 
 
-def _limits(interlock: InterlockConfig, config: RobustConfig) -> IntegrityLimits:
+def _limits(interlock: InterlockConfig, config: RobustConfig, settings: FilterSettings) -> IntegrityLimits:
     """Return when control may use the attitude."""
+    pushed_deg = max(config.yaw_sigma_limit_deg, config.pushed_yaw_sigma_limit_deg)
     return IntegrityLimits(
-        sigma_yaw_deg=config.yaw_sigma_limit_deg,
+        sigma_yaw_deg=pushed_deg if is_pushed(settings) else config.yaw_sigma_limit_deg,
         sigma_roll_deg=interlock.roll_sigma_limit_deg,
         sigma_pitch_deg=interlock.pitch_sigma_limit_deg,
         redundancy=interlock.min_redundancy,

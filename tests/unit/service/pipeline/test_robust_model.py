@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from geometry_flight import CITIES, HOUR, START_US, FlightPayload, S
+from geometry_flight import CITIES, HOUR, INERTIA, START_US, FlightPayload, S
 
 from service.pipeline.config import ChainConfig, InterlockConfig, RobustConfig
 from service.pipeline.knowledge import Knowledge
@@ -64,6 +64,18 @@ def test_settings_of_the_craft_and_limits_arrive(payload):
         coupled = robust_model(knows(payload, spacecraft=craft), None, CONFIG)
         # one turn a sidereal day
         assert coupled.settings.coupling_per_h == pytest.approx(2 * np.pi / 23.9344696, rel=1e-6)
+
+
+def test_a_torque_that_is_not_fed_forward_is_an_acceleration_of_each_axis_and_lets_yaw_be_worse_known(payload):
+    craft = payload.spacecraft()
+    pushed = replace(craft, onboard=replace(craft.onboard, residual_torque_n_m=5e-7))
+    model = robust_model(knows(payload, spacecraft=pushed), None, CONFIG)
+    inertia = np.array([INERTIA[2][2], INERTIA[0][0], INERTIA[1][1]])
+    np.testing.assert_allclose(model.settings.torque_deg_h2, np.degrees(5e-7 / inertia) * 3600.0**2)
+    assert model.limits.sigma_yaw_deg == CONFIG.robust.pushed_yaw_sigma_limit_deg
+    calm = robust_model(knows(payload), None, CONFIG)
+    assert calm.settings.torque_deg_h2 == (0.0, 0.0, 0.0)
+    assert calm.limits.sigma_yaw_deg == CONFIG.robust.yaw_sigma_limit_deg
 
 
 def test_expected_levels_are_references_and_day(payload):
