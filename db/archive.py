@@ -13,7 +13,7 @@ from db.database import Database, add_entries, beyond, count_entries, lock_head,
 from db.documents import decode, decode_all, decode_input
 from db.ingest import prepare
 from db.ingest_together import StoreBatch
-from db.measurement_pages import EVER, PAGE_ROWS, Chosen, MeasurementPages
+from db.measurement_pages import EVER, Chosen, MeasurementPages
 from db.measurement_runs import Cursor
 from db.slow_inputs import revise_operation, store_inputs, store_operation
 from db.tables import carrier_plan, head, journal, operation, source
@@ -28,6 +28,8 @@ from service.records.measurement import BatchReceipt, Measurement, MeasurementBa
 from service.records.measurement_block import MeasurementBlock
 from service.records.series import HeadState, InputReceipt, MeasurementSeries, ReferenceSeries, SourceState
 
+#: rows of a page that is read as blocks: what a page asks of the database takes longer than a sealed day
+BLOCK_PAGE_ROWS = 32_768
 #: kinds of slow inputs that stand at one epoch
 _POINT_KINDS = ("reference", "telemetry")
 
@@ -191,7 +193,7 @@ class SqlArchive:
         after: Cursor | None = None
         while True:
             with self._database.read() as connection:
-                blocks, after = self._pages(connection, key).read_blocks(chosen, PAGE_ROWS, after)
+                blocks, after = self._pages(connection, key).read_blocks(chosen, BLOCK_PAGE_ROWS, after)
             yield from blocks
             if after is None:
                 return
