@@ -139,6 +139,8 @@ async def _control_servers(options: argparse.Namespace, station: _Station) -> di
         try:
             servers[name] = await serve_port()
         except OSError as error:
+            for server in servers.values():
+                server.close()
             raise port_error(name, getattr(options, f"{name}_port"), options.host, error) from error
     return servers
 
