@@ -158,13 +158,13 @@ def test_a_deadlock_without_end_is_told(server):
     assert server.append([7]).accepted == 1
 
 
-def test_groups_of_two_services_in_opposite_order_do_not_stop_each_other(impatient, new_setting, url):
+def test_groups_of_two_services_in_opposite_order_do_not_stop_each_other(setting, new_setting, url):
     other = new_setting()
-    twins = [impatient.storage, SqlStorage(url, LIMIT_S)]
+    twins = [setting.storage, SqlStorage(url)]
     try:
         futures = []
         for place in range(150):
-            batches = [impatient.batch([place]), other.batch([place])]
+            batches = [setting.batch([place]), other.batch([place])]
             futures += [twins[0].archive.append_measurements(batch) for batch in batches]
             futures += [twins[1].archive.append_measurements(batch) for batch in reversed(batches)]
         receipts = [future.result(10) for future in futures]

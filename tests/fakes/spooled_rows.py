@@ -1,5 +1,6 @@
 """Rows, sweeps and spools for tests of the front end's disk."""
 
+import sqlite3
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -8,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from service.frontend.acquisition.evaluation import MeasuredRow
-from service.frontend.spool.file import Bounds, Owner
+from service.frontend.spool.file import Bounds, Lane, Owner
 from service.frontend.spool.row import ARRAYS, SpooledTask
 from service.frontend.spool.spool import Spool
 from service.records.sweep import Sweep, SweepSettings
@@ -57,3 +58,35 @@ def spool(
 ) -> Spool:
     """Return the spool of a folder."""
     return Spool(folder / "sa-1.spool", OWNER, task, lambda: now_us, bounds, elapsed_s=elapsed_s, **options)
+
+
+def waiting(made: Spool, limit: int = 1000) -> list[tuple[int | None, int]]:
+    """Return number and epoch of what waits."""
+    return [(each.seq, each.row.epoch_us) for each in made.batch(Lane.LIVE, 0, limit)]
+
+
+def fill_disk(made: Spool) -> None:
+    """Let the disk take nothing more."""
+    connection = made._disk.file.connection
+    pages = connection.execute("PRAGMA page_count").fetchone()[0]
+    connection.execute(f"PRAGMA max_page_count={pages}")
+    idle = connection.execute("PRAGMA freelist_count").fetchone()[0]
+    assert idle == 0
+
+
+def protect_disk(made: Spool) -> None:
+    """Let the file be read only."""
+
+    def refuse(*_: object, **__: object) -> None:
+        error = sqlite3.OperationalError("attempt to write a readonly database")
+        error.sqlite_errorcode = sqlite3.SQLITE_READONLY
+        raise error
+
+    made._disk.file.store = made._disk.file.settle = refuse
+
+
+def heal_disk(made: Spool) -> None:
+    """Let the disk take all again."""
+    made._disk.file.connection.execute("PRAGMA max_page_count=1000000")
+    for name in {"store", "settle"} & vars(made._disk.file).keys():
+        delattr(made._disk.file, name)

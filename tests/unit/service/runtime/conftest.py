@@ -14,12 +14,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from alarm_rig import CARRIERS, INERTIA, Rig
 
 from db.storage import SqlStorage
 from service.pipeline.config import AlignmentConfig, CalibrationConfig, ChainConfig
 from service.ports import LIVE
 from service.records.calibration import Window
-from service.records.catalogue import Method
+from service.records.catalogue import Method, Site, Spacecraft
 from service.records.inputs import Operation
 from service.records.job import JobState, Replay
 from service.records.measurement import BatchReceipt, MeasurementBatch
@@ -292,3 +293,23 @@ def anyio_backend() -> str:
 def wait() -> Callable[..., None]:
     """Return what waits until a condition holds."""
     return wait_for
+
+
+@pytest.fixture(scope="module")
+def alarm_archive(tmp_path_factory):
+    """An archive with one craft; every test gets a copy."""
+    path = tmp_path_factory.mktemp("archive") / "soo.db"
+    storage = SqlStorage(f"sqlite:///{path}")
+    storage.migrate()
+    storage.catalogue.add_spacecraft(Spacecraft("craft", "craft", 90.0, Site(55.0, 38.0), INERTIA, 0.05))
+    storage.catalogue.put_plan("craft", CARRIERS, "sha")
+    storage.close()
+    return path
+
+
+@pytest.fixture
+def rig(alarm_archive, tmp_path):
+    shutil.copy(alarm_archive, tmp_path / "soo.db")
+    rig = Rig(tmp_path / "soo.db")
+    yield rig
+    rig.storage.close()

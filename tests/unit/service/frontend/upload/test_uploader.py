@@ -1,114 +1,19 @@
 """Rows leave the spool only when the service accounts for them; lanes take turns; traces come last."""
 
 import itertools
-import json
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
-from spooled_rows import NOW_US, row, spool, sweep
+from scripted_service import Service, accept, deliver, fill, problem, seqs, uploader
+from spooled_rows import NOW_US, row, spool
 
-from service.client.backoff import Backoff
-from service.client.service_client import ServiceClient
 from service.frontend.spool.row import SpooledTask
 from service.frontend.spool.spool import Spool
-from service.frontend.upload.uploader import Uploader, UploadSettings
-
-Answer = Callable[[dict[str, Any]], httpx.Response]
-
-
-def accept(body: dict[str, Any]) -> httpx.Response:
-    """Accept everything."""
-    return httpx.Response(200, json={"accepted": len(body["measurements"]), "duplicates": 0, "late": 0, "refused": []})
-
-
-def problem(status: int, code: str, pointer: str | None = None) -> httpx.Response:
-    """Return an RFC 9457 problem."""
-    errors = [] if pointer is None else [{"pointer": pointer, "code": code, "detail": "bad"}]
-    return httpx.Response(status, json={"status": status, "code": code, "detail": "because", "errors": errors})
-
-
-class Service:
-    """Service that answers by a script and then accepts; keeps what it accepted."""
-
-    def __init__(self, *script: Answer | Exception) -> None:
-        self.script: Iterator[Answer | Exception] = iter(script)
-        self.posts: list[dict[str, Any]] = []
-        self.traces: list[dict[str, Any]] = []
-        self.accepted: list[str] = []
-        self.plans = {3: ["c00", "c01"]}
-        self.take_traces: Answer = lambda body: httpx.Response(
-            200, json={"received": len(body["traces"]), "accepted": len(body["traces"]), "duplicates": 0}
-        )
-
-    def handle(self, request: httpx.Request) -> httpx.Response:
-        """Answer one request."""
-        if request.method == "GET":
-            plan_id = int(request.url.params.get("plan_id", max(self.plans)))
-            if plan_id not in self.plans:
-                return problem(404, "plan.unknown")
-            return httpx.Response(
-                200, json={"plan_id": plan_id, "carriers": [{"id": each} for each in self.plans[plan_id]]}
-            )
-        body = json.loads(request.content)
-        if request.url.path.endswith("/traces"):
-            self.traces.append(body)
-            return self.take_traces(body)
-        self.posts.append(body)
-        answer = next(self.script, accept)
-        if isinstance(answer, Exception):
-            raise answer
-        response = answer(body)
-        if response.status_code == 200 and b'"duplicates":0,"late"' in response.content:
-            self.accepted += [each["epoch"] for each in body["measurements"]]
-        return response
-
-    def client(self) -> ServiceClient:
-        """Return a client of it."""
-        return ServiceClient("http://service", "key", retries=0, http=httpx.MockTransport(self.handle))
-
-
-def uploader(service: Service, rows: Spool, now_us: int = 0, **settings: Any) -> Uploader:
-    """Return an uploader in a hurry."""
-    chosen = UploadSettings("sc", "sa-1", **({"batch_s": 0.0} | settings))
-    return Uploader(service.client(), chosen, rows, lambda: now_us, Backoff(first_s=0.001, limit_s=0.004))
-
-
-def deliver(made: Uploader, is_done: Callable[[], bool] | None = None) -> None:
-    """Run until nothing waits, or something else is so, and end."""
-    done = is_done or (lambda: made.waiting == 0)
-    loop = threading.Thread(target=made.run)
-    loop.start()
-    deadline = time.monotonic() + 8.0
-    while not done() and time.monotonic() < deadline:
-        time.sleep(0.002)
-    assert done()
-    made.finish()
-    loop.join(5.0)
-    assert not loop.is_alive()
-
-
-@pytest.fixture
-def rows(tmp_path: Path) -> Iterator[Spool]:
-    """Give a spool that keeps every trace."""
-    with spool(tmp_path, trace_period_s=0.0) as made:
-        yield made
-
-
-def fill(rows: Spool, count: int = 5, first: int = 0) -> None:
-    """Append rows."""
-    for number in range(first, first + count):
-        assert rows.append(row(number))
-
-
-def seqs(service: Service) -> list[tuple[int, int]]:
-    """Return first number and rows of every request."""
-    return [(post["first_seq"], len(post["measurements"])) for post in service.posts]
 
 
 def test_rows_go_in_order_with_their_first_number(rows: Spool) -> None:
@@ -123,55 +28,6 @@ def test_rows_go_in_order_with_their_first_number(rows: Spool) -> None:
     assert told["power_dbm"] == [-40.0, None]
     assert told["flags"] == [0, 16]
     assert told["sigma_db"] == told["c_n0_db_hz"] == [0.5, 0.5]
-
-
-@pytest.mark.parametrize(
-    "failure",
-    [
-        httpx.ConnectError("refused"),
-        httpx.ReadTimeout("slow"),
-        httpx.RemoteProtocolError("cut"),
-        lambda _: problem(500, "internal"),
-        lambda _: problem(503, "storage.unavailable"),
-        lambda _: problem(429, "rate"),
-        lambda _: problem(401, "key.invalid"),
-        lambda _: problem(403, "role.missing"),
-        lambda _: problem(404, "spacecraft.unknown"),
-        lambda _: problem(422, "body.invalid"),
-        lambda _: problem(422, "value.type", "/measurements/99/power_dbm"),
-        lambda _: httpx.Response(200, text="<html>proxy</html>"),
-        lambda _: httpx.Response(200, json=[]),
-        lambda _: httpx.Response(200, json={"accepted": 1, "duplicates": 0, "refused": []}),
-        lambda _: httpx.Response(
-            200,
-            json={"accepted": 3, "duplicates": 0, "refused": [{"index": 1, "code": "a", "detail": "b"}] * 2},
-        ),
-    ],
-)
-def test_whatever_fails_the_same_batch_goes_again(
-    rows: Spool, failure: Answer | Exception, caplog: pytest.LogCaptureFixture
-) -> None:
-    service = Service(failure, failure)
-    fill(rows)
-    made = uploader(service, rows)
-    deliver(made)
-    assert service.posts[0] == service.posts[1] == service.posts[2]
-    assert len(service.posts) == 3
-    assert (made.counters.accepted, made.counters.failures, made.waiting) == (5, 2, 0)
-    assert "5 rows wait" in caplog.text
-
-
-def test_failures_are_followed_by_waits_and_retry_after_is_obeyed(rows: Spool) -> None:
-    def later(_: dict[str, Any]) -> httpx.Response:
-        return httpx.Response(429, json={"code": "rate", "detail": "slow"}, headers={"Retry-After": "1"})
-
-    service = Service(later)
-    fill(rows)
-    made = uploader(service, rows)
-    begun_s = time.monotonic()
-    deliver(made)
-    assert time.monotonic() - begun_s > 0.9
-    assert len(service.posts) == 2
 
 
 def test_a_new_plan_is_fetched_when_the_old_one_is_unknown(rows: Spool) -> None:
@@ -211,73 +67,6 @@ def test_rows_that_fit_no_plan_wait_and_let_the_other_lane_pass(
         assert rows.waiting == 2
     assert seqs(service) == [(3, 2)]
     assert "no carrier of the task stands in plan 3" in caplog.text
-
-
-def test_refused_rows_are_named_counted_and_kept(rows: Spool, caplog: pytest.LogCaptureFixture) -> None:
-    def refuse_one(body: dict[str, Any]) -> httpx.Response:
-        refused = [{"index": 2, "seq": 3, "code": "time.future", "detail": "ahead"}]
-        return httpx.Response(
-            200, json={"accepted": len(body["measurements"]) - 1, "duplicates": 0, "refused": refused}
-        )
-
-    fill(rows)
-    made = uploader(Service(refuse_one), rows)
-    deliver(made)
-    assert (made.counters.accepted, made.counters.refused, rows.state.refused) == (4, 1, 1)
-    assert "row 3 of 1970-01-01T00:00:00.000002Z refused: time.future" in caplog.text
-
-
-def test_a_row_that_cannot_be_read_does_not_block_the_others(rows: Spool) -> None:
-    def judge(body: dict[str, Any]) -> httpx.Response:
-        for place, each in enumerate(body["measurements"]):
-            if each["epoch"].endswith("03Z"):
-                return problem(422, "value.type", f"/measurements/{place}/power_dbm/0")
-        return accept(body)
-
-    service = Service(*[judge] * 10)
-    fill(rows)
-    made = uploader(service, rows)
-    deliver(made)
-    assert [text[-4:] for text in service.accepted] == ["000Z", "001Z", "002Z", "004Z"]
-    assert (made.counters.refused, rows.state.refused) == (1, 1)
-    assert seqs(service) == [(1, 5), (1, 3), (4, 2), (5, 1)]
-
-
-@pytest.mark.parametrize(("status", "code"), [(413, "body.too_large"), (422, "batch.too_long")])
-def test_too_long_a_body_is_halved(rows: Spool, status: int, code: str) -> None:
-    def limit(body: dict[str, Any]) -> httpx.Response:
-        return accept(body) if len(body["measurements"]) <= 2 else problem(status, code, "/measurements")
-
-    service = Service(*[limit] * 10)
-    fill(rows, 8)
-    made = uploader(service, rows, batch_rows=8)
-    deliver(made)
-    assert [count for _, count in seqs(service)] == [8, 4, 2, 2, 2, 2]
-    assert made.counters.accepted == len(service.accepted) == 8
-
-
-def test_one_row_that_is_too_long_waits_and_is_not_lost(rows: Spool) -> None:
-    service = Service(*[lambda _: problem(413, "body.too_large")] * 4)
-    fill(rows, 1)
-    made = uploader(service, rows)
-    deliver(made)
-    assert made.counters.failures == 4
-    assert made.counters.accepted == 1
-
-
-def test_a_service_that_does_not_know_the_further_figures_gets_the_rows_without_them(rows: Spool) -> None:
-    def old_service(body: dict[str, Any]) -> httpx.Response:
-        if "sigma_db" in body["measurements"][0]:
-            return problem(422, "extra_forbidden", "/measurements/0/sigma_db")
-        return accept(body)
-
-    service = Service(*[old_service] * 10)
-    fill(rows)
-    made = uploader(service, rows, batch_rows=3)
-    deliver(made)
-    assert made.counters.accepted == 5
-    assert (made.counters.refused, made.counters.failures) == (0, 0)
-    assert seqs(service) == [(1, 3), (1, 3), (4, 2)]
 
 
 def test_lanes_take_turns_while_both_have_rows(rows: Spool) -> None:
@@ -340,18 +129,6 @@ def test_after_a_stop_the_rest_is_delivered_while_the_service_takes_it(rows: Spo
     assert made.counters.accepted == 7
 
 
-def test_after_a_stop_a_service_that_is_away_is_not_waited_for(rows: Spool, caplog: pytest.LogCaptureFixture) -> None:
-    service = Service(*[httpx.ConnectError("refused")] * 10_000)
-    fill(rows)
-    made = uploader(service, rows, drain_s=5.0)
-    made.finish()
-    begun_s = time.monotonic()
-    made.run()
-    assert time.monotonic() - begun_s < 1.0
-    assert (made.waiting, len(service.posts)) == (5, 1)
-    assert "5 rows stay in the spool" in caplog.text
-
-
 def test_the_time_to_deliver_after_a_stop_is_bounded(rows: Spool) -> None:
     def slow(body: dict[str, Any]) -> httpx.Response:
         time.sleep(0.02)
@@ -378,67 +155,6 @@ def test_requests_that_follow_closely_wait_for_company(rows: Spool) -> None:
     made.finish()
     loop.join(5.0)
     assert [count for _, count in seqs(service)] == [1, 19]
-
-
-def test_traces_go_when_no_row_waits(rows: Spool) -> None:
-    service = Service()
-    for number in range(6):
-        rows.append_trace(sweep(number))
-        fill(rows, 1, first=number)
-    made = uploader(service, rows, batch_rows=2, batch_traces=4)
-    deliver(made, lambda: made.traces.sent == 6)
-    assert len(service.posts) == 3
-    assert [len(body["traces"]) for body in service.traces] == [4, 2]
-    first = service.traces[0]["traces"][0]
-    assert first["power_dbm"] == [-60.0] * 10 + [None]
-    assert (first["sweep"], first["start_hz"], first["step_hz"]) == ("ku", 950e6, 1e6)
-    assert rows.traces_waiting == 0
-
-
-def test_traces_that_the_service_refuses_are_accounted_for(rows: Spool) -> None:
-    """A trace from the future is refused by itself; it must not come back for ever."""
-    service = Service()
-    refused = [{"index": 0, "code": "time.future", "detail": "ahead"}]
-    service.take_traces = lambda body: httpx.Response(
-        200, json={"received": 2, "accepted": len(body["traces"]) - 1, "duplicates": 0, "refused": refused}
-    )
-    for number in range(2):
-        rows.append_trace(sweep(number))
-        fill(rows, 1, first=number)
-    made = uploader(service, rows)
-    deliver(made, lambda: made.traces.refused > 0)
-    assert (made.traces.sent, made.traces.refused, rows.traces_waiting) == (1, 1, 0)
-
-
-def test_a_service_without_traces_is_left_alone(rows: Spool) -> None:
-    service = Service()
-    service.take_traces = lambda _: problem(404, "http.404")
-    rows.append_trace(sweep(0))
-    fill(rows, 1)
-    made = uploader(service, rows)
-    deliver(made, lambda: bool(service.traces))
-    fill(rows, 5, first=1)
-    made = uploader(service, rows)
-    deliver(made)
-    assert rows.traces_waiting == 1
-    assert made.counters.failures == 0
-    assert len(service.traces) <= 2
-
-
-def test_a_trace_that_cannot_be_read_is_given_up_and_the_others_go(rows: Spool) -> None:
-    def judge(body: dict[str, Any]) -> httpx.Response:
-        is_bad = any(each["epoch"].endswith("01Z") for each in body["traces"])
-        count = len(body["traces"])
-        return problem(422, "value") if is_bad else httpx.Response(200, json={"accepted": count, "duplicates": 0})
-
-    service = Service()
-    service.take_traces = judge
-    for number in range(3):
-        rows.append_trace(sweep(number))
-        fill(rows, 1, first=number)
-    made = uploader(service, rows)
-    deliver(made, lambda: rows.traces_waiting == 0)
-    assert (made.traces.sent, made.traces.refused) == (2, 1)
 
 
 def test_rows_in_memory_go_without_a_number(tmp_path: Path) -> None:

@@ -1,0 +1,104 @@
+"""A desk of alarms over a real archive whose thread is not started: a test looks when it wants to."""
+
+import math
+
+import numpy as np
+
+from db.storage import SqlStorage
+from service.pipeline.alarm_conditions import condition_table
+from service.pipeline.alarm_readings import RowFacts
+from service.pipeline.config import AlarmConfig, RobustConfig
+from service.records.catalogue import Carrier, CarrierPlan, Method
+from service.records.link import LinkReport
+from service.records.measurement import Measurement, MeasurementBatch
+from service.runtime.alarm_desk import AlarmDesk
+from service.runtime.alarm_notices import NoticeChannels
+from service.runtime.live_feed import LiveFeed
+
+S = 1_000_000
+MINUTE = 60 * S
+HOUR = 60 * MINUTE
+START = 1_800_000_000 * S
+INERTIA = ((4000.0, 0.0, 0.0), (0.0, 2000.0, 0.0), (0.0, 0.0, 4000.0))
+CARRIERS = tuple(Carrier(f"c{k}", "C", "t", 3.7e9 + k * 1e7, 5e6) for k in range(2))
+NAN = math.nan
+ABSENT = ("carrier_absent", "c1")
+RAISED = ("raised", True, *ABSENT)
+
+
+class Clock:
+    """A clock that a test turns."""
+
+    def __init__(self):
+        self.us = START
+
+    def now_us(self, spacecraft_id):
+        return self.us
+
+    def is_data(self, spacecraft_id):
+        return False
+
+    def system_us(self):
+        return self.us
+
+
+class Notices(NoticeChannels):
+    """Remembers what is offered."""
+
+    def __init__(self):
+        super().__init__()
+        self.told = []
+
+    def offer(self, change):
+        self.told.append((change.kind.value, change.is_told, change.alarm.condition, change.alarm.thing))
+
+
+class Rig:
+    """A desk over a real archive whose thread is not started: a test looks when it wants to."""
+
+    def __init__(self, path):
+        self.storage = SqlStorage(f"sqlite:///{path}")
+        self.clock, self.notices, self.events = Clock(), Notices(), []
+        self.plan = CarrierPlan(1, "sha", CARRIERS)
+        self.restart()
+
+    def restart(self):
+        feed = LiveFeed()
+        feed.publish = lambda spacecraft_id, events: self.events.extend(events)
+        conditions = condition_table(AlarmConfig(), RobustConfig())
+        self.desk = AlarmDesk(self.storage, self.clock, feed, conditions, self.notices)
+
+    def row(self, minute, *power_dbm, is_late=False):
+        epoch_us = START + round(minute * MINUTE)
+        self.clock.us = max(self.clock.us, epoch_us)
+        measurement = Measurement(epoch_us, epoch_us, minute, "sa", 1, np.array(power_dbm), None, is_late)
+        facts = RowFacts(measurement, self.plan, (), Method.ROBUST, None, {})
+        self.desk.see("craft", [facts])
+        self.desk._look_at_rows()
+
+    def rows(self, minutes, *power_dbm):
+        for minute in minutes:
+            self.row(minute, *power_dbm)
+
+    def look(self, *, is_thorough=False):
+        self.desk._looks = 0 if is_thorough else 1
+        self.desk._look_at_clock()
+
+    def open_alarms(self, spacecraft_id="craft"):
+        return {alarm.key: alarm for alarm in self.storage.alarms.open_alarms(spacecraft_id)}
+
+    def told(self):
+        told, self.notices.told = self.notices.told, []
+        return told
+
+
+def append(rig, minute, source="sa", seqs=None):
+    epochs_us = np.array([START + minute * MINUTE])
+    powers = np.full((1, 2), -40.0, dtype=np.float32)
+    batch = MeasurementBatch("craft", source, 1, 0, np.arange(1), epochs_us, powers, (None,), np.zeros(1, bool), seqs)
+    rig.storage.archive.append_measurements(batch).result(5)
+
+
+def report(state="MEASURE", warnings=(), **more):
+    plain = {"id": "sa-1", "kind": "analyzer", "spacecraft_id": "craft", "source": "sa", "detail": {}, "counters": {}}
+    return LinkReport(**{**plain, "state": state, "last_good_us": None, "warnings": warnings, "period_s": 10.0, **more})

@@ -1,0 +1,128 @@
+"""What the clock finds: rows that do not come, links, gaps, ages, keys that end, a full disk."""
+
+from alarm_rig import HOUR, MINUTE, START, S, append, report
+
+from service.records.access_key import AccessKey, Role, StoredKey
+from service.records.catalogue import Ephemeris
+from service.records.link import LinkWarning
+
+
+def test_rows_that_do_not_come_are_missed_after_three_periods_once_they_came_in_time(rig):
+    append(rig, 0)
+    rig.clock.us = START + HOUR
+    rig.look()
+    assert rig.told() == []
+    for minute in range(60, 64):
+        append(rig, minute)
+        rig.row(minute, -40.0, -40.0)
+    rig.look()
+    rig.clock.us = START + 66 * MINUTE
+    rig.look()
+    assert rig.told() == []
+    rig.clock.us += 1
+    rig.look()
+    assert rig.told() == [("raised", True, "data_stale", "sa")]
+    detail = rig.open_alarms()["data_stale", "sa"].detail
+    assert "the newest row is 180 s old, rows come every 60 s" in detail
+    append(rig, 66)
+    rig.look()
+    assert rig.told()[0][0] == "returned"
+
+
+def test_a_service_that_was_away_itself_does_not_blame_the_source_at_once(rig):
+    for minute in range(1, 6):
+        append(rig, minute)
+        rig.row(minute, -40.0, -40.0)
+    rig.look()
+    rig.restart()
+    rig.clock.us = START + 2 * HOUR
+    rig.look()
+    assert rig.told() == []
+    rig.clock.us += 3 * MINUTE
+    rig.look()
+    assert rig.told() == [("raised", True, "data_stale", "sa")]
+
+
+def test_a_link_that_fails_or_is_silent_alarms_and_one_that_rests_does_not(rig):
+    rig.storage.links.report([report("BACKOFF")], rig.clock.us)
+    rig.look()
+    rig.clock.us += 31 * S
+    rig.storage.links.report([report("BACKOFF")], rig.clock.us)
+    rig.look()
+    assert rig.told() == [("raised", True, "link_down", "sa-1")]
+    assert "its state is BACKOFF" in rig.open_alarms()["link_down", "sa-1"].detail
+    rig.storage.links.set_enabled("sa-1", enabled=False)
+    rig.look()
+    rig.clock.us += 10 * S
+    rig.look()
+    assert rig.told() == [("returned", True, "link_down", "sa-1")]
+    rig.storage.links.set_enabled("sa-1", enabled=True)
+    rig.storage.links.report([report("MEASURE")], rig.clock.us)
+    rig.clock.us += HOUR
+    rig.look()
+    assert rig.told() == [("raised", True, "link_down", "sa-1")]
+    rig.storage.links.report([report("STOPPED")], rig.clock.us)
+    rig.look()
+    rig.clock.us += HOUR
+    rig.look()
+    assert [told[0] for told in rig.told()] == ["returned"]
+
+
+def test_the_front_end_that_holds_an_analyzer_of_the_craft_is_looked_at_too(rig):
+    front = report("RUNNING", id="front", kind="front_end", spacecraft_id=None, detail={"analyzers": ["sa-1"]})
+    other = report("RUNNING", id="other", kind="front_end", spacecraft_id=None, detail={"analyzers": ["sa-2"]})
+    rig.storage.links.report([report(), front, other], rig.clock.us)
+    rig.clock.us += 31 * S
+    rig.storage.links.report([report()], rig.clock.us)
+    rig.look()
+    assert rig.told() == [("raised", True, "link_down", "front")]
+
+
+def test_warnings_of_a_front_end_alarm_while_they_stand(rig):
+    rig.storage.links.report([report(warnings=(LinkWarning("spool.full", "1000 rows dropped", rig.clock.us),))], START)
+    rig.look()
+    assert rig.told() == [("raised", True, "link_warning", "sa-1/spool.full")]
+    assert "1000 rows dropped" in rig.open_alarms()["link_warning", "sa-1/spool.full"].detail
+    rig.storage.links.report([report()], START)
+    rig.look()
+    assert rig.told() == [("returned", True, "link_warning", "sa-1/spool.full")]
+
+
+def test_rows_that_go_missing_alarm_and_old_losses_do_not(rig):
+    append(rig, 1, seqs=1)
+    append(rig, 2, seqs=9)
+    rig.clock.us = START + 2 * MINUTE
+    rig.look()
+    append(rig, 3, seqs=20)
+    for minute in (3, 5):
+        rig.clock.us = START + minute * MINUTE
+        rig.look()
+    assert rig.told() == [("raised", True, "rows_missing", "sa")]
+    assert rig.open_alarms()["rows_missing", "sa"].value == 10.0
+    for minute in (70, 72):
+        rig.clock.us = START + minute * MINUTE
+        rig.look()
+    assert rig.told() == [("returned", True, "rows_missing", "sa")]
+
+
+def test_what_the_estimate_rests_on_grows_old(rig):
+    rig.storage.catalogue.put_ephemeris("craft", Ephemeris(0, (1, 2), 86_164.0, 0, START + 11 * HOUR, "nodes"))
+    rig.look(is_thorough=True)
+    assert rig.told() == [("raised", True, "ephemeris_ending", "newest")]
+
+
+def test_a_key_that_ends_and_a_full_disk_concern_the_service(rig, monkeypatch):
+    key = AccessKey(
+        id="k1", name="station", role=Role.STATION, created_at_us=START, created_by="x", expires_at_us=START + 24 * HOUR
+    )
+    rig.storage.keys.add(StoredKey(key, b"digest"))
+    rig.look(is_thorough=True)
+    assert rig.told() == [("raised", True, "key_ending", "station (k1)")]
+    (alarm,) = rig.storage.alarms.open_alarms(None)
+    assert alarm.spacecraft_id is None
+    # a service-wide alarm is published on the stream of every craft
+    assert [event.content.alarm.id for event in rig.events] == [alarm.id]
+    state = rig.storage.state()
+    monkeypatch.setattr(rig.storage, "state", lambda: type(state)(state.schema, state.wanted_schema, 0, 100 * 10**6))
+    rig.look(is_thorough=True)
+    assert rig.told() == [("raised", True, "disk_full", "archive")]
