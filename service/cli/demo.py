@@ -7,7 +7,7 @@ import tempfile
 import time
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any, NamedTuple, NoReturn
 
 import typer
 from rich.console import Console
@@ -19,6 +19,9 @@ from service.client.documents import Json
 from service.client.problem import ClientError
 from service.client.service_client import ServiceClient
 from service.records.epoch import parse_epoch
+from service.study.closed_judgement import fly_alone, judge_control
+from service.study.closed_loop.plant_process import PlantFailedError
+from service.study.craft_line import CraftLineError
 from service.study.demonstration import Endpoints, Scene, run_story, simulated_station
 from service.study.judgement import judge_story, tracked_angles
 from service.study.merit import AXES
@@ -38,14 +41,17 @@ def demo(
     as_json: Annotated[bool, typer.Option("--json", help="Print figures as JSON only.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of the simulated world.")] = 1,
     days: Annotated[float | None, typer.Option(help="Virtual days of operation.")] = None,
+    quiet_days: Annotated[float | None, typer.Option(help="Virtual quiet days before the turns.")] = None,
     figure: Annotated[Path | None, typer.Option(help="Draw estimate and truth into this PNG file at the end.")] = None,
     keep: Annotated[Path | None, typer.Option(help="Keep database and logs in this folder.", file_okay=False)] = None,
     rows_per_second: Annotated[float, typer.Option(help="Pace of tracking; 0 = as fast as it goes.")] = 20.0,
     service: Annotated[str | None, typer.Option(help="Use a service that runs already (key in SOO_KEY).")] = None,
     analyzer: Annotated[str | None, typer.Option(help="HOST:PORT of a simulated analyzer that runs already.")] = None,
     ground: Annotated[str | None, typer.Option(help="HOST:PORT of its ground port.")] = None,
+    uplink: Annotated[str | None, typer.Option(help="HOST:PORT of its uplink, when its craft is flown.")] = None,
+    closed: Annotated[bool, typer.Option("--closed/--open", help="Keep the craft, or follow its slews.")] = False,
 ) -> None:
-    """Show the whole chain: SCPI analyzer to angles and torques, on a virtual clock."""
+    """Show the whole chain: SCPI analyzer to angles to torques that keep the craft, on a virtual clock."""
     _end_on_signals()
     console = Console(stderr=as_json)
     operation_days = days or (_EXIT_DAYS if leave else _ENDLESS_DAYS)
@@ -56,16 +62,20 @@ def demo(
         presenter.open()
         try:
             if service and analyzer and ground:
-                endpoints = _external(service, analyzer, ground)
+                endpoints = _external(service, analyzer, ground, uplink)
             else:
-                endpoints = stack.enter_context(simulated_station(directory, seed=seed, operation_days=operation_days))
+                channel = "ideal" if closed else None
+                station = simulated_station(
+                    directory, seed=seed, operation_days=operation_days, quiet_days=quiet_days, uplink=channel
+                )
+                endpoints = stack.enter_context(station)
                 presenter.key = endpoints.key
-            figures = _play(directory, endpoints, presenter, figure)
+            figures = _play(directory, endpoints, presenter, figure, _Alone(seed, operation_days))
         except KeyboardInterrupt:
             presenter.close()
             console.print("stopped")
             return
-        except (ProcessFailedError, ClientError, TimeoutError, OSError) as error:
+        except (ProcessFailedError, PlantFailedError, CraftLineError, ClientError, TimeoutError, OSError) as error:
             presenter.close()
             typer.echo(f"the demonstration failed: {error}", err=True)
             raise typer.Exit(2) from error
@@ -183,25 +193,43 @@ class Presenter:
             self._console.print(f"  curl -H 'Authorization: Bearer {self.key}' {path}", soft_wrap=True, highlight=False)
 
 
-def _external(service: str, analyzer: str, ground: str) -> Endpoints:
+def _external(service: str, analyzer: str, ground: str, uplink: str | None) -> Endpoints:
     """Return the addresses of processes that run already."""
     key = os.environ.get("SOO_KEY")
     if not key:
         typer.echo("no key: the environment variable SOO_KEY is empty", err=True)
         raise typer.Exit(2)
-    host, _, port = analyzer.rpartition(":")
-    ground_host, _, ground_port = ground.rpartition(":")
-    return Endpoints(service, key, (ground_host, int(ground_port)), f"TCPIP::{host}::{port}::SOCKET")
+    host, port = _address(analyzer)
+    craft = _address(uplink) if uplink else None
+    return Endpoints(service, key, _address(ground), f"TCPIP::{host}::{port}::SOCKET", uplink=craft)
 
 
-def _play(directory: Path, endpoints: Endpoints, presenter: Presenter, figure: Path | None) -> dict[str, Any]:
+def _address(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    return host, int(port)
+
+
+class _Alone(NamedTuple):
+    """Which craft is flown once more, without control."""
+
+    seed: int
+    operation_days: float
+
+
+def _play(
+    directory: Path, endpoints: Endpoints, presenter: Presenter, figure: Path | None, alone: _Alone
+) -> dict[str, Any]:
     """Run the story to its end and return its figures."""
     with ServiceClient(endpoints.service_url, endpoints.key) as client:
         try:
             story = run_story(directory, endpoints, client, presenter.show)
         finally:
             presenter.close()
-        figures = judge_story(story, client)
+        loop = None
+        if story.centre is not None:
+            without = fly_alone("demo", alone.seed, alone.operation_days)
+            loop = judge_control(story, story.centre.log, without)
+        figures = judge_story(story, client, loop)
         if figure is not None:
             # matplotlib costs a second that only a figure needs
             from service.study.figures import draw_tracking
@@ -253,5 +281,23 @@ def _print_figures(console: Console, figures: dict[str, Any]) -> None:
         f"{figures['rows_archived']} rows in the archive, {figures['rows_lost']} lost; "
         f"{figures['replay_rows']} rows replayed, {figures['replay_rows_different']} differ from live"
     )
+    if figures["closed_loop"] is not None:
+        _print_loop(console, figures["closed_loop"])
     for text in figures["missed"]:
         console.print(f"missed: {text}")
+
+
+def _print_loop(console: Console, loop: dict[str, Any]) -> None:
+    """Print what control came to."""
+    alone = loop["control_off"]
+    columns = ("axis", "largest, deg", "95 %, deg", "bound, deg", "impulse, N m s", "largest without control, deg")
+    table = Table(*columns, title="the true attitude, loop closed")
+    for axis, largest_deg in loop["largest_deg"].items():
+        angles = (largest_deg, loop["size_95_deg"][axis], loop["bounds_deg"][axis], loop["impulse_n_m_s"][axis])
+        table.add_row(axis, *(f"{value:.3f}" for value in (*angles, alone["largest_deg"][axis])))
+    told = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in loop["commands"].items() if count)
+    table.caption = (
+        f"commands: {told}; control inhibited {loop['inhibited_share']:.1%} of the rows\n"
+        f"without control within the bounds for {alone['hours_within_bounds']} of {alone['hours']} h"
+    )
+    console.print(table)

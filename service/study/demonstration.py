@@ -17,6 +17,8 @@ from typing import Any
 
 from service.client.service_client import ServiceClient
 from service.records.epoch import format_epoch, parse_epoch
+from service.study.control_centre import ControlCentre
+from service.study.craft_line import CraftLine
 from service.study.ground_link import GroundLink
 from service.study.merit import AXES
 from service.study.processes import ChildProcess, FrontEnd
@@ -24,6 +26,10 @@ from service.study.processes import ChildProcess, FrontEnd
 #: wait for rows that are on their way, s
 _ARRIVAL_TIMEOUT_S = 120.0
 _POLL_S = 0.05
+#: rows between two scenes where each row is a chunk of its own
+_ROWS_A_SCENE = 60
+#: what the operator's handbook says of the Sun's torque that is not fed forward on board, one sigma an axis, N m
+RESIDUAL_TORQUE_N_M = 5e-7
 #: longest stretch without a row in a story, s
 _LONGEST_PAUSE_S = 40 * 86_400
 
@@ -38,6 +44,8 @@ class Endpoints:
     #: VISA resource name of the analyzer
     resource: str
     processes: tuple[ChildProcess, ...] = ()
+    #: the craft's uplink; None = the story is only replayed
+    uplink: tuple[str, int] | None = None
 
 
 @dataclass
@@ -58,6 +66,8 @@ class Story:
     heard: set[str] = field(default_factory=set)
     #: newest row that may have been swept, microseconds UTC
     granted_us: int = 0
+    #: who closes the loop; None = nobody
+    centre: ControlCentre | None = None
 
 
 @dataclass(frozen=True)
@@ -76,15 +86,23 @@ Show = Callable[[Scene], None]
 
 @contextmanager
 def simulated_station(
-    directory: Path, *, seed: int, operation_days: float, scenario: str = "demo"
+    directory: Path,
+    *,
+    seed: int,
+    operation_days: float,
+    quiet_days: float | None = None,
+    scenario: str = "demo",
+    uplink: str | None = None,
 ) -> Iterator[Endpoints]:
-    """Start simulator and service, give their addresses, and end them."""
+    """Start simulator and service, give their addresses, and end them; with an uplink the craft is flown."""
     key = secrets.token_urlsafe(24)
     own = {"SOO_BOOTSTRAP_KEY": key, "SOO_KEY": key, "SOO_FUTURE_TOLERANCE_DATA_S": str(_LONGEST_PAUSE_S)}
     environment = {**os.environ, **own, "OPENBLAS_NUM_THREADS": "1"}
     simulator = [
         *("analyzer_sim", "serve", "--dialect", "rs", "--port", "0", "--ground-port", "0", "--await-ground"),
         *("--scenario", scenario, "--seed", str(seed), "--operation-days", str(operation_days)),
+        *(("--quiet-days", str(quiet_days)) if quiet_days else ()),
+        *(("--uplink-port", "0", "--uplink", uplink) if uplink else ()),
     ]
     database = f"sqlite:///{directory / 'soo.db'}"
     server = ["service", "serve", "--port", "0", "--clock", "data", "--database", database]
@@ -96,7 +114,9 @@ def simulated_station(
         ports = analyzer.announcement
         url = str(service.announcement["url"])
         resource = f"TCPIP::127.0.0.1::{ports['scpi_port']}::SOCKET"
-        yield Endpoints(url, key, ("127.0.0.1", int(ports["ground_port"])), resource, (analyzer, service))
+        host = "127.0.0.1"
+        craft = (host, int(ports["uplink_port"])) if uplink else None
+        yield Endpoints(url, key, (host, int(ports["ground_port"])), resource, (analyzer, service), craft)
 
 
 def front_end(directory: Path, endpoints: Endpoints, spacecraft_id: str) -> FrontEnd:
@@ -115,6 +135,8 @@ def run_story(directory: Path, endpoints: Endpoints, client: ServiceClient, show
     story = Story()
     with ExitStack() as stack:
         link = stack.enter_context(GroundLink(*endpoints.ground))
+        if endpoints.uplink is not None:
+            story.centre = ControlCentre(client, stack.enter_context(CraftLine(*endpoints.uplink)))
         station: FrontEnd | None = None
         for message in link.messages():
             if message["kind"] in _ENDS_A_TASK and station is not None and station.is_running:
@@ -148,19 +170,31 @@ def _sweep_chunk(story: Story, client: ServiceClient, show: Show, link: GroundLi
         if "calibration" not in story.catalogue:
             _calibrate(story, client, show)
         _align(story, client)
+    if is_operation and story.centre is not None and story.centre.log.rows % _ROWS_A_SCENE == 1:
+        # the truth of a row follows it, and so does whoever shows it
+        show(Scene("operation", format_epoch(story.granted_us), story, client))
     is_new_source = story.source not in story.heard
     if story.heard and not is_new_source:
         _select_source(story, client)
     link.proceed()
-    story.granted_us = max(story.truth_deg, default=0)
+    story.granted_us = _last_granted_us(story, message)
     if story.heard and is_new_source:
         # the service knows a source by its rows; this chunk holds the first one
         _await_rows(story, client, show)
         _select_source(story, client)
+    elif is_operation and story.centre is not None:
+        story.centre.steer(story.spacecraft_id, message["until"])
     elif is_operation and story.granted_us:
         await_results(client, story.spacecraft_id, format_epoch(story.granted_us))
         show(Scene("operation", message["until"], story, client))
     story.heard.add(story.source)
+
+
+def _last_granted_us(story: Story, hold: dict[str, Any]) -> int:
+    """Return the newest row that may be swept: the last whose truth was told, or where that follows, the one held."""
+    if hold["phase"] == "operation" and story.centre is not None:
+        return parse_epoch(hold["until"])
+    return max(story.truth_deg, default=0)
 
 
 def _select_source(story: Story, client: ServiceClient) -> None:
@@ -176,9 +210,15 @@ def _learn(story: Story, client: ServiceClient, message: dict[str, Any]) -> None
     if kind in _KEEP:
         _KEEP[kind](story, message)
     if kind == "spacecraft":
-        client.create_spacecraft(message["body"])
+        client.create_spacecraft(message["body"] if story.centre is None else _steered(message["body"]))
     elif kind in _FORWARD:
         _FORWARD[kind](client, story.spacecraft_id, message["body"])
+
+
+def _steered(body: dict[str, Any]) -> dict[str, Any]:
+    """Return the catalogue entry of a craft whose commands are taken to it."""
+    control = {**body["control"], "release": "automatic"}
+    return {**body, "control": control, "onboard": {**body["onboard"], "residual_torque_n_m": RESIDUAL_TORQUE_N_M}}
 
 
 def _keep_truth(story: Story, message: dict[str, Any]) -> None:

@@ -10,6 +10,7 @@ from service.client.service_client import ServiceClient
 from service.records.attitude import BoolArray, FloatArray, IntArray
 from service.records.epoch import parse_epoch
 from service.study.archive_check import check_archive, check_replay, missed_promises
+from service.study.closed_judgement import missed_control
 from service.study.demonstration import Story
 from service.study.merit import AXES, AxisMerit, judge_axis, missed_bounds
 from service.study.replay_check import METHODS
@@ -70,8 +71,12 @@ def judge_method(story: Story, client: ServiceClient, method: str) -> MethodFigu
     )
 
 
-def judge_story(story: Story, client: ServiceClient) -> dict[str, Any]:
-    """Return the figures of both methods, of the answer that never moves, and of what the archive keeps."""
+def judge_story(story: Story, client: ServiceClient, loop: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Return the figures of both methods, of the answer that never moves, and of what the archive keeps.
+
+    Where a loop was closed its figures stand beside them; the craft then hardly moves, so that slopes say nothing.
+    """
+    is_moved = loop is None
     driving, beside = (judge_method(story, client, method) for method in METHODS)
     kept = check_archive(client, story.spacecraft_id, story.truth_deg)
     kept |= check_replay(client, story.spacecraft_id, story.phases["operation"], METHODS)
@@ -84,13 +89,16 @@ def judge_story(story: Story, client: ServiceClient) -> dict[str, Any]:
         METHODS[1]: {
             "availability": beside.availability,
             "axes": {axis: _figures(merit) for axis, merit in beside.merits.items()},
-            "missed": missed_bounds(beside.merits, METHODS[1]),
+            "missed": missed_bounds(beside.merits, METHODS[1], is_moved=is_moved),
         },
         "zero_answer": {axis: _figures(merit) for axis, merit in driving.zeros.items()},
         "crlb_deg": story.bound_deg,
         **kept,
-        "missed": missed_bounds(driving.merits, METHODS[0]) + missed_promises(kept),
-        "zero_answer_misses": missed_bounds(driving.zeros, METHODS[0]),
+        "closed_loop": loop,
+        "missed": missed_bounds(driving.merits, METHODS[0], is_moved=is_moved)
+        + missed_promises(kept)
+        + missed_control(loop),
+        "zero_answer_misses": missed_bounds(driving.zeros, METHODS[0], is_moved=is_moved),
     }
 
 

@@ -18,6 +18,8 @@ KEY = "a-key-for-tests-only"
 SEED = 1
 #: an hour and a half beyond the settling hour; too short for the bounds of accuracy, which the full demonstration keeps
 DAYS = 0.1
+#: the harmonics of a day are learned in one
+QUIET_DAYS = 1.0
 
 
 def soo(environment: dict[str, str], *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -26,24 +28,27 @@ def soo(environment: dict[str, str], *arguments: str) -> subprocess.CompletedPro
     return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=240, check=False)
 
 
-@pytest.fixture(scope="module")
-def kept(tmp_path_factory, compiled_environment) -> tuple[Path, dict]:
-    """Run the demonstration once; give the folder it kept and its figures."""
+def figures_of(environment: dict[str, str], *options: str) -> dict:
+    """Run a short demonstration and return its figures."""
     print(f"seed {SEED}")
-    folder = tmp_path_factory.mktemp("demo")
-    ran = soo(
-        compiled_environment,
-        *("demo", "--exit", "--json", "--seed", str(SEED), "--days", str(DAYS), "--keep", str(folder)),
-    )
+    lengths = ("--days", str(DAYS), "--quiet-days", str(QUIET_DAYS))
+    ran = soo(environment, "demo", "--exit", "--json", "--seed", str(SEED), *lengths, *options)
     # 1: the short operation misses bounds of accuracy
     assert ran.returncode in (0, 1), ran.stderr
     assert ran.stderr == ""
     assert len(ran.stdout.splitlines()) == 1
-    return folder, json.loads(ran.stdout)
+    return json.loads(ran.stdout)
 
 
-def test_no_row_is_lost_and_live_equals_its_replay(kept):
-    _, figures = kept
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory, compiled_environment) -> tuple[Path, dict]:
+    """Run the closed demonstration once; give the folder it kept and its figures."""
+    folder = tmp_path_factory.mktemp("demo")
+    return folder, figures_of(compiled_environment, "--closed", "--keep", str(folder))
+
+
+def require_whole(figures: dict) -> None:
+    """Nothing is lost, nothing invented, live operation equals its replay."""
     assert figures["seed"] == SEED
     assert figures["rows"] == round(DAYS * 1440)
     assert figures["rows_measured"] == figures["rows_archived"] > figures["rows"]
@@ -52,6 +57,33 @@ def test_no_row_is_lost_and_live_equals_its_replay(kept):
     assert figures["replay_rows_different"] == 0
     # the only bounds that may be missed are those of accuracy
     assert all("rms" in text or "slope" in text for text in figures["missed"])
+
+
+def test_no_row_is_lost_and_live_equals_its_replay(kept):
+    require_whole(kept[1])
+
+
+def test_no_row_is_lost_and_live_equals_its_replay_where_slews_are_followed(compiled_environment):
+    figures = figures_of(compiled_environment, "--open")
+    require_whole(figures)
+    assert figures["closed_loop"] is None
+    # the tour of slews is there to be followed
+    assert all(merit["truth_rms_deg"] > 0.02 for merit in figures["axes"].values())
+
+
+def test_torques_keep_the_craft_that_leaves_its_bounds_without_them(kept):
+    loop = kept[1]["closed_loop"]
+    commands = loop["commands"]
+    assert commands["sent"] >= commands["executed"] > 20
+    assert [commands[name] for name in ("late", "refused", "lost", "twice")] == [0, 0, 0, 0]
+    assert commands["sent"] - commands["executed"] <= 1, "the last one is on its way"
+    assert all(0.0 < impulse < 0.1 for impulse in loop["impulse_n_m_s"].values())
+    assert loop["missed"] == []
+    alone = loop["control_off"]
+    assert alone["missed"]
+    assert alone["hours_within_bounds"] < alone["hours"] == 24 * DAYS
+    for axis in ("roll", "pitch"):
+        assert loop["largest_deg"][axis] < 0.5 * alone["largest_deg"][axis]
 
 
 def test_the_kept_database_serves_exports_and_replays(kept, start_service, compiled_environment, tmp_path):

@@ -217,3 +217,58 @@ def test_telemetry_is_forwarded_and_a_gap_is_not_waited_for(monkeypatch, tmp_pat
     log = told([*BEFORE, *ALIGNMENT, *OPERATION, *gap, *END], monkeypatch, tmp_path)
     assert ("POST", "/spacecraft/sc/telemetry:batch", body) in log
     assert [entry[0] for entry in log].count("proceed") == 5
+
+
+class Craft:
+    """A craft line that hands on nothing."""
+
+    def __init__(self, *_address) -> None:
+        self.counters: list[int] = []
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        return None
+
+    def await_flown(self, _epoch):
+        return []
+
+    def send(self, _schedule, counter):
+        self.counters.append(counter)
+
+
+class Computing(Client):
+    """A service that computes a command of each row that may be swept."""
+
+    minute = 29
+
+    def torques(self, _spacecraft_id):
+        self.minute += 1
+        self._stage.log.append(("torques", epoch(self.minute)))
+        pulse = {"start": epoch(self.minute), "duration_s": 5.0, "yaw_n_m": 0.0, "roll_n_m": 0.002, "pitch_n_m": 0.0}
+        allowed = {"control_allowed": True, "inhibitions": []}
+        return {"attitude_epoch": epoch(self.minute), "schedule": [pulse], **allowed}
+
+
+def test_where_the_craft_is_flown_each_row_waits_for_the_command_of_the_one_before(monkeypatch, tmp_path):
+    stage, craft = Stage(), Craft()
+    catalogue = {"id": "sc", "onboard": {"fast_loop": True}, "control": {"mode": "ground", "release": "two_step"}}
+    # the truth of a row of operation follows it
+    flown = [line for row in range(30, 33) for line in (hold(row, "operation"), rows(row, row))]
+    script = [{"kind": "spacecraft", "body": catalogue}, *BEFORE[1:], *ALIGNMENT, *flown, *END]
+    monkeypatch.setattr(demonstration, "GroundLink", lambda *_: Link(stage, script))
+    monkeypatch.setattr(demonstration, "CraftLine", lambda *_: craft)
+    monkeypatch.setattr(demonstration, "front_end", lambda *_: Station(stage))
+    endpoints = Endpoints("url", "key", ("host", 1), "resource", uplink=("host", 2))
+    scenes = []
+    story = run_story(tmp_path, endpoints, Computing(stage), scenes.append)
+    created = next(entry[1] for entry in stage.log if entry[0] == "create_spacecraft")
+    assert created["control"] == {"mode": "ground", "release": "automatic"}
+    assert created["onboard"] == {"fast_loop": True, "residual_torque_n_m": demonstration.RESIDUAL_TORQUE_N_M}
+    seen = [entry for entry in stage.log if entry[0] in {"proceed", "torques"}][3:]
+    assert seen == [entry for row in range(30, 33) for entry in (("proceed",), ("torques", epoch(row)))]
+    assert craft.counters == [1, 2, 3]
+    assert [scene.phase for scene in scenes] == ["calibration", "operation"]
+    assert scenes[-1].until == epoch(30), "the row whose truth was told"
+    assert max(story.truth_deg) == START_US + 32 * MINUTE_US

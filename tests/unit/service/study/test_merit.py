@@ -90,3 +90,13 @@ def test_each_bound_is_named_when_it_is_missed(method, axis, changes, text):
 
 def test_yaw_of_the_paper_method_is_shown_and_not_bounded():
     assert missed_bounds(merits(yaw=GOOD._replace(rms_deg=9.0, slope=0.0)), "paper") == []
+
+
+def test_a_craft_that_is_kept_still_is_judged_by_its_errors_alone():
+    still = AxisMerit(0.02, 0.04, 0.02, 0.0, 0.1)
+    far = AxisMerit(0.5, 0.9, 0.02, -600.0, 0.1)
+    assert missed_bounds(merits(yaw=still, roll=still, pitch=still), "robust", is_moved=False) == []
+    assert missed_bounds(merits(yaw=still, roll=far, pitch=still), "robust", is_moved=False) == [
+        "roll rms 0.500 deg above 0.03"
+    ]
+    assert len(missed_bounds(merits(yaw=still, roll=still, pitch=still), "robust")) == 6

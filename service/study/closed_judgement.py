@@ -1,0 +1,101 @@
+"""What the control of the demonstration came to: the true attitude, what it cost, and the same craft left alone."""
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from service.records.attitude import FloatArray
+from service.records.epoch import US_PER_S, parse_epoch
+from service.study.closed_loop.plant_process import PlantProcess
+from service.study.control_centre import ControlLog
+from service.study.demonstration import Story
+from service.study.merit import AXES
+
+#: what the true angles must keep, deg
+TRUTH_BOUNDS_DEG = {"yaw": 0.4, "roll": 0.2, "pitch": 0.2}
+#: a craft that is left alone has left its bounds long before
+_ALONE_DAYS = 0.5
+
+
+def judge_control(story: Story, log: ControlLog, alone: dict[str, Any]) -> dict[str, Any]:
+    """Return the figures of a closed loop.
+
+    Parameters
+    ----------
+    story : Story
+        What was told, the truth among it.
+    log : ControlLog
+        What the control centre has done.
+    alone : dict
+        Figures of the same craft without control.
+    """
+    start_us = parse_epoch(story.phases["operation"][0])
+    flown = np.array([angles for epoch_us, angles in sorted(story.truth_deg.items()) if epoch_us >= start_us])
+    return {
+        **_figures(flown),
+        "bounds_deg": TRUTH_BOUNDS_DEG,
+        "impulse_n_m_s": {axis: round(impulse, 5) for axis, impulse in log.impulse_n_m_s.items()},
+        "commands": log.counts(),
+        "inhibited_share": round(log.inhibited_rows / max(log.rows, 1), 4),
+        "inhibited_rows": dict(log.inhibitions),
+        "missed": missed_truth(flown),
+        "control_off": alone,
+    }
+
+
+def fly_alone(scenario: str, seed: int, operation_days: float) -> dict[str, Any]:
+    """Return the figures of the craft of a story without control.
+
+    Raises
+    ------
+    PlantFailedError
+        The plant failed.
+    """
+    with PlantProcess(scenario, seed, "ideal", min(operation_days, _ALONE_DAYS)) as plant:
+        plant.opening()
+        states = []
+        for row in plant.rows():
+            states.append(row.truth)
+            if row.power_dbm is not None:
+                plant.send((), None)
+    flown = np.array([state.attitude_deg for state in states])
+    beyond = np.flatnonzero((np.abs(flown) >= list(TRUTH_BOUNDS_DEG.values())).any(axis=1))
+    period_h = min(later.epoch_us - state.epoch_us for state, later in pairwise(states)) / US_PER_S / 3600.0
+    return {
+        **_figures(flown),
+        "hours": round(len(flown) * period_h, 2),
+        "hours_within_bounds": round(float(beyond[0]) * period_h, 2) if len(beyond) else None,
+        "missed": missed_truth(flown),
+    }
+
+
+def missed_control(loop: dict[str, Any] | None) -> list[str]:
+    """Return what a closed loop misses, in words; a craft that keeps its bounds without control proves nothing."""
+    if loop is None:
+        return []
+    alone = [] if loop["control_off"]["missed"] else ["the craft keeps its bounds without control"]
+    return [*loop["missed"], *alone]
+
+
+def missed_truth(flown_deg: FloatArray) -> list[str]:
+    """Return which true angles (T, 3) leave their bounds, in words."""
+    largest = np.abs(flown_deg).max(axis=0).tolist()
+    return [
+        f"true {axis} reached {angle:.3f} deg, not below {TRUTH_BOUNDS_DEG[axis]}"
+        for axis, angle in zip(AXES, largest, strict=True)
+        if not angle < TRUTH_BOUNDS_DEG[axis]
+    ]
+
+
+def _figures(flown_deg: FloatArray) -> dict[str, dict[str, float]]:
+    """Return the largest size of each angle, and the one that 95 % are below."""
+    size = np.abs(flown_deg)
+    return {
+        "largest_deg": _by_axis(size.max(axis=0)),
+        "size_95_deg": _by_axis(np.quantile(size, 0.95, axis=0)),
+    }
+
+
+def _by_axis(values: FloatArray) -> dict[str, float]:
+    return {axis: round(float(value), 4) for axis, value in zip(AXES, values, strict=True)}

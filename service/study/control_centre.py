@@ -1,0 +1,127 @@
+"""Control centre of the demonstration: takes the service's commands to the craft, over the public interface alone.
+
+Release ``automatic``: the command of each row goes up as soon as it is computed, and counts as applied from its epoch.
+"""
+
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+
+from service.client.documents import Json
+from service.client.service_client import ServiceClient
+from service.records.epoch import US_PER_S, parse_epoch
+from service.study.craft_line import CraftLine, CraftReport
+from service.study.merit import AXES
+
+_COMMAND_TIMEOUT_S = 120.0
+#: a command of which nothing was heard so long after its end is lost
+_OVERDUE_S = 300
+#: time between two looks, of the time that a command usually takes, and the least of it, s
+_POLL_SHARE, _LEAST_POLL_S = 0.2, 0.002
+
+
+@dataclass
+class SentCommand:
+    """A command that went up."""
+
+    schedule: list[Json]
+    #: what the craft told of it last, empty = nothing yet; a second arrival apart
+    state: str = ""
+    is_twice: bool = False
+
+    @property
+    def stop_us(self) -> int:
+        """When its last element ends."""
+        ends = (parse_epoch(one["start"]) + round(float(one["duration_s"]) * US_PER_S) for one in self.schedule)
+        return max(ends)
+
+
+@dataclass
+class ControlLog:
+    """What a control centre has done."""
+
+    rows: int = 0
+    inhibited_rows: int = 0
+    #: rows by reason; a row may have several
+    inhibitions: Counter[str] = field(default_factory=Counter)
+    sent: dict[int, SentCommand] = field(default_factory=dict)
+    #: N m s, sum of the sizes of all elements that were executed
+    impulse_n_m_s: dict[str, float] = field(default_factory=lambda: dict.fromkeys(AXES, 0.0))
+    newest_us: int = 0
+
+    def hear(self, report: CraftReport) -> None:
+        """Take what the craft tells of a command."""
+        command = self.sent[report.counter]
+        if report.state == "repeated":
+            command.is_twice = True
+            return
+        command.state = report.state
+        if report.state == "executed" and report.executed_until is not None:
+            begun = [one for one in command.schedule if one["start"] < report.executed_until]
+            for axis in AXES:
+                self.impulse_n_m_s[axis] += sum(abs(one[f"{axis}_n_m"]) * one["duration_s"] for one in begun)
+
+    def counts(self) -> dict[str, int]:
+        """Return how many commands went up and what became of them."""
+        states = Counter(command.state for command in self.sent.values())
+        told = {name: states[name] for name in ("executed", "executing", "replaced", "late", "refused")}
+        overdue_us = self.newest_us - _OVERDUE_S * US_PER_S
+        silent = [command for command in self.sent.values() if not command.state]
+        lost = sum(command.stop_us <= overdue_us for command in silent)
+        twice = sum(command.is_twice for command in self.sent.values())
+        return {"sent": len(self.sent), **told, "lost": lost, "under_way": len(silent) - lost, "twice": twice}
+
+
+@dataclass
+class ControlCentre:
+    """Takes commands from the service to the craft.
+
+    Parameters
+    ----------
+    client : ServiceClient
+        Of the service.
+    line : CraftLine
+        Way to the craft.
+    """
+
+    client: ServiceClient
+    line: CraftLine
+    log: ControlLog = field(default_factory=ControlLog)
+    #: time that a command usually takes, s
+    _usual_s: float = 0.02
+
+    def steer(self, spacecraft_id: str, epoch: str) -> None:
+        """Hear what the craft tells until a row, and send the command that follows from the row.
+
+        Raises
+        ------
+        CraftLineError
+            The schedule was refused.
+        TimeoutError
+            The service computed no command of this row.
+        """
+        for report in self.line.await_flown(epoch):
+            self.log.hear(report)
+        command = self._await_command(spacecraft_id, epoch)
+        self.log.newest_us = parse_epoch(epoch)
+        self.log.rows += 1
+        self.log.inhibited_rows += not command["control_allowed"]
+        self.log.inhibitions.update(command["inhibitions"])
+        if command["schedule"]:
+            counter = len(self.log.sent) + 1
+            self.log.sent[counter] = SentCommand(command["schedule"])
+            self.line.send(command["schedule"], counter)
+
+    def _await_command(self, spacecraft_id: str, epoch: str) -> Json:
+        """Return the command of a row as soon as it is there; looking earlier would cost the service time."""
+        began = time.monotonic()
+        wait_s = 0.7 * self._usual_s
+        while time.monotonic() < began + _COMMAND_TIMEOUT_S:
+            time.sleep(wait_s)
+            command = self.client.torques(spacecraft_id)
+            if command["attitude_epoch"] is not None and command["attitude_epoch"] >= epoch:
+                self._usual_s += 0.1 * (time.monotonic() - began - self._usual_s)
+                return command
+            wait_s = max(_POLL_SHARE * self._usual_s, _LEAST_POLL_S)
+        message = f"no command of {epoch} within {_COMMAND_TIMEOUT_S:.0f} s"
+        raise TimeoutError(message)

@@ -1,0 +1,109 @@
+"""Craft line: the simulator's third port, where torque schedules go to the craft and its reports come back."""
+
+import json
+import socket
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, Self
+
+from service.client.documents import Json
+
+_AXES = ("yaw", "roll", "pitch")
+
+
+class CraftLineError(Exception):
+    """The line to the craft broke, or a schedule was refused on the way to it; the text says why."""
+
+
+class CraftReport(NamedTuple):
+    """What the craft tells of a command."""
+
+    counter: int
+    #: executed, executing, replaced, repeated, late or refused
+    state: str
+    told: str
+    #: of the elements that were executed; None = nothing was
+    executed_from: str | None
+    executed_until: str | None
+    #: N m s, of what was executed
+    impulse_n_m_s: dict[str, float]
+
+
+class CraftLine:
+    """Client of the uplink port.
+
+    Parameters
+    ----------
+    host, port : str, int
+        Address of the port.
+    timeout_s : float
+        Longest wait for a line.
+    """
+
+    def __init__(self, host: str, port: int, timeout_s: float = 120.0) -> None:
+        self._socket = socket.create_connection((host, port), timeout=timeout_s)
+        self._lines = self._socket.makefile("rb")
+        self._reports: list[CraftReport] = []
+        self._flown = ""
+        try:
+            self._take("start")
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the line."""
+        self._lines.close()
+        self._socket.close()
+
+    def send(self, schedule: Sequence[Mapping[str, Any]], counter: int) -> None:
+        """Hand a schedule to the channel.
+
+        Raises
+        ------
+        CraftLineError
+            It was refused.
+        """
+        line = json.dumps({"schedule": list(schedule), "counter": counter})
+        self._socket.sendall(line.encode() + b"\n")
+        self._take("taken")
+
+    def await_flown(self, epoch: str) -> list[CraftReport]:
+        """Wait until the craft has come to the row of an epoch and return what it has told since the last call."""
+        while self._flown < epoch:
+            self._flown = self._take("flown")["epoch"]
+        told, self._reports = self._reports, []
+        return told
+
+    def _take(self, wanted: str) -> Json:
+        """Return the next line of a type; reports before it are kept."""
+        while True:
+            text = self._lines.readline()
+            if not text:
+                raise CraftLineError("the craft has closed its line")
+            line: Json = json.loads(text)
+            if line["type"] == "error":
+                raise CraftLineError(f"the craft's line refused: {line['detail']}")
+            if line["type"] == "report":
+                self._reports.append(_report(line))
+            if line["type"] == "flown":
+                self._flown = line["epoch"]
+            if line["type"] == wanted:
+                return line
+
+
+def _report(line: Json) -> CraftReport:
+    nothing = dict.fromkeys(_AXES, 0.0)
+    return CraftReport(
+        line["counter"],
+        line["state"],
+        line["told"],
+        line.get("executed_from"),
+        line.get("executed_until"),
+        line.get("impulse_n_m_s", nothing),
+    )

@@ -1,0 +1,105 @@
+"""Control centre: each row's command goes up once, and what became of it is counted."""
+
+import pytest
+
+from service.study import control_centre
+from service.study.control_centre import ControlCentre
+from service.study.craft_line import CraftReport
+
+
+def epoch(minute: int, second: int = 0) -> str:
+    return f"2026-11-05T10:{minute:02d}:{second:02d}.000000Z"
+
+
+def pulse(minute: int, roll_n_m: float = 0.002, duration_s: float = 5.0) -> dict:
+    return {"start": epoch(minute), "duration_s": duration_s, "roll_n_m": roll_n_m, "pitch_n_m": 0.0, "yaw_n_m": 0.0}
+
+
+def command(minute: int, *schedule: dict, inhibitions: tuple = ()) -> dict:
+    told = {"attitude_epoch": epoch(minute), "schedule": list(schedule), "inhibitions": list(inhibitions)}
+    return {**told, "control_allowed": not inhibitions}
+
+
+def report(counter: int, state: str = "executed", until: str | None = epoch(59)) -> CraftReport:
+    impulse = dict.fromkeys(("yaw", "roll", "pitch"), 0.0)
+    return CraftReport(counter, state, epoch(0), None, until if state == "executed" else None, impulse)
+
+
+class Service:
+    """Tells a script of commands, one a request."""
+
+    def __init__(self, *told: dict) -> None:
+        self.told, self.asked = list(told), 0
+
+    def torques(self, _spacecraft_id):
+        self.asked += 1
+        return self.told.pop(0) if len(self.told) > 1 else self.told[0]
+
+
+class Line:
+    """A craft that tells a script of reports, one list a row."""
+
+    def __init__(self, *reports: list) -> None:
+        self.reports, self.sent = list(reports), []
+
+    def send(self, schedule, counter):
+        self.sent.append((schedule, counter))
+
+    def await_flown(self, _epoch):
+        return self.reports.pop(0) if self.reports else []
+
+
+def steered(service: Service, line: Line, *minutes: int) -> ControlCentre:
+    centre = ControlCentre(service, line)
+    for minute in minutes:
+        centre.steer("sc", epoch(minute))
+    return centre
+
+
+def test_the_command_of_the_row_goes_up_once_it_is_there():
+    before = {**command(0), "attitude_epoch": None}
+    service, line = Service(before, command(0), command(1, pulse(1))), Line()
+    centre = steered(service, line, 1)
+    assert service.asked == 3
+    assert line.sent == [([pulse(1)], 1)]
+    assert (centre.log.rows, centre.log.counts()["sent"]) == (1, 1)
+
+
+def test_nothing_goes_up_where_nothing_is_wanted_or_allowed():
+    service = Service(command(0), command(1, inhibitions=("fade", "gap")), command(2, pulse(2)))
+    line = Line()
+    log = steered(service, line, 0, 1, 2).log
+    assert line.sent == [([pulse(2)], 1)]
+    assert (log.rows, log.inhibited_rows, dict(log.inhibitions)) == (3, 1, {"fade": 1, "gap": 1})
+
+
+def test_what_became_of_each_command_is_counted():
+    minutes = range(7)
+    service = Service(*(command(minute, pulse(minute)) for minute in minutes))
+    reports = [
+        [],
+        [report(1)],
+        [report(2, "late")],
+        [report(3, "executing"), report(1, "repeated")],
+        [report(3)],
+        [report(4, "replaced")],
+    ]
+    log = steered(service, Line(*reports), *minutes).log
+    told = {"executed": 2, "executing": 0, "replaced": 1, "late": 1, "refused": 0}
+    # the fifth ended more than five minutes before nothing; two more are on their way
+    assert log.counts() == {"sent": 7, **told, "lost": 0, "under_way": 3, "twice": 1}
+    log.newest_us += 4 * 60_000_000
+    assert (log.counts()["lost"], log.counts()["under_way"]) == (1, 2)
+    assert log.impulse_n_m_s == pytest.approx({"yaw": 0.0, "roll": 0.02, "pitch": 0.0})
+
+
+def test_what_had_not_begun_when_a_command_was_replaced_is_no_impulse():
+    service = Service(command(0, pulse(0), pulse(3, roll_n_m=-0.004)), command(1))
+    log = steered(service, Line([], [report(1, until=epoch(0, 5))]), 0, 1).log
+    assert log.impulse_n_m_s["roll"] == pytest.approx(0.01)
+
+
+def test_a_service_that_computes_nothing_is_not_waited_for_for_ever(monkeypatch):
+    monkeypatch.setattr(control_centre, "_COMMAND_TIMEOUT_S", 0.1)
+    with pytest.raises(TimeoutError, match="no command of 2026-11-05T10:01"):
+        steered(Service(command(0)), Line(), 1)

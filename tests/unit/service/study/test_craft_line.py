@@ -1,0 +1,111 @@
+"""Craft line: schedules out, reports and rows in; a refusal and a craft that leaves are told."""
+
+import json
+import socket
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from service.study.craft_line import CraftLine, CraftLineError
+
+START = {"type": "start", "scenario": "demo"}
+NOTHING = {"yaw": 0.0, "roll": 0.0, "pitch": 0.0}
+
+
+def epoch(minute: int) -> str:
+    return f"2026-11-05T10:{minute:02d}:00.000000Z"
+
+
+def report(counter: int, state: str, **fields) -> dict:
+    return {"type": "report", "counter": counter, "state": state, "told": epoch(1), "received": epoch(0), **fields}
+
+
+class Craft:
+    """A listening socket that says a script and keeps the lines it hears."""
+
+    def __init__(self, script: list[dict]) -> None:
+        self.heard: list[dict] = []
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.address = self._listener.getsockname()
+        self._thread = threading.Thread(target=self._serve, args=(script,), daemon=True)
+        self._thread.start()
+
+    def _serve(self, script: list[dict]) -> None:
+        connection, _ = self._listener.accept()
+        with connection, connection.makefile("rb") as lines:
+            connection.sendall(b"".join(json.dumps(line).encode() + b"\n" for line in (START, *script)))
+            connection.shutdown(socket.SHUT_WR)
+            self.heard = [json.loads(line) for line in lines]
+
+    def end(self) -> None:
+        self._thread.join(5)
+        self._listener.close()
+
+
+@pytest.fixture
+def craft() -> Iterator:
+    crafts = []
+
+    def start(*script: dict) -> Craft:
+        crafts.append(Craft(list(script)))
+        return crafts[-1]
+
+    yield start
+    for one in crafts:
+        one.end()
+
+
+def test_reports_are_kept_until_the_row_they_belong_to_is_asked_for(craft):
+    executed = report(
+        1, "executed", executed_from=epoch(0), executed_until=epoch(1), impulse_n_m_s={**NOTHING, "roll": 0.02}
+    )
+    told = craft(
+        {"type": "flown", "epoch": epoch(0)},
+        {"type": "taken", "counter": 1, "sent": epoch(0)},
+        executed,
+        {"type": "flown", "epoch": epoch(1)},
+        report(1, "repeated"),
+        {"type": "flown", "epoch": epoch(2)},
+    )
+    with CraftLine(*told.address, timeout_s=5.0) as line:
+        assert line.await_flown(epoch(0)) == []
+        line.send([{"start": epoch(0)}], 1)
+        (first,) = line.await_flown(epoch(1))
+        (second,) = line.await_flown(epoch(2))
+        assert line.await_flown(epoch(2)) == [], "a row that was flown is not waited for"
+    told.end()
+    assert told.heard == [{"schedule": [{"start": epoch(0)}], "counter": 1}]
+    assert (first.state, first.executed_until, first.impulse_n_m_s["roll"]) == ("executed", epoch(1), 0.02)
+    assert (second.state, second.executed_until, second.impulse_n_m_s) == ("repeated", None, NOTHING)
+
+
+def test_a_refused_schedule_is_told_with_its_reason(craft):
+    told = craft({"type": "error", "detail": "element 0: a torque exceeds 0.05 N m"})
+    with (
+        CraftLine(*told.address, timeout_s=5.0) as line,
+        pytest.raises(CraftLineError, match=r"refused: element 0: a torque exceeds 0\.05 N m"),
+    ):
+        line.send([{}], 1)
+
+
+def test_a_line_that_another_client_holds_is_told(craft):
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        address = listener.getsockname()
+
+        def turn_away() -> None:
+            connection, _ = listener.accept()
+            connection.sendall(b'{"type":"error","detail":"another client holds the uplink"}\n')
+            connection.close()
+
+        thread = threading.Thread(target=turn_away, daemon=True)
+        thread.start()
+        with pytest.raises(CraftLineError, match="another client"):
+            CraftLine(*address, timeout_s=5.0)
+        thread.join(5)
+
+
+def test_a_craft_that_leaves_ends_the_wait(craft):
+    told = craft({"type": "flown", "epoch": epoch(0)})
+    with CraftLine(*told.address, timeout_s=5.0) as line, pytest.raises(CraftLineError, match="closed its line"):
+        line.await_flown(epoch(1))
