@@ -35,7 +35,8 @@ def store_outcomes(
     if version != LIVE:
         _insert(connection, key, version, [(result, None) for result in _results(outcomes)])
         return int(state.result_sequence)
-    fresh = _fresh(connection, key, version, list(_results(outcomes)))
+    results = list(_results(outcomes))
+    fresh = results if _are_new(results, state.consumed_number) else _fresh(connection, key, version, results)
     _insert(connection, key, version, list(zip(fresh, range(state.result_sequence + 1, 1 << 62), strict=False)))
     applied = [outcome.applied for outcome in outcomes if outcome.applied is not None]
     if applied:
@@ -55,6 +56,12 @@ def _results(outcomes: Sequence[Outcome]) -> Iterator[Result]:
 def _key_of(result: Result) -> ResultKey:
     place = (result.epoch_us, result.number)
     return (result.method.value, *place) if isinstance(result, AttitudeRow) else place
+
+
+def _are_new(results: list[Result], consumed_number: int) -> bool:
+    """Whether nothing of the results can be stored: results go in together with the consumer's place, each once."""
+    is_beyond = all(result.number > consumed_number for result in results)
+    return is_beyond and len(set(map(_key_of, results))) == len(results)
 
 
 def _fresh(connection: Connection, key: int, version: str, results: list[Result]) -> list[Result]:
