@@ -151,18 +151,27 @@ class ReleaseFloor:
             entry = self._entries.get(spacecraft_id)
             if entry is None or entry.turn != turn:
                 case = ReleaseCase(self._storage.releases, spacecraft_id, f"{self._holder}/{turn}")
-                stored = case.state.interlock.clock
-                entry = ReleaseEntry(case, turn, newest_us=0 if stored is None else stored.now_us)
+                entry = ReleaseEntry(case, turn, newest_us=self._newest_us(spacecraft_id, case))
                 self._entries[spacecraft_id] = entry
             return entry
 
     def _instant(self, entry: ReleaseEntry, spacecraft_id: str, epoch_us: int | None = None) -> Instant:
-        """Return the present; under the data clock the newest epoch that was looked at, which never goes back."""
+        """Return the present; under the data clock the newest epoch that was looked at, which never goes back.
+
+        Rows that are stored and not yet computed do not move that clock: they would make the estimate look old to
+        whoever asks before they are.
+        """
         if not self._clock.is_data(spacecraft_id):
             return Instant(self._clock.system_us(), self._steady())
-        now_us = epoch_us if epoch_us is not None else self._clock.now_us(spacecraft_id)
-        entry.newest_us = max(entry.newest_us, now_us or 0)
+        entry.newest_us = max(entry.newest_us, epoch_us or 0)
         return Instant(entry.newest_us, entry.newest_us)
+
+    def _newest_us(self, spacecraft_id: str, case: ReleaseCase) -> int:
+        """Return the newest instant that the interlock, or the estimator before a restart, has looked at."""
+        stored = case.state.interlock.clock
+        consumed_us = self._storage.archive.head(spacecraft_id).consumed_epoch_us
+        is_data = self._clock.is_data(spacecraft_id)
+        return max(0 if stored is None else stored.now_us, consumed_us or 0 if is_data else 0)
 
     def _present(self, entry: ReleaseEntry, spacecraft_id: str) -> tuple[Instant, KnownFacts]:
         """Return the present with what holds at it, told to the interlock."""

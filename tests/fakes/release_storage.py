@@ -103,7 +103,9 @@ class FakeArchive:
             plan=lambda _: SimpleNamespace(id=self.plan_id),
             ephemeris=lambda _: SimpleNamespace(valid_stop_us=self.ephemeris_stop_us),
         )
-        self.archive = SimpleNamespace(inputs=self._inputs, slow_inputs_before=self._ephemerides)
+        # what was computed before a start does not move this archive's clock
+        head = SimpleNamespace(consumed_epoch_us=None)
+        self.archive = SimpleNamespace(inputs=self._inputs, slow_inputs_before=self._ephemerides, head=lambda _: head)
         self.results = SimpleNamespace(
             alignments=lambda _: (1,) if self.is_aligned else (),
             calibrations=lambda *_: (self._calibration(),),
