@@ -132,7 +132,7 @@ _FOOT = (
     "0.35 deg off, and 20 min into the slew to zero all carriers fade by 2 dB at 0.3 dB/min for an hour.",
     "",
     "`soo-analyzer --scenario NAME --uplink-port 0` serves the same craft behind the SCPI port, with `--uplink`,",
-    "`--onboard`, `--response` and `--tone` of `plant`. The announcement names `uplink_port`, a TCP port of JSON lines.",
+    "`--onboard`, `--response` and `--tone` of `plant`. It announces `uplink_port`, a TCP port of JSON lines.",
     "It takes the schedule line above at any time once the first row of operation has been swept, and sends it at the",
     "epoch of the newest row; each sweep flies the craft to its row. It tells:",
     "",
