@@ -1,16 +1,17 @@
 """Alarms, their changes, limits and memory; implements ``service.ports.Alarms``."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, func, or_, select, update
+from sqlalchemy import ColumnElement, Connection, delete, func, or_, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
 from db.alarm_tables import alarm as alarm_table
 from db.alarm_tables import alarm_change, alarm_limits, alarm_memory
 from db.database import Database, beyond, lock_head
 from db.documents import decode, encode
+from db.retention import LOGS_AT_ONCE
 from service.errors import NotFoundError
 from service.records.alarm import Alarm, AlarmChange
 from service.records.alarm_limits import AlarmLimits
@@ -127,6 +128,24 @@ class SqlAlarms:
         if version is not None:
             raise NotFoundError("alarm_limits.unknown", f"There is no version {version} of the limits.")
         return AlarmLimits()
+
+    def drop_before(self, spacecraft_id: str | None, before_us: int) -> Iterator[int]:
+        """Drop closed alarms raised before an instant with their changes, a transaction a step."""
+        is_old = (
+            alarm_table.c.spacecraft_id == spacecraft_id,
+            alarm_table.c.raised_at_us < before_us,
+            alarm_table.c.is_open.is_(False),
+        )
+
+        def drop(connection: Connection) -> int:
+            query = select(alarm_table.c.alarm_id).where(*is_old).order_by(alarm_table.c.raised_at_us)
+            ids = list(connection.scalars(query.limit(LOGS_AT_ONCE)))
+            for table in (alarm_change, alarm_table):
+                connection.execute(delete(table).where(table.c.alarm_id.in_(ids)))
+            return len(ids)
+
+        while (rows := self._database.write(self._database.lease.under(drop))) > 0:
+            yield rows
 
     def put_limits(self, spacecraft_id: str, limits: AlarmLimits) -> AlarmLimits:
         """Store limits as the next version and return it; the version that they state is ignored."""

@@ -1,14 +1,15 @@
 """The shift log; implements ``service.ports.Notes``."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, or_, select, true
+from sqlalchemy import ColumnElement, Connection, Row, delete, or_, select, true
 
 from db.alarm_tables import note as note_table
 from db.database import Database, beyond, within
 from db.documents import decode, encode
+from db.retention import LOGS_AT_ONCE
 from service.errors import NotFoundError
 from service.records.calibration import Window
 from service.records.note import Note
@@ -56,6 +57,19 @@ class SqlNotes:
         )
         rows = self._database.fetch(query.order_by(note_table.c.epoch_us, note_table.c.note_id).limit(limit))
         return _notes_of(rows)
+
+    def drop_before(self, spacecraft_id: str | None, before_us: int) -> Iterator[int]:
+        """Drop notes about instants before one, a transaction a step."""
+        is_old = (note_table.c.spacecraft_id == spacecraft_id, note_table.c.epoch_us < before_us)
+
+        def drop(connection: Connection) -> int:
+            query = select(note_table.c.note_id).where(*is_old).order_by(note_table.c.epoch_us)
+            ids = list(connection.scalars(query.limit(LOGS_AT_ONCE)))
+            connection.execute(delete(note_table).where(note_table.c.note_id.in_(ids)))
+            return len(ids)
+
+        while (rows := self._database.write(self._database.lease.under(drop))) > 0:
+            yield rows
 
     def newest(self, limit: int, spacecraft_id: str | None = None) -> list[Note]:
         """Return the notes with the greatest epochs, newest first."""

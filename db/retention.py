@@ -39,6 +39,8 @@ from service.records.archive_upkeep import Dropped
 
 #: rows that one transaction drops
 ROWS_AT_ONCE = 500
+#: alarms or notes that one transaction drops; SQLite before 3.32 binds 999 values at most
+LOGS_AT_ONCE = 500
 #: segments that one transaction drops
 SEGMENTS_AT_ONCE = 8
 #: before every epoch

@@ -76,6 +76,11 @@ _STAGE_MEANINGS: dict[str, tuple[str, str]] = {
     "retention.attitude_days": ("attitude older than this is dropped; 0 = kept for ever", CHOSEN),
     "retention.torques_days": ("torque commands older than this are dropped; 0 = kept for ever", CHOSEN),
     "retention.traces_days": ("evidence traces older than this are dropped; 0 = kept while the ring has place", CHOSEN),
+    "retention.alarms_days": (
+        "closed alarms raised longer ago are dropped; 0 = kept for ever",
+        CHOSEN,
+    ),
+    "retention.notes_days": ("notes about instants longer ago are dropped; 0 = kept for ever", CHOSEN),
     "retention.measurements_bytes": ("measurements of one spacecraft take this much at most; 0 = no limit", CHOSEN),
     "retention.attitude_bytes": ("attitude of one spacecraft takes this much at most; 0 = no limit", CHOSEN),
     "retention.torques_bytes": ("torque commands of one spacecraft take this much at most; 0 = no limit", CHOSEN),

@@ -1,6 +1,6 @@
 """The ports of people on shift: alarms and notes."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Protocol
 
 from service.records.alarm import Alarm, AlarmChange
@@ -61,13 +61,20 @@ class Alarms(Protocol):
         """Return a version of the limits, or the newest, 0 = the defaults; NotFoundError ``alarm_limits.unknown``."""
         ...
 
+    def drop_before(self, spacecraft_id: str | None, before_us: int) -> Iterator[int]:
+        """Drop closed alarms of a spacecraft, or of the service (None), raised before an instant, and their changes.
+
+        Yields how many, a transaction a step; open ones stay.
+        """
+        ...
+
     def put_limits(self, spacecraft_id: str, limits: AlarmLimits) -> AlarmLimits:
         """Store limits as the next version and return it; the version that they state is ignored."""
         ...
 
 
 class Notes(Protocol):
-    """The shift log: notes are added, never changed."""
+    """The shift log: notes are added, never changed; retention may drop old ones."""
 
     def add(self, note: Note) -> Note:
         """Store a note (its id is ignored) and return it with its id; NotFoundError ``note.unknown``."""
@@ -81,6 +88,13 @@ class Notes(Protocol):
         self, window: Window, limit: int, after: tuple[int, int] | None, spacecraft_id: str | None = None
     ) -> list[Note]:
         """Return notes about instants of a window in order of (epoch, id), also those about no spacecraft."""
+        ...
+
+    def drop_before(self, spacecraft_id: str | None, before_us: int) -> Iterator[int]:
+        """Drop notes about a spacecraft, or about none (None), and instants before one.
+
+        Yields how many, a transaction a step.
+        """
         ...
 
     def newest(self, limit: int, spacecraft_id: str | None = None) -> list[Note]:

@@ -63,6 +63,10 @@ class RetentionConfig:
     attitude_days: float = 0.0
     torques_days: float = 0.0
     traces_days: float = 0.0
+    #: alarms that are closed, with what happened to them, by the instant they were raised at
+    alarms_days: float = 0.0
+    #: entries of the shift log, by the instant they are about
+    notes_days: float = 0.0
     #: of each spacecraft
     measurements_bytes: int = 0
     attitude_bytes: int = 0
@@ -77,5 +81,7 @@ class RetentionConfig:
         return int(getattr(self, f"{series}_bytes", 0))
 
 
-#: what retention knows
+#: what retention knows of each spacecraft
 SERIES = ("measurements", "attitude", "torques", "traces")
+#: what it knows of each spacecraft and of the service as a whole
+LOGS = ("alarms", "notes")

@@ -8,10 +8,11 @@ import logging
 import threading
 import time
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from typing import TypeVar
 
 from service.ports import Clock, Storage
-from service.records.archive_upkeep import SERIES, Dropped, RetentionConfig, SealedPart, SealingConfig
+from service.records.archive_upkeep import LOGS, SERIES, Dropped, RetentionConfig, SealedPart, SealingConfig
 from service.records.epoch import US_PER_S, format_epoch
 from service.runtime.leading import Turn, always
 
@@ -19,7 +20,7 @@ _LOG = logging.getLogger("soo.upkeep")
 _DAY_US = 86_400 * US_PER_S
 #: between two looks at the sizes of series, which read them through, s
 SIZING_S = 3600.0
-_Step = TypeVar("_Step", SealedPart, Dropped)
+_Step = TypeVar("_Step", SealedPart, Dropped, int)
 
 
 class Upkeep:
@@ -56,7 +57,7 @@ class Upkeep:
         self._thread: threading.Thread | None = None
         #: rows sealed, and rows dropped of each series, since the start
         self.sealed_rows = 0
-        self.dropped_rows = dict.fromkeys(SERIES, 0)
+        self.dropped_rows = dict.fromkeys((*SERIES, *LOGS), 0)
         #: when the sizes of a spacecraft's series were looked at, s of a clock that only counts
         self._sized_at_s: dict[str, float] = {}
         #: looks at a spacecraft that failed, since the start
@@ -78,12 +79,21 @@ class Upkeep:
         for spacecraft in self._storage.catalogue.all_spacecraft():
             if self._stopping.is_set():
                 return
-            try:
+            with self._guarded(spacecraft.id):
                 self._drop(spacecraft.id)
+                self._drop_logs(spacecraft.id, self._clock.now_us(spacecraft.id))
                 self._seal(spacecraft.id)
-            except Exception:  # noqa: BLE001 the thread outlives every fault; what is due stays due
-                self.failed_looks += 1
-                _LOG.exception("upkeep of the archive of %s failed; it is tried again", spacecraft.id)
+        with self._guarded("the service"):
+            self._drop_logs(None, self._clock.system_us())
+
+    @contextmanager
+    def _guarded(self, whose: str) -> Iterator[None]:
+        """Outlive every fault; what is due stays due."""
+        try:
+            yield
+        except Exception:  # noqa: BLE001 as the docstring says
+            self.failed_looks += 1
+            _LOG.exception("upkeep of the archive of %s failed; it is tried again", whose)
 
     def _run(self) -> None:
         while not self._stopping.wait(self._sealing.period_s):
@@ -102,6 +112,14 @@ class Upkeep:
                     self.dropped_rows[series] += dropped.rows
         if is_sizing:
             self._sized_at_s[spacecraft_id] = time.monotonic()
+
+    def _drop_logs(self, spacecraft_id: str | None, now_us: int | None) -> None:
+        """Drop old alarms and notes of a spacecraft, or of the service (None)."""
+        for name in LOGS:
+            if (days := self._retention.days(name)) and now_us is not None:
+                log = self._storage.alarms if name == "alarms" else self._storage.notes
+                for rows in self._paced(log.drop_before(spacecraft_id, now_us - int(days * _DAY_US))):
+                    self.dropped_rows[name] += rows
 
     def _bounds(self, spacecraft_id: str, series: str, *, is_sizing: bool) -> Iterator[int]:
         """Yield the epochs before which a series is not kept, by age first."""

@@ -141,3 +141,32 @@ def test_unknown_alarms_and_notes_are_told_so(storage):
         with pytest.raises(NotFoundError) as caught:
             call()
         assert caught.value.code == code
+
+
+def test_closed_alarms_are_dropped_with_their_changes_and_open_ones_stay(storage):
+    old, late = raise_one(storage), raise_one(storage, thing="c02", raised_at_us=20 * S)
+    standing = raise_one(storage, thing="c03")
+    of_service = raise_one(storage, spacecraft_id=None, thing="disk")
+    for alarm in (old, late, of_service):
+        storage.alarms.save([change(closed(alarm), ChangeKind.CLEARED)])
+    assert list(storage.alarms.drop_before("craft", 20 * S)) == [1]
+    with pytest.raises(NotFoundError):
+        storage.alarms.alarm(old.id)
+    assert storage.alarms.changes(old.id) == []
+    assert [storage.alarms.alarm(kept.id).thing for kept in (late, standing, of_service)] == ["c02", "c03", "disk"]
+    assert list(storage.alarms.drop_before(None, 20 * S)) == [1]
+    assert list(storage.alarms.drop_before("craft", 20 * S)) == []
+    assert len(storage.alarms.changes(late.id)) == 2
+
+
+def test_notes_are_dropped_by_the_instant_they_are_about(storage):
+    def note(epoch_us, spacecraft_id):
+        return storage.notes.add(Note(0, spacecraft_id, epoch_us, epoch_us, "anna", "text"))
+
+    old, other, general, late = (note(*each) for each in ((5, "a"), (5, "b"), (5, None), (9, "a")))
+    assert list(storage.notes.drop_before("a", 9)) == [1]
+    assert list(storage.notes.drop_before(None, 9)) == [1]
+    assert {each.id for each in storage.notes.newest(10)} == {other.id, late.id}
+    for gone in (old, general):
+        with pytest.raises(NotFoundError):
+            storage.notes.note(gone.id)

@@ -50,9 +50,7 @@ def blocks(archive, name, window, **options):
     return [
         (source, block.plan_id, epoch_us, powers.tobytes())
         for block in archive.measurement_blocks(name, window, **options)
-        for source, epoch_us, powers in zip(
-            block.row_sources(), block.epochs_us.tolist(), block.power_dbm, strict=True
-        )
+        for source, epoch_us, powers in zip(block.row_sources(), block.epochs_us.tolist(), block.power_dbm, strict=True)
     ]
 
 
