@@ -161,6 +161,16 @@ def _limits(settings: Settings) -> Limits:
     )
 
 
+def _observation(settings: Settings) -> Observation:
+    """Return how the service lets itself be watched."""
+    return Observation(
+        metrics_need_key=settings.metrics_need_key,
+        access_log=settings.access_log,
+        ready_lag=settings.ready_lag,
+        min_free_disk_bytes=settings.min_free_disk_bytes,
+    )
+
+
 def build_upkeep(settings: Settings, storage: Storage, clock: Clock, turn: Turn = always) -> Upkeep:
     """Return what seals closed days and drops what is no longer kept."""
     return Upkeep(storage, clock, settings.sealing, settings.retention, turn)
@@ -208,26 +218,16 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
         desk.start()
 
     async def stop() -> None:
-        await asyncio.to_thread(desk.stop)
-        await asyncio.to_thread(supervisor.stop)
-        await asyncio.to_thread(alarms.stop)
-        await asyncio.to_thread(jobs.stop)
-        await asyncio.to_thread(analyses.stop)
-        await asyncio.to_thread(upkeep.stop)
-        await asyncio.to_thread(leading.stop)
-        await asyncio.to_thread(storage.close)
+        parts = (desk.stop, supervisor.stop, alarms.stop, jobs.stop, analyses.stop, upkeep.stop, leading.stop)
+        for end in (*parts, storage.close):
+            await asyncio.to_thread(end)
 
     context = ApiContext(
         storage=storage,
         clock=clock,
         bootstrap_key=_secret(settings.bootstrap_key) or None,
         limits=_limits(settings),
-        observation=Observation(
-            metrics_need_key=settings.metrics_need_key,
-            access_log=settings.access_log,
-            ready_lag=settings.ready_lag,
-            min_free_disk_bytes=settings.min_free_disk_bytes,
-        ),
+        observation=_observation(settings),
         is_following=lambda: supervisor.is_running,
         on_accepted=supervisor.notify,
         on_startup=start,
