@@ -19,10 +19,10 @@ from service.client.documents import Json
 from service.client.problem import ClientError
 from service.client.service_client import ServiceClient
 from service.records.epoch import parse_epoch
-from service.study.closed_judgement import fly_alone, judge_control
+from service.study.closed_judgement import FlightAlone, fly_alone, judge_control
 from service.study.closed_loop.plant_process import PlantFailedError
 from service.study.craft_line import CraftLineError
-from service.study.demonstration import Endpoints, Scene, run_story, simulated_station
+from service.study.demonstration import Endpoints, Scene, Story, run_story, simulated_station
 from service.study.judgement import judge_story, tracked_angles
 from service.study.merit import AXES
 from service.study.processes import ProcessFailedError
@@ -225,17 +225,26 @@ def _play(
             story = run_story(directory, endpoints, client, presenter.show)
         finally:
             presenter.close()
+        flown = None if story.centre is None else fly_alone("demo", alone.seed, alone.operation_days)
         loop = None
-        if story.centre is not None:
-            without = fly_alone("demo", alone.seed, alone.operation_days)
-            loop = judge_control(story, story.centre.log, without)
+        if story.centre is not None and flown is not None:
+            loop = judge_control(story, story.centre.log, flown)
         figures = judge_story(story, client, loop)
         if figure is not None:
-            # matplotlib costs a second that only a figure needs
-            from service.study.figures import draw_tracking
-
-            draw_tracking({method: tracked_angles(story, client, method) for method in METHODS}, figure)
+            _draw(story, client, flown, figure)
     return figures
+
+
+def _draw(story: Story, client: ServiceClient, flown: FlightAlone | None, figure: Path) -> None:
+    """Draw the operation phase."""
+    # matplotlib costs a second that only a figure needs
+    from service.study.figures import draw_control, draw_tracking
+
+    tracked = {method: tracked_angles(story, client, method) for method in METHODS}
+    if flown is None:
+        draw_tracking(tracked, figure)
+    else:
+        draw_control(tracked[METHODS[0]], flown, figure)
 
 
 def _tracking_table(scene: Scene) -> Table:

@@ -1,7 +1,6 @@
 """What the control of the demonstration came to: the true attitude, what it cost, and the same craft left alone."""
 
-from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,7 +17,26 @@ TRUTH_BOUNDS_DEG = {"yaw": 0.4, "roll": 0.2, "pitch": 0.2}
 _ALONE_DAYS = 0.5
 
 
-def judge_control(story: Story, log: ControlLog, alone: dict[str, Any]) -> dict[str, Any]:
+class FlightAlone(NamedTuple):
+    """The craft of a story without control; T rows."""
+
+    #: (T,) since operation began
+    hours: FloatArray
+    #: (T, 3) deg, yaw, roll, pitch
+    flown_deg: FloatArray
+
+    def figures(self) -> dict[str, Any]:
+        """Return its figures, and how long it kept all bounds."""
+        is_beyond = (np.abs(self.flown_deg) >= list(TRUTH_BOUNDS_DEG.values())).any(axis=1)
+        return {
+            **_figures(self.flown_deg),
+            "hours": round(float(self.hours[-1]), 2),
+            "hours_within_bounds": round(float(self.hours[is_beyond][0]), 2) if is_beyond.any() else None,
+            "missed": missed_truth(self.flown_deg),
+        }
+
+
+def judge_control(story: Story, log: ControlLog, alone: FlightAlone) -> dict[str, Any]:
     """Return the figures of a closed loop.
 
     Parameters
@@ -27,8 +45,8 @@ def judge_control(story: Story, log: ControlLog, alone: dict[str, Any]) -> dict[
         What was told, the truth among it.
     log : ControlLog
         What the control centre has done.
-    alone : dict
-        Figures of the same craft without control.
+    alone : FlightAlone
+        The same craft without control.
     """
     start_us = parse_epoch(story.phases["operation"][0])
     flown = np.array([angles for epoch_us, angles in sorted(story.truth_deg.items()) if epoch_us >= start_us])
@@ -40,12 +58,12 @@ def judge_control(story: Story, log: ControlLog, alone: dict[str, Any]) -> dict[
         "inhibited_share": round(log.inhibited_rows / max(log.rows, 1), 4),
         "inhibited_rows": dict(log.inhibitions),
         "missed": missed_truth(flown),
-        "control_off": alone,
+        "control_off": alone.figures(),
     }
 
 
-def fly_alone(scenario: str, seed: int, operation_days: float) -> dict[str, Any]:
-    """Return the figures of the craft of a story without control.
+def fly_alone(scenario: str, seed: int, operation_days: float) -> FlightAlone:
+    """Fly the craft of a story without control.
 
     Raises
     ------
@@ -59,15 +77,9 @@ def fly_alone(scenario: str, seed: int, operation_days: float) -> dict[str, Any]
             states.append(row.truth)
             if row.power_dbm is not None:
                 plant.send((), None)
-    flown = np.array([state.attitude_deg for state in states])
-    beyond = np.flatnonzero((np.abs(flown) >= list(TRUTH_BOUNDS_DEG.values())).any(axis=1))
-    period_h = min(later.epoch_us - state.epoch_us for state, later in pairwise(states)) / US_PER_S / 3600.0
-    return {
-        **_figures(flown),
-        "hours": round(len(flown) * period_h, 2),
-        "hours_within_bounds": round(float(beyond[0]) * period_h, 2) if len(beyond) else None,
-        "missed": missed_truth(flown),
-    }
+    epochs_us = np.array([state.epoch_us for state in states])
+    hours = np.asarray((epochs_us - epochs_us[0]) / US_PER_S / 3600.0)
+    return FlightAlone(hours, np.array([state.attitude_deg for state in states]))
 
 
 def missed_control(loop: dict[str, Any] | None) -> list[str]:

@@ -1,6 +1,6 @@
-"""Figures drawn for people: estimates of both methods beside the truth."""
+"""Figures drawn for people: estimates beside the truth, and what control makes of it."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import matplotlib as mpl
@@ -8,7 +8,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from service.records.attitude import FloatArray
 from service.records.epoch import US_PER_S
+from service.study.closed_judgement import TRUTH_BOUNDS_DEG, FlightAlone
 from service.study.judgement import TrackedAngles
 from service.study.merit import AXES
 from service.study.replay_check import METHODS
@@ -20,11 +22,29 @@ _REACH_DEG = 0.75
 
 def draw_tracking(tracked: Mapping[str, TrackedAngles], path: Path) -> None:
     """Draw the three angles of every method over the truth into a PNG or SVG file."""
+    _draw(path, lambda plot, k: _draw_axis(plot, tracked, k))
+
+
+def draw_control(tracked: TrackedAngles, alone: FlightAlone, path: Path) -> None:
+    """Draw the three angles of a craft that is controlled, and of the same craft left alone, into a PNG or SVG file."""
+
+    def draw_axis(plot: Axes, k: int) -> None:
+        hours = _hours(tracked)
+        plot.plot(alone.hours, alone.flown_deg[:, k], color="#d62728", linewidth=1.0, label="truth, left alone")
+        _draw_driving(plot, tracked, hours, k)
+        for side in (-1.0, 1.0):
+            plot.axhline(side * TRUTH_BOUNDS_DEG[AXES[k]], color="#111111", linewidth=0.8, linestyle="--")
+
+    _draw(path, draw_axis)
+
+
+def _draw(path: Path, draw_axis: Callable[[Axes, int], None]) -> None:
+    """Draw one plot an axis into a file."""
     with mpl.rc_context({"font.size": 9, "axes.grid": True, "grid.alpha": 0.3}):
         figure = Figure(figsize=(8.0, 6.0), layout="constrained")
         plots = figure.subplots(3, 1, sharex=True)
         for k, (name, plot) in enumerate(zip(AXES, plots, strict=True)):
-            _draw_axis(plot, tracked, k)
+            draw_axis(plot, k)
             plot.set_ylabel(f"{name}, deg")
             plot.set_ylim(-_REACH_DEG, _REACH_DEG)
         # above the plots: an excursion may reach any corner of them
@@ -36,12 +56,21 @@ def draw_tracking(tracked: Mapping[str, TrackedAngles], path: Path) -> None:
 def _draw_axis(plot: Axes, tracked: Mapping[str, TrackedAngles], k: int) -> None:
     """Draw one angle: the method beside below, then the driving one with its sigma, the truth on top."""
     driving, beside = (tracked[method] for method in METHODS)
-    hours = (driving.epochs_us - driving.epochs_us[0]) / US_PER_S / 3600.0
     others = (beside.epochs_us - driving.epochs_us[0]) / US_PER_S / 3600.0
     plot.plot(others, beside.estimate_deg[:, k], color=_COLOURS[METHODS[1]], linewidth=0.6, label=METHODS[1])
+    _draw_driving(plot, driving, _hours(driving), k)
+
+
+def _draw_driving(plot: Axes, driving: TrackedAngles, hours: FloatArray, k: int) -> None:
+    """Draw the method that drives control with its sigma, the truth on top, and where control is inhibited."""
     low, high = (driving.estimate_deg[:, k] + side * 2.0 * driving.sigma_deg[:, k] for side in (-1.0, 1.0))
     plot.fill_between(hours, low, high, color=_COLOURS[METHODS[0]], alpha=0.2, linewidth=0.0, label="two sigma")
     plot.plot(hours, driving.estimate_deg[:, k], color=_COLOURS[METHODS[0]], linewidth=1.0, label=METHODS[0])
     plot.plot(hours, driving.truth_deg[:, k], color="#111111", linewidth=1.0, label="truth")
     held = np.where(driving.is_control_allowed, np.nan, 0.0)
     plot.plot(hours, held, color="#d62728", linewidth=3.0, alpha=0.6, label="control inhibited")
+
+
+def _hours(tracked: TrackedAngles) -> FloatArray:
+    """Return the hours of operation of each row."""
+    return np.asarray((tracked.epochs_us - tracked.epochs_us[0]) / US_PER_S / 3600.0)

@@ -3,13 +3,18 @@
 import numpy as np
 import pytest
 
-from service.study.closed_judgement import TRUTH_BOUNDS_DEG, judge_control, missed_control
+from service.study.closed_judgement import TRUTH_BOUNDS_DEG, FlightAlone, judge_control, missed_control
 from service.study.control_centre import ControlLog
 from service.study.demonstration import Story
+from service.study.figures import draw_control
+from service.study.judgement import TrackedAngles
 
 START = "2026-11-05T10:00:00Z"
 START_US = 1_793_872_800_000_000
-MISSED = {"missed": ["true roll reached 0.362 deg, not below 0.2"]}
+HOURS = np.arange(100) / 60.0
+STILL = np.zeros((100, 3))
+#: roll leaves its bound after an hour
+ALONE = FlightAlone(HOURS, np.stack([0.0 * HOURS, 0.2 * HOURS, 0.0 * HOURS], axis=1))
 
 
 def story(angles_deg: np.ndarray) -> Story:
@@ -25,7 +30,7 @@ def test_the_figures_are_those_of_the_operation_alone():
     angles_deg[7, 1] = -0.15
     log = ControlLog(rows=100, inhibited_rows=3)
     log.inhibitions["fade"] = 3
-    found = judge_control(story(angles_deg), log, MISSED)
+    found = judge_control(story(angles_deg), log, ALONE)
     assert found["largest_deg"] == {"yaw": 0.3, "roll": 0.15, "pitch": 0.0}
     assert found["size_95_deg"]["yaw"] == pytest.approx(0.28, abs=0.002)
     assert found["size_95_deg"]["roll"] == 0.0
@@ -37,7 +42,7 @@ def test_the_figures_are_those_of_the_operation_alone():
 def test_one_row_at_its_bound_misses_it(axis, name):
     angles_deg = np.zeros((100, 3))
     angles_deg[50, axis] = -TRUTH_BOUNDS_DEG[name]
-    found = judge_control(story(angles_deg), ControlLog(), MISSED)
+    found = judge_control(story(angles_deg), ControlLog(), ALONE)
     assert found["missed"] == [
         f"true {name} reached {TRUTH_BOUNDS_DEG[name]:.3f} deg, not below {TRUTH_BOUNDS_DEG[name]}"
     ]
@@ -45,6 +50,20 @@ def test_one_row_at_its_bound_misses_it(axis, name):
 
 
 def test_a_craft_that_needs_no_control_proves_nothing():
-    found = judge_control(story(np.zeros((100, 3))), ControlLog(), {"missed": []})
+    found = judge_control(story(np.zeros((100, 3))), ControlLog(), FlightAlone(HOURS, STILL))
     assert missed_control(found) == ["the craft keeps its bounds without control"]
+    assert found["control_off"]["hours_within_bounds"] is None
     assert missed_control(None) == []
+
+
+def test_the_craft_left_alone_is_judged_by_the_same_bounds():
+    found = ALONE.figures()
+    assert (found["hours"], found["hours_within_bounds"]) == (1.65, 1.0)
+    assert found["largest_deg"] == {"yaw": 0.0, "roll": 0.33, "pitch": 0.0}
+    assert found["missed"] == ["true roll reached 0.330 deg, not below 0.2"]
+
+
+def test_the_drawn_figure_is_written(tmp_path):
+    tracked = TrackedAngles(START_US + 60_000_000 * np.arange(100), STILL, STILL + 0.1, STILL, HOURS < 1.0)
+    draw_control(tracked, ALONE, tmp_path / "closed.png")
+    assert (tmp_path / "closed.png").read_bytes().startswith(b"\x89PNG")
