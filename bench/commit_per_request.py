@@ -4,10 +4,13 @@ The endpoint and all statements are those of the product. In place of the one wr
 request is stored by a thread of a pool over a connection of its own, as services on a thread pool do.
 """
 
+import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from threading import local
 from typing import Any
+
+from sqlalchemy import Engine, event
 
 from db.engine import open_engines
 from db.ingest import PreparedBatch, prepare, store_batch
@@ -16,6 +19,13 @@ from service.records.measurement import BatchReceipt, MeasurementBatch
 
 #: as many as the framework's own pool has
 THREADS = 40
+
+
+def slow_down(engine: Engine, sync_s: float) -> None:
+    """Let every commit of an engine take longer, as on a disk that takes so long to sync."""
+    if sync_s:
+        # before the COMMIT itself, while the lock is held
+        event.listen(engine, "commit", lambda _: time.sleep(sync_s), insert=True)
 
 
 class CommitPerRequest:
@@ -27,11 +37,14 @@ class CommitPerRequest:
         The real one.
     url : str
         Its database.
+    sync_s : float
+        What each commit takes longer.
     """
 
-    def __init__(self, archive: Any, url: str) -> None:
+    def __init__(self, archive: Any, url: str, sync_s: float) -> None:
         self._archive = archive
         self._url = url
+        self._sync_s = sync_s
         self._pool = ThreadPoolExecutor(THREADS)
         self._of_thread = local()
         self._cache = SegmentCache()
@@ -48,5 +61,6 @@ class CommitPerRequest:
     def _store(self, prepared: PreparedBatch) -> BatchReceipt:
         if not hasattr(self._of_thread, "engine"):
             self._of_thread.engine = open_engines(self._url).write
+            slow_down(self._of_thread.engine, self._sync_s)
         with self._of_thread.engine.begin() as connection:
             return store_batch(connection, prepared, self._cache)

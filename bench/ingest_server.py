@@ -16,7 +16,7 @@ from typing import Any
 import uvicorn
 
 import db.writer
-from bench.commit_per_request import CommitPerRequest
+from bench.commit_per_request import CommitPerRequest, slow_down
 from service.api.server import StreamingServer
 from service.bootstrap import build_app, build_storage
 from service.records.measurement import BatchReceipt, MeasurementBatch
@@ -61,6 +61,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--archive", choices=("durable", "none", "each", "single"), required=True)
     parser.add_argument("--database", required=True)
+    parser.add_argument("--sync-ms", type=float, default=0.0, help="what each commit takes longer, the lock held")
     options = parser.parse_args()
     os.environ |= {"SOO_DATABASE_URL": options.database, "SOO_CLOCK": "data"}
     settings = Settings()
@@ -70,7 +71,8 @@ def main() -> None:
     if options.archive == "none":
         storage.archive = NoArchive(storage.archive)
     elif options.archive == "each":
-        storage.archive = CommitPerRequest(storage.archive, options.database)
+        storage.archive = CommitPerRequest(storage.archive, options.database, options.sync_ms / 1e3)
+    slow_down(storage._database.engines.write, options.sync_ms / 1e3)  # noqa: SLF001 - a slower disk for the product
     app = build_app(settings, storage)
     listener = socket.socket()
     listener.bind(("127.0.0.1", 0))
