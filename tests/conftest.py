@@ -75,8 +75,6 @@ def durable_postgresql_cluster() -> Iterator[object]:
     module = _load("postgresql_cluster")
     try:
         cluster = module.PostgresqlCluster(fsync=True)
-        # the server of others is not ours to kill
-        assert cluster.data
     except module.NoServerError as fault:
         pytest.skip(str(fault))
     yield cluster

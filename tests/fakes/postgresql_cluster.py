@@ -41,7 +41,8 @@ class PostgresqlCluster:
     Parameters
     ----------
     fsync : bool
-        Whether commits survive a power loss; off is faster and enough for tests that do not kill the server.
+        Whether commits survive a power loss; off is faster and enough for tests that do not kill the server. Such a
+        server is always one of our own, since that of TEST_DATABASE_URL is not ours to kill.
 
     Raises
     ------
@@ -55,7 +56,7 @@ class PostgresqlCluster:
         self._shared: str | None = None
         self.folder: Path | None = None
         self._guard: subprocess.Popen[bytes] | None = None
-        given = os.environ.get("TEST_DATABASE_URL")
+        given = None if fsync else os.environ.get("TEST_DATABASE_URL")
         self._url = make_url(given) if given else self._started(fsync=fsync)
 
     def new_database(self) -> str:
