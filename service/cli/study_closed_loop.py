@@ -5,6 +5,7 @@ Exit codes: 0 every group does what it shall, 1 one does not, 2 the study could 
 
 import json
 import shlex
+from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -33,7 +34,10 @@ def closed_loop(
         list[str] | None, typer.Option(help=f"Scenario; may be given many times. Default: {', '.join(SCENARIOS)}.")
     ] = None,
     uplink: Annotated[str, typer.Option(help="Way to the craft: link (delay, loss, repetition) or ideal.")] = "link",
-    workers: Annotated[int, typer.Option(min=1, max=256, help="Processes.")] = 2,
+    sensing: Annotated[
+        list[str] | None, typer.Option(help="automatic, truth or off; may be given many times. Default: all.")
+    ] = None,
+    workers: Annotated[int, typer.Option("--jobs", "--workers", min=1, max=256, help="Processes.")] = 2,
     operation_days: Annotated[
         float | None, typer.Option(help="Length of the operation phase; default: that of each scenario.")
     ] = None,
@@ -41,8 +45,10 @@ def closed_loop(
         tuple[float, float, float] | None,
         typer.Option(help="Drift that the filter believes in: yaw, roll, pitch; default: the product's."),
     ] = None,
-    yaw_sigma_deg: Annotated[
-        float | None, typer.Option(help="Sigma of yaw up to which it is controlled; default: the product's.")
+    yaw_sigma_deg: Annotated[float, typer.Option(min=0.0, help="Sigma of yaw up to which it is controlled.")] = 0.5,
+    flights: Annotated[
+        Path | None,
+        typer.Option(help="Keep each flight in this folder; what it has kept is not flown again.", file_okay=False),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print figures and runs as JSON only.")] = False,
     as_markdown: Annotated[bool, typer.Option("--markdown", help="Print the table as a section of a page.")] = False,
@@ -50,17 +56,18 @@ def closed_loop(
 ) -> None:
     """Close the loop with the chain, beside perfect sensing and beside no control, which must fail."""
     from service.study.closed_loop.campaign import LoopPlan
+    from service.study.closed_loop.controllers import Sensing
     from service.study.closed_loop.plant_process import PlantFailedError
     from service.study.closed_loop.report import as_document, markdown
 
-    if uplink not in _UPLINKS:
-        typer.echo(f"no uplink {uplink!r}; there are {', '.join(_UPLINKS)}", err=True)
-        raise typer.Exit(_EXIT_FAILED)
+    _require("uplink", [uplink], _UPLINKS)
+    _require("sensing", sensing or [], [one.value for one in Sensing])
     scenarios = tuple(dict.fromkeys(scenario or SCENARIOS))
-    plan = LoopPlan(scenarios, runs, workers, uplink, operation_days, drift_deg_h, yaw_sigma_deg)
+    sensings = tuple(one for one in Sensing if not sensing or one.value in sensing)
+    plan = LoopPlan(scenarios, runs, workers, sensings, uplink, operation_days, drift_deg_h, yaw_sigma_deg)
     try:
         with ended_by_signals():
-            campaign = _run(plan)
+            campaign = _run(plan, flights)
     except KeyboardInterrupt:
         typer.echo("stopped", err=True)
         raise typer.Exit(_EXIT_FAILED) from None
@@ -79,7 +86,15 @@ def closed_loop(
         raise typer.Exit(_EXIT_MISSED)
 
 
-def _run(plan: "LoopPlan") -> "LoopCampaign":
+def _require(kind: str, told: list[str], known: Sequence[str]) -> None:
+    """Refuse a word that is not known."""
+    for word in told:
+        if word not in known:
+            typer.echo(f"no {kind} {word!r}; there are {', '.join(known)}", err=True)
+            raise typer.Exit(_EXIT_FAILED)
+
+
+def _run(plan: "LoopPlan", flights: Path | None) -> "LoopCampaign":
     """Run the campaign behind a progress bar; away from a terminal it would be noise."""
     from service.study.closed_loop.campaign import run_loops
 
@@ -87,7 +102,7 @@ def _run(plan: "LoopPlan") -> "LoopCampaign":
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, TimeRemainingColumn(), console=console, disable=not console.is_terminal) as progress:
         task = progress.add_task("loops", total=None)
-        return run_loops(plan, lambda done, total: progress.update(task, completed=done, total=total))
+        return run_loops(plan, lambda done, total: progress.update(task, completed=done, total=total), flights)
 
 
 def _draw(campaign: "LoopCampaign", folder: Path) -> None:
@@ -106,7 +121,8 @@ def _command(plan: "LoopPlan") -> str:
     words += [word for name in plan.scenarios for word in ("--scenario", name)]
     words += ["--operation-days", f"{plan.operation_days:g}"] if plan.operation_days else []
     words += ["--drift-deg-h", *(f"{drift:g}" for drift in plan.drift_deg_h)] if plan.drift_deg_h else []
-    words += ["--yaw-sigma-deg", f"{plan.yaw_sigma_deg:g}"] if plan.yaw_sigma_deg else []
+    words += ["--yaw-sigma-deg", f"{plan.yaw_sigma_deg:g}"]
+    words += [word for sensing in plan.sensings for word in ("--sensing", sensing.value)]
     return shlex.join(words)
 
 

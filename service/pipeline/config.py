@@ -201,7 +201,7 @@ class TorqueConfig:
     #: part of a command's period within which it slews; the rest is for its report and for the next one's way
     slew_share: float = 0.75
     #: a known torque is balanced this often after the slew, s
-    balance_s: float = 900.0
+    balance_s: float = 450.0
     #: share of the envelope that the law uses by itself
     envelope_share: float = 0.95
     #: momentum from which null motion keeps a wheel away, N m s; wheels beyond three have it

@@ -142,7 +142,8 @@ def command_for(
     Returns
     -------
     TorqueCommand
-        ``command_period_s`` is the horizon; zero with the reasons where the row or the settings forbid control.
+        ``command_period_s`` is the horizon that the envelope has room for; zero with the reasons where the row or the
+        settings forbid control.
     """
     span = Span(start_us, duration_s)
     inhibitions = control_inhibitions(row, spacecraft)
@@ -210,6 +211,8 @@ def _forecast_command(
         plan = plan_command(design.gains, drive, situation, forecast, envelope)
     except ValueError:
         return zero_command(row, spacecraft, span, ("no_law",))
+    if span.period_s > spacecraft.control.command_period_s:
+        span = span._replace(period_s=plan.horizon_s)
     return _allocated(row, spacecraft, span, plan.pulses, design, momentum_n_m_s, is_cut=plan.is_shortened)
 
 

@@ -50,6 +50,8 @@ class Plan(NamedTuple):
 
     #: in order of time
     pulses: tuple[AxisPulse, ...]
+    #: until then it holds
+    horizon_s: float
     #: whether the envelope made the slew smaller than the law wanted it
     is_shortened: bool
 
@@ -89,6 +91,7 @@ def plan_command(gains: Gains, drive: Drive, situation: Situation, forecast: For
     """
     wish = _wish_of(gains, situation, forecast)
     fitted, slices = _fitted(wish, gains.inertia_kg_m2.diagonal(), forecast, envelope)
+    horizon_s = forecast.slew_s + slices * forecast.slice_s
     slew = plan_slew(
         np.degrees(fitted.change_rad), np.degrees(fitted.rate_rad_s), gains.inertia_kg_m2, forecast.slew_s, drive
     )
@@ -100,7 +103,7 @@ def plan_command(gains: Gains, drive: Drive, situation: Situation, forecast: For
         torques = forecast.torque_n_m[1 : slices + 1, axis].tolist()
         pulses += _balancing(axis, float(left_n_m_s[axis]), torques, forecast, drive)
     is_shortened = bool(np.abs(fitted.change_rad - wish.change_rad).max() > 1e-12)
-    return Plan(tuple(sorted(pulses, key=lambda pulse: (pulse.start_s, pulse.axis))), is_shortened)
+    return Plan(tuple(sorted(pulses, key=lambda pulse: (pulse.start_s, pulse.axis))), horizon_s, is_shortened)
 
 
 def _wish_of(gains: Gains, situation: Situation, forecast: Forecast) -> _Wish:
@@ -113,19 +116,37 @@ def _wish_of(gains: Gains, situation: Situation, forecast: Forecast) -> _Wish:
 
 
 def _fitted(wish: _Wish, inertia: FloatArray, forecast: Forecast, envelope: Envelope) -> tuple[_Wish, int]:
-    """Return a wish inside the envelope and how many slices may follow it."""
+    """Return a wish inside the envelope and how many slices may follow it.
+
+    Roll and pitch settle how long the command may hold; yaw, known ten times worse, makes do with what is left.
+    """
     for slices in range(forecast.slices, 0, -1):
         lower, upper = _bounds(wish.rate_rad_s, inertia, forecast, slices, envelope)
-        if ((lower <= wish.change_rad) & (wish.change_rad <= upper)).all():
-            return wish, slices
+        if ((lower <= wish.change_rad) & (wish.change_rad <= upper))[1:].all():
+            return _limited(wish, inertia, forecast, slices, envelope), slices
+    return _limited(wish, inertia, forecast, 0, envelope), 0
+
+
+def _limited(wish: _Wish, inertia: FloatArray, forecast: Forecast, slices: int, envelope: Envelope) -> _Wish:
+    """Return the part of a wish that the envelope has room for."""
+    horizon_s = forecast.slew_s + slices * forecast.slice_s
+    gross, turned = _balance(inertia, forecast, slices)
     # the greatest rate that any slew may take away
     greatest = np.minimum(
-        np.minimum(np.radians(envelope.rate_change_deg_s), envelope.impulse_n_m_s / inertia),
-        np.radians(envelope.angle_change_deg) / forecast.slew_s,
+        np.minimum(np.radians(envelope.rate_change_deg_s), envelope.impulse_n_m_s / inertia - gross),
+        (np.radians(envelope.angle_change_deg) - np.abs(turned)) / horizon_s,
     )
-    rate = np.clip(wish.rate_rad_s, -greatest, greatest)
-    lower, upper = _bounds(rate, inertia, forecast, 0, envelope)
-    return _Wish(np.clip(wish.change_rad, lower, upper), rate), 0
+    rate = np.clip(wish.rate_rad_s, -np.maximum(greatest, 0.0), np.maximum(greatest, 0.0))
+    lower, upper = _bounds(rate, inertia, forecast, slices, envelope)
+    return _Wish(np.clip(wish.change_rad, lower, np.maximum(lower, upper)), rate)
+
+
+def _balance(inertia: FloatArray, forecast: Forecast, slices: int) -> tuple[FloatArray, FloatArray]:
+    """Return the sum of the rates that balancing gives (3,), rad/s, and what they turn until the horizon, rad."""
+    horizon_s = forecast.slew_s + slices * forecast.slice_s
+    middles_s = forecast.slew_s + forecast.slice_s * (np.arange(slices) + 0.5)
+    given = forecast.torque_n_m[1 : slices + 1] * forecast.slice_s / inertia
+    return np.abs(given).sum(axis=0), (given * (horizon_s - middles_s)[:, None]).sum(axis=0)
 
 
 def _bounds(
@@ -138,10 +159,7 @@ def _bounds(
     """
     apart_s = (1.0 - LONGEST_SHARE) * forecast.slew_s
     horizon_s = forecast.slew_s + slices * forecast.slice_s
-    middles_s = forecast.slew_s + forecast.slice_s * (np.arange(slices) + 0.5)
-    given = forecast.torque_n_m[1 : slices + 1] * forecast.slice_s / inertia
-    turned = (given * (horizon_s - middles_s)[:, None]).sum(axis=0)
-    gross = np.abs(given).sum(axis=0)
+    gross, turned = _balance(inertia, forecast, slices)
     angle, step = np.radians(envelope.angle_change_deg), np.radians(envelope.rate_change_deg_s)
     room = envelope.impulse_n_m_s / inertia - gross
     lower = [

@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
 #: share of the horizon that one pulse may take
-LONGEST_SHARE = 0.25
+LONGEST_SHARE = 0.1
 _ROUNDING = 1e-9
 _AXES = ("yaw", "roll", "pitch")
 

@@ -4,11 +4,13 @@ import time
 from collections.abc import Callable
 from concurrent.futures import as_completed
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 from service.study.closed_loop.controllers import Sensing
+from service.study.closed_loop.flight_store import keep, kept
 from service.study.closed_loop.merit import GroupMerit, group_merit
-from service.study.closed_loop.run import LoopResult, LoopUnit, fly_unit
+from service.study.closed_loop.run import YAW_SIGMA_DEG, LoopResult, LoopUnit, fly_unit
 from service.study.estimation.campaign import do_work, process_pool
 
 #: called after each run with how many are done and how many there are
@@ -21,12 +23,13 @@ class LoopPlan(NamedTuple):
     scenarios: tuple[str, ...]
     runs: int
     workers: int = 2
+    sensings: tuple[Sensing, ...] = tuple(Sensing)
     uplink: str = "link"
     operation_days: float | None = None
     #: drift of the inertial model that the filter believes in, deg/h, yaw, roll, pitch; None = the product's
     drift_deg_h: tuple[float, float, float] | None = None
-    #: sigma of yaw up to which it is controlled, deg; None = the product's
-    yaw_sigma_deg: float | None = None
+    #: sigma of yaw up to which it is controlled, deg
+    yaw_sigma_deg: float = YAW_SIGMA_DEG
 
 
 @dataclass(frozen=True)
@@ -44,8 +47,17 @@ class LoopCampaign:
         return tuple(group for group in self.groups if group.is_met == (group.sensing is Sensing.OFF))
 
 
-def run_loops(plan: LoopPlan, show: Show) -> LoopCampaign:
+def run_loops(plan: LoopPlan, show: Show, folder: Path | None = None) -> LoopCampaign:
     """Fly every unit of a plan.
+
+    Parameters
+    ----------
+    plan : LoopPlan
+        What to fly.
+    show : callable
+        Told after each run.
+    folder : Path, optional
+        Keeps each flight as it ends; what it has kept before is not flown again.
 
     Raises
     ------
@@ -55,26 +67,25 @@ def run_loops(plan: LoopPlan, show: Show) -> LoopCampaign:
         A process of the study was ended by someone else.
     """
     began_s = time.monotonic()
-    keys = [(scenario, sensing) for scenario in plan.scenarios for sensing in Sensing]
+    keys = [(scenario, sensing) for scenario in plan.scenarios for sensing in plan.sensings]
     units = {
         key: [
-            LoopUnit(*_named(key, seed), plan.uplink, plan.operation_days, plan.drift_deg_h, plan.yaw_sigma_deg)
+            LoopUnit(key[0], seed, key[1], plan.uplink, plan.operation_days, plan.drift_deg_h, plan.yaw_sigma_deg)
             for seed in range(1, plan.runs + 1)
         ]
         for key in keys
     }
     # the slow ones first
     queue = sorted((unit for some in units.values() for unit in some), key=lambda u: u.sensing is not Sensing.AUTOMATIC)
+    flown = {} if folder is None else {unit: old for unit in queue if (old := kept(folder, unit)) is not None}
+    show(len(flown), len(queue))
     with process_pool(plan.workers) as pool:
-        flying = {pool.submit(do_work, fly_unit, unit): unit for unit in queue}
-        flown: dict[LoopUnit, LoopResult] = {}
-        for number, done in enumerate(as_completed(flying), start=1):
+        flying = {pool.submit(do_work, fly_unit, unit): unit for unit in queue if unit not in flown}
+        for done in as_completed(flying):
             flown[flying[done]] = done.result()
-            show(number, len(flying))
+            if folder is not None:
+                keep(folder, done.result())
+            show(len(flown), len(queue))
     groups = tuple(group_merit([flown[unit] for unit in units[key]]) for key in keys)
     results = tuple(flown[unit] for some in units.values() for unit in some)
     return LoopCampaign(plan, time.monotonic() - began_s, results, groups)
-
-
-def _named(key: tuple[str, Sensing], seed: int) -> tuple[str, int, Sensing]:
-    return key[0], seed, key[1]

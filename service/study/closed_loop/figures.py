@@ -1,42 +1,111 @@
-"""Closed loops drawn: the three angles of every run, one figure a scenario."""
+"""Closed loops drawn: the three angles of every run, of one run beside its estimate, and their percentiles."""
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from service.study.closed_loop.campaign import LoopCampaign
 from service.study.closed_loop.controllers import Sensing
-from service.study.closed_loop.merit import NARROW_DEG
+from service.study.closed_loop.merit import NARROW_DEG, PERCENTILES
+from service.study.closed_loop.run import Flight
 
 _COLOURS = {Sensing.AUTOMATIC: "#1f77b4", Sensing.TRUTH: "#2ca02c", Sensing.OFF: "#d62728"}
 #: deg, what is farther off is cut
 _REACH_DEG = 1.0
+_AXES = ("yaw", "roll", "pitch")
+_STYLE: Any = {"font.size": 9, "axes.grid": True, "grid.alpha": 0.3}
 
 
 def draw_campaign(campaign: LoopCampaign, folder: Path) -> list[Path]:
-    """Draw one PNG a scenario; return their paths."""
-    return [_draw(campaign, scenario, folder) for scenario in campaign.plan.scenarios]
+    """Draw three PNG a scenario: all runs, one run with what the ground believed, and percentiles; return the paths."""
+    kinds = (_draw_all, _draw_run, _draw_percentiles)
+    paths = [draw(campaign, scenario, folder) for scenario in campaign.plan.scenarios for draw in kinds]
+    return [path for path in paths if path is not None]
 
 
-def _draw(campaign: LoopCampaign, scenario: str, folder: Path) -> Path:
-    path = folder / f"closed-loop-{scenario}.png"
-    with mpl.rc_context({"font.size": 9, "axes.grid": True, "grid.alpha": 0.3}):
+def _flights(campaign: LoopCampaign, scenario: str, sensing: Sensing) -> list[Flight]:
+    """Return what was flown."""
+    found = [one for one in campaign.results if one.unit.scenario == scenario and one.unit.sensing is sensing]
+    return [one.flight for one in found if one.flight is not None]
+
+
+def _draw_run(campaign: LoopCampaign, scenario: str, folder: Path) -> Path | None:
+    """Draw the first run under the chain: truth, estimate, and when control was inhibited."""
+    flights = _flights(campaign, scenario, Sensing.AUTOMATIC)
+    if not flights:
+        return None
+    flight, path = flights[0], folder / f"closed-loop-{scenario}-run.png"
+    with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(8.0, 6.0), layout="constrained")
         plots = figure.subplots(3, 1, sharex=True)
-        for axis, (name, plot) in enumerate(zip(("yaw", "roll", "pitch"), plots, strict=True)):
+        for axis, (name, plot) in enumerate(zip(_AXES, plots, strict=True)):
+            plot.plot(flight.hours, flight.estimate_deg[:, axis], color="#ff7f0e", linewidth=0.6, label="estimate")
+            plot.plot(flight.hours, flight.truth_deg[:, axis], color="#1f77b4", linewidth=1.0, label="truth")
+            plot.fill_between(
+                flight.hours, -1.0, 1.0, where=flight.is_inhibited, color="#cccccc", label="control inhibited"
+            )
+            _frame(plot, name, axis)
+        plots[0].set_title(f"{scenario}: seed 1 under the chain", fontsize=9)
+        _finish(figure, plots)
+        figure.savefig(path, dpi=120)
+    return path
+
+
+def _draw_percentiles(campaign: LoopCampaign, scenario: str, folder: Path) -> Path | None:
+    """Draw the percentiles of the size of each angle over the runs under the chain, hour by hour."""
+    flights = _flights(campaign, scenario, Sensing.AUTOMATIC)
+    if not flights:
+        return None
+    path, rows = folder / f"closed-loop-{scenario}-percentiles.png", min(len(flight.hours) for flight in flights)
+    sizes = np.abs(np.array([flight.truth_deg[:rows] for flight in flights]))
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(8.0, 6.0), layout="constrained")
+        plots = figure.subplots(3, 1, sharex=True)
+        for axis, (name, plot) in enumerate(zip(_AXES, plots, strict=True)):
+            for share, shade in zip(PERCENTILES, ("#9ecae1", "#3182bd", "#08306b"), strict=True):
+                reached = np.percentile(sizes[:, :, axis], share, axis=0, method="higher")
+                plot.plot(flights[0].hours[:rows], reached, color=shade, linewidth=1.0, label=f"{share} % of runs")
+            _frame(plot, name, axis)
+            plot.set_ylim(0.0, _REACH_DEG)
+        plots[0].set_title(f"{scenario}: size of the angles over {len(flights)} runs under the chain", fontsize=9)
+        _finish(figure, plots)
+        figure.savefig(path, dpi=120)
+    return path
+
+
+def _frame(plot: Axes, name: str, axis: int) -> None:
+    """Draw limits and label of one angle."""
+    for side in (-1.0, 1.0):
+        plot.axhline(side * NARROW_DEG[axis], color="#111111", linewidth=0.8, linestyle="--")
+    plot.set_ylabel(f"{name}, deg")
+    plot.set_ylim(-_REACH_DEG, _REACH_DEG)
+
+
+def _finish(figure: Figure, plots: Sequence[Axes]) -> None:
+    """Draw the legend and the label of time."""
+    figure.legend(*plots[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
+    plots[-1].set_xlabel("hours of operation")
+
+
+def _draw_all(campaign: LoopCampaign, scenario: str, folder: Path) -> Path:
+    path = folder / f"closed-loop-{scenario}.png"
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(8.0, 6.0), layout="constrained")
+        plots = figure.subplots(3, 1, sharex=True)
+        for axis, (name, plot) in enumerate(zip(_AXES, plots, strict=True)):
             for result in campaign.results:
                 if result.unit.scenario == scenario and result.flight is not None:
                     flight, sensing = result.flight, result.unit.sensing
                     label = sensing.value if result.unit.seed == 1 else None
                     colour = _COLOURS[sensing]
                     plot.plot(flight.hours, flight.truth_deg[:, axis], color=colour, linewidth=0.7, label=label)
-            for side in (-1.0, 1.0):
-                plot.axhline(side * NARROW_DEG[axis], color="#111111", linewidth=0.8, linestyle="--")
-            plot.set_ylabel(f"{name}, deg")
-            plot.set_ylim(-_REACH_DEG, _REACH_DEG)
+            _frame(plot, name, axis)
         plots[0].set_title(f"{scenario}: truth of {campaign.plan.runs} runs under each sensing", fontsize=9)
-        figure.legend(*plots[0].get_legend_handles_labels(), loc="outside upper center", ncols=3, frameon=False)
-        plots[-1].set_xlabel("hours of operation")
+        _finish(figure, plots)
         figure.savefig(path, dpi=120)
     return path

@@ -1,6 +1,7 @@
 """Control over a link, released in two steps: what the centre does with the commands of the service.
 
-Every command period, while nothing is inhibited, one command goes out for its whole horizon. From its release to its
+Every command period, while nothing is inhibited, one command goes out for its whole horizon; beyond 0.4 deg of roll or
+pitch it is a person who releases it (RECOVERY), up to 0.6 deg. From its release to its
 report the chain takes its effect for uncertain. The report comes when the slew has been told by the craft, or when it
 should have been and was not: then nothing of it was executed, as far as anybody knows. What the craft executes
 afterwards, the pulses against the known torque, the chain hears of as it is told.
@@ -22,6 +23,8 @@ from service.study.closed_loop.plant_process import CommandReport
 
 #: a report that has not come so long after the end of the slew does not come any more, s
 _REPORT_TIMEOUT_S = 60.0
+#: up to which roll and pitch a person may bring back a craft that has left the range of automatic release, deg
+_RECOVERY_DEG = 0.6
 _EXECUTED = frozenset({"executed", "executing"})
 
 
@@ -76,6 +79,7 @@ class Releaser:
         now_us = measurement.epoch_us
         self._give_up(now_us)
         is_waiting = any(not flying.is_reported for flying in self._flying)
+        row = _as_recovery(row)
         if row.inhibitions or is_waiting or now_us < self._due_us:
             return ()
         command = command_for(
@@ -133,3 +137,11 @@ class Releaser:
                 # of one that has not begun yet the pulses still come
                 if flying.slew_end_us:
                     self._flying.remove(flying)
+
+
+def _as_recovery(row: AttitudeRow) -> AttitudeRow:
+    """Return the row as a person who releases single commands takes it: roll and pitch may be led back."""
+    is_in_reach = max(abs(row.attitude_deg.roll), abs(row.attitude_deg.pitch)) <= _RECOVERY_DEG
+    if row.inhibitions != ("beyond_validity",) or not is_in_reach:
+        return row
+    return replace(row, inhibitions=(), control_allowed=True, control_allowed_axes=(False, True, True))

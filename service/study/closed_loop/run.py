@@ -23,7 +23,10 @@ from service.study.estimation.world import Ground
 #: what the craft tells of commands
 STATES = ("executed", "executing", "replaced", "repeated", "late", "refused")
 #: N m, one sigma of what the craft's own loop does not feed forward, as its catalogue would state it
-RESIDUAL_TORQUE_N_M = 5e-7
+RESIDUAL_TORQUE_N_M = 3.5e-7
+#: sigma of yaw up to which it is controlled, deg: under a torque that is not known yet yaw is known to 0.3-0.4 deg for
+#: half a day, and left alone it goes off by a degree in that time
+YAW_SIGMA_DEG = 0.5
 #: s: of the closed loop and between commands over the link, as quick as delay, report and envelope allow
 LOOP_PERIOD_S = 2400.0
 COMMAND_PERIOD_S = 600.0
@@ -41,8 +44,8 @@ class LoopUnit(NamedTuple):
     operation_days: float | None = None
     #: drift of the inertial model that the filter believes in, deg/h, yaw, roll, pitch; None = the product's
     drift_deg_h: tuple[float, float, float] | None = None
-    #: sigma of yaw up to which it is controlled, deg; None = the product's
-    yaw_sigma_deg: float | None = None
+    #: sigma of yaw up to which it is controlled, deg
+    yaw_sigma_deg: float = YAW_SIGMA_DEG
 
 
 @dataclass(frozen=True)
@@ -132,11 +135,7 @@ def _config(unit: LoopUnit) -> ChainConfig:
         yaw, roll, pitch = unit.drift_deg_h
         drift = {"yaw_drift_deg_h": yaw, "roll_drift_deg_h": roll, "pitch_drift_deg_h": pitch}
         config = replace(config, robust=replace(config.robust, **drift))
-    if unit.yaw_sigma_deg is not None:
-        robust = replace(config.robust, yaw_sigma_limit_deg=unit.yaw_sigma_deg)
-        interlock = replace(config.interlock, yaw_sigma_limit_deg=unit.yaw_sigma_deg)
-        config = replace(config, robust=robust, interlock=interlock)
-    return config
+    return replace(config, robust=replace(config.robust, yaw_sigma_limit_deg=unit.yaw_sigma_deg))
 
 
 @dataclass
