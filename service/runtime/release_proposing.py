@@ -57,7 +57,7 @@ class Proposals:
         epoch_us = wish.attitude_epoch_us
         if epoch_us is not None and not 0 <= row.epoch_us - epoch_us <= stale_us:
             raise ConflictError("command.estimate_stale", "attitude_epoch is not that of a recent estimate")
-        start_us = wish.start_us or soonest_start_us(at.now_us, settings, is_for_persons=True)
+        start_us = wish.start_us or soonest_start_us(at.now_us, settings, settings.confirm_s)
         duration_s = wish.duration_s or spacecraft.control.forecast_horizon_s
         if not 0.0 < duration_s <= settings.latest_stop_s:
             raise InvalidInputError("command.wish", f"duration_s must lie between 0 and {settings.latest_stop_s:g} s")
@@ -134,9 +134,8 @@ def swing_left(releases: Releases, spacecraft: Spacecraft, now_us: int) -> Panel
     return swing
 
 
-def soonest_start_us(now_us: int, settings: ReleaseSettings, *, is_for_persons: bool) -> int:
-    """Return when a schedule may begin at the soonest; persons get time to confirm it."""
-    waiting_s = settings.confirm_s if is_for_persons else 0.0
+def soonest_start_us(now_us: int, settings: ReleaseSettings, waiting_s: float = 0.0) -> int:
+    """Return when a schedule may begin at the soonest; persons get so long to confirm it."""
     return now_us + microseconds(settings.uplink_lead_s + waiting_s)
 
 

@@ -96,7 +96,7 @@ class RowWork:
         if is_busy or at.now_us - newest_us < microseconds(control.command_period_s):
             return
         entry.asked_us = at.now_us
-        start_us = soonest_start_us(at.now_us, self._settings, is_for_persons=False)
+        start_us = soonest_start_us(at.now_us, self._settings)
         command = self._proposals.law(entry, craft, start_us, control.command_period_s)
         if not command.schedule:
             return

@@ -38,7 +38,7 @@ _INTERRUPTED = "interrupted"
 #: verdicts that the interlock is told
 _TOLD = frozenset({Verdict.PLUS, Verdict.MINUS, Verdict.NOTHING})
 #: a check of yaw, with hours of rows, is judged once in so many
-_YAW_ROWS = 10
+_YAW_ROWS = 30
 
 
 class SignChecks:
@@ -128,7 +128,7 @@ class SignChecks:
     def _prepare_leg(self, entry: ReleaseEntry, facts: KnownFacts, at: Instant) -> Refusal | None:
         """Prepare the next leg if it is due; return why it cannot be."""
         run, row, craft = entry.run, entry.row, facts.spacecraft
-        start_us = soonest_start_us(at.now_us, self._settings, is_for_persons=True)
+        start_us = soonest_start_us(at.now_us, self._settings, self._settings.sign_confirm_s)
         if run is None or row is None or not run.is_leg_due(start_us):
             return None
         try:
@@ -150,7 +150,7 @@ class SignChecks:
         counter = entry.case.state.next_counter
         step = self._step(entry, craft, Prepare(at, run.by, proposal), Annex(Dress(craft)))
         if step.refusal is None:
-            run.pending = counter
+            run.pending, run.pending_us = counter, start_us
         return step.refusal
 
     def _finish(self, entry: ReleaseEntry, facts: KnownFacts, view: SignCheckView, at: Instant) -> None:

@@ -1,8 +1,9 @@
 """One sign check under way: its legs, what was carried out of them, the rows meanwhile, and what they say.
 
 The filter is not told of the torque, so the powers alone must show the turn. Legs go one by one, each confirmed by
-persons and reported by the centre; what counts as commanded is what was reported executed, and nothing is judged
-while a leg is out. Rows live in this process only: a check that a restart interrupts begins anew.
+persons and reported by the centre. What counts as commanded is what was reported executed, and rows from the start of
+a leg on are judged once it is reported: a leg that was lost on its way is no wrong sign. Rows live in this process
+only: a check that a restart interrupts begins anew.
 """
 
 import math
@@ -44,13 +45,16 @@ class SignCheckRun:
     inertia_kg_m2: FloatArray
     has_coupling: bool
     settings: ReleaseSettings
-    #: counter of the leg that is prepared or out
+    #: counter of the leg that is prepared or out, and when it begins
     pending: int | None = None
+    pending_us: int = 0
     #: what was carried out of each leg
     done: list[tuple[Pulse, ...]] = field(default_factory=list)
     model: CarrierModel | None = None
     epochs_us: list[int] = field(default_factory=list)
     deviations_db: list[FloatArray] = field(default_factory=list)
+    #: legs and rows that were weighed last, and what they said
+    judged: tuple[int, int, Decision] | None = None
 
     @property
     def profile(self) -> Profile:
@@ -91,11 +95,22 @@ class SignCheckRun:
 
     def decision(self) -> Decision | None:
         """Return what the powers say; None while there is nothing to judge."""
-        if self.pending is not None or not self.done or self.model is None or len(self.epochs_us) < _LEAST_ROWS:
+        if not self.done or self.model is None:
             return None
         epochs_us, deviation_db = np.array(self.epochs_us), np.array(self.deviations_db)
+        if self.pending is not None:
+            is_before = epochs_us < self.pending_us
+            epochs_us, deviation_db = epochs_us[is_before], deviation_db[is_before]
+        if len(epochs_us) < _LEAST_ROWS:
+            return None
+        if self.judged is None or self.judged[:2] != (len(self.done), len(epochs_us)):
+            self.judged = len(self.done), len(epochs_us), self._weighed(self.model, epochs_us, deviation_db)
+        return self.judged[2]
+
+    def _weighed(self, model: CarrierModel, epochs_us: FloatArray, deviation_db: FloatArray) -> Decision:
+        """Return what some rows say."""
         size = math.ceil(len(epochs_us) / _MOST_ROWS)
-        model = self.model._replace(white_sigma_db=self.model.white_sigma_db / math.sqrt(size))
+        model = model._replace(white_sigma_db=model.white_sigma_db / math.sqrt(size))
         epochs_us, deviation_db = _averaged(epochs_us, deviation_db, size)
         epochs_s = (epochs_us - epochs_us[0]) / US_PER_S
         turn = turned_deg(self.done, epochs_us, self.inertia_kg_m2, has_coupling=self.has_coupling)

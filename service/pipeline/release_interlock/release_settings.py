@@ -50,6 +50,8 @@ class ReleaseSettings:
     uplink_lead_s: float = 150.0
     #: persons are given this long before a schedule has to be released, where they do not say when it begins
     confirm_s: float = 180.0
+    #: the same for each slew of a sign check: persons are at it
+    sign_confirm_s: float = 90.0
     #: a sign check of roll or pitch ends undecided after this long; one of yaw after the second, and it takes the third
     sign_check_s: float = 2700.0
     yaw_sign_check_s: float = 18_000.0
