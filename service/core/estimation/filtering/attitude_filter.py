@@ -200,8 +200,8 @@ def _judged(
     if len(kept.carriers) >= MIN_CARRIERS:
         updated = update(model, freed.gaussian, row.deviation_db, kept, kernels)
         motion = moved(freed, updated, choice, is_pushed=is_pushed(settings))
-        axes = newly_excused(freed.motion, motion)
-        if axes.any():
+        if is_pushed(settings) and newly_excused(freed.motion, motion).any():
+            axes = newly_excused(freed.motion, motion)
             updated = updated._replace(state=with_doubted_torque(model, updated.state, settings, axes))
         after = freed._replace(gaussian=updated.state, motion=motion)
         command = push_row(model, freed.command, kept, updated.state.covariance, is_shared=is_shared(choice))

@@ -55,6 +55,8 @@ def push_shift(watch: MotionWatch, epoch_us: int, shift: FloatArray, *, is_pushe
         return watch._replace(minute=sums)
     pushed = push_cusum(watch.cusum, values)
     is_alarm = np.maximum(pushed.up, pushed.down) > THRESHOLD
+    if not is_alarm.any():
+        return watch._replace(minute=sums, cusum=pushed)
     left = np.where(is_alarm, FOLLOWED_MINUTES, watch.minutes_left)
     is_excused = is_alarm & (watch.minutes_left == 0.0) & is_pushed
     excused = np.where(is_excused, FOLLOWED_MINUTES, np.where(is_alarm, 0.0, watch.excused_minutes))
@@ -79,5 +81,7 @@ def follow_all(watch: MotionWatch) -> MotionWatch:
 
 def pass_motion(watch: MotionWatch, minutes: float) -> MotionWatch:
     """Return the watch some minutes of data later."""
+    if not watch.minutes_left.any():
+        return watch
     left, excused = watch.minutes_left - minutes, watch.excused_minutes - minutes
     return watch._replace(minutes_left=np.maximum(0.0, left), excused_minutes=np.maximum(0.0, excused))
