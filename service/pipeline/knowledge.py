@@ -114,10 +114,17 @@ def learn(knowledge: Knowledge, content: SlowInput, lookup: Lookup) -> Knowledge
             return replace(knowledge, alignment=lookup.alignment(content.alignment_id))
         case Operation():
             return replace(knowledge, operations={**knowledge.operations, content.id: content})
-        case TelemetryRecord() if content.wheel_momentum_n_m_s is not None:
-            newest = knowledge.telemetry
-            return knowledge if newest and newest.epoch_us > content.epoch_us else replace(knowledge, telemetry=content)
-        case InterlockHold():
-            return replace(knowledge, hold=content)
+        case TelemetryRecord() | InterlockHold():
+            return _with_word(knowledge, content)
         case _:
             return knowledge
+
+
+def _with_word(knowledge: Knowledge, told: TelemetryRecord | InterlockHold) -> Knowledge:
+    """Return the knowledge with a word of the interlock, or the newest that was told of the momentum of the wheels."""
+    if isinstance(told, InterlockHold):
+        return replace(knowledge, hold=told)
+    newest_us = 0 if knowledge.telemetry is None else knowledge.telemetry.epoch_us
+    if told.wheel_momentum_n_m_s is None or told.epoch_us < newest_us:
+        return knowledge
+    return replace(knowledge, telemetry=told)

@@ -6,9 +6,16 @@ import numpy as np
 import pytest
 
 from service.pipeline.config import TorqueConfig
-from service.pipeline.wheel_torques import CONTROL_INHIBITIONS, NO_CARRY, compute_command, control_inhibitions
+from service.pipeline.wheel_torques import (
+    CONTROL_INHIBITIONS,
+    NO_CARRY,
+    command_for,
+    compute_command,
+    control_inhibitions,
+)
 from service.records.attitude import Axes, row_without_attitude
-from service.records.catalogue import ControlMode, Method, Onboard, WheelSet
+from service.records.catalogue import ControlMode, FlexibleMode, Method, Onboard, Release, WheelSet
+from service.records.disturbance import Disturbance
 
 S = 1_000_000
 EPOCH = 1_800_000_000 * S
@@ -165,3 +172,106 @@ def test_the_limit_of_the_catalogue_holds_too(craft):
     wild = row(attitude=(0.0, 90.0, 0.0), rates=(0.0, 1.0, 0.0))
     found = command(wild, replace(craft, torque_limit_n_m=0.01)).command
     assert found.torque_n_m.roll == pytest.approx(-0.01, rel=1e-9)
+
+
+def pushed(roll_n_m: float) -> Disturbance:
+    return Disturbance(0, 86_400.0, Axes(0.0, roll_n_m, 0.0), ZERO, ZERO, ZERO)
+
+
+STILL = {"attitude": (0.0, 0.0, 0.0), "rates": (0.0, 0.0, 0.0)}
+
+
+def test_a_known_torque_is_fed_forward(craft):
+    carry = np.zeros(3)
+    given = np.zeros(3)
+    for _ in range(60):
+        outcome = compute_command(row(**STILL), craft, carry, PERIOD_S, TorqueConfig(), pushed(4e-7))
+        carry, given = outcome.carry_n_m_s, given + np.array(outcome.command.impulse_n_m_s)
+    # an hour of it, but for what stays below the shortest pulse
+    np.testing.assert_allclose(given, [0.0, -4e-7 * 3600.0, 0.0], atol=2.1e-4)
+
+
+def test_while_the_interlock_withholds_nothing_is_commanded(craft):
+    outcome = compute_command(row(), craft, np.ones(3), PERIOD_S, TorqueConfig(), is_withheld=True)
+    assert outcome.command.inhibitions == ("tripped",)
+    assert_zero(outcome)
+
+
+def test_a_spacecraft_without_a_law_gives_no_torque_and_says_so(craft):
+    quick = replace(craft, control=replace(craft.control, period_s=10.0))
+    for release in Release:
+        outcome = command(row(), replace(quick, control=replace(quick.control, release=release)))
+        assert outcome.command.inhibitions == ("no_law",)
+        assert_zero(outcome)
+
+
+def test_a_wheel_at_its_limit_of_momentum_takes_no_more(craft):
+    def momentum_of(roll_n_m_s: float) -> tuple[float, ...]:
+        told = compute_command(
+            row(attitude=(0.0, 0.4, 0.0)), craft, NO_CARRY, PERIOD_S, TorqueConfig(), None, (roll_n_m_s, 0.0, 0.0)
+        ).command
+        assert told.saturated is (roll_n_m_s == 20.0)
+        return told.predicted_wheel_momentum_n_m_s
+
+    # roll is pushed back, so its wheel gains momentum
+    assert momentum_of(0.0)[0] > 1e-4
+    assert momentum_of(-20.0)[0] > 1e-4
+    assert momentum_of(20.0)[0] == 0.0
+
+
+def test_a_fourth_wheel_is_kept_away_from_zero_speed(craft):
+    wheels = WheelSet(axes=((1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0), (0.577, 0.577, 0.577)))
+    momentum = (1.0, 1.0, 1.0, 0.05)
+    told = compute_command(
+        row(**STILL), replace(craft, wheels=wheels), NO_CARRY, PERIOD_S, TorqueConfig(), None, momentum
+    ).command
+    ending = np.array(momentum) + told.predicted_wheel_momentum_n_m_s
+    assert np.abs(ending).min() >= 0.2 * (1.0 - 1e-9)
+    np.testing.assert_allclose(np.array(told.wheels_n_m) @ np.array(wheels.axes), 0.0, atol=1e-6)
+
+
+def test_released_in_two_steps_a_command_lies_in_its_period_and_is_its_mean(craft):
+    two_step = replace(craft, control=replace(craft.control, release=Release.TWO_STEP))
+    outcome = compute_command(row(), two_step, np.ones(3), 900.0, TorqueConfig(), pushed(4e-7))
+    found = outcome.command
+    assert not outcome.carry_n_m_s.any()
+    np.testing.assert_allclose(np.array(found.torque_n_m) * 900.0, found.impulse_n_m_s, rtol=1e-12)
+    for pulse in found.schedule:
+        assert pulse.start_us >= found.epoch_us
+        assert pulse.start_us + pulse.duration_s * S <= found.valid_until_us == found.epoch_us + 900 * S
+    # each axis has its pulse back
+    for axis in range(3):
+        signs = {np.sign(pulse.torque_n_m[axis]) for pulse in found.schedule if pulse.torque_n_m[axis]}
+        assert signs == {-1.0, 1.0}
+
+
+def test_a_command_with_a_later_start_knows_where_the_craft_will_be(craft):
+    two_step = replace(craft, control=replace(craft.control, release=Release.TWO_STEP))
+    moving = row(attitude=(0.0, -0.1, 0.0), rates=(0.0, 1e-4, 0.0))
+    # 0.1 deg at 1e-4 deg/s: there in 1000 s, and the rate alone is to be taken
+    found = command_for(moving, two_step, EPOCH + 1000 * S, 900.0, None, TorqueConfig())
+    assert found.epoch_us == EPOCH + 1000 * S
+    assert found.predicted_rate_change_deg_s.roll == pytest.approx(-1e-4, rel=0.02)
+    assert found.attitude_epoch_us == EPOCH
+    weak = command_for(moving, two_step, EPOCH, 900.0, 0.002, TorqueConfig())
+    assert {abs(pulse.torque_n_m.roll) for pulse in weak.schedule} <= {0.0, 0.002}
+    held = command_for(row(inhibitions=("late",)), two_step, EPOCH, 900.0, None, TorqueConfig())
+    assert (held.inhibitions, held.schedule, held.schedule_check) == (("late",), (), None)
+
+
+def test_a_schedule_is_held_against_the_flexible_modes(craft):
+    modes = (FlexibleMode("roll", 0.6, 0.003, 0.4), FlexibleMode("pitch", 0.3, 0.003, 0.4))
+    flexible = replace(craft, modes=modes)
+    assert command(row(), craft).command.schedule_check is None
+    check = command(row(), flexible).command.schedule_check
+    assert check is not None
+    assert (check.verdict, check.suggestion) == ("accept", None)
+    assert 0.0 < check.residual_deg < 1.05 * check.peak_deg
+    assert check.margin == pytest.approx(1.0 - check.peak_deg / TorqueConfig().panel_peak_limit_deg)
+    # half of what it does is allowed
+    strict = replace(TorqueConfig(), panel_peak_limit_deg=check.peak_deg / 2.0)
+    refused = compute_command(row(), flexible, NO_CARRY, PERIOD_S, strict).command.schedule_check
+    assert refused is not None
+    assert refused.verdict == "reject"
+    assert refused.margin < 0.0
+    assert command(row(**STILL), flexible).command.schedule_check is None

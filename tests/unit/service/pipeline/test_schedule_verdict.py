@@ -1,0 +1,89 @@
+"""Verdicts of flexible modes on schedules: what swings is carried from one schedule to the next."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from service.core.flexible.schedule_check import analyse_schedule
+from service.pipeline.config import TorqueConfig
+from service.pipeline.schedule_verdict import PanelSwing, schedule_verdict, swing_after
+from service.records.attitude import Axes
+from service.records.catalogue import FlexibleMode
+from service.records.command import Pulse
+
+S = 1_000_000
+EPOCH = 1_800_000_000 * S
+MODES = (FlexibleMode("pitch", 0.3, 0.003, 0.4), FlexibleMode("roll", 0.6, 0.003, 0.4))
+
+
+def roll(at_s: float, torque_n_m: float = 0.02, duration_s: float = 1.0) -> Pulse:
+    return Pulse(EPOCH + round(at_s * S), duration_s, Axes(0.0, torque_n_m, 0.0))
+
+
+@pytest.fixture
+def craft(payload):
+    return replace(payload.spacecraft(), modes=MODES)
+
+
+def test_the_verdict_is_that_of_the_analysis_of_the_axis(craft):
+    told = schedule_verdict((roll(10.0), roll(40.0)), craft, TorqueConfig())
+    (inertia,) = {craft.inertia_kg_m2[0][0]}
+    own = analyse_schedule(
+        pulses=((0.0, 1.0, 0.02), (30.0, 1.0, 0.02)),
+        inertia_kg_m2=inertia,
+        modes=((0.6, 0.003, 0.4),),
+        peak_allowed_rad=np.radians(TorqueConfig().panel_peak_limit_deg),
+    )
+    assert told is not None
+    assert (told.verdict, told.worst_mode) == (own.verdict, 1)
+    assert told.peak_deg == pytest.approx(np.degrees(own.peak_rad), rel=1e-12)
+    assert told.residual_deg == pytest.approx(np.degrees(own.residual_rad), rel=1e-12)
+
+
+def test_without_modes_or_pulses_there_is_none(craft):
+    assert schedule_verdict((roll(0.0),), replace(craft, modes=()), TorqueConfig()) is None
+    assert schedule_verdict((), craft, TorqueConfig()) is None
+    assert swing_after(None, (roll(0.0),), replace(craft, modes=())) is None
+
+
+def test_what_one_schedule_leaves_counts_for_the_next_and_fades(craft):
+    alone = schedule_verdict((roll(100.0),), craft, TorqueConfig())
+    swing = swing_after(None, (roll(0.0),), craft)
+    soon = schedule_verdict((roll(100.0),), craft, TorqueConfig(), swing)
+    late = schedule_verdict((roll(7200.0),), craft, TorqueConfig(), swing)
+    assert alone is not None
+    assert soon is not None
+    assert late is not None
+    assert soon.peak_deg > 1.5 * alone.peak_deg
+    assert late.peak_deg == pytest.approx(alone.peak_deg, rel=1e-4)
+
+
+def test_two_halves_of_a_schedule_leave_what_the_whole_leaves(craft):
+    first, second = (roll(0.0), roll(20.0, -0.02)), (roll(50.0), roll(61.0, 0.01, 3.0))
+    whole = swing_after(None, (*first, *second), craft)
+    parts = swing_after(swing_after(None, first, craft), second, craft)
+    assert whole is not None
+    assert parts is not None
+    assert whole.at_us == parts.at_us
+    np.testing.assert_allclose(parts.phasor_rad, whole.phasor_rad, rtol=1e-9)
+    assert swing_after(parts, (), craft) is parts
+
+
+def test_a_rejected_schedule_comes_with_what_helps(craft):
+    strict = replace(TorqueConfig(), panel_peak_limit_deg=1.5e-4)
+    period_s = 2.0 * np.pi / 0.6
+    resonant = tuple(roll(k * period_s) for k in range(8))
+    told = schedule_verdict(resonant, craft, strict)
+    assert told is not None
+    assert told.verdict == "reject"
+    assert told.suggestion is not None
+    print(told)
+
+
+def test_swings_of_other_modes_are_forgotten_and_a_mode_without_damping_is_given_a_little(craft):
+    swing = PanelSwing(EPOCH, (1.0 + 0j,))
+    told = schedule_verdict((roll(0.0),), craft, TorqueConfig(), swing)
+    assert told == schedule_verdict((roll(0.0),), craft, TorqueConfig())
+    undamped = replace(craft, modes=(replace(MODES[1], damping_ratio=0.0),))
+    assert schedule_verdict((roll(0.0),), undamped, TorqueConfig()) is not None
