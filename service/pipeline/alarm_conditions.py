@@ -50,7 +50,7 @@ class Condition:
 def condition_table(alarms: AlarmConfig, robust: RobustConfig) -> dict[str, Condition]:
     """Return every condition by name."""
     estimate = (*_of_attitude(alarms), *_of_agreement(robust))
-    rows = (*_of_carriers(), *estimate, *_of_inputs(alarms), *_of_service(alarms))
+    rows = (*_of_carriers(), *estimate, *_of_inputs(alarms), *_of_release(), *_of_service(alarms))
     return {row.name: row for row in rows}
 
 
@@ -218,6 +218,32 @@ def _of_inputs(alarms: AlarmConfig) -> tuple[Condition, ...]:
             "rows that the source has numbered and the archive did not get within the last hour:",
             "see GET .../archive/gaps; `soo send` brings what the front end's spool still holds",
             ConditionLimits(warning=0.0, distress=100.0, on_s=120.0, off_s=60.0, repeat_s=None),
+        ),
+    )
+
+
+def _of_release() -> tuple[Condition, ...]:
+    """Return what is looked at in the release of torques."""
+    return (
+        Condition(
+            "control_tripped",
+            Kind.ABOVE,
+            "s",
+            "reason",
+            Origin.CLOCK,
+            "the interlock tripped and lets no torque go; it has been so for",
+            "find the cause in GET .../control, then POST .../control:reset; ten good minutes later an operator arms",
+            ConditionLimits(distress=0.0, repeat_s=_HOUR_S),
+        ),
+        Condition(
+            "report_late",
+            Kind.ABOVE,
+            "s",
+            "command",
+            Origin.CLOCK,
+            "what became of a released command is not reported; its schedule ended before",
+            "ask the centre what was carried out and POST .../torques/{id}:executed or :failed; no torque goes before",
+            ConditionLimits(distress=600.0, repeat_s=600.0),
         ),
     )
 

@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from service.errors import NotFoundError
 from service.pipeline.alarm_book import Readings
 from service.pipeline.alarm_readings import RowReader
+from service.pipeline.release_interlock.command_states import UNREPORTED
+from service.pipeline.release_interlock.release_document import memory_of
 from service.ports import Clock, Storage
 from service.records.calibration import CalibrationState
 from service.records.epoch import US_PER_S
@@ -63,6 +65,16 @@ class ClockChecks:
         yield from self._age(sources, reader, seen, now_us)
         yield Readings("rows_missing", *_missing(sources, seen, now_us))
         yield from self._links(spacecraft_id)
+
+    def of_release(self, spacecraft_id: str, now_us: int) -> Iterator[Readings]:
+        """Yield what is looked at in the release of torques, as it is stored."""
+        state = memory_of(self._storage.releases.stored(spacecraft_id).document).state
+        tripped_s = max((now_us - state.interlock.since_us) / US_PER_S, _LEAST_AGE_S)
+        trips = tuple(condition.word for condition in state.interlock.trips)
+        yield Readings("control_tripped", trips, (tripped_s,) * len(trips))
+        waiting = [command for command in state.commands if command.life in UNREPORTED]
+        over_s = [(now_us - max(each.proposal.stop_us, each.released_us or 0)) / US_PER_S for each in waiting]
+        yield Readings("report_late", tuple(f"command {each.counter}" for each in waiting), tuple(over_s))
 
     def of_foundations(self, spacecraft_id: str, now_us: int) -> Iterator[Readings]:
         """Yield what is looked at in what the estimate rests on: calibrations and ephemeris."""

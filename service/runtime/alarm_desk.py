@@ -247,6 +247,7 @@ class AlarmDesk:
             return
         case = self._case(spacecraft_id)
         readings = list(self._checks.of_inputs(spacecraft_id, case.reader, now_us))
+        readings += self._checks.of_release(spacecraft_id, now_us)
         if is_thorough:
             readings += self._checks.of_foundations(spacecraft_id, now_us)
         self._check(case, readings, now_us)

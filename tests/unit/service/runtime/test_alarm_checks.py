@@ -1,10 +1,13 @@
 """What the clock finds: rows that do not come, links, gaps, ages, keys that end, a full disk."""
 
 from alarm_rig import HOUR, MINUTE, START, S, append, report
+from desk_driver import DeskDriver
 
+from service.pipeline.release_interlock.release_events import OrderKind
 from service.records.access_key import AccessKey, Role, StoredKey
 from service.records.catalogue import Ephemeris
 from service.records.link import LinkWarning
+from service.records.release import ReleaseChange
 
 
 def test_rows_that_do_not_come_are_missed_after_three_periods_once_they_came_in_time(rig):
@@ -126,3 +129,30 @@ def test_a_key_that_ends_and_a_full_disk_concern_the_service(rig, monkeypatch):
     monkeypatch.setattr(rig.storage, "state", lambda: type(state)(state.schema, state.wanted_schema, 0, 100 * 10**6))
     rig.look(is_thorough=True)
     assert rig.told() == [("raised", True, "disk_full", "archive")]
+
+
+def test_a_trip_alarms_until_it_is_reset_and_a_report_that_does_not_come_as_well(rig):
+    driver = DeskDriver().armed()
+    sent = driver.sent()
+    rig.clock.us = sent.stop_us + 600 * S
+    keep_release(rig, driver)
+    rig.look()
+    assert rig.told() == []
+    rig.clock.us += S
+    rig.look()
+    assert rig.told() == [("raised", True, "report_late", "command 1")]
+    driver.order(OrderKind.STOP)
+    driver.report(1)
+    keep_release(rig, driver)
+    rig.look()
+    assert {told[2:] for told in rig.told()} == {("report_late", "command 1"), ("control_tripped", "stop")}
+    driver.order(OrderKind.RESET)
+    keep_release(rig, driver)
+    rig.look()
+    assert rig.told() == [("returned", True, "control_tripped", "stop")]
+
+
+def keep_release(rig, driver):
+    """Store what a desk has stored."""
+    releases, document = rig.storage.releases, driver.releases.stored_release.document
+    releases.save("craft", releases.stored("craft").version, ReleaseChange(document, "test"))
