@@ -58,8 +58,8 @@ def test_commanded_motion_is_told_as_far_as_it_reaches_beyond_the_alignment_in_t
     chain, archive = Mock(), Mock()
     plan, correction = PlanChange(1), Correction(100, 200, Axes(0.1, 0.0, 0.0))
     archive.slow_inputs_before.return_value = [JournalEntry(7, plan)]
-    pages = {"correction": [JournalEntry(5, correction), JournalEntry(60, correction)], "applied_command": []}
-    archive.inputs.side_effect = lambda _craft, kind, _window, _limit, _after: pages[kind]
+    pages = {"correction": [JournalEntry(5, correction), JournalEntry(60, correction)]}
+    archive.inputs.side_effect = lambda _craft, kind, _window, _limit, _after: pages.get(kind, [])
     prepare(chain, archive, "y", 50, 150)
     assert [call.args[0] for call in chain.learn.call_args_list] == [correction, plan]
     assert {call.args[1] for call in archive.inputs.call_args_list} == set(MOTION_KINDS)
