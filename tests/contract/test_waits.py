@@ -106,8 +106,6 @@ def test_a_server_that_stopped_is_not_waited_for_without_end(server, stopped):
     futures = [server.storage.archive.append_measurements(server.batch([epoch])) for epoch in range(100)]
     assert {failed(future) for future in futures} == {"storage.unavailable"}
     assert time.monotonic() - began < BOUND_S
-    with pytest.raises(StorageError, match=r"not answered|no connection"):
-        server.rows()
     for pid in stopped:
         os.kill(pid, signal.SIGCONT)
     # what was given up may have been carried out, a part of it, after all

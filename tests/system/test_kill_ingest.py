@@ -39,7 +39,7 @@ def stored_rows(database, copy):
 
 
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("kills", [5, pytest.param(KILLS_OF_A_NIGHT, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("kills", [3, pytest.param(KILLS_OF_A_NIGHT, marks=pytest.mark.nightly)])
 def test_kills_of_the_service_lose_and_double_nothing(start_service, spacecraft, carriers, tmp_path, chaos, kills):
     print(f"seed {SEED}")
     instants = random.Random(SEED)

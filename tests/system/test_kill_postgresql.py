@@ -43,7 +43,7 @@ def url(durable_postgresql_cluster):
 @pytest.mark.parametrize(
     ("kills", "victims"),
     [
-        (4, ("service", "server", "both")),
+        (3, ("service", "server", "both")),
         *(
             pytest.param(KILLS_OF_A_NIGHT, (victim,), marks=pytest.mark.nightly)
             for victim in ("service", "server", "both")
