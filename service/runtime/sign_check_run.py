@@ -14,7 +14,7 @@ import numpy as np
 from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S
 from service.core.control.sign_check import Circumstances, Decision, Verdict, decide, weigh, wheel_decision
 from service.core.control.sign_profiles import Profile, pitch_profile, roll_profile, yaw_profile
-from service.core.control.slew_schedule import AxisPulse, Drive, plan_slew
+from service.core.control.slew_schedule import LONGEST_SHARE, AxisPulse, Drive, plan_slew
 from service.core.estimation.filtering.filter_model import CarrierModel
 from service.pipeline.release_interlock.release_settings import ReleaseSettings, microseconds
 from service.records.attitude import Axes, FloatArray
@@ -26,7 +26,7 @@ AXES = ("yaw", "roll", "pitch")
 #: time from the middle of a leg's first pulse to that of its second, s; roll slower, so that it stays in the envelope
 _SAILING_S = {"yaw": 600.0, "roll": 400.0, "pitch": 300.0}
 #: share of its time in which a slew of two pulses sails
-_SAILING_SHARE = 0.75
+_SAILING_SHARE = 1.0 - LONGEST_SHARE
 #: more rows than this are averaged before they are weighed: time grows with the third power
 _MOST_ROWS = 100
 _LEAST_ROWS = 4

@@ -93,14 +93,14 @@ def fly_unit(unit: LoopUnit) -> LoopResult:
         documents = Documents()
         plan = documents.add_plan(ground.carriers)
         try:
-            controller = _controller(unit, ground, documents, plan)
+            controller = controller_of(unit, ground, documents, plan)
         except UndrivenError as error:
             return LoopResult(unit, time.monotonic() - began_s, str(error))
-        flight = _fly(plant, controller, _Journal(ground, documents, plan.plan_id))
+        flight = _fly(plant, controller, GroundJournal(ground, documents, plan.plan_id))
     return LoopResult(unit, time.monotonic() - began_s, "", flight)
 
 
-def _controller(unit: LoopUnit, ground: Ground, documents: Documents, plan: PlanChange) -> Controller:
+def controller_of(unit: LoopUnit, ground: Ground, documents: Documents, plan: PlanChange) -> Controller:
     """Return who closes the loop."""
     is_ideal = unit.uplink == "ideal"
     spacecraft = _flown_spacecraft(ground.spacecraft, Release.AUTOMATIC if is_ideal else Release.TWO_STEP)
@@ -139,7 +139,7 @@ def _config(unit: LoopUnit) -> ChainConfig:
 
 
 @dataclass
-class _Journal:
+class GroundJournal:
     """Hands measurements and slow inputs to whoever reads powers."""
 
     ground: Ground
@@ -164,7 +164,7 @@ class _Journal:
         return Measurement(epoch_us, epoch_us, self.number, source, self.plan_id, power_dbm, None, feeds_estimator=True)
 
 
-def _fly(plant: PlantProcess, controller: Controller, journal: _Journal) -> Flight:
+def _fly(plant: PlantProcess, controller: Controller, journal: GroundJournal) -> Flight:
     """Fly to the end of the story."""
     truth, estimates, inhibited, faded = [], [], [], []
     impulse, reported, sent = np.zeros(3), dict.fromkeys(STATES, 0), 0

@@ -1,0 +1,101 @@
+"""The sign check against the plant: a wheel whose sign is wrong is found before a tenth of a degree is lost."""
+
+import numpy as np
+import pytest
+
+from service.core.control.sign_check import Verdict
+from service.pipeline.config import TorqueConfig
+from service.pipeline.control_design import control_design
+from service.pipeline.release_interlock.release_settings import ReleaseSettings
+from service.records.attitude import Axes
+from service.records.command import Pulse
+from service.records.epoch import US_PER_S
+from service.runtime.sign_check_run import SignCheckRun
+from service.study.closed_loop.controllers import LEAD_S, Sensing
+from service.study.closed_loop.ground_knowledge import ground_of
+from service.study.closed_loop.plant_process import PlantProcess, PlantRow
+from service.study.closed_loop.run import GroundJournal, LoopUnit, controller_of
+from service.study.estimation.journal import Documents
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
+
+SEED = 2
+
+
+class CheckedCraft:
+    """A craft in the plant, the chain that hears its powers, and the sign check of one axis."""
+
+    def __init__(self, plant: PlantProcess, axis: str) -> None:
+        ground = ground_of(plant.opening())
+        documents = Documents()
+        plan = documents.add_plan(ground.carriers)
+        unit = LoopUnit("nominal", SEED, Sensing.AUTOMATIC)
+        self.controller = controller_of(unit, ground, documents, plan)
+        self.journal = GroundJournal(ground, documents, plan.plan_id)
+        self.plant, self.axis = plant, axis
+        self.design = control_design(ground.spacecraft, TorqueConfig())
+        self.check: SignCheckRun | None = None
+        self.sent: dict[int, tuple[Pulse, ...]] = {}
+
+    def take(self, row: PlantRow) -> Verdict:
+        """Take a row and send the next leg when it is due; return what the powers say."""
+        self.journal.learn(row, self.controller)
+        self.controller.chain.step(self.journal.measurement(row))
+        runner = self.controller.chain._runners[0]
+        epoch_us = row.truth.epoch_us
+        if self.check is None:
+            inertia = self.design.gains.inertia_kg_m2
+            attitude = runner._last[0].row.attitude_deg
+            settings = ReleaseSettings()
+            self.check = SignCheckRun(self.axis, "test", epoch_us, Axes(*attitude), inertia, True, settings)
+        self.check.see(epoch_us, runner._model.filter, runner._last[0].deviation_db)
+        for report in row.reports:
+            if report.state == "executed":
+                self.check.done.append(self.sent[report.counter])
+                self.check.pending = None
+        self.plant.send(*self._leg(epoch_us + round(LEAD_S * US_PER_S)))
+        decision = self.check.decision()
+        return Verdict.OPEN if decision is None else decision.verdict
+
+    def _leg(self, start_us: int) -> tuple[tuple[Pulse, ...], int | None]:
+        """Return the next leg and its counter; nothing where none is due."""
+        if not self.check.is_leg_due(start_us):
+            return (), None
+        pulses = tuple(
+            Pulse(
+                start_us + round(pulse.start_s * US_PER_S),
+                pulse.duration_s,
+                Axes(*(pulse.torque_n_m if axis == pulse.axis else 0.0 for axis in range(3))),
+            )
+            for pulse in self.check.leg(self.design.drive)
+        )
+        counter = len(self.sent) + 1
+        self.sent[counter] = pulses
+        self.check.pending, self.check.pending_us = counter, start_us
+        return pulses, counter
+
+
+@pytest.mark.parametrize(
+    ("axis", "response", "expected"),
+    [
+        ("roll", "roll=-1", Verdict.MINUS),
+        ("roll", "roll=1", Verdict.PLUS),
+        pytest.param("pitch", "pitch=-1", Verdict.MINUS, marks=pytest.mark.nightly),
+    ],
+)
+def test_a_wrong_wheel_sign_is_found_before_a_tenth_of_a_degree_is_lost(axis, response, expected):
+    place = ("yaw", "roll", "pitch").index(axis)
+    with PlantProcess("nominal", SEED, "link", 0.05, ("--response", response)) as plant:
+        craft = CheckedCraft(plant, axis)
+        angles, verdict = [], Verdict.OPEN
+        for row in plant.rows():
+            angles.append(row.truth.attitude_deg[place])
+            verdict = craft.take(row)
+            if verdict is not Verdict.OPEN:
+                break
+    lost = float(np.abs(np.array(angles) - angles[0]).max())
+    print(f"seed {SEED}, {response}: {verdict.value} after {len(angles)} min, {lost:.3f} deg of {axis} lost")
+    assert verdict is expected
+    assert lost < 0.1
+    # the time of the check, and the way of its first leg to the craft
+    assert len(angles) <= 45 + LEAD_S / 60.0
