@@ -34,6 +34,8 @@ _EXIT_DAYS = 2.0
 #: seconds between two prints of the tracking table away from a terminal
 _PRINT_EVERY_S = 3.0
 _ROWS_A_CHUNK = 60.0
+#: an answer may take so long on a machine that has much else to do, s
+_PATIENCE_S = 60.0
 
 
 def demo(
@@ -220,7 +222,7 @@ def _play(
     directory: Path, endpoints: Endpoints, presenter: Presenter, figure: Path | None, alone: _Alone
 ) -> dict[str, Any]:
     """Run the story to its end and return its figures."""
-    with ServiceClient(endpoints.service_url, endpoints.key) as client:
+    with ServiceClient(endpoints.service_url, endpoints.key, timeout_s=_PATIENCE_S) as client:
         try:
             story = run_story(directory, endpoints, client, presenter.show)
         finally:
