@@ -8,6 +8,7 @@ before.
 """
 
 import fcntl
+import logging
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from db.writer import Writer
 
 Result = TypeVar("Result")
+_log = logging.getLogger(__name__)
 
 #: any number, the same in every process; another one than those of writers and migrations
 _LOCK = 5_210_121
@@ -118,11 +120,12 @@ class _FileHold:
         self._file: int | None = None
 
     def take(self) -> bool:
-        if self._file is not None:
+        if self.is_held():
             return True
         try:
             file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-        except OSError:
+        except OSError as fault:
+            _log.warning("the lease cannot be taken: %s", fault)
             return False
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -133,11 +136,23 @@ class _FileHold:
         return True
 
     def is_held(self) -> bool:
-        return self._file is not None
+        if not self._is_ours():
+            self.give_back()
+            return False
+        return True
 
     def demand(self, connection: Connection) -> None:  # noqa: ARG002 - the protocol's signature
-        if self._file is None:
+        if not self._is_ours():
             raise _lost()
+
+    def _is_ours(self) -> bool:
+        """Return whether the locked file stands under its name: one that was taken away keeps nobody out."""
+        file = self._file
+        try:
+            # asked at every commit of results
+            return file is not None and os.path.samestat(os.fstat(file), os.stat(self._path))  # noqa: PTH116
+        except OSError:
+            return False
 
     def give_back(self) -> None:
         if self._file is not None:

@@ -1,5 +1,7 @@
 """The lease: one service of an archive has it, the next one gets it, and nothing is written under a lost one."""
 
+from pathlib import Path
+
 import pytest
 
 from db.storage import SqlStorage
@@ -80,6 +82,19 @@ def test_who_never_asked_for_it_writes_as_before(setting, twin, make):
     setting.append([10])
     row = setting.rows()[0]
     assert setting.consume([outcome_of(row, make)]) == 2
+
+
+def test_a_lock_on_a_file_that_was_taken_away_is_none(setting, twin, url):
+    if not url.startswith("sqlite"):
+        pytest.skip("a server keeps its locks itself")
+    first = setting.storage
+    assert first.lease.take()
+    Path(f"{url.removeprefix('sqlite:///')}-lease").unlink()
+    assert twin.lease.take()
+    assert not first.lease.is_held()
+    with pytest.raises(StorageError, match=r"lease\.lost"):
+        first.alarms.save_memory(setting.id, BookMemory())
+    assert not first.lease.take()
 
 
 def test_an_archive_that_is_away_gives_no_lease(tmp_path):
