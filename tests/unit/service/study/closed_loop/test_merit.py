@@ -115,4 +115,6 @@ def test_table_document_and_figure_hold_every_group(tmp_path):
     document = json.loads(json.dumps(as_document(campaign, "command"), allow_nan=False))
     assert [run["refusal"] for run in document["runs"]] == ["", "refused"]
     assert document["groups"][1]["largest_deg"][0] == [None] * 3
-    assert [path.stat().st_size > 10_000 for path in draw_campaign(campaign, tmp_path)] == [True]
+    drawn = draw_campaign(campaign, tmp_path)
+    assert [path.stem for path in drawn] == [f"closed-loop-nominal{kind}" for kind in ("", "-run", "-percentiles")]
+    assert all(path.stat().st_size > 10_000 for path in drawn)
