@@ -29,6 +29,8 @@ class KnownFacts:
     """What holds for a spacecraft until somebody says otherwise."""
 
     spacecraft: Spacecraft
+    #: of what a torque's effect depends on
+    version: int
     is_aligned: bool
     plan_id: int | None
     calibration_id: int | None
@@ -58,6 +60,7 @@ def read_facts(storage: Storage, spacecraft_id: str, now_us: int) -> KnownFacts:
     operations = [entry.content for entry in storage.archive.inputs(spacecraft_id, "operation", window, _AT_ONCE, None)]
     return KnownFacts(
         spacecraft=spacecraft,
+        version=version_of(spacecraft),
         is_aligned=bool(storage.results.alignments(spacecraft_id)),
         plan_id=_plan_id(storage, spacecraft_id),
         calibration_id=_calibration_id(storage, spacecraft),
@@ -95,7 +98,7 @@ def surroundings_of(facts: KnownFacts, now_us: int, *, lease_holders: int, disag
         ephemeris_stop_us=facts.ephemeris_stop_us,
         calibration_id=facts.calibration_id,
         plan_id=facts.plan_id,
-        spacecraft_version=version_of(facts.spacecraft),
+        spacecraft_version=facts.version,
         momentum_share=_momentum_share(facts.spacecraft, facts.momentum_n_m_s(now_us)),
         lease_holders=lease_holders,
         disagreement_deg=disagreement_deg,

@@ -187,20 +187,31 @@ def _has_been_good(interlock: Interlock, at: Instant, settings: ReleaseSettings)
 
 def _holds(guard: Guard, interlock: Interlock, at: Instant, settings: ReleaseSettings, asked: Request | None) -> bool:
     """Whether a guard lets a transition happen."""
-    beyond = is_beyond(interlock.row, settings)
-    may_arm = not interlock.inhibiting and _has_been_good(interlock, at, settings)
-    verdicts = {
-        Guard.ALWAYS: True,
-        Guard.BEYOND_AND_ARMED: interlock.is_armed and beyond,
-        Guard.AUTHORISED: interlock.authorisation is not None,
-        Guard.ARMED: interlock.is_armed,
-        Guard.MAY_ARM_BEYOND: may_arm and beyond,
-        Guard.MAY_ARM: may_arm,
-        Guard.SECOND_PERSON: _is_second(interlock.request, asked, settings),
-        Guard.FIRST_PERSON: _is_first(interlock.request, asked, settings),
-        Guard.NO_TRIP_STANDS: not any(c.consequence is Consequence.TRIP for c in interlock.standing),
-    }
-    return verdicts[guard]
+    match guard:
+        case Guard.SECOND_PERSON:
+            return _is_second(interlock.request, asked, settings)
+        case Guard.FIRST_PERSON:
+            return _is_first(interlock.request, asked, settings)
+        case Guard.MAY_ARM | Guard.MAY_ARM_BEYOND:
+            may_arm = not interlock.inhibiting and _has_been_good(interlock, at, settings)
+            return may_arm and (guard is Guard.MAY_ARM or is_beyond(interlock.row, settings))
+        case _:
+            return _stands(guard, interlock, settings)
+
+
+def _stands(guard: Guard, interlock: Interlock, settings: ReleaseSettings) -> bool:
+    """Whether a guard holds that asks for no person and no time."""
+    match guard:
+        case Guard.AUTHORISED:
+            return interlock.authorisation is not None
+        case Guard.ARMED:
+            return interlock.is_armed
+        case Guard.BEYOND_AND_ARMED:
+            return interlock.is_armed and is_beyond(interlock.row, settings)
+        case Guard.NO_TRIP_STANDS:
+            return not any(c.consequence is Consequence.TRIP for c in interlock.standing)
+        case _:
+            return guard is Guard.ALWAYS
 
 
 def _is_second(open_request: Request | None, asked: Request | None, settings: ReleaseSettings) -> bool:

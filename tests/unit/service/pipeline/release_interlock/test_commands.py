@@ -155,7 +155,7 @@ def test_proposals_that_must_not_go_are_refused(driver, change, code):
     [
         {"roll_deg": 0.11, "horizon_s": 3600.0},
         {"roll_deg": 0.09, "horizon_s": 300.0},
-        {"roll_deg": 0.0, "pitch_deg": 0.1, "horizon_s": 400.0},
+        {"roll_deg": 0.0, "pitch_deg": 0.1, "horizon_s": 300.0},
     ],
 )
 def test_beyond_the_envelope_a_command_is_refused_never_clipped(driver, wish):
@@ -175,9 +175,9 @@ def test_the_hour_holds_over_many_commands_and_frees_itself():
         report(driver, Turn.EXECUTED, counter=driver.state.commands[-1].counter)
         went += 1
     assert step.refusal.code == "envelope.exceeded"
-    # 0.010756 N m s each
-    assert went == 9
-    assert sent_within_an_hour(driver.state, driver.now_us)[1] == pytest.approx(9 * 0.010756, rel=1e-3)
+    # 0.008964 N m s each
+    assert went == 11
+    assert sent_within_an_hour(driver.state, driver.now_us)[1] == pytest.approx(11 * 0.008964, rel=1e-3)
     driver.rows(60)
     assert driver.prepare(roll_deg=0.08).refusal is None
 
