@@ -148,6 +148,8 @@ class _Sorted:
 def prepare(spacecraft_key: int, batch: MeasurementBatch) -> PreparedBatch:
     """Return the batch with its rows as bytes."""
     has_flags = np.array([row is not None for row in batch.flags], dtype=np.bool_)
+    # nothing to compare, and it is what front ends send as long as all is well
+    is_single = len(has_flags) == 1
     return PreparedBatch(
         spacecraft_key,
         batch,
@@ -155,8 +157,8 @@ def prepare(spacecraft_key: int, batch: MeasurementBatch) -> PreparedBatch:
         powers=pack_powers(batch.power_dbm),
         flags=_flags(batch) if has_flags.any() else NO_FLAGS,
         has_flags=has_flags,
-        is_ascending=bool(np.all(batch.epochs_us[1:] > batch.epochs_us[:-1])),
-        is_even=bool(np.all(np.diff(batch.index) == 1) and has_flags.all() == has_flags.any()),
+        is_ascending=is_single or bool(np.all(batch.epochs_us[1:] > batch.epochs_us[:-1])),
+        is_even=is_single or bool(np.all(np.diff(batch.index) == 1) and has_flags.all() == has_flags.any()),
         details=prepare_details(batch.details),
     )
 
