@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from service.core.control.attitude_law import proportional_derivative_torque
 from service.core.control.quaternion_law import (
     GEOSTATIONARY_RATE_RAD_S,
     body_rate_rad_s,
@@ -24,7 +23,9 @@ LOOP = {"period_s": 7200.0, "damping": 0.9, "torque_limit_n_m": 0.05, "command_p
 def test_without_coupling_small_angles_give_the_law_of_three_axes():
     gains = loop_gains(INERTIA, **LOOP, orbital_rate_rad_s=0.0)
     angles, rates = np.array([0.05, -0.1, 0.08]), np.array([1e-5, 2e-5, -3e-5])
-    expected = proportional_derivative_torque(angles, rates, np.array([2500.0, 2600.0, 1400.0]), 7200.0, 0.9)
+    omega = 2.0 * np.pi / 7200.0
+    wanted = omega**2 * np.deg2rad(angles) + 1.8 * omega * np.deg2rad(rates)
+    expected = -np.array([2500.0, 2600.0, 1400.0]) * wanted
     # products of two angles: 0.1 deg is 1.7e-3 rad
     np.testing.assert_allclose(feedback_torque(gains, angles, rates), expected, atol=2e-3 * np.abs(expected).max())
 
