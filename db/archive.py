@@ -15,6 +15,7 @@ from db.ingest import prepare
 from db.ingest_together import StoreBatch
 from db.measurement_pages import EVER, Chosen, MeasurementPages
 from db.measurement_runs import Cursor
+from db.segments import DAY_US
 from db.slow_inputs import revise_operation, store_inputs, store_operation
 from db.tables import carrier_plan, head, journal, operation, source
 from service.errors import InvalidInputError, NotFoundError
@@ -30,6 +31,8 @@ from service.records.series import HeadState, InputReceipt, MeasurementSeries, R
 
 #: rows of a page that is read as blocks: what a page asks of the database takes longer than a sealed day
 BLOCK_PAGE_ROWS = 32_768
+#: blocks of a longer span would drive out of memory what others read again and again
+_SCAN_US = 15 * DAY_US
 #: kinds of slow inputs that stand at one epoch
 _POINT_KINDS = ("reference", "telemetry")
 
@@ -191,9 +194,12 @@ class SqlArchive:
 
     def _blocks(self, key: int, chosen: Chosen) -> Iterator[MeasurementBlock]:
         after: Cursor | None = None
+        cache, window = self._database.segments, chosen.window
+        if window.stop_us - window.start_us > _SCAN_US:
+            cache = cache.for_scan()
         while True:
             with self._database.read() as connection:
-                blocks, after = self._pages(connection, key).read_blocks(chosen, BLOCK_PAGE_ROWS, after)
+                blocks, after = MeasurementPages(connection, cache, key).read_blocks(chosen, BLOCK_PAGE_ROWS, after)
             yield from blocks
             if after is None:
                 return

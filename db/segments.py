@@ -148,11 +148,27 @@ class SegmentCache:
             while self._bytes > self._size_bytes and len(self._held) > 1:
                 self._bytes -= self._held.popitem(last=False)[1][0]
 
+    def for_scan(self) -> "SegmentCache":
+        """Return a cache for one reader of more than fits: it finds what is held here and adds nothing."""
+        return _ScanCache(self)
+
     def clear(self) -> None:
         """Forget every piece."""
         with self._lock:
             self._held.clear()
             self._bytes = 0
+
+
+class _ScanCache(SegmentCache):
+    """What `SegmentCache.for_scan` returns."""
+
+    def __init__(self, shared: SegmentCache) -> None:
+        super().__init__(size_bytes=0)
+        self._shared = shared
+
+    def get(self, head: SegmentHead) -> SegmentPiece | None:
+        """Return the piece of a head, if it was the last one, or is held for everybody."""
+        return super().get(head) or self._shared.get(head)
 
 
 def crc32_of(head: SegmentHead, blobs: Blobs) -> int:

@@ -14,8 +14,8 @@ from service.formats.numbers import text_of_float32
 from service.formats.row_kernel import EPOCH_BYTES, LAST_EPOCH_US, VALUE_BYTES, FillRows, Places, compiled_fill_rows
 from service.records.epoch import format_epoch
 
-#: rows written at once; the text of 32 carriers takes 6 MB
-BLOCK_ROWS = 10_000
+#: rows written at once; room for the text of 32 carriers takes 2 MB
+BLOCK_ROWS = 2_500
 
 
 class RowFrame(NamedTuple):
