@@ -29,8 +29,9 @@ class KnownFacts:
     """What holds for a spacecraft until somebody says otherwise."""
 
     spacecraft: Spacecraft
-    #: of what a torque's effect depends on
+    #: of what a torque's effect depends on, and of the control settings
     version: int
+    control_version: int
     is_aligned: bool
     plan_id: int | None
     calibration_id: int | None
@@ -60,7 +61,8 @@ def read_facts(storage: Storage, spacecraft_id: str, now_us: int) -> KnownFacts:
     operations = [entry.content for entry in storage.archive.inputs(spacecraft_id, "operation", window, _AT_ONCE, None)]
     return KnownFacts(
         spacecraft=spacecraft,
-        version=version_of(spacecraft),
+        version=version_of(*_mechanics(spacecraft)),
+        control_version=version_of(spacecraft.control),
         is_aligned=bool(storage.results.alignments(spacecraft_id)),
         plan_id=_plan_id(storage, spacecraft_id),
         calibration_id=_calibration_id(storage, spacecraft),
@@ -99,22 +101,21 @@ def surroundings_of(facts: KnownFacts, now_us: int, *, lease_holders: int, disag
         calibration_id=facts.calibration_id,
         plan_id=facts.plan_id,
         spacecraft_version=facts.version,
+        control_version=facts.control_version,
         momentum_share=_momentum_share(facts.spacecraft, facts.momentum_n_m_s(now_us)),
         lease_holders=lease_holders,
         disagreement_deg=disagreement_deg,
     )
 
 
-def version_of(spacecraft: Spacecraft) -> int:
-    """Return a number that changes with all that a torque's effect depends on, and with nothing else."""
-    parts = (
-        spacecraft.inertia_kg_m2,
-        spacecraft.torque_limit_n_m,
-        spacecraft.wheels,
-        spacecraft.modes,
-        spacecraft.onboard,
-        spacecraft.control,
-    )
+def _mechanics(spacecraft: Spacecraft) -> tuple[object, ...]:
+    """Return all that a torque's effect depends on: a sign is proven for these."""
+    craft = spacecraft
+    return craft.inertia_kg_m2, craft.torque_limit_n_m, craft.wheels, craft.modes, craft.onboard
+
+
+def version_of(*parts: object) -> int:
+    """Return a number that changes with some parts of the catalogue, and with nothing else."""
     return int.from_bytes(sha256(repr(parts).encode()).digest()[:6], "big")
 
 

@@ -32,6 +32,8 @@ class FakeReleases:
     told: list = field(default_factory=list)
     saves: int = 0
     is_away: bool = False
+    #: whether the answer of the next change that is stored is lost
+    is_answer_lost: bool = False
     #: "before" or "after" the next change is stored
     kill: str | None = None
 
@@ -59,6 +61,9 @@ class FakeReleases:
         self.saves += 1
         if kill == "after":
             raise KilledError
+        if self.is_answer_lost:
+            self.is_answer_lost = False
+            raise StorageError("storage.unavailable", "no answer")
         return version + 1
 
     def command(self, spacecraft_id, counter):

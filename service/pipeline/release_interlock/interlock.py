@@ -68,8 +68,8 @@ class Interlock:
     #: since when no condition inhibits
     good_since_us: int | None = None
     is_armed: bool = False
-    #: calibration, plan and spacecraft with which it was armed
-    armed_with: tuple[int | None, int | None, int | None] | None = None
+    #: calibration, plan, spacecraft and control settings with which it was armed
+    armed_with: tuple[int | None, ...] | None = None
     request: Request | None = None
     authorisation: Authorisation | None = None
     #: latched until reset
@@ -103,9 +103,10 @@ class Interlock:
         return tuple(dict.fromkeys(words))
 
     @property
-    def configuration(self) -> tuple[int | None, int | None, int | None]:
+    def configuration(self) -> tuple[int | None, ...]:
         """What must not change while control is armed."""
-        return self.around.calibration_id, self.around.plan_id, self.around.spacecraft_version
+        around = self.around
+        return around.calibration_id, around.plan_id, around.spacecraft_version, around.control_version
 
 
 def settle(interlock: Interlock, at: Instant, unreported: Unreported, settings: ReleaseSettings) -> Interlock:

@@ -100,6 +100,8 @@ class Surroundings:
     plan_id: int | None = None
     #: version of the catalogue's inertia and wheels; signs are proven for one version
     spacecraft_version: int | None = None
+    #: version of its control settings
+    control_version: int | None = None
     #: of the fullest wheel; None: no telemetry
     momentum_share: float | None = None
     lease_holders: int = 1

@@ -53,8 +53,10 @@ def memory_of(document: str) -> ReleaseMemory:
 def essence(state: ReleaseState) -> ReleaseState:
     """Return what of a state must not be lost; rows and surroundings are told anew after a restart."""
     interlock = state.interlock
-    calibration_id, plan_id, version = interlock.configuration
-    around = Surroundings(calibration_id=calibration_id, plan_id=plan_id, spacecraft_version=version)
+    calibration_id, plan_id, version, control = interlock.configuration
+    around = Surroundings(
+        calibration_id=calibration_id, plan_id=plan_id, spacecraft_version=version, control_version=control
+    )
     kept = replace(
         interlock,
         row=None,

@@ -341,6 +341,29 @@ def test_facts_of_the_archive_reach_the_interlock(driver):
     assert driver.view.trips == ("configuration",)
 
 
+def test_other_control_settings_trip_and_keep_the_proven_signs_other_wheels_do_not(driver):
+    driver.armed()
+    driver.archive.change_craft(damping=0.7)
+    driver.tell()
+    assert (driver.view.trips, driver.view.proven_axes) == (("configuration",), ("roll", "pitch"))
+    driver.archive.change_craft(wheels=replace(driver.archive.craft.wheels, torque_quantum_n_m=0.001))
+    driver.tell()
+    assert driver.view.proven_axes == ()
+
+
+def test_a_release_that_was_stored_without_an_answer_is_not_sent_again(driver):
+    driver.armed()
+    command = driver.prepare()
+    driver.releases.is_answer_lost = True
+    with pytest.raises(StorageError):
+        driver.confirm(command)
+    assert len(driver.releases.released) == 1
+    with pytest.raises(ConflictError, match=r"command\.state"):
+        driver.confirm(command)
+    assert (len(driver.releases.released), driver.state) == (1, "INHIBITED")
+    assert driver.view.trips == ()
+
+
 def test_a_command_that_did_nothing_trips_when_it_is_reported_executed(driver):
     evidence = CommandEvidence(None, None, 0.0, 12.0)
     driver.armed()
