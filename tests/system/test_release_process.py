@@ -203,13 +203,10 @@ def test_no_command_changes_more_than_the_envelope_and_none_is_clipped_to_it(cli
     ground.rows(100, away_deg)
     ground.post("/control:arm")
     boris = ground.key("Boris", "approver")
+    # the law plans within what one command may do; an hour has room for five of the largest
     shown = ground.post("/torques:prepare", {**WHY, "dry_run": True})
-    failing = [check for check in shown["checks"] if not check["ok"]]
-    assert [check["name"] for check in failing] == ["envelope"]
-    assert "angle_change_deg" in failing[0]["detail"]
-    assert abs(shown["predicted"]["angle_change_deg"]["roll"]) > 0.1
-    assert ground.refused("/torques:prepare", WHY) == (409, "envelope.exceeded")
-    # a shorter one is smaller; an hour has room for five of the largest
+    assert abs(shown["predicted"]["angle_change_deg"]["roll"]) <= 0.1
+    assert abs(shown["predicted"]["peak_rate_deg_s"]["roll"]) <= 3e-4
     gross = []
     while len(gross) < 10:
         answer = ground.ask("/torques:prepare", {**WHY, "duration_s": 600.0})
@@ -220,9 +217,12 @@ def test_no_command_changes_more_than_the_envelope_and_none_is_clipped_to_it(cli
         gross.append(command["gross_impulse_n_m_s"]["roll"])
         ground.post(f"{path}:confirm", {"digest": command["digest"]}, key=boris)
         ground.post(f"{path}:failed")
-    assert answer.json()["code"] == "envelope.exceeded", answer.text
+    assert (answer.status_code, answer.json()["code"]) == (409, "envelope.exceeded"), answer.text
     assert "impulse_an_hour_n_m_s" in answer.json()["detail"]
-    assert len(gross) >= 5
+    shown = ground.post("/torques:prepare", {**WHY, "duration_s": 600.0, "dry_run": True})
+    assert [check["name"] for check in shown["checks"] if not check["ok"]] == ["envelope"]
+    assert shown["gross_impulse_n_m_s"]["roll"] == pytest.approx(gross[0], rel=0.3), "not cut down to what is left"
+    assert len(gross) >= 4
     assert 0.0 < max(gross) <= IMPULSE_N_M_S
     assert sum(gross) <= 5 * IMPULSE_N_M_S
     assert ground.get("/control")["sent_impulse_n_m_s"]["roll"] == pytest.approx(sum(gross))
