@@ -27,6 +27,8 @@ async def test_minimal_spacecraft_gets_the_defaults_of_the_contract(soo, spacecr
         "release": "two_step",
         "period_s": 7200,
         "damping": 0.9,
+        "command_period_s": 900.0,
+        "forecast_horizon_s": 3600.0,
     }
     assert document["onboard"] == {
         "fast_loop": False,
@@ -55,7 +57,15 @@ async def test_full_spacecraft_reads_back_as_sent(soo, spacecraft):
             "roll_yaw_coupling": False,
             "residual_torque_n_m": 5e-7,
         },
-        "control": {"method": "paper", "mode": "ground", "release": "automatic", "period_s": 3600, "damping": 0.7},
+        "control": {
+            "method": "paper",
+            "mode": "ground",
+            "release": "automatic",
+            "period_s": 3600,
+            "damping": 0.7,
+            "command_period_s": 1200,
+            "forecast_horizon_s": 2400,
+        },
     }
     created = await soo.client.post(URL, json=document)
     assert created.status_code == 201, created.text
@@ -113,6 +123,7 @@ BAD: list[tuple[str, dict[str, Any], str, str]] = [
     ("wheel axis zero", {"wheels": {"axes": [[0, 0, 0], [0, 1, 0], [0, 0, 1]]}}, "wheels.axis_zero", "/wheels/axes"),
     ("wheels in a plane", {"wheels": {"axes": [[1, 0, 0], [0, 1, 0], [1, 1, 0]]}}, "wheels.axes_span", "/wheels/axes"),
     ("two wheels", {"wheels": {"axes": [[1, 0, 0], [0, 1, 0]]}}, "value.length", "/wheels/axes"),
+    ("gains that saturate", {"control": {"period_s": 60.0}}, "control.gains", "/control/period_s"),
     ("quantum above limit", {"wheels": {"torque_quantum_n_m": 0.06}}, "wheels.quantum", "/wheels"),
     ("momentum limit", {"wheels": {"momentum_limit_n_m_s": -1}}, "value.range", "/wheels/momentum_limit_n_m_s"),
     (

@@ -32,6 +32,7 @@ def create_spacecraft(
     """Add a spacecraft; 409 when its id exists."""
     if "mode" in body.control.model_fields_set:
         _check_ground_control(body)
+    _check_gains(body)
     context.storage.catalogue.add_spacecraft(body.to_record())
     context.on_accepted(body.id)
     response.headers["Location"] = f"/api/v1/spacecraft/{body.id}"
@@ -62,11 +63,20 @@ def change_spacecraft(
         raise invalid_request([FieldError("/id", "spacecraft.id_fixed", detail)])
     if _touches_control(body.root):
         _check_ground_control(changed)
+    if {"control", "inertia_kg_m2", "torque_limit_n_m"} & set(body.root):
+        _check_gains(changed)
     context.storage.catalogue.replace_spacecraft(changed.to_record())
     epoch_limits: EpochLimits = request.app.state.epoch_limits
     epoch_limits.forget(spacecraft_id)
     context.on_accepted(spacecraft_id)
     return changed
+
+
+def _check_gains(document: SpacecraftDocument) -> None:
+    """Refuse gains that saturate."""
+    fault = document.fault_of_gains
+    if fault is not None:
+        raise invalid_request([FieldError("/control/period_s", "control.gains", fault)])
 
 
 def _touches_control(patch: dict[str, Any]) -> bool:

@@ -8,6 +8,7 @@ from pydantic import AfterValidator, Field, StringConstraints, TypeAdapter, mode
 from pydantic_core import PydanticCustomError
 
 from service.api.schemas.base import Document, LatitudeDeg, LongitudeDeg, Text
+from service.core.control.quaternion_law import loop_gains
 from service.records.catalogue import (
     ControlMode,
     ControlSettings,
@@ -171,6 +172,21 @@ class SpacecraftDocument(Document):
             onboard=Onboard(**self.onboard.model_dump()),
             control=ControlSettings(**self.control.model_dump()),
         )
+
+    @property
+    def fault_of_gains(self) -> str | None:
+        """Why period, damping, inertia and torque limit make no control law; None where they make one."""
+        try:
+            loop_gains(
+                np.array(self.inertia_kg_m2),
+                period_s=self.control.period_s,
+                damping=self.control.damping,
+                torque_limit_n_m=self.torque_limit_n_m,
+                command_period_s=None,
+            )
+        except ValueError as error:
+            return str(error)
+        return None
 
     @property
     def lacks_fast_loop(self) -> bool:
