@@ -1,11 +1,19 @@
 """Release of torques over the interface: what reaches the desk, how its answers and refusals leave, who may what."""
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
 from scripted_desk import AT_US, S, ScriptedDesk
 
-from service.errors import ConflictError, ForbiddenError, GoneError, InvalidInputError, NotFoundError
+from service.errors import (
+    ConflictError,
+    ForbiddenError,
+    GoneError,
+    InvalidInputError,
+    NotFoundError,
+    StorageError,
+)
 from service.records.release import CommandWish, EnvelopeLimits
 
 pytestmark = pytest.mark.anyio
@@ -136,6 +144,31 @@ async def test_what_stands_can_be_read(soo, desk):
     angles = (await soo.client.get(f"{URL}/attitude/uplink", headers=viewer)).json()
     assert (angles["form"], angles["counter"], angles["digest"]) == ("attitude", 41, None)
     assert angles["attitude_deg"] == {"yaw": None, "roll": 0.02, "pitch": -0.01}
+
+
+class Follower:
+    """A supervisor of which only this is asked."""
+
+    def is_disagreeing(self, _spacecraft_id: str) -> bool:
+        """Return False."""
+        return False
+
+
+async def test_status_tells_the_interlock_and_goes_on_where_it_cannot_be_read(soo, desk, spacecraft):
+    await soo.client.post("/api/v1/spacecraft", json=spacecraft)
+    object.__setattr__(soo.app.state.context, "supervisor", Follower())
+    told = (await soo.client.get(f"{URL}/status")).json()
+    assert told["interlock"] == {"state": "ARMED", "reasons": ["yaw_sign"]}
+    tripped = replace(desk.control_view, state="TRIPPED", trips=("stop",), is_withheld=True, release="automatic")
+    desk.control_view = tripped
+    control = {"onboard": {"fast_loop": True, "forecast_mode": True}, "control": {"release": "automatic"}}
+    assert (await soo.client.patch(URL, json=control)).status_code == 200
+    told = (await soo.client.get(f"{URL}/status")).json()
+    assert told["interlock"] == {"state": "TRIPPED", "reasons": ["stop", "no_attitude"]}
+    desk.error = StorageError("storage.unavailable", "the archive is away")
+    told = await soo.client.get(f"{URL}/status")
+    assert told.status_code == 200, "what was estimated can be read all the same"
+    assert told.json()["interlock"] == {"state": "INHIBITED", "reasons": ["release_unreadable"]}
 
 
 async def test_commands_are_listed_page_by_page(soo, desk, spacecraft):

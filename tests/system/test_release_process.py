@@ -113,6 +113,7 @@ def test_a_command_from_preparation_to_report_and_every_wrong_step_on_its_way(cl
     assert ground.refused(f"{path}:executed", key=anna) == (409, "command.state")
     assert ground.refused(f"{path}:failed", key=anna) == (409, "command.state")
     control = ground.get("/control")
+    assert ground.get("/status")["interlock"] == {name: control[name] for name in ("state", "reasons")}
     assert control["sent_impulse_n_m_s"] == command["gross_impulse_n_m_s"]
     assert control["open_commands"] == control["unreported_commands"] == []
     # each order that was done stands in the audit log once, and every refusal beside it
