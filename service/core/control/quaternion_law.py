@@ -16,8 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from service.core.geometry.quaternion import quaternion_of_attitude
-
 FloatArray = NDArray[np.float64]
 
 #: rad/s, one turn in a sidereal day
@@ -147,14 +145,24 @@ def error_angles_rad(attitude_deg: ArrayLike, target_deg: ArrayLike) -> FloatArr
     >>> np.degrees(error_angles_rad([0.0, 0.1, 0.0], [0.0, 0.0, 0.0])).round(6).tolist()
     [0.0, 0.1, 0.0]
     """
-    x, y, z, w = quaternion_of_attitude(attitude_deg).tolist()
-    tx, ty, tz, tw = quaternion_of_attitude(target_deg).tolist()
+    x, y, z, w = _quaternion(attitude_deg)
+    tx, ty, tz, tw = _quaternion(target_deg)
     # frame rotations follow one another as body = error after target: q_error = conj(q_target) * q_body
     scalar = tw * w + tx * x + ty * y + tz * z
     roll = tw * x - w * tx - (ty * z - tz * y)
     pitch = tw * y - w * ty - (tz * x - tx * z)
     yaw = tw * z - w * tz - (tx * y - ty * x)
     return math.copysign(2.0, scalar) * np.array([yaw, roll, pitch])
+
+
+def _quaternion(attitude_deg: ArrayLike) -> tuple[float, float, float, float]:
+    """Return the quaternion of yaw, roll, pitch in this order (3-2-1), scalar last."""
+    halves = (0.5 * np.radians(np.asarray(attitude_deg, dtype=np.float64))).tolist()
+    (cy, sy), (cr, sr), (cp, sp) = ((math.cos(half), math.sin(half)) for half in halves)
+    x = sr * cp * cy - cr * sp * sy
+    y = cr * sp * cy + sr * cp * sy
+    z = cr * cp * sy - sr * sp * cy
+    return x, y, z, cr * cp * cy + sr * sp * sy
 
 
 def body_rate_rad_s(attitude_deg: ArrayLike, rates_deg_s: ArrayLike) -> FloatArray:

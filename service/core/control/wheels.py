@@ -4,6 +4,8 @@ A wheel that is accelerated about its axis turns the body the other way: the tor
 axis times wheel torque. The least-norm allocation is the pseudo-inverse of the matrix of axes.
 """
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -59,5 +61,14 @@ def body_torque_limit_n_m(axes: FloatArray, wheel_limit_n_m: float) -> float:
 
 def _allocation(axes: FloatArray) -> FloatArray:
     """Return the pseudo-inverse (3, W) of the normalised axes."""
-    unit_axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
-    return np.asarray(np.linalg.pinv(unit_axes), dtype=np.float64)
+    plain = np.ascontiguousarray(axes, dtype=np.float64)
+    return _pseudo_inverse(len(plain), plain.tobytes())
+
+
+@lru_cache(maxsize=64)
+def _pseudo_inverse(wheels: int, axes: bytes) -> FloatArray:
+    """Return the pseudo-inverse of axes (W, 3) told byte by byte: a set of wheels hardly ever changes; read-only."""
+    rows = np.frombuffer(axes).reshape(wheels, 3)
+    inverse = np.asarray(np.linalg.pinv(rows / np.linalg.norm(rows, axis=1, keepdims=True)), dtype=np.float64)
+    inverse.setflags(write=False)
+    return inverse
