@@ -41,6 +41,11 @@ class RunMerit(NamedTuple):
         return all(angle < limit for angle, limit in zip(self.largest_deg, WIDE_DEG, strict=True))
 
     @property
+    def is_level(self) -> bool:
+        """Whether roll and pitch alone stay within the limits of 95 % of the runs."""
+        return all(angle < limit for angle, limit in zip(self.largest_deg[1:], NARROW_DEG[1:], strict=True))
+
+    @property
     def is_fade_survived(self) -> bool:
         """Whether roll and pitch stay within the fade's limit and come back in time."""
         is_settled = self.settled_h is not None and self.settled_h <= FADE_SETTLE_H
@@ -57,6 +62,8 @@ class GroupMerit:
     refused: int
     narrow_share: float
     wide_share: float
+    #: roll and pitch alone within the narrow limits
+    level_share: float
     #: of 50, 95 and 100 % of the runs; (3,) yaw, roll, pitch each
     largest_deg: tuple[tuple[float, float, float], ...]
     impulse_n_m_s: tuple[tuple[float, float, float], ...]
@@ -102,6 +109,7 @@ def group_merit(results: Sequence[LoopResult]) -> GroupMerit:
         refused=runs - len(merits),
         narrow_share=share(lambda merit: merit.is_narrow),
         wide_share=share(lambda merit: merit.is_wide),
+        level_share=share(lambda merit: merit.is_level),
         largest_deg=_percentiles([merit.largest_deg for merit in merits]),
         impulse_n_m_s=_percentiles([merit.impulse_n_m_s for merit in merits]),
         inhibited_h=tuple(triple[0] for triple in _percentiles([(merit.inhibited_h,) * 3 for merit in merits])),
