@@ -37,7 +37,7 @@ def closed_loop(
     sensing: Annotated[
         list[str] | None, typer.Option(help="automatic, truth or off; may be given many times. Default: all.")
     ] = None,
-    workers: Annotated[int, typer.Option("--jobs", "--workers", min=1, max=256, help="Processes.")] = 2,
+    workers: Annotated[int, typer.Option("--jobs", min=1, max=256, help="Processes.")] = 2,
     operation_days: Annotated[
         float | None, typer.Option(help="Length of the operation phase; default: that of each scenario.")
     ] = None,
