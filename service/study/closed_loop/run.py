@@ -135,7 +135,8 @@ def _config(unit: LoopUnit) -> ChainConfig:
         yaw, roll, pitch = unit.drift_deg_h
         drift = {"yaw_drift_deg_h": yaw, "roll_drift_deg_h": roll, "pitch_drift_deg_h": pitch}
         config = replace(config, robust=replace(config.robust, **drift))
-    return replace(config, robust=replace(config.robust, yaw_sigma_limit_deg=unit.yaw_sigma_deg))
+    limits = {"yaw_sigma_limit_deg": unit.yaw_sigma_deg, "pushed_yaw_sigma_limit_deg": unit.yaw_sigma_deg}
+    return replace(config, robust=replace(config.robust, **limits))
 
 
 @dataclass
