@@ -29,7 +29,7 @@ _POLL_S = 0.05
 #: rows between two scenes where each row is a chunk of its own
 _ROWS_A_SCENE = 60
 #: what the operator's handbook says of the Sun's torque that is not fed forward on board, one sigma an axis, N m
-RESIDUAL_TORQUE_N_M = 5e-7
+RESIDUAL_TORQUE_N_M = 3.5e-7
 #: longest stretch without a row in a story, s
 _LONGEST_PAUSE_S = 40 * 86_400
 
