@@ -98,6 +98,7 @@ def _pulse(pulse: Pulse) -> dict[str, Any]:
 
 
 def _torque_values(row: TorqueCommand) -> Sequence[Any]:
+    check = row.schedule_check
     return (
         row.epoch_us,
         row.attitude_epoch_us,
@@ -114,6 +115,7 @@ def _torque_values(row: TorqueCommand) -> Sequence[Any]:
         plain_value(row.predicted_wheel_momentum_n_m_s),
         row.control_allowed,
         ";".join(row.inhibitions),
+        *((None, None, None) if check is None else (check.verdict, check.peak_deg, check.margin)),
     )
 
 
@@ -135,6 +137,9 @@ TORQUES = Table(
             "predicted_wheel_momentum_n_m_s": "document",
             "control_allowed": "truth",
             "inhibitions": "text",
+            "schedule_verdict": "text",
+            "schedule_peak_deg": "figure",
+            "schedule_margin": "figure",
         }
     ),
     _torque_values,
