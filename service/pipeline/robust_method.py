@@ -22,8 +22,9 @@ from service.core.estimation.filtering.filter_state import (
     initial_gaussian,
 )
 from service.core.estimation.filtering.filter_update import site_db
-from service.core.estimation.filtering.hidden_motion import DAY_US, is_pushed, torque_prior_deg_h2, torque_states
-from service.core.estimation.filtering.hidden_shares import with_stated_torque
+from service.core.estimation.filtering.hidden_motion import torque_states
+from service.core.estimation.filtering.hidden_shares import with_stated_torque, with_torque
+from service.core.estimation.filtering.torque_prior import wave_period_us
 from service.core.estimation.snapshot.snapshot import Snapshots, solve_snapshots
 from service.pipeline.config import ChainConfig
 from service.pipeline.declared_operations import declared_between, with_chain_step
@@ -76,9 +77,8 @@ def initial_state(
         sigma_db,
         drift_deg_h=model.settings.drift_deg_h,
         chain_sigma_db=config.robust.common_reference_sigma_db,
-        hidden_sigma=torque_prior_deg_h2(model.settings) if is_pushed(model.settings) else None,
     )
-    state = start(model.filter, alignment.epoch_us, gaussian)
+    state = start(model.filter, alignment.epoch_us, with_torque(model.filter, gaussian, model.settings))
     # a carrier that nobody knows has no level to come back to
     saved_db = np.where(model.is_referenced, state.carriers.saved_reference_db, np.nan)
     watch = state.carriers._replace(
@@ -89,7 +89,8 @@ def initial_state(
 
 def carried_state(state: RobustState, old: RobustModel, new: RobustModel) -> RobustState:
     """Return the state under another calibration: the craft and the carriers that stay keep what is known of them."""
-    if old.settings.torque_deg_h2 != new.settings.torque_deg_h2:
+    before, after = ((settings.torque_deg_h2, settings.fed_forward) for settings in (old.settings, new.settings))
+    if before != after:
         pushed = with_stated_torque(old.filter, state.filter, len(state.released), old.settings, new.settings)
         state = replace(state, filter=pushed)
     if old.carrier_ids == new.carrier_ids and old.calibration_id == new.calibration_id:
@@ -187,17 +188,19 @@ def known_disturbance(state: RobustState, model: RobustModel) -> Disturbance | N
     places = torque_states(model.filter, gaussian, len(state.released))
     if places is None or model.inertia_kg_m2 is None:
         return None
-    phase = 2.0 * math.pi * (epoch_us % DAY_US) / DAY_US
+    period_us = wave_period_us(model.settings)
+    phase = 2.0 * math.pi * (epoch_us % period_us) / period_us
     cos, sin = math.cos(phase), math.sin(phase)
-    # what was a cosine since midnight is a cosine and a sine since the row
+    # what was a cosine since phase zero is a cosine and a sine since the row
     turn = np.kron(np.array([[1.0, 0.0, 0.0], [0.0, cos, sin], [0.0, -sin, cos]]), np.eye(3))
     unit = np.array(model.inertia_kg_m2) * DEG_H2_N_M
     constant, cosine, sine = (turn @ gaussian.mean[places]).reshape(3, 3) * unit
     covariance = turn @ gaussian.covariance[places, places] @ turn.T
     now = np.kron(np.array([1.0, 1.0, 0.0]), np.eye(3))
-    sigma = np.sqrt(np.diag(now @ covariance @ now.T)) * unit
+    # the covariance of a profile has no full rank: rounding may leave less than nothing of a variance
+    sigma = np.sqrt(np.maximum(0.0, np.diag(now @ covariance @ now.T))) * unit
     return Disturbance(
-        epoch_us, DAY_US / US_PER_S, named_axes(constant), named_axes(cosine), named_axes(sine), named_axes(sigma)
+        epoch_us, period_us / US_PER_S, named_axes(constant), named_axes(cosine), named_axes(sine), named_axes(sigma)
     )
 
 

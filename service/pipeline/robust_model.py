@@ -7,16 +7,17 @@ import numpy as np
 
 from service.core.estimation.calibration.quadratic_response import QuadraticResponse, predict_deviation
 from service.core.estimation.filtering.filter_model import CarrierModel, FilterSettings
-from service.core.estimation.filtering.hidden_motion import is_pushed
 from service.core.estimation.filtering.integrity import IntegrityLimits
+from service.core.estimation.filtering.torque_prior import is_pushed
 from service.core.estimation.snapshot.snapshot_start import subset_orders
 from service.pipeline.config import ChainConfig, InterlockConfig, RobustConfig
 from service.pipeline.declared_operations import CarrierNames
 from service.pipeline.expected_level import ExpectedLevel, daily_error_db
 from service.pipeline.geometry_model import GeometryModel, carrier_model, geometry_model
 from service.pipeline.knowledge import Knowledge
-from service.pipeline.known_motion import DEG_H2_N_M, angle_inertia_kg_m2
+from service.pipeline.known_motion import angle_inertia_kg_m2
 from service.pipeline.level_control import centred_model, centred_response, member_groups
+from service.pipeline.stated_torque import fed_forward, residual_deg_h2
 from service.records.attitude import BoolArray, FloatArray, IntArray
 from service.records.calibration import Alignment, Calibration, CalibrationResult
 from service.records.catalogue import Ephemeris, Method, Spacecraft
@@ -220,18 +221,9 @@ def _filter_settings(spacecraft: Spacecraft | None, config: RobustConfig) -> Fil
         correction_scale=config.correction_scale_error,
         torque_scale=config.torque_scale_error,
         chain_walk_db=config.chain_walk_db_sqrt_h,
-        torque_deg_h2=_torque_deg_h2(spacecraft),
+        torque_deg_h2=residual_deg_h2(spacecraft),
+        fed_forward=fed_forward(spacecraft),
     )
-
-
-def _torque_deg_h2(spacecraft: Spacecraft | None) -> tuple[float, float, float]:
-    """Return what the torque that is not fed forward does to yaw, roll and pitch."""
-    if spacecraft is None:
-        return (0.0, 0.0, 0.0)
-    yaw, roll, pitch = (
-        spacecraft.onboard.residual_torque_n_m / DEG_H2_N_M / inertia for inertia in angle_inertia_kg_m2(spacecraft)
-    )
-    return yaw, roll, pitch
 
 
 def _limits(interlock: InterlockConfig, config: RobustConfig, settings: FilterSettings) -> IntegrityLimits:

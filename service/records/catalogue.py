@@ -71,6 +71,30 @@ class FlexibleMode:
 
 
 @dataclass(frozen=True, slots=True)
+class AxisTorques:
+    """A torque on the body about each axis, N m."""
+
+    yaw: float = 0.0
+    roll: float = 0.0
+    pitch: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class FedForwardTorque:
+    """Known torque that the loop on board takes away: a constant and a wave, and how wrong the profile may be."""
+
+    #: where the phase of the wave is zero
+    epoch_us: int
+    period_s: float = 86_400.0
+    constant_n_m: AxisTorques = AxisTorques()
+    cosine_n_m: AxisTorques = AxisTorques()
+    sine_n_m: AxisTorques = AxisTorques()
+    #: one standard deviation of the share that all axes have wrong together, and of each axis' own
+    relative_error: float = 0.06
+    axis_relative_error: float = 0.01
+
+
+@dataclass(frozen=True, slots=True)
 class Onboard:
     """What the spacecraft's own control offers."""
 
@@ -82,6 +106,8 @@ class Onboard:
     roll_yaw_coupling: bool = True
     #: size of the disturbance torque an axis that is not fed forward on board, N m; 0 = there is none
     residual_torque_n_m: float = 0.0
+    #: what is fed forward on board; None = nothing, or nobody knows what
+    fed_forward_torque: FedForwardTorque | None = None
 
 
 @dataclass(frozen=True, slots=True)

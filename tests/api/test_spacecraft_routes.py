@@ -7,6 +7,16 @@ import pytest
 
 pytestmark = pytest.mark.anyio
 URL = "/api/v1/spacecraft"
+FED_FORWARD = {
+    "epoch": "2026-11-21T06:00:00.000000Z",
+    "period_s": 86_164.0,
+    "constant_n_m": {"yaw": 1e-7, "roll": 0.0, "pitch": -2e-7},
+    "cosine_n_m": {"yaw": 7.6e-6, "roll": 1.29e-5, "pitch": 0.0},
+    "sine_n_m": {"yaw": 0.0, "roll": 0.0, "pitch": 6.8e-6},
+    "relative_error": 0.1,
+    "axis_relative_error": 0.02,
+}
+_FED = "/onboard/fed_forward_torque"
 
 
 async def test_minimal_spacecraft_gets_the_defaults_of_the_contract(soo, spacecraft):
@@ -35,6 +45,7 @@ async def test_minimal_spacecraft_gets_the_defaults_of_the_contract(soo, spacecr
         "forecast_mode": False,
         "roll_yaw_coupling": True,
         "residual_torque_n_m": 0.0,
+        "fed_forward_torque": None,
     }
     assert (await soo.client.get(f"{URL}/yamal-202")).json() == document
     assert (await soo.client.get(URL)).json() == {"rows": [document], "next": None}
@@ -56,6 +67,7 @@ async def test_full_spacecraft_reads_back_as_sent(soo, spacecraft):
             "forecast_mode": True,
             "roll_yaw_coupling": False,
             "residual_torque_n_m": 5e-7,
+            "fed_forward_torque": FED_FORWARD,
         },
         "control": {
             "method": "paper",
@@ -153,6 +165,17 @@ BAD: list[tuple[str, dict[str, Any], str, str]] = [
         "value.range",
         "/onboard/residual_torque_n_m",
     ),
+    *(
+        (f"fed forward: {name}", {"onboard": {"fed_forward_torque": FED_FORWARD | change}}, code, f"{_FED}{place}")
+        for name, change, code, place in (
+            ("period of nothing", {"period_s": 0.0}, "value.range", "/period_s"),
+            ("torque of a thruster", {"sine_n_m": {"yaw": 0.1}}, "value.range", "/sine_n_m/yaw"),
+            ("error above all of it", {"relative_error": 1.5}, "value.range", "/relative_error"),
+            ("error below nothing", {"axis_relative_error": -0.01}, "value.range", "/axis_relative_error"),
+            ("epoch that is none", {"epoch": "noon"}, "epoch.malformed", "/epoch"),
+            ("unknown part", {"tangent_n_m": {"yaw": 0.0}}, "field.unknown", "/tangent_n_m"),
+        )
+    ),
     ("cospar id", {"cospar_id": "2003"}, "value.pattern", "/cospar_id"),
 ]
 
@@ -218,6 +241,21 @@ async def test_patch_of_anything_else_leaves_default_ground_mode_alone(soo, spac
     onboard = {"fast_loop": True, "forecast_mode": True}
     answer = await soo.client.patch(f"{URL}/yamal-202", json={"onboard": onboard, "control": {"mode": "ground"}})
     assert answer.status_code == 200
+
+
+async def test_a_fed_forward_torque_is_changed_field_by_field_and_taken_back(soo, spacecraft):
+    await soo.client.post(URL, json=spacecraft | {"onboard": {"fast_loop": True, "forecast_mode": True}})
+    stated = {"epoch": "2026-11-21T06:00:00Z", "cosine_n_m": {"roll": 1e-5}}
+    document = (await soo.client.patch(f"{URL}/yamal-202", json={"onboard": {"fed_forward_torque": stated}})).json()
+    told = document["onboard"]["fed_forward_torque"]
+    assert told["epoch"] == "2026-11-21T06:00:00.000000Z"
+    assert told["cosine_n_m"] == {"yaw": 0.0, "roll": 1e-5, "pitch": 0.0}
+    assert (told["period_s"], told["relative_error"], told["axis_relative_error"]) == (86_400.0, 0.06, 0.01)
+    change = {"onboard": {"fed_forward_torque": {"sine_n_m": {"pitch": 2e-6}}}}
+    changed = (await soo.client.patch(f"{URL}/yamal-202", json=change)).json()["onboard"]["fed_forward_torque"]
+    assert changed == told | {"sine_n_m": {"yaw": 0.0, "roll": 0.0, "pitch": 2e-6}}
+    ended = await soo.client.patch(f"{URL}/yamal-202", json={"onboard": {"fed_forward_torque": None}})
+    assert ended.json()["onboard"]["fed_forward_torque"] is None
 
 
 @pytest.mark.parametrize("spacecraft_id", ["nobody", "No_Body", "a" * 65, "%00", "..%2f", "a%0a"])

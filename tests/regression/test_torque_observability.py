@@ -11,11 +11,13 @@ from service.core.estimation.filtering.filter_model import FilterSettings, no_mo
 from service.core.estimation.filtering.filter_predict import Weather, predict
 from service.core.estimation.filtering.filter_state import Gaussian, core_size, initial_gaussian
 from service.core.estimation.filtering.filter_update import innovate, update
-from service.core.estimation.filtering.hidden_motion import torque_prior_deg_h2
+from service.core.estimation.filtering.hidden_motion import inserted
+from service.core.estimation.filtering.torque_prior import is_pushed, torque_covariance
 
 STEP_US = 600_000_000
 CARRIERS = 16
-PUSHED = (0.143, 0.143, 0.265)
+SIZE = np.array([0.143, 0.143, 0.265])
+PUSHED = FilterSettings(torque_deg_h2=tuple(SIZE))
 HOURS = (6, 12, 24, 48)
 
 
@@ -37,17 +39,16 @@ def model(filter_models):
     )
 
 
-def sigmas(model, torque_deg_h2, known=()):
+def sigmas(model, settings, known=()):
     """Return sigma of the angles (H, 3), deg, and of the torque (H, 3) as a share of its size, after some hours."""
-    settings = FilterSettings(torque_deg_h2=torque_deg_h2)
-    prior = torque_prior_deg_h2(settings) if max(torque_deg_h2) else np.zeros(0)
+    prior = torque_covariance(settings)
     for axis in known:
         prior[axis::3] *= 1e-3
-    aligned = np.array([0.004, 0.002, 0.002])
-    references = np.full(CARRIERS, 0.03)
-    state = initial_gaussian(
-        model, np.zeros(3), aligned, references, drift_deg_h=settings.drift_deg_h, hidden_sigma=prior
-    )
+        prior[:, axis::3] *= 1e-3
+    aligned, references = np.array([0.004, 0.002, 0.002]), np.full(CARRIERS, 0.03)
+    state = initial_gaussian(model, np.zeros(3), aligned, references, drift_deg_h=settings.drift_deg_h)
+    if is_pushed(settings):
+        state = inserted(state, core_size(model), prior)
     variance, everyone, nothing = np.zeros(CARRIERS), np.arange(CARRIERS), np.zeros(CARRIERS)
     angles, torques = [], []
     for row in range(6 * max(HOURS)):
@@ -58,7 +59,7 @@ def sigmas(model, torque_deg_h2, known=()):
         state = update(model, still, nothing, used).state
         if (row + 1) % 6 == 0 and (row + 1) // 6 in HOURS:
             angles.append(np.sqrt(np.diag(state.covariance)[:3]))
-            torques.append(_torque_sigma(model, state, row + 1) / np.array(PUSHED) if len(prior) else np.zeros(3))
+            torques.append(_torque_sigma(model, state, row + 1) / SIZE if is_pushed(settings) else np.zeros(3))
     return np.array(angles), np.array(torques)
 
 
@@ -83,7 +84,7 @@ def test_a_torque_is_learned_within_a_day_and_yaw_is_what_it_costs(model):
 
 
 def test_without_a_torque_yaw_is_known(model):
-    angles, _ = sigmas(model, (0.0, 0.0, 0.0))
+    angles, _ = sigmas(model, FilterSettings())
     print("angles", angles.round(3).tolist())
     assert (angles[:, 0] < 0.125).all()
 
@@ -99,6 +100,6 @@ def test_what_limits_yaw_is_the_torque_about_roll(model):
 
 
 def test_even_a_tenth_of_the_torque_leaves_yaw_unknown(model):
-    weak, _ = sigmas(model, tuple(0.1 * np.array(PUSHED)))
+    weak, _ = sigmas(model, FilterSettings(torque_deg_h2=tuple(0.1 * SIZE)))
     print("angles", weak.round(3).tolist())
     assert (weak[:, 0] > 0.15).all()

@@ -4,14 +4,16 @@ from dataclasses import asdict
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field, StringConstraints, TypeAdapter, model_validator
+from pydantic import AfterValidator, Field, PlainSerializer, StringConstraints, TypeAdapter, model_validator
 from pydantic_core import PydanticCustomError
 
-from service.api.schemas.base import Document, LatitudeDeg, LongitudeDeg, Text
+from service.api.schemas.base import Document, Epoch, LatitudeDeg, LongitudeDeg, Text
 from service.core.control.quaternion_law import loop_gains
 from service.records.catalogue import (
+    AxisTorques,
     ControlMode,
     ControlSettings,
+    FedForwardTorque,
     FlexibleMode,
     Matrix3,
     Method,
@@ -21,6 +23,7 @@ from service.records.catalogue import (
     Spacecraft,
     WheelSet,
 )
+from service.records.epoch import format_epoch
 
 Vector3 = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0, le=1e6)]
@@ -61,6 +64,10 @@ def _unit_axes(axes: tuple[Vector3, ...]) -> tuple[Vector3, ...]:
     return tuple((float(x), float(y), float(z)) for x, y, z in array)
 
 
+#: an instant that is told as it was stated
+StoredEpoch = Annotated[Epoch, PlainSerializer(format_epoch, return_type=str, when_used="json")]
+#: of the light of the Sun, of the air, of the magnetic field: none is greater
+TorqueNm = Annotated[float, Field(ge=-1e-2, le=1e-2)]
 #: bounds keep the checks from overflowing
 InertiaElement = Annotated[float, Field(ge=-1e8, le=1e8)]
 InertiaRow = tuple[InertiaElement, InertiaElement, InertiaElement]
@@ -108,6 +115,51 @@ class FlexibleModeDocument(Document):
     """Share of the mode in the inertia of its axis."""
 
 
+class AxisTorquesDocument(Document):
+    """A torque on the body about each axis, N m."""
+
+    yaw: TorqueNm = 0.0
+    roll: TorqueNm = 0.0
+    pitch: TorqueNm = 0.0
+
+    def to_record(self) -> AxisTorques:
+        """Return the record that this document states."""
+        return AxisTorques(self.yaw, self.roll, self.pitch)
+
+
+class FedForwardDocument(Document):
+    """Known torque that the loop on board takes away: constant + cosine cos(p) + sine sin(p), p zero at the epoch."""
+
+    epoch: StoredEpoch
+    """Where the phase of the wave is zero."""
+    period_s: Annotated[float, Field(ge=3600, le=1e8)] = 86_400.0
+    constant_n_m: AxisTorquesDocument = AxisTorquesDocument()
+    cosine_n_m: AxisTorquesDocument = AxisTorquesDocument()
+    sine_n_m: AxisTorquesDocument = AxisTorquesDocument()
+    relative_error: Annotated[float, Field(ge=0, le=1)] = 0.06
+    """One standard deviation of the share of the profile that all axes have wrong together."""
+    axis_relative_error: Annotated[float, Field(ge=0, le=1)] = 0.01
+    """One standard deviation of the share that each axis has wrong by itself."""
+
+    @classmethod
+    def of(cls, told: FedForwardTorque) -> Self:
+        """Return the document that tells a record."""
+        values = asdict(told)
+        return cls.model_validate({"epoch": format_epoch(values.pop("epoch_us")), **values}, strict=False)
+
+    def to_record(self) -> FedForwardTorque:
+        """Return the record that this document states."""
+        return FedForwardTorque(
+            epoch_us=self.epoch,
+            period_s=self.period_s,
+            constant_n_m=self.constant_n_m.to_record(),
+            cosine_n_m=self.cosine_n_m.to_record(),
+            sine_n_m=self.sine_n_m.to_record(),
+            relative_error=self.relative_error,
+            axis_relative_error=self.axis_relative_error,
+        )
+
+
 class OnboardDocument(Document):
     """What the spacecraft's own control offers."""
 
@@ -116,6 +168,21 @@ class OnboardDocument(Document):
     roll_yaw_coupling: bool = True
     residual_torque_n_m: Annotated[float, Field(ge=0, le=1e-3)] = 0.0
     """Size of the disturbance torque an axis that is not fed forward on board, for the filter to learn; 0 = none."""
+    fed_forward_torque: FedForwardDocument | None = None
+    """What is fed forward on board, for the filter to learn what is wrong with it; null = nothing is known."""
+
+    @classmethod
+    def of(cls, onboard: Onboard) -> Self:
+        """Return the document that tells a record."""
+        told = onboard.fed_forward_torque
+        values = {**asdict(onboard), "fed_forward_torque": None if told is None else FedForwardDocument.of(told)}
+        return cls.model_validate(values, strict=False)
+
+    def to_record(self) -> Onboard:
+        """Return the record that this document states."""
+        told = self.fed_forward_torque
+        values = self.model_dump(exclude={"fed_forward_torque"})
+        return Onboard(**values, fed_forward_torque=None if told is None else told.to_record())
 
 
 class ControlDocument(Document):
@@ -154,7 +221,8 @@ class SpacecraftDocument(Document):
     @classmethod
     def of(cls, spacecraft: Spacecraft) -> Self:
         """Return the document that tells a record."""
-        return cls.model_validate(asdict(spacecraft), strict=False)
+        values = {**asdict(spacecraft), "onboard": OnboardDocument.of(spacecraft.onboard)}
+        return cls.model_validate(values, strict=False)
 
     def to_record(self) -> Spacecraft:
         """Return the record that this document states."""
@@ -169,7 +237,7 @@ class SpacecraftDocument(Document):
             torque_limit_n_m=self.torque_limit_n_m,
             wheels=WheelSet(**self.wheels.model_dump()),
             modes=tuple(FlexibleMode(**mode.model_dump()) for mode in self.modes),
-            onboard=Onboard(**self.onboard.model_dump()),
+            onboard=self.onboard.to_record(),
             control=ControlSettings(**self.control.model_dump()),
         )
 

@@ -39,12 +39,13 @@ from service.core.estimation.filtering.filter_predict import Weather, predict
 from service.core.estimation.filtering.filter_records import FilterState, FilterStep, start
 from service.core.estimation.filtering.filter_state import ATTITUDE, CHAIN, RAIN, hidden_count
 from service.core.estimation.filtering.filter_update import innovate, update
-from service.core.estimation.filtering.hidden_motion import is_pushed, with_doubted_torque
+from service.core.estimation.filtering.hidden_motion import with_doubted_torque
 from service.core.estimation.filtering.integrity import Evidence, IntegrityLimits, assess
 from service.core.estimation.filtering.kernels import ARRAYS, Kernels
 from service.core.estimation.filtering.motion_watch import newly_excused, pass_motion
 from service.core.estimation.filtering.rain_state import pass_hold, pass_minutes
 from service.core.estimation.filtering.row_stages import common_first, is_shared, moved, trusted, watched
+from service.core.estimation.filtering.torque_prior import is_pushed
 
 __all__ = ["MIN_CARRIERS", "FilterState", "FilterStep", "start", "step"]
 

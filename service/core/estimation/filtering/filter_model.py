@@ -60,6 +60,23 @@ class CarrierModel(NamedTuple):
         return np.asarray(self.rain_share >= 0.5 * self.rain_share.max())
 
 
+class FedForward(NamedTuple):
+    """Torque that the loop on board takes away by a known profile, as accelerations in deg/h^2 by yaw, roll, pitch.
+
+        a(t) = constant + cosine cos(p) + sine sin(p)      p goes round once a period, zero at the beginning of 1970
+
+    What is left of it is a share of the profile: one that all axes have in common, and a smaller one of each axis.
+    """
+
+    constant_deg_h2: tuple[float, float, float]
+    cosine_deg_h2: tuple[float, float, float]
+    sine_deg_h2: tuple[float, float, float]
+    #: one standard deviation of the common share and of each axis' own
+    relative_error: float
+    axis_relative_error: float
+    period_us: int
+
+
 class FilterSettings(NamedTuple):
     """What the craft and the receiving chain do; triples in the order yaw, roll, pitch; rates in deg/h."""
 
@@ -85,6 +102,8 @@ class FilterSettings(NamedTuple):
     #: size of the torque that is not fed forward, as acceleration, deg/h^2, and how long what is learned of it holds, h
     torque_deg_h2: tuple[float, float, float] = (0.0, 0.0, 0.0)
     torque_tau_h: float = 24_000.0
+    #: what the loop on board feeds forward; None = no profile is known
+    fed_forward: FedForward | None = None
 
 
 class KnownMotion(NamedTuple):

@@ -32,7 +32,7 @@ from service.core.estimation.filtering.filter_state import (
     hidden_count,
     reference_states,
 )
-from service.core.estimation.filtering.hidden_motion import hidden_noise, hidden_transition
+from service.core.estimation.filtering.hidden_motion import add_scale_noise, hidden_noise, hidden_transition
 from service.core.estimation.filtering.kernels import ARRAYS, Kernels
 
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
@@ -189,6 +189,8 @@ def predict(
         weather.model_variance_db2,
         variance,
     )
+    if hidden > len(known.unreported):
+        add_scale_noise(covariance, first_hidden + len(known.unreported), settings, hours)
     if weather.declared is not None:
         covariance.ravel()[:: len(mean) + 1] += _declared_variance(model, weather.declared, hours, len(mean))
         _move_together(model, covariance, weather.declared.group_step_db)

@@ -74,7 +74,6 @@ def initial_gaussian(
     *,
     drift_deg_h: tuple[float, float, float],
     chain_sigma_db: float = 0.1,
-    hidden_sigma: FloatArray | None = None,
 ) -> Gaussian:
     """Return the state at an alignment.
 
@@ -90,13 +89,11 @@ def initial_gaussian(
         Drift of the inertial model, one standard deviation.
     chain_sigma_db : float, dB
         What all references may have wrong together.
-    hidden_sigma : ndarray, shape (E,), optional
-        One standard deviation of each hidden state.
 
     Returns
     -------
     Gaussian
-        Coloured parts stand at zero with their stationary variance.
+        Coloured parts stand at zero with their stationary variance; there are no hidden states.
     """
     core = [
         attitude_sigma_deg**2,
@@ -104,7 +101,6 @@ def initial_gaussian(
         np.full(3, _RATE_FLOOR_DEG_H**2),
         np.array([chain_sigma_db**2, _RAIN_FLOOR_DB**2]),
         model.common_sigma_db**2,
-        np.zeros(0) if hidden_sigma is None else hidden_sigma**2,
     ]
     variance = np.concatenate([*core, (model.coloured_sigma_db.T**2).ravel(), reference_sigma_db**2])
     mean = np.zeros(len(variance))

@@ -1,12 +1,14 @@
 """Hidden states: what moves the craft without standing in any level.
 
     h = [n shares | 3 constant torques | 3 cosines | 3 sines]         each triple yaw, roll, pitch
-    m' = h_const + h_cos cos(p) + h_sin sin(p)       p = phase of the day, zero at midnight UTC
+    m' = h_const + h_cos cos(p) + h_sin sin(p)       p = phase of the day, zero at midnight UTC, or of the period of
+                                                     the profile that is fed forward, zero at the beginning of 1970
 
 A share says how much of a released command was carried out: nobody knows until its report comes, so it begins at 0 with
 a sigma of 1. Torques stand as angular accelerations in deg/h^2; they act on the rates of the body, which is where the
 loop on board lets go what it does not feed forward, and roll and yaw exchange through the attitude as ever. They
-forget so slowly that what was learned holds for weeks. The law of this file: hidden states do not move one another.
+forget so slowly that what was learned holds for weeks. How large they may be stands in `torque_prior`. The law of this
+file: hidden states do not move one another.
 """
 
 import cmath
@@ -24,13 +26,14 @@ from service.core.estimation.filtering.filter_model import (
     KnownMotion,
 )
 from service.core.estimation.filtering.filter_state import RATE, Gaussian, common_states, hidden_count
+from service.core.estimation.filtering.torque_prior import (
+    TORQUES,
+    scale_covariance,
+    torque_prior_deg_h2,
+    torque_size_deg_h2,
+    wave_period_us,
+)
 
-#: states of the residual torque
-TORQUES = 9
-#: the Sun turns round the body once in this time, us
-DAY_US = 86_400_000_000
-#: the constant part of the residual torque, as a share of the whole
-CONSTANT_SHARE = 0.2
 #: one standard deviation of the share of a command that nobody has reported
 SHARE_SIGMA = 1.0
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
@@ -40,6 +43,8 @@ _DOUBT = 5.0
 _DOUBTED_H = 2.0
 #: longest span that ten nodes integrate, h
 _PANEL_H = 6.0
+#: and the longest share of a wave
+_PANEL_TURN = 0.25
 
 
 class Response(NamedTuple):
@@ -53,28 +58,12 @@ class Response(NamedTuple):
     pitch_h2: FloatArray
 
 
-def torque_prior_deg_h2(settings: FilterSettings) -> FloatArray:
-    """Return the standard deviation (9,) of the torque states.
-
-    At every hour the torque has the size that was stated. What pushes is the light of the Sun, which goes round: nearly
-    all of it is wave. A constant part as large would leave yaw unknown for a day where half a day tells it.
-    """
-    size = np.array(settings.torque_deg_h2)
-    wave = math.sqrt(1.0 - CONSTANT_SHARE**2)
-    return np.concatenate([CONSTANT_SHARE * size, wave * size, wave * size])
-
-
-def is_pushed(settings: FilterSettings) -> bool:
-    """Return whether a torque acts that is not fed forward."""
-    return max(settings.torque_deg_h2) > 0.0
-
-
 @lru_cache(maxsize=64)
-def response_over(step_us: int, coupling_per_h: float) -> Response:
+def response_over(step_us: int, coupling_per_h: float, period_us: int) -> Response:
     """Return what accelerations of one do over a step, us, under an exchange of roll and yaw, 1/h."""
-    hours, day_h = step_us / _US_PER_H, DAY_US / _US_PER_H
-    around = 2.0 * math.pi / day_h
-    panels = max(1, math.ceil(hours / _PANEL_H))
+    hours, period_h = step_us / _US_PER_H, period_us / _US_PER_H
+    around = 2.0 * math.pi / period_h
+    panels = max(1, math.ceil(hours / min(_PANEL_H, _PANEL_TURN * period_h)))
     edge = hours / panels
     turned, pitch = np.zeros(3, dtype=np.complex128), np.zeros(3)
     for panel in range(panels):
@@ -122,8 +111,9 @@ def hidden_transition(
     matrix[0:3, :shares], matrix[6:9, :shares] = known.unreported[:, 0].T, known.unreported[:, 1].T
     if hidden == shares:
         return matrix
-    response = response_over(step_us, settings.coupling_per_h)
-    phase = 2.0 * math.pi * (from_us % DAY_US) / DAY_US
+    period_us = wave_period_us(settings)
+    response = response_over(step_us, settings.coupling_per_h, period_us)
+    phase = 2.0 * math.pi * (from_us % period_us) / period_us
     cos, sin = math.cos(phase), math.sin(phase)
     for block, (constant, cosine, sine) in enumerate(((1.0, 0.0, 0.0), (0.0, cos, -sin), (0.0, sin, cos))):
         parts = np.array([constant, cosine, sine])
@@ -142,6 +132,13 @@ def hidden_noise(hidden: int, shares: int, settings: FilterSettings) -> tuple[Fl
     return sigma, np.concatenate([np.full(shares, np.inf), np.full(torques, 3600.0 * settings.torque_tau_h)])
 
 
+def add_scale_noise(covariance: FloatArray, first: int, settings: FilterSettings, hours: float) -> None:
+    """Add to a covariance, in place, the noise that keeps the shares of a known profile alive; torques from `first`."""
+    if settings.fed_forward is not None:
+        grown = -math.expm1(-2.0 * hours / settings.torque_tau_h)
+        covariance[first : first + TORQUES, first : first + TORQUES] += grown * scale_covariance(settings.fed_forward)
+
+
 def torque_states(model: CarrierModel, state: Gaussian, shares: int) -> slice | None:
     """Return the places of the torque states, None where there are none."""
     hidden = hidden_count(model, len(state.mean))
@@ -149,16 +146,16 @@ def torque_states(model: CarrierModel, state: Gaussian, shares: int) -> slice | 
     return slice(first, first + TORQUES) if hidden > shares else None
 
 
-def inserted(state: Gaussian, place: int, variance: FloatArray) -> Gaussian:
-    """Return the state with new ones (n,) at a place, zero and correlated with nothing."""
-    added = len(variance)
+def inserted(state: Gaussian, place: int, new_covariance: FloatArray) -> Gaussian:
+    """Return the state with new ones of a covariance (n, n) at a place, zero and correlated with nothing before."""
+    added = len(new_covariance)
     size = len(state.mean) + added
     kept = np.concatenate([np.arange(place), np.arange(place + added, size)])
     mean, covariance = np.zeros(size), np.zeros((size, size))
     mean[kept] = state.mean
     covariance[np.ix_(kept, kept)] = state.covariance
     new = np.arange(place, place + added)
-    covariance[new, new] = variance
+    covariance[np.ix_(new, new)] = new_covariance
     return Gaussian(mean, covariance)
 
 
@@ -182,9 +179,9 @@ def with_doubted_torque(model: CarrierModel, gaussian: Gaussian, settings: Filte
     places = torque_states(model, gaussian, max(0, hidden_count(model, len(gaussian.mean)) - TORQUES))
     if places is None:
         return gaussian
-    covariance = gaussian.covariance.copy()
+    covariance, size = gaussian.covariance.copy(), torque_size_deg_h2(settings)
     for axis in np.flatnonzero(axes).tolist():
         together = np.array([RATE.start + axis, places.start + axis])
-        gained = _DOUBT * settings.torque_deg_h2[axis] * np.array([_DOUBTED_H, 1.0])
+        gained = _DOUBT * size[axis] * np.array([_DOUBTED_H, 1.0])
         covariance[np.ix_(together, together)] += np.multiply.outer(gained, gained)
     return Gaussian(gaussian.mean, covariance)

@@ -9,22 +9,21 @@ import numpy as np
 from service.core.estimation.filtering.command_watch import obeyed_commands
 from service.core.estimation.filtering.filter_model import CarrierModel, FilterSettings
 from service.core.estimation.filtering.filter_records import FilterState
-from service.core.estimation.filtering.filter_state import core_size
+from service.core.estimation.filtering.filter_state import Gaussian, core_size
 from service.core.estimation.filtering.hidden_motion import (
     SHARE_SIGMA,
     dropped,
     inserted,
-    is_pushed,
-    torque_prior_deg_h2,
     torque_states,
     with_wider_torque,
 )
+from service.core.estimation.filtering.torque_prior import is_pushed, torque_covariance, torque_prior_deg_h2
 
 
 def with_share(model: CarrierModel, state: FilterState, shares: int) -> FilterState:
     """Return the state with one share more, of which nothing is known, behind those it has."""
     place = core_size(model, shares)
-    gaussian = inserted(state.gaussian, place, np.array([SHARE_SIGMA**2]))
+    gaussian = inserted(state.gaussian, place, np.array([[SHARE_SIGMA**2]]))
     command = state.command
     if len(command.sensitivity):
         command = command._replace(sensitivity=np.insert(command.sensitivity, place, 0.0, axis=0))
@@ -40,21 +39,26 @@ def without_shares(model: CarrierModel, state: FilterState, shares: int) -> Filt
     return state._replace(gaussian=dropped(state.gaussian, places), command=command)
 
 
+def with_torque(model: CarrierModel, gaussian: Gaussian, settings: FilterSettings) -> Gaussian:
+    """Return the state at an alignment, which has no hidden states, with those of the torque that is stated, if any."""
+    return inserted(gaussian, core_size(model), torque_covariance(settings)) if is_pushed(settings) else gaussian
+
+
 def with_stated_torque(
     model: CarrierModel, state: FilterState, shares: int, before: FilterSettings, after: FilterSettings
 ) -> FilterState:
     """Return the state after the catalogue states another torque that is not fed forward.
 
     Where it states one for the first time its states come, where it states none they go; a greater one is known less.
+    What was learned under another profile is learned again: its shares and its wave are not those of the new one.
     """
-    places = torque_states(model, state.gaussian, shares)
-    first = core_size(model, shares)
-    if places is None:
-        gaussian = inserted(state.gaussian, first, torque_prior_deg_h2(after) ** 2)
-    elif is_pushed(after):
+    gaussian, places = state.gaussian, torque_states(model, state.gaussian, shares)
+    if places is not None and (before.fed_forward != after.fed_forward or not is_pushed(after)):
+        gaussian, places = dropped(gaussian, places), None
+    if places is not None:
         grown = torque_prior_deg_h2(after) ** 2 - torque_prior_deg_h2(before) ** 2
-        gaussian = with_wider_torque(state.gaussian, places, np.maximum(0.0, grown))
-    else:
-        gaussian = dropped(state.gaussian, places)
+        gaussian = with_wider_torque(gaussian, places, np.maximum(0.0, grown))
+    elif is_pushed(after):
+        gaussian = inserted(gaussian, core_size(model, shares), torque_covariance(after))
     command = obeyed_commands()._replace(share=state.command.share, minutes_left=state.command.minutes_left)
     return state._replace(gaussian=gaussian, command=command)

@@ -9,15 +9,19 @@ from service.core.estimation.filtering.filter_model import FilterSettings, Known
 from service.core.estimation.filtering.filter_predict import Weather, predict
 from service.core.estimation.filtering.filter_state import core_size, hidden_count, initial_gaussian
 from service.core.estimation.filtering.hidden_motion import (
-    TORQUES,
     dropped,
     hidden_transition,
     inserted,
-    torque_prior_deg_h2,
     torque_states,
     with_doubted_torque,
 )
-from service.core.estimation.filtering.hidden_shares import with_share, with_stated_torque, without_shares
+from service.core.estimation.filtering.hidden_shares import (
+    with_share,
+    with_stated_torque,
+    with_torque,
+    without_shares,
+)
+from service.core.estimation.filtering.torque_prior import TORQUES, torque_prior_deg_h2
 
 MINUTE_US, HOUR_US, DAY_US = 60_000_000, 3_600_000_000, 86_400_000_000
 CARRIERS = 16
@@ -33,11 +37,10 @@ def model(filter_models):
 
 
 def aligned(model, settings=PUSHED):
-    hidden = torque_prior_deg_h2(settings) if max(settings.torque_deg_h2) else None
     sigma = np.array([0.01, 0.005, 0.005])
-    return initial_gaussian(
-        model, ZEROS, sigma, np.full(model.carriers, 0.03), drift_deg_h=settings.drift_deg_h, hidden_sigma=hidden
-    )
+    references = np.full(model.carriers, 0.03)
+    state = initial_gaussian(model, ZEROS, sigma, references, drift_deg_h=settings.drift_deg_h)
+    return with_torque(model, state, settings)
 
 
 def weather(model):
@@ -116,7 +119,7 @@ def test_shares_that_nobody_told_of_are_refused(model):
 
 def test_states_come_and_go_without_a_trace(model):
     state = aligned(model)
-    one = inserted(state, 5, np.array([1.0, 4.0]))
+    one = inserted(state, 5, np.diag([1.0, 4.0]))
     np.testing.assert_array_equal(np.diag(one.covariance)[5:7], [1.0, 4.0])
     again = dropped(one, slice(5, 7))
     np.testing.assert_array_equal(again.mean, state.mean)

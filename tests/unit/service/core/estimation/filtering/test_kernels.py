@@ -66,7 +66,7 @@ def test_both_sets_agree(filter_models, compiled, components, common):
 def test_both_sets_agree_on_hidden_states(filter_models, compiled, shares):
     model = filter_models.carrier_model(components=2, common=1)
     hidden = np.concatenate([np.ones(shares), np.full(9, 0.1)])
-    state = inserted(filter_models.aligned(model), core_size(model), hidden**2)
+    state = inserted(filter_models.aligned(model), core_size(model), np.diag(hidden**2))
     arrays, loops = (walk(model, state, kernels, 40, shares) for kernels in (ARRAYS, compiled))
     assert_alike(arrays, loops, 1e-10)
     assert_alike(arrays[:1], loops[:1], 1e-12)

@@ -1,0 +1,70 @@
+"""Prior of the torque that is not fed forward: what the ground states about it before powers tell.
+
+    m' = h_const + h_cos cos(p) + h_sin sin(p)           h (9,) as in `hidden_motion`, deg/h^2
+    P  = diag(residual) + V (c^2 1 + o^2 I) V'           V (9, 3): the profile that is fed forward, axis by axis
+
+The residual is a torque of unknown shape. What is left of a known profile has its shape: a share of it, most of it (c)
+common to all axes because one model of the Sun's light made it, a little (o) of each axis' own. Both are Gaussian and
+linear in h, so that shares need no states beside the nine: they are a covariance of these, and a share that one axis
+shows is known about the others. The law of this file: settings in, arrays out.
+"""
+
+import math
+from functools import lru_cache
+
+import numpy as np
+
+from service.core.estimation.filtering.filter_model import FedForward, FilterSettings, FloatArray
+
+#: states of the torque: a constant, a cosine and a sine an axis
+TORQUES = 9
+#: the Sun turns round the body once in this time, us
+DAY_US = 86_400_000_000
+#: the constant part of the residual torque, as a share of the whole
+CONSTANT_SHARE = 0.2
+
+
+def wave_period_us(settings: FilterSettings) -> int:
+    """Return the time in which the torque goes round: that of the profile fed forward, without one a solar day."""
+    return DAY_US if settings.fed_forward is None else settings.fed_forward.period_us
+
+
+def torque_prior_deg_h2(settings: FilterSettings) -> FloatArray:
+    """Return the standard deviation (9,) of the residual torque.
+
+    At every hour the torque has the size that was stated. What pushes is the light of the Sun, which goes round: nearly
+    all of it is wave. A constant part as large would leave yaw unknown for a day where half a day tells it.
+    """
+    size = np.array(settings.torque_deg_h2)
+    wave = math.sqrt(1.0 - CONSTANT_SHARE**2)
+    return np.concatenate([CONSTANT_SHARE * size, wave * size, wave * size])
+
+
+def scale_covariance(told: FedForward) -> FloatArray:
+    """Return the covariance (9, 9) of what is wrong with a profile, (deg/h^2)^2; its rank is three."""
+    profile = np.vstack([np.diag(part) for part in told[:3]])
+    shares = np.full((3, 3), told.relative_error**2) + told.axis_relative_error**2 * np.eye(3)
+    return np.asarray(profile @ shares @ profile.T)
+
+
+def torque_covariance(settings: FilterSettings) -> FloatArray:
+    """Return the covariance (9, 9) of the torque before anything was learned of it, (deg/h^2)^2."""
+    covariance = np.diag(torque_prior_deg_h2(settings) ** 2)
+    return covariance if settings.fed_forward is None else covariance + scale_covariance(settings.fed_forward)
+
+
+def torque_size_deg_h2(settings: FilterSettings) -> FloatArray:
+    """Return how large (3,) the torque is thought to be at the most, one sigma, deg/h^2."""
+    size = np.array(settings.torque_deg_h2)
+    told = settings.fed_forward
+    if told is None:
+        return size
+    constant, cosine, sine = np.abs(np.array(told[:3]))
+    share = math.hypot(told.relative_error, told.axis_relative_error)
+    return np.asarray(np.hypot(size, share * (constant + np.hypot(cosine, sine))))
+
+
+@lru_cache(maxsize=64)
+def is_pushed(settings: FilterSettings) -> bool:
+    """Return whether a torque acts that is not fed forward."""
+    return float(torque_size_deg_h2(settings).max()) > 0.0

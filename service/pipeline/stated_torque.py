@@ -1,0 +1,57 @@
+"""What the catalogue states about the torque that acts on a craft, as accelerations of the body.
+
+    a = T / J        T N m, J kg m2 about the axis, a deg/h^2
+
+The law of this file: records in, settings of the filter out; order yaw, roll, pitch.
+"""
+
+import math
+
+import numpy as np
+
+from service.core.estimation.filtering.filter_model import FedForward
+from service.pipeline.known_motion import DEG_H2_N_M, angle_inertia_kg_m2
+from service.records.attitude import FloatArray
+from service.records.catalogue import AxisTorques, Spacecraft
+from service.records.epoch import US_PER_S
+
+
+def residual_deg_h2(spacecraft: Spacecraft | None) -> tuple[float, float, float]:
+    """Return what the torque of unknown shape that is not fed forward does to yaw, roll and pitch."""
+    if spacecraft is None:
+        return (0.0, 0.0, 0.0)
+    yaw, roll, pitch = (
+        spacecraft.onboard.residual_torque_n_m / DEG_H2_N_M / inertia for inertia in angle_inertia_kg_m2(spacecraft)
+    )
+    return yaw, roll, pitch
+
+
+def fed_forward(spacecraft: Spacecraft | None) -> FedForward | None:
+    """Return the profile that the loop on board takes away, its phase counted from the beginning of 1970."""
+    told = None if spacecraft is None else spacecraft.onboard.fed_forward_torque
+    if spacecraft is None or told is None:
+        return None
+    period_us = round(told.period_s * US_PER_S)
+    phase = 2.0 * math.pi * (told.epoch_us % period_us) / period_us
+    constant, cosine, sine = (
+        _accelerations(part, spacecraft) for part in (told.constant_n_m, told.cosine_n_m, told.sine_n_m)
+    )
+    return FedForward(
+        _triple(constant),
+        _triple(math.cos(phase) * cosine - math.sin(phase) * sine),
+        _triple(math.sin(phase) * cosine + math.cos(phase) * sine),
+        told.relative_error,
+        told.axis_relative_error,
+        period_us,
+    )
+
+
+def _accelerations(torque_n_m: AxisTorques, spacecraft: Spacecraft) -> FloatArray:
+    """Return what a torque does to yaw, roll and pitch (3,), deg/h^2."""
+    torque = np.array([torque_n_m.yaw, torque_n_m.roll, torque_n_m.pitch])
+    return np.asarray(torque / DEG_H2_N_M / np.array(angle_inertia_kg_m2(spacecraft)))
+
+
+def _triple(values: FloatArray) -> tuple[float, float, float]:
+    yaw, roll, pitch = values.tolist()
+    return yaw, roll, pitch
