@@ -2,7 +2,8 @@
 
 Out, in this order; fields in brackets are not always there:
 
-    {"type":"start","scenario":..,"seed":..,"carriers":[ids],"open_rows":n,"closed_rows":m,"uplink":..,"onboard":..}
+    {"type":"start","scenario":..,"seed":..,"carriers":[ids],"open_rows":n,"closed_rows":m,"uplink":..,"onboard":..,
+     "fed_forward_torque":{"epoch":..,"period_s":..,"constant_n_m":{..},"cosine_n_m":{..},"sine_n_m":{..}}}
     {"type":"ground","line":{..}}                what the ground port would send, corrections left out
     {"type":"report","counter":..,"state":"executed|executing|replaced|repeated|late|refused","told":..,"received":..,
      ["executed_from":..,"executed_until":..,"impulse_n_m_s":{..}]}
@@ -27,15 +28,19 @@ import math
 from collections.abc import Iterator
 from typing import Any, TextIO
 
+import numpy as np
+
 from analyzer_sim.epochs import rfc3339
 from analyzer_sim.plant import Plant, PlantOptions
 from analyzer_sim.schedule_lines import MAX_LINE_CHARACTERS, Schedule, ScheduleError, parse_schedule
 from analyzer_sim.streams import FloatArray
+from analyzer_sim.world.disturbance import fed_forward
 from analyzer_sim.world.ground import catalogue_lines, chunks_of, flown_lines, told_lines, truth_row
 from analyzer_sim.world.story import Scenario
 from analyzer_sim.world.telemetry import PERIOD_H
 from analyzer_sim.world.uplink import Report
 from analyzer_sim.world.wheels import rotor_speed_rpm
+from analyzer_sim.world.world import World
 
 Line = dict[str, Any]
 
@@ -77,7 +82,9 @@ def _opening(plant: Plant, options: PlantOptions) -> Iterator[Line]:
     rows = {"open_rows": plant.first_row, "closed_rows": plant.row_count - plant.first_row}
     what = {"uplink": options.uplink, "onboard": options.onboard}
     carriers = list(world.carrier_ids)
-    yield {"type": "start", "scenario": world.scenario.name, "seed": world.seed, "carriers": carriers, **rows, **what}
+    told = {"fed_forward_torque": fed_forward_line(world)}
+    start = {"type": "start", "scenario": world.scenario.name, "seed": world.seed, "carriers": carriers}
+    yield {**start, **rows, **what, **told}
     yield from ({"type": "ground", "line": line} for line in catalogue_lines(world))
     for first, last, phase in chunks_of(world):
         if phase != "operation":
@@ -85,6 +92,14 @@ def _opening(plant: Plant, options: PlantOptions) -> Iterator[Line]:
             for row in range(first, last + 1):
                 yield {"type": "truth", **truth_row(world, row, world.rows.attitude_deg[row])}
                 yield _row_line(int(world.rows.epochs_us[row]), plant.open_dbm[row])
+
+
+def fed_forward_line(world: World) -> Line:
+    """Return the profile that the loop on board feeds forward, as the catalogue of the service states one."""
+    told = fed_forward(world.scenario, world.seed)
+    parts = {"constant_n_m": np.zeros(3), "cosine_n_m": told.cosine_n_m, "sine_n_m": told.sine_n_m}
+    torques = {name: dict(zip(_AXES, part.tolist(), strict=True)) for name, part in parts.items()}
+    return {"epoch": rfc3339(told.epoch_us), "period_s": told.period_s, **torques}
 
 
 def _present(plant: Plant) -> Iterator[Line]:

@@ -2,7 +2,7 @@
 
 Out; fields in brackets are not always there:
 
-    {"type":"start","scenario":..,"seed":..,"uplink":..,"onboard":..,"operation_start":..}
+    {"type":"start","scenario":..,"seed":..,"uplink":..,"onboard":..,"operation_start":..,"fed_forward_torque":{..}}
     {"type":"taken","counter":..,"sent":..}      the line was handed to the channel; counter null = nothing to send
     {"type":"report","counter":..,"state":"executed|repeated|late|refused","told":..,"received":..,
      ["executed_from":..,"executed_until":..,"impulse_n_m_s":{..}]}
@@ -25,6 +25,7 @@ from typing import Any
 
 from analyzer_sim.epochs import rfc3339
 from analyzer_sim.flown_world import FlownWorld
+from analyzer_sim.plant_lines import fed_forward_line
 from analyzer_sim.schedule_lines import MAX_LINE_CHARACTERS, ScheduleError
 
 Line = dict[str, Any]
@@ -91,6 +92,7 @@ class UplinkPort:
             "uplink": options.uplink,
             "onboard": options.onboard,
             "operation_start": rfc3339(scenario.operation_start_us),
+            "fed_forward_torque": fed_forward_line(self._craft.world),
         }
 
     def _answer(self, line: bytes) -> Line:

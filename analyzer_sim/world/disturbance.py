@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analyzer_sim.epochs import US_PER_DAY
+from analyzer_sim.epochs import US_PER_DAY, US_PER_S
 from analyzer_sim.streams import FloatArray, stream
 from analyzer_sim.world.noise import first_order
 from analyzer_sim.world.orbit import EpochArray
@@ -29,6 +29,30 @@ class Disturbance(NamedTuple):
     solar_n_m: FloatArray
 
 
+class FedForward(NamedTuple):
+    """Torque that the loop on board feeds forward, N m, order yaw, roll, pitch: cosine cos(p) + sine sin(p)."""
+
+    #: where p is zero
+    epoch_us: int
+    period_s: float
+    cosine_n_m: FloatArray
+    sine_n_m: FloatArray
+
+
+def fed_forward(scenario: Scenario, seed: int) -> FedForward:
+    """Return what the loop on board feeds forward; the ground wrote it, so it is known there."""
+    size, phase = FED_FORWARD_SHARE * np.array(SOLAR_TORQUE_N_M), _solar_phase_rad(seed)
+    return FedForward(scenario.start_us, US_PER_DAY / US_PER_S, size * np.cos(phase), -size * np.sin(phase))
+
+
+def _solar_phase_rad(seed: int) -> FloatArray:
+    """Return the phase (3,) of the Sun's torque where the story begins."""
+    rng = stream(seed, "solar torque")
+    first = rng.uniform(0.0, 2.0 * np.pi)
+    apart = np.array([rng.uniform(0.0, 2.0 * np.pi), 0.0, rng.choice([-0.5, 0.5]) * np.pi])
+    return np.asarray(first + apart)
+
+
 def disturbance(scenario: Scenario, seed: int, epochs_us: EpochArray) -> Disturbance:
     """Return drift and the torque of the Sun for the epochs (T,) of the operation phase."""
     figures, count, step_s = scenario.keeping, len(epochs_us), scenario.row_period_s
@@ -36,11 +60,7 @@ def disturbance(scenario: Scenario, seed: int, epochs_us: EpochArray) -> Disturb
         first_order(stream(seed, "drift", axis), count, step_s, sigma, figures.drift_tau_s)
         for axis, sigma in zip(AXES, figures.drift_deg_h, strict=True)
     ]
-    rng = stream(seed, "solar torque")
-    phase = rng.uniform(0.0, 2.0 * np.pi) + np.array(
-        [rng.uniform(0.0, 2.0 * np.pi), 0.0, rng.choice([-0.5, 0.5]) * np.pi]
-    )
     # of the middle of the step
     days = (epochs_us - scenario.start_us + 0.5 * scenario.row_period_us) / US_PER_DAY
-    wave = np.cos(2.0 * np.pi * days[:, None] + phase)
+    wave = np.cos(2.0 * np.pi * days[:, None] + _solar_phase_rad(seed))
     return Disturbance(np.stack(drift_deg_h, axis=1) / 3600.0, np.asarray(np.array(SOLAR_TORQUE_N_M) * wave))

@@ -1,11 +1,13 @@
 """What the ground knows when operation begins, from the plant's opening, and what it learns later."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from service.records.attitude import BoolArray, IntArray
 from service.records.calibration import Window
+from service.records.catalogue import AxisTorques, FedForwardTorque, Spacecraft
 from service.records.epoch import parse_epoch
 from service.records.inputs import SourceSelection
 from service.records.journal import SlowInput
@@ -23,6 +25,9 @@ from service.study.estimation.world import AXES, Ground
 
 _SOURCE = "sa-1"
 _NAN = float("nan")
+#: one sigma of what a model of the Sun's light has wrong about all axes together, and about each one by itself
+RELATIVE_ERROR = 0.06
+AXIS_RELATIVE_ERROR = 0.01
 
 
 def ground_of(opening: Opening) -> Ground:
@@ -34,7 +39,7 @@ def ground_of(opening: Opening) -> Ground:
     phases = [line for line in opening.ground if line["kind"] == "phase"]
     windows = {line["name"]: Window(parse_epoch(line["start"]), parse_epoch(line["stop"])) for line in phases}
     return Ground(
-        spacecraft=read_spacecraft(bodies["spacecraft"]),
+        spacecraft=_spacecraft(bodies["spacecraft"], opening.fed_forward),
         carriers=read_carriers(bodies["carriers"]),
         ephemeris=read_ephemeris(bodies["ephemeris"]),
         news=(),
@@ -48,6 +53,23 @@ def ground_of(opening: Opening) -> Ground:
         source_names=(_SOURCE,),
         references=_references(opening),
     )
+
+
+def _spacecraft(body: Line, fed_forward: Line | None) -> Spacecraft:
+    """Return the catalogue's spacecraft with the torque that its loop feeds forward: the ground wrote that profile."""
+    craft = read_spacecraft(body)
+    if fed_forward is None:
+        return craft
+    told = FedForwardTorque(
+        epoch_us=parse_epoch(fed_forward["epoch"]),
+        period_s=fed_forward["period_s"],
+        constant_n_m=AxisTorques(**fed_forward["constant_n_m"]),
+        cosine_n_m=AxisTorques(**fed_forward["cosine_n_m"]),
+        sine_n_m=AxisTorques(**fed_forward["sine_n_m"]),
+        relative_error=RELATIVE_ERROR,
+        axis_relative_error=AXIS_RELATIVE_ERROR,
+    )
+    return replace(craft, onboard=replace(craft.onboard, fed_forward_torque=told))
 
 
 def slow_inputs(lines: tuple[Line, ...], documents: Documents, number: int) -> Iterator[SlowInput]:

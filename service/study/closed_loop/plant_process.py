@@ -72,6 +72,8 @@ class Opening:
     epochs_us: tuple[int, ...]
     #: (T, N) dBm
     power_dbm: FloatArray
+    #: profile that the loop on board feeds forward, as a catalogue states it; None = none is told
+    fed_forward: Line | None = None
 
 
 @dataclass
@@ -151,7 +153,8 @@ class PlantProcess:
                 epochs_us.append(parse_epoch(line["epoch"]))
                 powers.append(_powers(line))
         carrier_ids = tuple(start["carriers"])
-        return Opening(carrier_ids, start["closed_rows"], tuple(ground), tuple(epochs_us), np.array(powers))
+        told = start.get("fed_forward_torque")
+        return Opening(carrier_ids, start["closed_rows"], tuple(ground), tuple(epochs_us), np.array(powers), told)
 
     def rows(self) -> Iterator[PlantRow]:
         """Yield the rows of operation; after each one with powers a schedule must be sent."""

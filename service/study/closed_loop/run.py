@@ -22,10 +22,11 @@ from service.study.estimation.world import Ground
 
 #: what the craft tells of commands
 STATES = ("executed", "executing", "replaced", "repeated", "late", "refused")
-#: N m, one sigma of what the craft's own loop does not feed forward, as its catalogue would state it
-RESIDUAL_TORQUE_N_M = 3.5e-7
-#: sigma of yaw up to which it is controlled, deg: under a torque that is not known yet yaw is known to 0.3-0.4 deg for
-#: half a day, and left alone it goes off by a degree in that time
+#: N m, one sigma of a torque of unknown shape beside what is wrong with the profile that is fed forward: none is
+#: stated; 2e-8 would leave yaw known to .20 deg in place of .17, and nothing else would change
+RESIDUAL_TORQUE_N_M = 0.0
+#: sigma of yaw up to which it is controlled, deg: half a day long yaw may be known to a quarter of a degree, and left
+#: alone it goes off by a degree in that time
 YAW_SIGMA_DEG = 0.5
 #: s: of the closed loop and between commands over the link, as quick as delay, report and envelope allow
 LOOP_PERIOD_S = 2400.0

@@ -13,6 +13,7 @@ from analyzer_sim import uplink_port
 from analyzer_sim.epochs import rfc3339
 from analyzer_sim.flown_world import FlownWorld
 from analyzer_sim.plant import PlantOptions
+from analyzer_sim.plant_lines import fed_forward_line
 from analyzer_sim.schedule_lines import MAX_LINE_CHARACTERS
 from analyzer_sim.uplink_port import UplinkPort
 from analyzer_sim.world.ground_port import Gate, serve_ground
@@ -90,6 +91,7 @@ def test_a_schedule_is_taken_and_its_report_comes_before_the_row_that_was_flown(
                 "uplink": "ideal",
                 "onboard": "wheels",
                 "operation_start": rfc3339(STORY.operation_start_us),
+                "fed_forward_torque": fed_forward_line(craft.world),
             }
             sent = rfc3339(craft.epoch_us)
             assert await client.ask(schedule(craft, 4)) == {"type": "taken", "counter": 4, "sent": sent}
