@@ -1,13 +1,15 @@
 """What the ground commanded: corrections through other channels and released torques, as input of the attitude filter.
 
 A correction is spread evenly over its interval; a pulse changes the rate for good and acts from its middle on. What
-falls into rows that were consumed before it became known is applied to the state at once. The law of this file: the
-same journal gives the same input, and nothing counts twice.
+falls into rows that were consumed before it became known is applied to the state at once. From its first pulse on a
+command takes the place of all before it, as it does on board: what they had left is not flown. The law of this file:
+the same journal gives the same input, and nothing counts twice.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -19,6 +21,7 @@ from service.records.epoch import US_PER_S
 from service.records.inputs import Correction
 
 _US_PER_H = 3600 * US_PER_S
+_NEVER_US = 1 << 62
 #: torque that gives 1 kg m^2 an acceleration of 1 deg/h^2
 DEG_H2_N_M = math.radians(1.0) / 3600.0**2
 
@@ -33,8 +36,10 @@ class _Motion:
     change_deg: FloatArray
     #: (3,) deg/h, gained in the middle of the interval
     rate_change_deg_h: FloatArray
-    #: journal number of the row whose command it belongs to: the next command ends it; None = nothing ends it
+    #: journal number of the row whose command it belongs to: the next command ends it
     number: int | None = None
+    #: of the released command that it belongs to: one with a greater counter ends it; neither = nothing ends it
+    counter: int | None = None
 
 
 @dataclass(frozen=True)
@@ -56,24 +61,44 @@ def heard(
 ) -> CommandedMotion:
     """Return the changes with one more, which became known when rows up to ``newest_us`` had been consumed.
 
-    A command that counts as applied ends the one before it: what that one had left is not flown.
+    A command that counts as applied, or was carried out, ends those before it.
     """
     match content:
         case Correction():
             return _with(commanded, _of_correction(content), newest_us)
         case ReportedCommand():
-            return _with(commanded, _of_pulses(content.executed, craft), newest_us)
+            ended = without_replaced(commanded, content.counter, content.executed, newest_us)
+            return _with(ended, _of_pulses(content.executed, craft, counter=content.counter), newest_us)
         case AppliedCommand():
             command = content.command
-            ended = _ended(commanded, command.number, command.epoch_us, newest_us)
-            return _with(ended, _of_pulses(command.schedule, craft, command.number), newest_us)
+            is_before = partial(_is_of_row_before, number=command.number)
+            ended = _ended(commanded, is_before, command.epoch_us, newest_us)
+            return _with(ended, _of_pulses(command.schedule, craft, number=command.number), newest_us)
 
 
 def motions_of_released(
     commanded: CommandedMotion, released: ReleasedCommand, craft: Spacecraft | None, newest_us: int
 ) -> CommandedMotion:
-    """Return the changes with those that a released command would make."""
-    return _with(commanded, _of_pulses(released.schedule, craft), newest_us)
+    """Return what a released command would change: its own pulses, and what is known to be under way without it."""
+    nothing = CommandedMotion(commanded.since_us)
+    own = _with(nothing, _of_pulses(released.schedule, craft, counter=released.counter), newest_us)
+    start_us = first_us(released.schedule)
+    is_before = partial(_is_of_release_before, counter=released.counter)
+    replaced = (_rest(motion, start_us) for motion in commanded.motions if is_before(motion))
+    left_out = tuple(replace(rest, counter=released.counter) for rest in replaced if rest is not None)
+    return _with(own, left_out, newest_us)
+
+
+def without_replaced(
+    commanded: CommandedMotion, counter: int, schedule: Sequence[Pulse], newest_us: int
+) -> CommandedMotion:
+    """Return the changes when the pulses of a command take the place of what earlier releases have left."""
+    return _ended(commanded, partial(_is_of_release_before, counter=counter), first_us(schedule), newest_us)
+
+
+def first_us(schedule: Iterable[Pulse]) -> int:
+    """Return when the first pulse begins; without pulses in the far future, so that nothing gives way to them."""
+    return min((pulse.start_us for pulse in schedule), default=_NEVER_US)
 
 
 def end_us(content: Correction | AppliedCommand | ReportedCommand) -> int:
@@ -87,22 +112,39 @@ def end_us(content: Correction | AppliedCommand | ReportedCommand) -> int:
             return max(content.command.valid_until_us, *map(_pulse_stop_us, content.command.schedule), 0)
 
 
-def _ended(commanded: CommandedMotion, number: int, stop_us: int, newest_us: int) -> CommandedMotion:
+def _is_of_row_before(motion: _Motion, *, number: int) -> bool:
+    return motion.number is not None and motion.number < number
+
+
+def _is_of_release_before(motion: _Motion, *, counter: int) -> bool:
+    return motion.counter is not None and motion.counter < counter
+
+
+def _ended(
+    commanded: CommandedMotion, is_before: Callable[[_Motion], bool], stop_us: int, newest_us: int
+) -> CommandedMotion:
     """Return the changes when pulses of earlier commands end at an instant; rows may have consumed more of them."""
     kept, undone = [], []
     for motion in commanded.motions:
-        if motion.number is None or motion.number >= number or motion.stop_us <= stop_us:
+        rest = _rest(motion, stop_us) if is_before(motion) else None
+        if rest is None:
             kept.append(motion)
             continue
-        cut_us = max(motion.start_us, stop_us)
-        share = (motion.stop_us - cut_us) / (motion.stop_us - motion.start_us)
-        rest = replace(motion, start_us=cut_us, rate_change_deg_h=-share * motion.rate_change_deg_h)
-        if cut_us < newest_us:
+        if rest.start_us < newest_us:
             undone.append(rest)
-        if cut_us > motion.start_us:
-            left = (1.0 - share) * motion.rate_change_deg_h
-            kept.append(replace(motion, stop_us=cut_us, rate_change_deg_h=left))
+        if rest.start_us > motion.start_us:
+            left = motion.rate_change_deg_h + rest.rate_change_deg_h
+            kept.append(replace(motion, stop_us=rest.start_us, rate_change_deg_h=left))
     return _with(replace(commanded, motions=tuple(kept)), tuple(undone), newest_us, are_kept=False)
+
+
+def _rest(motion: _Motion, from_us: int) -> _Motion | None:
+    """Return what takes away the part of a pulse that lies after an instant; None where there is none."""
+    if motion.stop_us <= from_us:
+        return None
+    cut_us = max(motion.start_us, from_us)
+    share = (motion.stop_us - cut_us) / (motion.stop_us - motion.start_us)
+    return replace(motion, start_us=cut_us, rate_change_deg_h=-share * motion.rate_change_deg_h)
 
 
 def _with(
@@ -152,7 +194,9 @@ def _of_correction(correction: Correction) -> tuple[_Motion, ...]:
     return (_Motion(correction.start_us, max(correction.stop_us, correction.start_us + 1), change_deg, np.zeros(3)),)
 
 
-def _of_pulses(pulses: Iterable[Pulse], craft: Spacecraft | None, number: int | None = None) -> tuple[_Motion, ...]:
+def _of_pulses(
+    pulses: Iterable[Pulse], craft: Spacecraft | None, *, number: int | None = None, counter: int | None = None
+) -> tuple[_Motion, ...]:
     """Return the pulses of a command; without a spacecraft nothing is known of their effect."""
     if craft is None:
         return ()
@@ -161,7 +205,7 @@ def _of_pulses(pulses: Iterable[Pulse], craft: Spacecraft | None, number: int | 
     for pulse in pulses:
         gained_deg_h = np.rad2deg(np.array(pulse.torque_n_m) * pulse.duration_s / inertia) * 3600.0
         stop_us = max(pulse.start_us + 1, _pulse_stop_us(pulse))
-        motions.append(_Motion(pulse.start_us, stop_us, np.zeros(3), gained_deg_h, number))
+        motions.append(_Motion(pulse.start_us, stop_us, np.zeros(3), gained_deg_h, number, counter))
     return tuple(motions)
 
 

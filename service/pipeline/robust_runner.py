@@ -1,6 +1,6 @@
 """The robust method in the chain: its model, its state, commanded motion, and what is known of each carrier."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -236,7 +236,7 @@ class RobustRunner:
         since_us = alignment.epoch_us
         self._told = [told for told in self._told if end_us(told[0]) > since_us - _KEPT_US]
         commanded = CommandedMotion(since_us)
-        for content, craft in self._told:
+        for content, craft in _as_released(self._told):
             commanded = heard(commanded, content, craft, since_us)
         state = initial_state(model, alignment, commanded, self._config)
         for released, craft in self._open.values():
@@ -260,6 +260,13 @@ class RobustRunner:
         if alignment is None or Method.ROBUST.value not in alignment.calibration_by_method:
             return None
         return self._lookup.calibration(alignment.calibration_by_method[Method.ROBUST.value])
+
+
+def _as_released(told: Sequence[tuple[Motion, Spacecraft | None]]) -> list[tuple[Motion, Spacecraft | None]]:
+    """Return motions with reports in the order of their releases: a later command ends an earlier one."""
+    reports = [(content, craft) for content, craft in told if isinstance(content, ReportedCommand)]
+    in_order = iter(sorted(reports, key=lambda each: each[0].counter))
+    return [next(in_order) if isinstance(each[0], ReportedCommand) else each for each in told]
 
 
 def _again(take: Callable[[RobustState], RobustStep], state: RobustState) -> RobustState:

@@ -3,18 +3,20 @@
 Between release and report a command's whole effect is uncertain: its pulses act by a share among the filter's states.
 When the report comes the filter goes back to where the command was released, takes what was executed as known from then
 on and the rows again, so that detectors and faults too are those of a filter that always knew. Rows already told stay
-as they were told. The law of this file: entries in the order of the journal; the same entries give the same state.
+as they were told. A command that takes the place of one before it, on board, takes it here: what that one had left
+stays known until the new one is reported, and is part of what is uncertain. The law of this file: entries in the order
+of the journal; the same entries give the same state.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from service.core.estimation.filtering.hidden_shares import with_share, without_shares
-from service.pipeline.known_motion import CommandedMotion, heard, motions_of_released
+from service.pipeline.known_motion import heard, motions_of_released, without_replaced
 from service.pipeline.robust_method import RobustState
 from service.pipeline.robust_model import RobustModel
 from service.records.catalogue import Spacecraft
-from service.records.command import AppliedCommand, ReleasedCommand, ReportedCommand
+from service.records.command import AppliedCommand, Pulse, ReleasedCommand, ReportedCommand
 from service.records.inputs import Correction
 
 #: rows that are kept to be taken again, an hour of rows a second; behind them the powers have told what happened
@@ -57,11 +59,21 @@ def stepped(branch: Branch, taken: Step) -> Branch:
 def told_to(state: RobustState, told: Told) -> RobustState:
     """Return the state that has heard of a motion, or of a release whose effect is uncertain."""
     content, newest_us = told.content, state.filter.epoch_us
+    if isinstance(content, ReportedCommand):
+        state = _with_replaced(state, content.counter, content.executed)
     if not isinstance(content, ReleasedCommand):
         return replace(state, commanded=heard(state.commanded, content, told.craft, newest_us))
-    motion = motions_of_released(CommandedMotion(state.commanded.since_us), content, told.craft, newest_us)
+    state = _with_replaced(state, content.counter, content.schedule)
+    motion = motions_of_released(state.commanded, content, told.craft, newest_us)
     widened = with_share(told.model.filter, state.filter, len(state.released))
     return replace(state, filter=widened, released=(*state.released, (content.counter, motion)))
+
+
+def _with_replaced(state: RobustState, counter: int, schedule: Sequence[Pulse]) -> RobustState:
+    """Return the state in which what is uncertain of earlier commands ends where the pulses of a later one begin."""
+    newest_us = state.filter.epoch_us
+    ended = ((n, without_replaced(motion, counter, schedule, newest_us)) for n, motion in state.released)
+    return replace(state, released=tuple(ended))
 
 
 def reported(branch: Branch, report: ReportedCommand) -> tuple[RobustState, Branch | None]:
