@@ -255,10 +255,13 @@ def _aged(command: CommandRecord, at: Instant, *, is_tripped: bool) -> CommandRe
 
 
 def _is_kept(command: CommandRecord, at: Instant) -> bool:
-    """Whether a command may still be asked for: it is alive, or younger than an hour."""
+    """Whether a command may still be asked for: it is alive, or ended less than an hour ago."""
     if command.life in OPEN or command.life in UNREPORTED:
         return True
     newest_us = max(command.prepared_us, command.released_us or 0, command.reported_us or 0)
+    if command.executed:
+        # a later command may leave out its end
+        newest_us = max(newest_us, command.proposal.stop_us)
     return at.now_us - newest_us < _HOUR_US
 
 

@@ -158,15 +158,41 @@ def report(state: ReleaseState, event: Report) -> Step:
     actions = [Action(ActionKind.CERTAIN, life.name, command.counter)]
     if executed:
         actions.append(Action(ActionKind.KNOWN_INPUT, "as reported", command.counter))
-    return Step(with_command(state, ended), tuple(actions))
+    return Step(_with_replaced(with_command(state, ended)), tuple(actions))
+
+
+def _with_replaced(state: ReleaseState) -> ReleaseState:
+    """Return the state in which nothing was executed of a command after the first pulse of a later one.
+
+    A report may say that all was executed while the end still lies ahead; the craft leaves it out when it begins a
+    command with a greater counter.
+    """
+    begun_us = {
+        command.counter: command.proposal.start_us + round(command.executed[0].start_s * US_PER_S)
+        for command in state.commands
+        if command.executed
+    }
+    commands = []
+    for command in state.commands:
+        later_us = [start_us for counter, start_us in begun_us.items() if counter > command.counter]
+        if later_us and command.executed:
+            left = pulses_between(command.executed, command.proposal.start_us, 0, min(later_us))
+            command = command if left == command.executed else replace(command, executed=left)
+        commands.append(command)
+    return replace(state, commands=tuple(commands))
 
 
 def executed_part(proposal: Proposal, from_us: int, until_us: int) -> tuple[AxisPulse, ...]:
     """Return the pulses of a schedule, or parts of them, that lie between two instants."""
-    from_s = (from_us - proposal.start_us) / US_PER_S
-    until_s = (until_us - proposal.start_us) / US_PER_S
+    return pulses_between(proposal.pulses, proposal.start_us, from_us, until_us)
+
+
+def pulses_between(pulses: tuple[AxisPulse, ...], epoch_us: int, from_us: int, until_us: int) -> tuple[AxisPulse, ...]:
+    """Return the pulses of a schedule that began at an epoch, or parts of them, that lie between two instants."""
+    from_s = (from_us - epoch_us) / US_PER_S
+    until_s = (until_us - epoch_us) / US_PER_S
     kept = []
-    for pulse in proposal.pulses:
+    for pulse in pulses:
         start_s, stop_s = max(pulse.start_s, from_s), min(pulse.stop_s, until_s)
         if stop_s > start_s:
             is_whole = start_s == pulse.start_s and stop_s == pulse.stop_s
