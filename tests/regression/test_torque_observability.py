@@ -7,7 +7,7 @@ Sixteen carriers with noise as in the nominal world, rows of ten minutes that st
 import numpy as np
 import pytest
 
-from service.core.estimation.filtering.filter_model import FilterSettings, no_motion
+from service.core.estimation.filtering.filter_model import FedForward, FilterSettings, no_motion
 from service.core.estimation.filtering.filter_predict import Weather, predict
 from service.core.estimation.filtering.filter_state import Gaussian, core_size, initial_gaussian
 from service.core.estimation.filtering.filter_update import innovate, update
@@ -103,3 +103,38 @@ def test_even_a_tenth_of_the_torque_leaves_yaw_unknown(model):
     weak, _ = sigmas(model, FilterSettings(torque_deg_h2=tuple(0.1 * SIZE)))
     print("angles", weak.round(3).tolist())
     assert (weak[:, 0] > 0.15).all()
+
+
+def fed_forward(relative_error, axis_relative_error, phase=0.0):
+    """Return a profile of 7.6, 12.9 and 6.8e-6 N m, roll and pitch a quarter of a wave apart."""
+    size = np.array([7.6, 12.9, 6.8]) / 0.5 * SIZE
+    phases = phase + np.array([1.0, 0.0, 0.5 * np.pi])
+    cosine, sine = (tuple((size * part).tolist()) for part in (np.cos(phases), -np.sin(phases)))
+    told = FedForward((0.0, 0.0, 0.0), cosine, sine, relative_error, axis_relative_error, 86_400_000_000)
+    return FilterSettings(fed_forward=told)
+
+
+#: where roll's wave is zero at the alignment, and where it is at its crest
+ZERO, CREST = 0.5 * np.pi, 0.0
+
+
+def test_where_the_profile_is_known_yaw_is(model):
+    """Six per cent of 12.9e-6 N m are more than the 5e-7 of unknown shape, and yaw is known nearly twice as well."""
+    free, _ = sigmas(model, PUSHED)
+    crest, _ = sigmas(model, fed_forward(0.06, 0.01, CREST))
+    zero, _ = sigmas(model, fed_forward(0.06, 0.01, ZERO))
+    print("crest", crest[:, 0].round(3).tolist(), "zero", zero[:, 0].round(3).tolist())
+    assert (crest[:, 0] < 0.6 * free[:, 0]).all()
+    assert (crest[:, 0] < 0.17).all()
+    # where roll's wave begins at zero the first half day tells its own share late
+    assert (zero[:, 0] < 0.85 * free[:, 0]).all()
+    assert (zero[2:, 0] < 0.16).all()
+
+
+def test_what_pitch_tells_of_the_others_counts_where_roll_begins_at_zero(model):
+    """The negative control: a share of each axis' own; at the crest the known shape does all of it."""
+    for phase, ratio in ((CREST, (1.0, 1.1)), (ZERO, (1.15, 2.0))):
+        shared, _ = sigmas(model, fed_forward(0.06, 0.01, phase))
+        own, _ = sigmas(model, fed_forward(0.0, 0.06, phase))
+        print("own", own[:, 0].round(3).tolist())
+        assert ratio[0] < (own[:2, 0] / shared[:2, 0]).max() < ratio[1]

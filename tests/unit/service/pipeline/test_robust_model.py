@@ -10,6 +10,7 @@ from service.pipeline.config import ChainConfig, InterlockConfig, RobustConfig
 from service.pipeline.knowledge import Knowledge
 from service.pipeline.robust_model import robust_model, signals
 from service.records.calibration import CalibrationMethod, Window
+from service.records.catalogue import AxisTorques, FedForwardTorque
 
 CONFIG = ChainConfig()
 ALIGNED_US = START_US + HOUR
@@ -76,6 +77,30 @@ def test_a_torque_that_is_not_fed_forward_is_an_acceleration_of_each_axis_and_le
     calm = robust_model(knows(payload), None, CONFIG)
     assert calm.settings.torque_deg_h2 == (0.0, 0.0, 0.0)
     assert calm.limits.sigma_yaw_deg == CONFIG.robust.yaw_sigma_limit_deg
+
+
+def test_what_is_fed_forward_is_counted_from_1970_whatever_epoch_states_it(payload):
+    told = FedForwardTorque(
+        epoch_us=ALIGNED_US + 5 * HOUR,
+        period_s=80_000.0,
+        constant_n_m=AxisTorques(pitch=1e-6),
+        cosine_n_m=AxisTorques(8e-6, 0.0, 2e-6),
+        sine_n_m=AxisTorques(0.0, 1.3e-5, 7e-6),
+    )
+    craft = payload.spacecraft()
+    fed = replace(craft, onboard=replace(craft.onboard, fed_forward_torque=told))
+    model = robust_model(knows(payload, spacecraft=fed), None, CONFIG)
+    profile = model.settings.fed_forward
+    assert (profile.period_us, profile.relative_error, profile.axis_relative_error) == (80_000_000_000, 0.06, 0.01)
+    unit = 3600.0**2 * np.degrees(1.0 / np.array([INERTIA[2][2], INERTIA[0][0], INERTIA[1][1]]))
+    for at_us in (told.epoch_us, ALIGNED_US + 31 * HOUR):
+        since, phase = (2.0 * np.pi * (us / 8e10) for us in (at_us - told.epoch_us, at_us))
+        stated = np.array([0.0, 0.0, 1e-6]) + np.cos(since) * np.array([8e-6, 0.0, 2e-6])
+        stated = unit * (stated + np.sin(since) * np.array([0.0, 1.3e-5, 7e-6]))
+        constant, cosine, sine = np.array(profile[:3])
+        np.testing.assert_allclose(constant + np.cos(phase) * cosine + np.sin(phase) * sine, stated, atol=1e-5)
+    assert model.limits.sigma_yaw_deg == CONFIG.robust.pushed_yaw_sigma_limit_deg
+    assert robust_model(knows(payload), None, CONFIG).settings.fed_forward is None
 
 
 def test_expected_levels_are_references_and_day(payload):

@@ -9,7 +9,7 @@ from geometry_flight import HOUR, INERTIA, Flight, FlightPayload
 
 from service.pipeline import robust_runner
 from service.records.attitude import Axes
-from service.records.catalogue import Method, Onboard
+from service.records.catalogue import AxisTorques, FedForwardTorque, Method, Onboard
 from service.records.command import AppliedCommand, Pulse, ReleasedCommand, ReportedCommand, TorqueCommand
 from service.records.inputs import AlignmentSet, Correction, SpacecraftChange
 
@@ -358,6 +358,31 @@ def test_the_disturbance_is_told_as_a_torque_with_its_sigma():
     told = robust.disturbance()
     assert told.torque_n_m(told.epoch_us).roll == pytest.approx(2e-7, abs=3.0 * told.sigma_n_m.roll)
     assert told.sigma_n_m.roll < 2e-7
+
+
+def test_a_twentieth_too_little_fed_forward_is_learned_about_pitch_and_known_about_roll():
+    """Roll and pitch wave in phase; only pitch has shown anything, and roll's torque is told with it."""
+    craft, start_us = PAYLOAD.spacecraft(), chain_of().at(0)
+    cosine = AxisTorques(0.0, 1e-5, 7e-6)
+    fed = replace(craft.onboard, fed_forward_torque=FedForwardTorque(start_us, cosine_n_m=cosine))
+    flight = chain_of(spacecraft=replace(craft, onboard=fed))
+    robust = flight.chain._runners[0]
+    around = 2.0 * np.pi / 86_400.0
+    for minute in range(2, 181, 2):
+        turned = np.degrees(0.05 * np.array([0.0, 1e-5, 7e-6]) / np.array([1.0, INERTIA[0][0], INERTIA[1][1]]))
+        swept = (1.0 - np.cos(around * 60.0 * minute)) / around**2
+        flight.robust(flight.row(minute, flight.truth_deg + np.array([0.0, 1.0, 1.0]) * turned * swept))
+    told = robust.disturbance()
+    torque = told.torque_n_m(told.epoch_us)
+    expected = 0.05 * np.cos(around * 60.0 * 180.0)
+    assert torque.pitch / 7e-6 == pytest.approx(expected, abs=3.0 * told.sigma_n_m.pitch / 7e-6)
+    assert torque.roll / 1e-5 == pytest.approx(torque.pitch / 7e-6, abs=0.02)
+    assert told.sigma_n_m.pitch < 0.02 * 7e-6
+    assert told.sigma_n_m.roll < 0.02 * 1e-5
+    # of a torque of unknown shape less is known
+    unshaped = chain_of(spacecraft=replace(craft, onboard=replace(craft.onboard, residual_torque_n_m=5e-7)))
+    flown(unshaped, {}, last=1, told=())
+    assert unshaped.chain._runners[0].disturbance().sigma_n_m.yaw > told.sigma_n_m.yaw
 
 
 def test_without_a_statement_no_disturbance_is_told(flight):
