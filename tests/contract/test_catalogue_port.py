@@ -6,11 +6,14 @@ import pytest
 
 from service.errors import ConflictError, NotFoundError
 from service.records.catalogue import (
+    AxisTorques,
     Carrier,
     ControlSettings,
     Ephemeris,
+    FedForwardTorque,
     FlexibleMode,
     Method,
+    Onboard,
     Site,
     Spacecraft,
     Station,
@@ -28,6 +31,9 @@ CRAFT = Spacecraft(
     0.05,
     cospar_id="2003-053A",
     modes=(FlexibleMode("roll", 0.6, 0.005, 0.1),),
+    onboard=Onboard(
+        fed_forward_torque=FedForwardTorque(1_700_000_000_000_001, 86_164.1, sine_n_m=AxisTorques(1e-7, -1e-5))
+    ),
     control=ControlSettings(method=Method.PAPER, period_s=3600.0),
 )
 
