@@ -6,7 +6,8 @@ from sqlalchemy.dialects.postgresql import psycopg
 from sqlalchemy.schema import CreateTable
 
 from db.compiled import CompiledStatement
-from db.ingest import _MOVE_HEAD, _MOVE_SOURCE, _READ_STATE
+from db.ingest import _MOVE_SOURCE, _READ_STATE
+from db.ingest_together import _READ_STATES
 from db.tables import attitude, head, measurement
 
 
@@ -20,7 +21,7 @@ class Recorder:
         return self
 
 
-@pytest.mark.parametrize("statement", [_MOVE_HEAD, _MOVE_SOURCE, _READ_STATE])
+@pytest.mark.parametrize("statement", [_MOVE_SOURCE, _READ_STATE, _READ_STATES])
 def test_values_go_by_name(statement):
     recorder = Recorder()
     values = range(len(statement._names))
@@ -32,7 +33,7 @@ def test_values_go_by_name(statement):
 
 def test_a_wrong_number_of_values_is_an_error():
     with pytest.raises(ValueError, match="zip"):
-        _MOVE_HEAD.run(Recorder(), 1)
+        _MOVE_SOURCE.run(Recorder(), 1)
 
 
 def test_the_head_is_locked_where_others_write_too():
