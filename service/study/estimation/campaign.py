@@ -191,12 +191,12 @@ def process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     try:
         yield pool
     except BaseException:
-        pool.shutdown(wait=False, cancel_futures=True)
         for child in multiprocessing.active_children():
             child.terminate()
         raise
     finally:
-        pool.shutdown(wait=True)
+        # waits for the pool's own thread, which the interpreter would otherwise meet half gone at its end
+        pool.shutdown(wait=True, cancel_futures=True)
         if former is None:
             del os.environ[_THREADS]
         else:
