@@ -17,7 +17,7 @@ import uvicorn
 
 import db.writer
 from bench.commit_per_request import CommitPerRequest, slow_down
-from service.api.server import StreamingServer
+from service.api.server import StreamingServer, calm_collector
 from service.bootstrap import build_app, build_storage
 from service.records.measurement import BatchReceipt, MeasurementBatch
 from service.settings import Settings
@@ -74,6 +74,8 @@ def main() -> None:
         storage.archive = CommitPerRequest(storage.archive, options.database, options.sync_ms / 1e3)
     slow_down(storage._database.engines.write, options.sync_ms / 1e3)  # noqa: SLF001 - a slower disk for the product
     app = build_app(settings, storage)
+    # as the service itself does
+    calm_collector()
     listener = socket.socket()
     listener.bind(("127.0.0.1", 0))
     # bound sockets accept connections once the server listens; the client tries again until then

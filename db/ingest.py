@@ -182,13 +182,15 @@ def store_batch(connection: Connection, prepared: PreparedBatch, cache: SegmentC
         insert_run(connection, run)
     _store_details(connection, prepared, outcome.accepted, state)
     _advance(connection, prepared, outcome, state)
+    late = int(is_late.sum())
     return BatchReceipt(
         len(outcome.accepted),
         len(outcome.duplicates),
-        int(is_late.sum()),
+        late,
         outcome.refused,
         first_number=state.newest_number + 1,
         feeds_estimator=bool(state.is_prime),
+        is_late=is_late if 0 < late < len(is_late) else None,
     )
 
 

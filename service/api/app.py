@@ -22,6 +22,7 @@ from service.api.deps import ApiContext, Limits
 from service.api.epoch_limits import EpochLimits
 from service.api.errors import add_handlers
 from service.api.event_stream import StreamParts
+from service.api.landings import Landings
 from service.api.metrics import Metrics
 from service.api.observation import Observation
 from service.api.open_streams import OpenStreams
@@ -54,6 +55,7 @@ def create_app(context: ApiContext) -> FastAPI:
     app.state.plan_widths = PlanWidths(context.storage.catalogue)
     app.state.carrier_names = CarrierNames(context.storage.catalogue)
     app.state.epoch_limits = EpochLimits(context.clock, context.limits, context.storage.archive)
+    app.state.landings = Landings()
     app.state.open_streams = streams = OpenStreams(context.limits.max_streams)
     app.state.stream_parts = StreamParts(context, app.state.carrier_names, streams)
     app.state.request_figures = figures

@@ -65,6 +65,10 @@ def _ignore(_spacecraft_id: str) -> None:
     """Tell nobody."""
 
 
+def _ignore_rows(_spacecraft_id: str, _number: int) -> None:
+    """Tell nobody."""
+
+
 def _always() -> bool:
     """Return True."""
     return True
@@ -103,6 +107,8 @@ class ApiContext:
     kernels: Literal["numba", "numpy"] = "numba"
     #: told the spacecraft whenever something of it entered the journal
     on_accepted: Callable[[str], None] = _ignore
+    #: told spacecraft and newest journal number of rows that entered it
+    on_rows_accepted: Callable[[str, int], None] = _ignore_rows
     on_startup: Callable[[], Awaitable[None]] = _nothing
     on_shutdown: Callable[[], Awaitable[None]] = _nothing
 

@@ -4,6 +4,7 @@ Under the data clock the present is the newest stored epoch, which only grows: w
 is accepted under the present one. A caller that is about to refuse an epoch asks for the present bounds first.
 """
 
+import asyncio
 from typing import NamedTuple
 
 from starlette.concurrency import run_in_threadpool
@@ -42,6 +43,8 @@ class EpochLimits:
         self._archive = archive
         self._limits = limits
         self._known: dict[str, _Known] = {}
+        #: spacecraft that are just asked about
+        self._asking: dict[str, asyncio.Task[EpochBounds]] = {}
 
     async def known(self, spacecraft_id: str) -> EpochBounds:
         """Return bounds at most a second old."""
@@ -49,7 +52,7 @@ class EpochLimits:
         now_us = self._clock.system_us()
         # before its first row nothing bounds a spacecraft, so that is never remembered
         if known is None or known.now_us is None or not 0 <= now_us - known.read_at_us < US_PER_S:
-            return await self.present(spacecraft_id)
+            return await self._asked_together(spacecraft_id)
         return self._bounds(known if known.is_data else known._replace(now_us=now_us))
 
     async def present(self, spacecraft_id: str) -> EpochBounds:
@@ -61,6 +64,23 @@ class EpochLimits:
     def forget(self, spacecraft_id: str) -> None:
         """Forget a spacecraft that was changed: it may live under another clock now."""
         self._known.pop(spacecraft_id, None)
+        self._asking.pop(spacecraft_id, None)
+
+    async def _asked_together(self, spacecraft_id: str) -> EpochBounds:
+        """Return what one asks for all that want it at once; each by itself would wait for a thread and the others."""
+        asking = self._asking.get(spacecraft_id)
+        if asking is None:
+            asking = self._asking[spacecraft_id] = asyncio.ensure_future(self.present(spacecraft_id))
+            asking.add_done_callback(lambda task: self._asked(spacecraft_id, task))
+        # who gives up does not spoil it for the others
+        return await asyncio.shield(asking)
+
+    def _asked(self, spacecraft_id: str, task: "asyncio.Task[EpochBounds]") -> None:
+        if self._asking.get(spacecraft_id) is task:
+            del self._asking[spacecraft_id]
+        if not task.cancelled():
+            # looked at, in case nobody waits any more
+            task.exception()
 
     def _read(self, spacecraft_id: str) -> _Known:
         """Ask the clock and the archive."""

@@ -108,6 +108,7 @@ def _listener(settings: Settings) -> socket.socket:
 def _serve(settings: Settings, listener: socket.socket) -> None:
     """Listen, say where, and run until told to stop; begin anew on an archive that was put in the place of ours."""
     # imported here so that other commands start without the web framework and the database
+    from service.api.server import calm_collector
     from service.bootstrap import build_app, first_administrator, watch_file
 
     is_announced = False
@@ -117,8 +118,7 @@ def _serve(settings: Settings, listener: socket.socket) -> None:
         watch = watch_file(settings)
         server = _server(settings, build_app(settings, storage), None if is_announced else listener)
         if not is_announced:
-            # what is there now stays for good: a full collection need not look at it again, and pauses stay short
-            gc.freeze()
+            calm_collector()
             gc.enable()
         if fresh is not None:
             typer.echo(f"administrator's key, shown this once and kept nowhere: {fresh}", err=True)

@@ -101,3 +101,5 @@ class BatchReceipt:
     first_number: int | None = field(default=None, compare=False)
     #: whether its source was the prime one
     feeds_estimator: bool = field(default=False, compare=False)
+    #: of each row accepted, whether it is late; None where all are or none
+    is_late: NDArray[np.bool_] | None = field(default=None, compare=False)

@@ -40,8 +40,7 @@ class RowNews:
 
     def stored(self, batch: MeasurementBatch, receipt: BatchReceipt) -> None:
         """Tell of a batch that was committed just now, if it comes next; called in the order of commits."""
-        is_whole = receipt.accepted == len(batch.index) and receipt.late in {0, receipt.accepted}
-        if receipt.first_number is None or not is_whole or receipt.accepted > _ROWS_AT_ONCE:
+        if receipt.first_number is None or receipt.accepted > _ROWS_AT_ONCE or not is_whole(batch, receipt):
             return
         with self._lock:
             if self._told.get(batch.spacecraft_id) == receipt.first_number - 1:
@@ -66,10 +65,16 @@ class RowNews:
             self._feed.publish(spacecraft_id, events)
 
 
+def is_whole(batch: MeasurementBatch, receipt: BatchReceipt) -> bool:
+    """Return whether all rows of a batch were stored, so that what became of each is known."""
+    return receipt.accepted == len(batch.index)
+
+
 def stored_rows(batch: MeasurementBatch, receipt: BatchReceipt) -> Iterator[Measurement]:
     """Yield the rows of a batch that was stored as a whole, as the archive gives them."""
     power_dbm = batch.power_dbm.astype(np.float32).astype(np.float64)
     power_dbm.setflags(write=False)
+    is_late = [receipt.late > 0] * len(batch.index) if receipt.is_late is None else receipt.is_late.tolist()
     for place in range(len(batch.index)):
         given = batch.flags[place]
         flags = None if given is None else np.array(given, dtype=np.int64)
@@ -83,7 +88,7 @@ def stored_rows(batch: MeasurementBatch, receipt: BatchReceipt) -> Iterator[Meas
             plan_id=batch.plan_id,
             power_dbm=power_dbm[place],
             flags=flags,
-            is_late=receipt.late > 0,
+            is_late=is_late[place],
             feeds_estimator=receipt.feeds_estimator,
             seq=None if batch.first_seq is None else batch.first_seq + int(batch.index[place]),
             details=_details(batch.details, place),

@@ -6,7 +6,9 @@ the chain is brought back by replaying the journal from the last alignment, sile
 """
 
 import logging
+import math
 import threading
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -21,8 +23,9 @@ from service.records.attitude import AttitudeRow, CarrierState
 from service.records.command import AppliedCommand, TorqueCommand
 from service.records.inputs import AlignmentSet, AttitudeReference, CalibrationActivation
 from service.records.journal import JournalEntry
-from service.records.measurement import Measurement
+from service.records.measurement import BatchReceipt, Measurement, MeasurementBatch
 from service.runtime.consumer import Documents, consume, prepare
+from service.runtime.fresh_rows import FreshRows
 from service.runtime.leading import Turn, always
 from service.runtime.live_feed import Cursor, FeedEvent, LiveFeed
 from service.runtime.relay import Relay
@@ -36,6 +39,14 @@ _ENTRIES_AT_ONCE = 256
 _RETRY_S = 1.0
 #: between two looks at the journals for what other services have taken in, s
 _POLL_S = 0.5
+#: from the end of one round to the begin of the next: where rows stream in, what is taken in one go costs least
+_PAUSE_S = 0.005
+#: rows that stream in are consumed so long before what came of them is stored, in one go
+_STEP_S = 0.02
+#: what makes results of another kind than those before
+_ANEW = (AlignmentSet, CalibrationActivation)
+#: a journal may have grown by anything
+_UNKNOWN = math.inf
 
 
 #: what alarms look at
@@ -73,6 +84,15 @@ class _Follower:
     lock: threading.Lock = field(default_factory=threading.Lock)
 
 
+@dataclass(slots=True)
+class _Step:
+    """What came of some entries."""
+
+    outcomes: list[Outcome] = field(default_factory=list)
+    seen: list[Seen] = field(default_factory=list)
+    released: list[SeenRow] = field(default_factory=list)
+
+
 class Supervisor:
     """Carries the chains of all spacecraft along their journals.
 
@@ -106,19 +126,21 @@ class Supervisor:
         self._turn = turn
         self._relay = Relay(storage, feed)
         self._news = RowNews(feed)
+        self._fresh = FreshRows()
         self._watcher = watcher
         self._feed = feed
         self._config = config
         self._followers: dict[str, _Follower] = {}
         self._wake = threading.Condition()
-        self._due: set[str] = set()
+        #: up to which number a journal is known to have grown
+        self._due: dict[str, float] = {}
         self._is_stopping = False
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
         """Bring every chain back to where it was and follow the journals from there."""
-        self._due.update(spacecraft.id for spacecraft in self._storage.catalogue.all_spacecraft())
-        self._storage.archive.listen(self._news.stored)
+        self._due.update((spacecraft.id, _UNKNOWN) for spacecraft in self._storage.catalogue.all_spacecraft())
+        self._storage.archive.listen(self._stored)
         self._thread = threading.Thread(target=self._run, name="soo-supervisor", daemon=True)
         self._thread.start()
 
@@ -136,10 +158,10 @@ class Supervisor:
         """Whether the thread follows journals."""
         return self._thread is not None and self._thread.is_alive()
 
-    def notify(self, spacecraft_id: str) -> None:
-        """Say that a journal has grown; safe from any thread."""
+    def notify(self, spacecraft_id: str, up_to: float = _UNKNOWN) -> None:
+        """Say that a journal has grown, up to a number where that is known; safe from any thread."""
         with self._wake:
-            self._due.add(spacecraft_id)
+            self._due[spacecraft_id] = max(up_to, self._due.get(spacecraft_id, 0))
             self._wake.notify()
 
     def carrier_states(self, spacecraft_id: str) -> tuple[Measurement, tuple[CarrierState, ...]] | None:
@@ -166,9 +188,15 @@ class Supervisor:
                     self._wake.wait(_POLL_S)
                 if self._is_stopping:
                     return
-                due, self._due = self._due, set()
-            for spacecraft_id in sorted(due or self._grown()):
-                self._follow_guarded(spacecraft_id)
+                due, self._due = self._due, {}
+            for spacecraft_id, up_to in sorted((due or dict.fromkeys(self._grown(), _UNKNOWN)).items()):
+                self._follow_guarded(spacecraft_id, up_to)
+            time.sleep(_PAUSE_S)
+
+    def _stored(self, batch: MeasurementBatch, receipt: BatchReceipt) -> None:
+        """Take over a batch that was committed just now, on the writer's thread."""
+        self._fresh.stored(batch, receipt)
+        self._news.stored(batch, receipt)
 
     def _grown(self) -> tuple[str, ...]:
         """Return the spacecraft of which another service may have taken something in."""
@@ -186,10 +214,10 @@ class Supervisor:
             return True
         return self._storage.archive.head(spacecraft_id).newest_number > follower.consumed_number
 
-    def _follow_guarded(self, spacecraft_id: str) -> None:
-        """Follow one journal to its end; a fault is logged, the state is rebuilt and the journal tried again."""
+    def _follow_guarded(self, spacecraft_id: str, up_to: float) -> None:
+        """Follow one journal; a fault is logged, the state is rebuilt and the journal tried again."""
         try:
-            self._follow(spacecraft_id)
+            self._follow(spacecraft_id, up_to)
         except Exception:  # noqa: BLE001 the supervisor outlives every fault; the chain is rebuilt from the archive
             _LOG.exception("following the journal of %s failed; rebuilding its state and trying again", spacecraft_id)
             self._followers.pop(spacecraft_id, None)
@@ -197,8 +225,8 @@ class Supervisor:
             timer.daemon = True
             timer.start()
 
-    def _follow(self, spacecraft_id: str) -> None:
-        """Consume all entries of one journal that are there."""
+    def _follow(self, spacecraft_id: str, up_to: float) -> None:
+        """Consume the entries of one journal up to a number, or to its end."""
         turn = self._turn()
         if turn == 0:
             self._followers.pop(spacecraft_id, None)
@@ -208,36 +236,50 @@ class Supervisor:
         follower = self._followers.get(spacecraft_id)
         if follower is None or follower.turn != turn:
             follower = self._rebuild(spacecraft_id, turn)
-        while not self._is_stopping and self._turn() == turn:
-            entries = self._storage.archive.journal(spacecraft_id, follower.consumed_number, _ENTRIES_AT_ONCE)
+        while not self._is_stopping and self._turn() == turn and follower.consumed_number < up_to:
+            place = (spacecraft_id, follower.consumed_number, _ENTRIES_AT_ONCE)
+            fresh = self._fresh.after(*place)
+            entries = fresh or self._storage.archive.journal(*place)
             if not entries:
                 return
             # rows were stored before they were accepted: listeners need not wait for what is computed from them
             self._news.followed(spacecraft_id, entries)
             self._take(follower, entries)
-            if len(entries) < _ENTRIES_AT_ONCE:
+            if not fresh and len(entries) < _ENTRIES_AT_ONCE:
                 # nothing unconsumed is ever dropped, so this was all; what came since has notified
                 return
 
     def _take(self, follower: _Follower, entries: list[JournalEntry]) -> None:
-        """Consume a batch, store what came of it, and hand it to those who look at it."""
-        outcomes: list[Outcome] = []
-        seen: list[Seen] = []
-        released: list[SeenRow] = []
-        chain, archive, spacecraft_id = follower.chain, self._storage.archive, follower.spacecraft_id
+        """Consume a batch and what streams in meanwhile, store what came of it, hand it to those who look at it."""
+        step, spacecraft_id, until_s = _Step(), follower.spacecraft_id, time.monotonic() + _STEP_S
         with follower.lock:
-            for entry in entries:
-                told = tuple(consume(chain, entry, archive, spacecraft_id))
-                outcomes += told
-                seen += _seen(chain, entry, told) if self._watcher is not None else ()
-                if isinstance(entry.content, Measurement):
-                    released += (SeenRow(outcome, chain.command_evidence()) for outcome in told)
-        self._store_and_publish(follower, entries, outcomes)
-        if self._watcher is not None and seen:
-            self._watcher.see(spacecraft_id, seen)
+            self._consume(follower, entries, step)
+            # waiting for a commit after every few rows would never catch up with fast front ends
+            while time.monotonic() < until_s and not self._is_stopping:
+                more = self._fresh.after(spacecraft_id, entries[-1].number, _ENTRIES_AT_ONCE)
+                if not more:
+                    break
+                self._news.followed(spacecraft_id, more)
+                self._consume(follower, more, step)
+                entries += more
+        others = [entry.content for entry in entries if not isinstance(entry.content, Measurement)]
+        self._store_and_publish(follower, entries, step.outcomes)
+        if self._watcher is not None and step.seen:
+            self._watcher.see(spacecraft_id, step.seen)
         if self._release is not None:
-            has_inputs = any(not isinstance(entry.content, Measurement | AppliedCommand) for entry in entries)
-            self._release.see(spacecraft_id, released, has_inputs=has_inputs)
+            has_inputs = any(not isinstance(content, AppliedCommand) for content in others)
+            self._release.see(spacecraft_id, step.released, has_inputs=has_inputs)
+
+    def _consume(self, follower: _Follower, entries: list[JournalEntry], step: "_Step") -> None:
+        """Feed entries to the chain and note what came of them."""
+        chain, archive = follower.chain, self._storage.archive
+        for entry in entries:
+            told = tuple(consume(chain, entry, archive, follower.spacecraft_id))
+            step.outcomes += told
+            if self._watcher is not None:
+                step.seen += _seen(chain, entry, told)
+            if told and isinstance(entry.content, Measurement):
+                step.released += (SeenRow(outcome, chain.command_evidence()) for outcome in told)
 
     def _store_and_publish(self, follower: _Follower, entries: list[JournalEntry], outcomes: list[Outcome]) -> None:
         """Store a batch in one transaction, then tell the feed."""
@@ -319,7 +361,7 @@ def _result_events(
             FeedEvent(_kind(result), Cursor(number, sequence), result)
             for sequence, result in enumerate(results, start=first + 1)
         ]
-    if not is_whole or any(isinstance(entry.content, AlignmentSet | CalibrationActivation) for entry in entries):
+    if not is_whole or any(isinstance(entry.content, _ANEW) for entry in entries):
         events.append(FeedEvent("status", Cursor(number, last), None))
     return tuple(events)
 

@@ -107,6 +107,7 @@ async def soo(storage: SqlStorage) -> AsyncIterator[Soo]:
         bootstrap_key=KEY,
         limits=limits,
         on_accepted=accepted.append,
+        on_rows_accepted=lambda spacecraft_id, _: accepted.append(spacecraft_id),
     )
     app = create_app(context)
     transport = httpx.ASGITransport(app=app)

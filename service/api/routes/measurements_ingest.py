@@ -4,7 +4,6 @@ This is the hot path: no thread, no look-up beyond memory, one await. The route 
 each dependency that the framework resolves costs as much as reading ten rows.
 """
 
-import asyncio
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
@@ -16,6 +15,7 @@ from service.api.bodies import accepts, read_body
 from service.api.deps import ApiContext, SpacecraftIdText, checked_spacecraft_id
 from service.api.epoch_limits import EpochLimits
 from service.api.epochs import EpochTextError, parse_epochs
+from service.api.landings import Landings
 from service.api.plan_widths import PlanWidths
 from service.api.problems import ProblemError, invalid_request
 from service.api.request_figures import RequestFigures
@@ -61,11 +61,12 @@ async def send_measurements(spacecraft_id: SpacecraftIdText, request: Request) -
         batch, screened = screen(rows, width, await epoch_limits.present(spacecraft_id))
     receipt = _NOTHING_STORED
     if len(batch.index):
-        receipt = await asyncio.wrap_future(context.storage.archive.append_measurements(batch))
+        landings: Landings = request.app.state.landings
+        receipt = await landings.of(context.storage.archive.append_measurements(batch))
     figures: RequestFigures = request.app.state.request_figures
     figures.add_receipt(spacecraft_id, receipt, screened)
-    if receipt.accepted:
-        context.on_accepted(spacecraft_id)
+    if receipt.first_number is not None:
+        context.on_rows_accepted(spacecraft_id, receipt.first_number + receipt.accepted - 1)
     return JSONResponse(_answer(body, receipt, screened))
 
 

@@ -97,3 +97,17 @@ def test_what_retention_has_dropped_is_too_old():
     before = known(limits).earliest_us
     marks.mark_us = NOW_US - 100 * S
     assert asyncio.run(limits.present("sc")).earliest_us == NOW_US - 100 * S > before
+
+
+def test_all_that_come_at_once_ask_once_and_a_refusal_asks_for_itself():
+    clock = CountingClock(is_data=True, newest_us=1000 * S)
+    limits = EpochLimits(clock, LIMITS, Marks())
+
+    async def ask() -> list[int | None]:
+        bounds = await asyncio.gather(*(limits.known("sc") for _ in range(20)))
+        return [each.latest_us for each in bounds]
+
+    assert asyncio.run(ask()) == [4600 * S] * 20
+    assert clock.asked == 1
+    asyncio.run(limits.present("sc"))
+    assert clock.asked == 2

@@ -104,8 +104,8 @@ def test_following_anew_from_further_back_tells_nothing_twice(news, listener):
 
 @pytest.mark.parametrize(
     "changes",
-    [{"accepted": 1, "duplicates": 1}, {"late": 1}, {"accepted": 0, "first_number": None}],
-    ids=["a duplicate among them", "one of two late", "nothing stored"],
+    [{"accepted": 1, "duplicates": 1}, {"accepted": 0, "first_number": None}],
+    ids=["a duplicate among them", "nothing stored"],
 )
 def test_batches_in_part_are_left_to_who_follows_the_journal(news, listener, changes):
     stored(news, 11, rows=2, **changes)
@@ -144,11 +144,14 @@ def test_rows_are_those_that_the_archive_gives(ground):
         first_seq=1042,
     )
     ground.append_rows([ground.at(4)], powers[:1], source="sa-2", is_stale=np.array([True]))
+    ground.append_rows([ground.at(6), ground.at(7)], powers[:2], source="sa-2", is_stale=np.array([True, False]))
     ground.storage.archive.listen(None)
     ground.append_rows([ground.at(5)], powers[:1])
-    entries = ground.storage.archive.journal(ground.id, told[0].number - 1, 4)
+    entries = ground.storage.archive.journal(ground.id, told[0].number - 1, 6)
     assert repr(told) == repr([entry.content for entry in entries])
-    assert [(row.is_late, row.feeds_estimator) for row in told] == [(False, True)] * 3 + [(True, False)]
+    assert [(row.is_late, row.feeds_estimator) for row in told] == [(False, True)] * 3 + [(True, False)] * 2 + [
+        (False, False)
+    ]
 
 
 def test_a_listener_that_fails_does_not_hold_up_the_writer(ground, caplog):

@@ -1,0 +1,90 @@
+"""Rows kept for whoever follows the journal: what comes next, whole, once, and never more than is bounded."""
+
+import numpy as np
+import pytest
+
+import service.runtime.fresh_rows as module
+from service.records.measurement import BatchReceipt, MeasurementBatch
+from service.runtime.fresh_rows import FreshRows
+
+
+@pytest.fixture
+def fresh():
+    return FreshRows()
+
+
+def store(fresh: FreshRows, first: int | None, rows: int, *, accepted: int | None = None, sc: str = "sc") -> None:
+    """Keep a batch that was stored under the numbers from ``first`` on."""
+    powers = np.zeros((rows, 2), dtype=np.float32)
+    places = np.arange(rows)
+    batch = MeasurementBatch(sc, "sa-1", 1, 5, places, 1000 * places, powers, (None,) * rows, np.zeros(rows, bool))
+    fresh.stored(batch, BatchReceipt(rows if accepted is None else accepted, 0, 0, (), first_number=first))
+
+
+def after(fresh: FreshRows, number: int, limit: int = 100) -> list[int]:
+    """Return the journal numbers that follow."""
+    entries = fresh.after("sc", number, limit)
+    assert all(entry.number == entry.content.number for entry in entries)
+    return [entry.number for entry in entries]
+
+
+def test_what_follows_is_given_once_and_in_order(fresh):
+    store(fresh, 11, 2)
+    store(fresh, 13, 3)
+    store(fresh, 1, 5, sc="other")
+    assert after(fresh, 10) == [11, 12, 13, 14, 15]
+    assert after(fresh, 10) == after(fresh, 15) == []
+
+
+def test_nothing_behind_a_gap_is_given_before_the_gap_is_read_elsewhere(fresh):
+    store(fresh, 11, 2)
+    # 13 is a slow input, or a row of another service
+    store(fresh, 14, 2)
+    assert after(fresh, 10) == [11, 12]
+    assert after(fresh, 12) == []
+    assert after(fresh, 13) == [14, 15]
+
+
+def test_rows_that_were_read_elsewhere_are_left_out(fresh):
+    store(fresh, 11, 2)
+    store(fresh, 13, 4)
+    assert after(fresh, 14) == [15, 16]
+
+
+def test_a_limit_ends_with_the_batch_that_reaches_it(fresh):
+    for first in (11, 14, 17):
+        store(fresh, first, 3)
+    assert after(fresh, 10, limit=4) == [11, 12, 13, 14, 15, 16]
+    assert after(fresh, 16, limit=4) == [17, 18, 19]
+
+
+@pytest.mark.parametrize(("first", "accepted"), [(11, 1), (None, 0)], ids=["a part", "nothing"])
+def test_batches_that_were_not_stored_whole_are_not_kept(fresh, first, accepted):
+    store(fresh, first, 2, accepted=accepted)
+    assert after(fresh, 10) == []
+
+
+def test_the_oldest_go_when_there_are_too_many(fresh, monkeypatch):
+    monkeypatch.setattr(module, "_KEPT_ROWS", 5)
+    store(fresh, 1, 6)
+    for first in (7, 9, 11):
+        store(fresh, first, 2)
+    assert after(fresh, 0) == after(fresh, 6) == []
+    assert after(fresh, 8) == [9, 10, 11, 12]
+
+
+def test_the_chain_is_fed_with_the_rows_that_were_just_written(ground, monkeypatch, wait):
+    read: list[int] = []
+    archive = ground.storage.archive
+    original = archive.journal
+    with ground.supervised() as supervisor:
+        ground.settle(supervisor)
+        monkeypatch.setattr(archive, "journal", lambda *place: read.append(place[1]) or original(*place))
+        receipt = ground.append(range(1, 31))
+        supervisor.notify(ground.id, receipt.first_number + 29)
+        wait(ground.is_settled)
+    head = archive.head(ground.id)
+    assert head.consumed_number == head.newest_number
+    # commands that count as applied are slow inputs, behind the rows
+    assert receipt.first_number - 1 not in read
+    assert len(ground.rows()) == 30
