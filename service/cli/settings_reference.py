@@ -158,6 +158,8 @@ _STAGE_MEANINGS: dict[str, tuple[str, str]] = {
     "torque.envelope_share": ("share of the envelope that the law uses by itself", CHOSEN),
     "torque.least_wheel_momentum_n_m_s": ("momentum from which null motion keeps a wheel away, N m s", CHOSEN),
     "torque.telemetry_age_s": ("momentum that was told longer ago is not known any more, s", CHOSEN),
+    "torque.rate_stale_periods": ("body rates older than so many row periods are not used ...", CHOSEN),
+    "torque.rate_stale_margin_s": ("... and this much more, s", CHOSEN),
     "torque.panel_peak_limit_deg": ("what flexible modes may add to the angle of the hub, deg", CHOSEN),
     "release.angle_change_deg": ("a command may change an angle by this much, deg", CHOSEN),
     "release.rate_change_deg_s": ("and a rate by this much, deg/s", CHOSEN),

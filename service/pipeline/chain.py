@@ -195,9 +195,18 @@ class Chain:
             self._swing = swing_after(self._swing, content.schedule, spacecraft)
 
     def _command_period_s(self, spacecraft: Spacecraft) -> float:
-        """Return the expected time to the next command: that of the catalogue, or the median row period."""
+        """Return the expected time to the next command: that of the catalogue, or the row period."""
         if spacecraft.control.release is Release.TWO_STEP:
             return spacecraft.control.command_period_s
+        return self._row_period_s()
+
+    def _rate_age_s(self) -> float:
+        """Return how old the rate of the body may be."""
+        config = self._config.torque
+        return config.rate_stale_periods * self._row_period_s() + config.rate_stale_margin_s
+
+    def _row_period_s(self) -> float:
+        """Return the median time between rows."""
         if len(self._recent_us) < 2:
             return self._config.torque.default_period_s
         return float(np.median(np.diff(self._recent_us))) / US_PER_S
@@ -223,6 +232,7 @@ class Chain:
             self._knowledge.momentum_n_m_s(driving.epoch_us, config.telemetry_age_s),
             swing=self._swing,
             is_withheld=self._knowledge.is_withheld,
+            body_rate_deg_s=self._knowledge.body_rate_deg_s(driving.epoch_us, self._rate_age_s()),
         )
         self._carry_n_m_s = torque.carry_n_m_s
         is_applied = torque.command.control_allowed and spacecraft.control.release is Release.AUTOMATIC

@@ -208,6 +208,9 @@ class TorqueConfig:
     least_wheel_momentum_n_m_s: float = 0.2
     #: momentum that was told longer ago is not known any more, s
     telemetry_age_s: float = 3600.0
+    #: rates of the body are too old beyond so many row periods and this much more, s
+    rate_stale_periods: float = 3.0
+    rate_stale_margin_s: float = 30.0
     #: what flexible modes may add to the angle of the hub, deg
     panel_peak_limit_deg: float = 0.005
 

@@ -4,9 +4,11 @@ Knowledge is immutable; ``learn`` returns the next one. Documents that entries n
 calibrations, alignments) are immutable in the archive, so looking them up keeps a replay deterministic.
 """
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
+from service.records.attitude import Axes
 from service.records.calibration import Alignment, Calibration, CalibrationMethod
 from service.records.catalogue import CarrierPlan, Ephemeris, Method, Spacecraft
 from service.records.epoch import US_PER_S
@@ -57,6 +59,8 @@ class Knowledge:
     operations: dict[int, Operation] = field(default_factory=dict)
     #: newest record that told the momentum of the wheels
     telemetry: TelemetryRecord | None = None
+    #: newest record that told the rate of the body about every axis
+    rated: TelemetryRecord | None = None
     #: newest word of the interlock; none: it never withheld anything
     hold: InterlockHold | None = None
 
@@ -71,6 +75,13 @@ class Knowledge:
         if told is None or not 0 <= epoch_us - told.epoch_us <= age_s * US_PER_S:
             return None
         return told.wheel_momentum_n_m_s
+
+    def body_rate_deg_s(self, epoch_us: int, age_s: float) -> Axes | None:
+        """Return the rate of the body as it was told within an age before or after an epoch; None where it was not."""
+        told = self.rated
+        if told is None or abs(epoch_us - told.epoch_us) > age_s * US_PER_S:
+            return None
+        return told.body_rate_deg_s
 
     def calibration_for(self, method: Method) -> Calibration | None:
         """Return the calibration of a method; a ``geometry`` one serves ``paper`` while no ``paper`` one is active."""
@@ -121,10 +132,20 @@ def learn(knowledge: Knowledge, content: SlowInput, lookup: Lookup) -> Knowledge
 
 
 def _with_word(knowledge: Knowledge, told: TelemetryRecord | InterlockHold) -> Knowledge:
-    """Return the knowledge with a word of the interlock, or the newest that was told of the momentum of the wheels."""
+    """Return the knowledge with a word of the interlock, or the newest of the wheels' momentum and the body's rate."""
     if isinstance(told, InterlockHold):
         return replace(knowledge, hold=told)
-    newest_us = 0 if knowledge.telemetry is None else knowledge.telemetry.epoch_us
-    if told.wheel_momentum_n_m_s is None or told.epoch_us < newest_us:
-        return knowledge
-    return replace(knowledge, telemetry=told)
+    if told.wheel_momentum_n_m_s is not None and _is_newest(told, knowledge.telemetry):
+        knowledge = replace(knowledge, telemetry=told)
+    if has_body_rate(told) and _is_newest(told, knowledge.rated):
+        knowledge = replace(knowledge, rated=told)
+    return knowledge
+
+
+def has_body_rate(told: TelemetryRecord) -> bool:
+    """Whether a record tells the rate of the body about every axis."""
+    return told.body_rate_deg_s is not None and all(map(math.isfinite, told.body_rate_deg_s))
+
+
+def _is_newest(told: TelemetryRecord, before: TelemetryRecord | None) -> bool:
+    return before is None or told.epoch_us >= before.epoch_us

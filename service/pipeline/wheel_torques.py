@@ -14,29 +14,19 @@ import numpy as np
 
 from service.core.control.command_plan import Forecast, Situation, plan_command
 from service.core.control.envelope import Envelope
-from service.core.control.pulses import shape_pulses
-from service.core.control.quaternion_law import feedback_torque
 from service.core.control.slew_schedule import AxisPulse
 from service.core.control.wheel_allocation import Allocation, Wheels, allocate
 from service.pipeline.command_record import Span, command_of, impulse_of, predicted, zero_command
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control_design import ControlDesign, control_design
+from service.pipeline.control_inhibitions import control_inhibitions
+from service.pipeline.mean_torque import is_gyro_orbitant, mean_pulses
 from service.pipeline.schedule_verdict import PanelSwing, schedule_verdict
-from service.records.attitude import AttitudeRow, FloatArray
-from service.records.catalogue import ControlMode, Release, Spacecraft
+from service.records.attitude import AttitudeRow, Axes, FloatArray
+from service.records.catalogue import Release, Spacecraft
 from service.records.command import TorqueCommand
 from service.records.disturbance import Disturbance
 from service.records.epoch import US_PER_S
-
-#: reasons beside those of the interlock for which a command stays zero, with what each one says
-CONTROL_INHIBITIONS: dict[str, str] = {
-    "mode_onboard": "torques are computed on board",
-    "mode_off": "attitude control is switched off",
-    "no_fast_loop": "the catalogue states no fast loop or no Forecast mode on board",
-    "no_rate": "too few fixes yet for an angular rate",
-    "no_law": "inertia, wheels, period and damping of the catalogue make no control law; the log says why",
-    "tripped": "control has tripped; find the cause and reset",
-}
 
 NO_CARRY = np.zeros(3)
 _ENVELOPE = Envelope()
@@ -51,20 +41,6 @@ class TorqueOutcome:
     carry_n_m_s: FloatArray
 
 
-def control_inhibitions(row: AttitudeRow, spacecraft: Spacecraft, *, is_withheld: bool = False) -> tuple[str, ...]:
-    """Return why this row may not lead to a torque: the row's reasons and those of the spacecraft's settings."""
-    reasons = list(row.inhibitions)
-    if spacecraft.control.mode is not ControlMode.GROUND:
-        reasons.append(f"mode_{spacecraft.control.mode.value}")
-    elif not (spacecraft.onboard.fast_loop and spacecraft.onboard.forecast_mode):
-        reasons.append("no_fast_loop")
-    if not row.inhibitions and row.rates_deg_s is None:
-        reasons.append("no_rate")
-    if is_withheld:
-        reasons.append("tripped")
-    return tuple(reasons)
-
-
 def compute_command(
     row: AttitudeRow,
     spacecraft: Spacecraft,
@@ -76,6 +52,7 @@ def compute_command(
     *,
     swing: PanelSwing | None = None,
     is_withheld: bool = False,
+    body_rate_deg_s: Axes | None = None,
 ) -> TorqueOutcome:
     """Return the command that follows from one attitude row.
 
@@ -97,18 +74,22 @@ def compute_command(
         What earlier schedules have left in the flexible modes.
     is_withheld : bool
         Whether control has tripped.
+    body_rate_deg_s : Axes, optional
+        Rate of the body against inertial space, for the law gyro_orbitant; None: not told, or too old.
     """
     # a simulated spacecraft lives on its own epochs, a real one can be commanded only from the receipt on
     epoch_us = row.epoch_us if spacecraft.simulated else max(row.epoch_us, row.received_at_us)
     span = Span(epoch_us, period_s)
-    inhibitions = control_inhibitions(row, spacecraft, is_withheld=is_withheld)
+    inhibitions = control_inhibitions(row, spacecraft, is_withheld=is_withheld, body_rate_deg_s=body_rate_deg_s)
     if inhibitions:
         return TorqueOutcome(zero_command(row, spacecraft, span, inhibitions), NO_CARRY)
-    if spacecraft.control.release is Release.TWO_STEP:
-        command = _forecast_command(row, spacecraft, span, None, config, disturbance, momentum_n_m_s)
-        outcome = TorqueOutcome(command, NO_CARRY)
+    if spacecraft.control.release is Release.AUTOMATIC:
+        outcome = _mean_command(
+            row, spacecraft, span, carry_n_m_s, config, disturbance, momentum_n_m_s, body_rate_deg_s
+        )
     else:
-        outcome = _mean_command(row, spacecraft, span, carry_n_m_s, config, disturbance, momentum_n_m_s)
+        command = _released_command(row, spacecraft, span, None, config, disturbance, momentum_n_m_s, body_rate_deg_s)
+        outcome = TorqueOutcome(command, NO_CARRY)
     verdict = schedule_verdict(outcome.command.schedule, spacecraft, config, swing)
     return outcome if verdict is None else replace(outcome, command=replace(outcome.command, schedule_check=verdict))
 
@@ -124,6 +105,7 @@ def command_for(
     momentum_n_m_s: tuple[float, ...] | None = None,
     *,
     swing: PanelSwing | None = None,
+    body_rate_deg_s: Axes | None = None,
 ) -> TorqueCommand:
     """Return the command that would be released: from a start that lies ahead, for a whole horizon.
 
@@ -138,6 +120,8 @@ def command_for(
         as long as the envelope allows.
     max_torque_n_m : float or None
         Greatest torque of a pulse; None: what the craft has.
+    body_rate_deg_s : Axes, optional
+        As `compute_command` has it.
 
     Returns
     -------
@@ -146,11 +130,32 @@ def command_for(
         settings forbid control.
     """
     span = Span(start_us, duration_s)
-    inhibitions = control_inhibitions(row, spacecraft)
+    inhibitions = control_inhibitions(row, spacecraft, body_rate_deg_s=body_rate_deg_s)
     if inhibitions:
         return zero_command(row, spacecraft, span, inhibitions)
-    command = _forecast_command(row, spacecraft, span, max_torque_n_m, config, disturbance, momentum_n_m_s)
+    command = _released_command(
+        row, spacecraft, span, max_torque_n_m, config, disturbance, momentum_n_m_s, body_rate_deg_s
+    )
     return replace(command, schedule_check=schedule_verdict(command.schedule, spacecraft, config, swing))
+
+
+def _released_command(
+    row: AttitudeRow,
+    spacecraft: Spacecraft,
+    span: Span,
+    max_torque_n_m: float | None,
+    config: TorqueConfig,
+    disturbance: Disturbance | None,
+    momentum_n_m_s: tuple[float, ...] | None,
+    body_rate_deg_s: Axes | None,
+) -> TorqueCommand:
+    """Return a command that persons release: a slew with what follows, or a period of the gyro-orbitant law."""
+    if not is_gyro_orbitant(spacecraft):
+        return _forecast_command(row, spacecraft, span, max_torque_n_m, config, disturbance, momentum_n_m_s)
+    span = span._replace(period_s=min(span.period_s, spacecraft.control.command_period_s))
+    return _mean_command(
+        row, spacecraft, span, NO_CARRY, config, disturbance, momentum_n_m_s, body_rate_deg_s, max_torque_n_m
+    ).command
 
 
 def _mean_command(
@@ -161,33 +166,17 @@ def _mean_command(
     config: TorqueConfig,
     disturbance: Disturbance | None,
     momentum_n_m_s: tuple[float, ...] | None,
+    body_rate_deg_s: Axes | None,
+    max_torque_n_m: float | None = None,
 ) -> TorqueOutcome:
     """Return the command whose mean is the law's torque."""
     try:
-        design = control_design(spacecraft, config)
+        design = _design(spacecraft, config, max_torque_n_m)
+        mean = mean_pulses(row, spacecraft, span, carry_n_m_s, config, design, disturbance, body_rate_deg_s)
     except ValueError:
         return TorqueOutcome(zero_command(row, spacecraft, span, ("no_law",)), NO_CARRY)
-    middle_us = (span.epoch_us + span.stop_us) // 2
-    wanted = feedback_torque(
-        design.gains,
-        row.attitude_deg,
-        _rates(row),
-        disturbance_n_m=NO_CARRY if disturbance is None else disturbance.torque_n_m(middle_us),
-    )
-    is_allowed = np.array(row.control_allowed_axes)
-    train = shape_pulses(
-        np.where(is_allowed, wanted, 0.0),
-        np.where(is_allowed, carry_n_m_s, 0.0),
-        period_s=span.period_s,
-        limit_n_m=design.drive.limit_n_m,
-        quantum_n_m=design.drive.quantum_n_m,
-        min_pulse_s=config.min_pulse_s,
-        time_step_s=config.time_step_s,
-    )
-    told = enumerate(zip(train.duration_s.tolist(), train.torque_n_m.tolist(), strict=True))
-    pulses = tuple(AxisPulse(axis, 0.0, duration_s, torque) for axis, (duration_s, torque) in told if duration_s)
-    command = _allocated(row, spacecraft, span, pulses, design, momentum_n_m_s, is_cut=bool(train.is_saturated.any()))
-    return TorqueOutcome(command, train.carry_n_m_s)
+    command = _allocated(row, spacecraft, span, mean.pulses, design, momentum_n_m_s, is_cut=mean.is_cut)
+    return TorqueOutcome(command, mean.carry_n_m_s)
 
 
 def _forecast_command(
@@ -201,19 +190,24 @@ def _forecast_command(
 ) -> TorqueCommand:
     """Return the command of a slew and of what balances the known torque after it."""
     try:
-        design = control_design(spacecraft, config)
-        drive = design.drive
-        if max_torque_n_m is not None:
-            drive = drive._replace(limit_n_m=min(drive.limit_n_m, max_torque_n_m))
+        design = _design(spacecraft, config, max_torque_n_m)
         situation = _situation_at(row, span.epoch_us, design, disturbance)
         envelope = Envelope(*(config.envelope_share * limit for limit in _ENVELOPE))
         forecast = _forecast(spacecraft, span, config, disturbance)
-        plan = plan_command(design.gains, drive, situation, forecast, envelope)
+        plan = plan_command(design.gains, design.drive, situation, forecast, envelope)
     except ValueError:
         return zero_command(row, spacecraft, span, ("no_law",))
     if span.period_s > spacecraft.control.command_period_s:
         span = span._replace(period_s=plan.horizon_s)
     return _allocated(row, spacecraft, span, plan.pulses, design, momentum_n_m_s, is_cut=plan.is_shortened)
+
+
+def _design(spacecraft: Spacecraft, config: TorqueConfig, max_torque_n_m: float | None) -> ControlDesign:
+    """Return the law's numbers, with pulses no stronger than somebody wants; ValueError as `control_design`."""
+    design = control_design(spacecraft, config)
+    if max_torque_n_m is None:
+        return design
+    return design._replace(drive=design.drive._replace(limit_n_m=min(design.drive.limit_n_m, max_torque_n_m)))
 
 
 def _situation_at(row: AttitudeRow, start_us: int, design: ControlDesign, disturbance: Disturbance | None) -> Situation:

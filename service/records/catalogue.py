@@ -25,6 +25,14 @@ class ControlMode(StrEnum):
     OFF = "off"
 
 
+class ControlLaw(StrEnum):
+    """What torque follows from angles and rates."""
+
+    PROPORTIONAL_DERIVATIVE = "proportional_derivative"
+    #: yaw is told by the roll rate of the rate sensor on board
+    GYRO_ORBITANT = "gyro_orbitant"
+
+
 class Release(StrEnum):
     """How a computed command becomes an applied one."""
 
@@ -111,6 +119,18 @@ class Onboard:
 
 
 @dataclass(frozen=True, slots=True)
+class GyroOrbitantGains:
+    """Gains of the gyro-orbitant law: N m a unit of half-angle, and N m s."""
+
+    roll_stiffness_n_m: float
+    roll_damping_n_m_s: float
+    pitch_stiffness_n_m: float
+    pitch_damping_n_m_s: float
+    yaw_stiffness_n_m: float
+    yaw_damping_n_m_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class ControlSettings:
     """Attitude control of one spacecraft."""
 
@@ -124,6 +144,9 @@ class ControlSettings:
     command_period_s: float = 900.0
     #: how far the pulses against a known torque of a released command reach at most, s
     forecast_horizon_s: float = 3600.0
+    law: ControlLaw = ControlLaw.PROPORTIONAL_DERIVATIVE
+    #: of the law gyro_orbitant; it has none without
+    gyro_orbitant: GyroOrbitantGains | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,8 @@ from service.ports import Archive, Catalogue, Outcome, Results
 from service.records.calibration import Alignment, Calibration, Window
 from service.records.catalogue import CarrierPlan, Ephemeris
 from service.records.command import AppliedCommand, ReleasedCommand, ReportedCommand
-from service.records.inputs import AlignmentSet, Correction
+from service.records.epoch import US_PER_S
+from service.records.inputs import AlignmentSet, Correction, TelemetryRecord
 from service.records.journal import JournalEntry
 from service.records.measurement import Measurement
 
@@ -19,6 +20,8 @@ from service.records.measurement import Measurement
 STANDING_KINDS = ("spacecraft", "plan", "ephemeris", "activation", "operation", "interlock")
 #: kinds that the chain must know as far as they reach beyond an alignment
 MOTION_KINDS = ("correction", "applied_command", "released_command", "reported_command")
+#: telemetry of longer ago is too old for any use that the chain makes of it
+_TELEMETRY_US = 6 * 3600 * US_PER_S
 _INPUTS_AT_ONCE = 1000
 _FOR_EVER_US = 1 << 62
 
@@ -84,13 +87,14 @@ def prepare(chain: Chain, archive: Archive, spacecraft_id: str, before_number: i
     """Tell the chain all that was said before a journal number.
 
     Standing inputs are told from the beginning, commanded motion as far as it ends after ``since_us``, the epoch from
-    which rows will be run; None when no row will.
+    which rows will be run, and telemetry of the hours before it; None when no row will.
     """
     entries = archive.slow_inputs_before(spacecraft_id, before_number, STANDING_KINDS)
     if since_us is not None:
         window = Window(since_us, _FOR_EVER_US)
-        for kind in MOTION_KINDS:
-            entries += [e for e in _inputs(archive, spacecraft_id, kind, window) if e.number < before_number]
+        windows = {**dict.fromkeys(MOTION_KINDS, window), "telemetry": Window(since_us - _TELEMETRY_US, _FOR_EVER_US)}
+        for kind, of_kind in windows.items():
+            entries += [e for e in _inputs(archive, spacecraft_id, kind, of_kind) if e.number < before_number]
     for entry in sorted(entries, key=lambda entry: entry.number):
         if not isinstance(entry.content, Measurement):
             chain.learn(entry.content)
@@ -108,8 +112,10 @@ def _inputs(archive: Archive, spacecraft_id: str, kind: str, window: Window) -> 
 
 
 def _start_us(entry: JournalEntry) -> int:
-    """Return where a commanded motion starts, by which pages are ordered."""
+    """Return where a commanded motion or a record of telemetry starts, by which pages are ordered."""
     content = entry.content
+    if isinstance(content, TelemetryRecord):
+        return content.epoch_us
     if isinstance(content, Correction):
         return content.start_us
     if isinstance(content, AppliedCommand):
@@ -118,5 +124,5 @@ def _start_us(entry: JournalEntry) -> int:
         return content.released_us
     if isinstance(content, ReportedCommand):
         return content.reported_us
-    message = f"journal entry {entry.number} is no commanded motion"
+    message = f"journal entry {entry.number} is no commanded motion and no telemetry"
     raise TypeError(message)

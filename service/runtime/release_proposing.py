@@ -81,6 +81,7 @@ class Proposals:
     ) -> TorqueCommand:
         """Return what the law wants from an instant on; what the interlock withholds is left out."""
         row = _row_of(entry)
+        rate_age_s = self._torque.rate_stale_periods * entry.period_s + self._torque.rate_stale_margin_s
         return command_for(
             allowed_row(row, entry.case.state.interlock),
             spacecraft,
@@ -91,6 +92,7 @@ class Proposals:
             None if entry.seen is None else entry.seen.outcome.disturbance,
             None if entry.facts is None else entry.facts.momentum_n_m_s(row.epoch_us),
             swing=swing_left(self._releases, spacecraft, start_us),
+            body_rate_deg_s=None if entry.facts is None else entry.facts.body_rate_deg_s(row.epoch_us, rate_age_s),
         )
 
     def _dressed(

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from hashlib import sha256
 
 from service.errors import NotFoundError
+from service.pipeline.knowledge import has_body_rate
 from service.pipeline.release_interlock.interlock_conditions import Surroundings
 from service.ports import Storage
+from service.records.attitude import Axes
 from service.records.calibration import CalibrationMethod, CalibrationState, Window
 from service.records.catalogue import Method, Spacecraft
 from service.records.epoch import US_PER_S
@@ -40,6 +42,14 @@ class KnownFacts:
     operations: tuple[Operation, ...]
     #: newest
     telemetry: TelemetryRecord | None
+    #: newest that told the rate of the body about every axis
+    rated: TelemetryRecord | None = None
+
+    def body_rate_deg_s(self, epoch_us: int, age_s: float) -> Axes | None:
+        """Return the rate of the body as it was told within an age before or after an epoch; None where it was not."""
+        if self.rated is None or abs(epoch_us - self.rated.epoch_us) > age_s * US_PER_S:
+            return None
+        return self.rated.body_rate_deg_s
 
     def momentum_n_m_s(self, now_us: int) -> tuple[float, ...] | None:
         """Return the momentum of each wheel, None where none was told lately."""
@@ -58,6 +68,7 @@ def read_facts(storage: Storage, spacecraft_id: str, now_us: int) -> KnownFacts:
     spacecraft = storage.catalogue.spacecraft(spacecraft_id)
     received_us, stop_us = _ephemeris(storage, spacecraft_id)
     window = Window(now_us - _OPERATIONS_BACK_US, now_us + _AHEAD_US)
+    telemetry = read_telemetry(storage, spacecraft_id, now_us - _TELEMETRY_US)
     operations = [entry.content for entry in storage.archive.inputs(spacecraft_id, "operation", window, _AT_ONCE, None)]
     return KnownFacts(
         spacecraft=spacecraft,
@@ -69,7 +80,8 @@ def read_facts(storage: Storage, spacecraft_id: str, now_us: int) -> KnownFacts:
         ephemeris_received_us=received_us,
         ephemeris_stop_us=stop_us,
         operations=tuple(each for each in operations if isinstance(each, Operation)),
-        telemetry=_newest(read_telemetry(storage, spacecraft_id, now_us - _TELEMETRY_US)),
+        telemetry=_newest(telemetry),
+        rated=_newest(tuple(each for each in telemetry if has_body_rate(each))),
     )
 
 

@@ -5,6 +5,8 @@ from typing import Any
 
 import pytest
 
+from service.records.catalogue import ControlLaw, GyroOrbitantGains
+
 pytestmark = pytest.mark.anyio
 URL = "/api/v1/spacecraft"
 FED_FORWARD = {
@@ -17,6 +19,21 @@ FED_FORWARD = {
     "axis_relative_error": 0.02,
 }
 _FED = "/onboard/fed_forward_torque"
+GYRO = {
+    "roll_stiffness_n_m": 0.02,
+    "roll_damping_n_m_s": 6.0,
+    "pitch_stiffness_n_m": 0.01,
+    "pitch_damping_n_m_s": 3.0,
+    "yaw_stiffness_n_m": 2e-3,
+    "yaw_damping_n_m_s": 6.0,
+}
+_GYRO = "/control/gyro_orbitant"
+
+
+def gyro(**changes: Any) -> dict[str, Any]:
+    """Return control by the gyro-orbitant law, commands every minute."""
+    control = {"law": "gyro_orbitant", "command_period_s": 60.0, "gyro_orbitant": {**GYRO, **changes}}
+    return {"control": control}
 
 
 async def test_minimal_spacecraft_gets_the_defaults_of_the_contract(soo, spacecraft):
@@ -39,6 +56,8 @@ async def test_minimal_spacecraft_gets_the_defaults_of_the_contract(soo, spacecr
         "damping": 0.9,
         "command_period_s": 900.0,
         "forecast_horizon_s": 3600.0,
+        "law": "proportional_derivative",
+        "gyro_orbitant": None,
     }
     assert document["onboard"] == {
         "fast_loop": False,
@@ -77,6 +96,8 @@ async def test_full_spacecraft_reads_back_as_sent(soo, spacecraft):
             "damping": 0.7,
             "command_period_s": 1200,
             "forecast_horizon_s": 2400,
+            "law": "gyro_orbitant",
+            "gyro_orbitant": GYRO,
         },
     }
     created = await soo.client.post(URL, json=document)
@@ -136,6 +157,24 @@ BAD: list[tuple[str, dict[str, Any], str, str]] = [
     ("wheels in a plane", {"wheels": {"axes": [[1, 0, 0], [0, 1, 0], [1, 1, 0]]}}, "wheels.axes_span", "/wheels/axes"),
     ("two wheels", {"wheels": {"axes": [[1, 0, 0], [0, 1, 0]]}}, "value.length", "/wheels/axes"),
     ("gains that saturate", {"control": {"period_s": 60.0}}, "control.gains", "/control/period_s"),
+    ("another law", {"control": {"law": "best"}}, "value.choice", "/control/law"),
+    ("gyro-orbitant without gains", {"control": {"law": "gyro_orbitant"}}, "control.gyro_orbitant", _GYRO),
+    (
+        "gyro-orbitant with half of them",
+        {"control": {"gyro_orbitant": dict(list(GYRO.items())[1:])}},
+        "field.missing",
+        _GYRO,
+    ),
+    ("a gain of nothing", gyro(yaw_stiffness_n_m=0.0), "value.range", f"{_GYRO}/yaw_stiffness_n_m"),
+    ("a gain below zero", gyro(roll_damping_n_m_s=-6.0), "value.range", f"{_GYRO}/roll_damping_n_m_s"),
+    ("a gain that saturates", gyro(roll_stiffness_n_m=40.0), "control.gyro_orbitant", _GYRO),
+    ("gains that do not settle", gyro(roll_damping_n_m_s=1e-3), "control.gyro_orbitant", _GYRO),
+    (
+        "gains for more frequent commands",
+        {"control": {**gyro()["control"], "command_period_s": 900.0}},
+        "control.gyro_orbitant",
+        _GYRO,
+    ),
     ("quantum above limit", {"wheels": {"torque_quantum_n_m": 0.06}}, "wheels.quantum", "/wheels"),
     ("momentum limit", {"wheels": {"momentum_limit_n_m_s": -1}}, "value.range", "/wheels/momentum_limit_n_m_s"),
     (
@@ -241,6 +280,24 @@ async def test_patch_of_anything_else_leaves_default_ground_mode_alone(soo, spac
     onboard = {"fast_loop": True, "forecast_mode": True}
     answer = await soo.client.patch(f"{URL}/yamal-202", json={"onboard": onboard, "control": {"mode": "ground"}})
     assert answer.status_code == 200
+
+
+async def test_the_gyro_orbitant_law_is_chosen_and_left(soo, spacecraft):
+    created = await soo.client.post(URL, json=spacecraft | gyro())
+    assert created.status_code == 201
+    assert created.json()["control"]["gyro_orbitant"] == GYRO
+    stored = soo.storage.catalogue.spacecraft("yamal-202").control
+    assert (stored.law, stored.gyro_orbitant) == (ControlLaw.GYRO_ORBITANT, GyroOrbitantGains(**GYRO))
+    refused = await soo.client.patch(f"{URL}/yamal-202", json={"control": {"command_period_s": 900.0}})
+    assert refused.json()["code"] == "control.gyro_orbitant"
+    assert "do not settle" in refused.json()["errors"][0]["detail"]
+    stronger = await soo.client.patch(
+        f"{URL}/yamal-202", json={"control": {"gyro_orbitant": {"roll_damping_n_m_s": 7}}}
+    )
+    assert stronger.json()["control"]["gyro_orbitant"] == {**GYRO, "roll_damping_n_m_s": 7.0}
+    left = await soo.client.patch(f"{URL}/yamal-202", json={"control": {"law": None, "gyro_orbitant": None}})
+    assert left.json()["control"]["law"] == "proportional_derivative"
+    assert soo.storage.catalogue.spacecraft("yamal-202").control.gyro_orbitant is None
 
 
 async def test_a_fed_forward_torque_is_changed_field_by_field_and_taken_back(soo, spacecraft):

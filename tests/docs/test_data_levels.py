@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from service.pipeline.control_inhibitions import CONTROL_INHIBITIONS
 from service.pipeline.interlock import INHIBITIONS
-from service.pipeline.wheel_torques import CONTROL_INHIBITIONS
 from service.records.attitude import Status
 from service.records.quality_flag import QualityFlag
 

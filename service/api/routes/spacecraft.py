@@ -63,7 +63,7 @@ def change_spacecraft(
         raise invalid_request([FieldError("/id", "spacecraft.id_fixed", detail)])
     if _touches_control(body.root):
         _check_ground_control(changed)
-    if {"control", "inertia_kg_m2", "torque_limit_n_m"} & set(body.root):
+    if {"control", "inertia_kg_m2", "torque_limit_n_m", "wheels"} & set(body.root):
         _check_gains(changed)
     context.storage.catalogue.replace_spacecraft(changed.to_record())
     epoch_limits: EpochLimits = request.app.state.epoch_limits
@@ -73,10 +73,13 @@ def change_spacecraft(
 
 
 def _check_gains(document: SpacecraftDocument) -> None:
-    """Refuse gains that saturate."""
+    """Refuse gains that saturate, and those of the gyro-orbitant law that do not settle."""
     fault = document.fault_of_gains
     if fault is not None:
         raise invalid_request([FieldError("/control/period_s", "control.gains", fault)])
+    fault = document.fault_of_gyro_orbitant
+    if fault is not None:
+        raise invalid_request([FieldError("/control/gyro_orbitant", "control.gyro_orbitant", fault)])
 
 
 def _touches_control(patch: dict[str, Any]) -> bool:

@@ -9,12 +9,16 @@ from pydantic_core import PydanticCustomError
 
 from service.api.schemas.base import Document, Epoch, LatitudeDeg, LongitudeDeg, Text
 from service.core.control.quaternion_law import loop_gains
+from service.pipeline.config import TorqueConfig
+from service.pipeline.control_design import gyro_design
 from service.records.catalogue import (
     AxisTorques,
+    ControlLaw,
     ControlMode,
     ControlSettings,
     FedForwardTorque,
     FlexibleMode,
+    GyroOrbitantGains,
     Matrix3,
     Method,
     Onboard,
@@ -185,6 +189,17 @@ class OnboardDocument(Document):
         return Onboard(**values, fed_forward_torque=None if told is None else told.to_record())
 
 
+class GyroOrbitantDocument(Document):
+    """Gains of the law `gyro_orbitant`: N m a unit of half-angle (half a radian), and N m s."""
+
+    roll_stiffness_n_m: Positive
+    roll_damping_n_m_s: Positive
+    pitch_stiffness_n_m: Positive
+    pitch_damping_n_m_s: Positive
+    yaw_stiffness_n_m: Positive
+    yaw_damping_n_m_s: Positive
+
+
 class ControlDocument(Document):
     """Attitude control."""
 
@@ -197,6 +212,15 @@ class ControlDocument(Document):
     """Time between commands under release `two_step`; under `automatic` it is the time between rows."""
     forecast_horizon_s: Annotated[float, Field(ge=60, le=7200)] = 3600.0
     """How far the pulses against a known torque of a released command reach at most; the envelope may shorten it."""
+    law: ControlLaw = ControlLaw.PROPORTIONAL_DERIVATIVE
+    """`gyro_orbitant`: yaw is told by the roll rate; needs `body_rate_deg_s`, against inertial space, in telemetry."""
+    gyro_orbitant: GyroOrbitantDocument | None = None
+
+    def to_record(self) -> ControlSettings:
+        """Return the record that this document states."""
+        told = self.gyro_orbitant
+        values = self.model_dump(exclude={"gyro_orbitant"})
+        return ControlSettings(**values, gyro_orbitant=None if told is None else GyroOrbitantGains(**told.model_dump()))
 
 
 class SpacecraftDocument(Document):
@@ -238,7 +262,7 @@ class SpacecraftDocument(Document):
             wheels=WheelSet(**self.wheels.model_dump()),
             modes=tuple(FlexibleMode(**mode.model_dump()) for mode in self.modes),
             onboard=self.onboard.to_record(),
-            control=ControlSettings(**self.control.model_dump()),
+            control=self.control.to_record(),
         )
 
     @property
@@ -252,6 +276,17 @@ class SpacecraftDocument(Document):
                 torque_limit_n_m=self.torque_limit_n_m,
                 command_period_s=None,
             )
+        except ValueError as error:
+            return str(error)
+        return None
+
+    @property
+    def fault_of_gyro_orbitant(self) -> str | None:
+        """Why the gains of the law `gyro_orbitant` make no loop that settles; None where they do, or none is chosen."""
+        if self.control.law is not ControlLaw.GYRO_ORBITANT and self.control.gyro_orbitant is None:
+            return None
+        try:
+            gyro_design(self.to_record(), TorqueConfig())
         except ValueError as error:
             return str(error)
         return None

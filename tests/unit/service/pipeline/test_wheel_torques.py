@@ -6,13 +6,8 @@ import numpy as np
 import pytest
 
 from service.pipeline.config import TorqueConfig
-from service.pipeline.wheel_torques import (
-    CONTROL_INHIBITIONS,
-    NO_CARRY,
-    command_for,
-    compute_command,
-    control_inhibitions,
-)
+from service.pipeline.control_inhibitions import CONTROL_INHIBITIONS, control_inhibitions
+from service.pipeline.wheel_torques import NO_CARRY, command_for, compute_command
 from service.records.attitude import Axes, row_without_attitude
 from service.records.catalogue import ControlMode, FlexibleMode, Method, Onboard, Release, WheelSet
 from service.records.disturbance import Disturbance
@@ -136,7 +131,7 @@ def test_reasons_of_the_row_come_first_and_make_a_missing_rate_no_news(craft):
 
 
 def test_every_reason_that_stands_here_is_explained():
-    assert set(CONTROL_INHIBITIONS) == {*REFUSALS, "no_rate", "no_law", "tripped"}
+    assert set(CONTROL_INHIBITIONS) == {*REFUSALS, "no_rate", "no_law", "no_body_rate", "law_beyond", "tripped"}
     assert all(len(text) > 10 for text in CONTROL_INHIBITIONS.values())
 
 
