@@ -45,7 +45,8 @@ class CraftLine:
         self._reports: list[CraftReport] = []
         self._flown = ""
         try:
-            self._take("start")
+            #: torque that the loop on board feeds forward, as the catalogue states one; None = nothing was said of it
+            self.fed_forward: Json | None = self._take("start").get("fed_forward_torque")
         except BaseException:
             self.close()
             raise

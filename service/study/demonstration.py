@@ -17,6 +17,7 @@ from typing import Any
 
 from service.client.service_client import ServiceClient
 from service.records.epoch import format_epoch, parse_epoch
+from service.study.closed_loop.ground_knowledge import AXIS_RELATIVE_ERROR, RELATIVE_ERROR
 from service.study.control_centre import ControlCentre
 from service.study.craft_line import CraftLine
 from service.study.ground_link import GroundLink
@@ -28,8 +29,6 @@ _ARRIVAL_TIMEOUT_S = 120.0
 _POLL_S = 0.05
 #: rows between two scenes where each row is a chunk of its own
 _ROWS_A_SCENE = 60
-#: what the operator's handbook says of the Sun's torque that is not fed forward on board, one sigma an axis, N m
-RESIDUAL_TORQUE_N_M = 3.5e-7
 #: longest stretch without a row in a story, s
 _LONGEST_PAUSE_S = 40 * 86_400
 
@@ -210,15 +209,18 @@ def _learn(story: Story, client: ServiceClient, message: dict[str, Any]) -> None
     if kind in _KEEP:
         _KEEP[kind](story, message)
     if kind == "spacecraft":
-        client.create_spacecraft(message["body"] if story.centre is None else _steered(message["body"]))
+        client.create_spacecraft(message["body"] if story.centre is None else _steered(message["body"], story.centre))
     elif kind in _FORWARD:
         _FORWARD[kind](client, story.spacecraft_id, message["body"])
 
 
-def _steered(body: dict[str, Any]) -> dict[str, Any]:
-    """Return the catalogue entry of a craft whose commands are taken to it."""
-    control = {**body["control"], "release": "automatic"}
-    return {**body, "control": control, "onboard": {**body["onboard"], "residual_torque_n_m": RESIDUAL_TORQUE_N_M}}
+def _steered(body: dict[str, Any], centre: ControlCentre) -> dict[str, Any]:
+    """Return the catalogue entry of a craft whose commands are taken to it, with what its loop feeds forward."""
+    onboard = body["onboard"]
+    if centre.line.fed_forward is not None:
+        errors = {"relative_error": RELATIVE_ERROR, "axis_relative_error": AXIS_RELATIVE_ERROR}
+        onboard = {**onboard, "fed_forward_torque": {**centre.line.fed_forward, **errors}}
+    return {**body, "control": {**body["control"], "release": "automatic"}, "onboard": onboard}
 
 
 def _keep_truth(story: Story, message: dict[str, Any]) -> None:

@@ -9,7 +9,8 @@ import pytest
 
 from service.study.craft_line import CraftLine, CraftLineError
 
-START = {"type": "start", "scenario": "demo"}
+FED_FORWARD = {"epoch": "2026-11-05T10:00:00.000000Z", "period_s": 86400.0}
+START = {"type": "start", "scenario": "demo", "fed_forward_torque": FED_FORWARD}
 NOTHING = {"yaw": 0.0, "roll": 0.0, "pitch": 0.0}
 
 
@@ -69,6 +70,7 @@ def test_reports_are_kept_until_the_row_they_belong_to_is_asked_for(craft):
         {"type": "flown", "epoch": epoch(2)},
     )
     with CraftLine(*told.address, timeout_s=5.0) as line:
+        assert line.fed_forward == FED_FORWARD
         assert line.await_flown(epoch(0)) == []
         line.send([{"start": epoch(0)}], 1)
         (first,) = line.await_flown(epoch(1))

@@ -1,12 +1,14 @@
 """Demonstration: what is forwarded, and when the front end is replaced; all other processes are played by fakes."""
 
+import json
 from pathlib import Path
 
 import pytest
 
+from service.api.schemas.spacecraft import OnboardDocument
 from service.records.epoch import format_epoch
 from service.study import demonstration
-from service.study.demonstration import Endpoints, run_story
+from service.study.demonstration import Endpoints, Story, run_story
 
 MINUTE_US = 60_000_000
 START_US = 1_793_491_200_000_000
@@ -219,8 +221,19 @@ def test_telemetry_is_forwarded_and_a_gap_is_not_waited_for(monkeypatch, tmp_pat
     assert [entry[0] for entry in log].count("proceed") == 5
 
 
+ANNOUNCED = {
+    "epoch": epoch(0),
+    "period_s": 86_400.0,
+    "constant_n_m": {"yaw": 0.0, "roll": 0.0, "pitch": 0.0},
+    "cosine_n_m": {"yaw": 2e-6, "roll": 1e-6, "pitch": 3e-6},
+    "sine_n_m": {"yaw": -1e-6, "roll": 4e-6, "pitch": 0.0},
+}
+
+
 class Craft:
     """A craft line that hands on nothing."""
+
+    fed_forward: dict | None = ANNOUNCED
 
     def __init__(self, *_address) -> None:
         self.counters: list[int] = []
@@ -251,21 +264,51 @@ class Computing(Client):
         return {"attitude_epoch": epoch(self.minute), "schedule": [pulse], **allowed}
 
 
-def test_where_the_craft_is_flown_each_row_waits_for_the_command_of_the_one_before(monkeypatch, tmp_path):
-    stage, craft = Stage(), Craft()
-    catalogue = {"id": "sc", "onboard": {"fast_loop": True}, "control": {"mode": "ground", "release": "two_step"}}
-    # the truth of a row of operation follows it
-    flown = [line for row in range(30, 33) for line in (hold(row, "operation"), rows(row, row))]
-    script = [{"kind": "spacecraft", "body": catalogue}, *BEFORE[1:], *ALIGNMENT, *flown, *END]
+CATALOGUE = {"id": "sc", "onboard": {"fast_loop": True}, "control": {"mode": "ground", "release": "two_step"}}
+
+
+def flown(craft: Craft, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> tuple[Stage, Story, list]:
+    """Fly three rows of operation; the truth of each follows it."""
+    stage, scenes = Stage(), []
+    operation = [line for row in range(30, 33) for line in (hold(row, "operation"), rows(row, row))]
+    script = [{"kind": "spacecraft", "body": CATALOGUE}, *BEFORE[1:], *ALIGNMENT, *operation, *END]
     monkeypatch.setattr(demonstration, "GroundLink", lambda *_: Link(stage, script))
     monkeypatch.setattr(demonstration, "CraftLine", lambda *_: craft)
     monkeypatch.setattr(demonstration, "front_end", lambda *_: Station(stage))
     endpoints = Endpoints("url", "key", ("host", 1), "resource", uplink=("host", 2))
-    scenes = []
-    story = run_story(tmp_path, endpoints, Computing(stage), scenes.append)
-    created = next(entry[1] for entry in stage.log if entry[0] == "create_spacecraft")
-    assert created["control"] == {"mode": "ground", "release": "automatic"}
-    assert created["onboard"] == {"fast_loop": True, "residual_torque_n_m": demonstration.RESIDUAL_TORQUE_N_M}
+    return stage, run_story(tmp_path, endpoints, Computing(stage), scenes.append), scenes
+
+
+def created(stage: Stage) -> dict:
+    return next(entry[1] for entry in stage.log if entry[0] == "create_spacecraft")
+
+
+def test_the_catalogue_states_what_the_craft_says_its_loop_feeds_forward(monkeypatch, tmp_path):
+    stage, _, _ = flown(Craft(), monkeypatch, tmp_path)
+    assert created(stage)["control"] == {"mode": "ground", "release": "automatic"}
+    onboard = created(stage)["onboard"]
+    assert onboard == {
+        "fast_loop": True,
+        "fed_forward_torque": {**ANNOUNCED, "relative_error": 0.06, "axis_relative_error": 0.01},
+    }
+    # as the REST interface takes it, nothing of it lost
+    taken = OnboardDocument.model_validate_json(json.dumps(onboard)).to_record()
+    assert taken.residual_torque_n_m == 0.0
+    assert taken.fed_forward_torque is not None
+    assert taken.fed_forward_torque.epoch_us == START_US
+    assert taken.fed_forward_torque.sine_n_m.roll == 4e-6
+
+
+def test_of_a_craft_that_says_nothing_nothing_is_stated(monkeypatch, tmp_path):
+    craft = Craft()
+    craft.fed_forward = None
+    stage, _, _ = flown(craft, monkeypatch, tmp_path)
+    assert created(stage)["onboard"] == CATALOGUE["onboard"]
+
+
+def test_where_the_craft_is_flown_each_row_waits_for_the_command_of_the_one_before(monkeypatch, tmp_path):
+    craft = Craft()
+    stage, story, scenes = flown(craft, monkeypatch, tmp_path)
     seen = [entry for entry in stage.log if entry[0] in {"proceed", "torques"}][3:]
     assert seen == [entry for row in range(30, 33) for entry in (("proceed",), ("torques", epoch(row)))]
     assert craft.counters == [1, 2, 3]
