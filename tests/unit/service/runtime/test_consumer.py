@@ -8,7 +8,7 @@ import pytest
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
 from service.records.attitude import Axes
-from service.records.inputs import AlignmentSet, Correction, Operation, PlanChange
+from service.records.inputs import AlignmentSet, Correction, Operation, PlanChange, TelemetryRecord
 from service.records.journal import JournalEntry
 from service.runtime.consumer import MOTION_KINDS, STANDING_KINDS, Documents, consume, prepare
 
@@ -56,14 +56,18 @@ def test_commanded_motion_is_told_as_far_as_it_reaches_beyond_the_alignment_in_t
     payload, synthetic
 ):
     chain, archive = Mock(), Mock()
-    plan, correction = PlanChange(1), Correction(100, 200, Axes(0.1, 0.0, 0.0))
+    plan, correction, told = PlanChange(1), Correction(100, 200, Axes(0.1, 0.0, 0.0)), TelemetryRecord(140, "FORECAST")
     archive.slow_inputs_before.return_value = [JournalEntry(7, plan)]
-    pages = {"correction": [JournalEntry(5, correction), JournalEntry(60, correction)]}
+    pages = {
+        "correction": [JournalEntry(5, correction), JournalEntry(60, correction)],
+        "telemetry": [JournalEntry(6, told), JournalEntry(61, told)],
+    }
     archive.inputs.side_effect = lambda _craft, kind, _window, _limit, _after: pages.get(kind, [])
     prepare(chain, archive, "y", 50, 150)
-    assert [call.args[0] for call in chain.learn.call_args_list] == [correction, plan]
-    assert {call.args[1] for call in archive.inputs.call_args_list} == set(MOTION_KINDS)
-    assert all(call.args[2].start_us == 150 for call in archive.inputs.call_args_list)
+    assert [call.args[0] for call in chain.learn.call_args_list] == [correction, told, plan]
+    starts_us = {call.args[1]: call.args[2].start_us for call in archive.inputs.call_args_list}
+    # what telemetry told in the hours before may still hold
+    assert starts_us == {**dict.fromkeys(MOTION_KINDS, 150), "telemetry": 150 - 6 * 3600 * 1_000_000}
 
 
 def test_each_document_is_read_once():

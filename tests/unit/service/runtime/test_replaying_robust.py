@@ -1,5 +1,6 @@
 """Live operation, restart and replay with both methods: the same rows bit for bit, commanded motion included."""
 
+import math
 import shutil
 import time
 from contextlib import contextmanager
@@ -11,14 +12,15 @@ import pytest
 from geometry_flight import HOUR, MINUTE, START_US, FlightPayload
 
 from db.storage import SqlStorage
+from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S
 from service.errors import InvalidInputError
 from service.pipeline.config import AlignmentConfig, ChainConfig
 from service.ports import LIVE
 from service.records.attitude import Axes
 from service.records.calibration import CalibrationMethod, Window
-from service.records.catalogue import Method, Release
+from service.records.catalogue import ControlLaw, GyroOrbitantGains, Method, Release
 from service.records.command import AppliedCommand
-from service.records.inputs import AttitudeReference, Correction, Operation, PlanChange
+from service.records.inputs import AttitudeReference, Correction, Operation, PlanChange, TelemetryRecord
 from service.records.job import JobState, Replay
 from service.records.journal import JournalEntry
 from service.records.measurement import MeasurementBatch
@@ -327,6 +329,25 @@ def test_pages_of_anything_but_commanded_motion_are_refused(monkeypatch):
     archive.inputs.return_value = [JournalEntry(7, PlanChange(1))]
     with pytest.raises(TypeError, match="journal entry 7 is no commanded motion"):
         prepare(Mock(), archive, SC, 50, 0)
+
+
+def test_what_telemetry_told_before_an_alignment_holds_after_a_restart_and_in_a_replay(opened_archive, new_station):
+    """Rates of the body and momenta of the wheels: commands of the gyro-orbitant law to the last bit."""
+    station = new_station(opened_archive)
+    craft, rate = station.storage.catalogue.spacecraft(SC), Axes(1e-5, -2e-5, -math.degrees(GEOSTATIONARY_RATE_RAD_S))
+    gains = GyroOrbitantGains(0.02, 6.0, 0.01, 3.0, 2e-3, 6.0)
+    control = replace(craft.control, law=ControlLaw.GYRO_ORBITANT, gyro_orbitant=gains)
+    station.storage.catalogue.replace_spacecraft(replace(craft, control=control))
+    station.tell(TelemetryRecord(at(0), wheel_momentum_n_m_s=(1.0, 0.5, 0.2), body_rate_deg_s=rate))
+    station.align(-30, 0)
+    for minutes in (range(1, 3), range(3, 8)):
+        station.send(minutes)
+        with station.supervised() as settle:
+            settle()
+    live = station.commands()
+    assert [command.inhibitions for command in live] == [()] * 3 + [("no_body_rate",)] * 4
+    assert live[2].schedule
+    assert text(station.commands(station.replay(1, 8))) == text(live)
 
 
 def test_before_an_alignment_rows_say_why_they_have_no_angles(opened_archive, new_station):
