@@ -13,6 +13,7 @@ would), so both are told apart by their length. Flags are packed the same way wi
 no byte.
 """
 
+import struct
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -33,8 +34,15 @@ _MANTISSA_BITS = 24
 _MAX_STEPS = 1 << 31
 _SPARE_SHIFT = 5
 _MAX_BITS = (1 << _SPARE_SHIFT) - 1
+#: carriers up to which one row is packed value by value
+_FEW_CARRIERS = 64
 #: bytes that hold any code with the bits before it
 _WORD_BYTES = 5
+
+
+_ONE = struct.Struct("<f")
+#: scale, bits and spare codes, base
+_HEAD = struct.Struct("<BBi")
 
 
 class StoredRows(NamedTuple):
@@ -71,10 +79,51 @@ def canonical_powers(power_dbm: Float32Array) -> Float32Array:
 def pack_powers(power_dbm: Float32Array) -> StoredRows:
     """Return (T, N) powers as bytes in the smallest form that gives them back bit for bit, every NaN the same NaN."""
     canonical = canonical_powers(power_dbm)
+    if len(canonical) == 1 and canonical.shape[1] <= _FEW_CARRIERS and (row := _one_row(canonical)) is not None:
+        return row
+    return _many_rows(canonical)
+
+
+def _many_rows(canonical: Float32Array) -> StoredRows:
+    """Return (T, N) powers as bytes, whatever they are."""
     is_known = ~np.isnan(canonical)
     found = _on_grid(canonical, canonical.ravel() if is_known.all() else canonical[is_known])
     packed = None if found is None else _packed(found, 4 * canonical.shape[1])
     return StoredRows(4 * canonical.shape[1], canonical.tobytes()) if packed is None else packed
+
+
+def _one_row(canonical: Float32Array) -> StoredRows | None:
+    """Return one row as ``_many_rows`` does, in half its time; None unless all is known and on a decimal grid."""
+    powers = canonical[0].tolist()
+    raw = canonical.tobytes()
+    if not powers or any(power - power != 0.0 for power in powers):
+        # NaN or infinite
+        return None
+    layout = struct.Struct(f"<{len(powers)}f")
+    for scale_code, scale in enumerate(_DECIMAL_SCALES.tolist()):
+        if _ONE.pack(round(powers[0] * scale) / scale) == raw[: _ONE.size]:
+            steps = [round(power * scale) for power in powers]
+            if layout.pack(*[step / scale for step in steps]) == raw:
+                return _packed_row(scale_code, steps)
+    return None
+
+
+def _packed_row(scale_code: int, steps: list[int]) -> StoredRows | None:
+    """Return one row of steps as bytes, None when float32 are no longer."""
+    base, count = min(steps), len(steps)
+    bits = max(2, (max(steps) - base + 1).bit_length())
+    filled = _HEAD_BYTES + (count * bits + 7) // 8
+    width = filled + (filled % 4 == 0)
+    if width >= 4 * count or bits > _MAX_BITS or max(abs(base), abs(max(steps))) >= _MAX_STEPS:
+        return None
+    codes = 0
+    for step in steps:
+        codes = codes << bits | step - base
+    spare = (width - _HEAD_BYTES) * 8 // bits - count
+    head = _HEAD.pack(scale_code, bits | spare << _SPARE_SHIFT, base)
+    return StoredRows(
+        width, head + (codes << 8 * (width - _HEAD_BYTES) - count * bits).to_bytes(width - _HEAD_BYTES, "big")
+    )
 
 
 def unpack_powers(blobs: Sequence[bytes]) -> Float32Array:

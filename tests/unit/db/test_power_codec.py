@@ -8,6 +8,8 @@ from hypothesis.extra.numpy import arrays
 
 from db.power_codec import (
     NO_FLAGS,
+    _many_rows,
+    _one_row,
     canonical_powers,
     pack_flags,
     pack_powers,
@@ -122,3 +124,17 @@ def test_flags_take_no_bytes_where_none_is_set_and_few_where_they_are_small():
     assert pack_flags(masks) == NO_FLAGS
     masks[1, 4] = 16
     assert pack_flags(masks).width <= 6 + 20 + 1
+
+
+@settings(max_examples=300, deadline=None)
+@given(power_dbm=gridded())
+def test_a_row_alone_is_packed_as_one_of_many(power_dbm):
+    for row in canonical_powers(power_dbm):
+        assert pack_powers(row[None, :]) == _many_rows(canonical_powers(row[None, :]))
+
+
+def test_a_row_alone_is_packed_value_by_value_where_levels_have_few_decimals():
+    row = np.round(LEVELS, 2).astype(np.float32)[None, :]
+    assert _one_row(row) == _many_rows(row)
+    for odd in (np.nan, np.inf, -0.0):
+        assert _one_row(np.append(row, np.float32(odd))[None, :]) is None
