@@ -208,8 +208,8 @@ class ReleaseDesk(ReleaseFloor):
     def sign_check(self, spacecraft_id: str, axis: str, by: str) -> ControlView:
         """Start the sign check of an axis: its legs are prepared one after the other, each to be confirmed.
 
-        ConflictError ``sign_check.running``, ``sign_check.no_rows`` and those of `prepare`; InvalidInputError
-        ``sign_check.axis``.
+        ConflictError ``sign_check.running``, ``sign_check.no_rows``, ``sign_check.flying`` and those of `prepare`;
+        InvalidInputError ``sign_check.axis``.
         """
         entry = self._entry(spacecraft_id)
         with entry.case.lock:

@@ -76,8 +76,28 @@ def release_checks(
             "command.estimate_stale",
             "computed from an estimate that is not the newest any more: prepare anew",
         ),
+        *_tail_checks(state, proposal),
         *_schedule_checks(proposal, at, settings),
     )
+
+
+def _tail_checks(state: ReleaseState, proposal: Proposal) -> tuple[Check, ...]:
+    """Return the check that a sign check cuts no command short: the filter would not be told."""
+    if not proposal.is_sign_check:
+        return ()
+    flying = [
+        command.counter
+        for command in state.commands
+        if not command.proposal.is_sign_check and _executed_until_us(command) > proposal.start_us
+    ]
+    detail = f"command {', '.join(map(str, flying))} is still flown when it would begin: wait for its end"
+    return (Check("earlier commands", not flying, "sign_check.flying", detail),)
+
+
+def _executed_until_us(command: CommandRecord) -> int:
+    """Return when what was reported executed of a command ends, 0 where nothing was."""
+    ends_s = [pulse.stop_s for pulse in command.executed]
+    return command.proposal.start_us + round(max(ends_s) * US_PER_S) if ends_s else 0
 
 
 def _schedule_checks(proposal: Proposal, at: Instant, settings: ReleaseSettings) -> tuple[Check, ...]:

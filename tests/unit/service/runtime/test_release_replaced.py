@@ -7,7 +7,10 @@ import pytest
 from desk_driver import US, DeskDriver
 from geometry_flight import INERTIA, Flight, FlightPayload
 from release_storage import SC
+from sign_world import payload
 
+from service.errors import ConflictError
+from service.pipeline.method_runner import CommandEvidence
 from service.records.attitude import Axes
 from service.records.catalogue import Method
 from service.records.command import ReleasedCommand, ReportedCommand
@@ -68,6 +71,20 @@ def test_what_was_left_out_is_told_after_a_restart_too() -> None:
     driver.restart()
     driver.report(2)
     assert driver.desk.command(SC, 1).executed == before(first.schedule, second.start_us)
+
+
+def test_a_sign_check_cuts_no_command_short() -> None:
+    """The filter is not told of a sign check, so it would count on what the check has left out."""
+    driver = DeskDriver().armed()
+    first = driver.sent()
+    driver.report(1)
+    evidence = CommandEvidence(payload(5), np.zeros(payload(5).carriers), 0.0, None)
+    driver.rows(1, evidence=evidence)
+    with pytest.raises(ConflictError, match=r"sign_check\.flying: command 1 is still flown"):
+        driver.desk.sign_check(SC, "roll", "ann")
+    while driver.clock.now < first.stop_us:
+        driver.rows(1, evidence=evidence)
+    assert driver.desk.sign_check(SC, "roll", "ann").sign_check.state == "running"
 
 
 @pytest.mark.parametrize("is_flown", [True, False], ids=["flown", "lost"])
