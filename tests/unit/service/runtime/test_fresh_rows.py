@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import service.runtime.fresh_rows as module
-from service.records.measurement import BatchReceipt, MeasurementBatch
+from service.records.journal import JournalEntry
+from service.records.measurement import BatchReceipt, Measurement, MeasurementBatch
 from service.runtime.fresh_rows import FreshRows
 
 
@@ -74,17 +75,21 @@ def test_the_oldest_go_when_there_are_too_many(fresh, monkeypatch):
 
 
 def test_the_chain_is_fed_with_the_rows_that_were_just_written(ground, monkeypatch, wait):
-    read: list[int] = []
+    read: list[object] = []
     archive = ground.storage.archive
     original = archive.journal
+
+    def journal(*place: object) -> list[JournalEntry]:
+        entries: list[JournalEntry] = original(*place)
+        read.extend(entry.content for entry in entries)
+        return entries
+
     with ground.supervised() as supervisor:
         ground.settle(supervisor)
-        monkeypatch.setattr(archive, "journal", lambda *place: read.append(place[1]) or original(*place))
+        monkeypatch.setattr(archive, "journal", journal)
         receipt = ground.append(range(1, 31))
         supervisor.notify(ground.id, receipt.first_number + 29)
         wait(ground.is_settled)
-    head = archive.head(ground.id)
-    assert head.consumed_number == head.newest_number
     # commands that count as applied are slow inputs, behind the rows
-    assert receipt.first_number - 1 not in read
+    assert not any(isinstance(content, Measurement) for content in read)
     assert len(ground.rows()) == 30
