@@ -11,8 +11,9 @@ from service.study.control_centre import ControlLog
 from service.study.demonstration import Story
 from service.study.merit import AXES
 
-#: what the true angles must keep, deg
-TRUTH_BOUNDS_DEG = {"yaw": 0.4, "roll": 0.2, "pitch": 0.2}
+#: what the true angles must keep in every run, and what 95 of 100 runs are to keep, deg
+TRUTH_BOUNDS_DEG = {"yaw": 0.5, "roll": 0.3, "pitch": 0.3}
+USUAL_BOUNDS_DEG = {"yaw": 0.4, "roll": 0.2, "pitch": 0.2}
 #: a craft that is left alone has left its bounds long before
 _ALONE_DAYS = 0.5
 
@@ -53,6 +54,7 @@ def judge_control(story: Story, log: ControlLog, alone: FlightAlone) -> dict[str
     return {
         **_figures(flown),
         "bounds_deg": TRUTH_BOUNDS_DEG,
+        "usual_bounds_deg": USUAL_BOUNDS_DEG,
         "impulse_n_m_s": {axis: round(impulse, 5) for axis, impulse in log.impulse_n_m_s.items()},
         "commands": log.counts(),
         "inhibited_share": round(log.inhibited_rows / max(log.rows, 1), 4),

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from service.records.attitude import FloatArray
 from service.records.epoch import US_PER_S
-from service.study.closed_judgement import TRUTH_BOUNDS_DEG, FlightAlone
+from service.study.closed_judgement import USUAL_BOUNDS_DEG, FlightAlone
 from service.study.judgement import TrackedAngles
 from service.study.merit import AXES
 from service.study.replay_check import METHODS
@@ -26,14 +26,14 @@ def draw_tracking(tracked: Mapping[str, TrackedAngles], path: Path) -> None:
 
 
 def draw_control(tracked: TrackedAngles, alone: FlightAlone, path: Path) -> None:
-    """Draw the three angles of a craft that is controlled, and of the same craft left alone, into a PNG or SVG file."""
+    """Draw the angles of a craft that is controlled and of the same one left alone; dashed: the usual bounds."""
 
     def draw_axis(plot: Axes, k: int) -> None:
         hours = _hours(tracked)
         plot.plot(alone.hours, alone.flown_deg[:, k], color="#d62728", linewidth=1.0, label="truth, left alone")
         _draw_driving(plot, tracked, hours, k)
         for side in (-1.0, 1.0):
-            plot.axhline(side * TRUTH_BOUNDS_DEG[AXES[k]], color="#111111", linewidth=0.8, linestyle="--")
+            plot.axhline(side * USUAL_BOUNDS_DEG[AXES[k]], color="#111111", linewidth=0.8, linestyle="--")
 
     _draw(path, draw_axis)
 

@@ -74,12 +74,14 @@ def judge_method(story: Story, client: ServiceClient, method: str) -> MethodFigu
 def judge_story(story: Story, client: ServiceClient, loop: dict[str, Any] | None = None) -> dict[str, Any]:
     """Return the figures of both methods, of the answer that never moves, and of what the archive keeps.
 
-    Where a loop was closed its figures stand beside them; the craft then hardly moves, so that slopes say nothing.
+    Where a loop was closed its figures stand beside them, and the true attitude is judged in place of the estimates:
+    control takes the estimate to zero, so that its error is the attitude of the craft, and slopes say nothing.
     """
     is_moved = loop is None
     driving, beside = (judge_method(story, client, method) for method in METHODS)
     kept = check_archive(client, story.spacecraft_id, story.truth_deg)
     kept |= check_replay(client, story.spacecraft_id, story.phases["operation"], METHODS)
+    estimate_misses = missed_bounds(driving.merits, METHODS[0], is_moved=is_moved)
     return {
         "method": METHODS[0],
         "rows": driving.rows,
@@ -95,9 +97,8 @@ def judge_story(story: Story, client: ServiceClient, loop: dict[str, Any] | None
         "crlb_deg": story.bound_deg,
         **kept,
         "closed_loop": loop,
-        "missed": missed_bounds(driving.merits, METHODS[0], is_moved=is_moved)
-        + missed_promises(kept)
-        + missed_control(loop),
+        "estimate_misses": estimate_misses,
+        "missed": [*(estimate_misses if is_moved else ()), *missed_promises(kept), *missed_control(loop)],
         "zero_answer_misses": missed_bounds(driving.zeros, METHODS[0], is_moved=is_moved),
     }
 
