@@ -37,8 +37,9 @@ install-dev: $(DEV_STAMP) ## install the tools too
 run: $(STAMP) ## start the demonstration: simulated analyzer, front end, service
 	$(BIN)/soo demo
 
-demo-check: $(STAMP) ## two virtual days of operation, figures as JSON, exit 1 when they miss their bounds
-	$(BIN)/soo demo --exit --json
+demo-check: $(STAMP) ## two virtual days on a tour of slews, half a day in closed loop; JSON, exit 1 when bounds are missed
+	$(BIN)/soo demo --open --exit --json
+	$(BIN)/soo demo --exit --json --days 0.5
 
 test: $(DEV_STAMP) ## run the whole test suite
 	$(BIN)/python -m pytest -m "not nightly" -n 2 --dist worksteal
