@@ -66,8 +66,9 @@ check: lint types imports locks test clients ## all that must hold before a chan
 coverage: $(DEV_STAMP) ## branch coverage of core, pipeline and records
 	$(BIN)/python -m pytest -m "not nightly and not system" -n 2 -q --cov --cov-report=term-missing:skip-covered
 
-bench: $(DEV_STAMP) ## ratios, measured in one run
+bench: $(DEV_STAMP) ## ratios, measured in one run; times of single computations
 	$(BIN)/python -m bench
+	$(BIN)/python -m pytest -q -s -p no:randomly tests/speed
 
 nightly: $(DEV_STAMP) ## long tests
 	$(BIN)/python -m pytest -m nightly

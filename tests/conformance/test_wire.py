@@ -116,7 +116,7 @@ def test_opc_query_waits_on_the_line(line, gate, facts):
     with pytest.raises(TimeoutError):
         reading.recv(1)
     gate["is_open"] = True
-    reading.settimeout(5.0)
+    reading.settimeout(120.0)
     answer = line.read_until(b"\n") if isinstance(line, RawLine) else line.read()[1]
     assert answer == b"1\n"
 
@@ -150,7 +150,7 @@ def test_socket_says_nothing_when_there_is_nothing_to_say(raw, facts):
     raw.socket.settimeout(0.1)
     with pytest.raises(TimeoutError):
         raw.read_until(b"\n")
-    raw.socket.settimeout(5.0)
+    raw.socket.settimeout(120.0)
     assert raw.ask("SYST:ERR?") == facts.no_error, "there is no -420 on a raw socket"
 
 

@@ -73,7 +73,7 @@ class Setting:
     def append(self, epochs_us: Sequence[int], power_dbm: object = -50.1, **options: object) -> BatchReceipt:
         """Append a batch and wait for its commit."""
         batch = self.batch(epochs_us, power_dbm, **options)  # type: ignore[arg-type]
-        return self.storage.archive.append_measurements(batch).result(timeout=10)
+        return self.storage.archive.append_measurements(batch).result(timeout=120)
 
     def rows(self) -> list[Measurement]:
         """Return every stored row."""

@@ -98,7 +98,7 @@ def test_a_backup_put_back_on_either_database_is_the_same_archive(filled, url, e
     # what is given out next goes on behind what was restored
     storage = SqlStorage(target)
     try:
-        assert storage.archive.append_measurements(filled.batch([10, 40], [-50.1, -51.0])).result(10).accepted == 1
+        assert storage.archive.append_measurements(filled.batch([10, 40], [-50.1, -51.0])).result(120).accepted == 1
         assert storage.archive.head(filled.id).newest_number == head.newest_number + 1
         assert storage.archive.measurements(filled.id, filled_window(), 99, None)[-1].number == head.newest_number + 1
     finally:

@@ -20,10 +20,10 @@ def held(storage):
 
     def stop(_connection):
         stopped.set()
-        release.wait(10)
+        release.wait(120)
 
     storage._database.submit(stop)
-    stopped.wait(10)
+    stopped.wait(120)
     return release
 
 
@@ -33,7 +33,7 @@ def test_a_group_shares_one_commit(setting):
     release = held(setting.storage)
     futures = [setting.storage.archive.append_measurements(setting.batch([epoch_us])) for epoch_us in range(20)]
     release.set()
-    wait(futures, 10)
+    wait(futures, 120)
     assert [future.result().accepted for future in futures] == [1] * 20
     # one for the function that held the writer, one for the group
     assert len(commits) == 2
@@ -53,12 +53,12 @@ def test_a_failing_function_takes_nothing_of_its_group_with_it(setting):
     broken = database.submit(lambda connection: connection.exec_driver_sql("SELECT nonsense"))
     after = setting.storage.archive.append_measurements(setting.batch([20, 30]))
     release.set()
-    assert before.result(10).accepted == 2
-    assert (after.result(10).accepted, after.result(10).duplicates) == (1, 1)
+    assert before.result(120).accepted == 2
+    assert (after.result(120).accepted, after.result(120).duplicates) == (1, 1)
     with pytest.raises(ConflictError):
-        failing.result(10)
+        failing.result(120)
     with pytest.raises(Exception, match="nonsense"):
-        broken.result(10)
+        broken.result(120)
     assert [row.epoch_us for row in setting.rows()] == [1, 10, 20, 30]
     assert [entry.number for entry in setting.storage.archive.journal(setting.id, 3, 99)] == [4, 5, 6, 7]
 
@@ -78,7 +78,7 @@ def test_a_commit_that_fails_fails_the_whole_group_and_the_next_one_works(settin
     release.set()
     for future in futures:
         with pytest.raises(StorageError, match="FOREIGN KEY"):
-            future.result(10)
+            future.result(120)
     assert setting.rows() == []
     assert setting.append([10]).accepted == 1
 
@@ -150,7 +150,7 @@ def test_close_commits_what_is_queued_and_then_refuses(setting, url, make):
     closing = threading.Thread(target=setting.storage.close)
     closing.start()
     release.set()
-    closing.join(10)
+    closing.join(120)
     assert [future.result(0).accepted for future in futures] == [1, 1]
     with pytest.raises(StorageError) as caught:
         setting.storage.results.fail_unfinished_jobs("late")
@@ -174,7 +174,7 @@ def test_two_storages_on_one_database_share_one_journal(setting, url):
     try:
         twins = [setting.storage.archive, other.archive]
         futures = [twins[place % 2].append_measurements(setting.batch([place // 2])) for place in range(40)]
-        receipts = [future.result(10) for future in futures]
+        receipts = [future.result(120) for future in futures]
         assert sum(receipt.accepted for receipt in receipts) == sum(receipt.duplicates for receipt in receipts) == 20
         assert [entry.number for entry in other.archive.journal(setting.id, 3, 99)] == list(range(4, 24))
     finally:

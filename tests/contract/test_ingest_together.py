@@ -69,7 +69,7 @@ def test_rows_of_many_front_ends_at_once_are_all_there(setting):
     for place in range(20):
         batches = [setting.batch([100 * place], source=f"sa-{k}", first_seq=place) for k in range(16)]
         waiting = [setting.storage.archive.append_measurements(batch) for batch in batches]
-        assert all(future.result(10).accepted == 1 for future in waiting)
+        assert all(future.result(120).accepted == 1 for future in waiting)
     rows = setting.rows()
     assert len(rows) == 320
     assert sorted(row.number for row in rows) == list(range(rows[0].number, rows[0].number + 320))
@@ -79,13 +79,13 @@ def test_rows_of_many_front_ends_at_once_are_all_there(setting):
 def test_a_batch_that_fails_among_others_is_lost_alone(setting):
     archive, database = setting.storage.archive, setting.storage._database
     is_full = Event()
-    held = database.submit(lambda _: is_full.wait(10))
+    held = database.submit(lambda _: is_full.wait(120))
     batches = [setting.batch([100 * place], source="sa-1", first_seq=place) for place in range(6)]
     good = [archive.append_measurements(batch) for batch in batches[:3]]
     bad = database.submit(StoreBatch(prepare(1 << 20, batches[3]), SegmentCache()))
     good += [archive.append_measurements(batch) for batch in batches[3:]]
     is_full.set()
-    assert held.result(10)
-    assert [future.result(10).accepted for future in good] == [1] * 6
+    assert held.result(120)
+    assert [future.result(120).accepted for future in good] == [1] * 6
     assert bad.exception(10) is not None
     assert [row.epoch_us for row in setting.rows()] == [0, 100, 200, 300, 400, 500]

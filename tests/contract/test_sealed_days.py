@@ -115,7 +115,6 @@ def some_batch(setting, make, dice, plans):
     )
 
 
-@pytest.mark.timeout(60)
 @pytest.mark.parametrize("seed", range(3))
 def test_sealing_at_random_moments_changes_no_answer(new_setting, make, monkeypatch, seed):
     """Two spacecraft live the same life; days of one are sealed again and again, into segments of few rows."""

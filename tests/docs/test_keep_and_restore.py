@@ -35,7 +35,6 @@ def blocks() -> list[str]:
 
 @pytest.mark.system
 @pytest.mark.slow
-@pytest.mark.timeout(180)
 def test_the_blocks_run_as_they_stand(service: Any, tmp_path: Path) -> None:
     with ServiceClient(service.url, service.environment["SOO_KEY"], retries=6) as client:
         client.create_spacecraft(CRAFT)
@@ -77,7 +76,7 @@ def test_sizes_are_those_of_the_page(tmp_path: Path) -> None:
             batch = MeasurementBatch(
                 "craft", "sa-1", 1, received_us, places[:1000], epochs_us[some], power_dbm[some], none, is_stale, start
             )
-            storage.archive.append_measurements(batch).result(10)
+            storage.archive.append_measurements(batch).result(120)
 
     def consume(storage: SqlStorage) -> None:
         head = storage.archive.head("craft")
@@ -148,9 +147,9 @@ def settled_size(path: Path) -> int:
 def run(script: str, environment: dict[str, str], folder: Path, *, until_free: bool = False) -> Any:
     """Run a block; again while a service that was told to stop has not let go yet."""
     command = ["bash", "-c", script]
-    done = subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True, timeout=120)
     while until_free and "stop the service" in done.stderr:
-        done = subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True, timeout=60)
+        done = subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True, timeout=120)
     return done
 
 

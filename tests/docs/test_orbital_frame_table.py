@@ -14,7 +14,6 @@ def _cells(lines: list[str]) -> list[list[str]]:
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
 
 
-@pytest.mark.timeout(60)  # the first flight compiles
 def test_table_of_the_page_is_that_of_the_command() -> None:
     outcome = CliRunner().invoke(app, ["study", "orbital-frame", "--markdown"])
     assert outcome.exit_code == 0, outcome.output

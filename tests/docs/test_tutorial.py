@@ -65,7 +65,6 @@ def test_lines_are_compared_as_a_reader_would(shown: str, printed: str, is_same:
 
 @pytest.mark.slow
 @pytest.mark.system
-@pytest.mark.timeout(240)  # 25 s alone; the machine may be busy with other tests
 def test_tutorial_runs_and_answers_what_it_shows(service: Any, tmp_path: Path) -> None:
     script = "set -euo pipefail\n" + "".join(f"echo '{MARK} {k}'\n{code}" for k, (code, _) in enumerate(blocks()))
     folder = tmp_path / "tutorial"
@@ -88,7 +87,7 @@ def check_against_truth(service: Any, folder: Path) -> None:
     headers = {"Authorization": f"Bearer {service.environment['SOO_KEY']}"}
     base_url = f"{service.url}/api/v1/spacecraft/yamal-202"
     request = json.loads((folder / "calibration.json").read_text()) | {"method": "paper"}
-    with httpx.Client(headers=headers, timeout=10.0, trust_env=False) as client:
+    with httpx.Client(headers=headers, timeout=120.0, trust_env=False) as client:
         row = client.get(f"{base_url}/attitude").json()
         by_geometry = client.get(f"{base_url}/calibrations/1").json()
         by_paper = made_calibration(client, f"{base_url}/calibrations", request)
@@ -107,13 +106,13 @@ def check_against_truth(service: Any, folder: Path) -> None:
 def made_calibration(client: httpx.Client, url: str, request: dict[str, Any]) -> dict[str, Any]:
     """Make a calibration and return it."""
     started = client.post(url, json=request).json()
-    deadline = time.monotonic() + 60.0
+    deadline = time.monotonic() + 120.0
     while time.monotonic() < deadline:
         calibration: dict[str, Any] = client.get(f"{url}/{started['id']}").json()
         if calibration["carriers"]:
             return calibration
         time.sleep(0.1)
-    message = "the calibration did not end within 60 s"
+    message = "the calibration did not end within 120 s"
     raise TimeoutError(message)
 
 

@@ -96,7 +96,7 @@ def append(rig, minute, source="sa", seqs=None):
     epochs_us = np.array([START + minute * MINUTE])
     powers = np.full((1, 2), -40.0, dtype=np.float32)
     batch = MeasurementBatch("craft", source, 1, 0, np.arange(1), epochs_us, powers, (None,), np.zeros(1, bool), seqs)
-    rig.storage.archive.append_measurements(batch).result(5)
+    rig.storage.archive.append_measurements(batch).result(120)
 
 
 def report(state="MEASURE", warnings=(), **more):

@@ -71,7 +71,7 @@ class ChaosClient(threading.Thread):
 
     def run(self) -> None:
         headers = {"Authorization": f"Bearer {self._key}"}
-        with httpx.Client(base_url=self._url, headers=headers, timeout=15.0, trust_env=False) as client:
+        with httpx.Client(base_url=self._url, headers=headers, timeout=120.0, trust_env=False) as client:
             while not self._leave.is_set() and not self.faults:
                 kind = self._random.choice(KINDS) if self._place else "plain"
                 rows, wanted = self._batch(kind)
@@ -197,7 +197,7 @@ def promised(clients: list[ChaosClient]) -> dict[tuple[str, int], list[float]]:
     return rows
 
 
-def finish(clients: list[ChaosClient], timeout_s: float = 40.0) -> Counter[str]:
+def finish(clients: list[ChaosClient], timeout_s: float = 120.0) -> Counter[str]:
     """Stop clients, demand that none met a fault, and return what they counted."""
     for client in clients:
         client.stop()
@@ -220,7 +220,7 @@ def history(client: httpx.Client) -> list[dict[str, Any]]:
         params["cursor"] = page["next"]
 
 
-def await_consumed(client: httpx.Client, wanted: dict[tuple[str, int], list[float]], timeout_s: float = 60.0) -> None:
+def await_consumed(client: httpx.Client, wanted: dict[tuple[str, int], list[float]], timeout_s: float = 120.0) -> None:
     """Wait until the chain has made exactly one row of each method for every row of the prime source."""
     sources = client.get(f"{BASE}/sim-1/sources").json()["rows"]
     prime = next(each["id"] for each in sources if each["role"] == "prime")
@@ -230,7 +230,7 @@ def await_consumed(client: httpx.Client, wanted: dict[tuple[str, int], list[floa
     while made != epochs and time.monotonic() < deadline:
         time.sleep(0.1)
         params = {"format": "csv", "method": "paper", **WINDOW}
-        table = client.get(f"{BASE}/sim-1/archive/attitude:export", params=params, timeout=60).text
+        table = client.get(f"{BASE}/sim-1/archive/attitude:export", params=params, timeout=120).text
         lines = csv.DictReader(line for line in table.splitlines() if not line.startswith("#"))
         made = Counter(line["epoch"] for line in lines)
     assert made == epochs, f"{sum(made.values())} results of {sum(epochs.values())} rows"
@@ -242,11 +242,13 @@ def compare(client: httpx.Client, wanted: dict[tuple[str, int], list[float]]) ->
     rows = history(client)
     told = Counter((row["source"], row["epoch"]) for row in rows)
     assert told == Counter((source, text_of(epoch_us)) for source, epoch_us in wanted), difference(told, wanted)
-    table = client.get(f"{BASE}/sim-1/archive/measurements:export", params={"format": "csv", **WINDOW}, timeout=60).text
+    table = client.get(
+        f"{BASE}/sim-1/archive/measurements:export", params={"format": "csv", **WINDOW}, timeout=120
+    ).text
     lines = list(csv.DictReader(line for line in table.splitlines() if not line.startswith("#")))
     exported = Counter((line["source"], line["epoch"]) for line in lines)
     assert exported == told
-    samples = client.get(f"{BASE}/sim-1/measurements/samples", params={**WINDOW, "count": 50}, timeout=60).json()
+    samples = client.get(f"{BASE}/sim-1/measurements/samples", params={**WINDOW, "count": 50}, timeout=120).json()
     sampled = {name: sum(each["n"] for each in bins) for name, bins in samples["power_dbm"].items()}
     assert set(sampled.values()) == {len(wanted)}, sampled
     return {"history": len(rows), "export": len(lines), "samples": len(wanted)}
@@ -266,7 +268,7 @@ def kill_server(cluster: Any) -> None:
     for pid in (postmaster, *children):
         with contextlib.suppress(ProcessLookupError):
             os.kill(pid, signal.SIGKILL)
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + 120
     while _parents().keys() & {postmaster, *children} and time.monotonic() < deadline:
         time.sleep(0.01)
 

@@ -36,7 +36,7 @@ class Wire:
     """One connection."""
 
     def __init__(self, port: int) -> None:
-        self.line = socket.create_connection(("127.0.0.1", port), timeout=5.0)
+        self.line = socket.create_connection(("127.0.0.1", port), timeout=120.0)
         self.line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def __enter__(self) -> "Wire":
@@ -69,7 +69,7 @@ class Wire:
         except TimeoutError:
             return True
         finally:
-            self.line.settimeout(5.0)
+            self.line.settimeout(120.0)
 
     def is_closed(self) -> bool:
         try:

@@ -39,6 +39,6 @@ def run_blocks(page: Path, wanted: Sequence[tuple[str, str]], environment: Mappi
             command = [sys.executable, "-c", text]
         else:
             command = ["bash", "-c", text.strip() + (" --json" if language == "console" else "")]
-        done = subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True, timeout=60)
+        done = subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True, timeout=120)
         assert done.returncode == 0, f"{text}\n{done.stdout}\n{done.stderr}"
         assert printed in done.stdout

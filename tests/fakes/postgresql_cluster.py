@@ -100,7 +100,7 @@ class PostgresqlCluster:
             return
         if self._guard is not None:
             self._guard.terminate()
-            self._guard.wait(10)
+            self._guard.wait(120)
         self.program("pg_ctl", "stop", "-D", str(self.data), "-m", "immediate")
         shutil.rmtree(self.folder, ignore_errors=True)
 
@@ -120,7 +120,7 @@ class PostgresqlCluster:
     def program(self, name: str, *arguments: str) -> None:
         """Run one of the server's programs as a user who may."""
         command = [str(self._binaries / name), *arguments]
-        subprocess.run([*_plain_user(), *command], check=True, capture_output=True, timeout=60)
+        subprocess.run([*_plain_user(), *command], check=True, capture_output=True, timeout=120)
 
     def _started(self, *, fsync: bool) -> URL:
         installed = _installed()

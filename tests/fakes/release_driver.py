@@ -80,7 +80,8 @@ class ReleaseDriver:
         self.alarms: list[str] = []
         #: whether something has tripped since the last reset, by the driver's own account
         self.is_tripped = False
-        self.last_bad_us = self.now_us
+        #: by the steady clock: ten good minutes are minutes that pass, whatever is done to the wall clock
+        self.last_bad_us = self.steady_us
 
     @property
     def at(self) -> Instant:
@@ -110,7 +111,7 @@ class ReleaseDriver:
             assert step.state == tick.state, "an illegal event changed more than time does"
             assert step.actions == tick.actions, "an illegal event did something"
             if self.is_bad():
-                self.last_bad_us = self.now_us
+                self.last_bad_us = self.steady_us
             self.alarms += [action.detail for action in step.actions if action.kind is ActionKind.ALARM]
             self.state = step.state
             assert step.refusal.code
@@ -129,7 +130,7 @@ class ReleaseDriver:
             self.is_tripped = (self.is_tripped or event.kind is OrderKind.STOP) and event.kind is not OrderKind.RESET
         # before the event is looked at, and with what it told
         if self.is_bad():
-            self.last_bad_us = self.now_us
+            self.last_bad_us = self.steady_us
         for action in step.actions:
             if action.kind is ActionKind.RELEASE:
                 self._judge_release(step.state, action.counter)
@@ -162,7 +163,7 @@ class ReleaseDriver:
         """Hold what must be true of every torque that goes out."""
         assert not self.is_bad(), "released while a reason stands"
         assert not self.is_tripped, "released after a trip"
-        assert self.now_us - self.last_bad_us >= 600 * US, "released before ten good minutes"
+        assert self.steady_us - self.last_bad_us >= 600 * US, "released before ten good minutes"
         assert counter not in [each for each, _, _ in self.released], "released twice"
         proposal = next(each.proposal for each in state.commands if each.counter == counter)
         gross = np.array(proposal.effect.gross_impulse_n_m_s)
@@ -228,7 +229,7 @@ class ReleaseDriver:
         self.state = restored(self.state)
         self.row = None
         self.steady_us = 0
-        self.last_bad_us = self.now_us
+        self.last_bad_us = self.steady_us
 
     def armed(self) -> "ReleaseDriver":
         """Bring control to ARMED with the signs of all axes proven."""

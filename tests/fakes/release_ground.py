@@ -46,7 +46,7 @@ def craft(spacecraft_id: str, **changes: Any) -> Spacecraft:
     return replace(PAYLOAD.spacecraft(), id=spacecraft_id, **changes)
 
 
-def until(is_done: Callable[[], bool], what: str, timeout_s: float = 20.0) -> None:
+def until(is_done: Callable[[], bool], what: str, timeout_s: float = 120.0) -> None:
     """Wait until something holds."""
     deadline = time.monotonic() + timeout_s
     while not is_done():

@@ -79,12 +79,12 @@ def deliver(made: Uploader, is_done: Callable[[], bool] | None = None) -> None:
     done = is_done or (lambda: made.waiting == 0)
     loop = threading.Thread(target=made.run)
     loop.start()
-    deadline = time.monotonic() + 8.0
+    deadline = time.monotonic() + 120.0
     while not done() and time.monotonic() < deadline:
         time.sleep(0.002)
     assert done()
     made.finish()
-    loop.join(5.0)
+    loop.join(120.0)
     assert not loop.is_alive()
 
 

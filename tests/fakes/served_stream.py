@@ -79,7 +79,7 @@ class Served:
             headers["Last-Event-ID"] = last_event_id
         transport = httpx.HTTPTransport(socket_options=[(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)])
         with (
-            httpx.Client(transport=transport, timeout=10) as client,
+            httpx.Client(transport=transport, timeout=120) as client,
             client.stream("GET", self.url + STREAM, headers=headers) as response,
         ):
             yield response
@@ -98,14 +98,14 @@ def serving(app: Any, key: str) -> Iterator[Served]:
         yield Served(f"http://127.0.0.1:{listener.getsockname()[1]}", key, server, thread)
     finally:
         server.should_exit = True
-        thread.join(10)
+        thread.join(120)
         listener.close()
     assert not thread.is_alive()
 
 
 def wait_until(is_true: Callable[[], Any]) -> None:
     """Wait for something that comes within moments."""
-    deadline = time.monotonic() + 10
+    deadline = time.monotonic() + 120
     while not is_true():
         assert time.monotonic() < deadline
         time.sleep(0.01)

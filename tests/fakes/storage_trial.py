@@ -39,7 +39,7 @@ class Trial:
         """Return the longest time that a client has waited for an answer."""
         return max(client.slowest_s for client in self.clients)
 
-    def await_counts(self, is_enough, timeout_s=30.0):
+    def await_counts(self, is_enough, timeout_s=120.0):
         """Wait until the clients have counted enough."""
         deadline = time.monotonic() + timeout_s
         while not is_enough(self.counts()):

@@ -4,7 +4,7 @@ import socket
 import struct
 from typing import NamedTuple
 
-TIMEOUT_S = 5.0
+TIMEOUT_S = 120.0
 _HEADER = struct.Struct("!2sBBIQ")
 (
     *_,

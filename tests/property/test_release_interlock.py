@@ -229,6 +229,18 @@ AnyOrder.TestCase.settings = settings(
 test_any_order = AnyOrder.TestCase
 
 
+def test_the_law_goes_on_after_the_clock_was_set_forth_and_back():
+    """A sequence that `test_any_order` found: the wall clock shows 180 s where 780 steady seconds have passed."""
+    story = AnyOrder()
+    story.begin(start="armed")
+    story.the_law_goes_on(wish={"roll_deg": 0.02}, count=1)
+    for seconds in (3.0, 600.0, 0.5, -600.0):
+        story.clock_jumps(seconds)
+    story.the_law_goes_on(wish={"roll_deg": 0.02}, count=1)
+    assert len(story.driver.released) > 1
+    story.teardown()
+
+
 def test_every_row_of_the_table_is_taken():
     """The laws would hold of a machine that never moves; each transition of the table really happens."""
     taken = set()
@@ -323,6 +335,23 @@ def test_a_clock_ten_minutes_off_trips_and_releases_nothing():
         driver.rows(60)
         assert driver.automatic().refusal.code == "interlock.tripped"
         assert len(driver.released) == 1
+
+
+def test_good_minutes_pass_by_the_steady_clock():
+    """Steps of the wall clock, each too small to trip, must not bring the tenth good minute forward or put it off."""
+    for step_s in (1.5, -1.5):
+        driver = ReleaseDriver()
+        driver.send(Told(driver.at, AROUND))
+        driver.rows(1)
+        for _ in range(59):
+            driver.jump_clock(step_s)
+            driver.pass_time(10.0)
+            driver.send(RowSeen(driver.at, replace(GOOD, epoch_us=driver.now_us)))
+        driver.order(OrderKind.ARM)
+        assert driver.name == "INHIBITED"
+        driver.tick(10.0)
+        driver.order(OrderKind.ARM)
+        assert driver.name == "ARMED"
 
 
 def test_killed_between_release_and_report_nothing_goes_out_again_and_the_report_still_counts():

@@ -37,7 +37,6 @@ def rms(errors):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(60)
 def test_errors_in_three_dark_hours_and_one_hour_after():
     inside, after = judged(shared_world("nominal", SEED))
     print(f"seed {SEED}, three gaps: rms inside {rms(inside).round(4)}, an hour after {after.round(4).tolist()}")
@@ -55,7 +54,6 @@ def judged_over_seeds():
 
 
 @pytest.mark.nightly
-@pytest.mark.timeout(300)
 def test_errors_in_three_dark_hours_over_seeds():
     inside, after = judged_over_seeds()
     assert (rms(inside) <= INSIDE_DEG)[[0, 2]].all()
@@ -63,7 +61,6 @@ def test_errors_in_three_dark_hours_over_seeds():
 
 
 @pytest.mark.nightly
-@pytest.mark.timeout(300)
 @pytest.mark.xfail(strict=True, reason="measured .041; a drift of .025 deg/h alone makes .05 of roll in three hours")
 def test_roll_in_three_dark_hours_over_seeds():
     inside, _ = judged_over_seeds()
@@ -71,7 +68,6 @@ def test_roll_in_three_dark_hours_over_seeds():
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(60)
 @pytest.mark.parametrize("present", [0, 3])
 def test_with_fewer_than_four_carriers_the_product_coasts(present):
     """Angles go on with a growing sigma, the row says that it is no fix, and control waits; then all comes back."""

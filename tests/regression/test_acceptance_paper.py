@@ -12,7 +12,6 @@ METHODS = (Method.ROBUST, Method.PAPER)
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(60)
 def test_the_paper_method_goes_through_octants():
     """Bounds of the paper method on `octants`; an answer on every settled row, so no row cycles; no rain is told."""
     told = shared_world("octants", SEED).fly(method=Method.PAPER)
@@ -27,7 +26,6 @@ def test_the_paper_method_goes_through_octants():
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(60)
 def test_the_order_of_the_carriers_does_not_matter_from_calibration_to_attitude(tmp_path):
     """Acceptance test 15: another order in the plan, calibrated, aligned and flown anew by both methods."""
     straight = shared_world("nominal", 5)

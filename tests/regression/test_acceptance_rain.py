@@ -35,7 +35,6 @@ def assert_rain_is_found(world, slope_db_min, depth_db):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(60)
 @pytest.mark.parametrize(("slope_db_min", "depth_db"), RAINS)
 def test_rain_is_found_within_a_minute(slope_db_min, depth_db):
     """A minute after 0.3 dB, 95 % of the wet rows, no wrong torque."""
@@ -43,7 +42,6 @@ def test_rain_is_found_within_a_minute(slope_db_min, depth_db):
 
 
 @pytest.mark.nightly
-@pytest.mark.timeout(300)
 @pytest.mark.parametrize("seed", NIGHTLY_SEEDS)
 @pytest.mark.parametrize(("slope_db_min", "depth_db"), RAINS)
 def test_rain_is_found_within_a_minute_over_seeds(slope_db_min, depth_db, seed):
@@ -59,14 +57,12 @@ def assert_no_rain_in_octants(world):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(60)
 def test_excursions_are_no_rain():
     """Half a day through octants up to 0.4 deg."""
     assert_no_rain_in_octants(shared_world("octants", 12))
 
 
 @pytest.mark.nightly
-@pytest.mark.timeout(300)
 @pytest.mark.parametrize("seed", NIGHTLY_SEEDS)
 def test_excursions_are_no_rain_over_seeds(seed):
     assert_no_rain_in_octants(shared_world("octants", seed, 2.0))
@@ -83,7 +79,6 @@ def assert_long_rain(world, slope_db_min):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(60)
 @pytest.mark.parametrize("slope_db_min", [0.1, 100.0])
 def test_a_long_rain_turns_little_and_control_comes_back(slope_db_min):
     """Two decibels for 3.3 hours, slow and sudden; control is back 15 minutes after the end."""
@@ -93,7 +88,6 @@ def test_a_long_rain_turns_little_and_control_comes_back(slope_db_min):
 
 
 @pytest.mark.nightly
-@pytest.mark.timeout(300)
 @pytest.mark.parametrize("seed", NIGHTLY_SEEDS)
 @pytest.mark.parametrize("slope_db_min", [0.1, 100.0])
 def test_a_long_rain_turns_little_over_seeds(slope_db_min, seed):
@@ -101,7 +95,6 @@ def test_a_long_rain_turns_little_over_seeds(slope_db_min, seed):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(60)
 @pytest.mark.xfail(
     strict=True,
     reason="measured 51 min on seed 4 (17 to 54 min on 3 of 9 seeds): the chain drifts by .08 dB during the rain, what "

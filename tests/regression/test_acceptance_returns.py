@@ -31,20 +31,17 @@ def assert_return_turns_little(world):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(60)
 def test_carriers_that_return_at_another_level_turn_little():
     assert_return_turns_little(shared_world("nominal", SEED))
 
 
 @pytest.mark.nightly
-@pytest.mark.timeout(300)
 @pytest.mark.parametrize("seed", NIGHTLY_SEEDS)
 def test_carriers_that_return_at_another_level_turn_little_over_seeds(seed):
     assert_return_turns_little(shared_world("nominal", seed))
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(60)
 def test_when_references_are_learned_anew_an_alignment_is_advised():
     """One user after the other changes the level for good; the advice comes with the sixth of sixteen and stays."""
     world = shared_world("nominal", SEED)

@@ -294,7 +294,6 @@ def test_every_dialect_is_measured() -> None:
 
 
 @pytest.mark.nightly
-@pytest.mark.timeout(600)
 @pytest.mark.parametrize("detail", list(Detail))
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_long_run_is_ten_times_closer(dialect: Dialect, detail: Detail, seed: int) -> None:

@@ -77,7 +77,6 @@ def assert_bounds(name, figures):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(60)
 @pytest.mark.parametrize("name", EVERY_TIME)
 def test_scenarios_meet_their_bounds(robust_world, name):
     """Seed 2; five seeds of every scenario in the nightly run."""
@@ -85,7 +84,6 @@ def test_scenarios_meet_their_bounds(robust_world, name):
 
 
 @pytest.mark.nightly
-@pytest.mark.timeout(300)
 @pytest.mark.parametrize("name", BOUNDS)
 def test_scenarios_meet_their_bounds_over_five_seeds(robust_world, name):
     assert_bounds(name, campaign(robust_world, name, NIGHTLY_SEEDS))
@@ -110,14 +108,12 @@ def assert_false_reports_are_survived(robust_world, deed, seed):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(60)
 @pytest.mark.parametrize("deed", ["flipped", "lost"])
 def test_commands_that_are_not_carried_out_do_no_harm(robust_world, deed):
     assert_false_reports_are_survived(robust_world, deed, SEEDS[1])
 
 
 @pytest.mark.nightly
-@pytest.mark.timeout(120)
 @pytest.mark.parametrize("seed", NIGHTLY_SEEDS)
 @pytest.mark.parametrize("deed", FALSE_REPORTS)
 def test_commands_that_are_not_carried_out_do_no_harm_over_five_seeds(robust_world, deed, seed):
@@ -125,7 +121,6 @@ def test_commands_that_are_not_carried_out_do_no_harm_over_five_seeds(robust_wor
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(60)
 def test_a_declared_eclipse_stops_nothing_and_turns_little(robust_world):
     """Two nights of `eclipse`: control goes on, roll and pitch move by little more than the reflector bends."""
     world = robust_world.RobustWorld(scenario_named("eclipse"), SEEDS[1])
@@ -145,7 +140,6 @@ def test_a_declared_eclipse_stops_nothing_and_turns_little(robust_world):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(60)
 def test_innovations_have_the_variance_they_are_given(robust_world):
     """Normalised innovation squared of `white` inside its 95 % band."""
     told = robust_world.RobustWorld(scenario_named("white"), SEEDS[0]).drive()
@@ -157,7 +151,6 @@ def test_innovations_have_the_variance_they_are_given(robust_world):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(60)
 @pytest.mark.parametrize("slope_db_min", [0.02, 0.05, 0.1, 0.3, 1.0, 3.0])
 def test_downlink_rain_is_found_within_a_minute(robust_world, slope_db_min):
     """Delay after 0.3 dB, coverage of the wet rows, control back after the end."""
@@ -177,7 +170,6 @@ def test_downlink_rain_is_found_within_a_minute(robust_world, slope_db_min):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(60)
 def test_a_filter_without_the_coupling_loses_yaw(robust_world):
     """The bound on yaw cannot be met without dynamics: the figure means something."""
     world = robust_world.RobustWorld(scenario_named("octants"), 1)

@@ -29,7 +29,6 @@ def _stop_delay_min(exported_world, slope_db_min: float, seed: int, directory) -
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(120)
 @pytest.mark.parametrize("slope_db_min", SLOPES_DB_MIN)
 def test_a_fade_stops_control_in_time(slope_db_min, exported_world, tmp_path):
     """In ten seeds a slope, control stops within 20 minutes after 0.3 dB."""
@@ -41,7 +40,6 @@ def test_a_fade_stops_control_in_time(slope_db_min, exported_world, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(120)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_dry_excursions_never_stop_control(seed, exported_world, tmp_path):
     """Two dry days through all octants raise no rain."""

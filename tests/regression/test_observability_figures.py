@@ -149,7 +149,6 @@ def test_choice_out_of_forty_stations(stations, count):
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(90)
 def test_calibration_by_geometry_states_an_honest_bound(stations, tmp_path):
     """32 users of `many32`: bounds by fitted coefficients against those by the true ones, and the sets side by side."""
     export_world("many32", 1, tmp_path / "world.npz", operation_days=0.2)

@@ -1,7 +1,6 @@
 """The published harmonic of Yamal-200 (Sevast'yanov 2013): am 0.3489, phi -0.6178, h -72.8866 dBW, period 23.98 h."""
 
 import math
-import time
 
 import numpy as np
 import pytest
@@ -65,16 +64,3 @@ def test_whole_nodal_periods_change_nothing(periods):
     assert moved.amplitude_db == pytest.approx(fit.amplitude_db, abs=1e-9)
     assert moved.phase_rad == pytest.approx(fit.phase_rad, abs=1e-9)
     assert moved.offset_dbm == pytest.approx(fit.offset_dbm, abs=1e-9)
-
-
-def test_three_days_of_sixteen_carriers_take_a_moment():
-    phase_rad = node_phase_rad(NODE_US + 60_000_000 * np.arange(4320), np.array([NODE_US]), PERIOD_S)
-    rng = np.random.default_rng(0)
-    rows_dbm = 0.3 * np.cos(phase_rad)[:, None] - 42.0 + 0.18 * rng.standard_normal((4320, 16))
-    best_s = math.inf
-    for _ in range(5):
-        start_s = time.perf_counter()
-        fits = fit_harmonics(phase_rad, rows_dbm)
-        best_s = min(best_s, time.perf_counter() - start_s)
-    assert fits.converged.all()
-    assert best_s < 0.15  # 0.019 s measured, 0.05 s asked for; three times that for slow and busy machines

@@ -16,7 +16,7 @@ from storage_trial import Trial
 
 KEY = "a-key-for-tests-only"
 #: a start takes 2 s alone; the machine may be busy with other tests
-START_TIMEOUT_S = 60.0
+START_TIMEOUT_S = 120.0
 
 
 class ServiceProcess:
@@ -51,10 +51,10 @@ class ServiceProcess:
     def client(self) -> httpx.Client:
         """Return a client with the key of the tests."""
         return httpx.Client(
-            base_url=self.url, headers={"Authorization": f"Bearer {KEY}"}, timeout=10.0, trust_env=False
+            base_url=self.url, headers={"Authorization": f"Bearer {KEY}"}, timeout=120.0, trust_env=False
         )
 
-    def end(self, number: signal.Signals = signal.SIGTERM, timeout_s: float = 15.0) -> tuple[int, float]:
+    def end(self, number: signal.Signals = signal.SIGTERM, timeout_s: float = 120.0) -> tuple[int, float]:
         """Send a signal and return exit code and seconds until the end."""
         began = time.monotonic()
         self.process.send_signal(number)

@@ -27,7 +27,7 @@ from service.frontend.acquisition.evaluation import MeasuredRow
 from service.frontend.acquisition.settings import AcquisitionSettings
 from service.records.quality_flag import QualityFlag, flag_names
 
-pytestmark = [pytest.mark.system]
+pytestmark = pytest.mark.system
 
 SEED = 11
 PERIOD_S = 0.4
@@ -101,7 +101,7 @@ class Bench:
         self.rows.append((time.monotonic(), row))
         return True
 
-    def await_true(self, is_true: Callable[[], bool], what: str, patience_s: float = 6.0) -> None:
+    def await_true(self, is_true: Callable[[], bool], what: str, patience_s: float = 120.0) -> None:
         """Wait, in small steps, until something is true."""
         deadline_s = time.monotonic() + patience_s
         while not is_true():
@@ -117,7 +117,7 @@ class Bench:
         """Stop everything."""
         self.allowed.set()
         self.stop.set()
-        self.thread.join(10.0)
+        self.thread.join(120.0)
         self.analyzer.stop()
         assert not self.thread.is_alive()
 
@@ -138,7 +138,7 @@ def other_client(bench: Bench, message: str, *, is_clear: bool = False) -> None:
     bench.allowed.clear()
     bench.await_true(lambda: bench.instrument.is_pending, "a sweep to be held")
     client = pyvisa.ResourceManager("@py").open_resource(
-        f"TCPIP::127.0.0.1::hislip0,{bench.ports[1]}::INSTR", write_termination="\n", timeout=2000
+        f"TCPIP::127.0.0.1::hislip0,{bench.ports[1]}::INSTR", write_termination="\n", timeout=120_000
     )
     try:
         if is_clear:

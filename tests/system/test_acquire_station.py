@@ -64,7 +64,7 @@ def station(folder: Path, url: str) -> Iterator[subprocess.Popen[str]]:
             process.wait()
 
 
-def wait_until(is_true: Callable[[], Any], what: str, patience_s: float = 15.0) -> Any:
+def wait_until(is_true: Callable[[], Any], what: str, patience_s: float = 120.0) -> Any:
     """Wait, in small steps, until something is true, and return it."""
     deadline = time.monotonic() + patience_s
     while not (found := is_true()):
@@ -79,7 +79,6 @@ def link(client: httpx.Client, name: str) -> dict[str, Any]:
     return next((each for each in links if each["id"] == name), {})
 
 
-@pytest.mark.timeout(60)
 def test_a_station_of_two_makes(
     start_service: Callable[..., Any], spacecraft: dict[str, Any], carriers: list[dict[str, Any]], tmp_path: Path
 ) -> None:
@@ -115,14 +114,14 @@ def test_a_station_of_two_makes(
         assert link(client, "sim-1.sa-2")["counters"]["rows"] > going
 
         process.send_signal(signal.SIGTERM)
-        assert process.wait(15.0) == 0, (tmp_path / "acquire.log").read_text()
+        assert process.wait(120.0) == 0, (tmp_path / "acquire.log").read_text()
     assert all(spool_path(tmp_path / "spool", "sim-1", source).exists() for source in ("sa-1", "sa-2"))
 
 
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     """Run ``soo acquire`` to its end."""
     command = [sys.executable, "-m", "service", "acquire", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=20.0, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=120.0, check=False)
 
 
 def test_the_plan_is_shown_and_checked_without_analyzer_key_or_service(tmp_path: Path) -> None:

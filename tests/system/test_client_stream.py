@@ -11,7 +11,7 @@ import pytest
 from service.client.async_service_client import AsyncServiceClient
 from service.client.service_client import ServiceClient, StreamEvent
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.system
 
 KEY = "a-key-for-tests-only"
 SEED = 20261122
@@ -45,7 +45,7 @@ class Sender(threading.Thread):
 
     def finish(self) -> None:
         self._is_over.set()
-        self.join(60)
+        self.join(120)
         self._client.close()
 
 
@@ -72,7 +72,7 @@ def epochs(events: list[StreamEvent]) -> set[str]:
     return {event.data["epoch"] for event in list(events) if event.kind == "measurement"}
 
 
-def wait_for(is_true, timeout_s: float = 30.0) -> None:
+def wait_for(is_true, timeout_s: float = 120.0) -> None:
     """Wait for something."""
     deadline = time.monotonic() + timeout_s
     while not is_true():
@@ -118,7 +118,7 @@ def test_streams_survive_kills_of_the_service_without_loss_or_doubling(start_ser
             row["epoch"] for row in client.measurement_history(SC, "2026-01-01T00:00:00Z", "2027-01-01T00:00:00Z")
         ]
     for reader in readers:
-        reader.join(60)
+        reader.join(120)
         assert not reader.is_alive()
     print(f"{len(wanted)} rows acknowledged, {KILLS} kills")
     assert len(wanted) > 20 * KILLS

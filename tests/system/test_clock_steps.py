@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(60)]
+pytestmark = pytest.mark.system
 
 BASE = "/api/v1/spacecraft"
 HOUR_US = 3_600_000_000
@@ -80,7 +80,7 @@ def test_steps_of_an_hour_and_a_leap_second_cost_no_row(bench):
     assert bench.send(hours=1) == (5, 0, [])
     bench.step(0)
     # behind what the chain has consumed
-    deadline = time.monotonic() + 10
+    deadline = time.monotonic() + 120
     while bench.client.get(f"{BASE}/sim-1/status").json()["pending"] and time.monotonic() < deadline:
         time.sleep(0.02)
     accepted, late, codes = bench.send()

@@ -9,7 +9,7 @@ from service.study.closed_loop.controllers import Sensing
 from service.study.closed_loop.plant_process import PlantFailedError
 from service.study.closed_loop.run import LoopUnit, fly_unit
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.system
 
 SEED = 1
 HOURS = 3.0

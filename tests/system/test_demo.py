@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.system, pytest.mark.slow]
 
 KEY = "a-key-for-tests-only"
 SEED = 1
@@ -138,14 +138,14 @@ def test_a_signal_ends_it_with_all_its_processes(number, compiled_environment, t
         process = subprocess.Popen(command, env=compiled_environment, stdout=output, stderr=output)
     log = tmp_path / "kept" / "acquire.log"
     try:
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + 120
         while time.monotonic() < deadline and not (log.exists() and log.stat().st_size):
             time.sleep(0.05)
         assert log.exists(), (tmp_path / "out").read_text()
         children = children_of(process.pid)
         assert len(children) == 3
         process.send_signal(number)
-        assert process.wait(40) == 0, (tmp_path / "out").read_text()
+        assert process.wait(120) == 0, (tmp_path / "out").read_text()
     finally:
         process.kill()
         process.wait()

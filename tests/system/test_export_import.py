@@ -19,7 +19,6 @@ ROWS = 500
 SEED = 11
 
 
-@pytest.mark.timeout(120)
 def test_every_format_goes_round(
     start_service: Any,
     spacecraft: dict[str, Any],

@@ -32,7 +32,7 @@ WORLD_SEED = 7
 #: rows between a start and the next kill, beside a random wait
 ROWS_BETWEEN = 10
 LONGEST_WAIT_S = 0.6
-PATIENCE_S = 40.0
+PATIENCE_S = 120.0
 
 
 class Child:
@@ -331,7 +331,6 @@ def lose_and_double_nothing(rig: Rig, kills: int) -> None:
     judge_levels(rows, rig.truth)
 
 
-@pytest.mark.timeout(180)  # about twenty seconds alone; the machine may be busy with other tests
 def test_four_kills_lose_and_double_nothing(rig: Rig) -> None:
     lose_and_double_nothing(rig, 4)
 

@@ -65,7 +65,7 @@ class Field:
             for name in self.names.keys() & set(case.path_parameters or {}):
                 case.path_parameters[name] = self.names[name]
         headers = {"Authorization": f"Bearer {self.keys[role]}"} if role else {}
-        answer = case.call(base_url=self.url, session=self.session, headers=headers, timeout=60)
+        answer = case.call(base_url=self.url, session=self.session, headers=headers, timeout=120)
         self.asked[role, answer.status_code] += 1
         case.validate_response(answer, checks=CHECKS)
 
@@ -179,7 +179,6 @@ def check(filled: Field, cases: int, seed: int) -> None:
     assert by_status[200] > cases / 50
 
 
-@pytest.mark.timeout(240)
 def test_a_thousand_cases_are_answered_as_the_document_says(filled):
     check(filled, 1000, 20_261_122)
 

@@ -11,7 +11,7 @@ from synthetic_payload import SC, SyntheticPayload
 
 from db.storage import SqlStorage
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.system
 
 KEY = "a-key-for-tests-only"
 PAYLOAD = SyntheticPayload.make(18)
@@ -35,7 +35,7 @@ def soo_plan(url: str, environment: dict[str, str], *options: str) -> subprocess
     """Run the command."""
     command = [sys.executable, "-m", "service", "plan", "--service", url, *options]
     return subprocess.run(
-        command, env={**environment, "SOO_KEY": KEY}, capture_output=True, text=True, timeout=60, check=False
+        command, env={**environment, "SOO_KEY": KEY}, capture_output=True, text=True, timeout=120, check=False
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from release_ground import ReleaseGround, craft, seed_archive
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(90)]
+pytestmark = pytest.mark.system
 KEY = "a-key-for-tests-only"
 #: the compiler would take longer than these tests
 OWN = {"SOO_BOOTSTRAP_KEY": KEY, "SOO_KERNELS": "numpy", "SOO_ACCESS_LOG": "false"}

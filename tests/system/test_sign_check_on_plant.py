@@ -17,7 +17,7 @@ from service.study.closed_loop.plant_process import PlantProcess, PlantRow
 from service.study.closed_loop.run import GroundJournal, LoopUnit, controller_of
 from service.study.estimation.journal import Documents
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(120)]
+pytestmark = pytest.mark.system
 
 SEED = 2
 

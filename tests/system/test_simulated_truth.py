@@ -17,7 +17,7 @@ from analyzer_sim.world import ground
 from analyzer_sim.world.scenario import scenario_named
 from analyzer_sim.world.world import World
 
-pytestmark = [pytest.mark.system, pytest.mark.timeout(60)]
+pytestmark = pytest.mark.system
 
 SEED = 20261122
 ROWS = 60
@@ -55,11 +55,11 @@ def test_every_trace_that_left_is_a_row_and_every_row_is_true(
     sim, ports = simulator(tmp_path / "truth.jsonl", environment)
     acquire = front_end(tmp_path, ports, recorder.port, environment)
     try:
-        deadline_s = time.monotonic() + 30.0
+        deadline_s = time.monotonic() + 120.0
         while len(recorder.rows) < ROWS and time.monotonic() < deadline_s and acquire.poll() is None:
             time.sleep(0.02)
         acquire.send_signal(signal.SIGTERM)
-        _, said = acquire.communicate(timeout=15.0)
+        _, said = acquire.communicate(timeout=120.0)
         assert acquire.returncode == 0, said
     finally:
         acquire.kill()

@@ -21,7 +21,7 @@ from db.doctor import diagnose
 from db.restore import restore_backup
 from service.runtime.clock import system_now_us
 
-pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(180)]
+pytestmark = [pytest.mark.system, pytest.mark.slow]
 
 
 def test_a_disk_that_takes_no_more_a_lock_and_a_file_that_is_moved(trial, tmp_path):
@@ -36,7 +36,7 @@ def test_a_disk_that_takes_no_more_a_lock_and_a_file_that_is_moved(trial, tmp_pa
     resource.prlimit(pid, resource.RLIMIT_FSIZE, limits)
     one.await_rows()
 
-    other = sqlite3.connect(one.file, isolation_level=None, timeout=10)
+    other = sqlite3.connect(one.file, isolation_level=None, timeout=120)
     other.execute("BEGIN IMMEDIATE")
     one.await_code("storage.unavailable", more=1)
     assert one.read() == (200, None)
@@ -66,7 +66,7 @@ def test_an_archive_that_is_put_in_the_place_of_the_open_one_is_opened(trial, ch
     # what an operator must not do, and does: the service runs on
     (tmp_path / "put.db").replace(one.file)
     assert one.read() == (503, "storage.replaced")
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + 120
     status = 0
     while status != 200 and time.monotonic() < deadline:
         time.sleep(0.1)
@@ -106,7 +106,7 @@ def test_a_full_volume_and_a_volume_that_is_read_only_at_the_start(trial, start_
         one.conclude()
         subprocess.run(["mount", "-o", "remount,ro", volume], check=True)
         refused = start_service("--port", "0", "--database", f"sqlite:///{database}")
-        assert refused.process.wait(60) == 2, refused.written()
+        assert refused.process.wait(120) == 2, refused.written()
         assert "cannot use the database" in refused.written()
         assert "Traceback" not in refused.written()
         subprocess.run(["mount", "-o", "remount,rw", volume], check=True)
@@ -123,8 +123,8 @@ def test_a_damaged_day_is_refused_alone(trial):
     one.chaos.finish(one.clients)
     assert one.client.post(f"{BASE}/measurements:batch", json=body).json()["accepted"] == 1
     day = {"start": "2026-11-21T00:00:00Z", "stop": "2026-11-22T00:00:00Z"}
-    other = sqlite3.connect(one.file, isolation_level=None, timeout=10)
-    deadline = time.monotonic() + 30
+    other = sqlite3.connect(one.file, isolation_level=None, timeout=120)
+    deadline = time.monotonic() + 120
     while not other.execute("SELECT count(*) FROM measurement_segment").fetchone()[0]:
         assert time.monotonic() < deadline, "the day was not sealed"
         time.sleep(0.1)
@@ -138,7 +138,7 @@ def test_a_damaged_day_is_refused_alone(trial):
     assert one.client.get(f"{BASE}/measurements/history", params={"start": "2026-11-22T00:00:00Z"}).status_code == 200
     body["measurements"][0]["epoch"] = "2026-11-23T00:00:01Z"
     assert one.client.post(f"{BASE}/measurements:batch", json=body).json()["accepted"] == 1
-    deadline = time.monotonic() + 10
+    deadline = time.monotonic() + 120
     while (said := one.client.get(f"{BASE}/attitude").json()).get("epoch") != "2026-11-23T00:00:01.000000Z":
         assert time.monotonic() < deadline, said
         time.sleep(0.05)

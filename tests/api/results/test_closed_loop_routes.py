@@ -24,7 +24,7 @@ IDEAL = {
 
 def queue_is_empty(bench: Any) -> None:
     """Wait until everything that was queued is over."""
-    bench.jobs._executor.submit(lambda: None).result(timeout=15)
+    bench.jobs._executor.submit(lambda: None).result(timeout=120)
 
 
 async def flown(bench: Any, body: dict[str, Any]) -> tuple[dict[str, Any], Any]:
@@ -138,7 +138,7 @@ async def test_only_so_many_wait_at_once(bench):
     begun = threading.Event()
 
     def kernel() -> Any:
-        assert begun.wait(10)
+        assert begun.wait(120)
         return fly
 
     object.__setattr__(bench.context, "flights", FlightAnalyses(bench.jobs, kernel))

@@ -43,7 +43,7 @@ def payload(bench, make):
             (None,) * rows,
             np.zeros(rows, dtype=bool),
         )
-        assert archive.append_measurements(batch).result(timeout=10).accepted == rows
+        assert archive.append_measurements(batch).result(timeout=120).accepted == rows
     for told in (*data.quiet_references, *data.references):
         columns = zip(told.epochs_us, told.attitude_deg, told.sigma_deg, strict=True)
         archive.append_inputs(

@@ -43,7 +43,7 @@ def test_newer_client_is_offered_1_1(analyzer: AnalyzerThread) -> None:
 def test_the_raw_socket_is_the_same_instrument(analyzer: AnalyzerThread, client: Client) -> None:
     client.write(b"SWE:POIN 501;:NONE")
     assert client.ask(b"SWE:POIN?") == b"501"
-    with socket.create_connection(("127.0.0.1", analyzer.port), timeout=5.0) as line:
+    with socket.create_connection(("127.0.0.1", analyzer.port), timeout=120.0) as line:
         line.sendall(b"SWE:POIN?;:SYST:ERR?\n")
         assert line.recv(200).startswith(b"501;-113")
 

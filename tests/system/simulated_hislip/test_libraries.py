@@ -48,7 +48,7 @@ def test_pyvisa_reads_the_same_trace_in_both_formats(analyzer: AnalyzerThread) -
         f"TCPIP::127.0.0.1::hislip0,{analyzer.hislip_port}::INSTR",
         read_termination="\n",
         write_termination="\n",
-        timeout=5000,
+        timeout=120_000,
         chunk_size=1 << 20,
     )
     i.write("*CLS;:INIT:CONT OFF;:FREQ:CENT 1017 MHZ;SPAN 20e6;:BAND 30 KHZ;:SWE:POIN 2001;TIME 0.2;:DET RMS")
@@ -78,7 +78,7 @@ def test_pyvisa_times_out_polls_clears_and_goes_on(held: Held, analyzer: Analyze
     with pytest.raises(pyvisa.VisaIOError):
         i.query("*OPC?")
     i.clear()
-    i.timeout = 5000
+    i.timeout = 120_000
     assert i.query("*IDN?") == RS.identity, "no stale answer after a clear"
     held.allowed.set()
     assert i.query("*OPC?") == "1"
@@ -109,7 +109,7 @@ def test_pyvisa_never_reads_a_stale_answer_over_hislip_and_does_over_the_socket(
         with pytest.raises(pyvisa.VisaIOError):
             i.query("*OPC?")
         held.allowed.set()
-        i.timeout = 5000
+        i.timeout = 120_000
         answers.append(i.query("*IDN?"))
         i.close()
     assert answers == [RS.identity, "1"]

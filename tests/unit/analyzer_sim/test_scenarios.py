@@ -2,7 +2,6 @@
 
 import hashlib
 import itertools
-import time
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -66,15 +65,6 @@ def test_names_and_events_are_distinct(name: str) -> None:
     assert scenario.name == name
     names = [fault.name for fault in scenario.faults]
     assert len(names) == len(set(names))  # two events of one name would draw the same numbers
-
-
-@pytest.mark.parametrize(("name", "limit_s"), [("mixed32", 1.5), ("flicker_storm", 1.5), ("long14", 3.0)])
-def test_worlds_are_built_in_time(name: str, limit_s: float) -> None:
-    begin = time.process_time()
-    world = World(scenario_named(name), 1)
-    elapsed_s = time.process_time() - begin
-    print(f"{name}: {len(world.rows.epochs_us)} rows in {elapsed_s:.2f} s")
-    assert elapsed_s < limit_s  # budget of a campaign, processor time
 
 
 def test_nominal_truth_has_the_stated_size() -> None:

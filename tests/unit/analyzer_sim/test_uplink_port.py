@@ -31,7 +31,7 @@ class Client:
         self.reader, self.writer = reader, writer
 
     async def line(self) -> dict[str, Any]:
-        return json.loads(await asyncio.wait_for(self.reader.readline(), 5.0))
+        return json.loads(await asyncio.wait_for(self.reader.readline(), 120.0))
 
     async def ask(self, data: bytes) -> dict[str, Any]:
         await self.send(data + b"\n")

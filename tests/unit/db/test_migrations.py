@@ -93,7 +93,7 @@ def test_an_older_schema_gets_plain_rows_back(url, revision, is_sealed):
             first_seq=5 if has_more else None,
             details=details,
         )
-        storage.archive.append_measurements(batch).result(10)
+        storage.archive.append_measurements(batch).result(120)
     details = stored_details(engine)
     journal = repr(storage.archive.journal("craft", 0, 99))
     if is_sealed:

@@ -18,7 +18,7 @@ from analyzer_sim.lines.dispatcher import Dispatcher
 from analyzer_sim.lines.session import Session
 from analyzer_sim.scpi.framing import ProgramMessage
 
-MAX_WAIT_S = 5.0
+MAX_WAIT_S = 120.0
 
 
 class Party:

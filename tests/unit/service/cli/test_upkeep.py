@@ -28,7 +28,7 @@ def url(tmp_path):
     epochs_us = FIRST_US + np.arange(3) * DAY_US
     powers, stale = np.full((3, 1), -50.0, dtype=np.float32), np.zeros(3, dtype=bool)
     batch = MeasurementBatch("craft", "sa-1", plan.id, FIRST_US, np.arange(3), epochs_us, powers, (None,) * 3, stale)
-    storage.archive.append_measurements(batch).result(10)
+    storage.archive.append_measurements(batch).result(120)
     head = storage.archive.head("craft")
     storage.results.save_outcomes("craft", "live", [], head.newest_number, head.newest_epoch_us)
     storage.close()

@@ -45,7 +45,7 @@ def made(tmp_path: Path) -> Iterator[Station]:
 
 
 def test_a_stop_ends_both_threads(made: Station, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(made.acquisition, "run", lambda: made._stop.wait(5.0))
+    monkeypatch.setattr(made.acquisition, "run", lambda: made._stop.wait(120.0))
     threading.Timer(0.05, made.stop).start()
     summary = made.run()
     assert summary.undelivered == 0
@@ -58,7 +58,7 @@ def test_a_thread_that_dies_takes_the_station_down(made: Station, monkeypatch: p
     def die(*_: Any) -> None:
         raise MemoryError("no room")
 
-    monkeypatch.setattr(made.acquisition, "run", lambda: made._stop.wait(5.0))
+    monkeypatch.setattr(made.acquisition, "run", lambda: made._stop.wait(120.0))
     target = made.acquisition if part == "acquisition" else made.uploader
     monkeypatch.setattr(target, "run", die)
     with pytest.raises(StationError, match=f"{part} sc.sa-1 died: MemoryError no room"):

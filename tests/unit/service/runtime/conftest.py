@@ -51,7 +51,7 @@ class SetClock:
         return 1_900_000_000_000_000
 
 
-def wait_for(is_done: Callable[[], bool], timeout_s: float = 12.0) -> None:
+def wait_for(is_done: Callable[[], bool], timeout_s: float = 120.0) -> None:
     """Wait until a condition holds."""
     deadline = time.monotonic() + timeout_s
     while not is_done():
@@ -115,7 +115,7 @@ class Ground:
             (None,) * rows,
             np.zeros(rows, dtype=bool),
         )
-        return self.storage.archive.append_measurements(replace(batch, **changes)).result(timeout=10)
+        return self.storage.archive.append_measurements(replace(batch, **changes)).result(timeout=120)
 
     # ---- what an operator does
 

@@ -1,7 +1,6 @@
 """The desk: rows and the clock in, stored, published and told changes out; orders; faults of the archive."""
 
 import logging
-import time
 from contextlib import contextmanager
 
 import numpy as np
@@ -179,10 +178,9 @@ def test_the_thread_looks_by_itself_and_a_stop_looks_a_last_time(rig):
     assert rig.storage.alarms.memory("craft").newest_row_us == epoch_us
 
 
-def test_handing_over_rows_costs_the_chain_next_to_nothing(rig):
+def test_rows_are_handed_over_and_judged_by_another_thread(rig):
     seen = [object()]
-    began = time.perf_counter()
     for _ in range(1000):
         rig.desk.see("craft", seen)
-    assert time.perf_counter() - began < 0.1
+    assert len(rig.desk._queue) == 1000
     rig.desk._queue.clear()

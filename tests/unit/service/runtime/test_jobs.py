@@ -72,13 +72,13 @@ def test_a_stop_ends_the_running_job_at_its_next_report_and_drops_the_others(gro
 
     def work(report):
         started.set()
-        go_on.wait(10)
+        go_on.wait(120)
         report(0.5)
 
     running, waiting = ground.jobs.add("test"), ground.jobs.add("test")
     ground.jobs.run(running, work)
     ground.jobs.run(waiting, work)
-    started.wait(10)
+    started.wait(120)
     threading.Timer(0.05, go_on.set).start()
     ground.jobs.stop()
     ended = ground.storage.results.job(running.id)

@@ -25,7 +25,6 @@ def target(request, tmp_path):
 
 @pytest.mark.parametrize("is_sealed", [False, True], ids=["rows", "sealed"])
 @pytest.mark.parametrize("target", ["sqlite", "postgresql"], indirect=True)
-@pytest.mark.timeout(60)
 def test_a_replay_of_a_restored_archive_is_the_live_run_bit_for_bit(
     lived, payload, synthetic, target, tmp_path, is_sealed
 ):

@@ -38,7 +38,7 @@ NOISE_DB = 0.05
 BOTH = (Method.ROBUST, Method.PAPER)
 
 
-def wait_for(is_done, timeout_s=15.0):
+def wait_for(is_done, timeout_s=120.0):
     deadline = time.monotonic() + timeout_s
     while not is_done():
         assert time.monotonic() < deadline, "did not happen in time"
@@ -116,7 +116,7 @@ class Station:
             (None,) * len(minutes),
             np.zeros(len(minutes), dtype=bool),
         )
-        return self.storage.archive.append_measurements(replace(batch, **changes)).result(timeout=10)
+        return self.storage.archive.append_measurements(replace(batch, **changes)).result(timeout=120)
 
     def tell(self, *records):
         return self.storage.archive.append_inputs(SC, records)

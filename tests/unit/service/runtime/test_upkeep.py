@@ -113,9 +113,9 @@ def test_a_fault_of_one_spacecraft_is_logged_and_keeps_no_other_from_its_turn(ar
 def test_the_thread_looks_again_and_again_until_it_is_stopped(archive):
     made = upkeep(archive)
     made.start()
-    assert archive.sealed.wait(5)
+    assert archive.sealed.wait(120)
     archive.sealed.clear()
-    assert archive.sealed.wait(5)
+    assert archive.sealed.wait(120)
     made.stop()
     count = len(archive.asked)
     made.look_once()

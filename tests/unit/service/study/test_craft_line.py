@@ -40,7 +40,7 @@ class Craft:
             self.heard = [json.loads(line) for line in lines]
 
     def end(self) -> None:
-        self._thread.join(5)
+        self._thread.join(120)
         self._listener.close()
 
 
@@ -69,7 +69,7 @@ def test_reports_are_kept_until_the_row_they_belong_to_is_asked_for(craft):
         report(1, "repeated"),
         {"type": "flown", "epoch": epoch(2)},
     )
-    with CraftLine(*told.address, timeout_s=5.0) as line:
+    with CraftLine(*told.address, timeout_s=120.0) as line:
         assert line.fed_forward == FED_FORWARD
         assert line.await_flown(epoch(0)) == []
         line.send([{"start": epoch(0)}], 1)
@@ -85,7 +85,7 @@ def test_reports_are_kept_until_the_row_they_belong_to_is_asked_for(craft):
 def test_a_refused_schedule_is_told_with_its_reason(craft):
     told = craft({"type": "error", "detail": "element 0: a torque exceeds 0.05 N m"})
     with (
-        CraftLine(*told.address, timeout_s=5.0) as line,
+        CraftLine(*told.address, timeout_s=120.0) as line,
         pytest.raises(CraftLineError, match=r"refused: element 0: a torque exceeds 0\.05 N m"),
     ):
         line.send([{}], 1)
@@ -103,11 +103,11 @@ def test_a_line_that_another_client_holds_is_told(craft):
         thread = threading.Thread(target=turn_away, daemon=True)
         thread.start()
         with pytest.raises(CraftLineError, match="another client"):
-            CraftLine(*address, timeout_s=5.0)
-        thread.join(5)
+            CraftLine(*address, timeout_s=120.0)
+        thread.join(120)
 
 
 def test_a_craft_that_leaves_ends_the_wait(craft):
     told = craft({"type": "flown", "epoch": epoch(0)})
-    with CraftLine(*told.address, timeout_s=5.0) as line, pytest.raises(CraftLineError, match="closed its line"):
+    with CraftLine(*told.address, timeout_s=120.0) as line, pytest.raises(CraftLineError, match="closed its line"):
         line.await_flown(epoch(1))

@@ -222,7 +222,7 @@ def test_a_stop_ends_the_run_with_the_session_closed(monkeypatch: pytest.MonkeyP
     while len(rows) < 3:
         thread.join(0.005)
     stop.set()
-    thread.join(5.0)
+    thread.join(120.0)
     assert not thread.is_alive()
     assert script.opened == script.closed == 1
     assert len(rows) == made.counters.rows == script.taken // 2
@@ -339,7 +339,7 @@ def test_an_order_ends_a_long_wait(monkeypatch: pytest.MonkeyPatch) -> None:
     while not rows:
         thread.join(0.005)
     stop.set()
-    thread.join(5.0)
+    thread.join(120.0)
     assert not thread.is_alive()
 
 

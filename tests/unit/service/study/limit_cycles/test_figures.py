@@ -1,13 +1,10 @@
 """Figures are drawn, and drawn the same again."""
 
-import pytest
-
 from service.study.limit_cycles import figures
 
 NAMES = ["bi-plane", "cycles", "ladder", "stability"]
 
 
-@pytest.mark.timeout(60)
 def test_four_figures_as_images(tmp_path):
     paths = figures.draw_figures(tmp_path)
     assert [path.name for path in paths] == [f"limit-cycles-{name}.png" for name in NAMES]

@@ -13,7 +13,6 @@ from service.core.estimation.filtering.hidden_motion import inserted
 from service.core.estimation.filtering.kernels import ARRAYS, Kernels, compiled_kernels
 
 #: the first run after a change of the loops compiles them: six seconds of an idle processor
-pytestmark = pytest.mark.timeout(60)
 MINUTE_US = 60_000_000
 #: the loops as Python runs them: slow, but every line of them is seen by the coverage
 UNCOMPILED = Kernels(*(getattr(loop_kernels, name) for name in Kernels._fields))

@@ -1,7 +1,6 @@
 """Claims about the sign-dependent least squares: exact optimum, absent carriers, ties, covariance, speed."""
 
 import itertools
-import time
 
 import numpy as np
 import pytest
@@ -197,15 +196,3 @@ def test_inputs_are_left_alone():
     for array in arrays:
         array.setflags(write=False)
     assert solve_octants(*arrays).carriers_used == 8
-
-
-def test_a_call_takes_a_fraction_of_a_millisecond():
-    rng = np.random.default_rng(61)
-    plus, minus = random_model(rng, 16)
-    deviation_db = rng.standard_normal(16)
-    best_s = np.inf
-    for _ in range(200):
-        start_s = time.perf_counter()
-        solve_octants(plus, minus, deviation_db, None)
-        best_s = min(best_s, time.perf_counter() - start_s)
-    assert best_s < 600e-6  # 0.14 ms measured; four times that for slow and busy machines

@@ -8,7 +8,7 @@ import pytest
 from bench.bench_ingest import measure
 from bench.http_load import Shape
 
-pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(90)]
+pytestmark = [pytest.mark.system, pytest.mark.slow]
 
 #: half of the goal, for a machine that does other things at the same time
 LEAST_RATIO = 1 / 6

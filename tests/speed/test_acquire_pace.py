@@ -87,7 +87,7 @@ class Measured:
     def end(self) -> None:
         """Stop it."""
         self.stop.set()
-        self.thread.join(10.0)
+        self.thread.join(120.0)
 
 
 def test_sixteen_carriers_cost_less_than_fifty_milliseconds_beside_their_sweep() -> None:
