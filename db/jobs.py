@@ -7,9 +7,11 @@ from sqlalchemy.exc import IntegrityError
 
 from db.database import Database, lock_head, next_id
 from db.documents import decode, encode
+from db.tables import calibration as calibration_table
 from db.tables import job as job_table
 from db.tables import replay as replay_table
 from service.errors import ConflictError, NotFoundError
+from service.records.calibration import CalibrationState
 from service.records.job import Job, JobState, Replay
 
 _UNFINISHED = (JobState.QUEUED.value, JobState.RUNNING.value)
@@ -41,10 +43,16 @@ class SqlJobs:
         return Job(row.job_id, row.kind, JobState(row.state), row.progress, row.created_at_us, row.error)
 
     def fail_unfinished_jobs(self, error: str) -> int:
-        """Mark jobs that a former process left queued or running as failed; return how many."""
-        change = update(job_table).where(job_table.c.state.in_(_UNFINISHED))
-        values = change.values(state=JobState.FAILED.value, error=error)
-        return self._database.write(lambda connection: connection.execute(values).rowcount)
+        """Mark jobs that a former process left queued or running as failed, and their drafts; return how many jobs."""
+        jobs = update(job_table).where(job_table.c.state.in_(_UNFINISHED))
+        is_draft = calibration_table.c.state == CalibrationState.DRAFT.value
+        drafts = update(calibration_table).where(is_draft, calibration_table.c.result.is_(None))
+
+        def change(connection: Connection) -> int:
+            connection.execute(drafts.values(state=CalibrationState.FAILED.value, error=error))
+            return connection.execute(jobs.values(state=JobState.FAILED.value, error=error)).rowcount
+
+        return self._database.write(change)
 
     def add_replay(self, spacecraft_id: str, replay: Replay) -> Replay:
         """Store a replay (its id is ignored) and return it with its id."""

@@ -1,6 +1,7 @@
 """Composition root: settings become adapters, adapters become an application. The only module that names db."""
 
 import asyncio
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,10 +12,8 @@ from db.storage import SqlStorage
 from service.api.app import create_app
 from service.api.deps import ApiContext, Limits
 from service.api.observation import Observation
-from service.core.dynamics.orbital_frame_analysis import MOST_STEPS_PLAIN
-from service.core.dynamics.orbital_frame_kernel import fly
+from service.core.dynamics.orbital_frame_analysis import MOST_STEPS, MOST_STEPS_PLAIN
 from service.pipeline.alarm_conditions import condition_table
-from service.pipeline.dynamics_kernels import flight_kernel
 from service.ports import Clock, Storage
 from service.records.access_key import AccessKey, Role, StoredKey, digest_of, new_key
 from service.records.alarm import Severity
@@ -22,9 +21,9 @@ from service.records.audit import DONE, Deed
 from service.runtime.alarm_desk import AlarmDesk
 from service.runtime.alarm_notices import NoticeChannel, NoticeChannels
 from service.runtime.aligning import Aligner
-from service.runtime.calibrating import Calibrator
+from service.runtime.calibrating import Calibrator, fitted
 from service.runtime.clock import DataClock, SystemClock
-from service.runtime.flight_analyses import FlightAnalyses
+from service.runtime.flight_analyses import FlightAnalyses, fly_thinned
 from service.runtime.jobs import JobRunner
 from service.runtime.leading import Leading, Turn, always
 from service.runtime.live_feed import LiveFeed
@@ -33,6 +32,7 @@ from service.runtime.release_tidings import Tidings
 from service.runtime.replaying import Replayer
 from service.runtime.supervisor import Supervisor
 from service.runtime.upkeep import Upkeep
+from service.runtime.workers import Workers
 from service.settings import Settings
 
 if TYPE_CHECKING:
@@ -189,11 +189,11 @@ def build_desk(settings: Settings, storage: Storage, clock: Clock, tidings: Tidi
     )
 
 
-def _flights(settings: Settings, jobs: JobRunner) -> FlightAnalyses:
+def _flights(settings: Settings, jobs: JobRunner, workers: Workers) -> FlightAnalyses:
     """Return what flies analyses; without a compiler shorter ones only."""
-    if settings.kernels == "numba":
-        return FlightAnalyses(jobs, flight_kernel)
-    return FlightAnalyses(jobs, lambda: fly, MOST_STEPS_PLAIN)
+    most_steps = MOST_STEPS if settings.kernels == "numba" else MOST_STEPS_PLAIN
+    flown = partial(fly_thinned, kernels=settings.kernels)
+    return FlightAnalyses(jobs, partial(workers.run, flown), most_steps)
 
 
 def build_app(settings: Settings, storage: Storage) -> FastAPI:
@@ -207,6 +207,8 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
     jobs = JobRunner(storage.results, clock)
     # apart, so that no calibration waits for an analysis
     analyses = JobRunner(storage.results, clock)
+    workers = Workers(settings.workers)
+    fit = partial(workers.run, partial(fitted, settings.calibration))
 
     upkeep = build_upkeep(settings, storage, clock, leading.turn)
 
@@ -218,8 +220,8 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
         desk.start()
 
     async def stop() -> None:
-        parts = (desk.stop, supervisor.stop, alarms.stop, jobs.stop, analyses.stop, upkeep.stop, leading.stop)
-        for end in (*parts, storage.close):
+        computing = (workers.stop, jobs.stop, analyses.stop)
+        for end in (desk.stop, supervisor.stop, alarms.stop, *computing, upkeep.stop, leading.stop, storage.close):
             await asyncio.to_thread(end)
 
     context = ApiContext(
@@ -236,10 +238,11 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
         supervisor=supervisor,
         alarms=alarms,
         feed=feed,
-        calibrator=Calibrator(storage, clock, jobs, settings.calibration),
+        calibrator=Calibrator(storage, clock, jobs, fit, settings.workers.max_calibrations),
         aligner=Aligner(storage, clock, settings.alignment),
         replayer=Replayer(storage, clock, jobs, settings.chain_config()),
-        flights=_flights(settings, analyses),
+        flights=_flights(settings, analyses, workers),
+        workers=workers,
         desk=desk,
         calibration=settings.calibration,
         kernels=settings.kernels,

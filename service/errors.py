@@ -8,6 +8,8 @@ The tree, with the HTTP status that service.api gives each::
     |- ConflictError        409  the thing exists already, or its state forbids the step
     |- GoneError            410  the thing was there and its time is over
     |- InvalidInputError    422  the input contradicts itself or the catalogue; carries field errors
+    |- BusyError            429  as much is computed or waits already as may be
+    |- UnavailableError     503  what computes has ended
     |- StorageError         503  the archive cannot keep what was sent; nothing was acknowledged
 
 A failed epoch is not an error: it is a row with a status and reasons.
@@ -47,6 +49,10 @@ class SooError(Exception):
         self.detail = detail
         self.fields = fields
 
+    def __reduce__(self) -> tuple[type["SooError"], tuple[str, str, tuple[FieldError, ...]]]:
+        """Return what a process needs to raise the error of another one."""
+        return type(self), (self.code, self.detail, self.fields)
+
 
 class ForbiddenError(SooError):
     """Another person must do this."""
@@ -66,6 +72,14 @@ class GoneError(SooError):
 
 class InvalidInputError(SooError):
     """The input contradicts itself or the catalogue."""
+
+
+class BusyError(SooError):
+    """As much is computed or waits already as may be; try again later."""
+
+
+class UnavailableError(SooError):
+    """The process that computed has ended; try again."""
 
 
 class StorageError(SooError):

@@ -25,6 +25,7 @@ from service.pipeline.config import (
 )
 from service.pipeline.release_interlock.release_settings import ReleaseSettings
 from service.records.archive_upkeep import RetentionConfig, SealingConfig
+from service.runtime.workers import WorkerConfig
 
 
 def _networks(value: str | None) -> str | None:
@@ -107,6 +108,7 @@ class Settings(BaseSettings):
     kernels: Literal["numba", "numpy"] = Field(
         "numba", description="who computes the robust filter: `numba` is faster, `numpy` spares 130 MB of memory"
     )
+    workers: WorkerConfig = Field(WorkerConfig(), description="analyses and calibrations in worker processes")
     calibration: CalibrationConfig = Field(CalibrationConfig(), description="calibration jobs")
     alignment: AlignmentConfig = Field(AlignmentConfig(), description="alignments")
     estimation: EstimationConfig = Field(EstimationConfig(), description="the paper method in operation")

@@ -25,6 +25,7 @@ from service.runtime.live_feed import LiveFeed
 from service.runtime.release_desk import ReleaseDesk
 from service.runtime.replaying import Replayer
 from service.runtime.supervisor import Supervisor
+from service.runtime.workers import Workers
 
 #: id of a spacecraft as it stands in paths
 SPACECRAFT_ID_PATTERN = r"^[a-z0-9][a-z0-9-]{0,63}$"
@@ -93,6 +94,7 @@ class ApiContext:
     aligner: Aligner
     replayer: Replayer
     flights: FlightAnalyses
+    workers: Workers
     #: interlock and commands
     desk: ReleaseDesk
     #: how harmonics are fitted and carriers judged on demand

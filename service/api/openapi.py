@@ -34,7 +34,7 @@ def describe(app: FastAPI) -> dict[str, Any]:
     for path, operations in document["paths"].items():
         for operation in operations.values():
             _lift_body(operation, schemas)
-            _state_problems(operation)
+            _state_problems(operation, is_counted=path.startswith(_PROTECTED))
             if path.startswith(_PROTECTED):
                 operation["security"] = [{_BEARER: []}]
     for unused in ("HTTPValidationError", "ValidationError"):
@@ -42,6 +42,8 @@ def describe(app: FastAPI) -> dict[str, Any]:
     document["components"]["securitySchemes"] = {
         _BEARER: {"type": "http", "scheme": "bearer", "description": "Key of this service"}
     }
+    problem = {PROBLEM_MEDIA_TYPE: {"schema": {"$ref": _REF + "ProblemSchema"}}}
+    document["components"]["responses"] = {"Problem": {"description": "Problem", "content": problem}}
     document["components"]["schemas"] = dict(sorted(schemas.items()))
     return document
 
@@ -69,9 +71,9 @@ def _definitions(schema: dict[str, Any], name: str) -> dict[str, Any]:
     return {**schema.pop("$defs", {}), name: schema}
 
 
-def _state_problems(operation: dict[str, Any]) -> None:
-    """Say that every refusal is a problem."""
+def _state_problems(operation: dict[str, Any], *, is_counted: bool) -> None:
+    """Say that every refusal is a problem, and name those that any request may meet."""
     responses = operation["responses"]
     responses.pop("422", None)
-    problem = {PROBLEM_MEDIA_TYPE: {"schema": {"$ref": _REF + "ProblemSchema"}}}
-    responses["default"] = {"description": "Problem", "content": problem}
+    named = (["413", "422"] if "requestBody" in operation else []) + (["429"] if is_counted else [])
+    responses |= {status: {"$ref": "#/components/responses/Problem"} for status in (*named, "default")}

@@ -13,6 +13,7 @@ from pydantic import BaseModel, Field
 from starlette.requests import HTTPConnection
 
 from service.errors import (
+    BusyError,
     ConflictError,
     FieldError,
     ForbiddenError,
@@ -21,11 +22,13 @@ from service.errors import (
     NotFoundError,
     SooError,
     StorageError,
+    UnavailableError,
 )
 
 PROBLEM_MEDIA_TYPE = "application/problem+json"
-#: seconds after which a client may try again when the archive was not ready
+#: seconds after which a client may try again when the archive was not ready, and when too much was computed
 RETRY_AFTER_S = 5
+_RETRIED = frozenset({HTTPStatus.TOO_MANY_REQUESTS, HTTPStatus.SERVICE_UNAVAILABLE})
 
 _STATUS_OF: tuple[tuple[type[SooError], int], ...] = (
     (ForbiddenError, HTTPStatus.FORBIDDEN),
@@ -33,6 +36,8 @@ _STATUS_OF: tuple[tuple[type[SooError], int], ...] = (
     (ConflictError, HTTPStatus.CONFLICT),
     (GoneError, HTTPStatus.GONE),
     (InvalidInputError, HTTPStatus.UNPROCESSABLE_ENTITY),
+    (BusyError, HTTPStatus.TOO_MANY_REQUESTS),
+    (UnavailableError, HTTPStatus.SERVICE_UNAVAILABLE),
     (StorageError, HTTPStatus.SERVICE_UNAVAILABLE),
 )
 
@@ -101,7 +106,7 @@ def invalid_request(fields: Sequence[FieldError]) -> ProblemError:
 def from_soo_error(error: SooError) -> ProblemError:
     """Return the problem that tells an error of the service."""
     status = next((status for kind, status in _STATUS_OF if isinstance(error, kind)), HTTPStatus.INTERNAL_SERVER_ERROR)
-    headers = {"Retry-After": str(RETRY_AFTER_S)} if status == HTTPStatus.SERVICE_UNAVAILABLE else None
+    headers = {"Retry-After": str(RETRY_AFTER_S)} if status in _RETRIED else None
     return ProblemError(status, error.code, error.detail, error.fields, headers)
 
 

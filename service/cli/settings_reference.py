@@ -63,6 +63,11 @@ _PLAIN_ORIGINS: dict[str, str] = {
 
 #: settings inside a stage's configuration: meaning with unit, origin of the default
 _STAGE_MEANINGS: dict[str, tuple[str, str]] = {
+    "workers.processes": ("worker processes that compute analyses and calibrations", CHOSEN),
+    "workers.max_waiting": ("analyses that wait while all workers compute; one more is 429", CHOSEN),
+    "workers.max_calibrations": ("calibrations that wait or run; one more is 429", CHOSEN),
+    "workers.analysis_timeout_s": ("an analysis is ended after this, s", CHOSEN),
+    "workers.job_timeout_s": ("a calibration, or a flight in the orbital frame, is ended after this, s", CHOSEN),
     "alarms.attitude_warning_deg": ("an angle beyond this is a warning, deg", PUBLISHED),
     "alarms.attitude_critical_deg": ("an angle beyond this is critical, deg", PUBLISHED),
     "alarms.stale_periods": ("no row for so many row periods is a warning", CHOSEN),

@@ -151,7 +151,7 @@ class Results(Protocol):
         ...
 
     def fail_unfinished_jobs(self, error: str) -> int:
-        """Mark jobs that a former process left queued or running as failed; return how many."""
+        """Mark jobs that a former process left queued or running as failed, and their drafts; return how many jobs."""
         ...
 
     def add_replay(self, spacecraft_id: str, replay: Replay) -> Replay:

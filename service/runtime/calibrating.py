@@ -1,6 +1,9 @@
 """Calibration jobs: read the windows from the archive, run the fit, store the draft's result."""
 
-from service.errors import ConflictError
+from collections.abc import Callable
+from threading import Lock
+
+from service.errors import BusyError, ConflictError, SooError
 from service.pipeline.calibration import calibrate_paper
 from service.pipeline.calibration_rows import CalibrationError, CalibrationInput
 from service.pipeline.config import CalibrationConfig
@@ -22,13 +25,37 @@ _MAX_OPERATIONS = 1000
 
 
 class Calibrator:
-    """Starts calibrations and makes them active."""
+    """Starts calibrations and makes them active.
 
-    def __init__(self, storage: Storage, clock: Clock, jobs: JobRunner, config: CalibrationConfig) -> None:
+    Parameters
+    ----------
+    storage : Storage
+        The archive.
+    clock : Clock
+        For times of creation.
+    jobs : JobRunner
+        Runs one calibration after another.
+    fit : callable
+        Computes one, as `fitted` does.
+    max_waiting : int
+        Calibrations that wait or run at once.
+    """
+
+    def __init__(
+        self,
+        storage: Storage,
+        clock: Clock,
+        jobs: JobRunner,
+        fit: Callable[[CalibrationInput], CalibrationResult],
+        max_waiting: int,
+    ) -> None:
         self._storage = storage
         self._clock = clock
         self._jobs = jobs
-        self._config = config
+        self._fitted = fit
+        self._max_waiting = max_waiting
+        self._lock = Lock()
+        self._waiting = 0
 
     def start(self, spacecraft_id: str, request: CalibrationRequest, created_by: str) -> tuple[Calibration, Job]:
         """Store a draft and queue its fit.
@@ -37,14 +64,24 @@ class Calibrator:
         ------
         NotFoundError
             No spacecraft, no carrier plan or no ephemeris.
+        BusyError
+            ``analysis.busy``: too many calibrations wait already.
         """
         plan = self._storage.catalogue.plan(spacecraft_id)
         ephemeris = self._storage.catalogue.ephemeris(spacecraft_id)
-        draft = self._storage.results.add_calibration(
-            spacecraft_id, request, plan.id, ephemeris.id, self._clock.system_us(), created_by
-        )
-        job = self._jobs.add("calibration")
-        self._jobs.run(job, lambda report: self._fit(spacecraft_id, draft, report))
+        with self._lock:
+            if self._waiting >= self._max_waiting:
+                raise BusyError("analysis.busy", f"{self._waiting} calibrations wait or run already; try again later")
+            self._waiting += 1
+        try:
+            draft = self._storage.results.add_calibration(
+                spacecraft_id, request, plan.id, ephemeris.id, self._clock.system_us(), created_by
+            )
+            job = self._jobs.add("calibration")
+            self._jobs.run(job, lambda report: self._fit(spacecraft_id, draft, report))
+        except BaseException:
+            self._leave()
+            raise
         return draft, job
 
     def activate(self, spacecraft_id: str, calibration_id: int) -> Calibration:
@@ -66,19 +103,19 @@ class Calibrator:
             data = self._read(spacecraft_id, draft)
             report(0.3)
             result = self._fitted(data)
-        except (CalibrationError, JobFailedError) as error:
+        except (CalibrationError, JobFailedError, SooError) as error:
             results.finish_calibration(spacecraft_id, draft.id, None, str(error))
             raise JobFailedError(str(error)) from error
         except Exception as error:
             results.finish_calibration(spacecraft_id, draft.id, None, f"internal error: {error!r}")
             raise
+        finally:
+            self._leave()
         results.finish_calibration(spacecraft_id, draft.id, result, None)
 
-    def _fitted(self, data: CalibrationInput) -> CalibrationResult:
-        """Return the result of the method that was asked for."""
-        if data.request.method is CalibrationMethod.GEOMETRY:
-            return calibrate_geometry(data, self._config)
-        return calibrate_paper(data, self._config)
+    def _leave(self) -> None:
+        with self._lock:
+            self._waiting -= 1
 
     def _read(self, spacecraft_id: str, draft: Calibration) -> CalibrationInput:
         """Read what the archive holds for a draft."""
@@ -104,3 +141,10 @@ class Calibrator:
                 if isinstance(entry.content, Operation):
                     found[entry.content.id] = entry.content
         return tuple(found[number] for number in sorted(found))
+
+
+def fitted(config: CalibrationConfig, data: CalibrationInput) -> CalibrationResult:
+    """Return the result of the method that was asked for."""
+    if data.request.method is CalibrationMethod.GEOMETRY:
+        return calibrate_geometry(data, config)
+    return calibrate_paper(data, config)

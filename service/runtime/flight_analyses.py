@@ -7,6 +7,7 @@ the same request to the same figures. Its queue is apart from that of calibratio
 import threading
 from collections import OrderedDict
 from collections.abc import Callable
+from typing import Literal
 
 from service.core.dynamics.orbital_frame_analysis import (
     MOST_STEPS,
@@ -15,7 +16,9 @@ from service.core.dynamics.orbital_frame_analysis import (
     check_closed_loop,
     fly_closed_loop,
 )
-from service.core.dynamics.orbital_frame_kernel import Fly
+from service.core.dynamics.orbital_frame_kernel import fly
+from service.errors import BusyError
+from service.pipeline.dynamics_kernels import flight_kernel
 from service.records.job import Job
 from service.runtime.jobs import JobFailedError, JobRunner, Progress
 
@@ -33,32 +36,34 @@ class FlightAnalyses:
     ----------
     jobs : JobRunner
         Queue of this alone.
-    kernel : callable
-        Gives the kernel that flies; asked for in the job, for compiling takes seconds.
+    flown : callable
+        Flies a wish and thins its record to so many points, as `fly_thinned` does.
     most_steps : int
         Longest flight, Runge-Kutta steps.
     """
 
-    def __init__(self, jobs: JobRunner, kernel: Callable[[], Fly], most_steps: int = MOST_STEPS) -> None:
+    def __init__(self, jobs: JobRunner, flown: Callable[[Wish, int], ClosedLoop], most_steps: int = MOST_STEPS) -> None:
         self._jobs = jobs
-        self._kernel = kernel
+        self._flown = flown
         self._most_steps = most_steps
         self._lock = threading.Lock()
         self._waiting = 0
         self._results: OrderedDict[str, ClosedLoop] = OrderedDict()
 
-    def start(self, wish: Wish, points: int) -> Job | None:
-        """Queue a flight whose record is thinned to so many points; None when too many wait already.
+    def start(self, wish: Wish, points: int) -> Job:
+        """Queue a flight whose record is thinned to so many points.
 
         Raises
         ------
         ValueError
             The flight cannot be, or would take too long; the text says why.
+        BusyError
+            ``analysis.busy``: too many wait already.
         """
         check_closed_loop(wish, self._most_steps)
         with self._lock:
             if self._waiting >= MOST_WAITING:
-                return None
+                raise BusyError("analysis.busy", f"{MOST_WAITING} analyses wait or fly already; try again later")
             self._waiting += 1
         try:
             job = self._jobs.add(KIND)
@@ -77,16 +82,21 @@ class FlightAnalyses:
         """Fly and keep the result."""
         try:
             report(0.1)
-            flown = fly_closed_loop(wish, self._kernel())
+            flown = self._flown(wish, points)
         except (ValueError, ArithmeticError) as error:
             raise JobFailedError(str(error)) from error
         finally:
             self._leave()
         with self._lock:
-            self._results[job_id] = flown.thinned(points)
+            self._results[job_id] = flown
             while len(self._results) > MOST_RESULTS:
                 self._results.popitem(last=False)
 
     def _leave(self) -> None:
         with self._lock:
             self._waiting -= 1
+
+
+def fly_thinned(wish: Wish, points: int, kernels: Literal["numba", "numpy"]) -> ClosedLoop:
+    """Return a flight with so many rows of its record at most; for a worker process, whose kernel stays compiled."""
+    return fly_closed_loop(wish, flight_kernel() if kernels == "numba" else fly).thinned(points)

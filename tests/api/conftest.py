@@ -19,6 +19,7 @@ from service.pipeline.release_interlock.release_settings import ReleaseSettings
 from service.runtime.live_feed import LiveFeed
 from service.runtime.release_desk import ReleaseDesk
 from service.runtime.release_tidings import Tidings
+from service.runtime.workers import WorkerConfig, Workers
 
 KEY = "test-key-of-the-administrator"
 #: 2026-11-21T03:00:00Z
@@ -86,8 +87,16 @@ def storage(empty_database: Path, tmp_path: Path) -> Iterator[SqlStorage]:
     opened.close()
 
 
+@pytest.fixture(scope="session")
+def workers() -> Iterator[Workers]:
+    """Worker processes of all tests: each takes a second to start."""
+    shared = Workers(WorkerConfig(analysis_timeout_s=120.0))
+    yield shared
+    shared.stop()
+
+
 @pytest.fixture
-async def soo(storage: SqlStorage) -> AsyncIterator[Soo]:
+async def soo(storage: SqlStorage, workers: Workers) -> AsyncIterator[Soo]:
     clock, accepted = SetClock(), list[str]()
     limits = Limits(max_body_bytes=200_000, max_rows_per_batch=200)
     context = ApiContext(
@@ -101,6 +110,7 @@ async def soo(storage: SqlStorage) -> AsyncIterator[Soo]:
         aligner=cast("Any", None),
         replayer=cast("Any", None),
         flights=cast("Any", None),
+        workers=workers,
         desk=ReleaseDesk(
             storage, clock, ReleaseSettings(), TorqueConfig(), Tidings(storage.audit, LiveFeed(), accepted.append)
         ),

@@ -147,6 +147,17 @@ def test_jobs_are_followed_and_those_of_a_dead_process_fail(storage):
         assert unknown.value.code == "job.unknown"
 
 
+def test_drafts_of_a_dead_process_fail_with_its_jobs_and_finished_ones_stay(setting):
+    results = setting.storage.results
+    for _ in range(2):
+        results.add_calibration(setting.id, REQUEST, 1, 1, 55, "engineer")
+    results.finish_calibration(setting.id, 1, RESULT, None)
+    assert results.fail_unfinished_jobs("the service was stopped") == 0
+    assert states(setting) == {1: "draft", 2: "failed"}
+    assert results.calibration(setting.id, 2).error == "the service was stopped"
+    assert results.calibration(setting.id, 1).result == RESULT
+
+
 def test_a_replay_is_found_by_the_version_it_writes(setting):
     results = setting.storage.results
     wanted = Replay(0, 1, 2, Method.PAPER, None, 3, "journal", "job-1", 9)

@@ -6,7 +6,16 @@ from collections.abc import Iterator
 from http import HTTPStatus
 from pathlib import Path
 
-from service.errors import ConflictError, ForbiddenError, GoneError, InvalidInputError, NotFoundError, StorageError
+from service.errors import (
+    BusyError,
+    ConflictError,
+    ForbiddenError,
+    GoneError,
+    InvalidInputError,
+    NotFoundError,
+    StorageError,
+    UnavailableError,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "reference" / "errors.md"
@@ -75,6 +84,8 @@ def raised(path: Path) -> Iterator[tuple[str, str]]:
         ConflictError: 409,
         GoneError: 410,
         InvalidInputError: 422,
+        BusyError: 429,
+        UnavailableError: 503,
         StorageError: 503,
     }
     kinds = {kind.__name__: str(status) for kind, status in status_of.items()}

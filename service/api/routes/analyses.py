@@ -1,13 +1,15 @@
-"""Analyses: pure computations on the parameters of a request; nothing is stored."""
+"""Analyses: pure computations on the parameters of a request, in worker processes; nothing is stored."""
 
+import asyncio
 import math
 from collections.abc import Callable
 from http import HTTPStatus
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar
 
 from fastapi import APIRouter
 
 from service.api.bodies import accepts, body_of
+from service.api.deps import Context
 from service.api.problems import ProblemError
 from service.api.schemas.analyses import (
     CaptureAnswer,
@@ -20,27 +22,34 @@ from service.api.schemas.analyses import (
 from service.core.flexible.capture_analysis import analyse_capture
 from service.core.flexible.limit_cycle import analyse_limit_cycle
 from service.core.flexible.schedule_check import analyse_schedule
+from service.runtime.workers import Workers
 
 router = APIRouter(prefix="/analyses", tags=["analyses"])
 Found = TypeVar("Found")
 
 
 @router.post("/limit-cycle", openapi_extra=accepts(LimitCycleDocument))
-def limit_cycle(body: Annotated[LimitCycleDocument, body_of(LimitCycleDocument)]) -> LimitCycleAnswer:
+async def limit_cycle(
+    body: Annotated[LimitCycleDocument, body_of(LimitCycleDocument)], context: Context
+) -> LimitCycleAnswer:
     """Return limit cycles, multipliers and the succession map of a relay of pulses on a wheel."""
-    return LimitCycleAnswer.of(_physical(lambda: analyse_limit_cycle(**body.model_dump())))
+    return LimitCycleAnswer.of(await _computed(context.workers, analyse_limit_cycle, body.model_dump()))
 
 
 @router.post("/capture-boundary", openapi_extra=accepts(CaptureDocument))
-def capture_boundary(body: Annotated[CaptureDocument, body_of(CaptureDocument)]) -> CaptureAnswer:
+async def capture_boundary(
+    body: Annotated[CaptureDocument, body_of(CaptureDocument)], context: Context
+) -> CaptureAnswer:
     """Return the swing above which a flexible mode captures the regulator, and the verdict on one swing."""
     given = body.model_dump()
     given["pulse_s"] = math.inf if body.pulse_s is None else body.pulse_s
-    return CaptureAnswer.of(_physical(lambda: analyse_capture(**given)))
+    return CaptureAnswer.of(await _computed(context.workers, analyse_capture, given))
 
 
 @router.post("/torque-schedule", openapi_extra=accepts(ScheduleDocument))
-def torque_schedule(body: Annotated[ScheduleDocument, body_of(ScheduleDocument)]) -> ScheduleAnswer:
+async def torque_schedule(
+    body: Annotated[ScheduleDocument, body_of(ScheduleDocument)], context: Context
+) -> ScheduleAnswer:
     """Return whether a torque schedule may be sent without exciting flexible modes, and what would be better."""
     given = body.model_dump(exclude={"pulses", "modes", "carried"})
     given["pulse_s"] = math.inf if body.pulse_s is None else body.pulse_s
@@ -50,12 +59,12 @@ def torque_schedule(body: Annotated[ScheduleDocument, body_of(ScheduleDocument)]
     given["modes"] = tuple((each.omega_rad_s, each.damping_ratio, each.coupling) for each in body.modes)
     if body.carried is not None:
         given["carried_rad"] = tuple(complex(each.re, each.im) for each in body.carried)
-    return ScheduleAnswer.of(_physical(lambda: analyse_schedule(**given)))
+    return ScheduleAnswer.of(await _computed(context.workers, analyse_schedule, given))
 
 
-def _physical(compute: Callable[[], Found]) -> Found:
-    """Return what a computation gives; what is not physical becomes a 422 that says which parameter and why."""
+async def _computed(workers: Workers, work: Callable[..., Found], given: dict[str, Any]) -> Found:
+    """Return what a worker process computes; what is not physical becomes a 422 that says which parameter and why."""
     try:
-        return compute()
+        return await asyncio.wrap_future(workers.analyse(work, **given))
     except (ValueError, ArithmeticError) as error:
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, "analysis.not_physical", str(error)[:1000]) from error

@@ -10,12 +10,11 @@ from service.api.deps import Context
 from service.api.problems import ProblemError
 from service.api.schemas.closed_loop import ClosedLoopAnswer, ClosedLoopDocument, ClosedLoopStartedAnswer
 from service.records.job import JobState
-from service.runtime.flight_analyses import KIND, MOST_RESULTS, MOST_WAITING
+from service.runtime.flight_analyses import KIND, MOST_RESULTS
 
 router = APIRouter(prefix="/analyses/closed-loop", tags=["analyses"])
 #: path below which results stand
 RESULTS = "/api/v1/analyses/closed-loop"
-_RETRY_AFTER_S = 2
 
 
 @router.post("", status_code=HTTPStatus.ACCEPTED, openapi_extra=accepts(ClosedLoopDocument))
@@ -27,10 +26,6 @@ def start_closed_loop(
         job = context.flights.start(body.to_wish(), body.points)
     except ValueError as error:
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, "analysis.not_physical", str(error)[:1000]) from error
-    if job is None:
-        detail = f"{MOST_WAITING} analyses wait or fly already; try again later"
-        headers = {"Retry-After": str(_RETRY_AFTER_S)}
-        raise ProblemError(HTTPStatus.TOO_MANY_REQUESTS, "analysis.busy", detail, headers=headers)
     response.headers["Location"] = f"/api/v1/jobs/{job.id}"
     return ClosedLoopStartedAnswer(job=job.id, result=f"{RESULTS}/{job.id}")
 

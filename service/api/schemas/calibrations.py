@@ -16,9 +16,12 @@ from service.records.calibration import (
     Harmonic,
     Window,
 )
+from service.records.epoch import US_PER_S
 
 Sensor = Literal["star_tracker", "earth_sensor", "radio_beacon", "other"]
 #: what an operation of the archive is named by; it counts with int32
+_LONGEST_DAYS = 100
+_DAY_US = 86_400 * US_PER_S
 Identifier = Annotated[int, Field(ge=1, le=2**31 - 1)]
 
 
@@ -78,6 +81,15 @@ class CalibrationDocument(SensorChoice):
     turns: WindowDocument
     """Calibration turns: give sensitivities."""
     method: CalibrationMethod
+
+    @model_validator(mode="after")
+    def _check_length(self) -> Self:
+        """Refuse windows whose rows do not fit the memory."""
+        if any(window.stop - window.start > _LONGEST_DAYS * _DAY_US for window in (self.quiet, self.turns)):
+            raise PydanticCustomError(
+                "range.too_long", "a window of a calibration lasts at most {days} days", {"days": _LONGEST_DAYS}
+            )
+        return self
 
     def to_record(self) -> CalibrationRequest:
         """Return the request that this document states."""

@@ -110,16 +110,21 @@ def schedule_response(
     step = mode.coupling / (inertia_kg_m2 * omega**2)
     kick = step * complex(1.0, -mode.damping_ratio / _nu(mode))
     phasor = np.full(len(omega), carried_rad, dtype=np.complex128)
-    centre, peak, swing, now_s = np.zeros(len(omega)), np.zeros(len(omega)), np.abs(phasor), 0.0
-    for edge_s, change_n_m in _edges(pulses):
-        peak = np.maximum(peak, _peak_until(centre, phasor, exponent, edge_s - now_s))
-        phasor = phasor * np.exp(exponent * (edge_s - now_s)) - kick * change_n_m
-        swing = np.maximum(swing, np.abs(phasor))
-        centre = centre + step * change_n_m
-        now_s = edge_s
+    edges_s, changes_n_m = np.array([(0.0, 0.0), *_edges(pulses)]).T
+    stretches_s = np.append(np.diff(edges_s), math.inf)[:, None]
+    begun, ended = [phasor], list[ComplexArray]()
+    for turn, change_n_m in zip(np.exp(exponent * stretches_s[:-1]), changes_n_m[1:], strict=True):
+        ended.append(begun[-1] * turn)
+        begun.append(ended[-1] - kick * change_n_m)
+    # all stretches at once: one after another, 500 pulses on 16 modes take four times as long
+    centres, phasors = np.cumsum(changes_n_m)[:, None] * step, np.array(begun)
     # what is left of the centre after equal steps up and down is rounding
-    peak = np.maximum(peak, _peak_until(np.zeros(len(omega)), phasor, exponent, math.inf))
-    return ModeResponse(omega, peak, np.abs(phasor), swing, phasor, now_s)
+    centres[-1] = 0.0
+    peak = _turning_peaks(centres, phasors, exponent, stretches_s).max(axis=0)
+    if ended:
+        peak = np.maximum(peak, np.abs(centres[:-1] + np.array(ended).real).max(axis=0))
+    swings = np.abs(phasors)
+    return ModeResponse(omega, peak, swings[-1], swings.max(axis=0), phasors[-1], float(edges_s[-1]))
 
 
 def carry_phasor(phasor_rad: complex, mode: FlexibleMode, elapsed_s: float) -> complex:
@@ -140,12 +145,14 @@ def _edges(pulses: tuple[TorquePulse, ...]) -> list[tuple[float, float]]:
     return sorted(edges)
 
 
-def _peak_until(centre: FloatArray, phasor: ComplexArray, exponent: ComplexArray, duration_s: float) -> FloatArray:
-    """Return the greatest deflection of a stretch without edges: its ends and its first two turns."""
+def _turning_peaks(
+    centre: FloatArray, phasor: ComplexArray, exponent: ComplexArray, duration_s: FloatArray
+) -> FloatArray:
+    """Return the greatest deflections (K, F) of K stretches without edges at their begin and their first two turns."""
     frequency = exponent.imag
     first_s = np.mod(0.5 * np.pi - np.angle(exponent * phasor), np.pi) / frequency
-    times = [np.zeros(len(centre)), first_s, first_s + np.pi / frequency]
-    if math.isfinite(duration_s):
-        times = [np.minimum(one, max(duration_s, 0.0)) for one in [*times, np.full(len(centre), duration_s)]]
-    reached = [np.abs(centre + (phasor * np.exp(exponent * one)).real) for one in times]
-    return np.asarray(np.max(reached, axis=0))
+    peak = np.abs(centre + phasor.real)
+    for turn_s in (first_s, first_s + np.pi / frequency):
+        reached = centre + (phasor * np.exp(exponent * np.minimum(turn_s, duration_s))).real
+        peak = np.maximum(peak, np.abs(reached))
+    return peak

@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,7 +15,6 @@ from fastapi import FastAPI
 from db.storage import SqlStorage
 from service.api.app import create_app
 from service.api.deps import ApiContext, Limits
-from service.core.dynamics.orbital_frame_kernel import fly
 from service.pipeline.alarm_conditions import condition_table
 from service.pipeline.config import (
     AlarmConfig,
@@ -57,14 +57,15 @@ from service.records.measurement import CarrierDetails, Measurement, Measurement
 from service.runtime.alarm_desk import AlarmDesk
 from service.runtime.alarm_notices import NoticeChannels
 from service.runtime.aligning import Aligner
-from service.runtime.calibrating import Calibrator
-from service.runtime.flight_analyses import FlightAnalyses
+from service.runtime.calibrating import Calibrator, fitted
+from service.runtime.flight_analyses import FlightAnalyses, fly_thinned
 from service.runtime.jobs import JobRunner
 from service.runtime.live_feed import LiveFeed
 from service.runtime.release_desk import ReleaseDesk
 from service.runtime.release_tidings import Tidings
 from service.runtime.replaying import Replayer
 from service.runtime.supervisor import Supervisor
+from service.runtime.workers import Workers
 
 KEY = "key-of-the-results"
 #: 2026-11-21T03:00:00Z
@@ -286,7 +287,7 @@ class Bench:
 
 
 @pytest.fixture
-async def bench(storage: SqlStorage) -> AsyncIterator[Bench]:
+async def bench(storage: SqlStorage, workers: Workers) -> AsyncIterator[Bench]:
     """A spacecraft with six carriers and an ephemeris; the supervisor is there but does not run."""
     storage.catalogue.add_spacecraft(
         Spacecraft(
@@ -313,10 +314,11 @@ async def bench(storage: SqlStorage) -> AsyncIterator[Bench]:
         # its thread is not started: tests look when they want to
         alarms=AlarmDesk(storage, clock, feed, condition_table(AlarmConfig(), RobustConfig()), NoticeChannels()),
         feed=feed,
-        calibrator=Calibrator(storage, clock, jobs, CalibrationConfig()),
+        calibrator=Calibrator(storage, clock, jobs, partial(fitted, CalibrationConfig()), 2),
         aligner=Aligner(storage, clock, AlignmentConfig()),
         replayer=Replayer(storage, clock, jobs, config),
-        flights=FlightAnalyses(jobs, lambda: fly),
+        workers=workers,
+        flights=FlightAnalyses(jobs, partial(fly_thinned, kernels="numpy")),
         desk=ReleaseDesk(storage, clock, ReleaseSettings(), TorqueConfig(), tidings),
         bootstrap_key=KEY,
         limits=Limits(stream_heartbeat_s=0.3),

@@ -124,6 +124,14 @@ async def test_calibration_without_data_fails_with_a_reason(bench):
     assert refusal == (409, "calibration.unfinished", [])
 
 
+async def test_a_window_whose_rows_do_not_fit_the_memory_is_refused(bench):
+    long = {"start": "2026-01-01T00:00:00Z", "stop": "2026-04-12T00:00:00Z"}
+    for name in ("quiet", "turns"):
+        refusal = await bench.refused("POST", f"{SC}/calibrations", json=ASKED | {name: long})
+        assert refusal[:2] == (422, "range.too_long")
+    assert (await bench.get("/calibrations"))["rows"] == []
+
+
 async def test_sources_of_each_axis_are_kept(bench):
     sources = {"yaw": "radio_beacon", "roll": "earth_sensor", "pitch": "other"}
     started = (await bench.client.post(f"/api/v1{SC}/calibrations", json=ASKED | {"sources": sources})).json()

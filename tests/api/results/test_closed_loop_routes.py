@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from service.core.dynamics.orbital_frame_kernel import fly
-from service.runtime.flight_analyses import MOST_RESULTS, MOST_WAITING, FlightAnalyses
+from service.core.dynamics.orbital_frame_analysis import ClosedLoop, Wish
+from service.runtime.flight_analyses import MOST_RESULTS, MOST_WAITING, FlightAnalyses, fly_thinned
 
 pytestmark = pytest.mark.anyio
 PATH = "/analyses/closed-loop"
@@ -137,16 +137,16 @@ async def test_results_that_are_not_there_are_told_apart(bench):
 async def test_only_so_many_wait_at_once(bench):
     begun = threading.Event()
 
-    def kernel() -> Any:
+    def flown_later(wish: Wish, points: int) -> ClosedLoop:
         assert begun.wait(120)
-        return fly
+        return fly_thinned(wish, points, "numpy")
 
-    object.__setattr__(bench.context, "flights", FlightAnalyses(bench.jobs, kernel))
+    object.__setattr__(bench.context, "flights", FlightAnalyses(bench.jobs, flown_later))
     body = {**IDEAL, "duration_s": 1.0}
     statuses = [(await bench.client.post(URL, json=body)).status_code for _ in range(MOST_WAITING + 1)]
     busy = await bench.client.post(URL, json=body)
     begun.set()
     assert statuses == [202] * MOST_WAITING + [429]
-    assert (busy.json()["code"], busy.headers["retry-after"]) == ("analysis.busy", "2")
+    assert (busy.json()["code"], busy.headers["retry-after"]) == ("analysis.busy", "5")
     queue_is_empty(bench)
     assert (await flown(bench, body))[0]["state"] == "done"

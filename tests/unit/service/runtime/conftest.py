@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from service.records.inputs import Operation
 from service.records.job import JobState, Replay
 from service.records.measurement import BatchReceipt, MeasurementBatch
 from service.runtime.aligning import Aligner, AlignmentRequest
-from service.runtime.calibrating import Calibrator
+from service.runtime.calibrating import Calibrator, fitted
 from service.runtime.jobs import JobRunner
 from service.runtime.live_feed import LiveFeed
 from service.runtime.replaying import Replayer
@@ -68,7 +69,7 @@ class Ground:
         self.clock = SetClock()
         self.config = ChainConfig()
         self.jobs = JobRunner(self.storage.results, self.clock)
-        self.calibrator = Calibrator(self.storage, self.clock, self.jobs, CalibrationConfig())
+        self.calibrator = Calibrator(self.storage, self.clock, self.jobs, partial(fitted, CalibrationConfig()), 8)
         self.aligner = Aligner(self.storage, self.clock, AlignmentConfig())
         self.replayer = Replayer(self.storage, self.clock, self.jobs, self.config)
         self.operation_us = payload.request.turns.stop_us + synthetic.HOUR

@@ -1,12 +1,13 @@
 """Calibration jobs: drafts end with a result or with the reason why not."""
 
+import threading
 from dataclasses import replace
 from unittest.mock import patch
 
 import pytest
 
 import service.runtime.calibrating as calibrating
-from service.errors import ConflictError, NotFoundError
+from service.errors import BusyError, ConflictError, InvalidInputError, NotFoundError
 from service.records.calibration import CalibrationMethod, CalibrationState, Window
 from service.records.job import JobState
 from service.runtime.jobs import JobFailedError
@@ -75,3 +76,25 @@ def test_a_draft_cannot_be_activated(ground):
 def test_what_cannot_begin_is_refused_at_once(ground):
     with pytest.raises(NotFoundError):
         ground.calibrator.start("nobody", ground.payload.request, "engineer")
+
+
+def test_only_so_many_wait_and_leaving_makes_room(ground):
+    may_go = threading.Event()
+
+    def fit(_data):
+        assert may_go.wait(60)
+        raise InvalidInputError("analysis.too_long", "it was ended after 600 s of computing")
+
+    calibrator = calibrating.Calibrator(ground.storage, ground.clock, ground.jobs, fit, 2)
+    started = [calibrator.start(ground.id, ground.payload.request, "engineer") for _ in range(2)]
+    with pytest.raises(BusyError, match=r"analysis\.busy: 2 calibrations wait or run already"):
+        calibrator.start(ground.id, ground.payload.request, "engineer")
+    may_go.set()
+    for draft, job in started:
+        assert ground.finish(job.id) is JobState.FAILED
+        stored = ground.storage.results.calibration(ground.id, draft.id)
+        assert (stored.state, stored.error) == (
+            CalibrationState.FAILED,
+            "analysis.too_long: it was ended after 600 s of computing",
+        )
+    assert calibrator.start(ground.id, ground.payload.request, "engineer")

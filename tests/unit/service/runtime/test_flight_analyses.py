@@ -1,15 +1,16 @@
 """Flights on demand: bounded in number and length, and a failure leaves room for the next."""
 
 import threading
+from functools import partial
 
 import pytest
 
 from service.core.dynamics.orbital_frame_analysis import Wish
 from service.core.dynamics.orbital_frame_flight import Start
-from service.core.dynamics.orbital_frame_kernel import fly
 from service.core.dynamics.orbital_frame_model import rigid_craft
+from service.errors import BusyError
 from service.records.job import JobState
-from service.runtime.flight_analyses import MOST_WAITING, FlightAnalyses
+from service.runtime.flight_analyses import MOST_WAITING, FlightAnalyses, fly_thinned
 
 
 @pytest.fixture
@@ -18,11 +19,12 @@ def ground(new_ground):
     return new_ground()
 
 
+FLOWN = partial(fly_thinned, kernels="numpy")
 SHORT = Wish(rigid_craft(), Start(yaw_deg=1.0), 1.0)
 
 
 def test_a_flight_is_kept_thinned(ground):
-    flights = FlightAnalyses(ground.jobs, lambda: fly)
+    flights = FlightAnalyses(ground.jobs, FLOWN)
     job = flights.start(SHORT, points=3)
     assert ground.finish(job.id) is JobState.DONE
     found = flights.result(job.id)
@@ -34,14 +36,15 @@ def test_a_flight_is_kept_thinned(ground):
 def test_too_many_are_refused_until_one_is_over_even_by_failing(ground):
     may_go = threading.Event()
 
-    def kernel():
+    def flown(_wish, _points):
         assert may_go.wait(120)
         raise ValueError("no kernel")
 
-    flights = FlightAnalyses(ground.jobs, kernel)
+    flights = FlightAnalyses(ground.jobs, flown)
     waiting = [flights.start(SHORT, 3) for _ in range(MOST_WAITING)]
     assert all(waiting)
-    assert flights.start(SHORT, 3) is None
+    with pytest.raises(BusyError, match=r"analysis\.busy: 4 analyses wait or fly"):
+        flights.start(SHORT, 3)
     may_go.set()
     for job in waiting:
         assert ground.finish(job.id) is JobState.FAILED
@@ -50,6 +53,6 @@ def test_too_many_are_refused_until_one_is_over_even_by_failing(ground):
 
 
 def test_the_longest_flight_is_that_of_the_kernel(ground):
-    flights = FlightAnalyses(ground.jobs, lambda: fly, most_steps=8)
+    flights = FlightAnalyses(ground.jobs, FLOWN, most_steps=8)
     with pytest.raises(ValueError, match="8 steps"):
         flights.start(SHORT._replace(duration_s=1.2), 3)

@@ -1,0 +1,190 @@
+"""Worker processes: analyses and fits beside the serving process, bounded in number, in waiting and in time.
+
+Each worker is a pool of one process, so that ending one that takes too long harms no other. A process is started when
+the first work needs it, and replaced when it has died or was ended. Workers yield the processor to the service.
+"""
+
+import os
+import signal
+from collections.abc import Callable
+from concurrent.futures import CancelledError, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing import get_context, parent_process
+from queue import LifoQueue
+from threading import Lock, Thread
+from typing import Any, ParamSpec, TypeVar
+
+from service.errors import BusyError, InvalidInputError, UnavailableError
+
+P = ParamSpec("P")
+Found = TypeVar("Found")
+
+#: a process that has not begun by then never will, s
+_START_TIMEOUT_S = 300.0
+#: by so much the system's scheduler prefers the service
+_NICENESS = 10
+_STOPPING = "the service is stopping; start it again"
+_DIED = "the process that computed it has died, see the system's log for lack of memory; start it again"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorkerConfig:
+    """Bounds of what is computed in worker processes."""
+
+    processes: int = 2
+    #: analyses that wait while all workers compute
+    max_waiting: int = 8
+    #: calibrations that wait or run
+    max_calibrations: int = 8
+    analysis_timeout_s: float = 30.0
+    #: of a calibration, or a flight in the orbital frame
+    job_timeout_s: float = 600.0
+
+    def __post_init__(self) -> None:
+        """Refuse bounds under which nothing is computed."""
+        if self.processes < 1 or self.max_calibrations < 1 or min(self.analysis_timeout_s, self.job_timeout_s) <= 0:
+            raise ValueError("at least one process, one calibration and more than 0 s are needed")
+
+
+class Workers:
+    """The worker processes of one service.
+
+    Parameters
+    ----------
+    config : WorkerConfig
+        Bounds.
+    """
+
+    def __init__(self, config: WorkerConfig) -> None:
+        self._config = config
+        #: one thread a worker waits for it, so that a queue of threads is the queue of the workers
+        self._threads = ThreadPoolExecutor(config.processes, thread_name_prefix="soo-worker")
+        self._idle: LifoQueue[_Worker] = LifoQueue()
+        self._all = [_Worker() for _ in range(config.processes)]
+        for worker in self._all:
+            self._idle.put(worker)
+        self._lock = Lock()
+        self._analyses = 0
+
+    def analyse(self, work: Callable[P, Found], *args: P.args, **kwargs: P.kwargs) -> Future[Found]:
+        """Queue an analysis; its future raises what the work raises, or as `run` does.
+
+        Raises
+        ------
+        BusyError
+            ``analysis.busy``: too many wait already.
+        """
+        with self._lock:
+            if self._analyses >= self._config.processes + self._config.max_waiting:
+                detail = f"{self._analyses} analyses are computed or wait already; try again later"
+                raise BusyError("analysis.busy", detail)
+            future = self._submit(self._config.analysis_timeout_s, work, *args, **kwargs)
+            self._analyses += 1
+        future.add_done_callback(self._leave)
+        return future
+
+    def run(self, work: Callable[P, Found], *args: P.args, **kwargs: P.kwargs) -> Found:
+        """Return what the work of a job gives, or raise what it raises.
+
+        Raises
+        ------
+        InvalidInputError
+            ``analysis.too_long``: the work took longer than it may; its process was ended.
+        UnavailableError
+            ``analysis.ended``: the process died, or was ended with the service.
+        """
+        try:
+            return self._submit(self._config.job_timeout_s, work, *args, **kwargs).result()
+        except CancelledError:
+            raise UnavailableError("analysis.ended", _STOPPING) from None
+
+    def stop(self) -> None:
+        """End what is computed and what waits; futures of both tell it."""
+        self._threads.shutdown(wait=False, cancel_futures=True)
+        for worker in self._all:
+            worker.end()
+        self._threads.shutdown(wait=True)
+
+    def _submit(self, timeout_s: float, work: Callable[P, Found], *args: P.args, **kwargs: P.kwargs) -> Future[Found]:
+        def computed() -> Found:
+            worker = self._idle.get()
+            try:
+                return worker.result(timeout_s, lambda pool: pool.submit(work, *args, **kwargs))
+            finally:
+                self._idle.put(worker)
+
+        try:
+            return self._threads.submit(computed)
+        except RuntimeError:
+            raise UnavailableError("analysis.ended", _STOPPING) from None
+
+    def _leave(self, _future: Future[Any]) -> None:
+        with self._lock:
+            self._analyses -= 1
+
+
+class _Worker:
+    """One process, or none yet; used by one thread at a time, ended by any."""
+
+    def __init__(self) -> None:
+        self._pool: ProcessPoolExecutor | None = None
+        self._process_id: int | None = None
+        self._is_ended = False
+
+    def result(self, timeout_s: float, start: "_Start[Found]") -> Found:
+        """Return what a piece of work gives."""
+        try:
+            future = self._begun(start)
+            if wait([future], timeout_s).done:
+                return future.result()
+        except (BrokenProcessPool, CancelledError):
+            self._kill()
+            raise UnavailableError("analysis.ended", _STOPPING if self._is_ended else _DIED) from None
+        self._kill()
+        detail = f"it was ended after {timeout_s:g} s of computing; ask for less: fewer pulses, points or days"
+        raise InvalidInputError("analysis.too_long", detail)
+
+    def end(self) -> None:
+        """End the process; no other one follows."""
+        self._is_ended = True
+        self._kill()
+
+    def _begun(self, start: "_Start[Found]") -> Future[Found]:
+        """Return a piece of work that has begun, in a new process where there is none, or none that lives."""
+        if self._pool is not None:
+            with suppress(BrokenProcessPool):
+                return start(self._pool)
+            self._kill()
+        self._pool = pool = ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=_begin)
+        # starting a process is no part of the work's time
+        self._process_id = pool.submit(os.getpid).result(_START_TIMEOUT_S)
+        if self._is_ended:
+            raise BrokenProcessPool
+        return start(pool)
+
+    def _kill(self) -> None:
+        pool, process_id, self._pool, self._process_id = self._pool, self._process_id, None, None
+        if process_id is not None:
+            with suppress(ProcessLookupError):
+                os.kill(process_id, signal.SIGKILL)
+        if pool is not None:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+_Start = Callable[[ProcessPoolExecutor], Future[Found]]
+
+
+def _begin() -> None:
+    """Begin a worker: it yields to the service, leaves Ctrl-C to it, and ends when it has ended."""
+    os.nice(_NICENESS)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    Thread(target=_end_with_service, daemon=True).start()
+
+
+def _end_with_service() -> None:
+    service = parent_process()
+    if service is not None:
+        service.join()
+    os._exit(1)

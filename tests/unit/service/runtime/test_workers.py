@@ -1,0 +1,123 @@
+"""Worker processes: bounded in number, waiting and time, and replaced when they die."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from service.errors import BusyError, ConflictError, InvalidInputError, UnavailableError
+from service.runtime.workers import WorkerConfig, Workers
+
+pytestmark = pytest.mark.timeout(300)
+
+
+@pytest.fixture
+def make_workers():
+    """Give a maker of worker processes; they end with the test."""
+    made = []
+
+    def make(**bounds):
+        made.append(Workers(WorkerConfig(**bounds)))
+        return made[-1]
+
+    yield make
+    for workers in made:
+        workers.stop()
+
+
+def await_end(process_id):
+    """Wait until a process has ended; one that is not yet collected counts as ended."""
+    deadline, stat = time.monotonic() + 60, Path(f"/proc/{process_id}/stat")
+    while stat.exists() and stat.read_text().rpartition(")")[2].split()[0] != "Z":
+        assert time.monotonic() < deadline, "the process lives"
+        time.sleep(0.01)
+
+
+def test_work_is_done_in_another_process_that_yields_to_the_service(make_workers):
+    workers = make_workers(processes=1)
+    assert workers.analyse(pow, 2, 10).result() == 1024
+    assert workers.run(os.getpid) == workers.run(os.getpid) != os.getpid()
+    assert workers.run(os.nice, 0) > os.nice(0)
+
+
+def test_what_the_work_raises_reaches_the_caller_and_the_process_stays(make_workers):
+    workers = make_workers(processes=1)
+    process_id = workers.run(os.getpid)
+    with pytest.raises(ValueError, match="invalid literal"):
+        workers.run(int, "x")
+    with pytest.raises(ConflictError) as caught:
+        workers.run(raise_conflict)
+    assert (caught.value.code, caught.value.detail) == ("thing.busy", "wait")
+    assert workers.run(os.getpid) == process_id
+
+
+def raise_conflict():
+    """Raise an error of the service in the worker."""
+    raise ConflictError("thing.busy", "wait")
+
+
+def test_one_too_many_is_refused_and_leaving_makes_room(make_workers):
+    workers = make_workers(processes=1, max_waiting=1)
+    waiting = [workers.analyse(time.sleep, 0.5) for _ in range(2)]
+    with pytest.raises(BusyError, match=r"analysis\.busy: 2 analyses"):
+        workers.analyse(time.sleep, 0)
+    for each in waiting:
+        each.result()
+    assert workers.analyse(pow, 2, 3).result() == 8
+
+
+def test_work_beyond_its_time_is_ended_with_its_process_and_harms_no_other(make_workers):
+    workers = make_workers(processes=2, analysis_timeout_s=1.0)
+    process_id = workers.analyse(os.getpid).result()
+    began = time.monotonic()
+    endless = workers.analyse(time.sleep, 10_000)
+    with pytest.raises(InvalidInputError, match=r"analysis\.too_long: it was ended after 1 s"):
+        endless.result()
+    # neither a calibration beside it nor what comes next notices
+    assert workers.run(pow, 2, 4) == 16
+    assert time.monotonic() - began < 200
+    await_end(process_id)
+
+
+def test_a_process_that_died_at_rest_is_replaced_unseen(make_workers):
+    workers = make_workers(processes=1)
+    first = workers.run(os.getpid)
+    os.kill(first, signal.SIGKILL)
+    await_end(first)
+    # the pool may learn of the death only with the next work; then this work tells it, and the one after that runs
+    try:
+        second = workers.run(os.getpid)
+    except UnavailableError:
+        second = workers.run(os.getpid)
+    assert second != first
+
+
+def test_a_process_that_dies_at_work_says_so(make_workers):
+    workers = make_workers(processes=1)
+    with pytest.raises(UnavailableError, match=r"analysis\.ended: the process that computed it has died"):
+        workers.run(os._exit, 1)
+    assert workers.run(pow, 2, 5) == 32
+
+
+def test_a_stop_ends_what_is_computed_and_what_waits(make_workers):
+    workers = make_workers(processes=1)
+    process_id = workers.run(os.getpid)
+    working, waiting = workers.analyse(time.sleep, 10_000), workers.analyse(time.sleep, 10_000)
+    while not working.running():
+        time.sleep(0.01)
+    workers.stop()
+    with pytest.raises(UnavailableError, match="the service is stopping"):
+        working.result()
+    assert waiting.cancelled()
+    await_end(process_id)
+    for refused in (workers.analyse, workers.run):
+        with pytest.raises(UnavailableError, match="the service is stopping"):
+            refused(pow, 2, 2)
+
+
+@pytest.mark.parametrize("bound", [{"processes": 0}, {"max_calibrations": 0}, {"analysis_timeout_s": 0.0}])
+def test_bounds_that_let_nothing_through_are_refused(bound):
+    with pytest.raises(ValueError, match="at least one process"):
+        WorkerConfig(**bound)
