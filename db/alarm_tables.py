@@ -2,6 +2,7 @@
 
 from sqlalchemy import BigInteger, Boolean, Column, Index, Integer, Table, Text
 
+from db.row_checksum import checksum_column
 from db.tables import metadata
 
 #: alarms of the service as a whole have no spacecraft
@@ -26,6 +27,7 @@ alarm_change = Table(
     Column("alarm_id", BigInteger, nullable=False),
     Column("spacecraft_id", Text),
     Column("document", Text, nullable=False),
+    checksum_column(),
     Index("alarm_change_alarm", "alarm_id", "sequence"),
     Index("alarm_change_spacecraft", "spacecraft_id", "sequence"),
 )
@@ -54,5 +56,6 @@ note = Table(
     Column("spacecraft_id", Text),
     Column("epoch_us", BigInteger, nullable=False),
     Column("document", Text, nullable=False),
+    checksum_column(),
     Index("note_epoch", "epoch_us", "note_id"),
 )

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, or_, select, update
 
-from db import retention, sealing
+from db import checksum_check, retention, sealing
 from db.database import Database, add_entries, beyond, count_entries, lock_head, within
 from db.documents import decode, decode_all, decode_input
 from db.ingest import prepare
@@ -252,6 +252,10 @@ class SqlArchive:
     def segments(self, spacecraft_id: str) -> Iterator[SegmentState]:
         """Read every sealed segment and yield whether it can be read."""
         return sealing.states(self._database, self._database.key(spacecraft_id))
+
+    def complete_checksums(self) -> Iterator[int]:
+        """Give rows of versions before checksums theirs, a transaction a step."""
+        return checksum_check.complete(self._database)
 
     def drop_before(self, spacecraft_id: str, series: str, before_us: int) -> Iterator[Dropped]:
         """Drop the rows of a series of whole days before an epoch, a transaction a step."""

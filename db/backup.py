@@ -15,6 +15,7 @@ from pathlib import Path
 from sqlalchemy import ColumnElement, Connection, column, func, inspect, select, table, text
 
 from db.archive_files import Progress, flush, reading_engine, settle, sha256_of, sqlite_path
+from db.checksum_check import checked_tables
 from db.engine import open_engines
 from db.examination import OLDER, examine
 from db.migrate import upgrade
@@ -58,7 +59,7 @@ def create_backup(url: str, folder: Path, made_at_us: int, report: Report) -> Ma
         archive = partial / ARCHIVE_FILE
         kind = _copy(url, archive, lambda share: report("copy", share))
         settle(archive)
-        manifest = _described(archive, kind, made_at_us, lambda share: report("sha256", share))
+        manifest = _described(archive, kind, made_at_us, report)
         (partial / MANIFEST_FILE).write_text(manifest.as_text(), encoding="utf-8")
         flush(partial / MANIFEST_FILE)
     return manifest
@@ -165,11 +166,15 @@ def _copy_rows(url: str, archive: Path, progress: Progress) -> None:
         source.dispose()
 
 
-def _described(archive: Path, kind: str, made_at_us: int, progress: Progress) -> Manifest:
+def _described(archive: Path, kind: str, made_at_us: int, report: Report) -> Manifest:
     """Return the manifest of a file that nobody writes any more."""
-    digest = sha256_of(archive, progress)
+    digest = sha256_of(archive, lambda share: report("sha256", share))
+    report("checksums", 0.0)
     with reading_engine(archive, is_settled=True).connect() as connection:
+        # an older schema has no checksums
+        tables = checked_tables(connection) if version_of(connection) == newest_revision() else []
         return Manifest(
+            damaged=[table.damage() for table in tables if table.differing],
             made_at_us=made_at_us,
             made_from=kind,
             schema_version=version_of(connection) or "",

@@ -12,6 +12,7 @@ from sqlalchemy import Connection, Row, Select, func, select
 from sqlalchemy.exc import SQLAlchemyError
 
 from db.audit import SqlAudit
+from db.checksum_check import checked_tables
 from db.database import Database
 from db.journal_ledger import Ledger, heads_of_all, named, orphans, read_ledger
 from db.schema_version import known_versions, version_of
@@ -62,11 +63,13 @@ def examine_content(connection: Connection, report: Report) -> list[Diagnosis]:
         states = heads_of_all(connection)
     except SQLAlchemyError as fault:
         return [_unreadable("journal", fault)]
+    report("checksums")
+    found += guarded("checksums", partial(_checksums, connection))
     for state in states:
         name = names.get(state.spacecraft_key, f"key {state.spacecraft_key}")
         report(f"journal of {name}")
         found += guarded("journal", partial(_one, connection, state, name))
-    if not found:
+    if not states:
         found.append(Diagnosis("journal", "ok", "no spacecraft yet"))
     return found
 
@@ -125,6 +128,23 @@ def _schema(connection: Connection) -> Iterator[Diagnosis]:
     else:
         advice = "Use the version of SOO that wrote it, or a newer one."
         yield Diagnosis("schema", "fault", f"version {version} is not known to this program", advice)
+
+
+def _checksums(connection: Connection) -> Iterator[Diagnosis]:
+    """Compare rows with their checksums."""
+    tables = checked_tables(connection)
+    for table in tables:
+        if table.differing:
+            yield Diagnosis("checksums", "fault", table.damage(), _RESTORE)
+        if table.lacking and not table.is_backlog:
+            detail = f"{table.lacking} rows of {table.name} have no checksum, where every row should have one"
+            advice = "They were written by an older version of SOO or by hand; compare them with a backup."
+            yield Diagnosis("checksums", "warning", detail, advice)
+    if not any(table.differing for table in tables):
+        waiting = sum(table.lacking for table in tables if table.is_backlog)
+        older = f"; {waiting} older rows have none yet, the service gives them one" if waiting else ""
+        detail = f"{sum(table.agreeing for table in tables)} rows agree with their checksums{older}"
+        yield Diagnosis("checksums", "ok", detail)
 
 
 def _one(connection: Connection, state: Row[Any], name: str) -> Iterator[Diagnosis]:

@@ -276,7 +276,7 @@ def _lateness(batch: MeasurementBatch, consumed_us: int | None) -> BoolArray:
 
 def _runs(prepared: PreparedBatch, accepted: IntArray, is_late: BoolArray, state: IngestState) -> Iterator[Run]:
     """Yield the accepted rows as runs, numbered on from the head."""
-    batch = prepared.batch
+    batch, details = prepared.batch, prepared.details
     is_whole = prepared.is_even and len(accepted) == len(prepared.epochs_us) and is_late.all() == is_late.any()
     breaks = [] if is_whole else _breaks(prepared, accepted, is_late)
     for start, stop in pairwise([0, *breaks, len(accepted)]):
@@ -294,6 +294,7 @@ def _runs(prepared: PreparedBatch, accepted: IntArray, is_late: BoolArray, state
             epochs_us=prepared.epochs_us[place:after],
             powers=prepared.powers.part(place, after),
             flags=prepared.flags.part(place, after) if prepared.has_flags[place] else None,
+            figures=None if details is None else list(map(details.of_row, range(place, after))),
         )
 
 

@@ -12,12 +12,14 @@ import sqlite3
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 from sqlalchemy import Connection, bindparam, select
 
 from db.compiled import CompiledStatement, run_bare
 from db.ingest import MOVE_HEAD, STATE_COLUMNS, IngestState, PreparedBatch, later, store_batch
+from db.row_checksum import measurement_checksums
 from db.segments import SegmentCache
 from db.tables import head, source
 from service.records.measurement import BatchReceipt
@@ -33,11 +35,13 @@ _READ_STATES = CompiledStatement(
 )
 _INSERT_ROWS = """
 INSERT INTO measurement
-  (spacecraft_key, epoch_us, source_key, number, plan_id, seq, delay_us, is_late, feeds, powers, flags)
+  (spacecraft_key, epoch_us, source_key, number, plan_id, seq, delay_us, is_late, feeds, powers, flags,
+   checksum)
 SELECT ?1, json_extract(value, '$[0]'), json_extract(value, '$[1]'), ?2 + row.key, json_extract(value, '$[2]'),
   json_extract(value, '$[3]'), json_extract(value, '$[4]'), json_extract(value, '$[5]'), json_extract(value, '$[6]'),
   substr(?3, json_extract(value, '$[7]'), json_extract(value, '$[8]')),
-  substr(?3, json_extract(value, '$[9]'), json_extract(value, '$[10]'))
+  substr(?3, json_extract(value, '$[9]'), json_extract(value, '$[10]')),
+  substr(?3, json_extract(value, '$[11]'), json_extract(value, '$[12]'))
 FROM json_each(?4) AS row
 """
 _INSERT_DETAILS = """
@@ -164,14 +168,17 @@ class _Together:
 
     def _add(self, prepared: PreparedBatch, state: IngestState, seq: int | None, *, is_late: bool) -> None:
         """Note a row, and where its source stands behind it."""
-        batch, epoch_us = prepared.batch, prepared.epochs_us[0]
-        place = (epoch_us, state.source_key)
-        claims = (is_late, bool(state.is_prime))
-        powers = self._blobs.add(prepared.powers.rows)
-        flags = self._blobs.add(prepared.flags.rows) if prepared.has_flags[0] else (1, None)
-        self._rows.append((*place, batch.plan_id, seq, batch.received_at_us - epoch_us, *claims, *powers, *flags))
-        if prepared.details is not None:
-            self._details.append((*place, *self._figures.add(prepared.details.figures)))
+        batch, epoch_us, details = prepared.batch, prepared.epochs_us[0], prepared.details
+        place, delay_us = (epoch_us, state.source_key), batch.received_at_us - epoch_us
+        claims, number = (is_late, bool(state.is_prime)), self._first_number + len(self._rows)
+        powers, flags = prepared.powers.rows, prepared.flags.rows if prepared.has_flags[0] else None
+        figures = None if details is None else details.figures
+        shared = (self._key, state.source_key, batch.plan_id, *claims)
+        checksum = measurement_checksums(shared, [(epoch_us, number, seq, delay_us, powers, flags, figures)])
+        parts = [(1, None) if part is None else self._blobs.add(part) for part in (powers, flags, checksum)]
+        self._rows.append((*place, batch.plan_id, seq, delay_us, *claims, *chain.from_iterable(parts)))
+        if figures is not None:
+            self._details.append((*place, *self._figures.add(figures)))
         self._newest_epoch_us = later(epoch_us, self._newest_epoch_us)
         self._moved.add(batch.source)
         last = state.seq_last if seq is None else seq

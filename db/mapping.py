@@ -42,7 +42,7 @@ def powers_of(blob: bytes) -> FloatArray:
 
 def measurement_of(row: Row[Any], power_dbm: FloatArray | None = None) -> Measurement:
     """Return the record of a row of ``MEASUREMENT_COLUMNS``, with its powers where they were read already."""
-    epoch_us, received_at_us, number, name, plan_id, powers, flags, is_late, feeds, seq, figures, _ = tuple(row)
+    epoch_us, received_at_us, number, name, plan_id, powers, flags, is_late, feeds, seq, figures, *_ = tuple(row)
     values = powers_of(powers) if power_dbm is None else power_dbm
     masks: IntArray | None = None
     if flags is not None:

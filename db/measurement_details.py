@@ -35,6 +35,10 @@ class PreparedDetails(NamedTuple):
     #: of all rows
     figures: bytes
 
+    def of_row(self, place: int) -> bytes | None:
+        """Return the figures of a row, None when it states none."""
+        return self.figures[place * self.width : (place + 1) * self.width] if self.is_stated[place] else None
+
 
 def prepare_details(details: CarrierDetails | None) -> PreparedDetails | None:
     """Return the details of a batch as bytes, None when no row states any figure."""

@@ -56,6 +56,11 @@ class StoredRows(NamedTuple):
         """Return the rows at some places."""
         return StoredRows(self.width, self.rows[start * self.width : stop * self.width])
 
+    def each(self, count: int) -> list[bytes]:
+        """Return the rows one by one; a row of no bytes does not tell how many there are."""
+        width, rows = self.width, self.rows
+        return [rows[place * width : (place + 1) * width] for place in range(count)]
+
 
 #: where no flag is set
 NO_FLAGS = StoredRows(0, b"")

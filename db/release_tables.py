@@ -2,6 +2,7 @@
 
 from sqlalchemy import BigInteger, Column, Index, Integer, Table, Text
 
+from db.row_checksum import checksum_column
 from db.tables import metadata
 
 #: one document a spacecraft; whoever changes it must know the version that he changes
@@ -35,4 +36,5 @@ uplink_product = Table(
     Column("counter", BigInteger, primary_key=True, autoincrement=False),
     Column("created_us", BigInteger, nullable=False),
     Column("document", Text, nullable=False),
+    checksum_column(),
 )

@@ -6,25 +6,31 @@ took 0.5 ms alone and 60 ms beside one busy thread, one step takes 0.2 ms alone 
 """
 
 import json
+from collections.abc import Sequence
+from itertools import count, repeat
 from typing import NamedTuple
 
 from sqlalchemy import Connection
 
 from db.compiled import run_bare
 from db.power_codec import StoredRows
+from db.row_checksum import measurement_checksums
 
 _AT_ONCE = """
 INSERT INTO measurement
-  (spacecraft_key, source_key, plan_id, delay_us, feeds, is_late, number, seq, epoch_us, powers, flags)
+  (spacecraft_key, source_key, plan_id, delay_us, feeds, is_late, number, seq, epoch_us, powers, flags,
+   checksum)
 SELECT ?1, ?2, ?3, ?4 - row.value, ?5, ?6, ?7 + row.key, ?8 + row.key, row.value,
-  substr(?9, 1 + row.key * ?10, ?10), substr(?11, 1 + row.key * ?12, ?12)
-FROM json_each(?13) AS row
+  substr(?9, 1 + row.key * ?10, ?10), substr(?11, 1 + row.key * ?12, ?12), substr(?13, 1 + row.key * 4, 4)
+FROM json_each(?14) AS row
 """
 _AT_ONCE_ON_A_SERVER = """
 INSERT INTO measurement
-  (spacecraft_key, source_key, plan_id, delay_us, feeds, is_late, number, seq, epoch_us, powers, flags)
+  (spacecraft_key, source_key, plan_id, delay_us, feeds, is_late, number, seq, epoch_us, powers, flags,
+   checksum)
 SELECT %s, %s, %s, %s::bigint - row.epoch_us, %s, %s, %s::bigint + row.place, %s::bigint + row.place, row.epoch_us,
-  substr(%s::bytea, (1 + row.place * %s)::int, %s), substr(%s::bytea, (1 + row.place * %s)::int, %s)
+  substr(%s::bytea, (1 + row.place * %s)::int, %s), substr(%s::bytea, (1 + row.place * %s)::int, %s),
+  substr(%s::bytea, (1 + row.place * 4)::int, 4)
 FROM (SELECT epoch_us, place - 1 AS place FROM unnest(%s::bigint[]) WITH ORDINALITY AS given (epoch_us, place)) AS row
 """
 
@@ -46,6 +52,22 @@ class Run(NamedTuple):
     #: of all rows, as ``db.power_codec`` lays them out
     powers: StoredRows
     flags: StoredRows | None
+    #: what each row states beside, None for those that state nothing; None when no row does
+    figures: Sequence[bytes | None] | None
+
+    def checksums(self) -> bytes:
+        """Checksums of all rows, one behind another."""
+        shared = (self.spacecraft_key, self.source_key, self.plan_id, self.is_late, self.feeds)
+        columns = (
+            self.epochs_us,
+            count(self.first_number),
+            repeat(None) if self.first_seq is None else count(self.first_seq),
+            [self.received_at_us - epoch_us for epoch_us in self.epochs_us],
+            self.powers.each(len(self.epochs_us)),
+            repeat(None) if self.flags is None else self.flags.each(len(self.epochs_us)),
+            repeat(None) if self.figures is None else self.figures,
+        )
+        return measurement_checksums(shared, zip(*columns, strict=False))
 
 
 def insert_run(connection: Connection, run: Run) -> None:
@@ -55,8 +77,9 @@ def insert_run(connection: Connection, run: Run) -> None:
     if connection.dialect.name == "sqlite":
         # no part of no bytes is NULL to SQLite, no part of any byte is an empty blob
         of_any = b"\0" if flags == b"" else flags
-        values = (*run[:8], powers, width, of_any, flag_width, json.dumps(run.epochs_us))
+        parts = (powers, width, of_any, flag_width, run.checksums())
+        values = (*run[:8], *parts, json.dumps(run.epochs_us))
         run_bare(connection, _AT_ONCE, values)
     else:
-        blobs = (powers, width, width, flags, flag_width, flag_width)
+        blobs = (powers, width, width, flags, flag_width, flag_width, run.checksums())
         connection.exec_driver_sql(_AT_ONCE_ON_A_SERVER, (*run[:8], *blobs, run.epochs_us))

@@ -12,21 +12,32 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, and_, delete, func, select
+from sqlalchemy import ColumnElement, Connection, Row, and_, delete, func, select
 
+from db.checksum_check import agrees
 from db.database import Database, lock_head
 from db.mapping import MEASUREMENT_COLUMNS, RECEIVED_AT_US, measurements_of
+from db.row_checksum import measurement_checksums
 from db.segment_codec import CODEC, Blobs, SealedRows, pack
 from db.segments import DAY_US, HEAD_COLUMNS, SegmentHead, SegmentPiece, crc32_of, day_of, heads, read_piece
 from db.tables import head as head_table
 from db.tables import measurement, measurement_detail, measurement_segment, source
 from service.errors import StorageError
 from service.records.archive_upkeep import SealedPart, SegmentState
+from service.records.epoch import format_epoch
 from service.records.measurement import DETAIL_NAMES, Measurement
 
 _LOG = logging.getLogger(__name__)
 #: rows of a segment: a day at a row every eight seconds, 1.4 MB of powers of 32 carriers in memory
 SEGMENT_ROWS = 10_800
+#: with more damaged rows than this a group stays as it is; SQLite before 3.32 binds 999 values at most
+_MOST_DAMAGED = 500
+#: epochs that a line of the log names at most
+_NAMED = 5
+_DAMAGED = (
+    "%d rows of source %s differ from their checksum and are not sealed: they stay as they are, at %s; `soo doctor` "
+    "lists them, a backup has them as they were"
+)
 
 
 class _Group(NamedTuple):
@@ -50,10 +61,11 @@ class _Group(NamedTuple):
 class _Change(NamedTuple):
     """What one transaction does."""
 
-    #: rows to take away: of this group up to this epoch and this journal number, so many
+    #: rows to take away: of this group up to this epoch and this journal number but those that are damaged, so many
     group: _Group
     last_epoch_us: int
     newest_number: int
+    damaged_us: tuple[int, ...]
     rows: int
     details: int
     #: segments to take away, and those that take their place
@@ -64,7 +76,8 @@ class _Change(NamedTuple):
 def seal(database: Database, key: int, before_us: int, received_before_us: int) -> Iterator[SealedPart]:
     """Seal the days that ended by an epoch and whose rows were received before an instant, a transaction a step.
 
-    A segment that cannot be read keeps the late rows of its day in the table of rows; its day is left alone.
+    A segment that cannot be read keeps the late rows of its day in the table of rows; its day is left alone. A row that
+    differs from its checksum stays in the table of rows as it is, and is named in the log.
     """
     for group in _groups(database, key, before_us, received_before_us):
         while True:
@@ -122,8 +135,10 @@ def _prepared(connection: Connection, key: int, group: _Group) -> tuple[str, _Ch
     newest = connection.scalar(select(head_table.c.newest_number).where(head_table.c.spacecraft_key == key))
     is_its = (measurement_segment.c.source_key == group.source_key, measurement_segment.c.plan_id == group.plan_id)
     sealed = list(heads(connection, key, group.day * DAY_US, (group.day + 1) * DAY_US, *is_its))
-    rows = _rows(connection, key, group)
-    if not rows:
+    rows, damaged_us = _rows(connection, key, group)
+    if not rows or len(damaged_us) > _MOST_DAMAGED:
+        if damaged_us:
+            _LOG.error(_DAMAGED, len(damaged_us), name, ", ".join(map(format_epoch, damaged_us[:_NAMED])))
         return str(name), None
     target, stop_us = _target(sealed, rows)
     if stop_us is not None:
@@ -134,12 +149,13 @@ def _prepared(connection: Connection, key: int, group: _Group) -> tuple[str, _Ch
     written = tuple(_segment(key, group, part) for part in _parts(merged))
     details = sum(row.details is not None for row in rows)
     replaced = () if target is None else (target.segment_id,)
-    change = _Change(group, rows[-1].epoch_us, int(newest or 0), len(rows), details, replaced, written)
+    newest_number, last_us = int(newest or 0), rows[-1].epoch_us
+    change = _Change(group, last_us, newest_number, damaged_us, len(rows), details, replaced, written)
     return str(name), change
 
 
-def _rows(connection: Connection, key: int, group: _Group) -> list[Measurement]:
-    """Return the first rows of a group, by epoch."""
+def _rows(connection: Connection, key: int, group: _Group) -> tuple[list[Measurement], tuple[int, ...]]:
+    """Return the first rows of a group, by epoch, and the epochs of those among them that are damaged."""
     is_its_detail = and_(
         measurement_detail.c.spacecraft_key == measurement.c.spacecraft_key,
         measurement_detail.c.epoch_us == measurement.c.epoch_us,
@@ -149,7 +165,7 @@ def _rows(connection: Connection, key: int, group: _Group) -> list[Measurement]:
         source.c.spacecraft_key == measurement.c.spacecraft_key, source.c.source_key == measurement.c.source_key
     )
     query = (
-        select(*MEASUREMENT_COLUMNS)
+        select(*MEASUREMENT_COLUMNS, measurement.c.checksum)
         .select_from(measurement)
         .join(source, is_its_source)
         .outerjoin(measurement_detail, is_its_detail)
@@ -157,7 +173,17 @@ def _rows(connection: Connection, key: int, group: _Group) -> list[Measurement]:
         .order_by(measurement.c.epoch_us)
         .limit(SEGMENT_ROWS)
     )
-    return measurements_of(connection.execute(query).all())
+    rows: list[Any] = list(connection.execute(query))
+    sound = [row for row in rows if row.checksum is None or agrees(row.checksum, partial(_checksum, key, row))]
+    found_us = {row.epoch_us for row in sound}
+    return measurements_of(sound), tuple(row.epoch_us for row in rows if row.epoch_us not in found_us)
+
+
+def _checksum(key: int, row: Row[Any]) -> bytes:
+    """Return the checksum of a row from what was read of it."""
+    shared = (key, row.source_key, row.plan_id, row.is_late, row.feeds)
+    place = (row.epoch_us, row.number, row.seq, row.received_at_us - row.epoch_us)
+    return measurement_checksums(shared, [(*place, row.powers, row.flags, row.figures)])
 
 
 def _target(sealed: Sequence[SegmentHead], rows: Sequence[Measurement]) -> tuple[SegmentHead | None, int | None]:
@@ -247,6 +273,7 @@ def _carry_out(connection: Connection, key: int, change: _Change) -> bool:
         change.group.of_rows(key),
         measurement.c.epoch_us <= change.last_epoch_us,
         measurement.c.number + 0 <= change.newest_number,
+        measurement.c.epoch_us.not_in(change.damaged_us),
     )
     moved = select(measurement.c.epoch_us).where(is_moved)
     is_its_detail = and_(

@@ -26,6 +26,8 @@ from sqlalchemy import (
 )
 from sqlalchemy.engine import Dialect
 
+from db.row_checksum import checksum_column
+
 metadata = MetaData()
 
 
@@ -151,6 +153,8 @@ measurement = Table(
     # both as db.power_codec lays them out
     Column("powers", LargeBinary, nullable=False),
     Column("flags", LargeBinary),
+    # of the row and of its details; see db.row_checksum
+    Column("checksum", LargeBinary),
     Index("measurement_number", "spacecraft_key", "number", unique=True),
     sqlite_with_rowid=False,
 )
@@ -214,6 +218,7 @@ journal = Table(
     Column("start_us", BigInteger, nullable=False),
     Column("stop_us", BigInteger),
     Column("document", Text, nullable=False),
+    checksum_column(),
     UniqueConstraint("spacecraft_key", "kind", "key", name="journal_key"),
     Index("journal_start", "spacecraft_key", "kind", "start_us", "number", "stop_us"),
     sqlite_with_rowid=False,
@@ -285,6 +290,7 @@ attitude = Table(
     Column("alignment_id", Integer),
     # null where nothing is advised, as nearly always
     Column("advice", Text),
+    checksum_column(),
     Index("attitude_sequence", "spacecraft_key", "sequence", unique=True),
     sqlite_with_rowid=False,
 )
@@ -312,9 +318,13 @@ torque = Table(
     Column("control_allowed", Boolean, nullable=False),
     Column("inhibitions", Text, nullable=False),
     Column("schedule_check", Text),
+    checksum_column(),
     Index("torque_sequence", "spacecraft_key", "sequence", unique=True),
     sqlite_with_rowid=False,
 )
+
+#: tables with rows of versions before checksums, which get theirs in the background
+checksum_backlog = Table("checksum_backlog", metadata, Column("table_name", Text, primary_key=True))
 
 job = Table(
     "job",
@@ -366,6 +376,7 @@ trace = Table(
     Column("enbw_hz", Figure),
     Column("sweep_time_s", Figure),
     Column("powers", LargeBinary, nullable=False),
+    checksum_column(),
     UniqueConstraint("spacecraft_key", "source", "epoch_us", "sweep", name="trace_key"),
     Index("trace_epoch", "spacecraft_key", "epoch_us", "trace_id"),
     Index("trace_size", "spacecraft_key", "source", "epoch_us", "trace_id", "size_bytes"),

@@ -40,6 +40,10 @@ def create(
     with _guarded() as report:
         manifest = keeping.create(target, report)
     _tell({"folder": str(target), **asdict(manifest)}, as_json=as_json)
+    for words in manifest.damaged:
+        typer.echo(f"damaged: {words}; the archive has them so, and an older backup may have them sound", err=True)
+    if manifest.damaged:
+        raise typer.Exit(EXIT_REFUSED)
 
 
 @app.command()
@@ -105,7 +109,8 @@ def _tell(report: dict[str, Any], *, as_json: bool) -> None:
         typer.echo(json.dumps(report))
         return
     crafts = report.pop("spacecraft")
-    report.pop("tables", None)
+    for name in ("tables", "damaged"):
+        report.pop(name, None)
     for name, value in report.items():
         typer.echo(f"{name}: {value}")
     for name, count in crafts.items():

@@ -127,6 +127,10 @@ class Archive(Protocol):
         """Read every sealed segment and yield whether it can be read; nothing is raised for one that cannot."""
         ...
 
+    def complete_checksums(self) -> Iterator[int]:
+        """Give rows of versions before checksums theirs, a short transaction a step, and yield how many."""
+        ...
+
     def drop_before(self, spacecraft_id: str, series: str, before_us: int) -> Iterator[Dropped]:
         """Drop the rows of a series of whole days before an epoch, a short transaction a step.
 

@@ -1,7 +1,7 @@
 """Manifest of a backup: what it must hold, so that a copy can be judged without the archive it was made of."""
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 #: layout of a backup; readers refuse another one
@@ -39,6 +39,8 @@ class Manifest:
     #: rows of each table
     tables: dict[str, int]
     spacecraft: dict[str, SpacecraftCount]
+    #: rows that were damaged when the backup was made, in words, table by table
+    damaged: list[str] = field(default_factory=list)
     format: int = FORMAT
 
     def as_text(self) -> str:

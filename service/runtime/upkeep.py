@@ -60,6 +60,8 @@ class Upkeep:
         self.dropped_rows = dict.fromkeys((*SERIES, *LOGS), 0)
         #: when the sizes of a spacecraft's series were looked at, s of a clock that only counts
         self._sized_at_s: dict[str, float] = {}
+        #: rows of older versions that were given a checksum, since the start
+        self.completed_rows = 0
         #: looks at a spacecraft that failed, since the start
         self.failed_looks = 0
 
@@ -85,6 +87,8 @@ class Upkeep:
                 self._seal(spacecraft.id)
         with self._guarded("the service"):
             self._drop_logs(None, self._clock.system_us())
+            for rows in self._paced(self._storage.archive.complete_checksums()):
+                self.completed_rows += rows
 
     @contextmanager
     def _guarded(self, whose: str) -> Iterator[None]:

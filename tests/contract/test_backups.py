@@ -78,7 +78,7 @@ def empty(request, tmp_path):
 def test_a_backup_put_back_on_either_database_is_the_same_archive(filled, url, empty, tmp_path, kind):
     shares = []
     manifest = create_backup(url, tmp_path / "b", 5, lambda step, share: shares.append((step, share)))
-    assert shares[-1] == ("sha256", 1.0)
+    assert ("sha256", 1.0) in shares
     before = content(url)
     assert {name: len(rows) for name, rows in before.items()} == {
         name: count for name, count in manifest.tables.items() if name != "alembic_version"

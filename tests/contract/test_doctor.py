@@ -72,7 +72,7 @@ def test_a_sound_archive_is_called_sound_while_it_is_open(filled, url):
     assert of_archive(url) == []
     checks = [found.check for found in looked_at(url)]
     outside = ["file", "permissions", "disk", "wal"] if url.startswith("sqlite") else []
-    assert checks[-7:] == ["schema", "segments", "journal", "counts", "results", "audit", "clock"]
+    assert checks[-8:] == ["schema", "checksums", "segments", "journal", "counts", "results", "audit", "clock"]
     assert checks[: len(outside)] == outside
     # and after it was closed in good order
     filled.storage.close()
@@ -136,8 +136,8 @@ def test_a_clock_that_was_set_back_is_found(filled, url):
         later = {"at": system_now_us() + 3_600_000_000, "epoch": row.epoch_us}
         connection.execute(text("UPDATE measurement SET delay_us = :at - epoch_us WHERE epoch_us = :epoch"), later)
     found = of_archive(url)
-    assert [check for check, _ in found] == ["clock"]
-    assert " s in the future" in found[0][1]
+    assert [check for check, _ in found] == ["checksums", "clock"]
+    assert " s in the future" in found[1][1]
 
 
 def test_retention_leaves_no_fault_behind(filled, url):

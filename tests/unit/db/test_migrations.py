@@ -198,3 +198,14 @@ def test_a_migration_that_fails_leaves_nothing_behind(engine, monkeypatch):
     with pytest.raises(RuntimeError, match="on purpose"):
         upgrade(engine)
     assert schema(engine) == {}
+
+
+def test_rows_of_an_older_version_wait_for_their_checksums(any_engine):
+    """The migration writes no row: it notes the tables that hold any."""
+    upgrade(any_engine, "0009")
+    with any_engine.begin() as connection:
+        connection.exec_driver_sql("INSERT INTO note (note_id, epoch_us, document) VALUES (1, 2, '{}')")
+    upgrade(any_engine)
+    with any_engine.connect() as connection:
+        assert connection.exec_driver_sql("SELECT table_name FROM checksum_backlog").scalars().all() == ["note"]
+        assert connection.exec_driver_sql("SELECT checksum FROM note").scalar_one() is None

@@ -46,6 +46,7 @@ def runs(draw):
         epochs_us=draw(st.lists(st.integers(-(1 << 61), 1 << 61), min_size=rows, max_size=rows, unique=True)),
         powers=draw(blobs(rows)),
         flags=draw(st.none() | blobs(rows, 0)),
+        figures=draw(st.none() | st.lists(st.none() | st.binary(max_size=9), min_size=rows, max_size=rows)),
     )
 
 
@@ -64,6 +65,7 @@ def rows_of(run):
             "epoch_us": epoch_us,
             "powers": run.powers.part(place, place + 1).rows,
             "flags": None if run.flags is None else run.flags.part(place, place + 1).rows,
+            "checksum": run.checksums()[4 * place : 4 * place + 4],
         }
         for place, epoch_us in enumerate(run.epochs_us)
     ]

@@ -1,0 +1,230 @@
+"""Every stored row of every series has a checksum; one flipped bit is found by the doctor, by sealing, by a backup."""
+
+import logging
+
+import numpy as np
+import pytest
+from sqlalchemy import select, update
+
+import db.checksum_check
+from db.backup import create_backup, verify_backup
+from db.doctor import diagnose
+from db.row_checksum import CHECKSUM_BYTES, checksum_of
+from db.tables import attitude, checksum_backlog, measurement, metadata
+from service.ports import Outcome
+from service.records.alarm import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
+from service.records.catalogue import Method
+from service.records.diagnosis import worst
+from service.records.inputs import AttitudeReference, Operation
+from service.records.measurement import CarrierDetails
+from service.records.note import Note
+from service.records.release import ProductForm, ReleaseChange, UplinkProduct
+from service.records.trace import Ring, Trace, TraceSettings
+from service.runtime.clock import system_now_us
+
+DAY_US = 86_400_000_000
+TABLES = {table.name: table for table in metadata.sorted_tables if "checksum" in table.c}
+
+
+def ignore(*_):
+    """Tell nobody of the progress."""
+
+
+def write(setting):
+    """Return a transaction that may change anything."""
+    return setting.storage._database.engines.write.begin()
+
+
+def of_checksums(url):
+    """Return state and words of the doctor about checksums."""
+    found = [each for each in diagnose(url, system_now_us(), ignore) if each.check == "checksums"]
+    assert found
+    return [(each.state, each.detail) for each in found]
+
+
+@pytest.fixture
+def filled(setting, make):
+    """An open day with rows of every form, and a row in every table that has checksums."""
+    details = CarrierDetails(*np.full((4, 3, 3), 0.5, dtype=np.float32))
+    setting.append([10, 20, 30], [-50.1, -0.0, float("nan")], flags=[(1, 2, 3), None, (0, 0, 0)], first_seq=7)
+    setting.append([40, 50, 60], details=details)
+    setting.append([15], source="sa-2", flags=[(0, 0, 0)])
+    together = [setting.batch([70 + place], source=source) for place in range(3) for source in ("sa-1", "sa-2")]
+    for future in [setting.storage.archive.append_measurements(batch) for batch in together]:
+        assert future.result(10).accepted == 1
+    rows = setting.rows()
+    reference = make.attitude_row(rows[0]).attitude_deg
+    setting.storage.archive.append_inputs(setting.id, [AttitudeReference("star_tracker", 12, reference, reference)])
+    setting.storage.archive.add_operation(setting.id, Operation(0, "eclipse", 1, 2, comment="тень \u2028 \x7f"))
+    made = tuple(
+        make.attitude_row(row, method, common_db=np.float64(0.1) + 0.2, residual_rms_db=0, downlink_fade_db=-0.0)
+        for row in rows
+        for method in Method
+    )
+    setting.consume([Outcome(made, make.torque_command(rows[0], command_period_s=60))])
+    trace = Trace(10, "wide", TraceSettings(1e9, 1e3, float("nan"), 1e3, 2), np.array([-60.0, -59.5]))
+    setting.storage.traces.append(setting.id, "sa-1", [trace], 11, Ring(9, 1 << 20))
+    setting.storage.notes.add(Note(0, setting.id, 5, 6, "olga", "смена"))
+    product = UplinkProduct(ProductForm.TORQUES, 1, 5, 6, 7, 5, is_simulated=True)
+    setting.storage.releases.save(setting.id, 0, ReleaseChange("{}", "holder", products=(product,)))
+    alarm = Alarm(
+        0,
+        setting.id,
+        "carrier_absent",
+        "c01",
+        Process.UNACKNOWLEDGED,
+        Cover.NONE,
+        Severity.WARNING,
+        5,
+        7,
+        7,
+        1.5,
+        2,
+        "s",
+        "€",
+    )
+    setting.storage.alarms.save([AlarmChange(ChangeKind.RAISED, alarm, 7, is_told=True)])
+    return setting
+
+
+def test_every_row_agrees_with_its_checksum_of_four_bytes(filled, url):
+    with filled.storage._database.read() as connection:
+        for table in TABLES.values():
+            sizes = {len(checksum) for checksum in connection.scalars(select(table.c.checksum))}
+            assert sizes == {CHECKSUM_BYTES}, table.name
+    ((state, words),) = of_checksums(url)
+    assert state == "ok"
+    assert "none yet" not in words
+
+
+#: a value that differs in its last place, or in nothing but itself, of one row of each table
+CHANGES = (
+    "UPDATE measurement SET delay_us = delay_us + 1 WHERE epoch_us = 10",
+    "UPDATE measurement SET seq = seq + 1 WHERE epoch_us = 20",
+    "UPDATE measurement SET flags = NULL WHERE epoch_us = 30",
+    "UPDATE measurement SET feeds = NOT feeds WHERE epoch_us = 15",
+    "UPDATE measurement_detail SET epoch_us = 41 WHERE epoch_us = 40",
+    "DELETE FROM measurement_detail WHERE epoch_us = 50",
+    "UPDATE journal SET document = replace(document, '\"comment\":', '\"Comment\":') WHERE kind = 'operation'",
+    "UPDATE journal SET stop_us = stop_us + 1 WHERE kind = 'operation'",
+    "UPDATE attitude SET downlink_fade_db = 0.0 WHERE epoch_us = 10",
+    "UPDATE attitude SET common_db = 0.3 WHERE epoch_us = 20",
+    "UPDATE attitude SET calibration_id = NULL WHERE epoch_us = 30",
+    "UPDATE attitude SET status = 'INVALID' WHERE epoch_us = 40",
+    "UPDATE torque SET roll_n_m = -roll_n_m",
+    "UPDATE trace SET received_at_us = 12",
+    "UPDATE alarm_change SET spacecraft_id = NULL",
+    "UPDATE note SET epoch_us = 4",
+    "UPDATE uplink_product SET created_us = 6",
+)
+
+
+def test_what_was_changed_is_found_in_every_table(filled):
+    with filled.storage._database.engines.write.connect() as connection:
+        for statement in CHANGES:
+            with connection.begin() as transaction:
+                assert connection.exec_driver_sql(statement).rowcount, statement
+                damaged = [each for each in db.checksum_check.checked_tables(connection) if each.differing]
+                transaction.rollback()
+            name = statement.split()[2 if statement.startswith("DELETE") else 1].removesuffix("_detail")
+            assert [each.name for each in damaged] == [name], statement
+            assert len(damaged[0].named) == damaged[0].differing
+
+
+def flip(setting, epoch_us, column="powers"):
+    """Flip one bit of what is stored of a row."""
+    is_it = (measurement.c.epoch_us == epoch_us, measurement.c.source_key == 1)
+    with write(setting) as connection:
+        blob = bytearray(connection.scalar(select(measurement.c[column]).where(*is_it)))
+        blob[-1] ^= 1
+        connection.execute(update(measurement).where(*is_it).values({column: bytes(blob)}))
+
+
+@pytest.mark.parametrize("column", ["powers", "checksum"])
+def test_one_flipped_bit_is_told_by_doctor_and_backups(filled, url, tmp_path, column):
+    assert create_backup(url, tmp_path / "sound", 5, ignore).damaged == []
+    flip(filled, 20, column)
+    ((state, words),) = of_checksums(url)
+    assert state == "fault"
+    assert words.startswith("1 rows of measurement differ from their checksum:")
+    assert "epoch 1970-01-01T00:00:00.000020Z" in words
+    (told,) = create_backup(url, tmp_path / "spoilt", 5, ignore).damaged
+    assert told == words
+    assert worst(verify_backup(tmp_path / "sound", ignore)) == "ok"
+    assert words in [each.detail for each in verify_backup(tmp_path / "spoilt", ignore) if each.state == "fault"]
+
+
+def test_values_that_no_writer_stores_differ_and_stop_nothing(setting):
+    setting.append([10])
+    with setting.storage._database.engines.write.begin() as connection:
+        if connection.dialect.name != "sqlite":
+            return
+        connection.exec_driver_sql("UPDATE measurement SET seq = 'x', number = 1.5")
+        (damaged,) = [each for each in db.checksum_check.checked_tables(connection) if each.differing]
+    assert damaged.name == "measurement"
+
+
+def test_a_damaged_row_is_not_sealed_and_not_lost(setting, url, caplog):
+    for day in range(2):
+        details = CarrierDetails(*np.full((4, 5, 3), 0.5, dtype=np.float32))
+        setting.append([day * DAY_US + place for place in range(1, 6)], details=details)
+    flip(setting, 3)
+    before = setting.rows()
+    with caplog.at_level(logging.ERROR):
+        parts = list(setting.storage.archive.seal(setting.id, 3 * DAY_US, system_now_us()))
+    assert sum(part.rows for part in parts) == 9
+    assert repr(setting.rows()) == repr(before)
+    (line,) = [record.getMessage() for record in caplog.records]
+    assert "1 rows of source sa-1" in line
+    assert "1970-01-01T00:00:00.000003Z" in line
+    assert [state for state, _ in of_checksums(url)] == ["fault"]
+    # it comes back as itself: the bit flips back, and the row is merged into its day
+    flip(setting, 3)
+    assert [part.rows for part in setting.storage.archive.seal(setting.id, 3 * DAY_US, system_now_us())] == [1]
+    assert [state for state, _ in of_checksums(url)] == ["ok"]
+
+
+def test_a_group_with_very_many_damaged_rows_is_left_alone(setting, monkeypatch):
+    monkeypatch.setattr("db.sealing._MOST_DAMAGED", 1)
+    setting.append(range(1, 6))
+    flip(setting, 2)
+    flip(setting, 3)
+    assert list(setting.storage.archive.seal(setting.id, 3 * DAY_US, system_now_us())) == []
+    assert len(setting.rows()) == 5
+
+
+def test_older_rows_are_counted_and_get_their_checksums_later(filled, url, monkeypatch):
+    monkeypatch.setattr("db.checksum_check._AT_ONCE", 4)
+    with filled.storage._database.read() as connection:
+        stored = {name: connection.execute(select(table)).all() for name, table in TABLES.items()}
+    with write(filled) as connection:
+        for name, table in TABLES.items():
+            connection.execute(update(table).values(checksum=None))
+            connection.execute(checksum_backlog.insert().values(table_name=name))
+    filled.append([80])
+    older = sum(map(len, stored.values()))
+    assert of_checksums(url) == [
+        ("ok", f"1 rows agree with their checksums; {older} older rows have none yet, the service gives them one")
+    ]
+    steps = list(filled.storage.archive.complete_checksums())
+    assert sum(steps) == older
+    assert max(steps) == 4
+    with filled.storage._database.read() as connection:
+        for name, table in TABLES.items():
+            assert set(connection.execute(select(table)).all()) >= set(stored[name]), name
+        assert connection.execute(select(checksum_backlog)).all() == []
+    assert of_checksums(url) == [("ok", f"{older + 1} rows agree with their checksums")]
+    assert list(filled.storage.archive.complete_checksums()) == []
+    with write(filled) as connection:
+        connection.execute(update(attitude).values(checksum=None))
+    warning, _ = of_checksums(url)
+    assert warning == (
+        "warning",
+        f"{len(stored['attitude'])} rows of attitude have no checksum, where every row should have one",
+    )
+
+
+def test_a_column_that_is_added_later_leaves_checksums_as_they_are():
+    row = {"spacecraft_key": 1, "version": "live", "yaw_deg": float("nan"), "advice": None}
+    assert checksum_of(attitude, row) == checksum_of(attitude, {"spacecraft_key": 1, "version": "live"})
+    assert checksum_of(attitude, row) != checksum_of(attitude, {**row, "advice": "[]"})
