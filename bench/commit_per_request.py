@@ -13,7 +13,8 @@ from typing import Any
 from sqlalchemy import Engine, event
 
 from db.engine import open_engines
-from db.ingest import PreparedBatch, prepare, store_batch
+from db.ingest import store_batch
+from db.prepared_batch import PreparedBatch, prepare
 from db.segments import SegmentCache
 from service.records.measurement import BatchReceipt, MeasurementBatch
 

@@ -18,7 +18,8 @@ from typing import Any
 from sqlalchemy import Connection, bindparam, select
 
 from db.compiled import CompiledStatement, run_bare
-from db.ingest import MOVE_HEAD, STATE_COLUMNS, IngestState, PreparedBatch, later, store_batch
+from db.ingest import MOVE_HEAD, STATE_COLUMNS, IngestState, later, store_batch
+from db.prepared_batch import PreparedBatch
 from db.row_checksum import measurement_checksums
 from db.segments import SegmentCache
 from db.tables import head, source

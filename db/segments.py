@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, LargeBinary, Select, and_, select, tuple_
 
+from db.row_content import RowContent, row_content
 from db.segment_codec import CODEC, Blobs, Columns, Extras, unpack_columns, unpack_extras, unpack_powers
 from db.tables import measurement_segment as segment_table
 from db.tables import source, spacecraft
@@ -78,14 +79,13 @@ class SegmentPiece:
             self._extras = unpack_extras(self._blobs.extras, self.columns, self.power_dbm().shape[1])
         return self._extras
 
-    def content(self, place: int) -> tuple[bytes, bytes | None]:
-        """Return powers and flags of a row as the table of rows has them."""
-        flags = self._flags(place)
-        return self.power_dbm()[place].tobytes(), None if flags is None else flags.astype("<i4").tobytes()
+    def content(self, place: int) -> RowContent:
+        """Return the content of a row."""
+        return row_content(self.plan_id, self.power_dbm()[place], self.flags(place), self._figures(place))
 
     def record(self, place: int) -> Measurement:
         """Return the row at a place."""
-        columns, flags = self.columns, self._flags(place)
+        columns, flags = self.columns, self.flags(place)
         if flags is not None:
             flags = flags.astype(np.int64)
             flags.setflags(write=False)
@@ -105,15 +105,21 @@ class SegmentPiece:
             details=self._details(place),
         )
 
-    def _flags(self, place: int) -> IntArray | None:
+    def flags(self, place: int) -> IntArray | None:
+        """Return the bit masks of a row, None when it has none."""
         extras = self.extras() if self.columns.has_flags[place] else None
         return None if extras is None else extras.flags[int(self.columns.has_flags[:place].sum())]
 
-    def _details(self, place: int) -> CarrierDetails | None:
+    def _figures(self, place: int) -> Float32Array | None:
+        """Return the details of a row, (K, N), None when it has none."""
         extras = self.extras() if self.columns.has_details[place] else None
-        if extras is None:
+        return None if extras is None else extras.details[int(self.columns.has_details[:place].sum())]
+
+    def _details(self, place: int) -> CarrierDetails | None:
+        stated = self._figures(place)
+        if stated is None:
             return None
-        figures = extras.details[int(self.columns.has_details[:place].sum())].astype(np.float64)
+        figures = stated.astype(np.float64)
         figures.setflags(write=False)
         return CarrierDetails(*figures)
 
@@ -245,9 +251,9 @@ def read_piece(connection: Connection, cache: SegmentCache | None, head: Segment
 
 def sealed_contents(
     connection: Connection, cache: SegmentCache, key: int, source_key: int, epochs_us: Sequence[int]
-) -> dict[int, tuple[bytes, bytes | None]]:
-    """Return powers and flags of those epochs of a source that are sealed."""
-    found: dict[int, tuple[bytes, bytes | None]] = {}
+) -> dict[int, RowContent]:
+    """Return the content of those epochs of a source that are sealed."""
+    found: dict[int, RowContent] = {}
     if not epochs_us:
         return found
     wanted_us = np.unique(np.array(epochs_us, dtype=np.int64))

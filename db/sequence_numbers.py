@@ -1,7 +1,8 @@
 """Which sequence numbers of a source the archive holds, kept as intervals in the transaction that stores the rows.
 
 A front end numbers its rows in the order in which it takes them. Numbers that start anew while epochs go on are a new
-run; a row of an earlier epoch belongs to the run that had begun by then, so rows sent later find their gap. Of the
+run, and so are numbers that jump by more than ``MAX_JUMP``; a late row that far off its run is not counted. A row of
+an earlier epoch belongs to the run that had begun by then, so rows sent later find their gap. Of the
 newest run the newest interval stands with the source (the ``Tail``), which costs a batch that follows the one before
 no statement more; intervals below it stand in ``sequence_interval``. What is missing is counted as intervals change:
 span of each run minus the numbers held in it. What lies before the first row ever held is not known to be missing.
@@ -21,6 +22,8 @@ BEFORE_ALL_US = -(1 << 62)
 #: runs whose intervals are kept: rows sent later than that no longer find their gap
 RUNS_KEPT = 16
 _MAX_MISSING = 1 << 62
+#: numbers between which no gap is counted: no source measures so many rows, a counter was set or overran
+MAX_JUMP = 1_000_000_000
 
 
 class Tail(NamedTuple):
@@ -111,7 +114,8 @@ class SequenceNumbers:
         """
         if tail is None:
             return Tail(1, BEFORE_ALL_US, block.first, block.last, 0)
-        if block.first > tail.last:
+        is_jump = block.first - tail.last > MAX_JUMP
+        if block.first > tail.last and not is_jump:
             return self._advanced(tail, block)
         if block.is_ahead:
             return self._begun(tail, block, BEFORE_ALL_US if newest_us is None else newest_us)
@@ -146,6 +150,8 @@ class SequenceNumbers:
         """Merge a block with the intervals of a run that it overlaps or adjoins."""
         is_newest = run == tail.run
         low, high, after_us = self._bounds(tail, run)
+        if block.first - high > MAX_JUMP or low - block.last > MAX_JUMP:
+            return tail
         touched = self._taken(block, run)
         does_reach_tail = is_newest and block.last + 1 >= tail.start
         if does_reach_tail:

@@ -84,7 +84,7 @@ def _unseal(connection: Connection, head: SegmentHead) -> None:
     rows = []
     for place in range(head.row_count):
         row = piece.record(place)
-        powers, flags = piece.content(place)
+        flags = piece.flags(place)
         rows.append(
             {
                 "spacecraft_key": head.spacecraft_key,
@@ -96,8 +96,8 @@ def _unseal(connection: Connection, head: SegmentHead) -> None:
                 "received_at_us": row.received_at_us,
                 "is_late": row.is_late,
                 "feeds": row.feeds_estimator,
-                "powers": powers,
-                "flags": flags,
+                "powers": piece.power_dbm()[place].tobytes(),
+                "flags": None if flags is None else flags.astype("<i4").tobytes(),
             }
         )
         if row.details is not None:

@@ -5,21 +5,28 @@ by one; every other legal form goes through ``records.epoch``, and so does every
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from pydantic_core import PydanticCustomError
 
 from service.records.attitude import IntArray
-from service.records.epoch import EARLIEST_EPOCH_US, format_epoch, parse_epoch
-
-#: 2100-01-01; plans of operators do not reach beyond
-LATEST_EPOCH_US = 4_102_444_800_000_000
+from service.records.epoch import EARLIEST_EPOCH_US, LATEST_EPOCH_US, format_epoch, is_leap_second, parse_epoch
 
 _FORM = np.array([ord(c) for c in "0000-00-00T00:00:00.000000Z"], dtype=np.uint32)
 _IS_DIGIT = np.equal(_FORM, ord("0"))
 _LENGTH = len(_FORM)
 #: below it one by one is the faster way
 _MANY = 10
+
+
+class ParsedEpochs(NamedTuple):
+    """Epochs of many texts."""
+
+    #: (T,) microseconds UTC
+    epochs_us: IntArray
+    #: places of instants within a leap second
+    leap_places: tuple[int, ...]
 
 
 class EpochTextError(Exception):
@@ -39,18 +46,13 @@ class EpochTextError(Exception):
         self.detail = detail
 
 
-def parse_epochs(texts: Sequence[str]) -> IntArray:
+def parse_epochs(texts: Sequence[str]) -> ParsedEpochs:
     """Return the epochs of many texts.
 
     Parameters
     ----------
     texts : sequence of str
         RFC 3339 instants.
-
-    Returns
-    -------
-    ndarray, shape (T,)
-        Microseconds UTC.
 
     Raises
     ------
@@ -59,14 +61,15 @@ def parse_epochs(texts: Sequence[str]) -> IntArray:
     """
     fast = _parse_exact_form(texts) if len(texts) >= _MANY else None
     if fast is not None:
-        return fast
+        # second 60 is never of the exact form
+        return ParsedEpochs(fast, ())
     epochs_us = np.empty(len(texts), dtype=np.int64)
     for index, text in enumerate(texts):
         try:
             epochs_us[index] = parse_epoch(text)
         except ValueError as error:
             raise EpochTextError(index, str(error)) from None
-    return epochs_us
+    return ParsedEpochs(epochs_us, tuple(index for index, text in enumerate(texts) if is_leap_second(text)))
 
 
 def _parse_exact_form(texts: Sequence[str]) -> IntArray | None:

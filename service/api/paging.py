@@ -15,11 +15,10 @@ from typing import Annotated, TypeVar
 
 from fastapi import Depends, Query, Request, Response
 
-from service.api.epochs import LATEST_EPOCH_US
 from service.api.problems import invalid_request
 from service.errors import FieldError
 from service.records.calibration import Window
-from service.records.epoch import EARLIEST_EPOCH_US, parse_epoch
+from service.records.epoch import EARLIEST_EPOCH_US, LATEST_EPOCH_US, parse_epoch
 
 T = TypeVar("T")
 Place = tuple[int, int]

@@ -33,7 +33,7 @@ from service.frontend.backfill_columns import (
 from service.frontend.backfill_reader import ArchiveFile, FileRow, open_archive, sha256_of
 from service.frontend.backfill_state import Destination, SendState
 from service.frontend.upload.answers import Receipt, Verdict, judge, read_receipt
-from service.records.epoch import format_epoch
+from service.records.epoch import format_epoch, is_leap_second
 
 #: code of a row whose cells mean nothing
 UNREADABLE = "row.unreadable"
@@ -81,10 +81,12 @@ class _Row(NamedTuple):
     file_row: FileRow
     epoch_us: int
     levels: list[float | None]
+    #: the cell of an instant within a leap second, which has no microsecond of its own
+    leap_epoch: str | None
 
     def as_json(self) -> dict[str, Any]:
         """Return the row as the contract has it."""
-        return {"epoch": format_epoch(self.epoch_us), "power_dbm": self.levels}
+        return {"epoch": self.leap_epoch or format_epoch(self.epoch_us), "power_dbm": self.levels}
 
 
 class _Unreadable(NamedTuple):
@@ -159,7 +161,9 @@ def send_archive(
     state.load()
     resumed_at = state.counters.rows
     with closing(order.open_file(order.path)) as archive:
-        plan_id, columns = _plan_columns(client, order, archive)
+        # rows that were sent before go again under the plan that they were sent under
+        plan_id, columns = _plan_columns(client, order, archive, state.plan_id)
+        state.plan_id = plan_id
         if not state.is_complete:
             state.begin()
             sender = _Sender(client, order, state, plan_id, columns, backoff or Backoff())
@@ -281,9 +285,11 @@ class _Sender:
         return receipt
 
 
-def _plan_columns(client: ServiceClient, order: ArchiveOrder, archive: ArchiveFile) -> tuple[int, Columns]:
-    """Return the newest plan's number and what the file's columns are under it."""
-    plan = client.carriers(order.spacecraft_id)
+def _plan_columns(
+    client: ServiceClient, order: ArchiveOrder, archive: ArchiveFile, plan_id: int | None = None
+) -> tuple[int, Columns]:
+    """Return the number of a plan, the newest by default, and what the file's columns are under it."""
+    plan = client.carriers(order.spacecraft_id, plan_id)
     if not isinstance(plan.get("plan_id"), int):
         raise ArchiveError(f"{order.spacecraft_id} has no carrier plan yet")
     columns = match_columns(archive.header, [str(each["id"]) for each in plan["carriers"]])
@@ -305,7 +311,10 @@ def _judged(archive: ArchiveFile, columns: Columns, order: ArchiveOrder) -> Iter
             yield _Foreign(source)
             continue
         try:
-            yield _Row(file_row, read_epoch(cells[columns.epoch]), read_levels(cells, columns))
+            cell = cells[columns.epoch]
+            epoch_us, levels = read_epoch(cell), read_levels(cells, columns)
+            text = str(cell).strip()
+            yield _Row(file_row, epoch_us, levels, text if is_leap_second(text) and not text.isdecimal() else None)
         except CellError as error:
             yield _Unreadable(file_row, str(error))
 

@@ -77,6 +77,8 @@ class SendState:
         self.refused_path = place / f"{path.name}.refused.csv"
         self.counters = SendCounters()
         self.is_complete = False
+        #: under which the rows go; None before the first
+        self.plan_id: int | None = None
         self._destination = destination
         self._refused_bytes = 0
 
@@ -93,6 +95,7 @@ class SendState:
         names = {each.name for each in fields(SendCounters)}
         self.counters = SendCounters(**{name: value for name, value in said["counters"].items() if name in names})
         self.is_complete = bool(said["is_complete"])
+        self.plan_id = said.get("plan_id")
         self._refused_bytes = int(said["refused_bytes"])
         return True
 
@@ -128,6 +131,7 @@ class SendState:
             "counters": asdict(self.counters),
             "refused_bytes": self._refused_bytes,
             "is_complete": self.is_complete,
+            "plan_id": self.plan_id,
         }
         beside = self.path.with_name(self.path.name + ".new")
         with beside.open("w") as file:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.records.attitude import FloatArray, IntArray
-from service.records.epoch import EARLIEST_EPOCH_US, US_PER_S, format_epoch
+from service.records.epoch import EARLIEST_EPOCH_US, LATEST_EPOCH_US, US_PER_S, format_epoch
 from service.records.measurement import DETAIL_NAMES, CarrierDetails, MeasurementBatch, Refusal
 
 #: no carrier power that an analyzer can see lies outside
@@ -32,8 +32,8 @@ class EpochBounds(NamedTuple):
 
     #: smallest accepted epoch
     earliest_us: int
-    #: greatest accepted epoch; None = no limit
-    latest_us: int | None
+    #: greatest accepted epoch
+    latest_us: int
     #: rows below it count as late; None = age makes nothing late
     stale_before_us: int | None
 
@@ -78,7 +78,8 @@ def system_bounds(
     >>> system_bounds(2_000_000_000_000_000, 5.0, 300.0, None)
     EpochBounds(earliest_us=946684800000000, latest_us=2000000005000000, stale_before_us=1999999700000000)
     """
-    return EpochBounds(_earliest_us(now_us, retention_s), now_us + _us(future_tolerance_s), now_us - _us(late_after_s))
+    latest_us = min(now_us + _us(future_tolerance_s), LATEST_EPOCH_US)
+    return EpochBounds(_earliest_us(now_us, retention_s), latest_us, now_us - _us(late_after_s))
 
 
 def data_bounds(now_us: int | None, future_tolerance_s: float, retention_s: float | None) -> EpochBounds:
@@ -87,15 +88,16 @@ def data_bounds(now_us: int | None, future_tolerance_s: float, retention_s: floa
     Parameters
     ----------
     now_us : int or None
-        Newest accepted epoch; None before the first row, when nothing bounds the future.
+        Newest accepted epoch; None before the first row, when only the year 2100 bounds the future.
     future_tolerance_s : float
         How far ahead of it an epoch may lie.
     retention_s : float or None
         Age from which a row is refused; None = none is.
     """
     if now_us is None:
-        return EpochBounds(EARLIEST_EPOCH_US, None, None)
-    return EpochBounds(_earliest_us(now_us, retention_s), now_us + _us(future_tolerance_s), None)
+        return EpochBounds(EARLIEST_EPOCH_US, LATEST_EPOCH_US, None)
+    latest_us = min(now_us + _us(future_tolerance_s), LATEST_EPOCH_US)
+    return EpochBounds(_earliest_us(now_us, retention_s), latest_us, None)
 
 
 def screen(rows: ReceivedRows, width: int, bounds: EpochBounds) -> tuple[MeasurementBatch, tuple[Refusal, ...]]:
@@ -122,7 +124,7 @@ def screen(rows: ReceivedRows, width: int, bounds: EpochBounds) -> tuple[Measure
     # compared before the rounding to float32, so that nothing overflows; NaN compares false and stays
     is_outside = np.any((power_dbm < MIN_POWER_DBM) | (power_dbm > MAX_POWER_DBM), axis=1)
     is_old = rows.epochs_us < bounds.earliest_us
-    is_ahead = rows.epochs_us > bounds.latest_us if bounds.latest_us is not None else np.zeros_like(is_old)
+    is_ahead = rows.epochs_us > bounds.latest_us
     index = np.flatnonzero(has_width & ~is_outside & ~is_old & ~is_ahead)
     refusals: list[Refusal] = []
     if len(index) < len(has_width):
@@ -205,8 +207,7 @@ def _detail(code: str, rows: ReceivedRows, place: int, width: int, bounds: Epoch
     if code == "time.too_old":
         return f"nothing before {format_epoch(bounds.earliest_us)} is kept"
     if code == "time.future":
-        latest = format_epoch(bounds.latest_us) if bounds.latest_us is not None else ""
-        return f"the epoch lies after {latest}; check the clock of source {rows.source!r}"
+        return f"the epoch lies after {format_epoch(bounds.latest_us)}; check the clock of source {rows.source!r}"
     return f"a power lies outside {MIN_POWER_DBM:g}..{MAX_POWER_DBM:g} dBm; send null for an absent carrier"
 
 

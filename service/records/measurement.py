@@ -1,6 +1,7 @@
 """Level L1: one power per carrier, and what becomes of a batch of them."""
 
 from dataclasses import dataclass, field, fields
+from types import EllipsisType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +15,8 @@ Float32Array = NDArray[np.float32]
 class CarrierDetails:
     """What a front end states beside the powers, in the shape of the powers; NaN = not stated.
 
-    Kept with the row and shown with it; nothing is computed from it, and it does not decide whether a row that comes
-    again is a duplicate.
+    Kept with the row and shown with it; nothing is computed from it. It belongs to the content of the row: a row that
+    comes again with other details is a conflict.
     """
 
     #: predicted scatter of the power, one sigma, dB
@@ -26,6 +27,10 @@ class CarrierDetails:
     occupied_bandwidth_hz: FloatArray | Float32Array
     #: centre of the power above the nominal frequency, Hz
     centroid_offset_hz: FloatArray | Float32Array
+
+    def row(self, place: int | EllipsisType) -> Float32Array:
+        """Return the figures of the row at a place, or with ``...`` of the only row, as (K, N) float32."""
+        return np.array([getattr(self, name)[place] for name in DETAIL_NAMES], dtype=np.float32)
 
 
 #: what may be stated beside powers, in the order in which it is stored
@@ -56,14 +61,19 @@ class Measurement:
 
 
 @dataclass(frozen=True, slots=True)
-class Refusal:
-    """One refused row of a batch."""
+class RowRemark:
+    """One row of a batch that was stored otherwise than it was sent, or numbered otherwise than expected."""
 
     index: int
     seq: int | None
-    #: time.future, time.too_old, value.out_of_range, value.count or measurement.conflict
+    #: time.leap_second or seq.jump
     code: str
     detail: str
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal(RowRemark):
+    """One refused row of a batch; code: time.future, time.too_old, value.out_of_range, value.count or conflict."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +107,7 @@ class BatchReceipt:
     duplicates: int
     late: int
     refused: tuple[Refusal, ...]
+    flagged: tuple[RowRemark, ...] = ()
     #: journal number of the first row accepted, the others follow it; None when there is none
     first_number: int | None = field(default=None, compare=False)
     #: whether its source was the prime one

@@ -56,6 +56,8 @@ class QualityFlag(IntFlag):
     REFERENCE_UNLOCKED = 2097152
     #: the carrier stands in the plan but not in the measurement task
     NOT_MEASURED = 4194304
+    #: the row was measured within a leap second, or its epoch gave way by 1 us to a row that was
+    LEAP_SECOND = 8388608
 
 
 def flag_names(mask: int) -> list[str]:

@@ -11,7 +11,7 @@ from threading import Lock
 import numpy as np
 
 from service.records.journal import JournalEntry
-from service.records.measurement import DETAIL_NAMES, BatchReceipt, CarrierDetails, Measurement, MeasurementBatch
+from service.records.measurement import BatchReceipt, CarrierDetails, Measurement, MeasurementBatch
 from service.runtime.live_feed import Cursor, FeedEvent, LiveFeed
 
 #: rows of a batch that the writer tells of; more are a backlog, for which the writer has no time
@@ -66,8 +66,8 @@ class RowNews:
 
 
 def is_whole(batch: MeasurementBatch, receipt: BatchReceipt) -> bool:
-    """Return whether all rows of a batch were stored, so that what became of each is known."""
-    return receipt.accepted == len(batch.index)
+    """Return whether all rows of a batch were stored as they came, so that what became of each is known."""
+    return receipt.accepted == len(batch.index) and not receipt.flagged
 
 
 def stored_rows(batch: MeasurementBatch, receipt: BatchReceipt) -> Iterator[Measurement]:
@@ -99,6 +99,6 @@ def _details(details: CarrierDetails | None, place: int) -> CarrierDetails | Non
     """Return what a row states beside its powers, None where it states nothing."""
     if details is None:
         return None
-    figures = np.stack([getattr(details, name)[place] for name in DETAIL_NAMES]).astype(np.float32).astype(np.float64)
+    figures = details.row(place).astype(np.float64)
     figures.setflags(write=False)
     return None if np.isnan(figures).all() else CarrierDetails(*figures)

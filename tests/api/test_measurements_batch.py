@@ -43,6 +43,7 @@ async def test_accepted_rows_are_stored_as_sent_and_told_to_the_supervisor(soo, 
         "durable": True,
         "last_seq": 1043,
         "refused": [],
+        "flagged": [],
     }
     rows = stored(soo)
     assert [(r.epoch_us, r.seq, r.source) for r in rows] == [
@@ -120,12 +121,12 @@ async def test_details_are_kept_with_the_row_and_told_in_the_history(soo, spacec
         assert plain["measured_sigma_db"] is plain["c_n0_db_hz"] is plain["centroid_offset_hz"] is None
 
 
-async def test_details_do_not_make_another_row(soo, spacecraft, carriers):
+async def test_other_details_of_a_known_row_are_a_conflict(soo, spacecraft, carriers):
     plan_id = await soo.with_plan(spacecraft, carriers)
     for sigma_db in ([0.1] * 4, [0.2] * 4):
         body = {"plan_id": plan_id, "measurements": [row(-1, sigma_db=sigma_db)]}
         answer = (await soo.client.post(URL, json=body)).json()
-    assert (answer["duplicates"], answer["refused"]) == (1, [])
+    assert [refusal["code"] for refusal in answer["refused"]] == ["measurement.conflict"]
     # the first ones stay
     assert stored(soo)[0].details.sigma_db.tolist() == np.float32([0.1] * 4).tolist()
 
@@ -321,3 +322,72 @@ async def test_the_receipt_is_plain_json(soo, spacecraft, carriers):
     answer = await soo.client.post(URL, json={"plan_id": plan_id, "measurements": [row(-1)]})
     assert answer.headers["content-type"] == "application/json"
     assert json.loads(answer.content)["durable"] is True
+
+
+@pytest.mark.parametrize("sigma_db", [-1.0, 1e15])
+async def test_a_sigma_that_no_power_has_is_refused_and_nothing_is_stored(soo, spacecraft, carriers, sigma_db):
+    plan_id = await soo.with_plan(spacecraft, carriers)
+    body = {"plan_id": plan_id, "measurements": [row(-2), row(-1, sigma_db=[0.1, 0.1, sigma_db, 0.1])]}
+    answer = await soo.client.post(URL, json=body)
+    assert (answer.status_code, answer.json()["code"]) == (422, "value.range")
+    assert answer.json()["errors"][0]["pointer"] == "/measurements/1/sigma_db/2"
+    assert stored(soo) == []
+
+
+@pytest.mark.parametrize("first_seq", [2**53, 2**53 - 1, 2**64])
+async def test_sequence_numbers_that_json_cannot_keep_are_refused(soo, spacecraft, carriers, first_seq):
+    plan_id = await soo.with_plan(spacecraft, carriers)
+    body = {"plan_id": plan_id, "first_seq": first_seq, "measurements": [row(-2)]}
+    answer = await soo.client.post(URL, json=body)
+    assert (answer.status_code, answer.json()["errors"][0]["pointer"]) == (422, "/first_seq")
+    assert stored(soo) == []
+
+
+async def test_a_jump_of_sequence_numbers_is_stored_and_flagged(soo, spacecraft, carriers):
+    plan_id = await soo.with_plan(spacecraft, carriers)
+    for offset_s, first_seq in ((-2, 7), (-1, 2**52)):
+        body = {"plan_id": plan_id, "first_seq": first_seq, "measurements": [row(offset_s)]}
+        answer = (await soo.client.post(URL, json=body)).json()
+    assert answer["accepted"] == 1
+    assert [(each["code"], each["seq"]) for each in answer["flagged"]] == [("seq.jump", 2**52)]
+
+
+async def test_a_leap_second_is_stored_in_the_second_after_it_and_flagged(soo, spacecraft, carriers):
+    plan_id = await soo.with_plan(spacecraft, carriers)
+    texts = ["2016-12-31T23:59:59.5Z", "2016-12-31T23:59:60.5Z", "2017-01-01T00:00:00.5Z", "2017-01-01T00:00:01Z"]
+    rows = [{"epoch": text, "power_dbm": [-40.0 - place] * 4} for place, text in enumerate(texts)]
+    rows[0]["flags"] = rows[1]["flags"] = [0, 1, 0, 0]
+    body = {"plan_id": plan_id, "measurements": rows}
+    answer = (await soo.client.post(URL, json=body)).json()
+    assert (answer["accepted"], answer["refused"]) == (4, [])
+    assert [(each["index"], each["code"]) for each in answer["flagged"]] == [
+        (1, "time.leap_second"),
+        (2, "time.leap_second"),
+    ]
+    assert (await soo.client.post(URL, json=body)).json()["duplicates"] == 4
+    leap = 1 << 23
+    assert [(format_epoch(each.epoch_us)[17:], each.flags.tolist()) for each in stored(soo)[1:3]] == [
+        ("00.500000Z", [leap, leap + 1, leap, leap]),
+        ("00.500001Z", [leap] * 4),
+    ]
+    # one by one, in whichever order they come
+    single = {"plan_id": plan_id, "source": "sa-2"}
+    for each in (rows[2], rows[1], rows[2], rows[1]):
+        answer = (await soo.client.post(URL, json={**single, "measurements": [each]})).json()
+    assert answer["duplicates"] == 1
+
+
+async def test_digits_beyond_the_nanosecond_are_rounded(soo, spacecraft, carriers):
+    plan_id = await soo.with_plan(spacecraft, carriers)
+    rows = [{"epoch": "2026-11-20T00:00:00.0000014999999999Z", "power_dbm": [-40.0] * 4}]
+    assert (await soo.client.post(URL, json={"plan_id": plan_id, "measurements": rows})).json()["accepted"] == 1
+    assert format_epoch(stored(soo)[0].epoch_us) == "2026-11-20T00:00:00.000001Z"
+
+
+async def test_a_first_row_beyond_2100_is_refused_under_the_data_clock(soo, spacecraft, carriers):
+    plan_id = await soo.with_plan(spacecraft | {"simulated": True}, carriers)
+    soo.clock.data["yamal-202"] = None
+    rows = [{"epoch": epoch, "power_dbm": [-40.0] * 4} for epoch in ("9999-01-01T00:00:00Z", "2026-11-20T00:00:00Z")]
+    answer = (await soo.client.post(URL, json={"plan_id": plan_id, "measurements": rows})).json()
+    assert (answer["accepted"], answer["late"]) == (1, 0)
+    assert [(each["index"], each["code"]) for each in answer["refused"]] == [(0, "time.future")]

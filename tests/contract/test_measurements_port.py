@@ -78,10 +78,76 @@ def test_details_come_back_as_float32_with_the_rows_that_state_any(setting):
     ]
 
 
-def test_details_decide_nothing_about_duplicates(setting):
+def test_other_details_of_a_known_row_are_a_conflict(setting):
+    figures = stated(2)
+    setting.append([10, 20], details=CarrierDetails(*figures))
+    assert setting.append([10, 20], details=CarrierDetails(*figures)) == BatchReceipt(0, 2, 0, ())
+    # a kind that only another row of the batch states is no other content
+    more = np.concatenate((figures, np.full((4, 1, 3), 7.0, dtype=np.float32)), axis=1)
+    assert setting.append([10, 20, 30], details=CarrierDetails(*more)).duplicates == 2
+    other = figures[:, :1].copy()
+    other[3, 0, 2] += 1
+    for details in (None, CarrierDetails(*other)):
+        assert setting.append([10], details=details).refused[0].code == "measurement.conflict"
+    setting.append([40])
+    assert setting.append([40], details=CarrierDetails(*other)).refused[0].code == "measurement.conflict"
+    nothing = CarrierDetails(*np.full((4, 1, 3), np.nan, dtype=np.float32))
+    assert setting.append([40], details=nothing).duplicates == 1
+
+
+def test_the_same_powers_under_another_plan_are_a_conflict(setting, make):
     setting.append([10])
-    assert setting.append([10], details=CarrierDetails(*stated(1))) == BatchReceipt(0, 1, 0, ())
-    assert setting.rows()[0].details is None
+    first = setting.plan_id
+    setting.plan_id = setting.storage.catalogue.put_plan(setting.id, make.carriers[::-1], "turned").id
+    receipt = setting.append([10, 20])
+    assert (receipt.accepted, receipt.duplicates) == (1, 0)
+    assert receipt.refused[0].code == "measurement.conflict"
+    assert setting.rows()[0].plan_id == first
+
+
+LEAP = (1 << 23,) * 3
+
+
+@pytest.mark.parametrize("is_leap_first", [True, False])
+def test_a_row_of_a_leap_second_and_the_one_of_its_epoch_are_both_kept(setting, is_leap_first):
+    ways = [{"power_dbm": -51.0, "flags": [LEAP]}, {"power_dbm": -50.0}]
+    first, second = ways if is_leap_first else ways[::-1]
+    assert setting.append([500], **first) == BatchReceipt(1, 0, 0, ())
+    receipt = setting.append([500], **second)
+    assert (receipt.accepted, [each.code for each in receipt.flagged]) == (1, ["time.leap_second"])
+    for way in ways:
+        assert setting.append([500], **way) == BatchReceipt(0, 1, 0, ())
+    assert setting.append([500], -52.0).refused[0].code == "measurement.conflict"
+    found = [(row.epoch_us, row.power_dbm[0]) for row in setting.rows()]
+    assert found == [(500, first["power_dbm"]), (501, second["power_dbm"])]
+    assert [None if row.flags is None else tuple(row.flags) for row in setting.rows()] == [
+        LEAP if is_leap_first else None,
+        LEAP,
+    ]
+
+
+def test_a_leap_second_within_one_batch_keeps_every_row(setting):
+    epochs_us, powers = [100, 200, 300, 200, 300, 400], [-50.0, -51.0, -52.0, -53.0, -54.0, -55.0]
+    flags = [None, LEAP, LEAP, None, None, None]
+    receipt = setting.append(epochs_us, powers, flags=flags, first_seq=1)
+    assert (receipt.accepted, [each.index for each in receipt.flagged]) == (6, [3, 4])
+    assert setting.append(epochs_us, powers, flags=flags, first_seq=1).duplicates == 6
+    assert [(row.epoch_us, row.seq) for row in setting.rows()] == [
+        (100, 1), (200, 2), (201, 4), (300, 3), (301, 5), (400, 6)
+    ]  # fmt: skip
+
+
+def test_a_sealed_row_is_compared_by_its_whole_content(setting, make):
+    figures = CarrierDetails(*stated(1))
+    setting.append([10], details=figures, flags=[(0, 1, 0)])
+    setting.append([20], np.array([[0.0, -51.0, np.nan]]))
+    day_us = 86_400_000_000
+    assert sum(1 for _ in setting.storage.archive.seal(setting.id, 2 * day_us, 2**60)) > 0
+    assert setting.append([10], details=figures, flags=[(0, 1, 0)]).duplicates == 1
+    assert setting.append([20], np.array([[-0.0, -51.0, np.nan]])).duplicates == 1
+    assert setting.append([10], flags=[(0, 1, 0)]).refused[0].code == "measurement.conflict"
+    setting.plan_id = setting.storage.catalogue.put_plan(setting.id, make.carriers[::-1], "turned").id
+    assert setting.append([20], np.array([[0.0, -51.0, np.nan]])).refused[0].code == "measurement.conflict"
 
 
 def test_details_of_two_sources_stay_apart(setting):

@@ -25,15 +25,16 @@ def test_rows_sent_apart_are_those_sent_together(setting, make, order):
     np.testing.assert_array_equal(np.vstack([block.power_dbm for block in blocks]).view("<u4"), ROWS.view("<u4"))
 
 
-def test_another_last_bit_or_sign_of_zero_or_flag_is_a_conflict(setting):
+def test_another_last_bit_or_flag_is_a_conflict_and_the_other_sign_of_zero_is_not(setting):
     powers = np.array([[-50.12, 0.0, np.nan]], dtype=np.float32)
     setting.append([5], powers, flags=[(0, 0, 0)])
-    others = [np.nextafter(powers, np.float32(0)), np.array([[-50.12, -0.0, np.nan]]), np.array([[-50.12, 0.0, 0.0]])]
+    others = [np.nextafter(powers, np.float32(0)), np.array([[-50.12, 0.0, 0.0]])]
     for other in others:
         assert setting.append([5], other, flags=[(0, 0, 0)]).refused[0].code == "measurement.conflict"
     for flags in ((0, 1, 0), None):
         assert setting.append([5], powers, flags=[flags]).refused[0].code == "measurement.conflict"
     assert setting.append([5], powers, flags=[(0, 0, 0)]).duplicates == 1
+    assert setting.append([5], np.array([[-50.12, -0.0, np.nan]]), flags=[(0, 0, 0)]).duplicates == 1
 
 
 def test_the_time_of_receipt_comes_back(setting):

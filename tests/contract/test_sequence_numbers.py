@@ -117,3 +117,31 @@ def test_in_whatever_order_blocks_come_the_count_is_that_of_the_stored_rows(sett
         assert missing(setting) == expected, f"seed {seed} run {run}"
     stored = setting.storage.archive.measurements(setting.id, Window(0, 1 << 60), 1000, None)
     assert len(stored) == 240 - expected
+
+
+def test_a_jump_of_more_than_a_thousand_million_numbers_is_flagged_and_counts_no_gap(setting):
+    send(setting, range(10))
+    far = 2**52
+    receipt = setting.append([500, 501], [-1.0, -2.0], first_seq=far)
+    assert receipt.accepted == 2
+    assert [(each.index, each.seq, each.code) for each in receipt.flagged] == [(0, far, "seq.jump")]
+    assert missing(setting) == 0
+    # numbers go on either way, and gaps of this run are counted again
+    assert setting.append([502], -3.0, first_seq=far + 4).flagged == ()
+    assert missing(setting) == 2
+    assert setting.append([600], -3.0, first_seq=10).flagged == ()
+    assert missing(setting) == 2
+
+
+def test_a_late_row_far_off_the_numbers_of_its_source_counts_no_gap(setting):
+    for first_seq, seq in ((0, 5_000_000_000), (5_000_000_000, 3)):
+        source = f"sa-{seq}"
+        setting.append([100, 101], [-1.0, -2.0], first_seq=first_seq, source=source)
+        assert setting.append([50], -3.0, first_seq=seq, source=source).accepted == 1
+        assert missing(setting, source) == 0
+
+
+def test_a_jump_of_just_a_thousand_million_numbers_is_a_gap(setting):
+    send(setting, range(1))
+    assert setting.append([500], -3.0, first_seq=1_000_000_000).flagged == ()
+    assert missing(setting) == 999_999_999

@@ -4,6 +4,8 @@ This is the hot path: no thread, no look-up beyond memory, one await. The route 
 each dependency that the framework resolves costs as much as reading ten rows.
 """
 
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
 from typing import Any
 
 from fastapi import APIRouter, Request, Response
@@ -14,16 +16,16 @@ from service.api.auth import MAY_SEND
 from service.api.bodies import accepts, read_body
 from service.api.deps import ApiContext, SpacecraftIdText, checked_spacecraft_id
 from service.api.epoch_limits import EpochLimits
-from service.api.epochs import EpochTextError, parse_epochs
+from service.api.epochs import EpochTextError, ParsedEpochs, parse_epochs
 from service.api.landings import Landings
 from service.api.plan_widths import PlanWidths
 from service.api.problems import ProblemError, invalid_request
 from service.api.request_figures import RequestFigures
-from service.api.schemas.measurements import MeasurementBatchDocument, MeasurementReceiptAnswer
+from service.api.schemas.measurements import MAX_SEQ, MeasurementBatchDocument, MeasurementReceiptAnswer
 from service.errors import FieldError
 from service.pipeline.ingest import ReceivedRows, screen
-from service.records.attitude import IntArray
-from service.records.measurement import BatchReceipt, Refusal
+from service.records.measurement import BatchReceipt, Refusal, RowRemark
+from service.records.quality_flag import QualityFlag
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["measurements"])
 _ADAPTER = TypeAdapter(MeasurementBatchDocument)
@@ -43,6 +45,10 @@ async def send_measurements(spacecraft_id: SpacecraftIdText, request: Request) -
     checked_spacecraft_id(spacecraft_id)
     body = await read_body(request, _ADAPTER)
     check_batch_size(len(body.measurements), context, "/measurements")
+    if body.first_seq is not None and body.first_seq + len(body.measurements) > MAX_SEQ:
+        detail = f"the sequence number of the last row would exceed {MAX_SEQ}; begin again at 0"
+        raise invalid_request([FieldError("/first_seq", "value.range", detail)])
+    epochs = _epochs(body)
     width = await widths.width(spacecraft_id, body.plan_id)
     rows = ReceivedRows(
         spacecraft_id=spacecraft_id,
@@ -50,9 +56,9 @@ async def send_measurements(spacecraft_id: SpacecraftIdText, request: Request) -
         plan_id=body.plan_id,
         received_at_us=context.clock.system_us(),
         first_seq=body.first_seq,
-        epochs_us=_epochs(body),
+        epochs_us=epochs.epochs_us,
         power_dbm=[row["power_dbm"] for row in body.measurements],
-        flags=[row.get("flags") for row in body.measurements],
+        flags=_flags(body, epochs.leap_places),
         details=body.details(),
     )
     epoch_limits: EpochLimits = request.app.state.epoch_limits
@@ -67,7 +73,7 @@ async def send_measurements(spacecraft_id: SpacecraftIdText, request: Request) -
     figures.add_receipt(spacecraft_id, receipt, screened)
     if receipt.first_number is not None:
         context.on_rows_accepted(spacecraft_id, receipt.first_number + receipt.accepted - 1)
-    return JSONResponse(_answer(body, receipt, screened))
+    return JSONResponse(_answer(body, receipt, screened, epochs.leap_places))
 
 
 def check_batch_size(size: int, context: ApiContext, pointer: str) -> None:
@@ -78,7 +84,17 @@ def check_batch_size(size: int, context: ApiContext, pointer: str) -> None:
         raise ProblemError(422, "batch.too_long", detail, [FieldError(pointer, "batch.too_long", detail)])
 
 
-def _epochs(body: MeasurementBatchDocument) -> IntArray:
+def _flags(body: MeasurementBatchDocument, leap_places: Sequence[int]) -> list[Sequence[int] | None]:
+    """Return the bit masks of each row, those of a leap second marked."""
+    flags: list[Sequence[int] | None] = [row.get("flags") for row in body.measurements]
+    for place in leap_places:
+        masks = flags[place]
+        blank = [0] * len(body.measurements[place]["power_dbm"])
+        flags[place] = [mask | QualityFlag.LEAP_SECOND for mask in (blank if masks is None else masks)]
+    return flags
+
+
+def _epochs(body: MeasurementBatchDocument) -> ParsedEpochs:
     """Return the epochs of a batch; 422 names the first that is none."""
     try:
         return parse_epochs([row["epoch"] for row in body.measurements])
@@ -87,10 +103,14 @@ def _epochs(body: MeasurementBatchDocument) -> IntArray:
         raise invalid_request([FieldError(pointer, "epoch.malformed", error.detail)]) from None
 
 
-def _answer(body: MeasurementBatchDocument, receipt: BatchReceipt, screened: tuple[Refusal, ...]) -> dict[str, Any]:
+def _answer(
+    body: MeasurementBatchDocument, receipt: BatchReceipt, screened: tuple[Refusal, ...], leap_places: Sequence[int]
+) -> dict[str, Any]:
     """Return the receipt as it is sent."""
     received = len(body.measurements)
-    refused = sorted((*screened, *receipt.refused), key=lambda refusal: refusal.index)
+    refused = (*screened, *receipt.refused)
+    told = {each.index for each in (*refused, *receipt.flagged) if each.code != "seq.jump"}
+    leaps = (_leap_remark(place, body.first_seq) for place in leap_places if place not in told)
     return {
         "received": received,
         "accepted": receipt.accepted,
@@ -98,5 +118,17 @@ def _answer(body: MeasurementBatchDocument, receipt: BatchReceipt, screened: tup
         "late": receipt.late,
         "durable": True,
         "last_seq": body.first_seq + received - 1 if body.first_seq is not None and received else None,
-        "refused": [{"index": r.index, "seq": r.seq, "code": r.code, "detail": r.detail} for r in refused],
+        "refused": _listed(refused),
+        "flagged": _listed((*receipt.flagged, *leaps)),
     }
+
+
+def _leap_remark(place: int, first_seq: int | None) -> RowRemark:
+    """Return what is said of a row within a leap second."""
+    seq = None if first_seq is None else first_seq + place
+    return RowRemark(place, seq, "time.leap_second", "measured within a leap second: stored in the second after it")
+
+
+def _listed(remarks: Iterable[RowRemark]) -> list[dict[str, Any]]:
+    """Return remarks in order of place."""
+    return [asdict(remark) for remark in sorted(remarks, key=lambda remark: remark.index)]

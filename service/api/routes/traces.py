@@ -10,7 +10,6 @@ from service.api.auth import MAY_SEND
 from service.api.bodies import accepts, body_of
 from service.api.deps import Context, SpacecraftId
 from service.api.epoch_limits import EpochLimits
-from service.api.epochs import LATEST_EPOCH_US
 from service.api.paging import Page, cut_page, path_epoch
 from service.api.schemas.base import NAME_PATTERN, WindowAnswer
 from service.api.schemas.traces import (
@@ -100,9 +99,8 @@ def _fault(trace: TraceDocument, bounds: EpochBounds) -> tuple[str, str] | None:
     """Return why a trace is refused; one from the future would push all others out of the ring."""
     if trace.epoch < bounds.earliest_us:
         return "time.too_old", f"nothing before {format_epoch(bounds.earliest_us)} is kept"
-    latest_us = LATEST_EPOCH_US if bounds.latest_us is None else bounds.latest_us
-    if trace.epoch > latest_us:
-        return "time.future", f"the epoch lies after {format_epoch(latest_us)}; check the clock of the source"
+    if trace.epoch > bounds.latest_us:
+        return "time.future", f"the epoch lies after {format_epoch(bounds.latest_us)}; check the clock of the source"
     return None
 
 

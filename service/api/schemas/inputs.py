@@ -9,7 +9,6 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field
 
-from service.api.epochs import LATEST_EPOCH_US
 from service.api.schemas.base import (
     AnglesAnswer,
     AnglesDocument,
@@ -23,7 +22,7 @@ from service.api.schemas.base import (
     axes_of,
 )
 from service.records.attitude import NO_ANGLES
-from service.records.epoch import EARLIEST_EPOCH_US, format_epoch
+from service.records.epoch import EARLIEST_EPOCH_US, LATEST_EPOCH_US, format_epoch
 from service.records.inputs import AttitudeReference, Correction, TelemetryRecord
 
 #: code and detail of a refused row

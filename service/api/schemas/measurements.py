@@ -10,8 +10,13 @@ from service.records.measurement import DETAIL_NAMES
 
 #: stored as int32
 Mask = Annotated[int, Field(ge=0, le=2**31 - 1)]
-#: stored as float32; no figure of an analyzer lies beyond
-_Figures = Annotated[list[Annotated[float, Field(ge=-1e15, le=1e15)] | None], Field(fail_fast=True)]
+#: one figure of each carrier; the bounds are those of what an analyzer can tell
+_Sigmas = Annotated[list[Annotated[float, Field(ge=0, le=1000)] | None], Field(fail_fast=True)]
+_Densities = Annotated[list[Annotated[float, Field(ge=-300, le=300)] | None], Field(fail_fast=True)]
+_Bandwidths = Annotated[list[Annotated[float, Field(ge=0, le=1e12)] | None], Field(fail_fast=True)]
+_Offsets = Annotated[list[Annotated[float, Field(ge=-1e12, le=1e12)] | None], Field(fail_fast=True)]
+#: integers that every reader of JSON keeps exact
+MAX_SEQ = 2**53 - 1
 
 #: all that most rows state
 _PLAIN_FIELDS = frozenset({"epoch", "power_dbm", "flags"})
@@ -30,13 +35,13 @@ class MeasurementDocument(TypedDict, total=False):
     """dBm, null = absent."""
     flags: Annotated[list[Mask], Field(fail_fast=True)] | None
     """Quality bit mask of each carrier."""
-    sigma_db: _Figures | None
+    sigma_db: _Sigmas | None
     """Predicted scatter of each power, one sigma, dB."""
-    c_n0_db_hz: _Figures | None
+    c_n0_db_hz: _Densities | None
     """Carrier over noise density, dB Hz."""
-    occupied_bandwidth_hz: _Figures | None
+    occupied_bandwidth_hz: _Bandwidths | None
     """Bandwidth that holds 99 per cent of the power, Hz."""
-    centroid_offset_hz: _Figures | None
+    centroid_offset_hz: _Offsets | None
     """Centre of the power above the nominal frequency, Hz."""
 
 
@@ -45,7 +50,7 @@ class MeasurementBatchDocument(Document):
 
     plan_id: PlanNumber
     source: Name = "default"
-    first_seq: Annotated[int, Field(ge=0, le=2**53)] | None = None
+    first_seq: Annotated[int, Field(ge=0, le=MAX_SEQ)] | None = None
     """Sequence number of the first row; the others follow."""
     measurements: Annotated[list[MeasurementDocument], Field(fail_fast=True)]
 
@@ -62,8 +67,8 @@ def _details(row: MeasurementDocument) -> dict[str, list[float | None]]:
     return {name: figures for name, figures in stated.items() if figures is not None}
 
 
-class RowRefusalAnswer(Answer):
-    """A refused row."""
+class RowRemarkAnswer(Answer):
+    """A row that was refused, or flagged."""
 
     index: int
     seq: int | None
@@ -80,7 +85,9 @@ class MeasurementReceiptAnswer(Answer):
     late: int
     durable: bool
     last_seq: int | None
-    refused: list[RowRefusalAnswer]
+    refused: list[RowRemarkAnswer]
+    flagged: list[RowRemarkAnswer]
+    """Rows stored with a remark: `time.leap_second` (another epoch than sent), `seq.jump` (no gap is counted)."""
 
 
 class SourceAnswer(Answer):
