@@ -166,6 +166,7 @@ def send_archive(
         state.plan_id = plan_id
         if not state.is_complete:
             state.begin()
+            state.save()
             sender = _Sender(client, order, state, plan_id, columns, backoff or Backoff())
             sender.send(archive, on_progress)
     return {

@@ -221,6 +221,18 @@ class SpoolFile:
         with self._atomic():
             self.traces.delete(keys)
 
+    def plan_of(self, task: SpooledTask) -> int | None:
+        """Return the carrier plan under which rows of a task were last sent."""
+        query = "SELECT plan_id FROM task WHERE task_key = ?"
+        found = [key for key, known in self._tasks.items() if known == task]
+        return next((row[0] for key in found for row in self.connection.execute(query, (key,))), None)
+
+    def keep_plan(self, task: SpooledTask, plan_id: int) -> None:
+        """Keep the carrier plan under which rows of a task are sent from now on."""
+        with self._atomic():
+            query = "UPDATE task SET plan_id = ? WHERE task_key = ?"
+            self.connection.execute(query, (plan_id, self._task_key(task)))
+
     def shrink(self, free_bytes: int) -> None:
         """Give pages back to the disk when more than this lie idle."""
         pages, size_bytes = self._one("PRAGMA freelist_count")[0], self._one("PRAGMA page_size")[0]

@@ -64,6 +64,7 @@ MIGRATIONS: tuple[str, ...] = (
     );
     CREATE TABLE tally (name TEXT PRIMARY KEY, count INTEGER NOT NULL) WITHOUT ROWID;
     """,
+    "ALTER TABLE task ADD COLUMN plan_id INTEGER",
 )
 
 #: the file is not what it was; nothing of it can be relied on

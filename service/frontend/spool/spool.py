@@ -233,6 +233,17 @@ class Spool:
         with self._changed:
             self._read(lambda file: file.settle_traces(keys), None)
 
+    def plan_of(self, task: SpooledTask) -> int | None:
+        """Return the carrier plan under which rows of a task were last sent, by this process or the one before."""
+        with self._changed:
+            none: int | None = None
+            return self._read(lambda file: file.plan_of(task), none)
+
+    def keep_plan(self, task: SpooledTask, plan_id: int) -> None:
+        """Keep the carrier plan under which rows of a task are sent: what is sent again goes under the same one."""
+        with self._changed:
+            self._read(lambda file: file.keep_plan(task, plan_id), None)
+
     def await_rows(self, rows: int, timeout_s: float | None) -> None:
         """Wait until this many rows wait, somebody calls `wake`, or the time is over."""
         with self._changed:

@@ -4,7 +4,7 @@
 
     problem                                             verdict
     413, or 422 batch.too_long                          SHORTER          half as many rows a request
-    422 that points at a figure beside the powers       WITHOUT_DETAILS  the service does not know it: leave them out
+    422 field.unknown at a figure beside the powers     WITHOUT_DETAILS  the service does not know it: leave them out
     422 that points at a row                            PARTED           rows before it alone, then it alone is refused
     404 plan.unknown                                    NEW_PLAN         fetch the plan, wait, send again
     anything else (401, 403, 404, 409, 422)             WAIT             wait, send again
@@ -58,9 +58,11 @@ def judge(problem: ProblemError, rows: int) -> tuple[Verdict, int]:
         return (Verdict.SHORTER if rows > 1 else Verdict.WAIT), 0
     if problem.code == "plan.unknown":
         return Verdict.NEW_PLAN, 0
-    pointers = [str(error.get("pointer", "")).removeprefix("#").split("/") for error in problem.errors]
-    at_rows = [parts for parts in pointers if len(parts) > 2 and parts[1] == "measurements" and parts[2].isdigit()]
-    if any(len(parts) > 3 and parts[3] in DETAIL_DECIMALS for parts in at_rows):
+    faults = [
+        (str(error.get("code")), str(error.get("pointer", "")).removeprefix("#").split("/")) for error in problem.errors
+    ]
+    at_rows = [parts for _, parts in faults if len(parts) > 2 and parts[1] == "measurements" and parts[2].isdigit()]
+    if any(code == "field.unknown" and parts[-1] in DETAIL_DECIMALS for code, parts in faults):
         return Verdict.WITHOUT_DETAILS, 0
     places = [int(parts[2]) for parts in at_rows if int(parts[2]) < rows]
     return (Verdict.PARTED, min(places)) if places else (Verdict.WAIT, 0)

@@ -88,8 +88,19 @@ def bind_plan(plan: Mapping[str, Any], task_ids: Sequence[str]) -> PlanBinding:
     return binding
 
 
-def find_binding(client: ServiceClient, spacecraft_id: str, task_ids: Sequence[str]) -> PlanBinding:
+def find_binding(
+    client: ServiceClient, spacecraft_id: str, task_ids: Sequence[str], kept_plan_id: int | None = None
+) -> PlanBinding:
     """Return the binding to the newest plan that holds a carrier of the task; rows may be older than the newest plan.
+
+    Parameters
+    ----------
+    client, spacecraft_id
+        The service.
+    task_ids : sequence of str
+        Carriers of the task.
+    kept_plan_id : int or None
+        Plan under which rows that may go again were sent; taken while the service knows it.
 
     Raises
     ------
@@ -98,6 +109,9 @@ def find_binding(client: ServiceClient, spacecraft_id: str, task_ids: Sequence[s
     ClientError
         The service refused or did not answer.
     """
+    if kept_plan_id is not None:
+        with suppress(PlanMismatchError, ProblemError):
+            return bind_plan(client.carriers(spacecraft_id, kept_plan_id), task_ids)
     newest = client.carriers(spacecraft_id)
     try:
         return bind_plan(newest, task_ids)

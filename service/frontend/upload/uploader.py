@@ -2,8 +2,9 @@
 
 Law of this file: a row leaves the spool only when the service accepted it, knew it already, or refused it by name; a
 refusal is logged, counted and kept. Whatever else happens - no connection, no answer, 5xx, a wrong key, an unknown
-plan - the same rows are sent again after a wait. Repeating is safe: the service knows a row by source and epoch. Which
-rows go next stands in `service.frontend.upload.lanes`, what an answer means in `service.frontend.upload.answers`.
+plan - the same rows are sent again after a wait, with the same content: under the plan and with the figures that they
+were sent with before, by this process or the one before it. So the service knows them again. Which rows go next stands
+in `service.frontend.upload.lanes`, what an answer means in `service.frontend.upload.answers`.
 """
 
 import logging
@@ -17,7 +18,7 @@ from service.client.backoff import Backoff
 from service.client.problem import ProblemError, ServiceUnavailableError
 from service.client.service_client import ServiceClient
 from service.frontend.spool.file import Lane
-from service.frontend.spool.row import SpooledRow
+from service.frontend.spool.row import SpooledRow, SpooledTask
 from service.frontend.spool.spool import Spool
 from service.frontend.upload.answers import Verdict, judge, read_receipt
 from service.frontend.upload.lanes import LaneTurns
@@ -107,6 +108,10 @@ class Uploader:
         self._part: int | None = None
         self._bindings: dict[tuple[str, ...], PlanBinding] = {}
         self._details_from_s = float("-inf")
+        #: epochs of waiting rows that were sent without the figures beside the powers
+        self._bare: set[int] = set()
+        #: whether rows may wait that were sent by the process before
+        self._is_resuming = True
         self._finishing = threading.Event()
         self._deadline_s = float("inf")
         self._sent_at_s = float("-inf")
@@ -172,7 +177,7 @@ class Uploader:
     def _deliver(self, lane: Lane, rows: list[SpooledRow]) -> None:
         """Send one batch once; settle its rows or wait."""
         try:
-            binding = self._binding(rows[0].task.carrier_ids)
+            binding = self._binding(rows[0].task)
             reply = self._post(lane, rows, binding)
         except ServiceUnavailableError as error:
             self._fail(f"service does not answer: {error}", error.retry_after_s)
@@ -189,11 +194,12 @@ class Uploader:
         self._sent_at_s = time.monotonic()
         self.counters.requests += 1
         self.counters.backfill_requests += lane is Lane.BACKFILL
-        with_details = self._sent_at_s >= self._details_from_s
+        if self._sent_at_s < self._details_from_s:
+            self._bare.update(each.row.epoch_us for each in rows)
         return self._client.post_measurements(
             self._settings.spacecraft_id,
             binding.plan_id,
-            [binding.as_json(each.row, with_details=with_details) for each in rows],
+            [binding.as_json(each.row, with_details=each.row.epoch_us not in self._bare) for each in rows],
             source=self._settings.source,
             first_seq=rows[0].seq,
         )
@@ -217,6 +223,10 @@ class Uploader:
             logger.error("row %s of %s refused: %s: %s", rows[place].seq, _at(rows[place]), code, detail)
         self.counters.last_good_us = self._now_us()
         self._spool.settle(rows, refused)
+        self._bare.difference_update(each.row.epoch_us for each in rows)
+        if self._is_resuming and not self._spool.waiting:
+            self._is_resuming = False
+            self._bindings.clear()
         self._turns.took(lane)
         self._part = None
 
@@ -235,13 +245,18 @@ class Uploader:
             self._let_go(lane, rows[:1], {0: (problem.code, problem.detail)})
         else:
             if verdict is Verdict.NEW_PLAN:
+                self._is_resuming = False
                 self._bindings.clear()
             self._fail(f"service refuses the batch: {problem}", None)
 
-    def _binding(self, task_ids: tuple[str, ...]) -> PlanBinding:
-        """Return the plan under which rows of these carriers go, fetched once."""
+    def _binding(self, task: SpooledTask) -> PlanBinding:
+        """Return the plan under which rows of a task go, fetched once."""
+        task_ids = task.carrier_ids
         if task_ids not in self._bindings:
-            binding = find_binding(self._client, self._settings.spacecraft_id, task_ids)
+            kept = self._spool.plan_of(task) if self._is_resuming else None
+            binding = find_binding(self._client, self._settings.spacecraft_id, task_ids, kept)
+            if binding.plan_id != kept:
+                self._spool.keep_plan(task, binding.plan_id)
             self._bindings[task_ids] = binding
             _log_binding(binding)
         return self._bindings[task_ids]

@@ -291,3 +291,32 @@ def test_parquet_is_sent_as_csv_is(tmp_path: Path) -> None:
     parquet.write_table(pa.table({"epoch": whole.cast(pa.timestamp("us")), "c00_dbm": levels}), path)
     with pytest.raises(ArchiveError, match="without a time zone"):
         send(Archive(), ArchiveOrder(path, "sc", "sa-1"))
+
+
+def test_a_leap_second_reaches_the_service_as_it_stands_in_the_file(tmp_path: Path) -> None:
+    archive = Archive()
+    texts = ["2016-12-31T23:59:59.5Z", "2016-12-31T23:59:60.5Z", "2017-01-01T00:00:00.5Z"]
+    order = write(tmp_path, *(f"{text},sa-1,-40.0,-72.1,n" for text in texts))
+    assert send_archive(archive.client(), order)["accepted"] == 3
+    assert [each["epoch"] for each in archive.bodies[0]["measurements"]] == [
+        "2016-12-31T23:59:59.500000Z",
+        "2016-12-31T23:59:60.5Z",
+        "2017-01-01T00:00:00.500000Z",
+    ]
+
+
+def test_a_resumed_sending_goes_on_under_the_plan_it_began_with(tmp_path: Path) -> None:
+    archive = Archive(httpx.ReadTimeout("lost"))
+    order = write(tmp_path, *lines(2))
+    with pytest.raises(SendInterruptedError):
+        send_archive(archive.client(), order)
+    plans: list[str | None] = []
+
+    def later(request: httpx.Request) -> httpx.Response:
+        if request.method == "GET":
+            plans.append(request.url.params.get("plan_id"))
+        return archive.handle(request)
+
+    client = ServiceClient("http://service", "key", retries=0, http=httpx.MockTransport(later))
+    assert send_archive(client, order)["accepted"] == 2
+    assert plans == ["4"]

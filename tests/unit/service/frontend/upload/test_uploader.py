@@ -176,3 +176,47 @@ def test_an_infinite_level_is_no_level(rows: Spool) -> None:
     service = Service()
     deliver(uploader(service, rows))
     assert service.posts[0]["measurements"][0]["power_dbm"] == [None, None]
+
+
+def test_rows_that_wait_over_a_restart_go_under_the_plan_they_were_sent_under(tmp_path: Path) -> None:
+    """The answer to the first request is lost, a new plan is put, the front end starts again."""
+    service = Service(httpx.ReadTimeout("lost"))
+    with spool(tmp_path) as rows:
+        fill(rows, 3)
+        made = uploader(service, rows)
+        made.finish()
+        made.run()
+    service.plans |= {4: ["c01", "c00"]}
+    with spool(tmp_path) as rows:
+        fill(rows, 2, first=3)
+        made = uploader(service, rows, batch_rows=3)
+        deliver(made)
+        # once nothing waits that may have been sent, the newest plan holds
+        fill(rows, 1, first=5)
+        deliver(uploader(service, rows))
+    assert service.posts[0]["measurements"] == service.posts[1]["measurements"]
+    assert [post["plan_id"] for post in service.posts] == [3, 3, 3, 3]
+    with spool(tmp_path) as rows:
+        made = uploader(service, rows)
+        fill(rows, 1, first=6)
+        deliver(made)
+        fill(rows, 1, first=7)
+        made._finishing.clear()
+        made._deadline_s = float("inf")
+        deliver(made)
+    assert [post["plan_id"] for post in service.posts[4:]] == [3, 4]
+
+
+def test_a_row_that_was_sent_without_figures_goes_again_without_them(
+    rows: Spool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("service.frontend.upload.uploader._DETAILS_AGAIN_S", 0.0)
+    service = Service(
+        lambda _: problem(422, "field.unknown", "/measurements/0/sigma_db"), httpx.ReadTimeout("lost"), accept, accept
+    )
+    fill(rows, 1)
+    made = uploader(service, rows)
+    made._bare.add(0)
+    deliver(made)
+    assert ["sigma_db" in post["measurements"][0] for post in service.posts] == [False] * len(service.posts)
+    assert made._bare == set()

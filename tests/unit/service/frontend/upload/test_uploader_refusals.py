@@ -114,7 +114,7 @@ def test_one_row_that_is_too_long_waits_and_is_not_lost(rows: Spool) -> None:
 def test_a_service_that_does_not_know_the_further_figures_gets_the_rows_without_them(rows: Spool) -> None:
     def old_service(body: dict[str, Any]) -> httpx.Response:
         if "sigma_db" in body["measurements"][0]:
-            return problem(422, "extra_forbidden", "/measurements/0/sigma_db")
+            return problem(422, "field.unknown", "/measurements/0/sigma_db")
         return accept(body)
 
     service = Service(*[old_service] * 10)
