@@ -12,6 +12,7 @@ from db import checksum_check, retention, sealing
 from db.database import Database, add_entries, beyond, count_entries, lock_head, within
 from db.documents import decode, decode_all, decode_input
 from db.ingest_together import StoreBatch
+from db.journal_heads import journal_heads
 from db.measurement_pages import EVER, Chosen, MeasurementPages
 from db.measurement_runs import Cursor
 from db.prepared_batch import prepare
@@ -24,7 +25,7 @@ from service.records.attitude import FloatArray, IntArray
 from service.records.calibration import Window
 from service.records.catalogue import Carrier
 from service.records.inputs import AttitudeReference, Operation, SourceSelection
-from service.records.journal import JournalEntry, SlowInput
+from service.records.journal import JournalEntry, JournalHead, SlowInput
 from service.records.measurement import BatchReceipt, Measurement, MeasurementBatch
 from service.records.measurement_block import MeasurementBlock
 from service.records.series import HeadState, InputReceipt, MeasurementSeries, ReferenceSeries, SourceState
@@ -109,6 +110,11 @@ class SqlArchive:
         )
         with self._database.read() as connection:
             return HeadState(*connection.execute(select(*columns).where(head.c.spacecraft_key == key)).one())
+
+    def journal_heads(self) -> list[JournalHead]:
+        """Return number and digest of the newest entry of every journal."""
+        with self._database.read() as connection:
+            return journal_heads(connection, self._database.segments)
 
     def journal(self, spacecraft_id: str, after: int, limit: int) -> list[JournalEntry]:
         """Return at most ``limit`` entries with a number above ``after``, in order."""

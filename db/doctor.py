@@ -6,7 +6,7 @@ service stops.
 
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -16,10 +16,12 @@ from sqlalchemy.exc import SQLAlchemyError
 from db.archive_files import reading_engine, sqlite_path
 from db.engine import open_engines, translated_faults
 from db.examination import Report, examine, guarded
+from db.journal_heads import compared_heads
 from db.tables import head, measurement
 from service.errors import StorageError
 from service.records.diagnosis import Diagnosis
 from service.records.epoch import US_PER_S, format_epoch
+from service.records.journal import JournalHead
 
 #: a disk with less room is nearly full; with less than the second figure the next commits fail
 FREE_BYTES_WARNING, FREE_BYTES_FAULT = 1 << 30, 64 << 20
@@ -31,7 +33,7 @@ CLOCK_TOLERANCE_US = 5 * US_PER_S
 _CLOCK_IS_SET_US = 1_735_689_600 * US_PER_S
 
 
-def diagnose(url: str, now_us: int, report: Report) -> list[Diagnosis]:
+def diagnose(url: str, now_us: int, report: Report, announced: Sequence[JournalHead] = ()) -> list[Diagnosis]:
     """Return what is right and wrong with an archive.
 
     Parameters
@@ -42,6 +44,8 @@ def diagnose(url: str, now_us: int, report: Report) -> list[Diagnosis]:
         Present of this computer, microseconds UTC.
     report : callable
         Told what is looked at next.
+    announced : sequence of JournalHead
+        Heads of journals that the service has logged.
 
     Raises
     ------
@@ -51,16 +55,16 @@ def diagnose(url: str, now_us: int, report: Report) -> list[Diagnosis]:
     engines = open_engines(url)
     path = sqlite_path(url)
     if path is None:
-        return _examined(engines.read, now_us, report)
+        return _examined(engines.read, now_us, report, announced)
     engines.dispose()
     report("file")
     found = list(_file(path))
     if any(diagnosis.check == "file" and diagnosis.state == "fault" for diagnosis in found):
         return found
-    return found + _examined(reading_engine(path), now_us, report)
+    return found + _examined(reading_engine(path), now_us, report, announced)
 
 
-def _examined(engine: Engine, now_us: int, report: Report) -> list[Diagnosis]:
+def _examined(engine: Engine, now_us: int, report: Report, announced: Sequence[JournalHead]) -> list[Diagnosis]:
     """Connect and look inside."""
     try:
         with translated_faults(), engine.connect() as connection:
@@ -68,6 +72,7 @@ def _examined(engine: Engine, now_us: int, report: Report) -> list[Diagnosis]:
             if not any(each.check == "schema" and each.state == "fault" for each in found):
                 report("clock")
                 found += guarded("clock", partial(_clock, connection, now_us))
+                found += guarded("log", partial(compared_heads, connection, announced))
             return found
     except (StorageError, SQLAlchemyError) as fault:
         said = fault.detail if isinstance(fault, StorageError) else str(fault)

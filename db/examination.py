@@ -18,6 +18,7 @@ from db.journal_ledger import Ledger, heads_of_all, named, orphans, read_ledger
 from db.schema_version import known_versions, version_of
 from db.storage_state import newest_revision
 from db.tables import attitude, measurement, measurement_detail, source, spacecraft, torque
+from service.errors import StorageError
 from service.ports import LIVE
 from service.records.audit import findings
 from service.records.diagnosis import Diagnosis
@@ -78,11 +79,11 @@ def guarded(check: str, run: Callable[[], Iterator[Diagnosis]]) -> list[Diagnosi
     """Run a check; what the database refuses to read is a fault."""
     try:
         return list(run())
-    except SQLAlchemyError as fault:
+    except (SQLAlchemyError, StorageError) as fault:
         return [_unreadable(check, fault)]
 
 
-def _unreadable(check: str, fault: SQLAlchemyError) -> Diagnosis:
+def _unreadable(check: str, fault: Exception) -> Diagnosis:
     """Return the diagnosis for what the database refuses to read."""
     said = str(getattr(fault, "orig", fault)).strip()
     return Diagnosis(check, "fault", f"the database cannot be read: {said}", _RESTORE)

@@ -1,5 +1,6 @@
 """Keeping an archive: backups, their proof, their return, and the doctor, over one URL."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from db.backup import Report, create_backup, verify_backup
@@ -10,6 +11,7 @@ from service.ports import Clock
 from service.records.backup import Manifest
 from service.records.diagnosis import Diagnosis
 from service.records.epoch import format_epoch
+from service.records.journal import JournalHead
 
 
 class Keeping:
@@ -44,6 +46,6 @@ class Keeping:
         """Put a backup in the place of the archive; BackupError."""
         return restore_backup(folder, self.url, self.stamp(), report, may_replace=may_replace)
 
-    def diagnose(self, report: StepReport) -> list[Diagnosis]:
-        """Return what is right and wrong with the archive."""
-        return diagnose(self.url, self._clock.system_us(), report)
+    def diagnose(self, report: StepReport, announced: Sequence[JournalHead] = ()) -> list[Diagnosis]:
+        """Return what is right and wrong with the archive, beside heads of journals that were logged."""
+        return diagnose(self.url, self._clock.system_us(), report, announced)

@@ -1,25 +1,45 @@
 """Access keeping: what has to be written down now and then, beside the requests.
 
-Times of last use once a minute, counted refusals when their time is over, and the head of the audit log to the log of
-the service: a head kept apart from the entries is what shows that the newest of them were cut off.
+Times of last use once a minute, counted refusals when their time is over, and the heads of the audit log and of the
+journals to the log of the service: a head kept apart from the entries shows that the newest of them were cut off.
 """
 
 import asyncio
 import contextlib
 import logging
+import math
 import time
+from collections.abc import Callable, Iterable, Iterator
 
 from service.api.refusals import Refusals
 from service.api.stored_keys import StoredKeys
 from service.errors import StorageError
 from service.ports import Audit
-from service.records.audit import AuditHead
+from service.records.journal import JournalHead
 
 PERIOD_S = 60.0
-#: the head is announced this often while it moves
-ANNOUNCE_S = 3600.0
-#: lines "audit head NUMBER HASH"; `soo audit verify --log` reads them
+#: heads are announced this often while they move
+ANNOUNCE_S, ANNOUNCE_JOURNALS_S = 3600.0, 600.0
 _LOG = logging.getLogger("soo.audit")
+
+
+class _Announcer:
+    """Lines that are logged first, now and then while they change, and last."""
+
+    def __init__(self, period_s: float, lines: Callable[[], Iterable[str]]) -> None:
+        self._period_s = period_s
+        self._lines = lines
+        self._said: set[str] = set()
+        self._due_s = -math.inf
+
+    def announce(self, *, is_last: bool) -> None:
+        """Log the lines that are new, when their time has come."""
+        if not is_last and time.monotonic() < self._due_s:
+            return
+        lines = set(self._lines())
+        for line in sorted(lines - self._said):
+            _LOG.info(line)
+        self._said, self._due_s = lines, time.monotonic() + self._period_s
 
 
 class AccessKeeping:
@@ -33,14 +53,25 @@ class AccessKeeping:
         Knows what was refused.
     audit : Audit
         Where entries go.
+    journal_heads : callable
+        Gives the newest entry of every journal.
     """
 
-    def __init__(self, keys: StoredKeys, refusals: Refusals, audit: Audit) -> None:
+    def __init__(
+        self,
+        keys: StoredKeys,
+        refusals: Refusals,
+        audit: Audit,
+        journal_heads: Callable[[], Iterable[JournalHead]] = tuple,
+    ) -> None:
         self._keys = keys
         self._refusals = refusals
         self._audit = audit
-        self._announced: AuditHead | None = None
-        self._announced_s = 0.0
+        self._journal_heads = journal_heads
+        self._announcers = (
+            _Announcer(ANNOUNCE_S, self._audit_lines),
+            _Announcer(ANNOUNCE_JOURNALS_S, self._journal_lines),
+        )
         self._task: asyncio.Task[None] | None = None
 
     def start(self) -> None:
@@ -61,9 +92,10 @@ class AccessKeeping:
         try:
             for deed in self._refusals.settled(is_last=is_last):
                 self._audit.append(deed)
-            self._announce(is_last=is_last)
+            for announcer in self._announcers:
+                announcer.announce(is_last=is_last)
         except StorageError as error:
-            _LOG.warning("the audit log could not be kept: %s", error)
+            _LOG.warning("audit log and heads could not be kept: %s", error)
 
     async def _run(self) -> None:
         while True:
@@ -74,12 +106,12 @@ class AccessKeeping:
                 _LOG.exception("keys and audit log were not kept this time")
             await asyncio.sleep(PERIOD_S)
 
-    def _announce(self, *, is_last: bool) -> None:
-        """Say where the chain ends, when it has moved and its time has come."""
-        is_due = self._announced is None or is_last or time.monotonic() - self._announced_s >= ANNOUNCE_S
-        if not is_due:
-            return
+    def _audit_lines(self) -> Iterator[str]:
+        """Yield what `soo audit verify --log` reads."""
         head = self._audit.head()
-        if head != self._announced:
-            _LOG.info("audit head %d %s", head.number, head.hash)
-        self._announced, self._announced_s = head, time.monotonic()
+        yield f"audit head {head.number} {head.hash}"
+
+    def _journal_lines(self) -> Iterator[str]:
+        """Yield what `soo doctor --log` reads."""
+        for head in self._journal_heads():
+            yield f"journal head {head.spacecraft_id} {head.number} {head.digest}"

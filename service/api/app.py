@@ -77,7 +77,8 @@ def render_openapi() -> str:
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     """Run the hooks of the context around the time of serving."""
     context: ApiContext = app.state.context
-    keeping = AccessKeeping(app.state.stored_keys, app.state.refusals, context.storage.audit)
+    storage = context.storage
+    keeping = AccessKeeping(app.state.stored_keys, app.state.refusals, storage.audit, storage.archive.journal_heads)
     await context.on_startup()
     keeping.start()
     try:

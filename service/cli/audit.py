@@ -5,7 +5,7 @@ Exit codes of ``verify``: 0 the chain is whole, 1 it is not, 2 there is nothing 
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, NoReturn
@@ -84,16 +84,19 @@ def _noted(heads: Sequence[str]) -> dict[int, str]:
 
 def _logged(logs: Sequence[Path]) -> dict[int, str]:
     """Return hashes by number of heads that the service announced in its log."""
-    found: dict[int, str] = {}
+    # number 0 is the empty log
+    return {int(number): text for number, text in logged(_LOGGED, logs) if number != "0"}
+
+
+def logged(pattern: re.Pattern[str], logs: Sequence[Path]) -> Iterator[tuple[str, ...]]:
+    """Yield the groups of every match of a pattern in logs; ends the command where one cannot be read."""
     for path in logs:
         try:
             with path.open(encoding="utf-8", errors="replace") as lines:
-                matches = [match for line in lines for match in _LOGGED.finditer(line)]
+                for line in lines:
+                    yield from (match.groups() for match in pattern.finditer(line))
         except OSError as error:
             _refuse(f"cannot read {path}: {error.strerror}")
-        # number 0 is the empty log
-        found |= {int(match[1]): match[2] for match in matches if match[1] != "0"}
-    return found
 
 
 def _refuse(message: str) -> NoReturn:

@@ -4,32 +4,44 @@ Exit codes: 0 sound, 1 something is damaged or does not work, 2 the option is wr
 """
 
 import json
+import re
 from dataclasses import asdict
+from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
 from rich.table import Table
 
+from service.cli.audit import logged
 from service.cli.connection import JsonOption
 from service.records.diagnosis import Diagnosis, State, worst
+from service.records.journal import JournalHead
 
 EXIT_OF: dict[State, int] = {"ok": 0, "fault": 1, "warning": 3}
 EXIT_USAGE = 2
+_LOGGED = re.compile(r"journal head ([a-z0-9-]+) (\d+) ([0-9a-f]{16})")
 _COLOURS: dict[State, str] = {"ok": "green", "warning": "yellow", "fault": "red"}
 
 
 def doctor(
     database: Annotated[str | None, typer.Option(help="SQLAlchemy URL of the archive.")] = None,
+    log: Annotated[
+        list[Path] | None, typer.Option(help="Log of the service; the journals must hold the entries that it names.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Look at an archive, also of a running service, and say what is wrong and what to do."""
     # the database costs time that other commands need not pay
     from service.bootstrap import open_keeping
 
+    announced = [JournalHead(name, int(number), digest) for name, number, digest in logged(_LOGGED, log or [])]
+    if log and not announced:
+        typer.echo("the log names no head of a journal: lines `journal head SPACECRAFT NUMBER DIGEST`", err=True)
+        raise typer.Exit(EXIT_USAGE)
     try:
         with Console(stderr=True).status("opening") as status:
-            found = open_keeping(database).diagnose(status.update)
+            found = open_keeping(database).diagnose(status.update, announced)
     except ValueError as error:
         typer.echo(str(error), err=True)
         raise typer.Exit(EXIT_USAGE) from error

@@ -7,7 +7,7 @@ from typing import Protocol
 from service.records.archive_upkeep import Dropped, SealedPart, SegmentState
 from service.records.calibration import Window
 from service.records.inputs import Operation
-from service.records.journal import JournalEntry, SlowInput
+from service.records.journal import JournalEntry, JournalHead, SlowInput
 from service.records.measurement import BatchReceipt, Measurement, MeasurementBatch
 from service.records.measurement_block import MeasurementBlock
 from service.records.series import HeadState, InputReceipt, MeasurementSeries, ReferenceSeries, SourceState
@@ -57,6 +57,10 @@ class Archive(Protocol):
 
     def head(self, spacecraft_id: str) -> HeadState:
         """Return where journal and consumer stand."""
+        ...
+
+    def journal_heads(self) -> list[JournalHead]:
+        """Return number and digest of the newest entry of every journal; one that is empty has none."""
         ...
 
     def journal(self, spacecraft_id: str, after: int, limit: int) -> list[JournalEntry]:

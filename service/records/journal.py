@@ -1,6 +1,7 @@
 """The journal: every accepted input of one spacecraft in the one order in which the chain consumes it."""
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from service.records.command import AppliedCommand, ReleasedCommand, ReportedCommand
 from service.records.inputs import (
@@ -65,3 +66,12 @@ class JournalEntry:
     #: where it stands in time, microseconds UTC: its own start, or the newest epoch when it entered; None = not read
     start_us: int | None = field(default=None, compare=False)
     stop_us: int | None = field(default=None, compare=False)
+
+
+class JournalHead(NamedTuple):
+    """Newest entry of a journal."""
+
+    spacecraft_id: str
+    number: int
+    #: of what the entry says, 16 hexadecimal digits
+    digest: str

@@ -11,6 +11,7 @@ from service.api.access_keeping import AccessKeeping
 from service.api.refusals import MAX_GROUPS, Refusals
 from service.errors import StorageError
 from service.records.audit import AuditHead, Deed, next_entry
+from service.records.journal import JournalHead
 
 pytestmark = pytest.mark.anyio
 
@@ -118,3 +119,18 @@ async def test_it_lives_on_after_a_fault_and_ends_in_good_order(log, caplog, mon
         await asyncio.sleep(0.001)
     await kept.stop()
     assert caplog.text.count("not kept this time") == 2
+
+
+async def test_journal_heads_are_announced_first_every_ten_minutes_and_last_while_they_move(log, caplog, monkeypatch):
+    now_s, number = [0.0], [1]
+    monkeypatch.setattr(access_keeping.time, "monotonic", lambda: now_s[0])
+    unused = SimpleNamespace(write_down_used=lambda: None)
+    heads = lambda: [JournalHead("craft-1", number[0], "0123456789abcdef")]  # noqa: E731
+    kept = AccessKeeping(unused, Refusals(), log, heads)
+    with caplog.at_level(logging.INFO, "soo.audit"):
+        for at_s, entry in ((0.0, 1), (599.0, 2), (600.0, 3), (1200.0, 3), (1300.0, 4)):
+            now_s[0], number[0] = at_s, entry
+            kept.keep()
+        kept.keep(is_last=True)
+    said = [line for line in caplog.messages if line.startswith("journal")]
+    assert said == [f"journal head craft-1 {entry} 0123456789abcdef" for entry in (1, 3, 4)]
