@@ -27,6 +27,7 @@ from service.runtime.flight_analyses import FlightAnalyses, fly_thinned
 from service.runtime.jobs import JobRunner
 from service.runtime.leading import Leading, Turn, always
 from service.runtime.live_feed import LiveFeed
+from service.runtime.process_figures import raised_descriptor_limit
 from service.runtime.release_desk import ReleaseDesk
 from service.runtime.release_tidings import Tidings
 from service.runtime.replaying import Replayer
@@ -38,6 +39,9 @@ from service.settings import Settings
 if TYPE_CHECKING:
     from db.file_watch import FileWatch
     from db.keeping import Keeping
+
+#: descriptors that connections leave to the archive, logs and worker processes
+_OWN_FILES = 256
 
 
 def build_storage(settings: Settings) -> Storage:
@@ -158,6 +162,9 @@ def _limits(settings: Settings) -> Limits:
         evidence_bytes=settings.evidence_bytes,
         rates=settings.rate_limit,
         max_streams=settings.max_streams,
+        max_connections=min(settings.max_connections, max(64, raised_descriptor_limit() - _OWN_FILES)),
+        max_connections_per_address=settings.max_connections_per_address,
+        trusted_proxies=settings.trusted_proxies or "",
     )
 
 

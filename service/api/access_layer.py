@@ -25,8 +25,8 @@ from service.records.audit import CURRENT_NOTE, Deed, Note, naming_result
 
 MAX_QUERY_PARAMETERS = 100
 _REFUSED = frozenset({HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN})
-#: answered without counting: whoever restarts a process that does not answer here must get an answer
-_UNCOUNTED = frozenset({"/healthz"})
+#: counted by their routes, or not at all: whoever restarts a process that does not answer here must get an answer
+_UNCOUNTED = frozenset({"/healthz", "/readyz", "/metrics"})
 _LOG = logging.getLogger(__name__)
 
 

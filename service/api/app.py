@@ -18,6 +18,7 @@ from service.api.audit_notes import BASE_PATH
 from service.api.auth import MAY_READ
 from service.api.body_limit import BodyLimit
 from service.api.carrier_names import CarrierNames
+from service.api.connections import Connections
 from service.api.deps import ApiContext, Limits
 from service.api.epoch_limits import EpochLimits
 from service.api.errors import add_handlers
@@ -28,6 +29,7 @@ from service.api.observation import Observation
 from service.api.open_streams import OpenStreams
 from service.api.plan_widths import PlanWidths
 from service.api.rate_limits import RateLimits
+from service.api.readiness import SharedReadiness
 from service.api.refusals import Refusals
 from service.api.request_figures import RequestFigures
 from service.api.request_ids import RequestIds
@@ -59,9 +61,13 @@ def create_app(context: ApiContext) -> FastAPI:
     app.state.open_streams = streams = OpenStreams(context.limits.max_streams)
     app.state.stream_parts = StreamParts(context, app.state.carrier_names, streams)
     app.state.request_figures = figures
-    app.state.metrics = Metrics(context, figures, streams)
+    app.state.connections = connections = Connections(
+        context.limits.max_connections, context.limits.max_connections_per_address, context.limits.trusted_proxies
+    )
+    app.state.metrics = Metrics(context, figures, streams, connections)
     keys = StoredKeys(context.storage.keys, context.bootstrap_key, context.clock.system_us)
     app.state.key_ring = app.state.stored_keys = keys
+    app.state.readiness = SharedReadiness(context)
     app.state.rate_limits = RateLimits(context.limits.rates)
     app.state.refusals = Refusals()
     return app

@@ -38,14 +38,21 @@ async def authenticated(request: Request) -> Principal:
     return known
 
 
-async def _holder(request: Request) -> Principal:
-    """Return the holder of the key in the Authorization header; problem 401 without a valid one."""
+async def known_or_counted(request: Request) -> Principal | None:
+    """Return the holder of the key in the Authorization header; without a valid one None, counted by the address."""
     ring: KeyRing = request.app.state.key_ring
     scheme, _, key = request.headers.get("authorization", "").partition(" ")
     principal = await ring.principal(key.strip()) if scheme.lower() == "bearer" else None
     if principal is None:
         limits: RateLimits = request.app.state.rate_limits
         refuse_above(limits.take_anonymous(address_of(request.scope)))
+    return principal
+
+
+async def _holder(request: Request) -> Principal:
+    """Return the holder of the key in the Authorization header; problem 401 without a valid one."""
+    principal = await known_or_counted(request)
+    if principal is None:
         _LOG.warning("request %s %s: no valid key", request_id_of(request), without_secrets(request.url.path))
         detail = "send a valid key as Authorization: Bearer <key>"
         raise ProblemError(HTTPStatus.UNAUTHORIZED, "key.invalid", detail, headers={"WWW-Authenticate": "Bearer"})

@@ -57,6 +57,10 @@ class Limits:
     stream_stall_s: float = 60.0
     #: live streams at once
     max_streams: int = 500
+    #: connections at once, and of one address unless it is among the trusted proxies
+    max_connections: int = 2000
+    max_connections_per_address: int = 64
+    trusted_proxies: str = ""
     #: evidence traces kept of one source, and bytes that their points may take
     evidence_traces: int = 2880
     evidence_bytes: int = 64 * 1024 * 1024

@@ -1,6 +1,6 @@
-"""HTTP connections with bounds: the head of a request has a greatest size, a whole request a longest time.
+"""HTTP connections with bounds: their number, the size of a head, the time for a head and for a whole request.
 
-uvicorn bounds neither. What it cannot read is answered here as a problem, like every other refusal.
+uvicorn bounds none of them. What it cannot read is answered here as a problem, like every other refusal.
 """
 
 import asyncio
@@ -10,11 +10,14 @@ from typing import Any
 from starlette.requests import HTTPConnection
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
-from service.api.problems import ProblemError, render
+from service.api.connections import Connections
+from service.api.problems import RETRY_AFTER_S, ProblemError, render
 
 #: request line and headers together; a bearer key and a long list of parameters take two of them
 MAX_HEAD_BYTES = 32 * 1024
 REQUEST_TIMEOUT_S = 60.0
+#: a connection without a whole head by then is closed; slow networks and people at a terminal need less
+HEAD_TIMEOUT_S = 10.0
 
 
 class _HeadTooLargeError(Exception):
@@ -22,9 +25,10 @@ class _HeadTooLargeError(Exception):
 
 
 class BoundedProtocol(HttpToolsProtocol):
-    """One connection; ``request_timeout_s`` of the class holds for all of them."""
+    """One connection; what stands in the class holds for all of them."""
 
     request_timeout_s = REQUEST_TIMEOUT_S
+    connections_open: Connections
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
@@ -34,19 +38,32 @@ class BoundedProtocol(HttpToolsProtocol):
         self._is_head_open = True
         self._is_message_open = False
         self._deadline: asyncio.TimerHandle | None = None
+        self._address = ""
+        self._is_admitted = False
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override] # as in uvicorn
-        """Begin; a connection that says nothing ends at the deadline of a first request."""
+        """Begin, where there is room; a connection that says nothing ends at the deadline of a first head."""
         super().connection_made(transport)
+        self._address = self.client[0] if self.client else ""
+        reason = self.connections_open.admit(self._address)
+        self._is_admitted = reason is None
+        if reason is not None:
+            headers = {"Retry-After": str(RETRY_AFTER_S)}
+            self._refuse(ProblemError(HTTPStatus.TOO_MANY_REQUESTS, "connection.too_many", reason, headers=headers))
+            return
         self._arm()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """End."""
         self._disarm()
+        if self._is_admitted:
+            self.connections_open.leave(self._address)
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
         """Read a piece."""
+        if not self._is_admitted:
+            return
         super().data_received(data)
         if self.transport.is_closing() or not self._is_message_open:
             self._disarm()
@@ -78,6 +95,7 @@ class BoundedProtocol(HttpToolsProtocol):
     def on_headers_complete(self) -> None:
         """Take the end of the head."""
         self._is_head_open, self._unread_bytes = False, 0
+        self._disarm()
         super().on_headers_complete()
 
     def on_message_complete(self) -> None:
@@ -100,25 +118,29 @@ class BoundedProtocol(HttpToolsProtocol):
             raise _HeadTooLargeError
 
     def _arm(self) -> None:
-        self._deadline = self.loop.call_later(self.request_timeout_s, self._on_deadline)
+        """Begin the time for a head, or for what follows it."""
+        timeout_s = min(HEAD_TIMEOUT_S, self.request_timeout_s) if self._is_head_open else self.request_timeout_s
+        self._deadline = self.loop.call_later(timeout_s, self._on_deadline, timeout_s)
 
     def _disarm(self) -> None:
         if self._deadline is not None:
             self._deadline.cancel()
             self._deadline = None
 
-    def _on_deadline(self) -> None:
+    def _on_deadline(self, timeout_s: float) -> None:
         """End a connection whose request did not come whole in time."""
         self._deadline = None
         if self.transport.is_closing():
             return
+        part = "head of a request" if self._is_head_open else "request"
+        reason = f"the {part} did not come whole within {timeout_s:g} s; send it faster or in parts"
+        self.connections_open.refuse("slow", self._address, reason)
         # while a head is open the cycle, if any, is that of the request before
         is_answered = not self._is_head_open and self.cycle.response_started
         if not self._is_message_open or is_answered:
             self.transport.close()
             return
-        detail = f"the request did not come whole within {self.request_timeout_s:g} s; send it faster or in parts"
-        self._refuse(ProblemError(HTTPStatus.REQUEST_TIMEOUT, "request.too_slow", detail))
+        self._refuse(ProblemError(HTTPStatus.REQUEST_TIMEOUT, "request.too_slow", reason))
 
     def _refuse(self, problem: ProblemError) -> None:
         """Answer with a problem outside of the application and close the connection."""

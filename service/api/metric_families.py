@@ -61,6 +61,12 @@ FAMILIES: dict[str, Family] = {
         "histogram", "time from the request to the end of its answer, streams left out", ("route",)
     ),
     "soo_http_requests_in_progress": Family("gauge", "requests being answered, open streams among them"),
+    "soo_connections": Family("gauge", "connections that are open"),
+    "soo_connections_refused_total": Family(
+        "counter",
+        "connections refused (address, total: too many) or ended (slow: no whole request in time)",
+        ("reason",),
+    ),
     "soo_stream_clients": Family("gauge", "live streams that are open"),
     "soo_stream_events_total": Family("counter", "events sent to clients of live streams", ("kind",)),
     "soo_stream_dropped_total": Family("counter", "events that clients were too slow for; they follow from history"),

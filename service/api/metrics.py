@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
+from service.api.connections import Connections
 from service.api.deps import ApiContext
 from service.api.links import links_told
 from service.api.metric_families import (
@@ -47,12 +48,17 @@ class Metrics:
         Counts of requests and rows.
     streams : OpenStreams
         Live streams.
+    connections : Connections
+        Open connections and those refused.
     """
 
-    def __init__(self, context: ApiContext, figures: RequestFigures, streams: OpenStreams) -> None:
+    def __init__(
+        self, context: ApiContext, figures: RequestFigures, streams: OpenStreams, connections: Connections
+    ) -> None:
         self._context = context
         self._figures = figures
         self._streams = streams
+        self._connections = connections
 
     def render(self) -> bytes:
         """Return all metrics as text."""
@@ -110,6 +116,9 @@ class Metrics:
             yield "soo_rows_total", key, float(count)
         for key, count in sorted(figures.refused.copy().items()):
             yield "soo_rows_refused_total", key, float(count)
+        yield "soo_connections", (), float(self._connections.count)
+        for kind, count in sorted(self._connections.refused.copy().items()):
+            yield "soo_connections_refused_total", (kind,), float(count)
         yield "soo_stream_clients", (), float(self._streams.count)
         for kind, count in sorted(self._streams.sent.copy().items()):
             yield "soo_stream_events_total", (kind,), float(count)

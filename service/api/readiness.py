@@ -4,9 +4,12 @@ Parts are looked at one after another and each says for itself whether it is rea
 database does not answer is not told.
 """
 
+import asyncio
 from collections.abc import Iterator
 from http import HTTPStatus
 from typing import NamedTuple
+
+from starlette.concurrency import run_in_threadpool
 
 from service.api.deps import ApiContext
 from service.api.problems import RETRY_AFTER_S, ProblemError
@@ -21,6 +24,27 @@ class Part(NamedTuple):
     #: code of the fault, None = ready
     fault: str | None
     detail: str
+
+
+class SharedReadiness:
+    """The look at all parts that requests share: nobody's rate is counted here, so one look runs at a time.
+
+    Parameters
+    ----------
+    context : ApiContext
+        What is looked at.
+    """
+
+    def __init__(self, context: ApiContext) -> None:
+        self._context = context
+        self._look: asyncio.Task[tuple[Part, ...]] | None = None
+
+    async def parts(self) -> tuple[Part, ...]:
+        """Return every part whose state can be known, as the look finds it that runs, or a new one."""
+        if self._look is None or self._look.done():
+            self._look = asyncio.create_task(run_in_threadpool(parts_of, self._context))
+        # a client that goes takes the look from nobody
+        return await asyncio.shield(self._look)
 
 
 def parts_of(context: ApiContext) -> tuple[Part, ...]:

@@ -3,13 +3,15 @@
 uvicorn waits for answers in progress, and a stream is one that never ends by itself.
 """
 
+import asyncio
 import gc
 import socket
+from functools import partial
 
 import uvicorn
 from fastapi import FastAPI
 
-from service.api.http_protocol import BoundedProtocol
+from service.api.http_protocol import HEAD_TIMEOUT_S, BoundedProtocol
 from service.api.open_streams import OpenStreams
 
 #: of the collector: new objects from which the young are looked at, and rounds of that from which older ones are
@@ -44,7 +46,8 @@ def server_config(
     request_timeout_s : float
         A request has to come whole within this.
     """
-    protocol = type("Protocol", (BoundedProtocol,), {"request_timeout_s": request_timeout_s})
+    of_all = {"request_timeout_s": request_timeout_s, "connections_open": app.state.connections}
+    protocol = type("Protocol", (BoundedProtocol,), of_all)
     return uvicorn.Config(
         app,
         http=protocol,
@@ -76,6 +79,15 @@ class StreamingServer(uvicorn.Server):
     def __init__(self, config: uvicorn.Config, app: FastAPI) -> None:
         super().__init__(config)
         self._app = app
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Listen; a connection that does not finish its TLS handshake ends as soon as one without a head."""
+        loop = asyncio.get_running_loop()
+        if self.config.ssl is not None:
+            # uvicorn passes no such option on
+            create = partial(loop.create_server, ssl_handshake_timeout=HEAD_TIMEOUT_S)
+            loop.create_server = create  # type: ignore[method-assign]
+        await super().startup(sockets)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """End live streams, then stop as uvicorn does."""

@@ -10,6 +10,8 @@ _STATUS = Path("/proc/self/statm")
 _STAT = Path("/proc/self/stat")
 #: places of the start in that file behind the name, which may hold spaces
 _START_FIELD = 19
+#: descriptors above which none are asked for: more than any number of connections that is served
+_ENOUGH_DESCRIPTORS = 65_536
 
 
 class ProcessFigures(NamedTuple):
@@ -21,6 +23,15 @@ class ProcessFigures(NamedTuple):
     #: None where the system does not tell
     open_files: int | None
     threads: int | None
+
+
+def raised_descriptor_limit() -> int:
+    """Raise the limit of open files and sockets as far as the system lets this process; return it."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = _ENOUGH_DESCRIPTORS if hard == resource.RLIM_INFINITY else min(hard, _ENOUGH_DESCRIPTORS)
+    if soft != resource.RLIM_INFINITY and soft < wanted:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+    return wanted
 
 
 def process_figures() -> ProcessFigures:

@@ -1,8 +1,12 @@
 """Rates over the interface: headers on every answer, 429 above them, and a flood without a key shuts nobody out."""
 
+import asyncio
+import time
+
 import httpx
 import pytest
 
+from service.api.observation import Observation
 from service.api.rate_limits import RateLimitConfig, RateLimits
 
 pytestmark = pytest.mark.anyio
@@ -51,7 +55,34 @@ async def test_public_paths_are_counted_by_address_but_not_the_sign_of_life(limi
     anonymous = {"Authorization": ""}
     statuses = [(await limited.client.get("/openapi.json", headers=anonymous)).status_code for _ in range(5)]
     assert statuses == [200] * 4 + [429]
-    assert (await limited.client.get("/healthz", headers=anonymous)).status_code == 200
+    for path in ("/healthz", "/readyz"):
+        assert (await limited.client.get(path, headers=anonymous)).status_code == 200
+
+
+@pytest.mark.parametrize("is_key_needed", [False, True])
+async def test_wrong_keys_of_others_keep_health_checks_and_holders_of_a_key_in(limited, is_key_needed):
+    context = limited.app.state.context
+    object.__setattr__(context, "observation", Observation(metrics_need_key=is_key_needed))
+    statuses = [(await limited.client.get("/metrics", headers=WRONG)).status_code for _ in range(6)]
+    assert statuses == [401 if is_key_needed else 200] * 4 + [429] * 2
+    assert (await limited.client.get(SC, headers=WRONG)).status_code == 429
+    for _ in range(8):
+        assert (await limited.client.get("/readyz", headers=WRONG)).status_code == 200
+    assert (await limited.client.get("/metrics")).status_code == 200
+
+
+async def test_health_checks_that_come_together_share_one_look(limited, monkeypatch):
+    looks, check = [], limited.storage.check
+
+    def slow_check():
+        looks.append(1)
+        time.sleep(0.2)
+        check()
+
+    monkeypatch.setattr(limited.storage, "check", slow_check)
+    answers = await asyncio.gather(*[limited.client.get("/readyz") for _ in range(50)])
+    assert {answer.status_code for answer in answers} == {200}
+    assert len(looks) < 10
 
 
 async def test_thousands_of_query_parameters_are_refused(soo):

@@ -4,6 +4,7 @@ import gzip
 import json
 import socket
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -195,13 +196,24 @@ def test_a_body_that_breaks_off_stores_nothing(target):
         assert client.get(target.url + SC).json()["rows"] == []
 
 
-def test_200_slow_connections_do_not_keep_others_out(target):
-    held = [target.connect() for _ in range(200)]
+def connect_from(target: Target, address: str) -> socket.socket:
+    """Return a connection from another address of this machine."""
+    return socket.create_connection(target.address, timeout=120, source_address=(address, 0))
+
+
+def test_200_silent_connections_of_one_address_keep_nobody_out_and_are_told(target):
+    held = [connect_from(target, "127.0.0.2") for _ in range(200)]
     try:
-        for connection in held:
-            connection.sendall(b"GET /")
+        # those that were admitted are closed when their time is over, without a word
+        heard = Counter(connection.recv(65536)[:12] for connection in held)
+        assert heard.keys() == {b"HTTP/1.1 429", b""}
+        refused = heard[b"HTTP/1.1 429"]
+        assert refused >= 200 - 64
         answer = httpx.get(target.url + SC, headers={"Authorization": f"Bearer {KEY}"}, trust_env=False, timeout=120)
         assert answer.status_code == 200
+        told = httpx.get(target.url + "/metrics", trust_env=False, timeout=120).text
+        assert f'soo_connections_refused_total{{reason="address"}} {refused}.0' in told
+        assert 'soo_connections_refused_total{reason="slow"}' in told
     finally:
         for connection in held:
             connection.close()

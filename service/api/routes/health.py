@@ -8,10 +8,10 @@ from fastapi.responses import HTMLResponse
 from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
 
-from service.api.auth import authenticated
+from service.api.auth import authenticated, known_or_counted
 from service.api.deps import Context
 from service.api.metrics import MEDIA_TYPE, Metrics
-from service.api.readiness import parts_of, require_ready
+from service.api.readiness import SharedReadiness, require_ready
 from service.api.reference_page import render_page
 
 router = APIRouter(tags=["health"])
@@ -44,9 +44,10 @@ async def get_health() -> HealthAnswer:
 
 
 @router.get("/readyz")
-def get_readiness(context: Context) -> ReadinessAnswer:
+async def get_readiness(request: Request) -> ReadinessAnswer:
     """Tell whether every part is ready: database, migration, disk, consumers; 503 names those that are not."""
-    parts = parts_of(context)
+    readiness: SharedReadiness = request.app.state.readiness
+    parts = await readiness.parts()
     require_ready(parts)
     return ReadinessAnswer(parts=[PartAnswer(name=part.name, detail=part.detail) for part in parts])
 
@@ -58,8 +59,8 @@ def get_readiness(context: Context) -> ReadinessAnswer:
 )
 async def get_metrics(request: Request, context: Context) -> Response:
     """Return the figures of the service in the text form of Prometheus; a key is needed by setting only."""
-    if context.observation.metrics_need_key:
-        await authenticated(request)
+    # the key first: wrong ones of others behind the same address keep no holder of a valid one out
+    await (authenticated if context.observation.metrics_need_key else known_or_counted)(request)
     metrics: Metrics = request.app.state.metrics
     return Response(await run_in_threadpool(metrics.render), media_type=MEDIA_TYPE)
 

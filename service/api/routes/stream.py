@@ -7,10 +7,11 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Request
 from fastapi.responses import StreamingResponse
 from starlette.concurrency import run_in_threadpool
-from starlette.types import Message, Send
+from starlette.types import Message, Receive, Scope, Send
 
 from service.api.deps import Context, SpacecraftId
 from service.api.event_stream import EventStream, StreamParts
+from service.api.open_streams import OpenStreams
 from service.api.stream_places import MAX_ID_LENGTH, cursor_of
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/stream", tags=["stream"])
@@ -22,8 +23,18 @@ class EventStreamResponse(StreamingResponse):
     """A stream whose source is let go of when the client leaves, or takes nothing for long."""
 
     media_type = "text/event-stream"
+
     #: a client that takes nothing for so long is gone, s
     stall_s = 60.0
+    #: where the stream has a place
+    streams: OpenStreams
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Send the stream; its place is given back however that ends."""
+        try:
+            await super().__call__(scope, receive, send)
+        finally:
+            self.streams.leave()
 
     async def stream_response(self, send: Send) -> None:
         """Send chunks until there are no more or the client has gone."""
@@ -59,8 +70,9 @@ async def stream(
     """Follow a spacecraft: events measurement, attitude, torque, alarm, status, dropped; Last-Event-ID resumes."""
     parts: StreamParts = request.app.state.stream_parts
     resume = cursor_of(spacecraft_id, last_event_id)
-    parts.streams.check_room()
     await run_in_threadpool(context.storage.catalogue.spacecraft, spacecraft_id)
+    # nothing is waited for between the look and the place: requests that come together cannot pass it
+    parts.streams.take_place()
     response = EventStreamResponse(EventStream(parts, spacecraft_id, resume).chunks(), headers=_HEADERS)
-    response.stall_s = context.limits.stream_stall_s
+    response.stall_s, response.streams = context.limits.stream_stall_s, parts.streams
     return response

@@ -1,10 +1,13 @@
 """Live stream over a real server: order, resume, slow clients, stop."""
 
+import asyncio
 import time
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack
 
 import pytest
+from fastapi.responses import PlainTextResponse, StreamingResponse
 from served_stream import Event, Reader, Served, Source, serving, wait_until
 
 from service.records.alarm import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
@@ -238,6 +241,25 @@ async def test_one_stream_too_many_is_refused_and_room_comes_back(served, source
     wait_until(lambda: source.subscribers() == 0)
     with served.open() as response:
         Reader(response).take(1, "status")
+
+
+async def test_streams_that_are_asked_for_together_do_not_pass_the_limit(bench, monkeypatch):
+    """Found by 508 streams where 500 are given: each looked for room, waited for the archive, then took a place."""
+    streams, opened, closing = bench.app.state.open_streams, [], asyncio.Event()
+    streams._limit = 3
+
+    async def held(_response, scope, receive, send):
+        opened.append(streams.count)
+        await closing.wait()
+        await PlainTextResponse("over")(scope, receive, send)
+
+    monkeypatch.setattr(StreamingResponse, "__call__", held)
+    asked = [asyncio.create_task(bench.client.get(f"{bench.url}/stream")) for _ in range(20)]
+    while sum(each.done() for each in asked) + len(opened) < len(asked):
+        await asyncio.sleep(0.01)
+    closing.set()
+    statuses = Counter([(await each).status_code for each in asked])
+    assert (statuses, max(opened), streams.count) == ({503: 17, 200: 3}, 3, 0)
 
 
 async def test_alarms_are_told_and_resumed(served, bench, make):
