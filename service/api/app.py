@@ -4,6 +4,7 @@ Layers from outside in: request ids (and the last 500), figures and access log, 
 answers, body limit, routes.
 """
 
+import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
@@ -68,6 +69,7 @@ def create_app(context: ApiContext) -> FastAPI:
     keys = StoredKeys(context.storage.keys, context.bootstrap_key, context.clock.system_us)
     app.state.key_ring = app.state.stored_keys = keys
     app.state.readiness = SharedReadiness(context)
+    app.state.large_body = asyncio.Lock()
     app.state.rate_limits = RateLimits(context.limits.rates)
     app.state.refusals = Refusals()
     return app

@@ -1,8 +1,8 @@
 """Body limit: no request makes the service hold more than the limit, packed or unpacked.
 
 Sizes are counted as bytes arrive, so a body without a length or with a false one is stopped all the same. Bodies with
-``Content-Encoding: gzip`` are unpacked here, never further than one byte beyond the limit, and the inside sees a plain
-body.
+``Content-Encoding: gzip`` are unpacked here, never further than one byte beyond the limit, nor beyond a hundred times
+what came, and the inside sees a plain body.
 """
 
 import zlib
@@ -16,6 +16,10 @@ from service.api.problems import ProblemError, render
 
 #: zlib's word for "expect a gzip header"
 _GZIP_WBITS = 16 + zlib.MAX_WBITS
+#: rows of measured powers pack to a fifth; whoever packs further sends zeros to make work
+MAX_RATIO = 100
+#: unpacked whatever the ratio
+_FREE_BYTES = 256 * 1024
 
 
 class BodyLimit:
@@ -93,12 +97,15 @@ class _Unpacker:
     def __init__(self, max_body_bytes: int) -> None:
         self._member = zlib.decompressobj(_GZIP_WBITS)
         self._left = max_body_bytes
+        #: what the ratio yet allows
+        self._allowed = _FREE_BYTES
         self._max_body_bytes = max_body_bytes
         self._is_started = False
 
     def unpack(self, packed: bytes, *, is_last: bool) -> bytes:
         """Return what a piece unpacks to."""
         pieces = []
+        self._allowed += MAX_RATIO * len(packed)
         while packed:
             if self._member.eof:
                 self._member = zlib.decompressobj(_GZIP_WBITS)
@@ -106,17 +113,21 @@ class _Unpacker:
             piece = self._next(packed)
             pieces.append(piece)
             self._left -= len(piece)
+            self._allowed -= len(piece)
             if self._left < 0:
                 raise too_large(self._max_body_bytes)
+            if self._allowed < 0:
+                detail = f"the body unpacks to more than {MAX_RATIO} times its size; send it plain"
+                raise ProblemError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "body.gzip_ratio", detail)
             packed = self._member.unused_data
         if is_last and self._is_started and not self._member.eof:
             raise _broken_gzip()
         return b"".join(pieces)
 
     def _next(self, packed: bytes) -> bytes:
-        """Return at most one byte more than is left of the limit."""
+        """Return at most one byte more than is left of the limits."""
         try:
-            return self._member.decompress(packed, self._left + 1)
+            return self._member.decompress(packed, min(self._left, self._allowed) + 1)
         except zlib.error:
             raise _broken_gzip() from None
 

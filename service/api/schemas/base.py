@@ -16,6 +16,8 @@ from service.records.epoch import format_epoch
 
 _EPOCH_SCHEMA = {"type": "string", "format": "date-time", "examples": ["2026-11-21T03:02:32.011250Z"]}
 
+#: rows of a batch beyond which decoding stops, whatever the settings say
+MAX_ROWS = 100_000
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._:-]{0,63}$"
 #: one line of text; control characters would break logs, CSV and PostgreSQL
 Text = Annotated[str, StringConstraints(max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")]

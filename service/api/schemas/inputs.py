@@ -10,6 +10,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field
 
 from service.api.schemas.base import (
+    MAX_ROWS,
     AnglesAnswer,
     AnglesDocument,
     Answer,
@@ -81,7 +82,7 @@ class ReferenceBatchDocument(Document):
     """References of one sensor."""
 
     source: Literal["star_tracker", "earth_sensor", "radio_beacon", "other"]
-    references: Annotated[list[ReferenceDocument], Field(fail_fast=True)]
+    references: Annotated[list[ReferenceDocument], Field(max_length=MAX_ROWS, fail_fast=True)]
 
 
 class CorrectionDocument(Document):
@@ -109,7 +110,7 @@ class CorrectionDocument(Document):
 class CorrectionBatchDocument(Document):
     """Corrections."""
 
-    corrections: Annotated[list[CorrectionDocument], Field(fail_fast=True)]
+    corrections: Annotated[list[CorrectionDocument], Field(max_length=MAX_ROWS, fail_fast=True)]
 
 
 class TelemetryDocument(Document):
@@ -144,7 +145,7 @@ class TelemetryDocument(Document):
 class TelemetryBatchDocument(Document):
     """Telemetry records."""
 
-    records: Annotated[list[TelemetryDocument], Field(fail_fast=True)]
+    records: Annotated[list[TelemetryDocument], Field(max_length=MAX_ROWS, fail_fast=True)]
 
 
 class InputRefusalAnswer(Answer):

@@ -5,16 +5,18 @@ from typing import Annotated, Any, Literal, Required
 from pydantic import ConfigDict, Field
 from typing_extensions import TypedDict
 
-from service.api.schemas.base import Answer, Document, EpochAnswer, Name, PlanNumber
+from service.api.schemas.base import MAX_ROWS, Answer, Document, EpochAnswer, Name, PlanNumber
 from service.records.measurement import DETAIL_NAMES
 
 #: stored as int32
 Mask = Annotated[int, Field(ge=0, le=2**31 - 1)]
+#: figures of a row: beyond it decoding stops, below it a row of another width than its plan is refused by itself
+_OF_A_ROW = Field(max_length=4096, fail_fast=True)
 #: one figure of each carrier; the bounds are those of what an analyzer can tell
-_Sigmas = Annotated[list[Annotated[float, Field(ge=0, le=1000)] | None], Field(fail_fast=True)]
-_Densities = Annotated[list[Annotated[float, Field(ge=-300, le=300)] | None], Field(fail_fast=True)]
-_Bandwidths = Annotated[list[Annotated[float, Field(ge=0, le=1e12)] | None], Field(fail_fast=True)]
-_Offsets = Annotated[list[Annotated[float, Field(ge=-1e12, le=1e12)] | None], Field(fail_fast=True)]
+_Sigmas = Annotated[list[Annotated[float, Field(ge=0, le=1000)] | None], _OF_A_ROW]
+_Densities = Annotated[list[Annotated[float, Field(ge=-300, le=300)] | None], _OF_A_ROW]
+_Bandwidths = Annotated[list[Annotated[float, Field(ge=0, le=1e12)] | None], _OF_A_ROW]
+_Offsets = Annotated[list[Annotated[float, Field(ge=-1e12, le=1e12)] | None], _OF_A_ROW]
 #: integers that every reader of JSON keeps exact
 MAX_SEQ = 2**53 - 1
 
@@ -31,9 +33,9 @@ class MeasurementDocument(TypedDict, total=False):
     # checked as a whole batch by epochs.parse_epochs: a thousand times a second, one by one would cost more than JSON
     epoch: Required[Annotated[str, Field(max_length=64, json_schema_extra={"format": "date-time"})]]
     """Middle of the dwell, RFC 3339."""
-    power_dbm: Required[Annotated[list[float | None], Field(fail_fast=True)]]
+    power_dbm: Required[Annotated[list[float | None], _OF_A_ROW]]
     """dBm, null = absent."""
-    flags: Annotated[list[Mask], Field(fail_fast=True)] | None
+    flags: Annotated[list[Mask], _OF_A_ROW] | None
     """Quality bit mask of each carrier."""
     sigma_db: _Sigmas | None
     """Predicted scatter of each power, one sigma, dB."""
@@ -52,7 +54,7 @@ class MeasurementBatchDocument(Document):
     source: Name = "default"
     first_seq: Annotated[int, Field(ge=0, le=MAX_SEQ)] | None = None
     """Sequence number of the first row; the others follow."""
-    measurements: Annotated[list[MeasurementDocument], Field(fail_fast=True)]
+    measurements: Annotated[list[MeasurementDocument], Field(max_length=MAX_ROWS, fail_fast=True)]
 
     def details(self) -> list[dict[str, list[float | None]]] | None:
         """Return what each row states beside its powers, None when none states any."""

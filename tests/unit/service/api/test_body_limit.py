@@ -71,6 +71,21 @@ async def test_a_bomb_is_stopped_within_one_piece_of_the_limit():
     assert (code, taken) == (b"body.too_large", 1)
 
 
+@pytest.mark.parametrize("piece", [7, 1000, 10_000_000])
+async def test_what_unpacks_too_far_is_stopped_long_before_the_limit(piece):
+    packed = gzip.compress(b"0," * 4_000_000)
+    assert len(packed) < 9000
+    code, taken, _ = await passed(packed, piece, 8_000_000, (b"content-encoding", b"gzip"))
+    assert code == b"body.gzip_ratio"
+    # 256 KiB and a hundred times what had come by then, each byte of which unpacks to a thousand
+    assert (taken - 1) * piece < 1000
+
+
+async def test_small_bodies_pack_as_far_as_they_like():
+    body = b" " * 256 * 1024
+    assert (await passed(gzip.compress(body), 100, 1_000_000, (b"content-encoding", b"gzip")))[0] == body
+
+
 async def test_unpacked_size_is_exact():
     packed = gzip.compress(b"x" * 5000)
     assert (await passed(packed, 9, 5000, (b"content-encoding", b"gzip")))[0] == b"x" * 5000
