@@ -12,6 +12,13 @@ import pytest
 # two workers on two cores: a second thread of each matrix product takes the other worker's core and gives nothing
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+if importlib.util.find_spec("hypothesis") is not None:  # the environment of tests/clients does without
+    from hypothesis import settings
+
+    # a time limit of an example judges the machine; the one of pytest bounds hangs
+    settings.register_profile("unhurried", deadline=None)
+    settings.load_profile("unhurried")
+
 
 def _load(name: str) -> ModuleType:
     """Return a module of tests/fakes, which lies on no import path."""

@@ -1,27 +1,17 @@
 """``soo study orbital-frame``: the orbital-frame control of Meteor-M No. 2 beside its published figures.
 
-Exit codes: 0 every figure but the one that is known not to reproduce does, 1 another one does not.
+Exit codes: 0 every figure but those that are known not to reproduce does, 1 another one does not.
 """
 
-import json
 import time
-from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from service.study.orbital_frame.reproduction import Row
-
-#: the quantum's peaks without noise; why stands in docs/explanations/orbital-frame-control.md
-KNOWN_MISSES = frozenset({("peak of yaw", "no noise"), ("peak of roll", "no noise")})
-_COLUMNS = ("figure", "parameters", "paper", "reproduced", "ratio", "verdict")
+from service.cli.study_published import report
 
 
 def orbital_frame(
@@ -52,44 +42,7 @@ def orbital_frame(
         figures.mkdir(parents=True, exist_ok=True)
         for path in draw_reproduction(kernel, figures):
             console.print(f"drawn: {path}", highlight=False)
-    if as_json:
-        typer.echo(json.dumps({"rows": [{**asdict(row), "ratio": row.ratio} for row in rows]}, allow_nan=False))
-    elif as_markdown:
-        typer.echo(_markdown(rows), nl=False)
-    else:
-        _print(rows)
-        console.print(f"{len(rows)} figures in {taken_s:.1f} s", highlight=False)
-    if any(_is_surprising(row) for row in rows):
+    report(rows, "Orbital-frame control of Meteor-M No. 2", as_json=as_json, as_markdown=as_markdown)
+    console.print(f"{len(rows)} figures in {taken_s:.1f} s", highlight=False)
+    if any(one.is_surprising for one in rows):
         raise typer.Exit(1)
-
-
-def _is_surprising(row: "Row") -> bool:
-    """Return whether a figure does not reproduce that should."""
-    known = any(row.what == what and part in row.parameters for what, part in KNOWN_MISSES)
-    return row.verdict == "not reproduced" and not known
-
-
-def _cells(row: "Row") -> tuple[str, ...]:
-    bound = "<= " if row.is_bound else ""
-    unit = f" {row.unit}" if row.unit else ""
-    return (
-        row.what,
-        row.parameters,
-        f"{bound}{row.published:.4g}{unit}",
-        f"{row.reproduced:.4g}{unit}",
-        f"{row.ratio:.2f}",
-        row.verdict.value,
-    )
-
-
-def _print(rows: "Sequence[Row]") -> None:
-    console = Console()
-    table = Table(*_COLUMNS, title="Orbital-frame control of Meteor-M No. 2", title_justify="left")
-    for row in rows:
-        table.add_row(*_cells(row))
-    (console if console.is_terminal else Console(width=160)).print(table)
-
-
-def _markdown(rows: "Sequence[Row]") -> str:
-    lines = [f"| {' | '.join(_COLUMNS)} |", f"|{'---|' * len(_COLUMNS)}"]
-    return "\n".join([*lines, *(f"| {' | '.join(_cells(row))} |" for row in rows)]) + "\n"

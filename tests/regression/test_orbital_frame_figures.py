@@ -37,6 +37,7 @@ from service.core.dynamics.orbital_frame_model import (
     RateSensor,
     rigid_craft,
 )
+from service.study.orbital_frame.reproduction import reproduce
 
 ORBIT_S = 2.0 * math.pi / ORBITAL_RATE_RAD_S
 Fly = Callable[..., Flight]
@@ -231,6 +232,44 @@ def test_side_on_which_the_wheel_turns_is_that_of_the_product(fly: Fly) -> None:
     flipped = NOMINAL_INERTIA._replace(yz=-NOMINAL_INERTIA.yz)
     flight = fly(Craft(law=Law(gains=MIN_GAINS), inertia=flipped), Start(), 15_000.0)
     assert mean_over_orbits(flight, ORBITAL_RATE_RAD_S) == pytest.approx(0.28, abs=0.04)
+
+
+def test_eight_statements_without_a_figure_of_their_own(fly: Fly) -> None:
+    """Transients of the smallest gains, constant yaw and its correction, noise, friction, tones, resonance."""
+    rows = reproduce(compiled_fly())
+    found = {(row.what, row.parameters.rpartition(", ")[2]): row for row in rows}
+    expected = [
+        ("yaw of 10 deg: time to 0.1 deg", "smallest yaw gains", 700.9, "reproduced"),
+        ("yaw of 10 deg: largest roll", "smallest yaw gains", 0.458, "reproduced"),
+        ("roll of 2 deg: time to 1 % of it", "smallest yaw gains", 742.75, "reproduced"),
+        ("roll of 2 deg: largest yaw, about", "smallest yaw gains", 5.50, "not reproduced"),
+        ("mean of yaw over two orbits", "not corrected", -0.303, "reproduced"),
+        ("mean of yaw over two orbits", "yaw rate corrected by a constant", 0.0, "fitted"),
+        ("rms of yaw", "largest gains", 0.0041, "reproduced"),
+        ("next part of the wheels' model over dry friction, mean of yaw", "smallest yaw gains", 0.175, "reproduced"),
+        ("peak of yaw with tones over that without", "corrected", 1.0, "reproduced"),
+        ("rms of the yaw torque", "16 times the largest yaw gains", 0.222, "reproduced"),
+        ("rms of the yaw torque", "the largest yaw gains", 0.00164, "reproduced"),
+    ]
+    for what, parameters, value, verdict in expected:
+        row = found[what, parameters]
+        assert row.reproduced == pytest.approx(value, rel=0.02, abs=5e-4), row
+        assert row.verdict == verdict
+    assert [row.what for row in rows if row.is_surprising] == []
+    assert sum(row.is_known_miss for row in rows if row.verdict == "not reproduced") == 3
+
+
+def test_rates_are_as_old_as_their_sensor_says(fly: Fly) -> None:
+    """Four periods differ from one; before, every delay above zero was one period."""
+    high = MAX_GAINS._replace(yaw_stiffness=40.0, yaw_damping=8000.0)
+    torques = [
+        fly(Craft(law=Law(gains=high), rate_sensor=RateSensor(delay_periods=delay)), Start(), 1500.0).torque_n_m[:, 2]
+        for delay in (1, 4)
+    ]
+    assert np.abs(torques[0]).max() < 0.05
+    assert np.abs(torques[1]).max() >= 0.25
+    with pytest.raises(ValueError, match="delay_periods is -1"):
+        fly(Craft(rate_sensor=RateSensor(delay_periods=-1)), Start(), 10.0)
 
 
 def test_free_libration_has_the_period_of_the_gravity_gradient(fly: Fly) -> None:

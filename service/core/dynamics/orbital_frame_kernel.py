@@ -223,9 +223,10 @@ def fly(
     flexible = np.zeros((6, 2))
     turns = np.zeros(3)
     shown = tilt(state)
-    held = body_rate(state, inverse)
+    delay = craft.rate_sensor.delay_periods
+    sensed = np.zeros((delay + 1, 3))
     torque = (0.0, 0.0, 0.0)
-    write_row(record[0], 0.0, state, torque, held[0] / w0)
+    write_row(record[0], 0.0, state, torque, body_rate(state, inverse)[0] / w0)
     for period in range(len(rate_noise_rad_s)):
         rate = body_rate(state, inverse)
         measured = tilt(state)
@@ -237,8 +238,9 @@ def fly(
         used = rate
         if craft.rate_sensor.is_real:
             fresh = sensed_rate(craft.rate_sensor, bent_rate(rate, flexible), rate_noise_rad_s[period])
-            used = held if craft.rate_sensor.delay_periods > 0 and period > 0 else fresh
-            held = fresh
+            sensed[period % (delay + 1)] = fresh
+            old = sensed[max(period - delay, 0) % (delay + 1)]
+            used = (old[0], old[1], old[2])
         used = (used[0], used[1], used[2] + computer.yaw_rate_correction_rad_s)
         wanted = wanted_torque(craft.law, measured[0], measured[1], used)
         if math.isnan(wanted[0]) or math.isnan(wanted[1]) or math.isnan(wanted[2]):

@@ -88,7 +88,7 @@ class VerticalSensor(NamedTuple):
 
 
 class RateSensor(NamedTuple):
-    """Sensors of the three rates, rad/s; their output is one period old."""
+    """Sensors of the three rates, rad/s; their output is some periods of the computer old."""
 
     is_real: bool = True
     limit_rad_s: float = 0.05
@@ -182,6 +182,8 @@ def refusals(craft: Craft) -> list[str]:
         "steps": float(craft.steps),
     }
     found = [f"{name} is {value:g}; it must be above zero" for name, value in positive.items() if not value > 0.0]
+    if craft.rate_sensor.delay_periods < 0:
+        found.append(f"rate_sensor.delay_periods is {craft.rate_sensor.delay_periods}; it must not be negative")
     if not all(minor > 0.0 for minor in minors):
         found.append("the inertia tensor is not positive definite; products are tensor elements, not integrals")
     elif not (j.xx + j.yy > j.zz and j.yy + j.zz > j.xx and j.zz + j.xx > j.yy):

@@ -1,0 +1,91 @@
+"""Published figures and statements beside what the product makes of them, one row each."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+COLUMNS = ("figure", "parameters", "paper", "reproduced", "ratio", "verdict")
+
+
+class Verdict(StrEnum):
+    """What a reproduced figure is to the published one."""
+
+    #: equal within the rounding of the print, within a stated bound, or as the print says in words
+    REPRODUCED = "reproduced"
+    #: meets a bound or a figure to which parameters were chosen
+    FITTED = "fitted"
+    NOT_REPRODUCED = "not reproduced"
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One published figure, or a statement without one."""
+
+    what: str
+    parameters: str
+    #: None: the print says it in words
+    published: float | None
+    #: the print gives an upper bound
+    is_bound: bool
+    reproduced: float
+    unit: str
+    verdict: Verdict
+    #: the print in words
+    statement: str = ""
+    #: not reproduced, and the page of the study says why
+    is_known_miss: bool = False
+
+    @property
+    def ratio(self) -> float | None:
+        """Reproduced over published; None without a published figure."""
+        return self.reproduced / self.published if self.published else None
+
+    @property
+    def is_surprising(self) -> bool:
+        """Return whether a figure does not reproduce that should."""
+        return self.verdict is Verdict.NOT_REPRODUCED and not self.is_known_miss
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """Return the row as the cells of a line."""
+        unit = f" {self.unit}" if self.unit else ""
+        bound = "<= " if self.is_bound else ""
+        printed = self.statement if self.published is None else f"{bound}{self.published:.6g}{unit}"
+        ratio = "-" if self.ratio is None else f"{self.ratio:.2f}"
+        return (self.what, self.parameters, printed, f"{self.reproduced:.4g}{unit}", ratio, self.verdict.value)
+
+
+def row(
+    what: str,
+    parameters: str,
+    published: float,
+    reproduced: float,
+    unit: str,
+    *,
+    is_bound: bool = False,
+    within: float = 0.0,
+    is_fitted: bool = False,
+    is_known_miss: bool = False,
+) -> Row:
+    """Return the row of a published figure; ``within`` is the rounding of the print or the error to be expected."""
+    is_met = reproduced <= published if is_bound else abs(reproduced - published) <= within
+    met = Verdict.FITTED if is_fitted else Verdict.REPRODUCED
+    verdict = met if is_met else Verdict.NOT_REPRODUCED
+    return Row(what, parameters, published, is_bound, reproduced, unit, verdict, is_known_miss=is_known_miss)
+
+
+def statement_row(
+    what: str, parameters: str, statement: str, reproduced: float, unit: str, *, is_met: bool, is_fitted: bool = False
+) -> Row:
+    """Return the row of a statement that the print makes in words."""
+    met = Verdict.FITTED if is_fitted else Verdict.REPRODUCED
+    verdict = met if is_met else Verdict.NOT_REPRODUCED
+    return Row(
+        what, parameters, None, is_bound=False, reproduced=reproduced, unit=unit, verdict=verdict, statement=statement
+    )
+
+
+def markdown(rows: Sequence[Row]) -> str:
+    """Return the table of a page."""
+    lines = [f"| {' | '.join(COLUMNS)} |", f"|{'---|' * len(COLUMNS)}"]
+    return "\n".join([*lines, *(f"| {' | '.join(one.cells)} |" for one in rows)]) + "\n"
