@@ -56,6 +56,31 @@ async def test_capture_boundary_of_a_relay(soo):
     assert swinging.json()["verdict"] == "captured"
 
 
+@pytest.mark.parametrize("pulse_s", [None, 1.0])
+async def test_capture_boundary_without_damping(soo, pulse_s):
+    body = {**SWITCHING, "damping_ratio": 0.0, "pulse_s": pulse_s}
+    answer = await soo.client.post(f"{BASE}/capture-boundary", json=body)
+    assert answer.status_code == 200, answer.text
+    told = answer.json()
+    assert told["p_min_rad"] == pytest.approx(told["p_cr_rad"], rel=1e-9)
+    assert (told["p_inf_rad"], told["perpetual_capture"]) == ((None, "possible") if pulse_s is None else (0.0, "none"))
+
+
+@pytest.mark.parametrize(
+    ("changes", "told", "over_both"),
+    [
+        ({}, "", []),
+        ({"pulse_count": 2, "line_step_rad": 1.5e-3}, "only in jumps", []),
+        ({"pulse_s": 4.0}, "ends slower than it began", [[2, 1]]),
+    ],
+)
+async def test_no_cycle_without_its_reason(soo, changes, told, over_both):
+    answer = (await soo.client.post(f"{BASE}/limit-cycle", json={**AXIS, **changes})).json()
+    assert told in answer["reason"]
+    assert (answer["reason"] == "") is bool(answer["cycles"])
+    assert [cycle["pulses"] for cycle in answer["cycles_over_both_lines"]] == over_both
+
+
 async def test_torque_schedule_with_and_without_a_regulator(soo):
     answer = await soo.client.post(f"{BASE}/torque-schedule", json=SCHEDULE)
     assert answer.status_code == 200, answer.text
@@ -81,7 +106,8 @@ async def test_what_a_schedule_leaves_is_carried_to_the_next(soo):
         ("limit-cycle", {**AXIS, "alpha_rad": 0.05}, "alpha_rad"),
         ("limit-cycle", {**AXIS, "pulse_s": -1.0}, "pulse_s"),
         ("limit-cycle", {**AXIS, "external_torque_n_m": 0.5}, "external_torque_n_m"),
-        ("capture-boundary", {**SWITCHING, "damping_ratio": 0.0}, "damping_ratio"),
+        ("capture-boundary", {**SWITCHING, "damping_ratio": -0.1}, "damping_ratio"),
+        ("capture-boundary", {**SWITCHING, "damping_ratio": 1.0}, "damping_ratio"),
         ("capture-boundary", {**SWITCHING, "friction_torque_n_m": 0.3}, "friction_torque_n_m"),
         ("torque-schedule", {**SCHEDULE, "alpha_rad": 0.01}, "regulator"),
         ("torque-schedule", {**SCHEDULE, "pulses": 2 * SCHEDULE["pulses"]}, "begins before"),

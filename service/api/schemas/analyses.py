@@ -66,6 +66,20 @@ class LimitCycleFoundAnswer(Answer):
     """False: the rotor would stop or saturate, and the figures do not belong to this drive."""
 
 
+class CycleOverBothLinesAnswer(Answer):
+    """One periodic motion that visits both lines, equation (24)."""
+
+    speed_rad_s: float
+    """At the first line of the side to which friction turns the body, coming from the other side."""
+    period_s: float
+    pulses: tuple[int, int]
+    """On that side, on the other side."""
+    outer_rad: float
+    rate_rad_s: float
+    multiplier: Finding
+    is_stable: bool
+
+
 class SinglePulseAnswer(Answer):
     """Closed forms of the cycle of one pulse."""
 
@@ -83,6 +97,10 @@ class LimitCycleAnswer(Answer):
     """Cycles, closed forms, succession function and ladder of one axis."""
 
     cycles: list[LimitCycleFoundAnswer]
+    """On one side."""
+    cycles_over_both_lines: list[CycleOverBothLinesAnswer]
+    reason: str
+    """For which `cycles` is empty; empty where it is not."""
     forms: SinglePulseAnswer
     passive_rad_s2: float
     pulse_rad_s2: float
@@ -97,6 +115,11 @@ class LimitCycleAnswer(Answer):
         return cls.model_validate(
             {
                 "cycles": [cycle._asdict() for cycle in found.cycles],
+                "cycles_over_both_lines": [
+                    {**cycle.motion._asdict(), "multiplier": cycle.multiplier, "is_stable": cycle.is_stable}
+                    for cycle in found.cycles_over_both_lines
+                ],
+                "reason": found.reason,
                 "forms": found.forms._asdict(),
                 "passive_rad_s2": found.passive_rad_s2,
                 "pulse_rad_s2": found.pulse_rad_s2,
@@ -112,6 +135,7 @@ class CaptureDocument(Document):
 
     omega_rad_s: Quantity
     damping_ratio: Quantity
+    """Below 1; 0: as in the derivation of the boundary."""
     coupling: Quantity
     inertia_kg_m2: Quantity
     motor_torque_n_m: Quantity
@@ -143,6 +167,7 @@ class CaptureAnswer(Answer):
     p_min_rad: Finding
     margin_rad: Finding
     p_inf_rad: Finding
+    """Null: unbounded, a relay on a mode without damping."""
     perpetual_capture: str
     """none, irregular or possible."""
     band: StableBandAnswer

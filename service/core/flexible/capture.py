@@ -186,7 +186,10 @@ def perpetual_amplitude_rad(switch: SwitchOn, mode: FlexibleMode) -> float:
     """Return p_inf, at which a captured relay holds its own oscillation: what it pumps in, damping takes out.
 
     ``p_inf^2 = kn eps_a (beta - alpha) / (pi xi w^2)``. Locks were seen only where p_inf is 1.9 beta or more, and then
-    from some starts only; none below beta. One line (alpha = beta) pumps nothing.
+    from some starts only; none below beta. One line (alpha = beta) pumps nothing. Without damping nothing is taken out:
+    infinite.
     """
     pumped = mode.coupling * switch.pulse_rad_s2 * (switch.beta_rad - switch.alpha_rad)
+    if mode.damping_ratio == 0.0:
+        return math.inf if pumped > 0.0 else 0.0
     return math.sqrt(pumped / (math.pi * mode.damping_ratio * mode.omega_rad_s**2))

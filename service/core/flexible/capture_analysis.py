@@ -36,7 +36,7 @@ class CaptureAnalysis(NamedTuple):
     p_min_rad: float
     #: p_cr less the swing; negative: captured
     margin_rad: float
-    #: p_inf of a relay; 0 where nothing is pumped, as for timed pulses
+    #: p_inf of a relay; 0 where nothing is pumped, as for timed pulses; infinite without damping
     p_inf_rad: float
     #: "none"; "irregular": between 1 and 1.9 beta; "possible": from 1.9 beta on, from some starts
     perpetual_capture: str
@@ -68,7 +68,7 @@ def analyse_capture(
     Parameters
     ----------
     omega_rad_s, damping_ratio, coupling : float
-        w (rad/s), xi and kn of the mode.
+        w (rad/s), xi and kn of the mode; xi = 0, for which (12) to (20) are derived, is allowed.
     inertia_kg_m2, motor_torque_n_m, friction_torque_n_m : float
         Inertia of the axis; M_n; friction of the rotor at its momentum, ``M_T + M_v |H| / H_max``.
     alpha_rad, beta_rad : float
@@ -98,7 +98,7 @@ def analyse_capture(
     (0.00826619, 'free')
     """
     mode = FlexibleMode(omega_rad_s, damping_ratio, coupling)
-    require_mode(mode)
+    require_mode(mode, may_be_undamped=True)
     law = SwitchingLaw(alpha_rad, beta_rad, pulse_s)
     require_law(law)
     for name, value in (("inertia_kg_m2", inertia_kg_m2), ("motor_torque_n_m", motor_torque_n_m)):

@@ -5,6 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.core.flexible.both_lines import (
+    CycleOverBothLines,
+    crossing_speed_rad_s,
+    find_cycles_over_both_lines,
+)
 from service.core.flexible.closed_forms import SinglePulseForms, single_pulse_forms
 from service.core.flexible.phi_functions import FloatArray
 from service.core.flexible.return_kernels import OneSided, one_return
@@ -49,7 +54,11 @@ class LimitCycle(NamedTuple):
 class LimitCycleAnalysis(NamedTuple):
     """Everything about the cycles of one axis."""
 
+    #: on one side
     cycles: tuple[LimitCycle, ...]
+    cycles_over_both_lines: tuple[CycleOverBothLines, ...]
+    #: for which there is none on one side; empty where there is one
+    reason: str
     #: closed forms of the single pulse
     forms: SinglePulseForms
     passive_rad_s2: float
@@ -100,7 +109,7 @@ def analyse_limit_cycle(  # everything that the REST route shows
     returns: int = 50,
     map_points: int = 200,
 ) -> LimitCycleAnalysis:
-    """Return limit cycles, closed forms, succession function and ladder of one axis.
+    """Return limit cycles on one side and over both lines, closed forms, succession function and ladder of one axis.
 
     Parameters
     ----------
@@ -139,14 +148,39 @@ def analyse_limit_cycle(  # everything that the REST route shows
     start = 0.55 * gained if start_speed_rad_s is None else start_speed_rad_s
     if not (math.isfinite(start) and start > 0.0):
         raise ValueError(f"start_speed_rad_s is {start:g}, an arrival at the line needs a speed above 0")
+    cycles, over_both = find_limit_cycles(drive, law), find_cycles_over_both_lines(drive, law)
+    next_speeds = succession(speeds, motion)
     return LimitCycleAnalysis(
-        cycles=find_limit_cycles(drive, law),
+        cycles=cycles,
+        cycles_over_both_lines=over_both,
+        reason="" if cycles else _why_none(next_speeds - speeds, gained, crossing_speed_rad_s(drive, law)),
         forms=single_pulse_forms(drive, pulse_s),
         passive_rad_s2=motion.passive_rad_s2,
         pulse_rad_s2=motion.pulse_rad_s2,
         speeds_rad_s=speeds,
-        next_speeds_rad_s=succession(speeds, motion),
+        next_speeds_rad_s=next_speeds,
         ladder_rad_s=koenigs_lamerey(start, returns, motion),
+    )
+
+
+def _why_none(excess_rad_s: FloatArray, gained_rad_s: float, crossing_rad_s: float) -> str:
+    """Return why no motion on one side closes, from what the succession function adds to each speed."""
+    known = excess_rad_s[np.isfinite(excess_rad_s)]
+    if not len(known):
+        return (
+            f"no arrival comes back to its own line: a pulse gives up to {gained_rad_s:.3g} rad/s and "
+            f"{crossing_rad_s:.3g} rad/s bring the body through neutral to the other line; see cycles_over_both_lines, "
+            "or shorten the pulse"
+        )
+    if known.min() > 0.0 or known.max() < 0.0:
+        changed = "faster" if known.min() > 0.0 else "slower"
+        return (
+            f"every visit that returns ends {changed} than it began, until the number of its pulses changes or the "
+            "body leaves for the other line; change line_step_rad, pulse_count or pulse_s"
+        )
+    return (
+        "the succession function passes the diagonal only in jumps, where the number of pulses changes: the motion "
+        "wanders, or closes after several visits, which are not looked for; change line_step_rad or pulse_count"
     )
 
 

@@ -5,6 +5,7 @@ motor is off) and at its limit (torque that would raise it further is cut).
 """
 
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -106,19 +107,34 @@ def follow_motion(
     require_positive("duration_s", duration_s)
     if mode is not None:
         require_mode(mode)
+    record, end_s, end = _Record(), 0.0, start
+    for step in steps_of(start, drive, mode, law, duration_s, regulator):
+        record.add(step)
+        end_s, end = step.end_s, step.end
+        if record.events > MOST_EVENTS:
+            raise ValueError(
+                f"more than {MOST_EVENTS} events in {step.end_s:g} s of {duration_s:g}: the law chatters; widen the "
+                "distance between alpha and beta, lengthen the pulse, or ask for a shorter time"
+            )
+    return record.motion(end_s, end)
+
+
+def steps_of(
+    start: BodyState,
+    drive: WheelDrive,
+    mode: FlexibleMode | None,
+    law: SwitchingLaw,
+    duration_s: float,
+    regulator: Regulator | None = None,
+) -> Iterator["Step"]:
+    """Yield the motion of one axis, event by event, as `follow_motion` records it; what is given is not checked."""
     now_s, state, waiting = 0.0, start, regulator or Regulator()
-    record = _Record()
     while now_s < duration_s:
         leg = _leg(state, waiting, drive, mode)
         event = _next_event(leg, waiting, drive, law, duration_s - now_s)
-        record.add(now_s, leg, waiting, event)
-        now_s, state, waiting = now_s + event.after_s, _state_after(leg, event), event.regulator
-        if record.events > MOST_EVENTS:
-            raise ValueError(
-                f"more than {MOST_EVENTS} events in {now_s:g} s of {duration_s:g}: the law chatters; widen the "
-                "distance between alpha and beta, lengthen the pulse, or ask for a shorter time"
-            )
-    return record.motion(now_s, state)
+        state = _state_after(leg, event)
+        yield Step(now_s, leg, waiting, event, now_s + event.after_s, state)
+        now_s, waiting = now_s + event.after_s, event.regulator
 
 
 class _Event(NamedTuple):
@@ -134,6 +150,18 @@ class _Event(NamedTuple):
     momentum_n_m_s: float | None = None
 
 
+class Step(NamedTuple):
+    """One leg, what ended it, and where."""
+
+    start_s: float
+    leg: Leg
+    #: state of the law on the leg
+    regulator: Regulator
+    event: _Event
+    end_s: float
+    end: BodyState
+
+
 class _Record:
     """Legs and switchings of a run."""
 
@@ -143,15 +171,15 @@ class _Record:
         self._firings: list[float] = []
         self._releases: list[float] = []
 
-    def add(self, now_s: float, leg: Leg, regulator: Regulator, event: _Event) -> None:
+    def add(self, step: Step) -> None:
         """Keep a leg and what ended it."""
         self.events += 1
-        if event.after_s > 0.0:
-            self._legs.append((now_s, leg, regulator))
-        if event.is_firing:
-            self._firings.append(now_s + event.after_s)
-        if event.is_release:
-            self._releases.append(now_s + event.after_s)
+        if step.event.after_s > 0.0:
+            self._legs.append((step.start_s, step.leg, step.regulator))
+        if step.event.is_firing:
+            self._firings.append(step.end_s)
+        if step.event.is_release:
+            self._releases.append(step.end_s)
 
     def motion(self, end_s: float, end: BodyState) -> Motion:
         """Return everything kept."""

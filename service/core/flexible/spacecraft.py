@@ -98,13 +98,14 @@ def require_drive(drive: WheelDrive) -> None:
         )
 
 
-def require_mode(mode: FlexibleMode) -> None:
-    """Refuse a mode that cannot exist, one without damping among them."""
+def require_mode(mode: FlexibleMode, *, may_be_undamped: bool = False) -> None:
+    """Refuse a mode that cannot exist, one without damping among them unless the question allows it."""
     require_positive("omega_rad_s", mode.omega_rad_s)
     require_not_negative("coupling", mode.coupling)
-    if not 0.0 < mode.damping_ratio < 1.0:
+    if not 0.0 < mode.damping_ratio < 1.0 and not (may_be_undamped and mode.damping_ratio == 0.0):
         raise ValueError(
-            f"damping_ratio is {mode.damping_ratio:g}, it must lie between 0 and 1, both excluded; "
+            f"damping_ratio is {mode.damping_ratio:g}, it must lie between 0 and 1, "
+            f"{'1' if may_be_undamped else 'both'} excluded; "
             "every panel damps (0.001 to 0.02 is usual), and an overdamped one does not oscillate"
         )
 

@@ -4,7 +4,8 @@ from functools import cache
 
 import numpy as np
 
-from service.core.flexible.closed_forms import single_pulse_forms, truncated_succession
+from service.core.flexible.both_lines import find_cycles_over_both_lines
+from service.core.flexible.closed_forms import cycle_period_s, single_pulse_forms, truncated_succession
 from service.core.flexible.limit_cycle import LimitCycle, critical_viscous_loss_n_m, find_limit_cycles
 from service.core.flexible.motion import follow_motion
 from service.core.flexible.propagation import BodyState
@@ -76,6 +77,25 @@ def _closed_forms() -> list[Compared]:
             ),
         ]
     return rows
+
+
+def both_lines_table() -> ComparedTable:
+    """Return cycles over both lines beside the balance of momentum: N - N' pulses make good what friction takes."""
+    rows = []
+    for friction_n_m, pulse_s in ((1e-3, 4.0), (3e-4, 2.0), (1e-4, 1.0)):
+        drive = reference.BASE._replace(dry_friction_n_m=friction_n_m)
+        (cycle,) = find_cycles_over_both_lines(drive, reference.law_of(pulse_s=pulse_s))
+        ahead = cycle.motion.pulses[0] - cycle.motion.pulses[1]
+        case, balance_s = f"M_T {friction_n_m:g}, tau {pulse_s:g}", cycle_period_s(drive, pulse_s, ahead)
+        rows.append(Compared(case, "T, s", balance_s, cycle.motion.period_s, 1e-8))
+        rows.append(holds(case, "two pulses on one side, one on the other", is_true=cycle.motion.pulses == (2, 1)))
+    resting = reference.BASE._replace(dry_friction_n_m=1e-4, momentum_n_m_s=0.0)
+    law = reference.law_of(3, 1.5e-3, 4.0)
+    found = {cycle.motion.pulses for cycle in find_cycles_over_both_lines(resting, law)}
+    rows.append(holds("rotor at rest, M_T 1e-4, tau 4", "three pulses a side, adjoining", is_true=(3, 3) in found))
+    none = find_cycles_over_both_lines(reference.BASE, reference.law_of())
+    rows.append(holds("A0", "no cycle over both lines", is_true=not none))
+    return ComparedTable("T7", "Cycles over both lines", tuple(rows))
 
 
 def succession_table() -> ComparedTable:

@@ -6,11 +6,19 @@ from typing import Any, NamedTuple
 
 from service.study.limit_cycles.capture_tables import band_table, capture_table, perpetual_table
 from service.study.limit_cycles.comparison import Compared, ComparedTable
-from service.study.limit_cycles.cycle_tables import limit_cycle_table, succession_table
+from service.study.limit_cycles.cycle_tables import both_lines_table, limit_cycle_table, succession_table
 from service.study.limit_cycles.schedule_table import schedule_table
 
 COLUMNS = ("case", "figure", "reference", "reproduced", "ratio", "kept")
-_TABLES = (limit_cycle_table, succession_table, capture_table, band_table, perpetual_table, schedule_table)
+_TABLES = (
+    limit_cycle_table,
+    succession_table,
+    capture_table,
+    band_table,
+    perpetual_table,
+    schedule_table,
+    both_lines_table,
+)
 
 
 class Reproduction(NamedTuple):

@@ -70,6 +70,17 @@ def test_friction_inward_is_the_worse_case_of_a_motor():
     assert none.p_cr_rad - away.p_cr_rad == pytest.approx(0.25 * math.pi**2 * 1.05e-6, rel=1e-9)
 
 
+def test_without_damping_formula_and_motion_agree_and_a_relay_keeps_no_amplitude():
+    """The paper derives (12) to (20) at xi = 0."""
+    found = analyse_capture(**PLAIN | {"damping_ratio": 0.0})
+    assert found.p_min_rad == pytest.approx(found.p_cr_refined_rad, rel=1e-9)
+    assert (found.p_inf_rad, found.perpetual_capture) == (math.inf, "possible")
+    one_line = analyse_capture(**PLAIN | {"damping_ratio": 0.0, "alpha_rad": PLAIN["beta_rad"]})
+    assert (one_line.p_inf_rad, one_line.perpetual_capture) == (0.0, "none")
+    timed = analyse_capture(**PLAIN | {"damping_ratio": 0.0, "pulse_s": 1.0})
+    assert (timed.p_inf_rad, timed.perpetual_capture) == (0.0, "none")
+
+
 def test_a_body_at_rest_has_no_band():
     found = analyse_capture(**PLAIN | {"rate_rad_s": 0.0})
     assert math.isnan(found.band.low_rad_s)
@@ -78,7 +89,7 @@ def test_a_body_at_rest_has_no_band():
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
-        ({"damping_ratio": 0.0}, "damping_ratio is 0"),
+        ({"damping_ratio": -0.001}, "damping_ratio is -0.001"),
         ({"omega_rad_s": -1.0}, "omega_rad_s is -1"),
         ({"inertia_kg_m2": 0.0}, "inertia_kg_m2 is 0"),
         ({"motor_torque_n_m": 1e-3}, "friction_torque_n_m 0.00105 is not below motor_torque_n_m 0.001"),

@@ -49,6 +49,12 @@ def test_a_mode_without_damping_or_with_too_much_is_refused(xi):
         require_mode(FlexibleMode(0.5, xi, 0.4))
 
 
+def test_a_question_may_allow_a_mode_without_damping():
+    require_mode(FlexibleMode(0.5, 0.0, 0.4), may_be_undamped=True)
+    with pytest.raises(ValueError, match="between 0 and 1, 1 excluded"):
+        require_mode(FlexibleMode(0.5, -1e-3, 0.4), may_be_undamped=True)
+
+
 @pytest.mark.parametrize(
     ("mode", "told"),
     [
