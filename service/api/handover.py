@@ -34,8 +34,7 @@ def handover_of(context: ApiContext, spacecraft_id: str) -> HandoverAnswer:
         "mode": spacecraft.control.mode,
         "release": spacecraft.control.release,
         "method": spacecraft.control.method,
-        "state": status.interlock.state,
-        "reasons": status.interlock.reasons,
+        **dict(status.control),
         "authorised_until": None,
     }
     return HandoverAnswer.model_validate(

@@ -40,7 +40,7 @@ FAMILIES: dict[str, Family] = {
     ),
     "soo_attitude_status": Family("gauge", f"newest attitude: {_STATES}", ("spacecraft", "method")),
     "soo_control_allowed": Family(
-        "gauge", "1 when the newest attitude of the controlling method may drive control", ("spacecraft",)
+        "gauge", "1 when a torque may go now: neither interlock nor newest attitude forbids it", ("spacecraft",)
     ),
     "soo_journal_lag": Family(
         "gauge", "entries of the journal that the estimator has not consumed yet", ("spacecraft",)

@@ -22,6 +22,7 @@ from service.api.metric_families import (
     STATUS_NUMBERS,
 )
 from service.api.open_streams import OpenStreams
+from service.api.present import present_of
 from service.api.readiness import parts_of
 from service.api.request_figures import DURATION_BOUNDS_S, RequestFigures
 from service.api.validity import newest_attitude
@@ -180,8 +181,7 @@ class Metrics:
             row = newest_attitude(self._context, spacecraft.id, method)
             if row is not None:
                 yield from _angles(spacecraft.id, row)
-            if method is spacecraft.control.method:
-                yield "soo_control_allowed", (spacecraft.id,), float(row is not None and row.control_allowed)
+        yield "soo_control_allowed", (spacecraft.id,), float(present_of(self._context, spacecraft).verdict.is_allowed)
 
     def _links(self) -> Iterator[Sample]:
         """Yield the state of each link."""

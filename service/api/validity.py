@@ -24,19 +24,23 @@ def newest_attitude(context: ApiContext, spacecraft_id: str, method: Method) -> 
     return row if row is None or not _is_expired(context, spacecraft_id, row) else _expired(row)
 
 
-def newest_command(context: ApiContext, spacecraft: Spacecraft, row: AttitudeRow | None) -> TorqueCommand | None:
+def newest_command(
+    context: ApiContext, spacecraft: Spacecraft, row: AttitudeRow | None, *, is_withheld: bool
+) -> TorqueCommand | None:
     """Return the newest command as it holds now, given the newest row of the method that drives control.
 
-    A row from which nothing was computed stores no command, yet it ends the one before: the answer is then the zero
-    command that follows from that row, with its reasons. None before the first command.
+    A row from which nothing was computed stores no command, yet it ends the one before, and so does a trip: the answer
+    is then the zero command that follows from that row, with its reasons. None before the first command.
     """
     # read after the row: a row and its command are stored together, so this one is as new as the row or newer
     command = context.storage.results.newest_command(spacecraft.id, LIVE)
-    if command is None or row is None or not row.inhibitions:
+    if command is None or row is None:
         return command
-    if command.attitude_epoch_us >= row.epoch_us and EXPIRED not in row.inhibitions:
+    is_ended = command.attitude_epoch_us < row.epoch_us and bool(row.inhibitions)
+    if not is_ended and EXPIRED not in row.inhibitions and not (is_withheld and command.control_allowed):
         return command
-    return compute_command(row, spacecraft, NO_CARRY, command.command_period_s, TorqueConfig()).command
+    period_s = command.command_period_s
+    return compute_command(row, spacecraft, NO_CARRY, period_s, TorqueConfig(), is_withheld=is_withheld).command
 
 
 def _is_expired(context: ApiContext, spacecraft_id: str, row: AttitudeRow) -> bool:

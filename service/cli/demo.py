@@ -268,7 +268,9 @@ def _tracking_table(scene: Scene) -> Table:
             _signed(beside[f"{axis}_deg"]),
             "-" if torques[f"{axis}_n_m"] is None else f"{torques[f'{axis}_n_m']:+.1e}",
         )
-    reasons = ", ".join(attitude["inhibitions"]) or "control allowed"
+    control = attitude["control"]
+    verdict = "control allowed" if control["allowed"] else f"control not allowed ({control['state']})"
+    reasons = "; ".join([verdict, *(reason["text"] for reason in control["reasons"])])
     out = ", ".join(f"{item['carrier']} ({item['reason']})" for item in attitude["excluded"]) or "none"
     table.caption = f"{reasons}; carriers excluded: {out}\nreference of the interface: {scene.client.service_url}/docs"
     return table

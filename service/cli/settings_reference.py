@@ -184,8 +184,6 @@ _STAGE_MEANINGS: dict[str, tuple[str, str]] = {
     "release.momentum_share_limit": ("a wheel with more than this share of its greatest momentum trips", CHOSEN),
     "release.clock_jump_s": ("the clock may differ from the steady one by this much, s", CHOSEN),
     "release.missed_log_ratio": ("log-likelihood ratio with which a command's response is missed", TUNED),
-    "release.disagreement_deg": ("methods that differ by this in roll or pitch, deg", TUNED),
-    "release.disagreement_s": ("for this long are alarmed on, s", TUNED),
     "release.recovery_deg": ("roll or pitch beyond it: single commands by an approver, deg", PUBLISHED),
     "release.hand_over_deg": ("roll or pitch beyond it: over to the sensor mode, deg", TUNED),
     "release.entry_modes": ("on-board modes from which control is entered, by commas; `any`: not looked at", CHOSEN),

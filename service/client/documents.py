@@ -81,8 +81,25 @@ class Exclusion(TypedDict):
     reason: str
 
 
+class ControlReason(TypedDict):
+    """A reason why no torque may go, or why yaw is withheld."""
+
+    code: str
+    text: str
+    since: str | None
+    next_step: str
+
+
+class Verdict(TypedDict):
+    """Whether a torque may go now; read `allowed` for a decision."""
+
+    allowed: bool
+    state: Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "TRIPPED"]
+    reasons: list[ControlReason]
+
+
 class Attitude(TypedDict):
-    """What one method says about one measurement; angles None = not known."""
+    """The newest attitude of one method; angles None = not known."""
 
     epoch: str | None
     received_at: str | None
@@ -106,6 +123,8 @@ class Attitude(TypedDict):
     alignment_id: int | None
     advice: list[str]
     version: str
+    #: of the spacecraft now; `control_allowed` is of this estimate
+    control: Verdict
 
 
 class Job(TypedDict):
@@ -130,6 +149,7 @@ class Status(TypedDict):
     clock: Literal["system", "data"]
     now: str | None
     links: list[Json]
+    control: Verdict
     interlock: Json
     method: str
     calibration_id: int | None
@@ -191,6 +211,7 @@ class Command(TypedDict):
 class Control(TypedDict):
     """What the interlock of a spacecraft says."""
 
+    control: Verdict
     state: Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "TRIPPED"]
     since: str | None
     reasons: list[str]

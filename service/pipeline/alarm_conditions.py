@@ -41,7 +41,7 @@ class Condition:
     #: what its alarms are about: carrier, axis, link ..
     thing: str
     origin: Origin
-    #: what happened, in words that go on with the value
+    #: what happened, a sentence with a place for the thing and one for the value
     says: str
     next_step: str
     limits: ConditionLimits
@@ -63,7 +63,7 @@ def _of_carriers() -> tuple[Condition, ...]:
             "dB",
             "carrier",
             Origin.ROW,
-            "the level is away from what is expected by",
+            "level of carrier {thing} differs from the expected level by {value}",
             "look at the carrier's trace; ask its user whether power or traffic was changed and declare carrier_work "
             "if so; the estimate leaves a carrier that moved alone out by itself",
             ConditionLimits(warning=3.0, distress=6.0, deadband=0.5, on_s=300.0, off_s=300.0),
@@ -74,7 +74,7 @@ def _of_carriers() -> tuple[Condition, ...]:
             "s",
             "carrier",
             Origin.ROW,
-            "no carrier has been found for",
+            "carrier {thing} has been absent for {value}",
             "look at the trace; ask the user whether the carrier was switched off; declare carrier_work while it is",
             ConditionLimits(warning=120.0, distress=_HOUR_S, off_s=120.0),
         ),
@@ -84,7 +84,7 @@ def _of_carriers() -> tuple[Condition, ...]:
             "dB",
             "carrier",
             Origin.ROW,
-            "carrier over noise in the carrier's bandwidth (C/N0 less the bandwidth) is",
+            "carrier to noise ratio of carrier {thing} is {value}",
             "compare with the other carriers: all low means rain or the receiving chain, one low its uplink",
             ConditionLimits(warning=6.0, distress=3.0, deadband=0.5, on_s=300.0, off_s=300.0),
         ),
@@ -94,7 +94,7 @@ def _of_carriers() -> tuple[Condition, ...]:
             "dB",
             "carrier",
             Origin.ROW,
-            "attitude and common level leave of the deviation unexplained",
+            "residual of carrier {thing} is {value}",
             "see whether its uplink fades or its traffic changed; a carrier that stays so wants a new calibration",
             ConditionLimits(watch=1.5, warning=3.0, deadband=0.3, on_s=600.0, off_s=600.0, repeat_s=None),
         ),
@@ -110,7 +110,7 @@ def _of_attitude(alarms: AlarmConfig) -> tuple[Condition, ...]:
             "deg",
             "axis",
             Origin.ROW,
-            "the angle from nominal is",
+            "{thing} angle is {value}",
             "check with another sensor; see GET .../control and the newest torque; beyond 0.4 deg the model of the "
             "carriers no longer holds and control is withheld",
             ConditionLimits(
@@ -128,7 +128,7 @@ def _of_attitude(alarms: AlarmConfig) -> tuple[Condition, ...]:
             "s",
             "method",
             Origin.ROW,
-            "rows lead to no attitude for",
+            "method {thing} has given no attitude for {value}",
             "see the inhibitions and the excluded carriers of GET .../attitude",
             ConditionLimits(warning=300.0, critical=1800.0, off_s=120.0),
         ),
@@ -144,10 +144,13 @@ def _of_agreement(robust: RobustConfig) -> tuple[Condition, ...]:
             "deg",
             "methods",
             Origin.ROW,
-            "in roll or pitch the two methods differ by",
+            "methods {thing} disagree in roll or pitch by {value}",
             "compare both with another sensor; the method that is right shows in the residuals; align anew if none is",
             ConditionLimits(
-                warning=robust.disagreement_deg, deadband=0.03, on_s=robust.disagreement_s, off_s=300.0, latching=True
+                # the chain has waited for them to be apart for long
+                warning=robust.disagreement_deg,
+                off_s=0.0,
+                latching=True,
             ),
         ),
         Condition(
@@ -156,7 +159,7 @@ def _of_agreement(robust: RobustConfig) -> tuple[Condition, ...]:
             "dB",
             "receiving site",
             Origin.ROW,
-            "all carriers are down together, as rain at the receiving site makes them, by",
+            "downlink fade at the {thing} is {value}",
             "wait for the rain to end; control returns by itself; a fade without rain means the receiving chain",
             ConditionLimits(watch=0.0, warning=6.0, deadband=0.0, on_s=300.0, off_s=600.0, repeat_s=None),
         ),
@@ -166,7 +169,7 @@ def _of_agreement(robust: RobustConfig) -> tuple[Condition, ...]:
             "deg",
             "sensor",
             Origin.REFERENCE,
-            "an attitude reference differs from the estimate, beyond three sigma of both, by",
+            "sensor {thing} differs from the estimate, beyond three sigma of both, by {value}",
             "find out which one is wrong by a third sensor; align anew if it is the estimate",
             ConditionLimits(warning=0.15, distress=0.3, deadband=0.03, on_s=600.0, off_s=600.0, latching=True),
         ),
@@ -182,7 +185,7 @@ def _of_inputs(alarms: AlarmConfig) -> tuple[Condition, ...]:
             "row periods",
             "source",
             Origin.CLOCK,
-            "the newest row of the prime source is older than usual by",
+            "newest row of source {thing} is {value} old",
             "see GET /links and the front end; select the other source if there is one",
             ConditionLimits(
                 warning=alarms.stale_periods, distress=10.0 * alarms.stale_periods, off_s=0.0, repeat_s=600.0
@@ -194,7 +197,7 @@ def _of_inputs(alarms: AlarmConfig) -> tuple[Condition, ...]:
             "s",
             "link",
             Origin.CLOCK,
-            "the link does not work; it has been so for",
+            "link {thing} has been down for {value}",
             "see its detail in GET /links; look at front end, analyzer and line; :reset begins a new session",
             # only 0 s lies a deadband inside 30 s: a link is back when it works, not when it has just failed anew
             ConditionLimits(distress=30.0, critical=_HOUR_S, deadband=30.0, off_s=10.0, repeat_s=600.0),
@@ -205,7 +208,7 @@ def _of_inputs(alarms: AlarmConfig) -> tuple[Condition, ...]:
             "s",
             "link/warning",
             Origin.CLOCK,
-            "the front end warns; it has done so for",
+            "warning {thing} of the front end has stood for {value}",
             "see the warning in GET /links; a full spool wants the line to the service or more disk",
             ConditionLimits(warning=0.0, distress=_HOUR_S),
         ),
@@ -215,7 +218,7 @@ def _of_inputs(alarms: AlarmConfig) -> tuple[Condition, ...]:
             "rows",
             "source",
             Origin.CLOCK,
-            "rows that the source has numbered and the archive did not get within the last hour:",
+            "source {thing} has numbered {value} of the last hour that did not arrive",
             "see GET .../archive/gaps; `soo send` brings what the front end's spool still holds",
             ConditionLimits(warning=0.0, distress=100.0, on_s=120.0, off_s=60.0, repeat_s=None),
         ),
@@ -231,7 +234,7 @@ def _of_release() -> tuple[Condition, ...]:
             "s",
             "reason",
             Origin.CLOCK,
-            "the interlock tripped and lets no torque go; it has been so for",
+            "control has been tripped ({thing}) for {value}",
             "find the cause in GET .../control, then POST .../control:reset; ten good minutes later an operator arms",
             ConditionLimits(distress=0.0, repeat_s=_HOUR_S),
         ),
@@ -241,7 +244,7 @@ def _of_release() -> tuple[Condition, ...]:
             "s",
             "command",
             Origin.CLOCK,
-            "what became of a released command is not reported; its schedule ended before",
+            "{thing} has had no report for {value} since its end",
             "ask the centre what was carried out and POST .../torques/{id}:executed or :failed; no torque goes before",
             ConditionLimits(distress=600.0, repeat_s=600.0),
         ),
@@ -257,7 +260,7 @@ def _of_service(alarms: AlarmConfig) -> tuple[Condition, ...]:
             "d",
             "calibration",
             Origin.CLOCK,
-            "the end of the data that the calibration was made from lies back by",
+            "data of calibration {thing} ended {value} ago",
             "plan a quiet day and turns, calibrate, activate",
             ConditionLimits(watch=90.0, warning=180.0, repeat_s=None),
         ),
@@ -267,7 +270,7 @@ def _of_service(alarms: AlarmConfig) -> tuple[Condition, ...]:
             "h",
             "ephemeris",
             Origin.CLOCK,
-            "the ephemeris holds for another",
+            "remaining validity of the {thing} ephemeris is {value}",
             "PUT .../ephemeris with the newest orbit of the ballistics centre",
             ConditionLimits(watch=48.0, warning=12.0, distress=0.0, repeat_s=6 * _HOUR_S),
         ),
@@ -277,7 +280,7 @@ def _of_service(alarms: AlarmConfig) -> tuple[Condition, ...]:
             "d",
             "key",
             Origin.CLOCK,
-            "the key is valid for another",
+            "remaining validity of key {thing} is {value}",
             "make a new key (`soo keys create`), hand it to its user, remove the old one",
             ConditionLimits(watch=14.0, warning=3.0, repeat_s=24 * _HOUR_S),
         ),
@@ -287,7 +290,7 @@ def _of_service(alarms: AlarmConfig) -> tuple[Condition, ...]:
             "MB",
             "disk",
             Origin.CLOCK,
-            "beside the archive's file there is room for",
+            "free space of the {thing} is {value}",
             "make room or shorten the retention; rows are refused, and kept by front ends, when nothing is left",
             ConditionLimits(
                 warning=alarms.disk_warning_mb, critical=alarms.disk_critical_mb, deadband=64.0, off_s=60.0

@@ -94,7 +94,8 @@ def _limits_table(conditions: dict[str, Condition]) -> str:
 
 def _words(condition: Condition) -> str:
     """Return what a condition says, what tells it, and what to do."""
-    says = f"* **`{condition.name}`**: {condition.says} ..; looked at in {condition.origin.value}."
+    says = condition.says.format(thing="*name*", value="*value*")
+    says = f"* **`{condition.name}`**: {says}; looked at in {condition.origin.value}."
     return _wrapped(f"{says} What to do: {condition.next_step}.")
 
 

@@ -47,6 +47,8 @@ class RowFacts(NamedTuple):
     levels: CarrierLevels | None
     #: newest revision of each declared operation
     operations: Mapping[int, Operation]
+    #: by how much the methods differ while they disagree, 0 while they agree; NaN: not compared
+    disagreement_deg: float = math.nan
 
 
 class RowReader:
@@ -163,7 +165,7 @@ class RowReader:
         lost = math.nan if _SETTLING in driving.inhibitions else float(not is_told)
         if not is_settled("attitude_lost", lost):
             yield Readings("attitude_lost", (driving.method.value,), (lost,))
-        apart_deg = _methods_apart_deg(facts.rows)
+        apart_deg = facts.disagreement_deg
         if not is_settled("methods_disagree", apart_deg):
             yield Readings("methods_disagree", ("robust, paper",), (apart_deg,))
         fade_db = driving.downlink_fade_db if driving.downlink_fade else 0.0
@@ -194,14 +196,6 @@ class RowReader:
         """Take over names and bandwidths of a plan's carriers."""
         self._plan, self._carrier_ids = plan, plan.carrier_ids
         self._bandwidth_db = 10.0 * np.log10([carrier.bandwidth_hz for carrier in plan.carriers])
-
-
-def _methods_apart_deg(rows: tuple[AttitudeRow, ...]) -> float:
-    """Return by how much the methods differ in roll or pitch, NaN unless both tell angles."""
-    if len(rows) != 2 or rows[0].status is not Status.ACQUIRED or rows[1].status is not Status.ACQUIRED:
-        return math.nan
-    one, other = rows[0].attitude_deg, rows[1].attitude_deg
-    return max(abs(one.roll - other.roll), abs(one.pitch - other.pitch))
 
 
 def _apart_deg(reference: AttitudeReference, row: AttitudeRow) -> float | None:

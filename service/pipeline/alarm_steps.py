@@ -2,13 +2,12 @@
 
 from dataclasses import replace
 
-from service.pipeline.alarm_conditions import Condition
+from service.pipeline.alarm_conditions import Condition, Kind
 from service.pipeline.alarm_states import CoverEvent, Event, next_cover, next_process
 from service.pipeline.alarm_watch import limit_of
 from service.records.alarm import Alarm, AlarmChange, ChangeKind, Cover, Handling, Process, Severity
 from service.records.alarm_limits import ConditionLimits
 from service.records.alarm_memory import Watch
-from service.records.epoch import format_epoch
 
 #: after these somebody knows of the alarm as it is
 _ANNOUNCING = (
@@ -48,11 +47,18 @@ def raised(
 
 def told_in_words(alarm: Alarm, condition: Condition, note: str) -> Alarm:
     """Return the alarm with what happened in words."""
-    words = (
-        f"{condition.thing} {alarm.thing}: {condition.says} {alarm.value:.4g} {alarm.unit}, limit {alarm.limit:.4g} "
-        f"{alarm.unit}, since {format_epoch(alarm.since_us)}"
-    )
+    limit = _figure(alarm.limit, 4)
+    # as few digits as tell the value from its limit
+    value = next((text for text in (_figure(alarm.value, digits) for digits in (2, 3)) if text != limit), None)
+    words = condition.says.format(thing=alarm.thing, value=f"{value or _figure(alarm.value, 4)} {alarm.unit}")
+    if alarm.limit or condition.kind is Kind.BELOW:
+        words += f", limit {limit} {alarm.unit}"
     return replace(alarm, detail=f"{words}; {note}" if note else words)
+
+
+def _figure(value: float, digits: int) -> str:
+    """Return a number with some digits, whole from 100 on."""
+    return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.{digits}g}"
 
 
 def again(alarm: Alarm, watch: Watch, limits: ConditionLimits, event: Event, at_us: int) -> Alarm:

@@ -10,6 +10,7 @@ that fails on a row says so in its row and goes on with the next; the other meth
 """
 
 import logging
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -91,7 +92,7 @@ class Chain:
     @property
     def is_disagreeing(self) -> bool:
         """Whether the methods have told different roll or pitch angles for long."""
-        return self._newest_us is not None and self._disagreement.is_standing(self._newest_us, self._config.robust)
+        return self._disagreement.is_standing
 
     def learn(self, content: SlowInput) -> None:
         """Consume a slow input; an alignment starts the methods anew, an activation keeps their state."""
@@ -136,7 +137,7 @@ class Chain:
         self._last = (measurement, True)
         self._remember_epoch(measurement.epoch_us)
         self._disagreement = compare(self._disagreement, rows, self._config.robust)
-        return self._with_command(rows)
+        return replace(self._with_command(rows), disagreement_deg=self._disagreement.apart_deg)
 
     def carrier_states(self) -> tuple[Measurement, tuple[CarrierState, ...]] | None:
         """Return the newest consumed row and what is known of each of its carriers; None before the first."""
@@ -163,6 +164,7 @@ class Chain:
             measurement=measurement,
             plan=self._lookup.plan(measurement.plan_id),
             rows=() if outcome is None else outcome.rows,
+            disagreement_deg=math.nan if outcome is None else outcome.disagreement_deg,
             method=Method.ROBUST if spacecraft is None else spacecraft.control.method,
             levels=None if running is None else running.carrier_levels(),
             operations=self._knowledge.operations,

@@ -1,5 +1,6 @@
 """The port of everything the service computed."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -32,6 +33,8 @@ class Outcome:
     applied: AppliedCommand | None = None
     #: torque that the method which drives control knows of; a command for a later start is computed with it
     disturbance: Disturbance | None = None
+    #: by how much the methods differ in roll or pitch while they disagree, 0 while they agree; NaN: not compared
+    disagreement_deg: float = math.nan
 
 
 class Results(Protocol):

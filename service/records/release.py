@@ -70,17 +70,38 @@ class SignCheckView:
 
 
 @dataclass(frozen=True, slots=True)
+class ControlReason:
+    """A reason why no torque may go, or why yaw is withheld."""
+
+    code: str
+    text: str
+    #: since when it has stood without a break; None: not known
+    since_us: int | None
+    next_step: str
+
+
+@dataclass(frozen=True, slots=True)
+class ControlVerdict:
+    """The one answer to the question whether a torque may go now."""
+
+    is_allowed: bool
+    #: INHIBITED, ARMED, ENGAGED, RECOVERY or TRIPPED
+    state: str
+    reasons: tuple[ControlReason, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class ControlView:
     """What the interlock of one spacecraft says."""
 
     #: INHIBITED, ARMED, ENGAGED, RECOVERY or TRIPPED
     state: str
     since_us: int
-    reasons: tuple[str, ...]
+    reasons: tuple[ControlReason, ...]
     #: latched until reset, a part of the reasons
     trips: tuple[str, ...]
     is_armed: bool
-    #: whether computed commands are zeroed: a trip in release automatic
+    #: whether computed commands are zeroed: from a trip until ten good minutes after its reset
     is_withheld: bool
     #: two_step or automatic
     release: str

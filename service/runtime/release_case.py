@@ -14,7 +14,6 @@ from typing import Any
 
 from service.errors import ConflictError, StorageError
 from service.pipeline.release_interlock.interlock import Instant
-from service.pipeline.release_interlock.interlock_states import State
 from service.pipeline.release_interlock.release import advance, restored
 from service.pipeline.release_interlock.release_document import ReleaseMemory, document_of, essence, memory_of
 from service.pipeline.release_interlock.release_events import (
@@ -215,10 +214,12 @@ class ReleaseCase:
             elif action.kind is ActionKind.CERTAIN:
                 entries.append(reported_entry(record))
         interlock = step.state.interlock
-        is_withheld = interlock.state is State.TRIPPED
-        if is_withheld is not (self.state.interlock.state is State.TRIPPED):
-            reasons = interlock.reasons
-            entries.append(InterlockHold(at.now_us, interlock.state.name, reasons, is_withheld, self._version + 1))
+        is_withheld = interlock.is_withholding
+        if is_withheld is not self.state.interlock.is_withholding:
+            # every row that was seen before lies before the trip, also one from a clock that is ahead
+            at_us = at.now_us if interlock.row is None else max(at.now_us, interlock.row.epoch_us)
+            word, version = interlock.state.name, self._version + 1
+            entries.append(InterlockHold(at_us, word, interlock.reasons, is_withheld, version))
         return tuple(entries)
 
     def _products(self, step: Step, views: tuple[CommandView, ...]) -> tuple[UplinkProduct, ...]:

@@ -1,8 +1,8 @@
 """What the release desk keeps of one spacecraft beside the stored state: facts, newest rows, a sign check under way."""
 
+import math
 import time
 from collections import deque
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -45,7 +45,7 @@ class ReleaseEntry:
     #: newest row of the method that drives control, with what came beside it
     row: AttitudeRow | None = None
     seen: SeenRow | None = None
-    disagreement_deg: float = 0.0
+    is_disagreeing: bool = False
     epochs_us: deque[int] = field(default_factory=lambda: deque(maxlen=_PERIOD_ROWS + 1))
     run: SignCheckRun | None = None
     #: when the law was asked last under a standing authorisation
@@ -74,7 +74,8 @@ class ReleaseEntry:
             return None
         self.row, self.seen = row, seen
         self.epochs_us.append(row.epoch_us)
-        self.disagreement_deg = _difference_deg(seen.outcome.rows)
+        if not math.isnan(seen.outcome.disagreement_deg):
+            self.is_disagreeing = seen.outcome.disagreement_deg > 0.0
         return row
 
     def row_facts(self, row: AttitudeRow) -> RowFacts:
@@ -91,11 +92,3 @@ class Stepper(Protocol):
     def __call__(self, entry: ReleaseEntry, spacecraft: Spacecraft, event: Event, annex: Annex | None = None) -> Step:
         """Return what the event has led to."""
         ...
-
-
-def _difference_deg(rows: Sequence[AttitudeRow]) -> float:
-    """Return by how much methods differ in roll or pitch; 0 where only one tells angles."""
-    told = [row.attitude_deg for row in rows if not np.isnan(row.attitude_deg[1:]).any()]
-    if len(told) < 2:
-        return 0.0
-    return max(abs(told[0].roll - told[1].roll), abs(told[0].pitch - told[1].pitch))

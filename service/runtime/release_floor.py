@@ -184,8 +184,8 @@ class ReleaseFloor:
             entry.facts = read_facts(self._storage, spacecraft_id, at.now_us)
             entry.read_s = time.monotonic()
         facts, case = entry.facts, entry.case
-        holders, differing_deg = case.lease_holders(at.now_us), entry.disagreement_deg
-        around = surroundings_of(facts, at.now_us, lease_holders=holders, disagreement_deg=differing_deg)
+        holders = case.lease_holders(at.now_us)
+        around = surroundings_of(facts, at.now_us, lease_holders=holders, is_disagreeing=entry.is_disagreeing)
         if around != case.state.interlock.around:
             self._step(entry, facts.spacecraft, Told(at, around))
         return facts

@@ -5,7 +5,8 @@ from dataclasses import replace
 from service.errors import ConflictError, InvalidInputError
 from service.pipeline.config import TorqueConfig
 from service.pipeline.release_interlock.interlock import Instant, Interlock
-from service.pipeline.release_interlock.release import OWN_AFFAIR, settled_at
+from service.pipeline.release_interlock.interlock_conditions import OWN_AFFAIR
+from service.pipeline.release_interlock.release import settled_at
 from service.pipeline.release_interlock.release_checks import release_checks
 from service.pipeline.release_interlock.release_events import Proposal
 from service.pipeline.release_interlock.release_proposals import proposal_of

@@ -11,7 +11,7 @@ from service.pipeline.release_interlock.interlock_conditions import Surroundings
 from service.ports import Storage
 from service.records.attitude import Axes
 from service.records.calibration import CalibrationMethod, CalibrationState, Window
-from service.records.catalogue import Method, Spacecraft
+from service.records.catalogue import Method, Release, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.inputs import Operation, TelemetryRecord
 
@@ -97,7 +97,7 @@ def read_telemetry(storage: Storage, spacecraft_id: str, from_us: int) -> tuple[
         after = (found[-1].epoch_us, page[-1].number)
 
 
-def surroundings_of(facts: KnownFacts, now_us: int, *, lease_holders: int, disagreement_deg: float) -> Surroundings:
+def surroundings_of(facts: KnownFacts, now_us: int, *, lease_holders: int, is_disagreeing: bool) -> Surroundings:
     """Return what the interlock must know at an instant."""
     telemetry = facts.telemetry_at(now_us)
     burns_us = [
@@ -116,7 +116,8 @@ def surroundings_of(facts: KnownFacts, now_us: int, *, lease_holders: int, disag
         control_version=facts.control_version,
         momentum_share=_momentum_share(facts.spacecraft, facts.momentum_n_m_s(now_us)),
         lease_holders=lease_holders,
-        disagreement_deg=disagreement_deg,
+        is_disagreeing=is_disagreeing,
+        is_automatic=facts.spacecraft.control.release is Release.AUTOMATIC,
     )
 
 

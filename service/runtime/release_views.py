@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 
 from service.core.control.envelope import Envelope
 from service.pipeline.release_interlock.command_states import OPEN, UNREPORTED, Life
-from service.pipeline.release_interlock.interlock_states import State
+from service.pipeline.release_interlock.control_reasons import reason_of
 from service.pipeline.release_interlock.release_checks import Check, sent_within_an_hour
 from service.pipeline.release_interlock.release_events import CommandRecord, ReleaseState
 from service.pipeline.release_interlock.release_proposals import schedule_of
 from service.pipeline.release_interlock.release_settings import ReleaseSettings, microseconds
 from service.records.attitude import AttitudeRow, Axes
-from service.records.catalogue import Release, Spacecraft
+from service.records.catalogue import Spacecraft
 from service.records.command import ReleasedCommand, ReportedCommand, TorqueCommand
 from service.records.release import (
     CheckView,
@@ -134,22 +134,18 @@ def control_view(
     now_us: int,
     sign_check: SignCheckView | None,
 ) -> ControlView:
-    """Return what the interlock says; under automatic release nobody arms, so only what stands counts."""
+    """Return what the interlock says."""
     interlock = state.interlock
-    authorisation, request = interlock.authorisation, interlock.request
+    authorisation, request, since = interlock.authorisation, interlock.request, dict(interlock.since)
     is_asked = request is not None and now_us - request.at_us <= microseconds(settings.request_s)
-    word, reasons = interlock.state.name, interlock.reasons
-    if spacecraft.control.release is Release.AUTOMATIC and interlock.state is not State.TRIPPED:
-        word = State.INHIBITED.name if interlock.inhibiting else State.ENGAGED.name
-        reasons = tuple(reason for reason in reasons if reason not in ("not_armed", "good_minutes"))
     envelope = settings.envelope if authorisation is None else authorisation.terms.envelope
     return ControlView(
-        state=word,
+        state=interlock.state.name,
         since_us=interlock.since_us,
-        reasons=reasons,
+        reasons=tuple(reason_of(word, since.get(word), settings) for word in interlock.reasons),
         trips=tuple(condition.word for condition in interlock.trips),
         is_armed=interlock.is_armed,
-        is_withheld=interlock.state is State.TRIPPED,
+        is_withheld=interlock.is_withholding,
         release=spacecraft.control.release.value,
         mode=spacecraft.control.mode.value,
         envelope=limits_of(envelope),

@@ -14,6 +14,7 @@ from service.errors import (
     NotFoundError,
     StorageError,
 )
+from service.pipeline.release_interlock.control_reasons import reason_of
 from service.records.release import CommandWish, EnvelopeLimits
 
 pytestmark = pytest.mark.anyio
@@ -25,8 +26,9 @@ PREPARE = {"reason": "roll is off"}
 
 
 @pytest.fixture
-def desk(soo) -> ScriptedDesk:
-    """The desk of the service under test."""
+async def desk(soo, spacecraft) -> ScriptedDesk:
+    """The desk of the service under test, and a spacecraft."""
+    assert (await soo.client.post("/api/v1/spacecraft", json=spacecraft)).status_code == 201
     scripted = ScriptedDesk()
     object.__setattr__(soo.app.state.context, "desk", scripted)
     return scripted
@@ -98,8 +100,7 @@ async def test_reports_reach_the_desk_with_and_without_a_body(soo, desk, turn):
 
 
 @pytest.mark.parametrize("order", ["arm", "disengage", "reset", "stop"])
-async def test_orders_reach_the_desk_and_what_is_said_goes_to_the_shift_log(soo, desk, spacecraft, order):
-    await soo.client.post("/api/v1/spacecraft", json=spacecraft)
+async def test_orders_reach_the_desk_and_what_is_said_goes_to_the_shift_log(soo, desk, order):
     anna = await key(soo, "Anna", "operator")
     for body in ({"content": b""}, {"json": {"comment": "shift begins"}}):
         answer = await soo.client.post(f"{URL}/control:{order}", headers=anna, **body)
@@ -132,7 +133,15 @@ async def test_a_sign_check_takes_the_axis_or_the_first_that_is_not_proven(soo, 
 async def test_what_stands_can_be_read(soo, desk):
     viewer = await key(soo, "Vera", "viewer")
     control = (await soo.client.get(f"{URL}/control", headers=viewer)).json()
-    assert (control["state"], control["reasons"], control["proven_axes"]) == ("ARMED", ["yaw_sign"], ["roll"])
+    assert (control["state"], control["proven_axes"]) == ("ARMED", ["roll"])
+    assert control["reasons"] == ["yaw_sign", "no_attitude"]
+    assert (control["control"]["allowed"], control["control"]["state"]) == (False, "ARMED")
+    assert control["control"]["reasons"][0] == {
+        "code": "yaw_sign",
+        "text": "the sign of yaw is not proven",
+        "since": "2026-11-21T03:00:00.000000Z",
+        "next_step": "POST .../control:sign-check for yaw; roll and pitch go on.",
+    }
     assert (control["since"], control["authorised_until"]) == ("2026-11-21T03:00:00.000000Z", None)
     assert control["envelope"]["impulse_n_m_s"] == 0.02
     assert control["sign_check"]["log_ratio"] == {"yaw": 0.0, "roll": -12.0, "pitch": -40.0}
@@ -154,25 +163,25 @@ class Follower:
         return False
 
 
-async def test_status_tells_the_interlock_and_goes_on_where_it_cannot_be_read(soo, desk, spacecraft):
-    await soo.client.post("/api/v1/spacecraft", json=spacecraft)
+async def test_status_tells_the_interlock_and_goes_on_where_it_cannot_be_read(soo, desk):
     object.__setattr__(soo.app.state.context, "supervisor", Follower())
     told = (await soo.client.get(f"{URL}/status")).json()
-    assert told["interlock"] == {"state": "ARMED", "reasons": ["yaw_sign"]}
-    tripped = replace(desk.control_view, state="TRIPPED", trips=("stop",), is_withheld=True, release="automatic")
+    assert told["interlock"] == {"state": "ARMED", "reasons": ["yaw_sign", "no_attitude"]}
+    stop = (reason_of("stop", AT_US),)
+    tripped = replace(desk.control_view, state="TRIPPED", reasons=stop, is_withheld=True, release="automatic")
     desk.control_view = tripped
-    control = {"onboard": {"fast_loop": True, "forecast_mode": True}, "control": {"release": "automatic"}}
-    assert (await soo.client.patch(URL, json=control)).status_code == 200
     told = (await soo.client.get(f"{URL}/status")).json()
     assert told["interlock"] == {"state": "TRIPPED", "reasons": ["stop", "no_attitude"]}
     desk.error = StorageError("storage.unavailable", "the archive is away")
     told = await soo.client.get(f"{URL}/status")
     assert told.status_code == 200, "what was estimated can be read all the same"
-    assert told.json()["interlock"] == {"state": "INHIBITED", "reasons": ["release_unreadable"]}
+    assert told.json()["interlock"] == {
+        "state": "INHIBITED",
+        "reasons": ["release_unreadable", "no_attitude"],
+    }
 
 
-async def test_commands_are_listed_page_by_page(soo, desk, spacecraft):
-    await soo.client.post("/api/v1/spacecraft", json=spacecraft)
+async def test_commands_are_listed_page_by_page(soo, desk):
     first = (await soo.client.get(f"{URL}/torques/commands", params={"limit": 1})).json()
     assert [row["id"] for row in first["rows"]] == [7]
     second = (await soo.client.get(f"{URL}/torques/commands", params={"limit": 1, "cursor": first["next"]})).json()

@@ -13,7 +13,9 @@ SCHEMAS = json.loads((ROOT / "docs" / "reference" / "openapi.json").read_text())
 TYPES = {
     documents.Receipt: "MeasurementReceiptAnswer",
     documents.Measurement: "MeasurementAnswer",
-    documents.Attitude: "AttitudeAnswer",
+    documents.Attitude: "NewestAttitudeAnswer",
+    documents.ControlReason: "ControlReasonAnswer",
+    documents.Verdict: "VerdictAnswer",
     documents.Angles: "AnglesAnswer",
     documents.AllowedAxes: "AllowedAxesAnswer",
     documents.Exclusion: "ExclusionAnswer",

@@ -8,6 +8,7 @@ from release_storage import SC, FakeArchive, KilledError
 
 from service.core.control.sign_check import Verdict
 from service.pipeline.config import TorqueConfig
+from service.pipeline.release_interlock.control_verdict import control_verdict
 from service.pipeline.release_interlock.release_events import OrderKind, SignJudged
 from service.pipeline.release_interlock.release_settings import ReleaseSettings
 from service.pipeline.release_interlock.row_facts import SeenRow
@@ -15,7 +16,7 @@ from service.ports import Outcome
 from service.records.attitude import AttitudeRow, Axes, Status
 from service.records.catalogue import Method
 from service.records.inputs import TelemetryRecord
-from service.records.release import CommandView, CommandWish, ControlView
+from service.records.release import CommandView, CommandWish, ControlVerdict, ControlView
 from service.runtime.live_feed import LiveFeed
 from service.runtime.release_desk import ReleaseDesk
 from service.runtime.release_tidings import Tidings
@@ -102,6 +103,14 @@ class DeskDriver:
     @property
     def view(self) -> ControlView:
         return self.desk.control(SC)
+
+    @property
+    def verdict(self) -> ControlVerdict:
+        return control_verdict(self.view, self.row)
+
+    @property
+    def codes(self) -> tuple[str, ...]:
+        return tuple(reason.code for reason in self.view.reasons)
 
     @property
     def state(self) -> str:

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from service.errors import SooError
+from service.pipeline.release_interlock.control_reasons import reason_of
 from service.records.attitude import Axes
 from service.records.command import Pulse
 from service.records.release import (
@@ -28,7 +29,7 @@ PULSES = (
 CONTROL = ControlView(
     state="ARMED",
     since_us=AT_US,
-    reasons=("yaw_sign",),
+    reasons=(reason_of("yaw_sign", AT_US),),
     trips=(),
     is_armed=True,
     is_withheld=False,

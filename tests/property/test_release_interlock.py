@@ -53,7 +53,7 @@ CHANGES = st.sampled_from(
         {"calibration_id": 8},
         {"is_aligned": False},
         {"ephemeris_stop_us": 0},
-        {"disagreement_deg": 0.2},
+        {"is_disagreeing": True},
         {"spacecraft_version": 2},
     ]
 )

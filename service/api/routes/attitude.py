@@ -5,8 +5,10 @@ from fastapi import APIRouter, Request, Response
 from service.api.deps import Context, SpacecraftId
 from service.api.methods import WantedMethod, WantedVersion
 from service.api.paging import Page, cut_page
-from service.api.schemas.attitude import AttitudeAnswer, AttitudePage
+from service.api.present import present_of
+from service.api.schemas.attitude import AttitudeAnswer, AttitudePage, NewestAttitudeAnswer
 from service.api.schemas.base import WindowAnswer
+from service.api.schemas.control import VerdictAnswer
 from service.api.validity import newest_attitude
 from service.ports import LIVE
 
@@ -14,10 +16,14 @@ router = APIRouter(prefix="/spacecraft/{spacecraft_id}/attitude", tags=["attitud
 
 
 @router.get("")
-def get_attitude(spacecraft_id: SpacecraftId, method: WantedMethod, context: Context) -> AttitudeAnswer:
+def get_attitude(spacecraft_id: SpacecraftId, method: WantedMethod, context: Context) -> NewestAttitudeAnswer:
     """Return the newest attitude; status NOT_RECEIVED before the first row, EXPIRED when the newest is too old."""
-    row = newest_attitude(context, spacecraft_id, method)
-    return AttitudeAnswer.not_received(method, LIVE) if row is None else AttitudeAnswer.of(row, LIVE)
+    spacecraft = context.storage.catalogue.spacecraft(spacecraft_id)
+    row, _, verdict = present_of(context, spacecraft)
+    if method is not spacecraft.control.method:
+        row = newest_attitude(context, spacecraft_id, method)
+    answer = AttitudeAnswer.not_received(method, LIVE) if row is None else AttitudeAnswer.of(row, LIVE)
+    return NewestAttitudeAnswer(**dict(answer), control=VerdictAnswer.of(verdict))
 
 
 @router.get("/history")

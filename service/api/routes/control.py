@@ -6,13 +6,15 @@ from fastapi import APIRouter
 
 from service.api.auth import MAY_APPROVE, MAY_OPERATE, CurrentPrincipal
 from service.api.bodies import accepts, optional_body
-from service.api.deps import Context, SpacecraftId
+from service.api.deps import ApiContext, Context, SpacecraftId
+from service.api.present import present_of
 from service.api.principals import Permission, Principal
 from service.api.problems import invalid_request
 from service.api.remarks import log_comment
 from service.api.schemas.control import ControlAnswer, OrderDocument, SignCheckDocument
 from service.errors import FieldError
 from service.pipeline.release_interlock.release_events import OrderKind
+from service.records.release import ControlView
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["control"])
 Ordered = Annotated[OrderDocument, optional_body(OrderDocument)]
@@ -24,7 +26,7 @@ _CHECK_ORDER = ("roll", "pitch", "yaw")
 @router.get("/control")
 def get_control(spacecraft_id: SpacecraftId, context: Context) -> ControlAnswer:
     """Return what the interlock says, and every reason that stands."""
-    return ControlAnswer.of(context.desk.control(spacecraft_id))
+    return _told(context, spacecraft_id, context.desk.control(spacecraft_id))
 
 
 @router.post("/control:arm", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_ORDER)
@@ -78,7 +80,7 @@ def engage_control(
         envelope=limits,
     )
     log_comment(context, spacecraft_id, principal, "engage", body.comment)
-    return ControlAnswer.of(engaged)
+    return _told(context, spacecraft_id, engaged)
 
 
 @router.post(
@@ -97,7 +99,7 @@ def check_sign(
         axis = next((each for each in _CHECK_ORDER if each not in proven), _CHECK_ORDER[0])
     begun = context.desk.sign_check(spacecraft_id, axis, principal.name)
     log_comment(context, spacecraft_id, principal, f"sign check of {axis}", body.comment)
-    return ControlAnswer.of(begun)
+    return _told(context, spacecraft_id, begun)
 
 
 def _order(
@@ -106,4 +108,10 @@ def _order(
     """Return what the interlock says after an order."""
     view = context.desk.order(spacecraft_id, kind, principal.name)
     log_comment(context, spacecraft_id, principal, kind.value, body.comment)
-    return ControlAnswer.of(view)
+    return _told(context, spacecraft_id, view)
+
+
+def _told(context: ApiContext, spacecraft_id: str, view: ControlView) -> ControlAnswer:
+    """Return the answer that tells a view of the interlock, with the verdict."""
+    present = present_of(context, context.storage.catalogue.spacecraft(spacecraft_id), view)
+    return ControlAnswer.of(view, present.verdict)

@@ -5,22 +5,24 @@ from fastapi import APIRouter, Request, Response
 from service.api.deps import Context, SpacecraftId
 from service.api.methods import WantedVersion
 from service.api.paging import Page, cut_page
+from service.api.present import present_of
 from service.api.schemas.base import WindowAnswer
-from service.api.schemas.torques import TorqueAnswer, TorquePage
-from service.api.validity import newest_attitude, newest_command
+from service.api.schemas.control import VerdictAnswer
+from service.api.schemas.torques import NewestTorqueAnswer, TorqueAnswer, TorquePage
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/torques", tags=["torques"])
 
 
 @router.get("")
-def get_torques(spacecraft_id: SpacecraftId, context: Context) -> TorqueAnswer:
+def get_torques(spacecraft_id: SpacecraftId, context: Context) -> NewestTorqueAnswer:
     """Return the newest command: zero with its reasons while control is inhibited, null before the first."""
     spacecraft = context.storage.catalogue.spacecraft(spacecraft_id)
-    row = newest_attitude(context, spacecraft_id, spacecraft.control.method)
-    command = newest_command(context, spacecraft, row)
+    row, command, verdict = present_of(context, spacecraft)
     if command is None:
-        return TorqueAnswer.before_the_first(spacecraft.control.mode, None if row is None else row.epoch_us)
-    return TorqueAnswer.of(command)
+        answer = TorqueAnswer.before_the_first(spacecraft.control.mode, None if row is None else row.epoch_us)
+    else:
+        answer = TorqueAnswer.of(command)
+    return NewestTorqueAnswer(**dict(answer), control=VerdictAnswer.of(verdict))
 
 
 @router.get("/history")

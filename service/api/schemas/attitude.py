@@ -3,6 +3,7 @@
 from typing import Self
 
 from service.api.schemas.base import AnglesAnswer, Answer, EpochAnswer, Figure, WindowAnswer
+from service.api.schemas.control import VerdictAnswer
 from service.records.attitude import AttitudeRow, Status
 from service.records.catalogue import Method
 
@@ -39,7 +40,8 @@ class AttitudeAnswer(Answer):
     """One standard deviation."""
     status: Status
     control_allowed: bool
-    """Whether no inhibition stands; yaw alone may be withheld."""
+    """Whether this estimate may be used for control: no inhibition stands; yaw alone may be withheld. It is stored and
+    does not change; whether a torque may go now is told by `control.allowed` of the newest answer."""
     control_allowed_axes: AllowedAxesAnswer
     inhibitions: list[str]
     carriers_used: int
@@ -114,6 +116,12 @@ class AttitudeAnswer(Answer):
             advice=[],
             version=version,
         )
+
+
+class NewestAttitudeAnswer(AttitudeAnswer):
+    """The newest row of a method, with the verdict on control of the spacecraft."""
+
+    control: VerdictAnswer
 
 
 class AttitudePage(Answer):

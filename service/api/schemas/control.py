@@ -6,8 +6,9 @@ from pydantic import Field
 
 from service.api.schemas.base import AnglesAnswer, Answer, Document, Epoch, EpochAnswer, Remark
 from service.records.catalogue import ControlMode, Release
-from service.records.release import ControlView, EnvelopeLimits, SignCheckView
+from service.records.release import ControlVerdict, ControlView, EnvelopeLimits, SignCheckView
 
+ControlState = Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "TRIPPED"]
 Limit = Annotated[float, Field(gt=0, le=1e3)]
 
 
@@ -51,6 +52,36 @@ class SignCheckDocument(Document):
     axis: Literal["yaw", "roll", "pitch"] | None = None
     """Null: the first of roll, pitch and yaw whose sign is not proven."""
     comment: Remark = ""
+
+
+class ControlReasonAnswer(Answer):
+    """A reason why no torque may go, or why yaw is withheld."""
+
+    code: str
+    text: str
+    since: EpochAnswer | None
+    """Since when it has stood without a break; null: not known."""
+    next_step: str
+
+
+class VerdictAnswer(Answer):
+    """Whether a torque may go now; the same object in every answer about the present."""
+
+    allowed: bool
+    """False whenever the interlock or the newest attitude forbids; read this one for a decision."""
+    state: ControlState
+    """ENGAGED under release automatic: computed commands count as applied."""
+    reasons: list[ControlReasonAnswer]
+    """Every reason that stands; while allowed, those that withhold yaw alone."""
+
+    @classmethod
+    def of(cls, verdict: ControlVerdict) -> Self:
+        """Return the answer that tells a verdict."""
+        reasons = [
+            {"code": each.code, "text": each.text, "since": each.since_us, "next_step": each.next_step}
+            for each in verdict.reasons
+        ]
+        return cls.model_validate({"allowed": verdict.is_allowed, "state": verdict.state, "reasons": reasons})
 
 
 class EnvelopeAnswer(Answer):
@@ -104,15 +135,17 @@ class SignCheckAnswer(Answer):
 class ControlAnswer(Answer):
     """What the interlock of a spacecraft says."""
 
-    state: Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "TRIPPED"]
+    control: VerdictAnswer
+    state: ControlState
+    """That of `control`."""
     since: EpochAnswer | None
     reasons: list[str]
-    """Why no torque may go, or which axis is withheld; see the page of the interlock."""
+    """Codes of the reasons of `control`."""
     trips: list[str]
     """Latched until reset, a part of the reasons."""
     armed: bool
     withheld: bool
-    """Computed commands are zeroed: a trip under release automatic."""
+    """Computed commands are zeroed: from a trip until ten good minutes after its reset."""
     release: Release
     mode: ControlMode
     envelope: EnvelopeAnswer
@@ -132,13 +165,14 @@ class ControlAnswer(Answer):
     sign_check: SignCheckAnswer | None
 
     @classmethod
-    def of(cls, view: ControlView) -> Self:
+    def of(cls, view: ControlView, verdict: ControlVerdict) -> Self:
         """Return the answer that tells what the interlock says."""
         told: dict[str, Any] = {
-            "state": view.state,
+            "control": VerdictAnswer.of(verdict),
+            "state": verdict.state,
             # before anything ever happened there is no instant
             "since": view.since_us or None,
-            "reasons": view.reasons,
+            "reasons": [reason.code for reason in verdict.reasons],
             "trips": view.trips,
             "armed": view.is_armed,
             "withheld": view.is_withheld,

@@ -2,21 +2,19 @@
 
 from service.api.schemas.alarms import AlarmAnswer
 from service.api.schemas.base import Answer, EpochAnswer
+from service.api.schemas.control import VerdictAnswer
 from service.api.schemas.links import LinkAnswer
 from service.api.schemas.notes import NoteAnswer
 from service.api.schemas.operations import OperationAnswer
 from service.api.schemas.status import StatusAnswer
 
 
-class HandoverControlAnswer(Answer):
-    """What control does."""
+class HandoverControlAnswer(VerdictAnswer):
+    """What control does, and the verdict on it."""
 
     mode: str
     release: str
     method: str
-    state: str
-    reasons: list[str]
-    """Why no torque reaches the spacecraft by itself."""
     authorised_until: EpochAnswer | None
     """End of the time for which control was given free; null: it is not bounded in time."""
 

@@ -3,6 +3,7 @@
 from typing import Literal
 
 from service.api.schemas.base import Answer, EpochAnswer
+from service.api.schemas.control import ControlState, VerdictAnswer
 from service.api.schemas.links import LinkWarningAnswer
 
 
@@ -27,10 +28,9 @@ class StatusLinkAnswer(Answer):
 
 
 class InterlockAnswer(Answer):
-    """Whether torques are given to the spacecraft, and why not; `GET .../control` tells all of it."""
+    """State and codes of `control`."""
 
-    state: Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "TRIPPED"]
-    """ENGAGED: the newest command may be applied, or goes by itself under the standing authorisation."""
+    state: ControlState
     reasons: list[str]
 
 
@@ -50,6 +50,7 @@ class StatusAnswer(Answer):
     now: EpochAnswer | None
     """Present of the spacecraft; null before its first row under the data clock."""
     links: list[StatusLinkAnswer]
+    control: VerdictAnswer
     interlock: InterlockAnswer
     method: str
     """Method that drives control."""

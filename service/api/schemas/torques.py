@@ -3,6 +3,7 @@
 from typing import Literal, Self
 
 from service.api.schemas.base import AnglesAnswer, Answer, EpochAnswer, Figure, WindowAnswer
+from service.api.schemas.control import VerdictAnswer
 from service.records.attitude import NO_ANGLES
 from service.records.catalogue import ControlMode
 from service.records.command import TorqueCommand
@@ -129,6 +130,12 @@ class TorqueAnswer(Answer):
                 "inhibitions": ["no_attitude"],
             }
         )
+
+
+class NewestTorqueAnswer(TorqueAnswer):
+    """The newest command, with the verdict on control."""
+
+    control: VerdictAnswer
 
 
 class TorquePage(Answer):

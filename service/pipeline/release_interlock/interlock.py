@@ -74,8 +74,12 @@ class Interlock:
     authorisation: Authorisation | None = None
     #: latched until reset
     trips: tuple[Condition, ...] = ()
+    #: a trip was reset, and ten good minutes are not over: torques stay withheld
+    is_after_reset: bool = False
     #: everything that stands at the newest instant
     standing: tuple[Condition, ...] = ()
+    #: since when each reason has stood without a break
+    since: tuple[tuple[str, int], ...] = ()
     #: axes whose sign is proven
     proven_axes: tuple[str, ...] = ()
 
@@ -91,14 +95,21 @@ class Interlock:
         return any(condition.consequence is Consequence.YAW for condition in self.standing)
 
     @property
+    def is_withholding(self) -> bool:
+        """Whether torques are withheld by a trip: from it until ten good minutes after its reset."""
+        return self.state is State.TRIPPED or self.is_after_reset
+
+    @property
     def reasons(self) -> tuple[str, ...]:
         """Why no torque may go, or which axis is withheld, in words that programs see."""
         words = [
             condition.word for condition in (*self.trips, *self.standing) if condition is not Condition.DISAGREEMENT
         ]
-        if self.state is State.INHIBITED and not self.is_armed:
+        if self.row is not None:
+            words += self.row.inhibitions
+        if self.state is State.INHIBITED and not self.is_armed and not self.around.is_automatic:
             words.append("not_armed")
-        if self.state is State.INHIBITED and not self.inhibiting and self.is_armed:
+        if self.state is State.INHIBITED and not self.inhibiting and (self.is_armed or self.is_after_reset):
             words.append("good_minutes")
         return tuple(dict.fromkeys(words))
 
@@ -118,7 +129,8 @@ def settle(interlock: Interlock, at: Instant, unreported: Unreported, settings: 
     for trigger in (Trigger.TRIP, Trigger.EXPIRE, Trigger.INHIBIT, Trigger.CLEAR, Trigger.BEYOND, Trigger.WITHIN):
         if _is_due(settled, trigger, at, settings):
             settled = fire(settled, trigger, at, settings) or settled
-    return settled
+    known = dict(interlock.since)
+    return replace(settled, since=tuple((word, known.get(word, at.now_us)) for word in settled.reasons))
 
 
 def conditions_at(
@@ -217,6 +229,8 @@ def _stands(guard: Guard, interlock: Interlock, settings: ReleaseSettings) -> bo
             return interlock.is_armed
         case Guard.BEYOND_AND_ARMED:
             return interlock.is_armed and is_beyond(interlock.row, settings)
+        case Guard.AFTER_RESET:
+            return interlock.is_after_reset
         case Guard.NO_TRIP_STANDS:
             return not any(c.consequence is Consequence.TRIP for c in interlock.standing)
         case _:
@@ -254,7 +268,9 @@ def _remembering(interlock: Interlock, row: Transition, asked: Request | None) -
     if row.trigger in (Trigger.BEYOND, Trigger.EXPIRE, Trigger.DISENGAGE) or row.target is State.RECOVERY:
         return replace(interlock, authorisation=None, request=None)
     if row.trigger is Trigger.RESET:
-        return replace(interlock, trips=(), good_since_us=None)
+        return replace(interlock, trips=(), good_since_us=None, is_after_reset=True)
+    if row.guard is Guard.AFTER_RESET:
+        return replace(interlock, is_after_reset=False)
     return replace(interlock, request=None)
 
 

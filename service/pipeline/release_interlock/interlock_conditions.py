@@ -25,32 +25,41 @@ class Consequence(Enum):
 class Condition(Enum):
     """Reasons of the interlock; the name in small letters is the word that programs see."""
 
-    ESTIMATE_OLD = (Consequence.INHIBIT, "no estimate, or older than 3 row periods + 30 s")
+    ESTIMATE_OLD = (
+        Consequence.INHIBIT,
+        "no estimate, or older than {stale_periods:g} periods + {stale_margin_s:g} s",
+    )
     ESTIMATOR = (Consequence.INHIBIT, "the estimator itself forbids control on the newest row")
     NOT_ALIGNED = (Consequence.INHIBIT, "no alignment holds")
-    SIGMA_ROLL = (Consequence.INHIBIT, "sigma of roll above 0.06 deg, or not known")
-    SIGMA_PITCH = (Consequence.INHIBIT, "sigma of pitch above 0.10 deg, or not known")
+    SIGMA_ROLL = (Consequence.INHIBIT, "sigma of roll above {roll_sigma_limit_deg:.2f} deg, or not known")
+    SIGMA_PITCH = (Consequence.INHIBIT, "sigma of pitch above {pitch_sigma_limit_deg:.2f} deg, or not known")
     FADE = (Consequence.INHIBIT, "downlink fade")
-    REDUNDANCY = (Consequence.INHIBIT, "fewer than 2 carriers beyond the unknowns")
+    REDUNDANCY = (Consequence.INHIBIT, "fewer than {min_redundancy} carriers beyond the unknowns")
     GAP = (Consequence.INHIBIT, "the newest row came after a gap")
     OPERATION = (Consequence.INHIBIT, "a declared operation inhibits control")
-    EPHEMERIS = (Consequence.INHIBIT, "a burn without a new ephemeris, or it ends within 6 h")
-    INNOVATION = (Consequence.INHIBIT, "innovations outside their 99 % band for 30 min")
+    EPHEMERIS = (Consequence.INHIBIT, "a burn without a new ephemeris, or it ends within {ephemeris_ahead_h:g} h")
+    INNOVATION = (Consequence.INHIBIT, "innovations outside their 99 % band for {innovation_min:g} min")
     ONBOARD_MODE = (Consequence.INHIBIT, "the on-board mode is not on the operator's list")
-    REPORT_LATE = (Consequence.INHIBIT, "a released command is 10 min past its end without a report (alarm)")
-    HAND_OVER = (Consequence.INHIBIT, "roll or pitch beyond 0.6 deg: over to the sensor mode (alarm)")
-    CLOCK_JUMP = (Consequence.TRIP, "the clock jumped by more than 2 s against the steady one")
-    MOMENTUM = (Consequence.TRIP, "a wheel holds more than 80 % of its greatest momentum")
-    RESPONSE_MISSED = (Consequence.TRIP, "the powers say that a command did nothing or the reverse, ratio above 9")
+    REPORT_LATE = (
+        Consequence.INHIBIT,
+        "a released command ended {report_min:g} min ago without a report (alarm)",
+    )
+    HAND_OVER = (Consequence.INHIBIT, "roll or pitch beyond {hand_over_deg:g} deg: over to the sensor mode (alarm)")
+    CLOCK_JUMP = (Consequence.TRIP, "the clock jumped by more than {clock_jump_s:g} s against the steady one")
+    MOMENTUM = (Consequence.TRIP, "a wheel holds more than {momentum_percent:g} % of its greatest momentum")
+    RESPONSE_MISSED = (
+        Consequence.TRIP,
+        "a command did nothing or the reverse by the powers, ratio above {missed_log_ratio:g}",
+    )
     ENVELOPE = (Consequence.TRIP, "the control law asked for more than the envelope")
     CONFIGURATION = (Consequence.TRIP, "calibration, carrier plan or spacecraft changed since control was armed")
-    UNREPORTED = (Consequence.TRIP, "more than one released command without a report")
+    UNREPORTED = (Consequence.TRIP, "released commands without a report: more than {max_unreported}")
     LEASE = (Consequence.TRIP, "the estimator's lease is held twice")
     STOP = (Consequence.TRIP, "an operator stopped control")
-    SIGMA_YAW = (Consequence.YAW, "sigma of yaw above 0.20 deg, or not known")
+    SIGMA_YAW = (Consequence.YAW, "sigma of yaw above {yaw_sigma_limit_deg:.2f} deg, or not known")
     YAW_SIGN = (Consequence.YAW, "the sign of yaw is not proven")
-    YAW_BEYOND = (Consequence.YAW, "yaw beyond 0.4 deg, or not known")
-    DISAGREEMENT = (Consequence.ALARM, "the methods differ by more than 0.15 deg in roll or pitch for 15 min")
+    YAW_BEYOND = (Consequence.YAW, "yaw beyond {recovery_deg:g} deg, or not known")
+    DISAGREEMENT = (Consequence.ALARM, "the methods disagree in roll or pitch, by the rule of the estimator")
 
     def __init__(self, consequence: Consequence, meaning: str) -> None:
         self.consequence = consequence
@@ -61,7 +70,13 @@ class Condition(Enum):
         """Name as programs see it."""
         return self.name.lower()
 
+    def text(self, settings: ReleaseSettings) -> str:
+        """Return when it stands, with the figures of some settings."""
+        return self.meaning.format(**settings.figures)
 
+
+#: reasons of the estimator that the interlock judges itself, by wider limits
+OWN_AFFAIR = frozenset({"beyond_validity", "sigma_roll", "sigma_pitch"})
 #: conditions beside which an alarm is raised
 ALARMED = frozenset({Condition.REPORT_LATE, Condition.HAND_OVER, Condition.DISAGREEMENT})
 
@@ -79,7 +94,7 @@ class RowFacts:
     redundancy: int
     is_fading: bool = False
     is_innovation_in_band: bool = True
-    #: why the estimator forbids control; that the angle is large is the interlock's own affair
+    #: why the estimator forbids control
     inhibitions: tuple[str, ...] = ()
     #: set by the interlock
     is_after_gap: bool = False
@@ -105,8 +120,10 @@ class Surroundings:
     #: of the fullest wheel; None: no telemetry
     momentum_share: float | None = None
     lease_holders: int = 1
-    #: greatest difference of the methods in roll or pitch, deg
-    disagreement_deg: float = 0.0
+    #: whether the methods disagree, as the chain has found
+    is_disagreeing: bool = False
+    #: whether computed commands count as applied: then nobody arms
+    is_automatic: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +140,6 @@ class Durations:
     """Since when something has been so; None: it is not."""
 
     innovation_since_us: int | None = None
-    disagreement_since_us: int | None = None
 
 
 def row_conditions(row: RowFacts | None, now_us: int, settings: ReleaseSettings) -> frozenset[Condition]:
@@ -135,7 +151,7 @@ def row_conditions(row: RowFacts | None, now_us: int, settings: ReleaseSettings)
     stands = {
         # an estimate from the future is as little to be believed as an old one
         Condition.ESTIMATE_OLD: not -stale_us <= now_us - row.epoch_us <= stale_us,
-        Condition.ESTIMATOR: bool(row.inhibitions),
+        Condition.ESTIMATOR: not OWN_AFFAIR.issuperset(row.inhibitions),
         Condition.SIGMA_ROLL: not row.sigma_deg.roll <= settings.roll_sigma_limit_deg,
         Condition.SIGMA_PITCH: not row.sigma_deg.pitch <= settings.pitch_sigma_limit_deg,
         Condition.FADE: row.is_fading,
@@ -163,6 +179,7 @@ def surrounding_conditions(around: Surroundings, now_us: int, settings: ReleaseS
         Condition.MOMENTUM: around.momentum_share is not None
         and not around.momentum_share <= settings.momentum_share_limit,
         Condition.LEASE: around.lease_holders > 1,
+        Condition.DISAGREEMENT: around.is_disagreeing,
     }
     return frozenset(condition for condition, is_standing in stands.items() if is_standing)
 
@@ -173,7 +190,6 @@ def lasting_conditions(
     """Return the conditions that need time to stand."""
     stands = {
         Condition.INNOVATION: _has_lasted(durations.innovation_since_us, now_us, settings.innovation_s),
-        Condition.DISAGREEMENT: _has_lasted(durations.disagreement_since_us, now_us, settings.disagreement_s),
         Condition.REPORT_LATE: _has_lasted(unreported.oldest_stop_us, now_us, settings.report_s),
         Condition.UNREPORTED: unreported.count > settings.max_unreported,
     }

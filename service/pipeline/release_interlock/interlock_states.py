@@ -41,6 +41,7 @@ class Guard(Enum):
     BEYOND_AND_ARMED = "armed, beyond 0.4 deg"
     AUTHORISED = "the authorisation still holds"
     ARMED = "control was armed"
+    AFTER_RESET = "a trip was reset: torques are no longer withheld"
     MAY_ARM_BEYOND = "10 good minutes, beyond 0.4 deg"
     MAY_ARM = "10 good minutes"
     SECOND_PERSON = "another person asked for the same within 10 min"
@@ -71,6 +72,7 @@ TRANSITIONS: tuple[Transition, ...] = (
     Transition(State.INHIBITED, Trigger.CLEAR, Guard.BEYOND_AND_ARMED, State.RECOVERY),
     Transition(State.INHIBITED, Trigger.CLEAR, Guard.AUTHORISED, State.ENGAGED),
     Transition(State.INHIBITED, Trigger.CLEAR, Guard.ARMED, State.ARMED),
+    Transition(State.INHIBITED, Trigger.CLEAR, Guard.AFTER_RESET, State.INHIBITED),
     Transition(State.INHIBITED, Trigger.ARM, Guard.MAY_ARM_BEYOND, State.RECOVERY),
     Transition(State.INHIBITED, Trigger.ARM, Guard.MAY_ARM, State.ARMED),
     Transition(State.INHIBITED, Trigger.BEYOND, Guard.AUTHORISED, State.INHIBITED),

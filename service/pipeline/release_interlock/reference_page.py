@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from service.pipeline.release_interlock.command_states import LIVES, Life, Turn
 from service.pipeline.release_interlock.interlock_conditions import Condition, Consequence
 from service.pipeline.release_interlock.interlock_states import TRANSITIONS, Guard, State, Trigger
+from service.pipeline.release_interlock.release_settings import ReleaseSettings
 
 
 def interlock_diagram() -> str:
@@ -49,7 +50,8 @@ def reference_page() -> str:
         "## Conditions",
         *(_conditions_of(consequence) for consequence in Consequence),
         "What is not known counts as bad; only a momentum that no telemetry tells is passed over. A trip takes arming\n"
-        "and authorisation away: after the reset come ten good minutes, and an operator arms again.",
+        "and authorisation away: after the reset come ten good minutes, and an operator arms again. In release\n"
+        "`automatic` nobody arms: torques are withheld from the trip until these ten good minutes are over.",
         "## Life of a command",
         "```mermaid\n" + command_diagram() + "\n```",
         _table(("life", "meaning"), [(f"`{life.name}`", life.value) for life in Life]),
@@ -63,7 +65,7 @@ def reference_page() -> str:
 
 def _conditions_of(consequence: Consequence) -> str:
     """Return a consequence and the conditions that have it."""
-    rows = [(f"`{each.word}`", each.meaning) for each in Condition if each.consequence is consequence]
+    rows = [(f"`{each.word}`", each.text(ReleaseSettings())) for each in Condition if each.consequence is consequence]
     return f"{consequence.value}:\n\n" + _table(("condition", "stands when"), rows)
 
 

@@ -59,8 +59,6 @@ from service.pipeline.release_interlock.release_settings import ReleaseSettings,
 from service.records.epoch import US_PER_S
 
 _HOUR_US = 3600 * US_PER_S
-#: reasons of the estimator that the interlock judges itself, by wider limits
-OWN_AFFAIR = frozenset({"beyond_validity", "sigma_roll", "sigma_pitch"})
 _TRIGGERS = {
     OrderKind.ARM: Trigger.ARM,
     OrderKind.DISENGAGE: Trigger.DISENGAGE,
@@ -112,10 +110,11 @@ def restored(state: ReleaseState) -> ReleaseState:
     interlock = state.interlock
     clock = None if interlock.clock is None else replace(interlock.clock, steady_us=None)
     inhibited = interlock.state if interlock.state is State.TRIPPED else State.INHIBITED
-    return replace(
-        state,
-        interlock=replace(interlock, state=inhibited, row=None, good_since_us=None, clock=clock, request=None),
-    )
+    # what stood when it was stored may have gone since; a trip has not
+    trips = {condition.word for condition in interlock.trips}
+    since = tuple(each for each in interlock.since if each[0] in trips)
+    forgotten = replace(interlock, row=None, good_since_us=None, clock=clock, request=None, since=since)
+    return replace(state, interlock=replace(forgotten, state=inhibited))
 
 
 class Uncertainty(NamedTuple):
@@ -167,10 +166,7 @@ def _informed(
         case Told():
             is_other_craft = event.around.spacecraft_version != interlock.around.spacecraft_version
             proven = () if is_other_craft else interlock.proven_axes
-            differing = event.around.disagreement_deg > settings.disagreement_deg
-            since_us = _since(interlock.durations.disagreement_since_us, event.at.now_us, is_so=differing)
-            durations = replace(interlock.durations, disagreement_since_us=since_us)
-            return replace(interlock, around=event.around, proven_axes=proven, durations=durations)
+            return replace(interlock, around=event.around, proven_axes=proven)
         case ResponseJudged():
             is_missed = not event.log_ratio <= settings.missed_log_ratio
             return tripped(interlock, Condition.RESPONSE_MISSED, event.at, settings) if is_missed else interlock
@@ -188,8 +184,7 @@ def _with_row(interlock: Interlock, event: RowSeen, settings: ReleaseSettings) -
     is_after_gap = before is not None and row.epoch_us - before.epoch_us > _stale_us(before, settings)
     since_us = _since(interlock.durations.innovation_since_us, event.at.now_us, is_so=not row.is_innovation_in_band)
     durations = replace(interlock.durations, innovation_since_us=since_us)
-    others = tuple(reason for reason in row.inhibitions if reason not in OWN_AFFAIR)
-    return replace(interlock, row=replace(row, is_after_gap=is_after_gap, inhibitions=others), durations=durations)
+    return replace(interlock, row=replace(row, is_after_gap=is_after_gap), durations=durations)
 
 
 def _with_sign(interlock: Interlock, event: SignJudged, settings: ReleaseSettings) -> Interlock:

@@ -65,6 +65,7 @@ def essence(state: ReleaseState) -> ReleaseState:
         clock=None,
         good_since_us=None,
         standing=(),
+        since=(),
     )
     # impulses are kept with the release that they belong to
     return replace(state, interlock=kept, sent=())

@@ -1,6 +1,6 @@
 """Settings of the release interlock; the defaults are those of its table in the reference."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from service.core.control.envelope import Envelope
 from service.records.epoch import US_PER_S
@@ -33,9 +33,6 @@ class ReleaseSettings:
     clock_jump_s: float = 2.0
     #: log-likelihood ratio with which a command's response is missed
     missed_log_ratio: float = 9.0
-    #: methods that differ by this in roll or pitch for this long raise an alarm
-    disagreement_deg: float = 0.15
-    disagreement_s: float = 900.0
     #: roll or pitch beyond it: automatic release off; beyond the second: over to the sensor mode
     recovery_deg: float = 0.4
     hand_over_deg: float = 0.6
@@ -65,6 +62,15 @@ class ReleaseSettings:
     report_s: float = 600.0
     #: time passes for the interlock at least this often
     tick_s: float = 10.0
+
+    @property
+    def figures(self) -> dict[str, float | str]:
+        """Return every setting by name, with long times in minutes and hours too, for texts."""
+        told = asdict(self)
+        times = {name[:-1]: value for name, value in told.items() if name.endswith("_s")}
+        minutes = {f"{name}min": value / 60.0 for name, value in times.items()}
+        hours = {f"{name}h": value / 3600.0 for name, value in times.items()}
+        return {**told, **minutes, **hours, "momentum_percent": 100.0 * self.momentum_share_limit}
 
     @property
     def allowed_modes(self) -> tuple[str, ...]:

@@ -102,7 +102,7 @@ async def test_metrics_tell_the_archive_and_the_interface(bench, make, monkeypat
     assert told["soo_attitude_deg", sc, "paper", "roll"] == -0.02
     assert told["soo_attitude_sigma_deg", sc, "paper", "pitch"] == 0.02
     assert told["soo_attitude_status", sc, "paper"] == 1.0
-    assert told["soo_control_allowed", sc] == 1.0
+    assert told["soo_control_allowed", sc] == 0.0, "the row may be used, and the interlock has seen none"
     assert told["soo_rows_refused_total", sc, "time.future"] == 1.0
     assert told["soo_link_state", "link-1", "MEASURING"] == 1.0
     assert told["soo_link_last_good_age_seconds", "link-1"] == 5.0

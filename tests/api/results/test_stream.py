@@ -45,8 +45,8 @@ async def test_stream_tells_what_the_rest_interface_tells(served, source, bench,
         source.publish(events)
         measurement, attitude, torque = reader.take(3)
         assert measurement.data == (await bench.get("/measurements/history"))["rows"][-1]
-        assert attitude.data == await bench.get("/attitude")
-        assert torque.data == await bench.get("/torques")
+        assert attitude.data == (await bench.get("/attitude/history"))["rows"][-1]
+        assert torque.data == (await bench.get("/torques/history"))["rows"][-1]
         assert [event.kind for event in (measurement, attitude, torque)] == ["measurement", "attitude", "torque"]
         number = events[0].cursor.number
         assert [event.id for event in (status, measurement, attitude, torque)] == [

@@ -18,6 +18,7 @@ async def test_before_the_first_command_torques_are_null(bench, make):
     bench.append([make.now_us])
     bench.consume()
     again = await bench.get("/torques")
+    assert (again.pop("control")["allowed"], newest.pop("control")["allowed"]) == (False, False)
     assert again == newest | {"attitude_epoch": format_epoch(make.now_us)}, "the epoch advances with every row"
 
 
@@ -25,7 +26,9 @@ async def test_command_is_told_field_by_field(bench, make):
     (row,) = bench.append([make.now_us])
     bench.consume([Outcome((make.row(row),), make.command(row))])
     epoch = "2026-11-21T03:00:00.000000Z"
-    assert await bench.get("/torques") == {
+    newest = await bench.get("/torques")
+    assert newest.pop("control") == (await bench.get("/control"))["control"]
+    assert newest == {
         "epoch": epoch,
         "attitude_epoch": epoch,
         "mode": "ground",
@@ -67,7 +70,9 @@ async def test_command_of_an_expired_row_is_zero(bench, make):
     bench.clock.system = make.now_us + 211 * make.s
     newest = await bench.get("/torques")
     assert (newest["roll_n_m"], newest["control_allowed"], newest["inhibitions"]) == (0.0, False, ["expired"])
-    assert (await bench.get("/status"))["interlock"] == {"state": "INHIBITED", "reasons": ["expired"]}
+    assert (newest["control"]["allowed"], newest["control"]["state"]) == (False, "INHIBITED")
+    assert {"code": "expired", "since": None}.items() <= newest["control"]["reasons"][-1].items()
+    assert (await bench.get("/status"))["control"] == newest["control"]
 
 
 async def test_history_pages(bench, make):
@@ -80,29 +85,32 @@ async def test_history_pages(bench, make):
     assert rest["next"] is None
 
 
-#: of the release: no row was seen, the ephemeris ends soon, nobody has armed
-NOT_READY = {
-    "state": "INHIBITED",
-    "reasons": ["estimate_old", "not_aligned", "ephemeris", "yaw_sign", "not_armed"],
-}
+#: of the release: no row was seen, the ephemeris ends soon
+NOT_READY = ["estimate_old", "not_aligned", "ephemeris", "yaw_sign"]
 INTERLOCKS = {
-    "automatic": (Release.AUTOMATIC, ControlMode.GROUND, {"state": "ENGAGED", "reasons": []}),
-    "two steps": (Release.TWO_STEP, ControlMode.GROUND, NOT_READY),
+    "automatic": (Release.AUTOMATIC, {"state": "INHIBITED", "reasons": NOT_READY}),
+    "two steps": (Release.TWO_STEP, {"state": "INHIBITED", "reasons": [*NOT_READY, "not_armed"]}),
 }
 
 
-@pytest.mark.parametrize(("release", "mode", "interlock"), INTERLOCKS.values(), ids=INTERLOCKS)
-async def test_status_tells_the_interlock(bench, make, release, mode, interlock):
+@pytest.mark.parametrize(("release", "interlock"), INTERLOCKS.values(), ids=INTERLOCKS)
+async def test_status_tells_the_interlock(bench, make, release, interlock):
     stored = bench.storage.catalogue.spacecraft(make.sc)
-    control = ControlSettings(Method.PAPER, mode, release)
+    control = ControlSettings(Method.PAPER, ControlMode.GROUND, release)
     bench.storage.catalogue.replace_spacecraft(replace(stored, control=control))
     (row,) = bench.append([make.now_us])
     bench.consume([Outcome((make.row(row),), make.command(row))])
-    assert (await bench.get("/status"))["interlock"] == interlock
+    status = await bench.get("/status")
+    assert status["interlock"] == interlock
+    control = await bench.get("/control")
+    assert status["control"] == control["control"] == (await bench.get("/attitude", method="robust"))["control"]
+    assert {name: control[name] for name in ("state", "reasons")} == interlock
 
 
 async def test_status_of_an_empty_and_of_a_filled_archive(bench, make):
     empty = await bench.get("/status")
+    assert empty.pop("control")["allowed"] is False
+    assert empty.pop("interlock")["reasons"] == [*NOT_READY, "no_attitude"]
     assert empty == {
         "newest_measurement": None,
         "newest_attitude": None,
@@ -113,7 +121,6 @@ async def test_status_of_an_empty_and_of_a_filled_archive(bench, make):
         "clock": "system",
         "now": format_epoch(make.now_us),
         "links": [],
-        "interlock": {"state": "INHIBITED", "reasons": ["no_attitude"]},
         "method": "paper",
         "calibration_id": None,
         "alignment_id": None,

@@ -8,6 +8,7 @@ import pytest
 from service.pipeline.alarm_book import AlarmBook, Readings
 from service.pipeline.alarm_conditions import Condition, Kind, Origin, condition_table
 from service.pipeline.alarm_sets import Circumstances
+from service.pipeline.alarm_steps import told_in_words
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.records.alarm import ChangeKind, Cover, Handling, Process, Severity
 from service.records.alarm_limits import AlarmLimits, ConditionLimits
@@ -20,7 +21,7 @@ CONDITION = Condition(
     "dB",
     "carrier",
     Origin.ROW,
-    "the level is away by",
+    "level of carrier {thing} differs by {value}",
     "look",
     ConditionLimits(warning=3.0, critical=6.0, deadband=0.5, on_s=60.0, off_s=60.0, repeat_s=600.0),
 )
@@ -66,9 +67,35 @@ def test_an_alarm_says_what_happened_to_which_thing_since_when_and_by_how_much(r
         60 * S,
     )
     assert (alarm.value, alarm.limit, alarm.unit, alarm.announced_at_us) == (4.25, 3.0, "dB", 60 * S)
-    assert alarm.detail == (
-        "carrier c0: the level is away by 4.25 dB, limit 3 dB, since 1970-01-01T00:00:00.000000Z; rain"
-    )
+    assert alarm.detail == "level of carrier c0 differs by 4.2 dB, limit 3 dB; rain"
+
+
+@pytest.mark.parametrize(
+    ("name", "thing", "value", "limit", "words"),
+    [
+        ("carrier_residual", "c13", 1.906, 1.5, "residual of carrier c13 is 1.9 dB, limit 1.5 dB"),
+        ("control_tripped", "stop", 120.0, 0.0, "control has been tripped (stop) for 120 s"),
+        ("attitude_angle", "roll", 0.3004, 0.3, "roll angle is 0.3004 deg, limit 0.3 deg"),
+        ("carrier_absent", "c01", 3600.4, 120.0, "carrier c01 has been absent for 3600 s, limit 120 s"),
+        ("ephemeris_ending", "newest", -1.24, 0.0, "remaining validity of the newest ephemeris is -1.2 h, limit 0 h"),
+        (
+            "rows_missing",
+            "sa-1",
+            12.0,
+            0.0,
+            "source sa-1 has numbered 12 rows of the last hour that did not arrive",
+        ),
+    ],
+)
+def test_an_alarm_is_a_plain_sentence_with_value_and_limit(raised, name, thing, value, limit, words):
+    condition = condition_table(AlarmConfig(), RobustConfig())[name]
+    alarm = replace(raised.open_alarms[KEY], thing=thing, value=value, limit=limit, unit=condition.unit)
+    assert told_in_words(alarm, condition, "").detail == words
+
+
+def test_every_text_names_the_thing_and_the_value_once():
+    for condition in condition_table(AlarmConfig(), RobustConfig()).values():
+        assert (condition.says.count("{thing}"), condition.says.count("{value}")) == (1, 1), condition.name
 
 
 def test_each_thing_has_an_alarm_of_its_own(book):

@@ -83,7 +83,7 @@ def test_a_row_as_it_should_be_alarms_nothing():
         ({"rows": (attitude(1, downlink_fade=True, downlink_fade_db=2.0),)}, {("downlink_fade", "receiving site")}),
         ({"rows": (attitude(1, downlink_fade=True, downlink_fade_db=NAN),)}, {("downlink_fade", "receiving site")}),
         (
-            {"rows": (attitude(1), attitude(1, Method.PAPER, angles=(0.2, 0.0, 0.16)))},
+            {"rows": (attitude(1), attitude(1, Method.PAPER)), "disagreement_deg": 0.16},
             {("methods_disagree", "robust, paper")},
         ),
     ],

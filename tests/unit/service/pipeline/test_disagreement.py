@@ -1,5 +1,6 @@
 """Disagreement of the methods: apart for long, about roll or pitch, and only where both tell angles."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -23,11 +24,11 @@ def test_apart_for_long_enough_it_stands_and_together_again_it_ends():
     watch = Disagreement()
     for minute in range(10, 40):
         watch = compare(watch, pair(minute, (0, 0.1, 0), (0, -0.06, 0)), CONFIG)
-        assert watch.is_standing(minute * MINUTE, CONFIG) == (minute >= 25)
+        assert watch.is_standing == (minute >= 25)
+        assert watch.apart_deg == pytest.approx(0.16 if minute >= 25 else 0.0)
     assert watch.since_us == 10 * MINUTE
     watch = compare(watch, pair(40, (0, 0.1, 0), (0, -0.04, 0)), CONFIG)
-    assert watch == Disagreement()
-    assert not watch.is_standing(40 * MINUTE, CONFIG)
+    assert watch == Disagreement(apart_deg=0.0)
 
 
 @pytest.mark.parametrize(
@@ -44,7 +45,14 @@ def test_roll_and_pitch_are_compared(other, is_apart):
 
 
 def test_a_row_without_angles_says_nothing():
-    apart = Disagreement(5)
-    assert compare(apart, pair(1, (0, 0, 0), (0, 0, 0), Status.INVALID), CONFIG) is apart
-    assert compare(apart, pair(1, (0, 0, 0), (0, 0, 0))[:1], CONFIG) is apart
-    assert compare(apart, (), CONFIG) is apart
+    apart = Disagreement(5, True, 0.2)
+    for rows in (pair(1, (0, 0, 0), (0, 0, 0), Status.INVALID), pair(1, (0, 0, 0), (0, 0, 0))[:1], ()):
+        told = compare(apart, rows, CONFIG)
+        assert (told.since_us, told.is_standing, math.isnan(told.apart_deg)) == (5, True, True)
+
+
+def test_time_without_angles_does_not_make_it_stand():
+    watch = compare(Disagreement(), pair(1, (0, 0.2, 0), (0, 0, 0)), CONFIG)
+    for minute in range(2, 40):
+        watch = compare(watch, pair(minute, (0, 0.2, 0), (0, 0, 0), Status.INVALID), CONFIG)
+    assert not watch.is_standing

@@ -68,7 +68,7 @@ def two_unreported(driver):
 
 
 def long_disagreement(driver):
-    driver.tell(disagreement_deg=0.2)
+    driver.tell(is_disagreeing=True)
     driver.rows(16)
 
 

@@ -1,0 +1,34 @@
+"""The present of one spacecraft: newest row and command as they hold now, and the one verdict on control."""
+
+from typing import NamedTuple
+
+from service.api.deps import ApiContext
+from service.api.validity import newest_attitude, newest_command
+from service.errors import StorageError
+from service.pipeline.release_interlock.control_verdict import control_verdict
+from service.records.attitude import AttitudeRow
+from service.records.catalogue import Spacecraft
+from service.records.command import TorqueCommand
+from service.records.release import ControlVerdict, ControlView
+
+
+class Present(NamedTuple):
+    """What every answer about the present tells."""
+
+    #: of the method that drives control
+    row: AttitudeRow | None
+    command: TorqueCommand | None
+    verdict: ControlVerdict
+
+
+def present_of(context: ApiContext, spacecraft: Spacecraft, view: ControlView | None = None) -> Present:
+    """Return the present; a view that an order has just given stands for the interlock."""
+    row = newest_attitude(context, spacecraft.id, spacecraft.control.method)
+    if view is None:
+        try:
+            view = context.desk.control(spacecraft.id)
+        except StorageError:
+            # estimation can be read while nothing can be stored
+            view = None
+    command = newest_command(context, spacecraft, row, is_withheld=view is not None and view.is_withheld)
+    return Present(row, command, control_verdict(view, row if command is None else command))

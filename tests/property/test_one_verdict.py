@@ -1,0 +1,254 @@
+"""After every event of the interlock all answers carry the same verdict, and it never allows too much.
+
+The answers are those of the routes, the stream, the metrics and the demonstration, over an archive in memory; what is
+allowed is judged by the rules of `tests/fakes/desk_driver.py`, not by the interlock's.
+"""
+
+from contextlib import suppress
+from types import SimpleNamespace
+
+import pytest
+from desk_driver import GOOD, US, DeskDriver
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+from release_storage import SC
+from rich.console import Console
+
+from service.api.deps import Limits
+from service.api.handover import handover_of
+from service.api.metrics import Metrics
+from service.api.routes.attitude import get_attitude
+from service.api.routes.control import get_control
+from service.api.routes.torques import get_torques
+from service.api.status import status_of
+from service.cli.demo import _tracking_table
+from service.errors import SooError
+from service.pipeline.config import TorqueConfig
+from service.pipeline.release_interlock.release_events import OrderKind
+from service.pipeline.wheel_torques import NO_CARRY, compute_command
+from service.records.attitude import Axes
+from service.records.catalogue import ControlMode, Method, Release
+from service.records.epoch import format_epoch
+from service.records.inputs import Operation
+
+BAD_ROWS = st.sampled_from(
+    [
+        {"sigma_deg": Axes(0.08, 0.07, 0.03), "inhibitions": ("sigma_roll",), "control_allowed": False},
+        {"downlink_fade": True, "inhibitions": ("downlink_fade",), "control_allowed": False},
+        {"inhibitions": ("chain_step",), "control_allowed": False},
+        {"attitude_deg": Axes(0.0, 0.35, 0.0), "inhibitions": ("beyond_validity",), "control_allowed": False},
+        {"attitude_deg": Axes(0.0, 0.45, 0.0), "inhibitions": ("beyond_validity",), "control_allowed": False},
+        {"rates_deg_s": None},
+    ]
+)
+
+
+class Client:
+    """Client of the demonstration whose answers are the routes' own."""
+
+    service_url = "http://soo.test"
+
+    def __init__(self, context):
+        self._context = context
+
+    def attitude(self, spacecraft_id, method):
+        return get_attitude(spacecraft_id, Method(method), self._context).model_dump(mode="json")
+
+    def torques(self, spacecraft_id):
+        return get_torques(spacecraft_id, self._context).model_dump(mode="json")
+
+
+def context_of(driver):
+    """Return what routes are handed, over the driver's archive."""
+
+    def newest_row(_spacecraft_id, _version, method):
+        return driver.row if method is Method.ROBUST else None
+
+    def newest_command(*_):
+        if driver.row is None:
+            return None
+        return compute_command(driver.row, driver.archive.craft, NO_CARRY, 60.0, TorqueConfig()).command
+
+    archive = driver.archive
+    head = SimpleNamespace(consumed_epoch_us=None, newest_epoch_us=None, newest_number=0, consumed_number=0)
+    alignment = SimpleNamespace(id=1, epoch_us=GOOD.epoch_us, calibration_by_method={}, references_by_method={})
+    results = vars(archive.results) | {
+        "newest_attitude": newest_row,
+        "newest_command": newest_command,
+        "pending": lambda *_: 0,
+        "alignments": lambda _: (alignment,) if archive.is_aligned else (),
+        "calibrations": lambda *_: (),
+    }
+    storage = SimpleNamespace(
+        releases=archive.releases,
+        catalogue=SimpleNamespace(
+            spacecraft=archive.catalogue.spacecraft,
+            all_spacecraft=archive.catalogue.all_spacecraft,
+            ephemeris=lambda _: SimpleNamespace(id=1, valid_start_us=0, valid_stop_us=archive.ephemeris_stop_us),
+        ),
+        archive=SimpleNamespace(head=lambda _: head, sources=lambda _: (), inputs=lambda *_: ()),
+        results=SimpleNamespace(**results),
+        alarms=SimpleNamespace(open_alarms=lambda _: ()),
+        links=SimpleNamespace(links=lambda *_: ()),
+        keys=SimpleNamespace(all=lambda: ()),
+        notes=SimpleNamespace(newest=lambda *_: ()),
+        state=lambda: SimpleNamespace(queued_writes=0, free_bytes=None),
+    )
+    return SimpleNamespace(
+        storage=storage,
+        clock=driver.clock,
+        desk=driver.desk,
+        limits=Limits(),
+        supervisor=SimpleNamespace(is_disagreeing=lambda _: False, carrier_states=lambda _: None),
+        alarms=SimpleNamespace(notices=SimpleNamespace(channels=())),
+    )
+
+
+def answers(driver):
+    """Return the verdict of every answer about the present, by name."""
+    context = context_of(driver)
+    control, handover = get_control(SC, context), handover_of(context, SC)
+    told = {
+        "attitude": get_attitude(SC, Method.ROBUST, context).control,
+        "attitude of the other method": get_attitude(SC, Method.PAPER, context).control,
+        "status": status_of(context, SC).control,
+        "control": control.control,
+        "torques": get_torques(SC, context).control,
+        "hand-over": handover.control,
+        "status in the hand-over": handover.status.control,
+    }
+    assert (control.state, control.reasons) == (control.control.state, [one.code for one in control.control.reasons])
+    return {name: verdict.model_dump(include={"allowed", "state", "reasons"}) for name, verdict in told.items()}
+
+
+class AnyStory(RuleBasedStateMachine):
+    """A service, its persons and its faults."""
+
+    @initialize(release=st.sampled_from(Release), start=st.sampled_from(["armed", "engaged", "nothing"]))
+    def begin(self, release, start):
+        self.driver = DeskDriver()
+        self.is_automatic = release is Release.AUTOMATIC
+        self.reset_us = None
+        if self.is_automatic:
+            self.driver.archive.change_craft(release=release)
+            self.driver.rows(2)
+        elif start != "nothing":
+            getattr(self.driver, start)()
+
+    @rule(count=st.integers(1, 12))
+    def good_rows(self, count):
+        self.driver.rows(count)
+
+    @rule(change=BAD_ROWS)
+    def bad_row(self, change):
+        self.driver.rows(1, **change)
+
+    @rule(seconds=st.sampled_from([1.0, 100.0, 250.0, 4000.0]))
+    def time_passes(self, seconds):
+        self.driver.pass_time(seconds)
+        self.driver.note()
+        self.driver.desk.tick()
+
+    @rule(kind=st.sampled_from([OrderKind.STOP, OrderKind.RESET, OrderKind.RESET, OrderKind.ARM, OrderKind.DISENGAGE]))
+    def order(self, kind):
+        with suppress(SooError):
+            self.driver.order(kind)
+            if kind is OrderKind.RESET:
+                self.reset_us = self.driver.clock.now
+
+    @rule(n_m_s=st.sampled_from([1.0, 17.0]))
+    def momentum(self, n_m_s):
+        self.driver.momentum(n_m_s)
+
+    @rule(
+        facts=st.sampled_from(
+            [
+                {"is_aligned": False},
+                {"operations": [Operation(1, "other", 0, None, inhibit_control=True)]},
+                {"ephemeris_stop_us": 0},
+                {"is_aligned": True, "operations": [], "ephemeris_stop_us": GOOD.epoch_us + 90 * 86_400 * US},
+            ]
+        )
+    )
+    def facts_change(self, facts):
+        self.driver.tell(**facts)
+
+    @rule(mode=st.sampled_from(ControlMode))
+    def the_mode_changes(self, mode):
+        self.driver.archive.change_craft(mode=mode)
+        self.driver.tell()
+
+    @rule()
+    def killed(self):
+        self.driver.restart()
+
+    @rule()
+    def the_archive_is_away_for_a_while(self):
+        self.driver.releases.is_away = True
+        self.driver.rows(1)
+        self.all_answers_agree()
+        self.driver.releases.is_away = False
+
+    @invariant()
+    def all_answers_agree(self):
+        driver = self.driver
+        told = answers(driver)
+        (verdict, *others) = told.values()
+        assert all(other == verdict for other in others), told
+        context = context_of(driver)
+        samples = {name: value for name, _, value in Metrics(context, None, None)._attitude(driver.archive.craft)}
+        assert samples["soo_control_allowed"] == verdict["allowed"]
+        self._judge(verdict)
+        if driver.row is not None:
+            self._judge_demonstration(context, verdict)
+            if verdict["state"] == "TRIPPED":
+                assert get_torques(SC, context).schedule == []
+
+    def _judge(self, verdict):
+        """Hold the verdict against the facts alone."""
+        driver = self.driver
+        if verdict["allowed"]:
+            assert verdict["state"] in ("ARMED", "ENGAGED", "RECOVERY")
+            assert not driver.is_bad()
+            assert not driver.row.inhibitions
+            assert driver.archive.craft.control.mode is ControlMode.GROUND
+            assert self.reset_us is None or driver.clock.now - self.reset_us >= 600 * US
+            assert {one["code"] for one in verdict["reasons"]} <= {"sigma_yaw", "yaw_sign", "yaw_beyond"}
+        else:
+            assert verdict["reasons"]
+        for reason in verdict["reasons"]:
+            assert reason["text"]
+            assert reason["next_step"]
+            assert reason["since"] is None or reason["since"] <= format_epoch(driver.clock.now)
+
+    def _judge_demonstration(self, context, verdict):
+        scene = SimpleNamespace(
+            client=Client(context), story=SimpleNamespace(spacecraft_id=SC, truth_deg={}), phase="operation"
+        )
+        console = Console(width=400, record=True, quiet=True)
+        table = _tracking_table(scene)
+        console.print(table)
+        word = "control allowed" if verdict["allowed"] else f"control not allowed ({verdict['state']})"
+        assert str(table.caption).startswith(word)
+        assert all(reason["text"] in str(table.caption) for reason in verdict["reasons"])
+
+
+AnyStory.TestCase.settings = settings(
+    max_examples=25, stateful_step_count=20, deadline=None, suppress_health_check=list(HealthCheck)
+)
+test_any_story = AnyStory.TestCase
+
+
+@pytest.mark.parametrize("release", Release)
+def test_a_stop_is_told_by_every_answer(release):
+    driver = DeskDriver()
+    driver.archive.change_craft(release=release)
+    driver.rows(12)
+    if release is Release.TWO_STEP:
+        driver.order(OrderKind.ARM)
+    assert all(told["allowed"] for told in answers(driver).values())
+    driver.order(OrderKind.STOP)
+    for told in answers(driver).values():
+        assert (told["allowed"], told["state"], told["reasons"][0]["code"]) == (False, "TRIPPED", "stop")
+        assert told["reasons"][0]["since"] == format_epoch(driver.clock.now)
