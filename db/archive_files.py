@@ -1,5 +1,6 @@
 """SQLite files as files: where a URL points, reading without a trace, one file in place of three."""
 
+import contextlib
 import hashlib
 import os
 import sqlite3
@@ -21,6 +22,12 @@ def sqlite_path(url: str) -> Path | None:
     """Return the file of a SQLite URL, None for another database."""
     target = make_url(url)
     return Path(target.database or "") if target.get_backend_name() == "sqlite" else None
+
+
+def make_private(path: Path) -> None:
+    """Make a file that only its owner can read unless there is one; SQLite gives its companions the same rights."""
+    with contextlib.suppress(OSError):
+        os.close(os.open(path, os.O_CREAT | os.O_CLOEXEC, 0o600))
 
 
 def reading_engine(path: Path, *, is_settled: bool = False) -> Engine:

@@ -13,7 +13,7 @@ from pathlib import Path
 from sqlalchemy import Connection, Engine, select, text
 from sqlalchemy.exc import SQLAlchemyError
 
-from db.archive_files import reading_engine, sqlite_path
+from db.archive_files import COMPANIONS, reading_engine, sqlite_path
 from db.engine import open_engines, translated_faults
 from db.examination import Report, examine, guarded
 from db.journal_heads import compared_heads
@@ -101,11 +101,20 @@ def _permissions(path: Path) -> Diagnosis:
     if lacking:
         advice = "Give them to the user of the service (`chown`, `chmod u+w`), or mount the volume for writing."
         return Diagnosis("permissions", "fault", f"{' and '.join(lacking)} cannot be written by this user", advice)
+    open_to_others = [each.name for each in _companions(path) if each.stat().st_mode & 0o077]
+    if open_to_others:
+        advice = "Only the user of the service needs them: `chmod 600` each; new archives are made so."
+        return Diagnosis("permissions", "warning", f"{', '.join(open_to_others)} can be read by other users", advice)
     owner = path.stat().st_uid
     if owner != os.geteuid():
         advice = "Run this as the user of the service to see what the service sees."
         return Diagnosis("permissions", "warning", f"the file belongs to user {owner}, this is {os.geteuid()}", advice)
     return Diagnosis("permissions", "ok", "file and folder can be written")
+
+
+def _companions(path: Path) -> list[Path]:
+    """Return the file and what SQLite keeps beside it."""
+    return [each for each in (path.with_name(path.name + ending) for ending in ("", *COMPANIONS)) if each.exists()]
 
 
 def _disk(path: Path) -> Diagnosis:

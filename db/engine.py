@@ -16,6 +16,7 @@ from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
 
+from db.archive_files import make_private
 from db.file_watch import FileWatch
 from service.errors import StorageError
 
@@ -110,6 +111,7 @@ def _guard(engine: Engine, watch: FileWatch) -> None:
     """Let no transaction of an engine begin or end on a file that is no longer there."""
     # connecting to a name without a file would make an empty one
     event.listen(engine, "do_connect", lambda *_: watch.check())
+    event.listen(engine, "do_connect", lambda *_: make_private(watch.path))
     event.listen(engine, "begin", lambda _: watch.check(), insert=True)
     event.listen(engine, "commit", lambda _: watch.check())
 

@@ -29,6 +29,7 @@ class FileWatch:
     """
 
     def __init__(self, path: Path) -> None:
+        self.path = path
         self._names = (path, path.with_name(f"{path.name}-wal"))
         self._seen: dict[Path, _Identity] = {}
         self._lock = Lock()

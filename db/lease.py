@@ -123,7 +123,7 @@ class _FileHold:
         if self.is_held():
             return True
         try:
-            file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+            file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         except OSError as fault:
             _log.warning("the lease cannot be taken: %s", fault)
             return False

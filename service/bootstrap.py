@@ -83,11 +83,17 @@ def open_storage(settings: Settings) -> Storage:
     return SqlStorage(settings.database_url, settings.database_timeout_s)
 
 
-def first_administrator(settings: Settings, storage: Storage) -> str | None:
-    """Return a fresh administrator's key, stored as a digest, when there is none and the settings give none."""
-    if _secret(settings.bootstrap_key):
-        return None
+def first_administrator(settings: Settings, storage: Storage) -> Path | None:
+    """Return the file of a fresh administrator's key, when there is none and the settings give none; OSError.
+
+    The archive keeps a digest. The file stands beside the archive, that of a server in the working directory.
+    """
+    from db.archive_files import sqlite_path
+
     now_us = SystemClock().system_us()
+    has_one = any(each.key.role is Role.ADMIN and each.key.is_valid(now_us) for each in storage.keys.all())
+    if _secret(settings.bootstrap_key) or has_one:
+        return None
     key_id, text = new_key()
     key = AccessKey(
         id=key_id, name="first administrator", role=Role.ADMIN, created_at_us=now_us, created_by="first start"
@@ -103,8 +109,17 @@ def first_administrator(settings: Settings, storage: Storage) -> str | None:
         outcome=DONE,
         request_id="",
     )
-    is_stored = storage.keys.add_first_administrator(StoredKey(key, digest_of(text.encode("ascii"))), deed)
-    return text if is_stored else None
+    # first the file: a key that is stored and told to nobody would lock everybody out
+    path = (sqlite_path(settings.database_url) or Path("soo.db")).resolve().with_name("administrator.key")
+    if path.exists():
+        path = path.with_name(f"administrator-{key_id}.key")
+    path.touch(0o600, exist_ok=False)
+    path.write_text(f"{text}\n")
+    if storage.keys.add_first_administrator(StoredKey(key, digest_of(text.encode("ascii"))), deed):
+        return path
+    # another service was quicker
+    path.unlink()
+    return None
 
 
 def build_alarms(settings: Settings, storage: Storage, clock: Clock, feed: LiveFeed, turn: Turn) -> AlarmDesk:

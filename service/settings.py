@@ -4,11 +4,19 @@ Nested settings use a double underscore: ``SOO_INTERLOCK__VALIDITY_LIMIT_DEG=0.3
 publication where it states one, else tuned on the simulator's truth; docs/reference/settings.md lists all.
 """
 
+import os
 from ipaddress import ip_network
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, SecretStr
-from pydantic_settings import BaseSettings, SettingsConfigDict
+from pydantic_settings import (
+    BaseSettings,
+    PydanticBaseSettingsSource,
+    SecretsSettingsSource,
+    SettingsConfigDict,
+    SettingsError,
+)
 
 from service.api.rate_limits import RateLimitConfig
 from service.pipeline.config import (
@@ -52,12 +60,27 @@ class Settings(BaseSettings):
         arbitrary_types_allowed=False,
     )
 
+    @classmethod
+    def settings_customise_sources(
+        cls, settings_cls: type[BaseSettings], *sources: PydanticBaseSettingsSource, **named: PydanticBaseSettingsSource
+    ) -> tuple[PydanticBaseSettingsSource, ...]:
+        """Return where settings come from: arguments, environment, then a folder with a file a setting."""
+        given = (*sources, *named.values())[:2]
+        folder = os.environ.get("SOO_SECRETS_DIR")
+        if not folder:
+            return given
+        if not Path(folder).is_dir():
+            message = f"SOO_SECRETS_DIR: there is no folder {folder}"
+            raise SettingsError(message)
+        return (*given, SecretsSettingsSource(settings_cls, folder))
+
     database_url: str = Field("sqlite:///soo.db", description="SQLAlchemy URL of the archive")
     database_timeout_s: float = Field(
         10.0, gt=0, description="a lock, or an answer of the database, is waited for so long; then 503, s"
     )
     bootstrap_key: SecretStr | None = Field(
-        None, description="administrator's bearer key, accepted while set; without it the first start prints one"
+        None,
+        description="administrator's bearer key, accepted while set; without it the first start writes one into a file",
     )
     clock: Literal["system", "data"] = Field(
         "system", description="`data` lets accepted epochs move the clock of simulated spacecraft"

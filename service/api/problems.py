@@ -1,8 +1,8 @@
 """Problems: the one shape in which the interface says that something went wrong (RFC 9457).
 
 Every answer with a status of 400 or more is made here. ``code`` is stable and machine-readable; when exactly one field
-is at fault, it is the code of that fault, otherwise ``request.invalid``. A problem never carries what was sent: bodies
-may hold keys, and they may be large.
+is at fault, it is the code of that fault, otherwise ``request.invalid``. A problem never carries a body: it may hold
+keys, and it may be large. A key that stands in a path is left out.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,6 +24,7 @@ from service.errors import (
     StorageError,
     UnavailableError,
 )
+from service.records.access_key import without_secrets
 
 PROBLEM_MEDIA_TYPE = "application/problem+json"
 #: seconds after which a client may try again when the archive was not ready, and when too much was computed
@@ -121,9 +122,9 @@ def render(connection: HTTPConnection, error: ProblemError) -> JSONResponse:
         "type": f"urn:soo:problem:{error.code}",
         "title": HTTPStatus(error.status).phrase,
         "status": int(error.status),
-        "detail": error.detail,
+        "detail": without_secrets(error.detail),
         "code": error.code,
         "request_id": request_id_of(connection),
-        "errors": [{"pointer": f.pointer, "code": f.code, "detail": f.detail} for f in error.fields],
+        "errors": [{"pointer": f.pointer, "code": f.code, "detail": without_secrets(f.detail)} for f in error.fields],
     }
     return JSONResponse(content, status_code=int(error.status), headers=error.headers, media_type=PROBLEM_MEDIA_TYPE)

@@ -17,7 +17,7 @@ from starlette.concurrency import run_in_threadpool
 from service.api.principals import Principal
 from service.errors import StorageError
 from service.ports import Keys
-from service.records.access_key import Role, StoredKey, digest_of, id_of
+from service.records.access_key import Role, StoredKey, digest_of, hide, id_of
 
 #: age from which what was read is read again
 REFRESH_S = 2.0
@@ -45,6 +45,7 @@ class StoredKeys:
     def __init__(self, keys: Keys, bootstrap_key: str | None, system_us: Callable[[], int]) -> None:
         self._keys = keys
         self._bootstrap = digest_of(bootstrap_key.encode("utf-8", "surrogateescape")) if bootstrap_key else None
+        hide(bootstrap_key or "")
         self._system_us = system_us
         self._known: dict[str, StoredKey] = {}
         self._loaded_s = -math.inf

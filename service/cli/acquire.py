@@ -7,7 +7,6 @@ from the command line.
 
 import json
 import logging
-import os
 import signal
 import socket
 from contextlib import ExitStack
@@ -19,6 +18,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from service.cli.acquire_plan import PlannedAnalyzer, faults_of, plan_analyzer, show
+from service.cli.connection import key_of
 from service.cli.state_folder import state_folder
 from service.client.service_client import ServiceClient
 from service.frontend.acquisition.settings import AcquisitionSettings
@@ -147,9 +147,7 @@ def acquire(
     planned = _plan(entries, is_quiet=json_log)
     if check:
         return
-    key = os.environ.get(key_env)
-    if not key:
-        _refuse(f"no key: the environment variable {key_env} is empty")
+    key = key_of(key_env)
     bounds = Bounds(rows_bytes=round(spool_mib * 2**20), age_s=spool_days * 86_400.0, traces=evidence_traces)
     folder = spool or state_folder("spool")
     delivery = _Delivery(service, key, batch_rows, batch_s, folder, bounds, trace_period)

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -19,13 +20,24 @@ DEFAULT_SERVICE = "http://127.0.0.1:8000"
 DEFAULT_KEY_ENVIRONMENT = "SOO_KEY"
 
 
+def key_of(key_env: str) -> str:
+    """Return the key of an environment variable, or of the file that the variable with ``_FILE`` names; else end."""
+    path = os.environ.get(f"{key_env}_FILE")
+    try:
+        key = os.environ.get(key_env) or (Path(path).read_text(encoding="utf-8").strip() if path else "")
+    except (OSError, UnicodeDecodeError) as error:
+        typer.echo(f"no key: {key_env}_FILE names {path}, which cannot be read: {error}", err=True)
+        raise typer.Exit(2) from error
+    if not key:
+        typer.echo(f"no key: the environment variable {key_env} is empty, and {key_env}_FILE names no file", err=True)
+        raise typer.Exit(2)
+    return key
+
+
 @contextmanager
 def connected(service: str, key_env: str, **options: Any) -> Iterator[ServiceClient]:
     """Give a client; a refusal of the service ends the command with its words and exit code 1."""
-    key = os.environ.get(key_env)
-    if not key:
-        typer.echo(f"no key: the environment variable {key_env} is empty", err=True)
-        raise typer.Exit(2)
+    key = key_of(key_env)
     try:
         with ServiceClient(service, key, **options) as client:
             yield client

@@ -1,7 +1,6 @@
 """``soo demo``: simulated analyzer, front end and service on this machine, from nothing to angles beside the truth."""
 
 import json
-import os
 import signal
 import tempfile
 import time
@@ -15,6 +14,7 @@ from rich.live import Live
 from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from service.cli.connection import DEFAULT_KEY_ENVIRONMENT, key_of
 from service.client.documents import Json
 from service.client.problem import ClientError
 from service.client.service_client import ServiceClient
@@ -71,7 +71,9 @@ def demo(
                     directory, seed=seed, operation_days=operation_days, quiet_days=quiet_days, uplink=channel
                 )
                 endpoints = stack.enter_context(station)
-                presenter.key = endpoints.key
+                presenter.key_file = directory / "administrator.key"
+                presenter.key_file.touch(0o600)
+                presenter.key_file.write_text(f"{endpoints.key}\n")
             figures = _play(directory, endpoints, presenter, figure, _Alone(seed, operation_days))
         except KeyboardInterrupt:
             presenter.close()
@@ -132,8 +134,8 @@ class Presenter:
         self._task: TaskID | None = None
         self._printed_at = 0.0
         self._began_at = self._shown_at = time.monotonic()
-        #: of the demonstration's own service, made for this run
-        self.key: str | None = None
+        #: holds the key of the demonstration's own service, made for this run
+        self.key_file: Path | None = None
 
     def show(self, scene: Scene) -> None:
         """Show one moment."""
@@ -191,18 +193,16 @@ class Presenter:
         """Say how to reach the service from elsewhere."""
         url = scene.client.service_url
         self._console.print(f"aligned after {time.monotonic() - self._began_at:.0f} s; tracking; Ctrl-C ends it")
-        if self.key is not None:
+        if self.key_file is not None:
             self._console.print(f"REST interface {url}/api/v1, described in {url}/docs; for example", soft_wrap=True)
             path = f"{url}/api/v1/spacecraft/{scene.story.spacecraft_id}/attitude"
-            self._console.print(f"  curl -H 'Authorization: Bearer {self.key}' {path}", soft_wrap=True, highlight=False)
+            header = f'"Authorization: Bearer $(cat {self.key_file})"'
+            self._console.print(f"  curl -H {header} {path}", soft_wrap=True, highlight=False)
 
 
 def _external(service: str, analyzer: str, ground: str, uplink: str | None) -> Endpoints:
     """Return the addresses of processes that run already."""
-    key = os.environ.get("SOO_KEY")
-    if not key:
-        typer.echo("no key: the environment variable SOO_KEY is empty", err=True)
-        raise typer.Exit(2)
+    key = key_of(DEFAULT_KEY_ENVIRONMENT)
     host, port = _address(analyzer)
     craft = _address(uplink) if uplink else None
     return Endpoints(service, key, _address(ground), f"TCPIP::{host}::{port}::SOCKET", uplink=craft)

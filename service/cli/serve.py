@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 from pydantic import ValidationError
+from pydantic_settings import SettingsError
 
 from service.errors import StorageError
 from service.runtime.log_lines import write_log
@@ -76,6 +77,8 @@ def _settings(given: dict[str, str | int | None]) -> Settings:
         # the values themselves are left out: one of them is the key
         faults = error.errors(include_url=False, include_input=False, include_context=False)
         _refuse("; ".join(f"setting {'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in faults))
+    except SettingsError as error:
+        _refuse(str(error))
 
 
 def _check_tls(settings: Settings) -> None:
@@ -114,14 +117,19 @@ def _serve(settings: Settings, listener: socket.socket) -> None:
     is_announced = False
     while True:
         storage = _opened(settings)
-        fresh = first_administrator(settings, storage)
+        try:
+            key_file = first_administrator(settings, storage)
+        except OSError as error:
+            _refuse(
+                f"cannot write the administrator's key to {error.filename}: {error.strerror}; set SOO_BOOTSTRAP_KEY"
+            )
         watch = watch_file(settings)
         server = _server(settings, build_app(settings, storage), None if is_announced else listener)
         if not is_announced:
             calm_collector()
             gc.enable()
-        if fresh is not None:
-            typer.echo(f"administrator's key, shown this once and kept nowhere: {fresh}", err=True)
+        if key_file is not None:
+            _LOG.warning("the administrator's key was written to %s, for its owner alone: keep it, remove it", key_file)
         replaced = Event()
         if watch is not None:
             Thread(target=_stop_when, args=(watch.is_to_be_reopened, server, replaced), daemon=True).start()

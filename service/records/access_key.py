@@ -15,6 +15,9 @@ PREFIX = "soo"
 _ID_LETTERS = "abcdefghjkmnpqrstuvwxyz23456789"
 _ID_LENGTH = 10
 _SECRET_BYTES = 32
+#: secrets of no known form; shorter ones are words that stand in any text
+_HIDDEN: set[str] = set()
+_LEAST_HIDDEN = 8
 _WHOLE_KEY = re.compile(rf"({PREFIX}_[a-z0-9]+_)[\w-]+", re.ASCII)
 
 
@@ -79,6 +82,12 @@ def digest_of(text: bytes) -> bytes:
     return sha256(text).digest()
 
 
+def hide(secret: str) -> None:
+    """Leave a secret out of every text from now on that `without_secrets` returns."""
+    if len(secret) >= _LEAST_HIDDEN:
+        _HIDDEN.add(secret)
+
+
 def without_secrets(text: str) -> str:
     """Return a text in which no key stands, for logs: whoever puts one into a path shall not find it there.
 
@@ -87,4 +96,6 @@ def without_secrets(text: str) -> str:
     >>> without_secrets("/api/v1/keys/soo_abc_secret")
     '/api/v1/keys/soo_abc_...'
     """
+    for secret in _HIDDEN:
+        text = text.replace(secret, "...")
     return _WHOLE_KEY.sub(r"\1...", text)

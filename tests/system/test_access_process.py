@@ -6,6 +6,7 @@ import ssl
 import subprocess
 import sys
 from pathlib import Path
+from urllib.parse import quote
 
 import httpx
 import pytest
@@ -33,12 +34,18 @@ def get(url: str, key: str, **options: object) -> httpx.Response:
     return httpx.get(url, headers=bearer(key), trust_env=False, timeout=120, **options)
 
 
-def test_the_first_administrator_is_told_once_and_no_key_is_ever_written(start_service, compiled_environment, tmp_path):
+def test_the_first_administrators_key_is_a_file_and_no_key_is_ever_told(start_service, compiled_environment, tmp_path):
     """Keys made, used, misused and revoked, over the interface and by commands; then all outputs are searched."""
     settings = {"SOO_BOOTSTRAP_KEY": "", "SOO_LOG_LEVEL": "debug"}
     service = start_service("--port", "0", environment=settings)
     url = service.url
-    admin = service.log.read_text().split("kept nowhere: ")[1].split()[0]
+    key_file = tmp_path / "administrator.key"
+    assert str(key_file) in service.log.read_text()
+    admin = key_file.read_text().strip()
+    # only their owner can read what holds secrets, its companions too
+    modes = {path.name: oct(path.stat().st_mode & 0o777) for path in tmp_path.glob("soo.db*")}
+    assert modes == dict.fromkeys(("soo.db", "soo.db-wal", "soo.db-shm", "soo.db-lease"), "0o600")
+    assert key_file.stat().st_mode & 0o777 == 0o600
     listed = get(f"{url}/api/v1/keys", admin).json()["rows"]
     assert [(row["name"], row["role"]) for row in listed] == [("first administrator", "admin")]
     made = soo(
@@ -59,6 +66,10 @@ def test_the_first_administrator_is_told_once_and_no_key_is_ever_written(start_s
         get(url + BASE, key, params={"key": key}),
         get(f"{url}/api/v1/keys/{key}", key),
         get(f"{url}/api/v1/{key}", wrong),
+        *(get(f"{url}/api/v1/spacecraft/{key}{path}", admin) for path in ("", "/status", "/calibrations/1")),
+        httpx.put(f"{url}/api/v1/spacecraft/{key}/ephemeris", headers=bearer(admin), json={}, trust_env=False),
+        get(f"{url}/api/v1/jobs/{key}", admin),
+        get(f"{url}/api/v1/links/{key}", admin),
         httpx.delete(f"{url}/api/v1/keys/{key}", headers=bearer(admin), trust_env=False),
         httpx.post(url + BASE, headers=bearer(key), json={"id": key}, trust_env=False),
         get(f"{url}/api/v1/keys", admin),
@@ -78,16 +89,64 @@ def test_the_first_administrator_is_told_once_and_no_key_is_ever_written(start_s
     told += [answer.text + str(answer.headers) for answer in answers]
     files = b"".join(path.read_bytes() for path in tmp_path.iterdir() if path.is_file())
     for secret in (key.split("_", 2)[2], wrong.split("_", 2)[2], admin.split("_", 2)[2]):
-        times = 1 if secret in admin else 0
-        assert sum(text.count(secret) for text in told) == times
-        assert files.count(secret.encode()) == times
+        assert sum(text.count(secret) for text in told) == 0
+        # the administrator's in its file
+        assert files.count(secret.encode()) == (1 if secret in admin else 0)
     # the second start knows the administrator, and this time believes the proxy
     again = start_service("--port", "0", environment={**settings, "SOO_TRUSTED_PROXIES": "127.0.0.0/8"})
     forwarded = {**bearer("wrong"), "X-Forwarded-For": "192.0.2.77"}
     assert httpx.get(again.url + BASE, headers=forwarded, trust_env=False).status_code == 401
     newest = get(f"{again.url}/api/v1/audit", admin, params={"outcome": "401"}).json()["rows"][-1]
     assert newest["address"] == "192.0.2.77"
-    assert "kept nowhere" not in again.written()
+    assert "administrator's key" not in again.written()
+    assert list(tmp_path.glob("administrator*")) == [key_file]
+
+
+def test_secrets_come_from_files_and_a_bootstrap_key_in_a_path_is_told_to_nobody(
+    start_service, compiled_environment, tmp_path
+):
+    folder = tmp_path / "secrets"
+    folder.mkdir()
+    key = "a bootstrap/key of no form"
+    (folder / "soo_bootstrap_key").write_text(f"{key}\n")
+    (folder / "client").write_text(f"{key}\n")
+    service = start_service("--port", "0", environment={"SOO_SECRETS_DIR": str(folder), "SOO_LOG_LEVEL": "debug"})
+    files = {**compiled_environment, "SOO_KEY_FILE": str(folder / "client")}
+    listed = soo("keys", "list", "--service", service.url, environment=files)
+    assert listed.returncode == 0, listed.stderr
+    answers = [
+        get(f"{service.url}{BASE}/{path}", key)
+        for path in (quote(key, safe=""), f"{quote(key)}/status", f"x/calibrations/{quote(key, safe='')}")
+    ]
+    answers.append(httpx.get(f"{service.url}{BASE}/{quote(key, safe='')}", trust_env=False))
+    assert {answer.status_code for answer in answers} <= {401, 404, 422}
+    audit = get(f"{service.url}/api/v1/audit", key).text
+    service.end()
+    assert key not in "".join([*(answer.text for answer in answers), audit, service.written()])
+    assert not list(tmp_path.glob("administrator*"))
+    lacking = soo("keys", "list", environment={**compiled_environment, "SOO_KEY_FILE": str(folder / "none")})
+    assert (lacking.returncode, "cannot be read" in lacking.stderr) == (2, True)
+
+
+@pytest.mark.parametrize("spoil", ["no such folder", "a folder that cannot be written"])
+def test_a_start_that_cannot_have_or_keep_its_key_says_so(spoil, compiled_environment, tmp_path):
+    environment = {**compiled_environment, "SOO_SECRETS_DIR": str(tmp_path / "none")}
+    if spoil != "no such folder":
+        environment = compiled_environment
+        (tmp_path / "administrator.key").symlink_to(tmp_path / "none")
+    command = [
+        sys.executable,
+        "-m",
+        "service",
+        "serve",
+        "--port",
+        "0",
+        "--database",
+        f"sqlite:///{tmp_path / 'soo.db'}",
+    ]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 2
+    assert ("no folder" if spoil == "no such folder" else "administrator.key") in done.stderr
 
 
 @pytest.fixture

@@ -4,6 +4,8 @@ Law of this file: the schema's version is the file's ``user_version``; script k 
 Sequence numbers are never given twice: AUTOINCREMENT keeps the greatest in the file even when no row is left.
 """
 
+import contextlib
+import os
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -104,6 +106,9 @@ def leaves_connection_good(error: sqlite3.Error) -> bool:
 
 def connect(path: Path) -> sqlite3.Connection:
     """Return a connection for any thread, one at a time; a commit that returned survives a loss of power."""
+    with contextlib.suppress(OSError):
+        # only its owner may read it; SQLite gives its companions the same rights
+        os.close(os.open(path, os.O_CREAT | os.O_CLOEXEC, 0o600))
     connection = sqlite3.connect(path, timeout=_BUSY_S, isolation_level=None, check_same_thread=False)
     try:
         connection.execute("PRAGMA auto_vacuum=INCREMENTAL")

@@ -33,6 +33,14 @@ def test_a_row_comes_back_as_it_was(tmp_path: Path) -> None:
     assert found.row.power_dbm.dtype == np.float64
 
 
+def test_only_its_owner_can_read_a_spool(tmp_path: Path) -> None:
+    with spool(tmp_path) as made:
+        assert made.append(row(5))
+        modes = {path.suffix: path.stat().st_mode & 0o777 for path in tmp_path.rglob("*") if path.is_file()}
+        assert len(modes) >= 3
+        assert set(modes.values()) == {0o600}
+
+
 def test_numbers_go_on_for_ever_even_over_an_emptied_spool_and_a_restart(tmp_path: Path) -> None:
     for start in (0, 3, 6):
         with spool(tmp_path) as made:
