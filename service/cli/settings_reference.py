@@ -129,6 +129,8 @@ _STAGE_MEANINGS: dict[str, tuple[str, str]] = {
     "calibration.reference_walk_db_sqrt_h": ("geometry: least walk of a level, dB per square root of hour", TUNED),
     "calibration.level_knot_s": ("knots of a carrier's level over the turns are this far apart at least, s", TUNED),
     "calibration.min_turn_deg": ("an axis counts as turned where its angle passed this, deg", TUNED),
+    "calibration.min_yaw_proof_deg": ("turns of yaw below this do not prove its sign, deg", TUNED),
+    "calibration.max_scale_error": ("scale by which one axis of a sensor may differ, else warned", TUNED),
     "alignment.manual_window_s": ("window of powers before a manual alignment, s", TUNED),
     "alignment.min_rows": ("fewest rows of a carrier for a reference power", TUNED),
     "alignment.min_probability": ("powers contradict the stated angles below this probability", TUNED),

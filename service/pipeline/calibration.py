@@ -4,10 +4,11 @@ Powers and sensor angles in, a result or a CalibrationError out; nothing is read
 by the three criteria of the publication with its figures; the selected carriers and what they can see are reported.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from service.core.estimation.calibration.free_response import FreeResponse
 from service.core.estimation.noise_model import NoiseSplit, split_noise
 from service.core.estimation.observability import condition_number, crlb_deg, dilution_of_precision_deg_per_db
 from service.core.estimation.paper.criteria import CarrierVerdicts, judge_carriers
@@ -16,6 +17,8 @@ from service.core.estimation.paper.sensitivity import TurnSensitivity, fit_turn_
 from service.core.geometry.node_phase import latest_node_us
 from service.pipeline.calibration_rows import CalibrationError, CalibrationInput, phase_rad, turn_rows
 from service.pipeline.config import CalibrationConfig, CriteriaConfig
+from service.pipeline.geometry_rows import plan_places
+from service.pipeline.sensor_signs import report_signs
 from service.records.attitude import Axes, BoolArray, FloatArray, named_axes
 from service.records.calibration import (
     CalibrationResult,
@@ -28,6 +31,8 @@ from service.records.noise import NoiseComponent
 
 _AXIS_NAMES = ("yaw", "roll", "pitch")
 _DAY_S = 86_400.0
+#: error of a slope over the residual of its carrier, per deg, that no turns reach; the scatter of slopes is far above
+_LEAST_SLOPE_SIGMA = 0.01
 
 
 @dataclass(frozen=True)
@@ -49,9 +54,31 @@ def calibrate_paper(data: CalibrationInput, config: CalibrationConfig) -> Calibr
     Raises
     ------
     CalibrationError
-        No rows in a window, no sensor angles in the turns, or an axis that was never turned.
+        No rows in a window, no sensor angles in the turns, an axis that was never turned, or powers that contradict the
+        axes of the sensors.
     """
-    return paper_part(data, config, is_every_axis_needed=True)
+    result = paper_part(data, config, is_every_axis_needed=True)
+    if data.spacecraft is None:
+        return result
+    places = plan_places(data.plan, data.spacecraft)
+    free = _free_response(result)
+    is_fixed_gain = np.array([carrier.transponder_mode != "alc" for carrier in data.plan.carriers])
+    is_free = is_fixed_gain & np.isfinite(free.slope).all(axis=1) & np.isfinite(places.geometry.azimuth_deg)
+    report = report_signs(data, config, places, free, is_free, result.quality["yaw_turn_reach_deg"])
+    return replace(
+        result,
+        quality={**result.quality, **report.quality},
+        warnings=result.warnings + report.warnings,
+        signs=report.signs,
+    )
+
+
+def _free_response(result: CalibrationResult) -> FreeResponse:
+    """Return the slopes of the turns; the scale of their errors is left to the scatter of the slopes."""
+    slope = np.array([carrier.sensitivity_db_per_deg for carrier in result.carriers])
+    scale_db = np.array([carrier.residual_db for carrier in result.carriers])
+    covariance = (_LEAST_SLOPE_SIGMA * scale_db[:, np.newaxis, np.newaxis]) ** 2 * np.eye(3)
+    return FreeResponse(slope, np.zeros((len(slope), 3, 3)), covariance)
 
 
 def paper_part(data: CalibrationInput, config: CalibrationConfig, *, is_every_axis_needed: bool) -> CalibrationResult:
@@ -238,6 +265,7 @@ def _quality(
         "quiet_rows": float(len(quiet.residual_db)),
         "turn_rows": float(len(angles_deg)),
         "turn_reach_deg": float(np.abs(angles_deg).max()),
+        "yaw_turn_reach_deg": float(np.abs(angles_deg[:, 0]).max()),
         "median_residual_rms_db": _median_present(quiet.fits.rms_db),
         "median_turn_residual_db": _median_present(sensitivity.residual_db),
         "carriers_selected": float(np.count_nonzero(is_selected)),

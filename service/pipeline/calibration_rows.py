@@ -12,7 +12,7 @@ from service.records.attitude import FloatArray, IntArray
 from service.records.calibration import CalibrationRequest
 from service.records.catalogue import CarrierPlan, Ephemeris, Spacecraft
 from service.records.epoch import US_PER_S
-from service.records.inputs import Operation
+from service.records.inputs import Correction, Operation
 from service.records.series import MeasurementSeries, ReferenceSeries
 
 _AXIS_NAMES = ("yaw", "roll", "pitch")
@@ -39,6 +39,8 @@ class CalibrationInput:
     spacecraft: Spacecraft | None = None
     #: declared, overlapping one of the windows
     operations: tuple[Operation, ...] = ()
+    #: announced, within the turns
+    corrections: tuple[Correction, ...] = ()
 
     @property
     def sensors(self) -> tuple[str, str, str]:

@@ -67,6 +67,10 @@ class CalibrationConfig:
     level_knot_s: float = 36_000.0
     #: an axis counts as turned where its angle passed this, deg
     min_turn_deg: float = 0.1
+    #: turns of yaw below this do not prove its sign, deg
+    min_yaw_proof_deg: float = 0.3
+    #: scale by which one axis of a sensor may differ from the others without a warning
+    max_scale_error: float = 0.1
 
 
 @dataclass(frozen=True, slots=True)

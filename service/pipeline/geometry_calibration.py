@@ -20,6 +20,7 @@ from service.pipeline.geometry_quality import quality_figures
 from service.pipeline.geometry_rows import GeometryRows, geometry_rows
 from service.pipeline.geometry_warnings import calibration_warnings
 from service.pipeline.group_deviations import MIN_GROUP, small_groups
+from service.pipeline.sensor_signs import report_signs
 from service.records.attitude import BoolArray, FloatArray, named_axes
 from service.records.calibration import CalibrationResult, CarrierCalibration
 from service.records.catalogue import Carrier
@@ -42,7 +43,8 @@ def calibrate_geometry(data: CalibrationInput, config: CalibrationConfig) -> Cal
     Raises
     ------
     CalibrationError
-        Too few rows or angles in a window, no axis turned, an unknown place, or fewer than four usable carriers.
+        Too few rows or angles in a window, no axis turned, an unknown place, fewer than four usable carriers, or powers
+        that contradict the axes of the sensors.
     """
     rows = geometry_rows(data, config)
     joint = fit_rows(data, rows, config)
@@ -54,15 +56,19 @@ def calibrate_geometry(data: CalibrationInput, config: CalibrationConfig) -> Cal
     paper = paper_part(data, config, is_every_axis_needed=False)
     slope = joint.response.slope
     carriers = tuple(_carrier(one, k, joint, refusals[k]) for k, one in enumerate(paper.carriers))
+    quality = quality_figures(rows, joint, is_used)
+    is_free = is_seeing & (joint.group < 0)
+    report = report_signs(data, config, rows.places, joint.fit.free, is_free, quality["yaw_turn_reach_deg"])
     sigma_db = np.hypot(joint.noise.white_db, np.sqrt(np.square(joint.noise.sigma_db).sum(axis=1)))
     record = geometry_record(data, rows, joint, is_used)
     error_db = daily_error_db(geometry_model(record, carriers), record, data.ephemeris, data.request.quiet.start_us)
     return CalibrationResult(
         carriers,
         observe(slope[is_seeing], sigma_db[is_seeing]),
-        {**paper.quality, **quality_figures(rows, joint, is_used)},
-        calibration_warnings(data, rows, joint, is_used, config) + _of_paper(paper.warnings),
+        {**paper.quality, **quality, **report.quality},
+        calibration_warnings(data, rows, joint, is_used, config) + report.warnings + _of_paper(paper.warnings),
         replace(record, daily_error_db=_row(error_db)),
+        report.signs,
     )
 
 

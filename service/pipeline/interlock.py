@@ -43,6 +43,7 @@ class Circumstances:
     is_settled: bool
     is_fading: bool
     has_inhibiting_operation: bool
+    is_yaw_controllable: bool = True
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ def judge(fix: AttitudeFix, circumstances: Circumstances, config: InterlockConfi
         return Verdict(inhibitions, (False, False, False))
     is_yaw_known = float(np.sqrt(fix.covariance_deg2[0, 0])) <= config.yaw_sigma_limit_deg
     is_yaw_valid = abs(float(fix.attitude_deg[0])) <= config.validity_limit_deg
-    return Verdict((), (is_yaw_known and is_yaw_valid, True, True))
+    return Verdict((), (circumstances.is_yaw_controllable and is_yaw_known and is_yaw_valid, True, True))
 
 
 def _circumstantial(circumstances: Circumstances) -> set[str]:

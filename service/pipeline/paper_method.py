@@ -45,6 +45,7 @@ class PaperModel:
 
     expected: ExpectedPower
     sensitivity: SensitivityModel
+    is_yaw_controllable: bool
     calibration_id: int
     alignment_id: int
 
@@ -64,7 +65,13 @@ def paper_model(knowledge: Knowledge, aligned_with: Calibration) -> PaperModel |
     if calibration is None or knowledge.ephemeris is None or knowledge.alignment is None:
         return None
     expected = expected_power(calibration, knowledge.alignment, Method.PAPER, knowledge.ephemeris, aligned_with)
-    return PaperModel(expected, sensitivity_model(calibration), calibration.id, knowledge.alignment.id)
+    return PaperModel(
+        expected,
+        sensitivity_model(calibration),
+        calibration.is_yaw_controllable,
+        calibration.id,
+        knowledge.alignment.id,
+    )
 
 
 def initial_state(carriers: int, config: ChainConfig) -> PaperState:
@@ -105,6 +112,7 @@ def step_paper(
         is_settled=is_late or _rows_in_window(after, config) >= config.estimation.min_rows,
         is_fading=after.fade_watch.is_stopped,
         has_inhibiting_operation=bool(knowledge.inhibiting_operations(measurement.epoch_us)),
+        is_yaw_controllable=model.is_yaw_controllable,
     )
     verdict = judge(fix, circumstances, config.interlock)
     rates = np.full(3, np.nan) if is_late else rate_deg_s(after.fixes, config.estimation.rate_window_s)

@@ -60,6 +60,7 @@ class RobustModel:
     groups: tuple[IntArray, ...]
     #: about yaw, roll and pitch; None while no spacecraft is known
     inertia_kg_m2: tuple[float, float, float] | None
+    is_yaw_controllable: bool
     calibration_id: int
     alignment_id: int
 
@@ -125,6 +126,7 @@ def robust_model(
         is_referenced=np.isfinite(offset_db),
         groups=groups,
         inertia_kg_m2=None if knowledge.spacecraft is None else angle_inertia_kg_m2(knowledge.spacecraft),
+        is_yaw_controllable=calibration.is_yaw_controllable,
         calibration_id=calibration.id,
         alignment_id=alignment.id,
     )

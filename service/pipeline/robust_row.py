@@ -73,7 +73,9 @@ def filtered_row(
         rates_deg_s=named_axes(fixed.rates_deg_s),
         status=Status.ACQUIRED if len(told.used) >= MIN_CARRIERS else Status.EXPIRED,
         control_allowed=not inhibitions,
-        control_allowed_axes=_allowed_axes(told, inhibitions, yaw_validity_limit_deg),
+        control_allowed_axes=_allowed_axes(
+            told, inhibitions, yaw_validity_limit_deg, is_yaw_controllable=model.is_yaw_controllable
+        ),
         inhibitions=inhibitions,
         carriers_used=len(told.used),
         excluded=_exclusions(model, fixed),
@@ -87,12 +89,14 @@ def filtered_row(
     )
 
 
-def _allowed_axes(told: FilterStep, inhibitions: tuple[str, ...], limit_deg: float) -> tuple[bool, bool, bool]:
-    """Return which axes may be controlled: none under an inhibition, yaw only within the validity of the model."""
+def _allowed_axes(
+    told: FilterStep, inhibitions: tuple[str, ...], limit_deg: float, *, is_yaw_controllable: bool
+) -> tuple[bool, bool, bool]:
+    """Return which axes may be controlled: none under an inhibition, yaw of a proven sign within the model's range."""
     if inhibitions:
         return False, False, False
     yaw, roll, pitch = told.integrity.is_axis_allowed
-    return yaw and bool(abs(float(told.attitude_deg[0])) <= limit_deg), roll, pitch
+    return is_yaw_controllable and yaw and bool(abs(float(told.attitude_deg[0])) <= limit_deg), roll, pitch
 
 
 def late_row(measurement: Measurement, model: RobustModel, fixes: Snapshots, *, is_absent: BoolArray) -> AttitudeRow:

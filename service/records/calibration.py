@@ -110,6 +110,16 @@ class CalibrationRequest:
 
 
 @dataclass(frozen=True, slots=True)
+class SensorSigns:
+    """Which signs of the sensors' axes the powers have proven."""
+
+    #: yaw against roll and pitch; while it is not, yaw is not controlled
+    is_yaw_proven: bool
+    #: the sign that all axes have in common
+    is_common_proven: bool
+
+
+@dataclass(frozen=True, slots=True)
 class CalibrationResult:
     """Outcome of a fit."""
 
@@ -120,6 +130,8 @@ class CalibrationResult:
     warnings: tuple[str, ...]
     #: what the robust method computes with; None from a calibration of the paper method
     geometry: GeometryFit | None = None
+    #: None of a calibration made before signs were judged
+    signs: SensorSigns | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +149,11 @@ class Calibration:
     result: CalibrationResult | None
     #: why it failed
     error: str | None = None
+
+    @property
+    def is_yaw_controllable(self) -> bool:
+        """Whether yaw may be controlled: its sign is proven, or nobody judged it when this calibration was made."""
+        return self.result is None or self.result.signs is None or self.result.signs.is_yaw_proven
 
     def serves(self, method: Method) -> bool:
         """Whether this calibration can drive an estimation method by itself."""

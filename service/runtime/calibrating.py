@@ -16,12 +16,12 @@ from service.records.calibration import (
     CalibrationResult,
     CalibrationState,
 )
-from service.records.inputs import Operation
+from service.records.inputs import Correction, Operation
 from service.records.job import Job
 from service.runtime.jobs import JobFailedError, JobRunner, Progress
 
-#: operations that a calibration looks at, at most
-_MAX_OPERATIONS = 1000
+#: operations and corrections that a calibration looks at, at most of each
+_MAX_INPUTS = 1000
 
 
 class Calibrator:
@@ -131,13 +131,19 @@ class Calibrator:
             archive.reference_series(spacecraft_id, request.quiet),
             catalogue.spacecraft(spacecraft_id),
             self._operations(spacecraft_id, request),
+            self._corrections(spacecraft_id, request),
         )
+
+    def _corrections(self, spacecraft_id: str, request: CalibrationRequest) -> tuple[Correction, ...]:
+        """Return the announced corrections that overlap the turns."""
+        entries = self._storage.archive.inputs(spacecraft_id, "correction", request.turns, _MAX_INPUTS, None)
+        return tuple(entry.content for entry in entries if isinstance(entry.content, Correction))
 
     def _operations(self, spacecraft_id: str, request: CalibrationRequest) -> tuple[Operation, ...]:
         """Return the declared operations that overlap a window, each once, by number."""
         found: dict[int, Operation] = {}
         for window in (request.quiet, request.turns):
-            for entry in self._storage.archive.inputs(spacecraft_id, "operation", window, _MAX_OPERATIONS, None):
+            for entry in self._storage.archive.inputs(spacecraft_id, "operation", window, _MAX_INPUTS, None):
                 if isinstance(entry.content, Operation):
                     found[entry.content.id] = entry.content
         return tuple(found[number] for number in sorted(found))

@@ -50,7 +50,13 @@ def send_references(
     body: Annotated[ReferenceBatchDocument, body_of(ReferenceBatchDocument)],
     context: Context,
 ) -> InputReceiptAnswer:
-    """Store attitude references of one sensor."""
+    """Store attitude references of one sensor.
+
+    Signs: seen from the satellite with North up and East right, positive roll moves every station South, positive pitch
+    moves it West, and positive yaw moves a station in the East to the North and one in the North to the West
+    (`docs/images/sign-convention.svg`). Body axes at zero: x roll East, y pitch South, z yaw to the Earth; 3-2-1. A
+    calibration refuses references whose signs or axes the powers contradict.
+    """
     check_batch_size(len(body.references), context, "/references")
     return _append(spacecraft_id, context, body.references, lambda row: row.to_record(body.source))
 

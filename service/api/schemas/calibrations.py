@@ -236,8 +236,9 @@ class CalibrationAnswer(Answer):
     created_by: str
     error: str | None
     """Why it failed."""
-    quality: dict[str, Figure | list[str]]
-    """Figures of the fit as a whole, and `warnings`."""
+    quality: dict[str, Figure | str | list[str]]
+    """Figures of the fit as a whole, `warnings`, and `yaw_sign` and `common_sign`: proven, unproven or not_judged.
+    While `yaw_sign` is unproven, yaw is not controlled; `common_sign` is that of all axes of the sensors together."""
     observability: ObservabilityAnswer | None
     carriers: list[CarrierCalibrationAnswer]
 
@@ -272,8 +273,12 @@ class CalibrationList(Answer):
     next: str | None = None
 
 
-def _quality(result: CalibrationResult | None) -> dict[str, float | list[str]]:
-    """Return the figures of the whole and the warnings."""
+def _quality(result: CalibrationResult | None) -> dict[str, float | str | list[str]]:
+    """Return the figures of the whole, the signs and the warnings."""
     if result is None:
         return {"warnings": []}
-    return {**result.quality, "warnings": list(result.warnings)}
+    words = {"yaw_sign": "not_judged", "common_sign": "not_judged"}
+    if result.signs is not None:
+        words["yaw_sign"] = "proven" if result.signs.is_yaw_proven else "unproven"
+        words["common_sign"] = "proven" if result.signs.is_common_proven else "unproven"
+    return {**result.quality, **words, "warnings": list(result.warnings)}

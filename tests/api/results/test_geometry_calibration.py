@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from geometry_payload import GeometryPayload
+from geometry_payload import GeometryPayload, turned_angles
 
 from service.core.estimation.noise_identification import LADDER_S
 from service.records.attitude import Axes
@@ -82,6 +82,7 @@ async def test_a_calibration_by_geometry_is_told_by_name_and_activated(bench, pa
     assert all(figure is not None for figure in (seen["condition"], *seen["dop"].values(), *seen["crlb_deg"].values()))
     assert seen["crlb_deg"]["roll"] < seen["crlb_deg"]["yaw"]
     assert told["quality"]["carriers_used"] == 8.0
+    assert (told["quality"]["yaw_sign"], told["quality"]["common_sign"]) == ("proven", "unproven")
     assert any(text.startswith("quiet window of 36.0 h is shorter") for text in told["quality"]["warnings"])
     active = await bench.client.post(f"{bench.url}/calibrations/{told['id']}:activate")
     assert (active.status_code, active.json()["state"]) == (200, "active")
@@ -116,3 +117,21 @@ async def test_a_sensor_that_never_spoke_fails_in_words(bench, payload):
     told = await calibrated(bench, payload, source="earth_sensor")
     assert told["state"] == "failed"
     assert "have angles of earth_sensor" in told["error"]
+
+
+async def test_announced_turns_prove_the_sign_of_all_axes(bench, payload):
+    begin_us = payload.request.turns.start_us
+    angles = turned_angles()
+    steps = [k for k in range(1, len(angles)) if np.abs(angles[k] - angles[k - 1]).max() > 0.0]
+    minute_us = 60_000_000
+    changes = [
+        {
+            "start": format_epoch(begin_us + (k - 1) * minute_us),
+            "stop": format_epoch(begin_us + k * minute_us),
+            **dict(zip(("yaw_deg", "roll_deg", "pitch_deg"), (angles[k] - angles[k - 1]).tolist(), strict=True)),
+        }
+        for k in steps
+    ]
+    sent = await bench.client.post(f"/api/v1{SC}/corrections:batch", json={"corrections": changes})
+    assert sent.json()["accepted"] == len(steps)
+    assert (await calibrated(bench, payload))["quality"]["common_sign"] == "proven"

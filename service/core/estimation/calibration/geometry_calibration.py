@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from service.core.estimation.calibration.calibration_bins import Means, Stretches, still_stretches, stretch_means
 from service.core.estimation.calibration.coloured_rows import ColouredNoise
+from service.core.estimation.calibration.free_response import FreeResponse, fit_free_response
 from service.core.estimation.calibration.geometry_columns import (
     BEAM_SIZE,
     SOLAR_SIZE,
@@ -28,6 +29,7 @@ from service.core.estimation.calibration.geometry_columns import (
     solar_columns,
 )
 from service.core.estimation.calibration.joint_tukey import JointProblem, fit_jointly
+from service.core.estimation.calibration.quadratic_response import response_monomials
 from service.core.estimation.calibration.separable_fit import SeparableFit
 from service.core.estimation.calibration.station_check import StationOffsets, station_offsets
 from service.core.estimation.calibration.whitened_fit import coloured_noise, whitened_fit
@@ -116,6 +118,8 @@ class GeometryCalibration(NamedTuple):
         Cosine and sine of the solar day; None when the figures come from an archive.
     offsets : StationOffsets or None
         Where the data want the stations; None when the figures come from an archive.
+    free : FreeResponse or None
+        Answer with free slopes, by which the sensor's axes are judged; None when the figures come from an archive.
     """
 
     level_dbm: FloatArray
@@ -135,6 +139,7 @@ class GeometryCalibration(NamedTuple):
     learned: LearnedNoise | None = None
     solar_db: FloatArray | None = None
     offsets: StationOffsets | None = None
+    free: FreeResponse | None = None
 
 
 def fit_geometry(rows: CalibrationRows, geometry: CarrierGeometry) -> GeometryCalibration:
@@ -155,7 +160,7 @@ def fit_geometry(rows: CalibrationRows, geometry: CarrierGeometry) -> GeometryCa
 
     Notes
     -----
-    Three days and the turns (4830 rows of 16 carriers) take about 0.25 s on one idle core. Stretches of 5, 10 and
+    Three days and the turns (4830 rows of 16 carriers) take about 0.4 s on one idle core. Stretches of 5, 10 and
     20 min predict deviations of `nominal` to 0.025, 0.026 and 0.026 dB. With the fitted coefficients of `white` a
     snapshot of 15 rows is within 5 % of the bound of Cramer and Rao (``tests/regression/test_robust_figures.py``).
 
@@ -176,7 +181,12 @@ def fit_geometry(rows: CalibrationRows, geometry: CarrierGeometry) -> GeometryCa
     # two rows at least, from whose difference the scatter of samples is told
     stretch_s = max(STRETCH_S, 2.5 * _row_period_s(rows.epoch_s))
     stretches = still_stretches(rows.epoch_s, rows.attitude_deg, stretch_s)
-    means = stretch_means(stretches, rows.power_dbm - rough_dbm, columns)
+    monomials = np.repeat(response_monomials(rows.attitude_deg)[:, np.newaxis], carriers, axis=1)
+    means = stretch_means(stretches, rows.power_dbm - rough_dbm, np.concatenate([columns, monomials], axis=-1))
+    turned, means = (
+        means.columns[..., columns.shape[2] :],
+        means._replace(columns=means.columns[..., : columns.shape[2]]),
+    )
     problem = _problem(rows, stretches, means, own.shape[-1])
     is_seen = (problem.rows_used > 0).sum(axis=1) >= MIN_STRETCHES
     prior = own_prior(carriers, daily.shape[-1])
@@ -186,8 +196,11 @@ def fit_geometry(rows: CalibrationRows, geometry: CarrierGeometry) -> GeometryCa
     learned = _learned(residual, is_good, rows)
     fit = whitened_fit(problem, prior, learned, weight, is_dish_law=is_dish_law)
     result = _result(rows, columns, (stretches, means), (fit, weight, learned), (rough_dbm, is_seen, is_dish_law))
-    attitude = _stretch_attitude(rows.attitude_deg, stretches)
-    return result._replace(offsets=station_offsets(problem, attitude, geometry, (fit, prior), coloured_noise(learned)))
+    attitude, noise = _stretch_attitude(rows.attitude_deg, stretches), coloured_noise(learned)
+    return result._replace(
+        offsets=station_offsets(problem, attitude, geometry, (fit, prior), noise),
+        free=fit_free_response(problem, turned, prior, means.white_db, noise),
+    )
 
 
 def _rough_level_dbm(power_dbm: FloatArray) -> FloatArray:

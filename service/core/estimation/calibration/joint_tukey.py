@@ -46,6 +46,8 @@ class JointProblem(NamedTuple):
         Middle and length of the stretches.
     is_near_zero : ndarray of bool, shape (B,)
         Stretches that tell level and daily change.
+    beam_size : int
+        How many of the own columns answer to the attitude.
     """
 
     own: FloatArray
@@ -55,6 +57,7 @@ class JointProblem(NamedTuple):
     centre_s: FloatArray
     span_s: FloatArray
     is_near_zero: BoolArray
+    beam_size: int = BEAM_SIZE
 
 
 def fit_jointly(problem: JointProblem, prior: FloatArray, white_db: FloatArray) -> tuple[SeparableFit, FloatArray]:
@@ -77,7 +80,7 @@ def fit_jointly(problem: JointProblem, prior: FloatArray, white_db: FloatArray) 
         Tukey's weights, 0 where absent.
     """
     is_present = problem.rows_used > 0
-    base = problem.own.shape[2] - BEAM_SIZE
+    base = problem.own.shape[2] - problem.beam_size
     is_quiet = is_present & problem.is_near_zero
     # the solar day looks like the dish's; the start does without
     first = problem.own[..., : base - SOLAR_SIZE]

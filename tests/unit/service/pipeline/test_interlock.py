@@ -75,3 +75,10 @@ def test_a_good_fix_is_allowed_on_all_axes_and_limits_are_inclusive():
 def test_yaw_alone_is_withheld_without_an_inhibition(bad_yaw):
     verdict = judge(fix(**bad_yaw), CALM, CONFIG)
     assert (verdict.inhibitions, verdict.allowed_axes) == ((), (False, True, True))
+
+
+def test_yaw_of_an_unproven_sign_is_withheld_alone():
+    unproven = replace(CALM, is_yaw_controllable=False)
+    assert judge(fix(), CALM, CONFIG).allowed_axes == (True, True, True)
+    assert judge(fix(), unproven, CONFIG).allowed_axes == (False, True, True)
+    assert judge(fix(), unproven, CONFIG).inhibitions == ()

@@ -1,5 +1,7 @@
 """Rows of the robust method: why a carrier is out, why control is not allowed, what the row says beside angles."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from geometry_flight import Flight, FlightPayload
@@ -8,6 +10,7 @@ from service.core.estimation.filtering.integrity import Evidence, Integrity, Int
 from service.pipeline.interlock import INHIBITIONS
 from service.pipeline.robust_row import filtered_row
 from service.records.attitude import Status
+from service.records.calibration import SensorSigns
 from service.records.inputs import Operation
 
 PAYLOAD = FlightPayload.make()
@@ -100,6 +103,20 @@ def test_beyond_the_range_of_the_model_nothing_is_controlled_and_of_yaw_alone_on
     assert turned.inhibitions == ()
     assert turned.control_allowed_axes == (False, True, True)
     assert Flight(PAYLOAD, (0.8, 0.0, 0.0)).run([1])[0].control_allowed_axes == (True, True, True)
+
+
+@pytest.mark.parametrize(
+    ("signs", "is_allowed"), [(None, True), (SensorSigns(True, False), True), (SensorSigns(False, True), False)]
+)
+def test_yaw_whose_sign_the_calibration_left_unproven_is_not_controlled(signs, is_allowed):
+    flight = Flight(PAYLOAD, is_opened=False)
+    calibration = flight.documents.calibrations[1]
+    flight.documents.calibrations[1] = replace(calibration, result=replace(calibration.result, signs=signs))
+    for content in flight.opening():
+        flight.chain.learn(content)
+    row = flight.run(range(1, 31))[-1]
+    assert row.control_allowed
+    assert row.control_allowed_axes == (is_allowed, True, True)
 
 
 def test_rows_that_are_caught_up_with_say_so(flight):
