@@ -38,3 +38,11 @@ uplink_product = Table(
     Column("document", Text, nullable=False),
     checksum_column(),
 )
+
+#: real spacecraft that stood under release automatic when the rule of two approvers came, migration 0011
+release_made_two_step = Table(
+    "release_made_two_step",
+    metadata,
+    Column("spacecraft_key", Integer, primary_key=True, autoincrement=False),
+    Column("at_us", BigInteger, nullable=False),
+)

@@ -4,7 +4,7 @@ from sqlalchemy import ColumnElement, Connection, and_, select, update
 
 from db.database import Database, beyond, lock_head, within
 from db.documents import decode, encode
-from db.release_tables import release_command, release_state, uplink_product
+from db.release_tables import release_command, release_made_two_step, release_state, uplink_product
 from db.slow_inputs import store_inputs
 from service.errors import ConflictError, NotFoundError
 from service.records.calibration import Window
@@ -28,6 +28,13 @@ class SqlReleases:
         key = self._database.key(spacecraft_id)
         row = self._database.fetch_one(select(release_state).where(release_state.c.spacecraft_key == key))
         return StoredRelease() if row is None else StoredRelease(int(row.version), row.document, row.holder)
+
+    def made_two_step_us(self, spacecraft_id: str) -> int | None:
+        """Return when an upgrade took a spacecraft out of release automatic; None when none did."""
+        made = release_made_two_step.c
+        key = self._database.key(spacecraft_id)
+        row = self._database.fetch_one(select(made.at_us).where(made.spacecraft_key == key))
+        return None if row is None else int(row.at_us)
 
     def save(self, spacecraft_id: str, version: int, change: ReleaseChange) -> int:
         """Store a change in one transaction and return its version; ConflictError ``release.changed``."""

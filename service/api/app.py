@@ -37,6 +37,7 @@ from service.api.request_ids import RequestIds
 from service.api.request_log import RequestLog
 from service.api.routes import PUBLIC_ROUTERS, ROUTERS
 from service.api.stored_keys import StoredKeys
+from service.runtime.automatic_release import AutomaticRelease
 
 #: answers shorter than this are sent as they are
 _PACK_FROM_BYTES = 1024
@@ -59,6 +60,7 @@ def create_app(context: ApiContext) -> FastAPI:
     app.state.carrier_names = CarrierNames(context.storage.catalogue)
     app.state.epoch_limits = EpochLimits(context.clock, context.limits, context.storage.archive)
     app.state.landings = Landings()
+    app.state.automatic_release = AutomaticRelease(context.storage.catalogue)
     app.state.open_streams = streams = OpenStreams(context.limits.max_streams)
     app.state.stream_parts = StreamParts(context, app.state.carrier_names, streams)
     app.state.request_figures = figures

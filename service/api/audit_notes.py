@@ -28,6 +28,13 @@ def digest_body(scope: Scope, body: bytes) -> None:
         note.deed = replace(note.deed, body_sha256=sha256(body).hexdigest())
 
 
+def note_choice(scope: Scope, choice: str) -> None:
+    """Put a choice that overrides a check into the target of a request's audit entry, as a query."""
+    note = note_of(scope)
+    if note.deed is not None:
+        note.deed = replace(note.deed, target=f"{note.deed.target.rstrip('/')}?{choice}")
+
+
 def deed_of(scope: Scope, at_us: int, outcome: str = DONE) -> Deed:
     """Return what a request does, or wanted to do.
 

@@ -45,6 +45,16 @@ class Receipt(TypedDict):
     durable: bool
     last_seq: int | None
     refused: list[Refused]
+    #: rows stored with a remark: time.leap_second, seq.jump
+    flagged: list[Refused]
+
+
+class CatalogueWarning(TypedDict):
+    """Something doubtful in a document that was stored."""
+
+    pointer: str
+    code: str
+    detail: str
 
 
 class PlanPut(TypedDict):
@@ -53,6 +63,8 @@ class PlanPut(TypedDict):
     plan_id: int
     sha256: str
     carriers: int
+    #: stations that have the satellite low
+    warnings: list[CatalogueWarning]
 
 
 class Measurement(TypedDict):

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.pipeline import alarm_steps as steps
-from service.pipeline.alarm_conditions import Condition, Kind
+from service.pipeline.alarm_condition import Condition, Kind
 from service.pipeline.alarm_sets import Circumstances, limits_in_force
 from service.pipeline.alarm_states import CoverEvent, Event
 from service.pipeline.alarm_watch import Verdict, look, outermost

@@ -3,48 +3,11 @@
 The page docs/reference/alarms.md is made from this table.
 """
 
-from dataclasses import dataclass
-from enum import StrEnum
-
+from service.pipeline.alarm_condition import Condition, Kind, Origin
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.records.alarm_limits import ConditionLimits
 
 _HOUR_S = 3600.0
-
-
-class Kind(StrEnum):
-    """How a value is held against its limits."""
-
-    #: alarms above the limit
-    ABOVE = "above"
-    #: alarms below the limit
-    BELOW = "below"
-    #: the value is the time for which something has been so, s; it alarms from the limit on
-    LASTING = "lasting"
-
-
-class Origin(StrEnum):
-    """What tells the value."""
-
-    ROW = "every row that is neither late nor caught up with"
-    CLOCK = "the spacecraft's clock, looked at every `SOO_ALARMS__CHECK_PERIOD_S`"
-    REFERENCE = "every attitude reference near a row in time"
-
-
-@dataclass(frozen=True, slots=True)
-class Condition:
-    """One condition."""
-
-    name: str
-    kind: Kind
-    unit: str
-    #: what its alarms are about: carrier, axis, link ..
-    thing: str
-    origin: Origin
-    #: what happened, a sentence with a place for the thing and one for the value
-    says: str
-    next_step: str
-    limits: ConditionLimits
 
 
 def condition_table(alarms: AlarmConfig, robust: RobustConfig) -> dict[str, Condition]:
@@ -237,6 +200,16 @@ def _of_release() -> tuple[Condition, ...]:
             "control has been tripped ({thing}) for {value}",
             "find the cause in GET .../control, then POST .../control:reset; ten good minutes later an operator arms",
             ConditionLimits(distress=0.0, repeat_s=_HOUR_S),
+        ),
+        Condition(
+            "release_changed",
+            Kind.ABOVE,
+            "s",
+            "release",
+            Origin.CLOCK,
+            "an upgrade made the release {thing} in place of automatic {value} ago",
+            "where torques shall go without a person, two approvers send control:arm with release automatic",
+            ConditionLimits(warning=0.0),
         ),
         Condition(
             "report_late",

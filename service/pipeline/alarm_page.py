@@ -5,7 +5,8 @@
 
 import sys
 
-from service.pipeline.alarm_conditions import Condition, condition_table
+from service.pipeline.alarm_condition import Condition
+from service.pipeline.alarm_conditions import condition_table
 from service.pipeline.alarm_sets import DEFAULT_SETS, NORMAL
 from service.pipeline.alarm_states import diagram, tables
 from service.pipeline.config import AlarmConfig, RobustConfig

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from service.pipeline.alarm_conditions import Condition, Kind
+from service.pipeline.alarm_condition import Condition, Kind
 from service.pipeline.alarm_states import CoverEvent, Event, next_cover, next_process
 from service.pipeline.alarm_watch import limit_of
 from service.records.alarm import Alarm, AlarmChange, ChangeKind, Cover, Handling, Process, Severity

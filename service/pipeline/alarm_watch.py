@@ -7,7 +7,7 @@ known (NaN) says nothing: what was about to alarm begins anew, what stands goes 
 import math
 from enum import Enum, auto
 
-from service.pipeline.alarm_conditions import Kind
+from service.pipeline.alarm_condition import Kind
 from service.records.alarm_limits import ConditionLimits
 from service.records.alarm_memory import Watch
 from service.records.epoch import US_PER_S

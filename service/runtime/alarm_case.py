@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from service.pipeline.alarm_book import AlarmBook
-from service.pipeline.alarm_conditions import Condition
+from service.pipeline.alarm_condition import Condition
 from service.pipeline.alarm_readings import RowReader
 from service.ports import Alarms
 from service.records.alarm import AlarmChange

@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 
 from service.errors import ConflictError, FieldError, InvalidInputError, StorageError
 from service.pipeline.alarm_book import AlarmBook, Key, Readings
-from service.pipeline.alarm_conditions import Condition
+from service.pipeline.alarm_condition import Condition
 from service.pipeline.alarm_readings import RowFacts
 from service.ports import Clock, Storage
 from service.records.alarm import Alarm, AlarmChange, Handling

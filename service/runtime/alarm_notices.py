@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from service.client.backoff import Backoff
-from service.pipeline.alarm_conditions import Condition
+from service.pipeline.alarm_condition import Condition
 from service.records.alarm import AlarmChange, Severity
 from service.records.epoch import format_epoch
 

@@ -12,7 +12,7 @@ URL = f"{SC}/yamal-202/carriers"
 async def test_the_same_content_keeps_its_number_and_a_change_makes_a_new_one(soo, spacecraft, carriers):
     await soo.client.post(SC, json=spacecraft)
     first = (await soo.client.put(URL, json={"carriers": carriers})).json()
-    assert set(first) == {"plan_id", "sha256", "carriers"}
+    assert set(first) == {"plan_id", "sha256", "carriers", "warnings"}
     assert (first["carriers"], len(first["sha256"])) == (4, 64)
     # written otherwise, with defaults spelled out and whole numbers for fractions: still the same
     spelled = [c | {"enabled": True, "bandwidth_hz": int(c["bandwidth_hz"])} for c in carriers]
@@ -136,3 +136,69 @@ async def test_other_media_and_other_plans_are_refused(soo, spacecraft, carriers
         assert (bad.status_code, bad.json()["errors"][0]["pointer"]) == (422, "/query/plan_id")
     nobody = await soo.client.put(f"{SC}/nobody/carriers", json={"carriers": carriers})
     assert (nobody.status_code, nobody.json()["code"]) == (404, "spacecraft.unknown")
+
+
+async def put(soo, spacecraft, carriers):
+    await soo.client.post("/api/v1/spacecraft", json=spacecraft)
+    return await soo.client.put("/api/v1/spacecraft/yamal-202/carriers", json={"carriers": carriers})
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        ({"downlink_hz": 11.2e3, "band": "any"}, "carrier.frequency"),
+        ({"downlink_hz": 61e9, "band": "any"}, "carrier.frequency"),
+        ({"downlink_hz": 3.6e9, "band": "Ku"}, "carrier.band"),
+        ({"uplink_hz": 14.0e6, "band": "ku"}, "carrier.band"),
+        ({"uplink_hz": 14.25e9, "downlink_hz": 11.2e9, "band": "C"}, "request.invalid"),
+    ],
+)
+async def test_frequencies_outside_their_band_are_refused_with_both_values(soo, spacecraft, carriers, change, code):
+    answer = await put(soo, spacecraft, [carriers[0] | change, *carriers[1:]])
+    assert (answer.status_code, answer.json()["code"]) == (422, code)
+    assert answer.json()["errors"][0]["pointer"].startswith("/carriers/0/")
+    assert " GHz, " in answer.json()["errors"][0]["detail"]
+    assert (await soo.client.get("/api/v1/spacecraft/yamal-202/carriers")).status_code == 404
+
+
+@pytest.mark.parametrize(
+    ("band", "uplink_hz", "downlink_hz"),
+    [
+        ("L", 1.6265e9, 1.525e9),
+        ("S", 1.98e9, 2.17e9),
+        ("C", 5.85e9, 3.4e9),
+        ("C", 7.025e9, 4.8e9),
+        ("X", 8.4e9, 7.25e9),
+        ("Ku", 14.8e9, 12.75e9),
+        ("Ku", 18.1e9, 10.7e9),
+        ("Ka", 31.0e9, 17.3e9),
+        ("V", 50.2e9, 40.5e9),
+    ],
+)
+async def test_frequencies_of_the_radio_regulations_are_accepted(
+    soo, spacecraft, carriers, band, uplink_hz, downlink_hz
+):
+    change = {"band": band, "uplink_hz": uplink_hz, "downlink_hz": downlink_hz}
+    assert (await put(soo, spacecraft, [carriers[0] | change])).status_code == 200
+
+
+async def test_stations_below_the_horizon_are_refused_and_low_ones_warned_of(soo, spacecraft, carriers):
+    low = carriers[0] | {"station": {"latitude_deg": 65.0, "longitude_deg": 24.0}}
+    answer = await put(soo, spacecraft, [low, *carriers[1:]])
+    assert [(each["pointer"], each["code"]) for each in answer.json()["warnings"]] == [
+        ("/carriers/0/station", "station.low")
+    ]
+    below = carriers[0] | {"station": {"latitude_deg": 40.0, "longitude_deg": -100.0}}
+    answer = await put(soo, spacecraft, [carriers[1], below])
+    assert (answer.status_code, answer.json()["code"]) == (422, "station.below_horizon")
+    assert answer.json()["errors"][0]["pointer"] == "/carriers/1/station"
+    assert "exchanged" not in answer.json()["detail"]
+
+
+async def test_exchanged_latitude_and_longitude_are_suspected(soo, spacecraft, carriers):
+    """Stations of Siberia and the Far East, latitude 50 to 60, longitude 85 to 89, exchanged."""
+    stations = [{"latitude_deg": 85.0 + k, "longitude_deg": 50.0 + 3 * k} for k in range(3)]
+    exchanged = [carriers[0] | {"id": f"x{k}", "station": station} for k, station in enumerate(stations)]
+    answer = await put(soo, spacecraft, exchanged)
+    assert answer.status_code == 422
+    assert all("look exchanged" in error["detail"] for error in answer.json()["errors"])

@@ -44,7 +44,8 @@ async def test_nodes_give_their_validity_and_versions_are_kept(soo, spacecraft):
 
 
 async def test_two_line_elements_give_nodes_period_and_track(soo, spacecraft):
-    await soo.client.post(SC, json=spacecraft)
+    site = {"latitude_deg": 50.0, "longitude_deg": 160.0}
+    await soo.client.post(SC, json=spacecraft | {"longitude_deg": 180.0, "receiving_site": site})
     answer = await soo.client.put(URL, json={"tle": [checked(line) for line in TLE]})
     assert answer.status_code == 200, answer.text
     stored = (await soo.client.get(URL)).json()
@@ -127,3 +128,29 @@ async def test_an_unknown_spacecraft_is_a_404(soo):
     answer = await soo.client.put(URL, json={"ascending_nodes": NODES})
     assert (answer.status_code, answer.json()["code"]) == (404, "spacecraft.unknown")
     assert (await soo.client.get(URL)).json()["code"] == "spacecraft.unknown"
+
+
+async def test_an_orbit_at_another_place_is_refused_unless_the_spacecraft_relocates(soo, spacecraft):
+    await soo.client.post(SC, json=spacecraft)
+    tle = {"tle": [checked(line) for line in TLE]}
+    refused = await soo.client.put(URL, json=tle)
+    assert (refused.status_code, refused.json()["code"]) == (422, "ephemeris.contradicts_catalogue")
+    assert refused.json()["errors"][0]["pointer"] == "/tle"
+    assert (await soo.client.get(URL)).status_code == 404
+    accepted = await soo.client.put(URL, json=tle | {"relocating": True})
+    assert accepted.status_code == 200, accepted.text
+    entries = (await soo.client.get("/api/v1/audit", params={"action": "put_ephemeris"})).json()["rows"]
+    assert [entry["target"].rpartition("?")[2] for entry in entries if entry["outcome"] == "done"] == [
+        "relocating=true"
+    ]
+
+
+async def test_nodes_and_tracks_are_held_against_the_catalogue_too(soo, spacecraft):
+    await soo.client.post(SC, json=spacecraft)
+    for track_deg, status in ((90.9, 200), (91.1, 422), (-269.5, 422), (-90.0, 422)):
+        track = TRACK | {"longitude_deg": [track_deg if track_deg >= -180 else 360 + track_deg - 2.0] * 3}
+        answer = await soo.client.put(URL, json={"ascending_nodes": NODES, "track": track})
+        assert answer.status_code == status, (track_deg, answer.text)
+    for period_s, status in ((84_500.0, 200), (84_400.0, 422), (87_800.0, 200), (87_900.0, 422)):
+        answer = await soo.client.put(URL, json={"ascending_nodes": NODES[:1], "nodal_period_s": period_s})
+        assert answer.status_code == status, period_s

@@ -296,3 +296,28 @@ async def test_bad_bodies_are_refused_by_place_and_never_reach_the_desk(soo, des
     assert (answer.status_code, problem["code"]) == (422, code), answer.text
     assert pointer in (None, problem["errors"][0]["pointer"])
     assert desk.asked == []
+
+
+async def test_release_automatic_of_a_real_spacecraft_is_set_by_two_approvers(soo, desk):
+    anna, boris = await key(soo, "Anna", "approver"), await key(soo, "Boris", "approver")
+    carl = await key(soo, "Carl", "operator")
+    body = {"release": "automatic", "comment": "night shift"}
+
+    async def arm(headers):
+        answer = await soo.client.post(f"{URL}/control:arm", json=body, headers=headers)
+        release = (await soo.client.get(URL)).json()["control"]["release"]
+        return answer.status_code, answer.json().get("code"), release
+
+    assert await arm(carl) == (403, "key.forbidden", "two_step")
+    assert await arm(anna) == (200, None, "two_step")
+    assert await arm(anna) == (403, "interlock.second_person", "two_step")
+    # after a quarter of an hour the first request is forgotten
+    object.__setattr__(soo.clock, "system", soo.clock.system + 901 * S)
+    assert await arm(boris) == (200, None, "two_step")
+    assert await arm(anna) == (200, None, "automatic")
+    notes = (await soo.client.get("/api/v1/notes", params={"spacecraft_id": SC})).json()["rows"]
+    assert any("release automatic set, asked for by Boris" in note["text"] for note in notes)
+    # other fields can be changed while it stands, and it can be taken back by one operator
+    assert (await soo.client.patch(URL, json={"name": "Y"}, headers=carl)).status_code == 200
+    back = await soo.client.patch(URL, json={"control": {"release": "two_step"}}, headers=carl)
+    assert back.json()["control"]["release"] == "two_step"

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from service.pipeline.alarm_book import AlarmBook, Readings
-from service.pipeline.alarm_conditions import Condition, Kind, Origin
+from service.pipeline.alarm_condition import Condition, Kind, Origin
 from service.pipeline.alarm_sets import Circumstances
 from service.records.alarm import ChangeKind, Cover, Handling, Process
 from service.records.alarm_limits import ConditionLimits

@@ -9,6 +9,7 @@ from starlette.concurrency import run_in_threadpool
 from service.api.auth import MAY_OPERATE
 from service.api.bodies import accepts, decode, is_json, media_type, raw_body, unsupported_media
 from service.api.deps import Context, SpacecraftId
+from service.api.places import accepted_places
 from service.api.schemas.carriers import (
     CARRIER_PLAN_ADAPTER,
     CarrierPlanAnswer,
@@ -17,6 +18,7 @@ from service.api.schemas.carriers import (
     content_digest,
 )
 from service.formats.carrier_plan_csv import read_carrier_plan, write_carrier_plan
+from service.pipeline.catalogue_checks import check_carriers
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/carriers", tags=["catalogue"])
 _CSV = "text/csv"
@@ -41,9 +43,11 @@ def put_carriers(
 ) -> PlanReceiptAnswer:
     """Put a carrier plan; the same content keeps its plan_id, any change makes a new plan."""
     carriers = body.to_records()
+    longitude_deg = context.storage.catalogue.spacecraft(spacecraft_id).longitude_deg
+    warnings = accepted_places(check_carriers(carriers, longitude_deg))
     plan = context.storage.catalogue.put_plan(spacecraft_id, carriers, content_digest(carriers))
     context.on_accepted(spacecraft_id)
-    return PlanReceiptAnswer(plan_id=plan.id, sha256=plan.sha256, carriers=len(plan.carriers))
+    return PlanReceiptAnswer(plan_id=plan.id, sha256=plan.sha256, carriers=len(plan.carriers), warnings=warnings)
 
 
 @router.get("", response_model=CarrierPlanAnswer, responses=_CSV_ANSWER)

@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Request
 
 from service.api.auth import MAY_APPROVE, MAY_OPERATE, CurrentPrincipal
 from service.api.bodies import accepts, optional_body
@@ -12,9 +12,10 @@ from service.api.principals import Permission, Principal
 from service.api.problems import invalid_request
 from service.api.remarks import log_comment
 from service.api.schemas.control import ControlAnswer, OrderDocument, SignCheckDocument
-from service.errors import FieldError
+from service.errors import FieldError, ForbiddenError
 from service.pipeline.release_interlock.release_events import OrderKind
 from service.records.release import ControlView
+from service.runtime.automatic_release import AutomaticRelease
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["control"])
 Ordered = Annotated[OrderDocument, optional_body(OrderDocument)]
@@ -31,10 +32,21 @@ def get_control(spacecraft_id: SpacecraftId, context: Context) -> ControlAnswer:
 
 @router.post("/control:arm", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_ORDER)
 def arm_control(
-    spacecraft_id: SpacecraftId, body: Ordered, context: Context, principal: CurrentPrincipal
+    spacecraft_id: SpacecraftId, body: Ordered, context: Context, principal: CurrentPrincipal, request: Request
 ) -> ControlAnswer:
-    """Arm: from now on commands may be prepared and confirmed, unless a reason stands."""
-    return _order(context, spacecraft_id, OrderKind.ARM, principal, body)
+    """Arm: commands may be prepared and confirmed unless a reason stands; two approvers set release automatic."""
+    if body.release is None:
+        return _order(context, spacecraft_id, OrderKind.ARM, principal, body)
+    if not principal.may(Permission.APPROVE):
+        raise ForbiddenError("key.forbidden", "release automatic is asked for by approvers")
+    if not context.desk.control(spacecraft_id).is_armed:
+        context.desk.order(spacecraft_id, OrderKind.ARM, principal.name)
+    automatic: AutomaticRelease = request.app.state.automatic_release
+    first = automatic.ask(spacecraft_id, principal.name, context.clock.system_us())
+    text = "release automatic asked for" if first is None else f"release automatic set, asked for by {first} before"
+    log_comment(context, spacecraft_id, principal, text, body.comment or "control:arm")
+    context.on_accepted(spacecraft_id)
+    return _told(context, spacecraft_id, context.desk.control(spacecraft_id))
 
 
 @router.post("/control:disengage", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_ORDER)

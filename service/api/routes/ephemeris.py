@@ -2,16 +2,19 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Query, Request
 
+from service.api.audit_notes import note_choice
 from service.api.auth import MAY_OPERATE
 from service.api.bodies import accepts, body_of
 from service.api.deps import Context, SpacecraftId
+from service.api.problems import invalid_request
 from service.api.schemas.ephemeris import EphemerisAnswer, EphemerisDocument, EphemerisReceiptAnswer
 from service.errors import FieldError, InvalidInputError
 from service.formats.oem import read_oem
 from service.formats.orbit import ephemeris_from_nodes
 from service.formats.tle import read_tle
+from service.pipeline.catalogue_checks import contradiction_of
 from service.records.catalogue import Ephemeris
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/ephemeris", tags=["catalogue"])
@@ -19,12 +22,22 @@ router = APIRouter(prefix="/spacecraft/{spacecraft_id}/ephemeris", tags=["catalo
 
 @router.put("", dependencies=[MAY_OPERATE], openapi_extra=accepts(EphemerisDocument))
 def put_ephemeris(
-    spacecraft_id: SpacecraftId, body: Annotated[EphemerisDocument, body_of(EphemerisDocument)], context: Context
+    spacecraft_id: SpacecraftId,
+    body: Annotated[EphemerisDocument, body_of(EphemerisDocument)],
+    context: Context,
+    request: Request,
 ) -> EphemerisReceiptAnswer:
     """Put an ephemeris; it holds from here on, the former ones stay."""
     # an unknown spacecraft is a 404 whatever the orbit says
-    context.storage.catalogue.spacecraft(spacecraft_id)
-    stored = context.storage.catalogue.put_ephemeris(spacecraft_id, _ephemeris_of(body))
+    spacecraft = context.storage.catalogue.spacecraft(spacecraft_id)
+    ephemeris = _ephemeris_of(body)
+    contradiction = contradiction_of(ephemeris, spacecraft.longitude_deg)
+    if body.relocating:
+        note_choice(request.scope, "relocating=true")
+    elif contradiction is not None:
+        detail = f"{contradiction}; check the satellite, or send relocating: true when it moves on purpose"
+        raise invalid_request([FieldError(_pointer(body), "ephemeris.contradicts_catalogue", detail)])
+    stored = context.storage.catalogue.put_ephemeris(spacecraft_id, ephemeris)
     context.on_accepted(spacecraft_id)
     return EphemerisReceiptAnswer.of(stored)
 
@@ -41,12 +54,16 @@ def get_ephemeris(
 
 def _ephemeris_of(body: EphemerisDocument) -> Ephemeris:
     """Return the ephemeris that a document states; faults point to the form that was given."""
-    pointer = "/tle" if body.tle is not None else "/oem" if body.oem is not None else "/ascending_nodes"
     try:
         return _read(body)
     except InvalidInputError as error:
-        field = FieldError("/track" if error.code == "ephemeris.track" else pointer, error.code, error.detail)
+        field = FieldError("/track" if error.code == "ephemeris.track" else _pointer(body), error.code, error.detail)
         raise InvalidInputError(error.code, error.detail, (field,)) from None
+
+
+def _pointer(body: EphemerisDocument) -> str:
+    """Return where the form stands that was given."""
+    return "/tle" if body.tle is not None else "/oem" if body.oem is not None else "/ascending_nodes"
 
 
 def _read(body: EphemerisDocument) -> Ephemeris:

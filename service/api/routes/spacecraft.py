@@ -1,7 +1,8 @@
 """Spacecraft of the catalogue."""
 
+from collections.abc import Sequence
 from http import HTTPStatus
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Request, Response
 
@@ -10,10 +11,12 @@ from service.api.bodies import accepts, body_of
 from service.api.deps import Context, SpacecraftId
 from service.api.epoch_limits import EpochLimits
 from service.api.merge_patch import MergePatch, patched
+from service.api.places import accepted_places
 from service.api.problems import invalid_request
-from service.api.schemas.base import Answer
-from service.api.schemas.spacecraft import SPACECRAFT_ADAPTER, SpacecraftDocument
-from service.errors import FieldError
+from service.api.schemas.base import Answer, CatalogueWarning
+from service.api.schemas.spacecraft import SPACECRAFT_ADAPTER, SpacecraftAnswer, SpacecraftDocument
+from service.errors import ConflictError, FieldError
+from service.pipeline.catalogue_checks import Place, check_places
 
 router = APIRouter(prefix="/spacecraft", tags=["catalogue"])
 
@@ -28,15 +31,17 @@ class SpacecraftList(Answer):
 @router.post("", status_code=HTTPStatus.CREATED, dependencies=[MAY_OPERATE], openapi_extra=accepts(SpacecraftDocument))
 def create_spacecraft(
     body: Annotated[SpacecraftDocument, body_of(SpacecraftDocument)], context: Context, response: Response
-) -> SpacecraftDocument:
-    """Add a spacecraft; 409 when its id exists."""
+) -> SpacecraftAnswer:
+    """Add a spacecraft; 409 when its id exists or has existed."""
     if "mode" in body.control.model_fields_set:
         _check_ground_control(body)
     _check_gains(body)
+    _check_release(body, None)
+    warnings = _site_warnings(body)
     context.storage.catalogue.add_spacecraft(body.to_record())
     context.on_accepted(body.id)
     response.headers["Location"] = f"/api/v1/spacecraft/{body.id}"
-    return body
+    return _answer(body, warnings)
 
 
 @router.get("")
@@ -54,22 +59,49 @@ def get_spacecraft(spacecraft_id: SpacecraftId, context: Context) -> SpacecraftD
 @router.patch("/{spacecraft_id}", dependencies=[MAY_OPERATE], openapi_extra=accepts(MergePatch))
 def change_spacecraft(
     spacecraft_id: SpacecraftId, body: Annotated[MergePatch, body_of(MergePatch)], context: Context, request: Request
-) -> SpacecraftDocument:
-    """Change fields of a spacecraft, the others stay."""
+) -> SpacecraftAnswer:
+    """Change fields of a spacecraft, the others stay; what POST accepts with these fields, PATCH accepts too."""
     stored = SpacecraftDocument.of(context.storage.catalogue.spacecraft(spacecraft_id))
     changed = patched(SPACECRAFT_ADAPTER, stored.model_dump(mode="json"), body)
     if changed.id != spacecraft_id:
         detail = "the id of a spacecraft cannot change; add another spacecraft"
         raise invalid_request([FieldError("/id", "spacecraft.id_fixed", detail)])
-    if _touches_control(body.root):
+    if changed.simulated != stored.simulated and any(each.rows for each in context.storage.archive.sources(stored.id)):
+        detail = f"{spacecraft_id!r} has measurements, so it stays {'simulated' if stored.simulated else 'a real one'}"
+        raise ConflictError("spacecraft.simulated_fixed", detail)
+    if not stored.lacks_fast_loop or "mode" in (body.root.get("control") or {}):
         _check_ground_control(changed)
+    _check_release(changed, stored)
+    warnings = _site_warnings(changed) if {"longitude_deg", "receiving_site"} & set(body.root) else []
     if {"control", "inertia_kg_m2", "torque_limit_n_m", "wheels"} & set(body.root):
         _check_gains(changed)
     context.storage.catalogue.replace_spacecraft(changed.to_record())
     epoch_limits: EpochLimits = request.app.state.epoch_limits
     epoch_limits.forget(spacecraft_id)
     context.on_accepted(spacecraft_id)
-    return changed
+    return _answer(changed, warnings)
+
+
+def _answer(document: SpacecraftDocument, warnings: Sequence[CatalogueWarning]) -> SpacecraftAnswer:
+    """Return a stored spacecraft with what is doubtful about it."""
+    return SpacecraftAnswer(**dict(document), warnings=tuple(warnings))
+
+
+def _site_warnings(document: SpacecraftDocument) -> list[CatalogueWarning]:
+    """Return what is doubtful about the receiving site; 422 when it has the satellite below its horizon."""
+    site = document.receiving_site
+    place = Place("/receiving_site", site.latitude_deg, site.longitude_deg, site.height_m)
+    return accepted_places(check_places([place], document.longitude_deg))
+
+
+def _check_release(document: SpacecraftDocument, stored: SpacecraftDocument | None) -> None:
+    """Refuse that one operator lets torques go to a real spacecraft without a person."""
+    if document.is_released_unattended and not (stored is not None and stored.is_released_unattended):
+        detail = (
+            "release automatic of a real spacecraft needs two approvers: each sends control:arm with "
+            '"release": "automatic"'
+        )
+        raise ConflictError("control.needs_two_approvers", detail)
 
 
 def _check_gains(document: SpacecraftDocument) -> None:
@@ -80,12 +112,6 @@ def _check_gains(document: SpacecraftDocument) -> None:
     fault = document.fault_of_gyro_orbitant
     if fault is not None:
         raise invalid_request([FieldError("/control/gyro_orbitant", "control.gyro_orbitant", fault)])
-
-
-def _touches_control(patch: dict[str, Any]) -> bool:
-    """Whether a patch says anything about what ground control needs."""
-    control = patch.get("control")
-    return "onboard" in patch or (isinstance(control, dict) and "mode" in control)
 
 
 def _check_ground_control(document: SpacecraftDocument) -> None:

@@ -63,6 +63,15 @@ EpochAnswer = Annotated[str, BeforeValidator(_epoch_text), WithJsonSchema(_EPOCH
 Figure = Annotated[float | None, BeforeValidator(_finite_or_none)]
 
 
+class CatalogueWarning(Answer):
+    """Something doubtful in a document that was stored."""
+
+    pointer: str
+    """JSON pointer into the document."""
+    code: str
+    detail: str
+
+
 class AnglesDocument(Document):
     """One value an axis; absent = null."""
 

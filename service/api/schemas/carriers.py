@@ -9,7 +9,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, TypeAdapter, model_validator
 from pydantic_core import PydanticCustomError
 
-from service.api.schemas.base import Answer, Document, LatitudeDeg, LongitudeDeg, Name, Text
+from service.api.schemas.base import Answer, CatalogueWarning, Document, LatitudeDeg, LongitudeDeg, Name, Text
 from service.records.catalogue import Carrier, CarrierPlan, Station
 
 MAX_CARRIERS = 512
@@ -96,6 +96,8 @@ class PlanReceiptAnswer(Answer):
     plan_id: int
     sha256: str
     carriers: int
+    warnings: list[CatalogueWarning]
+    """Stations that have the satellite below 5 deg elevation."""
 
 
 class CarrierPlanAnswer(Answer):

@@ -43,6 +43,8 @@ class OrderDocument(Document):
     """End of a standing authorisation; engaging needs it, every other order leaves it unread."""
     envelope: EnvelopeDocument | None = None
     """Of a standing authorisation; null: that of the settings."""
+    release: Literal["automatic"] | None = None
+    """Of `control:arm`: ask for release automatic, which is set once a second approver asks for it within 15 min."""
     comment: Remark = ""
 
 

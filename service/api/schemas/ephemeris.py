@@ -44,6 +44,8 @@ class EphemerisDocument(Document):
     """Two-line elements."""
     oem: str | None = None
     """CCSDS Orbit Ephemeris Message, keyword = value notation."""
+    relocating: bool = False
+    """The spacecraft leaves its place: an orbit that contradicts the catalogue is stored. Stands in the audit log."""
 
     @model_validator(mode="after")
     def _check_form(self) -> Self:

@@ -7,7 +7,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, PlainSerializer, StringConstraints, TypeAdapter, model_validator
 from pydantic_core import PydanticCustomError
 
-from service.api.schemas.base import Document, Epoch, LatitudeDeg, LongitudeDeg, Text
+from service.api.schemas.base import CatalogueWarning, Document, Epoch, LatitudeDeg, LongitudeDeg, Text
 from service.core.control.quaternion_law import loop_gains
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control_design import gyro_design
@@ -292,10 +292,22 @@ class SpacecraftDocument(Document):
         return None
 
     @property
+    def is_released_unattended(self) -> bool:
+        """Whether torques go to a real spacecraft without a person."""
+        return self.control.release is Release.AUTOMATIC and not self.simulated
+
+    @property
     def lacks_fast_loop(self) -> bool:
         """Whether ground control is asked of a spacecraft that would not stay still between two commands."""
         can_follow = self.onboard.fast_loop and self.onboard.forecast_mode
         return self.control.mode is ControlMode.GROUND and not can_follow
+
+
+class SpacecraftAnswer(SpacecraftDocument):
+    """A spacecraft that was stored, with all defaults filled in."""
+
+    warnings: tuple[CatalogueWarning, ...]
+    """The receiving site has the satellite below 5 deg elevation."""
 
 
 SPACECRAFT_ADAPTER = TypeAdapter(SpacecraftDocument)

@@ -140,6 +140,44 @@ def station_direction(
     >>> moscow.azimuth_deg.round(1), moscow.elevation_deg.round(1)
     (array([-4.1]), array([7.5]))
     """
+    sight, zenith = _sight_and_zenith(longitude_deg, latitude_deg, height_m, subsatellite_longitude_deg)
+    is_seen = np.sum(sight * zenith, axis=-1) < 0.0
+    return antenna_direction(np.where(is_seen[..., np.newaxis], sight, math.nan))
+
+
+def satellite_elevation_deg(
+    longitude_deg: ArrayLike,
+    latitude_deg: ArrayLike,
+    height_m: ArrayLike,
+    subsatellite_longitude_deg: float,
+) -> FloatArray:
+    """Return how high a geostationary satellite stands above the horizon of earth stations; no refraction.
+
+    Parameters
+    ----------
+    longitude_deg, latitude_deg, height_m, subsatellite_longitude_deg
+        As `station_direction` takes them.
+
+    Returns
+    -------
+    ndarray, shape (N,), deg
+        Negative below the horizon.
+
+    Examples
+    --------
+    >>> satellite_elevation_deg([90.0, 37.6, -90.0], [0.0, 55.75, 0.0], 0.0, 90.0).round(1)
+    array([ 90. ,  11.8, -90. ])
+    """
+    sight, zenith = _sight_and_zenith(longitude_deg, latitude_deg, height_m, subsatellite_longitude_deg)
+    sine = -np.sum(sight * zenith, axis=-1) / np.linalg.norm(sight, axis=-1)
+    elevation_deg: FloatArray = np.degrees(np.arcsin(np.clip(sine, -1.0, 1.0)))
+    return elevation_deg
+
+
+def _sight_and_zenith(
+    longitude_deg: ArrayLike, latitude_deg: ArrayLike, height_m: ArrayLike, subsatellite_longitude_deg: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return vectors from the satellite to stations, m, and unit vectors to their zenith, nadir frame, (N, 3) each."""
     east_of_satellite = np.radians(np.asarray(longitude_deg, dtype=np.float64) - subsatellite_longitude_deg)
     latitude = np.radians(np.asarray(latitude_deg, dtype=np.float64))
     height = np.asarray(height_m, dtype=np.float64)
@@ -159,5 +197,4 @@ def station_direction(
         ],
         axis=-1,
     )
-    is_seen = np.sum(sight * zenith, axis=-1) < 0.0
-    return antenna_direction(np.where(is_seen[..., np.newaxis], sight, math.nan))
+    return sight, zenith

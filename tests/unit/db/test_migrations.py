@@ -14,7 +14,7 @@ from db.migrate import downgrade, upgrade
 from db.sequence_numbers import Block, SequenceNumbers, Tail
 from db.storage import SqlStorage
 from db.tables import measurement_detail, metadata
-from service.records.catalogue import Carrier, Site, Spacecraft
+from service.records.catalogue import Carrier, ControlSettings, Release, Site, Spacecraft
 from service.records.measurement import CarrierDetails, MeasurementBatch
 
 INERTIA = ((4000.0, 0.0, 0.0), (0.0, 2000.0, 0.0), (0.0, 0.0, 4000.0))
@@ -209,3 +209,25 @@ def test_rows_of_an_older_version_wait_for_their_checksums(any_engine):
     with any_engine.connect() as connection:
         assert connection.exec_driver_sql("SELECT table_name FROM checksum_backlog").scalars().all() == ["note"]
         assert connection.exec_driver_sql("SELECT checksum FROM note").scalar_one() is None
+
+
+def test_real_spacecraft_under_release_automatic_become_two_step(url):
+    storage = SqlStorage(url)
+    storage.migrate()
+    automatic = ControlSettings(release=Release.AUTOMATIC)
+    crafts = [("real", False, automatic), ("toy", True, automatic), ("other", False, ControlSettings())]
+    for name, is_simulated, control in crafts:
+        site = Site(55.0, 38.0)
+        craft = Spacecraft(name, name, 90.0, site, INERTIA, 0.05, simulated=is_simulated, control=control)
+        storage.catalogue.add_spacecraft(craft)
+    engine = storage._database.engines.write
+    downgrade(engine, "0010")
+    upgrade(engine)
+    told = {craft.id: craft.control.release for craft in storage.catalogue.all_spacecraft()}
+    assert told == {"real": Release.TWO_STEP, "toy": Release.AUTOMATIC, "other": Release.TWO_STEP}
+    made_us = {name: storage.releases.made_two_step_us(name) for name, *_ in crafts}
+    assert [name for name, at_us in made_us.items() if at_us is not None] == ["real"]
+    # a second upgrade finds nothing more to do
+    upgrade(engine)
+    assert storage.releases.made_two_step_us("real") == made_us["real"]
+    storage.close()

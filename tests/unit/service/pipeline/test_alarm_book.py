@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from service.pipeline.alarm_book import AlarmBook, Readings
-from service.pipeline.alarm_conditions import Condition, Kind, Origin, condition_table
+from service.pipeline.alarm_condition import Condition, Kind, Origin
+from service.pipeline.alarm_conditions import condition_table
 from service.pipeline.alarm_sets import Circumstances
 from service.pipeline.alarm_steps import told_in_words
 from service.pipeline.config import AlarmConfig, RobustConfig

@@ -3,6 +3,7 @@
 from alarm_rig import HOUR, MINUTE, START, S, append, report
 from desk_driver import DeskDriver
 
+from db.release_tables import release_made_two_step
 from service.pipeline.release_interlock.release_events import OrderKind
 from service.records.access_key import AccessKey, Role, StoredKey
 from service.records.catalogue import Ephemeris
@@ -150,6 +151,19 @@ def test_a_trip_alarms_until_it_is_reset_and_a_report_that_does_not_come_as_well
     keep_release(rig, driver)
     rig.look()
     assert rig.told() == [("returned", True, "control_tripped", "stop")]
+
+
+def test_an_upgrade_that_took_release_automatic_away_alarms_for_a_day(rig):
+    database = rig.storage._database
+    values = {"spacecraft_key": database.key("craft"), "at_us": START}
+    database.write(lambda connection: connection.execute(release_made_two_step.insert().values(values)))
+    rig.clock.us = START + MINUTE
+    rig.look()
+    assert rig.told() == [("raised", True, "release_changed", "two_step")]
+    rig.clock.us = START + 25 * HOUR
+    rig.look()
+    assert ("returned", True, "release_changed", "two_step") in rig.told()
+    assert rig.open_alarms()["release_changed", "two_step"].acknowledged is None
 
 
 def keep_release(rig, driver):

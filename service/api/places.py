@@ -1,0 +1,13 @@
+"""Places and frequencies of the catalogue: faults become a problem, warnings go into the answer."""
+
+from service.api.faults import MAX_FAULTS
+from service.api.problems import invalid_request
+from service.api.schemas.base import CatalogueWarning
+from service.pipeline.catalogue_checks import PlaceFindings
+
+
+def accepted_places(found: PlaceFindings) -> list[CatalogueWarning]:
+    """Return the warnings of what was found; a 422 names the faults when there are any."""
+    if found.faults:
+        raise invalid_request(found.faults[:MAX_FAULTS])
+    return [CatalogueWarning.model_validate(warning) for warning in found.warnings]
