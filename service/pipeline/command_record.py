@@ -1,6 +1,7 @@
 """Pulses as the torque command that is stored, shown and released."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -86,6 +87,25 @@ def zero_command(row: AttitudeRow, spacecraft: Spacecraft, span: Span, inhibitio
         predicted_wheel_momentum_n_m_s=wheels,
         control_allowed=False,
         inhibitions=inhibitions,
+    )
+
+
+def withheld_command(command: TorqueCommand) -> TorqueCommand:
+    """Return a command as one that does nothing because control had tripped before its row."""
+    wheels = tuple(0.0 for _ in command.wheels_n_m)
+    return replace(
+        command,
+        torque_n_m=_ZERO,
+        wheels_n_m=wheels,
+        saturated=False,
+        schedule=(),
+        impulse_n_m_s=_ZERO,
+        predicted_angle_change_deg=_ZERO,
+        predicted_rate_change_deg_s=_ZERO,
+        predicted_wheel_momentum_n_m_s=wheels,
+        control_allowed=False,
+        inhibitions=("tripped",),
+        schedule_check=None,
     )
 
 

@@ -4,9 +4,12 @@ An alignment entry makes the chain run the rows already stored after its epoch, 
 one call. Because both run this very code on the same stored values, a replay equals the live run bit for bit.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 from service.pipeline.chain import Chain
+from service.pipeline.command_record import withheld_command
 from service.ports import Archive, Catalogue, Outcome, Results
 from service.records.calibration import Alignment, Calibration, Window
 from service.records.catalogue import CarrierPlan, Ephemeris
@@ -15,6 +18,7 @@ from service.records.epoch import US_PER_S
 from service.records.inputs import AlignmentSet, Correction, TelemetryRecord
 from service.records.journal import JournalEntry
 from service.records.measurement import Measurement
+from service.records.release import InterlockHold
 
 #: kinds of slow input that the chain must know from before an alignment; the others concern rows after it
 STANDING_KINDS = ("spacecraft", "plan", "ephemeris", "activation", "operation", "interlock")
@@ -23,7 +27,7 @@ MOTION_KINDS = ("correction", "applied_command", "released_command", "reported_c
 #: telemetry of longer ago is too old for any use that the chain makes of it
 _TELEMETRY_US = 6 * 3600 * US_PER_S
 _INPUTS_AT_ONCE = 1000
-_FOR_EVER_US = 1 << 62
+_FOR_EVER_US = _EVERY_NUMBER = 1 << 62
 
 
 class Documents:
@@ -61,6 +65,34 @@ class Documents:
         if alignment_id not in self._alignments:
             self._alignments[alignment_id] = self._results.alignment(self._spacecraft_id, alignment_id)
         return self._alignments[alignment_id]
+
+
+class Trip(NamedTuple):
+    """A trip of control as the journal tells it."""
+
+    number: int
+    at_us: int
+
+
+def trips_after(archive: Archive, spacecraft_id: str, number: int) -> tuple[Trip, ...]:
+    """Return the trips that the journal tells beyond a number."""
+    entries = archive.slow_inputs_before(spacecraft_id, _EVERY_NUMBER, ("interlock",))
+    holds = ((entry.number, entry.content) for entry in entries if entry.number > number)
+    return tuple(Trip(n, hold.at_us) for n, hold in holds if isinstance(hold, InterlockHold) and hold.is_withheld)
+
+
+def without_torque_after(trips: Sequence[Trip], outcome: Outcome) -> Outcome:
+    """Return an outcome without torque where its row is later than a trip that the journal tells only behind it.
+
+    The chain knows of a trip from its entry on. Rows that were stored before the entry and computed after the trip are
+    the same in a live run and in its replay by this rule alone.
+    """
+    command = outcome.command
+    if command is None or not command.control_allowed:
+        return outcome
+    if not any(trip.number > command.number and trip.at_us < command.attitude_epoch_us for trip in trips):
+        return outcome
+    return replace(outcome, command=withheld_command(command), applied=None)
 
 
 def consume(chain: Chain, entry: JournalEntry, archive: Archive, spacecraft_id: str) -> Iterator[Outcome]:

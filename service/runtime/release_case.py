@@ -92,6 +92,8 @@ class ReleaseCase:
         self._version = 0
         self._views: dict[int, CommandView] = {}
         self._foreign_us: int | None = None
+        #: newest epoch of which results are stored
+        self.stored_us = 0
         self._stored_s = time.monotonic()
         #: events and their storing are one
         self.lock = threading.RLock()
@@ -216,9 +218,8 @@ class ReleaseCase:
         interlock = step.state.interlock
         is_withheld = interlock.is_withholding
         if is_withheld is not self.state.interlock.is_withholding:
-            # every row that was seen before lies before the trip, also one from a clock that is ahead
-            at_us = at.now_us if interlock.row is None else max(at.now_us, interlock.row.epoch_us)
-            word, version = interlock.state.name, self._version + 1
+            # no row whose results are stored is later than the trip, also not one from a clock that is ahead
+            at_us, word, version = max(at.now_us, self.stored_us), interlock.state.name, self._version + 1
             entries.append(InterlockHold(at_us, word, interlock.reasons, is_withheld, version))
         return tuple(entries)
 

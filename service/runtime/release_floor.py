@@ -8,10 +8,11 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from uuid import uuid4
 
+from service.errors import SooError
 from service.pipeline.config import TorqueConfig
 from service.pipeline.release_interlock.interlock import Instant
 from service.pipeline.release_interlock.release import settled_at
@@ -111,11 +112,25 @@ class ReleaseFloor:
             with entry.case.lock:
                 if has_inputs:
                     entry.read_s = -math.inf
+                epochs_us = (row.epoch_us for one in seen for row in one.outcome.rows)
+                entry.case.stored_us = max(entry.case.stored_us, *epochs_us, 0)
                 for one in seen:
                     self._see_one(entry, spacecraft_id, one)
                 self._tell(entry, spacecraft_id)
         except Exception:  # noqa: BLE001 rows go on; what was not stored does not hold, and old estimates inhibit
             _LOG.exception("the release of %s could not take rows over", spacecraft_id)
+
+    @contextmanager
+    def steady(self, spacecraft_id: str) -> Iterator[bool]:
+        """Let nobody trip control while rows are stored and taken over; tell whether torques are withheld."""
+        try:
+            case = self._entry(spacecraft_id).case
+        except SooError:
+            _LOG.exception("the release of %s cannot be read", spacecraft_id)
+            yield False
+            return
+        with case.lock:
+            yield case.state.interlock.is_withholding
 
     def tick(self) -> None:
         """Let time pass for every spacecraft whose clock does not wait for rows; nothing while another one leads."""

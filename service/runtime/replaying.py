@@ -15,7 +15,7 @@ from service.records.calibration import Alignment, Calibration
 from service.records.inputs import AlignmentSet
 from service.records.job import Job, Replay
 from service.records.journal import JournalEntry
-from service.runtime.consumer import Documents, consume, prepare
+from service.runtime.consumer import Documents, consume, prepare, trips_after, without_torque_after
 from service.runtime.jobs import JobRunner, Progress
 
 _ENTRIES_AT_ONCE = 512
@@ -111,7 +111,7 @@ class Replayer:
         archive = self._storage.archive
         first = self._storage.results.alignment_number(plan.spacecraft_id, plan.alignment.id)
         prepare(chain, archive, plan.spacecraft_id, first, plan.alignment.epoch_us)
-        position = first - 1
+        position, trips = first - 1, trips_after(archive, plan.spacecraft_id, first)
         while position < newest_number:
             entries = archive.journal(plan.spacecraft_id, position, _ENTRIES_AT_ONCE)
             if not entries:
@@ -119,7 +119,8 @@ class Replayer:
             for entry in entries:
                 if plan.heeds(entry) and entry.number <= newest_number:
                     progress = (entry.number - first) / max(1, newest_number - first)
-                    yield from ((progress, o) for o in consume(chain, entry, archive, plan.spacecraft_id))
+                    found = consume(chain, entry, archive, plan.spacecraft_id)
+                    yield from ((progress, without_torque_after(trips, outcome)) for outcome in found)
             position = entries[-1].number
 
     def _by_epoch(self, chain: Chain, plan: "_Plan", newest_number: int) -> Iterator[tuple[float, Outcome]]:

@@ -10,6 +10,7 @@ import math
 import threading
 import time
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -24,7 +25,7 @@ from service.records.command import AppliedCommand, TorqueCommand
 from service.records.inputs import AlignmentSet, AttitudeReference, CalibrationActivation
 from service.records.journal import JournalEntry
 from service.records.measurement import BatchReceipt, Measurement, MeasurementBatch
-from service.runtime.consumer import Documents, consume, prepare
+from service.runtime.consumer import Documents, Trip, consume, prepare, trips_after, without_torque_after
 from service.runtime.fresh_rows import FreshRows
 from service.runtime.leading import Turn, always
 from service.runtime.live_feed import Cursor, FeedEvent, LiveFeed
@@ -68,6 +69,10 @@ class ReleaseWatcher(Protocol):
         """Take over what was computed, and whether inputs other than rows came in; nothing is raised."""
         ...
 
+    def steady(self, spacecraft_id: str) -> AbstractContextManager[bool]:
+        """Let nobody trip control meanwhile; tell whether torques are withheld."""
+        ...
+
 
 @dataclass
 class _Follower:
@@ -91,6 +96,16 @@ class _Step:
     outcomes: list[Outcome] = field(default_factory=list)
     seen: list[Seen] = field(default_factory=list)
     released: list[SeenRow] = field(default_factory=list)
+
+    @property
+    def has_applied(self) -> bool:
+        """Whether the newest command counts as applied."""
+        return bool(self.outcomes) and self.outcomes[-1].applied is not None
+
+    def withhold(self, trips: Sequence[Trip]) -> None:
+        """Take the torque from rows that are later than a trip."""
+        self.outcomes = [without_torque_after(trips, outcome) for outcome in self.outcomes]
+        self.released = [one._replace(outcome=without_torque_after(trips, one.outcome)) for one in self.released]
 
 
 class Supervisor:
@@ -251,35 +266,51 @@ class Supervisor:
 
     def _take(self, follower: _Follower, entries: list[JournalEntry]) -> None:
         """Consume a batch and what streams in meanwhile, store what came of it, hand it to those who look at it."""
+        while entries and not self._is_stopping:
+            entries = self._take_part(follower, entries)
+
+    def _take_part(self, follower: _Follower, entries: list[JournalEntry]) -> list[JournalEntry]:
+        """Take a batch as far as the first command that counts as applied; return what is left of it.
+
+        Control must have seen such a command, and may have tripped by it, before the next row is computed.
+        """
         step, spacecraft_id, until_s = _Step(), follower.spacecraft_id, time.monotonic() + _STEP_S
         with follower.lock:
-            self._consume(follower, entries, step)
+            left = self._consume(follower, entries, step)
             # waiting for a commit after every few rows would never catch up with fast front ends
-            while time.monotonic() < until_s and not self._is_stopping:
+            while not left and not step.has_applied and time.monotonic() < until_s and not self._is_stopping:
                 more = self._fresh.after(spacecraft_id, entries[-1].number, _ENTRIES_AT_ONCE)
                 if not more:
                     break
                 self._news.followed(spacecraft_id, more)
-                self._consume(follower, more, step)
+                left = self._consume(follower, more, step)
                 entries += more
+        entries = entries[: len(entries) - len(left)]
         others = [entry.content for entry in entries if not isinstance(entry.content, Measurement)]
-        self._store_and_publish(follower, entries, step.outcomes)
+        with nullcontext(enter_result=False) if self._release is None else self._release.steady(spacecraft_id) as held:
+            if held:
+                step.withhold(trips_after(self._storage.archive, spacecraft_id, follower.consumed_number))
+            self._store_and_publish(follower, entries, step.outcomes)
+            if self._release is not None:
+                has_inputs = any(not isinstance(content, AppliedCommand) for content in others)
+                self._release.see(spacecraft_id, step.released, has_inputs=has_inputs)
         if self._watcher is not None and step.seen:
             self._watcher.see(spacecraft_id, step.seen)
-        if self._release is not None:
-            has_inputs = any(not isinstance(content, AppliedCommand) for content in others)
-            self._release.see(spacecraft_id, step.released, has_inputs=has_inputs)
+        return left
 
-    def _consume(self, follower: _Follower, entries: list[JournalEntry], step: "_Step") -> None:
-        """Feed entries to the chain and note what came of them."""
+    def _consume(self, follower: _Follower, entries: list[JournalEntry], step: "_Step") -> list[JournalEntry]:
+        """Feed entries to the chain and note what came of them; return those behind the first applied command."""
         chain, archive = follower.chain, self._storage.archive
-        for entry in entries:
+        for place, entry in enumerate(entries, start=1):
             told = tuple(consume(chain, entry, archive, follower.spacecraft_id))
             step.outcomes += told
             if self._watcher is not None:
                 step.seen += _seen(chain, entry, told)
             if told and isinstance(entry.content, Measurement):
                 step.released += (SeenRow(outcome, chain.command_evidence()) for outcome in told)
+            if step.has_applied:
+                return entries[place:]
+        return []
 
     def _store_and_publish(self, follower: _Follower, entries: list[JournalEntry], outcomes: list[Outcome]) -> None:
         """Store a batch in one transaction, then tell the feed."""
