@@ -7,7 +7,7 @@ from service.api.deps import ApiContext
 from service.api.schemas.links import LinkAnswer
 from service.errors import NotFoundError
 from service.records.epoch import US_PER_S
-from service.records.link import LinkState
+from service.records.link import LinkReport, LinkState
 
 #: state of a link that has missed its reports
 SILENT = "SILENT"
@@ -33,6 +33,17 @@ def _rows_missing(context: ApiContext, spacecraft_id: str) -> dict[str, int | No
         return {}
 
 
+def _last_good_age_s(context: ApiContext, report: LinkReport) -> float | None:
+    """Return the age of the newest good row by the clock of its epoch; None before the first."""
+    try:
+        now_us = None if report.spacecraft_id is None else context.clock.now_us(report.spacecraft_id)
+    except NotFoundError:
+        now_us = None
+    if report.last_good_us is None:
+        return None
+    return _age_s(context.clock.system_us() if now_us is None else now_us, report.last_good_us)
+
+
 def _told(context: ApiContext, state: LinkState, rows_missing: int | None) -> LinkAnswer:
     """Return a link as it is told."""
     report, now_us = state.report, context.clock.system_us()
@@ -48,7 +59,7 @@ def _told(context: ApiContext, state: LinkState, rows_missing: int | None) -> Li
         "age_s": _age_s(now_us, state.reported_at_us),
         "period_s": state.period_s,
         "last_good": report.last_good_us,
-        "last_good_age_s": None if report.last_good_us is None else _age_s(now_us, report.last_good_us),
+        "last_good_age_s": _last_good_age_s(context, report),
         "counters": report.counters,
         "detail": report.detail,
         "warnings": [{"code": each.code, "detail": each.detail, "since": each.since_us} for each in report.warnings],

@@ -74,6 +74,19 @@ async def test_a_report_is_answered_with_what_is_wanted_and_listed(soo):
     assert (await soo.client.get(f"{LINKS}/sa-1")).json() == (await listed(soo))[0]
 
 
+async def test_the_newest_good_row_is_as_old_as_the_clock_of_its_epoch_says(soo, spacecraft):
+    await soo.client.post("/api/v1/spacecraft", json=spacecraft)
+    day_us = 86_400 * S
+    # a simulated craft lives fifteen days behind the service
+    soo.clock.data["yamal-202"] = NOW_US - 15 * day_us + 60 * S
+    behind = format_epoch(NOW_US - 15 * day_us)
+    front = report("front-1", kind="front_end", spacecraft_id=None, source=None)
+    await send(soo, report(last_good=behind), front, report("lost", spacecraft_id="nobody", last_good=None))
+    soo.clock.system = NOW_US + 6 * S
+    ages = {link["id"]: (link["age_s"], link["last_good_age_s"]) for link in await listed(soo)}
+    assert ages == {"sa-1": (6.0, 60.0), "front-1": (6.0, 10.0), "lost": (6.0, None)}
+
+
 async def test_a_link_that_reports_no_more_is_silent_and_says_since_when(soo):
     await send(soo, report(period_s=10))
     soo.clock.system = NOW_US + 30 * S
