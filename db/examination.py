@@ -4,6 +4,7 @@ Each check returns diagnoses; the tables below say which ones run and in which o
 cuts short is a fault with the database's words, never an exception.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
@@ -15,11 +16,13 @@ from db.audit import SqlAudit
 from db.checksum_check import checked_tables
 from db.database import Database
 from db.journal_ledger import Ledger, heads_of_all, named, orphans, read_ledger
+from db.key_tables import access_key
 from db.schema_version import known_versions, version_of
 from db.storage_state import newest_revision
 from db.tables import attitude, measurement, measurement_detail, source, spacecraft, torque
 from service.errors import StorageError
 from service.ports import LIVE
+from service.records.access_key import is_plain_name, name_key
 from service.records.audit import findings
 from service.records.diagnosis import Diagnosis
 
@@ -53,6 +56,7 @@ def examine(connection: Connection, report: Report) -> list[Diagnosis]:
         return found
     found += examine_content(connection, report)
     report("audit")
+    found += guarded("keys", partial(_keys, connection))
     return found + guarded("audit", partial(_audit, connection))
 
 
@@ -255,6 +259,21 @@ class _OneConnection(Database):
     def fetch_one(self, statement: Select[Any]) -> Row[Any] | None:
         """Return the first row of a query, if any."""
         return self._connection.execute(statement).first()
+
+
+def _keys(connection: Connection) -> Iterator[Diagnosis]:
+    """Names of keys made before there was a rule for them."""
+    revoked = access_key.c.revoked_at_us
+    query = select(access_key.c.key_id, access_key.c.name).where(revoked.is_(None))
+    rows = connection.execute(query.order_by(access_key.c.key_id)).all()
+    times = Counter(name_key(row.name) for row in rows)
+    odd = [row for row in rows if times[name_key(row.name)] > 1 or not is_plain_name(row.name)]
+    if not odd:
+        yield Diagnosis("keys", "ok", f"{len(rows)} keys, each with a name of its own")
+        return
+    named = "; ".join(f"{row.key_id} {row.name!a}" for row in odd)
+    advice = "Make their holders new keys, `soo keys create`, and revoke these: the audit log knows people by them."
+    yield Diagnosis("keys", "warning", f"names that cannot be told apart, or break the rule: {named}", advice)
 
 
 def _audit(connection: Connection) -> Iterator[Diagnosis]:

@@ -9,8 +9,8 @@ from sqlalchemy import Connection, Row, select, update
 from db.audit_chain import append_entry, lock_audit_head
 from db.database import Database
 from db.key_tables import access_key
-from service.errors import NotFoundError
-from service.records.access_key import AccessKey, Role, StoredKey
+from service.errors import ConflictError, NotFoundError
+from service.records.access_key import AccessKey, Role, StoredKey, name_key
 from service.records.audit import Deed
 
 
@@ -28,7 +28,19 @@ class SqlKeys:
 
     def add(self, stored: StoredKey) -> AccessKey:
         """Store a new key."""
-        return self._database.write(lambda connection: _insert(connection, stored))
+
+        def write(connection: Connection) -> AccessKey:
+            # of two that are made at once the second one waits here
+            lock_audit_head(connection)
+            wanted = name_key(stored.key.name)
+            for row in connection.execute(select(access_key)):
+                key = _stored_of(row).key
+                if name_key(key.name) == wanted and key.is_valid(stored.key.created_at_us):
+                    detail = f"Key {key.id} in force has the name {key.name!r}; revoke it, or choose another name."
+                    raise ConflictError("key.exists", detail)
+            return _insert(connection, stored)
+
+        return self._database.write(write)
 
     def all(self) -> tuple[StoredKey, ...]:
         """Return every key, revoked ones too, in order of creation."""

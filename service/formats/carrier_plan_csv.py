@@ -2,7 +2,8 @@
 
 One carrier a line, columns by name in any order, an empty cell = absent. What is read is a document as the JSON
 interface takes it, so both ways in are judged by the same rules. Written plans read back equal: numbers are written in
-their shortest form that does.
+their shortest form that does, and a name that a spreadsheet would take for a formula gets an apostrophe, which is
+removed on reading.
 """
 
 import csv
@@ -12,6 +13,7 @@ from typing import Any
 
 from service.errors import FieldError, InvalidInputError
 from service.records.catalogue import Carrier
+from service.records.csv_guard import guarded, unguarded
 
 _TEXT_COLUMNS = (
     "id",
@@ -117,7 +119,7 @@ def _check_header(header: list[str]) -> None:
 def _document(index: int, cells: dict[str, str]) -> dict[str, Any]:
     """Return one carrier as a document."""
     stated = {name: cell for name, cell in cells.items() if cell}
-    document: dict[str, Any] = {name: stated[name] for name in _TEXT_COLUMNS if name in stated}
+    document: dict[str, Any] = {name: unguarded(stated[name]) for name in _TEXT_COLUMNS if name in stated}
     document |= {name: _number(index, name, stated[name]) for name in _NUMBER_COLUMNS if name in stated}
     if "enabled" in stated:
         document["enabled"] = _truth(index, stated["enabled"])
@@ -126,7 +128,7 @@ def _document(index: int, cells: dict[str, str]) -> dict[str, Any]:
         numbers = {
             name: _number(index, f"station/{name}", cell) for name, cell in station.items() if name.endswith("_deg")
         }
-        document["station"] = station | numbers
+        document["station"] = {name: unguarded(cell) for name, cell in station.items()} | numbers
     return document
 
 
@@ -161,6 +163,8 @@ def _cell(value: object) -> str:
     """Return the text of a cell."""
     if value is None:
         return ""
+    if isinstance(value, str):
+        return guarded(value)
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float) and value.is_integer() and abs(value) < 2**53:

@@ -16,6 +16,7 @@ from service.formats.csv_field import csv_field
 from service.formats.parquet_stream import GROUP_ROWS, ParquetStream
 from service.formats.row_text import RowFrame, RowText
 from service.records.attitude import IntArray
+from service.records.csv_guard import guarded
 from service.records.measurement import Float32Array
 from service.records.measurement_block import MeasurementBlock
 
@@ -99,11 +100,11 @@ class CsvFile:
 
     def begin(self) -> bytes:
         """Return the header line."""
-        return ",".join(map(csv_field, self._columns.names)).encode() + b"\r\n"
+        return ",".join(csv_field(guarded(name)) for name in self._columns.names).encode() + b"\r\n"
 
     def rows(self, block: MeasurementBlock) -> bytes:
         """Return one line a row."""
-        sources = tuple(f",{csv_field(source)}".encode() for source in block.sources)
+        sources = tuple(f",{csv_field(guarded(source))}".encode() for source in block.sources)
         frame = RowFrame(b"", sources, self._leads, b"", b"\r\n")
         return self._text.rows(block.epochs_us, self._columns.values(block), frame, block.source_places)
 

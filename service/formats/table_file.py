@@ -12,6 +12,7 @@ from typing import Any, Generic, Literal, NamedTuple, TypeVar
 from service.formats.csv_field import csv_field
 from service.formats.numbers import text_of_float
 from service.formats.parquet_stream import ParquetStream
+from service.records.csv_guard import guarded
 from service.records.epoch import format_epoch
 
 #: epoch: microseconds; figure: float64; truth: bool; count: int; document: anything that JSON can hold
@@ -51,7 +52,7 @@ def table_bytes(table: Table[R], file_format: TableFormat, pages: Iterable[Seque
 
 
 def _csv(table: Table[R], pages: Iterable[Sequence[R]]) -> Iterator[bytes]:
-    texts = [_TEXT_OF[column.kind] for column in table.columns]
+    texts = [guarded if column.kind == "text" else _TEXT_OF[column.kind] for column in table.columns]
     yield _csv_line([column.name for column in table.columns]).encode()
     for page in pages:
         lines = [

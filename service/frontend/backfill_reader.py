@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from service.frontend.backfill_columns import ArchiveError
+from service.records.csv_guard import unguarded
 
 #: rows of a Parquet file in memory at once
 _PARQUET_ROWS = 2000
@@ -79,7 +80,7 @@ class CsvArchive:
             self._file.close()
             raise
         self._separator = ";" if ";" in first and "," not in first else ","
-        self.header = next(csv.reader([first], delimiter=self._separator), [])
+        self.header = list(map(unguarded, next(csv.reader([first], delimiter=self._separator), [])))
 
     def rows(self) -> Iterator[FileRow]:
         """Yield the rows; empty lines are none."""
@@ -87,7 +88,8 @@ class CsvArchive:
         try:
             for cells in reader:
                 if cells:
-                    yield FileRow(self._line, cells)
+                    has_guard = "'" in "".join(cells)
+                    yield FileRow(self._line, list(map(unguarded, cells)) if has_guard else cells)
         except csv.Error as error:
             raise ArchiveError(f"line {self._line}: {error}") from error
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from service.frontend.backfill_columns import ArchiveError
+from service.records.csv_guard import guarded
 
 _FORMAT = 1
 
@@ -115,8 +116,8 @@ class SendState:
         text = io.StringIO()
         writer = csv.writer(text)
         if not self._refused_bytes:
-            writer.writerow(("line", "code", "detail", *header))
-        writer.writerows((line, code, detail, *cells) for line, code, detail, cells in rows)
+            writer.writerow(("line", "code", "detail", *map(guarded, header)))
+        writer.writerows((line, code, detail, *map(_cell, cells)) for line, code, detail, cells in rows)
         with self.refused_path.open("ab") as file:
             file.write(text.getvalue().encode())
             file.flush()
@@ -139,3 +140,12 @@ class SendState:
             file.flush()
             os.fsync(file.fileno())
         beside.replace(self.path)
+
+
+def _cell(value: Any) -> Any:
+    """Return a cell as it is written: a number as it is, a text that a spreadsheet would compute guarded."""
+    try:
+        float(value)
+    except (TypeError, ValueError):
+        return guarded(value) if isinstance(value, str) else value
+    return value

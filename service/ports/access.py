@@ -11,7 +11,7 @@ class Keys(Protocol):
     """Access keys; only digests of them are ever stored."""
 
     def add(self, stored: StoredKey) -> AccessKey:
-        """Store a new key."""
+        """Store a new key; ConflictError ``key.exists`` when one in force has the name, whatever its case."""
         ...
 
     def all(self) -> tuple[StoredKey, ...]:

@@ -7,6 +7,7 @@ choose, and 256 random bits cannot be guessed however fast a guess is.
 
 import re
 import secrets
+import unicodedata
 from dataclasses import dataclass
 from enum import StrEnum
 from hashlib import sha256
@@ -15,6 +16,11 @@ PREFIX = "soo"
 _ID_LETTERS = "abcdefghjkmnpqrstuvwxyz23456789"
 _ID_LENGTH = 10
 _SECRET_BYTES = 32
+_NAME_LENGTH = 64
+#: who acts without a key of the archive
+RESERVED_NAMES = frozenset({"anonymous", "bootstrap", "service"})
+#: fillers, variation selectors, the joiner of graphemes and the empty pattern of Braille
+_BLANK = re.compile("[\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180f\u2800\u3164\ufe00-\ufe0f\uffa0\U000e0100-\U000e01ef]")
 #: secrets of no known form; shorter ones are words that stand in any text
 _HIDDEN: set[str] = set()
 _LEAST_HIDDEN = 8
@@ -56,6 +62,53 @@ class StoredKey:
 
     key: AccessKey
     digest: bytes
+
+
+def plain_name(text: str) -> str:
+    """Return a name as it is kept: in normal form KC, trimmed, with single spaces.
+
+    Raises
+    ------
+    ValueError
+        Says why nobody may be called so: nothing or too much is left, a character cannot be seen, or the name stands
+        in the audit log for somebody who has no key.
+
+    Examples
+    --------
+    >>> plain_name("  Olga\u00a0 B. ")
+    'Olga B.'
+    """
+    name = re.sub(" +", " ", unicodedata.normalize("NFKC", text).strip())
+    if not 1 <= len(name) <= _NAME_LENGTH:
+        message = f"a name has 1 to {_NAME_LENGTH} characters"
+        raise ValueError(message)
+    hidden = next((each for each in name if _is_invisible(each)), None)
+    if hidden is not None:
+        message = f"the character U+{ord(hidden):04X} cannot be seen; leave it out"
+        raise ValueError(message)
+    if name_key(name) in RESERVED_NAMES:
+        message = "the audit log calls others so; choose another name"
+        raise ValueError(message)
+    return name
+
+
+def is_plain_name(text: str) -> bool:
+    """Return whether a new key could be called so."""
+    try:
+        return plain_name(text) == text
+    except ValueError:
+        return False
+
+
+def name_key(name: str) -> str:
+    """Return what two names must not have in common."""
+    return unicodedata.normalize("NFKC", unicodedata.normalize("NFKC", name).casefold()).strip()
+
+
+def _is_invisible(letter: str) -> bool:
+    """Whether a character leaves no trace: controls, formats, separators but the space, fillers and selectors."""
+    category = unicodedata.category(letter)
+    return (category[0] in "CZ" and letter != " ") or _BLANK.match(letter) is not None
 
 
 def new_key() -> tuple[str, str]:

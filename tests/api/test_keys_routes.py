@@ -190,3 +190,24 @@ async def test_a_key_that_stands_in_a_path_by_mistake_is_told_nowhere(soo, caplo
         await soo.client.get(f"/api/v1/{made['key']}", headers=bearer("wrong"))
     assert made["key"].split("_", 2)[2] not in caplog.text
     assert all(made["key"] not in entry.deed.target for entry in soo.storage.audit.chain())
+
+
+@pytest.mark.parametrize("name", ["Bootstrap", "anonymous ", "ol\u200bga", "\u202eolga", "   "])
+async def test_names_that_mislead_are_refused(soo, name):
+    answer = await soo.client.post(KEYS, json={"name": name, "role": "viewer"})
+    assert (answer.status_code, answer.json()["code"]) == (422, "key.name")
+    assert [each["pointer"] for each in answer.json()["errors"]] == ["/name"]
+
+
+async def test_a_name_is_kept_in_one_form_and_belongs_to_one_key(soo):
+    assert (await make(soo, name=" Olga\u00a0 B. "))["name"] == "Olga B."
+    answer = await soo.client.post(KEYS, json={"name": "OLGA b.", "role": "admin"})
+    assert (answer.status_code, answer.json()["code"]) == (409, "key.exists")
+
+
+async def test_a_key_in_a_path_is_left_out_of_the_answer(soo):
+    made = await make(soo)
+    for path in (f"{SC}/{made['key']}", f"/api/v1/jobs/{made['key']}"):
+        answer = await soo.client.get(path)
+        assert answer.status_code == 404
+        assert made["key"].split("_", 2)[2] not in answer.text

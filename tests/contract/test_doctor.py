@@ -17,6 +17,7 @@ from db.examination import examine
 from db.migrate import upgrade
 from db.schema_version import known_versions
 from service.ports import Outcome
+from service.records.access_key import AccessKey, Role, StoredKey, digest_of
 from service.records.archive_upkeep import SealedPart
 from service.records.audit import Deed
 from service.records.diagnosis import worst
@@ -72,11 +73,26 @@ def test_a_sound_archive_is_called_sound_while_it_is_open(filled, url):
     assert of_archive(url) == []
     checks = [found.check for found in looked_at(url)]
     outside = ["file", "permissions", "disk", "wal"] if url.startswith("sqlite") else []
-    assert checks[-8:] == ["schema", "checksums", "segments", "journal", "counts", "results", "audit", "clock"]
+    assert checks[-9:] == ["schema", "checksums", "segments", "journal", "counts", "results", "keys", "audit", "clock"]
     assert checks[: len(outside)] == outside
     # and after it was closed in good order
     filled.storage.close()
     assert of_archive(url) == []
+
+
+def test_older_keys_with_names_that_mislead_are_listed(filled, url):
+    for key_id, name, revoked_us in (
+        *(("k1", "olga", None), ("k2", "Olga", None), ("k3", "anonymous", None), ("k4", "anna\u200b", None)),
+        *(("k5", "bootstrap", 9), ("k6", "boris", None)),
+    ):
+        key = AccessKey(id=key_id, name=f"{key_id}", role=Role.VIEWER, created_at_us=1, created_by="a")
+        filled.storage.keys.add(StoredKey(key, digest_of(b"x")))
+        with filled.storage._database.engines.write.begin() as connection:
+            of_key = {"name": name, "revoked_us": revoked_us, "key_id": key_id}
+            statement = "UPDATE access_key SET name = :name, revoked_at_us = :revoked_us WHERE key_id = :key_id"
+            connection.execute(text(statement), of_key)
+    ((check, words),) = of_archive(url)
+    assert (check, words.split(": ")[1]) == ("keys", "k1 'olga'; k2 'Olga'; k3 'anonymous'; k4 'anna\\u200b'")
 
 
 DELETE_SEALED = "DELETE FROM measurement_segment WHERE day = 0"

@@ -1,11 +1,12 @@
 """Access keys and the audit log keep their contract on every database."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import pytest
 from sqlalchemy import text
 
-from service.errors import NotFoundError, StorageError
+from service.errors import ConflictError, NotFoundError, StorageError
 from service.records.access_key import AccessKey, Role, StoredKey, digest_of
 from service.records.audit import CURRENT_NOTE, AuditFilter, Deed, Note, findings
 from service.records.catalogue import Site, Spacecraft
@@ -31,7 +32,7 @@ def deed(action="create", **changes):
 
 
 def stored(key_id="k1", role=Role.OPERATOR, **changes):
-    key = AccessKey(id=key_id, name="anna", role=role, created_at_us=7, created_by="bootstrap", **changes)
+    key = AccessKey(id=key_id, name=f"anna {key_id}", role=role, created_at_us=7, created_by="bootstrap", **changes)
     return StoredKey(key, digest_of(key_id.encode()))
 
 
@@ -220,3 +221,26 @@ def test_whatever_is_changed_is_found(storage, statements, found):
     tamper(storage, *statements)
     told = faults(storage, announced if "audit_head SET" in "".join(statements) else None)
     assert told[: len(found)] == found
+
+
+def named(key_id, name, **changes):
+    return replace(stored(key_id), key=replace(stored(key_id).key, name=name, **changes))
+
+
+def test_no_two_keys_in_force_have_one_name(storage):
+    storage.keys.add(named("k1", "Olga Straße"))
+    for name in ("olga STRASSE", "Ｏlga Straße"):
+        with pytest.raises(ConflictError, match="Key k1 in force has the name") as refused:
+            storage.keys.add(named("k2", name))
+        assert refused.value.code == "key.exists"
+    storage.keys.add(named("k2", "Olga 2", expires_at_us=10))
+    storage.keys.add(named("k3", "OLGA 2", created_at_us=10))
+    storage.keys.revoke("k1", 20)
+    storage.keys.add(named("k4", "olga straße"))
+    assert [each.key.id for each in storage.keys.all()] == ["k1", "k2", "k4", "k3"]
+
+
+def test_of_two_keys_of_one_name_that_are_made_at_once_one_is_made(storage):
+    with ThreadPoolExecutor(8) as pool:
+        made = [pool.submit(storage.keys.add, named(f"k{k}", "olga")) for k in range(8)]
+    assert [future.exception() is None for future in made].count(True) == 1

@@ -3,10 +3,19 @@
 from enum import StrEnum
 from typing import Annotated, Self
 
-from pydantic import Field, StringConstraints
+from pydantic import AfterValidator, Field, StringConstraints
+from pydantic_core import PydanticCustomError
 
 from service.api.schemas.base import Answer, Document, Epoch, EpochAnswer
-from service.records.access_key import AccessKey, Role
+from service.records.access_key import AccessKey, Role, plain_name
+
+
+def _name(text: str) -> str:
+    try:
+        return plain_name(text)
+    except ValueError as error:
+        code, reason = "key.name", str(error)
+        raise PydanticCustomError(code, "{reason}", {"reason": reason}) from error
 
 
 class KeyState(StrEnum):
@@ -20,8 +29,11 @@ class KeyState(StrEnum):
 class KeyDocument(Document):
     """A key that is wanted."""
 
-    name: Annotated[str, StringConstraints(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]*$")]
-    """Who will hold it; it stands in the audit log."""
+    name: Annotated[
+        str, StringConstraints(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]*$"), AfterValidator(_name)
+    ]
+    """Who will hold it; it stands in the audit log. Kept trimmed and in Unicode's normal form KC, without characters
+    that cannot be seen; keys in force differ in more than case, and none is `bootstrap`, `anonymous` or `service`."""
     role: Annotated[Role, Field(strict=False)]
     expires_at: Epoch | None = None
     """Instant from which it is no longer valid; null = never."""

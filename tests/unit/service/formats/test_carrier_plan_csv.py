@@ -67,3 +67,17 @@ def test_what_is_wrong_is_named_with_its_place(raw, pointer, word):
     assert caught.value.code == "csv.malformed"
     assert caught.value.fields[0].pointer == pointer
     assert word in caught.value.detail
+
+
+def test_names_that_a_spreadsheet_would_compute_are_guarded_and_read_back():
+    names = ("=HYPERLINK(1)", "+7", "-1", "@sum", "'=1", "''@x", "'quoted'", "O'Brien")
+    plan = [
+        Carrier(f"c{k}", "Ku", "T", 1e10, 1e6, Station(-1.5, -7.0, name), 1e10, name) for k, name in enumerate(names)
+    ]
+    text = write_carrier_plan(plan)
+    cells = [line.split(",") for line in text.splitlines()[1:]]
+    assert [line[1] for line in cells][:5] == ["'=HYPERLINK(1)", "'+7", "'-1", "'@sum", "''=1"]
+    # numbers stay numbers
+    assert {(line[3], line[4]) for line in cells} == {("-1.5", "-7")}
+    documents = read_carrier_plan(text.encode())
+    assert [(each["name"], each["station"]["name"]) for each in documents] == [(name, name) for name in names]

@@ -1,5 +1,6 @@
 """Tables of records: what each format makes of each kind of value, and bytes that do not tell how rows came."""
 
+import csv
 import io
 import json
 import math
@@ -15,6 +16,7 @@ from service.formats.table_file import Column, Table, TableFormat, table_bytes
 from service.records.attitude import NO_ANGLES, Axes
 from service.records.catalogue import Site, Spacecraft
 from service.records.command import Pulse
+from service.records.csv_guard import unguarded
 from service.records.inputs import AttitudeReference, Operation
 
 KINDS = Table(
@@ -121,3 +123,13 @@ def test_records_become_json() -> None:
     inertia = ((2600.0, 0.0, 0.0), (0.0, 1400.0, 0.0), (0.0, 0.0, 2600.0))
     craft = plain_value(Spacecraft("sc", "Craft", 90.0, Site(55.0, 38.0), inertia, 0.05))
     assert json.loads(json.dumps(craft, allow_nan=False))["control"]["method"] == "robust"
+
+
+@pytest.mark.parametrize("word", ["=1+1", "+1", "-1", "@x", "\t=1", "\r", "'=1"])
+def test_words_that_a_spreadsheet_would_compute_are_guarded(word: str) -> None:
+    rows = [(0, word, -0.5, True, -3, None)]
+    lines = b"".join(table_bytes(KINDS, "csv", [rows])).decode()
+    (cells,) = list(csv.reader(io.StringIO(lines, newline="")))[1:]
+    assert cells[1:5] == [f"'{word}", "-0.5", "true", "-3"]
+    assert unguarded(cells[1]) == word
+    assert json.loads(b"".join(table_bytes(KINDS, "ndjson", [rows])))["word"] == word

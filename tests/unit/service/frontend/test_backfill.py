@@ -19,6 +19,7 @@ from service.client.problem import ProblemError
 from service.client.service_client import ServiceClient
 from service.frontend.backfill import ArchiveOrder, SendInterruptedError, check_archive, send_archive
 from service.frontend.backfill_columns import ArchiveError, CellError, match_columns, read_epoch, read_levels
+from service.frontend.backfill_reader import CsvArchive
 from service.records.epoch import format_epoch
 
 START_US = 1_795_219_200_000_000
@@ -320,3 +321,17 @@ def test_a_resumed_sending_goes_on_under_the_plan_it_began_with(tmp_path: Path) 
     client = ServiceClient("http://service", "key", retries=0, http=httpx.MockTransport(later))
     assert send_archive(client, order)["accepted"] == 2
     assert plans == ["4"]
+
+
+def test_refused_cells_are_no_formulas_and_are_read_back(tmp_path: Path) -> None:
+    path = tmp_path / "levels.csv"
+    path.write_text("epoch,=note,c00_dbm\n=2026-11-21T00:00:00Z,@x,-42.5\n2026-11-21T00:01:00Z,x,-43\n")
+    report = send(Archive(), ArchiveOrder(path, "sc", "sa-1"))
+    assert (report["accepted"], report["unreadable"]) == (1, 1)
+    refused = Path(report["refused_file"])
+    assert refused.read_text().splitlines()[0].endswith("epoch,'=note,c00_dbm")
+    assert refused.read_text().splitlines()[1].endswith("'=2026-11-21T00:00:00Z,'@x,-42.5")
+    archive = CsvArchive(refused)
+    assert archive.header[-3:] == ["epoch", "=note", "c00_dbm"]
+    assert [row.cells[-3:] for row in archive.rows()] == [["=2026-11-21T00:00:00Z", "@x", "-42.5"]]
+    archive.close()
