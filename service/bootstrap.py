@@ -211,6 +211,12 @@ def build_desk(settings: Settings, storage: Storage, clock: Clock, tidings: Tidi
     )
 
 
+def _calibrator(settings: Settings, storage: Storage, clock: Clock, jobs: JobRunner, workers: Workers) -> Calibrator:
+    """Return what calibrates in worker processes."""
+    fit = partial(workers.run, partial(fitted, settings.calibration))
+    return Calibrator(storage, clock, jobs, fit, settings.workers.max_calibrations)
+
+
 def _flights(settings: Settings, jobs: JobRunner, workers: Workers) -> FlightAnalyses:
     """Return what flies analyses; without a compiler shorter ones only."""
     most_steps = MOST_STEPS if settings.kernels == "numba" else MOST_STEPS_PLAIN
@@ -230,7 +236,6 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
     # apart, so that no calibration waits for an analysis
     analyses = JobRunner(storage.results, clock)
     workers = Workers(settings.workers)
-    fit = partial(workers.run, partial(fitted, settings.calibration))
 
     upkeep = build_upkeep(settings, storage, clock, leading.turn)
 
@@ -260,7 +265,7 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
         supervisor=supervisor,
         alarms=alarms,
         feed=feed,
-        calibrator=Calibrator(storage, clock, jobs, fit, settings.workers.max_calibrations),
+        calibrator=_calibrator(settings, storage, clock, jobs, workers),
         aligner=Aligner(storage, clock, settings.alignment),
         replayer=Replayer(storage, clock, jobs, settings.chain_config()),
         flights=_flights(settings, analyses, workers),

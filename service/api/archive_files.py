@@ -18,6 +18,7 @@ from service.api.read_ahead import read_ahead
 from service.errors import InvalidInputError, NotFoundError
 from service.formats.aem import AemWriter, AttitudeMessage
 from service.formats.measurement_file import MeasurementColumns, file_bytes, measurement_file
+from service.formats.row_text import ready_kernels
 from service.formats.series_tables import ATTITUDE, EVENTS, REFERENCES, TORQUES, EventRow, plain_value
 from service.formats.table_file import Table, TableFormat, table_bytes
 from service.formats.tdm import TdmWriter, TrackingMessage
@@ -154,7 +155,9 @@ class _Maker:
             return read_ahead(block for block in blocks if block.plan_id in plan_ids)
 
         def write(chunks: Iterable[Chunk], _: Window) -> Iterator[bytes]:
-            file = measurement_file(columns, cast("TableFormat", self._format), self._context.kernels)
+            is_text = self._format in {"csv", "ndjson"}
+            kernels = ready_kernels(self._context.kernels) if is_text else self._context.kernels
+            file = measurement_file(columns, cast("TableFormat", self._format), kernels)
             return file_bytes(file, cast("Iterable[MeasurementBlock]", chunks))
 
         return ArchiveFile("measurements", parameters, read, write)

@@ -1,10 +1,12 @@
 """Rows of float32 values as text for CSV and NDJSON: epoch, values, fixed pieces around them.
 
 Two ways to the same text: a compiled loop (11 ns a value) and numpy with Python (400 ns). A block that holds what the
-loop cannot write, such as 1e-05, goes the other way, and nobody can tell.
+loop cannot write, such as 1e-05, goes the other way, and nobody can tell. A service never compiles within a request:
+until a thread has compiled the loop, which takes seconds and longer on a busy machine, exports go the other way.
 """
 
 from collections.abc import Callable
+from threading import Event, Lock, Thread
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -16,6 +18,9 @@ from service.records.epoch import format_epoch
 
 #: rows written at once; room for the text of 32 carriers takes 2 MB
 BLOCK_ROWS = 2_500
+_compiled = Event()
+#: taken for good by the one who compiles
+_compiling = Lock()
 
 
 class RowFrame(NamedTuple):
@@ -76,18 +81,35 @@ class RowText:
             self._buffer = np.empty(len(epochs_us) * row_bytes, dtype=np.uint8)
         written = self._fill()(
             self._buffer,
-            epochs_us,
-            np.ascontiguousarray(values),
+            # the loop is compiled for arrays of one kind; blocks from a sealed day are read only
+            np.require(epochs_us, np.int64, ["C", "W"]),
+            np.require(values, np.float32, ["C", "W"]),
             _as_array(frame.before),
             _as_array(b"".join(frame.betweens)),
             _ends(frame.betweens),
-            between_of,
+            np.require(between_of, np.int64, ["C", "W"]),
             _as_array(leads),
             _ends(frame.leads),
             _as_array(frame.absent),
             _as_array(frame.after),
         )
         return self._buffer[:written].tobytes() if written >= 0 else plain_rows(epochs_us, values, frame, between_of)
+
+
+def ready_kernels(wanted: Literal["numba", "numpy"]) -> Literal["numba", "numpy"]:
+    """Return who writes now: ``numpy`` while a thread, started by the first call, compiles the loop."""
+    if wanted == "numba" and not _compiled.is_set():
+        if _compiling.acquire(blocking=False):
+            Thread(target=_compile, name="row-kernel", daemon=True).start()
+        return "numpy"
+    return wanted
+
+
+def _compile() -> None:
+    """Compile the loop by writing one row."""
+    frame = RowFrame(b"", (b"",), (b",",), b"", b"")
+    RowText("numba").rows(np.zeros(1, dtype=np.int64), np.zeros((1, 1), dtype=np.float32), frame)
+    _compiled.set()
 
 
 def _as_array(piece: bytes) -> NDArray[np.uint8]:

@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import threading
 
 import numpy as np
 import pytest
@@ -11,7 +12,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
-from service.formats.row_text import RowFrame, RowText, plain_rows
+from service.formats import row_text
+from service.formats.row_kernel import compiled_fill_rows
+from service.formats.row_text import RowFrame, RowText, plain_rows, ready_kernels
 from service.records.epoch import format_epoch
 
 COMPILED = RowText("numba")
@@ -90,3 +93,27 @@ def test_calendar_of_every_month_and_leap_day() -> None:
     days = np.arange("2023-12-31", "2028-03-02", dtype="datetime64[D]").astype("datetime64[us]").astype(np.int64)
     text = COMPILED.rows(days + 86_399_999_999, np.zeros((len(days), 1), dtype=np.float32), _csv(1)).decode()
     assert [line[:27] for line in text.splitlines()] == [format_epoch(int(day) + 86_399_999_999) for day in days]
+
+
+def test_nobody_waits_for_the_compiler_and_the_loop_is_compiled_once_for_all_blocks(monkeypatch) -> None:
+    may_go, compiled, calls = threading.Event(), compiled_fill_rows(), []
+
+    def compile_late():
+        calls.append(threading.current_thread().name)
+        assert may_go.wait(120)
+        return compiled
+
+    monkeypatch.setattr(row_text, "compiled_fill_rows", compile_late)
+    monkeypatch.setattr(row_text, "_compiled", threading.Event())
+    monkeypatch.setattr(row_text, "_compiling", threading.Lock())
+    assert [ready_kernels("numba") for _ in range(3)] == ["numpy"] * 3
+    assert ready_kernels("numpy") == "numpy"
+    may_go.set()
+    assert row_text._compiled.wait(300)
+    assert (ready_kernels("numba"), calls) == ("numba", ["row-kernel"])
+    kinds = len(compiled.signatures)
+    epochs_us, values = np.arange(6), np.zeros((6, 2), dtype=np.float32)
+    for array in (epochs_us, values):
+        array.flags.writeable = False
+    RowText("numba").rows(epochs_us[::2], values[::2, ::-1], _csv(2))
+    assert len(compiled.signatures) == kinds == 1
