@@ -36,6 +36,7 @@ from pyarrow import parquet
 from db.storage import SqlStorage
 from service.api.archive_files import FileOrder, archive_file
 from service.formats.measurement_file import MeasurementColumns, file_bytes, measurement_file
+from service.formats.row_text import ready_kernels
 from service.records.calibration import Window
 from service.records.catalogue import Carrier, Site, Spacecraft
 from service.records.epoch import format_epoch
@@ -227,6 +228,9 @@ class Works:
         """Let the server write the first day, which loads whatever a format needs."""
         stop = format_epoch(START_US + DAY_ROWS * STEP_US)
         self.from_server(file_format, start=format_epoch(START_US), stop=stop)
+        # the server, which began first, compiles meanwhile too
+        while ready_kernels("numba") != "numba":
+            time.sleep(0.1)
 
     def from_arrays(self) -> float:
         """Write rows that lie in memory."""
