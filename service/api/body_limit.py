@@ -20,6 +20,8 @@ _GZIP_WBITS = 16 + zlib.MAX_WBITS
 MAX_RATIO = 100
 #: unpacked whatever the ratio
 _FREE_BYTES = 256 * 1024
+#: unpacked between two looks at the ratio
+_STEP_BYTES = 64 * 1024
 
 
 class BodyLimit:
@@ -104,30 +106,31 @@ class _Unpacker:
 
     def unpack(self, packed: bytes, *, is_last: bool) -> bytes:
         """Return what a piece unpacks to."""
-        pieces = []
-        self._allowed += MAX_RATIO * len(packed)
-        while packed:
+        pieces, is_pending = [], False
+        while packed or is_pending:
             if self._member.eof:
                 self._member = zlib.decompressobj(_GZIP_WBITS)
             self._is_started = True
             piece = self._next(packed)
             pieces.append(piece)
+            rest = self._member.unconsumed_tail or self._member.unused_data
             self._left -= len(piece)
-            self._allowed -= len(piece)
+            self._allowed += MAX_RATIO * (len(packed) - len(rest)) - len(piece)
             if self._left < 0:
                 raise too_large(self._max_body_bytes)
             if self._allowed < 0:
                 detail = f"the body unpacks to more than {MAX_RATIO} times its size; send it plain"
                 raise ProblemError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "body.gzip_ratio", detail)
-            packed = self._member.unused_data
+            # what was read may hold more than a step
+            packed, is_pending = rest, len(piece) == _STEP_BYTES and not self._member.eof
         if is_last and self._is_started and not self._member.eof:
             raise _broken_gzip()
         return b"".join(pieces)
 
     def _next(self, packed: bytes) -> bytes:
-        """Return at most one byte more than is left of the limits."""
+        """Return some more, at most one byte beyond the limit: what packs too far is found out soon."""
         try:
-            return self._member.decompress(packed, min(self._left, self._allowed) + 1)
+            return self._member.decompress(packed, min(self._left + 1, _STEP_BYTES))
         except zlib.error:
             raise _broken_gzip() from None
 

@@ -77,13 +77,17 @@ class Workers:
             ``analysis.busy``: too many wait already.
         """
         with self._lock:
-            if self._analyses >= self._config.processes + self._config.max_waiting:
-                detail = f"{self._analyses} analyses are computed or wait already; try again later"
-                raise BusyError("analysis.busy", detail)
+            self.check_room()
             future = self._submit(self._config.analysis_timeout_s, work, *args, **kwargs)
             self._analyses += 1
         future.add_done_callback(self._leave)
         return future
+
+    def check_room(self) -> None:
+        """Raise the BusyError that `analyse` would raise now."""
+        if self._analyses >= self._config.processes + self._config.max_waiting:
+            detail = f"{self._analyses} analyses are computed or wait already; try again later"
+            raise BusyError("analysis.busy", detail)
 
     def run(self, work: Callable[P, Found], *args: P.args, **kwargs: P.kwargs) -> Found:
         """Return what the work of a job gives, or raise what it raises.

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from http import HTTPStatus
 from typing import Annotated, Any, TypeVar
 
-from fastapi import APIRouter
+from fastapi import APIRouter, Depends
 
 from service.api.bodies import accepts, body_of
 from service.api.deps import Context
@@ -24,7 +24,13 @@ from service.core.flexible.limit_cycle import analyse_limit_cycle
 from service.core.flexible.schedule_check import analyse_schedule
 from service.runtime.workers import Workers
 
-router = APIRouter(prefix="/analyses", tags=["analyses"])
+
+async def _room(context: Context) -> None:
+    """Refuse an analysis that could not be queued, before its body is decoded."""
+    context.workers.check_room()
+
+
+router = APIRouter(prefix="/analyses", tags=["analyses"], dependencies=[Depends(_room)])
 Found = TypeVar("Found")
 
 
