@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, select
+from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, not_, select
 
 from db.calibrations import SqlCalibrations
 from db.database import Database, beyond, within
@@ -15,7 +15,7 @@ from db.synthesis import Synthesis
 from db.tables import attitude, torque
 from service.ports import LIVE, Outcome
 from service.records.attitude import AttitudeRow
-from service.records.calibration import Window
+from service.records.calibration import Alignment, Window
 from service.records.catalogue import Method
 from service.records.command import TorqueCommand
 
@@ -112,6 +112,22 @@ class SqlResults(SqlCalibrations, SqlJobs):
         key = self._database.key(spacecraft_id)
         with self._database.read() as connection:
             return self._pending.count(connection, self._database.segments, key, methods)
+
+    def rows_after(self, spacecraft_id: str, alignment: Alignment) -> tuple[int, int]:
+        """Return how many of the earlier stored rows after its epoch an alignment computes, and how many stay."""
+        key, number = self._database.key(spacecraft_id), self.alignment_number(spacecraft_id, alignment.id)
+        methods = tuple(Method(name) for name in alignment.calibration_by_method)
+        live = (attitude.c.spacecraft_key == key, attitude.c.version == LIVE)
+        rows = select(attitude.c.epoch_us, attitude.c.number).where(*live, attitude.c.epoch_us > alignment.epoch_us)
+
+        def count(connection: Connection, *conditions: ColumnElement[bool]) -> int:
+            found = rows.where(*conditions).distinct().subquery()
+            return connection.scalar(select(func.count()).select_from(found)) or 0
+
+        is_own = attitude.c.alignment_id == alignment.id
+        with self._database.read() as connection:
+            waiting = self._pending.count(connection, self._database.segments, key, methods)
+            return waiting + count(connection, is_own, attitude.c.number < number), count(connection, not_(is_own))
 
     def _commands(self, spacecraft_id: str, version: str) -> Select[Any]:
         key = self._database.key(spacecraft_id)

@@ -77,6 +77,13 @@ def align(
         return
     angles = ", ".join(f"{name} {alignment[f'{name}_deg']:+.3f}" for name in ("yaw", "roll", "pitch"))
     typer.echo(f"alignment {alignment['id']} at {alignment['epoch']}: {angles} deg")
+    typer.echo(f"stored rows after it: {alignment['rows_recomputed']} computed, {alignment['rows_kept']} kept")
+    if alignment["rows_kept"]:
+        span = f"--start {alignment['epoch']} --stop {alignment['created_at']}"
+        typer.echo(
+            "kept rows have the angles of an earlier alignment; compute them again beside these with: "
+            f"soo replay --spacecraft {spacecraft} {span} --alignment {alignment['id']} --order epoch"
+        )
 
 
 def replay(

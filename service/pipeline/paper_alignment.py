@@ -1,4 +1,7 @@
-"""Reference powers of the paper method: the mean of a carrier's power over the window with its harmonic removed.
+"""Reference powers of the paper method: the mean of a carrier's power over the window, brought to zero attitude.
+
+Harmonic and calibrated change at the sensors' angles are removed from every row, so that the craft need not stand at
+zero when it is aligned: the angles of the sensors are the initial setting, as published.
 
 Powers that tell of other angles than the stated ones are reported with a probability; the caller refuses.
 """
@@ -11,8 +14,8 @@ from service.core.estimation.noise_model import averaged_sigma_db
 from service.core.estimation.paper.consistency import Consistency, compare_with_angles
 from service.pipeline.config import AlignmentConfig
 from service.pipeline.harmonic_removal import harmonic_db
-from service.pipeline.solve import SensitivityModel, sensitivity_model
-from service.pipeline.stated_angles import StatedAngles, stated_sigma_deg
+from service.pipeline.solve import SensitivityModel, answer_db, sensitivity_model
+from service.pipeline.stated_angles import StatedAngles, angles_over_deg, stated_sigma_deg
 from service.records.attitude import FloatArray
 from service.records.calibration import Calibration, CarrierReference
 from service.records.catalogue import Ephemeris
@@ -40,12 +43,13 @@ def reference_powers(
     config: AlignmentConfig,
 ) -> ReferencePowers:
     """Return the paper method's references from the powers of the window (columns in the calibration's order)."""
-    removed = series.power_dbm - harmonic_db(calibration, ephemeris, series.epochs_us.astype(np.float64))
+    model = sensitivity_model(calibration)
+    turned_db = answer_db(model, angles_over_deg(stated, series.epochs_us))
+    removed = series.power_dbm - harmonic_db(calibration, ephemeris, series.epochs_us.astype(np.float64)) - turned_db
     samples = np.count_nonzero(np.isfinite(removed), axis=0)
     is_enough = samples >= config.min_rows
     totals = np.nansum(removed, axis=0)
     mean_dbm = np.where(is_enough, totals / np.maximum(samples, 1), np.nan)
-    model = sensitivity_model(calibration)
     span_s = float(np.ptp(series.epochs_us)) / US_PER_S if len(series.epochs_us) else 0.0
     sigma_db = averaged_sigma_db(
         model.sigma_white_db,
@@ -77,20 +81,18 @@ def _consistency(
     A change is believed to within the residual of the harmonic fit, which holds the second harmonic and the slow
     noise that a mean does not remove, the wander since calibration and what the angles' sigma is worth.
     """
-    angles = np.array(stated.attitude_deg)
-    slopes = np.where(angles >= 0.0, model.plus_db_per_deg, model.minus_db_per_deg)
-    left_db = change_db - slopes @ angles
+    slopes = np.where(np.array(stated.attitude_deg) >= 0.0, model.plus_db_per_deg, model.minus_db_per_deg)
     hours = max(0.0, (stated.epoch_us - calibration.request.quiet.stop_us) / _HOUR_US)
     carriers = calibration.result.carriers if calibration.result else ()
     residual_db = np.array([carrier.harmonic.rms_db for carrier in carriers])
     angle_deg = stated_sigma_deg(stated)
     sigma_db = np.sqrt(residual_db**2 + config.level_walk_db_sqrt_h**2 * hours + (slopes**2) @ (angle_deg**2))
-    is_tested = model.is_selected & np.isfinite(left_db)
+    is_tested = model.is_selected & np.isfinite(change_db)
     if not is_tested.any():
-        return compare_with_angles(np.full(len(left_db), np.nan), slopes, sigma_db), ()
-    centre_db = float(np.median(left_db[is_tested]))
-    is_changed = is_tested & (np.abs(left_db - centre_db) > config.changed_level_sigma * sigma_db)
+        return compare_with_angles(np.full(len(change_db), np.nan), slopes, sigma_db), ()
+    centre_db = float(np.median(change_db[is_tested]))
+    is_changed = is_tested & (np.abs(change_db - centre_db) > config.changed_level_sigma * sigma_db)
     # when most levels moved it is not single users who re-levelled: then all take part in the test
     kept = is_tested & ~is_changed if np.count_nonzero(is_changed) * 3 < np.count_nonzero(is_tested) else is_tested
-    outcome = compare_with_angles(np.where(kept, left_db, np.nan), slopes, sigma_db)
+    outcome = compare_with_angles(np.where(kept, change_db, np.nan), slopes, sigma_db)
     return outcome, tuple(name for name, out in zip(model.carrier_ids, is_changed, strict=True) if out)

@@ -18,7 +18,7 @@ from service.pipeline.expected_level import ExpectedLevel
 from service.pipeline.geometry_model import GeometryModel, geometry_model
 from service.pipeline.level_control import centred_response, member_groups, without_group_gain
 from service.pipeline.paper_alignment import ReferencePowers
-from service.pipeline.stated_angles import StatedAngles, stated_sigma_deg
+from service.pipeline.stated_angles import StatedAngles, angles_over_deg, stated_sigma_deg
 from service.records.attitude import BoolArray, FloatArray, IntArray
 from service.records.calibration import Calibration, CalibrationResult, CarrierReference
 from service.records.catalogue import Ephemeris
@@ -110,8 +110,7 @@ def _window(
     assert fit is not None  # noqa: S101 the caller has asked
     expected = ExpectedLevel(model, fit, ephemeris)
     level_dbm = np.array(fit.level_dbm)
-    time_s = (series.epochs_us - stated.epoch_us) / US_PER_S
-    angles_deg = np.array(stated.attitude_deg) + time_s[:, None] * np.array(stated.rate_deg_s)
+    angles_deg = angles_over_deg(stated, series.epochs_us)
     daily_db = np.array([expected(int(epoch_us)) for epoch_us in series.epochs_us]).reshape(-1, len(level_dbm))
     deviation_db = series.power_dbm - daily_db - predict_deviation(angles_deg, model.response)
     groups = member_groups(fit.alc_group, np.array(fit.is_used))

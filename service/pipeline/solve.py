@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.core.estimation.noise_model import averaged_sigma_db
-from service.core.estimation.paper.octants import OctantFix
+from service.core.estimation.paper.octants import OctantFix, predict_deviation_db
 from service.core.estimation.paper.rejection import RejectionReason, reject_faded_carriers
 from service.pipeline.config import EstimationConfig
 from service.records.attitude import AttitudeFix, BoolArray, Exclusion, FloatArray, IntArray
@@ -50,6 +50,12 @@ def sensitivity_model(calibration: Calibration) -> SensitivityModel:
         sigma_db,
         time_s,
     )
+
+
+def answer_db(model: SensitivityModel, angles_deg: FloatArray) -> FloatArray:
+    """Return the calibrated change (T, N) in dB at attitudes (T, 3); an axis without coefficients changes nothing."""
+    plus, minus = np.nan_to_num(model.plus_db_per_deg), np.nan_to_num(model.minus_db_per_deg)
+    return predict_deviation_db(plus, minus, angles_deg)
 
 
 def solve_attitude(

@@ -32,6 +32,12 @@ def stated_sigma_deg(stated: StatedAngles) -> FloatArray:
     return usual_sigma_deg(np.array(stated.sigma_deg))
 
 
+def angles_over_deg(stated: StatedAngles, epochs_us: IntArray) -> FloatArray:
+    """Return the attitude (T, 3) at some epochs of the window, deg, along the straight line of the sensors."""
+    time_s = (epochs_us - stated.epoch_us) / US_PER_S
+    return np.asarray(np.array(stated.attitude_deg) + time_s[:, np.newaxis] * np.array(stated.rate_deg_s))
+
+
 def usual_sigma_deg(sigma_deg: FloatArray) -> FloatArray:
     """Return standard deviations with the usual one in place of those that are not stated, deg."""
     return np.where(np.isfinite(sigma_deg), sigma_deg, _UNSTATED_SIGMA_DEG)

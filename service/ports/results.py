@@ -141,6 +141,13 @@ class Results(Protocol):
         """Return how many rows that feed the estimator, later than the alignment's epoch, lack a result of a method."""
         ...
 
+    def rows_after(self, spacecraft_id: str, alignment: Alignment) -> tuple[int, int]:
+        """Return of the rows later than an alignment and stored before it how many it computes, and how many stay.
+
+        It computes the rows that had no angles of one of its methods; what an earlier alignment computed stays.
+        """
+        ...
+
     def add_job(self, job: Job) -> None:
         """Store a new job."""
         ...

@@ -172,6 +172,15 @@ class CarrierReference:
     change_since_calibration_db: float
 
 
+class ReferenceRule(StrEnum):
+    """What a reference power of the paper method is the power at."""
+
+    #: the angles of the window: its mean with the harmonic removed
+    WINDOW_MEAN = "window_mean"
+    #: zero attitude: the calibrated change at the sensors' angles is removed too
+    ZERO_ATTITUDE = "zero_attitude"
+
+
 @dataclass(frozen=True, slots=True)
 class Alignment:
     """An alignment of the archive; sets state and references of every method."""
@@ -193,3 +202,5 @@ class Alignment:
     calibration_by_method: dict[str, int] = field(default_factory=dict)
     #: carriers that were re-levelled since the calibration and took their reference from the window alone
     changed_carriers: tuple[str, ...] = ()
+    #: alignments of before the rule was stated have the former one
+    reference_rule: ReferenceRule = ReferenceRule.WINDOW_MEAN

@@ -8,7 +8,14 @@ from service.pipeline.config import AlignmentConfig
 from service.pipeline.stated_angles import StatedAngles, smooth_angles
 from service.ports import Clock, Storage
 from service.records.attitude import Axes
-from service.records.calibration import Alignment, Calibration, CalibrationMethod, CalibrationState, Window
+from service.records.calibration import (
+    Alignment,
+    Calibration,
+    CalibrationMethod,
+    CalibrationState,
+    ReferenceRule,
+    Window,
+)
 from service.records.catalogue import Ephemeris
 from service.records.epoch import US_PER_S, format_epoch
 
@@ -70,6 +77,7 @@ class Aligner:
             references_by_method=powers.references_by_method,
             calibration_by_method=powers.calibration_by_method,
             changed_carriers=powers.changed,
+            reference_rule=ReferenceRule.ZERO_ATTITUDE,
         )
         return self._storage.results.add_alignment(spacecraft_id, alignment)
 

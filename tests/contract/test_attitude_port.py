@@ -224,6 +224,30 @@ def test_pending_counts_rows_after_the_alignment_without_a_result_of_every_metho
     assert pending(*BOTH) == 1
 
 
+def test_rows_after_an_alignment_are_computed_by_it_or_stay(setting, make):
+    def rows_after(alignment):
+        by_method = {**alignment.calibration_by_method, Method.ROBUST.value: 1, Method.PAPER.value: 1}
+        return setting.storage.results.rows_after(setting.id, replace(alignment, calibration_by_method=by_method))
+
+    setting.append([10, 20, 30])
+    setting.calibrate()
+    first = setting.align(10)
+    assert rows_after(first) == (2, 0)
+    made = outcomes(setting, make)
+    setting.consume([aligned(outcome, first.id) for outcome in made])
+    # computed meanwhile, and told all the same
+    assert rows_after(first) == (2, 0)
+    again = setting.align(10)
+    assert rows_after(again) == (0, 2)
+    setting.append([25])
+    later = setting.align(20)
+    assert rows_after(later) == (1, 1)
+
+
+def aligned(outcome, alignment_id):
+    return replace(outcome, rows=tuple(replace(row, alignment_id=alignment_id) for row in outcome.rows))
+
+
 def test_outcomes_of_a_long_catch_up_are_stored_once(setting, make):
     epochs_us = list(range(1, 701))
     setting.append(epochs_us)

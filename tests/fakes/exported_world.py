@@ -23,6 +23,7 @@ from service.records.calibration import (
     CalibrationMethod,
     CalibrationRequest,
     CalibrationState,
+    ReferenceRule,
     Window,
 )
 from service.records.catalogue import (
@@ -169,6 +170,7 @@ class ExportedWorld:
             "test",
             powers.references,
             window=window,
+            reference_rule=ReferenceRule.ZERO_ATTITUDE,
         )
         return _Documents(self._plan, self._ephemeris, calibration, alignment)
 

@@ -10,7 +10,7 @@ from service.api.bodies import accepts, body_of
 from service.api.deps import Context, SpacecraftId
 from service.api.principals import Permission, Principal
 from service.api.problems import ProblemError
-from service.api.schemas.alignments import AlignmentAnswer, AlignmentDocument, AlignmentList
+from service.api.schemas.alignments import AlignmentAnswer, AlignmentDocument, AlignmentList, AlignmentMadeAnswer
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/alignments", tags=["calibration"])
 
@@ -22,14 +22,18 @@ def align(
     context: Context,
     principal: CurrentPrincipal,
     response: Response,
-) -> AlignmentAnswer:
-    """Set angles and reference powers of every method; angles by hand need an approver's key."""
+) -> AlignmentMadeAnswer:
+    """Set angles and reference powers of every method; angles by hand need an approver's key.
+
+    Rows that an earlier alignment computed stay, also at the same epoch: `rows_kept`.
+    """
     if body.is_manual:
         _require_approver(principal)
     alignment = context.aligner.align(spacecraft_id, body.to_request(principal.name))
+    rows = context.storage.results.rows_after(spacecraft_id, alignment)
     context.supervisor.notify(spacecraft_id)
     response.headers["Location"] = f"/api/v1/spacecraft/{spacecraft_id}/alignments/{alignment.id}"
-    return AlignmentAnswer.of(alignment)
+    return AlignmentMadeAnswer.made(alignment, rows)
 
 
 @router.get("")

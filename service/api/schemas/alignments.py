@@ -17,7 +17,7 @@ from service.api.schemas.base import (
 )
 from service.api.schemas.calibrations import SensorsDocument
 from service.records.attitude import Axes
-from service.records.calibration import Alignment, Window
+from service.records.calibration import Alignment, ReferenceRule, Window
 from service.runtime.aligning import AlignmentRequest
 
 AngleDeg = Annotated[float, Field(ge=-180, le=180)]
@@ -136,6 +136,9 @@ class AlignmentAnswer(Answer):
     calibration_by_method: dict[str, int]
     changed_carriers: list[str]
     """Re-levelled since the calibration; their reference is that of the window alone."""
+    reference_rule: ReferenceRule
+    """Of the paper method's references: `zero_attitude` (mean of the window less harmonic less the calibrated change at
+    the sensors' angles), or `window_mean` (mean of the window less harmonic) of alignments of before."""
 
     @classmethod
     def of(cls, alignment: Alignment) -> Self:
@@ -158,8 +161,25 @@ class AlignmentAnswer(Answer):
                 "references_by_method": alignment.references_by_method,
                 "calibration_by_method": alignment.calibration_by_method,
                 "changed_carriers": alignment.changed_carriers,
+                "reference_rule": alignment.reference_rule,
             }
         )
+
+
+class AlignmentMadeAnswer(AlignmentAnswer):
+    """An alignment that was made just now, and what becomes of the rows that are stored already."""
+
+    rows_recomputed: int
+    """Stored rows later than `epoch` that get angles by this alignment: those that had none."""
+    rows_kept: int
+    """Stored rows later than `epoch` that keep the angles of an earlier alignment, because control may have acted on
+    them; a replay with this alignment (order epoch) computes them again beside the stored ones."""
+
+    @classmethod
+    def made(cls, alignment: Alignment, rows: tuple[int, int]) -> Self:
+        """Return the answer that tells a new alignment; rows recomputed and kept."""
+        told = AlignmentAnswer.of(alignment).model_dump()
+        return cls.model_validate({**told, "rows_recomputed": rows[0], "rows_kept": rows[1]})
 
 
 class AlignmentList(Answer):

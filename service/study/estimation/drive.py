@@ -20,6 +20,7 @@ from service.records.calibration import (
     CalibrationMethod,
     CalibrationRequest,
     CalibrationState,
+    ReferenceRule,
 )
 from service.records.catalogue import CarrierPlan, Ephemeris, Method
 from service.records.inputs import (
@@ -159,6 +160,7 @@ def align(ground: Ground, documents: Documents) -> Alignment:
         window=window,
         references_by_method=aligned.references_by_method,
         calibration_by_method=aligned.calibration_by_method,
+        reference_rule=ReferenceRule.ZERO_ATTITUDE,
     )
 
 

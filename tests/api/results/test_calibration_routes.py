@@ -66,7 +66,13 @@ async def test_figures_of_a_calibration_are_told_by_name(bench, make):
         "created_at": "2026-11-21T03:00:00.000000Z",
         "created_by": "engineer",
         "error": None,
-        "quality": {"quiet_rows": 2880.0, "turn_reach_deg": None, "warnings": ["few turns"]},
+        "quality": {
+            "quiet_rows": 2880.0,
+            "turn_reach_deg": None,
+            "yaw_sign": "not_judged",
+            "common_sign": "not_judged",
+            "warnings": ["few turns"],
+        },
         "observability": {
             "condition": 9.5,
             "dop": {"yaw": 4.0, "roll": 0.5, "pitch": 0.6},
@@ -178,6 +184,7 @@ async def test_alignment_is_told_field_by_field(bench, make):
         "references_by_method": {},
         "calibration_by_method": {},
         "changed_carriers": [],
+        "reference_rule": "window_mean",
     }
     bench.align(make.now_us + 1)
     assert [row["id"] for row in (await bench.get("/alignments"))["rows"]] == [2, 1], "newest first"

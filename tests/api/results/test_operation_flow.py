@@ -109,7 +109,6 @@ async def test_from_powers_to_torques(bench, make):
         assert found == pytest.approx(SENSITIVITY[k].tolist(), abs=0.03)
         assert carrier["harmonic"]["amplitude_db"] == pytest.approx(AMPLITUDE_DB[k], abs=0.005)
 
-    # the paper method counts angles from the attitude of the window
     window_us = make.now_us + np.arange(20) * 60 * make.s
     send(bench, make, world, window_us, np.zeros((20, 3)), star=True)
     aligned = await post(
@@ -120,6 +119,8 @@ async def test_from_powers_to_torques(bench, make):
     assert aligned["roll_deg"] == pytest.approx(0.0, abs=1e-9)
     assert aligned["epoch"] == format_epoch(window_us[-1])
     assert len(aligned["references"]) == 6
+    assert (aligned["rows_recomputed"], aligned["rows_kept"]) == (0, 0)
+    assert aligned["reference_rule"] == "zero_attitude"
 
     live_us = window_us[-1] + (1 + np.arange(40)) * 60 * make.s
     send(bench, make, world, live_us, np.tile([0.0, 0.05, -0.05], (40, 1)), star=False)

@@ -144,6 +144,49 @@ def test_the_phase_at_which_one_aligns_does_not_matter(payload, synthetic):
     np.testing.assert_allclose(fixes, np.tile(truth, (8, 1)), atol=1e-9)
 
 
+@pytest.mark.parametrize("angles", [(0.2, -0.15, 0.2), (-0.3, 0.3, 0.1), (0.0, 0.0, 0.0)])
+def test_an_alignment_away_from_zero_reports_the_angles_that_the_craft_has(payload, synthetic, angles):
+    """Held at .2/-.15/.2, means of the window alone gave .013/-.005/.002 at a sigma of .002."""
+    calibration, ephemeris, truth = payload.calibration(), payload.ephemeris(), np.array(angles)
+    of = window(synthetic)
+    found = reference_powers(payload.series(of, truth), stated(of.stop_us, angles), calibration, ephemeris, CONFIG)
+    np.testing.assert_allclose([item.reference_dbm for item in found.references], payload.level_dbm, atol=1e-9)
+    np.testing.assert_allclose([item.change_since_calibration_db for item in found.references], 0.0, atol=1e-9)
+    alignment = replace(payload.alignment(of.stop_us), references=found.references)
+    expected = expected_power(calibration, alignment, Method.PAPER, ephemeris, calibration)
+    later_us = of.stop_us + 60 * S
+    power = payload.power_dbm(np.array([later_us]), truth)[0]
+    deviation = remove_harmonic(power, later_us, expected, ephemeris).deviation_db
+    fix = solve_attitude(later_us, deviation, 15, 840.0, sensitivity_model(calibration), EstimationConfig())
+    np.testing.assert_allclose(fix.attitude_deg, truth, atol=1e-9)
+
+
+def test_an_attitude_that_moves_over_the_window_is_removed_along_its_line(payload, synthetic):
+    of = window(synthetic)
+    epochs_us = payload.series(of).epochs_us
+    rate = np.array([2e-5, -1e-5, 5e-5])
+    moving = np.array([0.2, -0.15, 0.2]) + np.outer((epochs_us - epochs_us[-1]) / S, rate)
+    series = replace(payload.series(of), power_dbm=payload.power_dbm(epochs_us, moving))
+    told = stated(int(epochs_us[-1]), tuple(moving[-1]))._replace(rate_deg_s=Axes(*rate))
+    found = reference_powers(series, told, payload.calibration(), payload.ephemeris(), CONFIG)
+    np.testing.assert_allclose([item.reference_dbm for item in found.references], payload.level_dbm, atol=1e-9)
+
+
+def test_an_axis_that_was_not_turned_leaves_the_references_finite(payload, synthetic):
+    of, calibration = window(synthetic), payload.calibration()
+    unturned = tuple(
+        replace(
+            carrier,
+            sensitivity_plus_db_per_deg=carrier.sensitivity_plus_db_per_deg._replace(yaw=float("nan")),
+            sensitivity_minus_db_per_deg=carrier.sensitivity_minus_db_per_deg._replace(yaw=float("nan")),
+        )
+        for carrier in calibration.result.carriers
+    )
+    calibration = replace(calibration, result=replace(calibration.result, carriers=unturned))
+    found = reference_powers(payload.series(of), stated(of.stop_us), calibration, payload.ephemeris(), CONFIG)
+    np.testing.assert_allclose([item.reference_dbm for item in found.references], payload.level_dbm, atol=1e-9)
+
+
 # ---- contradiction --------------------------------------------------------------------------------------------------
 
 

@@ -144,6 +144,27 @@ def test_a_second_alignment_keeps_earlier_rows_and_starts_the_means_anew(ground)
     assert all(row.inhibitions == () for row in ground.rows(start=61))
 
 
+def test_an_alignment_at_the_same_epoch_keeps_rows_and_a_replay_computes_them_again(ground):
+    (former,) = ground.storage.results.alignments(ground.id)
+    with ground.supervised() as supervisor:
+        ground.append(range(1, 61))
+        ground.settle(supervisor)
+        before = repr(ground.rows(stop=61))
+        again = ground.align()
+        # sixty, and the one at the end of the alignment window
+        assert ground.storage.results.rows_after(ground.id, again) == (0, 61)
+        ground.settle(supervisor)
+        ground.append(range(61, 71))
+        ground.settle(supervisor)
+    assert (again.epoch_us, again.id) == (former.epoch_us, former.id + 1)
+    assert repr(ground.rows(stop=61)) == before
+    assert {row.alignment_id for row in ground.rows(stop=61)} == {former.id}
+    assert {row.alignment_id for row in ground.rows(start=61)} == {again.id}
+    rows = ground.rows(ground.replay(1, 61, alignment_id=again.id, order="epoch"))
+    assert len(rows) == 60
+    assert {row.alignment_id for row in rows} == {again.id}
+
+
 # ---- faults ---------------------------------------------------------------------------------------------------------
 
 
