@@ -32,6 +32,7 @@ reference_epoch_us          (R,)       references of all sensors, in order of ep
 reference_source            (R,)       star_tracker, earth_sensor or radio_beacon
 reference_{angle}_deg       (R,)       NaN = the sensor does not tell it
 reference_sigma_{angle}_deg  (R,)      NaN likewise
+witness_...                 (W,)       truth, as reference_..., in operation, where the ground does not hear them
 reference_sigma_deg         (3,)       the same by axis, order yaw, roll, pitch: an axis has one sensor
 correction_start_us, _stop_us  (C,)    corrections announced to the ground
 correction_{angle}_deg      (C,)       total over the interval
@@ -62,6 +63,7 @@ from analyzer_sim.world.effects import SOURCES
 from analyzer_sim.world.ground import catalogue_lines, news
 from analyzer_sim.world.orbit import predicted_track
 from analyzer_sim.world.payload import sensitivity_db_per_deg
+from analyzer_sim.world.sensors import References
 from analyzer_sim.world.story import Scenario
 from analyzer_sim.world.turns import SLEW_MIN, TIMETABLE
 from analyzer_sim.world.user_noise import sweep_sigma_db, world_white_db
@@ -169,10 +171,8 @@ def _knowledge(world: World) -> dict[str, Any]:
         "phase_name": np.array([phase.name for phase in phases]),
         "phase_start_us": np.array([phase.start_us for phase in phases]),
         "phase_stop_us": np.array([phase.stop_us for phase in phases]),
-        "reference_epoch_us": world.references.epochs_us,
-        **_by_axis("reference_", world.references.attitude_deg),
-        "reference_source": world.references.source,
-        **_by_axis("reference_sigma_", world.references.sigma_deg),
+        **_sensed("reference", world.references),
+        **_sensed("witness", world.witnesses),
         "reference_sigma_deg": np.nanmax([sensor.sigma_deg for sensor in world.scenario.sensors], axis=0),
         "correction_start_us": np.array([c.start_us for c in world.corrections], dtype=np.int64),
         "correction_stop_us": np.array([c.stop_us for c in world.corrections], dtype=np.int64),
@@ -181,6 +181,15 @@ def _knowledge(world: World) -> dict[str, Any]:
         "turn_start_us": np.array([turns_us + (turn.start_min + SLEW_MIN) * 60 * US_PER_S for turn in turns]),
         "turn_stop_us": np.array([turns_us + turn.stop_min * 60 * US_PER_S for turn in turns]),
         **_by_axis("turn_", np.array([turn.attitude_deg for turn in turns])),
+    }
+
+
+def _sensed(name: str, told: References) -> dict[str, Any]:
+    return {
+        f"{name}_epoch_us": told.epochs_us,
+        **_by_axis(f"{name}_", told.attitude_deg),
+        f"{name}_source": told.source,
+        **_by_axis(f"{name}_sigma_", told.sigma_deg),
     }
 
 

@@ -1,4 +1,4 @@
-"""Sensors: attitude references with white noise and a wandering bias, until the operation phase begins.
+"""Sensors: attitude references with white noise and a wandering bias. The ground hears them until operation begins.
 
 A sensor tells some axes and is silent about the others (NaN); it may work in sessions. Each draws from the stream of
 its name, so that one sensor more moves no other.
@@ -51,13 +51,14 @@ class References:
     #: (R,) names
     source: NDArray[np.str_]
 
+    def of(self, rows: NDArray[np.bool_] | NDArray[np.intp]) -> "References":
+        """Return the rows of a mask or of places."""
+        return References(self.epochs_us[rows], self.attitude_deg[rows], self.sigma_deg[rows], self.source[rows])
 
-def references(
-    sensors: tuple[Sensor, ...], seed: int, epochs_us: EpochArray, attitude_deg: FloatArray, off_us: int
-) -> References:
-    """Return at most one reference a row and sensor for the rows before `off_us`."""
-    count = int(np.searchsorted(epochs_us, off_us))
-    told = [_told(sensor, seed, epochs_us[:count], attitude_deg[:count]) for sensor in sensors]
+
+def references(sensors: tuple[Sensor, ...], seed: int, epochs_us: EpochArray, attitude_deg: FloatArray) -> References:
+    """Return at most one reference a row and sensor."""
+    told = [_told(sensor, seed, epochs_us, attitude_deg) for sensor in sensors]
     series = References(
         np.concatenate([one.epochs_us for one in told]),
         np.concatenate([one.attitude_deg for one in told]),
@@ -65,9 +66,7 @@ def references(
         np.concatenate([one.source for one in told]),
     )
     order = np.argsort(series.epochs_us, kind="stable")
-    return References(
-        series.epochs_us[order], series.attitude_deg[order], series.sigma_deg[order], series.source[order]
-    )
+    return series.of(order)
 
 
 def _told(sensor: Sensor, seed: int, epochs_us: EpochArray, attitude_deg: FloatArray) -> References:

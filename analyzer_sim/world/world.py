@@ -84,6 +84,8 @@ class World:
         All series at once, for exports and tests.
     corrections, references
         What the ground was told about commands, and by the sensors.
+    witnesses
+        What the sensors would have told in operation, for the judge.
     operations, ephemerides, plan_versions, telemetry, source_switches
         What the ground declares, publishes and hears, each with the epoch from which it knows.
     terms : LevelTerms
@@ -98,9 +100,10 @@ class World:
         epochs_us = row_epochs_us(scenario)
         history = attitude_history(scenario, seed, epochs_us)
         self.corrections: tuple[Correction, ...] = history.corrections
-        self.references: References = references(
-            scenario.sensors, seed, epochs_us, history.attitude_deg, scenario.operation_start_us
-        )
+        told = references(scenario.sensors, seed, epochs_us, history.attitude_deg)
+        is_before = told.epochs_us < scenario.operation_start_us
+        self.references: References = told.of(is_before)
+        self.witnesses: References = told.of(~is_before)
         effects = effects_of(
             scenario.faults,
             seed,

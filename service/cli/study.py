@@ -18,6 +18,7 @@ from service.cli.study_closed_loop import closed_loop
 from service.cli.study_ending import ended_by_signals
 from service.cli.study_limit_cycles import limit_cycles
 from service.cli.study_orbital_frame import orbital_frame
+from service.cli.study_rf_attitude import rf_attitude
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -29,6 +30,7 @@ app = typer.Typer(help="Campaigns on simulated truth and reproductions of papers
 app.command()(orbital_frame)
 app.command()(limit_cycles)
 app.command()(closed_loop)
+app.command()(rf_attitude)
 
 #: columns of a table that is written to a file
 _FILE_WIDTH = 150

@@ -75,14 +75,20 @@ def row(
 
 
 def statement_row(
-    what: str, parameters: str, statement: str, reproduced: float, unit: str, *, is_met: bool, is_fitted: bool = False
+    what: str,
+    parameters: str,
+    statement: str,
+    reproduced: float,
+    unit: str,
+    *,
+    is_met: bool,
+    is_fitted: bool = False,
+    is_known_miss: bool = False,
 ) -> Row:
     """Return the row of a statement that the print makes in words."""
     met = Verdict.FITTED if is_fitted else Verdict.REPRODUCED
     verdict = met if is_met else Verdict.NOT_REPRODUCED
-    return Row(
-        what, parameters, None, is_bound=False, reproduced=reproduced, unit=unit, verdict=verdict, statement=statement
-    )
+    return Row(what, parameters, None, False, reproduced, unit, verdict, statement, is_known_miss)
 
 
 def markdown(rows: Sequence[Row]) -> str:

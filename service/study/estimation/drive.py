@@ -67,6 +67,7 @@ class Driven:
     alignment_deg: FloatArray
     #: keyed by the name of the method
     methods: dict[str, MethodSeries]
+    calibration: Calibration
 
 
 class UndrivenError(Exception):
@@ -180,6 +181,7 @@ def _operate(chain: Chain, ground: Ground, documents: Documents, entries: list[E
         alignment.epoch_us,
         np.array(alignment.attitude_deg),
         {name: _series(of_method, ground.carrier_ids, used[name]) for name, of_method in by_method.items()},
+        documents.calibrations[1],
     )
 
 

@@ -109,6 +109,8 @@ class Truth:
     #: (N, 3) dB/deg at nominal attitude, and (N,) dB, white noise of a row
     sensitivity_db_per_deg: FloatArray
     white_db: FloatArray
+    #: sensors in operation, which the ground does not hear
+    witnesses: tuple[ReferenceSeries, ...]
 
     def has_flag(self, *names: str) -> BoolArray:
         """Return where (T, N) any of the named faults acts."""
@@ -178,7 +180,7 @@ def _ground(arrays: Arrays) -> Ground:
         is_measured=_is_measured(arrays),
         source=arrays["source"].astype(np.int64),
         source_names=tuple(str(name) for name in arrays["source_name"]),
-        references=_references(arrays),
+        references=_references(arrays, "reference"),
     )
 
 
@@ -188,20 +190,12 @@ def _is_measured(arrays: Arrays) -> BoolArray:
     return np.asarray(((arrays["flags"] & gap) == 0).any(axis=1))
 
 
-def _references(arrays: Arrays) -> tuple[ReferenceSeries, ...]:
+def _references(arrays: Arrays, kind: str) -> tuple[ReferenceSeries, ...]:
     """Return the angles of every sensor."""
-    angles, sigmas, source = (
-        _by_axis(arrays, "reference_"),
-        _by_axis(arrays, "reference_sigma_"),
-        arrays["reference_source"],
-    )
-    names = dict.fromkeys(str(name) for name in source)
-    return tuple(
-        ReferenceSeries(
-            name, arrays["reference_epoch_us"][source == name], angles[source == name], sigmas[source == name]
-        )
-        for name in names
-    )
+    angles, sigmas = _by_axis(arrays, f"{kind}_"), _by_axis(arrays, f"{kind}_sigma_")
+    epochs_us, source = arrays[f"{kind}_epoch_us"], arrays[f"{kind}_source"]
+    chosen = {str(name): source == name for name in dict.fromkeys(source.tolist())}
+    return tuple(ReferenceSeries(name, epochs_us[k], angles[k], sigmas[k]) for name, k in chosen.items())
 
 
 def _news(arrays: Arrays) -> Iterator[News]:
@@ -241,6 +235,7 @@ def _truth(arrays: Arrays) -> Truth:
         flag_bits={str(name): int(value) for name, value in names},
         sensitivity_db_per_deg=arrays["sensitivity_db_per_deg"],
         white_db=arrays["white_db"],
+        witnesses=_references(arrays, "witness"),
     )
 
 

@@ -1,0 +1,1 @@
+"""Reproduction of attitude from retransmitted carriers on Yamal-200 (Sevast'yanov)."""
