@@ -67,7 +67,8 @@ class Driven:
     alignment_deg: FloatArray
     #: keyed by the name of the method
     methods: dict[str, MethodSeries]
-    calibration: Calibration
+    #: per carrier: change with roll, dB/deg
+    roll_slopes_db_per_deg: tuple[float, ...] = ()
 
 
 class UndrivenError(Exception):
@@ -174,14 +175,14 @@ def _operate(chain: Chain, ground: Ground, documents: Documents, entries: list[E
         told.append(() if outcome is None else outcome.rows)
     names = sorted({row.method.value for some in told for row in some})
     by_method = {name: [next((row for row in some if row.method == name), None) for some in told] for name in names}
-    alignment = documents.alignments[1]
+    alignment, calibrated = documents.alignments[1], documents.calibrations[1].result
     used = {name: _used(documents.calibrations[1], Method(name), ground.carrier_ids) for name in names}
     return Driven(
         rows,
         alignment.epoch_us,
         np.array(alignment.attitude_deg),
         {name: _series(of_method, ground.carrier_ids, used[name]) for name, of_method in by_method.items()},
-        documents.calibrations[1],
+        tuple(carrier.sensitivity_db_per_deg.roll for carrier in calibrated.carriers) if calibrated else (),
     )
 
 

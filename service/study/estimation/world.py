@@ -110,7 +110,7 @@ class Truth:
     sensitivity_db_per_deg: FloatArray
     white_db: FloatArray
     #: sensors in operation, which the ground does not hear
-    witnesses: tuple[ReferenceSeries, ...]
+    witnesses: tuple[ReferenceSeries, ...] = ()
 
     def has_flag(self, *names: str) -> BoolArray:
         """Return where (T, N) any of the named faults acts."""

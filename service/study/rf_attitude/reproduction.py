@@ -128,12 +128,7 @@ def _curve_rows() -> list[Row]:
 
 def _turn_row(sessions: list[Session]) -> Row:
     """Return the turn about roll that changes a carrier as much as a day does."""
-    slopes = [
-        abs(carrier.sensitivity_db_per_deg.roll)
-        for session in sessions
-        if session.driven.calibration.result is not None
-        for carrier in session.driven.calibration.result.carriers
-    ]
+    slopes = [abs(slope) for session in sessions for slope in session.driven.roll_slopes_db_per_deg]
     turn_deg = AMPLITUDE_DB / float(np.median(slopes))
     parameters = f"simulated beams drawn for 1.2 dB/deg, calibrated slopes, median of {len(slopes)}"
     return row("0.35 dB as a turn about roll", parameters, TURN_DEG, turn_deg, "deg", within=0.1, is_fitted=True)
