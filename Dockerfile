@@ -1,4 +1,4 @@
-FROM python:3.11-slim
+FROM python:3.11.13-slim-bookworm
 WORKDIR /opt/soo
 COPY requirements.lock requirements-build.lock ./
 RUN pip install --no-cache-dir --require-hashes -r requirements.lock && pip install --no-cache-dir --require-hashes --no-deps -r requirements-build.lock
@@ -6,5 +6,10 @@ COPY pyproject.toml README.md ./
 COPY service service
 COPY db db
 COPY analyzer_sim analyzer_sim
-RUN pip install --no-cache-dir --no-deps --no-build-isolation . && useradd --system --create-home soo && mkdir /data && chown soo /data
+RUN pip install --no-cache-dir --no-deps --no-build-isolation . && useradd --system --create-home soo && mkdir -m 700 /data && chown soo /data
 USER soo
+VOLUME /data
+EXPOSE 8000
+HEALTHCHECK --interval=10s --timeout=5s --start-period=60s --retries=6 \
+  CMD ["python", "-c", "import urllib.request as u; u.urlopen('http://127.0.0.1:8000/readyz', timeout=4)"]
+CMD ["soo", "serve", "--host", "0.0.0.0", "--port", "8000", "--database", "sqlite:////data/soo.db"]

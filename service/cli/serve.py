@@ -77,8 +77,8 @@ def _settings(given: dict[str, str | int | None]) -> Settings:
         # the values themselves are left out: one of them is the key
         faults = error.errors(include_url=False, include_input=False, include_context=False)
         _refuse("; ".join(f"setting {'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in faults))
-    except SettingsError as error:
-        _refuse(str(error))
+    except (SettingsError, OSError, UnicodeDecodeError) as error:
+        _refuse(f"settings cannot be read: {error}")
 
 
 def _check_tls(settings: Settings) -> None:

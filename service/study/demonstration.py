@@ -12,9 +12,11 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 from typing import Any
 
+from service.client.problem import ProblemError
 from service.client.service_client import ServiceClient
 from service.records.epoch import format_epoch, parse_epoch
 from service.study.closed_loop.ground_knowledge import AXIS_RELATIVE_ERROR, RELATIVE_ERROR
@@ -209,9 +211,24 @@ def _learn(story: Story, client: ServiceClient, message: dict[str, Any]) -> None
     if kind in _KEEP:
         _KEEP[kind](story, message)
     if kind == "spacecraft":
-        client.create_spacecraft(message["body"] if story.centre is None else _steered(message["body"], story.centre))
+        body = message["body"] if story.centre is None else _steered(message["body"], story.centre)
+        story.spacecraft_id = _create(client, body)
     elif kind in _FORWARD:
         _FORWARD[kind](client, story.spacecraft_id, message["body"])
+
+
+def _create(client: ServiceClient, body: dict[str, Any]) -> str:
+    """Add a spacecraft under the first id that is free, for an archive that has been shown the story before."""
+    for number in count(1):
+        name = body["id"] if number == 1 else f"{body['id']}-{number}"
+        try:
+            client.create_spacecraft({**body, "id": name})
+        except ProblemError as error:
+            if error.code != "spacecraft.exists":
+                raise
+        else:
+            return name
+    raise AssertionError  # the numbers have no end
 
 
 def _steered(body: dict[str, Any], centre: ControlCentre) -> dict[str, Any]:
@@ -245,7 +262,6 @@ _KEEP: dict[str, Callable[[Story, dict[str, Any]], Any]] = {
     "references": _keep_sensors,
     "bound": lambda story, line: story.bound_deg.update(line["crlb_deg"]),
     "task": lambda story, line: story.catalogue.update(task=line["body"]),
-    "spacecraft": lambda story, line: setattr(story, "spacecraft_id", line["body"]["id"]),
     "source": lambda story, line: setattr(story, "source", line["body"]["source"]),
 }
 #: how each kind of line enters the service
