@@ -19,6 +19,9 @@ from service.records.calibration import (
 )
 from service.records.inputs import AlignmentSet, CalibrationActivation
 
+#: in place of a state: the row keeps the number taken
+_DELETED = "deleted"
+
 
 class SqlCalibrations:
     """Calibrations and alignments in a relational database."""
@@ -53,6 +56,11 @@ class SqlCalibrations:
         """Make a calibration the active one of its method, journaled; the former becomes superseded."""
         key = self._database.key(spacecraft_id)
         return self._database.write(lambda connection: _activate(connection, key, calibration_id))
+
+    def delete_calibration(self, spacecraft_id: str, calibration_id: int) -> None:
+        """Delete a draft or a failed calibration; its number is not given again."""
+        key = self._database.key(spacecraft_id)
+        self._database.write(lambda connection: _delete(connection, key, calibration_id))
 
     def calibration(self, spacecraft_id: str, calibration_id: int) -> Calibration:
         """Return one calibration."""
@@ -98,7 +106,8 @@ class SqlCalibrations:
 
 
 def _calibrations(key: int) -> Select[Any]:
-    return select(calibration_table).where(calibration_table.c.spacecraft_key == key)
+    is_its = (calibration_table.c.spacecraft_key == key, calibration_table.c.state != _DELETED)
+    return select(calibration_table).where(*is_its)
 
 
 def _calibration(connection: Connection, key: int, calibration_id: int) -> Calibration:
@@ -156,6 +165,19 @@ def _finish(
     document = None if result is None else encode(result)
     _change_calibration(connection, key, calibration_id, {"state": state.value, "result": document, "error": error})
     return _calibration(connection, key, calibration_id)
+
+
+def _delete(connection: Connection, key: int, calibration_id: int) -> None:
+    lock_head(connection, key)
+    found = _calibration(connection, key, calibration_id)
+    if found.state not in {CalibrationState.DRAFT, CalibrationState.FAILED}:
+        detail = f"Calibration {calibration_id} is {found.state} or was active; drafts and failed ones can be deleted."
+        raise ConflictError("calibration.not_draft", detail)
+    if found.state is CalibrationState.DRAFT and found.result is None:
+        raise ConflictError(
+            "calibration.unfinished", f"Calibration {calibration_id} is being computed; wait for its job."
+        )
+    _change_calibration(connection, key, calibration_id, {"state": _DELETED})
 
 
 def _activate(connection: Connection, key: int, calibration_id: int) -> Calibration:

@@ -4,16 +4,19 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from sqlalchemy import Connection, Row, Select, Table, select, update
+from sqlalchemy import Connection, Row, Select, Table, delete, select, update
 from sqlalchemy.exc import IntegrityError
 
 from db.database import Database, Span, add_entries, count_entries, lock_head, next_id
 from db.documents import decode, decode_all, encode, encode_all
-from db.tables import carrier_plan, ephemeris, head
+from db.tables import calibration, carrier_plan, ephemeris, head, measurement, measurement_segment, source
 from db.tables import spacecraft as spacecraft_table
 from service.errors import ConflictError, NotFoundError
 from service.records.catalogue import Carrier, CarrierPlan, Ephemeris, Spacecraft
 from service.records.inputs import EphemerisChange, PlanChange, SpacecraftChange
+
+#: in place of the digest of a withdrawn plan: its content is not found again, rows of it stay readable
+_WITHDRAWN = "withdrawn"
 
 
 class SqlCatalogue:
@@ -33,7 +36,7 @@ class SqlCatalogue:
 
     def spacecraft(self, spacecraft_id: str) -> Spacecraft:
         """Return one spacecraft."""
-        query = select(spacecraft_table.c.document).where(spacecraft_table.c.id == spacecraft_id)
+        query = select(spacecraft_table.c.document).join(head).where(spacecraft_table.c.id == spacecraft_id)
         row = self._database.fetch_one(query)
         if row is None:
             raise NotFoundError("spacecraft.unknown", f"There is no spacecraft {spacecraft_id!r}.")
@@ -41,8 +44,19 @@ class SqlCatalogue:
 
     def all_spacecraft(self) -> tuple[Spacecraft, ...]:
         """Return all spacecraft in order of id."""
-        rows = self._database.fetch(select(spacecraft_table.c.document))
+        rows = self._database.fetch(select(spacecraft_table.c.document).join(head))
         return tuple(sorted((decode(Spacecraft, row.document) for row in rows), key=lambda found: found.id))
+
+    def delete_spacecraft(self, spacecraft_id: str) -> None:
+        """Delete a spacecraft without rows; ConflictError ``spacecraft.has_rows``. Its id is not given again."""
+        key = self._database.key(spacecraft_id)
+        self._database.write(lambda connection: _delete_spacecraft(connection, key, spacecraft_id))
+        self._database.forget(spacecraft_id)
+
+    def withdraw_plan(self, spacecraft_id: str, plan_id: int) -> None:
+        """Withdraw a plan, journaled; NotFoundError ``plan.unknown``, ConflictError ``plan.in_use``."""
+        key = self._database.key(spacecraft_id)
+        self._database.write(lambda connection: _withdraw_plan(connection, key, spacecraft_id, plan_id))
 
     def put_plan(self, spacecraft_id: str, carriers: Sequence[Carrier], sha256: str) -> CarrierPlan:
         """Return the plan with this content, storing and journaling it when it is new or no longer the newest."""
@@ -77,7 +91,8 @@ def _insert_spacecraft(connection: Connection, spacecraft: Spacecraft) -> None:
         insert = spacecraft_table.insert().values(values).returning(spacecraft_table.c.spacecraft_key)
         key = connection.execute(insert).scalar_one()
     except IntegrityError as fault:
-        raise ConflictError("spacecraft.exists", f"Spacecraft {spacecraft.id!r} exists already.") from fault
+        detail = f"Spacecraft {spacecraft.id!r} exists already, or was deleted: an id is given once."
+        raise ConflictError("spacecraft.exists", detail) from fault
     start = {"spacecraft_key": key, "newest_number": 0, "consumed_number": 0, "result_sequence": 0}
     connection.execute(head.insert().values(start))
     add_entries(connection, key, [(SpacecraftChange(spacecraft, 1), None)])
@@ -96,12 +111,37 @@ def _put_plan(connection: Connection, key: int, carriers: tuple[Carrier, ...], s
     newest = connection.execute(_version(carrier_plan, "plan_id", key, None)).first()
     if newest is not None and newest.sha256 == sha256:
         return _plan_of(newest)
-    plan = CarrierPlan(1 if newest is None else newest.plan_id + 1, sha256, carriers)
+    plan = CarrierPlan(next_id(connection, carrier_plan, "plan_id", key), sha256, carriers)
     document = encode_all(Carrier, carriers)
     values = {"spacecraft_key": key, "plan_id": plan.id, "sha256": sha256, "document": document}
     connection.execute(carrier_plan.insert().values(values))
     add_entries(connection, key, [(PlanChange(plan.id), None)])
     return plan
+
+
+def _delete_spacecraft(connection: Connection, key: int, spacecraft_id: str) -> None:
+    """Take the head away: without it there is no spacecraft, its row keeps the id taken."""
+    lock_head(connection, key)
+    if connection.execute(select(source).where(source.c.spacecraft_key == key)).first() is not None:
+        raise ConflictError("spacecraft.has_rows", f"Spacecraft {spacecraft_id!r} has measurements and stays.")
+    connection.execute(delete(head).where(head.c.spacecraft_key == key))
+
+
+def _withdraw_plan(connection: Connection, key: int, spacecraft_id: str, plan_id: int) -> None:
+    lock_head(connection, key)
+    row = connection.execute(_version(carrier_plan, "plan_id", key, plan_id)).first()
+    if row is None or row.sha256 == _WITHDRAWN:
+        raise _no_version(spacecraft_id, "plan", "carrier plan", plan_id)
+    for table in (measurement, measurement_segment, calibration):
+        found = select(table.c.plan_id).where(table.c.spacecraft_key == key, table.c.plan_id == plan_id)
+        if connection.execute(found.limit(1)).first() is not None:
+            detail = f"Rows or calibrations rest on plan {plan_id}; put another plan, rows to come go under it."
+            raise ConflictError("plan.in_use", detail)
+    is_it = (carrier_plan.c.spacecraft_key == key, carrier_plan.c.plan_id == plan_id)
+    connection.execute(update(carrier_plan).where(*is_it).values(sha256=_WITHDRAWN))
+    newest = connection.execute(_version(carrier_plan, "plan_id", key, None)).first()
+    if newest is not None and newest.plan_id < plan_id:
+        add_entries(connection, key, [(PlanChange(newest.plan_id, after_withdrawal_of=plan_id), None)])
 
 
 def _put_ephemeris(connection: Connection, key: int, record: Ephemeris) -> Ephemeris:
@@ -115,13 +155,15 @@ def _put_ephemeris(connection: Connection, key: int, record: Ephemeris) -> Ephem
 
 
 def _plan_of(row: Row[Any]) -> CarrierPlan:
-    return CarrierPlan(row.plan_id, row.sha256, decode_all(Carrier, row.document))
+    is_withdrawn = row.sha256 == _WITHDRAWN
+    return CarrierPlan(row.plan_id, row.sha256, decode_all(Carrier, row.document), is_withdrawn=is_withdrawn)
 
 
 def _version(table: Table, column: str, key: int, wanted: int | None) -> Select[Any]:
     """Return the query for one version of a spacecraft's table, or for its newest."""
     query = select(table).where(table.c.spacecraft_key == key)
     if wanted is None:
+        query = query.where(table.c.sha256 != _WITHDRAWN) if table is carrier_plan else query
         return query.order_by(table.c[column].desc()).limit(1)
     return query.where(table.c[column] == wanted)
 

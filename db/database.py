@@ -89,13 +89,19 @@ class Database:
         """Return the key of a spacecraft; NotFoundError ``spacecraft.unknown``."""
         key = self._keys.get(spacecraft_id)
         if key is None:
-            # only committed keys are remembered: a spacecraft is never removed, so they stay true
+            # only committed keys are remembered: a key is never given again, and without its head nothing is stored
             with self.read() as connection:
-                key = connection.scalar(select(spacecraft.c.spacecraft_key).where(spacecraft.c.id == spacecraft_id))
+                key = connection.scalar(
+                    select(spacecraft.c.spacecraft_key).join(head).where(spacecraft.c.id == spacecraft_id)
+                )
             if key is None:
                 raise NotFoundError("spacecraft.unknown", f"There is no spacecraft {spacecraft_id!r}.")
             self._keys[spacecraft_id] = key
         return key
+
+    def forget(self, spacecraft_id: str) -> None:
+        """Forget the key of a spacecraft that was deleted."""
+        self._keys.pop(spacecraft_id, None)
 
     def fetch(self, statement: Select[Any]) -> Sequence[Row[Any]]:
         """Return all rows of a query in a transaction of its own."""
@@ -110,7 +116,10 @@ class Database:
 
 def lock_head(connection: Connection, key: int) -> Row[Any]:
     """Return the head of a spacecraft and keep every other writer of it away until the transaction ends."""
-    return connection.execute(select(head).where(head.c.spacecraft_key == key).with_for_update()).one()
+    row = connection.execute(select(head).where(head.c.spacecraft_key == key).with_for_update()).one_or_none()
+    if row is None:
+        raise NotFoundError("spacecraft.unknown", "The spacecraft was deleted.")
+    return row
 
 
 def next_id(connection: Connection, table: Table, column: str, key: int) -> int:

@@ -134,7 +134,7 @@ def _state(connection: Connection, key: int, name: str) -> IngestState:
     if connection.dialect.name != "sqlite":
         # elsewhere other processes write too: what is read before the lock is granted could be stale
         lock_head(connection, key)
-    row = _READ_STATE.run(connection, key, name).fetchone()
+    row = _READ_STATE.run(connection, key, name).fetchone() or lock_head(connection, key)
     if row[IngestState._fields.index("source_key")] is not None:
         return IngestState(*row)
     known = connection.execute(select(source.c.source_key).where(source.c.spacecraft_key == key)).all()

@@ -4,6 +4,7 @@ from collections import OrderedDict
 
 from starlette.concurrency import run_in_threadpool
 
+from service.errors import NotFoundError
 from service.ports import Catalogue
 
 
@@ -31,7 +32,16 @@ class PlanWidths:
             self._widths.move_to_end(key)
             return known
         plan = await run_in_threadpool(self._catalogue.plan, spacecraft_id, plan_id)
+        if plan.is_withdrawn:
+            raise NotFoundError(
+                "plan.unknown", f"Plan {plan_id} of {spacecraft_id!r} was withdrawn; send under another."
+            )
         self._widths[key] = len(plan.carriers)
         if len(self._widths) > self._capacity:
             self._widths.popitem(last=False)
         return len(plan.carriers)
+
+    def forget(self, spacecraft_id: str) -> None:
+        """Forget the plans of a spacecraft: it was deleted, or one of them withdrawn."""
+        for key in [key for key in self._widths if key[0] == spacecraft_id]:
+            self._widths.pop(key, None)

@@ -25,6 +25,17 @@ class Catalogue(Protocol):
         """Return all spacecraft in order of id."""
         ...
 
+    def delete_spacecraft(self, spacecraft_id: str) -> None:
+        """Delete a spacecraft without rows; ConflictError ``spacecraft.has_rows``. Its id is not given again."""
+        ...
+
+    def withdraw_plan(self, spacecraft_id: str, plan_id: int) -> None:
+        """Withdraw a plan that nothing rests on, journaled; it can be read by its number, which is not given again.
+
+        NotFoundError ``plan.unknown``; ConflictError ``plan.in_use``.
+        """
+        ...
+
     def put_plan(self, spacecraft_id: str, carriers: Sequence[Carrier], sha256: str) -> CarrierPlan:
         """Return the plan with this content, storing and journaling it when it is new or no longer the newest."""
         ...

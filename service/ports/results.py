@@ -62,6 +62,13 @@ class Results(Protocol):
         """Make a calibration the active one of its method, journaled; the former becomes superseded."""
         ...
 
+    def delete_calibration(self, spacecraft_id: str, calibration_id: int) -> None:
+        """Delete a draft or a failed calibration; its number is not given again.
+
+        NotFoundError ``calibration.unknown``; ConflictError ``calibration.not_draft``, ``calibration.unfinished``.
+        """
+        ...
+
     def calibration(self, spacecraft_id: str, calibration_id: int) -> Calibration:
         """Return one calibration."""
         ...

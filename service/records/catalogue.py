@@ -216,6 +216,8 @@ class CarrierPlan:
     id: int
     sha256: str
     carriers: tuple[Carrier, ...]
+    #: no row may come under it any more
+    is_withdrawn: bool = False
 
     @property
     def carrier_ids(self) -> tuple[str, ...]:

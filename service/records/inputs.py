@@ -95,14 +95,16 @@ class SpacecraftChange:
 
 @dataclass(frozen=True, slots=True)
 class PlanChange:
-    """A carrier plan became known."""
+    """A carrier plan became known, or the newest one again because a later one was withdrawn."""
 
     plan_id: int
+    after_withdrawal_of: int | None = None
 
     @property
     def key(self) -> str:
         """Natural key within a spacecraft."""
-        return str(self.plan_id)
+        after = self.after_withdrawal_of
+        return str(self.plan_id) if after is None else f"{self.plan_id} after {after}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from typing import Protocol
 
-from service.errors import StorageError
+from service.errors import NotFoundError, StorageError
 from service.pipeline.alarm_readings import RowFacts
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
@@ -233,7 +233,11 @@ class Supervisor:
         """Follow one journal; a fault is logged, the state is rebuilt and the journal tried again."""
         try:
             self._follow(spacecraft_id, up_to)
-        except Exception:  # noqa: BLE001 the supervisor outlives every fault; the chain is rebuilt from the archive
+        except Exception as fault:  # noqa: BLE001 the supervisor outlives every fault; the chain is rebuilt from the archive
+            if isinstance(fault, NotFoundError) and fault.code == "spacecraft.unknown":
+                # deleted
+                self._followers.pop(spacecraft_id, None)
+                return
             _LOG.exception("following the journal of %s failed; rebuilding its state and trying again", spacecraft_id)
             self._followers.pop(spacecraft_id, None)
             timer = threading.Timer(_RETRY_S, self.notify, (spacecraft_id,))

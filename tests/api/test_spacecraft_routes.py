@@ -384,3 +384,38 @@ async def test_a_receiving_site_that_cannot_see_the_satellite_is_refused(soo, sp
         URL, json=spacecraft | {"id": "x", "receiving_site": exchanged, "longitude_deg": 95.0}
     )
     assert "latitude and longitude look exchanged" in refused.json()["detail"]
+
+
+async def test_a_spacecraft_without_rows_is_deleted_for_good(soo, spacecraft, carriers):
+    plan_id = await soo.with_plan(spacecraft, carriers)
+    row = {"epoch": "2026-11-20T00:00:00Z", "power_dbm": [-40.0] * len(carriers)}
+    body = {"plan_id": plan_id, "measurements": [row | {"epoch": "2150-01-01T00:00:00Z"}]}
+    # the plan is known to memory by now, and nothing is stored
+    assert (await soo.client.post(f"{URL}/yamal-202/measurements:batch", json=body)).json()["accepted"] == 0
+    assert (await soo.client.delete(f"{URL}/yamal-202")).status_code == 204
+    for path in ("", "/carriers", "/measurements/history"):
+        assert (await soo.client.get(f"{URL}/yamal-202{path}")).status_code == 404
+    body["measurements"] = [row]
+    assert (await soo.client.post(f"{URL}/yamal-202/measurements:batch", json=body)).status_code == 404
+    assert (await soo.client.post(URL, json=spacecraft)).json()["code"] == "spacecraft.exists"
+    assert (await soo.client.get(URL)).json()["rows"] == []
+
+
+async def test_a_plan_without_rows_is_withdrawn_and_takes_no_rows(soo, spacecraft, carriers):
+    first = await soo.with_plan(spacecraft, carriers)
+    url = f"{URL}/yamal-202"
+    wrong = (await soo.client.put(f"{url}/carriers", json={"carriers": carriers[::-1]})).json()["plan_id"]
+    row = {"epoch": "2026-11-20T00:00:00Z", "power_dbm": [-40.0] * len(carriers)}
+    body = {"plan_id": wrong, "measurements": [row | {"epoch": "2150-01-01T00:00:00Z"}]}
+    assert (await soo.client.post(f"{url}/measurements:batch", json=body)).json()["accepted"] == 0
+    assert (await soo.client.post(f"{url}/carriers/{wrong}:withdraw")).status_code == 204
+    body["measurements"] = [row]
+    refused = await soo.client.post(f"{url}/measurements:batch", json=body)
+    assert (refused.status_code, refused.json()["code"]) == (404, "plan.unknown")
+    assert (await soo.client.get(f"{url}/carriers")).json()["plan_id"] == first
+    body["plan_id"] = first
+    assert (await soo.client.post(f"{url}/measurements:batch", json=body)).json()["accepted"] == 1
+    refused = await soo.client.post(f"{url}/carriers/{first}:withdraw")
+    assert (refused.status_code, refused.json()["code"]) == (409, "plan.in_use")
+    refused = await soo.client.delete(url)
+    assert (refused.status_code, refused.json()["code"]) == (409, "spacecraft.has_rows")

@@ -110,3 +110,86 @@ def test_what_is_not_there_is_named(storage, call, code):
     with pytest.raises(NotFoundError) as caught:
         call(storage.catalogue)
     assert caught.value.code == code
+
+
+def test_a_spacecraft_without_rows_is_deleted_and_its_id_is_not_given_again(setting, make):
+    catalogue = setting.storage.catalogue
+    craft = catalogue.spacecraft(setting.id)
+    catalogue.delete_spacecraft(setting.id)
+    for ask in (catalogue.spacecraft, catalogue.plan, setting.storage.archive.head, catalogue.delete_spacecraft):
+        with pytest.raises(NotFoundError) as caught:
+            ask(setting.id)
+        assert caught.value.code == "spacecraft.unknown"
+    assert setting.id not in {each.id for each in catalogue.all_spacecraft()}
+    with pytest.raises(ConflictError) as caught:
+        catalogue.add_spacecraft(craft)
+    assert caught.value.code == "spacecraft.exists"
+
+
+def test_a_row_on_its_way_to_a_spacecraft_that_is_deleted_is_refused_and_never_acknowledged(setting):
+    database = setting.storage._database
+    key = database.key(setting.id)
+    setting.storage.catalogue.delete_spacecraft(setting.id)
+    # a process that looked the key up before
+    database._keys[setting.id] = key
+    with pytest.raises(NotFoundError):
+        setting.append([10])
+
+
+def test_a_spacecraft_with_rows_stays(setting):
+    setting.append([10])
+    with pytest.raises(ConflictError) as caught:
+        setting.storage.catalogue.delete_spacecraft(setting.id)
+    assert caught.value.code == "spacecraft.has_rows"
+    assert len(setting.rows()) == 1
+
+
+def test_a_withdrawn_plan_gives_way_to_the_one_before_and_its_number_is_not_given_again(setting, make):
+    catalogue = setting.storage.catalogue
+    first = catalogue.plan(setting.id)
+    wrong = catalogue.put_plan(setting.id, make.carriers[::-1], "wrong")
+    catalogue.withdraw_plan(setting.id, wrong.id)
+    assert catalogue.plan(setting.id) == first
+    # a chain that comes by its entry in the journal still reads it
+    assert catalogue.plan(setting.id, wrong.id).is_withdrawn
+    entry = setting.storage.archive.journal(setting.id, 0, 99)[-1].content
+    assert (entry.plan_id, entry.after_withdrawal_of) == (first.id, wrong.id)
+    again = catalogue.put_plan(setting.id, make.carriers[::-1], "wrong")
+    assert again.id == wrong.id + 1
+    with pytest.raises(NotFoundError) as caught:
+        catalogue.withdraw_plan(setting.id, wrong.id)
+    assert caught.value.code == "plan.unknown"
+
+
+def test_a_plan_with_rows_open_or_sealed_or_a_calibration_is_not_withdrawn(setting, make):
+    catalogue = setting.storage.catalogue
+    setting.append([10])
+    later = catalogue.put_plan(setting.id, make.carriers[::-1], "later")
+    for _ in range(2):
+        with pytest.raises(ConflictError) as caught:
+            catalogue.withdraw_plan(setting.id, setting.plan_id)
+        assert caught.value.code == "plan.in_use"
+        list(setting.storage.archive.seal(setting.id, 1 << 50, 1 << 60))
+    setting.plan_id = later.id
+    setting.calibrate()
+    with pytest.raises(ConflictError):
+        catalogue.withdraw_plan(setting.id, later.id)
+
+
+def test_a_draft_is_deleted_and_what_was_active_is_not(setting):
+    results = setting.storage.results
+    active = setting.calibrate()
+    request = active.request
+    draft = results.add_calibration(setting.id, request, setting.plan_id, 1, 5, "engineer")
+    with pytest.raises(ConflictError) as caught:
+        results.delete_calibration(setting.id, draft.id)
+    assert caught.value.code == "calibration.unfinished"
+    results.finish_calibration(setting.id, draft.id, None, "no rows")
+    results.delete_calibration(setting.id, draft.id)
+    with pytest.raises(NotFoundError):
+        results.calibration(setting.id, draft.id)
+    assert [each.id for each in results.calibrations(setting.id)] == [active.id]
+    assert results.add_calibration(setting.id, request, setting.plan_id, 1, 5, "engineer").id == draft.id + 1
+    with pytest.raises(ConflictError) as caught:
+        results.delete_calibration(setting.id, active.id)
+    assert caught.value.code == "calibration.not_draft"

@@ -52,6 +52,12 @@ def get_calibration(spacecraft_id: SpacecraftId, calibration_id: CalibrationId, 
     return CalibrationAnswer.of(context.storage.results.calibration(spacecraft_id, calibration_id))
 
 
+@router.delete("/{calibration_id}", status_code=HTTPStatus.NO_CONTENT, dependencies=[MAY_OPERATE])
+def delete_calibration(spacecraft_id: SpacecraftId, calibration_id: CalibrationId, context: Context) -> None:
+    """Delete a draft or a failed calibration; its number is not given again."""
+    context.storage.results.delete_calibration(spacecraft_id, calibration_id)
+
+
 @router.post("/{calibration_id}:activate", dependencies=[MAY_OPERATE])
 def activate_calibration(
     spacecraft_id: SpacecraftId, calibration_id: CalibrationId, context: Context

@@ -1,15 +1,17 @@
 """Carrier plans, as JSON and as CSV in both directions."""
 
 import json
+from http import HTTPStatus
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from service.api.auth import MAY_OPERATE
 from service.api.bodies import accepts, decode, is_json, media_type, raw_body, unsupported_media
 from service.api.deps import Context, SpacecraftId
 from service.api.places import accepted_places
+from service.api.plan_widths import PlanWidths
 from service.api.schemas.carriers import (
     CARRIER_PLAN_ADAPTER,
     CarrierPlanAnswer,
@@ -68,3 +70,14 @@ def get_carriers(
     name = f"{spacecraft_id}-plan-{plan.id}.csv"
     headers = {"Content-Disposition": f'attachment; filename="{name}"', "X-Plan-Id": str(plan.id), "Vary": "Accept"}
     return Response(write_carrier_plan(plan.carriers), media_type=_CSV, headers=headers)
+
+
+@router.post("/{plan_id}:withdraw", status_code=HTTPStatus.NO_CONTENT, dependencies=[MAY_OPERATE])
+def withdraw_carriers(
+    spacecraft_id: SpacecraftId, plan_id: Annotated[int, Path(ge=1, le=2**31 - 1)], context: Context, request: Request
+) -> None:
+    """Withdraw a plan without rows; the newest of the others holds again, its number is not given again."""
+    context.storage.catalogue.withdraw_plan(spacecraft_id, plan_id)
+    plan_widths: PlanWidths = request.app.state.plan_widths
+    plan_widths.forget(spacecraft_id)
+    context.on_accepted(spacecraft_id)

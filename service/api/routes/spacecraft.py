@@ -12,6 +12,7 @@ from service.api.deps import Context, SpacecraftId
 from service.api.epoch_limits import EpochLimits
 from service.api.merge_patch import MergePatch, patched
 from service.api.places import accepted_places
+from service.api.plan_widths import PlanWidths
 from service.api.problems import invalid_request
 from service.api.schemas.base import Answer, CatalogueWarning
 from service.api.schemas.spacecraft import SPACECRAFT_ADAPTER, SpacecraftAnswer, SpacecraftDocument
@@ -66,7 +67,7 @@ def change_spacecraft(
     if changed.id != spacecraft_id:
         detail = "the id of a spacecraft cannot change; add another spacecraft"
         raise invalid_request([FieldError("/id", "spacecraft.id_fixed", detail)])
-    if changed.simulated != stored.simulated and any(each.rows for each in context.storage.archive.sources(stored.id)):
+    if changed.simulated != stored.simulated and context.storage.archive.sources(stored.id):
         detail = f"{spacecraft_id!r} has measurements, so it stays {'simulated' if stored.simulated else 'a real one'}"
         raise ConflictError("spacecraft.simulated_fixed", detail)
     if not stored.lacks_fast_loop or "mode" in (body.root.get("control") or {}):
@@ -80,6 +81,16 @@ def change_spacecraft(
     epoch_limits.forget(spacecraft_id)
     context.on_accepted(spacecraft_id)
     return _answer(changed, warnings)
+
+
+@router.delete("/{spacecraft_id}", status_code=HTTPStatus.NO_CONTENT, dependencies=[MAY_OPERATE])
+def delete_spacecraft(spacecraft_id: SpacecraftId, context: Context, request: Request) -> None:
+    """Delete a spacecraft that never had a measurement; its id is not given again."""
+    context.storage.catalogue.delete_spacecraft(spacecraft_id)
+    epoch_limits: EpochLimits = request.app.state.epoch_limits
+    epoch_limits.forget(spacecraft_id)
+    plan_widths: PlanWidths = request.app.state.plan_widths
+    plan_widths.forget(spacecraft_id)
 
 
 def _answer(document: SpacecraftDocument, warnings: Sequence[CatalogueWarning]) -> SpacecraftAnswer:
