@@ -330,3 +330,16 @@ def test_methods_of_a_spacecraft_nobody_follows_do_not_disagree(ground):
         ground.settle(supervisor)
         # one method alone has nobody to disagree with
         assert supervisor.is_disagreeing(ground.synthetic.SC) is False
+
+
+def test_a_spacecraft_that_is_deleted_is_followed_no_more(new_ground, wait, caplog):
+    """Nothing is tried again and nothing is logged as a fault."""
+    ground = new_ground()
+    ground.storage.catalogue.add_spacecraft(replace(ground.storage.catalogue.spacecraft(ground.id), id="empty"))
+    with ground.supervised() as supervisor:
+        wait(lambda: "empty" in supervisor._followers)
+        ground.storage.catalogue.delete_spacecraft("empty")
+        supervisor.notify("empty")
+        wait(lambda: "empty" not in supervisor._followers)
+        ground.settle(supervisor)
+    assert "rebuilding its state" not in caplog.text
