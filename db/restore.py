@@ -68,13 +68,13 @@ def restore_backup(folder: Path, url: str, stamp: str, report: Report, *, may_re
         The backup is not sound, an archive is there and may not be replaced, or somebody uses it.
     """
     manifest = read_manifest(folder)
-    _demand_sound(verify_backup(folder, report), "the backup is not sound")
+    _demand_sound(manifest, verify_backup(folder, report), "the backup is not sound")
     path = sqlite_path(url)
     if path is not None:
         return _to_file(folder, manifest, path, stamp, report, may_replace=may_replace)
     work = folder.with_name(f".{folder.name}.restoring")
     try:
-        _migrated_copy(folder / manifest.file, work, report)
+        _migrated_copy(folder, manifest, work, report)
         return _to_server(work, manifest, url, stamp, report, may_replace=may_replace)
     finally:
         _remove(work)
@@ -88,7 +88,7 @@ def _to_file(
         raise BackupError(message)
     work = path.with_name(f".{path.name}.restoring")
     try:
-        _migrated_copy(folder / manifest.file, work, report)
+        _migrated_copy(folder, manifest, work, report)
         aside = _moved_aside(path, stamp) if path.exists() else None
         work.replace(path)
         flush(path.parent)
@@ -97,10 +97,10 @@ def _to_file(
     return Restored(manifest, None if aside is None else str(aside), newest_revision())
 
 
-def _migrated_copy(archive: Path, work: Path, report: Report) -> None:
+def _migrated_copy(folder: Path, manifest: Manifest, work: Path, report: Report) -> None:
     """Make a copy of a backup's archive in the present version and look at it."""
     _remove(work)
-    copy_file(archive, work, lambda share: report("copy", share))
+    copy_file(folder / manifest.file, work, lambda share: report("copy", share))
     engines = open_engines(f"sqlite:///{work}")
     try:
         upgrade(engines.write)
@@ -108,7 +108,8 @@ def _migrated_copy(archive: Path, work: Path, report: Report) -> None:
         engines.dispose()
     settle(work)
     with reading_engine(work, is_settled=True).connect() as connection:
-        _demand_sound(examine(connection, lambda name: report(name, 0.0)), "the migrated copy is not sound")
+        found = examine(connection, lambda name: report(name, 0.0))
+        _demand_sound(manifest, found, "the migrated copy is not sound")
 
 
 def _moved_aside(path: Path, stamp: str) -> Path:
@@ -141,7 +142,8 @@ def _to_server(work: Path, manifest: Manifest, url: str, stamp: str, report: Rep
             change_schema(writing)
             copy_tables(reading, writing, lambda share: report("tables", share))
             version = version_of(writing) or ""
-            _demand_sound(examine_content(writing, lambda name: report(name, 0.0)), "the restored tables are not sound")
+            found = examine_content(writing, lambda name: report(name, 0.0))
+            _demand_sound(manifest, found, "the restored tables are not sound")
     finally:
         source.dispose()
         target.dispose()
@@ -170,8 +172,12 @@ def _tables_aside(connection: Connection, stamp: str, *, may_replace: bool) -> s
     return f"schema {aside}"
 
 
-def _demand_sound(found: list[Diagnosis], what: str) -> None:
-    """Raise BackupError with the first fault, if there is one."""
+def _demand_sound(manifest: Manifest, found: list[Diagnosis], what: str) -> None:
+    """Raise BackupError with the first fault, if there is one.
+
+    Rows that were damaged when the backup was made are put back as they are: all else would be lost with them.
+    """
+    found = [each for each in found if not (manifest.damaged and each.check == "checksums")]
     if worst(found) == "fault":
         fault = next(diagnosis for diagnosis in found if diagnosis.state == "fault")
         message = f"{what}: {fault.check}: {fault.detail}"

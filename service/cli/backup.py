@@ -16,7 +16,7 @@ from rich.progress import Progress
 
 from service.cli.connection import JsonOption
 from service.cli.doctor import EXIT_USAGE, show
-from service.records.backup import BackupError
+from service.records.backup import BackupError, Manifest
 from service.records.diagnosis import worst
 
 app = typer.Typer(help="Copies of an archive: made while the service runs, proved, put back.", no_args_is_help=True)
@@ -40,8 +40,7 @@ def create(
     with _guarded() as report:
         manifest = keeping.create(target, report)
     _tell({"folder": str(target), **asdict(manifest)}, as_json=as_json)
-    for words in manifest.damaged:
-        typer.echo(f"damaged: {words}; the archive has them so, and an older backup may have them sound", err=True)
+    _tell_damaged(manifest)
     if manifest.damaged:
         raise typer.Exit(EXIT_REFUSED)
 
@@ -74,6 +73,13 @@ def restore(
         restored = open_keeping(database).restore(folder, report, may_replace=replace)
     said = {"kept": restored.aside, "schema_version": restored.schema_version}
     _tell({**said, "spacecraft": asdict(restored.manifest)["spacecraft"]}, as_json=as_json)
+    _tell_damaged(restored.manifest)
+
+
+def _tell_damaged(manifest: Manifest) -> None:
+    """Say which rows were damaged when a backup was made."""
+    for words in manifest.damaged:
+        typer.echo(f"damaged: {words}; they were copied as they are, an older backup may have them sound", err=True)
 
 
 @contextmanager

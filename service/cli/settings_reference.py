@@ -297,7 +297,8 @@ def _shown(value: object) -> str:
 _HEAD = """# Settings
 
 Made by `soo settings --markdown`; `tests/docs/test_settings.py` holds page and code together. Settings are read once,
-from the environment. A double underscore leads into the configuration of a stage:
+from the environment, or from the folder that `SOO_SECRETS_DIR` names, which has a file for each, called as the variable
+(`soo_bootstrap_key`). A double underscore leads into the configuration of a stage:
 `SOO_INTERLOCK__VALIDITY_LIMIT_DEG=0.35`. `soo settings` prints the values in force and marks what was changed; the
 database, address, port, clock and the files of TLS can be given to `soo serve` as options, which win.
 

@@ -1,6 +1,8 @@
 """Every stored row of every series has a checksum; one flipped bit is found by the doctor, by sealing, by a backup."""
 
 import logging
+import sqlite3
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -9,10 +11,12 @@ from sqlalchemy import select, update
 import db.checksum_check
 from db.backup import create_backup, verify_backup
 from db.doctor import diagnose
+from db.restore import restore_backup
 from db.row_checksum import CHECKSUM_BYTES, checksum_of
 from db.tables import attitude, checksum_backlog, measurement, metadata
 from service.ports import Outcome
 from service.records.alarm import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
+from service.records.backup import BackupError
 from service.records.catalogue import Method
 from service.records.diagnosis import worst
 from service.records.inputs import AttitudeReference, Operation
@@ -152,6 +156,16 @@ def test_one_flipped_bit_is_told_by_doctor_and_backups(filled, url, tmp_path, co
     assert told == words
     assert worst(verify_backup(tmp_path / "sound", ignore)) == "ok"
     assert words in [each.detail for each in verify_backup(tmp_path / "spoilt", ignore) if each.state == "fault"]
+    # all that is sound in it can be put back, and the row as it is
+    restored = f"sqlite:///{tmp_path / 'restored.db'}"
+    restore_backup(tmp_path / "spoilt", restored, "x", ignore, may_replace=False)
+    assert of_checksums(restored) == [("fault", words)]
+    # a row that was damaged after the backup was made is another matter
+    forged = tmp_path / "sound" / "archive.db"
+    with closing(sqlite3.connect(forged)) as connection, connection:
+        connection.execute("UPDATE measurement SET delay_us = delay_us + 1 WHERE epoch_us = 20")
+    with pytest.raises(BackupError, match="the backup is not sound: file"):
+        restore_backup(tmp_path / "sound", restored, "x", ignore, may_replace=True)
 
 
 def test_values_that_no_writer_stores_differ_and_stop_nothing(setting):
