@@ -197,7 +197,7 @@ def _of_release() -> tuple[Condition, ...]:
             "s",
             "reason",
             Origin.CLOCK,
-            "control has been tripped ({thing}) for {value}",
+            "control has tripped: {thing}",
             "find the cause in GET .../control, then POST .../control:reset; ten good minutes later an operator arms",
             ConditionLimits(distress=0.0, repeat_s=_HOUR_S),
         ),

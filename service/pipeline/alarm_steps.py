@@ -51,7 +51,7 @@ def told_in_words(alarm: Alarm, condition: Condition, note: str) -> Alarm:
     # as few digits as tell the value from its limit
     value = next((text for text in (_figure(alarm.value, digits) for digits in (2, 3)) if text != limit), None)
     words = condition.says.format(thing=alarm.thing, value=f"{value or _figure(alarm.value, 4)} {alarm.unit}")
-    if alarm.limit or condition.kind is Kind.BELOW:
+    if "{value}" in condition.says and (alarm.limit or condition.kind is Kind.BELOW):
         words += f", limit {limit} {alarm.unit}"
     return replace(alarm, detail=f"{words}; {note}" if note else words)
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -69,44 +69,28 @@ def command_of(
 
 def zero_command(row: AttitudeRow, spacecraft: Spacecraft, span: Span, inhibitions: tuple[str, ...]) -> TorqueCommand:
     """Return the command that does nothing and says why."""
-    wheels = tuple(0.0 for _ in spacecraft.wheels.axes)
     return TorqueCommand(
         epoch_us=span.epoch_us,
         number=row.number,
         attitude_epoch_us=row.epoch_us,
         mode=spacecraft.control.mode.value,
-        torque_n_m=_ZERO,
-        wheels_n_m=wheels,
-        saturated=False,
         command_period_s=span.period_s,
         valid_until_us=span.stop_us,
-        schedule=(),
-        impulse_n_m_s=_ZERO,
-        predicted_angle_change_deg=_ZERO,
-        predicted_rate_change_deg_s=_ZERO,
-        predicted_wheel_momentum_n_m_s=wheels,
-        control_allowed=False,
-        inhibitions=inhibitions,
+        **_nothing(len(spacecraft.wheels.axes), inhibitions),
     )
 
 
 def withheld_command(command: TorqueCommand) -> TorqueCommand:
     """Return a command as one that does nothing because control had tripped before its row."""
-    wheels = tuple(0.0 for _ in command.wheels_n_m)
-    return replace(
-        command,
-        torque_n_m=_ZERO,
-        wheels_n_m=wheels,
-        saturated=False,
-        schedule=(),
-        impulse_n_m_s=_ZERO,
-        predicted_angle_change_deg=_ZERO,
-        predicted_rate_change_deg_s=_ZERO,
-        predicted_wheel_momentum_n_m_s=wheels,
-        control_allowed=False,
-        inhibitions=("tripped",),
-        schedule_check=None,
-    )
+    return replace(command, **_nothing(len(command.wheels_n_m), ("tripped",)))
+
+
+def _nothing(wheels: int, inhibitions: tuple[str, ...]) -> dict[str, Any]:
+    """Return the fields of a command that does nothing."""
+    names = ("torque_n_m", "impulse_n_m_s", "predicted_angle_change_deg", "predicted_rate_change_deg_s")
+    still = dict.fromkeys(("wheels_n_m", "predicted_wheel_momentum_n_m_s"), (0.0,) * wheels)
+    said = {"control_allowed": False, "inhibitions": inhibitions}
+    return {**dict.fromkeys(names, _ZERO), **still, **said, "saturated": False, "schedule": (), "schedule_check": None}
 
 
 def impulse_of(pulses: Sequence[AxisPulse]) -> FloatArray:

@@ -142,7 +142,7 @@ def control_view(
     return ControlView(
         state=interlock.state.name,
         since_us=interlock.since_us,
-        reasons=tuple(reason_of(word, since.get(word), settings) for word in interlock.reasons),
+        reasons=tuple(reason_of(word, since.get(word) or None, settings) for word in interlock.reasons),
         trips=tuple(condition.word for condition in interlock.trips),
         is_armed=interlock.is_armed,
         is_withheld=interlock.is_withholding,

@@ -105,9 +105,10 @@ class ControlCentre:
         command = self._await_command(spacecraft_id, epoch)
         self.log.newest_us = parse_epoch(epoch)
         self.log.rows += 1
-        self.log.inhibited_rows += not command["control_allowed"]
-        self.log.inhibitions.update(command["inhibitions"])
-        if command["schedule"]:
+        control = command["control"]
+        self.log.inhibited_rows += not control["allowed"]
+        self.log.inhibitions.update(reason["code"] for reason in control["reasons"] if not control["allowed"])
+        if control["allowed"] and command["schedule"]:
             counter = len(self.log.sent) + 1
             self.log.sent[counter] = SentCommand(command["schedule"])
             self.line.send(command["schedule"], counter)

@@ -95,6 +95,7 @@ def judge_story(story: Story, client: ServiceClient, loop: dict[str, Any] | None
         },
         "zero_answer": {axis: _figures(merit) for axis, merit in driving.zeros.items()},
         "crlb_deg": story.bound_deg,
+        "control": client.status(story.spacecraft_id)["control"],
         **kept,
         "closed_loop": loop,
         "estimate_misses": estimate_misses,

@@ -15,48 +15,38 @@ _OTHERS = {
     "release_unreadable": "the state of the interlock cannot be read",
 }
 
-#: next step, with the codes that it is for
-_NEXT_STEPS: dict[str, tuple[str, ...]] = {
-    "Wait: it clears by itself.": ("late", "catch_up", "settling", "no_rate", "gap", "good_minutes", "chain_step"),
-    "Check links and newest_measurement of GET .../status.": ("estimate_old", "no_attitude", "expired"),
-    "Check the excluded carriers of GET .../attitude.": ("no_fix", "redundancy", "sigma_roll", "sigma_pitch"),
-    "Turn in yaw or add carriers that tell yaw; roll and pitch go on.": ("sigma_yaw",),
-    "Check the inhibitions of GET .../attitude.": ("estimator",),
-    "Wait for the end of the rain; without rain check the receiving chain.": ("fade", "downlink_fade"),
-    "Compare with another sensor; align again if the estimate is wrong.": ("innovations", "innovation"),
-    "Find out what moves the spacecraft; declare it as an operation or a correction.": ("unannounced_motion",),
-    "Calibrate, then POST .../calibrations/{id}:activate.": ("no_calibration",),
-    "POST .../alignments.": ("not_aligned",),
-    "PUT .../ephemeris with the newest orbit.": ("no_ephemeris", "ephemeris"),
-    "Wait for the end of the operation, or PATCH .../operations/{id}.": ("operation",),
-    "Bring the angle back with another sensor, or by commands that an approver confirms.": (
-        "beyond_validity",
-        "hand_over",
-        "yaw_beyond",
-    ),
-    "Read the service log and report the failure.": ("internal_error", "release_unreadable"),
-    "Set entry_modes or wait for the on-board mode.": ("onboard_mode",),
-    "POST .../torques/{id}:executed or :failed.": ("report_late",),
-    "POST .../torques/{id}:executed or :failed; then POST .../control:reset.": ("unreported",),
-    "POST .../control:sign-check for yaw; roll and pitch go on.": ("yaw_sign",),
-    "POST .../control:arm.": ("not_armed",),
-    "PATCH control.mode to ground if the ground is to compute torques.": ("mode_onboard", "mode_off"),
-    "State onboard.fast_loop and onboard.forecast_mode in the catalogue.": ("no_fast_loop",),
-    "Correct inertia, wheels, period or damping of the catalogue.": ("no_law",),
-    "Send telemetry with body rates.": ("no_body_rate",),
-    "Bring the rates down with another control mode.": ("law_beyond",),
+#: next step, with the codes that it is for, by blanks
+_NEXT_STEPS = {
+    "Wait: it clears by itself.": "late catch_up settling no_rate gap good_minutes chain_step",
+    "Check links and newest_measurement of GET .../status.": "estimate_old no_attitude expired",
+    "Check the excluded carriers of GET .../attitude.": "no_fix redundancy sigma_roll sigma_pitch",
+    "Turn in yaw or add carriers that tell yaw; roll and pitch go on.": "sigma_yaw",
+    "Check the inhibitions of GET .../attitude.": "estimator",
+    "Wait for the end of the rain; without rain check the receiving chain.": "fade downlink_fade",
+    "Compare with another sensor; align again if the estimate is wrong.": "innovations innovation",
+    "Find out what moves the spacecraft; declare it as an operation or a correction.": "unannounced_motion",
+    "Calibrate, then POST .../calibrations/{id}:activate.": "no_calibration",
+    "POST .../alignments.": "not_aligned",
+    "PUT .../ephemeris with the newest orbit.": "no_ephemeris ephemeris",
+    "Wait for the end of the operation, or PATCH .../operations/{id}.": "operation",
+    "Bring the angle back by another sensor or confirmed commands.": "beyond_validity hand_over yaw_beyond",
+    "Read the service log and report the failure.": "internal_error release_unreadable",
+    "Set entry_modes or wait for the on-board mode.": "onboard_mode",
+    "POST .../torques/{id}:executed or :failed.": "report_late",
+    "POST .../torques/{id}:executed or :failed; then POST .../control:reset.": "unreported",
+    "POST .../control:sign-check for yaw; roll and pitch go on.": "yaw_sign",
+    "POST .../control:arm.": "not_armed",
+    "PATCH control.mode to ground if the ground is to compute torques.": "mode_onboard mode_off",
+    "State onboard.fast_loop and onboard.forecast_mode in the catalogue.": "no_fast_loop",
+    "Correct inertia, wheels, period or damping of the catalogue.": "no_law",
+    "Send telemetry with body rates.": "no_body_rate",
+    "Bring the rates down with another control mode.": "law_beyond",
     "Find the cause; then POST .../control:reset.": (
-        "clock_jump",
-        "momentum",
-        "response_missed",
-        "envelope",
-        "configuration",
-        "stop",
-        "tripped",
+        "clock_jump momentum response_missed envelope configuration stop tripped"
     ),
-    "Stop the other service on this archive; then POST .../control:reset.": ("lease",),
+    "Stop the other service on this archive; then POST .../control:reset.": "lease",
 }
-_NEXT_STEP = {code: step for step, codes in _NEXT_STEPS.items() for code in codes}
+_NEXT_STEP = {code: step for step, codes in _NEXT_STEPS.items() for code in codes.split()}
 _CONDITIONS = {each.word: each for each in Condition if each.consequence is not Consequence.ALARM}
 #: every code that a verdict may name
 CODES = frozenset((*_CONDITIONS, *INHIBITIONS, *CONTROL_INHIBITIONS, *_OTHERS))

@@ -16,8 +16,8 @@ def pulse(minute: int, roll_n_m: float = 0.002, duration_s: float = 5.0) -> dict
 
 
 def command(minute: int, *schedule: dict, inhibitions: tuple = ()) -> dict:
-    told = {"attitude_epoch": epoch(minute), "schedule": list(schedule), "inhibitions": list(inhibitions)}
-    return {**told, "control_allowed": not inhibitions}
+    control = {"allowed": not inhibitions, "reasons": [{"code": code} for code in inhibitions]}
+    return {"attitude_epoch": epoch(minute), "schedule": list(schedule), "control": control}
 
 
 def report(counter: int, state: str = "executed", until: str | None = epoch(59)) -> CraftReport:

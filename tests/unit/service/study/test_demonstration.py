@@ -260,8 +260,8 @@ class Computing(Client):
         self.minute += 1
         self._stage.log.append(("torques", epoch(self.minute)))
         pulse = {"start": epoch(self.minute), "duration_s": 5.0, "yaw_n_m": 0.0, "roll_n_m": 0.002, "pitch_n_m": 0.0}
-        allowed = {"control_allowed": True, "inhibitions": []}
-        return {"attitude_epoch": epoch(self.minute), "schedule": [pulse], **allowed}
+        control = {"allowed": True, "reasons": [{"code": "yaw_sign"}]}
+        return {"attitude_epoch": epoch(self.minute), "schedule": [pulse], "control": control}
 
 
 CATALOGUE = {"id": "sc", "onboard": {"fast_loop": True}, "control": {"mode": "ground", "release": "two_step"}}
