@@ -1,0 +1,137 @@
+"""A service that is killed at work: calibration and replay are failed at the next start, and no process outlives it."""
+
+import os
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from db.storage import SqlStorage
+from service.records.attitude import NO_ANGLES, Axes
+from service.records.calibration import (
+    Alignment,
+    CalibrationMethod,
+    CalibrationRequest,
+    CalibrationResult,
+    Observability,
+    Window,
+)
+from service.records.catalogue import Ephemeris
+
+pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
+
+SC = "/api/v1/spacecraft/sim-1"
+S = 1_000_000
+#: 2026-11-21T00:00:00Z
+START_US = 1_795_219_200 * S
+DAY_US = 86_400 * S
+CALIBRATION = {
+    "quiet": {"start": "2026-11-17T00:00:00Z", "stop": "2026-11-19T00:00:00Z"},
+    "turns": {"start": "2026-11-19T00:00:00Z", "stop": "2026-11-20T00:00:00Z"},
+    "method": "paper",
+}
+REPLAY = {"start": "2026-11-21T00:00:00Z", "stop": "2026-11-21T01:00:00Z"}
+CAPTURE = {
+    "omega_rad_s": 1.0,
+    "damping_ratio": 0.01,
+    "coupling": 0.5,
+    "inertia_kg_m2": 1000.0,
+    "motor_torque_n_m": 0.2,
+    "alpha_rad": 0.0175,
+    "beta_rad": 0.0349,
+}
+
+
+def align(database: Path) -> None:
+    """Store what a calibration and a replay start from."""
+    storage = SqlStorage(f"sqlite:///{database}")
+    nodes_us = tuple(START_US + k * 86_328 * S for k in range(-5, 2))
+    storage.catalogue.put_ephemeris("sim-1", Ephemeris(0, nodes_us, 86_328.0, nodes_us[0], nodes_us[-1], "nodes"))
+    results, zero = storage.results, Axes(0.0, 0.0, 0.0)
+    request = CalibrationRequest(Window(0, 10), Window(10, 20), CalibrationMethod.PAPER)
+    draft = results.add_calibration("sim-1", request, 1, 1, 5, "engineer")
+    results.finish_calibration("sim-1", draft.id, CalibrationResult((), Observability(3.0, zero, zero), {}, ()), None)
+    results.add_alignment("sim-1", Alignment(0, START_US, zero, NO_ANGLES, 1, "manual", 6, "approver", ()))
+    storage.close()
+
+
+def worker_of(service_id: int) -> int:
+    """Return the process that computes for a service."""
+    children = [
+        int(child) for task in Path(f"/proc/{service_id}/task").glob("*/children") for child in task.read_text().split()
+    ]
+    (worker,) = (child for child in children if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes())
+    return worker
+
+
+def wait_until(is_done: Callable[[], bool], what: str) -> None:
+    """Wait until something has happened."""
+    deadline = time.monotonic() + 120
+    while not is_done():
+        assert time.monotonic() < deadline, what
+        time.sleep(0.05)
+
+
+def has_ended(process_id: int) -> bool:
+    """Return whether a process is over, collected by its new parent or not."""
+    stat = Path(f"/proc/{process_id}/stat")
+    try:
+        return stat.read_text().rpartition(")")[2].split()[0] == "Z"
+    except FileNotFoundError:
+        return True
+
+
+def begin_work(client: httpx.Client, service_id: int) -> tuple[int, dict[str, Any], dict[str, Any]]:
+    """Start a calibration whose worker stands still, and a replay behind it; return the worker and both."""
+    # the first analysis starts the one worker
+    assert client.post("/api/v1/analyses/capture-boundary", json=CAPTURE).status_code == 200
+    worker = worker_of(service_id)
+    os.kill(worker, signal.SIGSTOP)
+    calibration = client.post(f"{SC}/calibrations", json=CALIBRATION)
+    replay = client.post(f"{SC}/replays", json=REPLAY)
+    assert (calibration.status_code, replay.status_code) == (202, 202), calibration.text + replay.text
+    wait_until(lambda: job_of(client, calibration.json())["progress"] == 0.3, "the calibration does not fit")
+    return worker, calibration.json(), replay.json()
+
+
+def job_of(client: httpx.Client, started: dict[str, Any]) -> dict[str, Any]:
+    """Return the job of what was started."""
+    return dict(client.get(f"/api/v1/jobs/{started['job']}").json())
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_calibration_and_replay_of_an_ended_service_are_failed(
+    start_service, chaos, spacecraft, carriers, tmp_path, number
+):
+    settings = {"SOO_BOOTSTRAP_KEY": "a-key-for-tests-only", "SOO_WORKERS__PROCESSES": "1"}
+    options = ("--port", "0", "--clock", "data")
+    service = start_service(*options, environment=settings)
+    with service.client() as client:
+        chaos.set_up(client, spacecraft, carriers)
+    service.end(timeout_s=120)
+    align(tmp_path / "soo.db")
+    service = start_service(*options, environment=settings)
+    with service.client() as client:
+        client.timeout = 120
+        worker, calibration, replay = begin_work(client, service.process.pid)
+        told = client.get(f"{SC}/calibrations/{calibration['id']}").json()
+        assert (told["state"], job_of(client, replay)["state"]) == ("draft", "queued")
+    service.end(number, timeout_s=120)
+    if number == signal.SIGKILL:
+        os.kill(worker, signal.SIGCONT)
+    wait_until(lambda: has_ended(worker), "the worker outlives its service")
+    service = start_service(*options, environment=settings)
+    with service.client() as client:
+        told = client.get(f"{SC}/calibrations/{calibration['id']}").json()
+        assert (told["state"], job_of(client, calibration)["state"]) == ("failed", "failed")
+        for error in (told["error"], job_of(client, calibration)["error"]):
+            assert "start it again" in error
+        ended = job_of(client, replay)
+        assert (ended["state"], "start it again" in ended["error"]) == ("failed", True)
+        assert client.get(f"{SC}/calibrations/1").json()["state"] == "draft"
+        refused = client.post(f"{SC}/calibrations/{calibration['id']}:activate")
+        assert (refused.status_code, refused.json()["code"]) == (409, "calibration.unfinished")
