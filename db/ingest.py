@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from sqlalchemy import Connection, and_, bindparam, select, update
+from sqlalchemy import Connection, and_, bindparam, func, select, update
 
 from db.compiled import CompiledStatement
 from db.database import lock_head
@@ -20,8 +20,9 @@ from db.row_sorting import SortedRows, seq_at, sort_rows
 from db.segments import SegmentCache
 from db.sequence_numbers import MAX_JUMP, NumberedRow, SequenceNumbers, Tail, blocks_of
 from db.tables import head, source
+from service.errors import InvalidInputError
 from service.records.attitude import BoolArray, IntArray
-from service.records.measurement import BatchReceipt, MeasurementBatch, RowRemark
+from service.records.measurement import BatchReceipt, MeasurementBatch, RowRemark, Sender
 
 #: of ``IngestState``
 STATE_COLUMNS = (
@@ -106,7 +107,7 @@ def store_batch(connection: Connection, prepared: PreparedBatch, cache: SegmentC
     """Store and journal the new rows of a batch; runs in the writer's transaction."""
     if not prepared.epochs_us:
         return BatchReceipt(0, 0, 0, ())
-    state = _state(connection, prepared.spacecraft_key, prepared.batch.source)
+    state = _state(connection, prepared.spacecraft_key, prepared.batch.source, prepared.batch.sender)
     outcome = sort_rows(connection, cache, prepared, state.source_key, state.source_newest_epoch_us)
     prepared = outcome.batch
     if not len(outcome.accepted):
@@ -129,7 +130,7 @@ def store_batch(connection: Connection, prepared: PreparedBatch, cache: SegmentC
     )
 
 
-def _state(connection: Connection, key: int, name: str) -> IngestState:
+def _state(connection: Connection, key: int, name: str, sender: Sender | None) -> IngestState:
     """Return head and source; the first source of a spacecraft becomes the prime one."""
     if connection.dialect.name != "sqlite":
         # elsewhere other processes write too: what is read before the lock is granted could be stale
@@ -139,8 +140,21 @@ def _state(connection: Connection, key: int, name: str) -> IngestState:
         return IngestState(*row)
     known = connection.execute(select(source.c.source_key).where(source.c.spacecraft_key == key)).all()
     values = {"spacecraft_key": key, "source_key": len(known) + 1, "name": name, "is_prime": not known, "row_count": 0}
+    if sender is not None:
+        _check_number(connection, sender)
+        values["created_by"] = sender.key_id
     connection.execute(source.insert().values(values))
     return IngestState(*_READ_STATE.run(connection, key, name).fetchone())
+
+
+def _check_number(connection: Connection, sender: Sender) -> None:
+    """Refuse a source that is one too many of its key."""
+    made = select(func.count()).select_from(source).where(source.c.created_by == sender.key_id)
+    if connection.execute(made).scalar_one() >= sender.max_sources:
+        detail = (
+            f"This key has made {sender.max_sources} sources and may make no more; send under the name of one of them."
+        )
+        raise InvalidInputError("source.too_many", detail)
 
 
 def _lateness(batch: MeasurementBatch, consumed_us: int | None) -> BoolArray:

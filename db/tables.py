@@ -122,6 +122,8 @@ source = Table(
     Column("seq_start", BigInteger),
     Column("seq_last", BigInteger),
     Column("rows_missing", BigInteger),
+    #: id of the key that its first row came with; null where that was not asked
+    Column("created_by", Text),
 )
 
 #: numbers held below the newest interval of a source, which stands with the source itself

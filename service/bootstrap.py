@@ -177,6 +177,7 @@ def _limits(settings: Settings) -> Limits:
         evidence_bytes=settings.evidence_bytes,
         rates=settings.rate_limit,
         max_streams=settings.max_streams,
+        max_sources_per_key=settings.max_sources_per_key,
         max_connections=min(settings.max_connections, max(64, raised_descriptor_limit() - _OWN_FILES)),
         max_connections_per_address=settings.max_connections_per_address,
         trusted_proxies=settings.trusted_proxies or "",

@@ -57,6 +57,8 @@ class Limits:
     stream_stall_s: float = 60.0
     #: live streams at once
     max_streams: int = 500
+    #: sources that rows of one key may come under first
+    max_sources_per_key: int = 500
     #: connections at once, and of one address unless it is among the trusted proxies
     max_connections: int = 2000
     max_connections_per_address: int = 64

@@ -37,6 +37,7 @@ _PLAIN_ORIGINS: dict[str, str] = {
     "ready_lag": CHOSEN,
     "min_free_disk_bytes": CHOSEN,
     "max_streams": CHOSEN,
+    "max_sources_per_key": CHOSEN,
     "max_connections": CHOSEN,
     "max_connections_per_address": CHOSEN,
     "tls_certificate": CHOSEN,

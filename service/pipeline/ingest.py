@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from service.records.attitude import FloatArray, IntArray
 from service.records.epoch import EARLIEST_EPOCH_US, LATEST_EPOCH_US, US_PER_S, format_epoch
-from service.records.measurement import DETAIL_NAMES, CarrierDetails, MeasurementBatch, Refusal
+from service.records.measurement import DETAIL_NAMES, CarrierDetails, MeasurementBatch, Refusal, Sender
 
 #: no carrier power that an analyzer can see lies outside
 MIN_POWER_DBM = -250.0
@@ -55,6 +55,7 @@ class ReceivedRows:
     flags: Flags
     #: T mappings of a name of DETAIL_NAMES to N figures, or None when no row states any
     details: Details | None = None
+    sender: Sender | None = None
 
 
 def system_bounds(
@@ -155,6 +156,7 @@ def _batch(rows: ReceivedRows, index: IntArray, power_dbm: FloatArray, bounds: E
         is_stale=is_stale,
         first_seq=rows.first_seq,
         details=None if rows.details is None else _details(rows.details, index, power_dbm.shape[1]),
+        sender=rows.sender,
     )
 
 

@@ -77,6 +77,14 @@ class Refusal(RowRemark):
 
 
 @dataclass(frozen=True, slots=True)
+class Sender:
+    """The key that rows came with, and how many sources it may make."""
+
+    key_id: str
+    max_sources: int
+
+
+@dataclass(frozen=True, slots=True)
 class MeasurementBatch:
     """The rows of one request that passed screening; ``index`` is their place in the request."""
 
@@ -97,6 +105,8 @@ class MeasurementBatch:
     first_seq: int | None = None
     #: (T, N) each; None when no row states any
     details: CarrierDetails | None = None
+    #: None: nobody is asked how many sources there are
+    sender: Sender | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,7 @@
 """Batches of measurements: what is stored, counted, refused, and what nothing is stored of."""
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -391,3 +392,18 @@ async def test_a_first_row_beyond_2100_is_refused_under_the_data_clock(soo, spac
     answer = (await soo.client.post(URL, json={"plan_id": plan_id, "measurements": rows})).json()
     assert (answer["accepted"], answer["late"]) == (1, 0)
     assert [(each["index"], each["code"]) for each in answer["refused"]] == [(0, "time.future")]
+
+
+async def test_a_key_makes_a_bounded_number_of_sources(soo, spacecraft, carriers):
+    plan_id = await soo.with_plan(spacecraft, carriers)
+    limits = replace(soo.app.state.context.limits, max_sources_per_key=2)
+    object.__setattr__(soo.app.state.context, "limits", limits)
+    answers = [
+        await soo.client.post(URL, json={"plan_id": plan_id, "source": f"s-{k}", "measurements": [row(k - 9)]})
+        for k in (0, 1, 2, 1)
+    ]
+    assert [answer.status_code for answer in answers[:2]] == [200, 200]
+    assert (answers[2].status_code, answers[2].json()["code"]) == (422, "source.too_many")
+    # the last one is known, and its row a duplicate
+    assert answers[3].json()["duplicates"] == 1
+    assert len(stored(soo)) == 2

@@ -1,6 +1,7 @@
 """Every storage takes measurements once: counted exactly, journaled without gaps, kept bit for bit."""
 
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 from service.errors import InvalidInputError, NotFoundError
 from service.records.calibration import Window
 from service.records.catalogue import Carrier
-from service.records.measurement import DETAIL_NAMES, BatchReceipt, CarrierDetails, Measurement
+from service.records.measurement import DETAIL_NAMES, BatchReceipt, CarrierDetails, Measurement, Sender
 
 EXAMPLES = settings(
     derandomize=True, deadline=None, max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture]
@@ -358,3 +359,26 @@ def test_any_interleaving_is_counted_exactly_and_numbered_without_gaps(new_setti
     assert [(content.source, content.epoch_us, content.is_late) for content in contents] == numbers
     stored = {source.id: source.rows for source in setting.storage.archive.sources(setting.id)}
     assert sum(stored.values()) == len(kept)
+
+
+def test_a_key_makes_so_many_sources_and_goes_on_under_those(setting):
+    def send(source, key_id, epoch_us):
+        batch = replace(setting.batch([epoch_us], source=source), sender=Sender(key_id, 2))
+        return setting.storage.archive.append_measurements(batch).result(timeout=120).accepted
+
+    setting.append([1], source="without a key")
+    assert [send(f"sa-{k}", "k1", 10 + k) for k in range(2)] == [1, 1]
+    for k in range(3):
+        with pytest.raises(InvalidInputError) as caught:
+            send(f"new-{k}", "k1", 20 + k)
+        assert caught.value.code == "source.too_many"
+    # sources that are there are anybody's, and every key has a number of its own
+    assert [send(name, "k1", 30) for name in ("sa-0", "sa-1", "without a key")] == [1, 1, 1]
+    assert send("sa-2", "k2", 40) == 1
+    assert [source.id for source in setting.storage.archive.sources(setting.id)] == [
+        "without a key",
+        "sa-0",
+        "sa-1",
+        "sa-2",
+    ]
+    assert len(setting.rows()) == 7

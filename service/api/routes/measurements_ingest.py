@@ -24,7 +24,7 @@ from service.api.request_figures import RequestFigures
 from service.api.schemas.measurements import MAX_SEQ, MeasurementBatchDocument, MeasurementReceiptAnswer
 from service.errors import FieldError
 from service.pipeline.ingest import ReceivedRows, screen
-from service.records.measurement import BatchReceipt, Refusal, RowRemark
+from service.records.measurement import BatchReceipt, Refusal, RowRemark, Sender
 from service.records.quality_flag import QualityFlag
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["measurements"])
@@ -60,6 +60,7 @@ async def send_measurements(spacecraft_id: SpacecraftIdText, request: Request) -
         power_dbm=[row["power_dbm"] for row in body.measurements],
         flags=_flags(body, epochs.leap_places),
         details=body.details(),
+        sender=Sender(request.state.principal.key_id, context.limits.max_sources_per_key),
     )
     epoch_limits: EpochLimits = request.app.state.epoch_limits
     batch, screened = screen(rows, width, await epoch_limits.known(spacecraft_id))
