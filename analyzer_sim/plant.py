@@ -13,7 +13,7 @@ from analyzer_sim.export import measured_dbm, sweep_noise_db
 from analyzer_sim.schedule_lines import Schedule
 from analyzer_sim.streams import FloatArray
 from analyzer_sim.world.body_dynamics import Vector
-from analyzer_sim.world.disturbance import FED_FORWARD_SHARE, disturbance
+from analyzer_sim.world.disturbance import disturbance
 from analyzer_sim.world.flown_craft import Craft, craft_at_rest
 from analyzer_sim.world.ground_bodies import INERTIA_KG_M2
 from analyzer_sim.world.hub_tones import HubTone
@@ -152,14 +152,12 @@ class Plant:
     def _fly(self, begin_us: int, end_us: int) -> None:
         """Fly from one row to the next."""
         step = self.row - self.first_row
-        drift_deg_s, solar_n_m = (_triple(series[step]) for series in self._disturbance)
+        drift_deg_s, external_n_m, unseen_n_m = (_triple(series[step]) for series in self._disturbance)
         if self._perfect is None:
-            self.craft.fly((begin_us, end_us), self._acting, drift_deg_s, solar_n_m)
+            self.craft.fly((begin_us, end_us), self._acting, drift_deg_s, external_n_m, unseen_n_m)
             self.state = self.craft.state
         else:
-            yaw, roll, pitch = ((1.0 - FED_FORWARD_SHARE) * torque for torque in solar_n_m)
-            span_us, residual = (begin_us, end_us), (yaw, roll, pitch)
-            self.state = self._perfect.fly(self.state, span_us, self._acting, drift_deg_s, residual)
+            self.state = self._perfect.fly(self.state, (begin_us, end_us), self._acting, drift_deg_s, unseen_n_m)
 
     def _craft(self, options: PlantOptions) -> Craft:
         """Return the craft as it stands when operation begins."""

@@ -94,8 +94,10 @@ def _opening(plant: Plant, options: PlantOptions) -> Iterator[Line]:
                 yield _row_line(int(world.rows.epochs_us[row]), plant.open_dbm[row])
 
 
-def fed_forward_line(world: World) -> Line:
-    """Return the profile that the loop on board feeds forward, as the catalogue of the service states one."""
+def fed_forward_line(world: World) -> Line | None:
+    """Return the profile that the loop on board feeds forward, as the catalogue states one; None = it is not known."""
+    if world.scenario.keeping.residual is not None:
+        return None
     told = fed_forward(world.scenario, world.seed)
     parts = {"constant_n_m": np.zeros(3), "cosine_n_m": told.cosine_n_m, "sine_n_m": told.sine_n_m}
     torques = {name: dict(zip(_AXES, part.tolist(), strict=True)) for name, part in parts.items()}

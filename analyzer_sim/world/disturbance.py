@@ -2,7 +2,8 @@
 
 The light of the Sun turns the craft by some 1e-5 N m that go round once a day; 95 % of it is known on board and fed
 forward, the rest acts. Roll and pitch are a quarter of a day apart, so that one of them is always pushed:
-left alone from rest the craft leaves 0.3 deg in one to two hours. The drift of the inertial model is that of the story.
+left alone from rest the craft leaves 0.3 deg in one to two hours. A story may have another torque in place of this
+rest: a constant or a daily wave of which nobody knows. The drift of the inertial model is that of the story.
 """
 
 from typing import NamedTuple
@@ -13,7 +14,7 @@ from analyzer_sim.epochs import US_PER_DAY, US_PER_S
 from analyzer_sim.streams import FloatArray, stream
 from analyzer_sim.world.noise import first_order
 from analyzer_sim.world.orbit import EpochArray
-from analyzer_sim.world.story import Scenario
+from analyzer_sim.world.story import ResidualTorque, Scenario
 
 #: torque of the Sun's light, N m, order yaw, roll, pitch, and the share of it that is fed forward
 SOLAR_TORQUE_N_M = (0.8e-5, 1.36e-5, 0.72e-5)
@@ -25,8 +26,9 @@ class Disturbance(NamedTuple):
     """What acts in the step after each row of operation; (T, 3), order yaw, roll, pitch."""
 
     drift_deg_s: FloatArray
-    #: whole torque of the Sun's light, before any of it is fed forward
-    solar_n_m: FloatArray
+    #: whole external torque, before any of it is fed forward, and the part that is not
+    external_n_m: FloatArray
+    unseen_n_m: FloatArray
 
 
 class FedForward(NamedTuple):
@@ -63,4 +65,19 @@ def disturbance(scenario: Scenario, seed: int, epochs_us: EpochArray) -> Disturb
     # of the middle of the step
     days = (epochs_us - scenario.start_us + 0.5 * scenario.row_period_us) / US_PER_DAY
     wave = np.cos(2.0 * np.pi * days[:, None] + _solar_phase_rad(seed))
-    return Disturbance(np.stack(drift_deg_h, axis=1) / 3600.0, np.asarray(np.array(SOLAR_TORQUE_N_M) * wave))
+    solar_n_m = np.asarray(np.array(SOLAR_TORQUE_N_M) * wave)
+    drift_deg_s = np.stack(drift_deg_h, axis=1) / 3600.0
+    if figures.residual is None:
+        return Disturbance(drift_deg_s, solar_n_m, (1.0 - FED_FORWARD_SHARE) * solar_n_m)
+    unseen_n_m = residual_n_m(figures.residual, seed, days)
+    return Disturbance(drift_deg_s, solar_n_m + unseen_n_m, unseen_n_m)
+
+
+def residual_n_m(residual: ResidualTorque, seed: int, days: FloatArray) -> FloatArray:
+    """Return the torque (T, 3) that nobody knows, at times (T,) in days; its size is drawn evenly by its logarithm."""
+    rng = stream(seed, "residual torque")
+    least, greatest = np.log(residual.size_n_m)
+    size = np.exp(rng.uniform(least, greatest, 3)) * rng.choice([-1.0, 1.0], 3)
+    phase = rng.uniform(0.0, 2.0 * np.pi, 3)
+    wave = np.cos(2.0 * np.pi * days[:, None] + phase) if residual.is_daily else np.ones((len(days), 1))
+    return np.asarray(size * wave)

@@ -3,13 +3,13 @@
 The loop holds a reference rate, tick by tick:
 
     w_ref  = (0, -w0, 0) + r,  J r' = response * T_command        r = what the ground has commanded so far
-    T      = T_command + w x (J w + h) - 0.95 T_sun + J (2 zeta n (w_ref - w_m) + n^2 integral of (w_ref - w_m))
-    w_m    = w - e - d,        J e' = 0.05 T_sun
+    T      = T_command + w x (J w + h) - T_fed + J (2 zeta n (w_ref - w_m) + n^2 integral of (w_ref - w_m))
+    w_m    = w - e - d,        J e' = T_external - T_fed
 
-``w_m`` is the rate of the inertial model: it knows neither the twentieth of the Sun's torque that is not fed forward
-(whose rate is e) nor its own drift d, so both move the craft although the loop is closed: this is what the ground has
-to take away. Held against a fixed inertial rate, roll and yaw exchange at the orbital rate; a mode that follows the
-orbit turns its reference with the body. Simplification: stored momentum and rate are known when w x (J w + h) is taken
+``w_m`` is the rate of the inertial model: it knows neither the external torque that is not fed forward (whose rate is
+e) nor its own drift d, so both move the craft although the loop is closed: this is what the ground has to take away.
+Held against a fixed inertial rate, roll and yaw exchange at the orbital rate; a mode that follows the orbit turns its
+reference with the body. Simplification: stored momentum and rate are known when w x (J w + h) is taken
 away; what is left of it would be taken by the feedback.
 """
 
@@ -20,7 +20,6 @@ from itertools import pairwise
 
 from analyzer_sim.epochs import US_PER_S
 from analyzer_sim.world.body_dynamics import Motion, Torques, Vector, gyroscopic_n_m, orbit_normal_in_body, stepped
-from analyzer_sim.world.disturbance import FED_FORWARD_SHARE
 from analyzer_sim.world.hub_tones import HubTone
 from analyzer_sim.world.orbit import EARTH_RATE_RAD_S
 from analyzer_sim.world.rigid_body import BodyState, TorqueElement, Triple
@@ -70,22 +69,30 @@ class Craft:
         return BodyState((math.degrees(hub[2]), math.degrees(hub[0]), math.degrees(hub[1])), (z, x, y))
 
     def fly(
-        self, span_us: tuple[int, int], schedule: Sequence[TorqueElement], drift_deg_s: Triple, solar_n_m: Triple
+        self,
+        span_us: tuple[int, int],
+        schedule: Sequence[TorqueElement],
+        drift_deg_s: Triple,
+        external_n_m: Triple,
+        unseen_n_m: Triple,
     ) -> None:
-        """Fly a span; drift and the Sun's whole torque in the order yaw, roll, pitch."""
+        """Fly a span; drift, external torque and what of it is not fed forward in the order yaw, roll, pitch."""
         drift = _body([math.radians(rate) for rate in drift_deg_s])
-        solar = _body(solar_n_m)
+        external, unseen = _body(external_n_m), _body(unseen_n_m)
         for start_us, stop_us in _ticks(span_us, schedule):
             acting = [e.torque_n_m for e in schedule if e.start_us <= start_us and e.stop_us >= stop_us]
             told = _body([sum(parts) for parts in zip(_ZERO, *acting, strict=True)])
             answered = (told[0] * self.response[0], told[1] * self.response[1], told[2] * self.response[2])
-            self._tick((stop_us - start_us) / US_PER_S, answered, drift, solar)
+            self._tick((stop_us - start_us) / US_PER_S, answered, drift, external, unseen)
 
-    def _tick(self, span_s: float, command_n_m: Vector, drift_rad_s: Vector, solar_n_m: Vector) -> None:
+    def _tick(
+        self, span_s: float, command_n_m: Vector, drift_rad_s: Vector, external_n_m: Vector, unseen_n_m: Vector
+    ) -> None:
         """Fly a tick with a constant command."""
         momentum = self._momentum_n_m_s()
         if self.has_fast_loop:
-            wanted = self._demand_n_m(command_n_m, drift_rad_s, solar_n_m, momentum, span_s)
+            fed = _vector(whole - part for whole, part in zip(external_n_m, unseen_n_m, strict=True))
+            wanted = self._demand_n_m(command_n_m, drift_rad_s, fed, momentum, span_s)
             given = _vector(
                 wheel.body_torque_n_m(wheel.motor_n_m(torque, span_s), span_s)
                 for wheel, torque in zip(self.wheels, wanted, strict=True)
@@ -95,17 +102,16 @@ class Craft:
             for wheel, torque in zip(self.wheels, given, strict=True):
                 wheel.momentum_n_m_s -= torque * span_s
         before = self.motion
-        torques = Torques(solar_n_m, given, momentum)
+        torques = Torques(external_n_m, given, momentum)
         self.motion = stepped(before, torques, self.inertia_kg_m2, self.orbital_rate_rad_s, span_s)
-        unseen = 1.0 - FED_FORWARD_SHARE
         inertia = self.inertia_kg_m2
         self.commanded_rad_s = _grown(self.commanded_rad_s, command_n_m, inertia, span_s)
-        self.unseen_rad_s = _grown(self.unseen_rad_s, solar_n_m, inertia, unseen * span_s)
+        self.unseen_rad_s = _grown(self.unseen_rad_s, unseen_n_m, inertia, span_s)
         for tone in self.tones:
             tone.push((self.motion[tone.axis] - before[tone.axis]) / span_s, span_s)
 
     def _demand_n_m(
-        self, command_n_m: Vector, drift_rad_s: Vector, solar_n_m: Vector, momentum_n_m_s: Vector, span_s: float
+        self, command_n_m: Vector, drift_rad_s: Vector, fed_n_m: Vector, momentum_n_m_s: Vector, span_s: float
     ) -> Vector:
         """Return the torque that the loop wants on the body, and let its integral grow."""
         rate, base = self.motion.rate_rad_s, self.reference_rad_s()
@@ -115,7 +121,7 @@ class Craft:
             seen = rate[k] - self.unseen_rad_s[k] - drift_rad_s[k]
             error = base[k] + self.commanded_rad_s[k] - seen
             back = inertia * (2.0 * LOOP_DAMPING * LOOP_RAD_S * error + LOOP_RAD_S**2 * self.held_rad[k])
-            wanted.append(command_n_m[k] + turned[k] - FED_FORWARD_SHARE * solar_n_m[k] + back)
+            wanted.append(command_n_m[k] + turned[k] - fed_n_m[k] + back)
             held.append(self.held_rad[k] + error * span_s)
         self.held_rad = _vector(held)
         return _vector(wanted)

@@ -71,7 +71,9 @@ def task(world: World, carriers: tuple[Carrier, ...]) -> Line:
 
 def spacecraft_body(world: World) -> Line:
     """Return the body of the spacecraft."""
-    site = world.plan.receiving_site
+    site, keeping = world.plan.receiving_site, world.scenario.keeping
+    # null: an operator who knows of no torque states none
+    residual_n_m = 0.0 if keeping.residual is None else None
     return {
         "id": SPACECRAFT_ID,
         "name": "Yamal-202 (simulated)",
@@ -89,7 +91,8 @@ def spacecraft_body(world: World) -> Line:
         "onboard": {
             "fast_loop": True,
             "forecast_mode": True,
-            "roll_yaw_coupling": world.scenario.keeping.is_coupled_told,
+            "roll_yaw_coupling": keeping.is_coupled_told,
+            "residual_torque_n_m": residual_n_m,
         },
         # torques do not reach a story that is only replayed, so none may count as applied
         "control": {"method": "robust", "mode": "ground", "release": "two_step"},

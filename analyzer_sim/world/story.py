@@ -46,6 +46,16 @@ class NoiseFigures:
 
 
 @dataclass(frozen=True, slots=True)
+class ResidualTorque:
+    """Torque that neither the loop on board nor the catalogue knows; everything else is fed forward."""
+
+    #: range from which its size about each axis is drawn, N m
+    size_n_m: tuple[float, float]
+    #: whether it goes round once a day; otherwise it is constant
+    is_daily: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class KeepingFigures:
     """How the attitude is kept; triples in the order yaw, roll, pitch."""
 
@@ -70,6 +80,8 @@ class KeepingFigures:
     alignment_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     #: time after the end of a correction at which the ground is told of it, min; none = told before it begins
     corrections_late_min: float | None = None
+    #: flown in place of what is left of the Sun's torque; none = the catalogue knows the profile that is fed forward
+    residual: ResidualTorque | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,8 +8,9 @@ from service.api.present import present_of
 from service.api.schemas.control import VerdictAnswer
 from service.api.schemas.links import LinkAnswer
 from service.api.schemas.status import StatusAnswer
+from service.pipeline.robust_row import ADVICE
 from service.records.calibration import CalibrationState
-from service.runtime.inspection import realignment_advised, runnable_methods
+from service.runtime.inspection import newest_advice, runnable_methods
 
 
 def status_of(context: ApiContext, spacecraft_id: str) -> StatusAnswer:
@@ -22,13 +23,15 @@ def status_of(context: ApiContext, spacecraft_id: str) -> StatusAnswer:
     row, _, verdict = present_of(context, spacecraft)
     alignments = storage.results.alignments(spacecraft_id)
     active = storage.results.calibrations(spacecraft_id, CalibrationState.ACTIVE)
+    advice = newest_advice(storage, spacecraft_id)
     return StatusAnswer.model_validate(
         {
             "newest_measurement": newest_us,
             "newest_attitude": None if row is None else row.epoch_us,
             "pending": pending,
             "aligned": bool(alignments),
-            "realignment_advised": realignment_advised(storage, spacecraft_id),
+            "realignment_advised": "realign" in advice,
+            "advice": [{"code": code, "text": ADVICE[code]} for code in advice if code in ADVICE],
             "methods_disagree": context.supervisor.is_disagreeing(spacecraft_id),
             "clock": "data" if clock.is_data(spacecraft_id) else "system",
             "now": clock.now_us(spacecraft_id),

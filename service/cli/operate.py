@@ -84,6 +84,8 @@ def align(
             "kept rows have the angles of an earlier alignment; compute them again beside these with: "
             f"soo replay --spacecraft {spacecraft} {span} --alignment {alignment['id']} --order epoch"
         )
+    for warning in alignment.get("warnings", []):
+        typer.echo(f"warning: {warning}")
 
 
 def replay(

@@ -216,6 +216,11 @@ _STAGE_MEANINGS: dict[str, tuple[str, str]] = {
     "robust.yaw_validity_limit_deg": ("yaw beyond it is left alone, deg", CHOSEN),
     "robust.yaw_sigma_limit_deg": ("greatest sigma with which the robust method lets yaw be controlled, deg", TUNED),
     "robust.pushed_yaw_sigma_limit_deg": ("the same of a craft that a residual torque turns, deg", TUNED),
+    "robust.unknown_torque_n_m": (
+        "prior of a residual torque that the catalogue does not state, one sigma, N m",
+        CHOSEN,
+    ),
+    "robust.unknown_torque_yaw_sigma_limit_deg": ("greatest sigma of controlled yaw under such a torque, deg", TUNED),
     "robust.innovation_limit": ("mean normalised innovation squared above which control is withheld", TUNED),
     "robust.relearned_share": ("share of references learned anew above which an alignment is advised", TUNED),
     "robust.disagreement_deg": ("methods this far apart in roll or pitch disagree, deg", CHOSEN),

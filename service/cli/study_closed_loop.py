@@ -20,7 +20,14 @@ from service.cli.study_ending import ended_by_signals
 if TYPE_CHECKING:
     from service.study.closed_loop.campaign import LoopCampaign, LoopPlan
 
-SCENARIOS = ("nominal", "steps", "downlink_rain", "slew_fade")
+SCENARIOS = (
+    "nominal",
+    "steps",
+    "downlink_rain",
+    "slew_fade",
+    "unknown_residual_constant",
+    "unknown_residual_daily",
+)
 _UPLINKS = ("ideal", "link")
 #: columns of a table that is written to a file
 _FILE_WIDTH = 200

@@ -157,6 +157,7 @@ class Status(TypedDict):
     pending: int
     aligned: bool
     realignment_advised: bool
+    advice: list[Json]
     methods_disagree: bool
     clock: Literal["system", "data"]
     now: str | None

@@ -149,6 +149,10 @@ class RobustConfig:
     yaw_sigma_limit_deg: float = 0.125
     #: the same of a craft that a residual torque turns: left alone its yaw is lost within hours
     pushed_yaw_sigma_limit_deg: float = 0.5
+    #: prior of a residual torque that the catalogue does not state, one standard deviation an axis, N m
+    unknown_torque_n_m: float = 1e-6
+    #: greatest own sigma of yaw with which it is controlled under such a torque, deg
+    unknown_torque_yaw_sigma_limit_deg: float = 1.0
     #: yaw beyond it is left alone, deg; it moves no station by more than a sixth of itself
     yaw_validity_limit_deg: float = 2.0
     #: running mean of the normalised innovation squared above which the model is not believed

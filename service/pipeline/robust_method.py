@@ -14,6 +14,7 @@ import numpy as np
 from service.core.estimation.filtering.attitude_filter import FilterState, FilterStep, start, step
 from service.core.estimation.filtering.carry_over import carry_over
 from service.core.estimation.filtering.declared import Declared
+from service.core.estimation.filtering.filter_model import FilterSettings
 from service.core.estimation.filtering.filter_state import (
     ATTITUDE,
     DRIFT,
@@ -22,7 +23,7 @@ from service.core.estimation.filtering.filter_state import (
     initial_gaussian,
 )
 from service.core.estimation.filtering.filter_update import site_db
-from service.core.estimation.filtering.hidden_motion import torque_states
+from service.core.estimation.filtering.hidden_motion import is_torque_seen, torque_states
 from service.core.estimation.filtering.hidden_shares import with_stated_torque, with_torque
 from service.core.estimation.filtering.torque_prior import wave_period_us
 from service.core.estimation.snapshot.snapshot import Snapshots, solve_snapshots
@@ -89,8 +90,7 @@ def initial_state(
 
 def carried_state(state: RobustState, old: RobustModel, new: RobustModel) -> RobustState:
     """Return the state under another calibration: the craft and the carriers that stay keep what is known of them."""
-    before, after = ((settings.torque_deg_h2, settings.fed_forward) for settings in (old.settings, new.settings))
-    if before != after:
+    if _torque_of(old.settings) != _torque_of(new.settings):
         pushed = with_stated_torque(old.filter, state.filter, len(state.released), old.settings, new.settings)
         state = replace(state, filter=pushed)
     if old.carrier_ids == new.carrier_ids and old.calibration_id == new.calibration_id:
@@ -107,6 +107,10 @@ def carried_state(state: RobustState, old: RobustModel, new: RobustModel) -> Rob
         ~new.is_referenced,
     )
     return replace(state, filter=carried)
+
+
+def _torque_of(settings: FilterSettings) -> tuple[object, ...]:
+    return settings.torque_deg_h2, settings.torque_constant_share, settings.fed_forward
 
 
 def step_robust(
@@ -155,6 +159,7 @@ def step_robust(
         has_inhibiting_operation=bool(knowledge.inhibiting_operations(measurement.epoch_us)),
         validity_limit_deg=config.interlock.validity_limit_deg,
         yaw_validity_limit_deg=config.robust.yaw_validity_limit_deg,
+        is_torque_to_be_stated=model.is_torque_unknown and _is_torque_seen(told, model, len(released)),
     )
     after = RobustState(told.state, commanded, released, measurement.source)
     return RobustStep(row, expected_dbm, deviation_db, fixed.residual_db(model), after)
@@ -166,6 +171,13 @@ def rates_deg_s(model: RobustModel, told: FilterStep) -> FloatArray:
     yaw, roll, _pitch = mean[ATTITUDE].tolist()
     exchanged = np.array([-turn * roll, turn * yaw, 0.0])
     return np.asarray((exchanged + mean[DRIFT] + mean[RATE]) / 3600.0)
+
+
+def _is_torque_seen(told: FilterStep, model: RobustModel, shares: int) -> bool:
+    """Return whether the torque that nobody stated has shown itself, in the state or as motion."""
+    gaussian = told.state.gaussian
+    places = torque_states(model.filter, gaussian, shares)
+    return any(told.state.motion.is_followed) or (places is not None and is_torque_seen(gaussian, places))
 
 
 def _unreported(

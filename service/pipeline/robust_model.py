@@ -1,5 +1,6 @@
 """What calibration, alignment and ephemeris give the robust method; fixed until one of them changes."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,7 +18,7 @@ from service.pipeline.geometry_model import GeometryModel, carrier_model, geomet
 from service.pipeline.knowledge import Knowledge
 from service.pipeline.known_motion import angle_inertia_kg_m2
 from service.pipeline.level_control import centred_model, centred_response, member_groups
-from service.pipeline.stated_torque import fed_forward, residual_deg_h2
+from service.pipeline.stated_torque import constant_share, fed_forward, residual_deg_h2
 from service.records.attitude import BoolArray, FloatArray, IntArray
 from service.records.calibration import Alignment, Calibration, CalibrationResult
 from service.records.catalogue import Ephemeris, Method, Spacecraft
@@ -25,6 +26,9 @@ from service.records.geometry import GeometryFit
 
 #: exchange of roll and yaw at the orbital rate, 1/h
 _ORBITAL_RATE_PER_H = 0.2625162
+#: angles that an exchange of roll and yaw turns into drift where nobody knows of it, deg
+_USUAL_ROLL_DEG = 0.05
+_USUAL_YAW_DEG = 0.2
 #: correlation time that stands for a wave of one day, s
 _DAILY_TAU_S = 20_000.0
 #: subsets from which the fix of a late row starts
@@ -61,6 +65,8 @@ class RobustModel:
     #: about yaw, roll and pitch; None while no spacecraft is known
     inertia_kg_m2: tuple[float, float, float] | None
     is_yaw_controllable: bool
+    #: whether the catalogue does not state the size of the torque that is not fed forward
+    is_torque_unknown: bool
     calibration_id: int
     alignment_id: int
 
@@ -105,7 +111,9 @@ def robust_model(
     is_used = np.array(fit.is_used, dtype=np.bool_) & is_known
     groups = member_groups(fit.alc_group, is_used)
     grown_db = _grown_error_db(arrays, fit, ephemeris, max(alignment.epoch_us, ephemeris.valid_start_us))
-    settings = _filter_settings(knowledge.spacecraft, config.robust)
+    spacecraft = knowledge.spacecraft
+    settings = _filter_settings(spacecraft, config.robust)
+    is_torque_unknown = spacecraft is not None and spacecraft.onboard.residual_torque_n_m is None
     return RobustModel(
         carrier_ids=carrier_ids,
         filter=_with_daily_error(
@@ -113,7 +121,7 @@ def robust_model(
             grown_db,
         ),
         settings=settings,
-        limits=_limits(config.interlock, config.robust, settings),
+        limits=_limits(config.interlock, config.robust, settings, is_torque_unknown=is_torque_unknown),
         response=centred_response(arrays.response, groups),
         orders=subset_orders(len(carrier_ids), _SUBSETS),
         level=level,
@@ -125,8 +133,9 @@ def robust_model(
         is_used=is_used,
         is_referenced=np.isfinite(offset_db),
         groups=groups,
-        inertia_kg_m2=None if knowledge.spacecraft is None else angle_inertia_kg_m2(knowledge.spacecraft),
         is_yaw_controllable=calibration.is_yaw_controllable,
+        inertia_kg_m2=None if spacecraft is None else angle_inertia_kg_m2(spacecraft),
+        is_torque_unknown=is_torque_unknown,
         calibration_id=calibration.id,
         alignment_id=alignment.id,
     )
@@ -214,23 +223,36 @@ def _window_levels(arrays: GeometryModel, level: ExpectedLevel, alignment: Align
 
 
 def _filter_settings(spacecraft: Spacecraft | None, config: RobustConfig) -> FilterSettings:
-    """Return what is known of the craft."""
-    is_coupled = spacecraft is None or spacecraft.onboard.roll_yaw_coupling
+    """Return what is known of the craft.
+
+    An exchange of roll and yaw that nobody knows of is drift of either by what the usual angle of the other makes.
+    """
+    is_coupled = True if spacecraft is None else spacecraft.onboard.roll_yaw_coupling
+    unknown_per_h = _ORBITAL_RATE_PER_H if is_coupled is None else 0.0
     return FilterSettings(
         coupling_per_h=_ORBITAL_RATE_PER_H if is_coupled else 0.0,
-        drift_deg_h=(config.yaw_drift_deg_h, config.roll_drift_deg_h, config.pitch_drift_deg_h),
+        drift_deg_h=(
+            math.hypot(config.yaw_drift_deg_h, unknown_per_h * _USUAL_ROLL_DEG),
+            math.hypot(config.roll_drift_deg_h, unknown_per_h * _USUAL_YAW_DEG),
+            config.pitch_drift_deg_h,
+        ),
         drift_tau_h=config.drift_time_h,
         correction_scale=config.correction_scale_error,
         torque_scale=config.torque_scale_error,
         chain_walk_db=config.chain_walk_db_sqrt_h,
-        torque_deg_h2=residual_deg_h2(spacecraft),
+        torque_deg_h2=residual_deg_h2(spacecraft, config.unknown_torque_n_m),
+        torque_constant_share=constant_share(spacecraft),
         fed_forward=fed_forward(spacecraft),
     )
 
 
-def _limits(interlock: InterlockConfig, config: RobustConfig, settings: FilterSettings) -> IntegrityLimits:
+def _limits(
+    interlock: InterlockConfig, config: RobustConfig, settings: FilterSettings, *, is_torque_unknown: bool
+) -> IntegrityLimits:
     """Return when control may use the attitude."""
     pushed_deg = max(config.yaw_sigma_limit_deg, config.pushed_yaw_sigma_limit_deg)
+    if is_torque_unknown:
+        pushed_deg = max(pushed_deg, config.unknown_torque_yaw_sigma_limit_deg)
     return IntegrityLimits(
         sigma_yaw_deg=pushed_deg if is_pushed(settings) else config.yaw_sigma_limit_deg,
         sigma_roll_deg=interlock.roll_sigma_limit_deg,

@@ -16,6 +16,13 @@ from service.records.attitude import AttitudeRow, BoolArray, Exclusion, FloatArr
 from service.records.catalogue import Method
 from service.records.measurement import Measurement
 
+#: what the operator should do while control goes on, with what each code says
+ADVICE: dict[str, str] = {
+    "realign": "more than a third of the references were learned again since the alignment; align again",
+    "state_torque": "a torque of which the catalogue knows nothing turns the spacecraft, and yaw is known worse for "
+    "it; state its size in onboard.residual_torque_n_m, and in onboard.fed_forward_torque the profile that the loop on "
+    "board feeds forward",
+}
 #: fewest rows of a flagged carrier from which its kind of fault is told
 _TELLING_ROWS = QUIET_ROWS // 2
 _MIN_GROUP = 3
@@ -47,6 +54,7 @@ def filtered_row(
     has_inhibiting_operation: bool,
     validity_limit_deg: float,
     yaw_validity_limit_deg: float,
+    is_torque_to_be_stated: bool = False,
 ) -> AttitudeRow:
     """Return the archive's row of one step of the filter."""
     told = fixed.told
@@ -60,6 +68,7 @@ def filtered_row(
     standing = {reason for reason, stands in conditions.items() if stands} | set(told.integrity.reasons)
     # whatever the filter holds against control stands, in the usual order where it has one
     inhibitions = tuple(dict.fromkeys(one for one in (*INHIBITIONS, *told.integrity.reasons) if one in standing))
+    advice = {"realign": told.integrity.is_realignment_advised, "state_torque": is_torque_to_be_stated}
     residual_db = fixed.residual_db(model)[told.used]
     is_raining = told.state.rain.is_raining
     common = told.state.gaussian.mean[common_states(model.filter)]
@@ -85,7 +94,7 @@ def filtered_row(
         residual_rms_db=_rms(residual_db),
         calibration_id=model.calibration_id,
         alignment_id=model.alignment_id,
-        advice=("realign",) if told.integrity.is_realignment_advised else (),
+        advice=tuple(code for code, is_given in advice.items() if is_given),
     )
 
 

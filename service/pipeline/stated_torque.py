@@ -15,15 +15,27 @@ from service.records.attitude import FloatArray
 from service.records.catalogue import AxisTorques, Spacecraft
 from service.records.epoch import US_PER_S
 
+#: of a torque whose size is stated; it is that of the Sun's light, nearly all wave
+_STATED_CONSTANT_SHARE = 0.2
 
-def residual_deg_h2(spacecraft: Spacecraft | None) -> tuple[float, float, float]:
-    """Return what the torque of unknown shape that is not fed forward does to yaw, roll and pitch."""
+
+def residual_deg_h2(spacecraft: Spacecraft | None, unknown_n_m: float) -> tuple[float, float, float]:
+    """Return what the torque of unknown shape that is not fed forward does to yaw, roll and pitch.
+
+    Where the catalogue does not state its size, `unknown_n_m` is the prior.
+    """
     if spacecraft is None:
         return (0.0, 0.0, 0.0)
-    yaw, roll, pitch = (
-        spacecraft.onboard.residual_torque_n_m / DEG_H2_N_M / inertia for inertia in angle_inertia_kg_m2(spacecraft)
-    )
+    stated_n_m = spacecraft.onboard.residual_torque_n_m
+    size_n_m = unknown_n_m if stated_n_m is None else stated_n_m
+    yaw, roll, pitch = (size_n_m / DEG_H2_N_M / inertia for inertia in angle_inertia_kg_m2(spacecraft))
     return yaw, roll, pitch
+
+
+def constant_share(spacecraft: Spacecraft | None) -> float:
+    """Return the constant part of this torque as a share of the whole: a torque that nobody knows is half constant."""
+    is_unknown = spacecraft is not None and spacecraft.onboard.residual_torque_n_m is None
+    return math.sqrt(0.5) if is_unknown else _STATED_CONSTANT_SHARE
 
 
 def fed_forward(spacecraft: Spacecraft | None) -> FedForward | None:

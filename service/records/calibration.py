@@ -204,3 +204,5 @@ class Alignment:
     changed_carriers: tuple[str, ...] = ()
     #: alignments of before the rule was stated have the former one
     reference_rule: ReferenceRule = ReferenceRule.WINDOW_MEAN
+    #: what the catalogue leaves open that the angles from here on suffer from
+    warnings: tuple[str, ...] = ()

@@ -19,6 +19,11 @@ from service.records.calibration import (
 from service.records.catalogue import Ephemeris
 from service.records.epoch import US_PER_S, format_epoch
 
+_UNKNOWN_COUPLING = (
+    "onboard.roll_yaw_coupling is not stated: roll tells nothing of yaw, which is known from the powers alone; state "
+    "true where the on-board mode holds a fixed inertial rate, false where it turns with the orbit"
+)
+
 
 @dataclass(frozen=True, slots=True)
 class AlignmentRequest:
@@ -78,8 +83,14 @@ class Aligner:
             calibration_by_method=powers.calibration_by_method,
             changed_carriers=powers.changed,
             reference_rule=ReferenceRule.ZERO_ATTITUDE,
+            warnings=self._warnings(spacecraft_id),
         )
         return self._storage.results.add_alignment(spacecraft_id, alignment)
+
+    def _warnings(self, spacecraft_id: str) -> tuple[str, ...]:
+        """Return what the catalogue leaves open."""
+        onboard = self._storage.catalogue.spacecraft(spacecraft_id).onboard
+        return (_UNKNOWN_COUPLING,) if onboard.roll_yaw_coupling is None else ()
 
     def _active_calibrations(self, spacecraft_id: str) -> dict[CalibrationMethod, Calibration]:
         """Return the active calibration of each kind of fit."""

@@ -25,8 +25,6 @@ from service.records.catalogue import CarrierPlan, Method
 MIN_COUNT = 5
 #: carriers chosen when no count is asked for
 DEFAULT_COUNT = 16
-#: word among the advice of a row that says so much was learned anew that the references should be taken again
-_REALIGN = "realign"
 
 
 class WindowHarmonics(NamedTuple):
@@ -120,10 +118,10 @@ def wanted_count(candidates: Candidates, count: int | None, origin: str) -> int:
     return min(DEFAULT_COUNT, total) if count is None else count
 
 
-def realignment_advised(storage: Storage, spacecraft_id: str) -> bool:
-    """Return whether the newest row of the robust method advises to take angles and references anew."""
+def newest_advice(storage: Storage, spacecraft_id: str) -> tuple[str, ...]:
+    """Return the advice of the newest row of the robust method."""
     row = storage.results.newest_attitude(spacecraft_id, LIVE, Method.ROBUST)
-    return row is not None and _REALIGN in row.advice
+    return () if row is None else row.advice
 
 
 def runnable_methods(storage: Storage, spacecraft_id: str) -> tuple[Method, ...]:

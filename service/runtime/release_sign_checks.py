@@ -78,7 +78,7 @@ class SignChecks:
             started_us=at.now_us,
             attitude_deg=entry.row.attitude_deg,
             inertia_kg_m2=inertia_about_angles(np.array(craft.inertia_kg_m2)),
-            has_coupling=craft.onboard.roll_yaw_coupling,
+            has_coupling=craft.onboard.roll_yaw_coupling is True,
             settings=self._settings,
         )
         try:

@@ -63,8 +63,8 @@ async def test_minimal_spacecraft_gets_the_defaults_of_the_contract(soo, spacecr
     assert document["onboard"] == {
         "fast_loop": False,
         "forecast_mode": False,
-        "roll_yaw_coupling": True,
-        "residual_torque_n_m": 0.0,
+        "roll_yaw_coupling": None,
+        "residual_torque_n_m": None,
         "fed_forward_torque": None,
     }
     assert (await soo.client.get(f"{URL}/yamal-202")).json() | {"warnings": []} == document
@@ -419,3 +419,20 @@ async def test_a_plan_without_rows_is_withdrawn_and_takes_no_rows(soo, spacecraf
     assert (refused.status_code, refused.json()["code"]) == (409, "plan.in_use")
     refused = await soo.client.delete(url)
     assert (refused.status_code, refused.json()["code"]) == (409, "spacecraft.has_rows")
+
+
+async def test_what_is_stated_can_become_unknown_again(soo, spacecraft):
+    stated = {"fast_loop": True, "forecast_mode": True, "roll_yaw_coupling": True, "residual_torque_n_m": 0.0}
+    created = (await soo.client.post(URL, json={**spacecraft, "onboard": stated})).json()
+    assert created["onboard"] == {**stated, "fed_forward_torque": None}
+    patch = {"onboard": {"roll_yaw_coupling": None, "residual_torque_n_m": None}}
+    changed = (await soo.client.patch(f"{URL}/yamal-202", json=patch)).json()["onboard"]
+    assert (changed["roll_yaw_coupling"], changed["residual_torque_n_m"]) == (None, None)
+    assert (await soo.client.get(f"{URL}/yamal-202")).json()["onboard"] == changed
+
+
+@pytest.mark.parametrize("wrong", ["true", 1, "unknown"])
+async def test_a_coupling_that_is_neither_true_nor_false_is_refused(soo, spacecraft, wrong):
+    answer = await soo.client.post(URL, json={**spacecraft, "onboard": {"roll_yaw_coupling": wrong}})
+    assert answer.status_code == 422
+    assert answer.json()["errors"][0]["pointer"] == "/onboard/roll_yaw_coupling"

@@ -1,9 +1,11 @@
 """Every storage keeps the catalogue: what was put comes back equal, versions are kept, changes are journaled."""
 
+import json
 from dataclasses import replace
 
 import pytest
 
+from db.documents import decode, encode
 from service.errors import ConflictError, NotFoundError
 from service.records.catalogue import (
     AxisTorques,
@@ -193,3 +195,19 @@ def test_a_draft_is_deleted_and_what_was_active_is_not(setting):
     with pytest.raises(ConflictError) as caught:
         results.delete_calibration(setting.id, active.id)
     assert caught.value.code == "calibration.not_draft"
+
+
+@pytest.mark.parametrize("stated", [(None, None), (True, 0.0), (False, 7e-7)])
+def test_what_nobody_knows_of_the_craft_is_not_stored_as_none(storage, stated):
+    onboard = Onboard(roll_yaw_coupling=stated[0], residual_torque_n_m=stated[1])
+    storage.catalogue.add_spacecraft(replace(CRAFT, onboard=onboard))
+    assert storage.catalogue.spacecraft("yamal").onboard == onboard
+
+
+def test_a_spacecraft_stored_before_the_fields_could_be_unknown_keeps_what_it_was():
+    """Stored documents say `true` and 0; the oldest ones have neither field."""
+    old = json.loads(encode(CRAFT))
+    for name in ("residual_torque_n_m", "roll_yaw_coupling"):
+        del old["onboard"][name]
+    onboard = decode(Spacecraft, json.dumps(old)).onboard
+    assert (onboard.roll_yaw_coupling, onboard.residual_torque_n_m) == (True, 0.0)

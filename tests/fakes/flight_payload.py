@@ -216,7 +216,7 @@ class FlightPayload:
         known = track if self.has_track else None
         return Ephemeris(ephemeris_id, nodes_us, PERIOD_S, start_us, stop_us, "nodes", known)
 
-    def spacecraft(self, *, coupling: bool = False, **control: Any) -> Spacecraft:
+    def spacecraft(self, *, coupling: bool | None = False, **control: Any) -> Spacecraft:
         """Return a simulated spacecraft under ground control by the robust method, released in two steps."""
         settings = {"method": Method.ROBUST, "mode": ControlMode.GROUND, "release": Release.TWO_STEP, **control}
         return Spacecraft(

@@ -139,6 +139,8 @@ class AlignmentAnswer(Answer):
     reference_rule: ReferenceRule
     """Of the paper method's references: `zero_attitude` (mean of the window less harmonic less the calibrated change at
     the sensors' angles), or `window_mean` (mean of the window less harmonic) of alignments of before."""
+    warnings: list[str]
+    """What the catalogue left open at the alignment, and what that costs."""
 
     @classmethod
     def of(cls, alignment: Alignment) -> Self:
@@ -162,6 +164,7 @@ class AlignmentAnswer(Answer):
                 "calibration_by_method": alignment.calibration_by_method,
                 "changed_carriers": alignment.changed_carriers,
                 "reference_rule": alignment.reference_rule,
+                "warnings": alignment.warnings,
             }
         )
 

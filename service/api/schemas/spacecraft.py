@@ -169,9 +169,12 @@ class OnboardDocument(Document):
 
     fast_loop: bool = False
     forecast_mode: bool = False
-    roll_yaw_coupling: bool = True
-    residual_torque_n_m: Annotated[float, Field(ge=0, le=1e-3)] = 0.0
-    """Size of the disturbance torque an axis that is not fed forward on board, for the filter to learn; 0 = none."""
+    roll_yaw_coupling: bool | None = None
+    """Whether roll and yaw exchange once a day because the on-board mode holds a fixed inertial rate; under `false` it
+    turns with the orbit. Decides yaw: under `true` roll tells it; `null`: unknown, powers alone tell it."""
+    residual_torque_n_m: Annotated[float, Field(ge=0, le=1e-3)] | None = None
+    """Size of the disturbance torque an axis that is not fed forward on board, for the filter to learn; 0 = none.
+    `null`: unknown, the filter begins with the prior `SOO_ROBUST__UNKNOWN_TORQUE_N_M`; yaw is known worse for it."""
     fed_forward_torque: FedForwardDocument | None = None
     """What is fed forward on board, for the filter to learn what is wrong with it; null = nothing is known."""
 

@@ -34,6 +34,13 @@ class InterlockAnswer(Answer):
     reasons: list[str]
 
 
+class AdviceAnswer(Answer):
+    """What the operator should do while control goes on."""
+
+    code: str
+    text: str
+
+
 class StatusAnswer(Answer):
     """What is newest, what is pending, what is in force."""
 
@@ -44,6 +51,9 @@ class StatusAnswer(Answer):
     """Rows after the alignment's epoch without a result of every method that can run; 0 when not aligned."""
     aligned: bool
     realignment_advised: bool
+    """Whether `advice` has `realign`."""
+    advice: list[AdviceAnswer]
+    """Of the newest row of the robust method."""
     methods_disagree: bool
     """Whether both methods have told different roll or pitch angles for a quarter of an hour."""
     clock: Literal["system", "data"]

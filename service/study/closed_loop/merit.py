@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from service.records.attitude import BoolArray
 from service.study.closed_loop.controllers import Sensing
 from service.study.closed_loop.run import Flight, LoopResult
 
@@ -17,6 +18,11 @@ NARROW_SHARE = 0.95
 FADE_LIMIT_DEG, FADE_SETTLED_DEG, FADE_SETTLE_H = 0.4, 0.1, 3.0
 #: the scenario that begins off zero and is judged by the fade's limits
 FADE_SCENARIO = "slew_fade"
+#: deg, yaw, roll, pitch, and h: under a torque that the catalogue does not know all runs stay within the angles, and no
+#: inhibition lasts longer
+UNKNOWN_TORQUE_DEG = (1.0, 0.3, 0.3)
+UNKNOWN_TORQUE_INHIBITED_H = 0.25 + 1e-9
+UNKNOWN_TORQUE_SCENARIOS = ("unknown_residual_constant", "unknown_residual_daily")
 PERCENTILES = (50, 95, 100)
 
 
@@ -27,6 +33,8 @@ class RunMerit(NamedTuple):
     rms_deg: tuple[float, float, float]
     impulse_n_m_s: tuple[float, float, float]
     inhibited_h: float
+    #: h, the longest inhibition without a break
+    longest_inhibited_h: float
     #: h after the end of the fade until roll and pitch are both small; inf = never, None = no fade
     settled_h: float | None
 
@@ -44,6 +52,12 @@ class RunMerit(NamedTuple):
     def is_level(self) -> bool:
         """Whether roll and pitch alone stay within the limits of 95 % of the runs."""
         return all(angle < limit for angle, limit in zip(self.largest_deg[1:], NARROW_DEG[1:], strict=True))
+
+    @property
+    def is_unknown_torque_survived(self) -> bool:
+        """Whether the limits under a torque that nobody knows are kept, and control is never lost."""
+        is_within = all(angle < limit for angle, limit in zip(self.largest_deg, UNKNOWN_TORQUE_DEG, strict=True))
+        return is_within and self.longest_inhibited_h <= UNKNOWN_TORQUE_INHIBITED_H
 
     @property
     def is_fade_survived(self) -> bool:
@@ -68,8 +82,10 @@ class GroupMerit:
     largest_deg: tuple[tuple[float, float, float], ...]
     impulse_n_m_s: tuple[tuple[float, float, float], ...]
     inhibited_h: tuple[float, ...]
-    #: share of the runs that survive the fade, and the longest time to come back; None = no such story
+    longest_inhibited_h: float
+    #: share of the runs that survive the fade or the unknown torque; None = another story
     survived_share: float | None
+    #: longest time to come back after the fade; None = no such story
     settled_h: float | None
 
     @property
@@ -89,6 +105,7 @@ def run_merit(flight: Flight) -> RunMerit:
         _triple(np.sqrt(np.mean(size**2, axis=0))),
         flight.impulse_n_m_s,
         float(flight.is_inhibited.sum()) * step_h,
+        _longest_run(flight.is_inhibited) * step_h,
         _settled_h(flight),
     )
 
@@ -97,7 +114,7 @@ def group_merit(results: Sequence[LoopResult]) -> GroupMerit:
     """Return the figures of the runs of one scenario under one sensing."""
     unit, runs = results[0].unit, len(results)
     merits = [run_merit(result.flight) for result in results if result.flight is not None]
-    is_fade = unit.scenario == FADE_SCENARIO
+    is_fade, is_unknown = unit.scenario == FADE_SCENARIO, unit.scenario in UNKNOWN_TORQUE_SCENARIOS
 
     def share(is_kept: Callable[[RunMerit], bool]) -> float:
         return sum(map(is_kept, merits)) / runs
@@ -113,7 +130,12 @@ def group_merit(results: Sequence[LoopResult]) -> GroupMerit:
         largest_deg=_percentiles([merit.largest_deg for merit in merits]),
         impulse_n_m_s=_percentiles([merit.impulse_n_m_s for merit in merits]),
         inhibited_h=tuple(triple[0] for triple in _percentiles([(merit.inhibited_h,) * 3 for merit in merits])),
-        survived_share=share(lambda merit: merit.is_fade_survived) if is_fade else None,
+        longest_inhibited_h=max((merit.longest_inhibited_h for merit in merits), default=float("inf")),
+        survived_share=share(lambda merit: merit.is_fade_survived)
+        if is_fade
+        else share(lambda merit: merit.is_unknown_torque_survived)
+        if is_unknown
+        else None,
         settled_h=max((merit.settled_h or 0.0 for merit in merits), default=float("inf")) if is_fade else None,
     )
 
@@ -125,6 +147,12 @@ def _percentiles(values: Sequence[tuple[float, float, float]]) -> tuple[tuple[fl
     # the next run that was flown, nothing in between: a percentile of few runs is a run
     table = np.percentile(np.array(values), PERCENTILES, axis=0, method="higher")
     return tuple(_triple(row) for row in table)
+
+
+def _longest_run(is_set: BoolArray) -> int:
+    """Return the length of the longest run of rows that are set."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], is_set, [False]])))
+    return int((edges[1::2] - edges[::2]).max(initial=0))
 
 
 def _settled_h(flight: Flight) -> float | None:

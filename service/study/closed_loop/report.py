@@ -18,17 +18,15 @@ COLUMNS = (
     "largest yaw/roll/pitch, deg (50 %)",
     "(all)",
     "impulse yaw/roll/pitch, N m s (50 %)",
-    "inhibited, h (50 %, all)",
-    "fade survived, back after h",
+    "inhibited, h (50 %, all; longest)",
+    "fade or unknown torque survived",
+    "back after h",
     "verdict",
 )
 
 
 def cells(group: GroupMerit) -> tuple[str, ...]:
     """Return a line of the table."""
-    fade = "-"
-    if group.survived_share is not None and group.settled_h is not None:
-        fade = f"{group.survived_share:.0%}, {group.settled_h:.1f}"
     return (
         group.scenario,
         group.sensing.value,
@@ -39,8 +37,9 @@ def cells(group: GroupMerit) -> tuple[str, ...]:
         _triple(group.largest_deg[0], 3),
         _triple(group.largest_deg[-1], 3),
         _triple(group.impulse_n_m_s[0], 3),
-        f"{group.inhibited_h[0]:.1f}, {group.inhibited_h[-1]:.1f}",
-        fade,
+        f"{group.inhibited_h[0]:.1f}, {group.inhibited_h[-1]:.1f}; {group.longest_inhibited_h:.2f}",
+        "-" if group.survived_share is None else f"{group.survived_share:.0%}",
+        "-" if group.settled_h is None else f"{group.settled_h:.1f}",
         verdict(group),
     )
 

@@ -22,13 +22,10 @@ from service.study.estimation.world import Ground
 
 #: what the craft tells of commands
 STATES = ("executed", "executing", "replaced", "repeated", "late", "refused")
-#: N m, one sigma of a torque of unknown shape beside what is wrong with the profile that is fed forward: none is
-#: stated; 2e-8 would leave yaw known to .20 deg in place of .17, and nothing else would change
-RESIDUAL_TORQUE_N_M = 0.0
 #: sigma of yaw up to which it is controlled, deg: half a day long yaw may be known to a quarter of a degree, and left
 #: alone it goes off by a degree in that time
 YAW_SIGMA_DEG = 0.5
-#: s: of the closed loop and between commands over the link, as quick as delay, report and envelope allow
+#: s: of the closed loop and between commands over the link where the catalogue states the torque
 LOOP_PERIOD_S = 2400.0
 COMMAND_PERIOD_S = 600.0
 
@@ -104,11 +101,11 @@ def fly_unit(unit: LoopUnit) -> LoopResult:
 def controller_of(unit: LoopUnit, ground: Ground, documents: Documents, plan: PlanChange) -> Controller:
     """Return who closes the loop."""
     is_ideal = unit.uplink == "ideal"
-    spacecraft = _flown_spacecraft(ground.spacecraft, Release.AUTOMATIC if is_ideal else Release.TWO_STEP)
+    spacecraft = flown_spacecraft(ground.spacecraft, Release.AUTOMATIC if is_ideal else Release.TWO_STEP)
     if unit.sensing is Sensing.OFF:
         return Idle()
     if unit.sensing is Sensing.TRUTH:
-        automatic = _flown_spacecraft(ground.spacecraft, Release.AUTOMATIC)
+        automatic = flown_spacecraft(ground.spacecraft, Release.AUTOMATIC)
         return ByTruth(automatic, 0.0 if is_ideal else LEAD_S, float(np.median(np.diff(ground.epochs_us))) / 1e6)
     opening = (SpacecraftChange(spacecraft, 1), plan, documents.add_ephemeris(ground.ephemeris))
     documents.calibrations[1] = calibrate(ground, documents.plans[1], documents.ephemerides[1])
@@ -120,13 +117,16 @@ def controller_of(unit: LoopUnit, ground: Ground, documents: Documents, plan: Pl
     return ByChain(chain, None if is_ideal else Releaser(chain, spacecraft, LEAD_S, config.torque))
 
 
-def _flown_spacecraft(spacecraft: Spacecraft, release: Release) -> Spacecraft:
-    """Return the catalogue's spacecraft under a way of release, with the torque that its loop does not feed forward."""
-    onboard = replace(spacecraft.onboard, residual_torque_n_m=RESIDUAL_TORQUE_N_M)
+def flown_spacecraft(spacecraft: Spacecraft, release: Release) -> Spacecraft:
+    """Return the catalogue's spacecraft under a way of release.
+
+    Over the link a craft whose torque is stated has commands as quick as delay, report and envelope allow; one whose
+    torque nobody knows has the defaults of the catalogue.
+    """
     control = replace(spacecraft.control, release=release)
-    if release is Release.TWO_STEP:
+    if release is Release.TWO_STEP and spacecraft.onboard.residual_torque_n_m is not None:
         control = replace(control, period_s=LOOP_PERIOD_S, command_period_s=COMMAND_PERIOD_S)
-    return replace(spacecraft, onboard=onboard, control=control)
+    return replace(spacecraft, control=control)
 
 
 def _config(unit: LoopUnit) -> ChainConfig:

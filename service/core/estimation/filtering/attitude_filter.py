@@ -42,7 +42,7 @@ from service.core.estimation.filtering.filter_update import innovate, update
 from service.core.estimation.filtering.hidden_motion import with_doubted_torque
 from service.core.estimation.filtering.integrity import Evidence, IntegrityLimits, assess
 from service.core.estimation.filtering.kernels import ARRAYS, Kernels
-from service.core.estimation.filtering.motion_watch import newly_excused, pass_motion
+from service.core.estimation.filtering.motion_watch import newly_explained, pass_motion
 from service.core.estimation.filtering.rain_state import pass_hold, pass_minutes
 from service.core.estimation.filtering.row_stages import common_first, is_shared, moved, trusted, watched
 from service.core.estimation.filtering.torque_prior import is_pushed
@@ -201,8 +201,8 @@ def _judged(
     if len(kept.carriers) >= MIN_CARRIERS:
         updated = update(model, freed.gaussian, row.deviation_db, kept, kernels)
         motion = moved(freed, updated, choice, is_pushed=is_pushed(settings))
-        if is_pushed(settings) and newly_excused(freed.motion, motion).any():
-            axes = newly_excused(freed.motion, motion)
+        axes = newly_explained(freed.motion, motion)
+        if is_pushed(settings) and axes.any():
             updated = updated._replace(state=with_doubted_torque(model, updated.state, settings, axes))
         after = freed._replace(gaussian=updated.state, motion=motion)
         command = push_row(model, freed.command, kept, updated.state.covariance, is_shared=is_shared(choice))

@@ -102,6 +102,8 @@ class FilterSettings(NamedTuple):
     #: size of the torque that is not fed forward, as acceleration, deg/h^2, and how long what is learned of it holds, h
     torque_deg_h2: tuple[float, float, float] = (0.0, 0.0, 0.0)
     torque_tau_h: float = 24_000.0
+    #: the constant part of this torque, as a share of the whole; the rest is a wave
+    torque_constant_share: float = 0.2
     #: what the loop on board feeds forward; None = no profile is known
     fed_forward: FedForward | None = None
 

@@ -41,6 +41,8 @@ _US_PER_H = 3.6e9
 #: a torque that motion makes doubtful may be this many times what was stated, and have been so for this long, h
 _DOUBT = 5.0
 _DOUBTED_H = 2.0
+#: chi-square of three degrees of freedom that chance exceeds once in a thousand
+_SEEN_CHI_SQUARE = 16.27
 #: longest span that ten nodes integrate, h
 _PANEL_H = 6.0
 #: and the longest share of a wave
@@ -185,3 +187,13 @@ def with_doubted_torque(model: CarrierModel, gaussian: Gaussian, settings: Filte
         gained = _DOUBT * size[axis] * np.array([_DOUBTED_H, 1.0])
         covariance[np.ix_(together, together)] += np.multiply.outer(gained, gained)
     return Gaussian(gaussian.mean, covariance)
+
+
+def is_torque_seen(gaussian: Gaussian, places: slice) -> bool:
+    """Return whether the torque about any axis, constant and wave together, differs from none beyond chance."""
+    for axis in range(3):
+        own = np.arange(places.start + axis, places.stop, 3)
+        mean = gaussian.mean[own]
+        if float(mean @ np.linalg.solve(gaussian.covariance[np.ix_(own, own)], mean)) > _SEEN_CHI_SQUARE:
+            return True
+    return False

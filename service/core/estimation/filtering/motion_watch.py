@@ -4,8 +4,9 @@ While the model holds, what a row adds to an angle, in units of its sigma, is wh
 that was lost, doubled or turned round, or a coupling that does not act, makes shifts of one sign: the two-sided sum
 finds them, the axis is followed with a wide drift for an hour and control is told. Where a torque that nobody feeds
 forward is among the states it may be greater than it was thought to be: the first alarm of an axis widens it, and
-control goes on, for to stop it would leave the craft to that torque. What moves the axis on within the hour is
-something else. The law of this file: one value a minute and axis, order yaw, roll, pitch.
+control goes on, for to stop it would leave the craft to that torque. The second within the hour widens it again and is
+reported for a quarter of an hour. What moves the axis on after that is something else. The law of this file: one value
+a minute and axis, order yaw, roll, pitch.
 """
 
 from typing import NamedTuple
@@ -18,6 +19,10 @@ from service.core.estimation.filtering.minute_sums import MinuteSums, empty_minu
 
 #: minutes for which an axis is followed after an alarm
 FOLLOWED_MINUTES = 60.0
+#: minutes for which the second alarm of an axis is reported where a torque may explain it
+EXPLAINED_MINUTES = 15.0
+#: alarms of an axis, each within an hour of the one before, that a torque may explain
+_EXPLAINED_ALARMS = 2
 
 
 class MotionWatch(NamedTuple):
@@ -27,8 +32,10 @@ class MotionWatch(NamedTuple):
     cusum: Cusum
     #: (3,) minutes for which each axis is still followed
     minutes_left: FloatArray
-    #: (3,) minutes for which a torque may explain what each axis does
-    excused_minutes: FloatArray
+    #: (3,) minutes for which the motion of each axis is still reported as unannounced
+    reported_minutes: FloatArray
+    #: (3,) alarms of each axis since it was last still
+    alarms: FloatArray
 
     @property
     def is_followed(self) -> tuple[bool, bool, bool]:
@@ -38,14 +45,14 @@ class MotionWatch(NamedTuple):
 
     @property
     def is_unannounced(self) -> tuple[bool, bool, bool]:
-        """Whether each axis is suspected to move as nobody announced and no torque explains."""
-        yaw, roll, pitch = (self.minutes_left > self.excused_minutes).tolist()
+        """Whether the motion of each axis is reported as unannounced."""
+        yaw, roll, pitch = (self.reported_minutes > 0.0).tolist()
         return yaw, roll, pitch
 
 
 def still_watch(epoch_us: int) -> MotionWatch:
     """Return the watch of a craft that does what it is told."""
-    return MotionWatch(empty_minute(3, epoch_us), quiet_cusum(3), np.zeros(3), np.zeros(3))
+    return MotionWatch(empty_minute(3, epoch_us), quiet_cusum(3), np.zeros(3), np.zeros(3), np.zeros(3))
 
 
 def push_shift(watch: MotionWatch, epoch_us: int, shift: FloatArray, *, is_pushed: bool = False) -> MotionWatch:
@@ -58,14 +65,19 @@ def push_shift(watch: MotionWatch, epoch_us: int, shift: FloatArray, *, is_pushe
     if not is_alarm.any():
         return watch._replace(minute=sums, cusum=pushed)
     left = np.where(is_alarm, FOLLOWED_MINUTES, watch.minutes_left)
-    is_excused = is_alarm & (watch.minutes_left == 0.0) & is_pushed
-    excused = np.where(is_excused, FOLLOWED_MINUTES, np.where(is_alarm, 0.0, watch.excused_minutes))
-    return MotionWatch(sums, reset_cusum(pushed, is_alarm), left, excused)
+    alarms = watch.alarms + is_alarm
+    minutes = np.full(3, FOLLOWED_MINUTES)
+    if is_pushed:
+        minutes = np.select(
+            [alarms < _EXPLAINED_ALARMS, alarms == _EXPLAINED_ALARMS], [0.0, EXPLAINED_MINUTES], minutes
+        )
+    reported = np.where(is_alarm, np.maximum(minutes, watch.reported_minutes), watch.reported_minutes)
+    return MotionWatch(sums, reset_cusum(pushed, is_alarm), left, reported, alarms)
 
 
-def newly_excused(before: MotionWatch, after: MotionWatch) -> BoolArray:
-    """Return the axes (3,) whose motion a torque is to explain from this row on."""
-    return np.asarray(after.excused_minutes > before.excused_minutes)
+def newly_explained(before: MotionWatch, after: MotionWatch) -> BoolArray:
+    """Return the axes (3,) whose motion a greater torque is to explain from this row on."""
+    return np.asarray((after.alarms > before.alarms) & (after.alarms <= _EXPLAINED_ALARMS))
 
 
 def forget_shifts(watch: MotionWatch, epoch_us: int) -> MotionWatch:
@@ -74,14 +86,15 @@ def forget_shifts(watch: MotionWatch, epoch_us: int) -> MotionWatch:
 
 
 def follow_all(watch: MotionWatch) -> MotionWatch:
-    """Return the watch of a craft that has jumped: all axes are followed."""
-    left = np.full(3, FOLLOWED_MINUTES)
-    return watch._replace(cusum=quiet_cusum(3), minutes_left=left, excused_minutes=np.zeros(3))
+    """Return the watch of a craft that has jumped: all axes are followed, and no torque explains it."""
+    left, alarms = np.full(3, FOLLOWED_MINUTES), watch.alarms + _EXPLAINED_ALARMS
+    return watch._replace(cusum=quiet_cusum(3), minutes_left=left, reported_minutes=left, alarms=alarms)
 
 
 def pass_motion(watch: MotionWatch, minutes: float) -> MotionWatch:
     """Return the watch some minutes of data later."""
     if not watch.minutes_left.any():
         return watch
-    left, excused = watch.minutes_left - minutes, watch.excused_minutes - minutes
-    return watch._replace(minutes_left=np.maximum(0.0, left), excused_minutes=np.maximum(0.0, excused))
+    left = np.maximum(0.0, watch.minutes_left - minutes)
+    reported = np.maximum(0.0, watch.reported_minutes - minutes)
+    return watch._replace(minutes_left=left, reported_minutes=reported, alarms=np.where(left > 0.0, watch.alarms, 0.0))

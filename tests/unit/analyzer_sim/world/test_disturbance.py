@@ -17,7 +17,7 @@ STORY = scenario_named("nominal")
 def test_the_profile_is_the_share_that_is_fed_forward_of_the_torque_that_acts(seed: int) -> None:
     told = fed_forward(STORY, seed)
     epochs_us = STORY.operation_start_us + 3_600_000_000 * np.arange(48)
-    acts = disturbance(STORY, seed, epochs_us).solar_n_m
+    acts = disturbance(STORY, seed, epochs_us).external_n_m
     # the torque of a row is that of the middle of the step after it
     turns = (epochs_us + 0.5 * STORY.row_period_us - told.epoch_us) / (told.period_s * 1e6)
     phase = 2.0 * np.pi * turns[:, None]
@@ -29,3 +29,20 @@ def test_the_line_says_nothing_of_what_is_wrong_with_it() -> None:
     line = json.loads(json.dumps(fed_forward_line(World(STORY, 1))))
     assert sorted(line) == ["constant_n_m", "cosine_n_m", "epoch", "period_s", "sine_n_m"]
     assert sorted(line["cosine_n_m"]) == ["pitch", "roll", "yaw"]
+
+
+@pytest.mark.parametrize("seed", range(1, 21))
+@pytest.mark.parametrize("name", ["unknown_residual_constant", "unknown_residual_daily"])
+def test_a_torque_that_nobody_knows_has_its_size_and_is_not_announced(name: str, seed: int) -> None:
+    story = scenario_named(name)
+    epochs_us = story.operation_start_us + 600_000_000 * np.arange(144)
+    acts = disturbance(story, seed, epochs_us)
+    size_n_m = np.abs(acts.unseen_n_m).max(axis=0)
+    assert ((size_n_m > 1.99e-7) & (size_n_m <= 2e-6)).all()
+    mean_n_m = np.abs(acts.unseen_n_m.mean(axis=0))
+    # a wave of a day has no mean, a constant nothing else
+    np.testing.assert_allclose(mean_n_m, 0.0 * size_n_m if name.endswith("daily") else size_n_m, atol=1e-12)
+    # all of the Sun's torque is fed forward
+    nominal = disturbance(STORY, seed, epochs_us)
+    np.testing.assert_allclose(acts.external_n_m - acts.unseen_n_m, nominal.external_n_m, atol=1e-20)
+    assert fed_forward_line(World(story, seed)) is None

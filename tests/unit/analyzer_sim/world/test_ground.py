@@ -40,7 +40,12 @@ def test_the_spacecraft_is_simulated_and_steered_by_the_paper_method() -> None:
     body = bodies("spacecraft")[0]
     assert body["simulated"] is True
     assert body["control"] == {"method": "robust", "mode": "ground", "release": "two_step"}
-    assert body["onboard"] == {"fast_loop": True, "forecast_mode": True, "roll_yaw_coupling": True}
+    assert body["onboard"] == {
+        "fast_loop": True,
+        "forecast_mode": True,
+        "roll_yaw_coupling": True,
+        "residual_torque_n_m": 0.0,
+    }
     assert set(body["receiving_site"]) == {"name", "latitude_deg", "longitude_deg", "height_m"}
 
 

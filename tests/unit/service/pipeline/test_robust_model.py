@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from geometry_flight import CITIES, HOUR, INERTIA, START_US, FlightPayload, S
 
+from service.core.estimation.filtering.torque_prior import torque_prior_deg_h2
 from service.pipeline.config import ChainConfig, InterlockConfig, RobustConfig
 from service.pipeline.knowledge import Knowledge
 from service.pipeline.robust_model import robust_model, signals
@@ -77,6 +78,38 @@ def test_a_torque_that_is_not_fed_forward_is_an_acceleration_of_each_axis_and_le
     calm = robust_model(knows(payload), None, CONFIG)
     assert calm.settings.torque_deg_h2 == (0.0, 0.0, 0.0)
     assert calm.limits.sigma_yaw_deg == CONFIG.robust.yaw_sigma_limit_deg
+
+
+def test_a_torque_that_the_catalogue_does_not_state_is_a_prior_as_well_constant_as_wave(payload):
+    craft = payload.spacecraft()
+    unknown = replace(craft, onboard=replace(craft.onboard, residual_torque_n_m=None))
+    inertia = np.array([INERTIA[2][2], INERTIA[0][0], INERTIA[1][1]])
+    for prior_n_m in (1e-6, 3e-6):
+        config = ChainConfig(robust=RobustConfig(unknown_torque_n_m=prior_n_m))
+        model = robust_model(knows(payload, spacecraft=unknown), None, config)
+        size = np.degrees(prior_n_m / inertia) * 3600.0**2
+        np.testing.assert_allclose(model.settings.torque_deg_h2, size)
+        np.testing.assert_allclose(torque_prior_deg_h2(model.settings), np.tile(np.sqrt(0.5) * size, 3))
+        assert model.is_torque_unknown
+    # left alone its yaw is lost: it is controlled as long as it is known to a degree
+    assert model.limits.sigma_yaw_deg == CONFIG.robust.unknown_torque_yaw_sigma_limit_deg == 1.0
+    assert CONFIG.robust.unknown_torque_n_m == 1e-6
+    # a stated size, none included, is what it was
+    for stated_n_m in (0.0, 5e-7):
+        stated = replace(craft, onboard=replace(craft.onboard, residual_torque_n_m=stated_n_m))
+        model = robust_model(knows(payload, spacecraft=stated), None, CONFIG)
+        assert (model.is_torque_unknown, model.settings.torque_constant_share) == (False, 0.2)
+
+
+def test_without_a_statement_roll_tells_nothing_of_yaw_and_either_may_drift_by_the_other(payload):
+    def settings(coupling):
+        return robust_model(knows(payload, spacecraft=payload.spacecraft(coupling=coupling)), None, CONFIG).settings
+
+    unknown, uncoupled, coupled = settings(None), settings(False), settings(True)
+    assert unknown.coupling_per_h == uncoupled.coupling_per_h == 0.0 < coupled.coupling_per_h
+    assert coupled.drift_deg_h == uncoupled.drift_deg_h == (0.04, 0.025, 0.025)
+    turn = coupled.coupling_per_h
+    np.testing.assert_allclose(unknown.drift_deg_h, np.hypot([0.04, 0.025, 0.025], [0.05 * turn, 0.2 * turn, 0.0]))
 
 
 def test_what_is_fed_forward_is_counted_from_1970_whatever_epoch_states_it(payload):

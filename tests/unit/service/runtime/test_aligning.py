@@ -1,12 +1,16 @@
 """Alignment from the archive: what it keeps, and every reason to refuse."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from db.documents import decode, encode
+from service.api.schemas.alignments import AlignmentAnswer
 from service.errors import ConflictError, InvalidInputError, NotFoundError
 from service.records.attitude import Axes
 from service.records.calibration import Alignment, ReferenceRule, Window
+from service.records.catalogue import Onboard
 from service.runtime.aligning import AlignmentRequest
 
 TRACKER = ("star_tracker",) * 3
@@ -47,6 +51,19 @@ def test_angles_stated_by_hand_take_the_powers_before_them(ground):
     assert (found.epoch_us, found.source, found.sigma_deg) == (ground.at(0), "manual", SIGMA)
     assert found.window == Window(ground.at(-15), ground.at(0) + 1)
     assert {item.samples for item in found.references} == {16}
+
+
+@pytest.mark.parametrize("coupling", [True, False, None])
+def test_an_exchange_of_roll_and_yaw_that_nobody_stated_is_warned_of(ground, coupling):
+    craft = ground.storage.catalogue.spacecraft(ground.id)
+    ground.storage.catalogue.replace_spacecraft(replace(craft, onboard=Onboard(roll_yaw_coupling=coupling)))
+    warnings = ground.align().warnings
+    assert len(warnings) == (coupling is None)
+    assert all("onboard.roll_yaw_coupling" in warning for warning in warnings)
+    # it is kept with the alignment, whatever the catalogue says later
+    ground.storage.catalogue.replace_spacecraft(replace(craft, onboard=Onboard(roll_yaw_coupling=True)))
+    assert ground.storage.results.alignments(ground.id)[0].warnings == warnings
+    assert AlignmentAnswer.of(ground.storage.results.alignments(ground.id)[0]).warnings == list(warnings)
 
 
 def test_powers_that_contradict_are_refused_with_what_they_tell_unless_overridden(ground):

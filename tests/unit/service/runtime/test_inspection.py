@@ -9,7 +9,7 @@ from synthetic_payload import HOUR, START_US, SyntheticPayload
 
 from service.records.attitude import row_without_attitude
 from service.records.catalogue import Method
-from service.runtime.inspection import realignment_advised, runnable_methods
+from service.runtime.inspection import newest_advice, runnable_methods
 
 PAYLOAD = SyntheticPayload.make(6)
 
@@ -19,16 +19,14 @@ def storage_with(**results: Any) -> Any:
     return SimpleNamespace(results=SimpleNamespace(**{name: lambda *_, v=value: v for name, value in results.items()}))
 
 
-@pytest.mark.parametrize(
-    ("advice", "expected"), [((), False), (("disagreement",), False), (("disagreement", "realign"), True)]
-)
-def test_the_newest_row_of_the_filter_advises(advice: tuple[str, ...], expected: bool) -> None:
+@pytest.mark.parametrize("advice", [(), ("realign",), ("realign", "state_torque")])
+def test_the_newest_row_of_the_filter_advises(advice: tuple[str, ...]) -> None:
     row = replace(row_without_attitude(START_US, START_US, 1, Method.ROBUST, ()), advice=advice)
-    assert realignment_advised(storage_with(newest_attitude=row), "sc") is expected
+    assert newest_advice(storage_with(newest_attitude=row), "sc") == advice
 
 
 def test_without_a_row_nothing_is_advised() -> None:
-    assert realignment_advised(storage_with(newest_attitude=None), "sc") is False
+    assert newest_advice(storage_with(newest_attitude=None), "sc") == ()
 
 
 @pytest.mark.parametrize(

@@ -96,12 +96,25 @@ def test_a_large_angle_is_led_back_in_steps_and_the_horizon_becomes_shorter():
     assert near.horizon_s > plan.horizon_s
 
 
-def test_yaw_does_not_shorten_what_roll_and_pitch_are_held_for():
+def test_a_yaw_that_is_not_far_off_does_not_shorten_what_roll_and_pitch_are_held_for():
     calm = plan_command(GAINS, DRIVE, Situation(NOTHING, NOTHING, EVERY), forecast((1e-7,) * 3), Envelope())
-    turned = Situation(np.array([0.8, 0.0, 0.0]), np.array([5e-5, 0.0, 0.0]), EVERY)
+    turned = Situation(np.array([0.29, 0.0, 0.0]), np.array([5e-5, 0.0, 0.0]), EVERY)
     plan = plan_command(GAINS, DRIVE, turned, forecast((1e-7,) * 3), Envelope())
     assert plan.horizon_s == calm.horizon_s
     assert plan.is_shortened
+
+
+def test_a_yaw_far_off_is_led_back_although_a_torque_fills_the_envelope_of_an_hour():
+    """Before: balancing 2e-6 N m for an hour left nothing to the slew, and the craft went on to turn away."""
+    yaw_deg, rate_deg_s, torque_n_m = 0.8, 1e-4, 2e-6
+    turned = Situation(np.array([yaw_deg, 0.0, 0.0]), np.array([rate_deg_s, 0.0, 0.0]), EVERY)
+    expected = forecast((torque_n_m, 1e-7, 1e-7))
+    plan = plan_command(GAINS, DRIVE, turned, expected, Envelope())
+    slew = [pulse for pulse in plan.pulses if pulse.axis == 0 and pulse.start_s < expected.slew_s]
+    gained_deg_s = np.degrees(sum(pulse.impulse_n_m_s for pulse in slew) / INERTIA[0, 0])
+    pushed_deg_s = np.degrees(torque_n_m / INERTIA[0, 0]) * expected.slew_s
+    # at least the rate that the torque gives within the slew and half of what was there are taken away
+    assert gained_deg_s < -(pushed_deg_s + 0.5 * rate_deg_s)
 
 
 def test_a_drive_without_steps_gives_long_weak_pulses_that_do_not_overlap():

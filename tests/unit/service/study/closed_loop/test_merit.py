@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from service.study.closed_loop.campaign import LoopCampaign, LoopPlan
 from service.study.closed_loop.controllers import Sensing
 from service.study.closed_loop.figures import draw_campaign
-from service.study.closed_loop.merit import group_merit, run_merit
+from service.study.closed_loop.merit import UNKNOWN_TORQUE_SCENARIOS, group_merit, run_merit
 from service.study.closed_loop.report import COLUMNS, as_document, cells, markdown, verdict
 from service.study.closed_loop.run import Flight, LoopResult, LoopUnit
 
@@ -74,6 +75,24 @@ def test_the_time_to_come_back_counts_from_the_end_of_the_fade():
     assert not run_merit(flight((0.0, 0.35, 0.0), (20, 100), 290)).is_fade_survived
     never = run_merit(flight((0.0, 0.35, 0.0), (20, 100), ROWS))
     assert never.settled_h == math.inf
+
+
+def test_an_unknown_torque_is_survived_within_its_limits_and_without_losing_control():
+    for name in UNKNOWN_TORQUE_SCENARIOS:
+        kept = group_merit(results([flight((0.99, 0.29, 0.29), inhibited=15)], name))
+        assert kept.is_met
+        assert kept.longest_inhibited_h == pytest.approx(0.25)
+        for bad in (flight((1.01, 0.1, 0.1)), flight((0.1, 0.1, 0.31)), flight(inhibited=16)):
+            assert not group_merit(results([flight(), bad], name)).is_met
+    assert group_merit(results([flight(inhibited=16)])).is_met  # of any other story rows may be inhibited
+
+
+def test_the_longest_inhibition_is_one_without_a_break():
+    broken = replace(flight(), is_inhibited=np.arange(ROWS) % 20 < 12)
+    merit = run_merit(broken)
+    assert merit.longest_inhibited_h == pytest.approx(0.2)
+    assert merit.inhibited_h == pytest.approx(6.0)
+    assert run_merit(flight()).longest_inhibited_h == 0.0
 
 
 def test_a_group_is_met_by_95_percent_within_the_narrow_and_all_within_the_wide_limits():

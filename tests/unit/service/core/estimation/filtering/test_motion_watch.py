@@ -6,7 +6,7 @@ from service.core.estimation.filtering.motion_watch import (
     FOLLOWED_MINUTES,
     follow_all,
     forget_shifts,
-    newly_excused,
+    newly_explained,
     pass_motion,
     push_shift,
     still_watch,
@@ -29,17 +29,42 @@ def test_shifts_of_one_sign_raise_their_axis_for_an_hour():
     assert not any(watch.is_unannounced)
 
 
-def test_where_a_torque_acts_the_first_alarm_follows_and_the_second_is_told():
+def reported_minutes(minutes, **settings):
+    """Return for each minute of a steady shift of roll whether it is followed, reported, and newly explained."""
     watch, told = still_watch(0), []
-    for minute in range(1, 40):
+    for minute in range(1, minutes):
         before = watch
-        watch = push_shift(pass_motion(watch, 1.0), minute * MINUTE_US, np.array([0.0, 1.6, 0.0]), is_pushed=True)
-        told.append((watch.is_followed[1], watch.is_unannounced[1], bool(newly_excused(before, watch)[1])))
-    # ten minutes to an alarm: followed, and widened once; ten more to what no torque explains
-    assert told.index((True, False, True)) == 9
-    assert [one[2] for one in told].count(True) == 1
-    assert [one[1] for one in told].index(True) == 19
+        watch = push_shift(pass_motion(watch, 1.0), minute * MINUTE_US, np.array([0.0, 1.6, 0.0]), **settings)
+        told.append((watch.is_followed[1], watch.is_unannounced[1], bool(newly_explained(before, watch)[1])))
     assert not any(watch.is_unannounced[axis] for axis in (0, 2))
+    return told
+
+
+def test_where_a_torque_acts_the_first_alarm_follows_and_the_second_is_reported():
+    told = reported_minutes(30, is_pushed=True)
+    # ten minutes to an alarm: followed, and widened; ten more to the next one, which is reported, and widens again
+    assert told.index((True, False, True)) == 9
+    assert [minute for minute, one in enumerate(told) if one[2]] == [9, 19]
+    assert [one[1] for one in told].index(True) == 19
+
+
+def test_what_a_torque_may_explain_is_reported_for_a_quarter_of_an_hour():
+    """Before: an hour from the second alarm on. Two alarms, then the widened torque explains the shifts."""
+    watch, reported = still_watch(0), 0
+    for minute in range(1, 120):
+        shift = np.array([0.0, 1.6 if minute <= 20 else 0.0, 0.0])
+        watch = push_shift(pass_motion(watch, 1.0), minute * MINUTE_US, shift, is_pushed=True)
+        reported += watch.is_unannounced[1]
+    assert reported == 15
+    assert not watch.alarms.any()  # still for an hour: the next alarm is a first one
+
+
+def test_what_no_torque_explains_is_reported_for_an_hour():
+    told = reported_minutes(60, is_pushed=True)
+    assert all(one[1] for one in told[19:])
+    jumped = push_shift(follow_all(still_watch(0)), MINUTE_US, np.zeros(3), is_pushed=True)
+    left = pass_motion(jumped, FOLLOWED_MINUTES - 1.0)
+    assert left.is_unannounced == (True, True, True)
 
 
 def test_rows_inside_a_minute_wait_for_its_end():
