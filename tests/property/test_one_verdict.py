@@ -197,7 +197,8 @@ class AnyStory(RuleBasedStateMachine):
         (verdict, *others) = told.values()
         assert all(other == verdict for other in others), told
         context = context_of(driver)
-        samples = {name: value for name, _, value in Metrics(context, None, None)._attitude(driver.archive.craft)}
+        metrics = SimpleNamespace(_context=context)
+        samples = {name: value for name, _, value in Metrics._attitude(metrics, driver.archive.craft)}
         assert samples["soo_control_allowed"] == verdict["allowed"]
         self._judge(verdict)
         if driver.row is not None:
