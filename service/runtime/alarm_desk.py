@@ -25,7 +25,7 @@ from service.runtime.alarm_checks import ClockChecks
 from service.runtime.alarm_notices import NoticeChannels
 from service.runtime.leading import Turn, always, elsewhere
 from service.runtime.live_feed import Cursor, FeedEvent, LiveFeed
-from service.runtime.supervisor import Seen
+from service.runtime.row_watchers import Seen
 
 _LOG = logging.getLogger("soo.alarms")
 

@@ -10,12 +10,10 @@ import math
 import threading
 import time
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass, field
-from typing import Protocol
 
 from service.errors import NotFoundError, StorageError
-from service.pipeline.alarm_readings import RowFacts
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
 from service.pipeline.release_interlock.row_facts import SeenRow
@@ -31,6 +29,7 @@ from service.runtime.leading import Turn, always
 from service.runtime.live_feed import Cursor, FeedEvent, LiveFeed
 from service.runtime.relay import Relay
 from service.runtime.row_news import RowNews
+from service.runtime.row_watchers import ReleaseWatcher, Seen, Watcher
 
 _LOG = logging.getLogger("soo.supervisor")
 
@@ -48,30 +47,6 @@ _STEP_S = 0.02
 _ANEW = (AlignmentSet, CalibrationActivation)
 #: a journal may have grown by anything
 _UNKNOWN = math.inf
-
-
-#: what alarms look at
-Seen = RowFacts | AttitudeReference
-
-
-class Watcher(Protocol):
-    """Looks at what was computed, after it was stored; must not make the chain wait."""
-
-    def see(self, spacecraft_id: str, seen: Sequence[Seen]) -> None:
-        """Take over rows that are neither late nor caught up with, and references, in the order of the journal."""
-        ...
-
-
-class ReleaseWatcher(Protocol):
-    """Looks at what control may follow from, after it was stored."""
-
-    def see(self, spacecraft_id: str, seen: Sequence[SeenRow], *, has_inputs: bool = False) -> None:
-        """Take over what was computed, and whether inputs other than rows came in; nothing is raised."""
-        ...
-
-    def steady(self, spacecraft_id: str) -> AbstractContextManager[bool]:
-        """Let nobody trip control meanwhile; tell whether torques are withheld."""
-        ...
 
 
 @dataclass

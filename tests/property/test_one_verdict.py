@@ -27,11 +27,12 @@ from service.errors import SooError
 from service.pipeline.config import TorqueConfig
 from service.pipeline.release_interlock.release_events import OrderKind
 from service.pipeline.wheel_torques import NO_CARRY, compute_command
-from service.records.attitude import Axes
+from service.records.attitude import Axes, Status
 from service.records.catalogue import ControlMode, Method, Release
 from service.records.epoch import format_epoch
 from service.records.inputs import Operation
 
+NAN = float("nan")
 BAD_ROWS = st.sampled_from(
     [
         {"sigma_deg": Axes(0.08, 0.07, 0.03), "inhibitions": ("sigma_roll",), "control_allowed": False},
@@ -40,6 +41,8 @@ BAD_ROWS = st.sampled_from(
         {"attitude_deg": Axes(0.0, 0.35, 0.0), "inhibitions": ("beyond_validity",), "control_allowed": False},
         {"attitude_deg": Axes(0.0, 0.45, 0.0), "inhibitions": ("beyond_validity",), "control_allowed": False},
         {"rates_deg_s": None},
+        {"status": Status.INVALID, "attitude_deg": Axes(NAN, NAN, NAN), "inhibitions": ("no_fix",)},
+        {"status": Status.EXPIRED, "inhibitions": ("no_ephemeris",), "control_allowed": False},
     ]
 )
 

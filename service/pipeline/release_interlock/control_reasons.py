@@ -11,7 +11,8 @@ _OTHERS = {
     "not_armed": "control is not armed",
     "good_minutes": "{good_min:g} minutes without a reason are not over",
     "no_attitude": "no attitude has been computed yet",
-    "expired": "the newest attitude is too old",
+    "expired": "the newest attitude is too old, or stands on older data",
+    "invalid": "the newest row gives no attitude",
     "release_unreadable": "the state of the interlock cannot be read",
 }
 
@@ -19,7 +20,7 @@ _OTHERS = {
 _NEXT_STEPS = {
     "Wait: it clears by itself.": "late catch_up settling no_rate gap good_minutes chain_step",
     "Check links and newest_measurement of GET .../status.": "estimate_old no_attitude expired",
-    "Check the excluded carriers of GET .../attitude.": "no_fix redundancy sigma_roll sigma_pitch",
+    "Check the excluded carriers of GET .../attitude.": "no_fix invalid redundancy sigma_roll sigma_pitch",
     "Turn in yaw or add carriers that tell yaw; roll and pitch go on.": "sigma_yaw",
     "Check the inhibitions of GET .../attitude.": "estimator",
     "Wait for the end of the rain; without rain check the receiving chain.": "fade downlink_fade",
@@ -55,6 +56,8 @@ CODES = frozenset((*_CONDITIONS, *INHIBITIONS, *CONTROL_INHIBITIONS, *_OTHERS))
 def reason_of(code: str, since_us: int | None = None, settings: ReleaseSettings | None = None) -> ControlReason:
     """Return a reason in words; figures are those of the settings, by default those of the reference.
 
+    A code that another version has stored is told as it is.
+
     Examples
     --------
     >>> reason_of("hand_over").text
@@ -62,4 +65,5 @@ def reason_of(code: str, since_us: int | None = None, settings: ReleaseSettings 
     """
     known = INHIBITIONS | CONTROL_INHIBITIONS | _OTHERS | {word: each.meaning for word, each in _CONDITIONS.items()}
     figures = (settings or ReleaseSettings()).figures
-    return ControlReason(code, known[code].format(**figures), since_us, _NEXT_STEP[code])
+    text, next_step = known.get(code, code).format(**figures), _NEXT_STEP.get(code, _NEXT_STEP["estimator"])
+    return ControlReason(code, text, since_us, next_step)

@@ -102,11 +102,8 @@ class Interlock:
     @property
     def reasons(self) -> tuple[str, ...]:
         """Why no torque may go, or which axis is withheld, in words that programs see."""
-        words = [
-            condition.word for condition in (*self.trips, *self.standing) if condition is not Condition.DISAGREEMENT
-        ]
-        if self.row is not None:
-            words += self.row.inhibitions
+        words = [each.word for each in (*self.trips, *self.standing) if each is not Condition.DISAGREEMENT]
+        words += () if self.row is None else self.row.inhibitions
         if self.state is State.INHIBITED and not self.is_armed and not self.around.is_automatic:
             words.append("not_armed")
         if self.state is State.INHIBITED and not self.inhibiting and (self.is_armed or self.is_after_reset):

@@ -11,7 +11,8 @@ from service.pipeline.release_interlock.control_reasons import _NEXT_STEPS, CODE
 from service.pipeline.release_interlock.control_verdict import control_verdict
 from service.pipeline.release_interlock.release_events import OrderKind
 from service.pipeline.release_interlock.release_settings import ReleaseSettings
-from service.records.attitude import Axes
+from service.pipeline.release_interlock.row_facts import facts_of_row
+from service.records.attitude import Axes, Status
 from service.records.catalogue import Release
 
 
@@ -27,6 +28,20 @@ def test_every_reason_has_one_text_and_one_next_step():
         assert reason.text
         assert "{" not in reason.text
         assert reason.next_step.endswith(".")
+
+
+def test_rows_of_every_status_have_reasons_in_words():
+    for status in Status:
+        facts = facts_of_row(replace(GOOD, status=status), 60.0, is_innovation_in_band=True)
+        assert set(facts.inhibitions) <= CODES | {"not_received"}, "rows are received"
+    # a row without angles, told by the desk
+    driver = DeskDriver()
+    driver.rows(1, status=Status.INVALID, inhibitions=("no_fix",), control_allowed=False)
+    assert codes(driver.verdict) == ["yaw_sign", "no_fix", "invalid", "not_armed"]
+    assert driver.verdict.reasons[2].text == "the newest row gives no attitude"
+    # what another version has stored is told as it is
+    stored = control_verdict(CONTROL, replace(GOOD, inhibitions=("of_old",)))
+    assert (stored.is_allowed, stored.reasons[-1].text) == (False, "of_old")
 
 
 def test_figures_are_those_of_the_settings():

@@ -1,0 +1,32 @@
+"""Watchers of what the supervisor computes and stores: alarms, and the release of torques."""
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from typing import Protocol
+
+from service.pipeline.alarm_readings import RowFacts
+from service.pipeline.release_interlock.row_facts import SeenRow
+from service.records.inputs import AttitudeReference
+
+#: what alarms look at
+Seen = RowFacts | AttitudeReference
+
+
+class Watcher(Protocol):
+    """Looks at what was computed, after it was stored; must not make the chain wait."""
+
+    def see(self, spacecraft_id: str, seen: Sequence[Seen]) -> None:
+        """Take over rows that are neither late nor caught up with, and references, in the order of the journal."""
+        ...
+
+
+class ReleaseWatcher(Protocol):
+    """Looks at what control may follow from, after it was stored."""
+
+    def see(self, spacecraft_id: str, seen: Sequence[SeenRow], *, has_inputs: bool = False) -> None:
+        """Take over what was computed, and whether inputs other than rows came in; nothing is raised."""
+        ...
+
+    def steady(self, spacecraft_id: str) -> AbstractContextManager[bool]:
+        """Let nobody trip control meanwhile; tell whether torques are withheld."""
+        ...
