@@ -118,6 +118,7 @@ async def test_status_of_an_empty_and_of_a_filled_archive(bench, make):
         "aligned": False,
         "realignment_advised": False,
         "methods_disagree": False,
+        "advice": [],
         "clock": "system",
         "now": format_epoch(make.now_us),
         "links": [],
