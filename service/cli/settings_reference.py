@@ -119,6 +119,10 @@ _STAGE_MEANINGS: dict[str, tuple[str, str]] = {
     "calibration.min_quiet_rows": ("geometry: fewest rows with angles in the quiet window", TUNED),
     "calibration.short_quiet_days": ("geometry: quiet windows shorter than this are warned of, days", TUNED),
     "calibration.min_tracked_share": ("geometry: share of the rows that the track must reach, else warned", TUNED),
+    "calibration.max_daily_excess": (
+        "geometry: a wave of half a day that the dish law leaves, over its neighbours, else warned",
+        TUNED,
+    ),
     "calibration.max_slope_shrink": ("geometry: sensor noise may shrink slopes by this share, else warned", TUNED),
     "calibration.flat_share": (
         "geometry: a carrier that turns move by less than this share of its noise is flat",

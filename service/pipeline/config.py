@@ -52,6 +52,8 @@ class CalibrationConfig:
     short_quiet_days: float = 2.9
     #: share of the rows that the track should cover
     min_tracked_share: float = 0.95
+    #: power of a wave of half a day that the dish law may leave, over that of neighbouring waves
+    max_daily_excess: float = 5.0
     #: share by which the noise of a sensor may shrink the slopes without a warning
     max_slope_shrink: float = 0.02
     #: a carrier is flat when the turns move it, rms, by less than this share of the noise of a row

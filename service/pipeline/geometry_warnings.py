@@ -20,6 +20,10 @@ from service.records.epoch import format_epoch
 
 _AXIS_NAMES = ("yaw", "roll", "pitch")
 _DAY_S = 86_400.0
+#: rows of stretches below this weight say nothing of the daily change
+_GOOD_WEIGHT = 0.25
+#: nodal periods that tell a wave of half a period from those beside it
+_LEAST_PERIODS = 2.5
 #: kinds of operation after which the track of before does not hold
 _MANOEUVRES = ("station_keeping", "momentum_unloading")
 
@@ -30,7 +34,7 @@ def calibration_warnings(
     """Return the warnings, those about the windows first."""
     return (
         *_about_windows(data, rows, config),
-        *_about_track(rows, joint, config),
+        *_about_track(data, rows, joint, is_used, config),
         *_about_sensors(rows, config),
         *_about_carriers(data, rows, joint, is_used, config),
     )
@@ -64,8 +68,10 @@ def _about_windows(data: CalibrationInput, rows: GeometryRows, config: Calibrati
             yield f"{what} lies inside the windows: the rows that it disturbs are left out{after}"
 
 
-def _about_track(rows: GeometryRows, joint: JointFit, config: CalibrationConfig) -> Iterator[str]:
-    """Yield what a missing track costs."""
+def _about_track(
+    data: CalibrationInput, rows: GeometryRows, joint: JointFit, is_used: BoolArray, config: CalibrationConfig
+) -> Iterator[str]:
+    """Yield what a missing track costs, and whether the daily change contradicts the one there is."""
     if not joint.fit.is_dish_law:
         yield (
             "no track of the satellite over the windows: two harmonics stand for the dishes; they age with the orbit's "
@@ -73,6 +79,29 @@ def _about_track(rows: GeometryRows, joint: JointFit, config: CalibrationConfig)
         )
     elif rows.is_tracked.mean() < config.min_tracked_share:
         yield f"the track covers only {100 * rows.is_tracked.mean():.0f} % of the rows; the others take no part"
+    excess = _daily_excess(rows, joint, is_used, data.ephemeris.nodal_period_s)
+    if joint.fit.is_dish_law and excess > config.max_daily_excess:
+        yield (
+            f"the daily change contradicts the track: beside the dish law a wave of half a day stands out {excess:.0f} "
+            "times above the noise; check that the ephemeris is that of this satellite and of these days"
+        )
+
+
+def _daily_excess(rows: GeometryRows, joint: JointFit, is_used: BoolArray, period_s: float) -> float:
+    """Return the power of what the dish law leaves at half the nodal period over that of the neighbouring waves.
+
+    The dish law has its second harmonic by the size of the motion alone; a wrong track gives it the wrong phase. Noise
+    is taken from waves of 1.5 and 2.5 a period, which days that are too few (``nan``) do not tell apart.
+    """
+    quiet = np.flatnonzero(rows.is_quiet)
+    time_s = rows.rows.epoch_s[quiet]
+    if np.ptp(time_s) < _LEAST_PERIODS * period_s:
+        return float("nan")
+    left_db = np.where(joint.fit.weight > _GOOD_WEIGHT, joint.fit.residual_db, np.nan)[quiet][:, is_used]
+    left_db = np.nan_to_num((left_db - np.nanmean(left_db, axis=0)) / np.nanstd(left_db, axis=0))
+    waves = np.exp(2j * np.pi * np.outer([1.5, 2.0, 2.5], time_s / period_s))
+    below, at, above = np.square(np.abs(waves @ left_db)).sum(axis=1)
+    return float(2.0 * at / (below + above))
 
 
 def _about_sensors(rows: GeometryRows, config: CalibrationConfig) -> Iterator[str]:

@@ -17,6 +17,8 @@ KINDS = (
     "no turn",
     "operation",
     "no track",
+    "the daily change contradicts",
+    "the sign of yaw",
     "the track covers",
     "the roll sensor",
     "c00 was silent",
@@ -78,6 +80,25 @@ def test_no_track():
     payload = GeometryPayload.make(8)
     data = payload.data()
     assert kinds(replace(data, ephemeris=payload.ephemeris(is_tracked=False))) == {"no track"}
+
+
+def moved(track, rows, east_deg=0.0):
+    """Return a track that is some rows ahead, or that of a satellite farther East."""
+    last = len(track.epochs_us) - 1
+    ahead = [min(k + rows, last) for k in range(last + 1)]
+    return Track(
+        track.epochs_us,
+        tuple(track.latitude_deg[k] for k in ahead),
+        tuple(track.longitude_deg[k] + east_deg for k in ahead),
+    )
+
+
+@pytest.mark.parametrize(("rows", "east_deg"), [(6, 0.0), (12, 0.0), (0, 50.0), (10, 50.0)])
+def test_a_track_that_the_daily_change_contradicts(rows, east_deg):
+    """Half-hourly track: three and six hours ahead, and of satellites 50 deg away."""
+    data = GeometryPayload.make(8).data(noise_db=0.12)
+    wrong = replace(data.ephemeris, track=moved(data.ephemeris.track, rows, east_deg))
+    assert kinds(replace(data, ephemeris=wrong)) == {"the daily change contradicts"}
 
 
 def test_a_track_that_ends_too_early():
