@@ -18,7 +18,7 @@ from service.pipeline.geometry_model import GeometryModel, carrier_model, geomet
 from service.pipeline.knowledge import Knowledge
 from service.pipeline.known_motion import angle_inertia_kg_m2
 from service.pipeline.level_control import centred_model, centred_response, member_groups
-from service.pipeline.stated_torque import constant_share, fed_forward, residual_deg_h2
+from service.pipeline.stated_torque import constant_share, fed_forward, is_torque_unknown, residual_deg_h2
 from service.records.attitude import BoolArray, FloatArray, IntArray
 from service.records.calibration import Alignment, Calibration, CalibrationResult
 from service.records.catalogue import Ephemeris, Method, Spacecraft
@@ -113,7 +113,6 @@ def robust_model(
     grown_db = _grown_error_db(arrays, fit, ephemeris, max(alignment.epoch_us, ephemeris.valid_start_us))
     spacecraft = knowledge.spacecraft
     settings = _filter_settings(spacecraft, config.robust)
-    is_torque_unknown = spacecraft is not None and spacecraft.onboard.residual_torque_n_m is None
     return RobustModel(
         carrier_ids=carrier_ids,
         filter=_with_daily_error(
@@ -121,7 +120,7 @@ def robust_model(
             grown_db,
         ),
         settings=settings,
-        limits=_limits(config.interlock, config.robust, settings, is_torque_unknown=is_torque_unknown),
+        limits=_limits(config.interlock, config.robust, settings, spacecraft),
         response=centred_response(arrays.response, groups),
         orders=subset_orders(len(carrier_ids), _SUBSETS),
         level=level,
@@ -135,7 +134,7 @@ def robust_model(
         groups=groups,
         is_yaw_controllable=calibration.is_yaw_controllable,
         inertia_kg_m2=None if spacecraft is None else angle_inertia_kg_m2(spacecraft),
-        is_torque_unknown=is_torque_unknown,
+        is_torque_unknown=is_torque_unknown(spacecraft),
         calibration_id=calibration.id,
         alignment_id=alignment.id,
     )
@@ -247,11 +246,11 @@ def _filter_settings(spacecraft: Spacecraft | None, config: RobustConfig) -> Fil
 
 
 def _limits(
-    interlock: InterlockConfig, config: RobustConfig, settings: FilterSettings, *, is_torque_unknown: bool
+    interlock: InterlockConfig, config: RobustConfig, settings: FilterSettings, spacecraft: Spacecraft | None
 ) -> IntegrityLimits:
     """Return when control may use the attitude."""
     pushed_deg = max(config.yaw_sigma_limit_deg, config.pushed_yaw_sigma_limit_deg)
-    if is_torque_unknown:
+    if is_torque_unknown(spacecraft):
         pushed_deg = max(pushed_deg, config.unknown_torque_yaw_sigma_limit_deg)
     return IntegrityLimits(
         sigma_yaw_deg=pushed_deg if is_pushed(settings) else config.yaw_sigma_limit_deg,

@@ -34,8 +34,12 @@ def residual_deg_h2(spacecraft: Spacecraft | None, unknown_n_m: float) -> tuple[
 
 def constant_share(spacecraft: Spacecraft | None) -> float:
     """Return the constant part of this torque as a share of the whole: a torque that nobody knows is half constant."""
-    is_unknown = spacecraft is not None and spacecraft.onboard.residual_torque_n_m is None
-    return math.sqrt(0.5) if is_unknown else _STATED_CONSTANT_SHARE
+    return math.sqrt(0.5) if is_torque_unknown(spacecraft) else _STATED_CONSTANT_SHARE
+
+
+def is_torque_unknown(spacecraft: Spacecraft | None) -> bool:
+    """Whether the catalogue does not state the size of the torque that is not fed forward."""
+    return spacecraft is not None and spacecraft.onboard.residual_torque_n_m is None
 
 
 def fed_forward(spacecraft: Spacecraft | None) -> FedForward | None:
