@@ -2,9 +2,11 @@
 
 import json
 import os
+import socket
 import ssl
 import subprocess
 import sys
+import time
 from pathlib import Path
 from urllib.parse import quote
 
@@ -178,6 +180,17 @@ def test_https_is_served_and_old_protocols_are_not(start_service, certificate):
     with pytest.raises(httpx.HTTPError):
         get(service.url + BASE, "a-key-for-tests-only", verify=old)
     assert service.end()[0] == 0
+
+
+def test_who_begins_no_tls_handshake_is_let_go_like_who_sends_no_head(start_service, certificate):
+    chain, key = certificate
+    service = start_service("--port", "0", "--tls-certificate", str(chain), "--tls-key", str(key))
+    port = int(service.url.rpartition(":")[2])
+    began = time.monotonic()
+    with socket.create_connection(("127.0.0.1", port), timeout=120) as silent:
+        assert silent.recv(100) == b""
+    # the server's own limit is 60 s
+    assert 9 < time.monotonic() - began < 50
 
 
 @pytest.mark.parametrize("fault", ["no key", "no file", "other key", "encrypted key"])
