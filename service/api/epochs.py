@@ -64,12 +64,15 @@ def parse_epochs(texts: Sequence[str]) -> ParsedEpochs:
         # second 60 is never of the exact form
         return ParsedEpochs(fast, ())
     epochs_us = np.empty(len(texts), dtype=np.int64)
+    leap_places: list[int] = []
     for index, text in enumerate(texts):
         try:
             epochs_us[index] = parse_epoch(text)
         except ValueError as error:
             raise EpochTextError(index, str(error)) from None
-    return ParsedEpochs(epochs_us, tuple(index for index, text in enumerate(texts) if is_leap_second(text)))
+        if is_leap_second(text):
+            leap_places.append(index)
+    return ParsedEpochs(epochs_us, tuple(leap_places))
 
 
 def _parse_exact_form(texts: Sequence[str]) -> IntArray | None:

@@ -4,7 +4,7 @@ This is the hot path: no thread, no look-up beyond memory, one await. The route 
 each dependency that the framework resolves costs as much as reading ten rows.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -110,8 +110,10 @@ def _answer(
     """Return the receipt as it is sent."""
     received = len(body.measurements)
     refused = (*screened, *receipt.refused)
-    told = {each.index for each in (*refused, *receipt.flagged) if each.code != "seq.jump"}
-    leaps = (_leap_remark(place, body.first_seq) for place in leap_places if place not in told)
+    flagged = list(receipt.flagged)
+    if leap_places:
+        told = {each.index for each in (*refused, *flagged) if each.code != "seq.jump"}
+        flagged += [_leap_remark(place, body.first_seq) for place in leap_places if place not in told]
     return {
         "received": received,
         "accepted": receipt.accepted,
@@ -120,7 +122,7 @@ def _answer(
         "durable": True,
         "last_seq": body.first_seq + received - 1 if body.first_seq is not None and received else None,
         "refused": _listed(refused),
-        "flagged": _listed((*receipt.flagged, *leaps)),
+        "flagged": _listed(flagged),
     }
 
 
@@ -130,6 +132,6 @@ def _leap_remark(place: int, first_seq: int | None) -> RowRemark:
     return RowRemark(place, seq, "time.leap_second", "measured within a leap second: stored in the second after it")
 
 
-def _listed(remarks: Iterable[RowRemark]) -> list[dict[str, Any]]:
+def _listed(remarks: Sequence[RowRemark]) -> list[dict[str, Any]]:
     """Return remarks in order of place."""
     return [asdict(remark) for remark in sorted(remarks, key=lambda remark: remark.index)]
