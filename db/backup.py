@@ -15,7 +15,7 @@ from pathlib import Path
 from sqlalchemy import ColumnElement, Connection, column, func, inspect, select, table, text
 
 from db.archive_files import Progress, flush, reading_engine, settle, sha256_of, sqlite_path
-from db.checksum_check import checked_tables
+from db.checksum_check import damage_of
 from db.engine import open_engines
 from db.examination import OLDER, examine
 from db.migrate import upgrade
@@ -172,9 +172,9 @@ def _described(archive: Path, kind: str, made_at_us: int, report: Report) -> Man
     report("checksums", 0.0)
     with reading_engine(archive, is_settled=True).connect() as connection:
         # an older schema has no checksums
-        tables = checked_tables(connection) if version_of(connection) == newest_revision() else []
+        has_checksums = version_of(connection) == newest_revision()
         return Manifest(
-            damaged=[table.damage() for table in tables if table.differing],
+            damaged=damage_of(connection) if has_checksums else [],
             made_at_us=made_at_us,
             made_from=kind,
             schema_version=version_of(connection) or "",

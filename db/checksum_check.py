@@ -6,6 +6,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 from sqlalchemy import Connection, Row, Select, Table, and_, bindparam, delete, select, tuple_, update
+from sqlalchemy.exc import SQLAlchemyError
 
 from db.database import Database
 from db.row_checksum import checksum_of, measurement_checksums
@@ -45,6 +46,14 @@ def checked_tables(connection: Connection) -> list[CheckedTable]:
     backlog = set(connection.scalars(select(checksum_backlog.c.table_name)))
     tables = [table for table in metadata.sorted_tables if "checksum" in table.c]
     return [_checked(connection, table, is_backlog=table.name in backlog) for table in tables]
+
+
+def damage_of(connection: Connection) -> list[str]:
+    """Return in words which rows differ from their checksums, also where the database refuses to read them."""
+    try:
+        return [table.damage() for table in checked_tables(connection) if table.differing]
+    except SQLAlchemyError as fault:
+        return [f"rows cannot be read: {getattr(fault, 'orig', fault)}"]
 
 
 def agrees(stored: bytes, computed: Callable[[], bytes]) -> bool:

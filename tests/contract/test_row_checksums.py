@@ -168,6 +168,16 @@ def test_one_flipped_bit_is_told_by_doctor_and_backups(filled, url, tmp_path, co
         restore_backup(tmp_path / "sound", restored, "x", ignore, may_replace=True)
 
 
+def test_rows_that_the_database_refuses_to_read_are_told_by_a_backup(setting, url, tmp_path):
+    if not url.startswith("sqlite"):
+        pytest.skip("about files")
+    setting.storage.notes.add(Note(0, setting.id, 5, 6, "olga", "a"))
+    with write(setting) as connection:
+        connection.exec_driver_sql("UPDATE note SET document = CAST(x'ff' AS TEXT)")
+    (told,) = create_backup(url, tmp_path / "b", 5, ignore).damaged
+    assert told.startswith("rows cannot be read: Could not decode")
+
+
 def test_values_that_no_writer_stores_differ_and_stop_nothing(setting):
     setting.append([10])
     with setting.storage._database.engines.write.begin() as connection:
