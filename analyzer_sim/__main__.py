@@ -168,6 +168,12 @@ def build_parser() -> argparse.ArgumentParser:
     plant = commands.add_parser("plant", help="close a loop: powers to standard output, torque schedules from input")
     _add_story(plant, CLOSED_SCENARIOS)
     _add_craft(plant)
+    plant.add_argument(
+        "--age-limit",
+        type=float,
+        metavar="S",
+        help="the loop on board takes angles in place of torques, and acts on none older than this",
+    )
     for command in (export, plant):
         command.add_argument(
             "--sweep-noise", type=float, default=1.0, help="scale of the sweep's own noise (default: 1)"
@@ -190,7 +196,9 @@ def _scenario(options: argparse.Namespace) -> Scenario:
 def _flown(options: argparse.Namespace) -> PlantOptions:
     factors = {**dict.fromkeys(AXES, 1.0), **dict(options.response)}
     response = (factors["roll"], factors["pitch"], factors["yaw"])
-    return PlantOptions(options.uplink, options.onboard, response, tuple(options.tone))
+    return PlantOptions(
+        options.uplink, options.onboard, response, tuple(options.tone), getattr(options, "age_limit", None)
+    )
 
 
 def _run_plant(options: argparse.Namespace) -> int:

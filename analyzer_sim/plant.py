@@ -5,6 +5,7 @@ export to the last bit; from then on the craft is flown: body, wheels, fast loop
 comes from the ground passes the uplink (``world/uplink.py``).
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from analyzer_sim.export import measured_dbm, sweep_noise_db
 from analyzer_sim.schedule_lines import Schedule
 from analyzer_sim.streams import FloatArray
+from analyzer_sim.world.angles_loop import AnglesLoop
 from analyzer_sim.world.body_dynamics import Vector
 from analyzer_sim.world.disturbance import disturbance
 from analyzer_sim.world.flown_craft import Craft, craft_at_rest
@@ -21,7 +23,7 @@ from analyzer_sim.world.orbit import EARTH_RATE_RAD_S
 from analyzer_sim.world.rigid_body import BodyState, RigidBody, TorqueElement, Triple
 from analyzer_sim.world.story import Scenario
 from analyzer_sim.world.telemetry import TelemetryRecord
-from analyzer_sim.world.uplink import UPLINKS, Command, CommandStore, Report, Uplink
+from analyzer_sim.world.uplink import UPLINKS, Arrival, Command, CommandStore, Report, Uplink
 from analyzer_sim.world.wheels import QUANTUM_N_M, wheel_set
 from analyzer_sim.world.world import World
 
@@ -37,6 +39,8 @@ class PlantOptions:
     #: what a commanded torque does about roll, pitch, yaw: 1 = what it says, -1 = the opposite, 0 = nothing
     response: Vector = (1.0, 1.0, 1.0)
     tones: tuple[HubTone, ...] = ()
+    #: the loop on board takes angles in place of torques, none older than this, s; None = it takes torques
+    age_limit_s: float | None = None
 
 
 class Plant:
@@ -88,6 +92,8 @@ class Plant:
         coupling = EARTH_RATE_RAD_S if scenario.keeping.is_coupled else 0.0
         self._perfect = RigidBody((yaw, roll, pitch), coupling) if is_perfect else None
         self.state: BodyState = self.craft.state
+        limit_s = options.age_limit_s
+        self.loop = None if limit_s is None else AnglesLoop((yaw, roll, pitch), coupling, limit_s)
 
     @property
     def row_count(self) -> int:
@@ -133,6 +139,8 @@ class Plant:
 
     def send(self, schedule: Schedule) -> int | None:
         """Hand a schedule to the channel at the present row; None = nothing is sent where nothing is wanted."""
+        if self.loop is not None and schedule.angles is not None:
+            self._uplink.send(Command(schedule.angles.counter, ()), self.epoch_us, schedule.angles)
         if schedule.counter is None and not schedule.elements:
             return None
         counter = self._counter + 1 if schedule.counter is None else schedule.counter
@@ -144,10 +152,27 @@ class Plant:
         """Let the craft take what arrives before the next row."""
         self.reports = []
         roll, pitch, yaw = self.momentum_n_m_s
-        for arrival in self._uplink.arrivals(end_us):
+        arrivals = self._uplink.arrivals(end_us)
+        if self.loop is not None:
+            for angles, received_us in ((a.angles, a.received_us) for a in arrivals):
+                if angles is not None:
+                    self.loop.take(angles, received_us)
+            arrivals = [arrival for arrival in arrivals if arrival.angles is None]
+            elements = self.loop.command((begin_us, end_us), self._given_deg_s())
+            if elements:
+                self._counter += 1
+                arrivals.append(Arrival(begin_us, Command(self._counter, elements)))
+        for arrival in arrivals:
             report, _ = self._store.receive(arrival, (yaw, roll, pitch))
             self.reports += [] if report is None else [report]
         self._acting = self._store.acting(begin_us)
+
+    def _given_deg_s(self) -> Triple:
+        """Return the rate that torques have given as the inertial model has it: without what it does not see."""
+        if self._perfect is not None:
+            return self.state.rate_deg_s
+        x, y, z = (math.degrees(rate) for rate in self.craft.commanded_rad_s)
+        return z, x, y
 
     def _fly(self, begin_us: int, end_us: int) -> None:
         """Fly from one row to the next."""

@@ -16,11 +16,12 @@ record of its own (a ``ground`` line: momentum and speed of the wheels, rate of 
 and by the reports of commands since the row before; of a command that was lost there is none. After each row of
 operation the plant waits for one line
 
-    {"schedule":[{"start":..,"duration_s":..,"roll_n_m":..,"pitch_n_m":..,"yaw_n_m":..},..],["counter":..]}
+    {"schedule":[{"start":..,"duration_s":..,"roll_n_m":..,"pitch_n_m":..,"yaw_n_m":..},..],["counter":..],
+     ["attitude":{"counter":..,"attitude_epoch":..,"valid_until":..,"attitude_deg":{..}}]}
 
-Elements begin not before the row. Without a counter the plant counts the schedules that are not empty. A line that is
-not understood is answered by `{"type":"error","detail":..}`, changes nothing, and another one is awaited. The end of
-standard input ends the plant.
+An attitude is for the loop on board of `--age-limit`. Elements begin not before the row. Without a counter the plant
+counts the schedules that are not empty. A line that is not understood is answered by `{"type":"error","detail":..}`,
+changes nothing, and another one is awaited. The end of standard input ends the plant.
 """
 
 import json
@@ -111,7 +112,8 @@ def _present(plant: Plant) -> Iterator[Line]:
     yield from (report_line(report) for report in plant.reports)
     rates = dict(zip(_AXES, plant.state.rate_deg_s, strict=True))
     truth = truth_row(plant.world, plant.row, plant.state.attitude_deg)
-    yield {"type": "truth", **truth, "rates_deg_s": rates}
+    held = {} if plant.loop is None else {"is_holding": plant.loop.is_holding(plant.epoch_us)}
+    yield {"type": "truth", **truth, "rates_deg_s": rates, **held}
     if plant.is_measured:
         yield _row_line(plant.epoch_us, plant.power_dbm())
 

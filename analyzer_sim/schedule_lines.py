@@ -5,6 +5,7 @@ import math
 from typing import NamedTuple
 
 from analyzer_sim.epochs import US_PER_S, epoch_us_from_text, rfc3339
+from analyzer_sim.world.angles_loop import Angles
 from analyzer_sim.world.ground_bodies import TORQUE_LIMIT_N_M
 from analyzer_sim.world.rigid_body import TorqueElement
 
@@ -13,6 +14,8 @@ MAX_LINE_CHARACTERS = 1_000_000
 MAX_ELEMENTS = 10_000
 MIN_DURATION_S, MAX_DURATION_S = 1e-6, 86_400.0
 MAX_COUNTER = 2**32 - 1
+MAX_ANGLE_DEG = 180.0
+_ANGLE_FIELDS = {"counter", "attitude_epoch", "valid_until", "attitude_deg"}
 _FIELDS = {"start", "duration_s", "roll_n_m", "pitch_n_m", "yaw_n_m"}
 
 
@@ -26,6 +29,8 @@ class Schedule(NamedTuple):
     elements: tuple[TorqueElement, ...]
     #: None = the plant counts
     counter: int | None = None
+    #: for the loop on board
+    angles: Angles | None = None
 
 
 def parse_schedule(text: str, not_before_us: int) -> Schedule:
@@ -43,15 +48,29 @@ def parse_schedule(text: str, not_before_us: int) -> Schedule:
         message = json.loads(text, parse_int=float)
     except (ValueError, RecursionError):
         raise ScheduleError("a line is one JSON object") from None
-    if not isinstance(message, dict) or not {"schedule"} <= set(message) <= {"schedule", "counter"}:
-        raise ScheduleError('a line is {"schedule": [..]}, perhaps with a counter, and nothing else')
+    if not isinstance(message, dict) or not {"schedule"} <= set(message) <= {"schedule", "counter", "attitude"}:
+        raise ScheduleError('a line is {"schedule": [..]}, perhaps with a counter or an attitude, and nothing else')
     told = message["schedule"]
     if not isinstance(told, list):
         raise ScheduleError("the schedule is a list of elements")
     if len(told) > MAX_ELEMENTS:
         raise ScheduleError(f"a schedule holds at most {MAX_ELEMENTS} elements")
     elements = tuple(_element(k, item, not_before_us) for k, item in enumerate(told))
-    return Schedule(elements, _counter(message["counter"]) if "counter" in message else None)
+    counter = _counter(message["counter"]) if "counter" in message else None
+    return Schedule(elements, counter, _angles(message["attitude"]) if "attitude" in message else None)
+
+
+def _angles(item: object) -> Angles:
+    """Return the angles of a line, fields as in `attitude/uplink`."""
+    if not isinstance(item, dict) or not set(item) >= _ANGLE_FIELDS or not isinstance(item["attitude_deg"], dict):
+        raise ScheduleError(f"an attitude has {', '.join(sorted(_ANGLE_FIELDS))}")
+    told = [item["attitude_deg"].get(axis) for axis in ("yaw", "roll", "pitch")]
+    yaw, roll, pitch = (angle if isinstance(angle, float) else math.nan for angle in told)
+    # NaN is not within either
+    if not all(abs(angle) <= MAX_ANGLE_DEG for angle in (yaw, roll, pitch)):
+        raise ScheduleError(f"attitude_deg holds yaw, roll and pitch within {MAX_ANGLE_DEG:g} deg")
+    epoch_us, until_us = (_epoch_us("attitude", name, item[name]) for name in ("attitude_epoch", "valid_until"))
+    return Angles(_counter(item["counter"]), epoch_us, until_us, (yaw, roll, pitch))
 
 
 def _counter(value: object) -> int:
@@ -66,7 +85,7 @@ def _element(number: int, item: object, not_before_us: int) -> TorqueElement:
     duration_s = _number(number, item, "duration_s")
     if not MIN_DURATION_S <= duration_s <= MAX_DURATION_S:
         raise ScheduleError(f"element {number}: duration_s lies outside {MIN_DURATION_S:g}..{MAX_DURATION_S:g}")
-    start_us = _start_us(number, item["start"])
+    start_us = _epoch_us(f"element {number}", "start", item["start"])
     if start_us < not_before_us:
         raise ScheduleError(f"element {number}: it begins before the row of {rfc3339(not_before_us)}")
     yaw, roll, pitch = (_number(number, item, f"{axis}_n_m") for axis in ("yaw", "roll", "pitch"))
@@ -82,8 +101,8 @@ def _number(number: int, item: dict[str, object], name: str) -> float:
     return value
 
 
-def _start_us(number: int, text: object) -> int:
+def _epoch_us(what: str, name: str, text: object) -> int:
     try:
         return epoch_us_from_text(str(text))
     except (ValueError, OverflowError):
-        raise ScheduleError(f"element {number}: start is no RFC 3339 epoch with a zone") from None
+        raise ScheduleError(f"{what}: {name} is no RFC 3339 epoch with a zone") from None

@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 from analyzer_sim.epochs import US_PER_S
 from analyzer_sim.streams import stream
+from analyzer_sim.world.angles_loop import Angles
 from analyzer_sim.world.rigid_body import TorqueElement, Triple
 from analyzer_sim.world.wheels import MOMENTUM_LIMIT_N_M_S, QUANTUM_N_M
 
@@ -68,6 +69,8 @@ class Arrival(NamedTuple):
 
     received_us: int
     command: Command
+    #: for the loop on board, in place of a command
+    angles: Angles | None = None
 
 
 class Report(NamedTuple):
@@ -92,15 +95,15 @@ class Uplink:
     _sent: int = 0
     _under_way: list[Arrival] = field(default_factory=list)
 
-    def send(self, command: Command, sent_us: int) -> None:
-        """Hand a command to the channel."""
+    def send(self, command: Command, sent_us: int, angles: Angles | None = None) -> None:
+        """Hand a command, or angles, to the channel."""
         self._sent += 1
         rng = stream(self.seed, "uplink", str(self._sent))
         is_lost = rng.uniform() < self.figures.lost_share
         copies = 2 if rng.uniform() < self.figures.repeated_share else 1
         latencies_s = rng.uniform(*self.figures.latency_s, size=2)[:copies]
         if not is_lost:
-            self._under_way += [Arrival(sent_us + round(s * US_PER_S), command) for s in latencies_s.tolist()]
+            self._under_way += [Arrival(sent_us + round(s * US_PER_S), command, angles) for s in latencies_s.tolist()]
 
     def arrivals(self, before_us: int) -> list[Arrival]:
         """Return what arrives before an epoch, in order, and forget it."""
@@ -138,7 +141,7 @@ class CommandStore:
 
     def receive(self, arrival: Arrival, momentum_n_m_s: Triple) -> tuple[Report | None, tuple[TorqueElement, ...]]:
         """Return what is told at once and the elements to fly; momentum of the wheels as yaw, roll, pitch."""
-        received_us, command = arrival
+        received_us, command = arrival.received_us, arrival.command
         fate = self._refusal(arrival, momentum_n_m_s)
         self._known.add(command.counter)
         if fate is not None:

@@ -53,6 +53,12 @@ def closed_loop(
         typer.Option(help="Drift that the filter believes in: yaw, roll, pitch; default: the product's."),
     ] = None,
     yaw_sigma_deg: Annotated[float, typer.Option(min=0.0, help="Sigma of yaw up to which it is controlled.")] = 0.5,
+    mode: Annotated[
+        str, typer.Option(help="ground: torques go up; onboard: angles do, for a loop on board.")
+    ] = "ground",
+    silence_h: Annotated[
+        tuple[float, float], typer.Option(help="Begin and length of a time without uplink; mode onboard.")
+    ] = (0.0, 0.0),
     flights: Annotated[
         Path | None,
         typer.Option(help="Keep each flight in this folder; what it has kept is not flown again.", file_okay=False),
@@ -71,7 +77,12 @@ def closed_loop(
     _require("sensing", sensing or [], [one.value for one in Sensing])
     scenarios = tuple(dict.fromkeys(scenario or SCENARIOS))
     sensings = tuple(one for one in Sensing if not sensing or one.value in sensing)
-    plan = LoopPlan(scenarios, runs, workers, sensings, uplink, operation_days, drift_deg_h, yaw_sigma_deg)
+    _require("mode", [mode], ("ground", "onboard"))
+    if silence_h[1] and mode != "onboard":
+        typer.echo("--silence-h is for --mode onboard; over a link commands are lost as it is", err=True)
+        raise typer.Exit(_EXIT_FAILED)
+    settings = (uplink, operation_days, drift_deg_h, yaw_sigma_deg, mode, silence_h)
+    plan = LoopPlan(scenarios, runs, workers, sensings, *settings)
     try:
         with ended_by_signals():
             campaign = _run(plan, flights)
@@ -128,7 +139,8 @@ def _command(plan: "LoopPlan") -> str:
     words += [word for name in plan.scenarios for word in ("--scenario", name)]
     words += ["--operation-days", f"{plan.operation_days:g}"] if plan.operation_days else []
     words += ["--drift-deg-h", *(f"{drift:g}" for drift in plan.drift_deg_h)] if plan.drift_deg_h else []
-    words += ["--yaw-sigma-deg", f"{plan.yaw_sigma_deg:g}"]
+    words += ["--yaw-sigma-deg", f"{plan.yaw_sigma_deg:g}", "--mode", plan.mode]
+    words += ["--silence-h", *(f"{hours:g}" for hours in plan.silence_h)] if plan.silence_h[1] else []
     words += [word for sensing in plan.sensings for word in ("--sensing", sensing.value)]
     return shlex.join(words)
 

@@ -50,6 +50,32 @@ def test_the_chain_holds_roll_and_pitch_over_a_link():
     assert flight.sent - 3 <= over["executed"] <= sum(over.values()) <= 2 * flight.sent
 
 
+@pytest.mark.slow
+def test_a_loop_on_board_holds_on_angles_and_stops_without_them():
+    """Angles go up in place of torques; an hour and a half without uplink, of which half an hour is bridged."""
+    unit = LoopUnit("nominal", SEED, Sensing.AUTOMATIC, "link", 6.0 / 24.0, mode="onboard", silence_h=(3.0, 1.5))
+    result = fly_unit(unit)
+    assert result.refusal == ""
+    flight = result.flight
+    largest = np.abs(flight.truth_deg).max(axis=0)
+    held_h = flight.hours[flight.is_inhibited]
+    print(f"seed {SEED}: {largest.round(3)} deg, held {held_h.min():.2f} to {held_h.max():.2f} h, {flight.reported}")
+    assert largest[1:].max() < 0.3
+    # until the first product, and from the age limit to the first product after the silence
+    late = held_h[held_h > 1.0]
+    assert late.min() == pytest.approx(3.5, abs=0.1)
+    assert late.max() == pytest.approx(4.55, abs=0.15)
+    assert flight.reported["executed"] > 100
+    assert flight.reported["late"] == flight.reported["refused"] == 0
+
+
+def test_a_silence_is_for_the_loop_on_board():
+    told = CliRunner().invoke(app, ["study", "closed-loop", "--runs", "1", "--silence-h", "1", "2"])
+    assert (told.exit_code, "--mode onboard" in told.output) == (2, True)
+    told = CliRunner().invoke(app, ["study", "closed-loop", "--mode", "pigeon"])
+    assert (told.exit_code, "no mode 'pigeon'" in told.output) == (2, True)
+
+
 def test_an_unknown_scenario_is_the_plants_to_refuse():
     with pytest.raises(PlantFailedError, match="invalid choice"):
         fly_unit(LoopUnit("unheard", SEED, Sensing.OFF))

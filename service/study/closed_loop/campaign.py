@@ -30,6 +30,10 @@ class LoopPlan(NamedTuple):
     drift_deg_h: tuple[float, float, float] | None = None
     #: sigma of yaw up to which it is controlled, deg
     yaw_sigma_deg: float = YAW_SIGMA_DEG
+    #: ``ground`` or ``onboard``
+    mode: str = "ground"
+    #: begin and length of a time in which nothing is sent up, h
+    silence_h: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -68,13 +72,7 @@ def run_loops(plan: LoopPlan, show: Show, folder: Path | None = None) -> LoopCam
     """
     began_s = time.monotonic()
     keys = [(scenario, sensing) for scenario in plan.scenarios for sensing in plan.sensings]
-    units = {
-        key: [
-            LoopUnit(key[0], seed, key[1], plan.uplink, plan.operation_days, plan.drift_deg_h, plan.yaw_sigma_deg)
-            for seed in range(1, plan.runs + 1)
-        ]
-        for key in keys
-    }
+    units = {key: [LoopUnit(key[0], seed, key[1], *plan[4:]) for seed in range(1, plan.runs + 1)] for key in keys}
     # the slow ones first
     queue = sorted((unit for some in units.values() for unit in some), key=lambda u: u.sensing is not Sensing.AUTOMATIC)
     flown = {} if folder is None else {unit: old for unit in queue if (old := kept(folder, unit)) is not None}

@@ -20,7 +20,7 @@ from service.pipeline.config import TorqueConfig
 from service.pipeline.wheel_torques import NO_CARRY, compute_command
 from service.records.attitude import AttitudeRow, Axes, FloatArray, Status
 from service.records.catalogue import Method, Spacecraft
-from service.records.command import Pulse, TorqueCommand
+from service.records.command import AppliedCommand, Pulse, TorqueCommand
 from service.records.epoch import US_PER_S
 from service.records.measurement import Measurement
 from service.study.closed_loop.plant_process import CommandReport, CraftTruth
@@ -99,6 +99,33 @@ class ByChain:
         """Take what the craft has told of released commands."""
         if self.release is not None:
             self.release.hear(reports)
+
+
+@dataclass
+class ByAngles:
+    """The service's chain, whose angles go up; what the loop on board does with them it tells itself."""
+
+    chain: Chain
+    _command: TorqueCommand | None = None
+
+    def decide(self, measurement: Measurement, truth: CraftTruth, counter: int) -> Decision:  # noqa: ARG002
+        """Return the angles of the row, inhibited where they are not fit for use."""
+        outcome = self.chain.step(measurement)
+        driving = None if outcome is None else next((r for r in outcome.rows if r.method is Method.ROBUST), None)
+        if outcome is None or driving is None:
+            return Decision(is_inhibited=True)
+        self._command = outcome.command or self._command
+        return Decision((), not driving.control_allowed, driving.attitude_deg)
+
+    def hear(self, reports: tuple[CommandReport, ...]) -> None:
+        """Tell the chain the mean torque of the pulses that were executed."""
+        for report in reports:
+            start_us, stop_us = report.executed_from_us, report.executed_until_us
+            if report.state != "executed" or self._command is None or start_us is None or stop_us is None:
+                continue
+            seconds = (stop_us - start_us) / US_PER_S
+            pulse = Pulse(start_us, seconds, Axes(*(impulse / seconds for impulse in report.impulse_n_m_s)))
+            self.chain.learn(AppliedCommand(replace(self._command, schedule=(pulse,))))
 
 
 @dataclass

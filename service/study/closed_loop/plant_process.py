@@ -35,6 +35,8 @@ class CraftTruth(NamedTuple):
     #: what torques have given
     rates_deg_s: Axes
     downlink_fade_db: float
+    #: the loop on board has no angles that are young enough
+    is_holding: bool = False
 
 
 class CommandReport(NamedTuple):
@@ -48,6 +50,7 @@ class CommandReport(NamedTuple):
     told_us: int = 0
     #: end of what was executed; None = nothing was
     executed_until_us: int | None = None
+    executed_from_us: int | None = None
 
 
 @dataclass(frozen=True)
@@ -176,11 +179,13 @@ class PlantProcess:
                 yield _row(here, _powers(line))
                 here = _Gathered()
 
-    def send(self, schedule: Sequence[Pulse], counter: int | None) -> None:
-        """Answer a row; None = nothing is commanded."""
+    def send(self, schedule: Sequence[Pulse], counter: int | None, attitude: Line | None = None) -> None:
+        """Answer a row; None = nothing is commanded; an attitude is for a loop on board."""
         message: Line = {"schedule": [_element(pulse) for pulse in schedule]}
         if counter is not None:
             message["counter"] = counter
+        if attitude is not None:
+            message["attitude"] = attitude
         if self._process.stdin is None:
             raise PlantFailedError("the plant has no input")
         self._process.stdin.write(json.dumps(message) + "\n")
@@ -205,6 +210,7 @@ def _row(here: _Gathered, power_dbm: FloatArray | None) -> PlantRow:
         Axes(*(float(line[f"{axis}_deg"]) for axis in _AXES)),
         Axes(**line["rates_deg_s"]),
         float(line["downlink_fade_db"]),
+        line.get("is_holding", False),
     )
     return PlantRow(truth, power_dbm, tuple(here.ground), tuple(here.reports))
 
@@ -212,7 +218,8 @@ def _row(here: _Gathered, power_dbm: FloatArray | None) -> PlantRow:
 def _report(line: Line) -> CommandReport:
     impulse = Axes(**line.get("impulse_n_m_s", dict.fromkeys(_AXES, 0.0)))
     until_us = parse_epoch(line["executed_until"]) if "executed_until" in line else None
-    return CommandReport(line["counter"], line["state"], impulse, parse_epoch(line["told"]), until_us)
+    from_us = parse_epoch(line["executed_from"]) if "executed_from" in line else None
+    return CommandReport(line["counter"], line["state"], impulse, parse_epoch(line["told"]), until_us, from_us)
 
 
 def _powers(line: Line) -> FloatArray:

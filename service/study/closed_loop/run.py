@@ -2,7 +2,7 @@
 
 import time
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -10,11 +10,21 @@ from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
 from service.records.attitude import BoolArray, FloatArray
 from service.records.catalogue import Method, Release, Spacecraft
+from service.records.epoch import US_PER_S, format_epoch
 from service.records.inputs import AlignmentSet, CalibrationActivation, PlanChange, SpacecraftChange
 from service.records.measurement import Measurement
-from service.study.closed_loop.controllers import LEAD_S, ByChain, ByTruth, Controller, Idle, Sensing
+from service.study.closed_loop.controllers import (
+    LEAD_S,
+    ByAngles,
+    ByChain,
+    ByTruth,
+    Controller,
+    Decision,
+    Idle,
+    Sensing,
+)
 from service.study.closed_loop.ground_knowledge import ground_of, slow_inputs
-from service.study.closed_loop.plant_process import PlantProcess, PlantRow
+from service.study.closed_loop.plant_process import CraftTruth, PlantProcess, PlantRow
 from service.study.closed_loop.released import Releaser
 from service.study.estimation.drive import UndrivenError, align, calibrate
 from service.study.estimation.journal import Documents
@@ -27,6 +37,8 @@ STATES = ("executed", "executing", "replaced", "repeated", "late", "refused")
 YAW_SIGMA_DEG = 0.5
 #: s: of the closed loop and between commands over the link where the catalogue states the torque
 LOOP_PERIOD_S = 2400.0
+#: on board angles older than this are not acted on; the service's product holds for three rows and 30 s
+AGE_LIMIT_S, VALID_S = 1800.0, 210.0
 COMMAND_PERIOD_S = 600.0
 
 
@@ -44,6 +56,10 @@ class LoopUnit(NamedTuple):
     drift_deg_h: tuple[float, float, float] | None = None
     #: sigma of yaw up to which it is controlled, deg
     yaw_sigma_deg: float = YAW_SIGMA_DEG
+    #: ``ground``: torques go up; ``onboard``: angles do
+    mode: str = "ground"
+    #: begin and length of a time in which nothing is sent up, h of operation
+    silence_h: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -86,7 +102,8 @@ def fly_unit(unit: LoopUnit) -> LoopResult:
         The plant knows no such scenario, or failed.
     """
     began_s = time.monotonic()
-    with PlantProcess(unit.scenario, unit.seed, unit.uplink, unit.operation_days) as plant:
+    options = ("--age-limit", str(AGE_LIMIT_S)) if unit.mode == "onboard" else ()
+    with PlantProcess(unit.scenario, unit.seed, unit.uplink, unit.operation_days, options) as plant:
         ground = ground_of(plant.opening())
         documents = Documents()
         plan = documents.add_plan(ground.carriers)
@@ -94,7 +111,7 @@ def fly_unit(unit: LoopUnit) -> LoopResult:
             controller = controller_of(unit, ground, documents, plan)
         except UndrivenError as error:
             return LoopResult(unit, time.monotonic() - began_s, str(error))
-        flight = _fly(plant, controller, GroundJournal(ground, documents, plan.plan_id))
+        flight = _fly(plant, controller, GroundJournal(ground, documents, plan.plan_id), unit)
     return LoopResult(unit, time.monotonic() - began_s, "", flight)
 
 
@@ -114,6 +131,8 @@ def controller_of(unit: LoopUnit, ground: Ground, documents: Documents, plan: Pl
     chain = Chain(documents, config, methods=(Method.ROBUST,))
     for content in (*opening, CalibrationActivation(1, 1), AlignmentSet(1)):
         chain.learn(content)
+    if unit.mode == "onboard":
+        return ByAngles(chain)
     return ByChain(chain, None if is_ideal else Releaser(chain, spacecraft, LEAD_S, config.torque))
 
 
@@ -154,7 +173,7 @@ class GroundJournal:
         for content in slow_inputs(row.ground, self.documents, 1000 * self.number):
             if isinstance(content, PlanChange):
                 self.plan_id = content.plan_id
-            if isinstance(controller, ByChain):
+            if isinstance(controller, ByChain | ByAngles):
                 controller.chain.learn(content)
 
     def measurement(self, row: PlantRow) -> Measurement:
@@ -166,9 +185,19 @@ class GroundJournal:
         return Measurement(epoch_us, epoch_us, self.number, source, self.plan_id, power_dbm, None, feeds_estimator=True)
 
 
-def _fly(plant: PlantProcess, controller: Controller, journal: GroundJournal) -> Flight:
+def _product(epoch_us: int, counter: int, decision: Decision) -> dict[str, Any] | None:
+    """Return the angles of a row as `attitude/uplink` gives them; None where they are not fit for use."""
+    if decision.attitude_deg is None or decision.is_inhibited:
+        return None
+    until_us = epoch_us + round(VALID_S * US_PER_S)
+    epochs = {"attitude_epoch": format_epoch(epoch_us), "valid_until": format_epoch(until_us)}
+    return {"counter": counter, **epochs, "attitude_deg": decision.attitude_deg._asdict()}
+
+
+def _fly(plant: PlantProcess, controller: Controller, journal: GroundJournal, unit: LoopUnit) -> Flight:
     """Fly to the end of the story."""
-    truth, estimates, inhibited, faded = [], [], [], []
+    truth: list[CraftTruth] = []
+    estimates, inhibited, faded = [], [], []
     impulse, reported, sent = np.zeros(3), dict.fromkeys(STATES, 0), 0
     nothing = (np.nan,) * 3
     for row in plant.rows():
@@ -181,9 +210,17 @@ def _fly(plant: PlantProcess, controller: Controller, journal: GroundJournal) ->
         angles, is_inhibited = None, True
         if row.power_dbm is not None:
             decision = controller.decide(journal.measurement(row), row.truth, sent + 1)
-            sent += bool(decision.schedule)
-            plant.send(decision.schedule, sent if decision.schedule else None)
             angles, is_inhibited = decision.attitude_deg, decision.is_inhibited
+            if unit.mode == "onboard":
+                first_us = truth[0].epoch_us if truth else row.truth.epoch_us
+                silent_h = (row.truth.epoch_us - first_us) / 3.6e9 - unit.silence_h[0]
+                told = None if 0.0 <= silent_h < unit.silence_h[1] else _product(row.truth.epoch_us, sent + 1, decision)
+                sent += told is not None
+                plant.send((), None, told)
+                is_inhibited = row.truth.is_holding
+            else:
+                sent += bool(decision.schedule)
+                plant.send(decision.schedule, sent if decision.schedule else None)
         truth.append(row.truth)
         estimates.append(nothing if angles is None else tuple(angles))
         inhibited.append(is_inhibited)

@@ -38,6 +38,12 @@ ROLL, PITCH, YAW = INERTIA_KG_M2
 #: torques of any size act, and the body is integrated exactly
 PERFECT = PlantOptions(onboard="perfect")
 NOTHING = Schedule(())
+ANGLES = {
+    "counter": 1,
+    "attitude_epoch": rfc3339(START_US),
+    "valid_until": rfc3339(START_US + 210_000_000),
+    "attitude_deg": {"yaw": 0.0, "roll": 0.3, "pitch": 0.0},
+}
 
 
 def played(text: str, scenario: Scenario = SHORT, options: PlantOptions | None = None) -> list[dict]:
@@ -112,6 +118,20 @@ def test_a_known_pulse_moves_the_angle_as_torque_over_inertia_says() -> None:
     assert np.nanmax(np.abs(gradient)) > 0.5 * moved[0][2]  # dB, carriers move by some dB/deg
 
 
+def test_angles_close_a_loop_on_board_and_without_them_nothing_is_commanded() -> None:
+    options = PlantOptions(age_limit_s=300.0)
+    silent = played('{"schedule":[]}\n' * 40, options=options)
+    assert [line for line in silent if line["type"] == "report"] == []
+    assert all(line["is_holding"] for line in silent if "rates_deg_s" in line)
+    steered = played(json.dumps({"schedule": [], "attitude": ANGLES}) + '\n{"schedule":[]}' * 40, options=options)
+    reports = [line for line in steered if line["type"] == "report"]
+    assert {line["state"] for line in reports} == {"executed"}
+    assert reports[0]["impulse_n_m_s"]["roll"] < 0.0
+    # five minutes, and the row in which the limit is reached
+    assert 1 <= sum(not line["is_holding"] for line in steered if "rates_deg_s" in line) <= 6
+    assert "is_holding" not in next(line for line in quiet_play() if "rates_deg_s" in line)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -135,6 +155,10 @@ def test_a_known_pulse_moves_the_angle_as_torque_over_inertia_says() -> None:
         (json.dumps({"schedule": [element(START_US, start="yesterday")]}), "epoch"),
         (json.dumps({"schedule": [element(START_US, start="2026-11-04T09:30:00")]}), "epoch"),
         (json.dumps({"schedule": [element(START_US, start=None)]}), "epoch"),
+        ('{"schedule":[],"attitude":{"counter":1}}', "an attitude has"),
+        (json.dumps({"schedule": [], "attitude": {**ANGLES, "attitude_deg": {"yaw": 0.1, "roll": 0.1}}}), "within 180"),
+        (json.dumps({"schedule": [], "attitude": {**ANGLES, "counter": 0.5}}), "counter"),
+        (json.dumps({"schedule": [], "attitude": {**ANGLES, "valid_until": "soon"}}), "valid_until is no RFC 3339"),
         (" " * 1_000_001, "characters"),
     ],
 )

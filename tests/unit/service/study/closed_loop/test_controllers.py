@@ -10,7 +10,7 @@ from service.records.attitude import Axes
 from service.records.catalogue import ControlSettings, Onboard, Release, Site, Spacecraft
 from service.records.command import AppliedCommand, Pulse, TorqueCommand
 from service.records.measurement import Measurement
-from service.study.closed_loop.controllers import LEAD_S, ByChain, ByTruth, Idle, postponed
+from service.study.closed_loop.controllers import LEAD_S, ByAngles, ByChain, ByTruth, Idle, postponed
 from service.study.closed_loop.plant_process import CommandReport, CraftTruth
 
 NOTHING = Axes(0.0, 0.0, 0.0)
@@ -55,6 +55,23 @@ class RecordedChain:
 
     def learn(self, content: AppliedCommand) -> None:
         self.learned.append(content)
+
+
+def test_the_chain_hears_the_mean_torque_of_what_a_loop_on_board_has_done():
+    told = command()
+    chain = RecordedChain(told)
+    controller = ByAngles(chain, told)
+    impulse = Axes(0.0, 0.012, -0.006)
+    executed = CommandReport(4, "executed", impulse, 120_000_000, 66_000_000, 60_000_000)
+    controller.hear((executed, CommandReport(5, "refused", NOTHING), replace_state(executed, "repeated")))
+    (applied,) = chain.learned
+    (pulse,) = applied.command.schedule
+    assert (pulse.start_us, pulse.duration_s) == (60_000_000, 6.0)
+    assert pulse.torque_n_m == pytest.approx((0.0, 0.002, -0.001))
+
+
+def replace_state(report: CommandReport, state: str) -> CommandReport:
+    return report._replace(state=state)
 
 
 def test_nobody_sends_nothing():
