@@ -59,8 +59,11 @@ def test_a_loop_on_board_holds_on_angles_and_stops_without_them():
     flight = result.flight
     largest = np.abs(flight.truth_deg).max(axis=0)
     held_h = flight.hours[flight.is_inhibited]
-    print(f"seed {SEED}: {largest.round(3)} deg, held {held_h.min():.2f} to {held_h.max():.2f} h, {flight.reported}")
-    assert largest[1:].max() < 0.3
+    end_deg = flight.truth_deg[-1].round(3)
+    print(f"seed {SEED}: {largest.round(3)} deg, {end_deg} at the end, held {held_h.min():.2f} to {held_h.max():.2f} h")
+    # beyond 0.4 deg no angles go up any more
+    assert largest[1:].max() < 0.4
+    assert np.abs(flight.truth_deg[-1, 1:]).max() < 0.2
     # until the first product, and from the age limit to the first product after the silence
     late = held_h[held_h > 1.0]
     assert late.min() == pytest.approx(3.5, abs=0.1)
