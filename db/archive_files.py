@@ -26,8 +26,9 @@ def sqlite_path(url: str) -> Path | None:
 
 def make_private(path: Path) -> None:
     """Make a file that only its owner can read unless there is one; SQLite gives its companions the same rights."""
+    # never one that is there: closing it would drop the locks that SQLite holds on it in this process
     with contextlib.suppress(OSError):
-        os.close(os.open(path, os.O_CREAT | os.O_CLOEXEC, 0o600))
+        os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600))
 
 
 def reading_engine(path: Path, *, is_settled: bool = False) -> Engine:

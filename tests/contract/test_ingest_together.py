@@ -39,7 +39,10 @@ def stored(connection, keys):
     found = []
     for table in TABLES:
         rows = connection.execute(select(table).where(table.c.spacecraft_key.in_(keys))).all()
-        found.append(sorted([keys.index(row.spacecraft_key), *map(repr, row[1:])] for row in rows))
+        names = [name for name in table.c.keys()[1:] if name != "checksum"]  # which covers the key
+        found.append(
+            sorted([keys.index(row.spacecraft_key), *(repr(getattr(row, name)) for name in names)] for row in rows)
+        )
     return found
 
 

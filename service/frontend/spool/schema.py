@@ -107,8 +107,8 @@ def leaves_connection_good(error: sqlite3.Error) -> bool:
 def connect(path: Path) -> sqlite3.Connection:
     """Return a connection for any thread, one at a time; a commit that returned survives a loss of power."""
     with contextlib.suppress(OSError):
-        # only its owner may read it; SQLite gives its companions the same rights
-        os.close(os.open(path, os.O_CREAT | os.O_CLOEXEC, 0o600))
+        # only its owner may read it; never one that is there: closing it would drop the locks of SQLite
+        os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600))
     connection = sqlite3.connect(path, timeout=_BUSY_S, isolation_level=None, check_same_thread=False)
     try:
         connection.execute("PRAGMA auto_vacuum=INCREMENTAL")
