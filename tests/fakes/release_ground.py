@@ -92,7 +92,10 @@ class ReleaseGround:
         return answer.json()
 
     def key(self, name: str, role: str) -> str:
-        """Return a new key."""
+        """Return a new key; one in force under this name is revoked, because names are unique."""
+        for key in self.client.get("/api/v1/keys").json()["rows"]:
+            if key["name"] == name:
+                assert self.client.delete(f"/api/v1/keys/{key['id']}").is_success
         made = self.client.post("/api/v1/keys", json={"name": name, "role": role})
         assert made.status_code == 201, made.text
         return str(made.json()["key"])

@@ -166,7 +166,7 @@ def satellite_elevation_deg(
     Examples
     --------
     >>> satellite_elevation_deg([90.0, 37.6, -90.0], [0.0, 55.75, 0.0], 0.0, 90.0).round(1)
-    array([ 90. ,  11.8, -90. ])
+    array([ 90. ,  11.6, -90. ])
     """
     sight, zenith = _sight_and_zenith(longitude_deg, latitude_deg, height_m, subsatellite_longitude_deg)
     sine = -np.sum(sight * zenith, axis=-1) / np.linalg.norm(sight, axis=-1)

@@ -3,9 +3,8 @@
 Model: ``geometry_columns``. Steps: rows thinned to stretches (``calibration_bins``); a trimmed start for each carrier,
 first of level and daily change from the rows near zero attitude, then of the beam from all (``trimmed_start``); Tukey's
 M-estimate of everything jointly (``joint_tukey``); noise learned from the residuals of the quiet rows; a last fit with
-rows whitened by that noise (``whitened_fit``), from which coefficients and their covariance come. The law of this
-file: nothing is rejected for good before the joint fit, so a step inside the quiet days costs its rows and not the
-carrier.
+rows whitened by that noise (``whitened_fit``), from which coefficients and their covariance come. Nothing is rejected
+for good before the joint fit: a step inside the quiet days costs its rows and not the carrier.
 """
 
 import math
@@ -183,10 +182,8 @@ def fit_geometry(rows: CalibrationRows, geometry: CarrierGeometry) -> GeometryCa
     stretches = still_stretches(rows.epoch_s, rows.attitude_deg, stretch_s)
     monomials = np.repeat(response_monomials(rows.attitude_deg)[:, np.newaxis], carriers, axis=1)
     means = stretch_means(stretches, rows.power_dbm - rough_dbm, np.concatenate([columns, monomials], axis=-1))
-    turned, means = (
-        means.columns[..., columns.shape[2] :],
-        means._replace(columns=means.columns[..., : columns.shape[2]]),
-    )
+    size = columns.shape[2]
+    turned, means = means.columns[..., size:], means._replace(columns=means.columns[..., :size])
     problem = _problem(rows, stretches, means, own.shape[-1])
     is_seen = (problem.rows_used > 0).sum(axis=1) >= MIN_STRETCHES
     prior = own_prior(carriers, daily.shape[-1])
