@@ -75,7 +75,8 @@ class DeskDriver:
         self.notified: list[str] = []
         #: instant and command of each release that was stored
         self.released: list[tuple[int, CommandView]] = []
-        self.last_bad_us = START_US
+        #: by the steady clock, as the ten good minutes are
+        self.last_bad_us = self.clock.steady
         self.start()
 
     def start(self) -> None:
@@ -93,7 +94,7 @@ class DeskDriver:
 
     def restart(self) -> None:
         """Kill the service and start it again."""
-        self.clock.steady, self.row, self.last_bad_us = 0, None, self.clock.now
+        self.clock.steady, self.row, self.last_bad_us = 0, None, 0
         self.start()
 
     @property
@@ -224,7 +225,7 @@ class DeskDriver:
     def note(self) -> None:
         """Keep when something last stood in the way."""
         if self.is_bad():
-            self.last_bad_us = self.clock.now
+            self.last_bad_us = self.clock.steady
 
     def judge(self) -> None:
         """Hold what must be true of everything that was stored as released since the last look."""
@@ -235,7 +236,7 @@ class DeskDriver:
             assert entry.counter not in known, "sent twice"
             known.add(entry.counter)
             assert not self.is_bad(), "released while a reason stands"
-            assert self.clock.now - self.last_bad_us >= 600 * US, "released before ten good minutes"
+            assert self.clock.steady - self.last_bad_us >= 600 * US, "released before ten good minutes"
             assert view.confirmed_by != view.prepared_by or view.is_automatic, "released by one person"
             assert max(map(abs, view.gross_impulse_n_m_s)) <= 0.02 + 1e-12, "beyond the impulse of a command"
             assert view.start_us >= self.clock.now + 150 * US, "begins before the uplink can bring it"
