@@ -32,7 +32,10 @@ reference_epoch_us          (R,)       references of all sensors, in order of ep
 reference_source            (R,)       star_tracker, earth_sensor or radio_beacon
 reference_{angle}_deg       (R,)       NaN = the sensor does not tell it
 reference_sigma_{angle}_deg  (R,)      NaN likewise
-witness_...                 (W,)       truth, as reference_..., in operation, where the ground does not hear them
+witness_epoch_us            (W,)       truth: sensors in operation, when the ground does not read them
+witness_source              (W,)       truth, as reference_source
+witness_{angle}_deg         (W,)       truth, as reference_{angle}_deg
+witness_sigma_{angle}_deg   (W,)       truth, likewise
 reference_sigma_deg         (3,)       the same by axis, order yaw, roll, pitch: an axis has one sensor
 correction_start_us, _stop_us  (C,)    corrections announced to the ground
 correction_{angle}_deg      (C,)       total over the interval

@@ -25,7 +25,7 @@ pulses = st.builds(
 def flown(schedule: list[TorqueElement]) -> np.ndarray:
     """Return the attitude after five minutes, deg."""
     craft = craft_at_rest(INERTIA_KG_M2, STILL, wheel_set(1, MOMENTUM))
-    craft.fly((0, 300 * S), schedule, STILL, STILL)
+    craft.fly((0, 300 * S), schedule, STILL, STILL, STILL)
     return np.array(craft.state.attitude_deg)
 
 
@@ -48,7 +48,7 @@ def test_a_command_is_stored_in_the_wheels(schedule):
     craft = craft_at_rest(INERTIA_KG_M2, STILL, wheel_set(1, STILL))
     craft.orbital_rate_rad_s = 0.0
     craft.motion = craft.motion._replace(rate_y=0.0)
-    craft.fly((0, 300 * S), schedule, STILL, STILL)
+    craft.fly((0, 300 * S), schedule, STILL, STILL, STILL)
     stored = np.array([wheel.momentum_n_m_s for wheel in craft.wheels])
     body = np.array(INERTIA_KG_M2) * craft.motion.rate_rad_s
     # from rest without a torque from outside the whole is zero, to the product of momentum and angle

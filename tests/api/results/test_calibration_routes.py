@@ -185,6 +185,7 @@ async def test_alignment_is_told_field_by_field(bench, make):
         "calibration_by_method": {},
         "changed_carriers": [],
         "reference_rule": "window_mean",
+        "warnings": [],
     }
     bench.align(make.now_us + 1)
     assert [row["id"] for row in (await bench.get("/alignments"))["rows"]] == [2, 1], "newest first"

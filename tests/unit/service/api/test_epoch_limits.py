@@ -6,6 +6,7 @@ from service.api.deps import Limits
 from service.api.epoch_limits import EpochLimits
 
 S = 1_000_000
+LAST_FIRST_US = 4_102_444_800 * S  # 2100-01-01
 NOW_US = 1_800_000_000 * S
 LIMITS = Limits(future_tolerance_s=5.0, future_tolerance_data_s=3600.0, late_after_s=300.0)
 
@@ -64,7 +65,7 @@ def test_a_caller_that_would_refuse_gets_the_bounds_of_the_moment():
 def test_before_the_first_row_nothing_is_remembered():
     clock = CountingClock(is_data=True)
     limits = EpochLimits(clock, LIMITS, Marks())
-    assert known(limits).latest_us is None
+    assert known(limits).latest_us == LAST_FIRST_US
     clock.newest_us = 1000 * S
     assert known(limits).latest_us == 4600 * S
 

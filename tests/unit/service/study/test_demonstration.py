@@ -293,7 +293,7 @@ def test_the_catalogue_states_what_the_craft_says_its_loop_feeds_forward(monkeyp
     }
     # as the REST interface takes it, nothing of it lost
     taken = OnboardDocument.model_validate_json(json.dumps(onboard)).to_record()
-    assert taken.residual_torque_n_m == 0.0
+    assert taken.residual_torque_n_m is None
     assert taken.fed_forward_torque is not None
     assert taken.fed_forward_torque.epoch_us == START_US
     assert taken.fed_forward_torque.sine_n_m.roll == 4e-6
