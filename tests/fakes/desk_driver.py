@@ -146,6 +146,8 @@ class DeskDriver:
     def momentum(self, n_m_s: float) -> None:
         self.archive.telemetry.append(TelemetryRecord(self.clock.now, wheel_momentum_n_m_s=(n_m_s, 0.0, 0.0)))
         self.tell()
+        # the release loop looks at what was told each second; a fact that comes and goes in between is not judged
+        self.desk.tick()
 
     def order(self, kind: OrderKind, by: str = "ann") -> ControlView:
         return self.desk.order(SC, kind, by)
