@@ -23,7 +23,7 @@ class RowContent(NamedTuple):
 
     @property
     def is_leap(self) -> bool:
-        """Whether the row was measured within a leap second, or gave way to one that was."""
+        """True for a row measured within a leap second, or moved because of one."""
         flags = b"" if self.flags is None else self.flags
         return bool(np.any(np.frombuffer(flags, dtype="<i4") & QualityFlag.LEAP_SECOND))
 

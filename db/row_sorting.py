@@ -28,7 +28,7 @@ LOOKUP_CHUNK = 500
 
 @dataclass(frozen=True, slots=True)
 class SortedRows:
-    """What becomes of each row of a batch."""
+    """Outcome of each row of a batch."""
 
     #: with the epochs and flags under which its rows are stored
     batch: PreparedBatch

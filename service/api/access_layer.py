@@ -25,7 +25,7 @@ from service.records.audit import CURRENT_NOTE, Deed, Note, naming_result
 
 MAX_QUERY_PARAMETERS = 100
 _REFUSED = frozenset({HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN})
-#: counted by their routes, or not at all: whoever restarts a process that does not answer here must get an answer
+#: counted by their routes, or not at all: a supervisor restarts a process that does not answer here
 _UNCOUNTED = frozenset({"/healthz", "/readyz", "/metrics"})
 _LOG = logging.getLogger(__name__)
 

@@ -16,7 +16,7 @@ from service.api.problems import ProblemError, render
 
 #: zlib's word for "expect a gzip header"
 _GZIP_WBITS = 16 + zlib.MAX_WBITS
-#: rows of measured powers pack to a fifth; whoever packs further sends zeros to make work
+#: rows of measured powers pack to a fifth; a body that packs further holds zeros
 MAX_RATIO = 100
 #: unpacked whatever the ratio
 _FREE_BYTES = 256 * 1024

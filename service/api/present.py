@@ -13,7 +13,7 @@ from service.records.release import ControlVerdict, ControlView
 
 
 class Present(NamedTuple):
-    """What every answer about the present tells."""
+    """State of the present that every answer about it shares."""
 
     #: of the method that drives control
     row: AttitudeRow | None

@@ -103,7 +103,7 @@ class ControlReason(TypedDict):
 
 
 class Verdict(TypedDict):
-    """Whether a torque may go now; read `allowed` for a decision."""
+    """Verdict on control: read `allowed` for a decision."""
 
     allowed: bool
     state: Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "TRIPPED"]
