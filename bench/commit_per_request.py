@@ -12,7 +12,7 @@ from typing import Any
 
 from sqlalchemy import Engine, event
 
-from db.engine import open_engines
+from db.connection.engines import open_engines
 from db.ingest import store_batch
 from db.prepared_batch import PreparedBatch, prepare
 from db.segments import SegmentCache

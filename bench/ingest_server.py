@@ -15,7 +15,7 @@ from typing import Any
 
 import uvicorn
 
-import db.writer
+import db.connection.writer
 from bench.commit_per_request import CommitPerRequest, slow_down
 from service.api.server import StreamingServer, calm_collector
 from service.bootstrap import build_app, build_storage
@@ -66,7 +66,7 @@ def main() -> None:
     os.environ |= {"SOO_DATABASE_URL": options.database, "SOO_CLOCK": "data"}
     settings = Settings()
     if options.archive == "single":
-        db.writer.GROUP_LIMIT = 1
+        db.connection.writer.GROUP_LIMIT = 1
     storage = build_storage(settings)
     if options.archive == "none":
         storage.archive = NoArchive(storage.archive)

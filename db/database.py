@@ -13,12 +13,12 @@ from sqlalchemy import ColumnElement, Connection, Row, Select, Table, and_, func
 from sqlalchemy.dialects import postgresql, sqlite
 
 from db.audit_chain import accompanied
+from db.connection.engines import open_engines, translated_faults
+from db.connection.lease import SqlLease
+from db.connection.writer import Writer
 from db.documents import encode, kind_of
-from db.engine import open_engines, translated_faults
-from db.lease import SqlLease
 from db.segments import SegmentCache
 from db.tables import head, journal, spacecraft
-from db.writer import Writer
 from service.errors import NotFoundError
 from service.records.audit import CURRENT_NOTE
 from service.records.calibration import Window

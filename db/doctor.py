@@ -13,8 +13,8 @@ from pathlib import Path
 from sqlalchemy import Connection, Engine, select, text
 from sqlalchemy.exc import SQLAlchemyError
 
-from db.archive_files import COMPANIONS, reading_engine, sqlite_path
-from db.engine import open_engines, translated_faults
+from db.connection.engines import open_engines, translated_faults
+from db.connection.sqlite_files import COMPANIONS, reading_engine, sqlite_path
 from db.examination import Report, examine, guarded
 from db.journal_heads import compared_heads
 from db.tables import head, measurement

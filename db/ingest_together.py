@@ -17,7 +17,7 @@ from typing import Any
 
 from sqlalchemy import Connection, bindparam, select
 
-from db.compiled import CompiledStatement, run_bare
+from db.connection.compiled_statements import CompiledStatement, run_bare
 from db.ingest import MOVE_HEAD, STATE_COLUMNS, IngestState, later, store_batch
 from db.prepared_batch import PreparedBatch
 from db.row_checksum import measurement_checksums

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from sqlalchemy import Connection
 
-from db.compiled import run_bare
+from db.connection.compiled_statements import run_bare
 from service.records.attitude import BoolArray, FloatArray
 from service.records.measurement import DETAIL_NAMES, CarrierDetails
 

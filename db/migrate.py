@@ -6,7 +6,7 @@ from alembic import command
 from alembic.config import Config
 from sqlalchemy import Connection, Engine, text
 
-from db.engine import translated_faults
+from db.connection.engines import translated_faults
 
 _SCRIPTS = Path(__file__).parent / "migrations"
 #: any number, the same in every process

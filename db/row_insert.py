@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from sqlalchemy import Connection
 
-from db.compiled import run_bare
+from db.connection.compiled_statements import run_bare
 from db.power_codec import StoredRows
 from db.row_checksum import measurement_checksums
 

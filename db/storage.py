@@ -6,14 +6,14 @@ from db.alarms import SqlAlarms
 from db.archive import SqlArchive
 from db.audit import SqlAudit
 from db.catalogue import SqlCatalogue
+from db.connection.engines import open_engines
+from db.connection.storage_state import disk_of, newest_revision, present_revision
 from db.database import Database
-from db.engine import open_engines
 from db.keys import SqlKeys
 from db.links import SqlLinks
 from db.notes import SqlNotes
 from db.releases import SqlReleases
 from db.results import SqlResults
-from db.storage_state import disk_of, newest_revision, present_revision
 from db.tables import head
 from db.traces import SqlTraces
 from service.ports import (

@@ -37,7 +37,7 @@ from service.runtime.workers import Workers
 from service.settings import Settings
 
 if TYPE_CHECKING:
-    from db.file_watch import FileWatch
+    from db.connection.file_identity import FileWatch
     from db.keeping import Keeping
 
 #: descriptors that connections leave to the archive, logs and worker processes
@@ -53,8 +53,8 @@ def build_storage(settings: Settings) -> Storage:
 
 def watch_file(settings: Settings) -> "FileWatch | None":
     """Return what tells whether another file has taken the place of the archive's; None for a server."""
-    from db.archive_files import sqlite_path
-    from db.file_watch import FileWatch
+    from db.connection.file_identity import FileWatch
+    from db.connection.sqlite_files import sqlite_path
 
     path = sqlite_path(settings.database_url)
     if path is None:
@@ -88,7 +88,7 @@ def first_administrator(settings: Settings, storage: Storage) -> Path | None:
 
     The archive keeps a digest. The file stands beside the archive, that of a server in the working directory.
     """
-    from db.archive_files import sqlite_path
+    from db.connection.sqlite_files import sqlite_path
 
     now_us = SystemClock().system_us()
     has_one = any(each.key.role is Role.ADMIN and each.key.is_valid(now_us) for each in storage.keys.all())

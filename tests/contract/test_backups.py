@@ -8,12 +8,12 @@ import pytest
 from sqlalchemy import create_engine, func, inspect, select, text
 
 from db.backup import ARCHIVE_FILE, MANIFEST_FILE, create_backup, verify_backup
-from db.engine import open_engines
+from db.connection.engines import open_engines
+from db.connection.storage_state import newest_revision
 from db.migrate import upgrade
 from db.restore import restore_backup
 from db.schema_version import known_versions
 from db.storage import SqlStorage
-from db.storage_state import newest_revision
 from db.tables import metadata
 from service.ports import Outcome
 from service.records.audit import Deed

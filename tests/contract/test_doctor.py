@@ -11,8 +11,8 @@ import pytest
 from sqlalchemy import text
 
 import db.doctor
+from db.connection.engines import open_engines
 from db.doctor import diagnose
-from db.engine import open_engines
 from db.examination import examine
 from db.migrate import upgrade
 from db.schema_version import known_versions

@@ -11,9 +11,9 @@ import pytest
 from psycopg import Connection
 from sqlalchemy import create_engine
 
-from db.postgresql_engines import BoundedConnection, NoAnswerError
+from db.connection.postgresql_engines import BoundedConnection, NoAnswerError
+from db.connection.writer import ATTEMPTS
 from db.storage import SqlStorage
-from db.writer import ATTEMPTS
 from service.errors import StorageError
 
 LIMIT_S = 0.6

@@ -12,7 +12,7 @@ import time
 import pytest
 from sqlalchemy import text
 
-from db.archive_files import reading_engine
+from db.connection.sqlite_files import reading_engine
 from db.examination import examine
 from db.power_codec import unpack_powers
 

@@ -9,7 +9,7 @@ from sqlalchemy import inspect, select
 import db.alarm_tables
 import db.key_tables
 import db.release_tables  # noqa: F401 - their tables belong to the schema
-from db.engine import open_engines
+from db.connection.engines import open_engines
 from db.migrate import downgrade, upgrade
 from db.sequence_numbers import Block, SequenceNumbers, Tail
 from db.storage import SqlStorage

@@ -5,7 +5,7 @@ from sqlalchemy import select
 from sqlalchemy.dialects.postgresql import psycopg
 from sqlalchemy.schema import CreateTable
 
-from db.compiled import CompiledStatement
+from db.connection.compiled_statements import CompiledStatement
 from db.ingest import _MOVE_SOURCE, _READ_STATE
 from db.ingest_together import _READ_STATES
 from db.tables import attitude, head, measurement

@@ -5,7 +5,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from sqlalchemy import delete, select
 
-from db.engine import open_engines
+from db.connection.engines import open_engines
 from db.measurement_details import insert_details
 from db.migrate import upgrade
 from db.power_codec import StoredRows

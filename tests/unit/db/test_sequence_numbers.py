@@ -7,7 +7,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from sqlalchemy import delete, select
 
-from db.engine import open_engines
+from db.connection.engines import open_engines
 from db.migrate import upgrade
 from db.sequence_numbers import RUNS_KEPT, Block, NumberedRow, SequenceNumbers, Tail, blocks_of
 from db.tables import sequence_interval

@@ -21,8 +21,8 @@ from typing import Any, Generic, TypeVar
 from sqlalchemy import Connection, Engine
 from sqlalchemy.exc import SQLAlchemyError
 
-from db.engine import storage_error
-from db.fault_kinds import is_passing, is_wait_ended
+from db.connection.engines import storage_error
+from db.connection.retryable_errors import is_passing, is_wait_ended
 from service.errors import StorageError
 
 Result = TypeVar("Result")

@@ -32,7 +32,7 @@ _Answer = TypeVar("_Answer")
 class NoAnswerError(OperationalError):
     """The server did not answer in time."""
 
-    #: looked for by ``db.fault_kinds``, which knows no driver
+    #: looked for by ``db.connection.retryable_errors``, which knows no driver
     is_wait_ended = True
 
 

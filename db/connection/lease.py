@@ -19,11 +19,11 @@ from sqlalchemy import Connection, text
 from sqlalchemy.engine import make_url
 from sqlalchemy.exc import SQLAlchemyError
 
-from db.archive_files import sqlite_path
+from db.connection.sqlite_files import sqlite_path
 from service.errors import StorageError
 
 if TYPE_CHECKING:
-    from db.writer import Writer
+    from db.connection.writer import Writer
 
 Result = TypeVar("Result")
 _log = logging.getLogger(__name__)
@@ -172,7 +172,7 @@ class _ServerHold:
         if self._connection is not None and self.is_held():
             return True
         # the driver costs time and memory that a file does not need
-        from db.postgresql_engines import lease_engine
+        from db.connection.postgresql_engines import lease_engine
 
         try:
             connection = lease_engine(make_url(self._url), self._limit_s).connect()

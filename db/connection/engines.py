@@ -16,8 +16,8 @@ from sqlalchemy import Connection, Engine, create_engine, event
 from sqlalchemy.engine import URL, make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
 
-from db.archive_files import make_private
-from db.file_watch import FileWatch
+from db.connection.file_identity import FileWatch
+from db.connection.sqlite_files import make_private
 from service.errors import StorageError
 
 #: wait for a lock where no other is wanted, s
@@ -64,7 +64,7 @@ def open_engines(url: str, limit_s: float | None = None) -> Engines:
         return _sqlite_engines(target, BUSY_TIMEOUT_S if limit_s is None else limit_s)
     if target.get_backend_name() == "postgresql":
         # the driver costs time and memory that a file does not need
-        from db.postgresql_engines import postgresql_engines
+        from db.connection.postgresql_engines import postgresql_engines
 
         return Engines(*postgresql_engines(target, READERS, limit_s))
     message = f"database {target.get_backend_name()!r} is not supported: use sqlite:///file or postgresql+psycopg://..."

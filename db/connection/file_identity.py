@@ -11,7 +11,7 @@ from threading import Lock
 
 from sqlalchemy.exc import SQLAlchemyError
 
-from db.archive_files import reading_engine
+from db.connection.sqlite_files import reading_engine
 from db.schema_version import known_versions, version_of
 from service.errors import StorageError
 

@@ -5,8 +5,8 @@ import shutil
 import pytest
 from sqlalchemy import text
 
-from db.engine import open_engines
-from db.file_watch import FileWatch
+from db.connection.engines import open_engines
+from db.connection.file_identity import FileWatch
 from db.migrate import upgrade
 from service.errors import StorageError
 

@@ -3,7 +3,7 @@
 import pytest
 from sqlalchemy.exc import OperationalError
 
-from db.engine import open_engines, translated_faults
+from db.connection.engines import open_engines, translated_faults
 from service.errors import StorageError
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from sqlalchemy import Engine, inspect, text
 
-from db.engine import translated_faults
+from db.connection.engines import translated_faults
 
-_VERSIONS = Path(__file__).parent / "migrations" / "versions"
+_VERSIONS = Path(__file__).parents[1] / "migrations" / "versions"
 
 
 @cache
