@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from db.segments import DAY_US
+from db.encoding.segments import DAY_US
 from db.storage import SqlStorage
 from service.ports import LIVE, Outcome
 from service.records.attitude import AttitudeRow, Axes, Status

@@ -13,9 +13,9 @@ from typing import Any
 from sqlalchemy import Engine, event
 
 from db.connection.engines import open_engines
+from db.encoding.segments import SegmentCache
 from db.ingest import store_batch
 from db.prepared_batch import PreparedBatch, prepare
-from db.segments import SegmentCache
 from service.records.measurement import BatchReceipt, MeasurementBatch
 
 #: as many as the framework's own pool has

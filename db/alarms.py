@@ -10,7 +10,7 @@ from sqlalchemy.dialects import postgresql, sqlite
 from db.alarm_tables import alarm as alarm_table
 from db.alarm_tables import alarm_change, alarm_limits, alarm_memory
 from db.database import Database, beyond, lock_head
-from db.documents import decode, encode
+from db.encoding.json_documents import decode, encode
 from db.retention import LOGS_AT_ONCE
 from service.errors import NotFoundError
 from service.records.alarm import Alarm, AlarmChange

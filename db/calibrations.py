@@ -6,7 +6,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, select, update
 
 from db.database import Database, Span, add_entries, count_entries, lock_head, next_id
-from db.documents import decode, encode
+from db.encoding.json_documents import decode, encode
 from db.tables import alignment as alignment_table
 from db.tables import calibration as calibration_table
 from service.errors import ConflictError, NotFoundError

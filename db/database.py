@@ -16,8 +16,8 @@ from db.audit_chain import accompanied
 from db.connection.engines import open_engines, translated_faults
 from db.connection.lease import SqlLease
 from db.connection.writer import Writer
-from db.documents import encode, kind_of
-from db.segments import SegmentCache
+from db.encoding.json_documents import encode, kind_of
+from db.encoding.segments import SegmentCache
 from db.tables import head, journal, spacecraft
 from service.errors import NotFoundError
 from service.records.audit import CURRENT_NOTE

@@ -6,7 +6,7 @@ from sqlalchemy import Connection, select, update
 from sqlalchemy.exc import IntegrityError
 
 from db.database import Database, lock_head, next_id
-from db.documents import decode, encode
+from db.encoding.json_documents import decode, encode
 from db.tables import calibration as calibration_table
 from db.tables import job as job_table
 from db.tables import replay as replay_table

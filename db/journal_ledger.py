@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import ColumnElement, Connection, Row, Table, func, select
 
-from db.segments import SegmentHead, heads, read_piece
+from db.encoding.segments import SegmentHead, heads, read_piece
 from db.tables import attitude, head, journal, measurement, retention_mark, torque
 from service.errors import StorageError
 from service.records.attitude import IntArray

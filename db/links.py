@@ -7,7 +7,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, delete, func, select, update
 
 from db.database import Database
-from db.documents import decode, encode
+from db.encoding.json_documents import decode, encode
 from db.tables import link as link_table
 from service.errors import ConflictError, NotFoundError
 from service.records.epoch import US_PER_S

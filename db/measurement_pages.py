@@ -11,10 +11,10 @@ import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, select
 
 from db.database import beyond, within
-from db.mapping import MEASUREMENT_COLUMNS, RECEIVED_AT_US, measurement_of, measurements_of
-from db.measurement_runs import Cursor, OrderedRows, Run, end_us
-from db.power_codec import unpack_powers
-from db.segments import (
+from db.encoding.measurement_runs import Cursor, OrderedRows, Run, end_us
+from db.encoding.power_codec import unpack_powers
+from db.encoding.row_mapping import MEASUREMENT_COLUMNS, RECEIVED_AT_US, measurement_of, measurements_of
+from db.encoding.segments import (
     SegmentCache,
     SegmentHead,
     SegmentPiece,

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 from sqlalchemy import ColumnElement, Connection, Row, Table, select, tuple_, update
 
 from db.database import insert_new, lock_head
-from db.mapping import attitude_values, torque_values
+from db.encoding.row_mapping import attitude_values, torque_values
 from db.slow_inputs import store_inputs
 from db.tables import attitude, head, torque
 from service.ports import LIVE, Outcome

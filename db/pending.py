@@ -11,9 +11,9 @@ from sqlalchemy import Connection, func, not_, or_, select
 from sqlalchemy.sql.elements import ColumnElement
 
 from db.database import within
+from db.encoding.segments import SegmentCache, heads_of_numbers, read_piece
 from db.measurement_pages import MAX_NUMBER
 from db.retention import kept_from_us
-from db.segments import SegmentCache, heads_of_numbers, read_piece
 from db.tables import alignment, attitude, head, measurement
 from service.ports import LIVE
 from service.records.attitude import IntArray

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from db.measurement_details import PreparedDetails, prepare_details
-from db.power_codec import NO_FLAGS, StoredRows, pack_flags, pack_powers
+from db.encoding.measurement_details import PreparedDetails, prepare_details
+from db.encoding.power_codec import NO_FLAGS, StoredRows, pack_flags, pack_powers
 from db.row_content import RowContent, row_content
 from service.records.attitude import BoolArray
 from service.records.measurement import MeasurementBatch

@@ -7,8 +7,8 @@ from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, not_,
 
 from db.calibrations import SqlCalibrations
 from db.database import Database, beyond, within
+from db.encoding.row_mapping import attitude_of, torque_of
 from db.jobs import SqlJobs
-from db.mapping import attitude_of, torque_of
 from db.outcomes import Consumed, Result, store_outcomes
 from db.pending import PendingCount
 from db.synthesis import Synthesis

@@ -24,7 +24,7 @@ from sqlalchemy import (
 )
 
 from db.database import Database, lock_head
-from db.segments import DAY_US, day_of
+from db.encoding.segments import DAY_US, day_of
 from db.tables import (
     attitude,
     head,

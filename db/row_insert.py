@@ -13,7 +13,7 @@ from typing import NamedTuple
 from sqlalchemy import Connection
 
 from db.connection.compiled_statements import run_bare
-from db.power_codec import StoredRows
+from db.encoding.power_codec import StoredRows
 from db.row_checksum import measurement_checksums
 
 _AT_ONCE = """
@@ -49,7 +49,7 @@ class Run(NamedTuple):
     #: sequence number of the first row
     first_seq: int | None
     epochs_us: list[int]
-    #: of all rows, as ``db.power_codec`` lays them out
+    #: of all rows, as ``db.encoding.power_codec`` lays them out
     powers: StoredRows
     flags: StoredRows | None
     #: what each row states beside, None for those that state nothing; None when no row does

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from sqlalchemy import Connection, Row, Select, and_, select
 
-from db.measurement_details import details_of
-from db.power_codec import unpack_flags, unpack_parts
+from db.encoding.measurement_details import details_of
+from db.encoding.power_codec import unpack_flags, unpack_parts
+from db.encoding.segments import SegmentCache, sealed_contents
 from db.prepared_batch import PreparedBatch, prepare
 from db.row_content import RowContent, row_content
-from db.segments import SegmentCache, sealed_contents
 from db.tables import measurement, measurement_detail
 from service.records.attitude import IntArray
 from service.records.epoch import format_epoch

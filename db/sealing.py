@@ -16,10 +16,10 @@ from sqlalchemy import ColumnElement, Connection, Row, and_, delete, func, selec
 
 from db.checksum_check import agrees
 from db.database import Database, lock_head
-from db.mapping import MEASUREMENT_COLUMNS, RECEIVED_AT_US, measurements_of
+from db.encoding.row_mapping import MEASUREMENT_COLUMNS, RECEIVED_AT_US, measurements_of
+from db.encoding.segment_codec import CODEC, Blobs, SealedRows, pack
+from db.encoding.segments import DAY_US, HEAD_COLUMNS, SegmentHead, SegmentPiece, crc32_of, day_of, heads, read_piece
 from db.row_checksum import measurement_checksums
-from db.segment_codec import CODEC, Blobs, SealedRows, pack
-from db.segments import DAY_US, HEAD_COLUMNS, SegmentHead, SegmentPiece, crc32_of, day_of, heads, read_piece
 from db.tables import head as head_table
 from db.tables import measurement, measurement_detail, measurement_segment, source
 from service.errors import StorageError

@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 from sqlalchemy import Connection, Select, select
 
 from db.database import beyond, within
-from db.documents import decode
-from db.mapping import attitude_of
+from db.encoding.json_documents import decode
+from db.encoding.measurement_runs import Run
+from db.encoding.row_mapping import attitude_of
+from db.encoding.segments import SegmentCache
 from db.measurement_pages import EVER, LIGHT, Chosen, MeasurementPages
-from db.measurement_runs import Run
 from db.retention import kept_from_us
-from db.segments import SegmentCache
 from db.tables import attitude, calibration, head, journal
 from service.ports import LIVE
 from service.records.attitude import AttitudeRow, row_without_attitude

@@ -1,6 +1,6 @@
 """Tables: one schema for SQLite and PostgreSQL.
 
-Epochs are BIGINT microseconds UTC, the powers of a row are one BLOB (see db.power_codec), records without a query on
+Epochs are BIGINT microseconds UTC, the powers of a row are one BLOB (see db.encoding.power_codec), records without a query on
 their inside are JSON documents. Tables that grow with every measurement carry no foreign keys: their rows are written
 under the lock of the spacecraft's head by code that has just read the parents.
 """
@@ -152,7 +152,7 @@ measurement = Table(
     Column("delay_us", BigInteger, nullable=False),
     Column("is_late", Boolean, nullable=False),
     Column("feeds", Boolean, nullable=False),
-    # both as db.power_codec lays them out
+    # both as db.encoding.power_codec lays them out
     Column("powers", LargeBinary, nullable=False),
     Column("flags", LargeBinary),
     # of the row and of its details; see db.row_checksum
@@ -172,7 +172,7 @@ measurement_detail = Table(
     sqlite_with_rowid=False,
 )
 
-#: rows of closed days, many in one: see db.segment_codec; the blobs stand last, so that a look at the rest spares them
+#: rows of closed days, many in one: see db.encoding.segment_codec; the blobs stand last, so that a look at the rest spares them
 measurement_segment = Table(
     "measurement_segment",
     metadata,

@@ -20,9 +20,9 @@ from sqlalchemy import (
     update,
 )
 
-from db.measurement_details import insert_details, prepare_details
-from db.power_codec import unpack_flags, unpack_parts
-from db.segments import HEAD_COLUMNS, SegmentHead, read_piece
+from db.encoding.measurement_details import insert_details, prepare_details
+from db.encoding.power_codec import unpack_flags, unpack_parts
+from db.encoding.segments import HEAD_COLUMNS, SegmentHead, read_piece
 from db.tables import measurement_segment
 from service.records.measurement import DETAIL_NAMES, CarrierDetails
 

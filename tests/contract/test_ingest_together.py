@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from sqlalchemy import select
 
+from db.encoding.segments import SegmentCache
 from db.ingest_together import StoreBatch
 from db.prepared_batch import prepare
-from db.segments import SegmentCache
 from db.tables import head, measurement, measurement_detail, sequence_interval, source
 from service.records.measurement import CarrierDetails
 

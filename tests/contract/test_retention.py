@@ -5,7 +5,7 @@ import pytest
 from sqlalchemy import select
 
 from db import retention
-from db.segments import DAY_US
+from db.encoding.segments import DAY_US
 from db.tables import retention_mark
 from service.ports import Outcome
 from service.records.calibration import Window

@@ -8,7 +8,7 @@ import pytest
 from sqlalchemy import select, update
 
 from db import sealing
-from db.segments import DAY_US
+from db.encoding.segments import DAY_US
 from db.storage import SqlStorage
 from db.tables import measurement, measurement_segment
 from service.errors import StorageError

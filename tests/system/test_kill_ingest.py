@@ -13,8 +13,8 @@ import pytest
 from sqlalchemy import text
 
 from db.connection.sqlite_files import reading_engine
+from db.encoding.power_codec import unpack_powers
 from db.examination import examine
-from db.power_codec import unpack_powers
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
 

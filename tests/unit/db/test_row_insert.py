@@ -6,9 +6,9 @@ from hypothesis import strategies as st
 from sqlalchemy import delete, select
 
 from db.connection.engines import open_engines
-from db.measurement_details import insert_details
+from db.encoding.measurement_details import insert_details
+from db.encoding.power_codec import StoredRows
 from db.migrate import upgrade
-from db.power_codec import StoredRows
 from db.row_insert import Run, insert_run
 from db.tables import measurement, measurement_detail
 

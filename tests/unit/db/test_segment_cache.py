@@ -2,7 +2,7 @@
 
 from typing import Any, cast
 
-from db.segments import SegmentCache, SegmentHead, SegmentPiece
+from db.encoding.segments import SegmentCache, SegmentHead, SegmentPiece
 
 CARRIERS = 16
 ROWS = 100

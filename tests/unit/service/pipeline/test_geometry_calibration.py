@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from geometry_payload import DAY, HOUR, MINUTE, NAN, START_US, GeometryPayload, turned_angles
 
-from db.documents import decode, encode
+from db.encoding.json_documents import decode, encode
 from service.core.estimation.noise_identification import LADDER_S
 from service.pipeline.calibration_rows import CalibrationError
 from service.pipeline.config import CalibrationConfig

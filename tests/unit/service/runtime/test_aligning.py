@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from db.documents import decode, encode
+from db.encoding.json_documents import decode, encode
 from service.api.schemas.alignments import AlignmentAnswer
 from service.errors import ConflictError, InvalidInputError, NotFoundError
 from service.records.attitude import Axes

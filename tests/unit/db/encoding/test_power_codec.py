@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from db.power_codec import (
+from db.encoding.power_codec import (
     NO_FLAGS,
     _many_rows,
     _one_row,

@@ -8,8 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from db.segment_codec import CODEC, Blobs, Extras, SealedRows, pack, unpack_columns, unpack_extras, unpack_powers
-from db.segments import SegmentCache, SegmentHead, SegmentPiece, crc32_of
+from db.encoding.segment_codec import (
+    CODEC,
+    Blobs,
+    Extras,
+    SealedRows,
+    pack,
+    unpack_columns,
+    unpack_extras,
+    unpack_powers,
+)
+from db.encoding.segments import SegmentCache, SegmentHead, SegmentPiece, crc32_of
 
 INT64 = st.integers(-(1 << 63), (1 << 63) - 1)
 KINDS = 4

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from db.measurement_details import details_of, prepare_details
+from db.encoding.measurement_details import details_of, prepare_details
 from service.records.measurement import DETAIL_NAMES, CarrierDetails
 
 NAN = float("nan")

@@ -1,0 +1,1 @@
+"""Encoding of rows: packed powers, sealed segments, JSON documents."""
