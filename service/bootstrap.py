@@ -38,7 +38,7 @@ from service.settings import Settings
 
 if TYPE_CHECKING:
     from db.connection.file_identity import FileWatch
-    from db.keeping import Keeping
+    from db.maintenance.archive_tools import Keeping
 
 #: descriptors that connections leave to the archive, logs and worker processes
 _OWN_FILES = 256
@@ -281,6 +281,6 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
 def open_keeping(database_url: str | None) -> "Keeping":
     """Return what makes backups of an archive and looks at it; without a URL the archive of the settings."""
     # brings the migrations along, which serving needs at its start only
-    from db.keeping import Keeping
+    from db.maintenance.archive_tools import Keeping
 
     return Keeping(database_url or Settings.model_validate({}).database_url, SystemClock())

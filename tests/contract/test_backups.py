@@ -7,11 +7,11 @@ import sqlite3
 import pytest
 from sqlalchemy import create_engine, func, inspect, select, text
 
-from db.backup import ARCHIVE_FILE, MANIFEST_FILE, create_backup, verify_backup
 from db.connection.engines import open_engines
 from db.connection.storage_state import newest_revision
+from db.maintenance.backup import ARCHIVE_FILE, MANIFEST_FILE, create_backup, verify_backup
+from db.maintenance.restore import restore_backup
 from db.migrate import upgrade
-from db.restore import restore_backup
 from db.schema_version import known_versions
 from db.storage import SqlStorage
 from db.tables import metadata
@@ -149,7 +149,10 @@ def test_a_restore_that_fails_changes_nothing(filled, url, tmp_path, monkeypatch
         message = "no room"
         raise OSError(message)
 
-    monkeypatch.setattr("db.restore._moved_aside" if url.startswith("sqlite") else "db.restore.copy_tables", fail)
+    monkeypatch.setattr(
+        "db.maintenance.restore._moved_aside" if url.startswith("sqlite") else "db.maintenance.restore.copy_tables",
+        fail,
+    )
     with pytest.raises(OSError, match="no room"):
         restore_backup(tmp_path / "b", url, STAMP, ignore, may_replace=True)
     assert content(url) == before
@@ -157,7 +160,7 @@ def test_a_restore_that_fails_changes_nothing(filled, url, tmp_path, monkeypatch
 
 
 def test_a_backup_has_its_name_only_when_it_is_complete(filled, url, tmp_path, monkeypatch):
-    monkeypatch.setattr("db.backup.sha256_of", lambda *_: 1 / 0)
+    monkeypatch.setattr("db.maintenance.backup.sha256_of", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         create_backup(url, tmp_path / "b", 5, ignore)
     assert not list(tmp_path.glob("*b*.partial")) + list(tmp_path.glob("b"))

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 from sqlalchemy import text
 
-import db.doctor
+import db.maintenance.doctor
 from db.connection.engines import open_engines
-from db.doctor import diagnose
-from db.examination import examine
+from db.maintenance.doctor import diagnose
+from db.maintenance.integrity_check import examine
 from db.migrate import upgrade
 from db.schema_version import known_versions
 from service.ports import Outcome
@@ -242,13 +242,13 @@ def test_a_row_without_its_parent_is_found(file):
 @pytest.mark.parametrize(("free_mib", "state"), [(10, "fault"), (500, "warning"), (5000, "ok")])
 def test_a_disk_that_runs_full_is_told_before_it_is(file, monkeypatch, free_mib, state):
     usage = shutil.disk_usage(file)._replace(free=free_mib << 20)
-    monkeypatch.setattr(db.doctor.shutil, "disk_usage", lambda _path: usage)
+    monkeypatch.setattr(db.maintenance.doctor.shutil, "disk_usage", lambda _path: usage)
     found = {each.check: each.state for each in looked_at(f"sqlite:///{file}")}
     assert found["disk"] == state
 
 
 def test_a_log_that_grew_is_told(file, monkeypatch):
-    monkeypatch.setattr(db.doctor, "WAL_BYTES_WARNING", 1000)
+    monkeypatch.setattr(db.maintenance.doctor, "WAL_BYTES_WARNING", 1000)
     connection = sqlite3.connect(file)
     connection.execute("PRAGMA journal_mode=WAL")
     connection.execute("UPDATE spacecraft SET document = document || ' '")
@@ -259,12 +259,12 @@ def test_a_log_that_grew_is_told(file, monkeypatch):
 
 
 def test_a_file_that_this_user_cannot_write_is_told(file, monkeypatch):
-    monkeypatch.setattr(db.doctor.os, "access", lambda path, _mode: Path(path) != file)
+    monkeypatch.setattr(db.maintenance.doctor.os, "access", lambda path, _mode: Path(path) != file)
     found = faults(f"sqlite:///{file}")
     assert [check for check, _ in found] == ["permissions"]
     assert str(file) in found[0][1]
     monkeypatch.undo()
-    monkeypatch.setattr(db.doctor.os, "geteuid", lambda: os.getuid() + 1)
+    monkeypatch.setattr(db.maintenance.doctor.os, "geteuid", lambda: os.getuid() + 1)
     assert [check for check, _ in faults(f"sqlite:///{file}")] == ["permissions"]
 
 

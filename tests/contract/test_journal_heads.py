@@ -5,7 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
-from db.doctor import diagnose
+from db.maintenance.doctor import diagnose
 from service.records.inputs import Operation
 from service.records.journal import JournalHead
 from service.records.measurement import CarrierDetails

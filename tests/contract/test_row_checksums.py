@@ -9,9 +9,9 @@ import pytest
 from sqlalchemy import select, update
 
 import db.checksum_check
-from db.backup import create_backup, verify_backup
-from db.doctor import diagnose
-from db.restore import restore_backup
+from db.maintenance.backup import create_backup, verify_backup
+from db.maintenance.doctor import diagnose
+from db.maintenance.restore import restore_backup
 from db.row_checksum import CHECKSUM_BYTES, checksum_of
 from db.tables import attitude, checksum_backlog, measurement, metadata
 from service.ports import Outcome

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from page_blocks import CRAFT
 
-from db.doctor import CLOCK_TOLERANCE_US, FREE_BYTES_FAULT, FREE_BYTES_WARNING, WAL_BYTES_WARNING
+from db.maintenance.doctor import CLOCK_TOLERANCE_US, FREE_BYTES_FAULT, FREE_BYTES_WARNING, WAL_BYTES_WARNING
 from db.storage import SqlStorage
 from service.client.service_client import ServiceClient
 from service.ports import Outcome

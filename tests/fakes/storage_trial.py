@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from db.doctor import diagnose
+from db.maintenance.doctor import diagnose
 from service.runtime.clock import system_now_us
 
 SEED = 22

@@ -7,9 +7,9 @@ import time
 
 import pytest
 
-from db.backup import verify_backup
-from db.doctor import diagnose
-from db.restore import restore_backup
+from db.maintenance.backup import verify_backup
+from db.maintenance.doctor import diagnose
+from db.maintenance.restore import restore_backup
 from service.records.backup import BackupError
 from service.records.diagnosis import worst
 from service.runtime.clock import system_now_us

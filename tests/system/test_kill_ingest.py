@@ -14,7 +14,7 @@ from sqlalchemy import text
 
 from db.connection.sqlite_files import reading_engine
 from db.encoding.power_codec import unpack_powers
-from db.examination import examine
+from db.maintenance.integrity_check import examine
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
 

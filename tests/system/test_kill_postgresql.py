@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from db.doctor import diagnose
+from db.maintenance.doctor import diagnose
 from service.runtime.clock import system_now_us
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]

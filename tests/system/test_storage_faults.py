@@ -16,9 +16,9 @@ import time
 import pytest
 from storage_trial import BASE, IMPATIENT, disk_volume, small_volume
 
-from db.backup import create_backup
-from db.doctor import diagnose
-from db.restore import restore_backup
+from db.maintenance.backup import create_backup
+from db.maintenance.doctor import diagnose
+from db.maintenance.restore import restore_backup
 from service.runtime.clock import system_now_us
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]

@@ -2,8 +2,8 @@
 
 import pytest
 
-from db.backup import create_backup, verify_backup
-from db.restore import restore_backup
+from db.maintenance.backup import create_backup, verify_backup
+from db.maintenance.restore import restore_backup
 from service.records.diagnosis import worst
 
 

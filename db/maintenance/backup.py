@@ -18,10 +18,10 @@ from db.checksum_check import damage_of
 from db.connection.engines import open_engines
 from db.connection.sqlite_files import Progress, flush, reading_engine, settle, sha256_of, sqlite_path
 from db.connection.storage_state import newest_revision
-from db.examination import OLDER, examine
+from db.maintenance.integrity_check import OLDER, examine
+from db.maintenance.table_copy import copy_tables
 from db.migrate import upgrade
 from db.schema_version import version_of
-from db.table_copy import copy_tables
 from service.records.backup import BackupError, Manifest, SpacecraftCount, parse_manifest
 from service.records.diagnosis import Diagnosis
 

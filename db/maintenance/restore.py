@@ -10,14 +10,14 @@ from typing import NamedTuple
 
 from sqlalchemy import Connection, text
 
-from db.backup import Report, read_manifest, verify_backup
 from db.connection.engines import open_engines
 from db.connection.sqlite_files import COMPANIONS, copy_file, flush, reading_engine, settle, sqlite_path
 from db.connection.storage_state import newest_revision
-from db.examination import examine, examine_content
+from db.maintenance.backup import Report, read_manifest, verify_backup
+from db.maintenance.integrity_check import examine, examine_content
+from db.maintenance.table_copy import copy_tables
 from db.migrate import change_schema, upgrade, wait_for_turn
 from db.schema_version import version_of
-from db.table_copy import copy_tables
 from db.tables import metadata
 from service.records.backup import BackupError, Manifest
 from service.records.diagnosis import Diagnosis, worst

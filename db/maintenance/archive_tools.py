@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from db.backup import Report, create_backup, verify_backup
-from db.doctor import diagnose
-from db.examination import Report as StepReport
-from db.restore import Restored, restore_backup
+from db.maintenance.backup import Report, create_backup, verify_backup
+from db.maintenance.doctor import diagnose
+from db.maintenance.integrity_check import Report as StepReport
+from db.maintenance.restore import Restored, restore_backup
 from service.ports import Clock
 from service.records.backup import Manifest
 from service.records.diagnosis import Diagnosis

@@ -1,0 +1,1 @@
+"""Maintenance of an archive: backup, restore, integrity check."""
