@@ -14,7 +14,7 @@ from sqlalchemy import Engine, event
 
 from db.connection.engines import open_engines
 from db.encoding.segments import SegmentCache
-from db.ingest import store_batch
+from db.measurements.ingest import store_batch
 from db.prepared_batch import PreparedBatch, prepare
 from service.records.measurement import BatchReceipt, MeasurementBatch
 

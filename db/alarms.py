@@ -11,7 +11,7 @@ from db.alarm_tables import alarm as alarm_table
 from db.alarm_tables import alarm_change, alarm_limits, alarm_memory
 from db.database import Database, beyond, lock_head
 from db.encoding.json_documents import decode, encode
-from db.retention import LOGS_AT_ONCE
+from db.measurements.retention import LOGS_AT_ONCE
 from service.errors import NotFoundError
 from service.records.alarm import Alarm, AlarmChange
 from service.records.alarm_limits import AlarmLimits

@@ -12,7 +12,7 @@ import numpy as np
 from sqlalchemy import Connection, select
 
 from db.encoding.segments import SegmentCache
-from db.measurement_pages import MeasurementPages
+from db.measurements.measurement_pages import MeasurementPages
 from db.tables import head, journal, spacecraft
 from service.records.diagnosis import Diagnosis
 from service.records.journal import JournalHead

@@ -9,7 +9,7 @@ from sqlalchemy import ColumnElement, Connection, Row, delete, or_, select, true
 from db.alarm_tables import note as note_table
 from db.database import Database, beyond, within
 from db.encoding.json_documents import decode, encode
-from db.retention import LOGS_AT_ONCE
+from db.measurements.retention import LOGS_AT_ONCE
 from service.errors import NotFoundError
 from service.records.calibration import Window
 from service.records.note import Note

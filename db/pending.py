@@ -12,8 +12,8 @@ from sqlalchemy.sql.elements import ColumnElement
 
 from db.database import within
 from db.encoding.segments import SegmentCache, heads_of_numbers, read_piece
-from db.measurement_pages import MAX_NUMBER
-from db.retention import kept_from_us
+from db.measurements.measurement_pages import MAX_NUMBER
+from db.measurements.retention import kept_from_us
 from db.tables import alignment, attitude, head, measurement
 from service.ports import LIVE
 from service.records.attitude import IntArray

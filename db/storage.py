@@ -3,7 +3,6 @@
 from sqlalchemy import select
 
 from db.alarms import SqlAlarms
-from db.archive import SqlArchive
 from db.audit import SqlAudit
 from db.catalogue import SqlCatalogue
 from db.connection.engines import open_engines
@@ -11,6 +10,7 @@ from db.connection.storage_state import disk_of, newest_revision, present_revisi
 from db.database import Database
 from db.keys import SqlKeys
 from db.links import SqlLinks
+from db.measurements.archive import SqlArchive
 from db.notes import SqlNotes
 from db.releases import SqlReleases
 from db.results import SqlResults

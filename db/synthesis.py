@@ -16,8 +16,8 @@ from db.encoding.json_documents import decode
 from db.encoding.measurement_runs import Run
 from db.encoding.row_mapping import attitude_of
 from db.encoding.segments import SegmentCache
-from db.measurement_pages import EVER, LIGHT, Chosen, MeasurementPages
-from db.retention import kept_from_us
+from db.measurements.measurement_pages import EVER, LIGHT, Chosen, MeasurementPages
+from db.measurements.retention import kept_from_us
 from db.tables import attitude, calibration, head, journal
 from service.ports import LIVE
 from service.records.attitude import AttitudeRow, row_without_attitude

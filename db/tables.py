@@ -116,7 +116,7 @@ source = Table(
     Column("newest_epoch_us", BigInteger),
     Column("row_count", BigInteger, nullable=False),
     UniqueConstraint("spacecraft_key", "name", name="source_name"),
-    # sequence numbers, see db.sequence_numbers; null until the source numbers its rows
+    # sequence numbers, see db.measurements.sequence_numbers; null until the source numbers its rows
     Column("seq_run", BigInteger),
     Column("seq_after_us", BigInteger),
     Column("seq_start", BigInteger),

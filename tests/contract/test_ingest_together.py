@@ -9,7 +9,7 @@ import pytest
 from sqlalchemy import select
 
 from db.encoding.segments import SegmentCache
-from db.ingest_together import StoreBatch
+from db.measurements.ingest_grouped import StoreBatch
 from db.prepared_batch import prepare
 from db.tables import head, measurement, measurement_detail, sequence_interval, source
 from service.records.measurement import CarrierDetails

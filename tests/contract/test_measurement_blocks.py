@@ -24,7 +24,7 @@ def expected(rows):
 
 def test_blocks_hold_the_rows_in_order_of_epoch(setting, make, monkeypatch):
     # pages of three rows: runs and pages end in different places
-    monkeypatch.setattr("db.archive.BLOCK_PAGE_ROWS", 3)
+    monkeypatch.setattr("db.measurements.archive.BLOCK_PAGE_ROWS", 3)
     setting.append([40, 10, 20], [-4.0, -1.0, float("nan")])
     setting.append([20, 30, 15], [-2.5, -3.5, -1.5], source="sa-2")
     setting.plan_id = setting.storage.catalogue.put_plan(setting.id, make.carriers[::-1], "turned").id

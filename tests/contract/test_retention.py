@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from sqlalchemy import select
 
-from db import retention
 from db.encoding.segments import DAY_US
+from db.measurements import retention
 from db.tables import retention_mark
 from service.ports import Outcome
 from service.records.calibration import Window

@@ -209,7 +209,7 @@ def test_a_damaged_row_is_not_sealed_and_not_lost(setting, url, caplog):
 
 
 def test_a_group_with_very_many_damaged_rows_is_left_alone(setting, monkeypatch):
-    monkeypatch.setattr("db.sealing._MOST_DAMAGED", 1)
+    monkeypatch.setattr("db.measurements.sealing._MOST_DAMAGED", 1)
     setting.append(range(1, 6))
     flip(setting, 2)
     flip(setting, 3)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from sqlalchemy import select, update
 
-from db import sealing
 from db.encoding.segments import DAY_US
+from db.measurements import sealing
 from db.storage import SqlStorage
 from db.tables import measurement, measurement_segment
 from service.errors import StorageError
@@ -119,7 +119,7 @@ def some_batch(setting, make, dice, plans):
 def test_sealing_at_random_moments_changes_no_answer(new_setting, make, monkeypatch, seed):
     """Two spacecraft live the same life; days of one are sealed again and again, into segments of few rows."""
     monkeypatch.setattr(sealing, "SEGMENT_ROWS", 3 if seed % 2 else 10_800)
-    monkeypatch.setattr("db.archive.BLOCK_PAGE_ROWS", 5)
+    monkeypatch.setattr("db.measurements.archive.BLOCK_PAGE_ROWS", 5)
     plain, sealed = new_setting(), new_setting()
     lives = []
     for setting in (plain, sealed):

@@ -6,8 +6,8 @@ from sqlalchemy.dialects.postgresql import psycopg
 from sqlalchemy.schema import CreateTable
 
 from db.connection.compiled_statements import CompiledStatement
-from db.ingest import _MOVE_SOURCE, _READ_STATE
-from db.ingest_together import _READ_STATES
+from db.measurements.ingest import _MOVE_SOURCE, _READ_STATE
+from db.measurements.ingest_grouped import _READ_STATES
 from db.tables import attitude, head, measurement
 
 

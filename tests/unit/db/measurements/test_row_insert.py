@@ -8,8 +8,8 @@ from sqlalchemy import delete, select
 from db.connection.engines import open_engines
 from db.encoding.measurement_details import insert_details
 from db.encoding.power_codec import StoredRows
+from db.measurements.row_insert import Run, insert_run
 from db.migrate import upgrade
-from db.row_insert import Run, insert_run
 from db.tables import measurement, measurement_detail
 
 

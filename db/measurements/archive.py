@@ -8,16 +8,17 @@ from typing import Any
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, or_, select, update
 
-from db import checksum_check, retention, sealing
+from db import checksum_check
 from db.database import Database, add_entries, beyond, count_entries, lock_head, within
 from db.encoding.json_documents import decode, decode_all, decode_input
 from db.encoding.measurement_runs import Cursor
 from db.encoding.segments import DAY_US
-from db.ingest_together import StoreBatch
 from db.journal_heads import journal_heads
-from db.measurement_pages import EVER, Chosen, MeasurementPages
+from db.measurements import retention, sealing
+from db.measurements.ingest_grouped import StoreBatch
+from db.measurements.measurement_pages import EVER, Chosen, MeasurementPages
+from db.measurements.slow_inputs import revise_operation, store_inputs, store_operation
 from db.prepared_batch import prepare
-from db.slow_inputs import revise_operation, store_inputs, store_operation
 from db.tables import carrier_plan, head, journal, operation, source
 from service.errors import InvalidInputError, NotFoundError
 from service.records.archive_upkeep import Dropped, SealedPart, SegmentState

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from sqlalchemy import delete, select
 
 from db.connection.engines import open_engines
+from db.measurements.sequence_numbers import RUNS_KEPT, Block, NumberedRow, SequenceNumbers, Tail, blocks_of
 from db.migrate import upgrade
-from db.sequence_numbers import RUNS_KEPT, Block, NumberedRow, SequenceNumbers, Tail, blocks_of
 from db.tables import sequence_interval
 
 BLOCKS = st.lists(

@@ -1,0 +1,1 @@
+"""Measurements (L1): ingest, paging, sealing of closed days, retention."""
