@@ -80,7 +80,7 @@ class SqlStorage:
         if present_revision(self._database.engines.write) == newest_revision():
             # alembic costs a quarter of a second and 10 MB to import, which only a change needs
             return
-        from db.migrate import upgrade
+        from db.migrations.migrate import upgrade
 
         # a large table takes its time: no limit
         engines = open_engines(self._url)

@@ -20,7 +20,7 @@ from db.connection.sqlite_files import Progress, flush, reading_engine, settle, 
 from db.connection.storage_state import newest_revision
 from db.maintenance.integrity_check import OLDER, examine
 from db.maintenance.table_copy import copy_tables
-from db.migrate import upgrade
+from db.migrations.migrate import upgrade
 from db.schema_version import version_of
 from service.records.backup import BackupError, Manifest, SpacecraftCount, parse_manifest
 from service.records.diagnosis import Diagnosis

@@ -16,7 +16,7 @@ from db.connection.storage_state import newest_revision
 from db.maintenance.backup import Report, read_manifest, verify_backup
 from db.maintenance.integrity_check import examine, examine_content
 from db.maintenance.table_copy import copy_tables
-from db.migrate import change_schema, upgrade, wait_for_turn
+from db.migrations.migrate import change_schema, upgrade, wait_for_turn
 from db.schema_version import version_of
 from db.tables import metadata
 from service.records.backup import BackupError, Manifest

@@ -1,4 +1,4 @@
-"""Alembic environment: runs migrations on the connection that ``db.migrate`` hands over, in its transaction."""
+"""Alembic environment: runs migrations on the connection that ``db.migrations.migrate`` hands over, in its transaction."""
 
 from alembic import context
 

@@ -11,7 +11,7 @@ from db.connection.engines import open_engines
 from db.connection.storage_state import newest_revision
 from db.maintenance.backup import ARCHIVE_FILE, MANIFEST_FILE, create_backup, verify_backup
 from db.maintenance.restore import restore_backup
-from db.migrate import upgrade
+from db.migrations.migrate import upgrade
 from db.schema_version import known_versions
 from db.storage import SqlStorage
 from db.tables import metadata

@@ -47,7 +47,7 @@ def upgrade() -> None:
 
 def downgrade() -> None:
     # an older version finds rows only in the table of rows
-    from db.unsealing import unseal_everything
+    from db.migrations.unsealing import unseal_everything
 
     unseal_everything(op.get_bind())
     op.drop_table("retention_mark")

@@ -15,7 +15,7 @@ def upgrade() -> None:
 
 def downgrade() -> None:
     # an older version knows only powers and flags of four bytes a carrier
-    from db.unsealing import unpack_everything
+    from db.migrations.unsealing import unpack_everything
 
     unpack_everything(op.get_bind())
     op.execute("UPDATE measurement SET delay_us = delay_us + epoch_us")

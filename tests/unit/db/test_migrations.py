@@ -11,7 +11,7 @@ import db.key_tables
 import db.release_tables  # noqa: F401 - their tables belong to the schema
 from db.connection.engines import open_engines
 from db.measurements.sequence_numbers import Block, SequenceNumbers, Tail
-from db.migrate import downgrade, upgrade
+from db.migrations.migrate import downgrade, upgrade
 from db.storage import SqlStorage
 from db.tables import measurement_detail, metadata
 from service.records.catalogue import Carrier, ControlSettings, Release, Site, Spacecraft

@@ -7,7 +7,7 @@ from sqlalchemy import text
 
 from db.connection.engines import open_engines
 from db.connection.file_identity import FileWatch
-from db.migrate import upgrade
+from db.migrations.migrate import upgrade
 from service.errors import StorageError
 
 

@@ -9,7 +9,7 @@ from db.connection.engines import open_engines
 from db.encoding.measurement_details import insert_details
 from db.encoding.power_codec import StoredRows
 from db.measurements.row_insert import Run, insert_run
-from db.migrate import upgrade
+from db.migrations.migrate import upgrade
 from db.tables import measurement, measurement_detail
 
 

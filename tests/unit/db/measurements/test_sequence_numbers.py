@@ -9,7 +9,7 @@ from sqlalchemy import delete, select
 
 from db.connection.engines import open_engines
 from db.measurements.sequence_numbers import RUNS_KEPT, Block, NumberedRow, SequenceNumbers, Tail, blocks_of
-from db.migrate import upgrade
+from db.migrations.migrate import upgrade
 from db.tables import sequence_interval
 
 BLOCKS = st.lists(

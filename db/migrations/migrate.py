@@ -8,7 +8,7 @@ from sqlalchemy import Connection, Engine, text
 
 from db.connection.engines import translated_faults
 
-_SCRIPTS = Path(__file__).parent / "migrations"
+_SCRIPTS = Path(__file__).parents[1] / "migrations"
 #: any number, the same in every process
 _LOCK = 5_210_119
 
