@@ -2,20 +2,20 @@
 
 from sqlalchemy import select
 
-from db.alarms import SqlAlarms
-from db.audit import SqlAudit
-from db.catalogue import SqlCatalogue
 from db.connection.engines import open_engines
 from db.connection.storage_state import disk_of, newest_revision, present_revision
 from db.database import Database
-from db.keys import SqlKeys
-from db.links import SqlLinks
 from db.measurements.archive import SqlArchive
-from db.notes import SqlNotes
-from db.releases import SqlReleases
+from db.operations.alarms import SqlAlarms
+from db.operations.audit import SqlAudit
+from db.operations.catalogue import SqlCatalogue
+from db.operations.keys import SqlKeys
+from db.operations.links import SqlLinks
+from db.operations.notes import SqlNotes
+from db.operations.releases import SqlReleases
+from db.operations.traces import SqlTraces
 from db.results import SqlResults
 from db.tables import head
-from db.traces import SqlTraces
 from service.ports import (
     Alarms,
     Archive,

@@ -1,0 +1,1 @@
+"""Operations: catalogue, alarms, notes, torque releases, links, keys, audit."""
