@@ -14,7 +14,7 @@ from db.operations.links import SqlLinks
 from db.operations.notes import SqlNotes
 from db.operations.releases import SqlReleases
 from db.operations.traces import SqlTraces
-from db.results import SqlResults
+from db.results.results import SqlResults
 from db.tables import head
 from service.ports import (
     Alarms,

@@ -5,13 +5,13 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, not_, select
 
-from db.calibrations import SqlCalibrations
 from db.database import Database, beyond, within
 from db.encoding.row_mapping import attitude_of, torque_of
-from db.jobs import SqlJobs
-from db.outcomes import Consumed, Result, store_outcomes
-from db.pending import PendingCount
-from db.synthesis import Synthesis
+from db.results.attitude_reader import Synthesis
+from db.results.calibrations import SqlCalibrations
+from db.results.jobs import SqlJobs
+from db.results.outcomes import Consumed, Result, store_outcomes
+from db.results.pending import PendingCount
 from db.tables import attitude, torque
 from service.ports import LIVE, Outcome
 from service.records.attitude import AttitudeRow
@@ -55,7 +55,7 @@ class SqlResults(SqlCalibrations, SqlJobs):
     ) -> list[AttitudeRow]:
         """Return rows in order of (epoch, number of the measurement) beyond a cursor.
 
-        Of the live version exactly one row a consumed measurement: what was not computed is told by ``db.synthesis``.
+        Of the live version exactly one row a consumed measurement: what was not computed is told by ``db.results.attitude_reader``.
         """
         key = self._database.key(spacecraft_id)
         if version == LIVE:

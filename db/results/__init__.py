@@ -1,0 +1,1 @@
+"""Results (L2-L5): attitude, commands, calibrations, jobs."""
