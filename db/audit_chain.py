@@ -7,7 +7,7 @@ from typing import TypeVar
 from sqlalchemy import Connection, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
-from db.key_tables import audit_entry, audit_head
+from db.schema.access_tables import audit_entry, audit_head
 from service.records.audit import GENESIS, AuditEntry, AuditHead, Deed, naming_result, next_entry
 
 Result = TypeVar("Result")

@@ -10,7 +10,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from db.database import Database
 from db.row_checksum import checksum_of, measurement_checksums
-from db.tables import checksum_backlog, measurement, measurement_detail, metadata
+from db.schema.tables import checksum_backlog, measurement, measurement_detail, metadata
 from service.records.epoch import format_epoch
 
 _FETCH = 10_000

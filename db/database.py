@@ -18,7 +18,7 @@ from db.connection.lease import SqlLease
 from db.connection.writer import Writer
 from db.encoding.json_documents import encode, kind_of
 from db.encoding.segments import SegmentCache
-from db.tables import head, journal, spacecraft
+from db.schema.tables import head, journal, spacecraft
 from service.errors import NotFoundError
 from service.records.audit import CURRENT_NOTE
 from service.records.calibration import Window

@@ -13,7 +13,7 @@ from sqlalchemy import Connection, select
 
 from db.encoding.segments import SegmentCache
 from db.measurements.measurement_pages import MeasurementPages
-from db.tables import head, journal, spacecraft
+from db.schema.tables import head, journal, spacecraft
 from service.records.diagnosis import Diagnosis
 from service.records.journal import JournalHead
 from service.records.measurement import DETAIL_NAMES, Measurement

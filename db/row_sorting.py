@@ -16,7 +16,7 @@ from db.encoding.power_codec import unpack_flags, unpack_parts
 from db.encoding.segments import SegmentCache, sealed_contents
 from db.prepared_batch import PreparedBatch, prepare
 from db.row_content import RowContent, row_content
-from db.tables import measurement, measurement_detail
+from db.schema.tables import measurement, measurement_detail
 from service.records.attitude import IntArray
 from service.records.epoch import format_epoch
 from service.records.measurement import MeasurementBatch, Refusal, RowRemark

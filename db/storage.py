@@ -15,7 +15,7 @@ from db.operations.notes import SqlNotes
 from db.operations.releases import SqlReleases
 from db.operations.traces import SqlTraces
 from db.results.results import SqlResults
-from db.tables import head
+from db.schema.tables import head
 from service.ports import (
     Alarms,
     Archive,

@@ -12,7 +12,7 @@ from threading import Lock
 from sqlalchemy.exc import SQLAlchemyError
 
 from db.connection.sqlite_files import reading_engine
-from db.schema_version import known_versions, version_of
+from db.schema.schema_version import known_versions, version_of
 from service.errors import StorageError
 
 #: device and number of a file

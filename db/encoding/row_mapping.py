@@ -10,7 +10,7 @@ from sqlalchemy import ColumnElement, Row
 from db.encoding.json_documents import decode, decode_all, encode, encode_all
 from db.encoding.measurement_details import details_of
 from db.encoding.power_codec import unpack_flags, unpack_parts, unpack_powers
-from db.tables import measurement, measurement_detail, source
+from db.schema.tables import measurement, measurement_detail, source
 from service.records.attitude import NO_ANGLES, AttitudeRow, Axes, Exclusion, FloatArray, IntArray, Status
 from service.records.catalogue import Method
 from service.records.command import Pulse, ScheduleVerdict, TorqueCommand

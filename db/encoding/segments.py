@@ -17,8 +17,8 @@ from sqlalchemy import ColumnElement, Connection, LargeBinary, Select, and_, sel
 
 from db.encoding.segment_codec import CODEC, Blobs, Columns, Extras, unpack_columns, unpack_extras, unpack_powers
 from db.row_content import RowContent, row_content
-from db.tables import measurement_segment as segment_table
-from db.tables import source, spacecraft
+from db.schema.tables import measurement_segment as segment_table
+from db.schema.tables import source, spacecraft
 from service.errors import StorageError
 from service.records.attitude import BoolArray, IntArray
 from service.records.epoch import US_PER_S, format_epoch

@@ -21,7 +21,7 @@ from db.connection.storage_state import newest_revision
 from db.maintenance.integrity_check import OLDER, examine
 from db.maintenance.table_copy import copy_tables
 from db.migrations.migrate import upgrade
-from db.schema_version import version_of
+from db.schema.schema_version import version_of
 from service.records.backup import BackupError, Manifest, SpacecraftCount, parse_manifest
 from service.records.diagnosis import Diagnosis
 

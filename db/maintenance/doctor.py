@@ -17,7 +17,7 @@ from db.connection.engines import open_engines, translated_faults
 from db.connection.sqlite_files import COMPANIONS, reading_engine, sqlite_path
 from db.journal_heads import compared_heads
 from db.maintenance.integrity_check import Report, examine, guarded
-from db.tables import head, measurement
+from db.schema.tables import head, measurement
 from service.errors import StorageError
 from service.records.diagnosis import Diagnosis
 from service.records.epoch import US_PER_S, format_epoch

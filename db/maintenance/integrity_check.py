@@ -15,11 +15,11 @@ from sqlalchemy.exc import SQLAlchemyError
 from db.checksum_check import checked_tables
 from db.connection.storage_state import newest_revision
 from db.database import Database
-from db.key_tables import access_key
 from db.maintenance.journal_ledger import Ledger, heads_of_all, named, orphans, read_ledger
 from db.operations.audit import SqlAudit
-from db.schema_version import known_versions, version_of
-from db.tables import attitude, measurement, measurement_detail, source, spacecraft, torque
+from db.schema.access_tables import access_key
+from db.schema.schema_version import known_versions, version_of
+from db.schema.tables import attitude, measurement, measurement_detail, source, spacecraft, torque
 from service.errors import StorageError
 from service.ports import LIVE
 from service.records.access_key import is_plain_name, name_key

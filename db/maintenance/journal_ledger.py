@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sqlalchemy import ColumnElement, Connection, Row, Table, func, select
 
 from db.encoding.segments import SegmentHead, heads, read_piece
-from db.tables import attitude, head, journal, measurement, retention_mark, torque
+from db.schema.tables import attitude, head, journal, measurement, retention_mark, torque
 from service.errors import StorageError
 from service.records.attitude import IntArray
 

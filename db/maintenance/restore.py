@@ -17,8 +17,8 @@ from db.maintenance.backup import Report, read_manifest, verify_backup
 from db.maintenance.integrity_check import examine, examine_content
 from db.maintenance.table_copy import copy_tables
 from db.migrations.migrate import change_schema, upgrade, wait_for_turn
-from db.schema_version import version_of
-from db.tables import metadata
+from db.schema.schema_version import version_of
+from db.schema.tables import metadata
 from service.records.backup import BackupError, Manifest
 from service.records.diagnosis import Diagnosis, worst
 

@@ -11,7 +11,7 @@ from typing import Any
 from sqlalchemy import Connection, Integer, Table, func, inspect, select
 
 import db.storage  # noqa: F401 - brings every table of the schema along
-from db.tables import metadata
+from db.schema.tables import metadata
 from service.records.backup import BackupError
 
 _ROWS = 2000

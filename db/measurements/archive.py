@@ -19,7 +19,7 @@ from db.measurements.ingest_grouped import StoreBatch
 from db.measurements.measurement_pages import EVER, Chosen, MeasurementPages
 from db.measurements.slow_inputs import revise_operation, store_inputs, store_operation
 from db.prepared_batch import prepare
-from db.tables import carrier_plan, head, journal, operation, source
+from db.schema.tables import carrier_plan, head, journal, operation, source
 from service.errors import InvalidInputError, NotFoundError
 from service.records.archive_upkeep import Dropped, SealedPart, SegmentState
 from service.records.attitude import FloatArray, IntArray

@@ -19,7 +19,7 @@ from db.measurements.row_insert import Run, insert_run
 from db.measurements.sequence_numbers import MAX_JUMP, NumberedRow, SequenceNumbers, Tail, blocks_of
 from db.prepared_batch import PreparedBatch
 from db.row_sorting import SortedRows, seq_at, sort_rows
-from db.tables import head, source
+from db.schema.tables import head, source
 from service.errors import InvalidInputError
 from service.records.attitude import BoolArray, IntArray
 from service.records.measurement import BatchReceipt, MeasurementBatch, RowRemark, Sender

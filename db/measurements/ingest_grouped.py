@@ -22,7 +22,7 @@ from db.encoding.segments import SegmentCache
 from db.measurements.ingest import MOVE_HEAD, STATE_COLUMNS, IngestState, later, store_batch
 from db.prepared_batch import PreparedBatch
 from db.row_checksum import measurement_checksums
-from db.tables import head, source
+from db.schema.tables import head, source
 from service.records.measurement import BatchReceipt
 
 #: UPDATE .. FROM

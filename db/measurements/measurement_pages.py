@@ -24,7 +24,7 @@ from db.encoding.segments import (
     newest_heads,
     read_piece,
 )
-from db.tables import measurement, measurement_detail, measurement_segment, source
+from db.schema.tables import measurement, measurement_detail, measurement_segment, source
 from service.records.attitude import BoolArray, IntArray
 from service.records.calibration import Window
 from service.records.measurement import Float32Array, Measurement

@@ -25,7 +25,7 @@ from sqlalchemy import (
 
 from db.database import Database, lock_head
 from db.encoding.segments import DAY_US, day_of
-from db.tables import (
+from db.schema.tables import (
     attitude,
     head,
     measurement,

@@ -20,8 +20,8 @@ from db.encoding.row_mapping import MEASUREMENT_COLUMNS, RECEIVED_AT_US, measure
 from db.encoding.segment_codec import CODEC, Blobs, SealedRows, pack
 from db.encoding.segments import DAY_US, HEAD_COLUMNS, SegmentHead, SegmentPiece, crc32_of, day_of, heads, read_piece
 from db.row_checksum import measurement_checksums
-from db.tables import head as head_table
-from db.tables import measurement, measurement_detail, measurement_segment, source
+from db.schema.tables import head as head_table
+from db.schema.tables import measurement, measurement_detail, measurement_segment, source
 from service.errors import StorageError
 from service.records.archive_upkeep import SealedPart, SegmentState
 from service.records.epoch import format_epoch

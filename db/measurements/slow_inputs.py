@@ -7,7 +7,7 @@ from sqlalchemy import Connection, select, update
 
 from db.database import Span, add_entries, lock_head, next_id
 from db.encoding.json_documents import encode, is_same_input, kind_of
-from db.tables import journal, operation
+from db.schema.tables import journal, operation
 from service.errors import InvalidInputError, NotFoundError
 from service.records.command import AppliedCommand, ReleasedCommand, ReportedCommand
 from service.records.inputs import AttitudeReference, Correction, Operation, TelemetryRecord

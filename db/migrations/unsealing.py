@@ -23,7 +23,7 @@ from sqlalchemy import (
 from db.encoding.measurement_details import insert_details, prepare_details
 from db.encoding.power_codec import unpack_flags, unpack_parts
 from db.encoding.segments import HEAD_COLUMNS, SegmentHead, read_piece
-from db.tables import measurement_segment
+from db.schema.tables import measurement_segment
 from service.records.measurement import DETAIL_NAMES, CarrierDetails
 
 _ROWS = 2000

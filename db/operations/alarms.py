@@ -7,11 +7,11 @@ from typing import Any
 from sqlalchemy import ColumnElement, Connection, delete, func, or_, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
-from db.alarm_tables import alarm as alarm_table
-from db.alarm_tables import alarm_change, alarm_limits, alarm_memory
 from db.database import Database, beyond, lock_head
 from db.encoding.json_documents import decode, encode
 from db.measurements.retention import LOGS_AT_ONCE
+from db.schema.alarm_tables import alarm as alarm_table
+from db.schema.alarm_tables import alarm_change, alarm_limits, alarm_memory
 from service.errors import NotFoundError
 from service.records.alarm import Alarm, AlarmChange
 from service.records.alarm_limits import AlarmLimits

@@ -9,8 +9,8 @@ from sqlalchemy.exc import IntegrityError
 
 from db.database import Database, Span, add_entries, count_entries, lock_head, next_id
 from db.encoding.json_documents import decode, decode_all, encode, encode_all
-from db.tables import calibration, carrier_plan, ephemeris, head, measurement, measurement_segment, source
-from db.tables import spacecraft as spacecraft_table
+from db.schema.tables import calibration, carrier_plan, ephemeris, head, measurement, measurement_segment, source
+from db.schema.tables import spacecraft as spacecraft_table
 from service.errors import ConflictError, NotFoundError
 from service.records.catalogue import Carrier, CarrierPlan, Ephemeris, Spacecraft
 from service.records.inputs import EphemerisChange, PlanChange, SpacecraftChange

@@ -8,7 +8,7 @@ from sqlalchemy import Connection, Row, select, update
 
 from db.audit_chain import append_entry, lock_audit_head
 from db.database import Database
-from db.key_tables import access_key
+from db.schema.access_tables import access_key
 from service.errors import ConflictError, NotFoundError
 from service.records.access_key import AccessKey, Role, StoredKey, name_key
 from service.records.audit import Deed

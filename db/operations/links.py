@@ -8,7 +8,7 @@ from sqlalchemy import Connection, Row, delete, func, select, update
 
 from db.database import Database
 from db.encoding.json_documents import decode, encode
-from db.tables import link as link_table
+from db.schema.tables import link as link_table
 from service.errors import ConflictError, NotFoundError
 from service.records.epoch import US_PER_S
 from service.records.link import LinkReport, LinkState, learn_period

@@ -6,10 +6,10 @@ from typing import Any
 
 from sqlalchemy import ColumnElement, Connection, Row, delete, or_, select, true
 
-from db.alarm_tables import note as note_table
 from db.database import Database, beyond, within
 from db.encoding.json_documents import decode, encode
 from db.measurements.retention import LOGS_AT_ONCE
+from db.schema.alarm_tables import note as note_table
 from service.errors import NotFoundError
 from service.records.calibration import Window
 from service.records.note import Note

@@ -5,7 +5,7 @@ from sqlalchemy import ColumnElement, Connection, and_, select, update
 from db.database import Database, beyond, lock_head, within
 from db.encoding.json_documents import decode, encode
 from db.measurements.slow_inputs import store_inputs
-from db.release_tables import release_command, release_made_two_step, release_state, uplink_product
+from db.schema.release_tables import release_command, release_made_two_step, release_state, uplink_product
 from service.errors import ConflictError, NotFoundError
 from service.records.calibration import Window
 from service.records.release import CommandView, ProductForm, ReleaseChange, StoredRelease, UplinkProduct

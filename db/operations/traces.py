@@ -12,7 +12,7 @@ import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, delete, func, select
 
 from db.database import Database, beyond, lock_head, within
-from db.tables import trace as trace_table
+from db.schema.tables import trace as trace_table
 from service.errors import ConflictError, NotFoundError
 from service.records.attitude import FloatArray
 from service.records.calibration import Window

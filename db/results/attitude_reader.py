@@ -18,7 +18,7 @@ from db.encoding.row_mapping import attitude_of
 from db.encoding.segments import SegmentCache
 from db.measurements.measurement_pages import EVER, LIGHT, Chosen, MeasurementPages
 from db.measurements.retention import kept_from_us
-from db.tables import attitude, calibration, head, journal
+from db.schema.tables import attitude, calibration, head, journal
 from service.ports import LIVE
 from service.records.attitude import AttitudeRow, row_without_attitude
 from service.records.calibration import CalibrationMethod, Window

@@ -7,8 +7,8 @@ from sqlalchemy import Connection, Row, Select, select, update
 
 from db.database import Database, Span, add_entries, count_entries, lock_head, next_id
 from db.encoding.json_documents import decode, encode
-from db.tables import alignment as alignment_table
-from db.tables import calibration as calibration_table
+from db.schema.tables import alignment as alignment_table
+from db.schema.tables import calibration as calibration_table
 from service.errors import ConflictError, NotFoundError
 from service.records.calibration import (
     Alignment,

@@ -7,9 +7,9 @@ from sqlalchemy.exc import IntegrityError
 
 from db.database import Database, lock_head, next_id
 from db.encoding.json_documents import decode, encode
-from db.tables import calibration as calibration_table
-from db.tables import job as job_table
-from db.tables import replay as replay_table
+from db.schema.tables import calibration as calibration_table
+from db.schema.tables import job as job_table
+from db.schema.tables import replay as replay_table
 from service.errors import ConflictError, NotFoundError
 from service.records.calibration import CalibrationState
 from service.records.job import Job, JobState, Replay

@@ -8,7 +8,7 @@ from sqlalchemy import ColumnElement, Connection, Row, Table, select, tuple_, up
 from db.database import insert_new, lock_head
 from db.encoding.row_mapping import attitude_values, torque_values
 from db.measurements.slow_inputs import store_inputs
-from db.tables import attitude, head, torque
+from db.schema.tables import attitude, head, torque
 from service.ports import LIVE, Outcome
 from service.records.attitude import AttitudeRow
 from service.records.command import TorqueCommand

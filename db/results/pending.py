@@ -14,7 +14,7 @@ from db.database import within
 from db.encoding.segments import SegmentCache, heads_of_numbers, read_piece
 from db.measurements.measurement_pages import MAX_NUMBER
 from db.measurements.retention import kept_from_us
-from db.tables import alignment, attitude, head, measurement
+from db.schema.tables import alignment, attitude, head, measurement
 from service.ports import LIVE
 from service.records.attitude import IntArray
 from service.records.calibration import Window

@@ -12,7 +12,7 @@ from db.results.calibrations import SqlCalibrations
 from db.results.jobs import SqlJobs
 from db.results.outcomes import Consumed, Result, store_outcomes
 from db.results.pending import PendingCount
-from db.tables import attitude, torque
+from db.schema.tables import attitude, torque
 from service.ports import LIVE, Outcome
 from service.records.attitude import AttitudeRow
 from service.records.calibration import Alignment, Window

@@ -12,9 +12,9 @@ from db.connection.storage_state import newest_revision
 from db.maintenance.backup import ARCHIVE_FILE, MANIFEST_FILE, create_backup, verify_backup
 from db.maintenance.restore import restore_backup
 from db.migrations.migrate import upgrade
-from db.schema_version import known_versions
+from db.schema.schema_version import known_versions
+from db.schema.tables import metadata
 from db.storage import SqlStorage
-from db.tables import metadata
 from service.ports import Outcome
 from service.records.audit import Deed
 from service.records.backup import BackupError

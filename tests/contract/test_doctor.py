@@ -15,7 +15,7 @@ from db.connection.engines import open_engines
 from db.maintenance.doctor import diagnose
 from db.maintenance.integrity_check import examine
 from db.migrations.migrate import upgrade
-from db.schema_version import known_versions
+from db.schema.schema_version import known_versions
 from service.ports import Outcome
 from service.records.access_key import AccessKey, Role, StoredKey, digest_of
 from service.records.archive_upkeep import SealedPart

@@ -11,7 +11,7 @@ from sqlalchemy import select
 from db.encoding.segments import SegmentCache
 from db.measurements.ingest_grouped import StoreBatch
 from db.prepared_batch import prepare
-from db.tables import head, measurement, measurement_detail, sequence_interval, source
+from db.schema.tables import head, measurement, measurement_detail, sequence_interval, source
 from service.records.measurement import CarrierDetails
 
 TABLES = (head, source, sequence_interval, measurement, measurement_detail)

@@ -6,7 +6,7 @@ from sqlalchemy import select
 
 from db.encoding.segments import DAY_US
 from db.measurements import retention
-from db.tables import retention_mark
+from db.schema.tables import retention_mark
 from service.ports import Outcome
 from service.records.calibration import Window
 from service.records.catalogue import Method

@@ -13,7 +13,7 @@ from db.maintenance.backup import create_backup, verify_backup
 from db.maintenance.doctor import diagnose
 from db.maintenance.restore import restore_backup
 from db.row_checksum import CHECKSUM_BYTES, checksum_of
-from db.tables import attitude, checksum_backlog, measurement, metadata
+from db.schema.tables import attitude, checksum_backlog, measurement, metadata
 from service.ports import Outcome
 from service.records.alarm import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
 from service.records.backup import BackupError

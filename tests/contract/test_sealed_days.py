@@ -9,8 +9,8 @@ from sqlalchemy import select, update
 
 from db.encoding.segments import DAY_US
 from db.measurements import sealing
+from db.schema.tables import measurement, measurement_segment
 from db.storage import SqlStorage
-from db.tables import measurement, measurement_segment
 from service.errors import StorageError
 from service.ports import Outcome
 from service.records.attitude import Axes

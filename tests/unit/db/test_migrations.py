@@ -6,14 +6,14 @@ from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from sqlalchemy import inspect, select
 
-import db.alarm_tables
-import db.key_tables
-import db.release_tables  # noqa: F401 - their tables belong to the schema
+import db.schema.access_tables
+import db.schema.alarm_tables
+import db.schema.release_tables  # noqa: F401 - their tables belong to the schema
 from db.connection.engines import open_engines
 from db.measurements.sequence_numbers import Block, SequenceNumbers, Tail
 from db.migrations.migrate import downgrade, upgrade
+from db.schema.tables import measurement_detail, metadata
 from db.storage import SqlStorage
-from db.tables import measurement_detail, metadata
 from service.records.catalogue import Carrier, ControlSettings, Release, Site, Spacecraft
 from service.records.measurement import CarrierDetails, MeasurementBatch
 

@@ -8,7 +8,7 @@ from sqlalchemy.schema import CreateTable
 from db.connection.compiled_statements import CompiledStatement
 from db.measurements.ingest import _MOVE_SOURCE, _READ_STATE
 from db.measurements.ingest_grouped import _READ_STATES
-from db.tables import attitude, head, measurement
+from db.schema.tables import attitude, head, measurement
 
 
 class Recorder:

@@ -10,7 +10,7 @@ from db.encoding.measurement_details import insert_details
 from db.encoding.power_codec import StoredRows
 from db.measurements.row_insert import Run, insert_run
 from db.migrations.migrate import upgrade
-from db.tables import measurement, measurement_detail
+from db.schema.tables import measurement, measurement_detail
 
 
 @pytest.fixture(scope="module", params=["sqlite", "postgresql"])

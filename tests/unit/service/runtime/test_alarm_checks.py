@@ -3,7 +3,7 @@
 from alarm_rig import HOUR, MINUTE, START, S, append, report
 from desk_driver import DeskDriver
 
-from db.release_tables import release_made_two_step
+from db.schema.release_tables import release_made_two_step
 from service.pipeline.release_interlock.release_events import OrderKind
 from service.records.access_key import AccessKey, Role, StoredKey
 from service.records.catalogue import Ephemeris

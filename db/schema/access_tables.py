@@ -6,7 +6,7 @@ one, on both databases.
 
 from sqlalchemy import BigInteger, Column, Index, Integer, LargeBinary, Table, Text
 
-from db.tables import metadata
+from db.schema.tables import metadata
 
 access_key = Table(
     "access_key",
