@@ -28,7 +28,7 @@ from service.settings import Settings
 if TYPE_CHECKING:
     from fastapi import FastAPI
 
-    from service.api.server import StreamingServer
+    from service.api.server_process import StreamingServer
     from service.ports import Storage
 
 _LOG = logging.getLogger("soo.serve")
@@ -111,7 +111,7 @@ def _listener(settings: Settings) -> socket.socket:
 def _serve(settings: Settings, listener: socket.socket) -> None:
     """Listen, say where, and run until told to stop; begin anew on an archive that was put in the place of ours."""
     # imported here so that other commands start without the web framework and the database
-    from service.api.server import calm_collector
+    from service.api.server_process import calm_collector
     from service.bootstrap import build_app, first_administrator, watch_file
 
     is_announced = False
@@ -167,7 +167,7 @@ def _opened(settings: Settings) -> "Storage":
 
 def _server(settings: Settings, app: "FastAPI", announced: socket.socket | None) -> "StreamingServer":
     """Return a server that says where it listens once it does, when it is given a socket to say it of."""
-    from service.api.server import StreamingServer, server_config
+    from service.api.server_process import StreamingServer, server_config
 
     class AnnouncedServer(StreamingServer):
         """Says where it listens once it does."""

@@ -13,7 +13,7 @@ import httpx
 import pytest
 import uvicorn
 
-from service.api.server import StreamingServer
+from service.api.server_process import StreamingServer
 from service.ports import Outcome
 from service.runtime.live_feed import Cursor, FeedEvent
 
