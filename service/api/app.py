@@ -13,10 +13,12 @@ from fastapi import FastAPI
 from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
 
 from service.api import openapi
-from service.api.access_keeping import AccessKeeping
-from service.api.access_layer import AccessLayer
-from service.api.audit_notes import BASE_PATH
-from service.api.auth import MAY_READ
+from service.api.access.access_housekeeping import AccessKeeping
+from service.api.access.access_middleware import AccessLayer
+from service.api.access.audit_context import BASE_PATH
+from service.api.access.auth import MAY_READ
+from service.api.access.key_cache import StoredKeys
+from service.api.access.refusal_audit import Refusals
 from service.api.body_limit import BodyLimit
 from service.api.carrier_names import CarrierNames
 from service.api.connections import Connections
@@ -31,12 +33,10 @@ from service.api.open_streams import OpenStreams
 from service.api.plan_widths import PlanWidths
 from service.api.rate_limits import RateLimits
 from service.api.readiness import SharedReadiness
-from service.api.refusals import Refusals
 from service.api.request_figures import RequestFigures
 from service.api.request_ids import RequestIds
 from service.api.request_log import RequestLog
 from service.api.routes import PUBLIC_ROUTERS, ROUTERS
-from service.api.stored_keys import StoredKeys
 from service.runtime.automatic_release import AutomaticRelease
 
 #: answers shorter than this are sent as they are

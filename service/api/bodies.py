@@ -11,7 +11,7 @@ from fastapi import Depends, Request
 from pydantic import BaseModel, TypeAdapter, ValidationError
 from starlette.concurrency import run_in_threadpool
 
-from service.api.audit_notes import digest_body
+from service.api.access.audit_context import digest_body
 from service.api.faults import faults_of
 from service.api.problems import ProblemError, invalid_request
 

@@ -2,9 +2,9 @@
 
 from typing import Annotated, Any
 
+from service.api.access.principals import Principal
 from service.api.bodies import accepts, optional_body
 from service.api.deps import ApiContext
-from service.api.principals import Principal
 from service.api.schemas.alarms import RemarkDocument
 from service.records.note import Note
 

@@ -5,7 +5,7 @@ from hashlib import sha256
 import httpx
 import pytest
 
-from service.api import refusals
+from service.api.access import refusal_audit as refusals
 from service.errors import StorageError
 from service.records.audit import findings
 from service.records.epoch import format_epoch

@@ -9,8 +9,8 @@ from typing import Any
 import httpx
 import pytest
 
+from service.api.access.principals import Principal
 from service.api.app import render_openapi
-from service.api.principals import Principal
 from service.errors import StorageError
 from service.records.access_key import Role
 

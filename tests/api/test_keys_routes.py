@@ -7,7 +7,7 @@ from http import HTTPStatus
 import pytest
 
 from db.storage import SqlStorage
-from service.api import stored_keys
+from service.api.access import key_cache as stored_keys
 from service.errors import StorageError
 from service.records.access_key import AccessKey, Role, StoredKey, digest_of, new_key
 from service.records.epoch import format_epoch

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from service.api.principals import Principal
+from service.api.access.principals import Principal
 from service.records.access_key import Role
 from service.records.epoch import format_epoch
 

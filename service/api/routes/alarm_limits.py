@@ -4,7 +4,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 
-from service.api.auth import MAY_OPERATE, CurrentPrincipal
+from service.api.access.auth import MAY_OPERATE, CurrentPrincipal
 from service.api.bodies import accepts, body_of
 from service.api.deps import Context, SpacecraftId
 from service.api.problems import invalid_request

@@ -5,10 +5,10 @@ from typing import Annotated
 
 from fastapi import APIRouter, Path, Response
 
-from service.api.auth import MAY_OPERATE, CurrentPrincipal
+from service.api.access.auth import MAY_OPERATE, CurrentPrincipal
+from service.api.access.principals import Permission, Principal
 from service.api.bodies import accepts, body_of
 from service.api.deps import Context, SpacecraftId
-from service.api.principals import Permission, Principal
 from service.api.problems import ProblemError
 from service.api.schemas.alignments import AlignmentAnswer, AlignmentDocument, AlignmentList, AlignmentMadeAnswer
 

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request, Response
 
-from service.api.auth import MAY_INSPECT
+from service.api.access.auth import MAY_INSPECT
 from service.api.deps import Context
 from service.api.paging import Page, cut_page
 from service.api.schemas.audit import AuditEntryAnswer, AuditHeadAnswer, AuditPage

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from service.api.auth import MAY_OPERATE
+from service.api.access.auth import MAY_OPERATE
 from service.api.bodies import accepts, decode, is_json, media_type, raw_body, unsupported_media
 from service.api.deps import Context, SpacecraftId
 from service.api.places import accepted_places

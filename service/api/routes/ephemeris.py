@@ -4,8 +4,8 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
 
-from service.api.audit_notes import note_choice
-from service.api.auth import MAY_OPERATE
+from service.api.access.audit_context import note_choice
+from service.api.access.auth import MAY_OPERATE
 from service.api.bodies import accepts, body_of
 from service.api.deps import Context, SpacecraftId
 from service.api.problems import invalid_request

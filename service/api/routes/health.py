@@ -8,7 +8,7 @@ from fastapi.responses import HTMLResponse
 from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
 
-from service.api.auth import authenticated, known_or_counted
+from service.api.access.auth import authenticated, known_or_counted
 from service.api.deps import Context
 from service.api.metrics import MEDIA_TYPE, Metrics
 from service.api.readiness import SharedReadiness, require_ready

@@ -5,7 +5,7 @@ from typing import Annotated, Protocol, TypeVar
 
 from fastapi import APIRouter, Request, Response
 
-from service.api.auth import MAY_SEND
+from service.api.access.auth import MAY_SEND
 from service.api.bodies import accepts, body_of
 from service.api.deps import ApiContext, Context, SpacecraftId
 from service.api.paging import Page, PageQuery, Place, cut_page

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Query
 
-from service.api.auth import MAY_OPERATE, MAY_SEND
+from service.api.access.auth import MAY_OPERATE, MAY_SEND
 from service.api.bodies import accepts, body_of
 from service.api.deps import SPACECRAFT_ID_PATTERN, Context
 from service.api.links import links_told

@@ -12,7 +12,7 @@ from fastapi import APIRouter, Request, Response
 from pydantic import TypeAdapter
 from starlette.responses import JSONResponse
 
-from service.api.auth import MAY_SEND
+from service.api.access.auth import MAY_SEND
 from service.api.bodies import accepts, read_body
 from service.api.deps import ApiContext, SpacecraftIdText, checked_spacecraft_id
 from service.api.epoch_limits import EpochLimits

@@ -5,7 +5,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Path, Query, Request, Response
 
-from service.api.auth import MAY_OPERATE, CurrentPrincipal
+from service.api.access.auth import MAY_OPERATE, CurrentPrincipal
 from service.api.bodies import accepts, body_of
 from service.api.deps import SPACECRAFT_ID_PATTERN, Context
 from service.api.paging import Page, Place, cut_page

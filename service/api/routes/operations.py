@@ -6,7 +6,7 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Request, Response
 from pydantic import TypeAdapter
 
-from service.api.auth import MAY_OPERATE
+from service.api.access.auth import MAY_OPERATE
 from service.api.bodies import accepts, body_of
 from service.api.deps import Context, SpacecraftId
 from service.api.merge_patch import MergePatch, patched

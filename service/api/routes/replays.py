@@ -5,7 +5,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Path, Response
 
-from service.api.auth import MAY_OPERATE
+from service.api.access.auth import MAY_OPERATE
 from service.api.bodies import accepts, body_of
 from service.api.deps import Context, SpacecraftId
 from service.api.schemas.replays import ReplayAnswer, ReplayDocument, ReplayStartedAnswer

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Request, Response
 
-from service.api.auth import MAY_OPERATE
+from service.api.access.auth import MAY_OPERATE
 from service.api.bodies import accepts, body_of
 from service.api.deps import Context, SpacecraftId
 from service.api.epoch_limits import EpochLimits

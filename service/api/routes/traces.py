@@ -6,7 +6,7 @@ import numpy as np
 from fastapi import APIRouter, Path, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
-from service.api.auth import MAY_SEND
+from service.api.access.auth import MAY_SEND
 from service.api.bodies import accepts, body_of
 from service.api.deps import Context, SpacecraftId
 from service.api.epoch_limits import EpochLimits

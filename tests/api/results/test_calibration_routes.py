@@ -4,7 +4,7 @@ import asyncio
 
 import pytest
 
-from service.api.principals import Principal
+from service.api.access.principals import Principal
 from service.records.access_key import Role
 from service.records.attitude import Axes
 from service.records.epoch import format_epoch

@@ -12,14 +12,14 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.api.audit_notes import BASE_PATH, address_of, deed_of
-from service.api.auth import refuse_above
+from service.api.access.audit_context import BASE_PATH, address_of, deed_of
+from service.api.access.auth import refuse_above
+from service.api.access.key_cache import StoredKeys
+from service.api.access.principals import Principal
+from service.api.access.refusal_audit import Refusals
 from service.api.deps import ApiContext
-from service.api.principals import Principal
 from service.api.problems import ProblemError, from_soo_error, render
 from service.api.rate_limits import Allowance, RateLimits
-from service.api.refusals import Refusals
-from service.api.stored_keys import StoredKeys
 from service.errors import StorageError
 from service.records.audit import CURRENT_NOTE, Deed, Note, naming_result
 

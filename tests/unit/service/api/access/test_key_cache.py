@@ -5,8 +5,8 @@ import time
 
 import pytest
 
-from service.api import stored_keys
-from service.api.stored_keys import StoredKeys
+from service.api.access import key_cache as stored_keys
+from service.api.access.key_cache import StoredKeys
 from service.errors import StorageError
 from service.records.access_key import AccessKey, Role, StoredKey, digest_of, new_key
 

@@ -14,7 +14,7 @@ from threading import Lock
 
 from starlette.concurrency import run_in_threadpool
 
-from service.api.principals import Principal
+from service.api.access.principals import Principal
 from service.errors import StorageError
 from service.ports import Keys
 from service.records.access_key import Role, StoredKey, digest_of, hide, id_of

@@ -10,8 +10,8 @@ from typing import Annotated, Protocol
 
 from fastapi import Depends, Request
 
-from service.api.audit_notes import SAFE_METHODS, address_of, deed_of, note_of
-from service.api.principals import Permission, Principal
+from service.api.access.audit_context import SAFE_METHODS, address_of, deed_of, note_of
+from service.api.access.principals import Permission, Principal
 from service.api.problems import ProblemError, request_id_of
 from service.api.rate_limits import Allowance, RateLimits, class_of
 from service.records.access_key import without_secrets

@@ -11,8 +11,8 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator
 
-from service.api.refusals import Refusals
-from service.api.stored_keys import StoredKeys
+from service.api.access.key_cache import StoredKeys
+from service.api.access.refusal_audit import Refusals
 from service.errors import StorageError
 from service.ports import Audit
 from service.records.journal import JournalHead

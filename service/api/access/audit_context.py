@@ -5,7 +5,7 @@ from hashlib import sha256
 
 from starlette.types import Scope
 
-from service.api.principals import Principal
+from service.api.access.principals import Principal
 from service.records.access_key import without_secrets
 from service.records.audit import DONE, Deed, Note
 

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from service.api import access_keeping
-from service.api.access_keeping import AccessKeeping
-from service.api.refusals import MAX_GROUPS, Refusals
+from service.api.access import access_housekeeping as access_keeping
+from service.api.access.access_housekeeping import AccessKeeping
+from service.api.access.refusal_audit import MAX_GROUPS, Refusals
 from service.errors import StorageError
 from service.records.audit import AuditHead, Deed, next_entry
 from service.records.journal import JournalHead

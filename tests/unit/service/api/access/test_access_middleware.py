@@ -4,9 +4,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from service.api.access_layer import AccessLayer
-from service.api.principals import Principal
-from service.api.stored_keys import StoredKeys
+from service.api.access.access_middleware import AccessLayer
+from service.api.access.key_cache import StoredKeys
+from service.api.access.principals import Principal
 from service.records.access_key import AccessKey, Role, StoredKey, digest_of
 
 pytestmark = pytest.mark.anyio

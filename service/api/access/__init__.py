@@ -1,0 +1,1 @@
+"""Access: keys, roles, the audit trail of refused requests."""
