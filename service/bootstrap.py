@@ -10,8 +10,8 @@ from pydantic import SecretStr
 
 from db.storage import SqlStorage
 from service.api.app import create_app
-from service.api.deps import ApiContext, Limits
-from service.api.observation import Observation
+from service.api.context.dependencies import ApiContext, Limits
+from service.api.context.monitoring_settings import Observation
 from service.core.dynamics.orbital_frame_analysis import MOST_STEPS, MOST_STEPS_PLAIN
 from service.pipeline.alarm_conditions import condition_table
 from service.ports import Clock, Storage

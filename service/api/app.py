@@ -20,17 +20,17 @@ from service.api.access.auth import MAY_READ
 from service.api.access.key_cache import StoredKeys
 from service.api.access.refusal_audit import Refusals
 from service.api.body_limit import BodyLimit
-from service.api.carrier_names import CarrierNames
 from service.api.connections import Connections
-from service.api.deps import ApiContext, Limits
-from service.api.epoch_limits import EpochLimits
+from service.api.context.carrier_names import CarrierNames
+from service.api.context.commit_waiter import Landings
+from service.api.context.dependencies import ApiContext, Limits
+from service.api.context.epoch_limits import EpochLimits
+from service.api.context.monitoring_settings import Observation
+from service.api.context.plan_widths import PlanWidths
 from service.api.errors import add_handlers
 from service.api.event_stream import StreamParts
-from service.api.landings import Landings
 from service.api.metrics import Metrics
-from service.api.observation import Observation
 from service.api.open_streams import OpenStreams
-from service.api.plan_widths import PlanWidths
 from service.api.rate_limits import RateLimits
 from service.api.readiness import SharedReadiness
 from service.api.request_figures import RequestFigures

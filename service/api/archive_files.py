@@ -12,8 +12,8 @@ from itertools import islice
 from typing import Any, Literal, NamedTuple, cast
 
 from service.api.archive_chunks import PAGE_ROWS, Chunk, RecordPage, pages_of, record_page
-from service.api.deps import ApiContext
-from service.api.methods import check_version
+from service.api.context.dependencies import ApiContext
+from service.api.context.method_parameters import check_version
 from service.api.read_ahead import read_ahead
 from service.errors import InvalidInputError, NotFoundError
 from service.formats.aem import AemWriter, AttitudeMessage

@@ -12,8 +12,8 @@ from collections.abc import AsyncIterator, Sequence
 from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
 
-from service.api.carrier_names import CarrierNames
-from service.api.deps import ApiContext
+from service.api.context.carrier_names import CarrierNames
+from service.api.context.dependencies import ApiContext
 from service.api.event_texts import EventTexts, StatusTexts
 from service.api.open_streams import OpenStreams
 from service.api.schemas.status import StatusAnswer

@@ -9,8 +9,8 @@ from collections import OrderedDict, defaultdict
 
 from starlette.concurrency import run_in_threadpool
 
-from service.api.carrier_names import CarrierNames
-from service.api.deps import ApiContext
+from service.api.context.carrier_names import CarrierNames
+from service.api.context.dependencies import ApiContext
 from service.api.schemas.alarms import AlarmChangeAnswer
 from service.api.schemas.attitude import AttitudeAnswer
 from service.api.schemas.base import Answer

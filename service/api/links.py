@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from typing import Any
 
-from service.api.deps import ApiContext
+from service.api.context.dependencies import ApiContext
 from service.api.schemas.links import LinkAnswer
 from service.errors import NotFoundError
 from service.records.epoch import US_PER_S

@@ -11,7 +11,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from service.api.connections import Connections
-from service.api.deps import ApiContext
+from service.api.context.dependencies import ApiContext
 from service.api.links import links_told
 from service.api.metric_families import (
     FAMILIES,

@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from service.api.deps import ApiContext
+from service.api.context.dependencies import ApiContext
 from service.api.validity import newest_attitude, newest_command
 from service.errors import StorageError
 from service.pipeline.release_interlock.control_verdict import control_verdict

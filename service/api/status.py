@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from service.api.deps import ApiContext
+from service.api.context.dependencies import ApiContext
 from service.api.links import links_told
 from service.api.present import present_of
 from service.api.schemas.control import VerdictAnswer

@@ -5,7 +5,7 @@ History is not rewritten: only the newest answer says EXPIRED, from the limit on
 
 from dataclasses import replace
 
-from service.api.deps import ApiContext
+from service.api.context.dependencies import ApiContext
 from service.pipeline.config import TorqueConfig
 from service.pipeline.wheel_torques import NO_CARRY, compute_command
 from service.ports import LIVE

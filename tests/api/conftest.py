@@ -13,7 +13,7 @@ from fastapi import FastAPI
 
 from db.storage import SqlStorage
 from service.api.app import create_app
-from service.api.deps import ApiContext, Limits
+from service.api.context.dependencies import ApiContext, Limits
 from service.pipeline.config import TorqueConfig
 from service.pipeline.release_interlock.release_settings import ReleaseSettings
 from service.runtime.live_feed import LiveFeed

@@ -6,7 +6,7 @@ import time
 import httpx
 import pytest
 
-from service.api.observation import Observation
+from service.api.context.monitoring_settings import Observation
 from service.api.rate_limits import RateLimitConfig, RateLimits
 
 pytestmark = pytest.mark.anyio

@@ -15,7 +15,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 from release_storage import SC
 from rich.console import Console
 
-from service.api.deps import Limits
+from service.api.context.dependencies import Limits
 from service.api.handover import handover_of
 from service.api.metrics import Metrics
 from service.api.routes.attitude import get_attitude

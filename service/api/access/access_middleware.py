@@ -17,7 +17,7 @@ from service.api.access.auth import refuse_above
 from service.api.access.key_cache import StoredKeys
 from service.api.access.principals import Principal
 from service.api.access.refusal_audit import Refusals
-from service.api.deps import ApiContext
+from service.api.context.dependencies import ApiContext
 from service.api.problems import ProblemError, from_soo_error, render
 from service.api.rate_limits import Allowance, RateLimits
 from service.errors import StorageError

@@ -6,7 +6,7 @@ from fastapi import APIRouter, Path, Query, Request, Response
 
 from service.api.access.auth import MAY_OPERATE, CurrentPrincipal
 from service.api.bodies import accepts, body_of
-from service.api.deps import Context, SpacecraftId
+from service.api.context.dependencies import Context, SpacecraftId
 from service.api.paging import Page, Place, cut_page
 from service.api.remarks import Said, accepts_remark
 from service.api.schemas.alarms import (

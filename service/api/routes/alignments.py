@@ -8,7 +8,7 @@ from fastapi import APIRouter, Path, Response
 from service.api.access.auth import MAY_OPERATE, CurrentPrincipal
 from service.api.access.principals import Permission, Principal
 from service.api.bodies import accepts, body_of
-from service.api.deps import Context, SpacecraftId
+from service.api.context.dependencies import Context, SpacecraftId
 from service.api.problems import ProblemError
 from service.api.schemas.alignments import AlignmentAnswer, AlignmentDocument, AlignmentList, AlignmentMadeAnswer
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any, TypeVar
 from fastapi import APIRouter, Depends
 
 from service.api.bodies import accepts, body_of
-from service.api.deps import Context
+from service.api.context.dependencies import Context
 from service.api.problems import ProblemError
 from service.api.schemas.analyses import (
     CaptureAnswer,

@@ -2,8 +2,8 @@
 
 from fastapi import APIRouter, Request, Response
 
-from service.api.deps import Context, SpacecraftId
-from service.api.methods import WantedMethod, WantedVersion
+from service.api.context.dependencies import Context, SpacecraftId
+from service.api.context.method_parameters import WantedMethod, WantedVersion
 from service.api.paging import Page, cut_page
 from service.api.present import present_of
 from service.api.schemas.attitude import AttitudeAnswer, AttitudePage, NewestAttitudeAnswer

@@ -2,7 +2,7 @@
 
 from fastapi import APIRouter
 
-from service.api.deps import Context, SpacecraftId
+from service.api.context.dependencies import Context, SpacecraftId
 from service.api.schemas.torque_commands import UplinkAnswer
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/attitude", tags=["release of torques"])

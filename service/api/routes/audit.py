@@ -5,7 +5,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request, Response
 
 from service.api.access.auth import MAY_INSPECT
-from service.api.deps import Context
+from service.api.context.dependencies import Context
 from service.api.paging import Page, cut_page
 from service.api.schemas.audit import AuditEntryAnswer, AuditHeadAnswer, AuditPage
 from service.api.schemas.base import WindowAnswer

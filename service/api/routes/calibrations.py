@@ -7,7 +7,7 @@ from fastapi import APIRouter, Path, Response
 
 from service.api.access.auth import MAY_OPERATE, CurrentPrincipal
 from service.api.bodies import accepts, body_of
-from service.api.deps import Context, SpacecraftId
+from service.api.context.dependencies import Context, SpacecraftId
 from service.api.schemas.calibrations import (
     CalibrationAnswer,
     CalibrationDocument,

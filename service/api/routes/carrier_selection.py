@@ -4,7 +4,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 
-from service.api.deps import Context, SpacecraftId
+from service.api.context.dependencies import Context, SpacecraftId
 from service.api.schemas.carrier_selection import CarrierSelectionAnswer, Turns
 from service.pipeline.planning import Rule
 from service.runtime.inspection import MIN_COUNT, recommend_carriers

@@ -6,7 +6,7 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Response
 
 from service.api.bodies import accepts, body_of
-from service.api.deps import Context
+from service.api.context.dependencies import Context
 from service.api.problems import ProblemError
 from service.api.schemas.closed_loop import ClosedLoopAnswer, ClosedLoopDocument, ClosedLoopStartedAnswer
 from service.records.job import JobState

@@ -7,7 +7,7 @@ from fastapi import APIRouter, Request
 from service.api.access.auth import MAY_APPROVE, MAY_OPERATE, CurrentPrincipal
 from service.api.access.principals import Permission, Principal
 from service.api.bodies import accepts, optional_body
-from service.api.deps import ApiContext, Context, SpacecraftId
+from service.api.context.dependencies import ApiContext, Context, SpacecraftId
 from service.api.present import present_of
 from service.api.problems import invalid_request
 from service.api.remarks import log_comment

@@ -2,7 +2,7 @@
 
 from fastapi import APIRouter
 
-from service.api.deps import Context, SpacecraftId
+from service.api.context.dependencies import Context, SpacecraftId
 from service.api.handover import handover_of
 from service.api.schemas.handover import HandoverAnswer
 

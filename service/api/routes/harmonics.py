@@ -4,7 +4,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 
-from service.api.deps import Context, SpacecraftId
+from service.api.context.dependencies import Context, SpacecraftId
 from service.api.paging import EVERYTHING, window_of
 from service.api.schemas.inspection import WindowHarmonicsAnswer
 from service.records.catalogue import Method

@@ -4,7 +4,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Path
 
-from service.api.deps import Context
+from service.api.context.dependencies import Context
 from service.api.routes.closed_loop import RESULTS
 from service.api.schemas.jobs import JobAnswer
 

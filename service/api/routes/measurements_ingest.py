@@ -14,11 +14,11 @@ from starlette.responses import JSONResponse
 
 from service.api.access.auth import MAY_SEND
 from service.api.bodies import accepts, read_body
-from service.api.deps import ApiContext, SpacecraftIdText, checked_spacecraft_id
-from service.api.epoch_limits import EpochLimits
+from service.api.context.commit_waiter import Landings
+from service.api.context.dependencies import ApiContext, SpacecraftIdText, checked_spacecraft_id
+from service.api.context.epoch_limits import EpochLimits
+from service.api.context.plan_widths import PlanWidths
 from service.api.epochs import EpochTextError, ParsedEpochs, parse_epochs
-from service.api.landings import Landings
-from service.api.plan_widths import PlanWidths
 from service.api.problems import ProblemError, invalid_request
 from service.api.request_figures import RequestFigures
 from service.api.schemas.measurements import MAX_SEQ, MeasurementBatchDocument, MeasurementReceiptAnswer

@@ -8,7 +8,7 @@ from pydantic import TypeAdapter
 
 from service.api.access.auth import MAY_OPERATE
 from service.api.bodies import accepts, body_of
-from service.api.deps import Context, SpacecraftId
+from service.api.context.dependencies import Context, SpacecraftId
 from service.api.merge_patch import MergePatch, patched
 from service.api.paging import Page, Place, cut_page
 from service.api.schemas.base import WindowAnswer

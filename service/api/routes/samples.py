@@ -5,8 +5,8 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from fastapi import APIRouter, Query
 
-from service.api.deps import ApiContext, Context, Names, SpacecraftId
-from service.api.methods import WantedMethod, WantedVersion
+from service.api.context.dependencies import ApiContext, Context, Names, SpacecraftId
+from service.api.context.method_parameters import WantedMethod, WantedVersion
 from service.api.paging import EVERYTHING, StartParameter, StopParameter, window_of
 from service.api.problems import invalid_request
 from service.api.schemas.archive import (

@@ -6,7 +6,7 @@ from typing import Annotated
 from fastapi import APIRouter, Path
 
 from service.api.access.auth import MAY_OPERATE
-from service.api.deps import Context, SpacecraftId
+from service.api.context.dependencies import Context, SpacecraftId
 from service.api.schemas.base import NAME_PATTERN
 from service.api.schemas.measurements import SourceAnswer, SourceListAnswer
 from service.errors import NotFoundError

@@ -2,7 +2,7 @@
 
 from fastapi import APIRouter
 
-from service.api.deps import Context, SpacecraftId
+from service.api.context.dependencies import Context, SpacecraftId
 from service.api.schemas.status import StatusAnswer
 from service.api.status import status_of
 

@@ -9,7 +9,7 @@ from fastapi.responses import StreamingResponse
 from starlette.concurrency import run_in_threadpool
 from starlette.types import Message, Receive, Scope, Send
 
-from service.api.deps import Context, SpacecraftId
+from service.api.context.dependencies import Context, SpacecraftId
 from service.api.event_stream import EventStream, StreamParts
 from service.api.open_streams import OpenStreams
 from service.api.stream_places import MAX_ID_LENGTH, cursor_of

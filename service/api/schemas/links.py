@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import AfterValidator, Field, StringConstraints, model_validator
 from pydantic_core import PydanticCustomError
 
-from service.api.deps import SPACECRAFT_ID_PATTERN
+from service.api.context.dependencies import SPACECRAFT_ID_PATTERN
 from service.api.schemas.base import Answer, Document, Epoch, EpochAnswer, Name
 from service.records.link import LinkReport, LinkWarning
 

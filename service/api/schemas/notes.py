@@ -4,7 +4,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, StringConstraints
 
-from service.api.deps import SPACECRAFT_ID_PATTERN
+from service.api.context.dependencies import SPACECRAFT_ID_PATTERN
 from service.api.schemas.base import Answer, Document, Epoch, EpochAnswer, Name, WindowAnswer
 from service.records.note import Note
 

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from service.api.carrier_names import CarrierNames
+from service.api.context.carrier_names import CarrierNames
 from service.api.event_texts import EventTexts
 from service.api.stream_archive import ArchiveReader
 from service.pipeline.alarm_readings import RowFacts

@@ -6,7 +6,7 @@ from concurrent.futures import Future
 
 import pytest
 
-from service.api.landings import Landings
+from service.api.context.commit_waiter import Landings
 
 
 def test_results_and_faults_arrive_with_one_wake_of_the_loop():

@@ -2,8 +2,8 @@
 
 import asyncio
 
-from service.api.deps import Limits
-from service.api.epoch_limits import EpochLimits
+from service.api.context.dependencies import Limits
+from service.api.context.epoch_limits import EpochLimits
 
 S = 1_000_000
 LAST_FIRST_US = 4_102_444_800 * S  # 2100-01-01

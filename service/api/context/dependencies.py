@@ -10,9 +10,9 @@ from typing import Annotated, Literal
 
 from fastapi import Depends, Path, Request
 
-from service.api.carrier_names import CarrierNames
-from service.api.observation import Observation
-from service.api.plan_widths import PlanWidths
+from service.api.context.carrier_names import CarrierNames
+from service.api.context.monitoring_settings import Observation
+from service.api.context.plan_widths import PlanWidths
 from service.api.rate_limits import RateLimitConfig
 from service.errors import NotFoundError
 from service.pipeline.config import CalibrationConfig

@@ -2,7 +2,7 @@
 
 import pytest
 
-from service.api.plan_widths import PlanWidths
+from service.api.context.plan_widths import PlanWidths
 from service.errors import NotFoundError
 from service.records.catalogue import Carrier, CarrierPlan
 

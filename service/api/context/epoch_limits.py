@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from starlette.concurrency import run_in_threadpool
 
-from service.api.deps import Limits
+from service.api.context.dependencies import Limits
 from service.pipeline.ingest import EpochBounds, data_bounds, system_bounds
 from service.ports import Archive, Clock
 from service.records.epoch import US_PER_S

@@ -1,0 +1,1 @@
+"""Context of a request: dependencies and what routes look up in common."""
