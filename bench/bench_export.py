@@ -34,7 +34,7 @@ import pyarrow as pa
 from pyarrow import parquet
 
 from db.storage import SqlStorage
-from service.api.archive_files import FileOrder, archive_file
+from service.api.export.export_files import FileOrder, archive_file
 from service.formats.measurement_file import MeasurementColumns, file_bytes, measurement_file
 from service.formats.row_text import ready_kernels
 from service.records.calibration import Window

@@ -16,7 +16,7 @@ from typing import Any, cast
 import numpy as np
 
 from db.storage import SqlStorage
-from service.api.archive_files import FileFormat, FileOrder, archive_file
+from service.api.export.export_files import FileFormat, FileOrder, archive_file
 from service.core.geometry.quaternion import attitude_of_quaternion
 from service.formats.aem import AemWriter, AttitudeMessage
 from service.ports import LIVE, Outcome

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from pyarrow import parquet
 
-from service.api.archive_files import OFFERED
+from service.api.export.export_files import OFFERED
 from service.formats.aem import read_aem
 from service.formats.tdm import read_tdm
 from service.ports import Outcome

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from service.api import archive_chunks, archive_files
+from service.api.export import export_chunks as archive_chunks
+from service.api.export import export_files as archive_files
 from service.ports import Outcome
 from service.records.attitude import NO_ANGLES
 from service.records.epoch import format_epoch

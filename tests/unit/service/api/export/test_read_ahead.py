@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from service.api.read_ahead import AHEAD_BYTES, read_ahead
+from service.api.export.read_ahead import AHEAD_BYTES, read_ahead
 from service.records.measurement_block import MeasurementBlock
 
 ROWS = AHEAD_BYTES // (4 * 16) // 4

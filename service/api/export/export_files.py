@@ -11,10 +11,10 @@ from heapq import merge
 from itertools import islice
 from typing import Any, Literal, NamedTuple, cast
 
-from service.api.archive_chunks import PAGE_ROWS, Chunk, RecordPage, pages_of, record_page
 from service.api.context.dependencies import ApiContext
 from service.api.context.method_parameters import check_version
-from service.api.read_ahead import read_ahead
+from service.api.export.export_chunks import PAGE_ROWS, Chunk, RecordPage, pages_of, record_page
+from service.api.export.read_ahead import read_ahead
 from service.errors import InvalidInputError, NotFoundError
 from service.formats.aem import AemWriter, AttitudeMessage
 from service.formats.measurement_file import MeasurementColumns, file_bytes, measurement_file

@@ -1,0 +1,1 @@
+"""Export of the archive over HTTP: files by day, ranges, streams."""
