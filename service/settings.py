@@ -18,7 +18,7 @@ from pydantic_settings import (
     SettingsError,
 )
 
-from service.api.rate_limits import RateLimitConfig
+from service.api.limits.rate_limits import RateLimitConfig
 from service.pipeline.config import (
     AlarmConfig,
     AlignmentConfig,

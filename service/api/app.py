@@ -19,7 +19,6 @@ from service.api.access.audit_context import BASE_PATH
 from service.api.access.auth import MAY_READ
 from service.api.access.key_cache import StoredKeys
 from service.api.access.refusal_audit import Refusals
-from service.api.body_limit import BodyLimit
 from service.api.connections import Connections
 from service.api.context.carrier_names import CarrierNames
 from service.api.context.commit_waiter import Landings
@@ -29,9 +28,10 @@ from service.api.context.monitoring_settings import Observation
 from service.api.context.plan_widths import PlanWidths
 from service.api.errors import add_handlers
 from service.api.event_stream import StreamParts
+from service.api.limits.body_limit import BodyLimit
+from service.api.limits.rate_limits import RateLimits
 from service.api.metrics import Metrics
 from service.api.open_streams import OpenStreams
-from service.api.rate_limits import RateLimits
 from service.api.readiness import SharedReadiness
 from service.api.request_figures import RequestFigures
 from service.api.request_ids import RequestIds

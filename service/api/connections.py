@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable
 from ipaddress import ip_address, ip_network
 
-from service.api.rate_limits import network_of
+from service.api.limits.rate_limits import network_of
 
 #: between two log lines on refused connections, s
 _LOG_PERIOD_S = 10.0

@@ -11,7 +11,7 @@ from functools import partial
 import uvicorn
 from fastapi import FastAPI
 
-from service.api.http_protocol import HEAD_TIMEOUT_S, BoundedProtocol
+from service.api.limits.http_protocol import HEAD_TIMEOUT_S, BoundedProtocol
 from service.api.open_streams import OpenStreams
 
 #: of the collector: new objects from which the young are looked at, and rounds of that from which older ones are

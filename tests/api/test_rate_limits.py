@@ -7,7 +7,7 @@ import httpx
 import pytest
 
 from service.api.context.monitoring_settings import Observation
-from service.api.rate_limits import RateLimitConfig, RateLimits
+from service.api.limits.rate_limits import RateLimitConfig, RateLimits
 
 pytestmark = pytest.mark.anyio
 SC = "/api/v1/spacecraft"

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from service.api.access.audit_context import BASE_PATH
-from service.api.rate_limits import class_of
+from service.api.limits.rate_limits import class_of
 from service.api.routes import PUBLIC_ROUTERS, ROUTERS
 from service.records.access_key import Role
 

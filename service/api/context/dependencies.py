@@ -13,7 +13,7 @@ from fastapi import Depends, Path, Request
 from service.api.context.carrier_names import CarrierNames
 from service.api.context.monitoring_settings import Observation
 from service.api.context.plan_widths import PlanWidths
-from service.api.rate_limits import RateLimitConfig
+from service.api.limits.rate_limits import RateLimitConfig
 from service.errors import NotFoundError
 from service.pipeline.config import CalibrationConfig
 from service.ports import Clock, Storage

@@ -2,7 +2,7 @@
 
 import pytest
 
-from service.api.rate_limits import MAX_ADDRESSES, RateClass, RateLimitConfig, RateLimits, class_of, network_of
+from service.api.limits.rate_limits import MAX_ADDRESSES, RateClass, RateLimitConfig, RateLimits, class_of, network_of
 
 
 class Time:

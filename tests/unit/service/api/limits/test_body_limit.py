@@ -5,7 +5,7 @@ from random import Random
 
 import pytest
 
-from service.api.body_limit import BodyLimit
+from service.api.limits.body_limit import BodyLimit
 from service.api.problems import ProblemError
 
 pytestmark = pytest.mark.anyio
