@@ -30,12 +30,12 @@ from service.api.errors import add_handlers
 from service.api.event_stream import StreamParts
 from service.api.limits.body_limit import BodyLimit
 from service.api.limits.rate_limits import RateLimits
-from service.api.metrics import Metrics
+from service.api.monitoring.access_log import RequestLog
+from service.api.monitoring.metrics import Metrics
+from service.api.monitoring.readiness import SharedReadiness
+from service.api.monitoring.request_metrics import RequestFigures
 from service.api.open_streams import OpenStreams
-from service.api.readiness import SharedReadiness
-from service.api.request_figures import RequestFigures
 from service.api.request_ids import RequestIds
-from service.api.request_log import RequestLog
 from service.api.routes import PUBLIC_ROUTERS, ROUTERS
 from service.runtime.automatic_release import AutomaticRelease
 

@@ -4,7 +4,7 @@ import json
 import re
 from pathlib import Path
 
-from service.api.metric_families import FAMILIES, MAX_CARRIERS, MAX_LINKS, MAX_SOURCES, MAX_SPACECRAFT
+from service.api.monitoring.metric_families import FAMILIES, MAX_CARRIERS, MAX_LINKS, MAX_SOURCES, MAX_SPACECRAFT
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "how-to" / "watch-the-service.md").read_text()

@@ -17,7 +17,7 @@ from rich.console import Console
 
 from service.api.context.dependencies import Limits
 from service.api.handover import handover_of
-from service.api.metrics import Metrics
+from service.api.monitoring.metrics import Metrics
 from service.api.routes.attitude import get_attitude
 from service.api.routes.control import get_control
 from service.api.routes.torques import get_torques

@@ -10,8 +10,8 @@ from starlette.concurrency import run_in_threadpool
 
 from service.api.access.auth import authenticated, known_or_counted
 from service.api.context.dependencies import Context
-from service.api.metrics import MEDIA_TYPE, Metrics
-from service.api.readiness import SharedReadiness, require_ready
+from service.api.monitoring.metrics import MEDIA_TYPE, Metrics
+from service.api.monitoring.readiness import SharedReadiness, require_ready
 from service.api.reference_page import render_page
 
 router = APIRouter(tags=["health"])

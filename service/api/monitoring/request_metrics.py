@@ -1,7 +1,7 @@
 """Figures of requests: how many of each kind, how long they took, and what became of the rows that were sent.
 
 Everything is counted inside the server's event loop by adding to a dictionary, which costs a request about a
-microsecond; names and forms of the outside are given when somebody asks, see ``service.api.metrics``.
+microsecond; names and forms of the outside are given when somebody asks, see ``service.api.monitoring.metrics``.
 
 The number of label sets is bounded: routes are templates, methods and codes are those that the service knows.
 """

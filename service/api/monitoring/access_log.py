@@ -10,7 +10,7 @@ from typing import Any
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.api.request_figures import RequestFigures
+from service.api.monitoring.request_metrics import RequestFigures
 
 _LOG = logging.getLogger("soo.access")
 #: what is served without a route of its own

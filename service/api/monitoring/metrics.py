@@ -13,7 +13,7 @@ from typing import Any
 from service.api.connections import Connections
 from service.api.context.dependencies import ApiContext
 from service.api.links import links_told
-from service.api.metric_families import (
+from service.api.monitoring.metric_families import (
     FAMILIES,
     MAX_CARRIERS,
     MAX_LINKS,
@@ -21,10 +21,10 @@ from service.api.metric_families import (
     MAX_SPACECRAFT,
     STATUS_NUMBERS,
 )
+from service.api.monitoring.readiness import parts_of
+from service.api.monitoring.request_metrics import DURATION_BOUNDS_S, RequestFigures
 from service.api.open_streams import OpenStreams
 from service.api.present import present_of
-from service.api.readiness import parts_of
-from service.api.request_figures import DURATION_BOUNDS_S, RequestFigures
 from service.api.validity import newest_attitude
 from service.errors import StorageError
 from service.records.attitude import AttitudeRow

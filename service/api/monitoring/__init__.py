@@ -1,0 +1,1 @@
+"""Monitoring of the service: metrics, access log, readiness."""
