@@ -12,8 +12,8 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 from starlette.concurrency import run_in_threadpool
 
 from service.api.access.audit_context import digest_body
-from service.api.faults import faults_of
-from service.api.problems import ProblemError, invalid_request
+from service.api.problems.problems import ProblemError, invalid_request
+from service.api.problems.validation_errors import faults_of
 
 M = TypeVar("M", bound=BaseModel)
 #: values of one body: a full batch of 10 000 rows has 32 carriers with three figures each; a value takes 80 bytes

@@ -6,7 +6,7 @@ A stream never ends by itself, so a server that stops ends them first.
 from collections import Counter
 from http import HTTPStatus
 
-from service.api.problems import RETRY_AFTER_S, ProblemError
+from service.api.problems.problems import RETRY_AFTER_S, ProblemError
 from service.runtime.live_feed import Subscription
 
 

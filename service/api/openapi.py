@@ -6,7 +6,7 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
-from service.api.problems import PROBLEM_MEDIA_TYPE, ProblemSchema
+from service.api.problems.problems import PROBLEM_MEDIA_TYPE, ProblemSchema
 
 API_VERSION = "1.0"
 _REF = "#/components/schemas/"

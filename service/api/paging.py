@@ -15,7 +15,7 @@ from typing import Annotated, TypeVar
 
 from fastapi import Depends, Query, Request, Response
 
-from service.api.problems import invalid_request
+from service.api.problems.problems import invalid_request
 from service.errors import FieldError
 from service.records.calibration import Window
 from service.records.epoch import EARLIEST_EPOCH_US, LATEST_EPOCH_US, parse_epoch

@@ -1,7 +1,7 @@
 """Places and frequencies of the catalogue: faults become a problem, warnings go into the answer."""
 
-from service.api.faults import MAX_FAULTS
-from service.api.problems import invalid_request
+from service.api.problems.problems import invalid_request
+from service.api.problems.validation_errors import MAX_FAULTS
 from service.api.schemas.base import CatalogueWarning
 from service.pipeline.catalogue_checks import PlaceFindings
 

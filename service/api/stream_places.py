@@ -7,7 +7,7 @@ to sequence 2084 and all changes of alarms up to sequence 17 were sent.
 import re
 from typing import Literal
 
-from service.api.problems import invalid_request
+from service.api.problems.problems import invalid_request
 from service.api.schemas.base import Answer
 from service.errors import FieldError
 from service.records.epoch import format_epoch

@@ -63,7 +63,7 @@ def planned_by_assumption(
     """
     # web framework and validation cost a quarter of a second that other commands need not pay
     from service.api.bodies import decode
-    from service.api.problems import ProblemError
+    from service.api.problems.problems import ProblemError
     from service.api.schemas.carriers import CARRIER_PLAN_ADAPTER
     from service.api.schemas.spacecraft import SPACECRAFT_ADAPTER
 

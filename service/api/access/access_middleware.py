@@ -19,7 +19,7 @@ from service.api.access.principals import Principal
 from service.api.access.refusal_audit import Refusals
 from service.api.context.dependencies import ApiContext
 from service.api.limits.rate_limits import Allowance, RateLimits
-from service.api.problems import ProblemError, from_soo_error, render
+from service.api.problems.problems import ProblemError, from_soo_error, render
 from service.errors import StorageError
 from service.records.audit import CURRENT_NOTE, Deed, Note, naming_result
 

@@ -13,7 +13,7 @@ from fastapi import Depends, Request
 from service.api.access.audit_context import SAFE_METHODS, address_of, deed_of, note_of
 from service.api.access.principals import Permission, Principal
 from service.api.limits.rate_limits import Allowance, RateLimits, class_of
-from service.api.problems import ProblemError, request_id_of
+from service.api.problems.problems import ProblemError, request_id_of
 from service.records.access_key import without_secrets
 
 _LOG = logging.getLogger(__name__)

@@ -10,7 +10,7 @@ from fastapi import Request
 from fastapi.responses import Response, StreamingResponse
 
 from service.api.byte_ranges import UnsatisfiableRangeError, wanted_range
-from service.api.problems import ProblemError
+from service.api.problems.problems import ProblemError
 
 #: a file up to this size waits in memory, a greater one on the disk
 _HELD_BYTES = 8 * 1024 * 1024

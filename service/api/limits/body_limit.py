@@ -12,7 +12,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.api.problems import ProblemError, render
+from service.api.problems.problems import ProblemError, render
 
 #: zlib's word for "expect a gzip header"
 _GZIP_WBITS = 16 + zlib.MAX_WBITS

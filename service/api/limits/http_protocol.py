@@ -11,7 +11,7 @@ from starlette.requests import HTTPConnection
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
 from service.api.connections import Connections
-from service.api.problems import RETRY_AFTER_S, ProblemError, render
+from service.api.problems.problems import RETRY_AFTER_S, ProblemError, render
 
 #: request line and headers together; a bearer key and a long list of parameters take two of them
 MAX_HEAD_BYTES = 32 * 1024

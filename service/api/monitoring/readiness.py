@@ -12,7 +12,7 @@ from typing import NamedTuple
 from starlette.concurrency import run_in_threadpool
 
 from service.api.context.dependencies import ApiContext
-from service.api.problems import RETRY_AFTER_S, ProblemError
+from service.api.problems.problems import RETRY_AFTER_S, ProblemError
 from service.errors import FieldError, StorageError
 from service.records.storage_state import StorageState
 

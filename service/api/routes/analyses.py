@@ -10,7 +10,7 @@ from fastapi import APIRouter, Depends
 
 from service.api.bodies import accepts, body_of
 from service.api.context.dependencies import Context
-from service.api.problems import ProblemError
+from service.api.problems.problems import ProblemError
 from service.api.schemas.analyses import (
     CaptureAnswer,
     CaptureDocument,

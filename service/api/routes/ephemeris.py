@@ -8,7 +8,7 @@ from service.api.access.audit_context import note_choice
 from service.api.access.auth import MAY_OPERATE
 from service.api.bodies import accepts, body_of
 from service.api.context.dependencies import Context, SpacecraftId
-from service.api.problems import invalid_request
+from service.api.problems.problems import invalid_request
 from service.api.schemas.ephemeris import EphemerisAnswer, EphemerisDocument, EphemerisReceiptAnswer
 from service.errors import FieldError, InvalidInputError
 from service.formats.oem import read_oem

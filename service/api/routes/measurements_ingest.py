@@ -20,7 +20,7 @@ from service.api.context.epoch_limits import EpochLimits
 from service.api.context.plan_widths import PlanWidths
 from service.api.epochs import EpochTextError, ParsedEpochs, parse_epochs
 from service.api.monitoring.request_metrics import RequestFigures
-from service.api.problems import ProblemError, invalid_request
+from service.api.problems.problems import ProblemError, invalid_request
 from service.api.schemas.measurements import MAX_SEQ, MeasurementBatchDocument, MeasurementReceiptAnswer
 from service.errors import FieldError
 from service.pipeline.ingest import ReceivedRows, screen

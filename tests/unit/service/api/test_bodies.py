@@ -10,7 +10,7 @@ from pydantic import BaseModel, TypeAdapter
 
 from service.api import bodies
 from service.api.bodies import MOST_VALUES, decode, read_body
-from service.api.problems import ProblemError
+from service.api.problems.problems import ProblemError
 from service.api.schemas.inputs import ReferenceBatchDocument
 from service.api.schemas.measurements import MeasurementBatchDocument
 

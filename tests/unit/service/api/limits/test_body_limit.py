@@ -6,7 +6,7 @@ from random import Random
 import pytest
 
 from service.api.limits.body_limit import BodyLimit
-from service.api.problems import ProblemError
+from service.api.problems.problems import ProblemError
 
 pytestmark = pytest.mark.anyio
 

@@ -12,8 +12,8 @@ from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
-from service.api.faults import faults_of
-from service.api.problems import ProblemError, from_soo_error, invalid_request, render
+from service.api.problems.problems import ProblemError, from_soo_error, invalid_request, render
+from service.api.problems.validation_errors import faults_of
 from service.errors import SooError
 
 _HTTP_CODES = {

@@ -1,6 +1,6 @@
 """Faults of pydantic in our words."""
 
-from service.api.faults import MAX_FAULTS, faults_of, pointer_of
+from service.api.problems.validation_errors import MAX_FAULTS, faults_of, pointer_of
 
 
 def fault(kind: str, *loc: str | int) -> dict:
