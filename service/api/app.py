@@ -12,7 +12,6 @@ from typing import Any
 from fastapi import FastAPI
 from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
 
-from service.api import openapi
 from service.api.access.access_housekeeping import AccessKeeping
 from service.api.access.access_middleware import AccessLayer
 from service.api.access.audit_context import BASE_PATH
@@ -35,7 +34,8 @@ from service.api.monitoring.readiness import SharedReadiness
 from service.api.monitoring.request_metrics import RequestFigures
 from service.api.open_streams import OpenStreams
 from service.api.problems.handlers import add_handlers
-from service.api.request_ids import RequestIds
+from service.api.protocol import openapi
+from service.api.protocol.request_ids import RequestIds
 from service.api.routes import PUBLIC_ROUTERS, ROUTERS
 from service.runtime.automatic_release import AutomaticRelease
 

@@ -3,8 +3,8 @@
 from typing import Annotated, Any
 
 from service.api.access.principals import Principal
-from service.api.bodies import accepts, optional_body
 from service.api.context.dependencies import ApiContext
+from service.api.protocol.bodies import accepts, optional_body
 from service.api.schemas.alarms import RemarkDocument
 from service.records.note import Note
 

@@ -62,8 +62,8 @@ def planned_by_assumption(
         A file that cannot be read or understood, a beam of another form, or carriers that cannot be chosen from.
     """
     # web framework and validation cost a quarter of a second that other commands need not pay
-    from service.api.bodies import decode
     from service.api.problems.problems import ProblemError
+    from service.api.protocol.bodies import decode
     from service.api.schemas.carriers import CARRIER_PLAN_ADAPTER
     from service.api.schemas.spacecraft import SPACECRAFT_ADAPTER
 

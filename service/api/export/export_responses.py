@@ -9,8 +9,8 @@ from typing import IO
 from fastapi import Request
 from fastapi.responses import Response, StreamingResponse
 
-from service.api.byte_ranges import UnsatisfiableRangeError, wanted_range
 from service.api.problems.problems import ProblemError
+from service.api.protocol.byte_ranges import UnsatisfiableRangeError, wanted_range
 
 #: a file up to this size waits in memory, a greater one on the disk
 _HELD_BYTES = 8 * 1024 * 1024

@@ -5,9 +5,9 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 
 from service.api.access.auth import MAY_OPERATE, CurrentPrincipal
-from service.api.bodies import accepts, body_of
 from service.api.context.dependencies import Context, SpacecraftId
 from service.api.problems.problems import invalid_request
+from service.api.protocol.bodies import accepts, body_of
 from service.api.schemas.alarms import ConditionLimitsAnswer, LimitsAnswer, LimitsDocument, LimitsInForceAnswer
 from service.pipeline.alarm_sets import faults_of, limits_in_force
 

@@ -5,9 +5,9 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Query, Request, Response
 
 from service.api.access.auth import MAY_OPERATE, CurrentPrincipal
-from service.api.bodies import accepts, body_of
 from service.api.context.dependencies import Context, SpacecraftId
-from service.api.paging import Page, Place, cut_page
+from service.api.protocol.bodies import accepts, body_of
+from service.api.protocol.paging import Page, Place, cut_page
 from service.api.remarks import Said, accepts_remark
 from service.api.schemas.alarms import (
     AlarmAnswer,

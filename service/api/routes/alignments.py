@@ -7,9 +7,9 @@ from fastapi import APIRouter, Path, Response
 
 from service.api.access.auth import MAY_OPERATE, CurrentPrincipal
 from service.api.access.principals import Permission, Principal
-from service.api.bodies import accepts, body_of
 from service.api.context.dependencies import Context, SpacecraftId
 from service.api.problems.problems import ProblemError
+from service.api.protocol.bodies import accepts, body_of
 from service.api.schemas.alignments import AlignmentAnswer, AlignmentDocument, AlignmentList, AlignmentMadeAnswer
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/alignments", tags=["calibration"])

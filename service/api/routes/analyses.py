@@ -8,9 +8,9 @@ from typing import Annotated, Any, TypeVar
 
 from fastapi import APIRouter, Depends
 
-from service.api.bodies import accepts, body_of
 from service.api.context.dependencies import Context
 from service.api.problems.problems import ProblemError
+from service.api.protocol.bodies import accepts, body_of
 from service.api.schemas.analyses import (
     CaptureAnswer,
     CaptureDocument,

@@ -4,8 +4,8 @@ from fastapi import APIRouter, Request, Response
 
 from service.api.context.dependencies import Context, SpacecraftId
 from service.api.context.method_parameters import WantedMethod, WantedVersion
-from service.api.paging import Page, cut_page
 from service.api.present import present_of
+from service.api.protocol.paging import Page, cut_page
 from service.api.schemas.attitude import AttitudeAnswer, AttitudePage, NewestAttitudeAnswer
 from service.api.schemas.base import WindowAnswer
 from service.api.schemas.control import VerdictAnswer

@@ -6,7 +6,7 @@ from fastapi import APIRouter, Query, Request, Response
 
 from service.api.access.auth import MAY_INSPECT
 from service.api.context.dependencies import Context
-from service.api.paging import Page, cut_page
+from service.api.protocol.paging import Page, cut_page
 from service.api.schemas.audit import AuditEntryAnswer, AuditHeadAnswer, AuditPage
 from service.api.schemas.base import WindowAnswer
 from service.records.audit import AuditFilter

@@ -8,10 +8,10 @@ from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from service.api.access.auth import MAY_OPERATE
-from service.api.bodies import accepts, decode, is_json, media_type, raw_body, unsupported_media
 from service.api.context.dependencies import Context, SpacecraftId
 from service.api.context.plan_widths import PlanWidths
 from service.api.places import accepted_places
+from service.api.protocol.bodies import accepts, decode, is_json, media_type, raw_body, unsupported_media
 from service.api.schemas.carriers import (
     CARRIER_PLAN_ADAPTER,
     CarrierPlanAnswer,

@@ -5,9 +5,9 @@ from typing import Annotated
 
 from fastapi import APIRouter, Path, Response
 
-from service.api.bodies import accepts, body_of
 from service.api.context.dependencies import Context
 from service.api.problems.problems import ProblemError
+from service.api.protocol.bodies import accepts, body_of
 from service.api.schemas.closed_loop import ClosedLoopAnswer, ClosedLoopDocument, ClosedLoopStartedAnswer
 from service.records.job import JobState
 from service.runtime.flight_analyses import KIND, MOST_RESULTS

@@ -6,9 +6,9 @@ from fastapi import APIRouter, Query, Request
 
 from service.api.access.audit_context import note_choice
 from service.api.access.auth import MAY_OPERATE
-from service.api.bodies import accepts, body_of
 from service.api.context.dependencies import Context, SpacecraftId
 from service.api.problems.problems import invalid_request
+from service.api.protocol.bodies import accepts, body_of
 from service.api.schemas.ephemeris import EphemerisAnswer, EphemerisDocument, EphemerisReceiptAnswer
 from service.errors import FieldError, InvalidInputError
 from service.formats.oem import read_oem

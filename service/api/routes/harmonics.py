@@ -5,7 +5,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 
 from service.api.context.dependencies import Context, SpacecraftId
-from service.api.paging import EVERYTHING, window_of
+from service.api.protocol.paging import EVERYTHING, window_of
 from service.api.schemas.inspection import WindowHarmonicsAnswer
 from service.records.catalogue import Method
 from service.runtime.inspection import window_harmonics

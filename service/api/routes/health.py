@@ -12,7 +12,7 @@ from service.api.access.auth import authenticated, known_or_counted
 from service.api.context.dependencies import Context
 from service.api.monitoring.metrics import MEDIA_TYPE, Metrics
 from service.api.monitoring.readiness import SharedReadiness, require_ready
-from service.api.reference_page import render_page
+from service.api.protocol.reference_page import render_page
 
 router = APIRouter(tags=["health"])
 

@@ -6,9 +6,9 @@ from typing import Annotated, Protocol, TypeVar
 from fastapi import APIRouter, Request, Response
 
 from service.api.access.auth import MAY_SEND
-from service.api.bodies import accepts, body_of
 from service.api.context.dependencies import ApiContext, Context, SpacecraftId
-from service.api.paging import Page, PageQuery, Place, cut_page
+from service.api.protocol.bodies import accepts, body_of
+from service.api.protocol.paging import Page, PageQuery, Place, cut_page
 from service.api.routes.measurements_ingest import check_batch_size
 from service.api.schemas.base import WindowAnswer
 from service.api.schemas.inputs import (

@@ -8,9 +8,9 @@ from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
 from service.api.access.auth import MAY_ADMINISTER, CurrentPrincipal
 from service.api.access.key_cache import StoredKeys
-from service.api.bodies import accepts, body_of
 from service.api.context.dependencies import Context
 from service.api.problems.problems import invalid_request
+from service.api.protocol.bodies import accepts, body_of
 from service.api.schemas.keys import KeyAnswer, KeyDocument, KeyList, NewKeyAnswer
 from service.errors import FieldError, NotFoundError
 from service.records.access_key import AccessKey, StoredKey, digest_of, new_key

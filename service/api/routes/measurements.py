@@ -5,7 +5,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request, Response
 
 from service.api.context.dependencies import ApiContext, Context, Names, SpacecraftId
-from service.api.paging import Page, cut_page
+from service.api.protocol.paging import Page, cut_page
 from service.api.schemas.base import WindowAnswer
 from service.api.schemas.measurement_rows import CarrierStateAnswer, MeasurementAnswer, MeasurementPage
 from service.records.attitude import CarrierState

@@ -13,14 +13,14 @@ from pydantic import TypeAdapter
 from starlette.responses import JSONResponse
 
 from service.api.access.auth import MAY_SEND
-from service.api.bodies import accepts, read_body
 from service.api.context.commit_waiter import Landings
 from service.api.context.dependencies import ApiContext, SpacecraftIdText, checked_spacecraft_id
 from service.api.context.epoch_limits import EpochLimits
 from service.api.context.plan_widths import PlanWidths
-from service.api.epochs import EpochTextError, ParsedEpochs, parse_epochs
 from service.api.monitoring.request_metrics import RequestFigures
 from service.api.problems.problems import ProblemError, invalid_request
+from service.api.protocol.bodies import accepts, read_body
+from service.api.protocol.epochs import EpochTextError, ParsedEpochs, parse_epochs
 from service.api.schemas.measurements import MAX_SEQ, MeasurementBatchDocument, MeasurementReceiptAnswer
 from service.errors import FieldError
 from service.pipeline.ingest import ReceivedRows, screen

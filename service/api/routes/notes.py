@@ -6,9 +6,9 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Query, Request, Response
 
 from service.api.access.auth import MAY_OPERATE, CurrentPrincipal
-from service.api.bodies import accepts, body_of
 from service.api.context.dependencies import SPACECRAFT_ID_PATTERN, Context
-from service.api.paging import Page, Place, cut_page
+from service.api.protocol.bodies import accepts, body_of
+from service.api.protocol.paging import Page, Place, cut_page
 from service.api.schemas.base import WindowAnswer
 from service.api.schemas.notes import NoteAnswer, NoteDocument, NotePage
 from service.records.note import Note

@@ -7,10 +7,10 @@ from fastapi import APIRouter, Path, Request, Response
 from pydantic import TypeAdapter
 
 from service.api.access.auth import MAY_OPERATE
-from service.api.bodies import accepts, body_of
 from service.api.context.dependencies import Context, SpacecraftId
-from service.api.merge_patch import MergePatch, patched
-from service.api.paging import Page, Place, cut_page
+from service.api.protocol.bodies import accepts, body_of
+from service.api.protocol.merge_patch import MergePatch, patched
+from service.api.protocol.paging import Page, Place, cut_page
 from service.api.schemas.base import WindowAnswer
 from service.api.schemas.operations import OperationAnswer, OperationDocument, OperationPage
 from service.records.inputs import Operation

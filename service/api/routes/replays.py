@@ -6,8 +6,8 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Response
 
 from service.api.access.auth import MAY_OPERATE
-from service.api.bodies import accepts, body_of
 from service.api.context.dependencies import Context, SpacecraftId
+from service.api.protocol.bodies import accepts, body_of
 from service.api.schemas.replays import ReplayAnswer, ReplayDocument, ReplayStartedAnswer
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/replays", tags=["replay"])

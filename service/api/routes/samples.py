@@ -7,8 +7,8 @@ from fastapi import APIRouter, Query
 
 from service.api.context.dependencies import ApiContext, Context, Names, SpacecraftId
 from service.api.context.method_parameters import WantedMethod, WantedVersion
-from service.api.paging import EVERYTHING, StartParameter, StopParameter, window_of
 from service.api.problems.problems import invalid_request
+from service.api.protocol.paging import EVERYTHING, StartParameter, StopParameter, window_of
 from service.api.schemas.archive import (
     AttitudeSamples,
     GapAnswer,

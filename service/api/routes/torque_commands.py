@@ -7,9 +7,9 @@ from fastapi import APIRouter, Path, Request, Response
 
 from service.api.access.auth import MAY_APPROVE, MAY_OPERATE, CurrentPrincipal
 from service.api.access.principals import Permission
-from service.api.bodies import accepts, body_of, optional_body
 from service.api.context.dependencies import Context, SpacecraftId
-from service.api.paging import Page, Place, cut_page
+from service.api.protocol.bodies import accepts, body_of, optional_body
+from service.api.protocol.paging import Page, Place, cut_page
 from service.api.remarks import Said, accepts_remark, log_comment
 from service.api.schemas.base import WindowAnswer
 from service.api.schemas.torque_commands import (

@@ -7,10 +7,10 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from starlette.concurrency import run_in_threadpool
 
 from service.api.access.auth import MAY_SEND
-from service.api.bodies import accepts, body_of
 from service.api.context.dependencies import Context, SpacecraftId
 from service.api.context.epoch_limits import EpochLimits
-from service.api.paging import Page, cut_page, path_epoch
+from service.api.protocol.bodies import accepts, body_of
+from service.api.protocol.paging import Page, cut_page, path_epoch
 from service.api.schemas.base import NAME_PATTERN, WindowAnswer
 from service.api.schemas.traces import (
     TraceAnswer,

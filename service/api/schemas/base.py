@@ -9,7 +9,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints, WithJsonSchema
 
-from service.api.epochs import epoch_of, plausible_epoch
+from service.api.protocol.epochs import epoch_of, plausible_epoch
 from service.records.attitude import Axes
 from service.records.calibration import Window
 from service.records.epoch import format_epoch

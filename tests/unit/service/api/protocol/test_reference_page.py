@@ -3,7 +3,7 @@
 import json
 
 from service.api.app import render_openapi
-from service.api.reference_page import render_page
+from service.api.protocol.reference_page import render_page
 
 
 def test_every_operation_and_shape_stands_on_the_page():

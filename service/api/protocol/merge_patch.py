@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, RootModel, TypeAdapter
 
-from service.api.bodies import decode
+from service.api.protocol.bodies import decode
 
 M = TypeVar("M", bound=BaseModel)
 

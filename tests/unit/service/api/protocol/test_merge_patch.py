@@ -2,7 +2,7 @@
 
 import pytest
 
-from service.api.merge_patch import merge
+from service.api.protocol.merge_patch import merge
 
 
 @pytest.mark.parametrize(

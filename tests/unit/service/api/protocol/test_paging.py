@@ -4,8 +4,8 @@ import base64
 
 import pytest
 
-from service.api.paging import EVERYTHING, decode_cursor, encode_cursor, window_of
 from service.api.problems.problems import ProblemError
+from service.api.protocol.paging import EVERYTHING, decode_cursor, encode_cursor, window_of
 from service.records.calibration import Window
 
 

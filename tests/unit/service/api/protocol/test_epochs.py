@@ -5,7 +5,7 @@ import random
 import numpy as np
 import pytest
 
-from service.api.epochs import EpochTextError, parse_epochs
+from service.api.protocol.epochs import EpochTextError, parse_epochs
 from service.records.epoch import format_epoch, parse_epoch
 
 

@@ -8,9 +8,9 @@ from types import SimpleNamespace
 import pytest
 from pydantic import BaseModel, TypeAdapter
 
-from service.api import bodies
-from service.api.bodies import MOST_VALUES, decode, read_body
 from service.api.problems.problems import ProblemError
+from service.api.protocol import bodies
+from service.api.protocol.bodies import MOST_VALUES, decode, read_body
 from service.api.schemas.inputs import ReferenceBatchDocument
 from service.api.schemas.measurements import MeasurementBatchDocument
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from service.api.byte_ranges import UnsatisfiableRangeError, wanted_range
+from service.api.protocol.byte_ranges import UnsatisfiableRangeError, wanted_range
 
 
 @pytest.mark.parametrize(

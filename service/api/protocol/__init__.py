@@ -1,0 +1,1 @@
+"""Protocol of the interface: bodies, epochs, paging, the OpenAPI document."""
