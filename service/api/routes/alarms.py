@@ -8,7 +8,7 @@ from service.api.access.auth import MAY_OPERATE, CurrentPrincipal
 from service.api.context.dependencies import Context, SpacecraftId
 from service.api.protocol.bodies import accepts, body_of
 from service.api.protocol.paging import Page, Place, cut_page
-from service.api.remarks import Said, accepts_remark
+from service.api.routes.comments import Said, accepts_remark
 from service.api.schemas.alarms import (
     AlarmAnswer,
     AlarmChangeAnswer,

@@ -10,7 +10,7 @@ from service.api.context.dependencies import ApiContext, Context, SpacecraftId
 from service.api.present import present_of
 from service.api.problems.problems import invalid_request
 from service.api.protocol.bodies import accepts, optional_body
-from service.api.remarks import log_comment
+from service.api.routes.comments import log_comment
 from service.api.schemas.control import ControlAnswer, OrderDocument, SignCheckDocument
 from service.errors import FieldError, ForbiddenError
 from service.pipeline.release_interlock.release_events import OrderKind

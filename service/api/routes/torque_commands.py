@@ -10,7 +10,7 @@ from service.api.access.principals import Permission
 from service.api.context.dependencies import Context, SpacecraftId
 from service.api.protocol.bodies import accepts, body_of, optional_body
 from service.api.protocol.paging import Page, Place, cut_page
-from service.api.remarks import Said, accepts_remark, log_comment
+from service.api.routes.comments import Said, accepts_remark, log_comment
 from service.api.schemas.base import WindowAnswer
 from service.api.schemas.torque_commands import (
     CommandAnswer,
