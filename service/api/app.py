@@ -25,18 +25,18 @@ from service.api.context.dependencies import ApiContext, Limits
 from service.api.context.epoch_limits import EpochLimits
 from service.api.context.monitoring_settings import Observation
 from service.api.context.plan_widths import PlanWidths
-from service.api.event_stream import StreamParts
 from service.api.limits.body_limit import BodyLimit
 from service.api.limits.rate_limits import RateLimits
 from service.api.monitoring.access_log import RequestLog
 from service.api.monitoring.metrics import Metrics
 from service.api.monitoring.readiness import SharedReadiness
 from service.api.monitoring.request_metrics import RequestFigures
-from service.api.open_streams import OpenStreams
 from service.api.problems.handlers import add_handlers
 from service.api.protocol import openapi
 from service.api.protocol.request_ids import RequestIds
 from service.api.routes import PUBLIC_ROUTERS, ROUTERS
+from service.api.stream.event_stream import StreamParts
+from service.api.stream.open_streams import OpenStreams
 from service.runtime.automatic_release import AutomaticRelease
 
 #: answers shorter than this are sent as they are

@@ -23,8 +23,8 @@ from service.api.monitoring.metric_families import (
 )
 from service.api.monitoring.readiness import parts_of
 from service.api.monitoring.request_metrics import DURATION_BOUNDS_S, RequestFigures
-from service.api.open_streams import OpenStreams
 from service.api.present import present_of
+from service.api.stream.open_streams import OpenStreams
 from service.api.validity import newest_attitude
 from service.errors import StorageError
 from service.records.attitude import AttitudeRow

@@ -10,9 +10,9 @@ from starlette.concurrency import run_in_threadpool
 from starlette.types import Message, Receive, Scope, Send
 
 from service.api.context.dependencies import Context, SpacecraftId
-from service.api.event_stream import EventStream, StreamParts
-from service.api.open_streams import OpenStreams
-from service.api.stream_places import MAX_ID_LENGTH, cursor_of
+from service.api.stream.event_ids import MAX_ID_LENGTH, cursor_of
+from service.api.stream.event_stream import EventStream, StreamParts
+from service.api.stream.open_streams import OpenStreams
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/stream", tags=["stream"])
 _HEADERS = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}

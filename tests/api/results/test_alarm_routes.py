@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from service.api.context.carrier_names import CarrierNames
-from service.api.event_texts import EventTexts
-from service.api.stream_archive import ArchiveReader
+from service.api.stream.backlog import ArchiveReader
+from service.api.stream.event_cache import EventTexts
 from service.pipeline.alarm_readings import RowFacts
 from service.records.catalogue import Carrier, CarrierPlan, Method
 from service.records.measurement import Measurement

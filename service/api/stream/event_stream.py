@@ -1,6 +1,6 @@
 """Live stream of one spacecraft: server-sent events that resume without loss and without doubling.
 
-Every event has an id that names the place of the client, see ``service.api.stream_places``. A stream subscribes first,
+Every event has an id that names the place of the client, see ``service.api.stream.event_ids``. A stream subscribes first,
 then reads from the archive what it missed, then drops queued events at or below what was sent. A client too slow for
 its queue is told how many events were dropped and gets them from the archive, so that a stream may lag but has no hole.
 """
@@ -14,11 +14,11 @@ from starlette.concurrency import run_in_threadpool
 
 from service.api.context.carrier_names import CarrierNames
 from service.api.context.dependencies import ApiContext
-from service.api.event_texts import EventTexts, StatusTexts
-from service.api.open_streams import OpenStreams
 from service.api.schemas.status import StatusAnswer
-from service.api.stream_archive import ArchiveReader
-from service.api.stream_places import DroppedAnswer, advanced, beyond_the_archive, event_id, missed_by_slowness
+from service.api.stream.backlog import ArchiveReader
+from service.api.stream.event_cache import EventTexts, StatusTexts
+from service.api.stream.event_ids import DroppedAnswer, advanced, beyond_the_archive, event_id, missed_by_slowness
+from service.api.stream.open_streams import OpenStreams
 from service.errors import StorageError
 from service.records.measurement import Measurement
 from service.runtime.live_feed import Cursor, Dropped, FeedEvent, Subscription

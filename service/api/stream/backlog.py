@@ -6,7 +6,7 @@ Journal numbers and result sequences have no gaps, so a missing number is one th
 from typing import NamedTuple
 
 from service.api.context.carrier_names import CarrierNames
-from service.api.stream_places import DroppedAnswer, lost_to_retention
+from service.api.stream.event_ids import DroppedAnswer, lost_to_retention
 from service.ports import Storage
 from service.records.attitude import AttitudeRow
 from service.records.measurement import Measurement
