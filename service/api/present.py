@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from service.api.context.dependencies import ApiContext
-from service.api.validity import newest_attitude, newest_command
+from service.api.views.newest import newest_attitude, newest_command
 from service.errors import StorageError
 from service.pipeline.release_interlock.control_verdict import control_verdict
 from service.records.attitude import AttitudeRow

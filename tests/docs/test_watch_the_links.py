@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from page_blocks import CRAFT
 
-from service.api.links import SILENT
+from service.api.views.links import SILENT
 from service.client.service_client import ServiceClient
 from service.frontend.acquisition.states import State
 from service.frontend.link_report import RUNNING, SERVICE_AWAY

@@ -16,12 +16,12 @@ from release_storage import SC
 from rich.console import Console
 
 from service.api.context.dependencies import Limits
-from service.api.handover import handover_of
 from service.api.monitoring.metrics import Metrics
 from service.api.routes.attitude import get_attitude
 from service.api.routes.control import get_control
 from service.api.routes.torques import get_torques
-from service.api.status import status_of
+from service.api.views.handover import handover_of
+from service.api.views.status import status_of
 from service.cli.demo import _tracking_table
 from service.errors import SooError
 from service.pipeline.config import TorqueConfig

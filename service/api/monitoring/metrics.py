@@ -12,7 +12,6 @@ from typing import Any
 
 from service.api.connections import Connections
 from service.api.context.dependencies import ApiContext
-from service.api.links import links_told
 from service.api.monitoring.metric_families import (
     FAMILIES,
     MAX_CARRIERS,
@@ -25,7 +24,8 @@ from service.api.monitoring.readiness import parts_of
 from service.api.monitoring.request_metrics import DURATION_BOUNDS_S, RequestFigures
 from service.api.present import present_of
 from service.api.stream.open_streams import OpenStreams
-from service.api.validity import newest_attitude
+from service.api.views.links import links_told
+from service.api.views.newest import newest_attitude
 from service.errors import StorageError
 from service.records.attitude import AttitudeRow
 from service.records.catalogue import Method, Spacecraft

@@ -9,7 +9,7 @@ from service.api.protocol.paging import Page, cut_page
 from service.api.schemas.attitude import AttitudeAnswer, AttitudePage, NewestAttitudeAnswer
 from service.api.schemas.base import WindowAnswer
 from service.api.schemas.control import VerdictAnswer
-from service.api.validity import newest_attitude
+from service.api.views.newest import newest_attitude
 from service.ports import LIVE
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/attitude", tags=["attitude"])

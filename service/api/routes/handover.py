@@ -3,8 +3,8 @@
 from fastapi import APIRouter
 
 from service.api.context.dependencies import Context, SpacecraftId
-from service.api.handover import handover_of
 from service.api.schemas.handover import HandoverAnswer
+from service.api.views.handover import handover_of
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/handover", tags=["shift log"])
 

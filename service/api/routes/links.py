@@ -8,10 +8,10 @@ from fastapi import APIRouter, Depends, Path, Query
 
 from service.api.access.auth import MAY_OPERATE, MAY_SEND
 from service.api.context.dependencies import SPACECRAFT_ID_PATTERN, Context
-from service.api.links import links_told
 from service.api.protocol.bodies import accepts, body_of
 from service.api.schemas.base import NAME_PATTERN
 from service.api.schemas.links import LinkAnswer, LinkListAnswer, LinkReportsDocument, LinkWishAnswer, LinkWishesAnswer
+from service.api.views.links import links_told
 from service.errors import NotFoundError
 
 router = APIRouter(prefix="/links", tags=["links"])

@@ -4,7 +4,7 @@ from fastapi import APIRouter
 
 from service.api.context.dependencies import Context, SpacecraftId
 from service.api.schemas.status import StatusAnswer
-from service.api.status import status_of
+from service.api.views.status import status_of
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/status", tags=["status"])
 

@@ -17,8 +17,8 @@ from service.api.schemas.base import Answer
 from service.api.schemas.measurement_rows import MeasurementAnswer
 from service.api.schemas.status import StatusAnswer
 from service.api.schemas.torques import TorqueAnswer
-from service.api.status import status_of
 from service.api.stream.event_ids import PART_MOVED
+from service.api.views.status import status_of
 from service.ports import LIVE
 from service.records.alarm import AlarmChange
 from service.records.attitude import AttitudeRow

@@ -3,11 +3,11 @@
 from typing import Any
 
 from service.api.context.dependencies import ApiContext
-from service.api.links import links_told
 from service.api.present import present_of
 from service.api.schemas.control import VerdictAnswer
 from service.api.schemas.links import LinkAnswer
 from service.api.schemas.status import StatusAnswer
+from service.api.views.links import links_told
 from service.pipeline.robust_row import ADVICE
 from service.records.calibration import CalibrationState
 from service.runtime.inspection import newest_advice, runnable_methods

@@ -3,12 +3,12 @@
 from typing import Any
 
 from service.api.context.dependencies import ApiContext
-from service.api.links import links_told
 from service.api.schemas.alarms import AlarmAnswer
 from service.api.schemas.handover import HandoverAnswer
 from service.api.schemas.notes import NoteAnswer
 from service.api.schemas.operations import OperationAnswer
-from service.api.status import status_of
+from service.api.views.links import links_told
+from service.api.views.status import status_of
 from service.errors import NotFoundError
 from service.records.alarm import Alarm, Cover
 from service.records.calibration import CalibrationState, Window

@@ -1,0 +1,1 @@
+"""Views of the present: status, newest rows, links, hand-over."""
