@@ -12,7 +12,7 @@ def main() -> None:
         gc.disable()
         import typer
 
-        from service.cli.serve import serve
+        from service.cli.administration.serve import serve
 
         alone = typer.Typer(pretty_exceptions_show_locals=False, add_completion=False)
         alone.command()(serve)

@@ -3,19 +3,19 @@
 import typer
 
 from service.cli.acquire import acquire
-from service.cli.audit import app as audit
-from service.cli.backup import app as backup
+from service.cli.administration.audit import app as audit
+from service.cli.administration.backup import app as backup
+from service.cli.administration.doctor import doctor
+from service.cli.administration.keys import app as keys
+from service.cli.administration.serve import serve
+from service.cli.administration.upkeep import upkeep
 from service.cli.demo import demo
-from service.cli.doctor import doctor
 from service.cli.export import export
-from service.cli.keys import app as keys
 from service.cli.operate import align, calibrate, replay
 from service.cli.plan import plan
 from service.cli.reference import openapi, settings
 from service.cli.send import send
-from service.cli.serve import serve
 from service.cli.study import app as study
-from service.cli.upkeep import upkeep
 
 app = typer.Typer(
     name="soo",

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 import pytest
 from typer.testing import CliRunner
 
-from service.cli import keys
+from service.cli.administration import keys
 from service.cli.app import app
 
 ROW = {

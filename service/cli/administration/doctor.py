@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from service.cli.audit import logged
+from service.cli.administration.audit import logged
 from service.cli.connection import JsonOption
 from service.records.diagnosis import Diagnosis, State, worst
 from service.records.journal import JournalHead

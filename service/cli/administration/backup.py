@@ -14,8 +14,8 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
+from service.cli.administration.doctor import EXIT_USAGE, show
 from service.cli.connection import JsonOption
-from service.cli.doctor import EXIT_USAGE, show
 from service.records.backup import BackupError, Manifest
 from service.records.diagnosis import worst
 

@@ -1,0 +1,1 @@
+"""Commands of an administrator: serve, keys, backup, maintenance, doctor, audit."""
