@@ -18,7 +18,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from service.cli.acquire_plan import PlannedAnalyzer, faults_of, plan_analyzer, show
-from service.cli.connection import key_of
+from service.cli.operation.connection import key_of
 from service.cli.state_folder import state_folder
 from service.client.service_client import ServiceClient
 from service.frontend.acquisition.settings import AcquisitionSettings

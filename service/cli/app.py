@@ -10,8 +10,8 @@ from service.cli.administration.keys import app as keys
 from service.cli.administration.serve import serve
 from service.cli.administration.upkeep import upkeep
 from service.cli.demo import demo
-from service.cli.export import export
-from service.cli.operate import align, calibrate, replay
+from service.cli.operation.export import export
+from service.cli.operation.operate import align, calibrate, replay
 from service.cli.plan import plan
 from service.cli.reference import openapi, settings
 from service.cli.send import send

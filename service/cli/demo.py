@@ -14,7 +14,7 @@ from rich.live import Live
 from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from service.cli.connection import DEFAULT_KEY_ENVIRONMENT, key_of
+from service.cli.operation.connection import DEFAULT_KEY_ENVIRONMENT, key_of
 from service.client.documents import Json
 from service.client.problem import ClientError
 from service.client.service_client import ServiceClient

@@ -12,7 +12,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from service.cli.connection import JsonOption
+from service.cli.operation.connection import JsonOption
 from service.errors import StorageError
 from service.records.audit import Finding, findings
 from service.settings import Settings

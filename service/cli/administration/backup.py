@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from service.cli.administration.doctor import EXIT_USAGE, show
-from service.cli.connection import JsonOption
+from service.cli.operation.connection import JsonOption
 from service.records.backup import BackupError, Manifest
 from service.records.diagnosis import worst
 

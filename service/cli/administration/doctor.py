@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from service.cli.administration.audit import logged
-from service.cli.connection import JsonOption
+from service.cli.operation.connection import JsonOption
 from service.records.diagnosis import Diagnosis, State, worst
 from service.records.journal import JournalHead
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from service.cli.connection import (
+from service.cli.operation.connection import (
     DEFAULT_KEY_ENVIRONMENT,
     DEFAULT_SERVICE,
     JsonOption,

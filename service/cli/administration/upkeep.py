@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from service.cli.connection import JsonOption
+from service.cli.operation.connection import JsonOption
 
 EXIT_FAULT = 1
 EXIT_USAGE = 2

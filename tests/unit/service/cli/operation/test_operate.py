@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
-from service.cli import operate as operate_module
 from service.cli.app import app
+from service.cli.operation import operate as operate_module
 
 QUIET = ("2026-11-01T00:00:00Z", "2026-11-04T00:00:00Z")
 TURNS = ("2026-11-04T00:00:00Z", "2026-11-04T08:30:00Z")

@@ -1,0 +1,1 @@
+"""Commands of an operator: calibrate, align, replay, export."""
