@@ -12,7 +12,7 @@ from service.cli.administration.upkeep import upkeep
 from service.cli.demo import demo
 from service.cli.operation.export import export
 from service.cli.operation.operate import align, calibrate, replay
-from service.cli.plan import plan
+from service.cli.planning.plan import plan
 from service.cli.reference import openapi, settings
 from service.cli.send import send
 from service.cli.study import app as study

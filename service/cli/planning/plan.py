@@ -15,8 +15,8 @@ from service.cli.operation.connection import (
     ServiceUrl,
     connected,
 )
-from service.cli.plan_report import print_planning
-from service.cli.plan_sources import CarrierPlanning, PlanRequest, planned_by_assumption, planned_by_service
+from service.cli.planning.report import print_planning
+from service.cli.planning.sources import CarrierPlanning, PlanRequest, planned_by_assumption, planned_by_service
 from service.errors import SooError
 from service.records.epoch import US_PER_S, format_epoch, parse_epoch
 
@@ -67,7 +67,7 @@ def _deliver(planning: CarrierPlanning, figure: Path | None, *, as_json: bool) -
     """Print the planning and draw its map."""
     if figure is not None:
         # matplotlib costs half a second that a plan without a figure need not pay
-        from service.cli.plan_figure import draw_planning
+        from service.cli.planning.figure import draw_planning
 
         try:
             draw_planning(planning, figure)

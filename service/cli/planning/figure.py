@@ -7,7 +7,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from service.cli.plan_sources import CarrierPlanning
+from service.cli.planning.sources import CarrierPlanning
 
 #: deg of the map for one dB/deg
 _ARROW_DEG = 0.25

@@ -10,8 +10,8 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from service.cli import plan as plan_module
-from service.cli.plan import plan
+from service.cli.planning import plan as plan_module
+from service.cli.planning.plan import plan
 from service.core.geometry.frames import station_direction
 from service.formats.carrier_plan_csv import COLUMNS
 

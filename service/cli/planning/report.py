@@ -5,7 +5,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from service.cli.plan_sources import CarrierPlanning
+from service.cli.planning.sources import CarrierPlanning
 
 _AXES = ("yaw", "roll", "pitch")
 _SETS = ("optimal", "paper", "all")

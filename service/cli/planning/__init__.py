@@ -1,0 +1,1 @@
+"""Command `soo plan`: selection of carriers and timetable of turns."""
