@@ -2,7 +2,6 @@
 
 import typer
 
-from service.cli.acquire import acquire
 from service.cli.administration.audit import app as audit
 from service.cli.administration.backup import app as backup
 from service.cli.administration.doctor import doctor
@@ -14,7 +13,8 @@ from service.cli.operation.export import export
 from service.cli.operation.operate import align, calibrate, replay
 from service.cli.planning.plan import plan
 from service.cli.reference import openapi, settings
-from service.cli.send import send
+from service.cli.station.acquire import acquire
+from service.cli.station.send import send
 from service.cli.study import app as study
 
 app = typer.Typer(

@@ -13,7 +13,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from service.cli.send import send
+from service.cli.station.send import send
 
 pytestmark = pytest.mark.system
 

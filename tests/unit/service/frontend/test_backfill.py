@@ -274,7 +274,7 @@ def test_what_is_no_parquet_is_refused(tmp_path: Path) -> None:
 
 
 def test_nothing_but_a_parquet_file_costs_the_import_of_pyarrow() -> None:
-    program = "import sys, service.cli.send; sys.exit('pyarrow' in sys.modules)"
+    program = "import sys, service.cli.station.send; sys.exit('pyarrow' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False, timeout=120).returncode == 0
 
 

@@ -12,7 +12,7 @@ from service.frontend.tasks.station_file import StationEntry
 from service.frontend.tasks.task_plan import TaskPlan, cycle_s, sweep_time_s
 from service.frontend.tasks.zoom_plan import plan_with_zoom
 
-logger = logging.getLogger("service.cli.acquire")
+logger = logging.getLogger("service.cli.station.acquire")
 
 
 class PlannedAnalyzer(NamedTuple):

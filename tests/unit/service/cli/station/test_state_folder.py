@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from service.cli.state_folder import state_folder
+from service.cli.station.state_folder import state_folder
 
 
 @pytest.mark.parametrize(

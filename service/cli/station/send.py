@@ -23,7 +23,7 @@ from service.cli.operation.connection import (
     SpacecraftOption,
     connected,
 )
-from service.cli.tdm_archive import open_any_archive
+from service.cli.station.tdm_archive import open_any_archive
 from service.client.service_client import ServiceClient
 from service.frontend import backfill
 from service.frontend.backfill import ArchiveOrder, check_archive, send_archive

@@ -9,7 +9,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from service.cli.acquire import JsonLines, acquire
+from service.cli.station.acquire import JsonLines, acquire
 
 TASK: dict[str, Any] = {
     "id": "t",

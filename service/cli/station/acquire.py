@@ -17,9 +17,9 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from service.cli.acquire_plan import PlannedAnalyzer, faults_of, plan_analyzer, show
 from service.cli.operation.connection import key_of
-from service.cli.state_folder import state_folder
+from service.cli.station.check_task import PlannedAnalyzer, faults_of, plan_analyzer, show
+from service.cli.station.state_folder import state_folder
 from service.client.service_client import ServiceClient
 from service.frontend.acquisition.settings import AcquisitionSettings
 from service.frontend.acquisition.states import reference_page
@@ -35,7 +35,7 @@ from service.frontend.upload.uploader import UploadSettings
 from service.records.epoch import US_PER_S, format_epoch
 from service.runtime.clock import system_now_us
 
-logger = logging.getLogger("service.cli.acquire")
+logger = logging.getLogger("service.cli.station.acquire")
 
 #: wrong task or option
 EXIT_USAGE = 2

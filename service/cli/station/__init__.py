@@ -1,0 +1,1 @@
+"""Commands of a measuring station: acquire, send."""
