@@ -15,7 +15,7 @@ from service.cli.planning.plan import plan
 from service.cli.reference import openapi, settings
 from service.cli.station.acquire import acquire
 from service.cli.station.send import send
-from service.cli.study import app as study
+from service.cli.studies.study import app as study
 
 app = typer.Typer(
     name="soo",

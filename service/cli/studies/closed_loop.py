@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from service.cli.study_ending import ended_by_signals
+from service.cli.studies.exit_code import ended_by_signals
 
 if TYPE_CHECKING:
     from service.study.closed_loop.campaign import LoopCampaign, LoopPlan

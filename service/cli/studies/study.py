@@ -14,10 +14,10 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from service.cli.study_closed_loop import closed_loop
-from service.cli.study_ending import ended_by_signals
-from service.cli.study_limit_cycles import limit_cycles
-from service.cli.study_orbital_frame import orbital_frame
+from service.cli.studies.closed_loop import closed_loop
+from service.cli.studies.exit_code import ended_by_signals
+from service.cli.studies.limit_cycles import limit_cycles
+from service.cli.studies.orbital_frame import orbital_frame
 from service.cli.study_rf_attitude import rf_attitude
 
 if TYPE_CHECKING:
