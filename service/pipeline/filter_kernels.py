@@ -6,7 +6,7 @@ Nothing is compiled before the first row asks: a program that filters nothing do
 from functools import lru_cache
 from typing import Literal
 
-from service.core.estimation.filtering.kernels import ARRAYS, Kernels, compiled_kernels
+from service.core.estimation.filtering.kernels.kernels import ARRAYS, Kernels, compiled_kernels
 
 
 @lru_cache(maxsize=2)

@@ -41,7 +41,7 @@ from service.core.estimation.filtering.filter_state import ATTITUDE, CHAIN, RAIN
 from service.core.estimation.filtering.filter_update import innovate, update
 from service.core.estimation.filtering.hidden_motion import with_doubted_torque
 from service.core.estimation.filtering.integrity import Evidence, IntegrityLimits, assess
-from service.core.estimation.filtering.kernels import ARRAYS, Kernels
+from service.core.estimation.filtering.kernels.kernels import ARRAYS, Kernels
 from service.core.estimation.filtering.motion_watch import newly_explained, pass_motion
 from service.core.estimation.filtering.rain_state import pass_hold, pass_minutes
 from service.core.estimation.filtering.row_stages import common_first, is_shared, moved, trusted, watched

@@ -33,7 +33,7 @@ from service.core.estimation.filtering.filter_state import (
     reference_states,
 )
 from service.core.estimation.filtering.hidden_motion import add_scale_noise, hidden_noise, hidden_transition
-from service.core.estimation.filtering.kernels import ARRAYS, Kernels
+from service.core.estimation.filtering.kernels.kernels import ARRAYS, Kernels
 
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
 #: below this product of rate and time the quotients of exponentials lose digits

@@ -24,7 +24,7 @@ from service.core.estimation.filtering.filter_state import (
     core_size,
     hidden_count,
 )
-from service.core.estimation.filtering.kernels import ARRAYS, Kernels
+from service.core.estimation.filtering.kernels.kernels import ARRAYS, Kernels
 
 #: an update that moves the attitude by more than this is linearised again where it leads, deg
 _RELINEARISE_DEG = 0.05

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.core.estimation.filtering.kernels import ARRAYS, compiled_kernels
+from service.core.estimation.filtering.kernels.kernels import ARRAYS, compiled_kernels
 from service.pipeline import filter_kernels
 from service.pipeline.filter_kernels import kernels_named
 

@@ -1,0 +1,1 @@
+"""Kernels of the attitude filter: compiled loops, and the same in arrays."""
