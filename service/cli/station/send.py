@@ -25,9 +25,9 @@ from service.cli.operation.connection import (
 )
 from service.cli.station.tdm_archive import open_any_archive
 from service.client.service_client import ServiceClient
-from service.frontend import backfill
-from service.frontend.backfill import ArchiveOrder, check_archive, send_archive
-from service.frontend.backfill_columns import ArchiveError
+from service.frontend.backfill import backfill
+from service.frontend.backfill.backfill import ArchiveOrder, check_archive, send_archive
+from service.frontend.backfill.columns import ArchiveError
 
 EXIT_STOPPED, EXIT_USAGE, EXIT_REFUSED = 1, 2, 3
 

@@ -6,8 +6,8 @@ from typing import Any
 
 from service.errors import InvalidInputError
 from service.formats.tdm import read_tdm
-from service.frontend.backfill_columns import ArchiveError
-from service.frontend.backfill_reader import ArchiveFile, FileRow, open_archive
+from service.frontend.backfill.columns import ArchiveError
+from service.frontend.backfill.reader import ArchiveFile, FileRow, open_archive
 
 
 def open_any_archive(path: Path) -> ArchiveFile:

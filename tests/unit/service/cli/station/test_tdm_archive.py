@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from service.cli.station.tdm_archive import open_any_archive
-from service.frontend.backfill_columns import ArchiveError
+from service.frontend.backfill.columns import ArchiveError
 
 MESSAGE = """CCSDS_TDM_VERS = 2.0
 META_START

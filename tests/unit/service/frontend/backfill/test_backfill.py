@@ -17,9 +17,9 @@ from pyarrow import parquet
 from service.client.backoff import Backoff
 from service.client.problem import ProblemError
 from service.client.service_client import ServiceClient
-from service.frontend.backfill import ArchiveOrder, SendInterruptedError, check_archive, send_archive
-from service.frontend.backfill_columns import ArchiveError, CellError, match_columns, read_epoch, read_levels
-from service.frontend.backfill_reader import CsvArchive
+from service.frontend.backfill.backfill import ArchiveOrder, SendInterruptedError, check_archive, send_archive
+from service.frontend.backfill.columns import ArchiveError, CellError, match_columns, read_epoch, read_levels
+from service.frontend.backfill.reader import CsvArchive
 from service.records.epoch import format_epoch
 
 START_US = 1_795_219_200_000_000

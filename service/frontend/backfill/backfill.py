@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 from service.client.backoff import Backoff
 from service.client.problem import ClientError, ProblemError, ServiceUnavailableError
 from service.client.service_client import ServiceClient
-from service.frontend.backfill_columns import (
+from service.frontend.backfill.columns import (
     ArchiveError,
     CellError,
     Columns,
@@ -30,8 +30,8 @@ from service.frontend.backfill_columns import (
     read_epoch,
     read_levels,
 )
-from service.frontend.backfill_reader import ArchiveFile, FileRow, open_archive, sha256_of
-from service.frontend.backfill_state import Destination, SendState
+from service.frontend.backfill.reader import ArchiveFile, FileRow, open_archive, sha256_of
+from service.frontend.backfill.state import Destination, SendState
 from service.frontend.upload.answers import Receipt, Verdict, judge, read_receipt
 from service.records.epoch import format_epoch, is_leap_second
 

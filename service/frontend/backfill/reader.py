@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-from service.frontend.backfill_columns import ArchiveError
+from service.frontend.backfill.columns import ArchiveError
 from service.records.csv_guard import unguarded
 
 #: rows of a Parquet file in memory at once

@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from service.frontend.backfill_columns import ArchiveError
+from service.frontend.backfill.columns import ArchiveError
 from service.records.csv_guard import guarded
 
 _FORMAT = 1

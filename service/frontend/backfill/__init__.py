@@ -1,0 +1,1 @@
+"""Backfill: archive files sent to the service in resumable pieces."""
