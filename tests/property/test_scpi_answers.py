@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.frontend.scpi import (
+from service.frontend.drivers.scpi import (
     AnswerError,
     levels_of_block,
     levels_of_text,

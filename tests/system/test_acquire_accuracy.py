@@ -22,9 +22,9 @@ from service.frontend.drivers.choice import dialect_of, identify
 from service.frontend.drivers.generic import GENERIC
 from service.frontend.drivers.rs import RS
 from service.frontend.drivers.scpi_driver import ScpiDriver
+from service.frontend.drivers.visa_session import VisaSession
 from service.frontend.measurement_task import InputPart, MeasurementTask, parse_task
 from service.frontend.tasks.zoom_plan import plan_with_zoom
-from service.frontend.visa_session import VisaSession
 from service.records.quality_flag import QualityFlag
 
 pytestmark = pytest.mark.system

@@ -11,7 +11,7 @@ from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import TracePainter
 from analyzer_sim.lines.line_faults import LineFault
 from analyzer_sim.lines.server import AnalyzerThread, start_in_thread
-from service.frontend.visa_session import AnalyzerIOError, VisaSession
+from service.frontend.drivers.visa_session import AnalyzerIOError, VisaSession
 
 pytestmark = pytest.mark.system
 

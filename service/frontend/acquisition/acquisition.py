@@ -23,9 +23,9 @@ from service.frontend.acquisition.states import TRANSITIONS, Event, State
 from service.frontend.drivers.base import SweepRefusedError
 from service.frontend.drivers.choice import dialect_of, identify
 from service.frontend.drivers.scpi_driver import RESET_S, ScpiDriver
+from service.frontend.drivers.visa_session import AnalyzerIOError, VisaSession
 from service.frontend.measurement_task import MeasurementTask
 from service.frontend.tasks.task_plan import cycle_s
-from service.frontend.visa_session import AnalyzerIOError, VisaSession
 from service.records.quality_flag import QualityFlag
 from service.records.sweep import Sweep
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from service.core.radio.predicted_sigma import GAUSSIAN_ENBW_RATIO
+from service.frontend.drivers.scpi import Identity
 from service.frontend.measurement_task import InputPart, SweepPart
-from service.frontend.scpi import Identity
 from service.records.sweep import Sweep, SweepSettings
 
 

@@ -7,9 +7,9 @@ from service.frontend.drivers.base import Dialect
 from service.frontend.drivers.generic import GENERIC
 from service.frontend.drivers.keysight import KEYSIGHT
 from service.frontend.drivers.rs import RS
+from service.frontend.drivers.scpi import AnswerError, Identity, parse_identity
 from service.frontend.drivers.siglent import SIGLENT
-from service.frontend.scpi import AnswerError, Identity, parse_identity
-from service.frontend.visa_session import AnalyzerIOError, VisaSession
+from service.frontend.drivers.visa_session import AnalyzerIOError, VisaSession
 
 #: in the order in which they are tried; the last fits all
 DIALECTS: tuple[Dialect, ...] = (RS, KEYSIGHT, ANRITSU, SIGLENT, GENERIC)

@@ -9,8 +9,8 @@ import math
 
 from service.frontend.drivers.base import ASCII, SINGLE, Dialect, SweepRefusedError, TraceFormat, Word
 from service.frontend.drivers.dialogue import Dialogue
+from service.frontend.drivers.scpi import AnswerError, parse_flag, parse_message, parse_number
 from service.frontend.measurement_task import InputPart, SweepPart
-from service.frontend.scpi import AnswerError, parse_flag, parse_message, parse_number
 from service.records.sweep import SweepSettings
 
 #: deviation of an edge, in spans, that counts as "not what was asked for"

@@ -7,8 +7,8 @@ answers and no time-out has to be waited for.
 from collections.abc import Sequence
 
 from service.frontend.drivers.base import SweepRefusedError, Word
-from service.frontend.scpi import AnalyzerMessage, parse_message, split_answers
-from service.frontend.visa_session import AnalyzerIOError, VisaSession
+from service.frontend.drivers.scpi import AnalyzerMessage, parse_message, split_answers
+from service.frontend.drivers.visa_session import AnalyzerIOError, VisaSession
 
 #: the queue holds 20 to 30 entries; more means that it never empties
 MAX_QUEUE = 64

@@ -16,10 +16,17 @@ from service.core.radio.decibel import mw_from_dbm
 from service.frontend.drivers.base import Dialect, Features, SweepRefusedError
 from service.frontend.drivers.configuration import Configuration
 from service.frontend.drivers.dialogue import Dialogue
+from service.frontend.drivers.scpi import (
+    AnalyzerMessage,
+    FloatArray,
+    Identity,
+    parse_date_time,
+    parse_message,
+    parse_number,
+)
 from service.frontend.drivers.trace_reader import TraceReader
+from service.frontend.drivers.visa_session import AnalyzerIOError, VisaSession
 from service.frontend.measurement_task import InputPart, SweepPart
-from service.frontend.scpi import AnalyzerMessage, FloatArray, Identity, parse_date_time, parse_message, parse_number
-from service.frontend.visa_session import AnalyzerIOError, VisaSession
 from service.records.epoch import US_PER_S, parse_epoch
 from service.records.sweep import Sweep, SweepSettings
 

@@ -9,7 +9,7 @@ import numpy as np
 from service.frontend.drivers.base import Dialect, SweepRefusedError
 from service.frontend.drivers.configuration import Configuration
 from service.frontend.drivers.dialogue import Dialogue
-from service.frontend.scpi import (
+from service.frontend.drivers.scpi import (
     AnswerError,
     FloatArray,
     is_message,
@@ -18,7 +18,7 @@ from service.frontend.scpi import (
     parse_message,
     split_answers,
 )
-from service.frontend.visa_session import AnalyzerIOError
+from service.frontend.drivers.visa_session import AnalyzerIOError
 
 #: what an analyzer sends that has no trace yet
 _NO_TRACE = "#0"

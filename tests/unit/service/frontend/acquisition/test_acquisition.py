@@ -16,9 +16,9 @@ from service.frontend.acquisition.evaluation import MeasuredRow
 from service.frontend.acquisition.settings import AcquisitionSettings
 from service.frontend.acquisition.states import ACTIONS, TRANSITIONS, Event, State
 from service.frontend.drivers.base import Features, SweepRefusedError
+from service.frontend.drivers.scpi import AnalyzerMessage, Identity
+from service.frontend.drivers.visa_session import AnalyzerIOError
 from service.frontend.measurement_task import MeasurementTask, parse_task
-from service.frontend.scpi import AnalyzerMessage, Identity
-from service.frontend.visa_session import AnalyzerIOError
 from service.records.quality_flag import QualityFlag
 from service.records.sweep import Sweep, SweepSettings
 

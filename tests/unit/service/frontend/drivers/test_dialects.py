@@ -6,9 +6,9 @@ from scripted_analyzer import FAMILIES, ScriptedSession
 
 from service.frontend.drivers.base import SweepRefusedError
 from service.frontend.drivers.choice import DIALECTS, dialect_of, identify
+from service.frontend.drivers.scpi import Identity, parse_identity
 from service.frontend.drivers.scpi_driver import ScpiDriver
 from service.frontend.measurement_task import AnalyzerPart, InputPart, SweepPart
-from service.frontend.scpi import Identity, parse_identity
 
 SWEEP = SweepPart(id="tp1", start_hz=950e6, stop_hz=990e6, rbw_hz=40e3, points=11, time_s=2.0)
 PATH = InputPart(ref_level_dbm=-30.0, attenuation_db=10.0, preamp=False)

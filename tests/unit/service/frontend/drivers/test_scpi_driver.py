@@ -8,11 +8,11 @@ from scripted_analyzer import ScriptedSession
 
 from service.frontend.drivers.base import Dialect, SweepRefusedError
 from service.frontend.drivers.rs import RS
+from service.frontend.drivers.scpi import Identity
 from service.frontend.drivers.scpi_driver import ScpiDriver
 from service.frontend.drivers.siglent import SIGLENT
+from service.frontend.drivers.visa_session import AnalyzerIOError
 from service.frontend.measurement_task import InputPart, SweepPart
-from service.frontend.scpi import Identity
-from service.frontend.visa_session import AnalyzerIOError
 
 SWEEP = SweepPart(id="tp1", start_hz=950e6, stop_hz=990e6, rbw_hz=40e3, points=11, time_s=2.0)
 

@@ -5,7 +5,7 @@ import struct
 import numpy as np
 import pytest
 
-from service.frontend.scpi import (
+from service.frontend.drivers.scpi import (
     AnalyzerMessage,
     AnswerError,
     block_length,

@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 
 import pyvisa
 
-from service.frontend.scpi import AnswerError, block_length, split_block
+from service.frontend.drivers.scpi import AnswerError, block_length, split_block
 
 _Answer = TypeVar("_Answer")
 
