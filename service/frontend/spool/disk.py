@@ -9,6 +9,7 @@ from pathlib import Path
 from service.frontend.spool import warnings as codes
 from service.frontend.spool.file import Owner, SpoolFile, WaitingRow
 from service.frontend.spool.lock import SpoolLock
+from service.frontend.spool.salvage import Wreck, set_aside
 from service.frontend.spool.schema import (
     SpoolDamagedError,
     SpoolError,
@@ -17,7 +18,6 @@ from service.frontend.spool.schema import (
     primary_code,
 )
 from service.frontend.spool.warnings import WarningBoard
-from service.frontend.spool.wreck import Wreck, set_aside
 
 #: what may come of any use of the disk
 DISK_FAULTS = (sqlite3.Error, OSError, SpoolError)
