@@ -6,7 +6,7 @@ Run ``python -m bench.warm_server serve ...`` with the options of ``soo serve``;
 
 from bench.bench_chain import measure_arithmetic
 from service.__main__ import main
-from service.pipeline.filter_kernels import kernels_named
+from service.pipeline.kernels import kernels_named
 from service.settings import Settings
 
 if __name__ == "__main__":

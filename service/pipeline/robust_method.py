@@ -29,7 +29,7 @@ from service.core.estimation.filtering.torque_prior import wave_period_us
 from service.core.estimation.snapshot.snapshot import Snapshots, solve_snapshots
 from service.pipeline.config import ChainConfig
 from service.pipeline.declared_operations import declared_between, with_chain_step
-from service.pipeline.filter_kernels import kernels_named
+from service.pipeline.kernels import kernels_named
 from service.pipeline.knowledge import Knowledge
 from service.pipeline.known_motion import DEG_H2_N_M, CommandedMotion, take
 from service.pipeline.level_control import without_group_gain

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from starlette.concurrency import run_in_threadpool
 
 from service.api.context.dependencies import Limits
-from service.pipeline.ingest import EpochBounds, data_bounds, system_bounds
+from service.pipeline.ingest_screening import EpochBounds, data_bounds, system_bounds
 from service.ports import Archive, Clock
 from service.records.epoch import US_PER_S
 

@@ -23,7 +23,7 @@ from service.api.protocol.bodies import accepts, read_body
 from service.api.protocol.epochs import EpochTextError, ParsedEpochs, parse_epochs
 from service.api.schemas.measurements import MAX_SEQ, MeasurementBatchDocument, MeasurementReceiptAnswer
 from service.errors import FieldError
-from service.pipeline.ingest import ReceivedRows, screen
+from service.pipeline.ingest_screening import ReceivedRows, screen
 from service.records.measurement import BatchReceipt, Refusal, RowRemark, Sender
 from service.records.quality_flag import QualityFlag
 

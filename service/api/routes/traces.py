@@ -22,7 +22,7 @@ from service.api.schemas.traces import (
     TraceRefusalAnswer,
 )
 from service.formats.numbers import text_of_float32
-from service.pipeline.ingest import EpochBounds
+from service.pipeline.ingest_screening import EpochBounds
 from service.records.epoch import format_epoch
 from service.records.trace import KeptTrace, Ring
 

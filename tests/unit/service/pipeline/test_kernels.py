@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from service.core.estimation.filtering.kernels.kernels import ARRAYS, compiled_kernels
-from service.pipeline import filter_kernels
-from service.pipeline.filter_kernels import kernels_named
+from service.pipeline import kernels as filter_kernels
+from service.pipeline.kernels import kernels_named
 
 
 @pytest.fixture(autouse=True)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.pipeline.ingest import EpochBounds, ReceivedRows, data_bounds, screen, system_bounds
+from service.pipeline.ingest_screening import EpochBounds, ReceivedRows, data_bounds, screen, system_bounds
 from service.records.epoch import EARLIEST_EPOCH_US, LATEST_EPOCH_US
 
 NOW_US = 1_800_000_000_000_000
