@@ -13,9 +13,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.pipeline.alarm_book import AlarmBook
-from service.pipeline.alarm_conditions import condition_table
-from service.pipeline.alarm_readings import RowReader
+from service.pipeline.alarms.alarm_engine import AlarmBook
+from service.pipeline.alarms.conditions import condition_table
+from service.pipeline.alarms.readings import RowReader
 from service.pipeline.chain import Chain
 from service.pipeline.config import AlarmConfig, ChainConfig, RobustConfig
 from service.records.alarm_memory import BookMemory

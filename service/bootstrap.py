@@ -13,7 +13,7 @@ from service.api.app import create_app
 from service.api.context.dependencies import ApiContext, Limits
 from service.api.context.monitoring_settings import Observation
 from service.core.dynamics.orbital_frame_analysis import MOST_STEPS, MOST_STEPS_PLAIN
-from service.pipeline.alarm_conditions import condition_table
+from service.pipeline.alarms.conditions import condition_table
 from service.ports import Clock, Storage
 from service.records.access_key import AccessKey, Role, StoredKey, digest_of, new_key
 from service.records.alarm import Severity

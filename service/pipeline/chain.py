@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.pipeline.alarm_readings import RowFacts
+from service.pipeline.alarms.readings import RowFacts
 from service.pipeline.config import ChainConfig
 from service.pipeline.disagreement import Disagreement, compare
 from service.pipeline.knowledge import Knowledge, Lookup, learn

@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 
-from service.pipeline.alarm_book import AlarmBook
 from service.pipeline.alarm_condition import Condition
-from service.pipeline.alarm_readings import RowReader
+from service.pipeline.alarms.alarm_engine import AlarmBook
+from service.pipeline.alarms.readings import RowReader
 from service.ports import Alarms
 from service.records.alarm import AlarmChange
 from service.records.alarm_limits import AlarmLimits

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from service.errors import NotFoundError
-from service.pipeline.alarm_book import Readings
-from service.pipeline.alarm_readings import RowReader
+from service.pipeline.alarms.alarm_engine import Readings
+from service.pipeline.alarms.readings import RowReader
 from service.pipeline.release_interlock.command_states import UNREPORTED
 from service.pipeline.release_interlock.release_document import memory_of
 from service.ports import Clock, Storage

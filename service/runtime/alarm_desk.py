@@ -13,9 +13,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 
 from service.errors import ConflictError, FieldError, InvalidInputError, StorageError
-from service.pipeline.alarm_book import AlarmBook, Key, Readings
 from service.pipeline.alarm_condition import Condition
-from service.pipeline.alarm_readings import RowFacts
+from service.pipeline.alarms.alarm_engine import AlarmBook, Key, Readings
+from service.pipeline.alarms.readings import RowFacts
 from service.ports import Clock, Storage
 from service.records.alarm import Alarm, AlarmChange, Handling
 from service.records.alarm_limits import AlarmLimits

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from typing import Protocol
 
-from service.pipeline.alarm_readings import RowFacts
+from service.pipeline.alarms.readings import RowFacts
 from service.pipeline.release_interlock.row_facts import SeenRow
 from service.records.inputs import AttitudeReference
 

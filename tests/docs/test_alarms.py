@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from service.pipeline.alarm_conditions import condition_table
-from service.pipeline.alarm_page import reference_page
-from service.pipeline.alarm_states import diagram
+from service.pipeline.alarms.conditions import condition_table
+from service.pipeline.alarms.reference_page import reference_page
+from service.pipeline.alarms.states import diagram
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.records.alarm import ChangeKind
 
@@ -13,7 +13,9 @@ PAGE = ROOT / "docs" / "reference" / "alarms.md"
 
 
 def test_the_page_is_drawn_from_the_tables() -> None:
-    assert PAGE.read_text() == reference_page(), "run: python -m service.pipeline.alarm_page > docs/reference/alarms.md"
+    assert PAGE.read_text() == reference_page(), (
+        "run: python -m service.pipeline.alarms.reference_page > docs/reference/alarms.md"
+    )
     assert diagram() in PAGE.read_text()
 
 

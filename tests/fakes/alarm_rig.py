@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from db.storage import SqlStorage
-from service.pipeline.alarm_conditions import condition_table
-from service.pipeline.alarm_readings import RowFacts
+from service.pipeline.alarms.conditions import condition_table
+from service.pipeline.alarms.readings import RowFacts
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.records.catalogue import Carrier, CarrierPlan, Method
 from service.records.link import LinkReport

@@ -4,9 +4,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from service.pipeline.alarm_book import AlarmBook, Readings
 from service.pipeline.alarm_condition import Condition, Kind, Origin
-from service.pipeline.alarm_sets import Circumstances
+from service.pipeline.alarms.alarm_engine import AlarmBook, Readings
+from service.pipeline.alarms.limit_sets import Circumstances
 from service.records.alarm import ChangeKind, Cover, Handling, Process
 from service.records.alarm_limits import ConditionLimits
 from service.records.alarm_memory import BookMemory

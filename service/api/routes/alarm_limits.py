@@ -9,7 +9,7 @@ from service.api.context.dependencies import Context, SpacecraftId
 from service.api.problems.problems import invalid_request
 from service.api.protocol.bodies import accepts, body_of
 from service.api.schemas.alarms import ConditionLimitsAnswer, LimitsAnswer, LimitsDocument, LimitsInForceAnswer
-from service.pipeline.alarm_sets import faults_of, limits_in_force
+from service.pipeline.alarms.limit_sets import faults_of, limits_in_force
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/alarm-limits", tags=["alarms"])
 Version = Annotated[int | None, Query(ge=0, le=2**31 - 1, description="Default the newest; 0 = the defaults")]

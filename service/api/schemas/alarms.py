@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import BeforeValidator, Field
 
 from service.api.schemas.base import Answer, Document, Epoch, EpochAnswer, Figure, Name, Remark, Text, WindowAnswer
-from service.pipeline.alarm_conditions import condition_table
+from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.records.alarm import Alarm, AlarmChange
 from service.records.alarm_limits import AlarmLimits, ConditionLimits, Statement

@@ -15,7 +15,7 @@ from fastapi import FastAPI
 from db.storage import SqlStorage
 from service.api.app import create_app
 from service.api.context.dependencies import ApiContext, Limits
-from service.pipeline.alarm_conditions import condition_table
+from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.config import (
     AlarmConfig,
     AlignmentConfig,

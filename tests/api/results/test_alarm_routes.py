@@ -8,7 +8,7 @@ import pytest
 from service.api.context.carrier_names import CarrierNames
 from service.api.stream.backlog import ArchiveReader
 from service.api.stream.event_cache import EventTexts
-from service.pipeline.alarm_readings import RowFacts
+from service.pipeline.alarms.readings import RowFacts
 from service.records.catalogue import Carrier, CarrierPlan, Method
 from service.records.measurement import Measurement
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.pipeline.alarm_readings import RowFacts
+from service.pipeline.alarms.readings import RowFacts
 from service.records.access_key import AccessKey, Role, StoredKey
 from service.records.catalogue import Carrier, CarrierPlan, Method
 from service.records.inputs import Operation

@@ -15,7 +15,7 @@ from alarm_rig import (
 )
 
 from service.errors import ConflictError, InvalidInputError, NotFoundError, StorageError
-from service.pipeline.alarm_readings import RowFacts
+from service.pipeline.alarms.readings import RowFacts
 from service.records.alarm_limits import AlarmLimits
 from service.records.catalogue import Method
 from service.records.measurement import Measurement

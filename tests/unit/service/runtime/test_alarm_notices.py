@@ -14,7 +14,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import pytest
 
 from service.client.backoff import Backoff
-from service.pipeline.alarm_conditions import condition_table
+from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.records.alarm import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
 from service.runtime.alarm_mail import Mail, MailRoute

@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.pipeline import alarm_steps as steps
 from service.pipeline.alarm_condition import Condition, Kind
-from service.pipeline.alarm_sets import Circumstances, limits_in_force
-from service.pipeline.alarm_states import CoverEvent, Event
-from service.pipeline.alarm_watch import Verdict, look, outermost
+from service.pipeline.alarms import transitions as steps
+from service.pipeline.alarms.debounce import Verdict, look, outermost
+from service.pipeline.alarms.limit_sets import Circumstances, limits_in_force
+from service.pipeline.alarms.states import CoverEvent, Event
 from service.records.alarm import Alarm, AlarmChange, ChangeKind, Cover, Handling, Process
 from service.records.alarm_limits import AlarmLimits, ConditionLimits
 from service.records.alarm_memory import BookMemory, Watch, WatchMemory

@@ -2,7 +2,7 @@
 
 import pytest
 
-from service.pipeline.alarm_states import COVERS, PROCESS, CoverEvent, Event, diagram, next_cover, next_process
+from service.pipeline.alarms.states import COVERS, PROCESS, CoverEvent, Event, diagram, next_cover, next_process
 from service.records.alarm import Cover, Process
 
 STATES = list(Process)

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.pipeline.alarm_book import AlarmBook
-from service.pipeline.alarm_conditions import condition_table
-from service.pipeline.alarm_readings import RowFacts, RowReader
+from service.pipeline.alarms.alarm_engine import AlarmBook
+from service.pipeline.alarms.conditions import condition_table
+from service.pipeline.alarms.readings import RowFacts, RowReader
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.pipeline.method_runner import CarrierLevels
 from service.records.alarm_limits import AlarmLimits

@@ -2,8 +2,15 @@
 
 import pytest
 
-from service.pipeline.alarm_conditions import condition_table
-from service.pipeline.alarm_sets import DEFAULT_SETS, SETS, Circumstances, circumstances, faults_of, limits_in_force
+from service.pipeline.alarms.conditions import condition_table
+from service.pipeline.alarms.limit_sets import (
+    DEFAULT_SETS,
+    SETS,
+    Circumstances,
+    circumstances,
+    faults_of,
+    limits_in_force,
+)
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.records.alarm_limits import AlarmLimits
 from service.records.catalogue import Carrier, CarrierPlan

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.pipeline.alarm_book import AlarmBook, Readings
-from service.pipeline.alarm_sets import Circumstances, circumstances
+from service.pipeline.alarms.alarm_engine import AlarmBook, Readings
+from service.pipeline.alarms.limit_sets import Circumstances, circumstances
 from service.pipeline.method_runner import CarrierLevels
 from service.records.alarm import AlarmChange
 from service.records.alarm_memory import BookMemory

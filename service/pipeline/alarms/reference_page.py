@@ -1,21 +1,21 @@
 """The page of the reference on alarms, drawn from the tables that the code runs by.
 
-``python -m service.pipeline.alarm_page > docs/reference/alarms.md`` writes it.
+``python -m service.pipeline.alarms.reference_page > docs/reference/alarms.md`` writes it.
 """
 
 import sys
 
 from service.pipeline.alarm_condition import Condition
-from service.pipeline.alarm_conditions import condition_table
-from service.pipeline.alarm_sets import DEFAULT_SETS, NORMAL
-from service.pipeline.alarm_states import diagram, tables
+from service.pipeline.alarms.conditions import condition_table
+from service.pipeline.alarms.limit_sets import DEFAULT_SETS, NORMAL
+from service.pipeline.alarms.states import diagram, tables
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.records.alarm import ChangeKind, Severity
 
 _HEAD = """# Alarms
 
-Written by `python -m service.pipeline.alarm_page` from the tables that the code runs by
-(`service/pipeline/alarm_conditions.py`, `alarm_sets.py`, `alarm_states.py`); `tests/docs/test_alarms.py` holds page
+Written by `python -m service.pipeline.alarms.reference_page` from the tables that the code runs by
+(`service/pipeline/alarms/conditions.py`, `alarm_sets.py`, `alarm_states.py`); `tests/docs/test_alarms.py` holds page
 and tables equal. How to live with alarms: [handle alarms](../how-to/handle-alarms.md)."""
 
 _CONDITIONS = """## Conditions

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.pipeline.alarm_book import AlarmBook, Readings
 from service.pipeline.alarm_condition import Condition, Kind, Origin
-from service.pipeline.alarm_conditions import condition_table
-from service.pipeline.alarm_sets import Circumstances
-from service.pipeline.alarm_steps import told_in_words
+from service.pipeline.alarms.alarm_engine import AlarmBook, Readings
+from service.pipeline.alarms.conditions import condition_table
+from service.pipeline.alarms.limit_sets import Circumstances
+from service.pipeline.alarms.transitions import told_in_words
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.records.alarm import ChangeKind, Cover, Handling, Process, Severity
 from service.records.alarm_limits import AlarmLimits, ConditionLimits

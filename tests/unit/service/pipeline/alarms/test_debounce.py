@@ -5,7 +5,7 @@ import math
 import pytest
 
 from service.pipeline.alarm_condition import Kind
-from service.pipeline.alarm_watch import Verdict, limit_of, look, outermost, severity_level
+from service.pipeline.alarms.debounce import Verdict, limit_of, look, outermost, severity_level
 from service.records.alarm_limits import ConditionLimits
 from service.records.alarm_memory import Watch
 
