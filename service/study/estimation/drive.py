@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.pipeline.alignment import align_methods
+from service.pipeline.alignment.alignment import align_methods
 from service.pipeline.calibration_rows import CalibrationError, CalibrationInput
 from service.pipeline.chain import Chain
 from service.pipeline.config import AlignmentConfig, CalibrationConfig, ChainConfig

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from geometry_flight import HOUR, MINUTE, START_US, FlightPayload
 
-from service.pipeline.alignment import align_methods, columns_of
+from service.pipeline.alignment.alignment import align_methods, columns_of
 from service.pipeline.config import AlignmentConfig
 from service.pipeline.stated_angles import StatedAngles
 from service.records.attitude import Axes

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from geometry_flight import HOUR, MINUTE, START_US, FlightPayload, S
 
+from service.pipeline.alignment.robust_references import robust_references
 from service.pipeline.config import AlignmentConfig
-from service.pipeline.robust_alignment import robust_references
 from service.pipeline.stated_angles import StatedAngles
 from service.records.attitude import Axes
 from service.records.calibration import Window

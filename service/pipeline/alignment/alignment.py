@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.core.estimation.paper.consistency import Consistency
+from service.pipeline.alignment.paper_references import reference_powers
+from service.pipeline.alignment.robust_references import robust_references
 from service.pipeline.config import AlignmentConfig
-from service.pipeline.paper_alignment import reference_powers
-from service.pipeline.robust_alignment import robust_references
 from service.pipeline.stated_angles import StatedAngles
 from service.records.calibration import Calibration, CalibrationMethod, CarrierReference
 from service.records.catalogue import Ephemeris, Method

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from service.pipeline.alignment.paper_references import reference_powers
 from service.pipeline.config import AlignmentConfig, EstimationConfig
 from service.pipeline.harmonic_removal import expected_power, remove_harmonic
-from service.pipeline.paper_alignment import reference_powers
 from service.pipeline.solve import sensitivity_model, solve_attitude
 from service.pipeline.stated_angles import StatedAngles, smooth_angles
 from service.records.attitude import Axes

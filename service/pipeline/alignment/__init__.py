@@ -1,0 +1,1 @@
+"""Alignment: references of both methods from a window with attitude sensors."""
