@@ -10,9 +10,9 @@ import numpy as np
 
 from service.core.estimation.calibration.free_response import FreeResponse
 from service.core.estimation.calibration.sensor_axes import DECISIVE, MAPPINGS, AxesVerdict, judge_axes
-from service.pipeline.calibration_rows import CalibrationError, CalibrationInput
+from service.pipeline.calibration.geometry_rows import PlanPlaces
+from service.pipeline.calibration.windows import CalibrationError, CalibrationInput
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.geometry_rows import PlanPlaces
 from service.pipeline.sensor_angles import angles_at
 from service.records.attitude import BoolArray, FloatArray
 from service.records.calibration import SensorSigns

@@ -4,10 +4,10 @@ from collections.abc import Callable
 from threading import Lock
 
 from service.errors import BusyError, ConflictError, SooError
-from service.pipeline.calibration import calibrate_paper
-from service.pipeline.calibration_rows import CalibrationError, CalibrationInput
+from service.pipeline.calibration.geometry_calibration import calibrate_geometry
+from service.pipeline.calibration.paper_calibration import calibrate_paper
+from service.pipeline.calibration.windows import CalibrationError, CalibrationInput
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.geometry_calibration import calibrate_geometry
 from service.ports import Clock, Storage
 from service.records.calibration import (
     Calibration,

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from service.errors import ConflictError, InvalidInputError, NotFoundError
+from service.pipeline.calibration.window_harmonics import CarrierHarmonic, paper_harmonics, robust_harmonics
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.planning import Recommendation, Rule, recommend
 from service.pipeline.planning_candidates import MIN_USABLE, Candidates, candidates_of
-from service.pipeline.window_harmonics import CarrierHarmonic, paper_harmonics, robust_harmonics
 from service.ports import LIVE, Storage
 from service.records.calibration import (
     Calibration,

@@ -18,10 +18,10 @@ from analyzer_sim.world.payload import attitude_gain_db, dishes_loss_db, nominal
 from analyzer_sim.world.scenario import scenario_named
 from analyzer_sim.world.world import World
 from service.core.estimation.calibration.quadratic_response import predict_deviation
-from service.pipeline.calibration_rows import CalibrationInput
+from service.pipeline.calibration.geometry_calibration import calibrate_geometry
+from service.pipeline.calibration.windows import CalibrationInput
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.expected_level import ExpectedLevel
-from service.pipeline.geometry_calibration import calibrate_geometry
 from service.pipeline.geometry_model import geometry_model
 from service.records.calibration import CalibrationMethod, CalibrationRequest, CalibrationResult, Window
 from service.records.catalogue import Carrier, CarrierPlan, Ephemeris, Site, Spacecraft, Station, Track

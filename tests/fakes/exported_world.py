@@ -12,8 +12,8 @@ import numpy as np
 from analyzer_sim.export import export_npz
 from analyzer_sim.world.world import World
 from service.pipeline.alignment.paper_references import reference_powers
-from service.pipeline.calibration import calibrate_paper
-from service.pipeline.calibration_rows import CalibrationInput
+from service.pipeline.calibration.paper_calibration import calibrate_paper
+from service.pipeline.calibration.windows import CalibrationInput
 from service.pipeline.chain import Chain
 from service.pipeline.config import AlignmentConfig, CalibrationConfig, ChainConfig
 from service.pipeline.stated_angles import smooth_angles

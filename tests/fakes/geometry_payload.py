@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from service.core.estimation.calibration.geometry_columns import beam_columns, daily_columns
-from service.pipeline.calibration_rows import CalibrationInput
-from service.pipeline.geometry_rows import orbit_motion, plan_places
+from service.pipeline.calibration.geometry_rows import orbit_motion, plan_places
+from service.pipeline.calibration.windows import CalibrationInput
 from service.records.calibration import CalibrationMethod, CalibrationRequest, Window
 from service.records.catalogue import Carrier, CarrierPlan, Ephemeris, Site, Spacecraft, Station, Track
 from service.records.series import MeasurementSeries, ReferenceSeries

@@ -11,7 +11,7 @@ import numpy as np
 
 from service.core.estimation.paper.octants import predict_deviation_db
 from service.core.geometry.node_phase import node_phase_rad
-from service.pipeline.calibration_rows import CalibrationInput
+from service.pipeline.calibration.windows import CalibrationInput
 from service.records.attitude import Axes, FloatArray, IntArray
 from service.records.calibration import (
     Alignment,

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from calibration_world import CalibratedWorld
 
+from service.pipeline.calibration.geometry_calibration import calibrate_geometry
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.geometry_calibration import calibrate_geometry
 
 SEEDS = (1, 2, 3)
 #: at 0.3 deg, every sign of every axis, and between

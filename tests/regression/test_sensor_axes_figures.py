@@ -9,9 +9,9 @@ from calibration_world import calibration_input
 from analyzer_sim.export import export_arrays
 from analyzer_sim.world.scenario import scenario_named
 from analyzer_sim.world.world import World
-from service.pipeline.calibration_rows import CalibrationError
+from service.pipeline.calibration.geometry_calibration import calibrate_geometry
+from service.pipeline.calibration.windows import CalibrationError
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.geometry_calibration import calibrate_geometry
 
 #: what the sensor tells of yaw, roll, pitch, and how the refusal names it
 MISTAKES = {

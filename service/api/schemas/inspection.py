@@ -4,7 +4,7 @@ from typing import Self
 
 from service.api.schemas.base import Answer, Figure, WindowAnswer
 from service.api.schemas.calibrations import HarmonicAnswer
-from service.pipeline.window_harmonics import CarrierHarmonic
+from service.pipeline.calibration.window_harmonics import CarrierHarmonic
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.runtime.inspection import WindowHarmonics

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.pipeline.alignment.alignment import align_methods
-from service.pipeline.calibration_rows import CalibrationError, CalibrationInput
+from service.pipeline.calibration.geometry_calibration import calibrate_geometry
+from service.pipeline.calibration.windows import CalibrationError, CalibrationInput
 from service.pipeline.chain import Chain
 from service.pipeline.config import AlignmentConfig, CalibrationConfig, ChainConfig
-from service.pipeline.geometry_calibration import calibrate_geometry
 from service.pipeline.stated_angles import smooth_angles
 from service.records.attitude import AttitudeRow, BoolArray, FloatArray, IntArray
 from service.records.calibration import (

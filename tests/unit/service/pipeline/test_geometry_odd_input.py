@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from geometry_payload import GeometryPayload
 
-from service.pipeline.calibration_rows import CalibrationError
+from service.pipeline.calibration.geometry_calibration import calibrate_geometry
+from service.pipeline.calibration.windows import CalibrationError
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.geometry_calibration import calibrate_geometry
 from service.records.catalogue import Station, Track
 
 SEED = 3

@@ -7,10 +7,10 @@ import pytest
 from geometry_payload import MINUTE, GeometryPayload, turned_angles
 
 from service.core.estimation.calibration.sensor_axes import MAPPINGS
-from service.pipeline.calibration import calibrate_paper
-from service.pipeline.calibration_rows import CalibrationError
+from service.pipeline.calibration.geometry_calibration import calibrate_geometry
+from service.pipeline.calibration.paper_calibration import calibrate_paper
+from service.pipeline.calibration.windows import CalibrationError
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.geometry_calibration import calibrate_geometry
 from service.records.attitude import Axes
 from service.records.inputs import Correction
 

@@ -5,8 +5,8 @@ import pytest
 from geometry_payload import GeometryPayload, replace
 
 from service.core.estimation.calibration.geometry_calibration import fit_geometry
+from service.pipeline.calibration.geometry_rows import geometry_rows
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.geometry_rows import geometry_rows
 
 
 def offsets(payload, east_deg=0.0, north_deg=0.0):

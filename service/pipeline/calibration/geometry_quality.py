@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from service.pipeline.geometry_fit import JointFit
-from service.pipeline.geometry_rows import GeometryRows
+from service.pipeline.calibration.geometry_fit import JointFit
+from service.pipeline.calibration.geometry_rows import GeometryRows
 from service.records.attitude import BoolArray, FloatArray
 
 _AXIS_NAMES = ("yaw", "roll", "pitch")

@@ -15,9 +15,9 @@ from service.core.estimation.paper.criteria import CarrierVerdicts, judge_carrie
 from service.core.estimation.paper.harmonic import HarmonicFits, evaluate_harmonic, fit_harmonics
 from service.core.estimation.paper.sensitivity import TurnSensitivity, fit_turn_sensitivity, level_knots
 from service.core.geometry.node_phase import latest_node_us
-from service.pipeline.calibration_rows import CalibrationError, CalibrationInput, phase_rad, turn_rows
+from service.pipeline.calibration.geometry_rows import plan_places
+from service.pipeline.calibration.windows import CalibrationError, CalibrationInput, phase_rad, turn_rows
 from service.pipeline.config import CalibrationConfig, CriteriaConfig
-from service.pipeline.geometry_rows import plan_places
 from service.pipeline.sensor_signs import report_signs
 from service.records.attitude import Axes, BoolArray, FloatArray, named_axes
 from service.records.calibration import (

@@ -10,9 +10,9 @@ from service.core.estimation.calibration.level_drift import LevelDrift, level_dr
 from service.core.estimation.calibration.quadratic_response import QuadraticResponse
 from service.core.estimation.noise.quantisation import quantisation_step_db
 from service.core.estimation.noise_identification import LearnedNoise, identify_noise
-from service.pipeline.calibration_rows import CalibrationInput
+from service.pipeline.calibration.geometry_rows import GeometryRows
+from service.pipeline.calibration.windows import CalibrationInput
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.geometry_rows import GeometryRows
 from service.pipeline.group_deviations import alc_groups, first_model_dbm, small_groups, without_group_means
 from service.records.attitude import FloatArray, IntArray
 

@@ -9,11 +9,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from service.core.estimation.calibration.quadratic_response import predict_deviation
-from service.pipeline.calibration_rows import CalibrationInput, unturned_sides
+from service.pipeline.calibration.geometry_fit import JointFit
+from service.pipeline.calibration.geometry_quality import slope_shrink
+from service.pipeline.calibration.geometry_rows import DISTURBING, GeometryRows
+from service.pipeline.calibration.windows import CalibrationInput, unturned_sides
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.geometry_fit import JointFit
-from service.pipeline.geometry_quality import slope_shrink
-from service.pipeline.geometry_rows import DISTURBING, GeometryRows
 from service.pipeline.group_deviations import MIN_GROUP, small_groups
 from service.records.attitude import BoolArray
 from service.records.epoch import format_epoch

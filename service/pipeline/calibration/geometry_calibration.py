@@ -10,15 +10,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.pipeline.calibration import observe, paper_part
-from service.pipeline.calibration_rows import CalibrationError, CalibrationInput
+from service.pipeline.calibration.geometry_fit import JointFit, fit_rows
+from service.pipeline.calibration.geometry_quality import quality_figures
+from service.pipeline.calibration.geometry_rows import GeometryRows, geometry_rows
+from service.pipeline.calibration.geometry_warnings import calibration_warnings
+from service.pipeline.calibration.paper_calibration import observe, paper_part
+from service.pipeline.calibration.windows import CalibrationError, CalibrationInput
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.expected_level import daily_error_db
-from service.pipeline.geometry_fit import JointFit, fit_rows
 from service.pipeline.geometry_model import geometry_model
-from service.pipeline.geometry_quality import quality_figures
-from service.pipeline.geometry_rows import GeometryRows, geometry_rows
-from service.pipeline.geometry_warnings import calibration_warnings
 from service.pipeline.group_deviations import MIN_GROUP, small_groups
 from service.pipeline.sensor_signs import report_signs
 from service.records.attitude import BoolArray, FloatArray, named_axes

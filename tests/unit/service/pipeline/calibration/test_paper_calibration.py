@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from service.core.estimation.paper.criteria import CarrierVerdicts
-from service.pipeline.calibration import calibrate_paper, observe, select_carriers
-from service.pipeline.calibration_rows import CalibrationError
+from service.pipeline.calibration.paper_calibration import calibrate_paper, observe, select_carriers
+from service.pipeline.calibration.windows import CalibrationError
 from service.pipeline.config import CalibrationConfig, CriteriaConfig
 from service.records.calibration import Window
 

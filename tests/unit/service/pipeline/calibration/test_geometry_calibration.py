@@ -8,9 +8,9 @@ from geometry_payload import DAY, HOUR, MINUTE, NAN, START_US, GeometryPayload, 
 
 from db.encoding.json_documents import decode, encode
 from service.core.estimation.noise_identification import LADDER_S
-from service.pipeline.calibration_rows import CalibrationError
+from service.pipeline.calibration.geometry_calibration import calibrate_geometry
+from service.pipeline.calibration.windows import CalibrationError
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.geometry_calibration import calibrate_geometry
 from service.records.calibration import CalibrationResult
 from service.records.catalogue import Site, Station
 from service.records.inputs import Operation

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from geometry_payload import GeometryPayload, turned_angles
 
+from service.pipeline.calibration.geometry_calibration import calibrate_geometry
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.geometry_calibration import calibrate_geometry
 from service.records.catalogue import Station, Track
 
 CONFIG = CalibrationConfig()

@@ -1,0 +1,1 @@
+"""Calibration of both methods from quiet days and turns."""
