@@ -27,12 +27,12 @@ from service.core.estimation.filtering.hidden_motion import is_torque_seen, torq
 from service.core.estimation.filtering.hidden_shares import with_stated_torque, with_torque
 from service.core.estimation.filtering.torque_prior import wave_period_us
 from service.core.estimation.snapshot.snapshot import Snapshots, solve_snapshots
+from service.pipeline.carrier_model.level_control import without_group_gain
 from service.pipeline.config import ChainConfig
 from service.pipeline.declared_operations import declared_between, with_chain_step
 from service.pipeline.kernels import kernels_named
 from service.pipeline.knowledge import Knowledge
 from service.pipeline.known_motion import DEG_H2_N_M, CommandedMotion, take
-from service.pipeline.level_control import without_group_gain
 from service.pipeline.robust_model import RobustModel, signals
 from service.pipeline.robust_row import Fixed, filtered_row, late_row
 from service.pipeline.stated_angles import usual_sigma_deg

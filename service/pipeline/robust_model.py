@@ -11,13 +11,13 @@ from service.core.estimation.filtering.filter_model import CarrierModel, FilterS
 from service.core.estimation.filtering.integrity import IntegrityLimits
 from service.core.estimation.filtering.torque_prior import is_pushed
 from service.core.estimation.snapshot.snapshot_start import subset_orders
+from service.pipeline.carrier_model.calibrated_arrays import GeometryModel, carrier_model, geometry_model
+from service.pipeline.carrier_model.expected_level import ExpectedLevel, daily_error_db
+from service.pipeline.carrier_model.level_control import centred_model, centred_response, member_groups
 from service.pipeline.config import ChainConfig, InterlockConfig, RobustConfig
 from service.pipeline.declared_operations import CarrierNames
-from service.pipeline.expected_level import ExpectedLevel, daily_error_db
-from service.pipeline.geometry_model import GeometryModel, carrier_model, geometry_model
 from service.pipeline.knowledge import Knowledge
 from service.pipeline.known_motion import angle_inertia_kg_m2
-from service.pipeline.level_control import centred_model, centred_response, member_groups
 from service.pipeline.stated_torque import constant_share, fed_forward, is_torque_unknown, residual_deg_h2
 from service.records.attitude import BoolArray, FloatArray, IntArray
 from service.records.calibration import Alignment, Calibration, CalibrationResult

@@ -20,9 +20,9 @@ from analyzer_sim.world.world import World
 from service.core.estimation.calibration.quadratic_response import predict_deviation
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
 from service.pipeline.calibration.windows import CalibrationInput
+from service.pipeline.carrier_model.calibrated_arrays import geometry_model
+from service.pipeline.carrier_model.expected_level import ExpectedLevel
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.expected_level import ExpectedLevel
-from service.pipeline.geometry_model import geometry_model
 from service.records.calibration import CalibrationMethod, CalibrationRequest, CalibrationResult, Window
 from service.records.catalogue import Carrier, CarrierPlan, Ephemeris, Site, Spacecraft, Station, Track
 from service.records.epoch import parse_epoch

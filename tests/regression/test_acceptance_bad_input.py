@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from driven_world import HOUR_US, DrivenWorld, shared_world
 
-from service.pipeline.expected_level import ExpectedLevel
-from service.pipeline.geometry_model import geometry_model
+from service.pipeline.carrier_model.calibrated_arrays import geometry_model
+from service.pipeline.carrier_model.expected_level import ExpectedLevel
 from service.records.attitude import Status
 from service.records.calibration import Window
 from service.records.catalogue import Method

@@ -14,10 +14,10 @@ from service.core.estimation.calibration.quadratic_response import predict_devia
 from service.core.estimation.noise_model import averaged_sigma_db
 from service.core.estimation.paper.consistency import Consistency, compare_with_angles
 from service.pipeline.alignment.paper_references import ReferencePowers
+from service.pipeline.carrier_model.calibrated_arrays import GeometryModel, geometry_model
+from service.pipeline.carrier_model.expected_level import ExpectedLevel
+from service.pipeline.carrier_model.level_control import centred_response, member_groups, without_group_gain
 from service.pipeline.config import AlignmentConfig
-from service.pipeline.expected_level import ExpectedLevel
-from service.pipeline.geometry_model import GeometryModel, geometry_model
-from service.pipeline.level_control import centred_response, member_groups, without_group_gain
 from service.pipeline.stated_angles import StatedAngles, angles_over_deg, stated_sigma_deg
 from service.records.attitude import BoolArray, FloatArray, IntArray
 from service.records.calibration import Calibration, CalibrationResult, CarrierReference

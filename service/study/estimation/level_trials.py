@@ -8,8 +8,8 @@ off.
 import numpy as np
 
 from service.core.estimation.calibration.quadratic_response import predict_deviation
-from service.pipeline.expected_level import expected_levels
-from service.pipeline.geometry_model import GeometryModel
+from service.pipeline.carrier_model.calibrated_arrays import GeometryModel
+from service.pipeline.carrier_model.expected_level import expected_levels
 from service.records.attitude import FloatArray
 from service.records.catalogue import Ephemeris
 from service.records.geometry import GeometryFit

@@ -27,7 +27,7 @@ from service.core.estimation.calibration.quadratic_response import (
 from service.core.estimation.observability import crlb_deg
 from service.core.estimation.snapshot.snapshot import CarrierUse, Snapshots, solve_snapshots
 from service.core.estimation.snapshot.snapshot_start import subset_orders
-from service.pipeline.geometry_model import geometry_model
+from service.pipeline.carrier_model.calibrated_arrays import geometry_model
 from service.records.attitude import BoolArray, FloatArray
 from service.records.catalogue import CarrierPlan
 from service.study.estimation.accuracy import AXES, Figures

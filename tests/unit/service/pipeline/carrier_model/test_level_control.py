@@ -3,7 +3,12 @@
 import numpy as np
 
 from service.core.estimation.calibration.quadratic_response import exact_response, predict_deviation
-from service.pipeline.level_control import centred_model, centred_response, member_groups, without_group_gain
+from service.pipeline.carrier_model.level_control import (
+    centred_model,
+    centred_response,
+    member_groups,
+    without_group_gain,
+)
 
 NAN = float("nan")
 EVERY = np.ones(6, dtype=np.bool_)

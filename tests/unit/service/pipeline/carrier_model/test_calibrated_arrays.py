@@ -7,8 +7,8 @@ import pytest
 from geometry_flight import SITE, START_US, FlightPayload
 
 from service.core.estimation.calibration.quadratic_response import predict_deviation
+from service.pipeline.carrier_model.calibrated_arrays import carrier_model, geometry_model
 from service.pipeline.config import RobustConfig
-from service.pipeline.geometry_model import carrier_model, geometry_model
 from service.records.noise import NoiseComponent
 
 NAN = float("nan")

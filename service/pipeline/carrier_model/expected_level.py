@@ -13,7 +13,7 @@ from service.core.estimation.calibration.geometry_columns import OrbitMotion, da
 from service.core.estimation.calibration.geometry_prediction import predict_level_dbm
 from service.core.geometry.line_of_sight import Places, Track, antenna_motion_deg, sight_motion_deg, track_position_deg
 from service.core.geometry.node_phase import node_phase_rad
-from service.pipeline.geometry_model import GeometryModel
+from service.pipeline.carrier_model.calibrated_arrays import GeometryModel
 from service.records.attitude import FloatArray, IntArray
 from service.records.catalogue import Ephemeris
 from service.records.epoch import US_PER_S

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from geometry_flight import HOUR, MINUTE, START_US, FlightPayload, S
 
-from service.pipeline.expected_level import ExpectedLevel, daily_error_db, expected_levels
-from service.pipeline.geometry_model import geometry_model
+from service.pipeline.carrier_model.calibrated_arrays import geometry_model
+from service.pipeline.carrier_model.expected_level import ExpectedLevel, daily_error_db, expected_levels
 
 DAY_US = 86_400 * S
 
@@ -68,7 +68,7 @@ def test_a_dish_law_without_a_track_knows_nothing():
 
 
 def test_a_long_replay_keeps_only_some_days(monkeypatch):
-    monkeypatch.setattr("service.pipeline.expected_level._MAX_DAYS", 2)
+    monkeypatch.setattr("service.pipeline.carrier_model.expected_level._MAX_DAYS", 2)
     payload = FlightPayload.make(4)
     level, all_days = level_of(payload), level_of(payload)
     epochs_us = [START_US + day * DAY_US for day in (0, 1, 2, 3, 0)]

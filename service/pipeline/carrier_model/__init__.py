@@ -1,0 +1,1 @@
+"""Carrier model: arrays of a calibration, expected levels, level control."""
