@@ -18,13 +18,13 @@ import numpy as np
 
 from service.pipeline.alarms.readings import RowFacts
 from service.pipeline.config import ChainConfig
+from service.pipeline.control.command.compute_command import NO_CARRY, compute_command
+from service.pipeline.control.command.schedule_check import PanelSwing, swing_after
 from service.pipeline.disagreement import Disagreement, compare
 from service.pipeline.knowledge import Knowledge, Lookup, learn
 from service.pipeline.method_runner import CommandEvidence, MethodRunner
 from service.pipeline.paper_runner import PaperRunner
 from service.pipeline.robust_runner import RobustRunner
-from service.pipeline.schedule_verdict import PanelSwing, swing_after
-from service.pipeline.wheel_torques import NO_CARRY, compute_command
 from service.ports import Outcome
 from service.records.attitude import AttitudeRow, CarrierState, IntArray, row_without_attitude
 from service.records.calibration import Calibration

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from service.pipeline.chain import Chain
-from service.pipeline.command_record import withheld_command
+from service.pipeline.control.command.command_record import withheld_command
 from service.ports import Archive, Catalogue, Outcome, Results
 from service.records.calibration import Alignment, Calibration, Window
 from service.records.catalogue import CarrierPlan, Ephemeris

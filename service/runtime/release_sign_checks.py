@@ -8,7 +8,8 @@ from service.core.control.quaternion_law import inertia_about_angles
 from service.core.control.sign_check import Decision, Verdict
 from service.errors import ConflictError, InvalidInputError
 from service.pipeline.config import TorqueConfig
-from service.pipeline.control_design import control_design
+from service.pipeline.control.command.control_design import control_design
+from service.pipeline.control.command.schedule_check import schedule_verdict
 from service.pipeline.release_interlock.command_states import OPEN, UNREPORTED, Life
 from service.pipeline.release_interlock.interlock import Instant
 from service.pipeline.release_interlock.interlock_states import State
@@ -22,7 +23,6 @@ from service.pipeline.release_interlock.release_events import (
 )
 from service.pipeline.release_interlock.release_proposals import effect_of_pulses, schedule_of
 from service.pipeline.release_interlock.release_settings import ReleaseSettings
-from service.pipeline.schedule_verdict import schedule_verdict
 from service.ports import Storage
 from service.records.release import SignCheckView, SignRatios
 from service.runtime.release_case import Annex

@@ -25,8 +25,8 @@ from service.api.views.status import status_of
 from service.cli.demo import _tracking_table
 from service.errors import SooError
 from service.pipeline.config import TorqueConfig
+from service.pipeline.control.command.compute_command import NO_CARRY, compute_command
 from service.pipeline.release_interlock.release_events import OrderKind
-from service.pipeline.wheel_torques import NO_CARRY, compute_command
 from service.records.attitude import Axes, Status
 from service.records.catalogue import ControlMode, Method, Release
 from service.records.epoch import format_epoch

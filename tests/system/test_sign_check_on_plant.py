@@ -5,7 +5,7 @@ import pytest
 
 from service.core.control.sign_check import Verdict
 from service.pipeline.config import TorqueConfig
-from service.pipeline.control_design import control_design
+from service.pipeline.control.command.control_design import control_design
 from service.pipeline.release_interlock.release_settings import ReleaseSettings
 from service.records.attitude import Axes
 from service.records.command import Pulse

@@ -10,7 +10,7 @@ from pydantic_core import PydanticCustomError
 from service.api.schemas.base import CatalogueWarning, Document, Epoch, LatitudeDeg, LongitudeDeg, Text
 from service.core.control.quaternion_law import loop_gains
 from service.pipeline.config import TorqueConfig
-from service.pipeline.control_design import gyro_design
+from service.pipeline.control.command.control_design import gyro_design
 from service.records.catalogue import (
     AxisTorques,
     ControlLaw,

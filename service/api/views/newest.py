@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from service.api.context.dependencies import ApiContext
 from service.pipeline.config import TorqueConfig
-from service.pipeline.wheel_torques import NO_CARRY, compute_command
+from service.pipeline.control.command.compute_command import NO_CARRY, compute_command
 from service.ports import LIVE
 from service.records.attitude import AttitudeRow, Status
 from service.records.catalogue import Method, Spacecraft

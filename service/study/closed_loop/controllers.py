@@ -17,7 +17,7 @@ import numpy as np
 from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S
 from service.pipeline.chain import Chain
 from service.pipeline.config import TorqueConfig
-from service.pipeline.wheel_torques import NO_CARRY, compute_command
+from service.pipeline.control.command.compute_command import NO_CARRY, compute_command
 from service.records.attitude import AttitudeRow, Axes, FloatArray, Status
 from service.records.catalogue import Method, Spacecraft
 from service.records.command import AppliedCommand, Pulse, TorqueCommand

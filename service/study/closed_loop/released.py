@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 from service.pipeline.chain import Chain
 from service.pipeline.config import TorqueConfig
-from service.pipeline.wheel_torques import command_for
+from service.pipeline.control.command.compute_command import command_for
 from service.ports import Outcome
 from service.records.attitude import AttitudeRow
 from service.records.catalogue import Spacecraft

@@ -15,9 +15,9 @@ from service.core.control.gyro_orbitant import does_rate_tell_yaw, gyro_orbitant
 from service.core.control.pulses import shape_pulses
 from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S, feedback_torque
 from service.core.control.slew_schedule import AxisPulse
-from service.pipeline.command_record import Span
 from service.pipeline.config import TorqueConfig
-from service.pipeline.control_design import ControlDesign, gyro_design
+from service.pipeline.control.command.command_record import Span
+from service.pipeline.control.command.control_design import ControlDesign, gyro_design
 from service.records.attitude import AttitudeRow, Axes, FloatArray
 from service.records.catalogue import ControlLaw, Release, Spacecraft
 from service.records.disturbance import Disturbance

@@ -16,12 +16,12 @@ from service.core.control.command_plan import Forecast, Situation, plan_command
 from service.core.control.envelope import Envelope
 from service.core.control.slew_schedule import AxisPulse
 from service.core.control.wheel_allocation import Allocation, Wheels, allocate
-from service.pipeline.command_record import Span, command_of, impulse_of, predicted, zero_command
 from service.pipeline.config import TorqueConfig
-from service.pipeline.control_design import ControlDesign, control_design
-from service.pipeline.control_inhibitions import control_inhibitions
-from service.pipeline.mean_torque import is_gyro_orbitant, mean_pulses
-from service.pipeline.schedule_verdict import PanelSwing, schedule_verdict
+from service.pipeline.control.command.command_record import Span, command_of, impulse_of, predicted, zero_command
+from service.pipeline.control.command.control_design import ControlDesign, control_design
+from service.pipeline.control.command.control_inhibitions import control_inhibitions
+from service.pipeline.control.command.mean_torque import is_gyro_orbitant, mean_pulses
+from service.pipeline.control.command.schedule_check import PanelSwing, schedule_verdict
 from service.records.attitude import AttitudeRow, Axes, FloatArray
 from service.records.catalogue import Release, Spacecraft
 from service.records.command import TorqueCommand

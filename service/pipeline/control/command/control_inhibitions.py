@@ -1,6 +1,6 @@
 """Why a row leads to no torque: the row's own reasons, those of the spacecraft's settings, and those of the law."""
 
-from service.pipeline.mean_torque import is_gyro_orbitant, rate_inhibition
+from service.pipeline.control.command.mean_torque import is_gyro_orbitant, rate_inhibition
 from service.records.attitude import AttitudeRow, Axes
 from service.records.catalogue import ControlMode, Spacecraft
 

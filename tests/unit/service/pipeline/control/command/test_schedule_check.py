@@ -7,7 +7,7 @@ import pytest
 
 from service.core.flexible.schedule_check import analyse_schedule
 from service.pipeline.config import TorqueConfig
-from service.pipeline.schedule_verdict import PanelSwing, schedule_verdict, swing_after
+from service.pipeline.control.command.schedule_check import PanelSwing, schedule_verdict, swing_after
 from service.records.attitude import Axes
 from service.records.catalogue import FlexibleMode
 from service.records.command import Pulse

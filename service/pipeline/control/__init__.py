@@ -1,0 +1,1 @@
+"""Control (L5): computed commands and the release of torques."""

@@ -1,0 +1,1 @@
+"""Torque command of a row: law, allocation, inhibitions, schedule check."""
