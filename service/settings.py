@@ -31,7 +31,7 @@ from service.pipeline.config import (
     RobustConfig,
     TorqueConfig,
 )
-from service.pipeline.release_interlock.release_settings import ReleaseSettings
+from service.pipeline.control.release.settings import ReleaseSettings
 from service.records.archive_upkeep import RetentionConfig, SealingConfig
 from service.runtime.workers import WorkerConfig
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 from service.api.context.dependencies import ApiContext
 from service.api.views.newest import newest_attitude, newest_command
 from service.errors import StorageError
-from service.pipeline.release_interlock.control_verdict import control_verdict
+from service.pipeline.control.release.control_verdict import control_verdict
 from service.records.attitude import AttitudeRow
 from service.records.catalogue import Spacecraft
 from service.records.command import TorqueCommand

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from service.errors import NotFoundError
 from service.pipeline.alarms.alarm_engine import Readings
 from service.pipeline.alarms.readings import RowReader
-from service.pipeline.release_interlock.command_states import UNREPORTED
-from service.pipeline.release_interlock.release_document import memory_of
+from service.pipeline.control.release.command_states import UNREPORTED
+from service.pipeline.control.release.state_document import memory_of
 from service.ports import Clock, Storage
 from service.records.calibration import CalibrationState
 from service.records.epoch import US_PER_S

@@ -13,10 +13,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from service.errors import ConflictError, StorageError
-from service.pipeline.release_interlock.interlock import Instant
-from service.pipeline.release_interlock.release import advance, restored
-from service.pipeline.release_interlock.release_document import ReleaseMemory, document_of, essence, memory_of
-from service.pipeline.release_interlock.release_events import (
+from service.pipeline.control.release.advance import advance, restored
+from service.pipeline.control.release.events import (
     Action,
     ActionKind,
     Cancel,
@@ -31,7 +29,9 @@ from service.pipeline.release_interlock.release_events import (
     Step,
     Told,
 )
-from service.pipeline.release_interlock.release_settings import ReleaseSettings
+from service.pipeline.control.release.interlock import Instant
+from service.pipeline.control.release.settings import ReleaseSettings
+from service.pipeline.control.release.state_document import ReleaseMemory, document_of, essence, memory_of
 from service.ports import Releases
 from service.records.audit import apart_from_request
 from service.records.command import ReleasedCommand, ReportedCommand

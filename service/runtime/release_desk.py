@@ -1,16 +1,15 @@
 """Release desk: what persons order, and what they are told.
 
 Every method may be called from any thread and raises nothing but errors of `service.errors`, with the codes of
-docs/reference/errors.md, section Control. What is judged and how stands in `service.pipeline.release_interlock`; how a
+docs/reference/errors.md, section Control. What is judged and how stands in `service.pipeline.control.release`; how a
 step is kept in `service.runtime.release_case`; nothing here decides anything.
 """
 
 from dataclasses import replace
 
 from service.errors import ConflictError, GoneError, InvalidInputError, NotFoundError
-from service.pipeline.release_interlock.command_states import Life, Turn
-from service.pipeline.release_interlock.interlock import Instant
-from service.pipeline.release_interlock.release_events import (
+from service.pipeline.control.release.command_states import Life, Turn
+from service.pipeline.control.release.events import (
     Cancel,
     CommandRecord,
     Confirm,
@@ -24,6 +23,7 @@ from service.pipeline.release_interlock.release_events import (
     Tick,
     digest_of,
 )
+from service.pipeline.control.release.interlock import Instant
 from service.records.calibration import Window
 from service.records.catalogue import ControlMode, Spacecraft
 from service.records.epoch import US_PER_S

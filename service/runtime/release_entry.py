@@ -8,9 +8,9 @@ from typing import Protocol
 
 import numpy as np
 
-from service.pipeline.release_interlock.interlock_conditions import RowFacts
-from service.pipeline.release_interlock.release_events import Event, Step
-from service.pipeline.release_interlock.row_facts import SeenRow, facts_of_row
+from service.pipeline.control.release.events import Event, Step
+from service.pipeline.control.release.interlock_conditions import RowFacts
+from service.pipeline.control.release.row_facts import SeenRow, facts_of_row
 from service.records.attitude import AttitudeRow
 from service.records.catalogue import Method, Spacecraft
 from service.records.epoch import US_PER_S

@@ -14,12 +14,12 @@ from uuid import uuid4
 
 from service.errors import SooError
 from service.pipeline.config import TorqueConfig
-from service.pipeline.release_interlock.interlock import Instant
-from service.pipeline.release_interlock.release import settled_at
-from service.pipeline.release_interlock.release_document import memory_of
-from service.pipeline.release_interlock.release_events import Event, Step, Tick, Told
-from service.pipeline.release_interlock.release_settings import ReleaseSettings
-from service.pipeline.release_interlock.row_facts import SeenRow
+from service.pipeline.control.release.advance import settled_at
+from service.pipeline.control.release.events import Event, Step, Tick, Told
+from service.pipeline.control.release.interlock import Instant
+from service.pipeline.control.release.row_facts import SeenRow
+from service.pipeline.control.release.settings import ReleaseSettings
+from service.pipeline.control.release.state_document import memory_of
 from service.ports import Clock, Storage
 from service.records.audit import apart_from_request
 from service.records.catalogue import Spacecraft

@@ -6,13 +6,13 @@ from service.errors import ConflictError, InvalidInputError
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.compute_command import command_for
 from service.pipeline.control.command.schedule_check import PanelSwing, swing_after
-from service.pipeline.release_interlock.interlock import Instant, Interlock
-from service.pipeline.release_interlock.interlock_conditions import OWN_AFFAIR
-from service.pipeline.release_interlock.release import settled_at
-from service.pipeline.release_interlock.release_checks import release_checks
-from service.pipeline.release_interlock.release_events import Proposal
-from service.pipeline.release_interlock.release_proposals import proposal_of
-from service.pipeline.release_interlock.release_settings import ReleaseSettings, microseconds
+from service.pipeline.control.release.advance import settled_at
+from service.pipeline.control.release.events import Proposal
+from service.pipeline.control.release.interlock import Instant, Interlock
+from service.pipeline.control.release.interlock_conditions import OWN_AFFAIR
+from service.pipeline.control.release.proposals import proposal_of
+from service.pipeline.control.release.release_checks import release_checks
+from service.pipeline.control.release.settings import ReleaseSettings, microseconds
 from service.ports import Releases
 from service.records.attitude import AttitudeRow
 from service.records.calibration import Window

@@ -1,7 +1,7 @@
 """Refusals of the interlock as errors: each code of the release with the kind of error that tells it."""
 
 from service.errors import ConflictError, ForbiddenError, GoneError, InvalidInputError, NotFoundError, SooError
-from service.pipeline.release_interlock.release_events import Refusal
+from service.pipeline.control.release.events import Refusal
 from service.records.catalogue import ControlMode, Release, Spacecraft
 
 #: every other code is a conflict

@@ -5,18 +5,18 @@ import math
 
 from service.core.control.slew_schedule import Effect
 from service.pipeline.config import TorqueConfig
-from service.pipeline.release_interlock.command_states import OPEN, UNREPORTED
-from service.pipeline.release_interlock.interlock import Instant
-from service.pipeline.release_interlock.interlock_states import State
-from service.pipeline.release_interlock.release_events import (
+from service.pipeline.control.release.command_states import OPEN, UNREPORTED
+from service.pipeline.control.release.events import (
     Applied,
     Automatic,
     ResponseJudged,
     RowSeen,
 )
-from service.pipeline.release_interlock.release_proposals import effect_of, proposal_of
-from service.pipeline.release_interlock.release_settings import ReleaseSettings, microseconds
-from service.pipeline.release_interlock.row_facts import SeenRow
+from service.pipeline.control.release.interlock import Instant
+from service.pipeline.control.release.interlock_states import State
+from service.pipeline.control.release.proposals import effect_of, proposal_of
+from service.pipeline.control.release.row_facts import SeenRow
+from service.pipeline.control.release.settings import ReleaseSettings, microseconds
 from service.ports import Storage
 from service.records.attitude import AttitudeRow
 from service.records.catalogue import ControlMode, Release, Spacecraft

@@ -10,19 +10,19 @@ from service.errors import ConflictError, InvalidInputError
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.control_design import control_design
 from service.pipeline.control.command.schedule_check import schedule_verdict
-from service.pipeline.release_interlock.command_states import OPEN, UNREPORTED, Life
-from service.pipeline.release_interlock.interlock import Instant
-from service.pipeline.release_interlock.interlock_states import State
-from service.pipeline.release_interlock.release_commands import command_of
-from service.pipeline.release_interlock.release_events import (
+from service.pipeline.control.release.command_states import OPEN, UNREPORTED, Life
+from service.pipeline.control.release.command_transitions import command_of
+from service.pipeline.control.release.events import (
     Cancel,
     Prepare,
     Proposal,
     Refusal,
     SignJudged,
 )
-from service.pipeline.release_interlock.release_proposals import effect_of_pulses, schedule_of
-from service.pipeline.release_interlock.release_settings import ReleaseSettings
+from service.pipeline.control.release.interlock import Instant
+from service.pipeline.control.release.interlock_states import State
+from service.pipeline.control.release.proposals import effect_of_pulses, schedule_of
+from service.pipeline.control.release.settings import ReleaseSettings
 from service.ports import Storage
 from service.records.release import SignCheckView, SignRatios
 from service.runtime.release_case import Annex

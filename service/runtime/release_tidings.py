@@ -4,8 +4,8 @@ import logging
 from collections.abc import Callable
 
 from service.errors import SooError
-from service.pipeline.release_interlock.interlock import Instant
-from service.pipeline.release_interlock.release_events import ActionKind, Step
+from service.pipeline.control.release.events import ActionKind, Step
+from service.pipeline.control.release.interlock import Instant
 from service.ports import Audit
 from service.records.audit import CURRENT_NOTE, DONE, Deed
 from service.records.catalogue import Spacecraft

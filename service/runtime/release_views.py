@@ -4,12 +4,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from service.core.control.envelope import Envelope
-from service.pipeline.release_interlock.command_states import OPEN, UNREPORTED, Life
-from service.pipeline.release_interlock.control_reasons import reason_of
-from service.pipeline.release_interlock.release_checks import Check, sent_within_an_hour
-from service.pipeline.release_interlock.release_events import CommandRecord, ReleaseState
-from service.pipeline.release_interlock.release_proposals import schedule_of
-from service.pipeline.release_interlock.release_settings import ReleaseSettings, microseconds
+from service.pipeline.control.release.command_states import OPEN, UNREPORTED, Life
+from service.pipeline.control.release.control_reasons import reason_of
+from service.pipeline.control.release.events import CommandRecord, ReleaseState
+from service.pipeline.control.release.proposals import schedule_of
+from service.pipeline.control.release.release_checks import Check, sent_within_an_hour
+from service.pipeline.control.release.settings import ReleaseSettings, microseconds
 from service.records.attitude import AttitudeRow, Axes
 from service.records.catalogue import Spacecraft
 from service.records.command import ReleasedCommand, ReportedCommand, TorqueCommand

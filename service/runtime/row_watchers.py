@@ -5,7 +5,7 @@ from contextlib import AbstractContextManager
 from typing import Protocol
 
 from service.pipeline.alarms.readings import RowFacts
-from service.pipeline.release_interlock.row_facts import SeenRow
+from service.pipeline.control.release.row_facts import SeenRow
 from service.records.inputs import AttitudeReference
 
 #: what alarms look at

@@ -16,7 +16,7 @@ from service.core.control.sign_check import Circumstances, Decision, Verdict, de
 from service.core.control.sign_profiles import Profile, pitch_profile, roll_profile, yaw_profile
 from service.core.control.slew_schedule import LONGEST_SHARE, AxisPulse, Drive, plan_slew
 from service.core.estimation.filtering.filter_model import CarrierModel
-from service.pipeline.release_interlock.release_settings import ReleaseSettings, microseconds
+from service.pipeline.control.release.settings import ReleaseSettings, microseconds
 from service.records.attitude import Axes, FloatArray
 from service.records.command import Pulse
 from service.records.epoch import US_PER_S

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from service.errors import NotFoundError, StorageError
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
-from service.pipeline.release_interlock.row_facts import SeenRow
+from service.pipeline.control.release.row_facts import SeenRow
 from service.ports import LIVE, Outcome, Storage
 from service.records.attitude import AttitudeRow, CarrierState
 from service.records.command import AppliedCommand, TorqueCommand

@@ -15,7 +15,7 @@ from db.storage import SqlStorage
 from service.api.app import create_app
 from service.api.context.dependencies import ApiContext, Limits
 from service.pipeline.config import TorqueConfig
-from service.pipeline.release_interlock.release_settings import ReleaseSettings
+from service.pipeline.control.release.settings import ReleaseSettings
 from service.runtime.live_feed import LiveFeed
 from service.runtime.release_desk import ReleaseDesk
 from service.runtime.release_tidings import Tidings

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 from scripted_desk import AT_US, S, ScriptedDesk
+from service.pipeline.control.release.control_reasons import reason_of
 
 from service.errors import (
     ConflictError,
@@ -14,7 +15,6 @@ from service.errors import (
     NotFoundError,
     StorageError,
 )
-from service.pipeline.release_interlock.control_reasons import reason_of
 from service.records.release import CommandWish, EnvelopeLimits
 
 pytestmark = pytest.mark.anyio

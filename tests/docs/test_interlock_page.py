@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from service.pipeline.release_interlock.command_states import LIVES, Life, Turn
-from service.pipeline.release_interlock.interlock_conditions import Condition
-from service.pipeline.release_interlock.interlock_states import REFUSALS, TRANSITIONS, Guard, State, Trigger
-from service.pipeline.release_interlock.reference_page import command_diagram, interlock_diagram, reference_page
+from service.pipeline.control.release.command_states import LIVES, Life, Turn
+from service.pipeline.control.release.interlock_conditions import Condition
+from service.pipeline.control.release.interlock_states import REFUSALS, TRANSITIONS, Guard, State, Trigger
+from service.pipeline.control.release.reference_page import command_diagram, interlock_diagram, reference_page
 
 ROOT = Path(__file__).resolve().parents[2]
 

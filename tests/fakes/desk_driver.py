@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 from release_storage import SC, FakeArchive, KilledError
+from service.pipeline.control.release.control_verdict import control_verdict
 
 from service.core.control.sign_check import Verdict
 from service.pipeline.config import TorqueConfig
-from service.pipeline.release_interlock.control_verdict import control_verdict
-from service.pipeline.release_interlock.release_events import OrderKind, SignJudged
-from service.pipeline.release_interlock.release_settings import ReleaseSettings
-from service.pipeline.release_interlock.row_facts import SeenRow
+from service.pipeline.control.release.events import OrderKind, SignJudged
+from service.pipeline.control.release.row_facts import SeenRow
+from service.pipeline.control.release.settings import ReleaseSettings
 from service.ports import Outcome
 from service.records.attitude import AttitudeRow, Axes, Status
 from service.records.catalogue import Method

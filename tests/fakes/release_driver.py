@@ -8,11 +8,9 @@ import numpy as np
 from service.core.control.envelope import Envelope
 from service.core.control.sign_check import Verdict
 from service.core.control.slew_schedule import Drive, plan_slew, predicted_effect
-from service.pipeline.release_interlock.command_states import Turn
-from service.pipeline.release_interlock.interlock import Instant
-from service.pipeline.release_interlock.interlock_conditions import RowFacts, Surroundings
-from service.pipeline.release_interlock.release import advance, restored
-from service.pipeline.release_interlock.release_events import (
+from service.pipeline.control.release.advance import advance, restored
+from service.pipeline.control.release.command_states import Turn
+from service.pipeline.control.release.events import (
     ActionKind,
     Automatic,
     Confirm,
@@ -31,7 +29,9 @@ from service.pipeline.release_interlock.release_events import (
     Tick,
     Told,
 )
-from service.pipeline.release_interlock.release_settings import ReleaseSettings
+from service.pipeline.control.release.interlock import Instant
+from service.pipeline.control.release.interlock_conditions import RowFacts, Surroundings
+from service.pipeline.control.release.settings import ReleaseSettings
 from service.records.attitude import Axes
 
 US = 1_000_000

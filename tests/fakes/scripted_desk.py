@@ -3,8 +3,9 @@
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from service.pipeline.control.release.control_reasons import reason_of
+
 from service.errors import SooError
-from service.pipeline.release_interlock.control_reasons import reason_of
 from service.records.attitude import Axes
 from service.records.command import Pulse
 from service.records.release import (

@@ -26,7 +26,7 @@ from service.cli.demo import _tracking_table
 from service.errors import SooError
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.compute_command import NO_CARRY, compute_command
-from service.pipeline.release_interlock.release_events import OrderKind
+from service.pipeline.control.release.events import OrderKind
 from service.records.attitude import Axes, Status
 from service.records.catalogue import ControlMode, Method, Release
 from service.records.epoch import format_epoch

@@ -11,8 +11,8 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition,
 from release_storage import SC
 
 from service.errors import SooError
+from service.pipeline.control.release.events import OrderKind
 from service.pipeline.method_runner import CommandEvidence
-from service.pipeline.release_interlock.release_events import OrderKind
 from service.records.attitude import Axes
 from service.records.inputs import Operation
 

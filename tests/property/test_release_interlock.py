@@ -13,9 +13,8 @@ from release_driver import AROUND, GOOD, SETTINGS, US, ReleaseDriver
 
 from service.core.control.envelope import Envelope
 from service.core.control.sign_check import Verdict
-from service.pipeline.release_interlock.command_states import Life, Turn
-from service.pipeline.release_interlock.interlock_states import TRANSITIONS, State
-from service.pipeline.release_interlock.release_events import (
+from service.pipeline.control.release.command_states import Life, Turn
+from service.pipeline.control.release.events import (
     Automatic,
     Cancel,
     Confirm,
@@ -27,6 +26,7 @@ from service.pipeline.release_interlock.release_events import (
     SignJudged,
     Told,
 )
+from service.pipeline.control.release.interlock_states import TRANSITIONS, State
 from service.records.attitude import Axes
 
 PERSONS = st.sampled_from(["ann", "bob", "cas"])

@@ -6,7 +6,7 @@ import pytest
 from service.core.control.sign_check import Verdict
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.control_design import control_design
-from service.pipeline.release_interlock.release_settings import ReleaseSettings
+from service.pipeline.control.release.settings import ReleaseSettings
 from service.records.attitude import Axes
 from service.records.command import Pulse
 from service.records.epoch import US_PER_S

@@ -13,7 +13,7 @@ from service.api.protocol.bodies import accepts, optional_body
 from service.api.routes.comments import log_comment
 from service.api.schemas.control import ControlAnswer, OrderDocument, SignCheckDocument
 from service.errors import FieldError, ForbiddenError
-from service.pipeline.release_interlock.release_events import OrderKind
+from service.pipeline.control.release.events import OrderKind
 from service.records.release import ControlView
 from service.runtime.automatic_release import AutomaticRelease
 

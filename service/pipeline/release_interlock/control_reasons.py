@@ -1,9 +1,9 @@
 """Reasons why no torque may go: text and next step of every code, in one table."""
 
 from service.pipeline.control.command.control_inhibitions import CONTROL_INHIBITIONS
+from service.pipeline.control.release.interlock_conditions import Condition, Consequence
+from service.pipeline.control.release.settings import ReleaseSettings
 from service.pipeline.interlock import INHIBITIONS
-from service.pipeline.release_interlock.interlock_conditions import Condition, Consequence
-from service.pipeline.release_interlock.release_settings import ReleaseSettings
 from service.records.release import ControlReason
 
 #: reasons that are neither conditions of the interlock nor inhibitions of rows and commands

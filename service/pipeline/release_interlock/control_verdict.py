@@ -3,9 +3,10 @@
 Every answer about the present carries this one object.
 """
 
-from service.pipeline.release_interlock.control_reasons import reason_of
-from service.pipeline.release_interlock.interlock_conditions import Condition, Consequence
-from service.pipeline.release_interlock.interlock_states import State
+from service.pipeline.control.release.control_reasons import reason_of
+
+from service.pipeline.control.release.interlock_conditions import Condition, Consequence
+from service.pipeline.control.release.interlock_states import State
 from service.records.attitude import AttitudeRow
 from service.records.catalogue import Release
 from service.records.command import TorqueCommand

@@ -24,7 +24,7 @@ from service.pipeline.config import (
     RobustConfig,
     TorqueConfig,
 )
-from service.pipeline.release_interlock.release_settings import ReleaseSettings
+from service.pipeline.control.release.settings import ReleaseSettings
 from service.ports import LIVE, Outcome
 from service.records.attitude import AttitudeRow, Axes, Exclusion, Status
 from service.records.calibration import (

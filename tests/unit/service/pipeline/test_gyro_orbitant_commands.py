@@ -12,7 +12,7 @@ from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S
 from service.core.geometry.frames import body_from_nadir
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.compute_command import NO_CARRY, command_for, compute_command
-from service.pipeline.release_interlock.release_proposals import effect_of
+from service.pipeline.control.release.proposals import effect_of
 from service.records.attitude import Axes, row_without_attitude
 from service.records.catalogue import ControlLaw, FlexibleMode, GyroOrbitantGains, Method, Release
 from service.records.inputs import TelemetryRecord

@@ -4,7 +4,7 @@ from alarm_rig import HOUR, MINUTE, START, S, append, report
 from desk_driver import DeskDriver
 
 from db.schema.release_tables import release_made_two_step
-from service.pipeline.release_interlock.release_events import OrderKind
+from service.pipeline.control.release.events import OrderKind
 from service.records.access_key import AccessKey, Role, StoredKey
 from service.records.catalogue import Ephemeris
 from service.records.link import LinkWarning

@@ -7,8 +7,8 @@ from desk_driver import GOOD, MINUTE_US, START_US, US, DeskDriver
 from release_storage import SC
 
 from service.errors import ConflictError, ForbiddenError, GoneError, InvalidInputError, NotFoundError, StorageError
+from service.pipeline.control.release.events import OrderKind
 from service.pipeline.method_runner import CommandEvidence
-from service.pipeline.release_interlock.release_events import OrderKind
 from service.records.attitude import Axes
 from service.records.catalogue import ControlMode, Onboard, Release
 from service.records.command import ReportedCommand

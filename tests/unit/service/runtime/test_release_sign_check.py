@@ -8,10 +8,10 @@ from sign_world import payload
 
 from service.core.estimation.filtering.filter_model import pattern_change
 from service.errors import ConflictError, InvalidInputError
+from service.pipeline.control.release.command_states import Life
+from service.pipeline.control.release.events import OrderKind
+from service.pipeline.control.release.settings import ReleaseSettings
 from service.pipeline.method_runner import CommandEvidence
-from service.pipeline.release_interlock.command_states import Life
-from service.pipeline.release_interlock.release_events import OrderKind
-from service.pipeline.release_interlock.release_settings import ReleaseSettings
 from service.records.inputs import TelemetryRecord
 from service.records.release import Purpose
 from service.runtime.sign_check_run import turned_deg

@@ -5,8 +5,8 @@ from contextlib import contextmanager
 import pytest
 
 from service.pipeline.config import TorqueConfig
-from service.pipeline.release_interlock.release_events import OrderKind
-from service.pipeline.release_interlock.release_settings import ReleaseSettings
+from service.pipeline.control.release.events import OrderKind
+from service.pipeline.control.release.settings import ReleaseSettings
 from service.records.command import AppliedCommand
 from service.records.release import InterlockHold
 from service.runtime.live_feed import LiveFeed

@@ -7,11 +7,11 @@ import pytest
 from release_driver import US, ReleaseDriver
 
 from service.core.control.slew_schedule import AxisPulse
-from service.pipeline.release_interlock.command_states import LIVES, OPEN, UNREPORTED, Life, Turn, next_life
-from service.pipeline.release_interlock.release import advance, uncertainty_of
-from service.pipeline.release_interlock.release_checks import release_checks, sent_within_an_hour
-from service.pipeline.release_interlock.release_commands import executed_part
-from service.pipeline.release_interlock.release_events import ActionKind, Cancel, Confirm, Prepare, Report, digest_of
+from service.pipeline.control.release.advance import advance, uncertainty_of
+from service.pipeline.control.release.command_states import LIVES, OPEN, UNREPORTED, Life, Turn, next_life
+from service.pipeline.control.release.command_transitions import executed_part
+from service.pipeline.control.release.events import ActionKind, Cancel, Confirm, Prepare, Report, digest_of
+from service.pipeline.control.release.release_checks import release_checks, sent_within_an_hour
 
 
 @pytest.fixture

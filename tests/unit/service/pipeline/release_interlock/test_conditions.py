@@ -6,9 +6,8 @@ import pytest
 from release_driver import GOOD, MINUTE_US, START_US, US, ReleaseDriver, slew
 
 from service.core.control.sign_check import Verdict
-from service.pipeline.release_interlock.command_states import Turn
-from service.pipeline.release_interlock.interlock_conditions import Condition, Consequence
-from service.pipeline.release_interlock.release_events import (
+from service.pipeline.control.release.command_states import Turn
+from service.pipeline.control.release.events import (
     Applied,
     Cancel,
     Engage,
@@ -18,6 +17,7 @@ from service.pipeline.release_interlock.release_events import (
     ResponseJudged,
     SignJudged,
 )
+from service.pipeline.control.release.interlock_conditions import Condition, Consequence
 from service.records.attitude import Axes
 
 NAN = float("nan")

@@ -6,12 +6,12 @@ from dataclasses import replace
 import pytest
 from desk_driver import GOOD, US, DeskDriver
 from scripted_desk import CONTROL
+from service.pipeline.control.release.control_reasons import _NEXT_STEPS, CODES, reason_of
+from service.pipeline.control.release.control_verdict import control_verdict
 
-from service.pipeline.release_interlock.control_reasons import _NEXT_STEPS, CODES, reason_of
-from service.pipeline.release_interlock.control_verdict import control_verdict
-from service.pipeline.release_interlock.release_events import OrderKind
-from service.pipeline.release_interlock.release_settings import ReleaseSettings
-from service.pipeline.release_interlock.row_facts import facts_of_row
+from service.pipeline.control.release.events import OrderKind
+from service.pipeline.control.release.row_facts import facts_of_row
+from service.pipeline.control.release.settings import ReleaseSettings
 from service.records.attitude import Axes, Status
 from service.records.catalogue import Release
 

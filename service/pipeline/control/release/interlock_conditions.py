@@ -6,7 +6,7 @@ Law of this file: what is not known counts as bad. A condition is judged from fa
 from dataclasses import dataclass
 from enum import Enum
 
-from service.pipeline.release_interlock.release_settings import ReleaseSettings, microseconds
+from service.pipeline.control.release.settings import ReleaseSettings, microseconds
 from service.records.attitude import Axes
 
 

@@ -11,20 +11,8 @@ import numpy as np
 
 from service.core.control.sign_check import Verdict
 from service.core.control.slew_schedule import Triple, triple_of
-from service.pipeline.release_interlock.command_states import OPEN, UNREPORTED, Turn, next_life
-from service.pipeline.release_interlock.interlock import (
-    Instant,
-    Interlock,
-    Request,
-    Terms,
-    fire,
-    settle,
-    tripped,
-)
-from service.pipeline.release_interlock.interlock_conditions import ALARMED, Condition, RowFacts
-from service.pipeline.release_interlock.interlock_states import REFUSALS, State, Trigger, rows_of
-from service.pipeline.release_interlock.release_checks import unreported_of
-from service.pipeline.release_interlock.release_commands import (
+from service.pipeline.control.release.command_states import OPEN, UNREPORTED, Turn, next_life
+from service.pipeline.control.release.command_transitions import (
     applied,
     automatic,
     cancel,
@@ -33,7 +21,7 @@ from service.pipeline.release_interlock.release_commands import (
     refused,
     report,
 )
-from service.pipeline.release_interlock.release_events import (
+from service.pipeline.control.release.events import (
     Action,
     ActionKind,
     Applied,
@@ -55,7 +43,19 @@ from service.pipeline.release_interlock.release_events import (
     Tick,
     Told,
 )
-from service.pipeline.release_interlock.release_settings import ReleaseSettings, microseconds
+from service.pipeline.control.release.interlock import (
+    Instant,
+    Interlock,
+    Request,
+    Terms,
+    fire,
+    settle,
+    tripped,
+)
+from service.pipeline.control.release.interlock_conditions import ALARMED, Condition, RowFacts
+from service.pipeline.control.release.interlock_states import REFUSALS, State, Trigger, rows_of
+from service.pipeline.control.release.release_checks import unreported_of
+from service.pipeline.control.release.settings import ReleaseSettings, microseconds
 from service.records.epoch import US_PER_S
 
 _HOUR_US = 3600 * US_PER_S

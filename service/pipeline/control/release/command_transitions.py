@@ -8,12 +8,8 @@ from dataclasses import replace
 
 from service.core.control.envelope import envelope_excesses
 from service.core.control.slew_schedule import AxisPulse
-from service.pipeline.release_interlock.command_states import OPEN, Life, Turn, next_life
-from service.pipeline.release_interlock.interlock import Instant, tripped
-from service.pipeline.release_interlock.interlock_conditions import Condition
-from service.pipeline.release_interlock.interlock_states import State
-from service.pipeline.release_interlock.release_checks import first_failure, release_checks, sent_within_an_hour
-from service.pipeline.release_interlock.release_events import (
+from service.pipeline.control.release.command_states import OPEN, Life, Turn, next_life
+from service.pipeline.control.release.events import (
     Action,
     ActionKind,
     Applied,
@@ -30,7 +26,11 @@ from service.pipeline.release_interlock.release_events import (
     Step,
     digest_of,
 )
-from service.pipeline.release_interlock.release_settings import ReleaseSettings, microseconds
+from service.pipeline.control.release.interlock import Instant, tripped
+from service.pipeline.control.release.interlock_conditions import Condition
+from service.pipeline.control.release.interlock_states import State
+from service.pipeline.control.release.release_checks import first_failure, release_checks, sent_within_an_hour
+from service.pipeline.control.release.settings import ReleaseSettings, microseconds
 from service.records.epoch import US_PER_S
 
 #: who stands behind a command that nobody confirmed by hand

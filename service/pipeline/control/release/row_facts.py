@@ -2,8 +2,8 @@
 
 from typing import NamedTuple
 
+from service.pipeline.control.release.interlock_conditions import RowFacts
 from service.pipeline.method_runner import CommandEvidence
-from service.pipeline.release_interlock.interlock_conditions import RowFacts
 from service.ports import Outcome
 from service.records.attitude import AttitudeRow, Status
 

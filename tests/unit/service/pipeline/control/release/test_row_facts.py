@@ -5,7 +5,7 @@ import math
 import pytest
 from scipy.stats import chi2
 
-from service.pipeline.release_interlock.row_facts import facts_of_row, is_in_band
+from service.pipeline.control.release.row_facts import facts_of_row, is_in_band
 from service.records.attitude import row_without_attitude
 from service.records.catalogue import Method
 

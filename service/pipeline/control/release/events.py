@@ -7,9 +7,9 @@ from enum import Enum
 from service.core.control.envelope import Envelope
 from service.core.control.sign_check import Verdict
 from service.core.control.slew_schedule import AxisPulse, Effect, Triple
-from service.pipeline.release_interlock.command_states import Life, Turn
-from service.pipeline.release_interlock.interlock import Instant, Interlock
-from service.pipeline.release_interlock.interlock_conditions import RowFacts, Surroundings
+from service.pipeline.control.release.command_states import Life, Turn
+from service.pipeline.control.release.interlock import Instant, Interlock
+from service.pipeline.control.release.interlock_conditions import RowFacts, Surroundings
 from service.records.epoch import US_PER_S
 
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 from release_driver import GOOD, ReleaseDriver
 
-from service.pipeline.release_interlock.release_document import ReleaseMemory, document_of, memory_of
-from service.pipeline.release_interlock.release_events import OrderKind
+from service.pipeline.control.release.events import OrderKind
+from service.pipeline.control.release.state_document import ReleaseMemory, document_of, memory_of
 from service.records.attitude import Axes
 from service.records.release import SignCheckView, SignRatios
 

@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 
-from service.pipeline.release_interlock.command_states import LIVES, Life, Turn
-from service.pipeline.release_interlock.interlock_conditions import Condition, Consequence
-from service.pipeline.release_interlock.interlock_states import TRANSITIONS, Guard, State, Trigger
-from service.pipeline.release_interlock.release_settings import ReleaseSettings
+from service.pipeline.control.release.command_states import LIVES, Life, Turn
+from service.pipeline.control.release.interlock_conditions import Condition, Consequence
+from service.pipeline.control.release.interlock_states import TRANSITIONS, Guard, State, Trigger
+from service.pipeline.control.release.settings import ReleaseSettings
 
 
 def interlock_diagram() -> str:

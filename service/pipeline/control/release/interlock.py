@@ -6,7 +6,7 @@ Law of this file: only `fire` changes the state, by a row of the table; what a s
 from dataclasses import dataclass, field, replace
 
 from service.core.control.envelope import Envelope
-from service.pipeline.release_interlock.interlock_conditions import (
+from service.pipeline.control.release.interlock_conditions import (
     Condition,
     Consequence,
     Durations,
@@ -17,8 +17,8 @@ from service.pipeline.release_interlock.interlock_conditions import (
     row_conditions,
     surrounding_conditions,
 )
-from service.pipeline.release_interlock.interlock_states import Guard, State, Transition, Trigger, rows_of
-from service.pipeline.release_interlock.release_settings import ReleaseSettings, microseconds
+from service.pipeline.control.release.interlock_states import Guard, State, Transition, Trigger, rows_of
+from service.pipeline.control.release.settings import ReleaseSettings, microseconds
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,12 +4,12 @@ from typing import NamedTuple
 
 from service.core.control.envelope import Envelope, envelope_excesses
 from service.core.control.slew_schedule import Triple
-from service.pipeline.release_interlock.command_states import UNREPORTED
-from service.pipeline.release_interlock.interlock import Instant, Interlock
-from service.pipeline.release_interlock.interlock_conditions import Condition, Consequence, Unreported
-from service.pipeline.release_interlock.interlock_states import State
-from service.pipeline.release_interlock.release_events import CommandRecord, Proposal, Refusal, ReleaseState
-from service.pipeline.release_interlock.release_settings import ReleaseSettings, microseconds
+from service.pipeline.control.release.command_states import UNREPORTED
+from service.pipeline.control.release.events import CommandRecord, Proposal, Refusal, ReleaseState
+from service.pipeline.control.release.interlock import Instant, Interlock
+from service.pipeline.control.release.interlock_conditions import Condition, Consequence, Unreported
+from service.pipeline.control.release.interlock_states import State
+from service.pipeline.control.release.settings import ReleaseSettings, microseconds
 from service.records.epoch import US_PER_S
 
 _HOUR_US = 3600 * US_PER_S

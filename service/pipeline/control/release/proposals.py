@@ -7,7 +7,7 @@ import numpy as np
 
 from service.core.control.quaternion_law import inertia_about_angles
 from service.core.control.slew_schedule import AxisPulse, Effect, FloatArray, predicted_effect
-from service.pipeline.release_interlock.release_events import Proposal
+from service.pipeline.control.release.events import Proposal
 from service.records.attitude import Axes
 from service.records.catalogue import Spacecraft
 from service.records.command import Pulse, TorqueCommand

@@ -13,8 +13,8 @@ from functools import cache
 from types import NoneType, UnionType
 from typing import Any, get_args, get_origin, get_type_hints
 
-from service.pipeline.release_interlock.interlock_conditions import Durations, Surroundings
-from service.pipeline.release_interlock.release_events import ReleaseState
+from service.pipeline.control.release.events import ReleaseState
+from service.pipeline.control.release.interlock_conditions import Durations, Surroundings
 from service.records.release import SignCheckView
 
 
