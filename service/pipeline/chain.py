@@ -20,9 +20,9 @@ from service.pipeline.alarms.readings import RowFacts
 from service.pipeline.config import ChainConfig
 from service.pipeline.control.command.compute_command import NO_CARRY, compute_command
 from service.pipeline.control.command.schedule_check import PanelSwing, swing_after
-from service.pipeline.disagreement import Disagreement, compare
+from service.pipeline.estimation.method import CommandEvidence, MethodRunner
+from service.pipeline.estimation.method_disagreement import Disagreement, compare
 from service.pipeline.knowledge import Knowledge, Lookup, learn
-from service.pipeline.method_runner import CommandEvidence, MethodRunner
 from service.pipeline.paper_runner import PaperRunner
 from service.pipeline.robust_runner import RobustRunner
 from service.ports import Outcome

@@ -1,8 +1,8 @@
 """The paper method in the chain: its model, its state, and what is known of each carrier."""
 
 from service.pipeline.config import ChainConfig
+from service.pipeline.estimation.method import CalibratedColumns, CarrierLevels, CommandEvidence
 from service.pipeline.knowledge import Knowledge, Lookup
-from service.pipeline.method_runner import CalibratedColumns, CarrierLevels, CommandEvidence
 from service.pipeline.paper_method import PaperModel, PaperState, PaperStep, initial_state, paper_model, step_paper
 from service.records.attitude import AttitudeRow, CarrierState
 from service.records.catalogue import CarrierPlan, Method

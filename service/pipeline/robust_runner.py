@@ -9,9 +9,9 @@ from service.core.estimation.filtering.command_watch import missed_log_ratio, sh
 from service.core.estimation.filtering.filter_state import core_size
 from service.core.estimation.filtering.hidden_motion import SHARE_SIGMA
 from service.pipeline.config import ChainConfig
+from service.pipeline.estimation.method import CalibratedColumns, CarrierLevels, CommandEvidence
 from service.pipeline.knowledge import Knowledge, Lookup
 from service.pipeline.known_motion import CommandedMotion, end_us, heard
-from service.pipeline.method_runner import CalibratedColumns, CarrierLevels, CommandEvidence
 from service.pipeline.robust_method import (
     RobustState,
     RobustStep,

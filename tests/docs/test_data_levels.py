@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from service.pipeline.control.command.control_inhibitions import CONTROL_INHIBITIONS
-from service.pipeline.interlock import INHIBITIONS
+from service.pipeline.estimation.row_inhibitions import INHIBITIONS
 from service.records.attitude import Status
 from service.records.quality_flag import QualityFlag
 

@@ -12,7 +12,7 @@ from release_storage import SC
 
 from service.errors import SooError
 from service.pipeline.control.release.events import OrderKind
-from service.pipeline.method_runner import CommandEvidence
+from service.pipeline.estimation.method import CommandEvidence
 from service.records.attitude import Axes
 from service.records.inputs import Operation
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from service.pipeline.alarms.alarm_engine import AlarmBook, Readings
 from service.pipeline.alarms.limit_sets import Circumstances, circumstances
-from service.pipeline.method_runner import CarrierLevels
+from service.pipeline.estimation.method import CarrierLevels
 from service.records.alarm import AlarmChange
 from service.records.alarm_memory import BookMemory
 from service.records.attitude import AttitudeRow, FloatArray, Status

@@ -3,7 +3,7 @@
 from service.pipeline.control.command.control_inhibitions import CONTROL_INHIBITIONS
 from service.pipeline.control.release.interlock_conditions import Condition, Consequence
 from service.pipeline.control.release.settings import ReleaseSettings
-from service.pipeline.interlock import INHIBITIONS
+from service.pipeline.estimation.row_inhibitions import INHIBITIONS
 from service.records.release import ControlReason
 
 #: reasons that are neither conditions of the interlock nor inhibitions of rows and commands

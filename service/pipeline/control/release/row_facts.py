@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from service.pipeline.control.release.interlock_conditions import RowFacts
-from service.pipeline.method_runner import CommandEvidence
+from service.pipeline.estimation.method import CommandEvidence
 from service.ports import Outcome
 from service.records.attitude import AttitudeRow, Status
 

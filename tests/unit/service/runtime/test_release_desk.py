@@ -8,7 +8,7 @@ from release_storage import SC
 
 from service.errors import ConflictError, ForbiddenError, GoneError, InvalidInputError, NotFoundError, StorageError
 from service.pipeline.control.release.events import OrderKind
-from service.pipeline.method_runner import CommandEvidence
+from service.pipeline.estimation.method import CommandEvidence
 from service.records.attitude import Axes
 from service.records.catalogue import ControlMode, Onboard, Release
 from service.records.command import ReportedCommand

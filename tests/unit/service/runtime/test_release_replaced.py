@@ -10,7 +10,7 @@ from release_storage import SC
 from sign_world import payload
 
 from service.errors import ConflictError
-from service.pipeline.method_runner import CommandEvidence
+from service.pipeline.estimation.method import CommandEvidence
 from service.records.attitude import Axes
 from service.records.catalogue import Method
 from service.records.command import ReleasedCommand, ReportedCommand

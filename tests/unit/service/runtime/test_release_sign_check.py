@@ -11,7 +11,7 @@ from service.errors import ConflictError, InvalidInputError
 from service.pipeline.control.release.command_states import Life
 from service.pipeline.control.release.events import OrderKind
 from service.pipeline.control.release.settings import ReleaseSettings
-from service.pipeline.method_runner import CommandEvidence
+from service.pipeline.estimation.method import CommandEvidence
 from service.records.inputs import TelemetryRecord
 from service.records.release import Purpose
 from service.runtime.sign_check_run import turned_deg

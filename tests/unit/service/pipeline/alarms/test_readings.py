@@ -10,7 +10,7 @@ from service.pipeline.alarms.alarm_engine import AlarmBook
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.alarms.readings import RowFacts, RowReader
 from service.pipeline.config import AlarmConfig, RobustConfig
-from service.pipeline.method_runner import CarrierLevels
+from service.pipeline.estimation.method import CarrierLevels
 from service.records.alarm_limits import AlarmLimits
 from service.records.alarm_memory import BookMemory
 from service.records.attitude import NO_ANGLES, Axes, Status, row_without_attitude

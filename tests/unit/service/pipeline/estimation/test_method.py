@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from geometry_flight import START_US, FlightPayload
 
-from service.pipeline.method_runner import CalibratedColumns
+from service.pipeline.estimation.method import CalibratedColumns
 from service.records.catalogue import CarrierPlan, Station
 from service.records.measurement import Measurement
 

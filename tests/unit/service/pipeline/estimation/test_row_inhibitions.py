@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from service.pipeline.config import InterlockConfig
-from service.pipeline.interlock import INHIBITIONS, Circumstances, judge
+from service.pipeline.estimation.row_inhibitions import INHIBITIONS, Circumstances, judge
 from service.records.attitude import AttitudeFix
 
 CONFIG = InterlockConfig()

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from service.pipeline.config import RobustConfig
-from service.pipeline.disagreement import Disagreement, compare
+from service.pipeline.estimation.method_disagreement import Disagreement, compare
 from service.records.attitude import Axes, Status, row_without_attitude
 from service.records.catalogue import Method
 

@@ -1,0 +1,1 @@
+"""Estimation (L2-L4): both methods, row inhibitions, disagreement of the methods."""
