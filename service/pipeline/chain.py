@@ -22,8 +22,8 @@ from service.pipeline.control.command.compute_command import NO_CARRY, compute_c
 from service.pipeline.control.command.schedule_check import PanelSwing, swing_after
 from service.pipeline.estimation.method import CommandEvidence, MethodRunner
 from service.pipeline.estimation.method_disagreement import Disagreement, compare
+from service.pipeline.estimation.paper.runner import PaperRunner
 from service.pipeline.knowledge import Knowledge, Lookup, learn
-from service.pipeline.paper_runner import PaperRunner
 from service.pipeline.robust_runner import RobustRunner
 from service.ports import Outcome
 from service.records.attitude import AttitudeRow, CarrierState, IntArray, row_without_attitude

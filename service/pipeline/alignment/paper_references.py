@@ -13,8 +13,8 @@ import numpy as np
 from service.core.estimation.noise_model import averaged_sigma_db
 from service.core.estimation.paper.consistency import Consistency, compare_with_angles
 from service.pipeline.config import AlignmentConfig
-from service.pipeline.harmonic_removal import harmonic_db
-from service.pipeline.solve import SensitivityModel, answer_db, sensitivity_model
+from service.pipeline.estimation.paper.harmonic_removal import harmonic_db
+from service.pipeline.estimation.paper.snapshot_fix import SensitivityModel, answer_db, sensitivity_model
 from service.pipeline.stated_angles import StatedAngles, angles_over_deg, stated_sigma_deg
 from service.records.attitude import FloatArray
 from service.records.calibration import Calibration, CarrierReference

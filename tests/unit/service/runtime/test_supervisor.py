@@ -9,7 +9,7 @@ import pytest
 
 import service.runtime.supervisor as supervisor_module
 from service.errors import StorageError
-from service.pipeline.paper_runner import PaperRunner
+from service.pipeline.estimation.paper.runner import PaperRunner
 from service.records.attitude import Status
 from service.records.catalogue import Release
 from service.records.command import AppliedCommand

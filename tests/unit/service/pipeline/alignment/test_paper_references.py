@@ -7,8 +7,8 @@ import pytest
 
 from service.pipeline.alignment.paper_references import reference_powers
 from service.pipeline.config import AlignmentConfig, EstimationConfig
-from service.pipeline.harmonic_removal import expected_power, remove_harmonic
-from service.pipeline.solve import sensitivity_model, solve_attitude
+from service.pipeline.estimation.paper.harmonic_removal import expected_power, remove_harmonic
+from service.pipeline.estimation.paper.snapshot_fix import sensitivity_model, solve_attitude
 from service.pipeline.stated_angles import StatedAngles, smooth_angles
 from service.records.attitude import Axes
 from service.records.calibration import Window

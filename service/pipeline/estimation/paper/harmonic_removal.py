@@ -11,7 +11,7 @@ import numpy as np
 
 from service.core.estimation.paper.harmonic import evaluate_harmonic
 from service.core.geometry.node_phase import node_phase_rad
-from service.pipeline.solve import answer_db, sensitivity_model
+from service.pipeline.estimation.paper.snapshot_fix import answer_db, sensitivity_model
 from service.records.attitude import Deviation, FloatArray
 from service.records.calibration import Alignment, Calibration, CarrierReference, ReferenceRule
 from service.records.catalogue import Ephemeris, Method

@@ -2,8 +2,15 @@
 
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.method import CalibratedColumns, CarrierLevels, CommandEvidence
+from service.pipeline.estimation.paper.method import (
+    PaperModel,
+    PaperState,
+    PaperStep,
+    initial_state,
+    paper_model,
+    step_paper,
+)
 from service.pipeline.knowledge import Knowledge, Lookup
-from service.pipeline.paper_method import PaperModel, PaperState, PaperStep, initial_state, paper_model, step_paper
 from service.records.attitude import AttitudeRow, CarrierState
 from service.records.catalogue import CarrierPlan, Method
 from service.records.journal import SlowInput

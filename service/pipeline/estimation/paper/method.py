@@ -15,12 +15,12 @@ from service.core.estimation.paper import trailing_mean
 from service.core.estimation.paper.downlink_fade import FadeTest, FadeWatch, fade_sign_test, step_fade_watch
 from service.core.estimation.paper.rejection import reject_faded_carriers
 from service.core.estimation.paper.trailing_mean import TrailingMean
-from service.pipeline.attitude_filter import NO_FIXES, FixHistory, rate_deg_s, remember_fix
 from service.pipeline.config import ChainConfig
+from service.pipeline.estimation.paper.harmonic_removal import ExpectedPower, expected_power, remove_harmonic
+from service.pipeline.estimation.paper.rate_filter import NO_FIXES, FixHistory, rate_deg_s, remember_fix
+from service.pipeline.estimation.paper.snapshot_fix import SensitivityModel, sensitivity_model, solve_attitude
 from service.pipeline.estimation.row_inhibitions import Circumstances, Verdict, judge
-from service.pipeline.harmonic_removal import ExpectedPower, expected_power, remove_harmonic
 from service.pipeline.knowledge import Knowledge
-from service.pipeline.solve import SensitivityModel, sensitivity_model, solve_attitude
 from service.records.attitude import AttitudeFix, AttitudeRow, Deviation, FloatArray, Status, named_axes
 from service.records.calibration import Calibration
 from service.records.catalogue import Ephemeris, Method

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from service.pipeline.config import ChainConfig
+from service.pipeline.estimation.paper.method import initial_state, paper_model, step_paper
 from service.pipeline.knowledge import Knowledge, learn
-from service.pipeline.paper_method import initial_state, paper_model, step_paper
 from service.records.attitude import Status
 from service.records.inputs import Operation
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from service.core.estimation.paper.octants import predict_deviation_db
-from service.pipeline.harmonic_removal import (
+from service.pipeline.estimation.paper.harmonic_removal import (
     expected_power,
     harmonic_arrays,
     harmonic_db,

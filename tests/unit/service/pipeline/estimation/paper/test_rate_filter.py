@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.pipeline.attitude_filter import NO_FIXES, rate_deg_s, remember_fix
+from service.pipeline.estimation.paper.rate_filter import NO_FIXES, rate_deg_s, remember_fix
 
 S = 1_000_000
 WINDOW_S = 1800.0

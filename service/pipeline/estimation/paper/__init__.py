@@ -1,0 +1,1 @@
+"""Published method: harmonic removal, snapshot fix, rate filter."""
