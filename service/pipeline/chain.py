@@ -23,8 +23,8 @@ from service.pipeline.control.command.schedule_check import PanelSwing, swing_af
 from service.pipeline.estimation.method import CommandEvidence, MethodRunner
 from service.pipeline.estimation.method_disagreement import Disagreement, compare
 from service.pipeline.estimation.paper.runner import PaperRunner
+from service.pipeline.estimation.robust.runner import RobustRunner
 from service.pipeline.knowledge import Knowledge, Lookup, learn
-from service.pipeline.robust_runner import RobustRunner
 from service.ports import Outcome
 from service.records.attitude import AttitudeRow, CarrierState, IntArray, row_without_attitude
 from service.records.calibration import Calibration

@@ -8,7 +8,7 @@ from service.api.schemas.control import VerdictAnswer
 from service.api.schemas.links import LinkAnswer
 from service.api.schemas.status import StatusAnswer
 from service.api.views.links import links_told
-from service.pipeline.robust_row import ADVICE
+from service.pipeline.estimation.robust.attitude_rows import ADVICE
 from service.records.calibration import CalibrationState
 from service.runtime.inspection import newest_advice, runnable_methods
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from geometry_flight import HOUR, INERTIA, Flight, FlightPayload
 
-from service.pipeline import robust_runner
+from service.pipeline.estimation.robust import runner as robust_runner
 from service.records.attitude import Axes
 from service.records.catalogue import AxisTorques, FedForwardTorque, Method, Onboard
 from service.records.command import AppliedCommand, Pulse, ReleasedCommand, ReportedCommand, TorqueCommand

@@ -7,8 +7,8 @@ import pytest
 from geometry_flight import HOUR, INERTIA, MINUTE, Flight, FlightDocuments, FlightPayload
 
 from service.pipeline.config import ChainConfig
+from service.pipeline.estimation.robust.runner import RobustRunner
 from service.pipeline.knowledge import Knowledge
-from service.pipeline.robust_runner import RobustRunner
 from service.records.attitude import Axes
 from service.records.catalogue import Method
 from service.records.command import AppliedCommand, Pulse, TorqueCommand

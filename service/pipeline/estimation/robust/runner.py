@@ -10,9 +10,7 @@ from service.core.estimation.filtering.filter_state import core_size
 from service.core.estimation.filtering.hidden_motion import SHARE_SIGMA
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.method import CalibratedColumns, CarrierLevels, CommandEvidence
-from service.pipeline.knowledge import Knowledge, Lookup
-from service.pipeline.known_motion import CommandedMotion, end_us, heard
-from service.pipeline.robust_method import (
+from service.pipeline.estimation.robust.method import (
     RobustState,
     RobustStep,
     carried_state,
@@ -20,8 +18,8 @@ from service.pipeline.robust_method import (
     known_disturbance,
     step_robust,
 )
-from service.pipeline.robust_model import RobustModel, robust_model
-from service.pipeline.unreported_commands import (
+from service.pipeline.estimation.robust.model import RobustModel, robust_model
+from service.pipeline.estimation.robust.unreported_commands import (
     MAX_ROWS,
     Branch,
     Motion,
@@ -33,6 +31,8 @@ from service.pipeline.unreported_commands import (
     stepped,
     told_to,
 )
+from service.pipeline.knowledge import Knowledge, Lookup
+from service.pipeline.known_motion import CommandedMotion, end_us, heard
 from service.records.attitude import AttitudeRow, CarrierState
 from service.records.calibration import Alignment, Calibration
 from service.records.catalogue import CarrierPlan, Ephemeris, Method, Spacecraft

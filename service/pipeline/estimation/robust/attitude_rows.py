@@ -10,8 +10,8 @@ from service.core.estimation.filtering.declared import Declared
 from service.core.estimation.filtering.filter_state import common_states
 from service.core.estimation.filtering.filter_update import site_db
 from service.core.estimation.snapshot.snapshot import CarrierUse, Snapshots
+from service.pipeline.estimation.robust.model import RobustModel
 from service.pipeline.estimation.row_inhibitions import INHIBITIONS
-from service.pipeline.robust_model import RobustModel
 from service.records.attitude import AttitudeRow, BoolArray, Exclusion, FloatArray, Status, named_axes
 from service.records.catalogue import Method
 from service.records.measurement import Measurement

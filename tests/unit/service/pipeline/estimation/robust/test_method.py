@@ -8,8 +8,8 @@ from geometry_flight import MINUTE, Flight, FlightPayload
 from stepped_robust import ALIGNED_US, CONFIG, PAYLOAD, Stepped
 
 from service.core.estimation.filtering.filter_state import FREE_REFERENCE_DB2
-from service.pipeline.robust_method import carried_state, rates_deg_s
-from service.pipeline.robust_model import robust_model
+from service.pipeline.estimation.robust.method import carried_state, rates_deg_s
+from service.pipeline.estimation.robust.model import robust_model
 from service.records.attitude import Status
 from service.records.calibration import CalibrationMethod
 from service.records.inputs import AlignmentSet, CalibrationActivation, EphemerisChange
@@ -175,13 +175,13 @@ def test_numbers_that_break_the_filter_leave_the_state_before_them(monkeypatch):
     for minute in range(1, 5):
         stepped.step(minute)
     before = stepped.state
-    real = __import__("service.pipeline.robust_method", fromlist=["step"]).step
+    real = __import__("service.pipeline.estimation.robust.method", fromlist=["step"]).step
 
     def broken(*args, **options):
         told = real(*args, **options)
         return told._replace(attitude_deg=told.attitude_deg * NAN)
 
-    monkeypatch.setattr("service.pipeline.robust_method.step", broken)
+    monkeypatch.setattr("service.pipeline.estimation.robust.method.step", broken)
     with pytest.raises(ArithmeticError, match="lost its numbers"):
         stepped.step(5)
     monkeypatch.undo()

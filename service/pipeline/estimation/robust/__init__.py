@@ -1,0 +1,1 @@
+"""Robust method: attitude filter over all carriers."""
