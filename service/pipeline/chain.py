@@ -24,7 +24,7 @@ from service.pipeline.estimation.method import CommandEvidence, MethodRunner
 from service.pipeline.estimation.method_disagreement import Disagreement, compare
 from service.pipeline.estimation.paper.runner import PaperRunner
 from service.pipeline.estimation.robust.runner import RobustRunner
-from service.pipeline.knowledge import Knowledge, Lookup, learn
+from service.pipeline.inputs.knowledge import Knowledge, Lookup, learn
 from service.ports import Outcome
 from service.records.attitude import AttitudeRow, CarrierState, IntArray, row_without_attitude
 from service.records.calibration import Calibration

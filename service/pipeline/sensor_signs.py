@@ -13,7 +13,7 @@ from service.core.estimation.calibration.sensor_axes import DECISIVE, MAPPINGS, 
 from service.pipeline.calibration.geometry_rows import PlanPlaces
 from service.pipeline.calibration.windows import CalibrationError, CalibrationInput
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.sensor_angles import angles_at
+from service.pipeline.inputs.sensor_angles import angles_at
 from service.records.attitude import BoolArray, FloatArray
 from service.records.calibration import SensorSigns
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from service.errors import ConflictError, InvalidInputError
 from service.pipeline.alignment.alignment import AlignedPowers, align_methods
 from service.pipeline.config import AlignmentConfig
-from service.pipeline.stated_angles import StatedAngles, smooth_angles
+from service.pipeline.inputs.reference_angles import StatedAngles, smooth_angles
 from service.ports import Clock, Storage
 from service.records.attitude import Axes
 from service.records.calibration import (

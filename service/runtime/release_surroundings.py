@@ -7,7 +7,7 @@ from hashlib import sha256
 
 from service.errors import NotFoundError
 from service.pipeline.control.release.interlock_conditions import Surroundings
-from service.pipeline.knowledge import has_body_rate
+from service.pipeline.inputs.knowledge import has_body_rate
 from service.ports import Storage
 from service.records.attitude import Axes
 from service.records.calibration import CalibrationMethod, CalibrationState, Window

@@ -21,7 +21,7 @@ from analyzer_sim.world.world import World
 from service.pipeline.alignment.alignment import align_methods
 from service.pipeline.chain import Chain
 from service.pipeline.config import AlignmentConfig, ChainConfig
-from service.pipeline.stated_angles import smooth_angles
+from service.pipeline.inputs.reference_angles import smooth_angles
 from service.records.attitude import AttitudeRow, BoolArray, FloatArray, IntArray, Status
 from service.records.calibration import Alignment, ReferenceRule, Window
 from service.records.catalogue import Method

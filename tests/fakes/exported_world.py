@@ -16,7 +16,7 @@ from service.pipeline.calibration.paper_calibration import calibrate_paper
 from service.pipeline.calibration.windows import CalibrationInput
 from service.pipeline.chain import Chain
 from service.pipeline.config import AlignmentConfig, CalibrationConfig, ChainConfig
-from service.pipeline.stated_angles import smooth_angles
+from service.pipeline.inputs.reference_angles import smooth_angles
 from service.records.calibration import (
     Alignment,
     Calibration,

@@ -6,8 +6,8 @@ from geometry_flight import HOUR, MINUTE, START_US, FlightPayload
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.robust.method import initial_state, step_robust
 from service.pipeline.estimation.robust.model import robust_model
-from service.pipeline.knowledge import Knowledge
-from service.pipeline.known_motion import CommandedMotion
+from service.pipeline.inputs.knowledge import Knowledge
+from service.pipeline.inputs.known_motion import CommandedMotion
 from service.records.calibration import CalibrationMethod
 
 CONFIG = ChainConfig()

@@ -8,7 +8,7 @@ from geometry_flight import Flight, FlightPayload
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from service.pipeline.known_motion import CommandedMotion, heard, take
+from service.pipeline.inputs.known_motion import CommandedMotion, heard, take
 from service.records.attitude import Axes, Status
 from service.records.catalogue import Method
 from service.records.inputs import Correction

@@ -9,7 +9,7 @@ from service.core.estimation.paper.consistency import Consistency
 from service.pipeline.alignment.paper_references import reference_powers
 from service.pipeline.alignment.robust_references import robust_references
 from service.pipeline.config import AlignmentConfig
-from service.pipeline.stated_angles import StatedAngles
+from service.pipeline.inputs.reference_angles import StatedAngles
 from service.records.calibration import Calibration, CalibrationMethod, CarrierReference
 from service.records.catalogue import Ephemeris, Method
 from service.records.series import MeasurementSeries

@@ -15,7 +15,7 @@ from service.core.estimation.paper.consistency import Consistency, compare_with_
 from service.pipeline.config import AlignmentConfig
 from service.pipeline.estimation.paper.harmonic_removal import harmonic_db
 from service.pipeline.estimation.paper.snapshot_fix import SensitivityModel, answer_db, sensitivity_model
-from service.pipeline.stated_angles import StatedAngles, angles_over_deg, stated_sigma_deg
+from service.pipeline.inputs.reference_angles import StatedAngles, angles_over_deg, stated_sigma_deg
 from service.records.attitude import FloatArray
 from service.records.calibration import Calibration, CarrierReference
 from service.records.catalogue import Ephemeris

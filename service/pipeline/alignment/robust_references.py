@@ -18,7 +18,7 @@ from service.pipeline.carrier_model.calibrated_arrays import GeometryModel, geom
 from service.pipeline.carrier_model.expected_level import ExpectedLevel
 from service.pipeline.carrier_model.level_control import centred_response, member_groups, without_group_gain
 from service.pipeline.config import AlignmentConfig
-from service.pipeline.stated_angles import StatedAngles, angles_over_deg, stated_sigma_deg
+from service.pipeline.inputs.reference_angles import StatedAngles, angles_over_deg, stated_sigma_deg
 from service.records.attitude import BoolArray, FloatArray, IntArray
 from service.records.calibration import Calibration, CalibrationResult, CarrierReference
 from service.records.catalogue import Ephemeris

@@ -16,7 +16,7 @@ from service.core.geometry.frames import station_direction
 from service.core.geometry.line_of_sight import Places, Track, antenna_motion_deg, sight_motion_deg, track_position_deg
 from service.pipeline.calibration.windows import CalibrationError, CalibrationInput, phase_rad, unturned_sides
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.sensor_angles import angles_at
+from service.pipeline.inputs.sensor_angles import angles_at
 from service.records.attitude import BoolArray, FloatArray, IntArray
 from service.records.calibration import Window
 from service.records.catalogue import CarrierPlan, Spacecraft

@@ -7,7 +7,7 @@ import numpy as np
 from service.core.estimation.paper.harmonic import evaluate_harmonic
 from service.core.geometry.node_phase import node_phase_rad
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.sensor_angles import angles_at
+from service.pipeline.inputs.sensor_angles import angles_at
 from service.records.attitude import FloatArray, IntArray
 from service.records.calibration import CalibrationRequest
 from service.records.catalogue import CarrierPlan, Ephemeris, Spacecraft

@@ -5,7 +5,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from service.core.estimation.filtering.filter_model import CarrierModel
-from service.pipeline.knowledge import Knowledge
+from service.pipeline.inputs.knowledge import Knowledge
 from service.records.attitude import AttitudeRow, CarrierState, FloatArray, IntArray
 from service.records.catalogue import Carrier, CarrierPlan, Method
 from service.records.disturbance import Disturbance

@@ -12,7 +12,7 @@ from service.pipeline.calibration.geometry_calibration import calibrate_geometry
 from service.pipeline.calibration.windows import CalibrationError, CalibrationInput
 from service.pipeline.chain import Chain
 from service.pipeline.config import AlignmentConfig, CalibrationConfig, ChainConfig
-from service.pipeline.stated_angles import smooth_angles
+from service.pipeline.inputs.reference_angles import smooth_angles
 from service.records.attitude import AttitudeRow, BoolArray, FloatArray, IntArray
 from service.records.calibration import (
     Alignment,

@@ -20,7 +20,7 @@ from service.pipeline.estimation.paper.harmonic_removal import ExpectedPower, ex
 from service.pipeline.estimation.paper.rate_filter import NO_FIXES, FixHistory, rate_deg_s, remember_fix
 from service.pipeline.estimation.paper.snapshot_fix import SensitivityModel, sensitivity_model, solve_attitude
 from service.pipeline.estimation.row_inhibitions import Circumstances, Verdict, judge
-from service.pipeline.knowledge import Knowledge
+from service.pipeline.inputs.knowledge import Knowledge
 from service.records.attitude import AttitudeFix, AttitudeRow, Deviation, FloatArray, Status, named_axes
 from service.records.calibration import Calibration
 from service.records.catalogue import Ephemeris, Method

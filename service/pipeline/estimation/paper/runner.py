@@ -10,7 +10,7 @@ from service.pipeline.estimation.paper.method import (
     paper_model,
     step_paper,
 )
-from service.pipeline.knowledge import Knowledge, Lookup
+from service.pipeline.inputs.knowledge import Knowledge, Lookup
 from service.records.attitude import AttitudeRow, CarrierState
 from service.records.catalogue import CarrierPlan, Method
 from service.records.journal import SlowInput

@@ -29,13 +29,13 @@ from service.core.estimation.filtering.torque_prior import wave_period_us
 from service.core.estimation.snapshot.snapshot import Snapshots, solve_snapshots
 from service.pipeline.carrier_model.level_control import without_group_gain
 from service.pipeline.config import ChainConfig
-from service.pipeline.declared_operations import declared_between, with_chain_step
 from service.pipeline.estimation.robust.attitude_rows import Fixed, filtered_row, late_row
 from service.pipeline.estimation.robust.model import RobustModel, signals
+from service.pipeline.inputs.declared_operations import declared_between, with_chain_step
+from service.pipeline.inputs.knowledge import Knowledge
+from service.pipeline.inputs.known_motion import DEG_H2_N_M, CommandedMotion, take
+from service.pipeline.inputs.reference_angles import usual_sigma_deg
 from service.pipeline.kernels import kernels_named
-from service.pipeline.knowledge import Knowledge
-from service.pipeline.known_motion import DEG_H2_N_M, CommandedMotion, take
-from service.pipeline.stated_angles import usual_sigma_deg
 from service.records.attitude import AttitudeRow, FloatArray, named_axes
 from service.records.calibration import Alignment
 from service.records.disturbance import Disturbance

@@ -15,10 +15,10 @@ from service.pipeline.carrier_model.calibrated_arrays import GeometryModel, carr
 from service.pipeline.carrier_model.expected_level import ExpectedLevel, daily_error_db
 from service.pipeline.carrier_model.level_control import centred_model, centred_response, member_groups
 from service.pipeline.config import ChainConfig, InterlockConfig, RobustConfig
-from service.pipeline.declared_operations import CarrierNames
-from service.pipeline.knowledge import Knowledge
-from service.pipeline.known_motion import angle_inertia_kg_m2
-from service.pipeline.stated_torque import constant_share, fed_forward, is_torque_unknown, residual_deg_h2
+from service.pipeline.inputs.catalogue_torque import constant_share, fed_forward, is_torque_unknown, residual_deg_h2
+from service.pipeline.inputs.declared_operations import CarrierNames
+from service.pipeline.inputs.knowledge import Knowledge
+from service.pipeline.inputs.known_motion import angle_inertia_kg_m2
 from service.records.attitude import BoolArray, FloatArray, IntArray
 from service.records.calibration import Alignment, Calibration, CalibrationResult
 from service.records.catalogue import Ephemeris, Method, Spacecraft

@@ -31,8 +31,8 @@ from service.pipeline.estimation.robust.unreported_commands import (
     stepped,
     told_to,
 )
-from service.pipeline.knowledge import Knowledge, Lookup
-from service.pipeline.known_motion import CommandedMotion, end_us, heard
+from service.pipeline.inputs.knowledge import Knowledge, Lookup
+from service.pipeline.inputs.known_motion import CommandedMotion, end_us, heard
 from service.records.attitude import AttitudeRow, CarrierState
 from service.records.calibration import Alignment, Calibration
 from service.records.catalogue import CarrierPlan, Ephemeris, Method, Spacecraft

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from service.core.estimation.filtering.hidden_shares import with_share, without_shares
 from service.pipeline.estimation.robust.method import RobustState
 from service.pipeline.estimation.robust.model import RobustModel
-from service.pipeline.known_motion import heard, motions_of_released, without_replaced
+from service.pipeline.inputs.known_motion import heard, motions_of_released, without_replaced
 from service.records.catalogue import Spacecraft
 from service.records.command import AppliedCommand, Pulse, ReleasedCommand, ReportedCommand
 from service.records.inputs import Correction

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from geometry_flight import Flight, FlightPayload
 
-from service.pipeline.knowledge import Knowledge, learn
+from service.pipeline.inputs.knowledge import Knowledge, learn
 from service.records.attitude import Axes
 from service.records.catalogue import FlexibleMode, Release
 from service.records.command import AppliedCommand, Pulse, ReleasedCommand

@@ -9,7 +9,7 @@ from geometry_flight import Flight, FlightPayload
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.paper.runner import PaperRunner
-from service.pipeline.knowledge import Knowledge
+from service.pipeline.inputs.knowledge import Knowledge
 from service.records.attitude import Axes, Status
 from service.records.calibration import CalibrationMethod
 from service.records.catalogue import CarrierPlan, Method, Release, Station

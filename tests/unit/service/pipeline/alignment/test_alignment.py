@@ -8,7 +8,7 @@ from geometry_flight import HOUR, MINUTE, START_US, FlightPayload
 
 from service.pipeline.alignment.alignment import align_methods, columns_of
 from service.pipeline.config import AlignmentConfig
-from service.pipeline.stated_angles import StatedAngles
+from service.pipeline.inputs.reference_angles import StatedAngles
 from service.records.attitude import Axes
 from service.records.calibration import CalibrationMethod, Window
 

@@ -9,7 +9,7 @@ from service.pipeline.alignment.paper_references import reference_powers
 from service.pipeline.config import AlignmentConfig, EstimationConfig
 from service.pipeline.estimation.paper.harmonic_removal import expected_power, remove_harmonic
 from service.pipeline.estimation.paper.snapshot_fix import sensitivity_model, solve_attitude
-from service.pipeline.stated_angles import StatedAngles, smooth_angles
+from service.pipeline.inputs.reference_angles import StatedAngles, smooth_angles
 from service.records.attitude import Axes
 from service.records.calibration import Window
 from service.records.catalogue import Method

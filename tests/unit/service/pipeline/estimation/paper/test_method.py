@@ -7,7 +7,7 @@ import pytest
 
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.paper.method import initial_state, paper_model, step_paper
-from service.pipeline.knowledge import Knowledge, learn
+from service.pipeline.inputs.knowledge import Knowledge, learn
 from service.records.attitude import Status
 from service.records.inputs import Operation
 

@@ -9,7 +9,7 @@ from geometry_flight import CITIES, HOUR, INERTIA, START_US, FlightPayload, S
 from service.core.estimation.filtering.torque_prior import torque_prior_deg_h2
 from service.pipeline.config import ChainConfig, InterlockConfig, RobustConfig
 from service.pipeline.estimation.robust.model import robust_model, signals
-from service.pipeline.knowledge import Knowledge
+from service.pipeline.inputs.knowledge import Knowledge
 from service.records.calibration import CalibrationMethod, Window
 from service.records.catalogue import AxisTorques, FedForwardTorque
 

@@ -8,7 +8,7 @@ from geometry_flight import HOUR, INERTIA, MINUTE, Flight, FlightDocuments, Flig
 
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.robust.runner import RobustRunner
-from service.pipeline.knowledge import Knowledge
+from service.pipeline.inputs.knowledge import Knowledge
 from service.records.attitude import Axes
 from service.records.catalogue import Method
 from service.records.command import AppliedCommand, Pulse, TorqueCommand

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from geometry_flight import HOUR, INERTIA, LONGITUDE_DEG, MINUTE, SITE, S
 
-from service.pipeline.known_motion import CommandedMotion, heard, take
+from service.pipeline.inputs.known_motion import CommandedMotion, heard, take
 from service.records.attitude import Axes
 from service.records.catalogue import Spacecraft
 from service.records.command import AppliedCommand, Pulse, ReportedCommand, TorqueCommand

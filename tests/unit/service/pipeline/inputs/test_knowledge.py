@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from service.pipeline.knowledge import Knowledge, learn
+from service.pipeline.inputs.knowledge import Knowledge, learn
 from service.records.attitude import Axes
 from service.records.calibration import CalibrationMethod
 from service.records.catalogue import Method

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from service.pipeline.config import OperationConfig
-from service.pipeline.declared_operations import CarrierNames, declared_between, with_chain_step
+from service.pipeline.inputs.declared_operations import CarrierNames, declared_between, with_chain_step
 from service.records.attitude import Axes
 from service.records.inputs import Operation
 

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from service.core.estimation.filtering.filter_model import FedForward
-from service.pipeline.known_motion import DEG_H2_N_M, angle_inertia_kg_m2
+from service.pipeline.inputs.known_motion import DEG_H2_N_M, angle_inertia_kg_m2
 from service.records.attitude import FloatArray
 from service.records.catalogue import AxisTorques, Spacecraft
 from service.records.epoch import US_PER_S

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.pipeline.stated_angles import StatedAngles, smooth_angles, stated_sigma_deg
+from service.pipeline.inputs.reference_angles import StatedAngles, smooth_angles, stated_sigma_deg
 from service.records.attitude import Axes
 from service.records.series import ReferenceSeries
 

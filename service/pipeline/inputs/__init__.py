@@ -1,0 +1,1 @@
+"""Inputs beside powers: known motion, declared operations, sensor angles."""
