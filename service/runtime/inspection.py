@@ -9,8 +9,8 @@ from typing import NamedTuple
 from service.errors import ConflictError, InvalidInputError, NotFoundError
 from service.pipeline.calibration.window_harmonics import CarrierHarmonic, paper_harmonics, robust_harmonics
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.planning import Recommendation, Rule, recommend
-from service.pipeline.planning_candidates import MIN_USABLE, Candidates, candidates_of
+from service.pipeline.planning.candidates import MIN_USABLE, Candidates, candidates_of
+from service.pipeline.planning.planning import Recommendation, Rule, recommend
 from service.ports import LIVE, Storage
 from service.records.calibration import (
     Calibration,

@@ -4,14 +4,14 @@ from enum import StrEnum
 from typing import Self
 
 from service.api.schemas.base import AnglesAnswer, Answer, Figure
-from service.pipeline.planning import (
+from service.pipeline.planning.candidates import Candidates
+from service.pipeline.planning.planning import (
     AVERAGING_SPANS_S,
     CarrierSet,
     Recommendation,
     TurnStep,
     turn_timetable,
 )
-from service.pipeline.planning_candidates import Candidates
 from service.records.attitude import named_axes
 from service.records.epoch import US_PER_S
 from service.runtime.inspection import CarrierRecommendation

@@ -82,8 +82,8 @@ def _assumed_planning(
 ) -> CarrierPlanning:
     """Return the planning of carriers with assumed beams."""
     from service.api.schemas.carrier_selection import CarrierSelectionAnswer, Turns
-    from service.pipeline.assumed_beams import NOISES, assume_payload
-    from service.pipeline.planning import Rule, recommend
+    from service.pipeline.planning.assumed_beams import NOISES, assume_payload
+    from service.pipeline.planning.planning import Rule, recommend
     from service.runtime.inspection import CarrierRecommendation, wanted_count
 
     known = {carrier.transponder for carrier in carriers}
@@ -101,7 +101,7 @@ def _assumed_planning(
 
 def _beam(text: str) -> tuple[str, Any]:
     """Return the transponder, ``*`` for all, and the beam that an option states."""
-    from service.pipeline.assumed_beams import AssumedBeam
+    from service.pipeline.planning.assumed_beams import AssumedBeam
 
     name, equals, figures = text.rpartition("=")
     try:

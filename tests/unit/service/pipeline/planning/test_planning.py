@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from synthetic_payload import START_US, SyntheticPayload
 
-from service.pipeline.assumed_beams import DEFAULT_WIDTHS_DEG, NOISES, AssumedBeam, assume_payload
-from service.pipeline.planning import Rule, recommend, turn_timetable
-from service.pipeline.planning_candidates import GONE, NOT_MEASURED, NOT_USABLE, candidates_of
+from service.pipeline.planning.assumed_beams import DEFAULT_WIDTHS_DEG, NOISES, AssumedBeam, assume_payload
+from service.pipeline.planning.candidates import GONE, NOT_MEASURED, NOT_USABLE, candidates_of
+from service.pipeline.planning.planning import Rule, recommend, turn_timetable
 from service.records.attitude import NO_ANGLES
 from service.records.calibration import NoiseComponent
 from service.records.catalogue import Carrier, CarrierPlan, Station

@@ -26,7 +26,7 @@ from service.core.estimation.design import (
 )
 from service.core.estimation.observability import crlb_deg
 from service.core.estimation.paper.selection import AxisSelection, SelectionReason, axis_dominance, select_by_axis
-from service.pipeline.planning_candidates import NOT_MEASURED, Candidates
+from service.pipeline.planning.candidates import NOT_MEASURED, Candidates
 from service.records.attitude import Axes, FloatArray, IntArray, named_axes
 from service.records.epoch import US_PER_S
 

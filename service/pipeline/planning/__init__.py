@@ -1,0 +1,1 @@
+"""Planning before a calibration: sets of carriers, turns, assumed beams."""
