@@ -40,8 +40,8 @@ from service.formats.row_text import ready_kernels
 from service.records.calibration import Window
 from service.records.catalogue import Carrier, Site, Spacecraft
 from service.records.epoch import format_epoch
-from service.records.measurement import MeasurementBatch
-from service.records.measurement_block import MeasurementBlock
+from service.records.levels.measurement import MeasurementBatch
+from service.records.levels.measurement_block import MeasurementBlock
 
 CARRIERS = 16
 STEP_US = 10_000_000

@@ -23,7 +23,7 @@ import numpy as np
 from bench.server_process import ServedProcess, running
 from db.storage import SqlStorage
 from service.ports import LIVE
-from service.records.measurement import MeasurementBatch
+from service.records.levels.measurement import MeasurementBatch
 from tests.fakes.synthetic_payload import SC, START_US, S, SyntheticPayload
 
 CARRIERS = 16

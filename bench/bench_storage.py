@@ -25,11 +25,11 @@ import numpy as np
 from db.encoding.segments import DAY_US
 from db.storage import SqlStorage
 from service.ports import LIVE, Outcome
-from service.records.attitude import AttitudeRow, Axes, Status
 from service.records.calibration import Window
 from service.records.catalogue import Carrier, Method, Site, Spacecraft
-from service.records.command import Pulse, TorqueCommand
-from service.records.measurement import BatchReceipt, Measurement, MeasurementBatch
+from service.records.levels.attitude import AttitudeRow, Axes, Status
+from service.records.levels.command import Pulse, TorqueCommand
+from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
 
 START_US = 1_795_000_000_000_000
 STEP_US = 100_000

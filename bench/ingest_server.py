@@ -19,7 +19,7 @@ import db.connection.writer
 from bench.commit_per_request import CommitPerRequest, slow_down
 from service.api.server_process import StreamingServer, calm_collector
 from service.bootstrap import build_app, build_storage
-from service.records.measurement import BatchReceipt, MeasurementBatch
+from service.records.levels.measurement import BatchReceipt, MeasurementBatch
 from service.settings import Settings
 
 

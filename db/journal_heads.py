@@ -16,7 +16,7 @@ from db.measurements.measurement_pages import MeasurementPages
 from db.schema.tables import head, journal, spacecraft
 from service.records.diagnosis import Diagnosis
 from service.records.journal import JournalHead
-from service.records.measurement import DETAIL_NAMES, Measurement
+from service.records.levels.measurement import DETAIL_NAMES, Measurement
 
 _DIGITS = 16
 _LOST = "Stop the service. Restore a backup, or put the missing files back; then let the front ends send again."

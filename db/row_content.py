@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.records.attitude import IntArray
-from service.records.measurement import Float32Array
-from service.records.quality_flag import QualityFlag
+from service.records.levels.attitude import IntArray
+from service.records.levels.measurement import Float32Array
+from service.records.levels.quality_flag import QualityFlag
 
 
 class RowContent(NamedTuple):

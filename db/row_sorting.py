@@ -17,10 +17,10 @@ from db.encoding.segments import SegmentCache, sealed_contents
 from db.prepared_batch import PreparedBatch, prepare
 from db.row_content import RowContent, row_content
 from db.schema.tables import measurement, measurement_detail
-from service.records.attitude import IntArray
 from service.records.epoch import format_epoch
-from service.records.measurement import MeasurementBatch, Refusal, RowRemark
-from service.records.quality_flag import QualityFlag
+from service.records.levels.attitude import IntArray
+from service.records.levels.measurement import MeasurementBatch, Refusal, RowRemark
+from service.records.levels.quality_flag import QualityFlag
 
 #: epochs in one query; SQLite before 3.32 binds 999 values at most
 LOOKUP_CHUNK = 500

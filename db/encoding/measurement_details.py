@@ -11,8 +11,8 @@ import numpy as np
 from sqlalchemy import Connection
 
 from db.connection.compiled_statements import run_bare
-from service.records.attitude import BoolArray, FloatArray
-from service.records.measurement import DETAIL_NAMES, CarrierDetails
+from service.records.levels.attitude import BoolArray, FloatArray
+from service.records.levels.measurement import DETAIL_NAMES, CarrierDetails
 
 _AT_ONCE = """
 INSERT INTO measurement_detail (spacecraft_key, source_key, epoch_us, figures)

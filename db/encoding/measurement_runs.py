@@ -10,9 +10,9 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from service.records.attitude import IntArray
-from service.records.measurement import Float32Array, Measurement
-from service.records.measurement_block import MeasurementBlock
+from service.records.levels.attitude import IntArray
+from service.records.levels.measurement import Float32Array, Measurement
+from service.records.levels.measurement_block import MeasurementBlock
 
 #: place of a row in the order of epochs: its epoch and its journal number
 Cursor = tuple[int, int]

@@ -20,8 +20,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.records.attitude import IntArray
-from service.records.measurement import Float32Array
+from service.records.levels.attitude import IntArray
+from service.records.levels.measurement import Float32Array
 
 _DECIMAL_SCALES = np.array([1e2, 1e3, 1e4, 1e5])
 #: code of the scale 2**0; above it one for each power of two

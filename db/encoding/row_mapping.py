@@ -11,10 +11,10 @@ from db.encoding.json_documents import decode, decode_all, encode, encode_all
 from db.encoding.measurement_details import details_of
 from db.encoding.power_codec import unpack_flags, unpack_parts, unpack_powers
 from db.schema.tables import measurement, measurement_detail, source
-from service.records.attitude import NO_ANGLES, AttitudeRow, Axes, Exclusion, FloatArray, IntArray, Status
 from service.records.catalogue import Method
-from service.records.command import Pulse, ScheduleVerdict, TorqueCommand
-from service.records.measurement import Measurement
+from service.records.levels.attitude import NO_ANGLES, AttitudeRow, Axes, Exclusion, FloatArray, IntArray, Status
+from service.records.levels.command import Pulse, ScheduleVerdict, TorqueCommand
+from service.records.levels.measurement import Measurement
 
 #: when a row was received; the table holds how long after its epoch that was, which takes half the bytes
 RECEIVED_AT_US: ColumnElement[int] = (measurement.c.epoch_us + measurement.c.delay_us).label("received_at_us")

@@ -12,8 +12,8 @@ import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-from service.records.attitude import BoolArray, IntArray
-from service.records.measurement import DETAIL_NAMES, Float32Array
+from service.records.levels.attitude import BoolArray, IntArray
+from service.records.levels.measurement import DETAIL_NAMES, Float32Array
 
 #: the layout that is written; readers know which one a segment has
 CODEC = 1

@@ -20,9 +20,9 @@ from db.row_content import RowContent, row_content
 from db.schema.tables import measurement_segment as segment_table
 from db.schema.tables import source, spacecraft
 from service.errors import StorageError
-from service.records.attitude import BoolArray, IntArray
 from service.records.epoch import US_PER_S, format_epoch
-from service.records.measurement import CarrierDetails, Float32Array, Measurement
+from service.records.levels.attitude import BoolArray, IntArray
+from service.records.levels.measurement import CarrierDetails, Float32Array, Measurement
 
 DAY_US = 86_400 * US_PER_S
 #: bytes of unpacked rows that are kept for the next reader

@@ -15,7 +15,7 @@ from sqlalchemy import ColumnElement, Connection, Row, Table, func, select
 from db.encoding.segments import SegmentHead, heads, read_piece
 from db.schema.tables import attitude, head, journal, measurement, retention_mark, torque
 from service.errors import StorageError
-from service.records.attitude import IntArray
+from service.records.levels.attitude import IntArray
 
 _FETCH = 50_000
 _FOR_EVER_US = 1 << 62

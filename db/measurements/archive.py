@@ -22,14 +22,14 @@ from db.prepared_batch import prepare
 from db.schema.tables import carrier_plan, head, journal, operation, source
 from service.errors import InvalidInputError, NotFoundError
 from service.records.archive_upkeep import Dropped, SealedPart, SegmentState
-from service.records.attitude import FloatArray, IntArray
 from service.records.calibration import Window
 from service.records.catalogue import Carrier
 from service.records.inputs import AttitudeReference, Operation, SourceSelection
 from service.records.journal import JournalEntry, JournalHead, SlowInput
-from service.records.measurement import BatchReceipt, Measurement, MeasurementBatch
-from service.records.measurement_block import MeasurementBlock
-from service.records.series import HeadState, InputReceipt, MeasurementSeries, ReferenceSeries, SourceState
+from service.records.levels.attitude import FloatArray, IntArray
+from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
+from service.records.levels.measurement_block import MeasurementBlock
+from service.records.levels.series import HeadState, InputReceipt, MeasurementSeries, ReferenceSeries, SourceState
 
 #: rows of a page that is read as blocks: what a page asks of the database takes longer than a sealed day
 BLOCK_PAGE_ROWS = 32_768

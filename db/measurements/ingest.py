@@ -21,8 +21,8 @@ from db.prepared_batch import PreparedBatch
 from db.row_sorting import SortedRows, seq_at, sort_rows
 from db.schema.tables import head, source
 from service.errors import InvalidInputError
-from service.records.attitude import BoolArray, IntArray
-from service.records.measurement import BatchReceipt, MeasurementBatch, RowRemark, Sender
+from service.records.levels.attitude import BoolArray, IntArray
+from service.records.levels.measurement import BatchReceipt, MeasurementBatch, RowRemark, Sender
 
 #: of ``IngestState``
 STATE_COLUMNS = (

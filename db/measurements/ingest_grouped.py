@@ -23,7 +23,7 @@ from db.measurements.ingest import MOVE_HEAD, STATE_COLUMNS, IngestState, later,
 from db.prepared_batch import PreparedBatch
 from db.row_checksum import measurement_checksums
 from db.schema.tables import head, source
-from service.records.measurement import BatchReceipt
+from service.records.levels.measurement import BatchReceipt
 
 #: UPDATE .. FROM
 _IS_KNOWN_TO_SQLITE = sqlite3.sqlite_version_info >= (3, 33)

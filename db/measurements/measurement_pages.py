@@ -25,10 +25,10 @@ from db.encoding.segments import (
     read_piece,
 )
 from db.schema.tables import measurement, measurement_detail, measurement_segment, source
-from service.records.attitude import BoolArray, IntArray
 from service.records.calibration import Window
-from service.records.measurement import Float32Array, Measurement
-from service.records.measurement_block import MeasurementBlock
+from service.records.levels.attitude import BoolArray, IntArray
+from service.records.levels.measurement import Float32Array, Measurement
+from service.records.levels.measurement_block import MeasurementBlock
 
 Columns = tuple[ColumnElement[Any], ...]
 #: rows that a reader of everything holds at once

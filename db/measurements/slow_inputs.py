@@ -9,12 +9,12 @@ from db.database import Span, add_entries, lock_head, next_id
 from db.encoding.json_documents import encode, is_same_input, kind_of
 from db.schema.tables import journal, operation
 from service.errors import InvalidInputError, NotFoundError
-from service.records.command import AppliedCommand, ReleasedCommand, ReportedCommand
 from service.records.inputs import AttitudeReference, Correction, Operation, TelemetryRecord
 from service.records.journal import SlowInput
-from service.records.measurement import Refusal
+from service.records.levels.command import AppliedCommand, ReleasedCommand, ReportedCommand
+from service.records.levels.measurement import Refusal
+from service.records.levels.series import InputReceipt
 from service.records.release import InterlockHold
-from service.records.series import InputReceipt
 
 LOOKUP_CHUNK = 500
 #: what carries its own key; everything else is journaled by the call that makes it

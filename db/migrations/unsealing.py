@@ -24,7 +24,7 @@ from db.encoding.measurement_details import insert_details, prepare_details
 from db.encoding.power_codec import unpack_flags, unpack_parts
 from db.encoding.segments import HEAD_COLUMNS, SegmentHead, read_piece
 from db.schema.tables import measurement_segment
-from service.records.measurement import DETAIL_NAMES, CarrierDetails
+from service.records.levels.measurement import DETAIL_NAMES, CarrierDetails
 
 _ROWS = 2000
 #: the table of rows as it was until schema 0008

@@ -14,10 +14,10 @@ from sqlalchemy import ColumnElement, Connection, Row, Select, and_, delete, fun
 from db.database import Database, beyond, lock_head, within
 from db.schema.tables import trace as trace_table
 from service.errors import ConflictError, NotFoundError
-from service.records.attitude import FloatArray
 from service.records.calibration import Window
 from service.records.epoch import format_epoch
-from service.records.trace import KeptTrace, Ring, Trace, TraceHead, TraceReceipt, TraceSettings
+from service.records.levels.attitude import FloatArray
+from service.records.levels.trace import KeptTrace, Ring, Trace, TraceHead, TraceReceipt, TraceSettings
 
 #: values in one query; SQLite before 3.32 binds 999 at most
 _CHUNK = 500

@@ -20,10 +20,10 @@ from db.measurements.measurement_pages import EVER, LIGHT, Chosen, MeasurementPa
 from db.measurements.retention import kept_from_us
 from db.schema.tables import attitude, calibration, head, journal
 from service.ports import LIVE
-from service.records.attitude import AttitudeRow, row_without_attitude
 from service.records.calibration import CalibrationMethod, Window
 from service.records.catalogue import Method
 from service.records.inputs import CalibrationActivation
+from service.records.levels.attitude import AttitudeRow, row_without_attitude
 
 
 class _Consumed(NamedTuple):

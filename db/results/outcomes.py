@@ -10,8 +10,8 @@ from db.encoding.row_mapping import attitude_values, torque_values
 from db.measurements.slow_inputs import store_inputs
 from db.schema.tables import attitude, head, torque
 from service.ports import LIVE, Outcome
-from service.records.attitude import AttitudeRow
-from service.records.command import TorqueCommand
+from service.records.levels.attitude import AttitudeRow
+from service.records.levels.command import TorqueCommand
 
 #: key tuples in one query; SQLite before 3.32 binds 999 values at most
 _LOOKUP_CHUNK = 250

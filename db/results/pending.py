@@ -16,9 +16,9 @@ from db.measurements.measurement_pages import MAX_NUMBER
 from db.measurements.retention import kept_from_us
 from db.schema.tables import alignment, attitude, head, measurement
 from service.ports import LIVE
-from service.records.attitude import IntArray
 from service.records.calibration import Window
 from service.records.catalogue import Method
+from service.records.levels.attitude import IntArray
 
 
 class PendingCount:

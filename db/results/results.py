@@ -14,10 +14,10 @@ from db.results.outcomes import Consumed, Result, store_outcomes
 from db.results.pending import PendingCount
 from db.schema.tables import attitude, torque
 from service.ports import LIVE, Outcome
-from service.records.attitude import AttitudeRow
 from service.records.calibration import Alignment, Window
 from service.records.catalogue import Method
-from service.records.command import TorqueCommand
+from service.records.levels.attitude import AttitudeRow
+from service.records.levels.command import TorqueCommand
 
 
 class SqlResults(SqlCalibrations, SqlJobs):

@@ -17,7 +17,7 @@ import numpy as np
 from service.core.geometry.quaternion import attitude_of_quaternion, quaternion_of_attitude, with_continuous_sign
 from service.formats.ccsds import Segment, as_bytes, comment, epoch_of, epoch_texts, line, malformed, read_segments
 from service.formats.ccsds import require as require_meta
-from service.records.attitude import AttitudeRow, FloatArray, IntArray
+from service.records.levels.attitude import AttitudeRow, FloatArray, IntArray
 
 #: rows of one segment at most: what is held in memory
 SEGMENT_ROWS = 100_000

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from service.errors import InvalidInputError
-from service.records.attitude import IntArray
 from service.records.epoch import parse_epoch
+from service.records.levels.attitude import IntArray
 
 LINE_LIMIT = 254
 _KEYWORD = re.compile(r"([A-Z][A-Z0-9_]*)\s*=\s*(.*?)\s*")

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from service.formats.csv_field import csv_field
 from service.formats.parquet_stream import GROUP_ROWS, ParquetStream
 from service.formats.row_text import RowFrame, RowText
-from service.records.attitude import IntArray
 from service.records.csv_guard import guarded
-from service.records.measurement import Float32Array
-from service.records.measurement_block import MeasurementBlock
+from service.records.levels.attitude import IntArray
+from service.records.levels.measurement import Float32Array
+from service.records.levels.measurement_block import MeasurementBlock
 
 Kernels = Literal["numba", "numpy"]
 

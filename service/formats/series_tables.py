@@ -7,10 +7,10 @@ from enum import Enum
 from typing import Any
 
 from service.formats.table_file import Column, Kind, Table
-from service.records.attitude import AttitudeRow, Axes
-from service.records.command import Pulse, TorqueCommand
 from service.records.epoch import format_epoch
 from service.records.inputs import AttitudeReference
+from service.records.levels.attitude import AttitudeRow, Axes
+from service.records.levels.command import Pulse, TorqueCommand
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,10 +25,10 @@ from service.formats.ccsds import (
     require,
 )
 from service.formats.numbers import text_of_float32
-from service.records.attitude import FloatArray, IntArray
 from service.records.catalogue import Carrier
-from service.records.measurement import Measurement
-from service.records.quality_flag import QualityFlag
+from service.records.levels.attitude import FloatArray, IntArray
+from service.records.levels.measurement import Measurement
+from service.records.levels.quality_flag import QualityFlag
 
 #: dBW = dBm - 30
 DBM_OF_DBW = 30.0

@@ -26,14 +26,14 @@ from service.pipeline.estimation.paper.runner import PaperRunner
 from service.pipeline.estimation.robust.runner import RobustRunner
 from service.pipeline.inputs.knowledge import Knowledge, Lookup, learn
 from service.ports import Outcome
-from service.records.attitude import AttitudeRow, CarrierState, IntArray, row_without_attitude
 from service.records.calibration import Calibration
 from service.records.catalogue import CarrierPlan, Method, Release, Spacecraft
-from service.records.command import AppliedCommand, ReleasedCommand
 from service.records.epoch import US_PER_S
 from service.records.inputs import AlignmentSet, CalibrationActivation, EphemerisChange, SpacecraftChange
 from service.records.journal import SlowInput
-from service.records.measurement import Measurement
+from service.records.levels.attitude import AttitudeRow, CarrierState, IntArray, row_without_attitude
+from service.records.levels.command import AppliedCommand, ReleasedCommand
+from service.records.levels.measurement import Measurement
 
 _LOG = logging.getLogger("soo.chain")
 

@@ -9,8 +9,8 @@ carriers says nothing.
 
 import numpy as np
 
-from service.records.attitude import BoolArray, FloatArray, IntArray
 from service.records.catalogue import CarrierPlan
+from service.records.levels.attitude import BoolArray, FloatArray, IntArray
 
 #: carriers that a group needs
 MIN_GROUP = 3

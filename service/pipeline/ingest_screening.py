@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.records.attitude import FloatArray, IntArray
 from service.records.epoch import EARLIEST_EPOCH_US, LATEST_EPOCH_US, US_PER_S, format_epoch
-from service.records.measurement import DETAIL_NAMES, CarrierDetails, MeasurementBatch, Refusal, Sender
+from service.records.levels.attitude import FloatArray, IntArray
+from service.records.levels.measurement import DETAIL_NAMES, CarrierDetails, MeasurementBatch, Refusal, Sender
 
 #: no carrier power that an analyzer can see lies outside
 MIN_POWER_DBM = -250.0

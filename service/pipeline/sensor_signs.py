@@ -14,8 +14,8 @@ from service.pipeline.calibration.geometry_rows import PlanPlaces
 from service.pipeline.calibration.windows import CalibrationError, CalibrationInput
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.inputs.sensor_angles import angles_at
-from service.records.attitude import BoolArray, FloatArray
 from service.records.calibration import SensorSigns
+from service.records.levels.attitude import BoolArray, FloatArray
 
 _AXIS_NAMES = ("yaw", "roll", "pitch")
 _SIGMAS = 5.0

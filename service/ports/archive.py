@@ -8,9 +8,9 @@ from service.records.archive_upkeep import Dropped, SealedPart, SegmentState
 from service.records.calibration import Window
 from service.records.inputs import Operation
 from service.records.journal import JournalEntry, JournalHead, SlowInput
-from service.records.measurement import BatchReceipt, Measurement, MeasurementBatch
-from service.records.measurement_block import MeasurementBlock
-from service.records.series import HeadState, InputReceipt, MeasurementSeries, ReferenceSeries, SourceState
+from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
+from service.records.levels.measurement_block import MeasurementBlock
+from service.records.levels.series import HeadState, InputReceipt, MeasurementSeries, ReferenceSeries, SourceState
 
 
 class Archive(Protocol):

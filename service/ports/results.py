@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from service.records.attitude import AttitudeRow
 from service.records.calibration import (
     Alignment,
     Calibration,
@@ -15,9 +14,10 @@ from service.records.calibration import (
     Window,
 )
 from service.records.catalogue import Method
-from service.records.command import AppliedCommand, TorqueCommand
-from service.records.disturbance import Disturbance
 from service.records.job import Job, JobState, Replay
+from service.records.levels.attitude import AttitudeRow
+from service.records.levels.command import AppliedCommand, TorqueCommand
+from service.records.levels.disturbance import Disturbance
 
 #: version under which the live chain writes
 LIVE = "live"

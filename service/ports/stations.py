@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from service.records.calibration import Window
+from service.records.levels.trace import KeptTrace, Ring, Trace, TraceHead, TraceReceipt
 from service.records.link import LinkReport, LinkState
-from service.records.trace import KeptTrace, Ring, Trace, TraceHead, TraceReceipt
 
 
 class Links(Protocol):

@@ -6,9 +6,9 @@ All arrays are tuples in the order of the plan's carriers or of (yaw, roll, pitc
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from service.records.attitude import Axes
 from service.records.catalogue import Method
 from service.records.geometry import GeometryFit
+from service.records.levels.attitude import Axes
 from service.records.noise import NoiseComponent
 
 

@@ -6,8 +6,8 @@ conflict.
 
 from dataclasses import dataclass
 
-from service.records.attitude import Axes
 from service.records.catalogue import Spacecraft
+from service.records.levels.attitude import Axes
 
 
 @dataclass(frozen=True, slots=True)

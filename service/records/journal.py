@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from service.records.command import AppliedCommand, ReleasedCommand, ReportedCommand
 from service.records.inputs import (
     AlignmentSet,
     AttitudeReference,
@@ -16,7 +15,8 @@ from service.records.inputs import (
     SpacecraftChange,
     TelemetryRecord,
 )
-from service.records.measurement import Measurement
+from service.records.levels.command import AppliedCommand, ReleasedCommand, ReportedCommand
+from service.records.levels.measurement import Measurement
 from service.records.release import InterlockHold
 
 #: an input other than a row of carrier powers

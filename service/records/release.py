@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
-from service.records.attitude import Axes
-from service.records.command import Pulse, ReleasedCommand, ReportedCommand, TorqueCommand
+from service.records.levels.attitude import Axes
+from service.records.levels.command import Pulse, ReleasedCommand, ReportedCommand, TorqueCommand
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,8 @@ from service.pipeline.control.release.state_document import memory_of
 from service.ports import Clock, Storage
 from service.records.calibration import CalibrationState
 from service.records.epoch import US_PER_S
+from service.records.levels.series import SourceState
 from service.records.link import LinkState
-from service.records.series import SourceState
 
 _SILENT = "SILENT"
 #: the least age of a warning, so that one of this very instant stands too, s

@@ -7,7 +7,6 @@ from service.pipeline.alignment.alignment import AlignedPowers, align_methods
 from service.pipeline.config import AlignmentConfig
 from service.pipeline.inputs.reference_angles import StatedAngles, smooth_angles
 from service.ports import Clock, Storage
-from service.records.attitude import Axes
 from service.records.calibration import (
     Alignment,
     Calibration,
@@ -18,6 +17,7 @@ from service.records.calibration import (
 )
 from service.records.catalogue import Ephemeris
 from service.records.epoch import US_PER_S, format_epoch
+from service.records.levels.attitude import Axes
 
 _UNKNOWN_COUPLING = (
     "onboard.roll_yaw_coupling is not stated: roll tells nothing of yaw, which is known from the powers alone; state "

@@ -13,11 +13,11 @@ from service.pipeline.control.command.command_record import withheld_command
 from service.ports import Archive, Catalogue, Outcome, Results
 from service.records.calibration import Alignment, Calibration, Window
 from service.records.catalogue import CarrierPlan, Ephemeris
-from service.records.command import AppliedCommand, ReleasedCommand, ReportedCommand
 from service.records.epoch import US_PER_S
 from service.records.inputs import AlignmentSet, Correction, TelemetryRecord
 from service.records.journal import JournalEntry
-from service.records.measurement import Measurement
+from service.records.levels.command import AppliedCommand, ReleasedCommand, ReportedCommand
+from service.records.levels.measurement import Measurement
 from service.records.release import InterlockHold
 
 #: kinds of slow input that the chain must know from before an alignment; the others concern rows after it

@@ -10,7 +10,7 @@ from threading import Lock
 from typing import NamedTuple
 
 from service.records.journal import JournalEntry
-from service.records.measurement import BatchReceipt, MeasurementBatch
+from service.records.levels.measurement import BatchReceipt, MeasurementBatch
 from service.runtime.row_news import is_whole, stored_rows
 
 #: rows of one spacecraft, 200 bytes each at 32 carriers; fewer would not outlast a stop of a second

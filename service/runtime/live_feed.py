@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from service.records.alarm import AlarmChange
-from service.records.attitude import AttitudeRow
-from service.records.command import TorqueCommand
-from service.records.measurement import Measurement
+from service.records.levels.attitude import AttitudeRow
+from service.records.levels.command import TorqueCommand
+from service.records.levels.measurement import Measurement
 
 #: what an event may tell; None: something is to be looked up
 Content = Measurement | AttitudeRow | TorqueCommand | AlarmChange | None

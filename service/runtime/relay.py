@@ -5,7 +5,7 @@ where they stand, and each stream reads them from the archive, as it does after 
 """
 
 from service.ports import Storage
-from service.records.measurement import Measurement
+from service.records.levels.measurement import Measurement
 from service.runtime.live_feed import Cursor, FeedEvent, LiveFeed
 
 #: entries and changes read in one go

@@ -34,8 +34,8 @@ from service.pipeline.control.release.settings import ReleaseSettings
 from service.pipeline.control.release.state_document import ReleaseMemory, document_of, essence, memory_of
 from service.ports import Releases
 from service.records.audit import apart_from_request
-from service.records.command import ReleasedCommand, ReportedCommand
 from service.records.epoch import US_PER_S
+from service.records.levels.command import ReleasedCommand, ReportedCommand
 from service.records.release import (
     CommandView,
     InterlockHold,

@@ -11,9 +11,9 @@ import numpy as np
 from service.pipeline.control.release.events import Event, Step
 from service.pipeline.control.release.interlock_conditions import RowFacts
 from service.pipeline.control.release.row_facts import SeenRow, facts_of_row
-from service.records.attitude import AttitudeRow
 from service.records.catalogue import Method, Spacecraft
 from service.records.epoch import US_PER_S
+from service.records.levels.attitude import AttitudeRow
 from service.runtime.release_case import Annex, ReleaseCase
 from service.runtime.release_surroundings import KnownFacts
 from service.runtime.sign_check_run import SignCheckRun

@@ -14,11 +14,11 @@ from service.pipeline.control.release.proposals import proposal_of
 from service.pipeline.control.release.release_checks import release_checks
 from service.pipeline.control.release.settings import ReleaseSettings, microseconds
 from service.ports import Releases
-from service.records.attitude import AttitudeRow
 from service.records.calibration import Window
 from service.records.catalogue import Spacecraft
-from service.records.command import TorqueCommand
 from service.records.epoch import US_PER_S
+from service.records.levels.attitude import AttitudeRow
+from service.records.levels.command import TorqueCommand
 from service.records.release import CommandWish
 from service.runtime.release_entry import ReleaseEntry
 from service.runtime.release_views import Dress, check_views

@@ -18,9 +18,9 @@ from service.pipeline.control.release.proposals import effect_of, proposal_of
 from service.pipeline.control.release.row_facts import SeenRow
 from service.pipeline.control.release.settings import ReleaseSettings, microseconds
 from service.ports import Storage
-from service.records.attitude import AttitudeRow
 from service.records.catalogue import ControlMode, Release, Spacecraft
-from service.records.command import TorqueCommand
+from service.records.levels.attitude import AttitudeRow
+from service.records.levels.command import TorqueCommand
 from service.records.release import ProductForm
 from service.runtime.release_case import Annex
 from service.runtime.release_entry import ReleaseEntry, Stepper

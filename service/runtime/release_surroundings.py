@@ -9,11 +9,11 @@ from service.errors import NotFoundError
 from service.pipeline.control.release.interlock_conditions import Surroundings
 from service.pipeline.inputs.knowledge import has_body_rate
 from service.ports import Storage
-from service.records.attitude import Axes
 from service.records.calibration import CalibrationMethod, CalibrationState, Window
 from service.records.catalogue import Method, Release, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.inputs import Operation, TelemetryRecord
+from service.records.levels.attitude import Axes
 
 #: operations are looked for so far back: a burn of then without a new ephemeris still counts
 _OPERATIONS_BACK_US = 60 * 86_400 * US_PER_S

@@ -10,9 +10,9 @@ from service.pipeline.control.release.events import CommandRecord, ReleaseState
 from service.pipeline.control.release.proposals import schedule_of
 from service.pipeline.control.release.release_checks import Check, sent_within_an_hour
 from service.pipeline.control.release.settings import ReleaseSettings, microseconds
-from service.records.attitude import AttitudeRow, Axes
 from service.records.catalogue import Spacecraft
-from service.records.command import ReleasedCommand, ReportedCommand, TorqueCommand
+from service.records.levels.attitude import AttitudeRow, Axes
+from service.records.levels.command import ReleasedCommand, ReportedCommand, TorqueCommand
 from service.records.release import (
     CheckView,
     CommandView,

@@ -11,7 +11,7 @@ from threading import Lock
 import numpy as np
 
 from service.records.journal import JournalEntry
-from service.records.measurement import BatchReceipt, CarrierDetails, Measurement, MeasurementBatch
+from service.records.levels.measurement import BatchReceipt, CarrierDetails, Measurement, MeasurementBatch
 from service.runtime.live_feed import Cursor, FeedEvent, LiveFeed
 
 #: rows of a batch that the writer tells of; more are a backlog, for which the writer has no time

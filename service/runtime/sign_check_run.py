@@ -17,10 +17,10 @@ from service.core.control.sign_profiles import Profile, pitch_profile, roll_prof
 from service.core.control.slew_schedule import LONGEST_SHARE, AxisPulse, Drive, plan_slew
 from service.core.estimation.filtering.filter_model import CarrierModel
 from service.pipeline.control.release.settings import ReleaseSettings, microseconds
-from service.records.attitude import Axes, FloatArray
-from service.records.command import Pulse
 from service.records.epoch import US_PER_S
 from service.records.inputs import TelemetryRecord
+from service.records.levels.attitude import Axes, FloatArray
+from service.records.levels.command import Pulse
 
 AXES = ("yaw", "roll", "pitch")
 #: time from the middle of a leg's first pulse to that of its second, s; roll slower, so that it stays in the envelope

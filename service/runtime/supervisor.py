@@ -18,11 +18,11 @@ from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
 from service.pipeline.control.release.row_facts import SeenRow
 from service.ports import LIVE, Outcome, Storage
-from service.records.attitude import AttitudeRow, CarrierState
-from service.records.command import AppliedCommand, TorqueCommand
 from service.records.inputs import AlignmentSet, AttitudeReference, CalibrationActivation
 from service.records.journal import JournalEntry
-from service.records.measurement import BatchReceipt, Measurement, MeasurementBatch
+from service.records.levels.attitude import AttitudeRow, CarrierState
+from service.records.levels.command import AppliedCommand, TorqueCommand
+from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
 from service.runtime.consumer import Documents, Trip, consume, prepare, trips_after, without_torque_after
 from service.runtime.fresh_rows import FreshRows
 from service.runtime.leading import Turn, always

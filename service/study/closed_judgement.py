@@ -4,8 +4,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from service.records.attitude import FloatArray
 from service.records.epoch import US_PER_S, parse_epoch
+from service.records.levels.attitude import FloatArray
 from service.study.closed_loop.plant_process import PlantProcess
 from service.study.control_centre import ControlLog
 from service.study.demonstration import Story

@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from service.records.attitude import FloatArray
 from service.records.epoch import US_PER_S
+from service.records.levels.attitude import FloatArray
 from service.study.closed_judgement import USUAL_BOUNDS_DEG, FlightAlone
 from service.study.judgement import TrackedAngles
 from service.study.merit import AXES

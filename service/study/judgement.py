@@ -7,8 +7,8 @@ import numpy as np
 
 from service.client.documents import Json
 from service.client.service_client import ServiceClient
-from service.records.attitude import BoolArray, FloatArray, IntArray
 from service.records.epoch import parse_epoch
+from service.records.levels.attitude import BoolArray, FloatArray, IntArray
 from service.study.archive_check import check_archive, check_replay, missed_promises
 from service.study.closed_judgement import missed_control
 from service.study.demonstration import Story

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.records.attitude import FloatArray
+from service.records.levels.attitude import FloatArray
 
 AXES = ("yaw", "roll", "pitch")
 

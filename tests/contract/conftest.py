@@ -11,7 +11,6 @@ import pytest
 
 from db.storage import SqlStorage
 from service.ports import Outcome, Storage
-from service.records.attitude import NO_ANGLES, AttitudeRow, Axes, Exclusion, Status
 from service.records.calibration import (
     Alignment,
     Calibration,
@@ -22,8 +21,9 @@ from service.records.calibration import (
     Window,
 )
 from service.records.catalogue import Carrier, Ephemeris, Method, Site, Spacecraft
-from service.records.command import Pulse, TorqueCommand
-from service.records.measurement import BatchReceipt, CarrierDetails, Measurement, MeasurementBatch
+from service.records.levels.attitude import NO_ANGLES, AttitudeRow, Axes, Exclusion, Status
+from service.records.levels.command import Pulse, TorqueCommand
+from service.records.levels.measurement import BatchReceipt, CarrierDetails, Measurement, MeasurementBatch
 
 CARRIERS = tuple(Carrier(f"c{k:02}", "C", f"t{k // 2}", 3.7e9 + k * 1e7, 5e6) for k in range(3))
 INERTIA = ((4000.0, 0.0, 0.0), (0.0, 2000.0, 0.0), (0.0, 0.0, 4000.0))

@@ -9,10 +9,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from service.ports import LIVE, Outcome
-from service.records.attitude import Axes, Status
 from service.records.calibration import CalibrationMethod, Window
 from service.records.catalogue import Method
-from service.records.command import AppliedCommand
+from service.records.levels.attitude import Axes, Status
+from service.records.levels.command import AppliedCommand
 
 BOTH = (Method.ROBUST, Method.PAPER)
 NAN = float("nan")

@@ -9,9 +9,9 @@ from sqlalchemy import event
 from db.storage import SqlStorage
 from service.errors import ConflictError, StorageError
 from service.ports import Outcome
-from service.records.attitude import Axes
 from service.records.catalogue import Site, Spacecraft
 from service.records.inputs import Correction, Operation
+from service.records.levels.attitude import Axes
 
 
 def held(storage):

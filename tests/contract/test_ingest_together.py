@@ -12,7 +12,7 @@ from db.encoding.segments import SegmentCache
 from db.measurements.ingest_grouped import StoreBatch
 from db.prepared_batch import prepare
 from db.schema.tables import head, measurement, measurement_detail, sequence_interval, source
-from service.records.measurement import CarrierDetails
+from service.records.levels.measurement import CarrierDetails
 
 TABLES = (head, source, sequence_interval, measurement, measurement_detail)
 

@@ -8,9 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from service.errors import InvalidInputError, NotFoundError
-from service.records.attitude import NO_ANGLES, Axes
 from service.records.calibration import Window
-from service.records.command import AppliedCommand
 from service.records.inputs import (
     AlignmentSet,
     AttitudeReference,
@@ -22,7 +20,9 @@ from service.records.inputs import (
     SourceSelection,
     TelemetryRecord,
 )
-from service.records.measurement import Measurement
+from service.records.levels.attitude import NO_ANGLES, Axes
+from service.records.levels.command import AppliedCommand
+from service.records.levels.measurement import Measurement
 
 NAN = float("nan")
 

@@ -8,7 +8,7 @@ import pytest
 from db.maintenance.doctor import diagnose
 from service.records.inputs import Operation
 from service.records.journal import JournalHead
-from service.records.measurement import CarrierDetails
+from service.records.levels.measurement import CarrierDetails
 from service.runtime.clock import system_now_us
 
 DAY_US = 86_400_000_000

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from service.errors import InvalidInputError, NotFoundError
 from service.records.calibration import Window
 from service.records.catalogue import Carrier
-from service.records.measurement import DETAIL_NAMES, BatchReceipt, CarrierDetails, Measurement, Sender
+from service.records.levels.measurement import DETAIL_NAMES, BatchReceipt, CarrierDetails, Measurement, Sender
 
 EXAMPLES = settings(
     derandomize=True, deadline=None, max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture]

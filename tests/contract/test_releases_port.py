@@ -8,9 +8,9 @@ import pytest
 
 from db.storage import SqlStorage
 from service.errors import ConflictError, NotFoundError
-from service.records.attitude import Axes
 from service.records.calibration import Window
-from service.records.command import Pulse, ReleasedCommand, ReportedCommand
+from service.records.levels.attitude import Axes
+from service.records.levels.command import Pulse, ReleasedCommand, ReportedCommand
 from service.records.release import (
     CheckView,
     CommandView,

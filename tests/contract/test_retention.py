@@ -10,8 +10,8 @@ from db.schema.tables import retention_mark
 from service.ports import Outcome
 from service.records.calibration import Window
 from service.records.catalogue import Method
-from service.records.measurement import CarrierDetails
-from service.records.trace import Ring, Trace, TraceSettings
+from service.records.levels.measurement import CarrierDetails
+from service.records.levels.trace import Ring, Trace, TraceSettings
 
 ALWAYS = 1 << 60
 

@@ -20,10 +20,10 @@ from service.records.backup import BackupError
 from service.records.catalogue import Method
 from service.records.diagnosis import worst
 from service.records.inputs import AttitudeReference, Operation
-from service.records.measurement import CarrierDetails
+from service.records.levels.measurement import CarrierDetails
+from service.records.levels.trace import Ring, Trace, TraceSettings
 from service.records.note import Note
 from service.records.release import ProductForm, ReleaseChange, UplinkProduct
-from service.records.trace import Ring, Trace, TraceSettings
 from service.runtime.clock import system_now_us
 
 DAY_US = 86_400_000_000

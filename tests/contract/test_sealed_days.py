@@ -13,11 +13,11 @@ from db.schema.tables import measurement, measurement_segment
 from db.storage import SqlStorage
 from service.errors import StorageError
 from service.ports import Outcome
-from service.records.attitude import Axes
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.inputs import Correction
-from service.records.measurement import CarrierDetails
+from service.records.levels.attitude import Axes
+from service.records.levels.measurement import CarrierDetails
 
 #: two days and a bit: no row is older than the spacecraft
 DAYS = 3

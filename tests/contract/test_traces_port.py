@@ -5,7 +5,7 @@ import pytest
 
 from service.errors import ConflictError, NotFoundError
 from service.records.calibration import Window
-from service.records.trace import Ring, Trace, TraceReceipt, TraceSettings
+from service.records.levels.trace import Ring, Trace, TraceReceipt, TraceSettings
 
 SETTINGS = TraceSettings(954e6, 15e3, 30e3, 31.5e3, 0.0)
 WIDE = Ring(1000, 1 << 30)

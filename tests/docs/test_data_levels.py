@@ -7,8 +7,8 @@ import pytest
 
 from service.pipeline.control.command.control_inhibitions import CONTROL_INHIBITIONS
 from service.pipeline.estimation.row_inhibitions import INHIBITIONS
-from service.records.attitude import Status
-from service.records.quality_flag import QualityFlag
+from service.records.levels.attitude import Status
+from service.records.levels.quality_flag import QualityFlag
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "reference" / "data-levels.md").read_text()

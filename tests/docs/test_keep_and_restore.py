@@ -16,10 +16,10 @@ from db.maintenance.doctor import CLOCK_TOLERANCE_US, FREE_BYTES_FAULT, FREE_BYT
 from db.storage import SqlStorage
 from service.client.service_client import ServiceClient
 from service.ports import Outcome
-from service.records.attitude import AttitudeRow, Axes, Status
 from service.records.calibration import Window
 from service.records.catalogue import Carrier, Method, Site, Spacecraft
-from service.records.measurement import Measurement, MeasurementBatch
+from service.records.levels.attitude import AttitudeRow, Axes, Status
+from service.records.levels.measurement import Measurement, MeasurementBatch
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "keep-and-restore.md"
 TEXT = PAGE.read_text()

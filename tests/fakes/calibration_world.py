@@ -26,7 +26,7 @@ from service.pipeline.config import CalibrationConfig
 from service.records.calibration import CalibrationMethod, CalibrationRequest, CalibrationResult, Window
 from service.records.catalogue import Carrier, CarrierPlan, Ephemeris, Site, Spacecraft, Station, Track
 from service.records.epoch import parse_epoch
-from service.records.series import MeasurementSeries, ReferenceSeries
+from service.records.levels.series import MeasurementSeries, ReferenceSeries
 
 DAY_US = 86_400_000_000
 _DIFFERENCE_DEG = 0.02

@@ -13,9 +13,9 @@ from service.pipeline.control.release.events import OrderKind, SignJudged
 from service.pipeline.control.release.row_facts import SeenRow
 from service.pipeline.control.release.settings import ReleaseSettings
 from service.ports import Outcome
-from service.records.attitude import AttitudeRow, Axes, Status
 from service.records.catalogue import Method
 from service.records.inputs import TelemetryRecord
+from service.records.levels.attitude import AttitudeRow, Axes, Status
 from service.records.release import CommandView, CommandWish, ControlVerdict, ControlView
 from service.runtime.live_feed import LiveFeed
 from service.runtime.release_desk import ReleaseDesk

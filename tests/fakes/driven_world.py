@@ -22,7 +22,6 @@ from service.pipeline.alignment.alignment import align_methods
 from service.pipeline.chain import Chain
 from service.pipeline.config import AlignmentConfig, ChainConfig
 from service.pipeline.inputs.reference_angles import smooth_angles
-from service.records.attitude import AttitudeRow, BoolArray, FloatArray, IntArray, Status
 from service.records.calibration import Alignment, ReferenceRule, Window
 from service.records.catalogue import Method
 from service.records.inputs import (
@@ -32,7 +31,8 @@ from service.records.inputs import (
     PlanChange,
     SpacecraftChange,
 )
-from service.records.measurement import Measurement
+from service.records.levels.attitude import AttitudeRow, BoolArray, FloatArray, IntArray, Status
+from service.records.levels.measurement import Measurement
 from service.study.estimation.drive import calibrate
 from service.study.estimation.journal import Documents, measurements, slow_entries
 from service.study.estimation.world import Ground, read_world

@@ -40,8 +40,8 @@ from service.records.catalogue import (
     Station,
 )
 from service.records.inputs import AlignmentSet, CalibrationActivation, EphemerisChange, PlanChange, SpacecraftChange
-from service.records.measurement import Measurement
-from service.records.series import MeasurementSeries, ReferenceSeries
+from service.records.levels.measurement import Measurement
+from service.records.levels.series import MeasurementSeries, ReferenceSeries
 
 STAR_TRACKER = ("star_tracker",) * 3
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from service.records.attitude import FloatArray
 from service.records.catalogue import Site
+from service.records.levels.attitude import FloatArray
 
 S = 1_000_000
 MINUTE = 60 * S

@@ -28,7 +28,6 @@ from flight_geometry import (
     turn_rad,
 )
 
-from service.records.attitude import Axes, FloatArray, IntArray
 from service.records.calibration import (
     Alignment,
     Calibration,
@@ -56,9 +55,10 @@ from service.records.catalogue import (
     Track,
 )
 from service.records.geometry import GeometryFit
-from service.records.measurement import Measurement
+from service.records.levels.attitude import Axes, FloatArray, IntArray
+from service.records.levels.measurement import Measurement
+from service.records.levels.series import MeasurementSeries
 from service.records.noise import NoiseComponent
-from service.records.series import MeasurementSeries
 
 
 def _table(values: FloatArray) -> tuple[tuple[float, ...], ...]:

@@ -13,7 +13,6 @@ from flight_payload import FlightPayload
 
 from service.pipeline.chain import METHODS, Chain
 from service.pipeline.config import ChainConfig
-from service.records.attitude import AttitudeRow, FloatArray
 from service.records.calibration import (
     Alignment,
     Calibration,
@@ -31,7 +30,8 @@ from service.records.inputs import (
     PlanChange,
     SpacecraftChange,
 )
-from service.records.measurement import Measurement
+from service.records.levels.attitude import AttitudeRow, FloatArray
+from service.records.levels.measurement import Measurement
 
 __all__ = [
     "CITIES",

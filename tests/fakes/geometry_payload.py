@@ -15,7 +15,7 @@ from service.pipeline.calibration.geometry_rows import orbit_motion, plan_places
 from service.pipeline.calibration.windows import CalibrationInput
 from service.records.calibration import CalibrationMethod, CalibrationRequest, Window
 from service.records.catalogue import Carrier, CarrierPlan, Ephemeris, Site, Spacecraft, Station, Track
-from service.records.series import MeasurementSeries, ReferenceSeries
+from service.records.levels.series import MeasurementSeries, ReferenceSeries
 
 S = 1_000_000
 MINUTE, HOUR, DAY = 60 * S, 3600 * S, 86_400 * S

@@ -32,7 +32,7 @@ from service.pipeline.control.release.events import (
 from service.pipeline.control.release.interlock import Instant
 from service.pipeline.control.release.interlock_conditions import RowFacts, Surroundings
 from service.pipeline.control.release.settings import ReleaseSettings
-from service.records.attitude import Axes
+from service.records.levels.attitude import Axes
 
 US = 1_000_000
 MINUTE_US = 60 * US

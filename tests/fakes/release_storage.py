@@ -6,9 +6,9 @@ from types import SimpleNamespace
 from service.errors import ConflictError, NotFoundError, StorageError
 from service.records.calibration import CalibrationMethod
 from service.records.catalogue import Onboard, Site, Spacecraft
-from service.records.command import ReleasedCommand
 from service.records.inputs import EphemerisChange, Operation, TelemetryRecord
 from service.records.journal import JournalEntry
+from service.records.levels.command import ReleasedCommand
 from service.records.release import ReleaseChange, StoredRelease
 
 SC = "craft"

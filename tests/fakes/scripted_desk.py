@@ -6,8 +6,8 @@ from typing import Any
 from service.pipeline.control.release.control_reasons import reason_of
 
 from service.errors import SooError
-from service.records.attitude import Axes
-from service.records.command import Pulse
+from service.records.levels.attitude import Axes
+from service.records.levels.command import Pulse
 from service.records.release import (
     CheckView,
     CommandView,

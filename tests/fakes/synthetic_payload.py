@@ -12,7 +12,6 @@ import numpy as np
 from service.core.estimation.paper.octants import predict_deviation_db
 from service.core.geometry.node_phase import node_phase_rad
 from service.pipeline.calibration.windows import CalibrationInput
-from service.records.attitude import Axes, FloatArray, IntArray
 from service.records.calibration import (
     Alignment,
     Calibration,
@@ -48,8 +47,9 @@ from service.records.inputs import (
     PlanChange,
     SpacecraftChange,
 )
-from service.records.measurement import Measurement
-from service.records.series import MeasurementSeries, ReferenceSeries
+from service.records.levels.attitude import Axes, FloatArray, IntArray
+from service.records.levels.measurement import Measurement
+from service.records.levels.series import MeasurementSeries, ReferenceSeries
 
 S = 1_000_000
 MINUTE = 60 * S

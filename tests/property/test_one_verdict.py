@@ -27,10 +27,10 @@ from service.errors import SooError
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.compute_command import NO_CARRY, compute_command
 from service.pipeline.control.release.events import OrderKind
-from service.records.attitude import Axes, Status
 from service.records.catalogue import ControlMode, Method, Release
 from service.records.epoch import format_epoch
 from service.records.inputs import Operation
+from service.records.levels.attitude import Axes, Status
 
 NAN = float("nan")
 BAD_ROWS = st.sampled_from(

@@ -13,8 +13,8 @@ from release_storage import SC
 from service.errors import SooError
 from service.pipeline.control.release.events import OrderKind
 from service.pipeline.estimation.method import CommandEvidence
-from service.records.attitude import Axes
 from service.records.inputs import Operation
+from service.records.levels.attitude import Axes
 
 NAN = float("nan")
 PERSONS = st.sampled_from(["ann", "bob", "cas"])

@@ -27,7 +27,7 @@ from service.pipeline.control.release.events import (
     Told,
 )
 from service.pipeline.control.release.interlock_states import TRANSITIONS, State
-from service.records.attitude import Axes
+from service.records.levels.attitude import Axes
 
 PERSONS = st.sampled_from(["ann", "bob", "cas"])
 NAN = float("nan")

@@ -9,9 +9,9 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 from service.pipeline.inputs.known_motion import CommandedMotion, heard, take
-from service.records.attitude import Axes, Status
 from service.records.catalogue import Method
 from service.records.inputs import Correction
+from service.records.levels.attitude import Axes, Status
 
 #: the same examples each time; a chain is too slow to look for the smallest
 steady = settings(derandomize=True, deadline=None, phases=(Phase.explicit, Phase.generate))

@@ -11,10 +11,10 @@ from driven_world import HOUR_US, DrivenWorld, shared_world
 
 from service.pipeline.carrier_model.calibrated_arrays import geometry_model
 from service.pipeline.carrier_model.expected_level import ExpectedLevel
-from service.records.attitude import Status
 from service.records.calibration import Window
 from service.records.catalogue import Method
-from service.records.series import ReferenceSeries
+from service.records.levels.attitude import Status
+from service.records.levels.series import ReferenceSeries
 from service.study.estimation.drive import UndrivenError, calibrate, drive
 
 SEED = 5

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from driven_world import shared_world
 
-from service.records.attitude import Status
+from service.records.levels.attitude import Status
 
 SEED, NIGHTLY_SEEDS = 5, (3, 4, 6, 11, 12, 13, 14, 15)
 STARTS_H, GAP_H = (1.5, 4.5, 7.5), 3.0

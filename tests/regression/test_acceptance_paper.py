@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from driven_world import DrivenWorld, shared_world
 
-from service.records.attitude import Status
 from service.records.catalogue import Method
+from service.records.levels.attitude import Status
 
 SEED = 12
 METHODS = (Method.ROBUST, Method.PAPER)

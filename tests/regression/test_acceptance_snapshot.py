@@ -11,8 +11,8 @@ from driven_world import HOUR_US, DrivenWorld, shared_world
 
 from analyzer_sim.world.scenario import NoiseFigures, scenario_named
 from analyzer_sim.world.sensors import Sensor
-from service.records.attitude import Status
 from service.records.calibration import Window
+from service.records.levels.attitude import Status
 
 SEED = 5
 SILENT = NoiseFigures(

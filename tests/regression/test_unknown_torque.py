@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
-from service.records.attitude import Axes
-from service.records.measurement import Measurement
+from service.records.levels.attitude import Axes
+from service.records.levels.measurement import Measurement
 from service.study.closed_loop import run
 from service.study.closed_loop.controllers import LEAD_S, ByTruth, Decision, Sensing
 from service.study.closed_loop.merit import UNKNOWN_TORQUE_SCENARIOS, group_merit, run_merit

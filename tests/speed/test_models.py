@@ -27,9 +27,9 @@ from service.core.estimation.snapshot.snapshot import solve_snapshots
 from service.core.estimation.snapshot.snapshot_start import subset_orders
 from service.formats.aem import AemWriter, AttitudeMessage
 from service.formats.row_text import RowFrame, RowText
-from service.records.attitude import Axes, row_without_attitude
 from service.records.catalogue import Method
 from service.records.epoch import US_PER_S, format_epoch
+from service.records.levels.attitude import Axes, row_without_attitude
 
 SETUP = (
     b"*RST;*CLS;:INIT:CONT OFF;:FREQ:STAR 954 MHZ;STOP 990 MHZ;:BAND 30 KHZ;:SWE:POIN 2401;TIME 2;:DET RMS;"

@@ -25,7 +25,7 @@ from service.frontend.drivers.scpi_driver import ScpiDriver
 from service.frontend.drivers.visa_session import VisaSession
 from service.frontend.measurement_task import InputPart, MeasurementTask, parse_task
 from service.frontend.tasks.zoom_plan import plan_with_zoom
-from service.records.quality_flag import QualityFlag
+from service.records.levels.quality_flag import QualityFlag
 
 pytestmark = pytest.mark.system
 

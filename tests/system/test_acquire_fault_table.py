@@ -25,7 +25,7 @@ from service.client.backoff import Backoff
 from service.frontend.acquisition.acquisition import Acquisition
 from service.frontend.acquisition.evaluation import MeasuredRow
 from service.frontend.acquisition.settings import AcquisitionSettings
-from service.records.quality_flag import QualityFlag, flag_names
+from service.records.levels.quality_flag import QualityFlag, flag_names
 
 pytestmark = pytest.mark.system
 

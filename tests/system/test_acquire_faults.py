@@ -40,7 +40,7 @@ from service.frontend.spool.row import SpooledTask
 from service.frontend.spool.spool import Spool
 from service.frontend.station import Station, StationSummary
 from service.frontend.upload.uploader import UploadSettings
-from service.records.quality_flag import QualityFlag
+from service.records.levels.quality_flag import QualityFlag
 
 pytestmark = pytest.mark.system
 

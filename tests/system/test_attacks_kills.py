@@ -11,7 +11,6 @@ import httpx
 import pytest
 
 from db.storage import SqlStorage
-from service.records.attitude import NO_ANGLES, Axes
 from service.records.calibration import (
     Alignment,
     CalibrationMethod,
@@ -21,6 +20,7 @@ from service.records.calibration import (
     Window,
 )
 from service.records.catalogue import Ephemeris
+from service.records.levels.attitude import NO_ANGLES, Axes
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
 

@@ -17,7 +17,7 @@ from pyarrow import parquet
 
 from db.storage import SqlStorage
 from service.records.catalogue import Carrier, Site, Spacecraft
-from service.records.measurement import MeasurementBatch
+from service.records.levels.measurement import MeasurementBatch
 
 pytestmark = pytest.mark.system
 

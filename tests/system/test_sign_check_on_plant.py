@@ -7,9 +7,9 @@ from service.core.control.sign_check import Verdict
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.control_design import control_design
 from service.pipeline.control.release.settings import ReleaseSettings
-from service.records.attitude import Axes
-from service.records.command import Pulse
 from service.records.epoch import US_PER_S
+from service.records.levels.attitude import Axes
+from service.records.levels.command import Pulse
 from service.runtime.sign_check_run import SignCheckRun
 from service.study.closed_loop.controllers import LEAD_S, Sensing
 from service.study.closed_loop.ground_knowledge import ground_of

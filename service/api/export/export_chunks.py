@@ -7,8 +7,8 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
-from service.records.attitude import IntArray
-from service.records.measurement_block import MeasurementBlock
+from service.records.levels.attitude import IntArray
+from service.records.levels.measurement_block import MeasurementBlock
 
 DAY_US = 86_400_000_000
 #: rows of a page of records

@@ -28,8 +28,8 @@ from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.inputs import AttitudeReference
 from service.records.journal import KIND_OF, JournalEntry
-from service.records.measurement import Measurement
-from service.records.measurement_block import MeasurementBlock
+from service.records.levels.measurement import Measurement
+from service.records.levels.measurement_block import MeasurementBlock
 
 FileFormat = Literal["csv", "ndjson", "parquet", "aem", "tdm"]
 MEDIA_TYPES: dict[FileFormat, str] = {

@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Iterator
 from threading import Condition, Thread
 
-from service.records.measurement_block import MeasurementBlock
+from service.records.levels.measurement_block import MeasurementBlock
 
 #: powers that wait to be written; a group of rows of Parquet is written in one go and takes as much meanwhile
 AHEAD_BYTES = 4 << 20

@@ -27,9 +27,9 @@ from service.api.stream.open_streams import OpenStreams
 from service.api.views.links import links_told
 from service.api.views.newest import newest_attitude
 from service.errors import StorageError
-from service.records.attitude import AttitudeRow
 from service.records.catalogue import Method, Spacecraft
 from service.records.epoch import US_PER_S
+from service.records.levels.attitude import AttitudeRow
 from service.runtime.process_figures import process_figures
 
 MEDIA_TYPE = "text/plain; version=0.0.4; charset=utf-8"

@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from service.records.measurement import BatchReceipt, Refusal
+from service.records.levels.measurement import BatchReceipt, Refusal
 
 #: upper bounds of the classes of durations, s
 DURATION_BOUNDS_S = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from pydantic_core import PydanticCustomError
 
-from service.records.attitude import IntArray
 from service.records.epoch import EARLIEST_EPOCH_US, LATEST_EPOCH_US, format_epoch, is_leap_second, parse_epoch
+from service.records.levels.attitude import IntArray
 
 _FORM = np.array([ord(c) for c in "0000-00-00T00:00:00.000000Z"], dtype=np.uint32)
 _IS_DIGIT = np.equal(_FORM, ord("0"))

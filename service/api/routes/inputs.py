@@ -27,7 +27,7 @@ from service.api.schemas.inputs import (
 )
 from service.records.inputs import AttitudeReference, Correction, TelemetryRecord
 from service.records.journal import JournalEntry, SlowInput
-from service.records.series import InputReceipt
+from service.records.levels.series import InputReceipt
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["inputs"])
 _NOTHING_STORED = InputReceipt(0, 0, ())

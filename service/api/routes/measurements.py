@@ -8,8 +8,8 @@ from service.api.context.dependencies import ApiContext, Context, Names, Spacecr
 from service.api.protocol.paging import Page, cut_page
 from service.api.schemas.base import WindowAnswer
 from service.api.schemas.measurement_rows import CarrierStateAnswer, MeasurementAnswer, MeasurementPage
-from service.records.attitude import CarrierState
-from service.records.measurement import Measurement
+from service.records.levels.attitude import CarrierState
+from service.records.levels.measurement import Measurement
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/measurements", tags=["measurements"])
 

@@ -24,8 +24,8 @@ from service.api.protocol.epochs import EpochTextError, ParsedEpochs, parse_epoc
 from service.api.schemas.measurements import MAX_SEQ, MeasurementBatchDocument, MeasurementReceiptAnswer
 from service.errors import FieldError
 from service.pipeline.ingest_screening import ReceivedRows, screen
-from service.records.measurement import BatchReceipt, Refusal, RowRemark, Sender
-from service.records.quality_flag import QualityFlag
+from service.records.levels.measurement import BatchReceipt, Refusal, RowRemark, Sender
+from service.records.levels.quality_flag import QualityFlag
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["measurements"])
 _ADAPTER = TypeAdapter(MeasurementBatchDocument)

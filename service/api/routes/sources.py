@@ -10,7 +10,7 @@ from service.api.context.dependencies import Context, SpacecraftId
 from service.api.schemas.base import NAME_PATTERN
 from service.api.schemas.measurements import SourceAnswer, SourceListAnswer
 from service.errors import NotFoundError
-from service.records.series import SourceState
+from service.records.levels.series import SourceState
 
 _NAME = re.compile(NAME_PATTERN.strip("^$"), re.ASCII)
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/sources", tags=["measurements"])

@@ -24,7 +24,7 @@ from service.api.schemas.traces import (
 from service.formats.numbers import text_of_float32
 from service.pipeline.ingest_screening import EpochBounds
 from service.records.epoch import format_epoch
-from service.records.trace import KeptTrace, Ring
+from service.records.levels.trace import KeptTrace, Ring
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/traces", tags=["measurements"])
 _CSV = "text/csv"

@@ -16,8 +16,8 @@ from service.api.schemas.base import (
     WindowAnswer,
 )
 from service.api.schemas.calibrations import SensorsDocument
-from service.records.attitude import Axes
 from service.records.calibration import Alignment, ReferenceRule, Window
+from service.records.levels.attitude import Axes
 from service.runtime.aligning import AlignmentRequest
 
 AngleDeg = Annotated[float, Field(ge=-180, le=180)]

@@ -4,8 +4,8 @@ from typing import Self
 
 from service.api.schemas.base import AnglesAnswer, Answer, EpochAnswer, Figure, WindowAnswer
 from service.api.schemas.control import VerdictAnswer
-from service.records.attitude import AttitudeRow, Status
 from service.records.catalogue import Method
+from service.records.levels.attitude import AttitudeRow, Status
 
 
 class AllowedAxesAnswer(Answer):

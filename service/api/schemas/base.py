@@ -10,9 +10,9 @@ from typing import Annotated, Any, Self
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints, WithJsonSchema
 
 from service.api.protocol.epochs import epoch_of, plausible_epoch
-from service.records.attitude import Axes
 from service.records.calibration import Window
 from service.records.epoch import format_epoch
+from service.records.levels.attitude import Axes
 
 _EPOCH_SCHEMA = {"type": "string", "format": "date-time", "examples": ["2026-11-21T03:02:32.011250Z"]}
 

@@ -12,8 +12,8 @@ from service.pipeline.planning.planning import (
     TurnStep,
     turn_timetable,
 )
-from service.records.attitude import named_axes
 from service.records.epoch import US_PER_S
+from service.records.levels.attitude import named_axes
 from service.runtime.inspection import CarrierRecommendation
 
 

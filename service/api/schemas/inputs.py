@@ -22,9 +22,9 @@ from service.api.schemas.base import (
     WindowAnswer,
     axes_of,
 )
-from service.records.attitude import NO_ANGLES
 from service.records.epoch import EARLIEST_EPOCH_US, LATEST_EPOCH_US, format_epoch
 from service.records.inputs import AttitudeReference, Correction, TelemetryRecord
+from service.records.levels.attitude import NO_ANGLES
 
 #: code and detail of a refused row
 Fault = tuple[str, str]

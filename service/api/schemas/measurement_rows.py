@@ -11,9 +11,9 @@ import numpy as np
 
 from service.api.schemas.base import Answer, EpochAnswer, Figure, WindowAnswer
 from service.formats.numbers import shortest_float32
-from service.records.attitude import CarrierState
-from service.records.measurement import DETAIL_NAMES, CarrierDetails, Measurement
-from service.records.quality_flag import flag_names
+from service.records.levels.attitude import CarrierState
+from service.records.levels.measurement import DETAIL_NAMES, CarrierDetails, Measurement
+from service.records.levels.quality_flag import flag_names
 
 #: the estimator has a sigma of its own, which keeps the short name
 _TOLD_AS = {"sigma_db": "measured_sigma_db"}

@@ -6,7 +6,7 @@ from pydantic import ConfigDict, Field
 from typing_extensions import TypedDict
 
 from service.api.schemas.base import MAX_ROWS, Answer, Document, EpochAnswer, Name, PlanNumber
-from service.records.measurement import DETAIL_NAMES
+from service.records.levels.measurement import DETAIL_NAMES
 
 #: stored as int32
 Mask = Annotated[int, Field(ge=0, le=2**31 - 1)]

@@ -4,9 +4,9 @@ from typing import Literal, Self
 
 from service.api.schemas.base import AnglesAnswer, Answer, EpochAnswer, Figure, WindowAnswer
 from service.api.schemas.control import VerdictAnswer
-from service.records.attitude import NO_ANGLES
 from service.records.catalogue import ControlMode
-from service.records.command import TorqueCommand
+from service.records.levels.attitude import NO_ANGLES
+from service.records.levels.command import TorqueCommand
 
 
 class PulseAnswer(Answer):

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from service.api.schemas.base import Answer, AnyEpoch, Document, EpochAnswer, Name, WindowAnswer
 from service.formats.numbers import shortest_float32
-from service.records.trace import KeptTrace, Trace, TraceHead, TraceReceipt, TraceSettings
+from service.records.levels.trace import KeptTrace, Trace, TraceHead, TraceReceipt, TraceSettings
 
 MAX_POINTS = 100_001
 MAX_TRACES = 256

@@ -8,8 +8,8 @@ from typing import NamedTuple
 from service.api.context.carrier_names import CarrierNames
 from service.api.stream.event_ids import DroppedAnswer, lost_to_retention
 from service.ports import Storage
-from service.records.attitude import AttitudeRow
-from service.records.measurement import Measurement
+from service.records.levels.attitude import AttitudeRow
+from service.records.levels.measurement import Measurement
 from service.runtime.live_feed import Cursor, FeedEvent
 
 #: journal entries and results read in one go

@@ -20,7 +20,7 @@ from service.api.stream.event_cache import EventTexts, StatusTexts
 from service.api.stream.event_ids import DroppedAnswer, advanced, beyond_the_archive, event_id, missed_by_slowness
 from service.api.stream.open_streams import OpenStreams
 from service.errors import StorageError
-from service.records.measurement import Measurement
+from service.records.levels.measurement import Measurement
 from service.runtime.live_feed import Cursor, Dropped, FeedEvent, Subscription
 
 _LOG = logging.getLogger(__name__)

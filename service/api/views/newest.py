@@ -9,10 +9,10 @@ from service.api.context.dependencies import ApiContext
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.compute_command import NO_CARRY, compute_command
 from service.ports import LIVE
-from service.records.attitude import AttitudeRow, Status
 from service.records.catalogue import Method, Spacecraft
-from service.records.command import TorqueCommand
 from service.records.epoch import US_PER_S
+from service.records.levels.attitude import AttitudeRow, Status
+from service.records.levels.command import TorqueCommand
 
 #: the reason of an answer that outlived its row
 EXPIRED = "expired"

@@ -26,8 +26,8 @@ from service.frontend.drivers.scpi_driver import RESET_S, ScpiDriver
 from service.frontend.drivers.visa_session import AnalyzerIOError, VisaSession
 from service.frontend.measurement_task import MeasurementTask
 from service.frontend.tasks.task_plan import cycle_s
-from service.records.quality_flag import QualityFlag
-from service.records.sweep import Sweep
+from service.records.levels.quality_flag import QualityFlag
+from service.records.levels.sweep import Sweep
 
 logger = logging.getLogger("service.frontend.acquisition.acquisition")
 

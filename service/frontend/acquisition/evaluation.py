@@ -16,8 +16,8 @@ from service.core.radio.decibel import FloatArray, mw_from_dbm
 from service.core.radio.leakage import leakage, leaked_ratio
 from service.core.radio.presence import BoolArray, initial_presence, step_presence
 from service.frontend.measurement_task import CarrierPart, InputPart, MeasurementTask
-from service.records.quality_flag import QualityFlag
-from service.records.sweep import Sweep, SweepSettings
+from service.records.levels.quality_flag import QualityFlag
+from service.records.levels.sweep import Sweep, SweepSettings
 
 #: what leaks from neighbours above this part of the carrier's power is flagged: 0.1 dB
 LEAK_LIMIT = 10.0**0.01 - 1.0

@@ -11,8 +11,8 @@ from service.frontend.drivers.base import SweepRefusedError
 from service.frontend.drivers.scpi_driver import ScpiDriver
 from service.frontend.measurement_task import MeasurementTask, SweepPart
 from service.frontend.tasks.task_plan import recheck
-from service.records.quality_flag import QualityFlag
-from service.records.sweep import Sweep
+from service.records.levels.quality_flag import QualityFlag
+from service.records.levels.sweep import Sweep
 
 logger = logging.getLogger("service.frontend.acquisition.acquisition")
 

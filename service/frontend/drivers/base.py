@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol
 from service.core.radio.predicted_sigma import GAUSSIAN_ENBW_RATIO
 from service.frontend.drivers.scpi import Identity
 from service.frontend.measurement_task import InputPart, SweepPart
-from service.records.sweep import Sweep, SweepSettings
+from service.records.levels.sweep import Sweep, SweepSettings
 
 
 class SweepRefusedError(Exception):

@@ -11,7 +11,7 @@ from service.frontend.drivers.base import ASCII, SINGLE, Dialect, SweepRefusedEr
 from service.frontend.drivers.dialogue import Dialogue
 from service.frontend.drivers.scpi import AnswerError, parse_flag, parse_message, parse_number
 from service.frontend.measurement_task import InputPart, SweepPart
-from service.records.sweep import SweepSettings
+from service.records.levels.sweep import SweepSettings
 
 #: deviation of an edge, in spans, that counts as "not what was asked for"
 SETTING_TOLERANCE = 1e-3

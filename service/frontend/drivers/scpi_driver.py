@@ -28,7 +28,7 @@ from service.frontend.drivers.trace_reader import TraceReader
 from service.frontend.drivers.visa_session import AnalyzerIOError, VisaSession
 from service.frontend.measurement_task import InputPart, SweepPart
 from service.records.epoch import US_PER_S, parse_epoch
-from service.records.sweep import Sweep, SweepSettings
+from service.records.levels.sweep import Sweep, SweepSettings
 
 #: a reset may take this long, s
 RESET_S = 20.0

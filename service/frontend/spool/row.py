@@ -10,7 +10,7 @@ import numpy as np
 
 from service.core.radio.decibel import dbm_from_mw
 from service.frontend.acquisition.evaluation import MeasuredRow
-from service.records.sweep import Sweep
+from service.records.levels.sweep import Sweep
 
 #: array of a row -> how its numbers are written; the names are those of the columns
 ARRAYS = {

@@ -21,7 +21,7 @@ from service.frontend.spool.file import Bounds, Lane, Owner, RefusedRow, SpoolFi
 from service.frontend.spool.row import SpooledRow, SpooledTask, SpooledTrace, decode_row, encode_row, trace_of
 from service.frontend.spool.schema import SpoolError
 from service.frontend.spool.warnings import SpoolWarning, WarningBoard
-from service.records.sweep import Sweep
+from service.records.levels.sweep import Sweep
 
 T = TypeVar("T")
 

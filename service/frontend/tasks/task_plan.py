@@ -33,7 +33,7 @@ from service.core.radio.decibel import dbm_from_mw, mw_from_dbm, ratio_from_db
 from service.core.radio.predicted_sigma import GAUSSIAN_ENBW_RATIO, carrier_sigma_db, line_sigma_db
 from service.frontend.drivers.siglent import SIGLENT
 from service.frontend.measurement_task import CarrierPart, MeasurementTask, SweepPart
-from service.records.sweep import SweepSettings
+from service.records.levels.sweep import SweepSettings
 
 #: bandwidths between a carrier's edge and anything else for the filter's skirt to be down
 GUARD_RBW = 2.0

@@ -20,7 +20,7 @@ from service.core.radio.decibel import FloatArray
 from service.frontend.acquisition.evaluation import MeasuredRow
 from service.frontend.upload.answers import DETAIL_DECIMALS
 from service.records.epoch import format_epoch
-from service.records.quality_flag import QualityFlag
+from service.records.levels.quality_flag import QualityFlag
 
 #: decimals of a level on the wire, dB: far below the float32 that the archive keeps
 LEVEL_DECIMALS = 5

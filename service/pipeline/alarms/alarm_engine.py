@@ -17,8 +17,8 @@ from service.pipeline.alarms.states import CoverEvent, Event
 from service.records.alarm import Alarm, AlarmChange, ChangeKind, Cover, Handling, Process
 from service.records.alarm_limits import AlarmLimits, ConditionLimits
 from service.records.alarm_memory import BookMemory, Watch, WatchMemory
-from service.records.attitude import FloatArray
 from service.records.epoch import US_PER_S
+from service.records.levels.attitude import FloatArray
 
 Key = tuple[str, str]
 _NO_NOTES: Mapping[str, str] = {}

@@ -12,7 +12,7 @@ from service.pipeline.config import AlignmentConfig
 from service.pipeline.inputs.reference_angles import StatedAngles
 from service.records.calibration import Calibration, CalibrationMethod, CarrierReference
 from service.records.catalogue import Ephemeris, Method
-from service.records.series import MeasurementSeries
+from service.records.levels.series import MeasurementSeries
 
 
 @dataclass(frozen=True)

@@ -19,12 +19,12 @@ from service.pipeline.carrier_model.expected_level import ExpectedLevel
 from service.pipeline.carrier_model.level_control import centred_response, member_groups, without_group_gain
 from service.pipeline.config import AlignmentConfig
 from service.pipeline.inputs.reference_angles import StatedAngles, angles_over_deg, stated_sigma_deg
-from service.records.attitude import BoolArray, FloatArray, IntArray
 from service.records.calibration import Calibration, CalibrationResult, CarrierReference
 from service.records.catalogue import Ephemeris
 from service.records.epoch import US_PER_S
 from service.records.geometry import GeometryFit
-from service.records.series import MeasurementSeries
+from service.records.levels.attitude import BoolArray, FloatArray, IntArray
+from service.records.levels.series import MeasurementSeries
 
 _HOUR_US = 3600 * US_PER_S
 #: samples this far from the median of the window, in robust sigmas, are impulses

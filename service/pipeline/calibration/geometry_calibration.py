@@ -21,10 +21,10 @@ from service.pipeline.carrier_model.expected_level import daily_error_db
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.group_deviations import MIN_GROUP, small_groups
 from service.pipeline.sensor_signs import report_signs
-from service.records.attitude import BoolArray, FloatArray, named_axes
 from service.records.calibration import CalibrationResult, CarrierCalibration
 from service.records.catalogue import Carrier
 from service.records.geometry import GeometryFit, Row, Table
+from service.records.levels.attitude import BoolArray, FloatArray, named_axes
 from service.records.noise import NoiseComponent
 
 #: Share of the receiving site's rain that a band takes, Ku 1: ratio of the specific attenuations at 25 mm/h (ITU-R

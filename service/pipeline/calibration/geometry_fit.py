@@ -14,7 +14,7 @@ from service.pipeline.calibration.geometry_rows import GeometryRows
 from service.pipeline.calibration.windows import CalibrationInput
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.group_deviations import alc_groups, first_model_dbm, small_groups, without_group_means
-from service.records.attitude import FloatArray, IntArray
+from service.records.levels.attitude import FloatArray, IntArray
 
 #: rows of stretches below this weight say nothing about levels
 _GOOD_WEIGHT = 0.25

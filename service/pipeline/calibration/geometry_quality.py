@@ -4,7 +4,7 @@ import numpy as np
 
 from service.pipeline.calibration.geometry_fit import JointFit
 from service.pipeline.calibration.geometry_rows import GeometryRows
-from service.records.attitude import BoolArray, FloatArray
+from service.records.levels.attitude import BoolArray, FloatArray
 
 _AXIS_NAMES = ("yaw", "roll", "pitch")
 #: rows that a stretch of the fit averages

@@ -17,12 +17,12 @@ from service.core.geometry.line_of_sight import Places, Track, antenna_motion_de
 from service.pipeline.calibration.windows import CalibrationError, CalibrationInput, phase_rad, unturned_sides
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.inputs.sensor_angles import angles_at
-from service.records.attitude import BoolArray, FloatArray, IntArray
 from service.records.calibration import Window
 from service.records.catalogue import CarrierPlan, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.inputs import Operation
-from service.records.series import ReferenceSeries
+from service.records.levels.attitude import BoolArray, FloatArray, IntArray
+from service.records.levels.series import ReferenceSeries
 
 _DAY_US = 86_400 * US_PER_S
 #: kinds of operation during which powers say nothing certain; turns are what a calibration is made of

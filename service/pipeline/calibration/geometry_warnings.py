@@ -15,8 +15,8 @@ from service.pipeline.calibration.geometry_rows import DISTURBING, GeometryRows
 from service.pipeline.calibration.windows import CalibrationInput, unturned_sides
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.group_deviations import MIN_GROUP, small_groups
-from service.records.attitude import BoolArray
 from service.records.epoch import format_epoch
+from service.records.levels.attitude import BoolArray
 
 _AXIS_NAMES = ("yaw", "roll", "pitch")
 _DAY_S = 86_400.0

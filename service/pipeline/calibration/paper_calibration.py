@@ -19,7 +19,6 @@ from service.pipeline.calibration.geometry_rows import plan_places
 from service.pipeline.calibration.windows import CalibrationError, CalibrationInput, phase_rad, turn_rows
 from service.pipeline.config import CalibrationConfig, CriteriaConfig
 from service.pipeline.sensor_signs import report_signs
-from service.records.attitude import Axes, BoolArray, FloatArray, named_axes
 from service.records.calibration import (
     CalibrationResult,
     CarrierCalibration,
@@ -27,6 +26,7 @@ from service.records.calibration import (
     Observability,
 )
 from service.records.epoch import US_PER_S
+from service.records.levels.attitude import Axes, BoolArray, FloatArray, named_axes
 from service.records.noise import NoiseComponent
 
 _AXIS_NAMES = ("yaw", "roll", "pitch")

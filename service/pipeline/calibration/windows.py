@@ -8,12 +8,12 @@ from service.core.estimation.paper.harmonic import evaluate_harmonic
 from service.core.geometry.node_phase import node_phase_rad
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.inputs.sensor_angles import angles_at
-from service.records.attitude import FloatArray, IntArray
 from service.records.calibration import CalibrationRequest
 from service.records.catalogue import CarrierPlan, Ephemeris, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.inputs import Correction, Operation
-from service.records.series import MeasurementSeries, ReferenceSeries
+from service.records.levels.attitude import FloatArray, IntArray
+from service.records.levels.series import MeasurementSeries, ReferenceSeries
 
 _AXIS_NAMES = ("yaw", "roll", "pitch")
 

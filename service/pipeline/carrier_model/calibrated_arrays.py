@@ -16,9 +16,9 @@ from service.core.estimation.calibration.quadratic_response import QuadraticResp
 from service.core.estimation.filtering.filter_model import CarrierModel
 from service.core.geometry.line_of_sight import Places
 from service.pipeline.config import RobustConfig
-from service.records.attitude import BoolArray, FloatArray
 from service.records.calibration import CarrierCalibration
 from service.records.geometry import GeometryFit
+from service.records.levels.attitude import BoolArray, FloatArray
 from service.records.noise import NoiseComponent
 
 #: places of yy, yr, yp, rr, rp, pp behind the three slopes among the coefficients of a response

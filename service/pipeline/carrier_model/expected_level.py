@@ -14,10 +14,10 @@ from service.core.estimation.calibration.geometry_prediction import predict_leve
 from service.core.geometry.line_of_sight import Places, Track, antenna_motion_deg, sight_motion_deg, track_position_deg
 from service.core.geometry.node_phase import node_phase_rad
 from service.pipeline.carrier_model.calibrated_arrays import GeometryModel
-from service.records.attitude import FloatArray, IntArray
 from service.records.catalogue import Ephemeris
 from service.records.epoch import US_PER_S
 from service.records.geometry import GeometryFit
+from service.records.levels.attitude import FloatArray, IntArray
 
 _KNOT_US = 600 * US_PER_S
 _KNOTS_A_DAY = 144

@@ -11,7 +11,7 @@ import numpy as np
 from service.core.estimation.calibration.quadratic_response import QuadraticResponse
 from service.core.estimation.filtering.filter_model import CarrierModel
 from service.pipeline.group_deviations import MIN_GROUP
-from service.records.attitude import BoolArray, FloatArray, IntArray
+from service.records.levels.attitude import BoolArray, FloatArray, IntArray
 
 
 def member_groups(alc_group: tuple[int, ...], is_used: BoolArray) -> tuple[IntArray, ...]:

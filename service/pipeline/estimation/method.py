@@ -6,11 +6,11 @@ import numpy as np
 
 from service.core.estimation.filtering.filter_model import CarrierModel
 from service.pipeline.inputs.knowledge import Knowledge
-from service.records.attitude import AttitudeRow, CarrierState, FloatArray, IntArray
 from service.records.catalogue import Carrier, CarrierPlan, Method
-from service.records.disturbance import Disturbance
 from service.records.journal import SlowInput
-from service.records.measurement import Measurement
+from service.records.levels.attitude import AttitudeRow, CarrierState, FloatArray, IntArray
+from service.records.levels.disturbance import Disturbance
+from service.records.levels.measurement import Measurement
 
 
 class CarrierLevels(NamedTuple):

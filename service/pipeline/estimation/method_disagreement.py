@@ -7,8 +7,8 @@ import math
 from dataclasses import dataclass, replace
 
 from service.pipeline.config import RobustConfig
-from service.records.attitude import AttitudeRow, Status
 from service.records.epoch import US_PER_S
+from service.records.levels.attitude import AttitudeRow, Status
 
 
 @dataclass(frozen=True)

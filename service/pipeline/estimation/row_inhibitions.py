@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.pipeline.config import InterlockConfig
-from service.records.attitude import AttitudeFix
+from service.records.levels.attitude import AttitudeFix
 
 #: reasons in the order in which they are listed, with what each one says
 INHIBITIONS: dict[str, str] = {

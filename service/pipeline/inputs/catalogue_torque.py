@@ -11,9 +11,9 @@ import numpy as np
 
 from service.core.estimation.filtering.filter_model import FedForward
 from service.pipeline.inputs.known_motion import DEG_H2_N_M, angle_inertia_kg_m2
-from service.records.attitude import FloatArray
 from service.records.catalogue import AxisTorques, Spacecraft
 from service.records.epoch import US_PER_S
+from service.records.levels.attitude import FloatArray
 
 #: of a torque whose size is stated; it is that of the Sun's light, nearly all wave
 _STATED_CONSTANT_SHARE = 0.2

@@ -14,9 +14,9 @@ import numpy as np
 
 from service.core.estimation.filtering.declared import Declared, nothing_declared
 from service.pipeline.config import OperationConfig
-from service.records.attitude import BoolArray, FloatArray
 from service.records.epoch import US_PER_S
 from service.records.inputs import Operation
+from service.records.levels.attitude import BoolArray, FloatArray
 
 _US_PER_H = 3600 * US_PER_S
 #: an eclipse leaves its mark for this long, us

@@ -8,7 +8,6 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
-from service.records.attitude import Axes
 from service.records.calibration import Alignment, Calibration, CalibrationMethod
 from service.records.catalogue import CarrierPlan, Ephemeris, Method, Spacecraft
 from service.records.epoch import US_PER_S
@@ -22,6 +21,7 @@ from service.records.inputs import (
     TelemetryRecord,
 )
 from service.records.journal import SlowInput
+from service.records.levels.attitude import Axes
 from service.records.release import InterlockHold
 
 

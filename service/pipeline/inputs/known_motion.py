@@ -14,11 +14,11 @@ from functools import partial
 import numpy as np
 
 from service.core.estimation.filtering.filter_model import KnownMotion
-from service.records.attitude import FloatArray
 from service.records.catalogue import Spacecraft
-from service.records.command import AppliedCommand, Pulse, ReleasedCommand, ReportedCommand
 from service.records.epoch import US_PER_S
 from service.records.inputs import Correction
+from service.records.levels.attitude import FloatArray
+from service.records.levels.command import AppliedCommand, Pulse, ReleasedCommand, ReportedCommand
 
 _US_PER_H = 3600 * US_PER_S
 _NEVER_US = 1 << 62

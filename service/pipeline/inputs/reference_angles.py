@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.records.attitude import Axes, FloatArray, IntArray
 from service.records.epoch import US_PER_S
-from service.records.series import ReferenceSeries
+from service.records.levels.attitude import Axes, FloatArray, IntArray
+from service.records.levels.series import ReferenceSeries
 
 #: sigma of a sensor that states none, deg
 _UNSTATED_SIGMA_DEG = 0.05

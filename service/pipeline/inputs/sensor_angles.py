@@ -6,9 +6,9 @@ A reading counts for a row within ``reference_reach_s``. The law of this file: w
 import numpy as np
 
 from service.pipeline.config import CalibrationConfig
-from service.records.attitude import FloatArray, IntArray
 from service.records.epoch import US_PER_S
-from service.records.series import ReferenceSeries
+from service.records.levels.attitude import FloatArray, IntArray
+from service.records.levels.series import ReferenceSeries
 
 
 def angles_at(

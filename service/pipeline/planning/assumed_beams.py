@@ -20,8 +20,8 @@ from service.core.estimation.calibration.quadratic_response import displacement_
 from service.core.geometry.frames import AntennaDirection, station_direction
 from service.pipeline.group_deviations import MIN_GROUP, alc_groups
 from service.pipeline.planning.candidates import NOT_USABLE, Candidates
-from service.records.attitude import FloatArray, IntArray
 from service.records.catalogue import Carrier, CarrierPlan
+from service.records.levels.attitude import FloatArray, IntArray
 
 #: half-power widths of a beam of which nothing is known, deg: curvatures of 1.5 and 2.7 dB/deg^2
 DEFAULT_WIDTHS_DEG = (4.0, 3.0)

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.core.estimation.calibration.coloured_rows import ColouredNoise
-from service.records.attitude import BoolArray, FloatArray, IntArray
 from service.records.calibration import CalibrationResult, CarrierCalibration
 from service.records.catalogue import CarrierPlan
+from service.records.levels.attitude import BoolArray, FloatArray, IntArray
 
 #: fewest carriers that determine three angles and a common level
 MIN_USABLE = 4

@@ -27,8 +27,8 @@ from service.core.estimation.design import (
 from service.core.estimation.observability import crlb_deg
 from service.core.estimation.paper.selection import AxisSelection, SelectionReason, axis_dominance, select_by_axis
 from service.pipeline.planning.candidates import NOT_MEASURED, Candidates
-from service.records.attitude import Axes, FloatArray, IntArray, named_axes
 from service.records.epoch import US_PER_S
+from service.records.levels.attitude import Axes, FloatArray, IntArray, named_axes
 
 #: spans over which averages are told, s
 AVERAGING_SPANS_S = (900.0, 3600.0, 14_400.0, 43_200.0)

@@ -7,9 +7,9 @@ from service.pipeline.control.release.control_reasons import reason_of
 
 from service.pipeline.control.release.interlock_conditions import Condition, Consequence
 from service.pipeline.control.release.interlock_states import State
-from service.records.attitude import AttitudeRow
 from service.records.catalogue import Release
-from service.records.command import TorqueCommand
+from service.records.levels.attitude import AttitudeRow
+from service.records.levels.command import TorqueCommand
 from service.records.release import ControlVerdict, ControlView
 
 #: states in which torques go, by hand or by themselves

@@ -18,11 +18,11 @@ from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S
 from service.pipeline.chain import Chain
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.compute_command import NO_CARRY, compute_command
-from service.records.attitude import AttitudeRow, Axes, FloatArray, Status
 from service.records.catalogue import Method, Spacecraft
-from service.records.command import AppliedCommand, Pulse, TorqueCommand
 from service.records.epoch import US_PER_S
-from service.records.measurement import Measurement
+from service.records.levels.attitude import AttitudeRow, Axes, FloatArray, Status
+from service.records.levels.command import AppliedCommand, Pulse, TorqueCommand
+from service.records.levels.measurement import Measurement
 from service.study.closed_loop.plant_process import CommandReport, CraftTruth
 from service.study.closed_loop.released import Releaser
 

@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.records.attitude import BoolArray, IntArray
 from service.records.calibration import Window
 from service.records.catalogue import AxisTorques, FedForwardTorque, Spacecraft
 from service.records.epoch import parse_epoch
 from service.records.inputs import SourceSelection
 from service.records.journal import SlowInput
-from service.records.series import ReferenceSeries
+from service.records.levels.attitude import BoolArray, IntArray
+from service.records.levels.series import ReferenceSeries
 from service.study.closed_loop.plant_process import Line, Opening
 from service.study.estimation.catalogue_lines import (
     read_carriers,

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.records.attitude import BoolArray
+from service.records.levels.attitude import BoolArray
 from service.study.closed_loop.controllers import Sensing
 from service.study.closed_loop.run import Flight, LoopResult
 

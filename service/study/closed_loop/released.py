@@ -14,11 +14,11 @@ from service.pipeline.chain import Chain
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.compute_command import command_for
 from service.ports import Outcome
-from service.records.attitude import AttitudeRow
 from service.records.catalogue import Spacecraft
-from service.records.command import AppliedCommand, Pulse, ReleasedCommand, ReportedCommand, TorqueCommand
 from service.records.epoch import US_PER_S
-from service.records.measurement import Measurement
+from service.records.levels.attitude import AttitudeRow
+from service.records.levels.command import AppliedCommand, Pulse, ReleasedCommand, ReportedCommand, TorqueCommand
+from service.records.levels.measurement import Measurement
 from service.study.closed_loop.plant_process import CommandReport
 
 #: a report that has not come so long after the end of the slew does not come any more, s

@@ -8,11 +8,11 @@ import numpy as np
 
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
-from service.records.attitude import BoolArray, FloatArray
 from service.records.catalogue import Method, Release, Spacecraft
 from service.records.epoch import US_PER_S, format_epoch
 from service.records.inputs import AlignmentSet, CalibrationActivation, PlanChange, SpacecraftChange
-from service.records.measurement import Measurement
+from service.records.levels.attitude import BoolArray, FloatArray
+from service.records.levels.measurement import Measurement
 from service.study.closed_loop.controllers import (
     LEAD_S,
     ByAngles,

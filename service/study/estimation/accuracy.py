@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.records.attitude import BoolArray, FloatArray
+from service.records.levels.attitude import BoolArray, FloatArray
 
 AXES = ("yaw", "roll", "pitch")
 #: silence must not buy accuracy

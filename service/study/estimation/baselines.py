@@ -6,8 +6,8 @@ announced corrections, and the alignment's attitude carried on by the exchange o
 
 import numpy as np
 
-from service.records.attitude import FloatArray, IntArray
 from service.records.inputs import Correction
+from service.records.levels.attitude import FloatArray, IntArray
 
 #: rate of the exchange of roll and yaw, rad/h: one turn in a sidereal day
 COUPLING_RAD_H = 0.2625162

@@ -8,7 +8,6 @@ come from a program of this repository and are taken at their word.
 from typing import Any
 
 from service.formats.orbit import ephemeris_from_nodes
-from service.records.attitude import Axes
 from service.records.catalogue import (
     Carrier,
     ControlMode,
@@ -24,6 +23,7 @@ from service.records.catalogue import (
 )
 from service.records.epoch import parse_epoch
 from service.records.inputs import Operation, TelemetryRecord
+from service.records.levels.attitude import Axes
 
 #: one JSON object
 Body = dict[str, Any]

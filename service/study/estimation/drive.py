@@ -13,7 +13,6 @@ from service.pipeline.calibration.windows import CalibrationError, CalibrationIn
 from service.pipeline.chain import Chain
 from service.pipeline.config import AlignmentConfig, CalibrationConfig, ChainConfig
 from service.pipeline.inputs.reference_angles import smooth_angles
-from service.records.attitude import AttitudeRow, BoolArray, FloatArray, IntArray
 from service.records.calibration import (
     Alignment,
     Calibration,
@@ -29,6 +28,7 @@ from service.records.inputs import (
     SpacecraftChange,
 )
 from service.records.journal import SlowInput
+from service.records.levels.attitude import AttitudeRow, BoolArray, FloatArray, IntArray
 from service.study.estimation.journal import Documents, Entry, measurements, slow_entries
 from service.study.estimation.world import Ground
 

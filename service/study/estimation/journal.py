@@ -9,12 +9,12 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from service.pipeline.chain import Chain
-from service.records.attitude import IntArray
 from service.records.calibration import Alignment, Calibration
 from service.records.catalogue import Carrier, CarrierPlan, Ephemeris
 from service.records.inputs import EphemerisChange, PlanChange, SourceSelection
 from service.records.journal import SlowInput
-from service.records.measurement import Measurement
+from service.records.levels.attitude import IntArray
+from service.records.levels.measurement import Measurement
 from service.study.estimation.world import Ground
 
 

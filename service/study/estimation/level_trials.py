@@ -10,9 +10,9 @@ import numpy as np
 from service.core.estimation.calibration.quadratic_response import predict_deviation
 from service.pipeline.carrier_model.calibrated_arrays import GeometryModel
 from service.pipeline.carrier_model.expected_level import expected_levels
-from service.records.attitude import FloatArray
 from service.records.catalogue import Ephemeris
 from service.records.geometry import GeometryFit
+from service.records.levels.attitude import FloatArray
 from service.study.estimation.world import World
 
 #: days of operation that are looked at, counted from 1

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.records.attitude import BoolArray, FloatArray
+from service.records.levels.attitude import BoolArray, FloatArray
 from service.study.estimation.accuracy import AXES, Accuracy, Figures, accuracy_figures, measure_accuracy
 from service.study.estimation.drive import Driven, MethodSeries
 from service.study.estimation.episodes import (

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from service.records.attitude import FloatArray
-from service.records.measurement import Float32Array
+from service.records.levels.attitude import FloatArray
+from service.records.levels.measurement import Float32Array
 from service.study.estimation.accuracy import AXES, Figures
 from service.study.estimation.episodes import stretches
 from service.study.estimation.unit import Course

@@ -28,8 +28,8 @@ from service.core.estimation.observability import crlb_deg
 from service.core.estimation.snapshot.snapshot import CarrierUse, Snapshots, solve_snapshots
 from service.core.estimation.snapshot.snapshot_start import subset_orders
 from service.pipeline.carrier_model.calibrated_arrays import geometry_model
-from service.records.attitude import BoolArray, FloatArray
 from service.records.catalogue import CarrierPlan
+from service.records.levels.attitude import BoolArray, FloatArray
 from service.study.estimation.accuracy import AXES, Figures
 from service.study.estimation.drive import UndrivenError, calibrate
 from service.study.estimation.level_trials import DAYS, level_error_db2

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.records.attitude import BoolArray
-from service.records.measurement import Float32Array
+from service.records.levels.attitude import BoolArray
+from service.records.levels.measurement import Float32Array
 from service.study.estimation.accuracy import Accuracy, measure_accuracy
 from service.study.estimation.baselines import baseline_answers
 from service.study.estimation.drive import Driven, UndrivenError, drive

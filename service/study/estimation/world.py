@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from service.records.attitude import Axes, BoolArray, FloatArray, IntArray
 from service.records.calibration import Window
 from service.records.catalogue import Carrier, Ephemeris, Spacecraft
 from service.records.inputs import Correction, Operation, SourceSelection, TelemetryRecord
-from service.records.series import MeasurementSeries, ReferenceSeries
+from service.records.levels.attitude import Axes, BoolArray, FloatArray, IntArray
+from service.records.levels.series import MeasurementSeries, ReferenceSeries
 from service.study.estimation.catalogue_lines import (
     read_carriers,
     read_ephemeris,

@@ -26,7 +26,6 @@ from service.pipeline.config import (
 )
 from service.pipeline.control.release.settings import ReleaseSettings
 from service.ports import LIVE, Outcome
-from service.records.attitude import AttitudeRow, Axes, Exclusion, Status
 from service.records.calibration import (
     Alignment,
     Calibration,
@@ -51,9 +50,10 @@ from service.records.catalogue import (
     Spacecraft,
     Station,
 )
-from service.records.command import Pulse, TorqueCommand
 from service.records.job import Replay
-from service.records.measurement import CarrierDetails, Measurement, MeasurementBatch
+from service.records.levels.attitude import AttitudeRow, Axes, Exclusion, Status
+from service.records.levels.command import Pulse, TorqueCommand
+from service.records.levels.measurement import CarrierDetails, Measurement, MeasurementBatch
 from service.runtime.alarm_desk import AlarmDesk
 from service.runtime.alarm_notices import NoticeChannels
 from service.runtime.aligning import Aligner

@@ -10,7 +10,7 @@ from service.api.stream.backlog import ArchiveReader
 from service.api.stream.event_cache import EventTexts
 from service.pipeline.alarms.readings import RowFacts
 from service.records.catalogue import Carrier, CarrierPlan, Method
-from service.records.measurement import Measurement
+from service.records.levels.measurement import Measurement
 
 pytestmark = pytest.mark.anyio
 S = 1_000_000

@@ -5,9 +5,9 @@ from itertools import pairwise
 import pytest
 
 from service.ports import LIVE, Outcome
-from service.records.attitude import NO_ANGLES, Exclusion, Status
 from service.records.catalogue import Method
 from service.records.epoch import format_epoch
+from service.records.levels.attitude import NO_ANGLES, Exclusion, Status
 
 pytestmark = pytest.mark.anyio
 

@@ -6,8 +6,8 @@ import pytest
 
 from service.api.access.principals import Principal
 from service.records.access_key import Role
-from service.records.attitude import Axes
 from service.records.epoch import format_epoch
+from service.records.levels.attitude import Axes
 
 pytestmark = pytest.mark.anyio
 SC = "/spacecraft/yamal-202"

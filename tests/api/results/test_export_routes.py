@@ -10,8 +10,8 @@ import pytest
 from service.api.export import export_chunks as archive_chunks
 from service.api.export import export_files as archive_files
 from service.ports import Outcome
-from service.records.attitude import NO_ANGLES
 from service.records.epoch import format_epoch
+from service.records.levels.attitude import NO_ANGLES
 
 pytestmark = pytest.mark.anyio
 

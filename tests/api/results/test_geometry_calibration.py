@@ -8,10 +8,10 @@ import pytest
 from geometry_payload import GeometryPayload, turned_angles
 
 from service.core.estimation.noise_identification import LADDER_S
-from service.records.attitude import Axes
 from service.records.epoch import format_epoch
 from service.records.inputs import AttitudeReference
-from service.records.measurement import MeasurementBatch
+from service.records.levels.attitude import Axes
+from service.records.levels.measurement import MeasurementBatch
 
 pytestmark = pytest.mark.anyio
 SC = "/spacecraft/yamal-202"

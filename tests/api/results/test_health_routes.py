@@ -11,7 +11,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from service.api.monitoring.metric_families import FAMILIES
 from service.errors import StorageError
 from service.ports import Outcome
-from service.records.attitude import Axes, CarrierState
+from service.records.levels.attitude import Axes, CarrierState
 from service.records.link import LinkReport
 from service.runtime.log_lines import JsonLines
 

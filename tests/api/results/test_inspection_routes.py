@@ -8,10 +8,10 @@ import pytest
 
 from service.core.geometry.line_of_sight import Places, sight_motion_deg, track_position_deg
 from service.core.geometry.line_of_sight import Track as CoreTrack
-from service.records.attitude import Axes
 from service.records.calibration import CalibrationMethod
 from service.records.catalogue import Track
 from service.records.epoch import format_epoch
+from service.records.levels.attitude import Axes
 
 pytestmark = pytest.mark.anyio
 SC = "/spacecraft/yamal-202"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from service.records.epoch import format_epoch
-from service.records.measurement import CarrierDetails
+from service.records.levels.measurement import CarrierDetails
 
 pytestmark = pytest.mark.anyio
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from service.records.attitude import Axes
 from service.records.epoch import format_epoch
 from service.records.inputs import AttitudeReference
+from service.records.levels.attitude import Axes
 
 pytestmark = pytest.mark.anyio
 SC = "/spacecraft/yamal-202"

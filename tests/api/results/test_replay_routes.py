@@ -4,8 +4,8 @@ import asyncio
 
 import pytest
 
-from service.records.attitude import Axes
 from service.records.epoch import format_epoch
+from service.records.levels.attitude import Axes
 
 pytestmark = pytest.mark.anyio
 

@@ -5,8 +5,8 @@ import pytest
 
 from service.core.rows.row_gaps import STRETCH_ROWS
 from service.ports import Outcome
-from service.records.attitude import NO_ANGLES, Axes
 from service.records.epoch import format_epoch
+from service.records.levels.attitude import NO_ANGLES, Axes
 
 pytestmark = pytest.mark.anyio
 

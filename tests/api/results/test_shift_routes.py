@@ -7,8 +7,8 @@ from service.pipeline.alarms.readings import RowFacts
 from service.records.access_key import AccessKey, Role, StoredKey
 from service.records.catalogue import Carrier, CarrierPlan, Method
 from service.records.inputs import Operation
+from service.records.levels.measurement import Measurement
 from service.records.link import LinkReport
-from service.records.measurement import Measurement
 
 pytestmark = pytest.mark.anyio
 S = 1_000_000

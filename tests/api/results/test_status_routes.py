@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 from service.ports import Outcome
-from service.records.attitude import Axes
 from service.records.catalogue import Method
+from service.records.levels.attitude import Axes
 
 pytestmark = pytest.mark.anyio
 

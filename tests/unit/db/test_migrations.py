@@ -15,7 +15,7 @@ from db.migrations.migrate import downgrade, upgrade
 from db.schema.tables import measurement_detail, metadata
 from db.storage import SqlStorage
 from service.records.catalogue import Carrier, ControlSettings, Release, Site, Spacecraft
-from service.records.measurement import CarrierDetails, MeasurementBatch
+from service.records.levels.measurement import CarrierDetails, MeasurementBatch
 
 INERTIA = ((4000.0, 0.0, 0.0), (0.0, 2000.0, 0.0), (0.0, 0.0, 4000.0))
 

@@ -8,10 +8,10 @@ import numpy as np
 
 from service.core.control.slew_schedule import AxisPulse
 from service.core.control.wheel_allocation import Allocation
-from service.records.attitude import AttitudeRow, Axes, FloatArray, named_axes
 from service.records.catalogue import Spacecraft
-from service.records.command import Pulse, TorqueCommand
 from service.records.epoch import US_PER_S
+from service.records.levels.attitude import AttitudeRow, Axes, FloatArray, named_axes
+from service.records.levels.command import Pulse, TorqueCommand
 
 _ZERO = Axes(0.0, 0.0, 0.0)
 

@@ -22,11 +22,11 @@ from service.pipeline.control.command.control_design import ControlDesign, contr
 from service.pipeline.control.command.control_inhibitions import control_inhibitions
 from service.pipeline.control.command.mean_torque import is_gyro_orbitant, mean_pulses
 from service.pipeline.control.command.schedule_check import PanelSwing, schedule_verdict
-from service.records.attitude import AttitudeRow, Axes, FloatArray
 from service.records.catalogue import Release, Spacecraft
-from service.records.command import TorqueCommand
-from service.records.disturbance import Disturbance
 from service.records.epoch import US_PER_S
+from service.records.levels.attitude import AttitudeRow, Axes, FloatArray
+from service.records.levels.command import TorqueCommand
+from service.records.levels.disturbance import Disturbance
 
 NO_CARRY = np.zeros(3)
 _ENVELOPE = Envelope()

@@ -1,8 +1,8 @@
 """Why a row leads to no torque: the row's own reasons, those of the spacecraft's settings, and those of the law."""
 
 from service.pipeline.control.command.mean_torque import is_gyro_orbitant, rate_inhibition
-from service.records.attitude import AttitudeRow, Axes
 from service.records.catalogue import ControlMode, Spacecraft
+from service.records.levels.attitude import AttitudeRow, Axes
 
 #: reasons beside those of the interlock for which a command stays zero, with what each one says
 CONTROL_INHIBITIONS: dict[str, str] = {

@@ -18,9 +18,9 @@ from service.core.control.slew_schedule import AxisPulse
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.command_record import Span
 from service.pipeline.control.command.control_design import ControlDesign, gyro_design
-from service.records.attitude import AttitudeRow, Axes, FloatArray
 from service.records.catalogue import ControlLaw, Release, Spacecraft
-from service.records.disturbance import Disturbance
+from service.records.levels.attitude import AttitudeRow, Axes, FloatArray
+from service.records.levels.disturbance import Disturbance
 
 _ENVELOPE = Envelope()
 

@@ -17,8 +17,8 @@ from service.core.flexible.spacecraft import FlexibleMode
 from service.pipeline.config import TorqueConfig
 from service.records import catalogue
 from service.records.catalogue import Spacecraft
-from service.records.command import Pulse, ScheduleVerdict
 from service.records.epoch import US_PER_S
+from service.records.levels.command import Pulse, ScheduleVerdict
 
 #: places of the axes in the order yaw, roll, pitch, and of each among the body axes
 _PLACES = {"yaw": 0, "roll": 1, "pitch": 2}

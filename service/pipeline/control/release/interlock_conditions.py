@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from service.pipeline.control.release.settings import ReleaseSettings, microseconds
-from service.records.attitude import Axes
+from service.records.levels.attitude import Axes
 
 
 class Consequence(Enum):

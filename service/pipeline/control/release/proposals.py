@@ -8,10 +8,10 @@ import numpy as np
 from service.core.control.quaternion_law import inertia_about_angles
 from service.core.control.slew_schedule import AxisPulse, Effect, FloatArray, predicted_effect
 from service.pipeline.control.release.events import Proposal
-from service.records.attitude import Axes
 from service.records.catalogue import Spacecraft
-from service.records.command import Pulse, TorqueCommand
 from service.records.epoch import US_PER_S
+from service.records.levels.attitude import Axes
+from service.records.levels.command import Pulse, TorqueCommand
 
 #: body axes x roll, y pitch, z yaw in the order yaw, roll, pitch
 _ANGLES_FROM_BODY = [2, 0, 1]

@@ -5,7 +5,7 @@ from typing import NamedTuple
 from service.pipeline.control.release.interlock_conditions import RowFacts
 from service.pipeline.estimation.method import CommandEvidence
 from service.ports import Outcome
-from service.records.attitude import AttitudeRow, Status
+from service.records.levels.attitude import AttitudeRow, Status
 
 #: standard normal quantile of 0.995: 99 % lie between it and its opposite
 _QUANTILE = 2.5758293

@@ -12,9 +12,9 @@ import numpy as np
 from service.core.estimation.paper.harmonic import evaluate_harmonic
 from service.core.geometry.node_phase import node_phase_rad
 from service.pipeline.estimation.paper.snapshot_fix import answer_db, sensitivity_model
-from service.records.attitude import Deviation, FloatArray
 from service.records.calibration import Alignment, Calibration, CarrierReference, ReferenceRule
 from service.records.catalogue import Ephemeris, Method
+from service.records.levels.attitude import Deviation, FloatArray
 
 #: instants over the alignment window at which two harmonics are compared when references are re-derived
 _REDERIVE_INSTANTS = 60

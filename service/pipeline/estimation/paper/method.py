@@ -21,11 +21,11 @@ from service.pipeline.estimation.paper.rate_filter import NO_FIXES, FixHistory, 
 from service.pipeline.estimation.paper.snapshot_fix import SensitivityModel, sensitivity_model, solve_attitude
 from service.pipeline.estimation.row_inhibitions import Circumstances, Verdict, judge
 from service.pipeline.inputs.knowledge import Knowledge
-from service.records.attitude import AttitudeFix, AttitudeRow, Deviation, FloatArray, Status, named_axes
 from service.records.calibration import Calibration
 from service.records.catalogue import Ephemeris, Method
 from service.records.epoch import US_PER_S
-from service.records.measurement import Measurement
+from service.records.levels.attitude import AttitudeFix, AttitudeRow, Deviation, FloatArray, Status, named_axes
+from service.records.levels.measurement import Measurement
 
 
 class PaperState(NamedTuple):

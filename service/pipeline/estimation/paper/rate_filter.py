@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.records.attitude import FloatArray, IntArray
 from service.records.epoch import US_PER_S
+from service.records.levels.attitude import FloatArray, IntArray
 
 
 class FixHistory(NamedTuple):

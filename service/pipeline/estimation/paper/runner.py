@@ -11,10 +11,10 @@ from service.pipeline.estimation.paper.method import (
     step_paper,
 )
 from service.pipeline.inputs.knowledge import Knowledge, Lookup
-from service.records.attitude import AttitudeRow, CarrierState
 from service.records.catalogue import CarrierPlan, Method
 from service.records.journal import SlowInput
-from service.records.measurement import Measurement
+from service.records.levels.attitude import AttitudeRow, CarrierState
+from service.records.levels.measurement import Measurement
 
 
 class PaperRunner:

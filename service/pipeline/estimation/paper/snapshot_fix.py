@@ -12,8 +12,8 @@ from service.core.estimation.noise_model import averaged_sigma_db
 from service.core.estimation.paper.octants import OctantFix, predict_deviation_db
 from service.core.estimation.paper.rejection import RejectionReason, reject_faded_carriers
 from service.pipeline.config import EstimationConfig
-from service.records.attitude import AttitudeFix, BoolArray, Exclusion, FloatArray, IntArray
 from service.records.calibration import Calibration
+from service.records.levels.attitude import AttitudeFix, BoolArray, Exclusion, FloatArray, IntArray
 
 
 @dataclass(frozen=True)

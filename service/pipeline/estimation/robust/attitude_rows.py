@@ -12,9 +12,9 @@ from service.core.estimation.filtering.filter_update import site_db
 from service.core.estimation.snapshot.snapshot import CarrierUse, Snapshots
 from service.pipeline.estimation.robust.model import RobustModel
 from service.pipeline.estimation.row_inhibitions import INHIBITIONS
-from service.records.attitude import AttitudeRow, BoolArray, Exclusion, FloatArray, Status, named_axes
 from service.records.catalogue import Method
-from service.records.measurement import Measurement
+from service.records.levels.attitude import AttitudeRow, BoolArray, Exclusion, FloatArray, Status, named_axes
+from service.records.levels.measurement import Measurement
 
 #: what the operator should do while control goes on, with what each code says
 ADVICE: dict[str, str] = {

@@ -36,11 +36,11 @@ from service.pipeline.inputs.knowledge import Knowledge
 from service.pipeline.inputs.known_motion import DEG_H2_N_M, CommandedMotion, take
 from service.pipeline.inputs.reference_angles import usual_sigma_deg
 from service.pipeline.kernels import kernels_named
-from service.records.attitude import AttitudeRow, FloatArray, named_axes
 from service.records.calibration import Alignment
-from service.records.disturbance import Disturbance
 from service.records.epoch import US_PER_S
-from service.records.measurement import Measurement
+from service.records.levels.attitude import AttitudeRow, FloatArray, named_axes
+from service.records.levels.disturbance import Disturbance
+from service.records.levels.measurement import Measurement
 
 
 @dataclass(frozen=True)

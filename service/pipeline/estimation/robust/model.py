@@ -19,10 +19,10 @@ from service.pipeline.inputs.catalogue_torque import constant_share, fed_forward
 from service.pipeline.inputs.declared_operations import CarrierNames
 from service.pipeline.inputs.knowledge import Knowledge
 from service.pipeline.inputs.known_motion import angle_inertia_kg_m2
-from service.records.attitude import BoolArray, FloatArray, IntArray
 from service.records.calibration import Alignment, Calibration, CalibrationResult
 from service.records.catalogue import Ephemeris, Method, Spacecraft
 from service.records.geometry import GeometryFit
+from service.records.levels.attitude import BoolArray, FloatArray, IntArray
 
 #: exchange of roll and yaw at the orbital rate, 1/h
 _ORBITAL_RATE_PER_H = 0.2625162

@@ -33,16 +33,16 @@ from service.pipeline.estimation.robust.unreported_commands import (
 )
 from service.pipeline.inputs.knowledge import Knowledge, Lookup
 from service.pipeline.inputs.known_motion import CommandedMotion, end_us, heard
-from service.records.attitude import AttitudeRow, CarrierState
 from service.records.calibration import Alignment, Calibration
 from service.records.catalogue import CarrierPlan, Ephemeris, Method, Spacecraft
-from service.records.command import AppliedCommand, ReleasedCommand, ReportedCommand
-from service.records.disturbance import Disturbance
 from service.records.epoch import US_PER_S
 from service.records.inputs import Correction
 from service.records.journal import SlowInput
-from service.records.measurement import Measurement
-from service.records.quality_flag import QualityFlag
+from service.records.levels.attitude import AttitudeRow, CarrierState
+from service.records.levels.command import AppliedCommand, ReleasedCommand, ReportedCommand
+from service.records.levels.disturbance import Disturbance
+from service.records.levels.measurement import Measurement
+from service.records.levels.quality_flag import QualityFlag
 
 #: a level with one of these is not used
 _UNFIT = int(

@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from db.encoding.json_documents import decode, decode_all, decode_input, encode, encode_all, is_same_input, kind_of
-from service.records.attitude import Axes
 from service.records.inputs import AttitudeReference, Operation, PlanChange, TelemetryRecord
 from service.records.journal import KINDS
+from service.records.levels.attitude import Axes
 
 
 @settings(derandomize=True, deadline=None)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from db.encoding.measurement_details import details_of, prepare_details
-from service.records.measurement import DETAIL_NAMES, CarrierDetails
+from service.records.levels.measurement import DETAIL_NAMES, CarrierDetails
 
 NAN = float("nan")
 

@@ -8,9 +8,9 @@ import pytest
 
 from service.errors import InvalidInputError
 from service.formats.aem import AemWriter, AttitudeMessage, read_aem, split_rows
-from service.records.attitude import AttitudeRow, Axes, Status, row_without_attitude
 from service.records.catalogue import Method
 from service.records.epoch import US_PER_S, parse_epoch
+from service.records.levels.attitude import AttitudeRow, Axes, Status, row_without_attitude
 
 START_US = parse_epoch("2026-11-21T00:00:00Z")
 MESSAGE = AttitudeMessage("YAMAL-202", "2003-053B", "m-1", START_US, "robust 1")

@@ -23,7 +23,7 @@ from service.formats.measurement_file import (
     measurement_file,
 )
 from service.records.epoch import format_epoch, parse_epoch
-from service.records.measurement_block import MeasurementBlock
+from service.records.levels.measurement_block import MeasurementBlock
 
 START_US = parse_epoch("2026-11-21T00:00:00Z")
 PLANS = {1: ("c00", "c01", "c02"), 2: ("c01", "c03", "c00"), 3: ("c00", "c01", "c02", "c03")}

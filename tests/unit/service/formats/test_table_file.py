@@ -13,11 +13,11 @@ from pyarrow import parquet
 from service.formats import parquet_stream
 from service.formats.series_tables import ATTITUDE, EVENTS, REFERENCES, TORQUES, plain_value
 from service.formats.table_file import Column, Table, TableFormat, table_bytes
-from service.records.attitude import NO_ANGLES, Axes
 from service.records.catalogue import Site, Spacecraft
-from service.records.command import Pulse
 from service.records.csv_guard import unguarded
 from service.records.inputs import AttitudeReference, Operation
+from service.records.levels.attitude import NO_ANGLES, Axes
+from service.records.levels.command import Pulse
 
 KINDS = Table(
     (

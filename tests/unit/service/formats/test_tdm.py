@@ -9,8 +9,8 @@ from service.errors import InvalidInputError
 from service.formats.tdm import SEGMENT_ROWS, TdmWriter, TrackingMessage, read_tdm
 from service.records.catalogue import Carrier
 from service.records.epoch import US_PER_S, parse_epoch
-from service.records.measurement import Measurement
-from service.records.quality_flag import QualityFlag
+from service.records.levels.measurement import Measurement
+from service.records.levels.quality_flag import QualityFlag
 
 START_US = parse_epoch("2026-11-21T00:00:00Z")
 MESSAGE = TrackingMessage("YAMAL-202", "Moscow", "m-2", START_US)

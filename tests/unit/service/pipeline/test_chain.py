@@ -7,7 +7,6 @@ import pytest
 
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
-from service.records.attitude import Axes
 from service.records.catalogue import CarrierPlan, Method, Release
 from service.records.inputs import (
     AlignmentSet,
@@ -17,6 +16,7 @@ from service.records.inputs import (
     PlanChange,
     SpacecraftChange,
 )
+from service.records.levels.attitude import Axes
 
 TRUTH = (0.1, -0.15, 0.2)
 CONFIG = ChainConfig()

@@ -6,10 +6,10 @@ import pytest
 from geometry_flight import Flight, FlightPayload
 
 from service.pipeline.inputs.knowledge import Knowledge, learn
-from service.records.attitude import Axes
 from service.records.catalogue import FlexibleMode, Release
-from service.records.command import AppliedCommand, Pulse, ReleasedCommand
 from service.records.inputs import SpacecraftChange, TelemetryRecord
+from service.records.levels.attitude import Axes
+from service.records.levels.command import AppliedCommand, Pulse, ReleasedCommand
 from service.records.release import InterlockHold
 
 PAYLOAD = FlightPayload.make()

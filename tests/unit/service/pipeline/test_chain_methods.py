@@ -10,7 +10,6 @@ from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.paper.runner import PaperRunner
 from service.pipeline.inputs.knowledge import Knowledge
-from service.records.attitude import Axes, Status
 from service.records.calibration import CalibrationMethod
 from service.records.catalogue import CarrierPlan, Method, Release, Station
 from service.records.inputs import (
@@ -21,6 +20,7 @@ from service.records.inputs import (
     PlanChange,
     SpacecraftChange,
 )
+from service.records.levels.attitude import Axes, Status
 
 PAYLOAD = FlightPayload.make()
 BOTH = (Method.ROBUST, Method.PAPER)

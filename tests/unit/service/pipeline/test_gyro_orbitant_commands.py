@@ -13,9 +13,9 @@ from service.core.geometry.frames import body_from_nadir
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.compute_command import NO_CARRY, command_for, compute_command
 from service.pipeline.control.release.proposals import effect_of
-from service.records.attitude import Axes, row_without_attitude
 from service.records.catalogue import ControlLaw, FlexibleMode, GyroOrbitantGains, Method, Release
 from service.records.inputs import TelemetryRecord
+from service.records.levels.attitude import Axes, row_without_attitude
 
 S = 1_000_000
 PAYLOAD = FlightPayload.make()

@@ -7,8 +7,8 @@ import pytest
 from geometry_flight import MINUTE
 from stepped_robust import ALIGNED_US, PAYLOAD, Stepped
 
-from service.records.attitude import Status
 from service.records.inputs import Operation
+from service.records.levels.attitude import Status
 
 
 def declared(stepped, kind, start, stop, **changes):

@@ -11,8 +11,8 @@ from service.pipeline.calibration.geometry_calibration import calibrate_geometry
 from service.pipeline.calibration.paper_calibration import calibrate_paper
 from service.pipeline.calibration.windows import CalibrationError
 from service.pipeline.config import CalibrationConfig
-from service.records.attitude import Axes
 from service.records.inputs import Correction
+from service.records.levels.attitude import Axes
 
 CONFIG = CalibrationConfig()
 YAW, ROLL, PITCH = np.diag([-1.0, 1, 1]), np.diag([1.0, -1, 1]), np.diag([1.0, 1, -1])

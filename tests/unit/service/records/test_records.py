@@ -5,10 +5,8 @@ from dataclasses import FrozenInstanceError, replace
 import numpy as np
 import pytest
 
-from service.records.attitude import Axes, Status, row_without_attitude
 from service.records.calibration import CalibrationMethod
 from service.records.catalogue import Carrier, Method
-from service.records.command import AppliedCommand, TorqueCommand
 from service.records.inputs import (
     AlignmentSet,
     AttitudeReference,
@@ -23,8 +21,10 @@ from service.records.inputs import (
 )
 from service.records.job import Replay
 from service.records.journal import KIND_OF, KINDS
-from service.records.quality_flag import QualityFlag
-from service.records.sweep import Sweep, SweepSettings
+from service.records.levels.attitude import Axes, Status, row_without_attitude
+from service.records.levels.command import AppliedCommand, TorqueCommand
+from service.records.levels.quality_flag import QualityFlag
+from service.records.levels.sweep import Sweep, SweepSettings
 
 ZERO = Axes(0.0, 0.0, 0.0)
 

@@ -24,7 +24,7 @@ from service.records.calibration import Window
 from service.records.catalogue import Method, Site, Spacecraft
 from service.records.inputs import Operation
 from service.records.job import JobState, Replay
-from service.records.measurement import BatchReceipt, MeasurementBatch
+from service.records.levels.measurement import BatchReceipt, MeasurementBatch
 from service.runtime.aligning import Aligner, AlignmentRequest
 from service.runtime.calibrating import Calibrator, fitted
 from service.runtime.jobs import JobRunner

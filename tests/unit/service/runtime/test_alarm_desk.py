@@ -18,7 +18,7 @@ from service.errors import ConflictError, InvalidInputError, NotFoundError, Stor
 from service.pipeline.alarms.readings import RowFacts
 from service.records.alarm_limits import AlarmLimits
 from service.records.catalogue import Method
-from service.records.measurement import Measurement
+from service.records.levels.measurement import Measurement
 
 
 @contextmanager

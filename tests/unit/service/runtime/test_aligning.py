@@ -8,9 +8,9 @@ import pytest
 from db.encoding.json_documents import decode, encode
 from service.api.schemas.alignments import AlignmentAnswer
 from service.errors import ConflictError, InvalidInputError, NotFoundError
-from service.records.attitude import Axes
 from service.records.calibration import Alignment, ReferenceRule, Window
 from service.records.catalogue import Onboard
+from service.records.levels.attitude import Axes
 from service.runtime.aligning import AlignmentRequest
 
 TRACKER = ("star_tracker",) * 3

@@ -7,9 +7,9 @@ import pytest
 
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
-from service.records.attitude import Axes
 from service.records.inputs import AlignmentSet, Correction, Operation, PlanChange, TelemetryRecord
 from service.records.journal import JournalEntry
+from service.records.levels.attitude import Axes
 from service.runtime.consumer import MOTION_KINDS, STANDING_KINDS, Documents, consume, prepare
 
 

@@ -6,7 +6,7 @@ import pytest
 import service.runtime.fresh_rows as module
 import service.runtime.supervisor as supervisor_module
 from service.records.journal import JournalEntry
-from service.records.measurement import BatchReceipt, Measurement, MeasurementBatch
+from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
 from service.runtime.fresh_rows import FreshRows
 
 

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from synthetic_payload import HOUR, START_US, SyntheticPayload
 
-from service.records.attitude import row_without_attitude
 from service.records.catalogue import Method
+from service.records.levels.attitude import row_without_attitude
 from service.runtime.inspection import newest_advice, runnable_methods
 
 PAYLOAD = SyntheticPayload.make(6)

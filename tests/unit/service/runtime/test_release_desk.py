@@ -9,10 +9,10 @@ from release_storage import SC
 from service.errors import ConflictError, ForbiddenError, GoneError, InvalidInputError, NotFoundError, StorageError
 from service.pipeline.control.release.events import OrderKind
 from service.pipeline.estimation.method import CommandEvidence
-from service.records.attitude import Axes
 from service.records.catalogue import ControlMode, Onboard, Release
-from service.records.command import ReportedCommand
 from service.records.inputs import Operation
+from service.records.levels.attitude import Axes
+from service.records.levels.command import ReportedCommand
 from service.records.release import CommandWish, EnvelopeLimits, InterlockHold, ProductForm
 from service.runtime.leading import elsewhere
 

@@ -8,9 +8,9 @@ from release_storage import SC
 
 from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S
 from service.errors import ConflictError
-from service.records.attitude import Axes
 from service.records.catalogue import ControlLaw, GyroOrbitantGains
 from service.records.inputs import TelemetryRecord
+from service.records.levels.attitude import Axes
 from service.records.release import CommandWish
 
 W0_DEG_S = math.degrees(GEOSTATIONARY_RATE_RAD_S)

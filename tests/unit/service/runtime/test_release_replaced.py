@@ -11,9 +11,9 @@ from sign_world import payload
 
 from service.errors import ConflictError
 from service.pipeline.estimation.method import CommandEvidence
-from service.records.attitude import Axes
 from service.records.catalogue import Method
-from service.records.command import ReleasedCommand, ReportedCommand
+from service.records.levels.attitude import Axes
+from service.records.levels.command import ReleasedCommand, ReportedCommand
 from service.records.release import InterlockHold
 
 PAYLOAD = FlightPayload.make()

@@ -16,14 +16,14 @@ from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S
 from service.errors import InvalidInputError
 from service.pipeline.config import AlignmentConfig, ChainConfig
 from service.ports import LIVE
-from service.records.attitude import Axes
 from service.records.calibration import CalibrationMethod, Window
 from service.records.catalogue import ControlLaw, GyroOrbitantGains, Method, Release
-from service.records.command import AppliedCommand
 from service.records.inputs import AttitudeReference, Correction, Operation, PlanChange, TelemetryRecord
 from service.records.job import JobState, Replay
 from service.records.journal import JournalEntry
-from service.records.measurement import MeasurementBatch
+from service.records.levels.attitude import Axes
+from service.records.levels.command import AppliedCommand
+from service.records.levels.measurement import MeasurementBatch
 from service.runtime.aligning import Aligner, AlignmentRequest
 from service.runtime.consumer import prepare
 from service.runtime.jobs import JobRunner

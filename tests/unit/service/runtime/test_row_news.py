@@ -8,7 +8,7 @@ import pytest
 
 from service.records.inputs import AlignmentSet
 from service.records.journal import JournalEntry
-from service.records.measurement import BatchReceipt, CarrierDetails, MeasurementBatch
+from service.records.levels.measurement import BatchReceipt, CarrierDetails, MeasurementBatch
 from service.runtime.live_feed import FeedEvent, LiveFeed
 from service.runtime.row_news import RowNews, stored_rows
 

@@ -10,10 +10,10 @@ import pytest
 import service.runtime.supervisor as supervisor_module
 from service.errors import StorageError
 from service.pipeline.estimation.paper.runner import PaperRunner
-from service.records.attitude import Status
 from service.records.catalogue import Release
-from service.records.command import AppliedCommand
 from service.records.inputs import Operation
+from service.records.levels.attitude import Status
+from service.records.levels.command import AppliedCommand
 from service.runtime.live_feed import LiveFeed
 
 

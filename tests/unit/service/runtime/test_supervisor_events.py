@@ -3,11 +3,11 @@
 import numpy as np
 
 from service.ports import Outcome
-from service.records.attitude import AttitudeRow, row_without_attitude
 from service.records.catalogue import Method
 from service.records.inputs import AlignmentSet, SpacecraftChange
 from service.records.journal import JournalEntry
-from service.records.measurement import Measurement
+from service.records.levels.attitude import AttitudeRow, row_without_attitude
+from service.records.levels.measurement import Measurement
 from service.runtime.live_feed import Cursor
 from service.runtime.supervisor import _result_events
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from service.api.export.read_ahead import AHEAD_BYTES, read_ahead
-from service.records.measurement_block import MeasurementBlock
+from service.records.levels.measurement_block import MeasurementBlock
 
 ROWS = AHEAD_BYTES // (4 * 16) // 4
 

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from db.storage import SqlStorage
 from service.cli.app import app
 from service.records.catalogue import Carrier, Site, Spacecraft
-from service.records.measurement import MeasurementBatch
+from service.records.levels.measurement import MeasurementBatch
 
 DAY_US = 86_400_000_000
 #: of 2026, long ago for the system clock of any test

@@ -19,8 +19,8 @@ from service.frontend.drivers.base import Features, SweepRefusedError
 from service.frontend.drivers.scpi import AnalyzerMessage, Identity
 from service.frontend.drivers.visa_session import AnalyzerIOError
 from service.frontend.measurement_task import MeasurementTask, parse_task
-from service.records.quality_flag import QualityFlag
-from service.records.sweep import Sweep, SweepSettings
+from service.records.levels.quality_flag import QualityFlag
+from service.records.levels.sweep import Sweep, SweepSettings
 
 
 def task(**analyzer: Any) -> MeasurementTask:

@@ -5,7 +5,7 @@ import logging
 import pytest
 
 from service.frontend.acquisition.epoch_guard import SETTLE_S, EpochGuard
-from service.records.quality_flag import QualityFlag
+from service.records.levels.quality_flag import QualityFlag
 
 START_US = 1_795_230_152_000_000
 

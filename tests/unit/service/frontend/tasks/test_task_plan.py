@@ -7,7 +7,7 @@ import pytest
 
 from service.frontend.measurement_task import MeasurementTask, TaskError, load_task, parse_task
 from service.frontend.tasks.task_plan import plan_task, recheck
-from service.records.sweep import SweepSettings
+from service.records.levels.sweep import SweepSettings
 
 
 def document(**changes: Any) -> dict[str, Any]:

@@ -9,8 +9,8 @@ from geometry_flight import HOUR, MINUTE, START_US, FlightPayload
 from service.pipeline.alignment.alignment import align_methods, columns_of
 from service.pipeline.config import AlignmentConfig
 from service.pipeline.inputs.reference_angles import StatedAngles
-from service.records.attitude import Axes
 from service.records.calibration import CalibrationMethod, Window
+from service.records.levels.attitude import Axes
 
 ALIGNED_US = START_US + HOUR
 WINDOW = Window(ALIGNED_US - 30 * MINUTE, ALIGNED_US + 1)

@@ -10,10 +10,10 @@ from service.pipeline.config import AlignmentConfig, EstimationConfig
 from service.pipeline.estimation.paper.harmonic_removal import expected_power, remove_harmonic
 from service.pipeline.estimation.paper.snapshot_fix import sensitivity_model, solve_attitude
 from service.pipeline.inputs.reference_angles import StatedAngles, smooth_angles
-from service.records.attitude import Axes
 from service.records.calibration import Window
 from service.records.catalogue import Method
-from service.records.series import MeasurementSeries, ReferenceSeries
+from service.records.levels.attitude import Axes
+from service.records.levels.series import MeasurementSeries, ReferenceSeries
 
 S = 1_000_000
 TRACKER = ("star_tracker",) * 3

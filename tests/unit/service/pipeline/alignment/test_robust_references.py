@@ -9,8 +9,8 @@ from geometry_flight import HOUR, MINUTE, START_US, FlightPayload, S
 from service.pipeline.alignment.robust_references import robust_references
 from service.pipeline.config import AlignmentConfig
 from service.pipeline.inputs.reference_angles import StatedAngles
-from service.records.attitude import Axes
 from service.records.calibration import Window
+from service.records.levels.attitude import Axes
 from service.records.noise import NoiseComponent
 
 CONFIG = AlignmentConfig()

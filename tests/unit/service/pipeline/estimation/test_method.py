@@ -8,7 +8,7 @@ from geometry_flight import START_US, FlightPayload
 
 from service.pipeline.estimation.method import CalibratedColumns
 from service.records.catalogue import CarrierPlan, Station
-from service.records.measurement import Measurement
+from service.records.levels.measurement import Measurement
 
 PAYLOAD = FlightPayload.make(5)
 PLAN = PAYLOAD.plan()

@@ -7,8 +7,8 @@ import pytest
 
 from service.pipeline.config import RobustConfig
 from service.pipeline.estimation.method_disagreement import Disagreement, compare
-from service.records.attitude import Axes, Status, row_without_attitude
 from service.records.catalogue import Method
+from service.records.levels.attitude import Axes, Status, row_without_attitude
 
 CONFIG = RobustConfig(disagreement_deg=0.15, disagreement_s=900.0)
 MINUTE = 60_000_000

@@ -7,7 +7,7 @@ import pytest
 
 from service.pipeline.config import InterlockConfig
 from service.pipeline.estimation.row_inhibitions import INHIBITIONS, Circumstances, judge
-from service.records.attitude import AttitudeFix
+from service.records.levels.attitude import AttitudeFix
 
 CONFIG = InterlockConfig()
 CALM = Circumstances(is_late=False, is_catch_up=False, is_settled=True, is_fading=False, has_inhibiting_operation=False)

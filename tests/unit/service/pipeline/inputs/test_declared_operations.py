@@ -5,8 +5,8 @@ import pytest
 
 from service.pipeline.config import OperationConfig
 from service.pipeline.inputs.declared_operations import CarrierNames, declared_between, with_chain_step
-from service.records.attitude import Axes
 from service.records.inputs import Operation
+from service.records.levels.attitude import Axes
 
 S = 1_000_000
 MINUTE, HOUR = 60 * S, 3600 * S

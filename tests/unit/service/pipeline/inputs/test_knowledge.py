@@ -5,10 +5,10 @@ from dataclasses import replace
 import pytest
 
 from service.pipeline.inputs.knowledge import Knowledge, learn
-from service.records.attitude import Axes
 from service.records.calibration import CalibrationMethod
 from service.records.catalogue import Method
 from service.records.inputs import CalibrationActivation, Correction, Operation, SourceSelection
+from service.records.levels.attitude import Axes
 
 
 @pytest.fixture

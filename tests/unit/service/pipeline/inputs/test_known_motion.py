@@ -7,10 +7,10 @@ import pytest
 from geometry_flight import HOUR, INERTIA, LONGITUDE_DEG, MINUTE, SITE, S
 
 from service.pipeline.inputs.known_motion import CommandedMotion, heard, take
-from service.records.attitude import Axes
 from service.records.catalogue import Spacecraft
-from service.records.command import AppliedCommand, Pulse, ReportedCommand, TorqueCommand
 from service.records.inputs import Correction
+from service.records.levels.attitude import Axes
+from service.records.levels.command import AppliedCommand, Pulse, ReportedCommand, TorqueCommand
 
 CRAFT = Spacecraft("yamal-test", "Test", LONGITUDE_DEG, SITE, INERTIA, 0.05)
 NAN = float("nan")

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from service.pipeline.inputs.reference_angles import StatedAngles, smooth_angles, stated_sigma_deg
-from service.records.attitude import Axes
-from service.records.series import ReferenceSeries
+from service.records.levels.attitude import Axes
+from service.records.levels.series import ReferenceSeries
 
 S = 1_000_000
 START_US = 1_800_000_000 * S

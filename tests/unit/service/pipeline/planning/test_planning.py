@@ -12,9 +12,9 @@ from synthetic_payload import START_US, SyntheticPayload
 from service.pipeline.planning.assumed_beams import DEFAULT_WIDTHS_DEG, NOISES, AssumedBeam, assume_payload
 from service.pipeline.planning.candidates import GONE, NOT_MEASURED, NOT_USABLE, candidates_of
 from service.pipeline.planning.planning import Rule, recommend, turn_timetable
-from service.records.attitude import NO_ANGLES
 from service.records.calibration import NoiseComponent
 from service.records.catalogue import Carrier, CarrierPlan, Station
+from service.records.levels.attitude import NO_ANGLES
 
 PAYLOAD = SyntheticPayload.make(20)
 

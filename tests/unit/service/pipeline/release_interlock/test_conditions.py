@@ -18,7 +18,7 @@ from service.pipeline.control.release.events import (
     SignJudged,
 )
 from service.pipeline.control.release.interlock_conditions import Condition, Consequence
-from service.records.attitude import Axes
+from service.records.levels.attitude import Axes
 
 NAN = float("nan")
 

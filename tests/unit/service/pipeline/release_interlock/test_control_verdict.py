@@ -12,8 +12,8 @@ from service.pipeline.control.release.control_verdict import control_verdict
 from service.pipeline.control.release.events import OrderKind
 from service.pipeline.control.release.row_facts import facts_of_row
 from service.pipeline.control.release.settings import ReleaseSettings
-from service.records.attitude import Axes, Status
 from service.records.catalogue import Release
+from service.records.levels.attitude import Axes, Status
 
 
 def codes(verdict):

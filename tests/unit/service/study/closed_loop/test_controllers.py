@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from service.records.attitude import Axes
 from service.records.catalogue import ControlSettings, Onboard, Release, Site, Spacecraft
-from service.records.command import AppliedCommand, Pulse, TorqueCommand
-from service.records.measurement import Measurement
+from service.records.levels.attitude import Axes
+from service.records.levels.command import AppliedCommand, Pulse, TorqueCommand
+from service.records.levels.measurement import Measurement
 from service.study.closed_loop.controllers import LEAD_S, ByAngles, ByChain, ByTruth, Idle, postponed
 from service.study.closed_loop.plant_process import CommandReport, CraftTruth
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from service.pipeline.config import TorqueConfig
-from service.records.attitude import Axes, row_without_attitude
 from service.records.catalogue import ControlSettings, Method, Onboard, Release, Site, Spacecraft
-from service.records.command import AppliedCommand, Pulse, ReleasedCommand, ReportedCommand
-from service.records.disturbance import Disturbance
-from service.records.measurement import Measurement
+from service.records.levels.attitude import Axes, row_without_attitude
+from service.records.levels.command import AppliedCommand, Pulse, ReleasedCommand, ReportedCommand
+from service.records.levels.disturbance import Disturbance
+from service.records.levels.measurement import Measurement
 from service.study.closed_loop.plant_process import CommandReport
 from service.study.closed_loop.released import Releaser
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from service.records.attitude import Axes
 from service.records.inputs import Correction
+from service.records.levels.attitude import Axes
 from service.study.estimation.baselines import BASELINES, COUPLING_RAD_H, baseline_answers, commanded_deg
 
 HOUR_US = 3_600_000_000

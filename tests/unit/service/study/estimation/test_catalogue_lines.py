@@ -1,8 +1,8 @@
 """Lines of the simulator's ground become the records that the interface would have made of them."""
 
-from service.records.attitude import Axes
 from service.records.catalogue import ControlMode, Method, Release
 from service.records.epoch import parse_epoch
+from service.records.levels.attitude import Axes
 from service.study.estimation.catalogue_lines import (
     read_carriers,
     read_ephemeris,

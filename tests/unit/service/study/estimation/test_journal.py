@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.records.attitude import Axes
 from service.records.catalogue import Carrier
 from service.records.inputs import Correction, PlanChange, SourceSelection
+from service.records.levels.attitude import Axes
 from service.study.estimation.journal import Documents, measurements, slow_entries
 from service.study.estimation.world import News
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from service.records.series import ReferenceSeries
+from service.records.levels.series import ReferenceSeries
 from service.study.rf_attitude.figures import draw_reproduction
 from service.study.rf_attitude.reproduction import (
     AMPLITUDE_DB,

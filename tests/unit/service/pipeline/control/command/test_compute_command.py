@@ -8,9 +8,9 @@ import pytest
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.compute_command import NO_CARRY, command_for, compute_command
 from service.pipeline.control.command.control_inhibitions import CONTROL_INHIBITIONS, control_inhibitions
-from service.records.attitude import Axes, row_without_attitude
 from service.records.catalogue import ControlMode, FlexibleMode, Method, Onboard, Release, WheelSet
-from service.records.disturbance import Disturbance
+from service.records.levels.attitude import Axes, row_without_attitude
+from service.records.levels.disturbance import Disturbance
 
 S = 1_000_000
 EPOCH = 1_800_000_000 * S

@@ -8,9 +8,9 @@ import pytest
 from service.core.flexible.schedule_check import analyse_schedule
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.schedule_check import PanelSwing, schedule_verdict, swing_after
-from service.records.attitude import Axes
 from service.records.catalogue import FlexibleMode
-from service.records.command import Pulse
+from service.records.levels.attitude import Axes
+from service.records.levels.command import Pulse
 
 S = 1_000_000
 EPOCH = 1_800_000_000 * S

@@ -6,8 +6,8 @@ import pytest
 from scipy.stats import chi2
 
 from service.pipeline.control.release.row_facts import facts_of_row, is_in_band
-from service.records.attitude import row_without_attitude
 from service.records.catalogue import Method
+from service.records.levels.attitude import row_without_attitude
 
 
 def test_a_row_without_attitude_says_so():

@@ -13,9 +13,9 @@ from service.pipeline.estimation.paper.harmonic_removal import (
     references_of,
     remove_harmonic,
 )
-from service.records.attitude import Axes
 from service.records.calibration import CarrierReference, ReferenceRule
 from service.records.catalogue import Method
+from service.records.levels.attitude import Axes
 
 
 @pytest.fixture

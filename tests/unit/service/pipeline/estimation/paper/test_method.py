@@ -8,8 +8,8 @@ import pytest
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.paper.method import initial_state, paper_model, step_paper
 from service.pipeline.inputs.knowledge import Knowledge, learn
-from service.records.attitude import Status
 from service.records.inputs import Operation
+from service.records.levels.attitude import Status
 
 CONFIG = ChainConfig()
 TRUTH = (0.1, -0.15, 0.2)

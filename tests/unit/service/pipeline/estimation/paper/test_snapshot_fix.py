@@ -8,7 +8,7 @@ import pytest
 from service.core.estimation.paper.octants import predict_deviation_db
 from service.pipeline.config import EstimationConfig
 from service.pipeline.estimation.paper.snapshot_fix import sensitivity_model, solve_attitude
-from service.records.attitude import Axes, Exclusion
+from service.records.levels.attitude import Axes, Exclusion
 from service.records.noise import NoiseComponent
 
 ANGLES = np.array([0.2, -0.15, 0.1])

@@ -10,9 +10,9 @@ from stepped_robust import ALIGNED_US, CONFIG, PAYLOAD, Stepped
 from service.core.estimation.filtering.filter_state import FREE_REFERENCE_DB2
 from service.pipeline.estimation.robust.method import carried_state, rates_deg_s
 from service.pipeline.estimation.robust.model import robust_model
-from service.records.attitude import Status
 from service.records.calibration import CalibrationMethod
 from service.records.inputs import AlignmentSet, CalibrationActivation, EphemerisChange
+from service.records.levels.attitude import Status
 
 NAN = float("nan")
 ABSENT = np.full(16, NAN)

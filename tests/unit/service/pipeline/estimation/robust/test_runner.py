@@ -9,9 +9,7 @@ from geometry_flight import HOUR, INERTIA, MINUTE, Flight, FlightDocuments, Flig
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.robust.runner import RobustRunner
 from service.pipeline.inputs.knowledge import Knowledge
-from service.records.attitude import Axes
 from service.records.catalogue import Method
-from service.records.command import AppliedCommand, Pulse, TorqueCommand
 from service.records.inputs import (
     AlignmentSet,
     AttitudeReference,
@@ -20,7 +18,9 @@ from service.records.inputs import (
     EphemerisChange,
     SpacecraftChange,
 )
-from service.records.quality_flag import QualityFlag
+from service.records.levels.attitude import Axes
+from service.records.levels.command import AppliedCommand, Pulse, TorqueCommand
+from service.records.levels.quality_flag import QualityFlag
 
 PAYLOAD = FlightPayload.make()
 NAN = float("nan")

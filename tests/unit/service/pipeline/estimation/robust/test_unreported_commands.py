@@ -8,10 +8,10 @@ import pytest
 from geometry_flight import HOUR, INERTIA, Flight, FlightPayload
 
 from service.pipeline.estimation.robust import runner as robust_runner
-from service.records.attitude import Axes
 from service.records.catalogue import AxisTorques, FedForwardTorque, Method, Onboard
-from service.records.command import AppliedCommand, Pulse, ReleasedCommand, ReportedCommand, TorqueCommand
 from service.records.inputs import AlignmentSet, Correction, SpacecraftChange
+from service.records.levels.attitude import Axes
+from service.records.levels.command import AppliedCommand, Pulse, ReleasedCommand, ReportedCommand, TorqueCommand
 
 PAYLOAD = FlightPayload.make()
 ZERO = Axes(0.0, 0.0, 0.0)

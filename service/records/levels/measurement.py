@@ -6,7 +6,7 @@ from types import EllipsisType
 import numpy as np
 from numpy.typing import NDArray
 
-from service.records.attitude import FloatArray, IntArray
+from service.records.levels.attitude import FloatArray, IntArray
 
 Float32Array = NDArray[np.float32]
 

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from service.records.attitude import IntArray
-from service.records.measurement import Float32Array
+from service.records.levels.attitude import IntArray
+from service.records.levels.measurement import Float32Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from service.records.attitude import Axes
 from service.records.epoch import US_PER_S
+from service.records.levels.attitude import Axes
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from service.records.attitude import FloatArray, IntArray
-from service.records.measurement import Refusal
+from service.records.levels.attitude import FloatArray, IntArray
+from service.records.levels.measurement import Refusal
 
 
 @dataclass(frozen=True, slots=True)

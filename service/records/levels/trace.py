@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from service.records.attitude import FloatArray
+from service.records.levels.attitude import FloatArray
 
 
 @dataclass(frozen=True, slots=True)

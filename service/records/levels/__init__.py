@@ -1,0 +1,1 @@
+"""Records of the data levels L0 to L5."""
