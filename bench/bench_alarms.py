@@ -18,8 +18,8 @@ from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.alarms.readings import RowReader
 from service.pipeline.chain import Chain
 from service.pipeline.config import AlarmConfig, ChainConfig, RobustConfig
-from service.records.alarm_memory import BookMemory
 from service.records.levels.measurement import CarrierDetails
+from service.records.operations.alarm_memory import BookMemory
 from tests.fakes.geometry_flight import Flight, FlightPayload
 
 ASKED_SHARE = 0.05

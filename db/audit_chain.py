@@ -8,7 +8,7 @@ from sqlalchemy import Connection, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
 from db.schema.access_tables import audit_entry, audit_head
-from service.records.audit import GENESIS, AuditEntry, AuditHead, Deed, naming_result, next_entry
+from service.records.operations.audit import GENESIS, AuditEntry, AuditHead, Deed, naming_result, next_entry
 
 Result = TypeVar("Result")
 

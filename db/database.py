@@ -20,9 +20,9 @@ from db.encoding.json_documents import encode, kind_of
 from db.encoding.segments import SegmentCache
 from db.schema.tables import head, journal, spacecraft
 from service.errors import NotFoundError
-from service.records.audit import CURRENT_NOTE
 from service.records.calibration import Window
 from service.records.journal import SlowInput
+from service.records.operations.audit import CURRENT_NOTE
 
 Result = TypeVar("Result")
 

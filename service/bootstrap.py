@@ -15,9 +15,9 @@ from service.api.context.monitoring_settings import Observation
 from service.core.dynamics.orbital_frame_analysis import MOST_STEPS, MOST_STEPS_PLAIN
 from service.pipeline.alarms.conditions import condition_table
 from service.ports import Clock, Storage
-from service.records.access_key import AccessKey, Role, StoredKey, digest_of, new_key
-from service.records.alarm import Severity
-from service.records.audit import DONE, Deed
+from service.records.operations.access_key import AccessKey, Role, StoredKey, digest_of, new_key
+from service.records.operations.alarm import Severity
+from service.records.operations.audit import DONE, Deed
 from service.runtime.alarm_desk import AlarmDesk
 from service.runtime.alarm_notices import NoticeChannel, NoticeChannels
 from service.runtime.aligning import Aligner

@@ -14,7 +14,7 @@ from service.records.journal import SlowInput
 from service.records.levels.command import AppliedCommand, ReleasedCommand, ReportedCommand
 from service.records.levels.measurement import Refusal
 from service.records.levels.series import InputReceipt
-from service.records.release import InterlockHold
+from service.records.operations.release import InterlockHold
 
 LOOKUP_CHUNK = 500
 #: what carries its own key; everything else is journaled by the call that makes it

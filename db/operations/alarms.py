@@ -13,10 +13,10 @@ from db.measurements.retention import LOGS_AT_ONCE
 from db.schema.alarm_tables import alarm as alarm_table
 from db.schema.alarm_tables import alarm_change, alarm_limits, alarm_memory
 from service.errors import NotFoundError
-from service.records.alarm import Alarm, AlarmChange
-from service.records.alarm_limits import AlarmLimits
-from service.records.alarm_memory import BookMemory
 from service.records.calibration import Window
+from service.records.operations.alarm import Alarm, AlarmChange
+from service.records.operations.alarm_limits import AlarmLimits
+from service.records.operations.alarm_memory import BookMemory
 
 #: states that stand for several
 _GROUPS: dict[str, tuple[str, ...]] = {

@@ -9,7 +9,7 @@ from sqlalchemy import ColumnElement, Row, select
 from db.audit_chain import append_entry
 from db.database import Database
 from db.schema.access_tables import audit_entry, audit_head
-from service.records.audit import GENESIS, AuditEntry, AuditFilter, AuditHead, Deed
+from service.records.operations.audit import GENESIS, AuditEntry, AuditFilter, AuditHead, Deed
 
 #: entries held at once while a chain is walked
 _WALK = 2000

@@ -10,8 +10,8 @@ from db.audit_chain import append_entry, lock_audit_head
 from db.database import Database
 from db.schema.access_tables import access_key
 from service.errors import ConflictError, NotFoundError
-from service.records.access_key import AccessKey, Role, StoredKey, name_key
-from service.records.audit import Deed
+from service.records.operations.access_key import AccessKey, Role, StoredKey, name_key
+from service.records.operations.audit import Deed
 
 
 class SqlKeys:

@@ -11,7 +11,7 @@ from db.encoding.json_documents import decode, encode
 from db.schema.tables import link as link_table
 from service.errors import ConflictError, NotFoundError
 from service.records.epoch import US_PER_S
-from service.records.link import LinkReport, LinkState, learn_period
+from service.records.operations.link import LinkReport, LinkState, learn_period
 
 #: no ground station has more; a key that invents ids ends here
 MAX_LINKS = 1000

@@ -12,7 +12,7 @@ from db.measurements.retention import LOGS_AT_ONCE
 from db.schema.alarm_tables import note as note_table
 from service.errors import NotFoundError
 from service.records.calibration import Window
-from service.records.note import Note
+from service.records.operations.note import Note
 
 
 class SqlNotes:

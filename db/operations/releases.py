@@ -8,7 +8,7 @@ from db.measurements.slow_inputs import store_inputs
 from db.schema.release_tables import release_command, release_made_two_step, release_state, uplink_product
 from service.errors import ConflictError, NotFoundError
 from service.records.calibration import Window
-from service.records.release import CommandView, ProductForm, ReleaseChange, StoredRelease, UplinkProduct
+from service.records.operations.release import CommandView, ProductForm, ReleaseChange, StoredRelease, UplinkProduct
 
 
 class SqlReleases:

@@ -12,7 +12,7 @@ from db.schema.tables import job as job_table
 from db.schema.tables import replay as replay_table
 from service.errors import ConflictError, NotFoundError
 from service.records.calibration import CalibrationState
-from service.records.job import Job, JobState, Replay
+from service.records.operations.job import Job, JobState, Replay
 
 _UNFINISHED = (JobState.QUEUED.value, JobState.RUNNING.value)
 

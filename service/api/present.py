@@ -9,7 +9,7 @@ from service.pipeline.control.release.control_verdict import control_verdict
 from service.records.catalogue import Spacecraft
 from service.records.levels.attitude import AttitudeRow
 from service.records.levels.command import TorqueCommand
-from service.records.release import ControlVerdict, ControlView
+from service.records.operations.release import ControlVerdict, ControlView
 
 
 class Present(NamedTuple):

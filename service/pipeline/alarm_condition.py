@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-from service.records.alarm_limits import ConditionLimits
+from service.records.operations.alarm_limits import ConditionLimits
 
 
 class Kind(StrEnum):

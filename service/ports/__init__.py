@@ -6,7 +6,7 @@ needs is damaged. Unknown names raise NotFoundError with the codes
 ``spacecraft.unknown``, ``plan.unknown``, ``ephemeris.unknown``, ``calibration.unknown``, ``alignment.unknown``,
 ``operation.unknown``, ``source.unknown``, ``job.unknown``, ``replay.unknown``, ``link.unknown``, ``key.unknown``.
 
-While a request has an audit note (``service.records.audit.CURRENT_NOTE``), the first write that it waits for commits
+While a request has an audit note (``service.records.operations.audit.CURRENT_NOTE``), the first write that it waits for commits
 its audit entry together with the change.
 """
 

@@ -3,8 +3,8 @@
 from collections.abc import Iterator, Mapping
 from typing import Protocol
 
-from service.records.access_key import AccessKey, StoredKey
-from service.records.audit import AuditEntry, AuditFilter, AuditHead, Deed
+from service.records.operations.access_key import AccessKey, StoredKey
+from service.records.operations.audit import AuditEntry, AuditFilter, AuditHead, Deed
 
 
 class Keys(Protocol):

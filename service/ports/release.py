@@ -3,7 +3,7 @@
 from typing import Protocol
 
 from service.records.calibration import Window
-from service.records.release import CommandView, ProductForm, ReleaseChange, StoredRelease, UplinkProduct
+from service.records.operations.release import CommandView, ProductForm, ReleaseChange, StoredRelease, UplinkProduct
 
 
 class Releases(Protocol):

@@ -14,10 +14,10 @@ from service.records.calibration import (
     Window,
 )
 from service.records.catalogue import Method
-from service.records.job import Job, JobState, Replay
 from service.records.levels.attitude import AttitudeRow
 from service.records.levels.command import AppliedCommand, TorqueCommand
 from service.records.levels.disturbance import Disturbance
+from service.records.operations.job import Job, JobState, Replay
 
 #: version under which the live chain writes
 LIVE = "live"

@@ -5,7 +5,7 @@ from typing import Protocol
 
 from service.records.calibration import Window
 from service.records.levels.trace import KeptTrace, Ring, Trace, TraceHead, TraceReceipt
-from service.records.link import LinkReport, LinkState
+from service.records.operations.link import LinkReport, LinkState
 
 
 class Links(Protocol):

@@ -3,11 +3,11 @@
 from collections.abc import Iterator, Sequence
 from typing import Protocol
 
-from service.records.alarm import Alarm, AlarmChange
-from service.records.alarm_limits import AlarmLimits
-from service.records.alarm_memory import BookMemory
 from service.records.calibration import Window
-from service.records.note import Note
+from service.records.operations.alarm import Alarm, AlarmChange
+from service.records.operations.alarm_limits import AlarmLimits
+from service.records.operations.alarm_memory import BookMemory
+from service.records.operations.note import Note
 
 
 class Alarms(Protocol):

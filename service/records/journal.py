@@ -17,7 +17,7 @@ from service.records.inputs import (
 )
 from service.records.levels.command import AppliedCommand, ReleasedCommand, ReportedCommand
 from service.records.levels.measurement import Measurement
-from service.records.release import InterlockHold
+from service.records.operations.release import InterlockHold
 
 #: an input other than a row of carrier powers
 SlowInput = (

@@ -6,10 +6,10 @@ from service.pipeline.alarm_condition import Condition
 from service.pipeline.alarms.alarm_engine import AlarmBook
 from service.pipeline.alarms.readings import RowReader
 from service.ports import Alarms
-from service.records.alarm import AlarmChange
-from service.records.alarm_limits import AlarmLimits
-from service.records.alarm_memory import BookMemory
 from service.records.epoch import US_PER_S
+from service.records.operations.alarm import AlarmChange
+from service.records.operations.alarm_limits import AlarmLimits
+from service.records.operations.alarm_memory import BookMemory
 
 #: what is kept of the rows may be so old, us, and their period so far off
 _FAR_US = 600 * US_PER_S

@@ -16,7 +16,7 @@ from service.ports import Clock, Storage
 from service.records.calibration import CalibrationState
 from service.records.epoch import US_PER_S
 from service.records.levels.series import SourceState
-from service.records.link import LinkState
+from service.records.operations.link import LinkState
 
 _SILENT = "SILENT"
 #: the least age of a warning, so that one of this very instant stands too, s

@@ -17,9 +17,9 @@ from service.pipeline.alarm_condition import Condition
 from service.pipeline.alarms.alarm_engine import AlarmBook, Key, Readings
 from service.pipeline.alarms.readings import RowFacts
 from service.ports import Clock, Storage
-from service.records.alarm import Alarm, AlarmChange, Handling
-from service.records.alarm_limits import AlarmLimits
 from service.records.epoch import US_PER_S
+from service.records.operations.alarm import Alarm, AlarmChange, Handling
+from service.records.operations.alarm_limits import AlarmLimits
 from service.runtime.alarm_case import AlarmCase
 from service.runtime.alarm_checks import ClockChecks
 from service.runtime.alarm_notices import NoticeChannels

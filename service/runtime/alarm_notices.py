@@ -13,8 +13,8 @@ from typing import Any, Protocol
 
 from service.client.backoff import Backoff
 from service.pipeline.alarm_condition import Condition
-from service.records.alarm import AlarmChange, Severity
 from service.records.epoch import format_epoch
+from service.records.operations.alarm import AlarmChange, Severity
 
 _LOG = logging.getLogger("soo.notices")
 

@@ -17,7 +17,7 @@ from service.records.calibration import (
     CalibrationState,
 )
 from service.records.inputs import Correction, Operation
-from service.records.job import Job
+from service.records.operations.job import Job
 from service.runtime.jobs import JobFailedError, JobRunner, Progress
 
 #: operations and corrections that a calibration looks at, at most of each

@@ -18,7 +18,7 @@ from service.records.inputs import AlignmentSet, Correction, TelemetryRecord
 from service.records.journal import JournalEntry
 from service.records.levels.command import AppliedCommand, ReleasedCommand, ReportedCommand
 from service.records.levels.measurement import Measurement
-from service.records.release import InterlockHold
+from service.records.operations.release import InterlockHold
 
 #: kinds of slow input that the chain must know from before an alignment; the others concern rows after it
 STANDING_KINDS = ("spacecraft", "plan", "ephemeris", "activation", "operation", "interlock")

@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from service.records.alarm import AlarmChange
 from service.records.levels.attitude import AttitudeRow
 from service.records.levels.command import TorqueCommand
 from service.records.levels.measurement import Measurement
+from service.records.operations.alarm import AlarmChange
 
 #: what an event may tell; None: something is to be looked up
 Content = Measurement | AttitudeRow | TorqueCommand | AlarmChange | None

@@ -11,8 +11,8 @@ import sys
 from contextvars import ContextVar
 from typing import Any, Literal, TextIO
 
-from service.records import access_key
 from service.records.epoch import US_PER_S, format_epoch
+from service.records.operations import access_key
 
 #: id of the request in progress; empty outside of requests
 REQUEST_ID: ContextVar[str] = ContextVar("request_id", default="")

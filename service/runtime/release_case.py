@@ -33,10 +33,10 @@ from service.pipeline.control.release.interlock import Instant
 from service.pipeline.control.release.settings import ReleaseSettings
 from service.pipeline.control.release.state_document import ReleaseMemory, document_of, essence, memory_of
 from service.ports import Releases
-from service.records.audit import apart_from_request
 from service.records.epoch import US_PER_S
 from service.records.levels.command import ReleasedCommand, ReportedCommand
-from service.records.release import (
+from service.records.operations.audit import apart_from_request
+from service.records.operations.release import (
     CommandView,
     InterlockHold,
     ReleaseChange,

@@ -27,7 +27,7 @@ from service.pipeline.control.release.interlock import Instant
 from service.records.calibration import Window
 from service.records.catalogue import ControlMode, Spacecraft
 from service.records.epoch import US_PER_S
-from service.records.release import (
+from service.records.operations.release import (
     CommandView,
     CommandWish,
     ControlView,

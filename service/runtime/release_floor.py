@@ -21,10 +21,10 @@ from service.pipeline.control.release.row_facts import SeenRow
 from service.pipeline.control.release.settings import ReleaseSettings
 from service.pipeline.control.release.state_document import memory_of
 from service.ports import Clock, Storage
-from service.records.audit import apart_from_request
 from service.records.catalogue import Spacecraft
 from service.records.epoch import US_PER_S
-from service.records.release import ControlView
+from service.records.operations.audit import apart_from_request
+from service.records.operations.release import ControlView
 from service.runtime.leading import Turn, always, elsewhere
 from service.runtime.release_case import Annex, ReleaseCase, is_deed
 from service.runtime.release_entry import ReleaseEntry

@@ -19,7 +19,7 @@ from service.records.catalogue import Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import AttitudeRow
 from service.records.levels.command import TorqueCommand
-from service.records.release import CommandWish
+from service.records.operations.release import CommandWish
 from service.runtime.release_entry import ReleaseEntry
 from service.runtime.release_views import Dress, check_views
 

@@ -21,7 +21,7 @@ from service.ports import Storage
 from service.records.catalogue import ControlMode, Release, Spacecraft
 from service.records.levels.attitude import AttitudeRow
 from service.records.levels.command import TorqueCommand
-from service.records.release import ProductForm
+from service.records.operations.release import ProductForm
 from service.runtime.release_case import Annex
 from service.runtime.release_entry import ReleaseEntry, Stepper
 from service.runtime.release_proposing import Proposals, soonest_start_us

@@ -24,7 +24,7 @@ from service.pipeline.control.release.interlock_states import State
 from service.pipeline.control.release.proposals import effect_of_pulses, schedule_of
 from service.pipeline.control.release.settings import ReleaseSettings
 from service.ports import Storage
-from service.records.release import SignCheckView, SignRatios
+from service.records.operations.release import SignCheckView, SignRatios
 from service.runtime.release_case import Annex
 from service.runtime.release_entry import ReleaseEntry, Stepper
 from service.runtime.release_proposing import soonest_start_us, swing_left

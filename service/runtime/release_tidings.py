@@ -7,8 +7,8 @@ from service.errors import SooError
 from service.pipeline.control.release.events import ActionKind, Step
 from service.pipeline.control.release.interlock import Instant
 from service.ports import Audit
-from service.records.audit import CURRENT_NOTE, DONE, Deed
 from service.records.catalogue import Spacecraft
+from service.records.operations.audit import CURRENT_NOTE, DONE, Deed
 from service.runtime.live_feed import Cursor, FeedEvent, LiveFeed
 
 _LOG = logging.getLogger("soo.release")

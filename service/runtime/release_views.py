@@ -13,7 +13,7 @@ from service.pipeline.control.release.settings import ReleaseSettings, microseco
 from service.records.catalogue import Spacecraft
 from service.records.levels.attitude import AttitudeRow, Axes
 from service.records.levels.command import ReleasedCommand, ReportedCommand, TorqueCommand
-from service.records.release import (
+from service.records.operations.release import (
     CheckView,
     CommandView,
     ControlView,

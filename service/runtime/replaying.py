@@ -13,8 +13,8 @@ from service.pipeline.config import ChainConfig
 from service.ports import Clock, Outcome, Storage
 from service.records.calibration import Alignment, Calibration
 from service.records.inputs import AlignmentSet
-from service.records.job import Job, Replay
 from service.records.journal import JournalEntry
+from service.records.operations.job import Job, Replay
 from service.runtime.consumer import Documents, consume, prepare, trips_after, without_torque_after
 from service.runtime.jobs import JobRunner, Progress
 

@@ -7,8 +7,8 @@ import pytest
 
 from service.api.access import refusal_audit as refusals
 from service.errors import StorageError
-from service.records.audit import findings
 from service.records.epoch import format_epoch
+from service.records.operations.audit import findings
 
 pytestmark = pytest.mark.anyio
 AUDIT = "/api/v1/audit"

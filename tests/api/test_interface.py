@@ -12,7 +12,7 @@ import pytest
 from service.api.access.principals import Principal
 from service.api.app import render_openapi
 from service.errors import StorageError
-from service.records.access_key import Role
+from service.records.operations.access_key import Role
 
 pytestmark = pytest.mark.anyio
 SC = "/api/v1/spacecraft"

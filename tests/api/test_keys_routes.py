@@ -9,8 +9,8 @@ import pytest
 from db.storage import SqlStorage
 from service.api.access import key_cache as stored_keys
 from service.errors import StorageError
-from service.records.access_key import AccessKey, Role, StoredKey, digest_of, new_key
 from service.records.epoch import format_epoch
+from service.records.operations.access_key import AccessKey, Role, StoredKey, digest_of, new_key
 
 pytestmark = pytest.mark.anyio
 KEYS = "/api/v1/keys"

@@ -15,7 +15,7 @@ from service.errors import (
     NotFoundError,
     StorageError,
 )
-from service.records.release import CommandWish, EnvelopeLimits
+from service.records.operations.release import CommandWish, EnvelopeLimits
 
 pytestmark = pytest.mark.anyio
 SC = "yamal-202"

@@ -9,7 +9,7 @@ import pytest
 from service.api.access.audit_context import BASE_PATH
 from service.api.limits.rate_limits import class_of
 from service.api.routes import PUBLIC_ROUTERS, ROUTERS
-from service.records.access_key import Role
+from service.records.operations.access_key import Role
 
 pytestmark = pytest.mark.anyio
 PAGE = (Path(__file__).parents[2] / "docs/reference/roles.md").read_text(encoding="utf-8")

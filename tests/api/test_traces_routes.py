@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 from service.api.access.principals import Principal
-from service.records.access_key import Role
 from service.records.epoch import format_epoch
+from service.records.operations.access_key import Role
 
 pytestmark = pytest.mark.anyio
 URL = "/api/v1/spacecraft/yamal-202/traces"

@@ -7,10 +7,10 @@ import pytest
 
 from db.storage import SqlStorage
 from service.errors import NotFoundError
-from service.records.alarm import Alarm, AlarmChange, ChangeKind, Cover, Handling, Process, Severity
-from service.records.alarm_limits import AlarmLimits
-from service.records.alarm_memory import BookMemory, Watch, WatchMemory
-from service.records.note import Note
+from service.records.operations.alarm import Alarm, AlarmChange, ChangeKind, Cover, Handling, Process, Severity
+from service.records.operations.alarm_limits import AlarmLimits
+from service.records.operations.alarm_memory import BookMemory, Watch, WatchMemory
+from service.records.operations.note import Note
 
 S = 1_000_000
 RAISED = Alarm(

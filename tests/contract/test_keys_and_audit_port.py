@@ -7,9 +7,9 @@ import pytest
 from sqlalchemy import text
 
 from service.errors import ConflictError, NotFoundError, StorageError
-from service.records.access_key import AccessKey, Role, StoredKey, digest_of
-from service.records.audit import CURRENT_NOTE, AuditFilter, Deed, Note, findings
 from service.records.catalogue import Site, Spacecraft
+from service.records.operations.access_key import AccessKey, Role, StoredKey, digest_of
+from service.records.operations.audit import CURRENT_NOTE, AuditFilter, Deed, Note, findings
 
 EVER = AuditFilter(start_us=-(2**62), stop_us=2**62)
 INERTIA = ((4000.0, 0.0, 0.0), (0.0, 2000.0, 0.0), (0.0, 0.0, 4000.0))

@@ -7,7 +7,7 @@ import pytest
 from db.storage import SqlStorage
 from service.errors import StorageError
 from service.ports import Outcome
-from service.records.alarm_memory import BookMemory
+from service.records.operations.alarm_memory import BookMemory
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import pytest
 
 from db.storage import SqlStorage
 from service.errors import ConflictError, NotFoundError
-from service.records.link import LinkReport, LinkWarning
+from service.records.operations.link import LinkReport, LinkWarning
 
 S = 1_000_000
 REPORT = LinkReport(

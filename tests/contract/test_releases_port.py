@@ -11,7 +11,7 @@ from service.errors import ConflictError, NotFoundError
 from service.records.calibration import Window
 from service.records.levels.attitude import Axes
 from service.records.levels.command import Pulse, ReleasedCommand, ReportedCommand
-from service.records.release import (
+from service.records.operations.release import (
     CheckView,
     CommandView,
     InterlockHold,

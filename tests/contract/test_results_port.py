@@ -20,8 +20,8 @@ from service.records.calibration import (
 )
 from service.records.catalogue import Method
 from service.records.inputs import AlignmentSet, CalibrationActivation
-from service.records.job import Job, JobState, Replay
 from service.records.levels.attitude import NO_ANGLES, Axes
+from service.records.operations.job import Job, JobState, Replay
 
 AXES = Axes(0.1, -0.2, 0.3)
 REQUEST = CalibrationRequest(Window(0, 10), Window(10, 20), CalibrationMethod.GEOMETRY, source_yaw="radio_beacon")

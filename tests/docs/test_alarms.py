@@ -6,7 +6,7 @@ from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.alarms.reference_page import reference_page
 from service.pipeline.alarms.states import diagram
 from service.pipeline.config import AlarmConfig, RobustConfig
-from service.records.alarm import ChangeKind
+from service.records.operations.alarm import ChangeKind
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "reference" / "alarms.md"

@@ -12,7 +12,7 @@ from service.api.views.links import SILENT
 from service.client.service_client import ServiceClient
 from service.frontend.acquisition.states import State
 from service.frontend.link_report import RUNNING, SERVICE_AWAY
-from service.records.link import STOPPED
+from service.records.operations.link import STOPPED
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "watch-the-links.md"
 #: told in place of the state of an acquisition that hangs

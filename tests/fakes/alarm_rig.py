@@ -10,7 +10,7 @@ from service.pipeline.alarms.readings import RowFacts
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.records.catalogue import Carrier, CarrierPlan, Method
 from service.records.levels.measurement import Measurement, MeasurementBatch
-from service.records.link import LinkReport
+from service.records.operations.link import LinkReport
 from service.runtime.alarm_desk import AlarmDesk
 from service.runtime.alarm_notices import NoticeChannels
 from service.runtime.live_feed import LiveFeed

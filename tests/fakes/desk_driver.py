@@ -16,7 +16,7 @@ from service.ports import Outcome
 from service.records.catalogue import Method
 from service.records.inputs import TelemetryRecord
 from service.records.levels.attitude import AttitudeRow, Axes, Status
-from service.records.release import CommandView, CommandWish, ControlVerdict, ControlView
+from service.records.operations.release import CommandView, CommandWish, ControlVerdict, ControlView
 from service.runtime.live_feed import LiveFeed
 from service.runtime.release_desk import ReleaseDesk
 from service.runtime.release_tidings import Tidings

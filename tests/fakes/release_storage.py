@@ -9,7 +9,7 @@ from service.records.catalogue import Onboard, Site, Spacecraft
 from service.records.inputs import EphemerisChange, Operation, TelemetryRecord
 from service.records.journal import JournalEntry
 from service.records.levels.command import ReleasedCommand
-from service.records.release import ReleaseChange, StoredRelease
+from service.records.operations.release import ReleaseChange, StoredRelease
 
 SC = "craft"
 #: x roll, y pitch, z yaw

@@ -8,7 +8,7 @@ from service.pipeline.control.release.control_reasons import reason_of
 from service.errors import SooError
 from service.records.levels.attitude import Axes
 from service.records.levels.command import Pulse
-from service.records.release import (
+from service.records.operations.release import (
     CheckView,
     CommandView,
     CommandWish,

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from service.pipeline.alarm_condition import Condition, Kind, Origin
 from service.pipeline.alarms.alarm_engine import AlarmBook, Readings
 from service.pipeline.alarms.limit_sets import Circumstances
-from service.records.alarm import ChangeKind, Cover, Handling, Process
-from service.records.alarm_limits import ConditionLimits
-from service.records.alarm_memory import BookMemory
+from service.records.operations.alarm import ChangeKind, Cover, Handling, Process
+from service.records.operations.alarm_limits import ConditionLimits
+from service.records.operations.alarm_memory import BookMemory
 
 S = 1_000_000
 THINGS = ("c0", "c1")

@@ -21,7 +21,7 @@ from service.api.context.dependencies import ApiContext
 from service.api.limits.rate_limits import Allowance, RateLimits
 from service.api.problems.problems import ProblemError, from_soo_error, render
 from service.errors import StorageError
-from service.records.audit import CURRENT_NOTE, Deed, Note, naming_result
+from service.records.operations.audit import CURRENT_NOTE, Deed, Note, naming_result
 
 MAX_QUERY_PARAMETERS = 100
 _REFUSED = frozenset({HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN})

@@ -6,8 +6,8 @@ from hashlib import sha256
 from starlette.types import Scope
 
 from service.api.access.principals import Principal
-from service.records.access_key import without_secrets
-from service.records.audit import DONE, Deed, Note
+from service.records.operations.access_key import without_secrets
+from service.records.operations.audit import DONE, Deed, Note
 
 BASE_PATH = "/api/v1"
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})

@@ -14,7 +14,7 @@ from service.api.access.audit_context import SAFE_METHODS, address_of, deed_of, 
 from service.api.access.principals import Permission, Principal
 from service.api.limits.rate_limits import Allowance, RateLimits, class_of
 from service.api.problems.problems import ProblemError, request_id_of
-from service.records.access_key import without_secrets
+from service.records.operations.access_key import without_secrets
 
 _LOG = logging.getLogger(__name__)
 #: what is audited one by one; data that stations send is not: its journal and receipts tell of it

@@ -17,7 +17,7 @@ from starlette.concurrency import run_in_threadpool
 from service.api.access.principals import Principal
 from service.errors import StorageError
 from service.ports import Keys
-from service.records.access_key import Role, StoredKey, digest_of, hide, id_of
+from service.records.operations.access_key import Role, StoredKey, digest_of, hide, id_of
 
 #: age from which what was read is read again
 REFRESH_S = 2.0

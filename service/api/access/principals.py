@@ -6,7 +6,7 @@ A role is a set of permissions; no code outside this file asks for a role by nam
 from dataclasses import dataclass
 from enum import StrEnum
 
-from service.records.access_key import Role
+from service.records.operations.access_key import Role
 
 
 class Permission(StrEnum):

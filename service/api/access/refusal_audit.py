@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from threading import Lock
 
-from service.records.audit import Deed
+from service.records.operations.audit import Deed
 
 WINDOW_S = 600.0
 MAX_GROUPS = 20

@@ -23,13 +23,13 @@ from service.formats.series_tables import ATTITUDE, EVENTS, REFERENCES, TORQUES,
 from service.formats.table_file import Table, TableFormat, table_bytes
 from service.formats.tdm import TdmWriter, TrackingMessage
 from service.ports import LIVE
-from service.records.alarm import Alarm
 from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.inputs import AttitudeReference
 from service.records.journal import KIND_OF, JournalEntry
 from service.records.levels.measurement import Measurement
 from service.records.levels.measurement_block import MeasurementBlock
+from service.records.operations.alarm import Alarm
 
 FileFormat = Literal["csv", "ndjson", "parquet", "aem", "tdm"]
 MEDIA_TYPES: dict[FileFormat, str] = {

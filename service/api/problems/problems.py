@@ -24,7 +24,7 @@ from service.errors import (
     StorageError,
     UnavailableError,
 )
-from service.records.access_key import without_secrets
+from service.records.operations.access_key import without_secrets
 
 PROBLEM_MEDIA_TYPE = "application/problem+json"
 #: seconds after which a client may try again when the archive was not ready, and when too much was computed

@@ -15,7 +15,7 @@ from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.api.problems.problems import ProblemError, render
-from service.records.access_key import without_secrets
+from service.records.operations.access_key import without_secrets
 from service.runtime.log_lines import REQUEST_ID
 
 _HEADER = "X-Request-ID"

@@ -18,7 +18,7 @@ from service.api.schemas.alarms import (
     StateWord,
 )
 from service.api.schemas.base import WindowAnswer
-from service.records.alarm import Alarm
+from service.records.operations.alarm import Alarm
 
 #: lists stand below a spacecraft, ids are global
 list_router = APIRouter(prefix="/spacecraft/{spacecraft_id}/alarms", tags=["alarms"])

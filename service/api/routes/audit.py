@@ -9,7 +9,7 @@ from service.api.context.dependencies import Context
 from service.api.protocol.paging import Page, cut_page
 from service.api.schemas.audit import AuditEntryAnswer, AuditHeadAnswer, AuditPage
 from service.api.schemas.base import WindowAnswer
-from service.records.audit import AuditFilter
+from service.records.operations.audit import AuditFilter
 
 router = APIRouter(prefix="/audit", tags=["access"], dependencies=[MAY_INSPECT])
 _WORDS = r"^[^\x00-\x1f\x7f]*$"

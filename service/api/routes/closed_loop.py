@@ -9,7 +9,7 @@ from service.api.context.dependencies import Context
 from service.api.problems.problems import ProblemError
 from service.api.protocol.bodies import accepts, body_of
 from service.api.schemas.closed_loop import ClosedLoopAnswer, ClosedLoopDocument, ClosedLoopStartedAnswer
-from service.records.job import JobState
+from service.records.operations.job import JobState
 from service.runtime.flight_analyses import KIND, MOST_RESULTS
 
 router = APIRouter(prefix="/analyses/closed-loop", tags=["analyses"])

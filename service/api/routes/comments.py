@@ -6,7 +6,7 @@ from service.api.access.principals import Principal
 from service.api.context.dependencies import ApiContext
 from service.api.protocol.bodies import accepts, optional_body
 from service.api.schemas.alarms import RemarkDocument
-from service.records.note import Note
+from service.records.operations.note import Note
 
 TAG = "control"
 

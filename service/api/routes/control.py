@@ -14,7 +14,7 @@ from service.api.routes.comments import log_comment
 from service.api.schemas.control import ControlAnswer, OrderDocument, SignCheckDocument
 from service.errors import FieldError, ForbiddenError
 from service.pipeline.control.release.events import OrderKind
-from service.records.release import ControlView
+from service.records.operations.release import ControlView
 from service.runtime.automatic_release import AutomaticRelease
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["control"])

@@ -13,7 +13,7 @@ from service.api.problems.problems import invalid_request
 from service.api.protocol.bodies import accepts, body_of
 from service.api.schemas.keys import KeyAnswer, KeyDocument, KeyList, NewKeyAnswer
 from service.errors import FieldError, NotFoundError
-from service.records.access_key import AccessKey, StoredKey, digest_of, new_key
+from service.records.operations.access_key import AccessKey, StoredKey, digest_of, new_key
 
 router = APIRouter(prefix="/keys", tags=["access"], dependencies=[MAY_ADMINISTER])
 _ID = re.compile(r"[a-z0-9]{1,32}", re.ASCII)

@@ -11,7 +11,7 @@ from service.api.protocol.bodies import accepts, body_of
 from service.api.protocol.paging import Page, Place, cut_page
 from service.api.schemas.base import WindowAnswer
 from service.api.schemas.notes import NoteAnswer, NoteDocument, NotePage
-from service.records.note import Note
+from service.records.operations.note import Note
 
 router = APIRouter(prefix="/notes", tags=["shift log"])
 NoteId = Annotated[int, Path(ge=1, le=2**53)]

@@ -20,7 +20,7 @@ from service.api.schemas.torque_commands import (
     ReportDocument,
     UplinkAnswer,
 )
-from service.records.release import CommandView
+from service.records.operations.release import CommandView
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["release of torques"])
 #: its counter

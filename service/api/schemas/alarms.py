@@ -7,8 +7,8 @@ from pydantic import BeforeValidator, Field
 from service.api.schemas.base import Answer, Document, Epoch, EpochAnswer, Figure, Name, Remark, Text, WindowAnswer
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.config import AlarmConfig, RobustConfig
-from service.records.alarm import Alarm, AlarmChange
-from service.records.alarm_limits import AlarmLimits, ConditionLimits, Statement
+from service.records.operations.alarm import Alarm, AlarmChange
+from service.records.operations.alarm_limits import AlarmLimits, ConditionLimits, Statement
 
 StateWord = Literal["open", "unacknowledged", "acknowledged", "returned", "latched", "shelved", "suppressed", "closed"]
 SetName = Literal["normal", "rain", "eclipse", "manoeuvre"]

@@ -3,7 +3,7 @@
 from typing import Self
 
 from service.api.schemas.base import Answer, EpochAnswer, WindowAnswer
-from service.records.audit import AuditEntry, AuditHead
+from service.records.operations.audit import AuditEntry, AuditHead
 
 
 class AuditEntryAnswer(Answer):

@@ -6,7 +6,7 @@ from pydantic import Field
 
 from service.api.schemas.base import AnglesAnswer, Answer, Document, Epoch, EpochAnswer, Remark
 from service.records.catalogue import ControlMode, Release
-from service.records.release import ControlVerdict, ControlView, EnvelopeLimits, SignCheckView
+from service.records.operations.release import ControlVerdict, ControlView, EnvelopeLimits, SignCheckView
 
 ControlState = Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "TRIPPED"]
 Limit = Annotated[float, Field(gt=0, le=1e3)]

@@ -3,7 +3,7 @@
 from typing import Self
 
 from service.api.schemas.base import Answer, EpochAnswer
-from service.records.job import Job, JobState
+from service.records.operations.job import Job, JobState
 
 
 class JobAnswer(Answer):

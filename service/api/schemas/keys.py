@@ -7,7 +7,7 @@ from pydantic import AfterValidator, Field, StringConstraints
 from pydantic_core import PydanticCustomError
 
 from service.api.schemas.base import Answer, Document, Epoch, EpochAnswer
-from service.records.access_key import AccessKey, Role, plain_name
+from service.records.operations.access_key import AccessKey, Role, plain_name
 
 
 def _name(text: str) -> str:

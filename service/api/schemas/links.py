@@ -8,7 +8,7 @@ from pydantic_core import PydanticCustomError
 
 from service.api.context.dependencies import SPACECRAFT_ID_PATTERN
 from service.api.schemas.base import Answer, Document, Epoch, EpochAnswer, Name
-from service.records.link import LinkReport, LinkWarning
+from service.records.operations.link import LinkReport, LinkWarning
 
 MAX_DETAIL_BYTES = 8192
 MAX_LINKS_IN_REPORT = 64

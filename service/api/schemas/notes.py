@@ -6,7 +6,7 @@ from pydantic import Field, StringConstraints
 
 from service.api.context.dependencies import SPACECRAFT_ID_PATTERN
 from service.api.schemas.base import Answer, Document, Epoch, EpochAnswer, Name, WindowAnswer
-from service.records.note import Note
+from service.records.operations.note import Note
 
 MAX_TAGS = 16
 NoteText = Annotated[

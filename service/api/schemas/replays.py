@@ -8,7 +8,7 @@ from pydantic_core import PydanticCustomError
 from service.api.schemas.base import Answer, Document, Epoch, EpochAnswer
 from service.api.schemas.calibrations import Identifier
 from service.records.catalogue import Method
-from service.records.job import Replay
+from service.records.operations.job import Replay
 
 
 class ReplayDocument(Document):

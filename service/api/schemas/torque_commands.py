@@ -7,7 +7,7 @@ from pydantic import Field
 from service.api.schemas.base import AnglesAnswer, Answer, Document, Epoch, EpochAnswer, Remark, Text, WindowAnswer
 from service.api.schemas.torques import PulseAnswer, ScheduleCheckAnswer
 from service.records.levels.command import Pulse
-from service.records.release import CommandView, CommandWish, ProductForm, Purpose, UplinkProduct
+from service.records.operations.release import CommandView, CommandWish, ProductForm, Purpose, UplinkProduct
 
 #: a reason is asked for, so one must stand there
 Reason = Annotated[Remark, Field(min_length=1)]

@@ -20,10 +20,10 @@ from service.api.schemas.torques import TorqueAnswer
 from service.api.stream.event_ids import PART_MOVED
 from service.api.views.status import status_of
 from service.ports import LIVE
-from service.records.alarm import AlarmChange
 from service.records.levels.attitude import AttitudeRow
 from service.records.levels.command import TorqueCommand
 from service.records.levels.measurement import Measurement
+from service.records.operations.alarm import AlarmChange
 from service.runtime.live_feed import FeedEvent
 
 #: about 2 MB of texts

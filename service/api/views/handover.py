@@ -10,10 +10,10 @@ from service.api.schemas.operations import OperationAnswer
 from service.api.views.links import links_told
 from service.api.views.status import status_of
 from service.errors import NotFoundError
-from service.records.alarm import Alarm, Cover
 from service.records.calibration import CalibrationState, Window
 from service.records.epoch import US_PER_S
 from service.records.inputs import Operation
+from service.records.operations.alarm import Alarm, Cover
 
 _HOUR_US = 3600 * US_PER_S
 _DAY_US = 24 * _HOUR_US

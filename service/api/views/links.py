@@ -7,7 +7,7 @@ from service.api.context.dependencies import ApiContext
 from service.api.schemas.links import LinkAnswer
 from service.errors import NotFoundError
 from service.records.epoch import US_PER_S
-from service.records.link import LinkReport, LinkState
+from service.records.operations.link import LinkReport, LinkState
 
 #: state of a link that has missed its reports
 SILENT = "SILENT"

@@ -14,7 +14,7 @@ import typer
 
 from service.cli.operation.connection import JsonOption
 from service.errors import StorageError
-from service.records.audit import Finding, findings
+from service.records.operations.audit import Finding, findings
 from service.settings import Settings
 
 app = typer.Typer(help="The audit log: who did what, chained by hashes.", no_args_is_help=True)

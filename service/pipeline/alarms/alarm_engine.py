@@ -14,11 +14,11 @@ from service.pipeline.alarms import transitions as steps
 from service.pipeline.alarms.debounce import Verdict, look, outermost
 from service.pipeline.alarms.limit_sets import Circumstances, limits_in_force
 from service.pipeline.alarms.states import CoverEvent, Event
-from service.records.alarm import Alarm, AlarmChange, ChangeKind, Cover, Handling, Process
-from service.records.alarm_limits import AlarmLimits, ConditionLimits
-from service.records.alarm_memory import BookMemory, Watch, WatchMemory
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import FloatArray
+from service.records.operations.alarm import Alarm, AlarmChange, ChangeKind, Cover, Handling, Process
+from service.records.operations.alarm_limits import AlarmLimits, ConditionLimits
+from service.records.operations.alarm_memory import BookMemory, Watch, WatchMemory
 
 Key = tuple[str, str]
 _NO_NOTES: Mapping[str, str] = {}

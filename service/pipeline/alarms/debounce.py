@@ -8,9 +8,9 @@ import math
 from enum import Enum, auto
 
 from service.pipeline.alarm_condition import Kind
-from service.records.alarm_limits import ConditionLimits
-from service.records.alarm_memory import Watch
 from service.records.epoch import US_PER_S
+from service.records.operations.alarm_limits import ConditionLimits
+from service.records.operations.alarm_memory import Watch
 
 
 class Verdict(Enum):

@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 
 from service.errors import FieldError
 from service.pipeline.alarm_condition import Condition, Kind
-from service.records.alarm_limits import AlarmLimits, ConditionLimits, Statement
 from service.records.catalogue import CarrierPlan
 from service.records.inputs import Operation
+from service.records.operations.alarm_limits import AlarmLimits, ConditionLimits, Statement
 
 NORMAL, RAIN, ECLIPSE, MANOEUVRE = "normal", "rain", "eclipse", "manoeuvre"
 #: later ones prevail

@@ -12,14 +12,14 @@ import numpy as np
 from service.pipeline.alarms.alarm_engine import AlarmBook, Readings
 from service.pipeline.alarms.limit_sets import Circumstances, circumstances
 from service.pipeline.estimation.method import CarrierLevels
-from service.records.alarm import AlarmChange
-from service.records.alarm_memory import BookMemory
 from service.records.catalogue import CarrierPlan, Method
 from service.records.epoch import US_PER_S
 from service.records.inputs import AttitudeReference, Operation
 from service.records.levels.attitude import AttitudeRow, FloatArray, Status
 from service.records.levels.measurement import Measurement
 from service.records.levels.quality_flag import QualityFlag
+from service.records.operations.alarm import AlarmChange
+from service.records.operations.alarm_memory import BookMemory
 
 #: rows from whose median distance the period is taken
 _PERIOD_ROWS = 16

@@ -5,7 +5,7 @@ Law of this file: a change that does not stand in ``PROCESS`` or ``COVERS`` does
 
 from enum import Enum, auto
 
-from service.records.alarm import Cover, Process
+from service.records.operations.alarm import Cover, Process
 
 
 class Event(Enum):

@@ -5,9 +5,9 @@ from dataclasses import replace
 from service.pipeline.alarm_condition import Condition, Kind
 from service.pipeline.alarms.debounce import limit_of
 from service.pipeline.alarms.states import CoverEvent, Event, next_cover, next_process
-from service.records.alarm import Alarm, AlarmChange, ChangeKind, Cover, Handling, Process, Severity
-from service.records.alarm_limits import ConditionLimits
-from service.records.alarm_memory import Watch
+from service.records.operations.alarm import Alarm, AlarmChange, ChangeKind, Cover, Handling, Process, Severity
+from service.records.operations.alarm_limits import ConditionLimits
+from service.records.operations.alarm_memory import Watch
 
 #: after these somebody knows of the alarm as it is
 _ANNOUNCING = (

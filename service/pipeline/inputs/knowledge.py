@@ -22,7 +22,7 @@ from service.records.inputs import (
 )
 from service.records.journal import SlowInput
 from service.records.levels.attitude import Axes
-from service.records.release import InterlockHold
+from service.records.operations.release import InterlockHold
 
 
 class Lookup(Protocol):

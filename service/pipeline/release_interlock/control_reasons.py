@@ -4,7 +4,7 @@ from service.pipeline.control.command.control_inhibitions import CONTROL_INHIBIT
 from service.pipeline.control.release.interlock_conditions import Condition, Consequence
 from service.pipeline.control.release.settings import ReleaseSettings
 from service.pipeline.estimation.row_inhibitions import INHIBITIONS
-from service.records.release import ControlReason
+from service.records.operations.release import ControlReason
 
 #: reasons that are neither conditions of the interlock nor inhibitions of rows and commands
 _OTHERS = {

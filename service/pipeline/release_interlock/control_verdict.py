@@ -10,7 +10,7 @@ from service.pipeline.control.release.interlock_states import State
 from service.records.catalogue import Release
 from service.records.levels.attitude import AttitudeRow
 from service.records.levels.command import TorqueCommand
-from service.records.release import ControlVerdict, ControlView
+from service.records.operations.release import ControlVerdict, ControlView
 
 #: states in which torques go, by hand or by themselves
 _GIVING = frozenset({State.ARMED.name, State.ENGAGED.name, State.RECOVERY.name})

@@ -50,10 +50,10 @@ from service.records.catalogue import (
     Spacecraft,
     Station,
 )
-from service.records.job import Replay
 from service.records.levels.attitude import AttitudeRow, Axes, Exclusion, Status
 from service.records.levels.command import Pulse, TorqueCommand
 from service.records.levels.measurement import CarrierDetails, Measurement, MeasurementBatch
+from service.records.operations.job import Replay
 from service.runtime.alarm_desk import AlarmDesk
 from service.runtime.alarm_notices import NoticeChannels
 from service.runtime.aligning import Aligner

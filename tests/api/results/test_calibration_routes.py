@@ -5,9 +5,9 @@ import asyncio
 import pytest
 
 from service.api.access.principals import Principal
-from service.records.access_key import Role
 from service.records.epoch import format_epoch
 from service.records.levels.attitude import Axes
+from service.records.operations.access_key import Role
 
 pytestmark = pytest.mark.anyio
 SC = "/spacecraft/yamal-202"

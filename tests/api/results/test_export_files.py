@@ -17,12 +17,12 @@ from service.api.export.export_files import OFFERED
 from service.formats.aem import read_aem
 from service.formats.tdm import read_tdm
 from service.ports import Outcome
-from service.records.alarm import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
 from service.records.epoch import format_epoch
 from service.records.inputs import AttitudeReference, Correction, Operation, TelemetryRecord
 from service.records.levels.attitude import NO_ANGLES, Axes
 from service.records.levels.command import ScheduleVerdict
 from service.records.levels.measurement import CarrierDetails
+from service.records.operations.alarm import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
 
 pytestmark = pytest.mark.anyio
 

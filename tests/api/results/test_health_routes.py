@@ -12,7 +12,7 @@ from service.api.monitoring.metric_families import FAMILIES
 from service.errors import StorageError
 from service.ports import Outcome
 from service.records.levels.attitude import Axes, CarrierState
-from service.records.link import LinkReport
+from service.records.operations.link import LinkReport
 from service.runtime.log_lines import JsonLines
 
 pytestmark = pytest.mark.anyio

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from service.pipeline.alarms.readings import RowFacts
-from service.records.access_key import AccessKey, Role, StoredKey
 from service.records.catalogue import Carrier, CarrierPlan, Method
 from service.records.inputs import Operation
 from service.records.levels.measurement import Measurement
-from service.records.link import LinkReport
+from service.records.operations.access_key import AccessKey, Role, StoredKey
+from service.records.operations.link import LinkReport
 
 pytestmark = pytest.mark.anyio
 S = 1_000_000

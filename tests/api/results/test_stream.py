@@ -10,8 +10,8 @@ import pytest
 from fastapi.responses import PlainTextResponse, StreamingResponse
 from served_stream import Event, Reader, Served, Source, serving, wait_until
 
-from service.records.alarm import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
 from service.records.epoch import format_epoch
+from service.records.operations.alarm import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
 from service.runtime.live_feed import Cursor, FeedEvent
 
 pytestmark = pytest.mark.anyio

@@ -15,7 +15,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 from service.pipeline.control.release.events import ReleaseState
 from service.pipeline.control.release.interlock_conditions import Durations, Surroundings
-from service.records.release import SignCheckView
+from service.records.operations.release import SignCheckView
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from db.storage import SqlStorage
 from service.cli.app import app
-from service.records.audit import Deed
+from service.records.operations.audit import Deed
 
 
 def verify(*arguments):

@@ -10,7 +10,7 @@ from service.records.catalogue import FlexibleMode, Release
 from service.records.inputs import SpacecraftChange, TelemetryRecord
 from service.records.levels.attitude import Axes
 from service.records.levels.command import AppliedCommand, Pulse, ReleasedCommand
-from service.records.release import InterlockHold
+from service.records.operations.release import InterlockHold
 
 PAYLOAD = FlightPayload.make()
 S = 1_000_000

@@ -19,12 +19,12 @@ from service.records.inputs import (
     SpacecraftChange,
     TelemetryRecord,
 )
-from service.records.job import Replay
 from service.records.journal import KIND_OF, KINDS
 from service.records.levels.attitude import Axes, Status, row_without_attitude
 from service.records.levels.command import AppliedCommand, TorqueCommand
 from service.records.levels.quality_flag import QualityFlag
 from service.records.levels.sweep import Sweep, SweepSettings
+from service.records.operations.job import Replay
 
 ZERO = Axes(0.0, 0.0, 0.0)
 

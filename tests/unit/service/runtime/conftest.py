@@ -23,8 +23,8 @@ from service.ports import LIVE
 from service.records.calibration import Window
 from service.records.catalogue import Method, Site, Spacecraft
 from service.records.inputs import Operation
-from service.records.job import JobState, Replay
 from service.records.levels.measurement import BatchReceipt, MeasurementBatch
+from service.records.operations.job import JobState, Replay
 from service.runtime.aligning import Aligner, AlignmentRequest
 from service.runtime.calibrating import Calibrator, fitted
 from service.runtime.jobs import JobRunner

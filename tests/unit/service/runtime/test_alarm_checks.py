@@ -5,10 +5,10 @@ from desk_driver import DeskDriver
 
 from db.schema.release_tables import release_made_two_step
 from service.pipeline.control.release.events import OrderKind
-from service.records.access_key import AccessKey, Role, StoredKey
 from service.records.catalogue import Ephemeris
-from service.records.link import LinkWarning
-from service.records.release import ReleaseChange
+from service.records.operations.access_key import AccessKey, Role, StoredKey
+from service.records.operations.link import LinkWarning
+from service.records.operations.release import ReleaseChange
 
 
 def test_rows_that_do_not_come_are_missed_after_three_periods_once_they_came_in_time(rig):

@@ -16,9 +16,9 @@ from alarm_rig import (
 
 from service.errors import ConflictError, InvalidInputError, NotFoundError, StorageError
 from service.pipeline.alarms.readings import RowFacts
-from service.records.alarm_limits import AlarmLimits
 from service.records.catalogue import Method
 from service.records.levels.measurement import Measurement
+from service.records.operations.alarm_limits import AlarmLimits
 
 
 @contextmanager

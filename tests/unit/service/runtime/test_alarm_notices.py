@@ -16,7 +16,7 @@ import pytest
 from service.client.backoff import Backoff
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.config import AlarmConfig, RobustConfig
-from service.records.alarm import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
+from service.records.operations.alarm import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
 from service.runtime.alarm_mail import Mail, MailRoute
 from service.runtime.alarm_notices import ATTEMPTS, DeliveryError, NoticeChannel, notice_of
 from service.runtime.alarm_webhook import Webhook

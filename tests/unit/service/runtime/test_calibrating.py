@@ -9,7 +9,7 @@ import pytest
 import service.runtime.calibrating as calibrating
 from service.errors import BusyError, ConflictError, InvalidInputError, NotFoundError
 from service.records.calibration import CalibrationMethod, CalibrationState, Window
-from service.records.job import JobState
+from service.records.operations.job import JobState
 from service.runtime.jobs import JobFailedError
 
 

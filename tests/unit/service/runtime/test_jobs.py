@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from service.errors import ConflictError
-from service.records.job import JobState
+from service.records.operations.job import JobState
 from service.runtime.jobs import JobFailedError, JobRunner
 
 

@@ -13,7 +13,7 @@ from service.records.catalogue import ControlMode, Onboard, Release
 from service.records.inputs import Operation
 from service.records.levels.attitude import Axes
 from service.records.levels.command import ReportedCommand
-from service.records.release import CommandWish, EnvelopeLimits, InterlockHold, ProductForm
+from service.records.operations.release import CommandWish, EnvelopeLimits, InterlockHold, ProductForm
 from service.runtime.leading import elsewhere
 
 

@@ -11,7 +11,7 @@ from service.errors import ConflictError
 from service.records.catalogue import ControlLaw, GyroOrbitantGains
 from service.records.inputs import TelemetryRecord
 from service.records.levels.attitude import Axes
-from service.records.release import CommandWish
+from service.records.operations.release import CommandWish
 
 W0_DEG_S = math.degrees(GEOSTATIONARY_RATE_RAD_S)
 GAINS = GyroOrbitantGains(9.9e-4, 2.0, 5.3e-4, 1.1, 3.1e-4, 2.0)

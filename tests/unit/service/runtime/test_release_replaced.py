@@ -14,7 +14,7 @@ from service.pipeline.estimation.method import CommandEvidence
 from service.records.catalogue import Method
 from service.records.levels.attitude import Axes
 from service.records.levels.command import ReleasedCommand, ReportedCommand
-from service.records.release import InterlockHold
+from service.records.operations.release import InterlockHold
 
 PAYLOAD = FlightPayload.make()
 #: about yaw, roll, pitch

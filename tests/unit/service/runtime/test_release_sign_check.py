@@ -13,7 +13,7 @@ from service.pipeline.control.release.events import OrderKind
 from service.pipeline.control.release.settings import ReleaseSettings
 from service.pipeline.estimation.method import CommandEvidence
 from service.records.inputs import TelemetryRecord
-from service.records.release import Purpose
+from service.records.operations.release import Purpose
 from service.runtime.sign_check_run import turned_deg
 
 #: in the order yaw, roll, pitch

@@ -8,7 +8,7 @@ import pytest
 from service.errors import ConflictError, InvalidInputError
 from service.records.calibration import CalibrationMethod
 from service.records.catalogue import Method
-from service.records.job import Replay
+from service.records.operations.job import Replay
 
 
 @pytest.mark.parametrize(

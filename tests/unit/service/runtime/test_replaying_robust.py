@@ -19,11 +19,11 @@ from service.ports import LIVE
 from service.records.calibration import CalibrationMethod, Window
 from service.records.catalogue import ControlLaw, GyroOrbitantGains, Method, Release
 from service.records.inputs import AttitudeReference, Correction, Operation, PlanChange, TelemetryRecord
-from service.records.job import JobState, Replay
 from service.records.journal import JournalEntry
 from service.records.levels.attitude import Axes
 from service.records.levels.command import AppliedCommand
 from service.records.levels.measurement import MeasurementBatch
+from service.records.operations.job import JobState, Replay
 from service.runtime.aligning import Aligner, AlignmentRequest
 from service.runtime.consumer import prepare
 from service.runtime.jobs import JobRunner

@@ -8,7 +8,7 @@ from service.pipeline.config import TorqueConfig
 from service.pipeline.control.release.events import OrderKind
 from service.pipeline.control.release.settings import ReleaseSettings
 from service.records.levels.command import AppliedCommand
-from service.records.release import InterlockHold
+from service.records.operations.release import InterlockHold
 from service.runtime.live_feed import LiveFeed
 from service.runtime.release_desk import ReleaseDesk
 from service.runtime.release_tidings import Tidings

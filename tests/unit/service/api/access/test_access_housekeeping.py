@@ -10,8 +10,8 @@ from service.api.access import access_housekeeping as access_keeping
 from service.api.access.access_housekeeping import AccessKeeping
 from service.api.access.refusal_audit import MAX_GROUPS, Refusals
 from service.errors import StorageError
-from service.records.audit import AuditHead, Deed, next_entry
 from service.records.journal import JournalHead
+from service.records.operations.audit import AuditHead, Deed, next_entry
 
 pytestmark = pytest.mark.anyio
 

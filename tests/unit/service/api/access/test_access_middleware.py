@@ -7,7 +7,7 @@ import pytest
 from service.api.access.access_middleware import AccessLayer
 from service.api.access.key_cache import StoredKeys
 from service.api.access.principals import Principal
-from service.records.access_key import AccessKey, Role, StoredKey, digest_of
+from service.records.operations.access_key import AccessKey, Role, StoredKey, digest_of
 
 pytestmark = pytest.mark.anyio
 

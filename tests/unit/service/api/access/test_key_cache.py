@@ -8,7 +8,7 @@ import pytest
 from service.api.access import key_cache as stored_keys
 from service.api.access.key_cache import StoredKeys
 from service.errors import StorageError
-from service.records.access_key import AccessKey, Role, StoredKey, digest_of, new_key
+from service.records.operations.access_key import AccessKey, Role, StoredKey, digest_of, new_key
 
 WAIT_S = 0.2
 

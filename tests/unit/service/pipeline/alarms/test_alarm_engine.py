@@ -11,9 +11,9 @@ from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.alarms.limit_sets import Circumstances
 from service.pipeline.alarms.transitions import told_in_words
 from service.pipeline.config import AlarmConfig, RobustConfig
-from service.records.alarm import ChangeKind, Cover, Handling, Process, Severity
-from service.records.alarm_limits import AlarmLimits, ConditionLimits
-from service.records.alarm_memory import BookMemory
+from service.records.operations.alarm import ChangeKind, Cover, Handling, Process, Severity
+from service.records.operations.alarm_limits import AlarmLimits, ConditionLimits
+from service.records.operations.alarm_memory import BookMemory
 
 S = 1_000_000
 CONDITION = Condition(

@@ -6,8 +6,8 @@ import pytest
 
 from service.pipeline.alarm_condition import Kind
 from service.pipeline.alarms.debounce import Verdict, limit_of, look, outermost, severity_level
-from service.records.alarm_limits import ConditionLimits
-from service.records.alarm_memory import Watch
+from service.records.operations.alarm_limits import ConditionLimits
+from service.records.operations.alarm_memory import Watch
 
 S = 1_000_000
 LIMITS = ConditionLimits(warning=3.0, critical=6.0, deadband=0.5, on_s=120.0, off_s=60.0)

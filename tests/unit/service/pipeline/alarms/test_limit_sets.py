@@ -12,9 +12,9 @@ from service.pipeline.alarms.limit_sets import (
     limits_in_force,
 )
 from service.pipeline.config import AlarmConfig, RobustConfig
-from service.records.alarm_limits import AlarmLimits
 from service.records.catalogue import Carrier, CarrierPlan
 from service.records.inputs import Operation
+from service.records.operations.alarm_limits import AlarmLimits
 
 CONDITIONS = condition_table(AlarmConfig(), RobustConfig())
 PLAN = CarrierPlan(1, "sha", tuple(Carrier(f"c{k}", "Ku", f"t{k // 2}", 11e9, 1e6) for k in range(4)))

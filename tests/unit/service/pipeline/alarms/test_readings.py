@@ -11,13 +11,13 @@ from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.alarms.readings import RowFacts, RowReader
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.pipeline.estimation.method import CarrierLevels
-from service.records.alarm_limits import AlarmLimits
-from service.records.alarm_memory import BookMemory
 from service.records.catalogue import Carrier, CarrierPlan, Method
 from service.records.inputs import AttitudeReference, Operation
 from service.records.levels.attitude import NO_ANGLES, Axes, Status, row_without_attitude
 from service.records.levels.measurement import CarrierDetails, Measurement
 from service.records.levels.quality_flag import QualityFlag
+from service.records.operations.alarm_limits import AlarmLimits
+from service.records.operations.alarm_memory import BookMemory
 
 S = 1_000_000
 NAN = math.nan

@@ -3,7 +3,7 @@
 import pytest
 
 from service.pipeline.alarms.states import COVERS, PROCESS, CoverEvent, Event, diagram, next_cover, next_process
-from service.records.alarm import Cover, Process
+from service.records.operations.alarm import Cover, Process
 
 STATES = list(Process)
 

@@ -10,7 +10,7 @@ from release_driver import GOOD, ReleaseDriver
 from service.pipeline.control.release.events import OrderKind
 from service.pipeline.control.release.state_document import ReleaseMemory, document_of, memory_of
 from service.records.levels.attitude import Axes
-from service.records.release import SignCheckView, SignRatios
+from service.records.operations.release import SignCheckView, SignRatios
 
 
 def stories():

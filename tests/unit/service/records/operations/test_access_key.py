@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.records.access_key import is_plain_name, plain_name
+from service.records.operations.access_key import is_plain_name, plain_name
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,1 @@
+"""Records of operation: alarms, notes, links, keys, releases, jobs."""
