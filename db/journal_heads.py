@@ -14,9 +14,9 @@ from sqlalchemy import Connection, select
 from db.encoding.segments import SegmentCache
 from db.measurements.measurement_pages import MeasurementPages
 from db.schema.tables import head, journal, spacecraft
-from service.records.diagnosis import Diagnosis
 from service.records.journal import JournalHead
 from service.records.levels.measurement import DETAIL_NAMES, Measurement
+from service.records.storage.diagnosis import Diagnosis
 
 _DIGITS = 16
 _LOST = "Stop the service. Restore a backup, or put the missing files back; then let the front ends send again."

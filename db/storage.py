@@ -29,7 +29,7 @@ from service.ports import (
     Results,
     Traces,
 )
-from service.records.storage_state import StorageState
+from service.records.storage.storage_state import StorageState
 
 
 class SqlStorage:

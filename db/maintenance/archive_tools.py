@@ -8,10 +8,10 @@ from db.maintenance.doctor import diagnose
 from db.maintenance.integrity_check import Report as StepReport
 from db.maintenance.restore import Restored, restore_backup
 from service.ports import Clock
-from service.records.backup import Manifest
-from service.records.diagnosis import Diagnosis
 from service.records.epoch import format_epoch
 from service.records.journal import JournalHead
+from service.records.storage.backup import Manifest
+from service.records.storage.diagnosis import Diagnosis
 
 
 class Keeping:

@@ -22,8 +22,8 @@ from db.maintenance.integrity_check import OLDER, examine
 from db.maintenance.table_copy import copy_tables
 from db.migrations.migrate import upgrade
 from db.schema.schema_version import version_of
-from service.records.backup import BackupError, Manifest, SpacecraftCount, parse_manifest
-from service.records.diagnosis import Diagnosis
+from service.records.storage.backup import BackupError, Manifest, SpacecraftCount, parse_manifest
+from service.records.storage.diagnosis import Diagnosis
 
 ARCHIVE_FILE, MANIFEST_FILE = "archive.db", "manifest.json"
 #: 8 MiB a step, between which the progress is told

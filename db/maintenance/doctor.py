@@ -19,9 +19,9 @@ from db.journal_heads import compared_heads
 from db.maintenance.integrity_check import Report, examine, guarded
 from db.schema.tables import head, measurement
 from service.errors import StorageError
-from service.records.diagnosis import Diagnosis
 from service.records.epoch import US_PER_S, format_epoch
 from service.records.journal import JournalHead
+from service.records.storage.diagnosis import Diagnosis
 
 #: a disk with less room is nearly full; with less than the second figure the next commits fail
 FREE_BYTES_WARNING, FREE_BYTES_FAULT = 1 << 30, 64 << 20

@@ -22,9 +22,9 @@ from db.schema.schema_version import known_versions, version_of
 from db.schema.tables import attitude, measurement, measurement_detail, source, spacecraft, torque
 from service.errors import StorageError
 from service.ports import LIVE
-from service.records.diagnosis import Diagnosis
 from service.records.operations.access_key import is_plain_name, name_key
 from service.records.operations.audit import findings
+from service.records.storage.diagnosis import Diagnosis
 
 Report = Callable[[str], None]
 #: settings of a PostgreSQL server, and what happens without them

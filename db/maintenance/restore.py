@@ -19,8 +19,8 @@ from db.maintenance.table_copy import copy_tables
 from db.migrations.migrate import change_schema, upgrade, wait_for_turn
 from db.schema.schema_version import version_of
 from db.schema.tables import metadata
-from service.records.backup import BackupError, Manifest
-from service.records.diagnosis import Diagnosis, worst
+from service.records.storage.backup import BackupError, Manifest
+from service.records.storage.diagnosis import Diagnosis, worst
 
 _OURS = text(
     "SELECT c.relname FROM pg_class c JOIN pg_namespace n ON n.oid = c.relnamespace "

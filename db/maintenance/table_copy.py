@@ -12,7 +12,7 @@ from sqlalchemy import Connection, Integer, Table, func, inspect, select
 
 import db.storage  # noqa: F401 - brings every table of the schema along
 from db.schema.tables import metadata
-from service.records.backup import BackupError
+from service.records.storage.backup import BackupError
 
 _ROWS = 2000
 #: rows with large blobs are held few at a time

@@ -21,7 +21,6 @@ from db.measurements.slow_inputs import revise_operation, store_inputs, store_op
 from db.prepared_batch import prepare
 from db.schema.tables import carrier_plan, head, journal, operation, source
 from service.errors import InvalidInputError, NotFoundError
-from service.records.archive_upkeep import Dropped, SealedPart, SegmentState
 from service.records.calibration import Window
 from service.records.catalogue import Carrier
 from service.records.inputs import AttitudeReference, Operation, SourceSelection
@@ -30,6 +29,7 @@ from service.records.levels.attitude import FloatArray, IntArray
 from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
 from service.records.levels.measurement_block import MeasurementBlock
 from service.records.levels.series import HeadState, InputReceipt, MeasurementSeries, ReferenceSeries, SourceState
+from service.records.storage.archive_upkeep import Dropped, SealedPart, SegmentState
 
 #: rows of a page that is read as blocks: what a page asks of the database takes longer than a sealed day
 BLOCK_PAGE_ROWS = 32_768

@@ -35,7 +35,7 @@ from db.schema.tables import (
     torque,
     trace,
 )
-from service.records.archive_upkeep import Dropped
+from service.records.storage.archive_upkeep import Dropped
 
 #: rows that one transaction drops
 ROWS_AT_ONCE = 500

@@ -4,13 +4,13 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from typing import Protocol
 
-from service.records.archive_upkeep import Dropped, SealedPart, SegmentState
 from service.records.calibration import Window
 from service.records.inputs import Operation
 from service.records.journal import JournalEntry, JournalHead, SlowInput
 from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
 from service.records.levels.measurement_block import MeasurementBlock
 from service.records.levels.series import HeadState, InputReceipt, MeasurementSeries, ReferenceSeries, SourceState
+from service.records.storage.archive_upkeep import Dropped, SealedPart, SegmentState
 
 
 class Archive(Protocol):

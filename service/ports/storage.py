@@ -10,7 +10,7 @@ from service.ports.release import Releases
 from service.ports.results import Results
 from service.ports.stations import Links, Traces
 from service.ports.watch import Alarms, Notes
-from service.records.storage_state import StorageState
+from service.records.storage.storage_state import StorageState
 
 
 class Storage(Protocol):

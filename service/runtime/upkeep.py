@@ -12,8 +12,8 @@ from contextlib import contextmanager
 from typing import TypeVar
 
 from service.ports import Clock, Storage
-from service.records.archive_upkeep import LOGS, SERIES, Dropped, RetentionConfig, SealedPart, SealingConfig
 from service.records.epoch import US_PER_S, format_epoch
+from service.records.storage.archive_upkeep import LOGS, SERIES, Dropped, RetentionConfig, SealedPart, SealingConfig
 from service.runtime.leading import Turn, always
 
 _LOG = logging.getLogger("soo.upkeep")

@@ -16,11 +16,11 @@ from db.schema.schema_version import known_versions
 from db.schema.tables import metadata
 from db.storage import SqlStorage
 from service.ports import Outcome
-from service.records.backup import BackupError
 from service.records.catalogue import Method
-from service.records.diagnosis import worst
 from service.records.inputs import Operation
 from service.records.operations.audit import Deed
+from service.records.storage.backup import BackupError
+from service.records.storage.diagnosis import worst
 
 STAMP = "20261122T040302Z"
 

@@ -17,11 +17,11 @@ from db.maintenance.integrity_check import examine
 from db.migrations.migrate import upgrade
 from db.schema.schema_version import known_versions
 from service.ports import Outcome
-from service.records.archive_upkeep import SealedPart
-from service.records.diagnosis import worst
 from service.records.inputs import Correction
 from service.records.operations.access_key import AccessKey, Role, StoredKey, digest_of
 from service.records.operations.audit import Deed
+from service.records.storage.archive_upkeep import SealedPart
+from service.records.storage.diagnosis import worst
 from service.runtime.clock import system_now_us
 
 DAY_US = 86_400_000_000

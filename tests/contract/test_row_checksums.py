@@ -15,15 +15,15 @@ from db.maintenance.restore import restore_backup
 from db.row_checksum import CHECKSUM_BYTES, checksum_of
 from db.schema.tables import attitude, checksum_backlog, measurement, metadata
 from service.ports import Outcome
-from service.records.backup import BackupError
 from service.records.catalogue import Method
-from service.records.diagnosis import worst
 from service.records.inputs import AttitudeReference, Operation
 from service.records.levels.measurement import CarrierDetails
 from service.records.levels.trace import Ring, Trace, TraceSettings
 from service.records.operations.alarm import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
 from service.records.operations.note import Note
 from service.records.operations.release import ProductForm, ReleaseChange, UplinkProduct
+from service.records.storage.backup import BackupError
+from service.records.storage.diagnosis import worst
 from service.runtime.clock import system_now_us
 
 DAY_US = 86_400_000_000

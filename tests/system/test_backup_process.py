@@ -10,8 +10,8 @@ import pytest
 from db.maintenance.backup import verify_backup
 from db.maintenance.doctor import diagnose
 from db.maintenance.restore import restore_backup
-from service.records.backup import BackupError
-from service.records.diagnosis import worst
+from service.records.storage.backup import BackupError
+from service.records.storage.diagnosis import worst
 from service.runtime.clock import system_now_us
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]

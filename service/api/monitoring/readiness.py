@@ -14,7 +14,7 @@ from starlette.concurrency import run_in_threadpool
 from service.api.context.dependencies import ApiContext
 from service.api.problems.problems import RETRY_AFTER_S, ProblemError
 from service.errors import FieldError, StorageError
-from service.records.storage_state import StorageState
+from service.records.storage.storage_state import StorageState
 
 
 class Part(NamedTuple):

@@ -16,8 +16,8 @@ from rich.progress import Progress
 
 from service.cli.administration.doctor import EXIT_USAGE, show
 from service.cli.operation.connection import JsonOption
-from service.records.backup import BackupError, Manifest
-from service.records.diagnosis import worst
+from service.records.storage.backup import BackupError, Manifest
+from service.records.storage.diagnosis import worst
 
 app = typer.Typer(help="Copies of an archive: made while the service runs, proved, put back.", no_args_is_help=True)
 

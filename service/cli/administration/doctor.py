@@ -15,8 +15,8 @@ from rich.table import Table
 
 from service.cli.administration.audit import logged
 from service.cli.operation.connection import JsonOption
-from service.records.diagnosis import Diagnosis, State, worst
 from service.records.journal import JournalHead
+from service.records.storage.diagnosis import Diagnosis, State, worst
 
 EXIT_OF: dict[State, int] = {"ok": 0, "fault": 1, "warning": 3}
 EXIT_USAGE = 2

@@ -4,7 +4,7 @@ import pytest
 
 from db.maintenance.backup import create_backup, verify_backup
 from db.maintenance.restore import restore_backup
-from service.records.diagnosis import worst
+from service.records.storage.diagnosis import worst
 
 
 def ignore(*_):

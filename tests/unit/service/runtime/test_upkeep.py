@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from service.errors import StorageError
-from service.records.archive_upkeep import SERIES, Dropped, RetentionConfig, SealedPart, SealingConfig
+from service.records.storage.archive_upkeep import SERIES, Dropped, RetentionConfig, SealedPart, SealingConfig
 from service.runtime.upkeep import Upkeep
 
 DAY_US = 86_400_000_000
