@@ -27,7 +27,7 @@ from service.runtime.flight_analyses import FlightAnalyses, fly_thinned
 from service.runtime.jobs import JobRunner
 from service.runtime.leading import Leading, Turn, always
 from service.runtime.live_feed import LiveFeed
-from service.runtime.process_figures import raised_descriptor_limit
+from service.runtime.process_metrics import raised_descriptor_limit
 from service.runtime.release_desk import ReleaseDesk
 from service.runtime.release_tidings import Tidings
 from service.runtime.replaying import Replayer

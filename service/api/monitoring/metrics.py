@@ -30,7 +30,7 @@ from service.errors import StorageError
 from service.records.catalogue import Method, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import AttitudeRow
-from service.runtime.process_figures import process_figures
+from service.runtime.process_metrics import process_figures
 
 MEDIA_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 _LOG = logging.getLogger(__name__)

@@ -16,7 +16,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.api.problems.problems import ProblemError, render
 from service.records.operations.access_key import without_secrets
-from service.runtime.log_lines import REQUEST_ID
+from service.runtime.log_format import REQUEST_ID
 
 _HEADER = "X-Request-ID"
 _HARMLESS = re.compile(r"[A-Za-z0-9._:-]{1,64}", re.ASCII)

@@ -22,7 +22,7 @@ from pydantic import ValidationError
 from pydantic_settings import SettingsError
 
 from service.errors import StorageError
-from service.runtime.log_lines import write_log
+from service.runtime.log_format import write_log
 from service.settings import Settings
 
 if TYPE_CHECKING:

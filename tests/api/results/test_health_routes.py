@@ -13,7 +13,7 @@ from service.errors import StorageError
 from service.ports import Outcome
 from service.records.levels.attitude import Axes, CarrierState
 from service.records.operations.link import LinkReport
-from service.runtime.log_lines import JsonLines
+from service.runtime.log_format import JsonLines
 
 pytestmark = pytest.mark.anyio
 

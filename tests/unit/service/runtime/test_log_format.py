@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from service.runtime.log_lines import REQUEST_ID, JsonLines, TextLines, write_log
+from service.runtime.log_format import REQUEST_ID, JsonLines, TextLines, write_log
 
 
 def record(message: str, *args: object, fields: dict | None = None, exc_info=None) -> logging.LogRecord:
