@@ -18,8 +18,8 @@ from service.ports import Clock, Storage
 from service.records.operations.access_key import AccessKey, Role, StoredKey, digest_of, new_key
 from service.records.operations.alarm import Severity
 from service.records.operations.audit import DONE, Deed
-from service.runtime.alarm_desk import AlarmDesk
-from service.runtime.alarm_notices import NoticeChannel, NoticeChannels
+from service.runtime.alarms.alarm_service import AlarmDesk
+from service.runtime.alarms.notifications import NoticeChannel, NoticeChannels
 from service.runtime.aligning import Aligner
 from service.runtime.calibrating import Calibrator, fitted
 from service.runtime.clock import DataClock, SystemClock
@@ -130,12 +130,12 @@ def build_alarms(settings: Settings, storage: Storage, clock: Clock, feed: LiveF
     url = _secret(settings.alarm_webhook_url)
     if url:
         # brings httpx along
-        from service.runtime.alarm_webhook import Webhook
+        from service.runtime.alarms.webhook import Webhook
 
         webhook = Webhook(url, _secret(settings.alarm_webhook_secret), clock.system_us)
         channels.append(NoticeChannel("webhook", webhook.deliver, conditions, from_severity))
     if settings.alarm_mail_host and settings.alarm_mail_to:
-        from service.runtime.alarm_mail import Mail, MailRoute
+        from service.runtime.alarms.mail import Mail, MailRoute
 
         route = MailRoute(
             host=settings.alarm_mail_host,

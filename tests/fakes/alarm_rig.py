@@ -11,8 +11,8 @@ from service.pipeline.config import AlarmConfig, RobustConfig
 from service.records.catalogue import Carrier, CarrierPlan, Method
 from service.records.levels.measurement import Measurement, MeasurementBatch
 from service.records.operations.link import LinkReport
-from service.runtime.alarm_desk import AlarmDesk
-from service.runtime.alarm_notices import NoticeChannels
+from service.runtime.alarms.alarm_service import AlarmDesk
+from service.runtime.alarms.notifications import NoticeChannels
 from service.runtime.live_feed import LiveFeed
 
 S = 1_000_000

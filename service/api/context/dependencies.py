@@ -17,7 +17,7 @@ from service.api.limits.rate_limits import RateLimitConfig
 from service.errors import NotFoundError
 from service.pipeline.config import CalibrationConfig
 from service.ports import Clock, Storage
-from service.runtime.alarm_desk import AlarmDesk
+from service.runtime.alarms.alarm_service import AlarmDesk
 from service.runtime.aligning import Aligner
 from service.runtime.calibrating import Calibrator
 from service.runtime.flight_analyses import FlightAnalyses

@@ -54,8 +54,8 @@ from service.records.levels.attitude import AttitudeRow, Axes, Exclusion, Status
 from service.records.levels.command import Pulse, TorqueCommand
 from service.records.levels.measurement import CarrierDetails, Measurement, MeasurementBatch
 from service.records.operations.job import Replay
-from service.runtime.alarm_desk import AlarmDesk
-from service.runtime.alarm_notices import NoticeChannels
+from service.runtime.alarms.alarm_service import AlarmDesk
+from service.runtime.alarms.notifications import NoticeChannels
 from service.runtime.aligning import Aligner
 from service.runtime.calibrating import Calibrator, fitted
 from service.runtime.flight_analyses import FlightAnalyses, fly_thinned

@@ -10,7 +10,7 @@ import service.runtime.leading as leading_module
 import service.runtime.supervisor as supervisor_module
 from db.storage import SqlStorage
 from service.errors import StorageError
-from service.runtime.alarm_desk import AlarmDesk
+from service.runtime.alarms.alarm_service import AlarmDesk
 from service.runtime.leading import Leading
 from service.runtime.live_feed import LiveFeed
 from service.runtime.supervisor import Supervisor

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from hashlib import sha256
 from typing import Any
 
-from service.runtime.alarm_notices import DeliveryError
+from service.runtime.alarms.notifications import DeliveryError
 
 TIMEOUT_S = 10.0
 _US_PER_S = 1_000_000

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from email.message import EmailMessage
 from typing import Any
 
-from service.runtime.alarm_notices import DeliveryError
+from service.runtime.alarms.notifications import DeliveryError
 
 #: what is worth a letter; who acknowledges an alarm knows of it
 _TOLD = frozenset({"raised", "escalated", "repeated", "returned", "unshelved", "released"})

@@ -20,9 +20,9 @@ from service.ports import Clock, Storage
 from service.records.epoch import US_PER_S
 from service.records.operations.alarm import Alarm, AlarmChange, Handling
 from service.records.operations.alarm_limits import AlarmLimits
-from service.runtime.alarm_case import AlarmCase
-from service.runtime.alarm_checks import ClockChecks
-from service.runtime.alarm_notices import NoticeChannels
+from service.runtime.alarms.clock_checks import ClockChecks
+from service.runtime.alarms.notifications import NoticeChannels
+from service.runtime.alarms.persisted_alarms import AlarmCase
 from service.runtime.leading import Turn, always, elsewhere
 from service.runtime.live_feed import Cursor, FeedEvent, LiveFeed
 from service.runtime.row_watchers import Seen

@@ -17,9 +17,9 @@ from service.client.backoff import Backoff
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.records.operations.alarm import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
-from service.runtime.alarm_mail import Mail, MailRoute
-from service.runtime.alarm_notices import ATTEMPTS, DeliveryError, NoticeChannel, notice_of
-from service.runtime.alarm_webhook import Webhook
+from service.runtime.alarms.mail import Mail, MailRoute
+from service.runtime.alarms.notifications import ATTEMPTS, DeliveryError, NoticeChannel, notice_of
+from service.runtime.alarms.webhook import Webhook
 
 S = 1_000_000
 CONDITIONS = condition_table(AlarmConfig(), RobustConfig())

@@ -1,0 +1,1 @@
+"""Alarm service: alarm engine over the archive, notifications by mail and webhook."""
