@@ -23,13 +23,13 @@ from service.runtime.alarms.notifications import NoticeChannel, NoticeChannels
 from service.runtime.aligning import Aligner
 from service.runtime.calibrating import Calibrator, fitted
 from service.runtime.clock import DataClock, SystemClock
+from service.runtime.control.release_notifications import Tidings
+from service.runtime.control.release_service import ReleaseDesk
 from service.runtime.flight_analyses import FlightAnalyses, fly_thinned
 from service.runtime.jobs import JobRunner
 from service.runtime.leading import Leading, Turn, always
 from service.runtime.live_feed import LiveFeed
 from service.runtime.process_metrics import raised_descriptor_limit
-from service.runtime.release_desk import ReleaseDesk
-from service.runtime.release_tidings import Tidings
 from service.runtime.replaying import Replayer
 from service.runtime.supervisor import Supervisor
 from service.runtime.upkeep import Upkeep

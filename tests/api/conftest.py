@@ -16,9 +16,9 @@ from service.api.app import create_app
 from service.api.context.dependencies import ApiContext, Limits
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.release.settings import ReleaseSettings
+from service.runtime.control.release_notifications import Tidings
+from service.runtime.control.release_service import ReleaseDesk
 from service.runtime.live_feed import LiveFeed
-from service.runtime.release_desk import ReleaseDesk
-from service.runtime.release_tidings import Tidings
 from service.runtime.workers import WorkerConfig, Workers
 
 KEY = "test-key-of-the-administrator"

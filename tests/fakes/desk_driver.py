@@ -17,9 +17,9 @@ from service.records.catalogue import Method
 from service.records.inputs import TelemetryRecord
 from service.records.levels.attitude import AttitudeRow, Axes, Status
 from service.records.operations.release import CommandView, CommandWish, ControlVerdict, ControlView
+from service.runtime.control.release_notifications import Tidings
+from service.runtime.control.release_service import ReleaseDesk
 from service.runtime.live_feed import LiveFeed
-from service.runtime.release_desk import ReleaseDesk
-from service.runtime.release_tidings import Tidings
 
 US = 1_000_000
 MINUTE_US = 60 * US

@@ -10,7 +10,7 @@ from service.pipeline.control.release.settings import ReleaseSettings
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import Axes
 from service.records.levels.command import Pulse
-from service.runtime.sign_check_run import SignCheckRun
+from service.runtime.control.sign_check_run import SignCheckRun
 from service.study.closed_loop.controllers import LEAD_S, Sensing
 from service.study.closed_loop.ground_knowledge import ground_of
 from service.study.closed_loop.plant_process import PlantProcess, PlantRow

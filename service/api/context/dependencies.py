@@ -20,9 +20,9 @@ from service.ports import Clock, Storage
 from service.runtime.alarms.alarm_service import AlarmDesk
 from service.runtime.aligning import Aligner
 from service.runtime.calibrating import Calibrator
+from service.runtime.control.release_service import ReleaseDesk
 from service.runtime.flight_analyses import FlightAnalyses
 from service.runtime.live_feed import LiveFeed
-from service.runtime.release_desk import ReleaseDesk
 from service.runtime.replaying import Replayer
 from service.runtime.supervisor import Supervisor
 from service.runtime.workers import Workers

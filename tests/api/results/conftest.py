@@ -58,11 +58,11 @@ from service.runtime.alarms.alarm_service import AlarmDesk
 from service.runtime.alarms.notifications import NoticeChannels
 from service.runtime.aligning import Aligner
 from service.runtime.calibrating import Calibrator, fitted
+from service.runtime.control.release_notifications import Tidings
+from service.runtime.control.release_service import ReleaseDesk
 from service.runtime.flight_analyses import FlightAnalyses, fly_thinned
 from service.runtime.jobs import JobRunner
 from service.runtime.live_feed import LiveFeed
-from service.runtime.release_desk import ReleaseDesk
-from service.runtime.release_tidings import Tidings
 from service.runtime.replaying import Replayer
 from service.runtime.supervisor import Supervisor
 from service.runtime.workers import Workers

@@ -14,7 +14,7 @@ from service.pipeline.control.release.settings import ReleaseSettings
 from service.pipeline.estimation.method import CommandEvidence
 from service.records.inputs import TelemetryRecord
 from service.records.operations.release import Purpose
-from service.runtime.sign_check_run import turned_deg
+from service.runtime.control.sign_check_run import turned_deg
 
 #: in the order yaw, roll, pitch
 INERTIA = np.diag([2600.0, 2600.0, 1400.0])

@@ -9,9 +9,9 @@ from service.pipeline.control.release.events import OrderKind
 from service.pipeline.control.release.settings import ReleaseSettings
 from service.records.levels.command import AppliedCommand
 from service.records.operations.release import InterlockHold
+from service.runtime.control.release_notifications import Tidings
+from service.runtime.control.release_service import ReleaseDesk
 from service.runtime.live_feed import LiveFeed
-from service.runtime.release_desk import ReleaseDesk
-from service.runtime.release_tidings import Tidings
 from service.runtime.supervisor import Supervisor
 
 

@@ -14,9 +14,9 @@ from service.pipeline.control.release.row_facts import SeenRow, facts_of_row
 from service.records.catalogue import Method, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import AttitudeRow
-from service.runtime.release_case import Annex, ReleaseCase
-from service.runtime.release_surroundings import KnownFacts
-from service.runtime.sign_check_run import SignCheckRun
+from service.runtime.control.persisted_release import Annex, ReleaseCase
+from service.runtime.control.release_inputs import KnownFacts
+from service.runtime.control.sign_check_run import SignCheckRun
 
 #: rows from whose epochs the row period is taken
 _PERIOD_ROWS = 15

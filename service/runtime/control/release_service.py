@@ -2,7 +2,7 @@
 
 Every method may be called from any thread and raises nothing but errors of `service.errors`, with the codes of
 docs/reference/errors.md, section Control. What is judged and how stands in `service.pipeline.control.release`; how a
-step is kept in `service.runtime.release_case`; nothing here decides anything.
+step is kept in `service.runtime.control.persisted_release`; nothing here decides anything.
 """
 
 from dataclasses import replace
@@ -35,12 +35,12 @@ from service.records.operations.release import (
     ProductForm,
     UplinkProduct,
 )
-from service.runtime.release_case import Annex
-from service.runtime.release_entry import ReleaseEntry
-from service.runtime.release_floor import ReleaseFloor
-from service.runtime.release_refusals import error_of, require_release
-from service.runtime.release_surroundings import KnownFacts
-from service.runtime.release_views import envelope_of, is_told_already
+from service.runtime.control.persisted_release import Annex
+from service.runtime.control.refusal_errors import error_of, require_release
+from service.runtime.control.release_inputs import KnownFacts
+from service.runtime.control.release_loop import ReleaseFloor
+from service.runtime.control.spacecraft_release import ReleaseEntry
+from service.runtime.control.views import envelope_of, is_told_already
 
 _TURNS = {"sent": Turn.SENT, "executed": Turn.EXECUTED, "failed": Turn.FAILED}
 #: a report may be this much older than the release, and this much ahead of the clock: clocks of two centres differ

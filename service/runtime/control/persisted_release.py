@@ -44,7 +44,7 @@ from service.records.operations.release import (
     StoredRelease,
     UplinkProduct,
 )
-from service.runtime.release_views import Dress, changed_view, released_entry, reported_entry, torque_product
+from service.runtime.control.views import Dress, changed_view, released_entry, reported_entry, torque_product
 
 #: another process that has stored counts as there for so long
 _FOREIGN_US = 600 * US_PER_S

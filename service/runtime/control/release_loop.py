@@ -1,6 +1,6 @@
 """The floor of the release desk: each spacecraft's case, the present, rows and time as they come in.
 
-Persons' orders stand in `service.runtime.release_desk`. Only the service that leads its archive judges events; what a
+Persons' orders stand in `service.runtime.control.release_service`. Only the service that leads its archive judges events; what a
 service knew in an earlier turn is read from the archive anew.
 """
 
@@ -25,14 +25,14 @@ from service.records.catalogue import Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.operations.audit import apart_from_request
 from service.records.operations.release import ControlView
+from service.runtime.control.persisted_release import Annex, ReleaseCase, is_deed
+from service.runtime.control.proposals import Proposals
+from service.runtime.control.release_inputs import KnownFacts, read_facts, surroundings_of
+from service.runtime.control.release_notifications import Tidings
+from service.runtime.control.row_handler import RowWork
+from service.runtime.control.spacecraft_release import ReleaseEntry
+from service.runtime.control.views import control_view
 from service.runtime.leading import Turn, always, elsewhere
-from service.runtime.release_case import Annex, ReleaseCase, is_deed
-from service.runtime.release_entry import ReleaseEntry
-from service.runtime.release_proposing import Proposals
-from service.runtime.release_rows import RowWork
-from service.runtime.release_surroundings import KnownFacts, read_facts, surroundings_of
-from service.runtime.release_tidings import Tidings
-from service.runtime.release_views import control_view
 
 _LOG = logging.getLogger("soo.release")
 

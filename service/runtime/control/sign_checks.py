@@ -25,13 +25,13 @@ from service.pipeline.control.release.proposals import effect_of_pulses, schedul
 from service.pipeline.control.release.settings import ReleaseSettings
 from service.ports import Storage
 from service.records.operations.release import SignCheckView, SignRatios
-from service.runtime.release_case import Annex
-from service.runtime.release_entry import ReleaseEntry, Stepper
-from service.runtime.release_proposing import soonest_start_us, swing_left
-from service.runtime.release_refusals import error_of
-from service.runtime.release_surroundings import KnownFacts, read_telemetry
-from service.runtime.release_views import Dress
-from service.runtime.sign_check_run import AXES, SignCheckRun
+from service.runtime.control.persisted_release import Annex
+from service.runtime.control.proposals import soonest_start_us, swing_left
+from service.runtime.control.refusal_errors import error_of
+from service.runtime.control.release_inputs import KnownFacts, read_telemetry
+from service.runtime.control.sign_check_run import AXES, SignCheckRun
+from service.runtime.control.spacecraft_release import ReleaseEntry, Stepper
+from service.runtime.control.views import Dress
 
 _RUNNING = "running"
 _INTERRUPTED = "interrupted"

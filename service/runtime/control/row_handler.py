@@ -22,12 +22,12 @@ from service.records.catalogue import ControlMode, Release, Spacecraft
 from service.records.levels.attitude import AttitudeRow
 from service.records.levels.command import TorqueCommand
 from service.records.operations.release import ProductForm
-from service.runtime.release_case import Annex
-from service.runtime.release_entry import ReleaseEntry, Stepper
-from service.runtime.release_proposing import Proposals, soonest_start_us
-from service.runtime.release_sign_checks import SignChecks
-from service.runtime.release_surroundings import KnownFacts
-from service.runtime.release_views import Dress, attitude_product
+from service.runtime.control.persisted_release import Annex
+from service.runtime.control.proposals import Proposals, soonest_start_us
+from service.runtime.control.release_inputs import KnownFacts
+from service.runtime.control.sign_checks import SignChecks
+from service.runtime.control.spacecraft_release import ReleaseEntry, Stepper
+from service.runtime.control.views import Dress, attitude_product
 
 _LOG = logging.getLogger("soo.release")
 

@@ -20,8 +20,8 @@ from service.records.epoch import US_PER_S
 from service.records.levels.attitude import AttitudeRow
 from service.records.levels.command import TorqueCommand
 from service.records.operations.release import CommandWish
-from service.runtime.release_entry import ReleaseEntry
-from service.runtime.release_views import Dress, check_views
+from service.runtime.control.spacecraft_release import ReleaseEntry
+from service.runtime.control.views import Dress, check_views
 
 #: what was sent longer ago has left nothing in the flexible modes
 _SWING_US = 3 * 3600 * US_PER_S

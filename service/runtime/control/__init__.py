@@ -1,0 +1,1 @@
+"""Release service: interlock and torque commands over the archive."""
