@@ -20,19 +20,19 @@ from service.records.operations.alarm import Severity
 from service.records.operations.audit import DONE, Deed
 from service.runtime.alarms.alarm_service import AlarmDesk
 from service.runtime.alarms.notifications import NoticeChannel, NoticeChannels
-from service.runtime.aligning import Aligner
-from service.runtime.calibrating import Calibrator, fitted
 from service.runtime.clock import DataClock, SystemClock
 from service.runtime.control.release_notifications import Tidings
 from service.runtime.control.release_service import ReleaseDesk
-from service.runtime.flight_analyses import FlightAnalyses, fly_thinned
-from service.runtime.jobs import JobRunner
+from service.runtime.jobs.alignment_service import Aligner
+from service.runtime.jobs.archive_maintenance import Upkeep
+from service.runtime.jobs.calibration_job import Calibrator, fitted
+from service.runtime.jobs.flight_analysis_job import FlightAnalyses, fly_thinned
+from service.runtime.jobs.job_runner import JobRunner
+from service.runtime.jobs.replay_job import Replayer
 from service.runtime.leading import Leading, Turn, always
 from service.runtime.live_feed import LiveFeed
 from service.runtime.process_metrics import raised_descriptor_limit
-from service.runtime.replaying import Replayer
 from service.runtime.supervisor import Supervisor
-from service.runtime.upkeep import Upkeep
 from service.runtime.workers import Workers
 from service.settings import Settings
 

@@ -18,12 +18,12 @@ from service.errors import NotFoundError
 from service.pipeline.config import CalibrationConfig
 from service.ports import Clock, Storage
 from service.runtime.alarms.alarm_service import AlarmDesk
-from service.runtime.aligning import Aligner
-from service.runtime.calibrating import Calibrator
 from service.runtime.control.release_service import ReleaseDesk
-from service.runtime.flight_analyses import FlightAnalyses
+from service.runtime.jobs.alignment_service import Aligner
+from service.runtime.jobs.calibration_job import Calibrator
+from service.runtime.jobs.flight_analysis_job import FlightAnalyses
+from service.runtime.jobs.replay_job import Replayer
 from service.runtime.live_feed import LiveFeed
-from service.runtime.replaying import Replayer
 from service.runtime.supervisor import Supervisor
 from service.runtime.workers import Workers
 

@@ -7,7 +7,7 @@ from fastapi import APIRouter, Query
 from service.api.context.dependencies import Context, SpacecraftId
 from service.api.schemas.carrier_selection import CarrierSelectionAnswer, Turns
 from service.pipeline.planning.planning import Rule
-from service.runtime.inspection import MIN_COUNT, recommend_carriers
+from service.runtime.jobs.archive_analysis import MIN_COUNT, recommend_carriers
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/carrier-selection", tags=["calibration"])
 

@@ -10,7 +10,7 @@ from service.api.problems.problems import ProblemError
 from service.api.protocol.bodies import accepts, body_of
 from service.api.schemas.closed_loop import ClosedLoopAnswer, ClosedLoopDocument, ClosedLoopStartedAnswer
 from service.records.operations.job import JobState
-from service.runtime.flight_analyses import KIND, MOST_RESULTS
+from service.runtime.jobs.flight_analysis_job import KIND, MOST_RESULTS
 
 router = APIRouter(prefix="/analyses/closed-loop", tags=["analyses"])
 #: path below which results stand

@@ -8,7 +8,7 @@ from service.api.context.dependencies import Context, SpacecraftId
 from service.api.protocol.paging import EVERYTHING, window_of
 from service.api.schemas.inspection import WindowHarmonicsAnswer
 from service.records.catalogue import Method
-from service.runtime.inspection import window_harmonics
+from service.runtime.jobs.archive_analysis import window_harmonics
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/harmonics", tags=["calibration"])
 

@@ -18,7 +18,7 @@ from service.api.schemas.base import (
 from service.api.schemas.calibrations import SensorsDocument
 from service.records.calibration import Alignment, ReferenceRule, Window
 from service.records.levels.attitude import Axes
-from service.runtime.aligning import AlignmentRequest
+from service.runtime.jobs.alignment_service import AlignmentRequest
 
 AngleDeg = Annotated[float, Field(ge=-180, le=180)]
 SigmaDeg = Annotated[float, Field(gt=0, le=180)]

@@ -14,7 +14,7 @@ from service.pipeline.planning.planning import (
 )
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import named_axes
-from service.runtime.inspection import CarrierRecommendation
+from service.runtime.jobs.archive_analysis import CarrierRecommendation
 
 
 class Turns(StrEnum):

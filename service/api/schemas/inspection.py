@@ -7,7 +7,7 @@ from service.api.schemas.calibrations import HarmonicAnswer
 from service.pipeline.calibration.window_harmonics import CarrierHarmonic
 from service.records.calibration import Window
 from service.records.catalogue import Method
-from service.runtime.inspection import WindowHarmonics
+from service.runtime.jobs.archive_analysis import WindowHarmonics
 
 
 class DishLawAnswer(Answer):

@@ -10,7 +10,7 @@ from service.api.schemas.status import StatusAnswer
 from service.api.views.links import links_told
 from service.pipeline.estimation.robust.attitude_rows import ADVICE
 from service.records.calibration import CalibrationState
-from service.runtime.inspection import newest_advice, runnable_methods
+from service.runtime.jobs.archive_analysis import newest_advice, runnable_methods
 
 
 def status_of(context: ApiContext, spacecraft_id: str) -> StatusAnswer:

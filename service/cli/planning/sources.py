@@ -84,7 +84,7 @@ def _assumed_planning(
     from service.api.schemas.carrier_selection import CarrierSelectionAnswer, Turns
     from service.pipeline.planning.assumed_beams import NOISES, assume_payload
     from service.pipeline.planning.planning import Rule, recommend
-    from service.runtime.inspection import CarrierRecommendation, wanted_count
+    from service.runtime.jobs.archive_analysis import CarrierRecommendation, wanted_count
 
     known = {carrier.transponder for carrier in carriers}
     unknown = sorted(set(beams) - known - {"*"})

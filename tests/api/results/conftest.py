@@ -56,14 +56,14 @@ from service.records.levels.measurement import CarrierDetails, Measurement, Meas
 from service.records.operations.job import Replay
 from service.runtime.alarms.alarm_service import AlarmDesk
 from service.runtime.alarms.notifications import NoticeChannels
-from service.runtime.aligning import Aligner
-from service.runtime.calibrating import Calibrator, fitted
 from service.runtime.control.release_notifications import Tidings
 from service.runtime.control.release_service import ReleaseDesk
-from service.runtime.flight_analyses import FlightAnalyses, fly_thinned
-from service.runtime.jobs import JobRunner
+from service.runtime.jobs.alignment_service import Aligner
+from service.runtime.jobs.calibration_job import Calibrator, fitted
+from service.runtime.jobs.flight_analysis_job import FlightAnalyses, fly_thinned
+from service.runtime.jobs.job_runner import JobRunner
+from service.runtime.jobs.replay_job import Replayer
 from service.runtime.live_feed import LiveFeed
-from service.runtime.replaying import Replayer
 from service.runtime.supervisor import Supervisor
 from service.runtime.workers import Workers
 

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from service.core.dynamics.orbital_frame_analysis import ClosedLoop, Wish
-from service.runtime.flight_analyses import MOST_RESULTS, MOST_WAITING, FlightAnalyses, fly_thinned
+from service.runtime.jobs.flight_analysis_job import MOST_RESULTS, MOST_WAITING, FlightAnalyses, fly_thinned
 
 pytestmark = pytest.mark.anyio
 PATH = "/analyses/closed-loop"

@@ -25,11 +25,11 @@ from service.records.catalogue import Method, Site, Spacecraft
 from service.records.inputs import Operation
 from service.records.levels.measurement import BatchReceipt, MeasurementBatch
 from service.records.operations.job import JobState, Replay
-from service.runtime.aligning import Aligner, AlignmentRequest
-from service.runtime.calibrating import Calibrator, fitted
-from service.runtime.jobs import JobRunner
+from service.runtime.jobs.alignment_service import Aligner, AlignmentRequest
+from service.runtime.jobs.calibration_job import Calibrator, fitted
+from service.runtime.jobs.job_runner import JobRunner
+from service.runtime.jobs.replay_job import Replayer
 from service.runtime.live_feed import LiveFeed
-from service.runtime.replaying import Replayer
 from service.runtime.supervisor import Supervisor
 
 NOISE_DB = 0.05

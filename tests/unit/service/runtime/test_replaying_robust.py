@@ -24,11 +24,11 @@ from service.records.levels.attitude import Axes
 from service.records.levels.command import AppliedCommand
 from service.records.levels.measurement import MeasurementBatch
 from service.records.operations.job import JobState, Replay
-from service.runtime.aligning import Aligner, AlignmentRequest
 from service.runtime.consumer import prepare
-from service.runtime.jobs import JobRunner
+from service.runtime.jobs.alignment_service import Aligner, AlignmentRequest
+from service.runtime.jobs.job_runner import JobRunner
+from service.runtime.jobs.replay_job import Replayer
 from service.runtime.live_feed import LiveFeed
-from service.runtime.replaying import Replayer
 from service.runtime.supervisor import Supervisor
 
 PAYLOAD = FlightPayload.make(10)

@@ -10,7 +10,7 @@ from service.core.dynamics.orbital_frame_flight import Start
 from service.core.dynamics.orbital_frame_model import rigid_craft
 from service.errors import BusyError
 from service.records.operations.job import JobState
-from service.runtime.flight_analyses import MOST_WAITING, FlightAnalyses, fly_thinned
+from service.runtime.jobs.flight_analysis_job import MOST_WAITING, FlightAnalyses, fly_thinned
 
 
 @pytest.fixture

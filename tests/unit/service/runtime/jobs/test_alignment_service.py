@@ -11,7 +11,7 @@ from service.errors import ConflictError, InvalidInputError, NotFoundError
 from service.records.calibration import Alignment, ReferenceRule, Window
 from service.records.catalogue import Onboard
 from service.records.levels.attitude import Axes
-from service.runtime.aligning import AlignmentRequest
+from service.runtime.jobs.alignment_service import AlignmentRequest
 
 TRACKER = ("star_tracker",) * 3
 SIGMA = Axes(0.02, 0.01, 0.01)

@@ -7,7 +7,7 @@ import pytest
 
 from service.errors import StorageError
 from service.records.storage.archive_upkeep import SERIES, Dropped, RetentionConfig, SealedPart, SealingConfig
-from service.runtime.upkeep import Upkeep
+from service.runtime.jobs.archive_maintenance import Upkeep
 
 DAY_US = 86_400_000_000
 NOW_US = 20_000 * DAY_US
@@ -85,7 +85,7 @@ def test_series_are_dropped_by_age_and_by_size(archive, monkeypatch):
     archive.asked.clear()
     made.look_once()
     assert ("fit", "attitude", 1000) not in archive.asked, "sizes are looked at once an hour"
-    monkeypatch.setattr("service.runtime.upkeep.SIZING_S", 0.0)
+    monkeypatch.setattr("service.runtime.jobs.archive_maintenance.SIZING_S", 0.0)
     archive.fitting = None
     made.look_once()
     assert ("fit", "attitude", 1000) in archive.asked

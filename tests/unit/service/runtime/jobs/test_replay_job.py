@@ -98,8 +98,8 @@ def test_one_method_alone_may_be_replayed(ground):
 
 
 def test_many_rows_are_stored_in_pieces(lived, monkeypatch):
-    monkeypatch.setattr("service.runtime.replaying._OUTCOMES_AT_ONCE", 7)
-    monkeypatch.setattr("service.runtime.replaying._ENTRIES_AT_ONCE", 16)
+    monkeypatch.setattr("service.runtime.jobs.replay_job._OUTCOMES_AT_ONCE", 7)
+    monkeypatch.setattr("service.runtime.jobs.replay_job._ENTRIES_AT_ONCE", 16)
     assert repr(lived.rows(lived.replay(1, 300))) == repr(lived.rows())
 
 

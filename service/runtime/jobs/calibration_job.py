@@ -18,7 +18,7 @@ from service.records.calibration import (
 )
 from service.records.inputs import Correction, Operation
 from service.records.operations.job import Job
-from service.runtime.jobs import JobFailedError, JobRunner, Progress
+from service.runtime.jobs.job_runner import JobFailedError, JobRunner, Progress
 
 #: operations and corrections that a calibration looks at, at most of each
 _MAX_INPUTS = 1000

@@ -6,11 +6,11 @@ from unittest.mock import patch
 
 import pytest
 
-import service.runtime.calibrating as calibrating
+import service.runtime.jobs.calibration_job as calibrating
 from service.errors import BusyError, ConflictError, InvalidInputError, NotFoundError
 from service.records.calibration import CalibrationMethod, CalibrationState, Window
 from service.records.operations.job import JobState
-from service.runtime.jobs import JobFailedError
+from service.runtime.jobs.job_runner import JobFailedError
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import pytest
 
 from service.errors import ConflictError
 from service.records.operations.job import JobState
-from service.runtime.jobs import JobFailedError, JobRunner
+from service.runtime.jobs.job_runner import JobFailedError, JobRunner
 
 
 @pytest.fixture

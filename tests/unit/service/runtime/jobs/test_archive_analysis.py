@@ -9,7 +9,7 @@ from synthetic_payload import HOUR, START_US, SyntheticPayload
 
 from service.records.catalogue import Method
 from service.records.levels.attitude import row_without_attitude
-from service.runtime.inspection import newest_advice, runnable_methods
+from service.runtime.jobs.archive_analysis import newest_advice, runnable_methods
 
 PAYLOAD = SyntheticPayload.make(6)
 

@@ -1,0 +1,1 @@
+"""Long work: calibrations, alignments, replays, analyses, archive maintenance."""
