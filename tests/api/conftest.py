@@ -18,7 +18,7 @@ from service.pipeline.config import TorqueConfig
 from service.pipeline.control.release.settings import ReleaseSettings
 from service.runtime.control.release_notifications import Tidings
 from service.runtime.control.release_service import ReleaseDesk
-from service.runtime.live_feed import LiveFeed
+from service.runtime.live.live_feed import LiveFeed
 from service.runtime.workers import WorkerConfig, Workers
 
 KEY = "test-key-of-the-administrator"

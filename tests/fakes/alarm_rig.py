@@ -13,7 +13,7 @@ from service.records.levels.measurement import Measurement, MeasurementBatch
 from service.records.operations.link import LinkReport
 from service.runtime.alarms.alarm_service import AlarmDesk
 from service.runtime.alarms.notifications import NoticeChannels
-from service.runtime.live_feed import LiveFeed
+from service.runtime.live.live_feed import LiveFeed
 
 S = 1_000_000
 MINUTE = 60 * S

@@ -19,7 +19,7 @@ from service.records.levels.attitude import AttitudeRow, Axes, Status
 from service.records.operations.release import CommandView, CommandWish, ControlVerdict, ControlView
 from service.runtime.control.release_notifications import Tidings
 from service.runtime.control.release_service import ReleaseDesk
-from service.runtime.live_feed import LiveFeed
+from service.runtime.live.live_feed import LiveFeed
 
 US = 1_000_000
 MINUTE_US = 60 * US

@@ -15,7 +15,7 @@ import uvicorn
 
 from service.api.server_process import StreamingServer
 from service.ports import Outcome
-from service.runtime.live_feed import Cursor, FeedEvent
+from service.runtime.live.live_feed import Cursor, FeedEvent
 
 STREAM = "/api/v1/spacecraft/yamal-202/stream"
 #: small buffers, so that a client that does not read is felt by the service after some hundred events

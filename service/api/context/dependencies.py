@@ -23,8 +23,8 @@ from service.runtime.jobs.alignment_service import Aligner
 from service.runtime.jobs.calibration_job import Calibrator
 from service.runtime.jobs.flight_analysis_job import FlightAnalyses
 from service.runtime.jobs.replay_job import Replayer
-from service.runtime.live_feed import LiveFeed
-from service.runtime.supervisor import Supervisor
+from service.runtime.live.live_feed import LiveFeed
+from service.runtime.live.supervisor import Supervisor
 from service.runtime.workers import Workers
 
 #: id of a spacecraft as it stands in paths

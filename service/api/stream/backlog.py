@@ -10,7 +10,7 @@ from service.api.stream.event_ids import DroppedAnswer, lost_to_retention
 from service.ports import Storage
 from service.records.levels.attitude import AttitudeRow
 from service.records.levels.measurement import Measurement
-from service.runtime.live_feed import Cursor, FeedEvent
+from service.runtime.live.live_feed import Cursor, FeedEvent
 
 #: journal entries and results read in one go
 _AT_ONCE = 200

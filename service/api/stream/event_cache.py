@@ -24,7 +24,7 @@ from service.records.levels.attitude import AttitudeRow
 from service.records.levels.command import TorqueCommand
 from service.records.levels.measurement import Measurement
 from service.records.operations.alarm import AlarmChange
-from service.runtime.live_feed import FeedEvent
+from service.runtime.live.live_feed import FeedEvent
 
 #: about 2 MB of texts
 _KEPT = 1024

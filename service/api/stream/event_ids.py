@@ -11,7 +11,7 @@ from service.api.problems.problems import invalid_request
 from service.api.schemas.base import Answer
 from service.errors import FieldError
 from service.records.epoch import format_epoch
-from service.runtime.live_feed import Cursor, Dropped, FeedEvent
+from service.runtime.live.live_feed import Cursor, Dropped, FeedEvent
 
 #: longest id: the longest name of a spacecraft and three numbers
 MAX_ID_LENGTH = 128

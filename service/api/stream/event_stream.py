@@ -21,7 +21,7 @@ from service.api.stream.event_ids import DroppedAnswer, advanced, beyond_the_arc
 from service.api.stream.open_streams import OpenStreams
 from service.errors import StorageError
 from service.records.levels.measurement import Measurement
-from service.runtime.live_feed import Cursor, Dropped, FeedEvent, Subscription
+from service.runtime.live.live_feed import Cursor, Dropped, FeedEvent, Subscription
 
 _LOG = logging.getLogger(__name__)
 #: events encoded before other connections get their turn

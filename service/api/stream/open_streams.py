@@ -7,7 +7,7 @@ from collections import Counter
 from http import HTTPStatus
 
 from service.api.problems.problems import RETRY_AFTER_S, ProblemError
-from service.runtime.live_feed import Subscription
+from service.runtime.live.live_feed import Subscription
 
 
 class OpenStreams:

@@ -23,8 +23,8 @@ from service.records.operations.alarm_limits import AlarmLimits
 from service.runtime.alarms.clock_checks import ClockChecks
 from service.runtime.alarms.notifications import NoticeChannels
 from service.runtime.alarms.persisted_alarms import AlarmCase
-from service.runtime.leading import Turn, always, elsewhere
-from service.runtime.live_feed import Cursor, FeedEvent, LiveFeed
+from service.runtime.live.leadership import Turn, always, elsewhere
+from service.runtime.live.live_feed import Cursor, FeedEvent, LiveFeed
 from service.runtime.row_watchers import Seen
 
 _LOG = logging.getLogger("soo.alarms")

@@ -32,7 +32,7 @@ from service.runtime.control.release_notifications import Tidings
 from service.runtime.control.row_handler import RowWork
 from service.runtime.control.spacecraft_release import ReleaseEntry
 from service.runtime.control.views import control_view
-from service.runtime.leading import Turn, always, elsewhere
+from service.runtime.live.leadership import Turn, always, elsewhere
 
 _LOG = logging.getLogger("soo.release")
 

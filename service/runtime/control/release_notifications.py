@@ -9,7 +9,7 @@ from service.pipeline.control.release.interlock import Instant
 from service.ports import Audit
 from service.records.catalogue import Spacecraft
 from service.records.operations.audit import CURRENT_NOTE, DONE, Deed
-from service.runtime.live_feed import Cursor, FeedEvent, LiveFeed
+from service.runtime.live.live_feed import Cursor, FeedEvent, LiveFeed
 
 _LOG = logging.getLogger("soo.release")
 

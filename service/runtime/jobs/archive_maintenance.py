@@ -14,7 +14,7 @@ from typing import TypeVar
 from service.ports import Clock, Storage
 from service.records.epoch import US_PER_S, format_epoch
 from service.records.storage.archive_upkeep import LOGS, SERIES, Dropped, RetentionConfig, SealedPart, SealingConfig
-from service.runtime.leading import Turn, always
+from service.runtime.live.leadership import Turn, always
 
 _LOG = logging.getLogger("soo.upkeep")
 _DAY_US = 86_400 * US_PER_S

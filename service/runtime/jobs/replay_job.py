@@ -15,8 +15,8 @@ from service.records.calibration import Alignment, Calibration
 from service.records.inputs import AlignmentSet
 from service.records.journal import JournalEntry
 from service.records.operations.job import Job, Replay
-from service.runtime.consumer import Documents, consume, prepare, trips_after, without_torque_after
 from service.runtime.jobs.job_runner import JobRunner, Progress
+from service.runtime.live.journal_consumer import Documents, consume, prepare, trips_after, without_torque_after
 
 _ENTRIES_AT_ONCE = 512
 _OUTCOMES_AT_ONCE = 500

@@ -63,8 +63,8 @@ from service.runtime.jobs.calibration_job import Calibrator, fitted
 from service.runtime.jobs.flight_analysis_job import FlightAnalyses, fly_thinned
 from service.runtime.jobs.job_runner import JobRunner
 from service.runtime.jobs.replay_job import Replayer
-from service.runtime.live_feed import LiveFeed
-from service.runtime.supervisor import Supervisor
+from service.runtime.live.live_feed import LiveFeed
+from service.runtime.live.supervisor import Supervisor
 from service.runtime.workers import Workers
 
 KEY = "key-of-the-results"

@@ -12,7 +12,7 @@ from served_stream import Event, Reader, Served, Source, serving, wait_until
 
 from service.records.epoch import format_epoch
 from service.records.operations.alarm import Alarm, AlarmChange, ChangeKind, Cover, Process, Severity
-from service.runtime.live_feed import Cursor, FeedEvent
+from service.runtime.live.live_feed import Cursor, FeedEvent
 
 pytestmark = pytest.mark.anyio
 

@@ -4,7 +4,7 @@ import pytest
 
 from service.bootstrap import build_alarms
 from service.runtime.clock import SystemClock
-from service.runtime.live_feed import LiveFeed
+from service.runtime.live.live_feed import LiveFeed
 from service.settings import Settings
 
 MAIL = {"alarm_mail_host": "mail.test", "alarm_mail_to": "a@x.test, b@x.test,"}

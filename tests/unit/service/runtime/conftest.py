@@ -29,8 +29,8 @@ from service.runtime.jobs.alignment_service import Aligner, AlignmentRequest
 from service.runtime.jobs.calibration_job import Calibrator, fitted
 from service.runtime.jobs.job_runner import JobRunner
 from service.runtime.jobs.replay_job import Replayer
-from service.runtime.live_feed import LiveFeed
-from service.runtime.supervisor import Supervisor
+from service.runtime.live.live_feed import LiveFeed
+from service.runtime.live.supervisor import Supervisor
 
 NOISE_DB = 0.05
 TRACKER = ("star_tracker",) * 3

@@ -24,12 +24,12 @@ from service.records.levels.attitude import Axes
 from service.records.levels.command import AppliedCommand
 from service.records.levels.measurement import MeasurementBatch
 from service.records.operations.job import JobState, Replay
-from service.runtime.consumer import prepare
 from service.runtime.jobs.alignment_service import Aligner, AlignmentRequest
 from service.runtime.jobs.job_runner import JobRunner
 from service.runtime.jobs.replay_job import Replayer
-from service.runtime.live_feed import LiveFeed
-from service.runtime.supervisor import Supervisor
+from service.runtime.live.journal_consumer import prepare
+from service.runtime.live.live_feed import LiveFeed
+from service.runtime.live.supervisor import Supervisor
 
 PAYLOAD = FlightPayload.make(10)
 SC = "yamal-test"
@@ -316,14 +316,14 @@ def test_a_restart_after_each_piece_changes_no_row(lived_archive, opened_archive
 
 
 def test_commanded_motion_is_read_in_pages(lived, monkeypatch):
-    monkeypatch.setattr("service.runtime.consumer._INPUTS_AT_ONCE", 3)
+    monkeypatch.setattr("service.runtime.live.journal_consumer._INPUTS_AT_ONCE", 3)
     version = lived.replay(112, 135)
     live = lived.rows(Method.ROBUST, start=112, stop=135)
     assert text(lived.rows(Method.ROBUST, version)) == text(live)
 
 
 def test_pages_of_anything_but_commanded_motion_are_refused(monkeypatch):
-    monkeypatch.setattr("service.runtime.consumer._INPUTS_AT_ONCE", 1)
+    monkeypatch.setattr("service.runtime.live.journal_consumer._INPUTS_AT_ONCE", 1)
     archive = Mock()
     archive.slow_inputs_before.return_value = []
     archive.inputs.return_value = [JournalEntry(7, PlanChange(1))]

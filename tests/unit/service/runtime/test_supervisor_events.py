@@ -8,8 +8,8 @@ from service.records.inputs import AlignmentSet, SpacecraftChange
 from service.records.journal import JournalEntry
 from service.records.levels.attitude import AttitudeRow, row_without_attitude
 from service.records.levels.measurement import Measurement
-from service.runtime.live_feed import Cursor
-from service.runtime.supervisor import _result_events
+from service.runtime.live.live_feed import Cursor
+from service.runtime.live.supervisor import _result_events
 
 
 def entry(number: int) -> JournalEntry:

@@ -11,8 +11,8 @@ from service.records.levels.command import AppliedCommand
 from service.records.operations.release import InterlockHold
 from service.runtime.control.release_notifications import Tidings
 from service.runtime.control.release_service import ReleaseDesk
-from service.runtime.live_feed import LiveFeed
-from service.runtime.supervisor import Supervisor
+from service.runtime.live.live_feed import LiveFeed
+from service.runtime.live.supervisor import Supervisor
 
 
 class DataClock:

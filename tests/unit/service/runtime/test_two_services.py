@@ -6,14 +6,14 @@ from unittest.mock import Mock, patch
 
 import pytest
 
-import service.runtime.leading as leading_module
-import service.runtime.supervisor as supervisor_module
+import service.runtime.live.leadership as leading_module
+import service.runtime.live.supervisor as supervisor_module
 from db.storage import SqlStorage
 from service.errors import StorageError
 from service.runtime.alarms.alarm_service import AlarmDesk
-from service.runtime.leading import Leading
-from service.runtime.live_feed import LiveFeed
-from service.runtime.supervisor import Supervisor
+from service.runtime.live.leadership import Leading
+from service.runtime.live.live_feed import LiveFeed
+from service.runtime.live.supervisor import Supervisor
 
 
 @pytest.fixture(autouse=True)

@@ -14,7 +14,7 @@ from service.records.inputs import Operation
 from service.records.levels.attitude import Axes
 from service.records.levels.command import ReportedCommand
 from service.records.operations.release import CommandWish, EnvelopeLimits, InterlockHold, ProductForm
-from service.runtime.leading import elsewhere
+from service.runtime.live.leadership import elsewhere
 
 
 @pytest.fixture

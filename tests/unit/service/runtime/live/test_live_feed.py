@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from service.runtime.live_feed import Cursor, Dropped, FeedEvent, LiveFeed
+from service.runtime.live.live_feed import Cursor, Dropped, FeedEvent, LiveFeed
 
 pytestmark = pytest.mark.anyio
 

@@ -6,7 +6,7 @@ where they stand, and each stream reads them from the archive, as it does after 
 
 from service.ports import Storage
 from service.records.levels.measurement import Measurement
-from service.runtime.live_feed import Cursor, FeedEvent, LiveFeed
+from service.runtime.live.live_feed import Cursor, FeedEvent, LiveFeed
 
 #: entries and changes read in one go
 _AT_ONCE = 256

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-import service.runtime.fresh_rows as module
-import service.runtime.supervisor as supervisor_module
+import service.runtime.live.row_cache as module
+import service.runtime.live.supervisor as supervisor_module
 from service.records.journal import JournalEntry
 from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
-from service.runtime.fresh_rows import FreshRows
+from service.runtime.live.row_cache import FreshRows
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from service.records.journal import JournalEntry
 from service.records.levels.measurement import BatchReceipt, MeasurementBatch
-from service.runtime.row_news import is_whole, stored_rows
+from service.runtime.live.row_publisher import is_whole, stored_rows
 
 #: rows of one spacecraft, 200 bytes each at 32 carriers; fewer would not outlast a stop of a second
 _KEPT_ROWS = 16_384

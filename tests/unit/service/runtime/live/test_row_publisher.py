@@ -9,8 +9,8 @@ import pytest
 from service.records.inputs import AlignmentSet
 from service.records.journal import JournalEntry
 from service.records.levels.measurement import BatchReceipt, CarrierDetails, MeasurementBatch
-from service.runtime.live_feed import FeedEvent, LiveFeed
-from service.runtime.row_news import RowNews, stored_rows
+from service.runtime.live.live_feed import FeedEvent, LiveFeed
+from service.runtime.live.row_publisher import RowNews, stored_rows
 
 
 class Listener(LiveFeed):
@@ -165,7 +165,7 @@ def test_a_listener_that_fails_does_not_hold_up_the_writer(ground, caplog):
 
 
 def test_a_row_is_told_before_anybody_follows_the_journal(ground, monkeypatch):
-    monkeypatch.setattr("service.runtime.supervisor._POLL_S", 60.0)
+    monkeypatch.setattr("service.runtime.live.supervisor._POLL_S", 60.0)
 
     async def heard() -> list[int]:
         feed = LiveFeed()

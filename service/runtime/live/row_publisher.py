@@ -12,7 +12,7 @@ import numpy as np
 
 from service.records.journal import JournalEntry
 from service.records.levels.measurement import BatchReceipt, CarrierDetails, Measurement, MeasurementBatch
-from service.runtime.live_feed import Cursor, FeedEvent, LiveFeed
+from service.runtime.live.live_feed import Cursor, FeedEvent, LiveFeed
 
 #: rows of a batch that the writer tells of; more are a backlog, for which the writer has no time
 _ROWS_AT_ONCE = 16

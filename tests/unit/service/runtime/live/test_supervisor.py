@@ -7,14 +7,14 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-import service.runtime.supervisor as supervisor_module
+import service.runtime.live.supervisor as supervisor_module
 from service.errors import StorageError
 from service.pipeline.estimation.paper.runner import PaperRunner
 from service.records.catalogue import Release
 from service.records.inputs import Operation
 from service.records.levels.attitude import Status
 from service.records.levels.command import AppliedCommand
-from service.runtime.live_feed import LiveFeed
+from service.runtime.live.live_feed import LiveFeed
 
 
 def unnumbered(results):

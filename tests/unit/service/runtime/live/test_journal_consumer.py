@@ -10,7 +10,7 @@ from service.pipeline.config import ChainConfig
 from service.records.inputs import AlignmentSet, Correction, Operation, PlanChange, TelemetryRecord
 from service.records.journal import JournalEntry
 from service.records.levels.attitude import Axes
-from service.runtime.consumer import MOTION_KINDS, STANDING_KINDS, Documents, consume, prepare
+from service.runtime.live.journal_consumer import MOTION_KINDS, STANDING_KINDS, Documents, consume, prepare
 
 
 @pytest.fixture

@@ -23,12 +23,12 @@ from service.records.journal import JournalEntry
 from service.records.levels.attitude import AttitudeRow, CarrierState
 from service.records.levels.command import AppliedCommand, TorqueCommand
 from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
-from service.runtime.consumer import Documents, Trip, consume, prepare, trips_after, without_torque_after
-from service.runtime.fresh_rows import FreshRows
-from service.runtime.leading import Turn, always
-from service.runtime.live_feed import Cursor, FeedEvent, LiveFeed
-from service.runtime.relay import Relay
-from service.runtime.row_news import RowNews
+from service.runtime.live.follower_relay import Relay
+from service.runtime.live.journal_consumer import Documents, Trip, consume, prepare, trips_after, without_torque_after
+from service.runtime.live.leadership import Turn, always
+from service.runtime.live.live_feed import Cursor, FeedEvent, LiveFeed
+from service.runtime.live.row_cache import FreshRows
+from service.runtime.live.row_publisher import RowNews
 from service.runtime.row_watchers import ReleaseWatcher, Seen, Watcher
 
 _LOG = logging.getLogger("soo.supervisor")

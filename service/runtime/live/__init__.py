@@ -1,0 +1,1 @@
+"""Live chain: leadership, journal consumer, row publisher."""
