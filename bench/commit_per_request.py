@@ -15,7 +15,7 @@ from sqlalchemy import Engine, event
 from db.connection.engines import open_engines
 from db.encoding.segments import SegmentCache
 from db.measurements.ingest import store_batch
-from db.prepared_batch import PreparedBatch, prepare
+from db.measurements.prepared_batch import PreparedBatch, prepare
 from service.records.levels.measurement import BatchReceipt, MeasurementBatch
 
 #: as many as the framework's own pool has

@@ -16,7 +16,7 @@ import numpy as np
 from sqlalchemy import ColumnElement, Connection, LargeBinary, Select, and_, select, tuple_
 
 from db.encoding.segment_codec import CODEC, Blobs, Columns, Extras, unpack_columns, unpack_extras, unpack_powers
-from db.row_content import RowContent, row_content
+from db.measurements.row_content import RowContent, row_content
 from db.schema.tables import measurement_segment as segment_table
 from db.schema.tables import source, spacecraft
 from service.errors import StorageError

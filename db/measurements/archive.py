@@ -17,8 +17,8 @@ from db.journal_heads import journal_heads
 from db.measurements import retention, sealing
 from db.measurements.ingest_grouped import StoreBatch
 from db.measurements.measurement_pages import EVER, Chosen, MeasurementPages
+from db.measurements.prepared_batch import prepare
 from db.measurements.slow_inputs import revise_operation, store_inputs, store_operation
-from db.prepared_batch import prepare
 from db.schema.tables import carrier_plan, head, journal, operation, source
 from service.errors import InvalidInputError, NotFoundError
 from service.records.calibration import Window

@@ -15,10 +15,10 @@ from db.connection.compiled_statements import CompiledStatement
 from db.database import lock_head
 from db.encoding.measurement_details import insert_details
 from db.encoding.segments import SegmentCache
+from db.measurements.prepared_batch import PreparedBatch
 from db.measurements.row_insert import Run, insert_run
+from db.measurements.row_sorting import SortedRows, seq_at, sort_rows
 from db.measurements.sequence_numbers import MAX_JUMP, NumberedRow, SequenceNumbers, Tail, blocks_of
-from db.prepared_batch import PreparedBatch
-from db.row_sorting import SortedRows, seq_at, sort_rows
 from db.schema.tables import head, source
 from service.errors import InvalidInputError
 from service.records.levels.attitude import BoolArray, IntArray

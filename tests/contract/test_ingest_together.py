@@ -10,7 +10,7 @@ from sqlalchemy import select
 
 from db.encoding.segments import SegmentCache
 from db.measurements.ingest_grouped import StoreBatch
-from db.prepared_batch import prepare
+from db.measurements.prepared_batch import prepare
 from db.schema.tables import head, measurement, measurement_detail, sequence_interval, source
 from service.records.levels.measurement import CarrierDetails
 
