@@ -12,9 +12,9 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, func, select
 from sqlalchemy.exc import SQLAlchemyError
 
-from db.checksum_check import checked_tables
 from db.connection.storage_state import newest_revision
 from db.database import Database
+from db.maintenance.checksum_check import checked_tables
 from db.maintenance.journal_ledger import Ledger, heads_of_all, named, orphans, read_ledger
 from db.operations.audit import SqlAudit
 from db.schema.access_tables import access_key

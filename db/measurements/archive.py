@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, or_, select, update
 
-from db import checksum_check
 from db.database import Database, add_entries, beyond, count_entries, lock_head, within
 from db.encoding.json_documents import decode, decode_all, decode_input
 from db.encoding.measurement_runs import Cursor
 from db.encoding.segments import DAY_US
-from db.journal_heads import journal_heads
+from db.maintenance import checksum_check
+from db.maintenance.journal_heads import journal_heads
 from db.measurements import retention, sealing
 from db.measurements.ingest_grouped import StoreBatch
 from db.measurements.measurement_pages import EVER, Chosen, MeasurementPages
