@@ -26,7 +26,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.engine import Dialect
 
-from db.row_checksum import checksum_column
+from db.encoding.row_checksum import checksum_column
 
 metadata = MetaData()
 
@@ -155,7 +155,7 @@ measurement = Table(
     # both as db.encoding.power_codec lays them out
     Column("powers", LargeBinary, nullable=False),
     Column("flags", LargeBinary),
-    # of the row and of its details; see db.row_checksum
+    # of the row and of its details; see db.encoding.row_checksum
     Column("checksum", LargeBinary),
     Index("measurement_number", "spacecraft_key", "number", unique=True),
     sqlite_with_rowid=False,

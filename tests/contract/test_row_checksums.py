@@ -9,10 +9,10 @@ import pytest
 from sqlalchemy import select, update
 
 import db.maintenance.checksum_check
+from db.encoding.row_checksum import CHECKSUM_BYTES, checksum_of
 from db.maintenance.backup import create_backup, verify_backup
 from db.maintenance.doctor import diagnose
 from db.maintenance.restore import restore_backup
-from db.row_checksum import CHECKSUM_BYTES, checksum_of
 from db.schema.tables import attitude, checksum_backlog, measurement, metadata
 from service.ports import Outcome
 from service.records.catalogue import Method
