@@ -18,7 +18,6 @@ from service.api.access.audit_context import BASE_PATH
 from service.api.access.auth import MAY_READ
 from service.api.access.key_cache import StoredKeys
 from service.api.access.refusal_audit import Refusals
-from service.api.connections import Connections
 from service.api.context.carrier_names import CarrierNames
 from service.api.context.commit_waiter import Landings
 from service.api.context.dependencies import ApiContext, Limits
@@ -26,6 +25,7 @@ from service.api.context.epoch_limits import EpochLimits
 from service.api.context.monitoring_settings import Observation
 from service.api.context.plan_widths import PlanWidths
 from service.api.limits.body_limit import BodyLimit
+from service.api.limits.connections import Connections
 from service.api.limits.rate_limits import RateLimits
 from service.api.monitoring.access_log import RequestLog
 from service.api.monitoring.metrics import Metrics

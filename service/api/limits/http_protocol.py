@@ -10,7 +10,7 @@ from typing import Any
 from starlette.requests import HTTPConnection
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
-from service.api.connections import Connections
+from service.api.limits.connections import Connections
 from service.api.problems.problems import RETRY_AFTER_S, ProblemError, render
 
 #: request line and headers together; a bearer key and a long list of parameters take two of them

@@ -10,8 +10,8 @@ from collections.abc import Iterable, Iterator
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-from service.api.connections import Connections
 from service.api.context.dependencies import ApiContext
+from service.api.limits.connections import Connections
 from service.api.monitoring.metric_families import (
     FAMILIES,
     MAX_CARRIERS,
@@ -22,10 +22,10 @@ from service.api.monitoring.metric_families import (
 )
 from service.api.monitoring.readiness import parts_of
 from service.api.monitoring.request_metrics import DURATION_BOUNDS_S, RequestFigures
-from service.api.present import present_of
 from service.api.stream.open_streams import OpenStreams
 from service.api.views.links import links_told
 from service.api.views.newest import newest_attitude
+from service.api.views.present import present_of
 from service.errors import StorageError
 from service.records.catalogue import Method, Spacecraft
 from service.records.epoch import US_PER_S

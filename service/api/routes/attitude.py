@@ -4,12 +4,12 @@ from fastapi import APIRouter, Request, Response
 
 from service.api.context.dependencies import Context, SpacecraftId
 from service.api.context.method_parameters import WantedMethod, WantedVersion
-from service.api.present import present_of
 from service.api.protocol.paging import Page, cut_page
 from service.api.schemas.attitude import AttitudeAnswer, AttitudePage, NewestAttitudeAnswer
 from service.api.schemas.base import WindowAnswer
 from service.api.schemas.control import VerdictAnswer
 from service.api.views.newest import newest_attitude
+from service.api.views.present import present_of
 from service.ports import LIVE
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/attitude", tags=["attitude"])

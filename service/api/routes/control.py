@@ -7,11 +7,11 @@ from fastapi import APIRouter, Request
 from service.api.access.auth import MAY_APPROVE, MAY_OPERATE, CurrentPrincipal
 from service.api.access.principals import Permission, Principal
 from service.api.context.dependencies import ApiContext, Context, SpacecraftId
-from service.api.present import present_of
 from service.api.problems.problems import invalid_request
 from service.api.protocol.bodies import accepts, optional_body
 from service.api.routes.comments import log_comment
 from service.api.schemas.control import ControlAnswer, OrderDocument, SignCheckDocument
+from service.api.views.present import present_of
 from service.errors import FieldError, ForbiddenError
 from service.pipeline.control.release.events import OrderKind
 from service.records.operations.release import ControlView

@@ -4,11 +4,11 @@ from fastapi import APIRouter, Request, Response
 
 from service.api.context.dependencies import Context, SpacecraftId
 from service.api.context.method_parameters import WantedVersion
-from service.api.present import present_of
 from service.api.protocol.paging import Page, cut_page
 from service.api.schemas.base import WindowAnswer
 from service.api.schemas.control import VerdictAnswer
 from service.api.schemas.torques import NewestTorqueAnswer, TorqueAnswer, TorquePage
+from service.api.views.present import present_of
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/torques", tags=["torques"])
 

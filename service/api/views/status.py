@@ -3,11 +3,11 @@
 from typing import Any
 
 from service.api.context.dependencies import ApiContext
-from service.api.present import present_of
 from service.api.schemas.control import VerdictAnswer
 from service.api.schemas.links import LinkAnswer
 from service.api.schemas.status import StatusAnswer
 from service.api.views.links import links_told
+from service.api.views.present import present_of
 from service.pipeline.estimation.robust.attitude_rows import ADVICE
 from service.records.calibration import CalibrationState
 from service.runtime.jobs.archive_analysis import newest_advice, runnable_methods

@@ -4,7 +4,7 @@ import logging
 
 import pytest
 
-from service.api.connections import Connections
+from service.api.limits.connections import Connections
 
 
 @pytest.fixture
