@@ -29,11 +29,11 @@ from service.runtime.jobs.calibration_job import Calibrator, fitted
 from service.runtime.jobs.flight_analysis_job import FlightAnalyses, fly_thinned
 from service.runtime.jobs.job_runner import JobRunner
 from service.runtime.jobs.replay_job import Replayer
+from service.runtime.jobs.workers import Workers
 from service.runtime.live.leadership import Leading, Turn, always
 from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.supervisor import Supervisor
 from service.runtime.process_metrics import raised_descriptor_limit
-from service.runtime.workers import Workers
 from service.settings import Settings
 
 if TYPE_CHECKING:

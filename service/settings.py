@@ -33,7 +33,7 @@ from service.pipeline.config import (
 )
 from service.pipeline.control.release.settings import ReleaseSettings
 from service.records.storage.archive_upkeep import RetentionConfig, SealingConfig
-from service.runtime.workers import WorkerConfig
+from service.runtime.jobs.workers import WorkerConfig
 
 
 def _networks(value: str | None) -> str | None:

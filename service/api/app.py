@@ -37,7 +37,7 @@ from service.api.protocol.request_ids import RequestIds
 from service.api.routes import PUBLIC_ROUTERS, ROUTERS
 from service.api.stream.event_stream import StreamParts
 from service.api.stream.open_streams import OpenStreams
-from service.runtime.automatic_release import AutomaticRelease
+from service.runtime.control.automatic_release import AutomaticRelease
 
 #: answers shorter than this are sent as they are
 _PACK_FROM_BYTES = 1024

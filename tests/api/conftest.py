@@ -18,8 +18,8 @@ from service.pipeline.config import TorqueConfig
 from service.pipeline.control.release.settings import ReleaseSettings
 from service.runtime.control.release_notifications import Tidings
 from service.runtime.control.release_service import ReleaseDesk
+from service.runtime.jobs.workers import WorkerConfig, Workers
 from service.runtime.live.live_feed import LiveFeed
-from service.runtime.workers import WorkerConfig, Workers
 
 KEY = "test-key-of-the-administrator"
 #: 2026-11-21T03:00:00Z

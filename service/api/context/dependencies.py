@@ -23,9 +23,9 @@ from service.runtime.jobs.alignment_service import Aligner
 from service.runtime.jobs.calibration_job import Calibrator
 from service.runtime.jobs.flight_analysis_job import FlightAnalyses
 from service.runtime.jobs.replay_job import Replayer
+from service.runtime.jobs.workers import Workers
 from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.supervisor import Supervisor
-from service.runtime.workers import Workers
 
 #: id of a spacecraft as it stands in paths
 SPACECRAFT_ID_PATTERN = r"^[a-z0-9][a-z0-9-]{0,63}$"

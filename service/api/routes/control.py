@@ -15,7 +15,7 @@ from service.api.views.present import present_of
 from service.errors import FieldError, ForbiddenError
 from service.pipeline.control.release.events import OrderKind
 from service.records.operations.release import ControlView
-from service.runtime.automatic_release import AutomaticRelease
+from service.runtime.control.automatic_release import AutomaticRelease
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["control"])
 Ordered = Annotated[OrderDocument, optional_body(OrderDocument)]

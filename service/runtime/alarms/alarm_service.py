@@ -25,7 +25,7 @@ from service.runtime.alarms.notifications import NoticeChannels
 from service.runtime.alarms.persisted_alarms import AlarmCase
 from service.runtime.live.leadership import Turn, always, elsewhere
 from service.runtime.live.live_feed import Cursor, FeedEvent, LiveFeed
-from service.runtime.row_watchers import Seen
+from service.runtime.live.row_watchers import Seen
 
 _LOG = logging.getLogger("soo.alarms")
 

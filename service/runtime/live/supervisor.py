@@ -29,7 +29,7 @@ from service.runtime.live.leadership import Turn, always
 from service.runtime.live.live_feed import Cursor, FeedEvent, LiveFeed
 from service.runtime.live.row_cache import FreshRows
 from service.runtime.live.row_publisher import RowNews
-from service.runtime.row_watchers import ReleaseWatcher, Seen, Watcher
+from service.runtime.live.row_watchers import ReleaseWatcher, Seen, Watcher
 
 _LOG = logging.getLogger("soo.supervisor")
 

@@ -63,9 +63,9 @@ from service.runtime.jobs.calibration_job import Calibrator, fitted
 from service.runtime.jobs.flight_analysis_job import FlightAnalyses, fly_thinned
 from service.runtime.jobs.job_runner import JobRunner
 from service.runtime.jobs.replay_job import Replayer
+from service.runtime.jobs.workers import Workers
 from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.supervisor import Supervisor
-from service.runtime.workers import Workers
 
 KEY = "key-of-the-results"
 #: 2026-11-21T03:00:00Z

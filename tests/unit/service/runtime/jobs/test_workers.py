@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from service.errors import BusyError, ConflictError, InvalidInputError, UnavailableError
-from service.runtime.workers import WorkerConfig, Workers
+from service.runtime.jobs.workers import WorkerConfig, Workers
 
 pytestmark = pytest.mark.timeout(300)
 
