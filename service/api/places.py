@@ -3,7 +3,7 @@
 from service.api.problems.problems import invalid_request
 from service.api.problems.validation_errors import MAX_FAULTS
 from service.api.schemas.base import CatalogueWarning
-from service.pipeline.catalogue_checks import PlaceFindings
+from service.pipeline.inputs.catalogue_checks import PlaceFindings
 
 
 def accepted_places(found: PlaceFindings) -> list[CatalogueWarning]:

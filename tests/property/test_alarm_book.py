@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from service.pipeline.alarm_condition import Condition, Kind, Origin
 from service.pipeline.alarms.alarm_engine import AlarmBook, Readings
+from service.pipeline.alarms.condition import Condition, Kind, Origin
 from service.pipeline.alarms.limit_sets import Circumstances
 from service.records.operations.alarm import ChangeKind, Cover, Handling, Process
 from service.records.operations.alarm_limits import ConditionLimits

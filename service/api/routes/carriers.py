@@ -20,7 +20,7 @@ from service.api.schemas.carriers import (
     content_digest,
 )
 from service.formats.carrier_plan_csv import read_carrier_plan, write_carrier_plan
-from service.pipeline.catalogue_checks import check_carriers
+from service.pipeline.inputs.catalogue_checks import check_carriers
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/carriers", tags=["catalogue"])
 _CSV = "text/csv"

@@ -14,7 +14,7 @@ from service.errors import FieldError, InvalidInputError
 from service.formats.oem import read_oem
 from service.formats.orbit import ephemeris_from_nodes
 from service.formats.tle import read_tle
-from service.pipeline.catalogue_checks import contradiction_of
+from service.pipeline.inputs.catalogue_checks import contradiction_of
 from service.records.catalogue import Ephemeris
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}/ephemeris", tags=["catalogue"])

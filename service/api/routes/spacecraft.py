@@ -17,7 +17,7 @@ from service.api.protocol.merge_patch import MergePatch, patched
 from service.api.schemas.base import Answer, CatalogueWarning
 from service.api.schemas.spacecraft import SPACECRAFT_ADAPTER, SpacecraftAnswer, SpacecraftDocument
 from service.errors import ConflictError, FieldError
-from service.pipeline.catalogue_checks import Place, check_places
+from service.pipeline.inputs.catalogue_checks import Place, check_places
 
 router = APIRouter(prefix="/spacecraft", tags=["catalogue"])
 

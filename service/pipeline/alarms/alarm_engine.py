@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.pipeline.alarm_condition import Condition, Kind
 from service.pipeline.alarms import transitions as steps
+from service.pipeline.alarms.condition import Condition, Kind
 from service.pipeline.alarms.debounce import Verdict, look, outermost
 from service.pipeline.alarms.limit_sets import Circumstances, limits_in_force
 from service.pipeline.alarms.states import CoverEvent, Event

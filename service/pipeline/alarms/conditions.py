@@ -3,7 +3,7 @@
 The page docs/reference/alarms.md is made from this table.
 """
 
-from service.pipeline.alarm_condition import Condition, Kind, Origin
+from service.pipeline.alarms.condition import Condition, Kind, Origin
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.records.operations.alarm_limits import ConditionLimits
 

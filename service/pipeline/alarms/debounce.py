@@ -7,7 +7,7 @@ known (NaN) says nothing: what was about to alarm begins anew, what stands goes 
 import math
 from enum import Enum, auto
 
-from service.pipeline.alarm_condition import Kind
+from service.pipeline.alarms.condition import Kind
 from service.records.epoch import US_PER_S
 from service.records.operations.alarm_limits import ConditionLimits
 from service.records.operations.alarm_memory import Watch

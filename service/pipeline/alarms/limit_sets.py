@@ -16,7 +16,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from service.errors import FieldError
-from service.pipeline.alarm_condition import Condition, Kind
+from service.pipeline.alarms.condition import Condition, Kind
 from service.records.catalogue import CarrierPlan
 from service.records.inputs import Operation
 from service.records.operations.alarm_limits import AlarmLimits, ConditionLimits, Statement

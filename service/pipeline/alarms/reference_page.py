@@ -5,7 +5,7 @@
 
 import sys
 
-from service.pipeline.alarm_condition import Condition
+from service.pipeline.alarms.condition import Condition
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.alarms.limit_sets import DEFAULT_SETS, NORMAL
 from service.pipeline.alarms.states import diagram, tables

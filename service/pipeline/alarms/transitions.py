@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from service.pipeline.alarm_condition import Condition, Kind
+from service.pipeline.alarms.condition import Condition, Kind
 from service.pipeline.alarms.debounce import limit_of
 from service.pipeline.alarms.states import CoverEvent, Event, next_cover, next_process
 from service.records.operations.alarm import Alarm, AlarmChange, ChangeKind, Cover, Handling, Process, Severity

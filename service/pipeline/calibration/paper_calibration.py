@@ -16,9 +16,9 @@ from service.core.estimation.paper.harmonic import HarmonicFits, evaluate_harmon
 from service.core.estimation.paper.sensitivity import TurnSensitivity, fit_turn_sensitivity, level_knots
 from service.core.geometry.node_phase import latest_node_us
 from service.pipeline.calibration.geometry_rows import plan_places
+from service.pipeline.calibration.sensor_signs import report_signs
 from service.pipeline.calibration.windows import CalibrationError, CalibrationInput, phase_rad, turn_rows
 from service.pipeline.config import CalibrationConfig, CriteriaConfig
-from service.pipeline.sensor_signs import report_signs
 from service.records.calibration import (
     CalibrationResult,
     CarrierCalibration,

@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 
 from service.errors import ConflictError, FieldError, InvalidInputError, StorageError
-from service.pipeline.alarm_condition import Condition
 from service.pipeline.alarms.alarm_engine import AlarmBook, Key, Readings
+from service.pipeline.alarms.condition import Condition
 from service.pipeline.alarms.readings import RowFacts
 from service.ports import Clock, Storage
 from service.records.epoch import US_PER_S

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from service.client.backoff import Backoff
-from service.pipeline.alarm_condition import Condition
+from service.pipeline.alarms.condition import Condition
 from service.records.epoch import format_epoch
 from service.records.operations.alarm import AlarmChange, Severity
 

@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 
-from service.pipeline.alarm_condition import Condition
 from service.pipeline.alarms.alarm_engine import AlarmBook
+from service.pipeline.alarms.condition import Condition
 from service.pipeline.alarms.readings import RowReader
 from service.ports import Alarms
 from service.records.epoch import US_PER_S

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.pipeline.alarm_condition import Condition, Kind, Origin
 from service.pipeline.alarms.alarm_engine import AlarmBook, Readings
+from service.pipeline.alarms.condition import Condition, Kind, Origin
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.alarms.limit_sets import Circumstances
 from service.pipeline.alarms.transitions import told_in_words

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from service.pipeline.alarm_condition import Kind
+from service.pipeline.alarms.condition import Kind
 from service.pipeline.alarms.debounce import Verdict, limit_of, look, outermost, severity_level
 from service.records.operations.alarm_limits import ConditionLimits
 from service.records.operations.alarm_memory import Watch

@@ -4,7 +4,6 @@ Every answer about the present carries this one object.
 """
 
 from service.pipeline.control.release.control_reasons import reason_of
-
 from service.pipeline.control.release.interlock_conditions import Condition, Consequence
 from service.pipeline.control.release.interlock_states import State
 from service.records.catalogue import Release

@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 from desk_driver import GOOD, US, DeskDriver
 from scripted_desk import CONTROL
+
 from service.pipeline.control.release.control_reasons import _NEXT_STEPS, CODES, reason_of
 from service.pipeline.control.release.control_verdict import control_verdict
-
 from service.pipeline.control.release.events import OrderKind
 from service.pipeline.control.release.row_facts import facts_of_row
 from service.pipeline.control.release.settings import ReleaseSettings
