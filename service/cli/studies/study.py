@@ -18,7 +18,7 @@ from service.cli.studies.closed_loop import closed_loop
 from service.cli.studies.exit_code import ended_by_signals
 from service.cli.studies.limit_cycles import limit_cycles
 from service.cli.studies.orbital_frame import orbital_frame
-from service.cli.study_rf_attitude import rf_attitude
+from service.cli.studies.rf_attitude import rf_attitude
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from service.cli.study_published import report
+from service.cli.studies.published import report
 
 
 def rf_attitude(
