@@ -10,7 +10,6 @@ from starlette.concurrency import run_in_threadpool
 from service.api.access.auth import MAY_OPERATE
 from service.api.context.dependencies import Context, SpacecraftId
 from service.api.context.plan_widths import PlanWidths
-from service.api.places import accepted_places
 from service.api.protocol.bodies import accepts, decode, is_json, media_type, raw_body, unsupported_media
 from service.api.schemas.carriers import (
     CARRIER_PLAN_ADAPTER,
@@ -19,6 +18,7 @@ from service.api.schemas.carriers import (
     PlanReceiptAnswer,
     content_digest,
 )
+from service.api.views.places import accepted_places
 from service.formats.carrier_plan_csv import read_carrier_plan, write_carrier_plan
 from service.pipeline.inputs.catalogue_checks import check_carriers
 

@@ -10,12 +10,12 @@ from service.api.access.auth import MAY_OPERATE
 from service.api.context.dependencies import Context, SpacecraftId
 from service.api.context.epoch_limits import EpochLimits
 from service.api.context.plan_widths import PlanWidths
-from service.api.places import accepted_places
 from service.api.problems.problems import invalid_request
 from service.api.protocol.bodies import accepts, body_of
 from service.api.protocol.merge_patch import MergePatch, patched
 from service.api.schemas.base import Answer, CatalogueWarning
 from service.api.schemas.spacecraft import SPACECRAFT_ADAPTER, SpacecraftAnswer, SpacecraftDocument
+from service.api.views.places import accepted_places
 from service.errors import ConflictError, FieldError
 from service.pipeline.inputs.catalogue_checks import Place, check_places
 
