@@ -15,10 +15,10 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.estimation.filtering.attitude_filter import start, step
-from service.core.estimation.filtering.filter_model import FilterSettings, no_motion
 from service.core.estimation.filtering.filter_predict import Weather, predict
 from service.core.estimation.filtering.filter_update import innovate, update
 from service.core.estimation.filtering.kernels.kernels import ARRAYS, Kernels, compiled_kernels
+from service.core.estimation.filtering.model.filter_model import FilterSettings, no_motion
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
 from tests.fakes.filter_models import aligned, carrier_model

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from service.core.estimation.filtering.filter_model import CarrierModel
-from service.core.estimation.filtering.filter_state import Gaussian, initial_gaussian
+from service.core.estimation.filtering.model.filter_model import CarrierModel
+from service.core.estimation.filtering.model.filter_state import Gaussian, initial_gaussian
 
 MINUTE_US = 60_000_000
 

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from service.core.estimation.filtering.attitude_filter import start, step
-from service.core.estimation.filtering.filter_model import FilterSettings, KnownMotion, no_motion
+from service.core.estimation.filtering.model.filter_model import FilterSettings, KnownMotion, no_motion
 
 SEEDS = st.integers(0, 2**32 - 1)
 steady = settings(derandomize=True, deadline=None, max_examples=12)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from analyzer_sim.world.scenario import downlink_rain, scenario_named
-from service.core.estimation.filtering.filter_model import FilterSettings
+from service.core.estimation.filtering.model.filter_model import FilterSettings
 
 SEEDS = (1, 2)
 NIGHTLY_SEEDS = (1, 2, 3, 4, 5)

@@ -7,12 +7,12 @@ Sixteen carriers with noise as in the nominal world, rows of ten minutes that st
 import numpy as np
 import pytest
 
-from service.core.estimation.filtering.filter_model import FedForward, FilterSettings, no_motion
 from service.core.estimation.filtering.filter_predict import Weather, predict
-from service.core.estimation.filtering.filter_state import Gaussian, core_size, initial_gaussian
 from service.core.estimation.filtering.filter_update import innovate, update
-from service.core.estimation.filtering.hidden_motion import inserted
-from service.core.estimation.filtering.torque_prior import is_pushed, torque_covariance
+from service.core.estimation.filtering.model.filter_model import FedForward, FilterSettings, no_motion
+from service.core.estimation.filtering.model.filter_state import Gaussian, core_size, initial_gaussian
+from service.core.estimation.filtering.model.hidden_motion import inserted
+from service.core.estimation.filtering.model.torque_prior import is_pushed, torque_covariance
 
 STEP_US = 600_000_000
 CARRIERS = 16

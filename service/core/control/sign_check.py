@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.core.estimation.filtering.filter_model import CarrierModel, pattern_change
+from service.core.estimation.filtering.model.filter_model import CarrierModel, pattern_change
 
 FloatArray = NDArray[np.float64]
 

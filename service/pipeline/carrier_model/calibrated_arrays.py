@@ -13,7 +13,7 @@ from service.core.estimation.calibration.geometry_calibration import GeometryCal
 from service.core.estimation.calibration.geometry_columns import BEAM_SIZE, CarrierGeometry
 from service.core.estimation.calibration.geometry_prediction import response_of
 from service.core.estimation.calibration.quadratic_response import QuadraticResponse
-from service.core.estimation.filtering.filter_model import CarrierModel
+from service.core.estimation.filtering.model.filter_model import CarrierModel
 from service.core.geometry.line_of_sight import Places
 from service.pipeline.config import RobustConfig
 from service.records.calibration import CarrierCalibration

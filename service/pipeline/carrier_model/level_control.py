@@ -9,7 +9,7 @@ a row with fewer than three members tells nothing of the group.
 import numpy as np
 
 from service.core.estimation.calibration.quadratic_response import QuadraticResponse
-from service.core.estimation.filtering.filter_model import CarrierModel
+from service.core.estimation.filtering.model.filter_model import CarrierModel
 from service.pipeline.group_deviations import MIN_GROUP
 from service.records.levels.attitude import BoolArray, FloatArray, IntArray
 

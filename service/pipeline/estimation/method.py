@@ -4,7 +4,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from service.core.estimation.filtering.filter_model import CarrierModel
+from service.core.estimation.filtering.model.filter_model import CarrierModel
 from service.pipeline.inputs.knowledge import Knowledge
 from service.records.catalogue import Carrier, CarrierPlan, Method
 from service.records.journal import SlowInput

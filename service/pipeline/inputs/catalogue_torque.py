@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from service.core.estimation.filtering.filter_model import FedForward
+from service.core.estimation.filtering.model.filter_model import FedForward
 from service.pipeline.inputs.known_motion import DEG_H2_N_M, angle_inertia_kg_m2
 from service.records.catalogue import AxisTorques, Spacecraft
 from service.records.epoch import US_PER_S

@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from service.core.estimation.filtering.filter_model import KnownMotion
+from service.core.estimation.filtering.model.filter_model import KnownMotion
 from service.records.catalogue import Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.inputs import Correction

@@ -15,7 +15,7 @@ from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S
 from service.core.control.sign_check import Circumstances, Decision, Verdict, decide, weigh, wheel_decision
 from service.core.control.sign_profiles import Profile, pitch_profile, roll_profile, yaw_profile
 from service.core.control.slew_schedule import LONGEST_SHARE, AxisPulse, Drive, plan_slew
-from service.core.estimation.filtering.filter_model import CarrierModel
+from service.core.estimation.filtering.model.filter_model import CarrierModel
 from service.pipeline.control.release.settings import ReleaseSettings, microseconds
 from service.records.epoch import US_PER_S
 from service.records.inputs import TelemetryRecord

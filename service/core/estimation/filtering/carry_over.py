@@ -10,9 +10,9 @@ import numpy as np
 from service.core.estimation.filtering.carrier_faults import CarrierWatch
 from service.core.estimation.filtering.command_watch import obeyed_commands
 from service.core.estimation.filtering.common_change import Cusum
-from service.core.estimation.filtering.filter_model import BoolArray, CarrierModel, FloatArray, IntArray
 from service.core.estimation.filtering.filter_records import FilterState
-from service.core.estimation.filtering.filter_state import (
+from service.core.estimation.filtering.model.filter_model import BoolArray, CarrierModel, FloatArray, IntArray
+from service.core.estimation.filtering.model.filter_state import (
     FIRST_COMMON,
     FREE_REFERENCE_DB2,
     Gaussian,

@@ -15,17 +15,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.filter_model import (
+from service.core.estimation.filtering.filter_predict import motion_over
+from service.core.estimation.filtering.filter_update import Innovation
+from service.core.estimation.filtering.model.filter_model import (
     BoolArray,
     CarrierModel,
     FilterSettings,
     FloatArray,
     KnownMotion,
 )
-from service.core.estimation.filtering.filter_predict import motion_over
-from service.core.estimation.filtering.filter_state import ATTITUDE, RAIN, Gaussian, common_states, core_size
-from service.core.estimation.filtering.filter_update import Innovation
-from service.core.estimation.filtering.hidden_motion import hidden_transition
+from service.core.estimation.filtering.model.filter_state import ATTITUDE, RAIN, Gaussian, common_states, core_size
+from service.core.estimation.filtering.model.hidden_motion import hidden_transition
 
 #: shares that an on-board mode makes of a command: other sign, nothing, half, all, twice
 SHARES = (-1.0, 0.0, 0.5, 1.0, 2.0)

@@ -9,9 +9,9 @@ import numpy as np
 
 from service.core.estimation.filtering.carrier_faults import SAME_LEVEL_DB, CarrierWatch
 from service.core.estimation.filtering.common_change import quiet_cusum, reset_cusum
-from service.core.estimation.filtering.declared import Declared
-from service.core.estimation.filtering.filter_model import BoolArray, CarrierModel
 from service.core.estimation.filtering.filter_records import FilterState
+from service.core.estimation.filtering.model.declared import Declared
+from service.core.estimation.filtering.model.filter_model import BoolArray, CarrierModel
 from service.core.estimation.filtering.motion_watch import forget_shifts
 from service.core.estimation.filtering.rain_state import HOLD_MINUTES
 

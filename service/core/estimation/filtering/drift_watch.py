@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.filter_model import FilterSettings
-from service.core.estimation.filtering.filter_state import DRIFT, Gaussian
+from service.core.estimation.filtering.model.filter_model import FilterSettings
+from service.core.estimation.filtering.model.filter_state import DRIFT, Gaussian
 
 #: time in which the factor follows, minutes
 FOLLOW_MINUTES = 600.0

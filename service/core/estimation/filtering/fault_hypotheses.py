@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.filter_model import CarrierModel, FloatArray
-from service.core.estimation.filtering.filter_state import ATTITUDE
 from service.core.estimation.filtering.filter_update import Innovation
+from service.core.estimation.filtering.model.filter_model import CarrierModel, FloatArray
+from service.core.estimation.filtering.model.filter_state import ATTITUDE
 
 #: sizes that the causes have, one standard deviation
 JUMP_DEG = 0.3

@@ -15,14 +15,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.declared import Declared
-from service.core.estimation.filtering.filter_model import (
+from service.core.estimation.filtering.kernels.kernels import ARRAYS, Kernels
+from service.core.estimation.filtering.model.declared import Declared
+from service.core.estimation.filtering.model.filter_model import (
     CarrierModel,
     FilterSettings,
     FloatArray,
     KnownMotion,
 )
-from service.core.estimation.filtering.filter_state import (
+from service.core.estimation.filtering.model.filter_state import (
     ATTITUDE,
     CHAIN,
     DRIFT,
@@ -32,8 +33,7 @@ from service.core.estimation.filtering.filter_state import (
     hidden_count,
     reference_states,
 )
-from service.core.estimation.filtering.hidden_motion import add_scale_noise, hidden_noise, hidden_transition
-from service.core.estimation.filtering.kernels.kernels import ARRAYS, Kernels
+from service.core.estimation.filtering.model.hidden_motion import add_scale_noise, hidden_noise, hidden_transition
 
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(10)
 #: below this product of rate and time the quotients of exponentials lose digits

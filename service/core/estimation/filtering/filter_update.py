@@ -14,8 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.filter_model import CarrierModel, FloatArray, IntArray, pattern_change
-from service.core.estimation.filtering.filter_state import (
+from service.core.estimation.filtering.kernels.kernels import ARRAYS, Kernels
+from service.core.estimation.filtering.model.filter_model import CarrierModel, FloatArray, IntArray, pattern_change
+from service.core.estimation.filtering.model.filter_state import (
     ATTITUDE,
     CHAIN,
     RAIN,
@@ -24,7 +25,6 @@ from service.core.estimation.filtering.filter_state import (
     core_size,
     hidden_count,
 )
-from service.core.estimation.filtering.kernels.kernels import ARRAYS, Kernels
 
 #: an update that moves the attitude by more than this is linearised again where it leads, deg
 _RELINEARISE_DEG = 0.05

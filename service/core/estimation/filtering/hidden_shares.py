@@ -7,17 +7,17 @@ commands derives.
 import numpy as np
 
 from service.core.estimation.filtering.command_watch import obeyed_commands
-from service.core.estimation.filtering.filter_model import CarrierModel, FilterSettings
 from service.core.estimation.filtering.filter_records import FilterState
-from service.core.estimation.filtering.filter_state import Gaussian, core_size
-from service.core.estimation.filtering.hidden_motion import (
+from service.core.estimation.filtering.model.filter_model import CarrierModel, FilterSettings
+from service.core.estimation.filtering.model.filter_state import Gaussian, core_size
+from service.core.estimation.filtering.model.hidden_motion import (
     SHARE_SIGMA,
     dropped,
     inserted,
     torque_states,
     with_wider_torque,
 )
-from service.core.estimation.filtering.torque_prior import is_pushed, torque_covariance, torque_prior_deg_h2
+from service.core.estimation.filtering.model.torque_prior import is_pushed, torque_covariance, torque_prior_deg_h2
 
 
 def with_share(model: CarrierModel, state: FilterState, shares: int) -> FilterState:

@@ -5,7 +5,7 @@ The law of this file: every condition that fails is named; nothing is latched, e
 
 from typing import NamedTuple
 
-from service.core.estimation.filtering.filter_model import FloatArray
+from service.core.estimation.filtering.model.filter_model import FloatArray
 
 #: unknowns of a row beside the carriers' own: three angles and the common level
 _UNKNOWNS = 4

@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.estimation.filtering.common_change import THRESHOLD, Cusum, push_cusum, quiet_cusum, reset_cusum
-from service.core.estimation.filtering.filter_model import BoolArray, FloatArray
 from service.core.estimation.filtering.minute_sums import MinuteSums, empty_minute, push_minute
+from service.core.estimation.filtering.model.filter_model import BoolArray, FloatArray
 
 #: minutes for which an axis is followed after an alarm
 FOLLOWED_MINUTES = 60.0

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.estimation.filtering.common_change import THRESHOLD, Cusum, push_cusum, quiet_cusum
-from service.core.estimation.filtering.filter_model import FloatArray
-from service.core.estimation.filtering.filter_state import CHAIN, RAIN, Gaussian, freed
+from service.core.estimation.filtering.model.filter_model import FloatArray
+from service.core.estimation.filtering.model.filter_state import CHAIN, RAIN, Gaussian, freed
 
 SUDDEN = 7.0
 HOLD_MINUTES = 10.0

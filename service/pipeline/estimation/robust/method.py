@@ -13,19 +13,19 @@ import numpy as np
 
 from service.core.estimation.filtering.attitude_filter import FilterState, FilterStep, start, step
 from service.core.estimation.filtering.carry_over import carry_over
-from service.core.estimation.filtering.declared import Declared
-from service.core.estimation.filtering.filter_model import FilterSettings
-from service.core.estimation.filtering.filter_state import (
+from service.core.estimation.filtering.filter_update import site_db
+from service.core.estimation.filtering.hidden_shares import with_stated_torque, with_torque
+from service.core.estimation.filtering.model.declared import Declared
+from service.core.estimation.filtering.model.filter_model import FilterSettings
+from service.core.estimation.filtering.model.filter_state import (
     ATTITUDE,
     DRIFT,
     FREE_REFERENCE_DB2,
     RATE,
     initial_gaussian,
 )
-from service.core.estimation.filtering.filter_update import site_db
-from service.core.estimation.filtering.hidden_motion import is_torque_seen, torque_states
-from service.core.estimation.filtering.hidden_shares import with_stated_torque, with_torque
-from service.core.estimation.filtering.torque_prior import wave_period_us
+from service.core.estimation.filtering.model.hidden_motion import is_torque_seen, torque_states
+from service.core.estimation.filtering.model.torque_prior import wave_period_us
 from service.core.estimation.snapshot.snapshot import Snapshots, solve_snapshots
 from service.pipeline.carrier_model.level_control import without_group_gain
 from service.pipeline.config import ChainConfig

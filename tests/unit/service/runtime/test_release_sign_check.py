@@ -6,7 +6,7 @@ from desk_driver import GOOD, US, DeskDriver
 from release_storage import SC
 from sign_world import payload
 
-from service.core.estimation.filtering.filter_model import pattern_change
+from service.core.estimation.filtering.model.filter_model import pattern_change
 from service.errors import ConflictError, InvalidInputError
 from service.pipeline.control.release.command_states import Life
 from service.pipeline.control.release.events import OrderKind

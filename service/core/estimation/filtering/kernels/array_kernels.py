@@ -6,13 +6,13 @@ its own, which `turn` and `grow` then change in place; nothing else is written.
 
 import numpy as np
 
-from service.core.estimation.filtering.filter_model import (
+from service.core.estimation.filtering.model.filter_model import (
     FloatArray,
     IntArray,
     model_error_component,
     model_variance_db2,
 )
-from service.core.estimation.filtering.filter_state import ATTITUDE, CHAIN, FIRST_COMMON, RAIN
+from service.core.estimation.filtering.model.filter_state import ATTITUDE, CHAIN, FIRST_COMMON, RAIN
 
 #: attitude, drifts and rates move into one another
 _MOVING = 9

@@ -12,8 +12,8 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
 
-from service.core.estimation.filtering.filter_model import FloatArray, IntArray
 from service.core.estimation.filtering.kernels import array_kernels, loop_kernels
+from service.core.estimation.filtering.model.filter_model import FloatArray, IntArray
 
 
 class Kernels(NamedTuple):

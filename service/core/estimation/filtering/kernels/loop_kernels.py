@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from service.core.estimation.filtering.filter_model import MODEL_ERROR_TAU_S, FloatArray, IntArray
+from service.core.estimation.filtering.model.filter_model import MODEL_ERROR_TAU_S, FloatArray, IntArray
 
 # places of the core states; numba wants numbers where the rest of the filter has slices
 _MOVING = 9

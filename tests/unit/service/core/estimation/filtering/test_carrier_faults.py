@@ -15,7 +15,7 @@ from service.core.estimation.filtering.carrier_faults import (
     trusted_white_db2,
     watch_flagged,
 )
-from service.core.estimation.filtering.filter_state import reference_states
+from service.core.estimation.filtering.model.filter_state import reference_states
 
 EVERYONE = np.arange(6)
 

@@ -5,8 +5,8 @@ import pytest
 
 from service.core.estimation.filtering.attitude_filter import start, step
 from service.core.estimation.filtering.carry_over import carry_over
-from service.core.estimation.filtering.filter_model import CarrierModel, FilterSettings, no_motion
-from service.core.estimation.filtering.filter_state import ATTITUDE, FREE_REFERENCE_DB2, carrier_states
+from service.core.estimation.filtering.model.filter_model import CarrierModel, FilterSettings, no_motion
+from service.core.estimation.filtering.model.filter_state import ATTITUDE, FREE_REFERENCE_DB2, carrier_states
 
 MINUTE_US = 60_000_000
 SETTINGS = FilterSettings()

@@ -13,8 +13,8 @@ from service.core.estimation.filtering.command_watch import (
     pass_commands,
     push_row,
 )
-from service.core.estimation.filtering.filter_model import FilterSettings, KnownMotion, no_motion, pattern_change
 from service.core.estimation.filtering.filter_update import innovate, update
+from service.core.estimation.filtering.model.filter_model import FilterSettings, KnownMotion, no_motion, pattern_change
 
 MINUTE_US = 60_000_000
 CARRIERS = 16

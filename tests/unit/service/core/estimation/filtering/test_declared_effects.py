@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from service.core.estimation.filtering.attitude_filter import start, step
-from service.core.estimation.filtering.declared import Declared, nothing_declared
-from service.core.estimation.filtering.filter_model import FilterSettings, no_motion, pattern_change
-from service.core.estimation.filtering.filter_state import CHAIN
+from service.core.estimation.filtering.model.declared import Declared, nothing_declared
+from service.core.estimation.filtering.model.filter_model import FilterSettings, no_motion, pattern_change
+from service.core.estimation.filtering.model.filter_state import CHAIN
 
 MINUTE_US = 60_000_000
 CARRIERS = 16

@@ -10,8 +10,8 @@ from service.core.estimation.filtering.drift_watch import (
     scaled_settings,
     usual_drift,
 )
-from service.core.estimation.filtering.filter_model import FilterSettings
-from service.core.estimation.filtering.filter_state import DRIFT, Gaussian
+from service.core.estimation.filtering.model.filter_model import FilterSettings
+from service.core.estimation.filtering.model.filter_state import DRIFT, Gaussian
 
 SETTINGS = FilterSettings()
 SIGMA = np.array(SETTINGS.drift_deg_h)

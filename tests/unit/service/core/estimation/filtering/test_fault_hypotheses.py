@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from service.core.estimation.filtering.fault_hypotheses import Cause, choose_cause
-from service.core.estimation.filtering.filter_model import pattern_change
 from service.core.estimation.filtering.filter_update import innovate
+from service.core.estimation.filtering.model.filter_model import pattern_change
 
 CARRIERS = 16
 EVERYONE = np.arange(CARRIERS)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from service.core.estimation.filtering.declared import nothing_declared
-from service.core.estimation.filtering.filter_model import FilterSettings, KnownMotion, no_motion
 from service.core.estimation.filtering.filter_predict import Weather, motion_over, predict
-from service.core.estimation.filtering.filter_state import (
+from service.core.estimation.filtering.model.declared import nothing_declared
+from service.core.estimation.filtering.model.filter_model import FilterSettings, KnownMotion, no_motion
+from service.core.estimation.filtering.model.filter_state import (
     ATTITUDE,
     CHAIN,
     DRIFT,

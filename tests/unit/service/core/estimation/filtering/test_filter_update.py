@@ -2,10 +2,17 @@
 
 import numpy as np
 
-from service.core.estimation.filtering.filter_model import FilterSettings, no_motion, pattern_change
 from service.core.estimation.filtering.filter_predict import Weather, predict
-from service.core.estimation.filtering.filter_state import ATTITUDE, CHAIN, RAIN, Gaussian, carrier_states, core_size
 from service.core.estimation.filtering.filter_update import expected_db, innovate, site_db, update
+from service.core.estimation.filtering.model.filter_model import FilterSettings, no_motion, pattern_change
+from service.core.estimation.filtering.model.filter_state import (
+    ATTITUDE,
+    CHAIN,
+    RAIN,
+    Gaussian,
+    carrier_states,
+    core_size,
+)
 
 
 def walked(model, aligned, rows=30):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.core.estimation.filtering.filter_state import CHAIN, RAIN
+from service.core.estimation.filtering.model.filter_state import CHAIN, RAIN
 from service.core.estimation.filtering.rain_state import (
     HOLD_MINUTES,
     common_fell,

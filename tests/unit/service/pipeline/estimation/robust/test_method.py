@@ -7,7 +7,7 @@ import pytest
 from geometry_flight import MINUTE, Flight, FlightPayload
 from stepped_robust import ALIGNED_US, CONFIG, PAYLOAD, Stepped
 
-from service.core.estimation.filtering.filter_state import FREE_REFERENCE_DB2
+from service.core.estimation.filtering.model.filter_state import FREE_REFERENCE_DB2
 from service.pipeline.estimation.robust.method import carried_state, rates_deg_s
 from service.pipeline.estimation.robust.model import robust_model
 from service.records.calibration import CalibrationMethod

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from geometry_flight import CITIES, HOUR, INERTIA, START_US, FlightPayload, S
 
-from service.core.estimation.filtering.torque_prior import torque_prior_deg_h2
+from service.core.estimation.filtering.model.torque_prior import torque_prior_deg_h2
 from service.pipeline.config import ChainConfig, InterlockConfig, RobustConfig
 from service.pipeline.estimation.robust.model import robust_model, signals
 from service.pipeline.inputs.knowledge import Knowledge

@@ -4,13 +4,18 @@ import numpy as np
 import pytest
 
 from service.core.estimation.filtering.attitude_filter import start, step
-from service.core.estimation.filtering.filter_model import FilterSettings, KnownMotion, model_variance_db2, no_motion
 from service.core.estimation.filtering.filter_predict import Weather, predict
-from service.core.estimation.filtering.filter_state import core_size
 from service.core.estimation.filtering.filter_update import innovate, update
-from service.core.estimation.filtering.hidden_motion import inserted
 from service.core.estimation.filtering.kernels import loop_kernels
 from service.core.estimation.filtering.kernels.kernels import ARRAYS, Kernels, compiled_kernels
+from service.core.estimation.filtering.model.filter_model import (
+    FilterSettings,
+    KnownMotion,
+    model_variance_db2,
+    no_motion,
+)
+from service.core.estimation.filtering.model.filter_state import core_size
+from service.core.estimation.filtering.model.hidden_motion import inserted
 
 #: the first run after a change of the loops compiles them: six seconds of an idle processor
 MINUTE_US = 60_000_000

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from service.core.estimation.filtering.filter_model import (
+from service.core.estimation.filtering.model.filter_model import (
     model_error_component,
     model_variance_db2,
     no_motion,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from service.core.estimation.filtering.filter_state import (
+from service.core.estimation.filtering.model.filter_state import (
     ATTITUDE,
     carrier_states,
     core_size,

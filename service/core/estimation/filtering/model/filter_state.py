@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.filter_model import CarrierModel, FloatArray, IntArray
+from service.core.estimation.filtering.model.filter_model import CarrierModel, FloatArray, IntArray
 
 #: places of the core states
 ATTITUDE = slice(0, 3)

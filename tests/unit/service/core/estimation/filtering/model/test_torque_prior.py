@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from service.core.estimation.filtering.attitude_filter import start
-from service.core.estimation.filtering.filter_model import FedForward, FilterSettings, no_motion
 from service.core.estimation.filtering.filter_predict import Weather, predict
-from service.core.estimation.filtering.filter_state import core_size, initial_gaussian
-from service.core.estimation.filtering.hidden_motion import hidden_transition, torque_states
 from service.core.estimation.filtering.hidden_shares import with_stated_torque, with_torque
-from service.core.estimation.filtering.torque_prior import (
+from service.core.estimation.filtering.model.filter_model import FedForward, FilterSettings, no_motion
+from service.core.estimation.filtering.model.filter_state import core_size, initial_gaussian
+from service.core.estimation.filtering.model.hidden_motion import hidden_transition, torque_states
+from service.core.estimation.filtering.model.torque_prior import (
     DAY_US,
     TORQUES,
     is_pushed,

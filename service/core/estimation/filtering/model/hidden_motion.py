@@ -18,15 +18,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.filter_model import (
+from service.core.estimation.filtering.model.filter_model import (
     BoolArray,
     CarrierModel,
     FilterSettings,
     FloatArray,
     KnownMotion,
 )
-from service.core.estimation.filtering.filter_state import RATE, Gaussian, common_states, hidden_count
-from service.core.estimation.filtering.torque_prior import (
+from service.core.estimation.filtering.model.filter_state import RATE, Gaussian, common_states, hidden_count
+from service.core.estimation.filtering.model.torque_prior import (
     TORQUES,
     scale_covariance,
     torque_prior_deg_h2,

@@ -5,23 +5,23 @@ import pytest
 from scipy.linalg import expm
 
 from service.core.estimation.filtering.attitude_filter import start, step
-from service.core.estimation.filtering.filter_model import FilterSettings, KnownMotion, no_motion, pattern_change
 from service.core.estimation.filtering.filter_predict import Weather, predict
-from service.core.estimation.filtering.filter_state import core_size, hidden_count, initial_gaussian
-from service.core.estimation.filtering.hidden_motion import (
-    dropped,
-    hidden_transition,
-    inserted,
-    torque_states,
-    with_doubted_torque,
-)
 from service.core.estimation.filtering.hidden_shares import (
     with_share,
     with_stated_torque,
     with_torque,
     without_shares,
 )
-from service.core.estimation.filtering.torque_prior import TORQUES, torque_prior_deg_h2
+from service.core.estimation.filtering.model.filter_model import FilterSettings, KnownMotion, no_motion, pattern_change
+from service.core.estimation.filtering.model.filter_state import core_size, hidden_count, initial_gaussian
+from service.core.estimation.filtering.model.hidden_motion import (
+    dropped,
+    hidden_transition,
+    inserted,
+    torque_states,
+    with_doubted_torque,
+)
+from service.core.estimation.filtering.model.torque_prior import TORQUES, torque_prior_deg_h2
 
 MINUTE_US, HOUR_US, DAY_US = 60_000_000, 3_600_000_000, 86_400_000_000
 CARRIERS = 16
