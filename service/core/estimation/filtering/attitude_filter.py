@@ -9,13 +9,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.carrier_faults import (
+from service.core.estimation.filtering.causes.carrier_faults import (
     SAME_LEVEL_DB,
     count_absence,
     count_skips,
     flag_failed,
     push_carrier_values,
 )
+from service.core.estimation.filtering.causes.fault_hypotheses import Cause, Chooser, choose_cause
+from service.core.estimation.filtering.causes.rain_state import pass_hold, pass_minutes
 from service.core.estimation.filtering.command_watch import (
     believed_motion,
     doubting_settings,
@@ -25,7 +27,6 @@ from service.core.estimation.filtering.command_watch import (
 )
 from service.core.estimation.filtering.declared_effects import is_chain_worked, with_declared
 from service.core.estimation.filtering.drift_watch import push_drift, scaled_settings
-from service.core.estimation.filtering.fault_hypotheses import Cause, Chooser, choose_cause
 from service.core.estimation.filtering.filter_predict import Weather, predict
 from service.core.estimation.filtering.filter_records import FilterState, FilterStep, start
 from service.core.estimation.filtering.filter_update import innovate, update
@@ -44,7 +45,6 @@ from service.core.estimation.filtering.model.filter_state import ATTITUDE, CHAIN
 from service.core.estimation.filtering.model.hidden_motion import with_doubted_torque
 from service.core.estimation.filtering.model.torque_prior import is_pushed
 from service.core.estimation.filtering.motion_watch import newly_explained, pass_motion
-from service.core.estimation.filtering.rain_state import pass_hold, pass_minutes
 from service.core.estimation.filtering.row_stages import common_first, is_shared, moved, trusted, watched
 
 __all__ = ["MIN_CARRIERS", "FilterState", "FilterStep", "start", "step"]

@@ -7,13 +7,13 @@ Steps too small to be told from noise, of which an operation that lasts makes on
 
 import numpy as np
 
-from service.core.estimation.filtering.carrier_faults import SAME_LEVEL_DB, CarrierWatch
-from service.core.estimation.filtering.common_change import quiet_cusum, reset_cusum
+from service.core.estimation.filtering.causes.carrier_faults import SAME_LEVEL_DB, CarrierWatch
+from service.core.estimation.filtering.causes.common_change import quiet_cusum, reset_cusum
+from service.core.estimation.filtering.causes.rain_state import HOLD_MINUTES
 from service.core.estimation.filtering.filter_records import FilterState
 from service.core.estimation.filtering.model.declared import Declared
 from service.core.estimation.filtering.model.filter_model import BoolArray, CarrierModel
 from service.core.estimation.filtering.motion_watch import forget_shifts
-from service.core.estimation.filtering.rain_state import HOLD_MINUTES
 
 #: smallest declared step of an attitude that the watch on motion must not take for its own, deg
 _STEP_DEG = 0.05

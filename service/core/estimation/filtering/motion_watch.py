@@ -13,7 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.common_change import THRESHOLD, Cusum, push_cusum, quiet_cusum, reset_cusum
+from service.core.estimation.filtering.causes.common_change import (
+    THRESHOLD,
+    Cusum,
+    push_cusum,
+    quiet_cusum,
+    reset_cusum,
+)
 from service.core.estimation.filtering.minute_sums import MinuteSums, empty_minute, push_minute
 from service.core.estimation.filtering.model.filter_model import BoolArray, FloatArray
 

@@ -7,9 +7,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.carrier_faults import SKIPPED, release_quiet, trusted_white_db2, watch_flagged
-from service.core.estimation.filtering.common_cause import common_innovation, find_cause, widen
-from service.core.estimation.filtering.fault_hypotheses import Cause, Choice, Chooser
+from service.core.estimation.filtering.causes.carrier_faults import (
+    SKIPPED,
+    release_quiet,
+    trusted_white_db2,
+    watch_flagged,
+)
+from service.core.estimation.filtering.causes.common_cause import common_innovation, find_cause, widen
+from service.core.estimation.filtering.causes.fault_hypotheses import Cause, Choice, Chooser
+from service.core.estimation.filtering.causes.rain_state import push_common
 from service.core.estimation.filtering.filter_records import FilterState
 from service.core.estimation.filtering.filter_update import Innovation, Updated, site_db
 from service.core.estimation.filtering.minute_sums import empty_minute, push_minute
@@ -17,7 +23,6 @@ from service.core.estimation.filtering.model.filter_model import BoolArray, Carr
 from service.core.estimation.filtering.model.filter_state import CHAIN
 from service.core.estimation.filtering.motion_watch import MotionWatch, follow_all, forget_shifts, push_shift
 from service.core.estimation.filtering.noise_watch import push_values
-from service.core.estimation.filtering.rain_state import push_common
 
 
 class Heard(NamedTuple):

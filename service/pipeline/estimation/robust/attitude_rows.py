@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.estimation.filtering.attitude_filter import MIN_CARRIERS, FilterStep
-from service.core.estimation.filtering.carrier_faults import QUIET_ROWS, QUIET_STD_DB
+from service.core.estimation.filtering.causes.carrier_faults import QUIET_ROWS, QUIET_STD_DB
 from service.core.estimation.filtering.filter_update import site_db
 from service.core.estimation.filtering.model.declared import Declared
 from service.core.estimation.filtering.model.filter_state import common_states

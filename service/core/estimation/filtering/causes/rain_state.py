@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.common_change import THRESHOLD, Cusum, push_cusum, quiet_cusum
+from service.core.estimation.filtering.causes.common_change import THRESHOLD, Cusum, push_cusum, quiet_cusum
 from service.core.estimation.filtering.model.filter_model import FloatArray
 from service.core.estimation.filtering.model.filter_state import CHAIN, RAIN, Gaussian, freed
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from service.core.estimation.filtering.common_change import (
+from service.core.estimation.filtering.causes.common_change import (
     THRESHOLD,
     common_value,
     push_cusum,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.core.estimation.filtering.fault_hypotheses import Cause, choose_cause
+from service.core.estimation.filtering.causes.fault_hypotheses import Cause, choose_cause
 from service.core.estimation.filtering.filter_update import innovate
 from service.core.estimation.filtering.model.filter_model import pattern_change
 

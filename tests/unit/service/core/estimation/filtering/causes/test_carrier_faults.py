@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.core.estimation.filtering.carrier_faults import (
+from service.core.estimation.filtering.causes.carrier_faults import (
     MIN_BACK_MINUTES,
     QUIET_ROWS,
     STANDING_ROWS,

@@ -9,9 +9,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.filtering.carrier_faults import CarrierWatch
-from service.core.estimation.filtering.common_change import common_value, quiet_cusum
-from service.core.estimation.filtering.fault_hypotheses import GROUP_STEP_DB, JUMP_DEG, Cause, Choice, Chooser
+from service.core.estimation.filtering.causes.carrier_faults import CarrierWatch
+from service.core.estimation.filtering.causes.common_change import common_value, quiet_cusum
+from service.core.estimation.filtering.causes.fault_hypotheses import GROUP_STEP_DB, JUMP_DEG, Cause, Choice, Chooser
+from service.core.estimation.filtering.causes.rain_state import (
+    SUDDEN,
+    RainWatch,
+    common_fell,
+    common_rose,
+    is_down,
+    is_up,
+)
 from service.core.estimation.filtering.filter_update import Innovation
 from service.core.estimation.filtering.model.filter_model import CarrierModel
 from service.core.estimation.filtering.model.filter_state import (
@@ -21,7 +29,6 @@ from service.core.estimation.filtering.model.filter_state import (
     hidden_count,
     reference_states,
 )
-from service.core.estimation.filtering.rain_state import SUDDEN, RainWatch, common_fell, common_rose, is_down, is_up
 
 #: carriers beyond this many sigma are suspects; this many at once have a common cause
 _SUSPECT = 3.0

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from service.core.estimation.filtering.model.filter_state import CHAIN, RAIN
-from service.core.estimation.filtering.rain_state import (
+from service.core.estimation.filtering.causes.rain_state import (
     HOLD_MINUTES,
     common_fell,
     common_rose,
@@ -15,6 +14,7 @@ from service.core.estimation.filtering.rain_state import (
     pass_minutes,
     push_common,
 )
+from service.core.estimation.filtering.model.filter_state import CHAIN, RAIN
 
 
 @pytest.fixture

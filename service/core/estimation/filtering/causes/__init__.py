@@ -1,0 +1,1 @@
+"""Causes of a changed level: one carrier, a transponder, rain, the receiving chain."""
