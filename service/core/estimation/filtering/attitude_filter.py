@@ -18,19 +18,10 @@ from service.core.estimation.filtering.causes.carrier_faults import (
 )
 from service.core.estimation.filtering.causes.fault_hypotheses import Cause, Chooser, choose_cause
 from service.core.estimation.filtering.causes.rain_state import pass_hold, pass_minutes
-from service.core.estimation.filtering.command_watch import (
-    believed_motion,
-    doubting_settings,
-    judge_commands,
-    pass_commands,
-    push_row,
-)
 from service.core.estimation.filtering.declared_effects import is_chain_worked, with_declared
-from service.core.estimation.filtering.drift_watch import push_drift, scaled_settings
 from service.core.estimation.filtering.filter_predict import Weather, predict
 from service.core.estimation.filtering.filter_records import FilterState, FilterStep, start
 from service.core.estimation.filtering.filter_update import innovate, update
-from service.core.estimation.filtering.integrity import Evidence, IntegrityLimits, assess
 from service.core.estimation.filtering.kernels.kernels import ARRAYS, Kernels
 from service.core.estimation.filtering.model.declared import Declared
 from service.core.estimation.filtering.model.filter_model import (
@@ -44,8 +35,17 @@ from service.core.estimation.filtering.model.filter_model import (
 from service.core.estimation.filtering.model.filter_state import ATTITUDE, CHAIN, RAIN, hidden_count
 from service.core.estimation.filtering.model.hidden_motion import with_doubted_torque
 from service.core.estimation.filtering.model.torque_prior import is_pushed
-from service.core.estimation.filtering.motion_watch import newly_explained, pass_motion
 from service.core.estimation.filtering.row_stages import common_first, is_shared, moved, trusted, watched
+from service.core.estimation.filtering.watches.command_watch import (
+    believed_motion,
+    doubting_settings,
+    judge_commands,
+    pass_commands,
+    push_row,
+)
+from service.core.estimation.filtering.watches.drift_watch import push_drift, scaled_settings
+from service.core.estimation.filtering.watches.integrity import Evidence, IntegrityLimits, assess
+from service.core.estimation.filtering.watches.motion_watch import newly_explained, pass_motion
 
 __all__ = ["MIN_CARRIERS", "FilterState", "FilterStep", "start", "step"]
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from service.core.estimation.filtering.causes.carrier_faults import CarrierWatch
 from service.core.estimation.filtering.causes.common_change import Cusum
-from service.core.estimation.filtering.command_watch import obeyed_commands
 from service.core.estimation.filtering.filter_records import FilterState
 from service.core.estimation.filtering.model.filter_model import BoolArray, CarrierModel, FloatArray, IntArray
 from service.core.estimation.filtering.model.filter_state import (
@@ -21,6 +20,7 @@ from service.core.estimation.filtering.model.filter_state import (
     core_size,
     hidden_count,
 )
+from service.core.estimation.filtering.watches.command_watch import obeyed_commands
 
 
 def carry_over(

@@ -13,7 +13,7 @@ from service.core.estimation.filtering.causes.rain_state import HOLD_MINUTES
 from service.core.estimation.filtering.filter_records import FilterState
 from service.core.estimation.filtering.model.declared import Declared
 from service.core.estimation.filtering.model.filter_model import BoolArray, CarrierModel
-from service.core.estimation.filtering.motion_watch import forget_shifts
+from service.core.estimation.filtering.watches.motion_watch import forget_shifts
 
 #: smallest declared step of an attitude that the watch on motion must not take for its own, deg
 _STEP_DEG = 0.05

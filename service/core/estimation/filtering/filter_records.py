@@ -10,14 +10,14 @@ import numpy as np
 from service.core.estimation.filtering.causes.carrier_faults import CarrierWatch, healthy
 from service.core.estimation.filtering.causes.fault_hypotheses import Cause
 from service.core.estimation.filtering.causes.rain_state import RainWatch, dry_watch
-from service.core.estimation.filtering.command_watch import CommandWatch, obeyed_commands
-from service.core.estimation.filtering.drift_watch import DriftWatch, usual_drift
-from service.core.estimation.filtering.integrity import Integrity
-from service.core.estimation.filtering.minute_sums import MinuteSums, empty_minute
 from service.core.estimation.filtering.model.filter_model import CarrierModel, FloatArray, IntArray
 from service.core.estimation.filtering.model.filter_state import Gaussian
-from service.core.estimation.filtering.motion_watch import MotionWatch, still_watch
-from service.core.estimation.filtering.noise_watch import NoiseWatch, calm_watch
+from service.core.estimation.filtering.watches.command_watch import CommandWatch, obeyed_commands
+from service.core.estimation.filtering.watches.drift_watch import DriftWatch, usual_drift
+from service.core.estimation.filtering.watches.integrity import Integrity
+from service.core.estimation.filtering.watches.minute_sums import MinuteSums, empty_minute
+from service.core.estimation.filtering.watches.motion_watch import MotionWatch, still_watch
+from service.core.estimation.filtering.watches.noise_watch import NoiseWatch, calm_watch
 
 
 class FilterState(NamedTuple):

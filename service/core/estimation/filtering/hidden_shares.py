@@ -6,7 +6,6 @@ commands derives.
 
 import numpy as np
 
-from service.core.estimation.filtering.command_watch import obeyed_commands
 from service.core.estimation.filtering.filter_records import FilterState
 from service.core.estimation.filtering.model.filter_model import CarrierModel, FilterSettings
 from service.core.estimation.filtering.model.filter_state import Gaussian, core_size
@@ -18,6 +17,7 @@ from service.core.estimation.filtering.model.hidden_motion import (
     with_wider_torque,
 )
 from service.core.estimation.filtering.model.torque_prior import is_pushed, torque_covariance, torque_prior_deg_h2
+from service.core.estimation.filtering.watches.command_watch import obeyed_commands
 
 
 def with_share(model: CarrierModel, state: FilterState, shares: int) -> FilterState:

@@ -18,11 +18,11 @@ from service.core.estimation.filtering.causes.fault_hypotheses import Cause, Cho
 from service.core.estimation.filtering.causes.rain_state import push_common
 from service.core.estimation.filtering.filter_records import FilterState
 from service.core.estimation.filtering.filter_update import Innovation, Updated, site_db
-from service.core.estimation.filtering.minute_sums import empty_minute, push_minute
 from service.core.estimation.filtering.model.filter_model import BoolArray, CarrierModel, FloatArray
 from service.core.estimation.filtering.model.filter_state import CHAIN
-from service.core.estimation.filtering.motion_watch import MotionWatch, follow_all, forget_shifts, push_shift
-from service.core.estimation.filtering.noise_watch import push_values
+from service.core.estimation.filtering.watches.minute_sums import empty_minute, push_minute
+from service.core.estimation.filtering.watches.motion_watch import MotionWatch, follow_all, forget_shifts, push_shift
+from service.core.estimation.filtering.watches.noise_watch import push_values
 
 
 class Heard(NamedTuple):

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.core.estimation.calibration.quadratic_response import QuadraticResponse, predict_deviation
-from service.core.estimation.filtering.integrity import IntegrityLimits
 from service.core.estimation.filtering.model.filter_model import CarrierModel, FilterSettings
 from service.core.estimation.filtering.model.torque_prior import is_pushed
+from service.core.estimation.filtering.watches.integrity import IntegrityLimits
 from service.core.estimation.snapshot.snapshot_start import subset_orders
 from service.pipeline.carrier_model.calibrated_arrays import GeometryModel, carrier_model, geometry_model
 from service.pipeline.carrier_model.expected_level import ExpectedLevel, daily_error_db

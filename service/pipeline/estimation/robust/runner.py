@@ -5,9 +5,9 @@ from functools import partial
 
 import numpy as np
 
-from service.core.estimation.filtering.command_watch import missed_log_ratio, share_log_ratio
 from service.core.estimation.filtering.model.filter_state import core_size
 from service.core.estimation.filtering.model.hidden_motion import SHARE_SIGMA
+from service.core.estimation.filtering.watches.command_watch import missed_log_ratio, share_log_ratio
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.method import CalibratedColumns, CarrierLevels, CommandEvidence
 from service.pipeline.estimation.robust.method import (

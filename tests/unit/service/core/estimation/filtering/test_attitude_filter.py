@@ -5,9 +5,9 @@ import pytest
 
 from service.core.estimation.filtering.attitude_filter import start, step
 from service.core.estimation.filtering.causes.fault_hypotheses import Cause, Choice
-from service.core.estimation.filtering.integrity import IntegrityLimits
 from service.core.estimation.filtering.model.filter_model import FilterSettings, KnownMotion, no_motion, pattern_change
 from service.core.estimation.filtering.model.filter_state import CHAIN
+from service.core.estimation.filtering.watches.integrity import IntegrityLimits
 
 MINUTE_US = 60_000_000
 CARRIERS = 16

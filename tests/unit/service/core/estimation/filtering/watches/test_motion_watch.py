@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from service.core.estimation.filtering.motion_watch import (
+from service.core.estimation.filtering.watches.motion_watch import (
     FOLLOWED_MINUTES,
     follow_all,
     forget_shifts,

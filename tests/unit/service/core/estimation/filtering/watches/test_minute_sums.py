@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from service.core.estimation.filtering.minute_sums import empty_minute, push_minute
+from service.core.estimation.filtering.watches.minute_sums import empty_minute, push_minute
 
 
 def test_rows_a_minute_apart_are_minutes_each():

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from service.core.estimation.filtering.attitude_filter import start, step
-from service.core.estimation.filtering.command_watch import (
+from service.core.estimation.filtering.filter_update import innovate, update
+from service.core.estimation.filtering.model.filter_model import FilterSettings, KnownMotion, no_motion, pattern_change
+from service.core.estimation.filtering.watches.command_watch import (
     CommandWatch,
     believed_motion,
     judge_commands,
@@ -13,8 +15,6 @@ from service.core.estimation.filtering.command_watch import (
     pass_commands,
     push_row,
 )
-from service.core.estimation.filtering.filter_update import innovate, update
-from service.core.estimation.filtering.model.filter_model import FilterSettings, KnownMotion, no_motion, pattern_change
 
 MINUTE_US = 60_000_000
 CARRIERS = 16

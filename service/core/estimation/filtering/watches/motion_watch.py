@@ -20,8 +20,8 @@ from service.core.estimation.filtering.causes.common_change import (
     quiet_cusum,
     reset_cusum,
 )
-from service.core.estimation.filtering.minute_sums import MinuteSums, empty_minute, push_minute
 from service.core.estimation.filtering.model.filter_model import BoolArray, FloatArray
+from service.core.estimation.filtering.watches.minute_sums import MinuteSums, empty_minute, push_minute
 
 #: minutes for which an axis is followed after an alarm
 FOLLOWED_MINUTES = 60.0

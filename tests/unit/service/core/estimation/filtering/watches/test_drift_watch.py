@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from service.core.estimation.filtering.drift_watch import (
+from service.core.estimation.filtering.model.filter_model import FilterSettings
+from service.core.estimation.filtering.model.filter_state import DRIFT, Gaussian
+from service.core.estimation.filtering.watches.drift_watch import (
     LARGEST,
     DriftWatch,
     push_drift,
     scaled_settings,
     usual_drift,
 )
-from service.core.estimation.filtering.model.filter_model import FilterSettings
-from service.core.estimation.filtering.model.filter_state import DRIFT, Gaussian
 
 SETTINGS = FilterSettings()
 SIGMA = np.array(SETTINGS.drift_deg_h)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from service.core.estimation.filtering.noise_watch import SLOW_LIMITS, calm_watch, push_values
+from service.core.estimation.filtering.watches.noise_watch import SLOW_LIMITS, calm_watch, push_values
 
 
 def watched(values):

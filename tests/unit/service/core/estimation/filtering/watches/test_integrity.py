@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.core.estimation.filtering.integrity import Evidence, IntegrityLimits, assess
+from service.core.estimation.filtering.watches.integrity import Evidence, IntegrityLimits, assess
 
 CALM = Evidence(np.array([0.09, 0.01, 0.02]), 16, False, False, 1.0, (False, False, False), 0, 16)
 
