@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.core.flexible.propagation import BodyState, start_leg, states_at
-from service.core.flexible.schedule_check import analyse_schedule
-from service.core.flexible.schedule_response import TorquePulse, carry_phasor, schedule_response
+from service.core.flexible.schedule.schedule_check import analyse_schedule
+from service.core.flexible.schedule.schedule_response import TorquePulse, carry_phasor, schedule_response
 from service.core.flexible.spacecraft import FlexibleMode
 
 INERTIA = 4000.0

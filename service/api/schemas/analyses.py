@@ -8,7 +8,7 @@ from pydantic import BeforeValidator, Field
 from service.api.schemas.base import Answer, Document
 from service.core.flexible.capture_analysis import CaptureAnalysis
 from service.core.flexible.limit_cycle import LimitCycleAnalysis
-from service.core.flexible.schedule_check import ScheduleCheck
+from service.core.flexible.schedule.schedule_check import ScheduleCheck
 
 #: keeps every sum and product of the analyses inside a double
 _LARGEST = 1e9

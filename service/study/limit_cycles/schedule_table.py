@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from service.core.flexible.schedule_figures import FREQUENCY_COUNT, FREQUENCY_REACH
-from service.core.flexible.schedule_response import TorquePulse, schedule_response
+from service.core.flexible.schedule.schedule_figures import FREQUENCY_COUNT, FREQUENCY_REACH
+from service.core.flexible.schedule.schedule_response import TorquePulse, schedule_response
 from service.core.flexible.spacecraft import FlexibleMode
 from service.study.limit_cycles import reference
 from service.study.limit_cycles.comparison import Compared, ComparedTable

@@ -10,9 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.core.flexible.schedule_check import ScheduleCheck, Suggestion, check_schedule
-from service.core.flexible.schedule_figures import ScheduleLimits
-from service.core.flexible.schedule_response import TorquePulse, carry_phasor, ordered_schedule, schedule_response
+from service.core.flexible.schedule.schedule_check import ScheduleCheck, Suggestion, check_schedule
+from service.core.flexible.schedule.schedule_figures import ScheduleLimits
+from service.core.flexible.schedule.schedule_response import (
+    TorquePulse,
+    carry_phasor,
+    ordered_schedule,
+    schedule_response,
+)
 from service.core.flexible.spacecraft import FlexibleMode
 from service.pipeline.config import TorqueConfig
 from service.records import catalogue

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.core.flexible.schedule_check import analyse_schedule
+from service.core.flexible.schedule.schedule_check import analyse_schedule
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.schedule_check import PanelSwing, schedule_verdict, swing_after
 from service.records.catalogue import FlexibleMode

@@ -5,7 +5,7 @@ import math
 from itertools import pairwise
 from typing import NamedTuple
 
-from service.core.flexible.schedule_figures import (
+from service.core.flexible.schedule.schedule_figures import (
     WARNED_SHARE,
     OnboardRegulator,
     ScheduleFigures,
@@ -15,7 +15,7 @@ from service.core.flexible.schedule_figures import (
     require_limits,
     schedule_figures,
 )
-from service.core.flexible.schedule_response import TorquePulse, ordered_schedule
+from service.core.flexible.schedule.schedule_response import TorquePulse, ordered_schedule
 from service.core.flexible.spacecraft import FlexibleMode
 from service.core.flexible.switching_law import SwitchingLaw
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.flexible.capture import SwitchOn, critical_amplitude_rad, perpetual_amplitude_rad
-from service.core.flexible.schedule_response import (
+from service.core.flexible.schedule.schedule_response import (
     ModeResponse,
     TorquePulse,
     schedule_response,

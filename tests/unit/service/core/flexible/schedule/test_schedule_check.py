@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from service.core.flexible.schedule_check import analyse_schedule
-from service.core.flexible.schedule_response import TorquePulse, carry_phasor, ordered_schedule
+from service.core.flexible.schedule.schedule_check import analyse_schedule
+from service.core.flexible.schedule.schedule_response import TorquePulse, carry_phasor, ordered_schedule
 from service.core.flexible.spacecraft import FlexibleMode
 
 OMEGA, XI, KN = 0.6, 0.003, 0.4

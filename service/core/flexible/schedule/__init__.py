@@ -1,0 +1,1 @@
+"""Check of a torque schedule against the flexible modes of one axis."""
