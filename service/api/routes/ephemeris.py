@@ -11,9 +11,9 @@ from service.api.problems.problems import invalid_request
 from service.api.protocol.bodies import accepts, body_of
 from service.api.schemas.ephemeris import EphemerisAnswer, EphemerisDocument, EphemerisReceiptAnswer
 from service.errors import FieldError, InvalidInputError
-from service.formats.oem import read_oem
-from service.formats.orbit import ephemeris_from_nodes
-from service.formats.tle import read_tle
+from service.formats.ephemeris.oem import read_oem
+from service.formats.ephemeris.orbit import ephemeris_from_nodes
+from service.formats.ephemeris.tle import read_tle
 from service.pipeline.inputs.catalogue_checks import contradiction_of
 from service.records.catalogue import Ephemeris
 

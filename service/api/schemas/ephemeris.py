@@ -7,7 +7,7 @@ from pydantic.config import JsonDict
 from pydantic_core import PydanticCustomError
 
 from service.api.schemas.base import Answer, Document, Epoch, EpochAnswer, LatitudeDeg, LongitudeDeg, WindowAnswer
-from service.formats.orbit import MAX_PERIOD_S, MAX_POINTS, MIN_PERIOD_S
+from service.formats.ephemeris.orbit import MAX_PERIOD_S, MAX_POINTS, MIN_PERIOD_S
 from service.records.calibration import Window
 from service.records.catalogue import Ephemeris, Track
 

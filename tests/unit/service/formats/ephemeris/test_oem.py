@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from service.errors import InvalidInputError
-from service.formats.earth_fixed import earth_fixed_km, times_of, timescale
-from service.formats.oem import read_oem
+from service.formats.ephemeris.earth_fixed import earth_fixed_km, times_of, timescale
+from service.formats.ephemeris.oem import read_oem
 from service.records.epoch import format_epoch
 
 T0_US = 1_795_230_000_000_000

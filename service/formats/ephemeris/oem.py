@@ -11,8 +11,8 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 
 from service.errors import InvalidInputError
-from service.formats.earth_fixed import inertial_to_earth_fixed_km, leap_seconds_at
-from service.formats.orbit import (
+from service.formats.ephemeris.earth_fixed import inertial_to_earth_fixed_km, leap_seconds_at
+from service.formats.ephemeris.orbit import (
     MAX_POINTS,
     STEP_S,
     US_PER_S,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from service.errors import InvalidInputError
-from service.formats.orbit import ephemeris_from_nodes, ephemeris_from_positions, find_nodes
+from service.formats.ephemeris.orbit import ephemeris_from_nodes, ephemeris_from_positions, find_nodes
 from service.records.catalogue import Track
 
 DAY_US = 86_400_000_000

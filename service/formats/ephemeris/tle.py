@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from service.errors import InvalidInputError
-from service.formats.earth_fixed import earth_fixed_km, times_of, timescale
-from service.formats.orbit import STEP_S, US_PER_S, ephemeris_from_positions
+from service.formats.ephemeris.earth_fixed import earth_fixed_km, times_of, timescale
+from service.formats.ephemeris.orbit import STEP_S, US_PER_S, ephemeris_from_positions
 from service.records.catalogue import Ephemeris
 
 #: span of the ephemeris around the epoch of the elements

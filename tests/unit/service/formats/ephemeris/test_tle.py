@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from service.errors import InvalidInputError
-from service.formats.earth_fixed import earth_fixed_km, leap_seconds_at, times_of, timescale
-from service.formats.tle import read_tle
+from service.formats.ephemeris.earth_fixed import earth_fixed_km, leap_seconds_at, times_of, timescale
+from service.formats.ephemeris.tle import read_tle
 
 # a geosynchronous orbit of 5.9 deg, made up; the columns follow Celestrak's description of the format
 LINES = (

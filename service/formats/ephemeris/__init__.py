@@ -1,0 +1,1 @@
+"""Orbit of the satellite from two-line elements or an OEM."""
