@@ -35,8 +35,8 @@ from pyarrow import parquet
 
 from db.storage import SqlStorage
 from service.api.export.export_files import FileOrder, archive_file
-from service.formats.measurement_file import MeasurementColumns, file_bytes, measurement_file
-from service.formats.row_text import ready_kernels
+from service.formats.tabular.measurement_file import MeasurementColumns, file_bytes, measurement_file
+from service.formats.tabular.row_text import ready_kernels
 from service.records.calibration import Window
 from service.records.catalogue import Carrier, Site, Spacecraft
 from service.records.epoch import format_epoch

@@ -26,7 +26,7 @@ from service.core.estimation.paper.octants import solve_octants
 from service.core.estimation.snapshot.snapshot import solve_snapshots
 from service.core.estimation.snapshot.snapshot_start import subset_orders
 from service.formats.aem import AemWriter, AttitudeMessage
-from service.formats.row_text import RowFrame, RowText
+from service.formats.tabular.row_text import RowFrame, RowText
 from service.records.catalogue import Method
 from service.records.epoch import US_PER_S, format_epoch
 from service.records.levels.attitude import Axes, row_without_attitude

@@ -17,10 +17,10 @@ from service.api.export.export_chunks import PAGE_ROWS, Chunk, RecordPage, pages
 from service.api.export.read_ahead import read_ahead
 from service.errors import InvalidInputError, NotFoundError
 from service.formats.aem import AemWriter, AttitudeMessage
-from service.formats.measurement_file import MeasurementColumns, file_bytes, measurement_file
-from service.formats.row_text import ready_kernels
-from service.formats.series_tables import ATTITUDE, EVENTS, REFERENCES, TORQUES, EventRow, plain_value
-from service.formats.table_file import Table, TableFormat, table_bytes
+from service.formats.tabular.measurement_file import MeasurementColumns, file_bytes, measurement_file
+from service.formats.tabular.row_text import ready_kernels
+from service.formats.tabular.series_tables import ATTITUDE, EVENTS, REFERENCES, TORQUES, EventRow, plain_value
+from service.formats.tabular.table_file import Table, TableFormat, table_bytes
 from service.formats.tdm import TdmWriter, TrackingMessage
 from service.ports import LIVE
 from service.records.calibration import Window

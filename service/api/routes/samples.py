@@ -21,7 +21,7 @@ from service.api.schemas.base import WindowAnswer
 from service.core.rows.row_gaps import Gap, GapSearch
 from service.core.rows.sample_bins import SampleBins
 from service.errors import FieldError
-from service.formats.measurement_file import MeasurementColumns
+from service.formats.tabular.measurement_file import MeasurementColumns
 from service.records.calibration import Window
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["archive"])

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.formats.csv_field import csv_field
-from service.formats.parquet_stream import GROUP_ROWS, ParquetStream
-from service.formats.row_text import RowFrame, RowText
+from service.formats.tabular.parquet_stream import GROUP_ROWS, ParquetStream
+from service.formats.tabular.row_text import RowFrame, RowText
 from service.records.csv_guard import guarded
 from service.records.levels.attitude import IntArray
 from service.records.levels.measurement import Float32Array

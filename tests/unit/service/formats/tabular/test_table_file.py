@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 from pyarrow import parquet
 
-from service.formats import parquet_stream
-from service.formats.series_tables import ATTITUDE, EVENTS, REFERENCES, TORQUES, plain_value
-from service.formats.table_file import Column, Table, TableFormat, table_bytes
+from service.formats.tabular import parquet_stream
+from service.formats.tabular.series_tables import ATTITUDE, EVENTS, REFERENCES, TORQUES, plain_value
+from service.formats.tabular.table_file import Column, Table, TableFormat, table_bytes
 from service.records.catalogue import Site, Spacecraft
 from service.records.csv_guard import unguarded
 from service.records.inputs import AttitudeReference, Operation

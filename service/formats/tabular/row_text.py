@@ -13,7 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.formats.numbers import text_of_float32
-from service.formats.row_kernel import EPOCH_BYTES, LAST_EPOCH_US, VALUE_BYTES, FillRows, Places, compiled_fill_rows
+from service.formats.tabular.row_kernel import (
+    EPOCH_BYTES,
+    LAST_EPOCH_US,
+    VALUE_BYTES,
+    FillRows,
+    Places,
+    compiled_fill_rows,
+)
 from service.records.epoch import format_epoch
 
 #: rows written at once; room for the text of 32 carriers takes 2 MB

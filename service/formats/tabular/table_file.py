@@ -11,7 +11,7 @@ from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
 from service.formats.csv_field import csv_field
 from service.formats.numbers import text_of_float
-from service.formats.parquet_stream import ParquetStream
+from service.formats.tabular.parquet_stream import ParquetStream
 from service.records.csv_guard import guarded
 from service.records.epoch import format_epoch
 

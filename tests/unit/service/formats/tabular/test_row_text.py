@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
-from service.formats import row_text
-from service.formats.row_kernel import compiled_fill_rows
-from service.formats.row_text import RowFrame, RowText, plain_rows, ready_kernels
+from service.formats.tabular import row_text
+from service.formats.tabular.row_kernel import compiled_fill_rows
+from service.formats.tabular.row_text import RowFrame, RowText, plain_rows, ready_kernels
 from service.records.epoch import format_epoch
 
 COMPILED = RowText("numba")

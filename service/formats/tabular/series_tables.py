@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from typing import Any
 
-from service.formats.table_file import Column, Kind, Table
+from service.formats.tabular.table_file import Column, Kind, Table
 from service.records.epoch import format_epoch
 from service.records.inputs import AttitudeReference
 from service.records.levels.attitude import AttitudeRow, Axes

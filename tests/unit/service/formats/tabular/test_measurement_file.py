@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from pyarrow import parquet
 
-from service.formats.measurement_file import (
+from service.formats.tabular.measurement_file import (
     CsvFile,
     Kernels,
     MeasurementColumns,
