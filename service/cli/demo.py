@@ -19,14 +19,14 @@ from service.client.documents import Json
 from service.client.problem import ClientError
 from service.client.service_client import ServiceClient
 from service.records.epoch import parse_epoch
-from service.study.closed_judgement import FlightAlone, fly_alone, judge_control
 from service.study.closed_loop.plant_process import PlantFailedError
-from service.study.craft_line import CraftLineError
-from service.study.demonstration import Endpoints, Scene, Story, run_story, simulated_station
-from service.study.judgement import judge_story, tracked_angles
-from service.study.merit import AXES
-from service.study.processes import ProcessFailedError
-from service.study.replay_check import METHODS
+from service.study.demonstration.closed_judgement import FlightAlone, fly_alone, judge_control
+from service.study.demonstration.demonstration import Endpoints, Scene, Story, run_story, simulated_station
+from service.study.demonstration.judgement import judge_story, tracked_angles
+from service.study.demonstration.merit import AXES
+from service.study.demonstration.processes import ProcessFailedError
+from service.study.demonstration.replay_check import METHODS
+from service.study.demonstration.spacecraft_line import CraftLineError
 
 #: operation that the endless demonstration can show, days
 _ENDLESS_DAYS = 30.0
@@ -242,7 +242,7 @@ def _play(
 def _draw(story: Story, client: ServiceClient, flown: FlightAlone | None, figure: Path) -> None:
     """Draw the operation phase."""
     # matplotlib costs a second that only a figure needs
-    from service.study.figures import draw_control, draw_tracking
+    from service.study.demonstration.figures import draw_control, draw_tracking
 
     tracked = {method: tracked_angles(story, client, method) for method in METHODS}
     if flown is None:

@@ -17,7 +17,7 @@ from service.cli.operation.connection import (
     connected,
 )
 from service.client.service_client import ServiceClient
-from service.study.replay_check import METHODS, compare_with_live
+from service.study.demonstration.replay_check import METHODS, compare_with_live
 
 Start = Annotated[str, typer.Option(help="RFC 3339 start, inclusive.")]
 Stop = Annotated[str, typer.Option(help="RFC 3339 stop, exclusive.")]

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from service.study.merit import AXES, AxisMerit, judge_axis, missed_bounds
+from service.study.demonstration.merit import AXES, AxisMerit, judge_axis, missed_bounds
 
 TRUTH = 0.3 * np.sin(np.linspace(0.0, 12.0 * np.pi, 2000))
 GOOD = AxisMerit(0.03, 0.06, 0.2, 0.9, 1.0)

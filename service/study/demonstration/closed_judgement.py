@@ -7,9 +7,9 @@ import numpy as np
 from service.records.epoch import US_PER_S, parse_epoch
 from service.records.levels.attitude import FloatArray
 from service.study.closed_loop.plant_process import PlantProcess
-from service.study.control_centre import ControlLog
-from service.study.demonstration import Story
-from service.study.merit import AXES
+from service.study.demonstration.control_centre import ControlLog
+from service.study.demonstration.demonstration import Story
+from service.study.demonstration.merit import AXES
 
 #: what the true angles must keep in every run, and what 95 of 100 runs are to keep, deg
 TRUTH_BOUNDS_DEG = {"yaw": 0.5, "roll": 0.3, "pitch": 0.3}

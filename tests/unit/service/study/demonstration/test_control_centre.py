@@ -2,9 +2,9 @@
 
 import pytest
 
-from service.study import control_centre
-from service.study.control_centre import ControlCentre
-from service.study.craft_line import CraftReport
+from service.study.demonstration import control_centre
+from service.study.demonstration.control_centre import ControlCentre
+from service.study.demonstration.spacecraft_line import CraftReport
 
 
 def epoch(minute: int, second: int = 0) -> str:

@@ -9,8 +9,8 @@ from typing import ClassVar
 
 import pytest
 
-from service.study import processes
-from service.study.processes import ChildProcess, FrontEnd, ProcessFailedError
+from service.study.demonstration import processes
+from service.study.demonstration.processes import ChildProcess, FrontEnd, ProcessFailedError
 
 ANNOUNCE = 'import json, sys, time\nprint(json.dumps({"port": 17}), flush=True)\n'
 
@@ -74,14 +74,14 @@ def test_a_process_without_announcement_writes_all_to_its_log(start):
 
 
 def test_one_that_does_not_listen_to_the_signal_is_killed(start, monkeypatch):
-    monkeypatch.setattr("service.study.processes._STOP_TIMEOUT_S", 0.3)
+    monkeypatch.setattr("service.study.demonstration.processes._STOP_TIMEOUT_S", 0.3)
     text = "import signal\nsignal.signal(signal.SIGTERM, signal.SIG_IGN)\n" + ANNOUNCE + "time.sleep(60)"
     with start(text) as process:
         assert process.stop() == -9
 
 
 def test_one_that_never_speaks_is_ended(start, monkeypatch):
-    monkeypatch.setattr("service.study.processes._READY_TIMEOUT_S", 0.3)
+    monkeypatch.setattr("service.study.demonstration.processes._READY_TIMEOUT_S", 0.3)
     with pytest.raises(ProcessFailedError, match="did not start"):
         start("import time\ntime.sleep(60)")
 

@@ -20,11 +20,11 @@ from service.client.problem import ProblemError
 from service.client.service_client import ServiceClient
 from service.records.epoch import format_epoch, parse_epoch
 from service.study.closed_loop.ground_knowledge import AXIS_RELATIVE_ERROR, RELATIVE_ERROR
-from service.study.control_centre import ControlCentre
-from service.study.craft_line import CraftLine
-from service.study.ground_link import GroundLink
-from service.study.merit import AXES
-from service.study.processes import ChildProcess, FrontEnd
+from service.study.demonstration.control_centre import ControlCentre
+from service.study.demonstration.ground_link import GroundLink
+from service.study.demonstration.merit import AXES
+from service.study.demonstration.processes import ChildProcess, FrontEnd
+from service.study.demonstration.spacecraft_line import CraftLine
 
 #: wait for rows that are on their way, s
 _ARRIVAL_TIMEOUT_S = 120.0

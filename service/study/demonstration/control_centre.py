@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 from service.client.documents import Json
 from service.client.service_client import ServiceClient
 from service.records.epoch import US_PER_S, parse_epoch
-from service.study.craft_line import CraftLine, CraftReport
-from service.study.merit import AXES
+from service.study.demonstration.merit import AXES
+from service.study.demonstration.spacecraft_line import CraftLine, CraftReport
 
 _COMMAND_TIMEOUT_S = 120.0
 #: a command of which nothing was heard so long after its end is lost

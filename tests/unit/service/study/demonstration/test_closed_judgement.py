@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from service.study.closed_judgement import TRUTH_BOUNDS_DEG, FlightAlone, judge_control, missed_control
-from service.study.control_centre import ControlLog
-from service.study.demonstration import Story
-from service.study.figures import draw_control
-from service.study.judgement import TrackedAngles
+from service.study.demonstration.closed_judgement import TRUTH_BOUNDS_DEG, FlightAlone, judge_control, missed_control
+from service.study.demonstration.control_centre import ControlLog
+from service.study.demonstration.demonstration import Story
+from service.study.demonstration.figures import draw_control
+from service.study.demonstration.judgement import TrackedAngles
 
 START = "2026-11-05T10:00:00Z"
 START_US = 1_793_872_800_000_000

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from service.study.craft_line import CraftLine, CraftLineError
+from service.study.demonstration.spacecraft_line import CraftLine, CraftLineError
 
 FED_FORWARD = {"epoch": "2026-11-05T10:00:00.000000Z", "period_s": 86400.0}
 START = {"type": "start", "scenario": "demo", "fed_forward_torque": FED_FORWARD}

@@ -5,7 +5,7 @@ import threading
 
 import pytest
 
-from service.study.ground_link import GroundLink
+from service.study.demonstration.ground_link import GroundLink
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ from typing import Any
 
 from service.client.service_client import ServiceClient
 from service.records.epoch import format_epoch
-from service.study.replay_check import compare_with_live
+from service.study.demonstration.replay_check import compare_with_live
 
 
 def check_archive(client: ServiceClient, spacecraft_id: str, truth_deg: Mapping[int, object]) -> dict[str, int]:

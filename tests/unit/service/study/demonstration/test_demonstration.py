@@ -7,8 +7,8 @@ import pytest
 
 from service.api.schemas.spacecraft import OnboardDocument
 from service.records.epoch import format_epoch
-from service.study import demonstration
-from service.study.demonstration import Endpoints, Story, run_story
+from service.study.demonstration import demonstration
+from service.study.demonstration.demonstration import Endpoints, Story, run_story
 
 MINUTE_US = 60_000_000
 START_US = 1_793_491_200_000_000

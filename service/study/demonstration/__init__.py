@@ -1,0 +1,1 @@
+"""Demonstration: real processes over a simulated satellite, judged against its truth."""
