@@ -15,7 +15,7 @@ from service.records.calibration import Window
 from service.records.catalogue import Method
 from service.records.levels.attitude import Status
 from service.records.levels.series import ReferenceSeries
-from service.study.estimation.drive import UndrivenError, calibrate, drive
+from service.study.estimation.flight.drive import UndrivenError, calibrate, drive
 
 SEED = 5
 METHODS = (Method.ROBUST, Method.PAPER)

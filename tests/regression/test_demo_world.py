@@ -11,8 +11,8 @@ from analyzer_sim.export import export_npz
 from analyzer_sim.world.scenario import SCENARIOS
 from analyzer_sim.world.world import World
 from service.study.demonstration.merit import AXES, judge_axis, missed_bounds
-from service.study.estimation.drive import drive
-from service.study.estimation.world import read_world
+from service.study.estimation.flight.drive import drive
+from service.study.estimation.flight.world import read_world
 
 SEEDS = (1, 2, 3)
 #: rows of the first hour: the trailing mean and the first slope must have filled

@@ -16,8 +16,8 @@ from service.core.estimation.paper.selection import select_by_axis
 from service.pipeline.planning.assumed_beams import NOISES
 from service.pipeline.planning.candidates import candidates_of
 from service.pipeline.planning.planning import Rule, recommend
-from service.study.estimation.drive import Documents, calibrate
-from service.study.estimation.world import export_world, read_world
+from service.study.estimation.flight.drive import Documents, calibrate
+from service.study.estimation.flight.world import export_world, read_world
 
 SEED = 61
 REALISATIONS = 12

@@ -15,7 +15,7 @@ from service.study.closed_loop.controllers import LEAD_S, Sensing
 from service.study.closed_loop.ground_knowledge import ground_of
 from service.study.closed_loop.plant_process import PlantProcess, PlantRow
 from service.study.closed_loop.run import GroundJournal, LoopUnit, controller_of
-from service.study.estimation.journal import Documents
+from service.study.estimation.flight.journal import Documents
 
 pytestmark = pytest.mark.system
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from service.study.estimation.bounds import Mark
-from service.study.estimation.catalogue_lines import read_carriers
+from service.study.estimation.flight.catalogue_lines import read_carriers
+from service.study.estimation.flight.world import ExportFailedError, export_world, read_world
 from service.study.estimation.snapshot_trials import run_trials, trial_figures
-from service.study.estimation.world import ExportFailedError, export_world, read_world
 
 pytestmark = pytest.mark.system
 

@@ -22,8 +22,8 @@ def rf_attitude(
     ] = None,
 ) -> None:
     """Fit the published daily curve and compare sessions with other sensors, beside the published figures."""
-    from service.study.estimation.drive import UndrivenError
-    from service.study.estimation.world import ExportFailedError
+    from service.study.estimation.flight.drive import UndrivenError
+    from service.study.estimation.flight.world import ExportFailedError
     from service.study.rf_attitude.reproduction import reproduce
 
     console = Console(stderr=True)

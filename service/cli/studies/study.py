@@ -59,8 +59,8 @@ def estimation(
     """Run both methods over simulated worlds and hold their figures against the bounds."""
     # these cost half a second that no other command needs
     from service.study.estimation.campaign import Plan, run_campaign
+    from service.study.estimation.flight.world import ExportFailedError
     from service.study.estimation.report import as_document, markdown, tables, verdict_lines
-    from service.study.estimation.world import ExportFailedError
 
     console = _console(is_report_elsewhere=as_json or as_markdown)
     plan = Plan(_scenarios(scenario, group), seeds, workers, operation_days)

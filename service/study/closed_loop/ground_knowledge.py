@@ -13,15 +13,15 @@ from service.records.journal import SlowInput
 from service.records.levels.attitude import BoolArray, IntArray
 from service.records.levels.series import ReferenceSeries
 from service.study.closed_loop.plant_process import Line, Opening
-from service.study.estimation.catalogue_lines import (
+from service.study.estimation.flight.catalogue_lines import (
     read_carriers,
     read_ephemeris,
     read_operation,
     read_spacecraft,
     read_telemetry,
 )
-from service.study.estimation.journal import Documents
-from service.study.estimation.world import AXES, Ground
+from service.study.estimation.flight.journal import Documents
+from service.study.estimation.flight.world import AXES, Ground
 
 _SOURCE = "sa-1"
 _NAN = float("nan")

@@ -26,9 +26,9 @@ from service.study.closed_loop.controllers import (
 from service.study.closed_loop.ground_knowledge import ground_of, slow_inputs
 from service.study.closed_loop.plant_process import CraftTruth, PlantProcess, PlantRow
 from service.study.closed_loop.released import Releaser
-from service.study.estimation.drive import UndrivenError, align, calibrate
-from service.study.estimation.journal import Documents
-from service.study.estimation.world import Ground
+from service.study.estimation.flight.drive import UndrivenError, align, calibrate
+from service.study.estimation.flight.journal import Documents
+from service.study.estimation.flight.world import Ground
 
 #: what the craft tells of commands
 STATES = ("executed", "executing", "replaced", "repeated", "late", "refused")

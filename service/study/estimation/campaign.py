@@ -23,7 +23,7 @@ from service.study.estimation.accuracy import Figures, accuracy_figures
 from service.study.estimation.baselines import BASELINES
 from service.study.estimation.bound_table import BOUNDS
 from service.study.estimation.bounds import Bound, Judged, Mark, idle_baselines, judge
-from service.study.estimation.drive import UndrivenError
+from service.study.estimation.flight.drive import UndrivenError
 from service.study.estimation.measures import figures_of
 from service.study.estimation.nights import night_figures
 from service.study.estimation.scenarios import SNAPSHOT

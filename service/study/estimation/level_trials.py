@@ -13,7 +13,7 @@ from service.pipeline.carrier_model.expected_level import expected_levels
 from service.records.catalogue import Ephemeris
 from service.records.geometry import GeometryFit
 from service.records.levels.attitude import FloatArray
-from service.study.estimation.world import World
+from service.study.estimation.flight.world import World
 
 #: days of operation that are looked at, counted from 1
 DAYS = (1, 7)

@@ -12,8 +12,8 @@ import numpy as np
 
 from service.records.levels.attitude import BoolArray, FloatArray
 from service.study.estimation.accuracy import AXES, Accuracy, Figures, accuracy_figures, measure_accuracy
-from service.study.estimation.drive import Driven, MethodSeries
-from service.study.estimation.episodes import (
+from service.study.estimation.flight.drive import Driven, MethodSeries
+from service.study.estimation.flight.episodes import (
     FOUND_WITHIN_MIN,
     DarkFigures,
     FaultFigures,
@@ -25,7 +25,7 @@ from service.study.estimation.episodes import (
     measure_rain,
     stretches,
 )
-from service.study.estimation.world import World
+from service.study.estimation.flight.world import World
 
 #: rows of this time after the start of operation are not judged, s
 SETTLING_S = 3600.0

@@ -12,7 +12,7 @@ import numpy as np
 from service.records.levels.attitude import FloatArray
 from service.records.levels.measurement import Float32Array
 from service.study.estimation.accuracy import AXES, Figures
-from service.study.estimation.episodes import stretches
+from service.study.estimation.flight.episodes import stretches
 from service.study.estimation.unit import Course
 
 #: before a night and after its end, h

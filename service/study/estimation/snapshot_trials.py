@@ -31,9 +31,9 @@ from service.pipeline.carrier_model.calibrated_arrays import geometry_model
 from service.records.catalogue import CarrierPlan
 from service.records.levels.attitude import BoolArray, FloatArray
 from service.study.estimation.accuracy import AXES, Figures
-from service.study.estimation.drive import UndrivenError, calibrate
+from service.study.estimation.flight.drive import UndrivenError, calibrate
+from service.study.estimation.flight.world import World, export_world, read_world
 from service.study.estimation.level_trials import DAYS, level_error_db2
-from service.study.estimation.world import World, export_world, read_world
 
 ROWS_AVERAGED = 15
 COMMON_DB = 0.3

@@ -15,9 +15,9 @@ from service.records.levels.attitude import BoolArray
 from service.records.levels.measurement import Float32Array
 from service.study.estimation.accuracy import Accuracy, measure_accuracy
 from service.study.estimation.baselines import baseline_answers
-from service.study.estimation.drive import Driven, UndrivenError, drive
+from service.study.estimation.flight.drive import Driven, UndrivenError, drive
+from service.study.estimation.flight.world import World, export_world, read_world
 from service.study.estimation.measures import Measures, judged_rows, measure_method
-from service.study.estimation.world import World, export_world, read_world
 
 
 class Unit(NamedTuple):

@@ -7,7 +7,7 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from service.study.estimation.world import AXES
+from service.study.estimation.flight.world import AXES
 from service.study.rf_attitude.reproduction import AMPLITUDE_DB, PERIOD_H, Session, published_curve
 
 #: deg, of the figure's orbit: the paper has no more than this

@@ -15,8 +15,8 @@ import numpy as np
 from service.core.estimation.paper.harmonic import HarmonicFit, evaluate_harmonic, fit_harmonic
 from service.core.geometry.node_phase import node_phase_rad
 from service.records.levels.attitude import FloatArray, IntArray
-from service.study.estimation.drive import Driven, drive
-from service.study.estimation.world import AXES, World, export_world, read_world
+from service.study.estimation.flight.drive import Driven, drive
+from service.study.estimation.flight.world import AXES, World, export_world, read_world
 from service.study.published import Row, row, statement_row
 
 #: am, phi, h, rms and period of figure 1

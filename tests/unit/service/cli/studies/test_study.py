@@ -8,8 +8,8 @@ from typer.testing import CliRunner
 from service.cli.app import app
 from service.study.estimation import campaign as campaign_module
 from service.study.estimation.campaign import Plan, assess
+from service.study.estimation.flight.world import ExportFailedError
 from service.study.estimation.scenarios import GROUPS
-from service.study.estimation.world import ExportFailedError
 
 GOOD = {
     "answered": 1.0,

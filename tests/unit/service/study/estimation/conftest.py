@@ -9,10 +9,10 @@ from service.records.calibration import Window
 from service.records.catalogue import Ephemeris, Onboard, Site, Spacecraft
 from service.study.estimation.accuracy import measure_accuracy
 from service.study.estimation.baselines import BASELINES
-from service.study.estimation.drive import Driven, MethodSeries
+from service.study.estimation.flight.drive import Driven, MethodSeries
+from service.study.estimation.flight.world import Ground, Truth, World
 from service.study.estimation.measures import measure_method
 from service.study.estimation.unit import Course, Drawn, Unit, UnitResult
-from service.study.estimation.world import Ground, Truth, World
 
 MINUTE_US = 60_000_000
 START_US = 1_800_000_000_000_000

@@ -3,7 +3,7 @@
 import pytest
 
 from service.study.estimation import unit as unit_module
-from service.study.estimation.drive import UndrivenError
+from service.study.estimation.flight.drive import UndrivenError
 from service.study.estimation.unit import Unit, run_unit
 
 

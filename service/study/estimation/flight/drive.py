@@ -29,8 +29,8 @@ from service.records.inputs import (
 )
 from service.records.journal import SlowInput
 from service.records.levels.attitude import AttitudeRow, BoolArray, FloatArray, IntArray
-from service.study.estimation.journal import Documents, Entry, measurements, slow_entries
-from service.study.estimation.world import Ground
+from service.study.estimation.flight.journal import Documents, Entry, measurements, slow_entries
+from service.study.estimation.flight.world import Ground
 
 #: what a row says, among its inhibitions or as advice, when the craft moves other than it was told to, or the powers
 #: do not fit the model

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.study.estimation.episodes import (
+from service.study.estimation.flight.episodes import (
     measure_alarms,
     measure_dark,
     measure_faults,
@@ -11,7 +11,7 @@ from service.study.estimation.episodes import (
     measure_rain,
     stretches,
 )
-from service.study.estimation.world import Truth
+from service.study.estimation.flight.world import Truth
 
 MINUTE_US = 60_000_000
 ROWS = 400

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.records.levels.attitude import BoolArray, FloatArray, IntArray
-from service.study.estimation.world import Truth
+from service.study.estimation.flight.world import Truth
 
 #: dB, from which a rain over the receiving site counts as wet, and a change of a carrier as a fault
 WET_DB = 0.3

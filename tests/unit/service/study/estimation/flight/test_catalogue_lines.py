@@ -3,7 +3,7 @@
 from service.records.catalogue import ControlMode, Method, Release
 from service.records.epoch import parse_epoch
 from service.records.levels.attitude import Axes
-from service.study.estimation.catalogue_lines import (
+from service.study.estimation.flight.catalogue_lines import (
     read_carriers,
     read_ephemeris,
     read_operation,

@@ -20,7 +20,7 @@ from service.records.catalogue import Carrier, Ephemeris, Spacecraft
 from service.records.inputs import Correction, Operation, SourceSelection, TelemetryRecord
 from service.records.levels.attitude import Axes, BoolArray, FloatArray, IntArray
 from service.records.levels.series import MeasurementSeries, ReferenceSeries
-from service.study.estimation.catalogue_lines import (
+from service.study.estimation.flight.catalogue_lines import (
     read_carriers,
     read_ephemeris,
     read_operation,

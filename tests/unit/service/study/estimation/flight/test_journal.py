@@ -8,8 +8,8 @@ import pytest
 from service.records.catalogue import Carrier
 from service.records.inputs import Correction, PlanChange, SourceSelection
 from service.records.levels.attitude import Axes
-from service.study.estimation.journal import Documents, measurements, slow_entries
-from service.study.estimation.world import News
+from service.study.estimation.flight.journal import Documents, measurements, slow_entries
+from service.study.estimation.flight.world import News
 
 
 class Listener:

@@ -15,7 +15,7 @@ from service.records.inputs import EphemerisChange, PlanChange, SourceSelection
 from service.records.journal import SlowInput
 from service.records.levels.attitude import IntArray
 from service.records.levels.measurement import Measurement
-from service.study.estimation.world import Ground
+from service.study.estimation.flight.world import Ground
 
 
 @dataclass

@@ -1,0 +1,1 @@
+"""Flight of the chain over one simulated world of the estimation study."""
