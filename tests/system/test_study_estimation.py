@@ -13,7 +13,7 @@ import pytest
 from service.study.estimation.bounds import Mark
 from service.study.estimation.flight.catalogue_lines import read_carriers
 from service.study.estimation.flight.world import ExportFailedError, export_world, read_world
-from service.study.estimation.snapshot_trials import run_trials, trial_figures
+from service.study.estimation.trials.snapshot_trials import run_trials, trial_figures
 
 pytestmark = pytest.mark.system
 

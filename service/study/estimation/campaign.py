@@ -27,7 +27,7 @@ from service.study.estimation.flight.drive import UndrivenError
 from service.study.estimation.measures import figures_of
 from service.study.estimation.nights import night_figures
 from service.study.estimation.scenarios import SNAPSHOT
-from service.study.estimation.snapshot_trials import SnapshotTrials, run_trials, trial_figures
+from service.study.estimation.trials.snapshot_trials import SnapshotTrials, run_trials, trial_figures
 from service.study.estimation.unit import Course, Unit, UnitResult, run_unit
 
 _Asked = TypeVar("_Asked")

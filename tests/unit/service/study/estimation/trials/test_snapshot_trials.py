@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.study.estimation.snapshot_trials import SnapshotTrials, trial_figures
+from service.study.estimation.trials.snapshot_trials import SnapshotTrials, trial_figures
 
 
 def trials(far=(0, 0, 0, 0, 0, 0, 0, 40), square=1.0, covariance=1.0, excluded=0.0):

@@ -33,7 +33,7 @@ from service.records.levels.attitude import BoolArray, FloatArray
 from service.study.estimation.accuracy import AXES, Figures
 from service.study.estimation.flight.drive import UndrivenError, calibrate
 from service.study.estimation.flight.world import World, export_world, read_world
-from service.study.estimation.level_trials import DAYS, level_error_db2
+from service.study.estimation.trials.level_trials import DAYS, level_error_db2
 
 ROWS_AVERAGED = 15
 COMMON_DB = 0.3

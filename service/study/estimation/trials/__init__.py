@@ -1,0 +1,1 @@
+"""Trials of single steps of the method: snapshots, levels."""
