@@ -22,8 +22,8 @@ from analyzer_sim.epochs import epoch_us_from_text
 from analyzer_sim.export import run_export
 from analyzer_sim.instrument.painter import Detail
 from analyzer_sim.instrument.sweep_life import Pace
-from analyzer_sim.plant import PlantOptions
-from analyzer_sim.plant_lines import run_plant
+from analyzer_sim.plant.plant import PlantOptions
+from analyzer_sim.plant.plant_lines import run_plant
 from analyzer_sim.serving import parse_fault, serve
 from analyzer_sim.world.hub_tones import HubTone, parse_tone
 from analyzer_sim.world.scenario import CLOSED_SCENARIOS, SCENARIOS, Scenario, scenario_named

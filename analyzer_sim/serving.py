@@ -11,7 +11,6 @@ from typing import NamedTuple
 
 from analyzer_sim.dialects.dialect import Dialect
 from analyzer_sim.dialects.dialects import DIALECTS
-from analyzer_sim.flown_world import FlownWorld
 from analyzer_sim.instrument.imperfections import IDEAL
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import Detail, TracePainter
@@ -20,8 +19,9 @@ from analyzer_sim.instrument.trace_faults import TraceFault, TraceFaults
 from analyzer_sim.instrument.truth_log import TruthLog
 from analyzer_sim.lines.line_faults import LineFault, LineFaults
 from analyzer_sim.lines.server import SimulatedAnalyzer, port_error
-from analyzer_sim.plant import PlantOptions
-from analyzer_sim.uplink_port import UplinkPort
+from analyzer_sim.plant.flown_world import FlownWorld
+from analyzer_sim.plant.plant import PlantOptions
+from analyzer_sim.plant.uplink_port import UplinkPort
 from analyzer_sim.world.ground_port import Gate, serve_ground
 from analyzer_sim.world.scenario import Scenario
 from analyzer_sim.world.world import World

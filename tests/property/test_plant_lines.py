@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from analyzer_sim.epochs import rfc3339
-from analyzer_sim.schedule_lines import ScheduleError, parse_schedule
+from analyzer_sim.plant.schedule_lines import ScheduleError, parse_schedule
 
 NOW_US = 1_793_491_200_000_000
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from analyzer_sim.export import measured_dbm, sweep_noise_db
-from analyzer_sim.schedule_lines import Schedule
+from analyzer_sim.plant.schedule_lines import Schedule
 from analyzer_sim.streams import FloatArray
 from analyzer_sim.world.angles_loop import AnglesLoop
 from analyzer_sim.world.body_dynamics import Vector

@@ -12,9 +12,9 @@ import pytest
 
 from analyzer_sim.epochs import epoch_us_from_text, rfc3339
 from analyzer_sim.export import export_arrays
-from analyzer_sim.plant import Plant, PlantOptions
-from analyzer_sim.plant_lines import run_plant
-from analyzer_sim.schedule_lines import Schedule, ScheduleError, parse_schedule
+from analyzer_sim.plant.plant import Plant, PlantOptions
+from analyzer_sim.plant.plant_lines import run_plant
+from analyzer_sim.plant.schedule_lines import Schedule, ScheduleError, parse_schedule
 from analyzer_sim.world.events import Gap, SwitchOff
 from analyzer_sim.world.ground_bodies import INERTIA_KG_M2
 from analyzer_sim.world.rigid_body import TorqueElement

@@ -9,9 +9,9 @@ import pytest
 
 from analyzer_sim.emission import EndOfScenario
 from analyzer_sim.epochs import rfc3339
-from analyzer_sim.flown_world import SCHEDULES_A_ROW, FlownWorld
-from analyzer_sim.plant import Plant, PlantOptions
-from analyzer_sim.schedule_lines import ScheduleError, parse_schedule
+from analyzer_sim.plant.flown_world import SCHEDULES_A_ROW, FlownWorld
+from analyzer_sim.plant.plant import Plant, PlantOptions
+from analyzer_sim.plant.schedule_lines import ScheduleError, parse_schedule
 from analyzer_sim.world.events import Gap
 from analyzer_sim.world.scenario import scenario_named
 from analyzer_sim.world.story import Scenario

@@ -9,9 +9,9 @@ from typing import Any
 
 from analyzer_sim.emission import Emission
 from analyzer_sim.epochs import rfc3339
-from analyzer_sim.plant import Plant, PlantOptions
-from analyzer_sim.plant_lines import report_line, telemetry_of
-from analyzer_sim.schedule_lines import Schedule, ScheduleError, parse_schedule
+from analyzer_sim.plant.plant import Plant, PlantOptions
+from analyzer_sim.plant.plant_lines import report_line, telemetry_of
+from analyzer_sim.plant.schedule_lines import Schedule, ScheduleError, parse_schedule
 from analyzer_sim.world.ground import truth_row
 from analyzer_sim.world.story import Scenario
 from analyzer_sim.world.world import World

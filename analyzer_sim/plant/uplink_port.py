@@ -24,9 +24,9 @@ from contextlib import suppress
 from typing import Any
 
 from analyzer_sim.epochs import rfc3339
-from analyzer_sim.flown_world import FlownWorld
-from analyzer_sim.plant_lines import fed_forward_line
-from analyzer_sim.schedule_lines import MAX_LINE_CHARACTERS, ScheduleError
+from analyzer_sim.plant.flown_world import FlownWorld
+from analyzer_sim.plant.plant_lines import fed_forward_line
+from analyzer_sim.plant.schedule_lines import MAX_LINE_CHARACTERS, ScheduleError
 
 Line = dict[str, Any]
 

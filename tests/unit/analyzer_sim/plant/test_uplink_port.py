@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
-from analyzer_sim import uplink_port
 from analyzer_sim.epochs import rfc3339
-from analyzer_sim.flown_world import FlownWorld
-from analyzer_sim.plant import PlantOptions
-from analyzer_sim.plant_lines import fed_forward_line
-from analyzer_sim.schedule_lines import MAX_LINE_CHARACTERS
-from analyzer_sim.uplink_port import UplinkPort
+from analyzer_sim.plant import uplink_port
+from analyzer_sim.plant.flown_world import FlownWorld
+from analyzer_sim.plant.plant import PlantOptions
+from analyzer_sim.plant.plant_lines import fed_forward_line
+from analyzer_sim.plant.schedule_lines import MAX_LINE_CHARACTERS
+from analyzer_sim.plant.uplink_port import UplinkPort
 from analyzer_sim.world.ground_port import Gate, serve_ground
 from analyzer_sim.world.scenario import scenario_named
 

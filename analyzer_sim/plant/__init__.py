@@ -1,0 +1,1 @@
+"""Plant: a world whose operation phase is flown by commanded torques."""
