@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass, replace
 
-from analyzer_sim.dialects.command_row import Command
-from analyzer_sim.dialects.command_traces import TraceStyle
+from analyzer_sim.dialects.rows.command_row import Command
+from analyzer_sim.dialects.rows.trace_rows import TraceStyle
 from analyzer_sim.instrument.analyzer_model import AnalyzerModel
 from analyzer_sim.instrument.imperfections import Imperfections
 

@@ -5,10 +5,21 @@ definite length in every format, ASCII too, and ``#0`` stands for one that is no
 it was taken; blocks are little-endian, integers in milli-dBm; filter steps 1-3-10.
 """
 
-from analyzer_sim.dialects.command_row import Call, Command
-from analyzer_sim.dialects.command_settings import boolean, constant, ignored, inert, inert_number, number_text, numeric
-from analyzer_sim.dialects.command_span import full_span_row, previous_span_row
-from analyzer_sim.dialects.command_sweep import (
+from analyzer_sim.dialects.dialect import Dialect
+from analyzer_sim.dialects.functions_anritsu import FUNCTION_ROWS
+from analyzer_sim.dialects.rows.command_row import Call, Command
+from analyzer_sim.dialects.rows.ieee488_rows import COMMON_COMMANDS, SYSTEM_COMMANDS
+from analyzer_sim.dialects.rows.settings_rows import (
+    boolean,
+    constant,
+    ignored,
+    inert,
+    inert_number,
+    number_text,
+    numeric,
+)
+from analyzer_sim.dialects.rows.span_rows import full_span_row, previous_span_row
+from analyzer_sim.dialects.rows.sweep_rows import (
     CLOCK_ROWS,
     application_row,
     continuous_row,
@@ -21,10 +32,7 @@ from analyzer_sim.dialects.command_sweep import (
     trace_mode_row,
     unit_row,
 )
-from analyzer_sim.dialects.command_traces import TraceFormat, TraceStyle, format_row, trace_row
-from analyzer_sim.dialects.commands_common import COMMON_COMMANDS, SYSTEM_COMMANDS
-from analyzer_sim.dialects.dialect import Dialect
-from analyzer_sim.dialects.functions_anritsu import FUNCTION_ROWS
+from analyzer_sim.dialects.rows.trace_rows import TraceFormat, TraceStyle, format_row, trace_row
 from analyzer_sim.epochs import rfc3339
 from analyzer_sim.instrument.instrument_settings import Settings
 from analyzer_sim.instrument.levels import definite_block

@@ -5,10 +5,19 @@ the detector AVERage takes its kind of mean from ``AVERage:TYPE``; blocks are bi
 an empty error queue answers ``+0``; ``FETCh:SANalyzer?`` answers pairs of frequency and level.
 """
 
-from analyzer_sim.dialects.command_row import Call, Command
-from analyzer_sim.dialects.command_settings import boolean, constant, ignored, inert, inert_number, numeric
-from analyzer_sim.dialects.command_span import full_span_row, previous_span_row, step_auto_row, tune_row, zero_span_row
-from analyzer_sim.dialects.command_sweep import (
+from analyzer_sim.dialects.dialect import Dialect
+from analyzer_sim.dialects.functions_keysight import FUNCTION_ROWS
+from analyzer_sim.dialects.rows.command_row import Call, Command
+from analyzer_sim.dialects.rows.ieee488_rows import COMMON_COMMANDS, SYSTEM_COMMANDS, register_rows
+from analyzer_sim.dialects.rows.settings_rows import boolean, constant, ignored, inert, inert_number, numeric
+from analyzer_sim.dialects.rows.span_rows import (
+    full_span_row,
+    previous_span_row,
+    step_auto_row,
+    tune_row,
+    zero_span_row,
+)
+from analyzer_sim.dialects.rows.sweep_rows import (
     BY_TYPE,
     CLOCK_ROWS,
     DB6_RATIO,
@@ -28,7 +37,7 @@ from analyzer_sim.dialects.command_sweep import (
     trace_mode_row,
     unit_row,
 )
-from analyzer_sim.dialects.command_traces import (
+from analyzer_sim.dialects.rows.trace_rows import (
     TraceFormat,
     TraceStyle,
     byte_order_row,
@@ -37,9 +46,6 @@ from analyzer_sim.dialects.command_traces import (
     trace_reader,
     trace_row,
 )
-from analyzer_sim.dialects.commands_common import COMMON_COMMANDS, SYSTEM_COMMANDS, register_rows
-from analyzer_sim.dialects.dialect import Dialect
-from analyzer_sim.dialects.functions_keysight import FUNCTION_ROWS
 from analyzer_sim.instrument.instrument_settings import reset_state
 from analyzer_sim.instrument.models import N9020B
 from analyzer_sim.scpi.parameters import DECIBELS, HERTZ, SECONDS, Boolean, Choice, Level, TraceName

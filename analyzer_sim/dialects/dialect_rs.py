@@ -1,9 +1,18 @@
 """Rohde & Schwarz FSV and FSW: what measuring with traces needs; measurement functions stand in functions_rs.py."""
 
-from analyzer_sim.dialects.command_row import Command
-from analyzer_sim.dialects.command_settings import boolean, choice, constant, ignored, inert, inert_number, numeric
-from analyzer_sim.dialects.command_span import adjust_all_row, adjust_level_row, full_span_row, step_auto_row, tune_row
-from analyzer_sim.dialects.command_sweep import (
+from analyzer_sim.dialects.dialect import Dialect
+from analyzer_sim.dialects.functions_rs import FUNCTION_ROWS
+from analyzer_sim.dialects.rows.command_row import Command
+from analyzer_sim.dialects.rows.ieee488_rows import COMMON_COMMANDS, SYSTEM_COMMANDS
+from analyzer_sim.dialects.rows.settings_rows import boolean, choice, constant, ignored, inert, inert_number, numeric
+from analyzer_sim.dialects.rows.span_rows import (
+    adjust_all_row,
+    adjust_level_row,
+    full_span_row,
+    step_auto_row,
+    tune_row,
+)
+from analyzer_sim.dialects.rows.sweep_rows import (
     CLOCK_ROWS,
     application_row,
     average_state_row,
@@ -18,7 +27,7 @@ from analyzer_sim.dialects.command_sweep import (
     trace_mode_row,
     unit_row,
 )
-from analyzer_sim.dialects.command_traces import (
+from analyzer_sim.dialects.rows.trace_rows import (
     TraceFormat,
     TraceStyle,
     format_row,
@@ -26,9 +35,6 @@ from analyzer_sim.dialects.command_traces import (
     trace_reader,
     trace_row,
 )
-from analyzer_sim.dialects.commands_common import COMMON_COMMANDS, SYSTEM_COMMANDS
-from analyzer_sim.dialects.dialect import Dialect
-from analyzer_sim.dialects.functions_rs import FUNCTION_ROWS
 from analyzer_sim.instrument.models import FSW_26
 from analyzer_sim.instrument.quantities import QUANTITIES
 from analyzer_sim.scpi.parameters import DECIBELS, HERTZ, SECONDS, Level, TraceName

@@ -5,9 +5,12 @@ AVERage takes its kind of mean from ``AVERage:TYPE``; an ASCII trace ends with a
 a sweep is polled with ``TRACe:SWEep:STATe?``.
 """
 
-from analyzer_sim.dialects.command_row import Call, Command
-from analyzer_sim.dialects.command_settings import boolean, choice, constant, ignored, inert, inert_number, numeric
-from analyzer_sim.dialects.command_span import (
+from analyzer_sim.dialects.dialect import Dialect
+from analyzer_sim.dialects.functions_siglent import FUNCTION_ROWS
+from analyzer_sim.dialects.rows.command_row import Call, Command
+from analyzer_sim.dialects.rows.ieee488_rows import COMMON_COMMANDS, SYSTEM_COMMANDS
+from analyzer_sim.dialects.rows.settings_rows import boolean, choice, constant, ignored, inert, inert_number, numeric
+from analyzer_sim.dialects.rows.span_rows import (
     full_span_row,
     previous_span_row,
     scaled_span_row,
@@ -15,7 +18,7 @@ from analyzer_sim.dialects.command_span import (
     tune_row,
     zero_span_row,
 )
-from analyzer_sim.dialects.command_sweep import (
+from analyzer_sim.dialects.rows.sweep_rows import (
     BY_TYPE,
     CLOCK_ROWS,
     DB6_RATIO,
@@ -32,10 +35,7 @@ from analyzer_sim.dialects.command_sweep import (
     trace_mode_row,
     unit_row,
 )
-from analyzer_sim.dialects.command_traces import TraceFormat, TraceStyle, format_row, trace_row
-from analyzer_sim.dialects.commands_common import COMMON_COMMANDS, SYSTEM_COMMANDS
-from analyzer_sim.dialects.dialect import Dialect
-from analyzer_sim.dialects.functions_siglent import FUNCTION_ROWS
+from analyzer_sim.dialects.rows.trace_rows import TraceFormat, TraceStyle, format_row, trace_row
 from analyzer_sim.instrument.models import SSA3032X
 from analyzer_sim.scpi.parameters import DECIBELS, HERTZ, PURE, SECONDS, Level, Numeric, TraceName
 

@@ -15,9 +15,8 @@ display is remembered and changes nothing.
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from analyzer_sim.dialects.command_row import Call, Command
-from analyzer_sim.dialects.command_settings import number_text, numeric
-from analyzer_sim.dialects.function_rows import (
+from analyzer_sim.dialects.rows.command_row import Call, Command
+from analyzer_sim.dialects.rows.function_rows import (
     PERCENT,
     Figure,
     decibel_row,
@@ -30,7 +29,8 @@ from analyzer_sim.dialects.function_rows import (
     word,
     word_row,
 )
-from analyzer_sim.dialects.marker_rows import MarkerStyle, marker_of, marker_rows
+from analyzer_sim.dialects.rows.marker_rows import MarkerStyle, marker_of, marker_rows
+from analyzer_sim.dialects.rows.settings_rows import number_text, numeric
 from analyzer_sim.instrument.band_power import Band, adjacent_powers_mw, band_power_mw, decibels
 from analyzer_sim.instrument.function_settings import OFF, SPECTRUM
 from analyzer_sim.instrument.occupied_bandwidth import (

@@ -14,9 +14,8 @@ behind a measurement the first and, for the trace, the second are there; the lis
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-from analyzer_sim.dialects.command_row import Call, Command
-from analyzer_sim.dialects.command_settings import number_text
-from analyzer_sim.dialects.function_rows import (
+from analyzer_sim.dialects.rows.command_row import Call, Command
+from analyzer_sim.dialects.rows.function_rows import (
     NOT_A_NUMBER,
     PERCENT,
     Figure,
@@ -30,7 +29,8 @@ from analyzer_sim.dialects.function_rows import (
     swept_trace,
     switch_row,
 )
-from analyzer_sim.dialects.marker_rows import MarkerStyle, marker_of, marker_rows, put_state, span_row
+from analyzer_sim.dialects.rows.marker_rows import MarkerStyle, marker_of, marker_rows, put_state, span_row
+from analyzer_sim.dialects.rows.settings_rows import number_text
 from analyzer_sim.instrument.band_power import Band, adjacent_powers_mw, band_power_mw, decibels
 from analyzer_sim.instrument.function_settings import OFF, swept_settings
 from analyzer_sim.instrument.instrument_settings import Settings

@@ -7,9 +7,8 @@ those that were set or, unset, those of the first pair times its number; sub-blo
 from collections.abc import Callable
 from dataclasses import replace
 
-from analyzer_sim.dialects.command_row import Call, Command
-from analyzer_sim.dialects.command_settings import inert, number_text
-from analyzer_sim.dialects.function_rows import (
+from analyzer_sim.dialects.rows.command_row import Call, Command
+from analyzer_sim.dialects.rows.function_rows import (
     PERCENT,
     Figure,
     figure_row,
@@ -22,7 +21,7 @@ from analyzer_sim.dialects.function_rows import (
     word,
     word_row,
 )
-from analyzer_sim.dialects.marker_rows import (
+from analyzer_sim.dialects.rows.marker_rows import (
     MarkerStyle,
     band_dbm,
     band_dbm_hz,
@@ -33,7 +32,8 @@ from analyzer_sim.dialects.marker_rows import (
     read_marker,
     span_row,
 )
-from analyzer_sim.dialects.power_list_rows import POWER_LIST_ROWS
+from analyzer_sim.dialects.rows.power_list_rows import POWER_LIST_ROWS
+from analyzer_sim.dialects.rows.settings_rows import inert, number_text
 from analyzer_sim.instrument.band_power import adjacent_powers_mw, band_power_mw, carrier_to_noise_db, decibels
 from analyzer_sim.instrument.function_settings import OFF
 from analyzer_sim.instrument.occupied_bandwidth import occupied_by_percent

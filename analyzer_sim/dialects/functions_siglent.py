@@ -7,9 +7,8 @@ the span.
 
 from collections.abc import Callable
 
-from analyzer_sim.dialects.command_row import Call, Command
-from analyzer_sim.dialects.command_settings import inert
-from analyzer_sim.dialects.function_rows import (
+from analyzer_sim.dialects.rows.command_row import Call, Command
+from analyzer_sim.dialects.rows.function_rows import (
     PERCENT,
     Figure,
     decibel_row,
@@ -23,7 +22,8 @@ from analyzer_sim.dialects.function_rows import (
     word,
     word_row,
 )
-from analyzer_sim.dialects.marker_rows import MarkerStyle, marker_of, marker_rows, put_state
+from analyzer_sim.dialects.rows.marker_rows import MarkerStyle, marker_of, marker_rows, put_state
+from analyzer_sim.dialects.rows.settings_rows import inert
 from analyzer_sim.instrument.band_power import adjacent_powers_mw, band_power_mw, decibels
 from analyzer_sim.instrument.function_settings import OFF, SPECTRUM
 from analyzer_sim.instrument.occupied_bandwidth import Occupied, occupied_by_level, occupied_by_percent

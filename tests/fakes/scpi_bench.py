@@ -4,9 +4,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
-from analyzer_sim.dialects.command_row import Command
 from analyzer_sim.dialects.dialect import Dialect
 from analyzer_sim.dialects.dialects import DIALECTS
+from analyzer_sim.dialects.rows.command_row import Command
 from analyzer_sim.emission import Emission, EndOfScenario, Signal
 from analyzer_sim.instrument.imperfections import IDEAL
 from analyzer_sim.instrument.instrument import Instrument

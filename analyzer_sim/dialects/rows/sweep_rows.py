@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
-from analyzer_sim.dialects.command_row import Call, Command
+from analyzer_sim.dialects.rows.command_row import Call, Command
 from analyzer_sim.epochs import rfc3339
 from analyzer_sim.instrument.instrument_settings import Settings
 from analyzer_sim.scpi.errors import ScpiError

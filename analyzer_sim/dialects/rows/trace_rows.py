@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from analyzer_sim.dialects.command_row import Call, Command, Reader
+from analyzer_sim.dialects.rows.command_row import Call, Command, Reader
 from analyzer_sim.instrument.levels import ENCODERS, UNITS, FloatArray, ascii_list, definite_block
 from analyzer_sim.instrument.spectrum import SweepGrid
 from analyzer_sim.scpi.errors import ScpiError

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analyzer_sim.dialects.command_row import Call, Command
-from analyzer_sim.dialects.command_settings import number_text
+from analyzer_sim.dialects.rows.command_row import Call, Command
+from analyzer_sim.dialects.rows.settings_rows import number_text
 from analyzer_sim.instrument.band_power import Band
 from analyzer_sim.instrument.levels import UNITS
 from analyzer_sim.instrument.painter import Trace

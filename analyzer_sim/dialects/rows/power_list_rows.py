@@ -4,8 +4,8 @@ The command starts the list; the query starts it and answers when every entry ha
 again. Each entry answers up to three levels: those that ``SET`` switches on, in its order.
 """
 
-from analyzer_sim.dialects.command_row import Call, Command
-from analyzer_sim.dialects.function_rows import results, shown_level, word
+from analyzer_sim.dialects.rows.command_row import Call, Command
+from analyzer_sim.dialects.rows.function_rows import results, shown_level, word
 from analyzer_sim.instrument.power_list import EVALUATIONS, MAX_ENTRIES, entry_settings, read_entries
 from analyzer_sim.scpi.errors import ScpiError
 from analyzer_sim.scpi.parameters import SECONDS, Boolean, Choice, Numeric

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from analyzer_sim.dialects.command_row import Call, Command
+from analyzer_sim.dialects.rows.command_row import Call, Command
 from analyzer_sim.instrument.instrument_settings import reset_state
 from analyzer_sim.instrument.painter import Trace
 from analyzer_sim.instrument.quantities import store

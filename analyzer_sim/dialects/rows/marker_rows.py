@@ -9,9 +9,9 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
-from analyzer_sim.dialects.command_row import Call, Command
-from analyzer_sim.dialects.command_settings import number_text
-from analyzer_sim.dialects.function_rows import Figure, decibel_row, result_text, shown_level, swept_trace
+from analyzer_sim.dialects.rows.command_row import Call, Command
+from analyzer_sim.dialects.rows.function_rows import Figure, decibel_row, result_text, shown_level, swept_trace
+from analyzer_sim.dialects.rows.settings_rows import number_text
 from analyzer_sim.instrument.band_power import Band, band_power_mw, decibels, noise_density_dbm_hz
 from analyzer_sim.instrument.function_settings import OFF, Marker
 from analyzer_sim.instrument.markers import Search, next_peak

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from analyzer_sim.dialects.command_row import Call, Command
+from analyzer_sim.dialects.rows.command_row import Call, Command
 from analyzer_sim.scpi.errors import ScpiError
 from analyzer_sim.scpi.parameters import PURE, Numeric
 from analyzer_sim.scpi.status import REGISTER_MASK, StatusModel, StatusRegister

@@ -1,0 +1,1 @@
+"""Rows of command tables that several makers share."""
