@@ -8,7 +8,7 @@ import struct
 import threading
 from typing import NamedTuple
 
-from analyzer_sim.dialects.dialect_rs import RS
+from analyzer_sim.dialects.makers.rs import RS
 from analyzer_sim.emission import Emission, Signal
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import TracePainter

@@ -14,8 +14,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from analyzer_sim.dialects.dialect_rs import IDENTITY
 from analyzer_sim.dialects.dialects import DIALECTS
+from analyzer_sim.dialects.makers.rs import IDENTITY
 from analyzer_sim.emission import Emission, Signal
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import TracePainter

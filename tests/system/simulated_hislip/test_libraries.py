@@ -14,7 +14,7 @@ from hislip_client import (
     Wire,
 )
 
-from analyzer_sim.dialects.dialect_rs import RS
+from analyzer_sim.dialects.makers.rs import RS
 from analyzer_sim.lines.server import AnalyzerThread
 
 pytestmark = pytest.mark.system

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import pytest
 
 from analyzer_sim.dialects.dialect import Dialect
-from analyzer_sim.dialects.dialect_rs import RS
+from analyzer_sim.dialects.makers.rs import RS
 from analyzer_sim.emission import Emission, EndOfScenario, Signal
 from analyzer_sim.instrument.imperfections import IDEAL
 from analyzer_sim.instrument.instrument import Instrument

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analyzer_sim.dialects.dialect_rs import RS
+from analyzer_sim.dialects.makers.rs import RS
 from analyzer_sim.instrument.imperfections import IDEAL
 from analyzer_sim.instrument.instrument import Instrument, TraceNotReadyError
 from analyzer_sim.instrument.painter import TracePainter

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from analyzer_sim.dialects.dialect_rs import RS
+from analyzer_sim.dialects.makers.rs import RS
 from analyzer_sim.instrument.imperfections import IDEAL
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.models import FSW_26

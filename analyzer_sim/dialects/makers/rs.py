@@ -1,7 +1,7 @@
 """Rohde & Schwarz FSV and FSW: what measuring with traces needs; measurement functions stand in functions_rs.py."""
 
 from analyzer_sim.dialects.dialect import Dialect
-from analyzer_sim.dialects.functions_rs import FUNCTION_ROWS
+from analyzer_sim.dialects.makers.rs_functions import FUNCTION_ROWS
 from analyzer_sim.dialects.rows.command_row import Command
 from analyzer_sim.dialects.rows.ieee488_rows import COMMON_COMMANDS, SYSTEM_COMMANDS
 from analyzer_sim.dialects.rows.settings_rows import boolean, choice, constant, ignored, inert, inert_number, numeric

@@ -6,7 +6,7 @@ an empty error queue answers ``+0``; ``FETCh:SANalyzer?`` answers pairs of frequ
 """
 
 from analyzer_sim.dialects.dialect import Dialect
-from analyzer_sim.dialects.functions_keysight import FUNCTION_ROWS
+from analyzer_sim.dialects.makers.keysight_functions import FUNCTION_ROWS
 from analyzer_sim.dialects.rows.command_row import Call, Command
 from analyzer_sim.dialects.rows.ieee488_rows import COMMON_COMMANDS, SYSTEM_COMMANDS, register_rows
 from analyzer_sim.dialects.rows.settings_rows import boolean, constant, ignored, inert, inert_number, numeric

@@ -6,7 +6,7 @@ it was taken; blocks are little-endian, integers in milli-dBm; filter steps 1-3-
 """
 
 from analyzer_sim.dialects.dialect import Dialect
-from analyzer_sim.dialects.functions_anritsu import FUNCTION_ROWS
+from analyzer_sim.dialects.makers.anritsu_functions import FUNCTION_ROWS
 from analyzer_sim.dialects.rows.command_row import Call, Command
 from analyzer_sim.dialects.rows.ieee488_rows import COMMON_COMMANDS, SYSTEM_COMMANDS
 from analyzer_sim.dialects.rows.settings_rows import (

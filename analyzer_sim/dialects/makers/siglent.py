@@ -6,7 +6,7 @@ a sweep is polled with ``TRACe:SWEep:STATe?``.
 """
 
 from analyzer_sim.dialects.dialect import Dialect
-from analyzer_sim.dialects.functions_siglent import FUNCTION_ROWS
+from analyzer_sim.dialects.makers.siglent_functions import FUNCTION_ROWS
 from analyzer_sim.dialects.rows.command_row import Call, Command
 from analyzer_sim.dialects.rows.ieee488_rows import COMMON_COMMANDS, SYSTEM_COMMANDS
 from analyzer_sim.dialects.rows.settings_rows import boolean, choice, constant, ignored, inert, inert_number, numeric

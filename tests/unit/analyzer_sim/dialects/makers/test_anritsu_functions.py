@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analyzer_sim.dialects.dialect_anritsu import ANRITSU
+from analyzer_sim.dialects.makers.anritsu import ANRITSU
 
 # carriers of the bench: a 1012 MHz 1 MHz -40 dBm, b 1017 MHz 2 MHz -43 dBm, c 1022 MHz 0.5 MHz -46 dBm; -120 dBm/Hz
 SETUP = "*RST;*CLS;:FREQ:CENT 1017 MHZ;SPAN 20 MHZ;:BAND 30 KHZ;:DISP:POIN 2001;:SWE:TIME 10"

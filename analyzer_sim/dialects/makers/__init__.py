@@ -1,0 +1,1 @@
+"""Command tables of the four makers."""
