@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 
 from analyzer_sim.dialects.rows.command_row import Command
 from analyzer_sim.dialects.rows.trace_rows import TraceStyle
-from analyzer_sim.instrument.analyzer_model import AnalyzerModel
 from analyzer_sim.instrument.imperfections import Imperfections
+from analyzer_sim.instrument.settings.analyzer_model import AnalyzerModel
 
 
 @dataclass(frozen=True, slots=True)

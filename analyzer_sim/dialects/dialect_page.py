@@ -9,7 +9,7 @@ from analyzer_sim.dialects.dialects import DIALECTS
 from analyzer_sim.dialects.rows.command_row import Command
 from analyzer_sim.dialects.rows.ieee488_rows import COMMON_COMMANDS, SYSTEM_COMMANDS
 from analyzer_sim.dialects.rows.sweep_rows import CLOCK_ROWS
-from analyzer_sim.instrument.analyzer_model import AnalyzerModel, FilterSteps, Limits
+from analyzer_sim.instrument.settings.analyzer_model import AnalyzerModel, FilterSteps, Limits
 from analyzer_sim.scpi.parameters import Boolean, Choice, Level, Numeric, Parameter, Quoted, TraceName
 
 #: what keeps the page current

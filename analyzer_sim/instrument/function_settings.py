@@ -7,8 +7,8 @@ sweeps on its own (Keysight's CHPower, OBWidth, ACPower) keeps its span, filter,
 
 from dataclasses import dataclass, field, replace
 
-from analyzer_sim.instrument.instrument_settings import Settings
-from analyzer_sim.instrument.quantities import store
+from analyzer_sim.instrument.settings.instrument_settings import Settings
+from analyzer_sim.instrument.settings.quantities import store
 
 #: the plain spectrum: sweeps are taken with the settings as they are
 SPECTRUM = "SAN"

@@ -19,11 +19,11 @@ from functools import reduce
 from operator import or_
 
 from analyzer_sim.emission import Emission, EmissionSource, EndOfScenario
-from analyzer_sim.instrument.analyzer_model import AnalyzerModel
 from analyzer_sim.instrument.function_settings import FunctionSettings, swept_settings
-from analyzer_sim.instrument.instrument_settings import Settings, reset_state
-from analyzer_sim.instrument.models import FSW_26
 from analyzer_sim.instrument.painter import FloatArray, Trace, TracePainter
+from analyzer_sim.instrument.settings.analyzer_model import AnalyzerModel
+from analyzer_sim.instrument.settings.instrument_settings import Settings, reset_state
+from analyzer_sim.instrument.settings.models import FSW_26
 from analyzer_sim.instrument.sweep_life import OPERATION_BITS, Pace, SweepLife, SweepState
 from analyzer_sim.instrument.trace_faults import TraceFaults
 from analyzer_sim.instrument.truth_log import Reading, TruthLog

@@ -14,9 +14,9 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from analyzer_sim.instrument.band_power import decibels, milliwatts_of
-from analyzer_sim.instrument.instrument_settings import Settings
 from analyzer_sim.instrument.painter import Trace
-from analyzer_sim.instrument.quantities import store
+from analyzer_sim.instrument.settings.instrument_settings import Settings
+from analyzer_sim.instrument.settings.quantities import store
 from analyzer_sim.scpi.errors import ScpiError
 from analyzer_sim.scpi.parameters import DBM, DECIBELS, HERTZ, PURE, SECONDS, Choice, Numeric
 from analyzer_sim.scpi.parser import Character, Datum

@@ -34,10 +34,10 @@ from analyzer_sim.dialects.rows.sweep_rows import (
 )
 from analyzer_sim.dialects.rows.trace_rows import TraceFormat, TraceStyle, format_row, trace_row
 from analyzer_sim.epochs import rfc3339
-from analyzer_sim.instrument.instrument_settings import Settings
 from analyzer_sim.instrument.levels import definite_block
-from analyzer_sim.instrument.models import MS2090A
-from analyzer_sim.instrument.quantities import load
+from analyzer_sim.instrument.settings.instrument_settings import Settings
+from analyzer_sim.instrument.settings.models import MS2090A
+from analyzer_sim.instrument.settings.quantities import load
 from analyzer_sim.scpi.parameters import DECIBELS, HERTZ, SECONDS, Choice, Level, TraceName
 
 IDENTITY = "Anritsu,MS2090A,2014005,V2023.3.1"

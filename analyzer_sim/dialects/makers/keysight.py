@@ -46,8 +46,8 @@ from analyzer_sim.dialects.rows.trace_rows import (
     trace_reader,
     trace_row,
 )
-from analyzer_sim.instrument.instrument_settings import reset_state
-from analyzer_sim.instrument.models import N9020B
+from analyzer_sim.instrument.settings.instrument_settings import reset_state
+from analyzer_sim.instrument.settings.models import N9020B
 from analyzer_sim.scpi.parameters import DECIBELS, HERTZ, SECONDS, Boolean, Choice, Level, TraceName
 
 IDENTITY = "Keysight Technologies,N9020B,MY57430101,A.30.05"

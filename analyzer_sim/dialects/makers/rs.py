@@ -35,8 +35,8 @@ from analyzer_sim.dialects.rows.trace_rows import (
     trace_reader,
     trace_row,
 )
-from analyzer_sim.instrument.models import FSW_26
-from analyzer_sim.instrument.quantities import QUANTITIES
+from analyzer_sim.instrument.settings.models import FSW_26
+from analyzer_sim.instrument.settings.quantities import QUANTITIES
 from analyzer_sim.scpi.parameters import DECIBELS, HERTZ, SECONDS, Level, TraceName
 
 IDENTITY = "Rohde&Schwarz,FSW-26,1312.8000K26/100001,5.30"

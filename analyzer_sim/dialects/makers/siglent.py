@@ -36,7 +36,7 @@ from analyzer_sim.dialects.rows.sweep_rows import (
     unit_row,
 )
 from analyzer_sim.dialects.rows.trace_rows import TraceFormat, TraceStyle, format_row, trace_row
-from analyzer_sim.instrument.models import SSA3032X
+from analyzer_sim.instrument.settings.models import SSA3032X
 from analyzer_sim.scpi.parameters import DECIBELS, HERTZ, PURE, SECONDS, Level, Numeric, TraceName
 
 IDENTITY = "Siglent Technologies,SSA3032X,SSA3XLBD2R0101,1.2.9.3"

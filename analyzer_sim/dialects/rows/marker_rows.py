@@ -16,7 +16,7 @@ from analyzer_sim.instrument.band_power import Band, band_power_mw, decibels, no
 from analyzer_sim.instrument.function_settings import OFF, Marker
 from analyzer_sim.instrument.markers import Search, next_peak
 from analyzer_sim.instrument.painter import Trace
-from analyzer_sim.instrument.quantities import store
+from analyzer_sim.instrument.settings.quantities import store
 from analyzer_sim.scpi.errors import ScpiError
 from analyzer_sim.scpi.parameters import HERTZ, Boolean, Numeric
 

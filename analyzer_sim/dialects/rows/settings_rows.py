@@ -7,8 +7,8 @@ and then reported as -222.
 from collections.abc import Callable, Mapping
 
 from analyzer_sim.dialects.rows.command_row import Call, Command
-from analyzer_sim.instrument.instrument_settings import Settings
-from analyzer_sim.instrument.quantities import QUANTITIES, load, shown_limits, store
+from analyzer_sim.instrument.settings.instrument_settings import Settings
+from analyzer_sim.instrument.settings.quantities import QUANTITIES, load, shown_limits, store
 from analyzer_sim.scpi.errors import ScpiError
 from analyzer_sim.scpi.parameters import PURE, Boolean, Choice, Numeric, Parameter
 

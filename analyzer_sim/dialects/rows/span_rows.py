@@ -5,9 +5,9 @@ import math
 import numpy as np
 
 from analyzer_sim.dialects.rows.command_row import Call, Command
-from analyzer_sim.instrument.instrument_settings import reset_state
 from analyzer_sim.instrument.painter import Trace
-from analyzer_sim.instrument.quantities import store
+from analyzer_sim.instrument.settings.instrument_settings import reset_state
+from analyzer_sim.instrument.settings.quantities import store
 from analyzer_sim.scpi.parameters import Boolean
 
 #: span left by the search for the strongest signal, Hz

@@ -11,7 +11,7 @@ from typing import Final
 
 from analyzer_sim.dialects.rows.command_row import Call, Command
 from analyzer_sim.epochs import rfc3339
-from analyzer_sim.instrument.instrument_settings import Settings
+from analyzer_sim.instrument.settings.instrument_settings import Settings
 from analyzer_sim.scpi.errors import ScpiError
 from analyzer_sim.scpi.parameters import Boolean, Choice, Quoted
 from analyzer_sim.scpi.parser import short_form

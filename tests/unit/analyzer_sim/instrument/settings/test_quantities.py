@@ -5,10 +5,10 @@ from dataclasses import replace
 import pytest
 
 from analyzer_sim.dialects.dialects import DIALECTS
-from analyzer_sim.instrument.analyzer_model import AnalyzerModel
-from analyzer_sim.instrument.instrument_settings import Settings, reset_state
-from analyzer_sim.instrument.models import FSW_26, SSA3032X
-from analyzer_sim.instrument.quantities import QUANTITIES, load, shown_limits, store
+from analyzer_sim.instrument.settings.analyzer_model import AnalyzerModel
+from analyzer_sim.instrument.settings.instrument_settings import Settings, reset_state
+from analyzer_sim.instrument.settings.models import FSW_26, SSA3032X
+from analyzer_sim.instrument.settings.quantities import QUANTITIES, load, shown_limits, store
 
 MODELS = {name: dialect.model for name, dialect in DIALECTS.items()}
 

@@ -4,7 +4,7 @@ Deviations from the real instruments, on purpose: all have one resolution filter
 end at ``MAX_SWEEPS``.
 """
 
-from analyzer_sim.instrument.analyzer_model import MAX_SWEEPS, AnalyzerModel, FilterSteps, Limits, decade_steps
+from analyzer_sim.instrument.settings.analyzer_model import MAX_SWEEPS, AnalyzerModel, FilterSteps, Limits, decade_steps
 
 _RS_STEPS = FilterSteps(decade_steps((1, 2, 3, 5), 1.0, 10e6))
 _E24 = (

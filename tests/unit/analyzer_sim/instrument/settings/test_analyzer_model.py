@@ -3,8 +3,8 @@
 import pytest
 
 from analyzer_sim.dialects.dialects import DIALECTS
-from analyzer_sim.instrument.analyzer_model import FilterSteps, decade_steps
-from analyzer_sim.instrument.models import FSW_26, SSA3032X
+from analyzer_sim.instrument.settings.analyzer_model import FilterSteps, decade_steps
+from analyzer_sim.instrument.settings.models import FSW_26, SSA3032X
 
 MODELS = {name: dialect.model for name, dialect in DIALECTS.items()}
 

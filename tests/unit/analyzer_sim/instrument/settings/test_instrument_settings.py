@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from analyzer_sim.instrument.analyzer_model import AnalyzerModel
-from analyzer_sim.instrument.instrument_settings import Settings, reset_state
-from analyzer_sim.instrument.models import FSW_26, MS2090A, N9020B
-from analyzer_sim.instrument.quantities import store
+from analyzer_sim.instrument.settings.analyzer_model import AnalyzerModel
+from analyzer_sim.instrument.settings.instrument_settings import Settings, reset_state
+from analyzer_sim.instrument.settings.models import FSW_26, MS2090A, N9020B
+from analyzer_sim.instrument.settings.quantities import store
 
 
 def fresh(model: AnalyzerModel = FSW_26, **values: object) -> Settings:

@@ -1,0 +1,1 @@
+"""Settings of the analyzer: limits, couplings and the makers' models."""
