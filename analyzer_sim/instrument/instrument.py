@@ -19,7 +19,7 @@ from functools import reduce
 from operator import or_
 
 from analyzer_sim.emission import Emission, EmissionSource, EndOfScenario
-from analyzer_sim.instrument.function_settings import FunctionSettings, swept_settings
+from analyzer_sim.instrument.functions.function_settings import FunctionSettings, swept_settings
 from analyzer_sim.instrument.painter import FloatArray, Trace, TracePainter
 from analyzer_sim.instrument.settings.analyzer_model import AnalyzerModel
 from analyzer_sim.instrument.settings.instrument_settings import Settings, reset_state

@@ -31,9 +31,9 @@ from analyzer_sim.dialects.rows.function_rows import (
 )
 from analyzer_sim.dialects.rows.marker_rows import MarkerStyle, marker_of, marker_rows
 from analyzer_sim.dialects.rows.settings_rows import number_text, numeric
-from analyzer_sim.instrument.band_power import Band, adjacent_powers_mw, band_power_mw, decibels
-from analyzer_sim.instrument.function_settings import OFF, SPECTRUM
-from analyzer_sim.instrument.occupied_bandwidth import (
+from analyzer_sim.instrument.functions.band_power import Band, adjacent_powers_mw, band_power_mw, decibels
+from analyzer_sim.instrument.functions.function_settings import OFF, SPECTRUM
+from analyzer_sim.instrument.functions.occupied_bandwidth import (
     decibels_down,
     occupied_by_level,
     occupied_by_percent,

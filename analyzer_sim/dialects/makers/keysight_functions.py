@@ -31,10 +31,10 @@ from analyzer_sim.dialects.rows.function_rows import (
 )
 from analyzer_sim.dialects.rows.marker_rows import MarkerStyle, marker_of, marker_rows, put_state, span_row
 from analyzer_sim.dialects.rows.settings_rows import number_text
-from analyzer_sim.instrument.band_power import Band, adjacent_powers_mw, band_power_mw, decibels
-from analyzer_sim.instrument.function_settings import OFF, swept_settings
+from analyzer_sim.instrument.functions.band_power import Band, adjacent_powers_mw, band_power_mw, decibels
+from analyzer_sim.instrument.functions.function_settings import OFF, swept_settings
+from analyzer_sim.instrument.functions.occupied_bandwidth import occupied_by_level, occupied_by_percent, trace_power_dbm
 from analyzer_sim.instrument.levels import UNITS, ascii_list
-from analyzer_sim.instrument.occupied_bandwidth import occupied_by_level, occupied_by_percent, trace_power_dbm
 from analyzer_sim.instrument.settings.instrument_settings import Settings
 from analyzer_sim.instrument.settings.quantities import load, shown_limits, store
 from analyzer_sim.scpi.errors import ScpiError

@@ -34,9 +34,14 @@ from analyzer_sim.dialects.rows.marker_rows import (
 )
 from analyzer_sim.dialects.rows.power_list_rows import POWER_LIST_ROWS
 from analyzer_sim.dialects.rows.settings_rows import inert, number_text
-from analyzer_sim.instrument.band_power import adjacent_powers_mw, band_power_mw, carrier_to_noise_db, decibels
-from analyzer_sim.instrument.function_settings import OFF
-from analyzer_sim.instrument.occupied_bandwidth import occupied_by_percent
+from analyzer_sim.instrument.functions.band_power import (
+    adjacent_powers_mw,
+    band_power_mw,
+    carrier_to_noise_db,
+    decibels,
+)
+from analyzer_sim.instrument.functions.function_settings import OFF
+from analyzer_sim.instrument.functions.occupied_bandwidth import occupied_by_percent
 from analyzer_sim.instrument.settings.quantities import store
 from analyzer_sim.scpi.errors import ScpiError
 from analyzer_sim.scpi.parameters import Boolean, Choice

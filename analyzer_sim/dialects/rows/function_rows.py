@@ -12,7 +12,7 @@ import numpy as np
 
 from analyzer_sim.dialects.rows.command_row import Call, Command
 from analyzer_sim.dialects.rows.settings_rows import number_text
-from analyzer_sim.instrument.band_power import Band
+from analyzer_sim.instrument.functions.band_power import Band
 from analyzer_sim.instrument.levels import UNITS
 from analyzer_sim.instrument.painter import Trace
 from analyzer_sim.scpi.errors import ScpiError

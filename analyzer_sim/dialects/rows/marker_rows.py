@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from analyzer_sim.dialects.rows.command_row import Call, Command
 from analyzer_sim.dialects.rows.function_rows import Figure, decibel_row, result_text, shown_level, swept_trace
 from analyzer_sim.dialects.rows.settings_rows import number_text
-from analyzer_sim.instrument.band_power import Band, band_power_mw, decibels, noise_density_dbm_hz
-from analyzer_sim.instrument.function_settings import OFF, Marker
-from analyzer_sim.instrument.markers import Search, next_peak
+from analyzer_sim.instrument.functions.band_power import Band, band_power_mw, decibels, noise_density_dbm_hz
+from analyzer_sim.instrument.functions.function_settings import OFF, Marker
+from analyzer_sim.instrument.functions.markers import Search, next_peak
 from analyzer_sim.instrument.painter import Trace
 from analyzer_sim.instrument.settings.quantities import store
 from analyzer_sim.scpi.errors import ScpiError

@@ -6,7 +6,7 @@ again. Each entry answers up to three levels: those that ``SET`` switches on, in
 
 from analyzer_sim.dialects.rows.command_row import Call, Command
 from analyzer_sim.dialects.rows.function_rows import results, shown_level, word
-from analyzer_sim.instrument.power_list import EVALUATIONS, MAX_ENTRIES, entry_settings, read_entries
+from analyzer_sim.instrument.functions.power_list import EVALUATIONS, MAX_ENTRIES, entry_settings, read_entries
 from analyzer_sim.scpi.errors import ScpiError
 from analyzer_sim.scpi.parameters import SECONDS, Boolean, Choice, Numeric
 from analyzer_sim.scpi.parser import Datum

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from analyzer_sim.instrument.band_power import decibels, milliwatts_of
+from analyzer_sim.instrument.functions.band_power import decibels, milliwatts_of
 from analyzer_sim.instrument.painter import Trace
 from analyzer_sim.instrument.settings.instrument_settings import Settings
 from analyzer_sim.instrument.settings.quantities import store

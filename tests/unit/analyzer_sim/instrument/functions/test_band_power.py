@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from analyzer_sim.emission import Emission, Signal
-from analyzer_sim.instrument.band_power import (
+from analyzer_sim.instrument.functions.band_power import (
     LOG_MEAN_LOSS_DB,
     VOLT_MEAN_LOSS_DB,
     Band,

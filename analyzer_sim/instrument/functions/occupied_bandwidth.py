@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analyzer_sim.instrument.band_power import Band, band_power_mw, decibels, milliwatts_of
+from analyzer_sim.instrument.functions.band_power import Band, band_power_mw, decibels, milliwatts_of
 from analyzer_sim.instrument.spectrum import SweepGrid
 
 FloatArray = NDArray[np.float64]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from analyzer_sim.emission import Emission, Signal
-from analyzer_sim.instrument.occupied_bandwidth import (
+from analyzer_sim.instrument.functions.occupied_bandwidth import (
     decibels_down,
     occupied_by_level,
     occupied_by_percent,

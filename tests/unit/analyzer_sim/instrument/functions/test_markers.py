@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analyzer_sim.instrument.markers import Search, next_peak, peaks
+from analyzer_sim.instrument.functions.markers import Search, next_peak, peaks
 
 #          0    1    2     3    4    5     6    7    8    9
 LEVELS = np.array([-9.0, 0.0, -9.0, -2.0, -9.0, 3.0, -9.0, 1.0, -2.0, -1.0])

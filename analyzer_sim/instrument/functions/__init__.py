@@ -1,0 +1,1 @@
+"""Measurement functions on a trace: powers of bands, markers, power list."""
