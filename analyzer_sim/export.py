@@ -64,7 +64,7 @@ from analyzer_sim.streams import FloatArray, stream
 from analyzer_sim.world.carriers import ROLLOFF
 from analyzer_sim.world.effects import SOURCES
 from analyzer_sim.world.ground import catalogue_lines, news
-from analyzer_sim.world.orbit import predicted_track
+from analyzer_sim.world.orbit.orbit import predicted_track
 from analyzer_sim.world.payload import sensitivity_db_per_deg
 from analyzer_sim.world.sensors import References
 from analyzer_sim.world.story import Scenario

@@ -19,7 +19,7 @@ from analyzer_sim.world.disturbance import disturbance
 from analyzer_sim.world.flown_craft import Craft, craft_at_rest
 from analyzer_sim.world.ground_bodies import INERTIA_KG_M2
 from analyzer_sim.world.hub_tones import HubTone
-from analyzer_sim.world.orbit import EARTH_RATE_RAD_S
+from analyzer_sim.world.orbit.orbit import EARTH_RATE_RAD_S
 from analyzer_sim.world.rigid_body import BodyState, RigidBody, TorqueElement, Triple
 from analyzer_sim.world.story import Scenario
 from analyzer_sim.world.telemetry import TelemetryRecord

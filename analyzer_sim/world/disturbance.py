@@ -13,7 +13,7 @@ import numpy as np
 from analyzer_sim.epochs import US_PER_DAY, US_PER_S
 from analyzer_sim.streams import FloatArray, stream
 from analyzer_sim.world.noise import first_order
-from analyzer_sim.world.orbit import EpochArray
+from analyzer_sim.world.orbit.orbit import EpochArray
 from analyzer_sim.world.story import ResidualTorque, Scenario
 
 #: torque of the Sun's light, N m, order yaw, roll, pitch, and the share of it that is fed forward

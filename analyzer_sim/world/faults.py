@@ -18,7 +18,7 @@ from analyzer_sim.world.events import (
     SwitchOff,
     UplinkRain,
 )
-from analyzer_sim.world.orbit import EpochArray
+from analyzer_sim.world.orbit.orbit import EpochArray
 from analyzer_sim.world.spells import SPELLS
 from analyzer_sim.world.weather import rain_db
 

@@ -14,7 +14,7 @@ from analyzer_sim.epochs import US_PER_S
 from analyzer_sim.streams import FloatArray
 from analyzer_sim.world.carriers import CarrierPlan
 from analyzer_sim.world.effects import Effects
-from analyzer_sim.world.orbit import EpochArray, Orbit
+from analyzer_sim.world.orbit.orbit import EpochArray, Orbit
 from analyzer_sim.world.payload import dishes_loss_db, flown_gain_db, nominal_gain_db, uplink_change_db
 from analyzer_sim.world.repeater import repeater_db
 from analyzer_sim.world.story import Scenario

@@ -13,7 +13,7 @@ from analyzer_sim.world.events import (
     SunOutage,
     SwitchOff,
 )
-from analyzer_sim.world.orbit import Orbit
+from analyzer_sim.world.orbit.orbit import Orbit
 from analyzer_sim.world.payload import sensitivity_db_per_deg
 from analyzer_sim.world.scenario import SCENARIOS
 from analyzer_sim.world.story import DEFAULT_START_US, Scenario

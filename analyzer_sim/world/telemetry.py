@@ -13,7 +13,7 @@ import numpy as np
 
 from analyzer_sim.epochs import US_PER_H, US_PER_S
 from analyzer_sim.streams import stream
-from analyzer_sim.world.orbit import EARTH_RATE_RAD_S
+from analyzer_sim.world.orbit.orbit import EARTH_RATE_RAD_S
 from analyzer_sim.world.story import Scenario
 
 #: time between two records and between two unloadings, h

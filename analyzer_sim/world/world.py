@@ -16,7 +16,7 @@ from analyzer_sim.world.carriers import PLANS, ROLLOFF, CarrierPlan
 from analyzer_sim.world.effects import Effects, FaultFlag, Operation
 from analyzer_sim.world.faults import effects_of
 from analyzer_sim.world.level_terms import LevelTerms
-from analyzer_sim.world.orbit import EpochArray, Orbit
+from analyzer_sim.world.orbit.orbit import EpochArray, Orbit
 from analyzer_sim.world.plan_versions import PlanVersion, plan_versions
 from analyzer_sim.world.sensors import References, references
 from analyzer_sim.world.spacecraft import Correction, attitude_history

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analyzer_sim.world.geometry import antenna_angles_deg, body_from_orbital
+from analyzer_sim.world.orbit.geometry import antenna_angles_deg, body_from_orbital
 
 angle = st.floats(-30.0, 30.0, allow_nan=False)
 small = st.floats(-0.5, 0.5, allow_nan=False)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from analyzer_sim.world.orbit import EARTH_RATE_RAD_S
+from analyzer_sim.world.orbit.orbit import EARTH_RATE_RAD_S
 from analyzer_sim.world.rigid_body import BodyState, RigidBody, TorqueElement
 
 S = 1_000_000

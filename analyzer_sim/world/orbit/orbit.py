@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from analyzer_sim.epochs import US_PER_DAY, US_PER_H, US_PER_S
 from analyzer_sim.streams import FloatArray, stream
-from analyzer_sim.world.geometry import EARTH_RADIUS_KM, GEO_RADIUS_KM, orbital_from_earth, station_position_km
+from analyzer_sim.world.orbit.geometry import EARTH_RADIUS_KM, GEO_RADIUS_KM, orbital_from_earth, station_position_km
 
 #: rotation of the Earth, rad/s
 EARTH_RATE_RAD_S = 7.2921159e-5

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from analyzer_sim.epochs import US_PER_DAY
-from analyzer_sim.world.orbit import EARTH_RATE_RAD_S, Orbit, predicted_track
+from analyzer_sim.world.orbit.orbit import EARTH_RATE_RAD_S, Orbit, predicted_track
 
 START_US = 1_793_491_200_000_000
 DAYS = 6

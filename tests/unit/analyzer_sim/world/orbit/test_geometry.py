@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from analyzer_sim.world.geometry import (
+from analyzer_sim.world.orbit.geometry import (
     GEO_RADIUS_KM,
     antenna_angles_deg,
     antenna_frame_deg,

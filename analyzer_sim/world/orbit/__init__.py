@@ -1,0 +1,1 @@
+"""Orbit of the satellite and directions seen from it."""
