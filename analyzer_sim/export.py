@@ -66,9 +66,9 @@ from analyzer_sim.world.effects import SOURCES
 from analyzer_sim.world.ground import catalogue_lines, news
 from analyzer_sim.world.orbit.orbit import predicted_track
 from analyzer_sim.world.payload import sensitivity_db_per_deg
+from analyzer_sim.world.scenario.story import Scenario
+from analyzer_sim.world.scenario.turns import SLEW_MIN, TIMETABLE
 from analyzer_sim.world.sensors import References
-from analyzer_sim.world.story import Scenario
-from analyzer_sim.world.turns import SLEW_MIN, TIMETABLE
 from analyzer_sim.world.user_noise import sweep_sigma_db, world_white_db
 from analyzer_sim.world.world import World, flag_names
 

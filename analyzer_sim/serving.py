@@ -23,7 +23,7 @@ from analyzer_sim.plant.flown_world import FlownWorld
 from analyzer_sim.plant.plant import PlantOptions
 from analyzer_sim.plant.uplink_port import UplinkPort
 from analyzer_sim.world.ground_port import Gate, serve_ground
-from analyzer_sim.world.scenario import Scenario
+from analyzer_sim.world.scenario.scenario import Scenario
 from analyzer_sim.world.world import World
 
 #: name on the command line of a peer that accepts and never answers

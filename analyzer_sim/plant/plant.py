@@ -21,7 +21,7 @@ from analyzer_sim.world.ground_bodies import INERTIA_KG_M2
 from analyzer_sim.world.hub_tones import HubTone
 from analyzer_sim.world.orbit.orbit import EARTH_RATE_RAD_S
 from analyzer_sim.world.rigid_body import BodyState, RigidBody, TorqueElement, Triple
-from analyzer_sim.world.story import Scenario
+from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.telemetry import TelemetryRecord
 from analyzer_sim.world.uplink import UPLINKS, Arrival, Command, CommandStore, Report, Uplink
 from analyzer_sim.world.wheels import QUANTUM_N_M, wheel_set

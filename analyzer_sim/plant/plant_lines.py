@@ -37,7 +37,7 @@ from analyzer_sim.plant.schedule_lines import MAX_LINE_CHARACTERS, Schedule, Sch
 from analyzer_sim.streams import FloatArray
 from analyzer_sim.world.disturbance import fed_forward
 from analyzer_sim.world.ground import catalogue_lines, chunks_of, flown_lines, told_lines, truth_row
-from analyzer_sim.world.story import Scenario
+from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.telemetry import PERIOD_H
 from analyzer_sim.world.uplink import Report
 from analyzer_sim.world.wheels import rotor_speed_rpm

@@ -14,7 +14,7 @@ from analyzer_sim.epochs import US_PER_DAY, US_PER_S
 from analyzer_sim.streams import FloatArray, stream
 from analyzer_sim.world.noise import first_order
 from analyzer_sim.world.orbit.orbit import EpochArray
-from analyzer_sim.world.story import ResidualTorque, Scenario
+from analyzer_sim.world.scenario.story import ResidualTorque, Scenario
 
 #: torque of the Sun's light, N m, order yaw, roll, pitch, and the share of it that is fed forward
 SOLAR_TORQUE_N_M = (0.8e-5, 1.36e-5, 0.72e-5)

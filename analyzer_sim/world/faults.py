@@ -7,7 +7,8 @@ import numpy as np
 from analyzer_sim.streams import stream
 from analyzer_sim.world.carriers import CarrierPlan
 from analyzer_sim.world.effects import Effects, FaultFlag, apply_fault, draw
-from analyzer_sim.world.events import (
+from analyzer_sim.world.orbit.orbit import EpochArray
+from analyzer_sim.world.scenario.events import (
     ChainStep,
     DownlinkRain,
     Fault,
@@ -18,7 +19,6 @@ from analyzer_sim.world.events import (
     SwitchOff,
     UplinkRain,
 )
-from analyzer_sim.world.orbit.orbit import EpochArray
 from analyzer_sim.world.spells import SPELLS
 from analyzer_sim.world.weather import rain_db
 

@@ -29,9 +29,9 @@ from analyzer_sim.world.ground_bodies import (
     telemetry_body,
 )
 from analyzer_sim.world.payload import sensitivity_db_per_deg
-from analyzer_sim.world.story import Phase
+from analyzer_sim.world.scenario.story import Phase
+from analyzer_sim.world.scenario.turns import SLEW_MIN, TIMETABLE
 from analyzer_sim.world.structure import crlb_deg
-from analyzer_sim.world.turns import SLEW_MIN, TIMETABLE
 from analyzer_sim.world.world import World
 
 #: rows that one hold of the ground port spans

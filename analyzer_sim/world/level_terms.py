@@ -17,7 +17,7 @@ from analyzer_sim.world.effects import Effects
 from analyzer_sim.world.orbit.orbit import EpochArray, Orbit
 from analyzer_sim.world.payload import dishes_loss_db, flown_gain_db, nominal_gain_db, uplink_change_db
 from analyzer_sim.world.repeater import repeater_db
-from analyzer_sim.world.story import Scenario
+from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.user_noise import chain_noise_db, users_noise_db
 
 #: noise temperature of the receiving site in clear sky and of the rain, K

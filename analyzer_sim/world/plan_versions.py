@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 from analyzer_sim.epochs import US_PER_H
 from analyzer_sim.world.carriers import Carrier, CarrierPlan
-from analyzer_sim.world.events import PlanChange
-from analyzer_sim.world.story import Scenario
+from analyzer_sim.world.scenario.events import PlanChange
+from analyzer_sim.world.scenario.story import Scenario
 
 
 @dataclass(frozen=True, slots=True)

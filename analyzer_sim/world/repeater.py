@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from analyzer_sim.streams import FloatArray
 from analyzer_sim.world.carriers import CarrierPlan
-from analyzer_sim.world.story import RepeaterFigures
+from analyzer_sim.world.scenario.story import RepeaterFigures
 
 
 def power_control_db(change_db: FloatArray, row_period_s: float, tau_s: float, limit_db: float) -> FloatArray:

@@ -3,7 +3,9 @@
 from collections.abc import Callable, Iterator
 
 from analyzer_sim.world.carriers import PLANS, CarrierPlan
-from analyzer_sim.world.events import (
+from analyzer_sim.world.orbit.orbit import Orbit
+from analyzer_sim.world.payload import sensitivity_db_per_deg
+from analyzer_sim.world.scenario.events import (
     ChainStep,
     Eclipse,
     Fault,
@@ -13,10 +15,8 @@ from analyzer_sim.world.events import (
     SunOutage,
     SwitchOff,
 )
-from analyzer_sim.world.orbit.orbit import Orbit
-from analyzer_sim.world.payload import sensitivity_db_per_deg
-from analyzer_sim.world.scenario import SCENARIOS
-from analyzer_sim.world.story import DEFAULT_START_US, Scenario
+from analyzer_sim.world.scenario.scenario import SCENARIOS
+from analyzer_sim.world.scenario.story import DEFAULT_START_US, Scenario
 from analyzer_sim.world.structure import crlb_deg
 from analyzer_sim.world.world import LONGITUDE_DEG
 

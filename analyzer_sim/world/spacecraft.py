@@ -15,11 +15,11 @@ import numpy as np
 
 from analyzer_sim.epochs import US_PER_S
 from analyzer_sim.streams import FloatArray, stream
-from analyzer_sim.world.manoeuvres import holds_of, piece_edges, planned_deg, unexecuted_deg
 from analyzer_sim.world.noise import first_order
 from analyzer_sim.world.orbit.orbit import EARTH_RATE_RAD_S, EpochArray
-from analyzer_sim.world.story import KeepingFigures, Scenario
-from analyzer_sim.world.turns import SLEW_MIN, TIMETABLE, TURNS_H
+from analyzer_sim.world.scenario.manoeuvres import holds_of, piece_edges, planned_deg, unexecuted_deg
+from analyzer_sim.world.scenario.story import KeepingFigures, Scenario
+from analyzer_sim.world.scenario.turns import SLEW_MIN, TIMETABLE, TURNS_H
 
 #: exchange of roll and yaw, 1/h
 ORBITAL_RATE_PER_H = EARTH_RATE_RAD_S * 3600.0

@@ -14,7 +14,7 @@ import numpy as np
 from analyzer_sim.epochs import US_PER_H, US_PER_S
 from analyzer_sim.streams import stream
 from analyzer_sim.world.orbit.orbit import EARTH_RATE_RAD_S
-from analyzer_sim.world.story import Scenario
+from analyzer_sim.world.scenario.story import Scenario
 
 #: time between two records and between two unloadings, h
 PERIOD_H = 1

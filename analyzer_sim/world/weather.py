@@ -4,7 +4,7 @@ import numpy as np
 
 from analyzer_sim.streams import FloatArray
 from analyzer_sim.world.effects import draw
-from analyzer_sim.world.events import DownlinkRain, Storm, UplinkRain
+from analyzer_sim.world.scenario.events import DownlinkRain, Storm, UplinkRain
 
 #: rain breathes by this share of its depth, with this correlation time
 RAIN_BREATH_SHARE = 0.06

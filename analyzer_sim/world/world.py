@@ -18,9 +18,9 @@ from analyzer_sim.world.faults import effects_of
 from analyzer_sim.world.level_terms import LevelTerms
 from analyzer_sim.world.orbit.orbit import EpochArray, Orbit
 from analyzer_sim.world.plan_versions import PlanVersion, plan_versions
+from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.sensors import References, references
 from analyzer_sim.world.spacecraft import Correction, attitude_history
-from analyzer_sim.world.story import Scenario
 from analyzer_sim.world.telemetry import TelemetryRecord, telemetry
 
 #: longitude of the satellite, deg East

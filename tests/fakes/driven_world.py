@@ -16,7 +16,7 @@ import numpy as np
 
 from analyzer_sim.export import export_npz
 from analyzer_sim.world.payload import attitude_gain_db, dishes_loss_db
-from analyzer_sim.world.scenario import scenario_named
+from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 from service.pipeline.alignment.alignment import align_methods
 from service.pipeline.chain import Chain

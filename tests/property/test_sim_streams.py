@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analyzer_sim.world.events import (
+from analyzer_sim.world.scenario.events import (
     ChainStep,
     DownlinkRain,
     Eclipse,
@@ -20,7 +20,7 @@ from analyzer_sim.world.events import (
     SwitchOff,
     UplinkRain,
 )
-from analyzer_sim.world.scenario import SCENARIOS, Scenario
+from analyzer_sim.world.scenario.scenario import SCENARIOS, Scenario
 from analyzer_sim.world.world import World
 
 #: events of one carrier, c03, which no scenario's level control holds

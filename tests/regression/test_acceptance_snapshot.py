@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from driven_world import HOUR_US, DrivenWorld, shared_world
 
-from analyzer_sim.world.scenario import NoiseFigures, scenario_named
+from analyzer_sim.world.scenario.scenario import NoiseFigures, scenario_named
 from analyzer_sim.world.sensors import Sensor
 from service.records.calibration import Window
 from service.records.levels.attitude import Status

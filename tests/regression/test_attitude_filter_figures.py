@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analyzer_sim.world.scenario import downlink_rain, scenario_named
+from analyzer_sim.world.scenario.scenario import downlink_rain, scenario_named
 from service.core.estimation.filtering.model.filter_model import FilterSettings
 
 SEEDS = (1, 2)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from analyzer_sim.export import export_npz
-from analyzer_sim.world.scenario import SCENARIOS
+from analyzer_sim.world.scenario.scenario import SCENARIOS
 from analyzer_sim.world.world import World
 from service.study.demonstration.merit import AXES, judge_axis, missed_bounds
 from service.study.estimation.flight.drive import drive

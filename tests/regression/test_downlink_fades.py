@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from analyzer_sim.world.scenario import downlink_rain, scenario_named
+from analyzer_sim.world.scenario.scenario import downlink_rain, scenario_named
 
 SEEDS = range(1, 11)
 SLOPES_DB_MIN = (0.05, 0.1, 0.3, 1.0, 3.0)

@@ -12,7 +12,7 @@ import pytest
 
 from analyzer_sim.export import export_arrays
 from analyzer_sim.world.payload import nominal_gain_db
-from analyzer_sim.world.scenario import scenario_named
+from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 from service.core.estimation.calibration.geometry_calibration import CalibrationRows, GeometryCalibration, fit_geometry
 from service.core.estimation.calibration.geometry_columns import CarrierGeometry, OrbitMotion

@@ -7,7 +7,7 @@ import pytest
 from calibration_world import calibration_input
 
 from analyzer_sim.export import export_arrays
-from analyzer_sim.world.scenario import scenario_named
+from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
 from service.pipeline.calibration.windows import CalibrationError

@@ -15,7 +15,7 @@ from analyzer_sim.emission import Emission, Signal
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import TracePainter
 from analyzer_sim.lines.server import start_in_thread
-from analyzer_sim.world.scenario import scenario_named
+from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 from service.core.dynamics.orbital_frame_flight import Start, fly_craft
 from service.core.dynamics.orbital_frame_kernel import compiled_fly

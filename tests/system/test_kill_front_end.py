@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 
 from analyzer_sim.world import ground, ground_bodies
-from analyzer_sim.world.scenario import scenario_named
+from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]

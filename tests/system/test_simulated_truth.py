@@ -14,7 +14,7 @@ import pytest
 from recording_service import Recorder
 
 from analyzer_sim.world import ground
-from analyzer_sim.world.scenario import scenario_named
+from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 
 pytestmark = pytest.mark.system

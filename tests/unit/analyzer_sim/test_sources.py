@@ -13,7 +13,7 @@ from analyzer_sim.world.effects import FaultFlag
 from analyzer_sim.world.ground import chunks_of, ground_lines
 from analyzer_sim.world.ground_bodies import carrier_body, task
 from analyzer_sim.world.payload import sensitivity_db_per_deg
-from analyzer_sim.world.scenario import scenario_named
+from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.user_noise import users_noise_db
 from analyzer_sim.world.world import World
 from service.api.schemas.carriers import CarrierPlanDocument

@@ -12,7 +12,7 @@ from analyzer_sim.instrument.painter import TracePainter
 from analyzer_sim.instrument.trace_faults import TraceFault
 from analyzer_sim.instrument.truth_log import Reading, TruthLog
 from analyzer_sim.lines.session import Session, command_tree
-from analyzer_sim.world.scenario import scenario_named
+from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 
 

@@ -12,9 +12,9 @@ from analyzer_sim.epochs import rfc3339
 from analyzer_sim.plant.flown_world import SCHEDULES_A_ROW, FlownWorld
 from analyzer_sim.plant.plant import Plant, PlantOptions
 from analyzer_sim.plant.schedule_lines import ScheduleError, parse_schedule
-from analyzer_sim.world.events import Gap
-from analyzer_sim.world.scenario import scenario_named
-from analyzer_sim.world.story import Scenario
+from analyzer_sim.world.scenario.events import Gap
+from analyzer_sim.world.scenario.scenario import scenario_named
+from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.world import World
 
 SEED = 1

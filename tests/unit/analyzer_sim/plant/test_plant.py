@@ -15,11 +15,11 @@ from analyzer_sim.export import export_arrays
 from analyzer_sim.plant.plant import Plant, PlantOptions
 from analyzer_sim.plant.plant_lines import run_plant
 from analyzer_sim.plant.schedule_lines import Schedule, ScheduleError, parse_schedule
-from analyzer_sim.world.events import Gap, SwitchOff
 from analyzer_sim.world.ground_bodies import INERTIA_KG_M2
 from analyzer_sim.world.rigid_body import TorqueElement
-from analyzer_sim.world.scenario import Scenario, scenario_named
-from analyzer_sim.world.story import KeepingFigures, RepeaterFigures
+from analyzer_sim.world.scenario.events import Gap, SwitchOff
+from analyzer_sim.world.scenario.scenario import Scenario, scenario_named
+from analyzer_sim.world.scenario.story import KeepingFigures, RepeaterFigures
 from analyzer_sim.world.world import World
 
 SHORT = Scenario(

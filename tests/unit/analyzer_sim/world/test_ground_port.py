@@ -14,7 +14,7 @@ import pytest
 from analyzer_sim.epochs import epoch_us_from_text
 from analyzer_sim.world.ground import chunks_of, ground_lines
 from analyzer_sim.world.ground_port import MAX_LINE_BYTES, Gate, serve_ground
-from analyzer_sim.world.scenario import scenario_named
+from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 
 PROCEED = b'{"kind":"proceed"}\n'

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from analyzer_sim.world.effects import FaultFlag
-from analyzer_sim.world.events import DownlinkRain, Step, SwitchOff, UplinkRain
 from analyzer_sim.world.repeater import level_control_db, power_control_db
-from analyzer_sim.world.scenario import RepeaterFigures, Scenario
+from analyzer_sim.world.scenario.events import DownlinkRain, Step, SwitchOff, UplinkRain
+from analyzer_sim.world.scenario.scenario import RepeaterFigures, Scenario
 from analyzer_sim.world.world import World
 
 SHORT = Scenario("short", "for tests", quiet_h=1.0, alignment_h=0.75, operation_h=8.0)

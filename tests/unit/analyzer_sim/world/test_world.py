@@ -8,7 +8,7 @@ import pytest
 
 from analyzer_sim.emission import EmissionSource, EndOfScenario
 from analyzer_sim.world.effects import FaultFlag, apply_fault
-from analyzer_sim.world.events import (
+from analyzer_sim.world.scenario.events import (
     ChainStep,
     DownlinkRain,
     Fault,
@@ -19,7 +19,7 @@ from analyzer_sim.world.events import (
     SwitchOff,
     UplinkRain,
 )
-from analyzer_sim.world.scenario import SCENARIOS, Scenario, downlink_rain, scenario_named
+from analyzer_sim.world.scenario.scenario import SCENARIOS, Scenario, downlink_rain, scenario_named
 from analyzer_sim.world.user_noise import sweep_sigma_db, world_white_db
 from analyzer_sim.world.world import World, flag_names
 

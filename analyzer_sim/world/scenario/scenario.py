@@ -2,12 +2,19 @@
 
 from dataclasses import replace
 
-from analyzer_sim.world.catalogue_closed import CLOSED
-from analyzer_sim.world.catalogue_hard import HARD
-from analyzer_sim.world.catalogue_plain import PLAIN, downlink_rain
-from analyzer_sim.world.catalogue_sources import SOURCES_OF_REALITY
-from analyzer_sim.world.catalogue_wrong import WRONG
-from analyzer_sim.world.story import DEFAULT_START_US, KeepingFigures, NoiseFigures, Phase, RepeaterFigures, Scenario
+from analyzer_sim.world.scenario.catalogue_closed import CLOSED
+from analyzer_sim.world.scenario.catalogue_hard import HARD
+from analyzer_sim.world.scenario.catalogue_plain import PLAIN, downlink_rain
+from analyzer_sim.world.scenario.catalogue_sources import SOURCES_OF_REALITY
+from analyzer_sim.world.scenario.catalogue_wrong import WRONG
+from analyzer_sim.world.scenario.story import (
+    DEFAULT_START_US,
+    KeepingFigures,
+    NoiseFigures,
+    Phase,
+    RepeaterFigures,
+    Scenario,
+)
 
 __all__ = [
     "CLOSED_SCENARIOS",

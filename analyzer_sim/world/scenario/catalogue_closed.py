@@ -1,7 +1,7 @@
 """Catalogue, stories for closed loops alone: they begin away from zero and mean nothing where no torque is flown."""
 
-from analyzer_sim.world.events import DownlinkRain
-from analyzer_sim.world.story import KeepingFigures, ResidualTorque, Scenario
+from analyzer_sim.world.scenario.events import DownlinkRain
+from analyzer_sim.world.scenario.story import KeepingFigures, ResidualTorque, Scenario
 
 #: size of the angles from which the loop slews to zero, deg
 SLEW_DEG = 0.35

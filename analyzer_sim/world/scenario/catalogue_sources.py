@@ -1,9 +1,9 @@
 """Catalogue, fourth part: what measures and what is told: beacons, other sensors, two analyzers, new plans, silence."""
 
-from analyzer_sim.world.catalogue_plain import ALL16
-from analyzer_sim.world.events import ChainStep, DownlinkRain, Gap, PlanChange, SourceSwitch, SwitchOff
+from analyzer_sim.world.scenario.catalogue_plain import ALL16
+from analyzer_sim.world.scenario.events import ChainStep, DownlinkRain, Gap, PlanChange, SourceSwitch, SwitchOff
+from analyzer_sim.world.scenario.story import KeepingFigures, Scenario
 from analyzer_sim.world.sensors import EARTH_SENSOR, RADIO_BEACON
-from analyzer_sim.world.story import KeepingFigures, Scenario
 
 #: the three that stay when all others leave: one far in the west, one north, one far in the east
 _STAYING = ("c01", "c10", "c14")

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analyzer_sim.streams import FloatArray, stream
-from analyzer_sim.world.events import FalseReport, Hold, Manoeuvre, Range, Tour
+from analyzer_sim.world.scenario.events import FalseReport, Hold, Manoeuvre, Range, Tour
 
 #: a slew is commanded in pieces no longer than this, a hold in pieces no longer than that, s
 SLEW_PIECE_S = 300.0

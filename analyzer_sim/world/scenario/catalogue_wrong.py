@@ -1,7 +1,7 @@
 """Catalogue, third part: worlds that differ from what the estimator believes, and reports that are wrong."""
 
-from analyzer_sim.world.events import FalseReport
-from analyzer_sim.world.story import KeepingFigures, NoiseFigures, Scenario
+from analyzer_sim.world.scenario.events import FalseReport
+from analyzer_sim.world.scenario.story import KeepingFigures, NoiseFigures, Scenario
 
 _PLAIN_DRIFT_DEG_H = KeepingFigures().drift_deg_h
 _TRIPLE_DRIFT_DEG_H = (3.0 * _PLAIN_DRIFT_DEG_H[0], 3.0 * _PLAIN_DRIFT_DEG_H[1], 3.0 * _PLAIN_DRIFT_DEG_H[2])

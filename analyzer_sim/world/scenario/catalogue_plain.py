@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from analyzer_sim.world.events import (
+from analyzer_sim.world.scenario.events import (
     Burn,
     ChainStep,
     DownlinkRain,
@@ -15,7 +15,7 @@ from analyzer_sim.world.events import (
     Tour,
     UplinkRain,
 )
-from analyzer_sim.world.story import KeepingFigures, NoiseFigures, Scenario
+from analyzer_sim.world.scenario.story import KeepingFigures, NoiseFigures, Scenario
 
 #: the carriers of the default plan
 ALL16 = tuple(f"c{number:02d}" for number in range(16))

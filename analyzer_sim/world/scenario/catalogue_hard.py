@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from analyzer_sim.epochs import epoch_us_from_text
-from analyzer_sim.world.events import (
+from analyzer_sim.world.scenario.events import (
     Burn,
     ChainStep,
     Eclipse,
@@ -17,7 +17,7 @@ from analyzer_sim.world.events import (
     SwitchOff,
     UplinkRain,
 )
-from analyzer_sim.world.story import KeepingFigures, NoiseFigures, RepeaterFigures, Scenario
+from analyzer_sim.world.scenario.story import KeepingFigures, NoiseFigures, RepeaterFigures, Scenario
 
 #: levels of 284 real microwave links: with the default sweep's own noise these parts give their Allan deviation and
 #: autocorrelation from a minute to half a day

@@ -8,9 +8,9 @@ timetable of `turns.py`), perhaps `pause` (nothing is measured), `alignment` (se
 from dataclasses import dataclass, field
 
 from analyzer_sim.epochs import US_PER_H, US_PER_S, epoch_us_from_text
-from analyzer_sim.world.events import Burn, Fault, Manoeuvre
+from analyzer_sim.world.scenario.events import Burn, Fault, Manoeuvre
+from analyzer_sim.world.scenario.turns import TURNS_H
 from analyzer_sim.world.sensors import STAR_TRACKER, Sensor
-from analyzer_sim.world.turns import TURNS_H
 
 DEFAULT_START_US = epoch_us_from_text("2026-11-01T00:00:00Z")
 

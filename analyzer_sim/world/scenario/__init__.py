@@ -1,0 +1,1 @@
+"""Scenarios as data: phases, events, and the catalogue of scenarios."""
