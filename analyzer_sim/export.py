@@ -61,15 +61,15 @@ import numpy as np
 
 from analyzer_sim.epochs import US_PER_S
 from analyzer_sim.streams import FloatArray, stream
-from analyzer_sim.world.carriers import ROLLOFF
-from analyzer_sim.world.effects import SOURCES
 from analyzer_sim.world.ground import catalogue_lines, news
 from analyzer_sim.world.orbit.orbit import predicted_track
-from analyzer_sim.world.payload import sensitivity_db_per_deg
+from analyzer_sim.world.payload.carriers import ROLLOFF
+from analyzer_sim.world.payload.effects import SOURCES
+from analyzer_sim.world.payload.payload import sensitivity_db_per_deg
+from analyzer_sim.world.payload.user_noise import sweep_sigma_db, world_white_db
 from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.scenario.turns import SLEW_MIN, TIMETABLE
 from analyzer_sim.world.sensors import References
-from analyzer_sim.world.user_noise import sweep_sigma_db, world_white_db
 from analyzer_sim.world.world import World, flag_names
 
 AXES = ("yaw", "roll", "pitch")

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from analyzer_sim.streams import stream
-from analyzer_sim.world.carriers import CarrierPlan
-from analyzer_sim.world.effects import Effects, FaultFlag, apply_fault, draw
 from analyzer_sim.world.orbit.orbit import EpochArray
+from analyzer_sim.world.payload.carriers import CarrierPlan
+from analyzer_sim.world.payload.effects import Effects, FaultFlag, apply_fault, draw
 from analyzer_sim.world.scenario.events import (
     ChainStep,
     DownlinkRain,

@@ -13,8 +13,6 @@ import numpy as np
 
 from analyzer_sim.epochs import US_PER_S, rfc3339
 from analyzer_sim.streams import FloatArray
-from analyzer_sim.world.carriers import Carrier
-from analyzer_sim.world.effects import FaultFlag
 from analyzer_sim.world.ground_bodies import (
     AXES,
     Line,
@@ -28,7 +26,9 @@ from analyzer_sim.world.ground_bodies import (
     task,
     telemetry_body,
 )
-from analyzer_sim.world.payload import sensitivity_db_per_deg
+from analyzer_sim.world.payload.carriers import Carrier
+from analyzer_sim.world.payload.effects import FaultFlag
+from analyzer_sim.world.payload.payload import sensitivity_db_per_deg
 from analyzer_sim.world.scenario.story import Phase
 from analyzer_sim.world.scenario.turns import SLEW_MIN, TIMETABLE
 from analyzer_sim.world.structure import crlb_deg

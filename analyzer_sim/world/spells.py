@@ -4,7 +4,7 @@ import numpy as np
 
 from analyzer_sim.epochs import US_PER_H
 from analyzer_sim.streams import FloatArray
-from analyzer_sim.world.effects import SOURCES, Effects, FaultFlag, draw
+from analyzer_sim.world.payload.effects import SOURCES, Effects, FaultFlag, draw
 from analyzer_sim.world.scenario.events import Eclipse, PlanChange, Relevel, SourceSwitch, Storm, SunOutage
 from analyzer_sim.world.weather import shower_db, wet_antenna_db
 

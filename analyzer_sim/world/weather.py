@@ -3,7 +3,7 @@
 import numpy as np
 
 from analyzer_sim.streams import FloatArray
-from analyzer_sim.world.effects import draw
+from analyzer_sim.world.payload.effects import draw
 from analyzer_sim.world.scenario.events import DownlinkRain, Storm, UplinkRain
 
 #: rain breathes by this share of its depth, with this correlation time

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from analyzer_sim.emission import Emission, EndOfScenario, Signal
 from analyzer_sim.streams import FloatArray
 from analyzer_sim.world.ballistics import Ephemeris, burn_operations, burnt_orbit, ephemerides
-from analyzer_sim.world.carriers import PLANS, ROLLOFF, CarrierPlan
-from analyzer_sim.world.effects import Effects, FaultFlag, Operation
 from analyzer_sim.world.faults import effects_of
-from analyzer_sim.world.level_terms import LevelTerms
 from analyzer_sim.world.orbit.orbit import EpochArray, Orbit
-from analyzer_sim.world.plan_versions import PlanVersion, plan_versions
+from analyzer_sim.world.payload.carriers import PLANS, ROLLOFF, CarrierPlan
+from analyzer_sim.world.payload.effects import Effects, FaultFlag, Operation
+from analyzer_sim.world.payload.level_terms import LevelTerms
+from analyzer_sim.world.payload.plan_versions import PlanVersion, plan_versions
 from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.sensors import References, references
 from analyzer_sim.world.spacecraft import Correction, attitude_history

@@ -6,9 +6,9 @@ The figures belong to another random payload (twelve realisations of a study): t
 import numpy as np
 import pytest
 
-from analyzer_sim.world.carriers import PLANS
 from analyzer_sim.world.orbit.orbit import Orbit
-from analyzer_sim.world.payload import sensitivity_db_per_deg
+from analyzer_sim.world.payload.carriers import PLANS
+from analyzer_sim.world.payload.payload import sensitivity_db_per_deg
 from service.core.estimation.calibration.coloured_rows import ColouredNoise
 from service.core.estimation.carrier_sets import averaged_crlb_deg, judge_set
 from service.core.estimation.design import choose_carriers

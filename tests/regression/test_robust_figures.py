@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from analyzer_sim.export import export_arrays
-from analyzer_sim.world.payload import nominal_gain_db
+from analyzer_sim.world.payload.payload import nominal_gain_db
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 from service.core.estimation.calibration.geometry_calibration import CalibrationRows, GeometryCalibration, fit_geometry

@@ -11,9 +11,9 @@ import pytest
 
 import analyzer_sim.export as export_module
 from analyzer_sim.export import export_arrays, export_npz, run_export
+from analyzer_sim.world.payload.user_noise import sweep_sigma_db
 from analyzer_sim.world.scenario.events import SwitchOff
 from analyzer_sim.world.scenario.scenario import Scenario
-from analyzer_sim.world.user_noise import sweep_sigma_db
 from analyzer_sim.world.world import World
 
 SHORT = Scenario(

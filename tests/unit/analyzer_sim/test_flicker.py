@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from analyzer_sim.export import measured_dbm
-from analyzer_sim.world.payload import attitude_gain_db, dishes_loss_db
+from analyzer_sim.world.payload.payload import attitude_gain_db, dishes_loss_db
+from analyzer_sim.world.payload.user_noise import users_noise_db
 from analyzer_sim.world.scenario.scenario import Scenario, scenario_named
-from analyzer_sim.world.user_noise import users_noise_db
 from analyzer_sim.world.world import World
 
 SEEDS = (1, 2, 3)

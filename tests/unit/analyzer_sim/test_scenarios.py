@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from analyzer_sim.__main__ import main
-from analyzer_sim.world.carriers import PLANS
 from analyzer_sim.world.orbit.orbit import Orbit
-from analyzer_sim.world.payload import sensitivity_db_per_deg
+from analyzer_sim.world.payload.carriers import PLANS
+from analyzer_sim.world.payload.payload import sensitivity_db_per_deg
+from analyzer_sim.world.payload.user_noise import sweep_sigma_db, world_white_db
 from analyzer_sim.world.scenario.events import SwitchOff
 from analyzer_sim.world.scenario.scenario import SCENARIOS, scenario_named
 from analyzer_sim.world.scenario_table import markdown_page, told
 from analyzer_sim.world.spacecraft import attitude_history
 from analyzer_sim.world.structure import crlb_deg
-from analyzer_sim.world.user_noise import sweep_sigma_db, world_white_db
 from analyzer_sim.world.world import World, row_epochs_us
 
 PAGE = Path(__file__).parents[3] / "docs" / "reference" / "scenarios.md"

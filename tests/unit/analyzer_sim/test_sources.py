@@ -9,12 +9,12 @@ import pytest
 
 from analyzer_sim.epochs import epoch_us_from_text
 from analyzer_sim.export import export_arrays
-from analyzer_sim.world.effects import FaultFlag
 from analyzer_sim.world.ground import chunks_of, ground_lines
 from analyzer_sim.world.ground_bodies import carrier_body, task
-from analyzer_sim.world.payload import sensitivity_db_per_deg
+from analyzer_sim.world.payload.effects import FaultFlag
+from analyzer_sim.world.payload.payload import sensitivity_db_per_deg
+from analyzer_sim.world.payload.user_noise import users_noise_db
 from analyzer_sim.world.scenario.scenario import scenario_named
-from analyzer_sim.world.user_noise import users_noise_db
 from analyzer_sim.world.world import World
 from service.api.schemas.carriers import CarrierPlanDocument
 from service.api.schemas.inputs import CorrectionBatchDocument, ReferenceBatchDocument, TelemetryBatchDocument

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from analyzer_sim.export import measured_dbm
-from analyzer_sim.world.effects import FaultFlag
+from analyzer_sim.world.payload.effects import FaultFlag
+from analyzer_sim.world.payload.user_noise import sweep_sigma_db
 from analyzer_sim.world.scenario.events import ChainStep, Eclipse, GroupStep, Relevel, Storm, SunOutage, SwitchOff
 from analyzer_sim.world.scenario.scenario import Scenario, scenario_named
 from analyzer_sim.world.spells import cooling
-from analyzer_sim.world.user_noise import sweep_sigma_db
 from analyzer_sim.world.weather import wet_antenna_db
 from analyzer_sim.world.world import World
 

@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 
-from analyzer_sim.world.payload import sensitivity_db_per_deg
+from analyzer_sim.world.payload.payload import sensitivity_db_per_deg
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.structure import crlb_deg, report, structure_of
 from analyzer_sim.world.world import World

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from analyzer_sim.emission import EmissionSource, EndOfScenario
-from analyzer_sim.world.effects import FaultFlag, apply_fault
+from analyzer_sim.world.payload.effects import FaultFlag, apply_fault
+from analyzer_sim.world.payload.user_noise import sweep_sigma_db, world_white_db
 from analyzer_sim.world.scenario.events import (
     ChainStep,
     DownlinkRain,
@@ -20,7 +21,6 @@ from analyzer_sim.world.scenario.events import (
     UplinkRain,
 )
 from analyzer_sim.world.scenario.scenario import SCENARIOS, Scenario, downlink_rain, scenario_named
-from analyzer_sim.world.user_noise import sweep_sigma_db, world_white_db
 from analyzer_sim.world.world import World, flag_names
 
 SHORT = Scenario("short", "for tests", quiet_h=1.0, alignment_h=0.75, operation_h=6.0)

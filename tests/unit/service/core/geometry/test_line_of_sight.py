@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from analyzer_sim.world.carriers import PLANS
 from analyzer_sim.world.orbit.geometry import antenna_frame_deg
 from analyzer_sim.world.orbit.orbit import Orbit
-from analyzer_sim.world.payload import plan_positions_km
+from analyzer_sim.world.payload.carriers import PLANS
+from analyzer_sim.world.payload.payload import plan_positions_km
 from service.core.geometry.line_of_sight import (
     Places,
     Track,

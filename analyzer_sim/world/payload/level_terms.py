@@ -12,13 +12,13 @@ import numpy as np
 
 from analyzer_sim.epochs import US_PER_S
 from analyzer_sim.streams import FloatArray
-from analyzer_sim.world.carriers import CarrierPlan
-from analyzer_sim.world.effects import Effects
 from analyzer_sim.world.orbit.orbit import EpochArray, Orbit
-from analyzer_sim.world.payload import dishes_loss_db, flown_gain_db, nominal_gain_db, uplink_change_db
-from analyzer_sim.world.repeater import repeater_db
+from analyzer_sim.world.payload.carriers import CarrierPlan
+from analyzer_sim.world.payload.effects import Effects
+from analyzer_sim.world.payload.payload import dishes_loss_db, flown_gain_db, nominal_gain_db, uplink_change_db
+from analyzer_sim.world.payload.repeater import repeater_db
+from analyzer_sim.world.payload.user_noise import chain_noise_db, users_noise_db
 from analyzer_sim.world.scenario.story import Scenario
-from analyzer_sim.world.user_noise import chain_noise_db, users_noise_db
 
 #: noise temperature of the receiving site in clear sky and of the rain, K
 CLEAR_SKY_K = 120.0

@@ -8,8 +8,8 @@ import numpy as np
 
 from analyzer_sim.instrument.spectrum import ENBW_PER_RBW
 from analyzer_sim.streams import FloatArray, stream
-from analyzer_sim.world.carriers import Carrier, CarrierPlan
 from analyzer_sim.world.noise import daily_wave, first_order
+from analyzer_sim.world.payload.carriers import Carrier, CarrierPlan
 from analyzer_sim.world.scenario.story import Part, Scenario
 
 #: the sweep for which the plan's white noise is split: RBW, duration

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from analyzer_sim.epochs import US_PER_H
-from analyzer_sim.world.carriers import Carrier, CarrierPlan
+from analyzer_sim.world.payload.carriers import Carrier, CarrierPlan
 from analyzer_sim.world.scenario.events import PlanChange
 from analyzer_sim.world.scenario.story import Scenario
 

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from analyzer_sim.streams import FloatArray
-from analyzer_sim.world.beams import Beam
-from analyzer_sim.world.carriers import CarrierPlan, Station
-from analyzer_sim.world.dish import dish_loss_db, mispointing_deg
 from analyzer_sim.world.orbit.geometry import antenna_frame_deg, body_from_orbital, dish_motion_deg, station_position_km
 from analyzer_sim.world.orbit.orbit import EpochArray, Orbit
+from analyzer_sim.world.payload.beams import Beam
+from analyzer_sim.world.payload.carriers import CarrierPlan, Station
+from analyzer_sim.world.payload.dish import dish_loss_db, mispointing_deg
 
 
 def positions_km(stations: Sequence[Station]) -> FloatArray:

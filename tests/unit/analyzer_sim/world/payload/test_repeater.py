@@ -6,8 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from analyzer_sim.world.effects import FaultFlag
-from analyzer_sim.world.repeater import level_control_db, power_control_db
+from analyzer_sim.world.payload.effects import FaultFlag
+from analyzer_sim.world.payload.repeater import level_control_db, power_control_db
 from analyzer_sim.world.scenario.events import DownlinkRain, Step, SwitchOff, UplinkRain
 from analyzer_sim.world.scenario.scenario import RepeaterFigures, Scenario
 from analyzer_sim.world.world import World

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from analyzer_sim.streams import FloatArray
-from analyzer_sim.world.beams import Beam, Ripple
-from analyzer_sim.world.carrier_rows import C8, KU16, KU_MORE, Row
+from analyzer_sim.world.payload.beams import Beam, Ripple
+from analyzer_sim.world.payload.carrier_rows import C8, KU16, KU_MORE, Row
 
 #: signal bandwidth over symbol rate is one plus this
 ROLLOFF = 0.25

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from analyzer_sim.epochs import US_PER_H
 from analyzer_sim.streams import FloatArray
-from analyzer_sim.world.carriers import CarrierPlan
 from analyzer_sim.world.orbit.orbit import EpochArray
+from analyzer_sim.world.payload.carriers import CarrierPlan
 from analyzer_sim.world.scenario.events import Range
 
 #: an operation is declared this long before it begins

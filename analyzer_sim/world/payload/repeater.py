@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analyzer_sim.streams import FloatArray
-from analyzer_sim.world.carriers import CarrierPlan
+from analyzer_sim.world.payload.carriers import CarrierPlan
 from analyzer_sim.world.scenario.story import RepeaterFigures
 
 

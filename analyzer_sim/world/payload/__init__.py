@@ -1,0 +1,1 @@
+"""Payload: carriers, beams, transponders and the levels that they give."""
