@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from analyzer_sim.emission import Emission, EndOfScenario, Signal
 from analyzer_sim.streams import FloatArray
 from analyzer_sim.world.ballistics import Ephemeris, burn_operations, burnt_orbit, ephemerides
-from analyzer_sim.world.faults import effects_of
+from analyzer_sim.world.faults.faults import effects_of
 from analyzer_sim.world.orbit.orbit import EpochArray, Orbit
 from analyzer_sim.world.payload.carriers import PLANS, ROLLOFF, CarrierPlan
 from analyzer_sim.world.payload.effects import Effects, FaultFlag, Operation

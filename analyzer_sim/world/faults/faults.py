@@ -5,6 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from analyzer_sim.streams import stream
+from analyzer_sim.world.faults.spells import SPELLS
+from analyzer_sim.world.faults.weather import rain_db
 from analyzer_sim.world.orbit.orbit import EpochArray
 from analyzer_sim.world.payload.carriers import CarrierPlan
 from analyzer_sim.world.payload.effects import Effects, FaultFlag, apply_fault, draw
@@ -19,8 +21,6 @@ from analyzer_sim.world.scenario.events import (
     SwitchOff,
     UplinkRain,
 )
-from analyzer_sim.world.spells import SPELLS
-from analyzer_sim.world.weather import rain_db
 
 #: how long work on the receiving chain is declared, h
 CHAIN_WORK_H = 0.25

@@ -4,9 +4,9 @@ import numpy as np
 
 from analyzer_sim.epochs import US_PER_H
 from analyzer_sim.streams import FloatArray
+from analyzer_sim.world.faults.weather import shower_db, wet_antenna_db
 from analyzer_sim.world.payload.effects import SOURCES, Effects, FaultFlag, draw
 from analyzer_sim.world.scenario.events import Eclipse, PlanChange, Relevel, SourceSwitch, Storm, SunOutage
-from analyzer_sim.world.weather import shower_db, wet_antenna_db
 
 #: a change of gain or pattern below this share of its size no longer counts as one
 _OVER_SHARE = 0.05

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from analyzer_sim.export import measured_dbm
+from analyzer_sim.world.faults.spells import cooling
+from analyzer_sim.world.faults.weather import wet_antenna_db
 from analyzer_sim.world.payload.effects import FaultFlag
 from analyzer_sim.world.payload.user_noise import sweep_sigma_db
 from analyzer_sim.world.scenario.events import ChainStep, Eclipse, GroupStep, Relevel, Storm, SunOutage, SwitchOff
 from analyzer_sim.world.scenario.scenario import Scenario, scenario_named
-from analyzer_sim.world.spells import cooling
-from analyzer_sim.world.weather import wet_antenna_db
 from analyzer_sim.world.world import World
 
 SHORT = Scenario("short", "for tests", quiet_h=1.0, alignment_h=0.75, operation_h=12.0)

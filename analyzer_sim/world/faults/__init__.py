@@ -1,0 +1,1 @@
+"""Faults and weather: what the events of a scenario do to levels."""
