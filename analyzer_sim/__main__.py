@@ -25,11 +25,11 @@ from analyzer_sim.instrument.sweep_life import Pace
 from analyzer_sim.plant.plant import PlantOptions
 from analyzer_sim.plant.plant_lines import run_plant
 from analyzer_sim.serving import parse_fault, serve
-from analyzer_sim.world.hub_tones import HubTone, parse_tone
 from analyzer_sim.world.scenario.scenario import CLOSED_SCENARIOS, SCENARIOS, Scenario, scenario_named
 from analyzer_sim.world.scenario_table import markdown_page, plain_table
-from analyzer_sim.world.uplink import UPLINKS
-from analyzer_sim.world.wheels import AXES
+from analyzer_sim.world.spacecraft.hub_tones import HubTone, parse_tone
+from analyzer_sim.world.spacecraft.uplink import UPLINKS
+from analyzer_sim.world.spacecraft.wheels import AXES
 
 _SUBCOMMANDS = ("serve", "export", "plant", "scenarios")
 

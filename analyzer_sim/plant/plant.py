@@ -14,17 +14,17 @@ from analyzer_sim.export import measured_dbm, sweep_noise_db
 from analyzer_sim.plant.schedule_lines import Schedule
 from analyzer_sim.streams import FloatArray
 from analyzer_sim.world.angles_loop import AnglesLoop
-from analyzer_sim.world.body_dynamics import Vector
-from analyzer_sim.world.disturbance import disturbance
-from analyzer_sim.world.flown_craft import Craft, craft_at_rest
 from analyzer_sim.world.ground_bodies import INERTIA_KG_M2
-from analyzer_sim.world.hub_tones import HubTone
 from analyzer_sim.world.orbit.orbit import EARTH_RATE_RAD_S
-from analyzer_sim.world.rigid_body import BodyState, RigidBody, TorqueElement, Triple
 from analyzer_sim.world.scenario.story import Scenario
-from analyzer_sim.world.telemetry import TelemetryRecord
-from analyzer_sim.world.uplink import UPLINKS, Arrival, Command, CommandStore, Report, Uplink
-from analyzer_sim.world.wheels import QUANTUM_N_M, wheel_set
+from analyzer_sim.world.spacecraft.body_dynamics import Vector
+from analyzer_sim.world.spacecraft.disturbance import disturbance
+from analyzer_sim.world.spacecraft.flown_spacecraft import Craft, craft_at_rest
+from analyzer_sim.world.spacecraft.hub_tones import HubTone
+from analyzer_sim.world.spacecraft.rigid_body import BodyState, RigidBody, TorqueElement, Triple
+from analyzer_sim.world.spacecraft.telemetry import TelemetryRecord
+from analyzer_sim.world.spacecraft.uplink import UPLINKS, Arrival, Command, CommandStore, Report, Uplink
+from analyzer_sim.world.spacecraft.wheels import QUANTUM_N_M, wheel_set
 from analyzer_sim.world.world import World
 
 

@@ -35,12 +35,12 @@ from analyzer_sim.epochs import rfc3339
 from analyzer_sim.plant.plant import Plant, PlantOptions
 from analyzer_sim.plant.schedule_lines import MAX_LINE_CHARACTERS, Schedule, ScheduleError, parse_schedule
 from analyzer_sim.streams import FloatArray
-from analyzer_sim.world.disturbance import fed_forward
 from analyzer_sim.world.ground import catalogue_lines, chunks_of, flown_lines, told_lines, truth_row
 from analyzer_sim.world.scenario.story import Scenario
-from analyzer_sim.world.telemetry import PERIOD_H
-from analyzer_sim.world.uplink import Report
-from analyzer_sim.world.wheels import rotor_speed_rpm
+from analyzer_sim.world.spacecraft.disturbance import fed_forward
+from analyzer_sim.world.spacecraft.telemetry import PERIOD_H
+from analyzer_sim.world.spacecraft.uplink import Report
+from analyzer_sim.world.spacecraft.wheels import rotor_speed_rpm
 from analyzer_sim.world.world import World
 
 Line = dict[str, Any]

@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from analyzer_sim.epochs import US_PER_S
-from analyzer_sim.world.rigid_body import TorqueElement, Triple
-from analyzer_sim.world.wheels import QUANTUM_N_M
+from analyzer_sim.world.spacecraft.rigid_body import TorqueElement, Triple
+from analyzer_sim.world.spacecraft.wheels import QUANTUM_N_M
 
 #: natural frequency of the loop, rad/s, and damping
 _LOOP_RAD_S, _DAMPING = 2.0 * math.pi / 2400.0, 0.9

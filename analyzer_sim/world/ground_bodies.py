@@ -12,8 +12,8 @@ from analyzer_sim.world.orbit.orbit import predicted_track
 from analyzer_sim.world.payload.carriers import BANDS, ROLLOFF, SPAN_START_HZ, Carrier
 from analyzer_sim.world.payload.effects import Operation
 from analyzer_sim.world.payload.user_noise import SWEEP_RBW_HZ, SWEEP_TIME_S
-from analyzer_sim.world.spacecraft import Correction
-from analyzer_sim.world.telemetry import TelemetryRecord
+from analyzer_sim.world.spacecraft.spacecraft import Correction
+from analyzer_sim.world.spacecraft.telemetry import TelemetryRecord
 from analyzer_sim.world.world import LONGITUDE_DEG, World
 
 Line = dict[str, Any]

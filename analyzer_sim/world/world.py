@@ -20,8 +20,8 @@ from analyzer_sim.world.payload.level_terms import LevelTerms
 from analyzer_sim.world.payload.plan_versions import PlanVersion, plan_versions
 from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.sensors import References, references
-from analyzer_sim.world.spacecraft import Correction, attitude_history
-from analyzer_sim.world.telemetry import TelemetryRecord, telemetry
+from analyzer_sim.world.spacecraft.spacecraft import Correction, attitude_history
+from analyzer_sim.world.spacecraft.telemetry import TelemetryRecord, telemetry
 
 #: longitude of the satellite, deg East
 LONGITUDE_DEG = 90.0

@@ -4,10 +4,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from analyzer_sim.world.flown_craft import craft_at_rest
 from analyzer_sim.world.ground_bodies import INERTIA_KG_M2
-from analyzer_sim.world.rigid_body import TorqueElement
-from analyzer_sim.world.wheels import QUANTUM_N_M, wheel_set
+from analyzer_sim.world.spacecraft.flown_spacecraft import craft_at_rest
+from analyzer_sim.world.spacecraft.rigid_body import TorqueElement
+from analyzer_sim.world.spacecraft.wheels import QUANTUM_N_M, wheel_set
 
 S = 1_000_000
 STILL = (0.0, 0.0, 0.0)

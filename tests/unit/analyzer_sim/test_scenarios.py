@@ -17,7 +17,7 @@ from analyzer_sim.world.payload.user_noise import sweep_sigma_db, world_white_db
 from analyzer_sim.world.scenario.events import SwitchOff
 from analyzer_sim.world.scenario.scenario import SCENARIOS, scenario_named
 from analyzer_sim.world.scenario_table import markdown_page, told
-from analyzer_sim.world.spacecraft import attitude_history
+from analyzer_sim.world.spacecraft.spacecraft import attitude_history
 from analyzer_sim.world.structure import crlb_deg
 from analyzer_sim.world.world import World, row_epochs_us
 

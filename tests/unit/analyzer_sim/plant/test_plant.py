@@ -16,10 +16,10 @@ from analyzer_sim.plant.plant import Plant, PlantOptions
 from analyzer_sim.plant.plant_lines import run_plant
 from analyzer_sim.plant.schedule_lines import Schedule, ScheduleError, parse_schedule
 from analyzer_sim.world.ground_bodies import INERTIA_KG_M2
-from analyzer_sim.world.rigid_body import TorqueElement
 from analyzer_sim.world.scenario.events import Gap, SwitchOff
 from analyzer_sim.world.scenario.scenario import Scenario, scenario_named
 from analyzer_sim.world.scenario.story import KeepingFigures, RepeaterFigures
+from analyzer_sim.world.spacecraft.rigid_body import TorqueElement
 from analyzer_sim.world.world import World
 
 SHORT = Scenario(

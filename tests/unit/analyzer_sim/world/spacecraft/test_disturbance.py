@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from analyzer_sim.plant.plant_lines import fed_forward_line
-from analyzer_sim.world.disturbance import FED_FORWARD_SHARE, disturbance, fed_forward
 from analyzer_sim.world.scenario.scenario import scenario_named
+from analyzer_sim.world.spacecraft.disturbance import FED_FORWARD_SHARE, disturbance, fed_forward
 from analyzer_sim.world.world import World
 
 STORY = scenario_named("nominal")

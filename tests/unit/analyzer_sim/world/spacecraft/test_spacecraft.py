@@ -11,7 +11,12 @@ from analyzer_sim.world.scenario.events import Hold
 from analyzer_sim.world.scenario.manoeuvres import holds_of, piece_edges, planned_deg
 from analyzer_sim.world.scenario.scenario import KeepingFigures, Scenario, scenario_named
 from analyzer_sim.world.scenario.turns import TIMETABLE, TURNS_H
-from analyzer_sim.world.spacecraft import ORBITAL_RATE_PER_H, AttitudeHistory, attitude_history, coupling_step
+from analyzer_sim.world.spacecraft.spacecraft import (
+    ORBITAL_RATE_PER_H,
+    AttitudeHistory,
+    attitude_history,
+    coupling_step,
+)
 
 QUIET = Scenario("short", "for tests", quiet_h=2.0, alignment_h=0.75, operation_h=12.0)
 #: nothing that the ground does not know

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from analyzer_sim.world.body_dynamics import Motion, Torques, orbit_normal_in_body, stepped
-from analyzer_sim.world.flown_craft import Craft, craft_at_rest
 from analyzer_sim.world.ground_bodies import INERTIA_KG_M2
-from analyzer_sim.world.hub_tones import HubTone, parse_tone
 from analyzer_sim.world.orbit.orbit import EARTH_RATE_RAD_S
-from analyzer_sim.world.rigid_body import TorqueElement
-from analyzer_sim.world.wheels import MOMENTUM_LIMIT_N_M_S, QUANTUM_N_M, Wheel, friction_n_m, wheel_set
+from analyzer_sim.world.spacecraft.body_dynamics import Motion, Torques, orbit_normal_in_body, stepped
+from analyzer_sim.world.spacecraft.flown_spacecraft import Craft, craft_at_rest
+from analyzer_sim.world.spacecraft.hub_tones import HubTone, parse_tone
+from analyzer_sim.world.spacecraft.rigid_body import TorqueElement
+from analyzer_sim.world.spacecraft.wheels import MOMENTUM_LIMIT_N_M_S, QUANTUM_N_M, Wheel, friction_n_m, wheel_set
 
 S = 1_000_000
 STILL = (0.0, 0.0, 0.0)

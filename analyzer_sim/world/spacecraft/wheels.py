@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 
 from analyzer_sim.streams import stream
-from analyzer_sim.world.body_dynamics import Vector
+from analyzer_sim.world.spacecraft.body_dynamics import Vector
 
 #: drag of a bearing at rest, N m, the momentum within which it reverses, N m s, and drag per momentum, 1/s
 COULOMB_N_M = 1.0e-3

@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from analyzer_sim.world.orbit.orbit import EARTH_RATE_RAD_S
-from analyzer_sim.world.rigid_body import BodyState, RigidBody, TorqueElement
+from analyzer_sim.world.spacecraft.rigid_body import BodyState, RigidBody, TorqueElement
 
 S = 1_000_000
 #: about yaw, roll, pitch

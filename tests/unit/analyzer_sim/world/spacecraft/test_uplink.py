@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from analyzer_sim.world.rigid_body import TorqueElement
-from analyzer_sim.world.uplink import UPLINKS, Arrival, Command, CommandStore, Fate, Uplink
-from analyzer_sim.world.wheels import MOMENTUM_LIMIT_N_M_S
+from analyzer_sim.world.spacecraft.rigid_body import TorqueElement
+from analyzer_sim.world.spacecraft.uplink import UPLINKS, Arrival, Command, CommandStore, Fate, Uplink
+from analyzer_sim.world.spacecraft.wheels import MOMENTUM_LIMIT_N_M_S
 
 S = 1_000_000
 STILL = (0.0, 0.0, 0.0)

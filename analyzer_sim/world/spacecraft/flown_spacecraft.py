@@ -19,11 +19,18 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 from analyzer_sim.epochs import US_PER_S
-from analyzer_sim.world.body_dynamics import Motion, Torques, Vector, gyroscopic_n_m, orbit_normal_in_body, stepped
-from analyzer_sim.world.hub_tones import HubTone
 from analyzer_sim.world.orbit.orbit import EARTH_RATE_RAD_S
-from analyzer_sim.world.rigid_body import BodyState, TorqueElement, Triple
-from analyzer_sim.world.wheels import Wheel
+from analyzer_sim.world.spacecraft.body_dynamics import (
+    Motion,
+    Torques,
+    Vector,
+    gyroscopic_n_m,
+    orbit_normal_in_body,
+    stepped,
+)
+from analyzer_sim.world.spacecraft.hub_tones import HubTone
+from analyzer_sim.world.spacecraft.rigid_body import BodyState, TorqueElement, Triple
+from analyzer_sim.world.spacecraft.wheels import Wheel
 
 #: tick of the loop on board, s, its natural frequency, rad/s, and damping
 TICK_S = 2.0

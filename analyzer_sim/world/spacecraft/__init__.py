@@ -1,0 +1,1 @@
+"""Spacecraft: attitude, body, wheels, on-board loop, telemetry and uplink."""
