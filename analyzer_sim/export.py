@@ -61,7 +61,7 @@ import numpy as np
 
 from analyzer_sim.epochs import US_PER_S
 from analyzer_sim.streams import FloatArray, stream
-from analyzer_sim.world.ground import catalogue_lines, news
+from analyzer_sim.world.ground.ground import catalogue_lines, news
 from analyzer_sim.world.orbit.orbit import predicted_track
 from analyzer_sim.world.payload.carriers import ROLLOFF
 from analyzer_sim.world.payload.effects import SOURCES

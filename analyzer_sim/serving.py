@@ -22,7 +22,7 @@ from analyzer_sim.lines.server import SimulatedAnalyzer, port_error
 from analyzer_sim.plant.flown_world import FlownWorld
 from analyzer_sim.plant.plant import PlantOptions
 from analyzer_sim.plant.uplink_port import UplinkPort
-from analyzer_sim.world.ground_port import Gate, serve_ground
+from analyzer_sim.world.ground.ground_port import Gate, serve_ground
 from analyzer_sim.world.scenario.scenario import Scenario
 from analyzer_sim.world.world import World
 

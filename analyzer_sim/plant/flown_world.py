@@ -12,7 +12,7 @@ from analyzer_sim.epochs import rfc3339
 from analyzer_sim.plant.plant import Plant, PlantOptions
 from analyzer_sim.plant.plant_lines import report_line, telemetry_of
 from analyzer_sim.plant.schedule_lines import Schedule, ScheduleError, parse_schedule
-from analyzer_sim.world.ground import truth_row
+from analyzer_sim.world.ground.ground import truth_row
 from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.world import World
 

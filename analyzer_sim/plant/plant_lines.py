@@ -35,7 +35,7 @@ from analyzer_sim.epochs import rfc3339
 from analyzer_sim.plant.plant import Plant, PlantOptions
 from analyzer_sim.plant.schedule_lines import MAX_LINE_CHARACTERS, Schedule, ScheduleError, parse_schedule
 from analyzer_sim.streams import FloatArray
-from analyzer_sim.world.ground import catalogue_lines, chunks_of, flown_lines, told_lines, truth_row
+from analyzer_sim.world.ground.ground import catalogue_lines, chunks_of, flown_lines, told_lines, truth_row
 from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.spacecraft.disturbance import fed_forward
 from analyzer_sim.world.spacecraft.telemetry import PERIOD_H

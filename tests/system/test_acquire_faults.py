@@ -28,7 +28,7 @@ from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import Detail, TracePainter
 from analyzer_sim.lines.line_faults import LineFault
 from analyzer_sim.lines.server import AnalyzerThread, start_in_thread
-from analyzer_sim.world import ground
+from analyzer_sim.world.ground import ground
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 from service.client.backoff import Backoff

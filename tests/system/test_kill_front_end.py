@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from analyzer_sim.world import ground, ground_bodies
+from analyzer_sim.world.ground import ground, ground_bodies
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from recording_service import Recorder
 
-from analyzer_sim.world import ground
+from analyzer_sim.world.ground import ground
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 

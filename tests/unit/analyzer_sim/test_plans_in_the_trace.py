@@ -11,7 +11,7 @@ from analyzer_sim.instrument.settings.instrument_settings import reset_state
 from analyzer_sim.instrument.settings.models import FSW_26
 from analyzer_sim.instrument.settings.quantities import store
 from analyzer_sim.instrument.spectrum import ENBW_PER_RBW
-from analyzer_sim.world.ground_bodies import task
+from analyzer_sim.world.ground.ground_bodies import task
 from analyzer_sim.world.payload.user_noise import sweep_sigma_db
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World

@@ -9,8 +9,8 @@ import pytest
 
 from analyzer_sim.epochs import epoch_us_from_text
 from analyzer_sim.export import export_arrays
-from analyzer_sim.world.ground import chunks_of, ground_lines
-from analyzer_sim.world.ground_bodies import carrier_body, task
+from analyzer_sim.world.ground.ground import chunks_of, ground_lines
+from analyzer_sim.world.ground.ground_bodies import carrier_body, task
 from analyzer_sim.world.payload.effects import FaultFlag
 from analyzer_sim.world.payload.payload import sensitivity_db_per_deg
 from analyzer_sim.world.payload.user_noise import users_noise_db

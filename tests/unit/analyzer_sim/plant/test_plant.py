@@ -15,7 +15,7 @@ from analyzer_sim.export import export_arrays
 from analyzer_sim.plant.plant import Plant, PlantOptions
 from analyzer_sim.plant.plant_lines import run_plant
 from analyzer_sim.plant.schedule_lines import Schedule, ScheduleError, parse_schedule
-from analyzer_sim.world.ground_bodies import INERTIA_KG_M2
+from analyzer_sim.world.ground.ground_bodies import INERTIA_KG_M2
 from analyzer_sim.world.scenario.events import Gap, SwitchOff
 from analyzer_sim.world.scenario.scenario import Scenario, scenario_named
 from analyzer_sim.world.scenario.story import KeepingFigures, RepeaterFigures

@@ -16,7 +16,7 @@ from analyzer_sim.plant.plant import PlantOptions
 from analyzer_sim.plant.plant_lines import fed_forward_line
 from analyzer_sim.plant.schedule_lines import MAX_LINE_CHARACTERS
 from analyzer_sim.plant.uplink_port import UplinkPort
-from analyzer_sim.world.ground_port import Gate, serve_ground
+from analyzer_sim.world.ground.ground_port import Gate, serve_ground
 from analyzer_sim.world.scenario.scenario import scenario_named
 
 STORY = replace(scenario_named("nominal"), quiet_h=0.5, operation_h=0.2)

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from analyzer_sim.epochs import rfc3339
-from analyzer_sim.world.ground import catalogue_lines, chunk_lines, chunks_of, flown_chunks_of, flown_lines
+from analyzer_sim.world.ground.ground import catalogue_lines, chunk_lines, chunks_of, flown_chunks_of, flown_lines
 from analyzer_sim.world.world import World
 
 #: longest line a client may send, bytes

@@ -13,7 +13,7 @@ import numpy as np
 
 from analyzer_sim.epochs import US_PER_S, rfc3339
 from analyzer_sim.streams import FloatArray
-from analyzer_sim.world.ground_bodies import (
+from analyzer_sim.world.ground.ground_bodies import (
     AXES,
     Line,
     angles,

@@ -1,0 +1,1 @@
+"""Ground: what the operators of a simulated satellite know and send."""
