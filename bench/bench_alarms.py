@@ -20,7 +20,7 @@ from service.pipeline.chain import Chain
 from service.pipeline.config import AlarmConfig, ChainConfig, RobustConfig
 from service.records.levels.measurement import CarrierDetails
 from service.records.operations.alarm_memory import BookMemory
-from tests.fakes.geometry_flight import Flight, FlightPayload
+from tests.fakes.worlds.geometry_flight import Flight, FlightPayload
 
 ASKED_SHARE = 0.05
 #: rows before the clock starts, so that every trailing mean is full

@@ -21,8 +21,8 @@ from service.core.estimation.filtering.kernels.kernels import ARRAYS, Kernels, c
 from service.core.estimation.filtering.model.filter_model import FilterSettings, no_motion
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
-from tests.fakes.filter_models import aligned, carrier_model
-from tests.fakes.synthetic_payload import HOUR, MINUTE, START_US, FixedDocuments, SyntheticPayload, opening
+from tests.fakes.worlds.filter_models import aligned, carrier_model
+from tests.fakes.worlds.synthetic_payload import HOUR, MINUTE, START_US, FixedDocuments, SyntheticPayload, opening
 
 #: rows before the clock starts, so that every trailing mean is full
 _SETTLING = 60

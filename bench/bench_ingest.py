@@ -30,7 +30,7 @@ from typing import NamedTuple
 
 from bench.http_load import Load, Rate, Shape
 from service.client.service_client import ServiceClient
-from tests.fakes.postgresql_cluster import NoServerError, PostgresqlCluster
+from tests.fakes.drivers.postgresql_cluster import NoServerError, PostgresqlCluster
 
 BATCHES = Shape(rows=100, carriers=32, connections=8)
 SINGLES = Shape(rows=1, carriers=32, connections=32)

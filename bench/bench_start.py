@@ -24,7 +24,7 @@ from bench.server_process import ServedProcess, running
 from db.storage import SqlStorage
 from service.ports import LIVE
 from service.records.levels.measurement import MeasurementBatch
-from tests.fakes.synthetic_payload import SC, START_US, S, SyntheticPayload
+from tests.fakes.worlds.synthetic_payload import SC, START_US, S, SyntheticPayload
 
 CARRIERS = 16
 GOAL_EMPTY_S, GOAL_FULL_S = 1.5, 3.0

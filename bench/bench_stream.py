@@ -29,7 +29,7 @@ from db.storage import SqlStorage
 from service.client.async_service_client import AsyncServiceClient
 from service.records.calibration import CalibrationState
 from service.records.epoch import format_epoch
-from tests.fakes.synthetic_payload import HOUR, MINUTE, SC, START_US, SyntheticPayload
+from tests.fakes.worlds.synthetic_payload import HOUR, MINUTE, SC, START_US, SyntheticPayload
 
 CARRIERS = 16
 ROWS_PER_S = 10

@@ -1,7 +1,7 @@
 """After every event of the interlock all answers carry the same verdict, and it never allows too much.
 
 The answers are those of the routes, the stream, the metrics and the demonstration, over an archive in memory; what is
-allowed is judged by the rules of `tests/fakes/desk_driver.py`, not by the interlock's.
+allowed is judged by the rules of `tests/fakes/drivers/desk_driver.py`, not by the interlock's.
 """
 
 from contextlib import suppress

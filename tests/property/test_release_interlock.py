@@ -1,6 +1,6 @@
 """No sequence of events yields a released torque while a reason stands; nothing goes out twice; illegal is inert.
 
-The driver judges every step by rules of its own (`tests/fakes/release_driver.py`), not by the interlock's.
+The driver judges every step by rules of its own (`tests/fakes/drivers/release_driver.py`), not by the interlock's.
 """
 
 import pickle

@@ -3,9 +3,8 @@
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from service.pipeline.control.release.control_reasons import reason_of
-
 from service.errors import SooError
+from service.pipeline.control.release.control_reasons import reason_of
 from service.records.levels.attitude import Axes
 from service.records.levels.command import Pulse
 from service.records.operations.release import (

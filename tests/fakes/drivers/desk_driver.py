@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 from release_storage import SC, FakeArchive, KilledError
-from service.pipeline.control.release.control_verdict import control_verdict
 
 from service.core.control.sign_check import Verdict
 from service.pipeline.config import TorqueConfig
+from service.pipeline.control.release.control_verdict import control_verdict
 from service.pipeline.control.release.events import OrderKind, SignJudged
 from service.pipeline.control.release.row_facts import SeenRow
 from service.pipeline.control.release.settings import ReleaseSettings
