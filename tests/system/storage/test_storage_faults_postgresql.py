@@ -1,6 +1,6 @@
 """Faults of a PostgreSQL server under a running service: it is away, it does not answer, somebody holds a lock.
 
-The clients and the comparison are those of ``tests/system/test_storage_faults.py``.
+The clients and the comparison are those of ``tests/system/storage/test_storage_faults.py``.
 """
 
 import os
