@@ -13,10 +13,10 @@ import numpy as np
 from analyzer_sim.export import measured_dbm, sweep_noise_db
 from analyzer_sim.plant.schedule_lines import Schedule
 from analyzer_sim.streams import FloatArray
-from analyzer_sim.world.angles_loop import AnglesLoop
 from analyzer_sim.world.ground.ground_bodies import INERTIA_KG_M2
 from analyzer_sim.world.orbit.orbit import EARTH_RATE_RAD_S
 from analyzer_sim.world.scenario.story import Scenario
+from analyzer_sim.world.spacecraft.angles_loop import AnglesLoop
 from analyzer_sim.world.spacecraft.body_dynamics import Vector
 from analyzer_sim.world.spacecraft.disturbance import disturbance
 from analyzer_sim.world.spacecraft.flown_spacecraft import Craft, craft_at_rest

@@ -5,8 +5,8 @@ import math
 from typing import NamedTuple
 
 from analyzer_sim.epochs import US_PER_S, epoch_us_from_text, rfc3339
-from analyzer_sim.world.angles_loop import Angles
 from analyzer_sim.world.ground.ground_bodies import TORQUE_LIMIT_N_M
+from analyzer_sim.world.spacecraft.angles_loop import Angles
 from analyzer_sim.world.spacecraft.rigid_body import TorqueElement
 
 #: longest line, elements of one schedule, duration of one element, s, and largest counter

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 from analyzer_sim.epochs import US_PER_S
 from analyzer_sim.streams import stream
-from analyzer_sim.world.angles_loop import Angles
+from analyzer_sim.world.spacecraft.angles_loop import Angles
 from analyzer_sim.world.spacecraft.rigid_body import TorqueElement, Triple
 from analyzer_sim.world.spacecraft.wheels import MOMENTUM_LIMIT_N_M_S, QUANTUM_N_M
 

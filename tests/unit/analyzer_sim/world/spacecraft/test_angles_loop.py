@@ -5,7 +5,7 @@ import math
 import pytest
 
 from analyzer_sim.epochs import US_PER_S
-from analyzer_sim.world.angles_loop import Angles, AnglesLoop
+from analyzer_sim.world.spacecraft.angles_loop import Angles, AnglesLoop
 from analyzer_sim.world.spacecraft.wheels import QUANTUM_N_M
 
 INERTIA = (2600.0, 2600.0, 1400.0)
