@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from service.core.estimation.calibration.free_response import FreeResponse
+from service.core.estimation.calibration.checks.free_response import FreeResponse
 from service.core.estimation.noise_model import NoiseSplit, split_noise
 from service.core.estimation.observability import condition_number, crlb_deg, dilution_of_precision_deg_per_db
 from service.core.estimation.paper.criteria import CarrierVerdicts, judge_carriers

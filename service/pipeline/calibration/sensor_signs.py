@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.estimation.calibration.free_response import FreeResponse
-from service.core.estimation.calibration.sensor_axes import DECISIVE, MAPPINGS, AxesVerdict, judge_axes
+from service.core.estimation.calibration.checks.free_response import FreeResponse
+from service.core.estimation.calibration.checks.sensor_axes import DECISIVE, MAPPINGS, AxesVerdict, judge_axes
 from service.pipeline.calibration.geometry_rows import PlanPlaces
 from service.pipeline.calibration.windows import CalibrationError, CalibrationInput
 from service.pipeline.config import CalibrationConfig

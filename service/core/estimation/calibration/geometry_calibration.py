@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.core.estimation.calibration.calibration_bins import Means, Stretches, still_stretches, stretch_means
+from service.core.estimation.calibration.checks.free_response import FreeResponse, fit_free_response
+from service.core.estimation.calibration.checks.station_check import StationOffsets, station_offsets
 from service.core.estimation.calibration.coloured_rows import ColouredNoise
-from service.core.estimation.calibration.free_response import FreeResponse, fit_free_response
 from service.core.estimation.calibration.geometry_columns import (
     BEAM_SIZE,
     SOLAR_SIZE,
@@ -30,7 +31,6 @@ from service.core.estimation.calibration.geometry_columns import (
 from service.core.estimation.calibration.joint_tukey import JointProblem, fit_jointly
 from service.core.estimation.calibration.quadratic_response import response_monomials
 from service.core.estimation.calibration.separable_fit import SeparableFit
-from service.core.estimation.calibration.station_check import StationOffsets, station_offsets
 from service.core.estimation.calibration.whitened_fit import coloured_noise, whitened_fit
 from service.core.estimation.noise_identification import LearnedNoise, identify_noise
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from geometry_payload import MINUTE, GeometryPayload, turned_angles
 
-from service.core.estimation.calibration.sensor_axes import MAPPINGS
+from service.core.estimation.calibration.checks.sensor_axes import MAPPINGS
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
 from service.pipeline.calibration.paper_calibration import calibrate_paper
 from service.pipeline.calibration.windows import CalibrationError

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from service.core.estimation.calibration.free_response import FreeResponse
+from service.core.estimation.calibration.checks.free_response import FreeResponse
+from service.core.estimation.calibration.checks.sensor_axes import DECISIVE, MAPPINGS, MIN_CARRIERS, judge_axes
 from service.core.estimation.calibration.geometry_columns import CarrierGeometry
-from service.core.estimation.calibration.sensor_axes import DECISIVE, MAPPINGS, MIN_CARRIERS, judge_axes
 
 NO_TURNS = (np.zeros((0, 3)), np.zeros((0, 3)))
 SIGMA = 0.06

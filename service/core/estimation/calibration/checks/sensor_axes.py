@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.core.estimation.calibration.free_response import FreeResponse
+from service.core.estimation.calibration.checks.free_response import FreeResponse
 from service.core.estimation.calibration.geometry_columns import DOWNLINK_PRIOR_DB_PER_DEG, CarrierGeometry
 
 FloatArray = NDArray[np.float64]

@@ -1,0 +1,1 @@
+"""Checks of a calibration: axes of the sensors, places of the stations."""
