@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from service.core.flexible.capture import (
+from service.core.flexible.capture.capture import (
     SwitchOn,
     critical_amplitude_rad,
     least_capturing_amplitude_rad,

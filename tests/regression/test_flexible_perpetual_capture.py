@@ -2,7 +2,7 @@
 
 import pytest
 
-from service.core.flexible.capture import SwitchOn, perpetual_amplitude_rad
+from service.core.flexible.capture.capture import SwitchOn, perpetual_amplitude_rad
 from service.core.flexible.spacecraft import FlexibleMode
 from service.study.limit_cycles import reference
 from service.study.limit_cycles.capture_tables import is_as_told, perpetual_lock

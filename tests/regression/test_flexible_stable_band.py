@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from service.core.flexible.capture import SwitchOn, critical_amplitude_rad, rigid_frequency_rad_s, stable_band
+from service.core.flexible.capture.capture import SwitchOn, critical_amplitude_rad, rigid_frequency_rad_s, stable_band
 from service.core.flexible.closed_forms import cycle_period_s
 from service.core.flexible.spacecraft import FlexibleMode
 from service.study.limit_cycles import reference

@@ -19,7 +19,7 @@ from service.api.schemas.analyses import (
     ScheduleAnswer,
     ScheduleDocument,
 )
-from service.core.flexible.capture_analysis import analyse_capture
+from service.core.flexible.capture.capture_analysis import analyse_capture
 from service.core.flexible.limit_cycle import analyse_limit_cycle
 from service.core.flexible.schedule.schedule_check import analyse_schedule
 from service.runtime.jobs.workers import Workers

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Self
 from pydantic import BeforeValidator, Field
 
 from service.api.schemas.base import Answer, Document
-from service.core.flexible.capture_analysis import CaptureAnalysis
+from service.core.flexible.capture.capture_analysis import CaptureAnalysis
 from service.core.flexible.limit_cycle import LimitCycleAnalysis
 from service.core.flexible.schedule.schedule_check import ScheduleCheck
 

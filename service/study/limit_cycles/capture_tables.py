@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.flexible.capture import (
+from service.core.flexible.capture.capture import (
     SwitchOn,
     critical_amplitude_rad,
     least_capturing_amplitude_rad,

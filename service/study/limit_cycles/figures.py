@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from service.core.flexible.capture import least_capturing_amplitude_rad, rigid_frequency_rad_s, stable_band
+from service.core.flexible.capture.capture import least_capturing_amplitude_rad, rigid_frequency_rad_s, stable_band
 from service.core.flexible.closed_forms import cycle_period_s
 from service.core.flexible.motion import Motion, follow_motion
 from service.core.flexible.phi_functions import FloatArray

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.flexible.capture import SwitchOn, critical_amplitude_rad, perpetual_amplitude_rad
+from service.core.flexible.capture.capture import SwitchOn, critical_amplitude_rad, perpetual_amplitude_rad
 from service.core.flexible.schedule.schedule_response import (
     ModeResponse,
     TorquePulse,

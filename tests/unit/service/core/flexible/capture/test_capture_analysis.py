@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from service.core.flexible.capture_analysis import analyse_capture, perpetual_level
+from service.core.flexible.capture.capture_analysis import analyse_capture, perpetual_level
 
 PLAIN = {
     "omega_rad_s": 1.0,

@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from service.core.flexible.capture import (
+from service.core.flexible.capture.capture import (
     StableBand,
     SwitchOn,
     critical_amplitude_rad,

@@ -1,0 +1,1 @@
+"""Capture: from which rates one axis comes to rest."""
