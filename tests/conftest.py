@@ -1,10 +1,8 @@
 """Fixtures that several trees of tests share; the makers themselves lie in tests/fakes."""
 
-import importlib.util
+import importlib
 import os
-import sys
 from collections.abc import Iterator
-from pathlib import Path
 from types import ModuleType
 
 import pytest
@@ -21,17 +19,8 @@ if importlib.util.find_spec("hypothesis") is not None:  # the environment of tes
 
 
 def _load(name: str) -> ModuleType:
-    """Return a module of tests/fakes, which lies on no import path."""
-    full_name = f"soo_fakes_{name}"
-    if full_name not in sys.modules:
-        path = Path(__file__).parent / "fakes" / f"{name}.py"
-        spec = importlib.util.spec_from_file_location(full_name, path)
-        assert spec is not None
-        assert spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        sys.modules[full_name] = module
-        spec.loader.exec_module(module)
-    return sys.modules[full_name]
+    """Return a module of tests/fakes; `pythonpath` in pyproject.toml names its folders."""
+    return importlib.import_module(name)
 
 
 @pytest.fixture(scope="session")

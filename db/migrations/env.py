@@ -1,4 +1,4 @@
-"""Alembic environment: runs migrations on the connection that ``db.migrations.migrate`` hands over, in its transaction."""
+"""Alembic environment: migrations run in the transaction of the connection that ``migrate`` passes."""
 
 from alembic import context
 

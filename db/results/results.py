@@ -55,7 +55,8 @@ class SqlResults(SqlCalibrations, SqlJobs):
     ) -> list[AttitudeRow]:
         """Return rows in order of (epoch, number of the measurement) beyond a cursor.
 
-        Of the live version exactly one row a consumed measurement: what was not computed is told by ``db.results.attitude_reader``.
+        The live version has exactly one row a consumed measurement: ``db.results.attitude_reader`` fills in rows that
+        were not computed.
         """
         key = self._database.key(spacecraft_id)
         if version == LIVE:

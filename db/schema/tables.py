@@ -1,7 +1,8 @@
 """Tables: one schema for SQLite and PostgreSQL.
 
-Epochs are BIGINT microseconds UTC, the powers of a row are one BLOB (see db.encoding.power_codec), records without a query on
-their inside are JSON documents. Tables that grow with every measurement carry no foreign keys: their rows are written
+Epochs are BIGINT microseconds UTC, the powers of a row are one BLOB (see
+db.encoding.power_codec), records that no query looks into are JSON documents.
+Tables that grow with every measurement carry no foreign keys: their rows are written
 under the lock of the spacecraft's head by code that has just read the parents.
 """
 
@@ -172,7 +173,7 @@ measurement_detail = Table(
     sqlite_with_rowid=False,
 )
 
-#: rows of closed days, many in one: see db.encoding.segment_codec; the blobs stand last, so that a look at the rest spares them
+#: rows of closed days, many in one (db.encoding.segment_codec); the blobs stand last, so that other columns read fast
 measurement_segment = Table(
     "measurement_segment",
     metadata,

@@ -6,8 +6,8 @@ needs is damaged. Unknown names raise NotFoundError with the codes
 ``spacecraft.unknown``, ``plan.unknown``, ``ephemeris.unknown``, ``calibration.unknown``, ``alignment.unknown``,
 ``operation.unknown``, ``source.unknown``, ``job.unknown``, ``replay.unknown``, ``link.unknown``, ``key.unknown``.
 
-While a request has an audit note (``service.records.operations.audit.CURRENT_NOTE``), the first write that it waits for commits
-its audit entry together with the change.
+While a request has an audit note (``service.records.operations.audit.CURRENT_NOTE``), the first write that it waits for
+commits its audit entry together with the change.
 """
 
 from service.ports.access import Audit, Keys

@@ -5,7 +5,6 @@ from typing import Any
 
 import pytest
 from scripted_desk import AT_US, S, ScriptedDesk
-from service.pipeline.control.release.control_reasons import reason_of
 
 from service.errors import (
     ConflictError,
@@ -15,6 +14,7 @@ from service.errors import (
     NotFoundError,
     StorageError,
 )
+from service.pipeline.control.release.control_reasons import reason_of
 from service.records.operations.release import CommandWish, EnvelopeLimits
 
 pytestmark = pytest.mark.anyio

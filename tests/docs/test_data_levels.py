@@ -39,7 +39,10 @@ def test_flags_stand_beside_their_bits() -> None:
 
 
 def test_reasons_of_exclusions_are_those_of_the_rows() -> None:
-    files = (ROOT / "service" / "pipeline" / name for name in ("robust_row.py", "solve.py"))
+    files = (
+        ROOT / "service" / "pipeline" / "estimation" / name
+        for name in ("robust/attitude_rows.py", "paper/snapshot_fix.py")
+    )
     code = "\n".join(path.read_text() for path in files)
     told = re.findall(r"Exclusion\([^\n]*", code) + re.findall(r"return \"[^\n]*", code)
     words = {word for line in told for word in re.findall(r"\"(\w+)\"", line)}

@@ -1,6 +1,7 @@
 """No story of rows, persons, faults and kills makes the desk release while a reason stands, or send anything twice.
 
-`tests/fakes/drivers/desk_driver.py` judges each release by rules of its own. A killed service begins anew with what was stored.
+`tests/fakes/drivers/desk_driver.py` judges each release by rules of its own. A killed service starts
+again with what was stored.
 """
 
 import pytest

@@ -1,7 +1,8 @@
 """Live stream of one spacecraft: server-sent events that resume without loss and without doubling.
 
-Every event has an id that names the place of the client, see ``service.api.stream.event_ids``. A stream subscribes first,
-then reads from the archive what it missed, then drops queued events at or below what was sent. A client too slow for
+Every event has an id that names the place of the client (``service.api.stream.event_ids``). A stream subscribes
+first, then reads from the archive what it missed, then drops queued events at or below what was sent.
+A client too slow for
 its queue is told how many events were dropped and gets them from the archive, so that a stream may lag but has no hole.
 """
 

@@ -1,7 +1,7 @@
 """The floor of the release desk: each spacecraft's case, the present, rows and time as they come in.
 
-Persons' orders stand in `service.runtime.control.release_service`. Only the service that leads its archive judges events; what a
-service knew in an earlier turn is read from the archive anew.
+Persons' orders stand in `service.runtime.control.release_service`. Only the service that leads its archive
+judges events; a service that becomes leader again reads its state from the archive.
 """
 
 import logging

@@ -9,7 +9,7 @@ import pytest
 
 pytestmark = pytest.mark.system
 
-FAKES = Path(__file__).resolve().parents[2] / "fakes"
+FAKES = Path(__file__).resolve().parents[2] / "fakes" / "drivers"
 #: no file of the process may grow beyond the limit, until it is lifted
 FULL = """
 import json, resource, sys, time
