@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, LargeBinary, Select, and_, select, tuple_
 
+from db.encoding.row_content import RowContent, row_content
 from db.encoding.segment_codec import CODEC, Blobs, Columns, Extras, unpack_columns, unpack_extras, unpack_powers
-from db.measurements.row_content import RowContent, row_content
 from db.schema.tables import measurement_segment as segment_table
 from db.schema.tables import source, spacecraft
 from service.errors import StorageError

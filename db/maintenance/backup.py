@@ -17,9 +17,9 @@ from sqlalchemy import ColumnElement, Connection, column, func, inspect, select,
 from db.connection.engines import open_engines
 from db.connection.sqlite_files import Progress, flush, reading_engine, settle, sha256_of, sqlite_path
 from db.connection.storage_state import newest_revision
-from db.maintenance.checksum_check import damage_of
 from db.maintenance.integrity_check import OLDER, examine
 from db.maintenance.table_copy import copy_tables
+from db.measurements.checksum_check import damage_of
 from db.migrations.migrate import upgrade
 from db.schema.schema_version import version_of
 from service.records.storage.backup import BackupError, Manifest, SpacecraftCount, parse_manifest

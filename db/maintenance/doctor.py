@@ -16,7 +16,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from db.connection.engines import open_engines, translated_faults
 from db.connection.sqlite_files import COMPANIONS, reading_engine, sqlite_path
 from db.maintenance.integrity_check import Report, examine, guarded
-from db.maintenance.journal_heads import compared_heads
+from db.measurements.journal_heads import compared_heads
 from db.schema.tables import head, measurement
 from service.errors import StorageError
 from service.records.epoch import US_PER_S, format_epoch

@@ -14,8 +14,8 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from db.connection.storage_state import newest_revision
 from db.database import Database
-from db.maintenance.checksum_check import checked_tables
 from db.maintenance.journal_ledger import Ledger, heads_of_all, named, orphans, read_ledger
+from db.measurements.checksum_check import checked_tables
 from db.operations.audit import SqlAudit
 from db.schema.access_tables import access_key
 from db.schema.schema_version import known_versions, version_of

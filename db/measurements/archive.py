@@ -12,10 +12,9 @@ from db.database import Database, add_entries, beyond, count_entries, lock_head,
 from db.encoding.json_documents import decode, decode_all, decode_input
 from db.encoding.measurement_runs import Cursor
 from db.encoding.segments import DAY_US
-from db.maintenance import checksum_check
-from db.maintenance.journal_heads import journal_heads
-from db.measurements import retention, sealing
+from db.measurements import checksum_check, retention, sealing
 from db.measurements.ingest_grouped import StoreBatch
+from db.measurements.journal_heads import journal_heads
 from db.measurements.measurement_pages import EVER, Chosen, MeasurementPages
 from db.measurements.prepared_batch import prepare
 from db.measurements.slow_inputs import revise_operation, store_inputs, store_operation

@@ -18,10 +18,10 @@ from typing import Any
 from sqlalchemy import Connection, bindparam, select
 
 from db.connection.compiled_statements import CompiledStatement, run_bare
-from db.encoding.row_checksum import measurement_checksums
 from db.encoding.segments import SegmentCache
 from db.measurements.ingest import MOVE_HEAD, STATE_COLUMNS, IngestState, later, store_batch
 from db.measurements.prepared_batch import PreparedBatch
+from db.schema.row_checksum import measurement_checksums
 from db.schema.tables import head, source
 from service.records.levels.measurement import BatchReceipt
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from db.encoding.measurement_details import PreparedDetails, prepare_details
 from db.encoding.power_codec import NO_FLAGS, StoredRows, pack_flags, pack_powers
-from db.measurements.row_content import RowContent, row_content
+from db.encoding.row_content import RowContent, row_content
 from service.records.levels.attitude import BoolArray
 from service.records.levels.measurement import MeasurementBatch
 

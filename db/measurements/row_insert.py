@@ -14,7 +14,7 @@ from sqlalchemy import Connection
 
 from db.connection.compiled_statements import run_bare
 from db.encoding.power_codec import StoredRows
-from db.encoding.row_checksum import measurement_checksums
+from db.schema.row_checksum import measurement_checksums
 
 _AT_ONCE = """
 INSERT INTO measurement

@@ -13,9 +13,9 @@ from sqlalchemy import Connection, Row, Select, and_, select
 
 from db.encoding.measurement_details import details_of
 from db.encoding.power_codec import unpack_flags, unpack_parts
+from db.encoding.row_content import RowContent, row_content
 from db.encoding.segments import SegmentCache, sealed_contents
 from db.measurements.prepared_batch import PreparedBatch, prepare
-from db.measurements.row_content import RowContent, row_content
 from db.schema.tables import measurement, measurement_detail
 from service.records.epoch import format_epoch
 from service.records.levels.attitude import IntArray

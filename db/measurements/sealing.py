@@ -15,11 +15,11 @@ import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, and_, delete, func, select
 
 from db.database import Database, lock_head
-from db.encoding.row_checksum import measurement_checksums
 from db.encoding.row_mapping import MEASUREMENT_COLUMNS, RECEIVED_AT_US, measurements_of
 from db.encoding.segment_codec import CODEC, Blobs, SealedRows, pack
 from db.encoding.segments import DAY_US, HEAD_COLUMNS, SegmentHead, SegmentPiece, crc32_of, day_of, heads, read_piece
-from db.maintenance.checksum_check import agrees
+from db.measurements.checksum_check import agrees
+from db.schema.row_checksum import measurement_checksums
 from db.schema.tables import head as head_table
 from db.schema.tables import measurement, measurement_detail, measurement_segment, source
 from service.errors import StorageError

@@ -2,7 +2,7 @@
 
 from sqlalchemy import BigInteger, Boolean, Column, Index, Integer, Table, Text
 
-from db.encoding.row_checksum import checksum_column
+from db.schema.row_checksum import checksum_column
 from db.schema.tables import metadata
 
 #: alarms of the service as a whole have no spacecraft

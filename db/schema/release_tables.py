@@ -2,7 +2,7 @@
 
 from sqlalchemy import BigInteger, Column, Index, Integer, Table, Text
 
-from db.encoding.row_checksum import checksum_column
+from db.schema.row_checksum import checksum_column
 from db.schema.tables import metadata
 
 #: one document a spacecraft; whoever changes it must know the version that he changes

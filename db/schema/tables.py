@@ -27,7 +27,7 @@ from sqlalchemy import (
 )
 from sqlalchemy.engine import Dialect
 
-from db.encoding.row_checksum import checksum_column
+from db.schema.row_checksum import checksum_column
 
 metadata = MetaData()
 
@@ -156,7 +156,7 @@ measurement = Table(
     # both as db.encoding.power_codec lays them out
     Column("powers", LargeBinary, nullable=False),
     Column("flags", LargeBinary),
-    # of the row and of its details; see db.encoding.row_checksum
+    # of the row and of its details; see db.schema.row_checksum
     Column("checksum", LargeBinary),
     Index("measurement_number", "spacecraft_key", "number", unique=True),
     sqlite_with_rowid=False,

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from sqlalchemy import select, update
 
-import db.maintenance.checksum_check
-from db.encoding.row_checksum import CHECKSUM_BYTES, checksum_of
+import db.measurements.checksum_check
 from db.maintenance.backup import create_backup, verify_backup
 from db.maintenance.doctor import diagnose
 from db.maintenance.restore import restore_backup
+from db.schema.row_checksum import CHECKSUM_BYTES, checksum_of
 from db.schema.tables import attitude, checksum_backlog, measurement, metadata
 from service.ports import Outcome
 from service.records.catalogue import Method
@@ -128,7 +128,7 @@ def test_what_was_changed_is_found_in_every_table(filled):
         for statement in CHANGES:
             with connection.begin() as transaction:
                 assert connection.exec_driver_sql(statement).rowcount, statement
-                damaged = [each for each in db.maintenance.checksum_check.checked_tables(connection) if each.differing]
+                damaged = [each for each in db.measurements.checksum_check.checked_tables(connection) if each.differing]
                 transaction.rollback()
             name = statement.split()[2 if statement.startswith("DELETE") else 1].removesuffix("_detail")
             assert [each.name for each in damaged] == [name], statement
@@ -184,7 +184,7 @@ def test_values_that_no_writer_stores_differ_and_stop_nothing(setting):
         if connection.dialect.name != "sqlite":
             return
         connection.exec_driver_sql("UPDATE measurement SET seq = 'x', number = 1.5")
-        (damaged,) = [each for each in db.maintenance.checksum_check.checked_tables(connection) if each.differing]
+        (damaged,) = [each for each in db.measurements.checksum_check.checked_tables(connection) if each.differing]
     assert damaged.name == "measurement"
 
 
@@ -218,7 +218,7 @@ def test_a_group_with_very_many_damaged_rows_is_left_alone(setting, monkeypatch)
 
 
 def test_older_rows_are_counted_and_get_their_checksums_later(filled, url, monkeypatch):
-    monkeypatch.setattr("db.maintenance.checksum_check._AT_ONCE", 4)
+    monkeypatch.setattr("db.measurements.checksum_check._AT_ONCE", 4)
     with filled.storage._database.read() as connection:
         stored = {name: connection.execute(select(table)).all() for name, table in TABLES.items()}
     with write(filled) as connection:

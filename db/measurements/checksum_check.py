@@ -9,7 +9,7 @@ from sqlalchemy import Connection, Row, Select, Table, and_, bindparam, delete, 
 from sqlalchemy.exc import SQLAlchemyError
 
 from db.database import Database
-from db.encoding.row_checksum import checksum_of, measurement_checksums
+from db.schema.row_checksum import checksum_of, measurement_checksums
 from db.schema.tables import checksum_backlog, measurement, measurement_detail, metadata
 from service.records.epoch import format_epoch
 
