@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "docs" / "reference" / "analyzer-clients.md"
+PAGE = ROOT / "docs" / "evidence" / "analyzer-clients.md"
 LOCK = ROOT / "requirements-clients.lock"
 #: installed by the system's package manager
 UNLOCKED = {"lxi-tools"}

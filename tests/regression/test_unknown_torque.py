@@ -1,6 +1,6 @@
 """Closed loops under a torque that the catalogue does not know, against the plant, over the link; ADR 0007.
 
-Figures as in docs/explanations/closed-loop.md: `soo study closed-loop --scenario unknown_residual_constant --scenario
+Figures as in docs/evidence/closed-loop.md: `soo study closed-loop --scenario unknown_residual_constant --scenario
 unknown_residual_daily --sensing automatic --runs 20`.
 """
 
@@ -108,6 +108,6 @@ def test_twenty_seeds_of_a_day(name):
     print(f"{name}: {told.largest_deg}, yaw within 1 deg in {sum(size < 1.0 for size in yaw_deg)} of 20")
     assert told.longest_inhibited_h <= 0.25
     assert max(told.largest_deg[-1][1:]) < 0.3
-    # asked are 1.0 deg in all runs; what powers tell of yaw reaches that in most (docs/explanations/closed-loop.md)
+    # asked are 1.0 deg in all runs; what powers tell of yaw reaches that in most (docs/evidence/closed-loop.md)
     assert max(yaw_deg) < 2.0
     assert sum(size < 1.0 for size in yaw_deg) >= 12

@@ -290,5 +290,4 @@ def _number(value: float | None, digits: int | None = None) -> str:
     text = f"{value:.{max(0, (4 if digits is None else digits) - large)}f}"
     text = text.rstrip("0").rstrip(".") if digits is None and "." in text else text
     # what rounds to nothing has no sign
-    text = text.lstrip("-") if float(text) == 0.0 else text
-    return text.replace("0.", ".", 1) if text.startswith(("0.", "-0.")) else text
+    return text.lstrip("-") if float(text) == 0.0 else text

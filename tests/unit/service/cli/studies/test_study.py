@@ -68,7 +68,7 @@ def test_kept_bounds_end_with_zero_and_are_printed(ran):
 def test_a_missed_bound_ends_with_one(ran):
     result, _ = ran("--scenario", "maneuver", figures={**GOOD, "rms_deg.roll": 0.2})
     assert result.exit_code == 1
-    assert "missed: maneuver, robust, rms_deg.roll = .2, must be <= 0.035" in result.output
+    assert "missed: maneuver, robust, rms_deg.roll = 0.2, must be <= 0.035" in result.output
 
 
 def test_json_is_one_document(ran):
