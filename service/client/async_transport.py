@@ -7,7 +7,8 @@ from typing import Any, Self, TypeVar
 
 import httpx
 
-from service.client.call import BASE_PATH, Attempts, Call, broke_off, decoded, default_headers, no_answer
+from service.client.call import BASE_PATH, Attempts, Call, broke_off, decoded, default_headers, no_answer, page_of
+from service.client.documents import Json
 from service.client.event_lines import Follower, StreamEvent
 from service.client.problem import ServiceUnavailableError, error_of
 
@@ -35,6 +36,7 @@ class AsyncTransport:
             transport=http,
             trust_env=False,
         )
+        self.service_url = service_url
         self._retries = retries
         self._sleep = sleep
         self._first_wait_s = first_wait_s
@@ -48,6 +50,19 @@ class AsyncTransport:
     async def close(self) -> None:
         """Close the connections."""
         await self._http.aclose()
+
+    async def request(
+        self,
+        method: str,
+        path: str,
+        body: Mapping[str, Any] | None = None,
+        *,
+        params: Mapping[str, Any] | None = None,
+        is_keyed: bool = False,
+    ) -> Any:
+        """Send any request below ``/api/v1``; see `service.client.call.Call`."""
+        call: Call[Any] = Call(method, path, body, params or {}, is_keyed)
+        return await self.send(call)
 
     async def send(self, call: Call[Result]) -> Result:
         """Return the decoded answer of one call; errors as in `service.client.transport.Transport.send`."""
@@ -71,6 +86,19 @@ class AsyncTransport:
                     yield chunk
         except httpx.TransportError as error:
             raise broke_off(path, error) from error
+
+    async def pages(
+        self, path: str, params: Mapping[str, Any] | None = None, *, rows: str = "rows"
+    ) -> AsyncIterator[Json]:
+        """Yield every row of a list below ``/api/v1``, page after page; ``rows`` names the field that holds them."""
+        cursor: str | None = None
+        while True:
+            page = await self.send(page_of(path, params, cursor))
+            for row in page[rows]:
+                yield row
+            cursor = page.get("next")
+            if not cursor:
+                return
 
     async def follow(self, path: str, follower: Follower) -> AsyncIterator[StreamEvent]:
         """Yield the events of a stream; see `service.client.transport.Transport.follow`."""
@@ -106,5 +134,5 @@ class AsyncTransport:
             )
         except httpx.TransportError as error:
             raise no_answer(self._http.base_url, call.method, call.url, error) from error
-        answer: Result = decoded(response)
+        answer: Result = decoded(response, call.member)
         return answer

@@ -49,6 +49,8 @@ class Call(Generic[Result]):
         Query; None values are left out.
     is_keyed : bool
         The service recognises a repetition of this request by its content.
+    member : str
+        Member of the answer that is returned; empty: the whole answer.
     """
 
     method: str
@@ -56,6 +58,7 @@ class Call(Generic[Result]):
     body: Mapping[str, Any] | None = None
     params: Mapping[str, Any] = field(default_factory=dict)
     is_keyed: bool = False
+    member: str = ""
 
     @property
     def url(self) -> str:
@@ -112,8 +115,13 @@ class Attempts:
         return min(error.retry_after_s or self._backoff.next_s(), LONGEST_WAIT_S)
 
 
-def decoded(response: httpx.Response) -> Any:
-    """Return the JSON of an answer, None for an empty one.
+def page_of(path: str, params: Mapping[str, Any] | None, cursor: str | None) -> Call[Any]:
+    """Return the request for one page of a list."""
+    return Call("GET", path, params={**(params or {}), "cursor": cursor})
+
+
+def decoded(response: httpx.Response, member: str = "") -> Any:
+    """Return the JSON of an answer, or a member of it; None for an empty one.
 
     Raises
     ------
@@ -127,10 +135,11 @@ def decoded(response: httpx.Response) -> Any:
     if not response.content:
         return None
     try:
-        return response.json()
+        answer = response.json()
     except ValueError as error:
         message = f"{response.request.url} answered {response.status_code} with something that is not JSON"
         raise ServiceUnavailableError(message, response.status_code) from error
+    return answer[member] if member else answer
 
 
 def no_answer(address: object, method: str, url: str, error: httpx.TransportError) -> ServiceUnavailableError:

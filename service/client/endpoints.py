@@ -1,204 +1,356 @@
-"""The REST contract as values: one function an endpoint gives the request and says what its answer holds.
+"""The REST contract as methods: each endpoint is written once, for the blocking and for the awaiting client.
 
-Nothing is interpreted here; epochs go in as RFC 3339 text or as int64 microseconds UTC.
+Nothing is interpreted here; epochs go in as RFC 3339 text or as int64 microseconds UTC, answers come as the
+dictionaries of the contract. Errors are those of `service.client.problem`.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 from service.client.call import Call, Epoch, epoch_text
-from service.client.documents import Attitude, Command, Control, Job, Json, PlanPut, Receipt, Status
+from service.client.documents import Attitude, Command, Control, Job, Json, Measurement, PlanPut, Receipt, Status
+from service.client.endpoint_methods import Series, endpoint, series
+from service.client.event_lines import Follower, StreamEvent
 
 Rows = Sequence[Mapping[str, Any]]
 #: rows a page when nothing else is said: the most that the service gives
 PAGE_ROWS = 10_000
 
 
-def below(spacecraft_id: str, path: str = "") -> str:
+class Endpoints:
+    """Methods that both clients have; here each returns the request that a client sends."""
+
+    @series
+    def stream(
+        self, spacecraft_id: str, *, last_event_id: str | None = None, patience_s: float | None = None
+    ) -> Series[StreamEvent]:
+        """Yield what happens to a spacecraft, without end; a lost connection is made again where it broke off.
+
+        Parameters
+        ----------
+        spacecraft_id : str
+            Spacecraft.
+        last_event_id : str, optional
+            ``id`` of the last event that was dealt with; None starts with the present.
+        patience_s : float, optional
+            How long the service may be away at a stretch; None: for ever.
+        """
+        return Series(_below(spacecraft_id, "/stream"), follower=Follower(last_event_id, patience_s))
+
+    # Catalogue
+
+    @endpoint
+    def create_spacecraft(self, spacecraft: Mapping[str, Any]) -> Call[Json]:
+        """Add a spacecraft."""
+        return Call("POST", "/spacecraft", spacecraft)
+
+    @endpoint
+    def spacecraft(self, spacecraft_id: str) -> Call[Json]:
+        """Return one spacecraft."""
+        return Call("GET", _below(spacecraft_id))
+
+    @endpoint
+    def put_carriers(self, spacecraft_id: str, carriers: Rows) -> Call[PlanPut]:
+        """Store a carrier plan; the same content gives the same plan_id."""
+        return Call("PUT", _below(spacecraft_id, "/carriers"), {"carriers": list(carriers)})
+
+    @endpoint
+    def carriers(self, spacecraft_id: str, plan_id: int | None = None) -> Call[Json]:
+        """Return the newest carrier plan, or the one with this number."""
+        return Call("GET", _below(spacecraft_id, "/carriers"), params={"plan_id": plan_id})
+
+    @endpoint
+    def put_ephemeris(self, spacecraft_id: str, ephemeris: Mapping[str, Any]) -> Call[Json]:
+        """Store an ephemeris: nodes and period, TLE, or OEM."""
+        return Call("PUT", _below(spacecraft_id, "/ephemeris"), ephemeris)
+
+    # Into the service
+
+    @endpoint
+    def post_measurements(
+        self,
+        spacecraft_id: str,
+        plan_id: int,
+        measurements: Rows,
+        *,
+        source: str | None = None,
+        first_seq: int | None = None,
+    ) -> Call[Receipt]:
+        """Send rows of carrier powers; repeating a batch is safe."""
+        body = {"plan_id": plan_id, "measurements": list(measurements)}
+        body |= _given(source=source, first_seq=first_seq)
+        return _batch(spacecraft_id, "measurements", body)
+
+    @endpoint
+    def post_traces(self, spacecraft_id: str, source: str, traces: Rows) -> Call[Json]:
+        """Send evidence traces of one source; repeating them is safe, the service keeps a ring of the newest."""
+        body = {"source": source, "traces": list(traces)}
+        return Call("POST", _below(spacecraft_id, "/traces"), body, is_keyed=True)
+
+    @endpoint
+    def report_links(self, links: Rows) -> Call[list[Json]]:
+        """Report the state of links and return what the operator wants of each: id, enabled, reset."""
+        return Call("POST", "/links:report", {"links": list(links)}, is_keyed=True, member="links")
+
+    @endpoint
+    def post_references(self, spacecraft_id: str, source: str, references: Rows) -> Call[Json]:
+        """Send attitude references."""
+        return _batch(spacecraft_id, "attitude-references", {"source": source, "references": list(references)})
+
+    @endpoint
+    def post_corrections(self, spacecraft_id: str, corrections: Rows) -> Call[Json]:
+        """Send attitude changes commanded through other channels."""
+        return _batch(spacecraft_id, "corrections", {"corrections": list(corrections)})
+
+    @endpoint
+    def post_operation(self, spacecraft_id: str, operation: Mapping[str, Any]) -> Call[Json]:
+        """Announce an operation (station keeping, eclipse, carrier work)."""
+        return Call("POST", _below(spacecraft_id, "/operations"), operation)
+
+    # Calibration and alignment
+
+    @endpoint
+    def start_calibration(self, spacecraft_id: str, calibration: Mapping[str, Any]) -> Call[Json]:
+        """Start a calibration; the answer names its job."""
+        return Call("POST", _below(spacecraft_id, "/calibrations"), calibration)
+
+    @endpoint
+    def calibration(self, spacecraft_id: str, calibration_id: int) -> Call[Json]:
+        """Return one calibration with its carriers."""
+        return Call("GET", _below(spacecraft_id, f"/calibrations/{calibration_id}"))
+
+    @endpoint
+    def activate_calibration(self, spacecraft_id: str, calibration_id: int) -> Call[Json]:
+        """Make a calibration the active one of its method."""
+        return Call("POST", _below(spacecraft_id, f"/calibrations/{calibration_id}:activate"))
+
+    @endpoint
+    def align(self, spacecraft_id: str, alignment: Mapping[str, Any]) -> Call[Json]:
+        """Tie the estimator to known angles."""
+        return Call("POST", _below(spacecraft_id, "/alignments"), alignment)
+
+    @endpoint
+    def job(self, job_id: str) -> Call[Job]:
+        """Return the state and progress of a job."""
+        return Call("GET", f"/jobs/{job_id}")
+
+    # Out of the service
+
+    @endpoint
+    def status(self, spacecraft_id: str) -> Call[Status]:
+        """Return what is newest, pending and in force."""
+        return Call("GET", _below(spacecraft_id, "/status"))
+
+    @endpoint
+    def measurements(self, spacecraft_id: str) -> Call[Json]:
+        """Return the newest row of carrier powers."""
+        return Call("GET", _below(spacecraft_id, "/measurements"))
+
+    @endpoint
+    def attitude(self, spacecraft_id: str, method: str | None = None) -> Call[Attitude]:
+        """Return the newest attitude."""
+        return Call("GET", _below(spacecraft_id, "/attitude"), params={"method": method})
+
+    @endpoint
+    def torques(self, spacecraft_id: str) -> Call[Json]:
+        """Return the newest computed torque command."""
+        return Call("GET", _below(spacecraft_id, "/torques"))
+
+    @series
+    def measurement_history(
+        self, spacecraft_id: str, start: Epoch | None = None, stop: Epoch | None = None, *, limit: int = PAGE_ROWS
+    ) -> Series[Measurement]:
+        """Yield every row of carrier powers of an interval; parameters as for `attitude_history`."""
+        return Series(_below(spacecraft_id, "/measurements/history"), _window(start, stop, limit))
+
+    @series
+    def attitude_history(
+        self,
+        spacecraft_id: str,
+        start: Epoch | None = None,
+        stop: Epoch | None = None,
+        *,
+        method: str | None = None,
+        version: str | None = None,
+        limit: int = PAGE_ROWS,
+    ) -> Series[Attitude]:
+        """Yield every attitude row of an interval, page after page.
+
+        Parameters
+        ----------
+        spacecraft_id : str
+            Spacecraft.
+        start, stop : str or int, optional
+            RFC 3339 text or microseconds UTC; start inclusive, stop exclusive.
+        method, version : str, optional
+            ``robust`` or ``paper``; ``live`` or the version of a replay.
+        limit : int
+            Rows a page.
+        """
+        params = {**_window(start, stop, limit), "method": method, "version": version}
+        return Series(_below(spacecraft_id, "/attitude/history"), params)
+
+    # Release of torques
+
+    @endpoint
+    def prepare_torques(
+        self,
+        spacecraft_id: str,
+        reason: str,
+        *,
+        attitude_epoch: Epoch | None = None,
+        start: Epoch | None = None,
+        duration_s: float | None = None,
+        max_torque_n_m: float | None = None,
+        dry_run: bool = False,
+    ) -> Call[Command]:
+        """Return a command that waits for another person to confirm its digest.
+
+        Never sent twice: a second request would be another command.
+
+        Parameters
+        ----------
+        spacecraft_id, reason : str
+            Spacecraft, and why.
+        attitude_epoch, start : str or int, optional
+            Estimate that was looked at, default the newest; begin of the schedule, default as soon as can be.
+        duration_s, max_torque_n_m : float, optional
+            Default the forecast horizon of the spacecraft, and the limits of spacecraft and wheels.
+        dry_run : bool
+            Only look: nothing is stored, and failing checks are reported instead of refused.
+        """
+        body = {"reason": reason, "dry_run": dry_run, "duration_s": duration_s, "max_torque_n_m": max_torque_n_m}
+        return Call(
+            "POST",
+            _below(spacecraft_id, "/torques:prepare"),
+            body | _epochs(attitude_epoch=attitude_epoch, start=start),
+        )
+
+    @endpoint
+    def command(self, spacecraft_id: str, command_id: int) -> Call[Command]:
+        """Return one command as it stands."""
+        return Call("GET", _below(spacecraft_id, f"/torques/{command_id}"))
+
+    @series
+    def commands(
+        self, spacecraft_id: str, start: Epoch | None = None, stop: Epoch | None = None, *, limit: int = PAGE_ROWS
+    ) -> Series[Command]:
+        """Yield every command that was prepared in an interval; parameters as for `attitude_history`."""
+        return Series(_below(spacecraft_id, "/torques/commands"), _window(start, stop, limit))
+
+    @endpoint
+    def confirm_torques(self, spacecraft_id: str, command_id: int, digest: str, comment: str = "") -> Call[Command]:
+        """Return a command that another person prepared, released.
+
+        Never sent twice: a second request would be refused though the first released the command.
+        """
+        path = _below(spacecraft_id, f"/torques/{command_id}:confirm")
+        return Call("POST", path, {"digest": digest, "comment": comment})
+
+    @endpoint
+    def cancel_torques(self, spacecraft_id: str, command_id: int, comment: str = "") -> Call[Command]:
+        """Take a prepared command back."""
+        return Call("POST", _below(spacecraft_id, f"/torques/{command_id}:cancel"), {"comment": comment})
+
+    @endpoint
+    def report_torques(
+        self,
+        spacecraft_id: str,
+        command_id: int,
+        turn: Literal["sent", "executed", "failed"],
+        *,
+        at: Epoch | None = None,
+        executed_from: Epoch | None = None,
+        executed_until: Epoch | None = None,
+    ) -> Call[Command]:
+        """Report what became of a released command; repeating a report is safe.
+
+        Parameters
+        ----------
+        spacecraft_id, command_id : str and int
+            Which command.
+        turn : str
+            ``sent``, ``executed`` or ``failed``.
+        at : str or int, optional
+            When; default now.
+        executed_from, executed_until : str or int, optional
+            Part that was carried out; default all of it (executed) or nothing (failed).
+        """
+        body = _epochs(at=at, executed_from=executed_from, executed_until=executed_until)
+        return Call("POST", _below(spacecraft_id, f"/torques/{command_id}:{turn}"), body, is_keyed=True)
+
+    @endpoint
+    def uplink(self, spacecraft_id: str, command_id: int) -> Call[Json]:
+        """Return what goes up of a released command."""
+        return Call("GET", _below(spacecraft_id, f"/torques/{command_id}/uplink"))
+
+    @endpoint
+    def attitude_uplink(self, spacecraft_id: str) -> Call[Json]:
+        """Return the newest angles for a spacecraft in mode onboard."""
+        return Call("GET", _below(spacecraft_id, "/attitude/uplink"))
+
+    @endpoint
+    def control(self, spacecraft_id: str) -> Call[Control]:
+        """Return what the interlock says, and why."""
+        return Call("GET", _below(spacecraft_id, "/control"))
+
+    @endpoint
+    def order_control(
+        self, spacecraft_id: str, order: Literal["arm", "disengage", "reset", "stop"], comment: str = ""
+    ) -> Call[Control]:
+        """Give the interlock an order; a comment goes to the shift log."""
+        return _order(spacecraft_id, order, comment)
+
+    @endpoint
+    def engage_control(
+        self, spacecraft_id: str, until: Epoch, envelope: Mapping[str, float] | None = None, comment: str = ""
+    ) -> Call[Control]:
+        """Ask for standing authorisation, or join another person who asked for the same."""
+        return _order(spacecraft_id, "engage", comment, until=epoch_text(until), envelope=envelope)
+
+    @endpoint
+    def check_sign(self, spacecraft_id: str, axis: str | None = None, comment: str = "") -> Call[Control]:
+        """Begin to prove the sign of an axis; default the first that is not proven."""
+        return _order(spacecraft_id, "sign-check", comment, axis=axis)
+
+    # Analyses
+
+    @endpoint
+    def start_closed_loop(self, wish: Mapping[str, Any]) -> Call[Json]:
+        """Start a flight in the orbital frame; the answer names its job."""
+        return Call("POST", "/analyses/closed-loop", wish)
+
+    @endpoint
+    def closed_loop(self, job_id: str) -> Call[Json]:
+        """Return time series and figures of merit of a flight that is over."""
+        return Call("GET", f"/analyses/closed-loop/{job_id}")
+
+
+def _below(spacecraft_id: str, path: str = "") -> str:
     """Return a path of one spacecraft."""
     return f"/spacecraft/{spacecraft_id}{path}"
 
 
-def create_spacecraft(spacecraft: Mapping[str, Any]) -> Call[Json]:
-    """Add a spacecraft."""
-    return Call("POST", "/spacecraft", spacecraft)
+def _batch(spacecraft_id: str, kind: str, body: Mapping[str, Any]) -> Call[Any]:
+    """Return a batch of rows; the service keys them by content, so repeating it is safe."""
+    return Call("POST", _below(spacecraft_id, f"/{kind}:batch"), body, is_keyed=True)
 
 
-def spacecraft(spacecraft_id: str) -> Call[Json]:
-    """Look up one spacecraft."""
-    return Call("GET", below(spacecraft_id))
+def _order(spacecraft_id: str, order: str, comment: str, **others: Any) -> Call[Control]:
+    """Return an order to the interlock; its name stands behind the colon of the path."""
+    return Call("POST", _below(spacecraft_id, f"/control:{order}"), {**others, "comment": comment})
 
 
-def put_carriers(spacecraft_id: str, carriers: Rows) -> Call[PlanPut]:
-    """Store a carrier plan; the same content gives the same plan_id."""
-    return Call("PUT", below(spacecraft_id, "/carriers"), {"carriers": list(carriers)})
+def _given(**members: Any) -> Json:
+    """Return the members that are not None."""
+    return {name: value for name, value in members.items() if value is not None}
 
 
-def carriers(spacecraft_id: str, plan_id: int | None) -> Call[Json]:
-    """Look up the newest carrier plan, or the one with this number."""
-    return Call("GET", below(spacecraft_id, "/carriers"), params={"plan_id": plan_id})
+def _epochs(**epochs: Epoch | None) -> Json:
+    """Return the epochs that are given, as text."""
+    return {name: epoch_text(at) for name, at in epochs.items() if at is not None}
 
 
-def put_ephemeris(spacecraft_id: str, ephemeris: Mapping[str, Any]) -> Call[Json]:
-    """Store an ephemeris."""
-    return Call("PUT", below(spacecraft_id, "/ephemeris"), ephemeris)
-
-
-def post_measurements(
-    spacecraft_id: str, plan_id: int, measurements: Rows, source: str | None, first_seq: int | None
-) -> Call[Receipt]:
-    """Send rows of carrier powers."""
-    named = {"source": source, "first_seq": first_seq}
-    body = {"plan_id": plan_id, "measurements": list(measurements)}
-    body |= {name: value for name, value in named.items() if value is not None}
-    return Call("POST", below(spacecraft_id, "/measurements:batch"), body, is_keyed=True)
-
-
-def post_batch(spacecraft_id: str, kind: str, body: Mapping[str, Any]) -> Call[Json]:
-    """Send a batch of slow inputs; the service keys its rows by content, so repeating it is safe."""
-    return Call("POST", below(spacecraft_id, f"/{kind}:batch"), body, is_keyed=True)
-
-
-def post_traces(spacecraft_id: str, source: str, traces: Rows) -> Call[Json]:
-    """Send evidence traces."""
-    return Call("POST", below(spacecraft_id, "/traces"), {"source": source, "traces": list(traces)}, is_keyed=True)
-
-
-def report_links(links: Rows) -> Call[Json]:
-    """Report the state of links; a report that is told twice says the same twice."""
-    return Call("POST", "/links:report", {"links": list(links)}, is_keyed=True)
-
-
-def post_operation(spacecraft_id: str, operation: Mapping[str, Any]) -> Call[Json]:
-    """Announce an operation."""
-    return Call("POST", below(spacecraft_id, "/operations"), operation)
-
-
-def start_calibration(spacecraft_id: str, calibration: Mapping[str, Any]) -> Call[Json]:
-    """Start a calibration."""
-    return Call("POST", below(spacecraft_id, "/calibrations"), calibration)
-
-
-def calibration(spacecraft_id: str, calibration_id: int) -> Call[Json]:
-    """Look up one calibration."""
-    return Call("GET", below(spacecraft_id, f"/calibrations/{calibration_id}"))
-
-
-def activate_calibration(spacecraft_id: str, calibration_id: int) -> Call[Json]:
-    """Make a calibration the active one of its method."""
-    return Call("POST", below(spacecraft_id, f"/calibrations/{calibration_id}:activate"))
-
-
-def align(spacecraft_id: str, alignment: Mapping[str, Any]) -> Call[Json]:
-    """Tie the estimator to known angles."""
-    return Call("POST", below(spacecraft_id, "/alignments"), alignment)
-
-
-def job(job_id: str) -> Call[Job]:
-    """Look up a job."""
-    return Call("GET", f"/jobs/{job_id}")
-
-
-def status(spacecraft_id: str) -> Call[Status]:
-    """Look up what is newest, pending and in force."""
-    return Call("GET", below(spacecraft_id, "/status"))
-
-
-def measurements(spacecraft_id: str) -> Call[Json]:
-    """Look up the newest row of carrier powers."""
-    return Call("GET", below(spacecraft_id, "/measurements"))
-
-
-def attitude(spacecraft_id: str, method: str | None) -> Call[Attitude]:
-    """Look up the newest attitude."""
-    return Call("GET", below(spacecraft_id, "/attitude"), params={"method": method})
-
-
-def torques(spacecraft_id: str) -> Call[Json]:
-    """Look up the newest computed torque command."""
-    return Call("GET", below(spacecraft_id, "/torques"))
-
-
-def prepare_torques(
-    spacecraft_id: str,
-    reason: str,
-    epochs: Mapping[str, Epoch | None],
-    figures: Mapping[str, float | None],
-    *,
-    dry_run: bool,
-) -> Call[Command]:
-    """Have a command prepared; never sent twice, for a second one would be another command."""
-    told = {name: epoch_text(at) for name, at in epochs.items() if at is not None}
-    wish = {"reason": reason, "dry_run": dry_run, **told, **figures}
-    return Call("POST", below(spacecraft_id, "/torques:prepare"), wish)
-
-
-def command(spacecraft_id: str, command_id: int) -> Call[Command]:
-    """Look up a command."""
-    return Call("GET", below(spacecraft_id, f"/torques/{command_id}"))
-
-
-def confirm_torques(spacecraft_id: str, command_id: int, digest: str, comment: str) -> Call[Command]:
-    """Confirm a command; never sent twice: a second one would be refused though the first released it."""
-    path = below(spacecraft_id, f"/torques/{command_id}:confirm")
-    return Call("POST", path, {"digest": digest, "comment": comment})
-
-
-def cancel_torques(spacecraft_id: str, command_id: int, comment: str) -> Call[Command]:
-    """Take a prepared command back."""
-    return Call("POST", below(spacecraft_id, f"/torques/{command_id}:cancel"), {"comment": comment})
-
-
-def report_torques(spacecraft_id: str, command_id: int, turn: str, told: Mapping[str, Any]) -> Call[Command]:
-    """Report what became of a command; the same report again changes nothing, so it may be sent again."""
-    body = {name: epoch_text(at) for name, at in told.items() if at is not None}
-    return Call("POST", below(spacecraft_id, f"/torques/{command_id}:{turn}"), body, is_keyed=True)
-
-
-def uplink(spacecraft_id: str, command_id: int) -> Call[Json]:
-    """Look up what goes up of a released command."""
-    return Call("GET", below(spacecraft_id, f"/torques/{command_id}/uplink"))
-
-
-def attitude_uplink(spacecraft_id: str) -> Call[Json]:
-    """Look up the newest angles for uplink."""
-    return Call("GET", below(spacecraft_id, "/attitude/uplink"))
-
-
-def control(spacecraft_id: str) -> Call[Control]:
-    """Look up what the interlock says."""
-    return Call("GET", below(spacecraft_id, "/control"))
-
-
-def order_control(spacecraft_id: str, order: str, body: Mapping[str, Any]) -> Call[Control]:
-    """Order the interlock; `order` is what stands behind the colon of the path."""
-    return Call("POST", below(spacecraft_id, f"/control:{order}"), body)
-
-
-def engage_control(
-    spacecraft_id: str, until: Epoch, envelope: Mapping[str, float] | None, comment: str
-) -> Call[Control]:
-    """Ask for standing authorisation."""
-    body = {"until": epoch_text(until), "envelope": envelope, "comment": comment}
-    return order_control(spacecraft_id, "engage", body)
-
-
-def start_closed_loop(wish: Mapping[str, Any]) -> Call[Json]:
-    """Start a flight in the orbital frame."""
-    return Call("POST", "/analyses/closed-loop", wish)
-
-
-def closed_loop(job_id: str) -> Call[Json]:
-    """Look up what a flight gave."""
-    return Call("GET", f"/analyses/closed-loop/{job_id}")
-
-
-def window(start: Epoch | None, stop: Epoch | None, limit: int, **filters: Any) -> Json:
+def _window(start: Epoch | None, stop: Epoch | None, limit: int) -> Json:
     """Return the query of a history."""
-    span = {"start": start, "stop": stop}
-    return {**{name: None if at is None else epoch_text(at) for name, at in span.items()}, **filters, "limit": limit}
-
-
-def page(path: str, params: Mapping[str, Any], cursor: str | None) -> Call[Json]:
-    """Ask for one page of a list."""
-    return Call("GET", path, params={**params, "cursor": cursor})
+    return {**_epochs(start=start, stop=stop), "limit": limit}

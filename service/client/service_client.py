@@ -1,25 +1,19 @@
-"""The REST contract as methods: one thin method an endpoint, dictionaries as the contract shows them.
-
-Epochs go in as RFC 3339 text or as int64 microseconds UTC. Nothing is interpreted here; errors are those of
-`service.client.problem`. `service.client.async_service_client` has the same methods to be awaited.
-"""
+"""Blocking client: the methods of `service.client.endpoints.Endpoints`, each of which returns the answer itself."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Literal, Self, cast
+from collections.abc import Callable
 
-from service.client import endpoints
 from service.client.call import Epoch, epoch_text
-from service.client.documents import Attitude, Command, Control, Job, Json, Measurement, PlanPut, Receipt, Status
-from service.client.endpoints import PAGE_ROWS, Rows, below
-from service.client.event_lines import Follower, StreamEvent
+from service.client.documents import Job
+from service.client.endpoints import Endpoints
+from service.client.event_lines import StreamEvent
 from service.client.jobs import JobFailedError, JobWatch
 from service.client.transport import Transport
 
 __all__ = ["Epoch", "JobFailedError", "ServiceClient", "StreamEvent", "epoch_text"]
 
 
-class ServiceClient:
+class ServiceClient(Transport, Endpoints):
     """Synchronous client of one service.
 
     Parameters
@@ -38,144 +32,6 @@ class ServiceClient:
     'http://127.0.0.1:8000'
     """
 
-    def __init__(self, service_url: str, key: str | None = None, **options: Any) -> None:
-        self.service_url = service_url
-        self._transport = Transport(service_url, key, **options)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Close the connections."""
-        self._transport.close()
-
-    def request(
-        self,
-        method: str,
-        path: str,
-        body: Mapping[str, Any] | None = None,
-        *,
-        params: Mapping[str, Any] | None = None,
-        is_keyed: bool = False,
-    ) -> Any:
-        """Send any request below ``/api/v1``; see `service.client.call.Call`."""
-        return self._transport.request(method, path, body, params=params, is_keyed=is_keyed)
-
-    def download(self, path: str, params: Mapping[str, Any] | None = None, **options: Any) -> Iterator[bytes]:
-        """Yield what an export streams; see `service.client.transport.Transport.download`."""
-        return self._transport.download(path, params, **options)
-
-    def pages(self, path: str, params: Mapping[str, Any] | None = None, *, rows: str = "rows") -> Iterator[Json]:
-        """Yield every row of a list below ``/api/v1``, page after page; ``rows`` names the field that holds them."""
-        cursor: str | None = None
-        while True:
-            page = self._transport.send(endpoints.page(path, params or {}, cursor))
-            yield from page[rows]
-            cursor = page.get("next")
-            if not cursor:
-                return
-
-    def stream(
-        self, spacecraft_id: str, *, last_event_id: str | None = None, patience_s: float | None = None
-    ) -> Iterator[StreamEvent]:
-        """Yield what happens to a spacecraft, without end; lost connections are made anew where they broke off.
-
-        Parameters
-        ----------
-        spacecraft_id : str
-            Spacecraft.
-        last_event_id : str, optional
-            ``id`` of the last event that was dealt with; None starts with the present.
-        patience_s : float, optional
-            How long the service may be away at a stretch; None: for ever.
-        """
-        follower = Follower(last_event_id, patience_s)
-        return self._transport.follow(below(spacecraft_id, "/stream"), follower)
-
-    # Catalogue
-
-    def create_spacecraft(self, spacecraft: Mapping[str, Any]) -> Json:
-        """Add a spacecraft."""
-        return self._transport.send(endpoints.create_spacecraft(spacecraft))
-
-    def spacecraft(self, spacecraft_id: str) -> Json:
-        """Return one spacecraft."""
-        return self._transport.send(endpoints.spacecraft(spacecraft_id))
-
-    def put_carriers(self, spacecraft_id: str, carriers: Rows) -> PlanPut:
-        """Store a carrier plan; the same content gives the same plan_id."""
-        return self._transport.send(endpoints.put_carriers(spacecraft_id, carriers))
-
-    def carriers(self, spacecraft_id: str, plan_id: int | None = None) -> Json:
-        """Return the newest carrier plan, or the one with this number."""
-        return self._transport.send(endpoints.carriers(spacecraft_id, plan_id))
-
-    def put_ephemeris(self, spacecraft_id: str, ephemeris: Mapping[str, Any]) -> Json:
-        """Store an ephemeris: nodes and period, TLE, or OEM."""
-        return self._transport.send(endpoints.put_ephemeris(spacecraft_id, ephemeris))
-
-    # Into the service
-
-    def post_measurements(
-        self,
-        spacecraft_id: str,
-        plan_id: int,
-        measurements: Rows,
-        *,
-        source: str | None = None,
-        first_seq: int | None = None,
-    ) -> Receipt:
-        """Send rows of carrier powers; repeating a batch is safe."""
-        call = endpoints.post_measurements(spacecraft_id, plan_id, measurements, source, first_seq)
-        return self._transport.send(call)
-
-    def post_traces(self, spacecraft_id: str, source: str, traces: Rows) -> Json:
-        """Send evidence traces of one source; repeating them is safe, the service keeps a ring of the newest."""
-        return self._transport.send(endpoints.post_traces(spacecraft_id, source, traces))
-
-    def report_links(self, links: Rows) -> list[Json]:
-        """Report the state of links and return what the operator wants of each: id, enabled, reset."""
-        return cast("list[Json]", self._transport.send(endpoints.report_links(links))["links"])
-
-    def post_references(self, spacecraft_id: str, source: str, references: Rows) -> Json:
-        """Send attitude references."""
-        body = {"source": source, "references": list(references)}
-        return self._transport.send(endpoints.post_batch(spacecraft_id, "attitude-references", body))
-
-    def post_corrections(self, spacecraft_id: str, corrections: Rows) -> Json:
-        """Send attitude changes commanded through other channels."""
-        body = {"corrections": list(corrections)}
-        return self._transport.send(endpoints.post_batch(spacecraft_id, "corrections", body))
-
-    def post_operation(self, spacecraft_id: str, operation: Mapping[str, Any]) -> Json:
-        """Announce an operation (station keeping, eclipse, carrier work)."""
-        return self._transport.send(endpoints.post_operation(spacecraft_id, operation))
-
-    # Calibration and alignment
-
-    def start_calibration(self, spacecraft_id: str, calibration: Mapping[str, Any]) -> Json:
-        """Start a calibration; the answer names its job."""
-        return self._transport.send(endpoints.start_calibration(spacecraft_id, calibration))
-
-    def calibration(self, spacecraft_id: str, calibration_id: int) -> Json:
-        """Return one calibration with its carriers."""
-        return self._transport.send(endpoints.calibration(spacecraft_id, calibration_id))
-
-    def activate_calibration(self, spacecraft_id: str, calibration_id: int) -> Json:
-        """Make a calibration the active one of its method."""
-        return self._transport.send(endpoints.activate_calibration(spacecraft_id, calibration_id))
-
-    def align(self, spacecraft_id: str, alignment: Mapping[str, Any]) -> Json:
-        """Tie the estimator to known angles."""
-        return self._transport.send(endpoints.align(spacecraft_id, alignment))
-
-    def job(self, job_id: str) -> Job:
-        """Return the state and progress of a job."""
-        return self._transport.send(endpoints.job(job_id))
-
     def wait_job(
         self,
         job_id: str,
@@ -191,9 +47,9 @@ class ServiceClient:
         job_id : str
             From the answer that started it.
         timeout_s, poll_s : float
-            Bound on the wait, and time between two looks.
+            Bound on the wait, and time between two polls.
         on_progress : callable, optional
-            Gets the progress 0..1 at every look.
+            Gets the progress 0..1 at every poll.
 
         Raises
         ------
@@ -204,169 +60,3 @@ class ServiceClient:
         while not watch.is_done(job := self.job(job_id)):
             time.sleep(poll_s)
         return job
-
-    # Out of the service
-
-    def status(self, spacecraft_id: str) -> Status:
-        """Return what is newest, pending and in force."""
-        return self._transport.send(endpoints.status(spacecraft_id))
-
-    def measurements(self, spacecraft_id: str) -> Json:
-        """Return the newest row of carrier powers."""
-        return self._transport.send(endpoints.measurements(spacecraft_id))
-
-    def attitude(self, spacecraft_id: str, method: str | None = None) -> Attitude:
-        """Return the newest attitude."""
-        return self._transport.send(endpoints.attitude(spacecraft_id, method))
-
-    def torques(self, spacecraft_id: str) -> Json:
-        """Return the newest computed torque command."""
-        return self._transport.send(endpoints.torques(spacecraft_id))
-
-    def measurement_history(
-        self, spacecraft_id: str, start: Epoch | None = None, stop: Epoch | None = None, *, limit: int = PAGE_ROWS
-    ) -> Iterator[Measurement]:
-        """Yield every row of carrier powers of an interval; parameters as for `attitude_history`."""
-        params = endpoints.window(start, stop, limit)
-        return cast("Iterator[Measurement]", self.pages(below(spacecraft_id, "/measurements/history"), params))
-
-    def attitude_history(
-        self,
-        spacecraft_id: str,
-        start: Epoch | None = None,
-        stop: Epoch | None = None,
-        *,
-        method: str | None = None,
-        version: str | None = None,
-        limit: int = PAGE_ROWS,
-    ) -> Iterator[Attitude]:
-        """Yield every attitude row of an interval, page after page.
-
-        Parameters
-        ----------
-        spacecraft_id : str
-            Spacecraft.
-        start, stop : str or int, optional
-            RFC 3339 text or microseconds UTC; start inclusive, stop exclusive.
-        method, version : str, optional
-            ``robust`` or ``paper``; ``live`` or the version of a replay.
-        limit : int
-            Rows a page.
-        """
-        params = endpoints.window(start, stop, limit, method=method, version=version)
-        return cast("Iterator[Attitude]", self.pages(below(spacecraft_id, "/attitude/history"), params))
-
-    # Release of torques
-
-    def prepare_torques(
-        self,
-        spacecraft_id: str,
-        reason: str,
-        *,
-        attitude_epoch: Epoch | None = None,
-        start: Epoch | None = None,
-        duration_s: float | None = None,
-        max_torque_n_m: float | None = None,
-        dry_run: bool = False,
-    ) -> Command:
-        """Return a command that waits for another person to confirm its digest.
-
-        Parameters
-        ----------
-        spacecraft_id, reason : str
-            Spacecraft, and why.
-        attitude_epoch, start : str or int, optional
-            Estimate that was looked at, default the newest; begin of the schedule, default as soon as can be.
-        duration_s, max_torque_n_m : float, optional
-            Default the forecast horizon of the spacecraft, and the limits of craft and wheels.
-        dry_run : bool
-            Only look: nothing is stored, and failing checks are told instead of refused.
-        """
-        epochs = {"attitude_epoch": attitude_epoch, "start": start}
-        figures = {"duration_s": duration_s, "max_torque_n_m": max_torque_n_m}
-        call = endpoints.prepare_torques(spacecraft_id, reason, epochs, figures, dry_run=dry_run)
-        return self._transport.send(call)
-
-    def command(self, spacecraft_id: str, command_id: int) -> Command:
-        """Return one command as it stands."""
-        return self._transport.send(endpoints.command(spacecraft_id, command_id))
-
-    def commands(
-        self, spacecraft_id: str, start: Epoch | None = None, stop: Epoch | None = None, *, limit: int = PAGE_ROWS
-    ) -> Iterator[Command]:
-        """Yield every command that was prepared in an interval; parameters as for `attitude_history`."""
-        params = endpoints.window(start, stop, limit)
-        return cast("Iterator[Command]", self.pages(below(spacecraft_id, "/torques/commands"), params))
-
-    def confirm_torques(self, spacecraft_id: str, command_id: int, digest: str, comment: str = "") -> Command:
-        """Return a command that another person prepared, released."""
-        return self._transport.send(endpoints.confirm_torques(spacecraft_id, command_id, digest, comment))
-
-    def cancel_torques(self, spacecraft_id: str, command_id: int, comment: str = "") -> Command:
-        """Take a prepared command back."""
-        return self._transport.send(endpoints.cancel_torques(spacecraft_id, command_id, comment))
-
-    def report_torques(
-        self,
-        spacecraft_id: str,
-        command_id: int,
-        turn: Literal["sent", "executed", "failed"],
-        *,
-        at: Epoch | None = None,
-        executed_from: Epoch | None = None,
-        executed_until: Epoch | None = None,
-    ) -> Command:
-        """Report what became of a released command; repeating a report is safe.
-
-        Parameters
-        ----------
-        spacecraft_id, command_id : str and int
-            Which command.
-        turn : str
-            ``sent``, ``executed`` or ``failed``.
-        at : str or int, optional
-            When; default now.
-        executed_from, executed_until : str or int, optional
-            Part that was carried out; default all of it (executed) or nothing (failed).
-        """
-        told = {"at": at, "executed_from": executed_from, "executed_until": executed_until}
-        return self._transport.send(endpoints.report_torques(spacecraft_id, command_id, turn, told))
-
-    def uplink(self, spacecraft_id: str, command_id: int) -> Json:
-        """Return what goes up of a released command."""
-        return self._transport.send(endpoints.uplink(spacecraft_id, command_id))
-
-    def attitude_uplink(self, spacecraft_id: str) -> Json:
-        """Return the newest angles for a spacecraft in mode onboard."""
-        return self._transport.send(endpoints.attitude_uplink(spacecraft_id))
-
-    def control(self, spacecraft_id: str) -> Control:
-        """Return what the interlock says, and why."""
-        return self._transport.send(endpoints.control(spacecraft_id))
-
-    def order_control(
-        self, spacecraft_id: str, order: Literal["arm", "disengage", "reset", "stop"], comment: str = ""
-    ) -> Control:
-        """Give the interlock an order; a comment goes to the shift log."""
-        return self._transport.send(endpoints.order_control(spacecraft_id, order, {"comment": comment}))
-
-    def engage_control(
-        self, spacecraft_id: str, until: Epoch, envelope: Mapping[str, float] | None = None, comment: str = ""
-    ) -> Control:
-        """Ask for standing authorisation, or join another person who asked for the same."""
-        return self._transport.send(endpoints.engage_control(spacecraft_id, until, envelope, comment))
-
-    def check_sign(self, spacecraft_id: str, axis: str | None = None, comment: str = "") -> Control:
-        """Begin to prove the sign of an axis; default the first that is not proven."""
-        body = {"axis": axis, "comment": comment}
-        return self._transport.send(endpoints.order_control(spacecraft_id, "sign-check", body))
-
-    # Analyses
-
-    def start_closed_loop(self, wish: Mapping[str, Any]) -> Json:
-        """Start a flight in the orbital frame; the answer names its job."""
-        return self._transport.send(endpoints.start_closed_loop(wish))
-
-    def closed_loop(self, job_id: str) -> Json:
-        """Return time series and figures of merit of a flight that is over."""
-        return self._transport.send(endpoints.closed_loop(job_id))

@@ -7,7 +7,8 @@ from typing import Any, Self, TypeVar
 
 import httpx
 
-from service.client.call import BASE_PATH, Attempts, Call, broke_off, decoded, default_headers, no_answer
+from service.client.call import BASE_PATH, Attempts, Call, broke_off, decoded, default_headers, no_answer, page_of
+from service.client.documents import Json
 from service.client.event_lines import Follower, StreamEvent
 from service.client.problem import ServiceUnavailableError, error_of
 
@@ -54,6 +55,7 @@ class Transport:
             transport=http,
             trust_env=False,
         )
+        self.service_url = service_url
         self._retries = retries
         self._sleep = sleep
         self._first_wait_s = first_wait_s
@@ -77,7 +79,7 @@ class Transport:
         params: Mapping[str, Any] | None = None,
         is_keyed: bool = False,
     ) -> Any:
-        """Return the decoded answer of one request; see `service.client.call.Call`."""
+        """Send any request below ``/api/v1``; see `service.client.call.Call`."""
         call: Call[Any] = Call(method, path, body, params or {}, is_keyed)
         return self.send(call)
 
@@ -140,6 +142,16 @@ class Transport:
         except httpx.TransportError as error:
             raise broke_off(path, error) from error
 
+    def pages(self, path: str, params: Mapping[str, Any] | None = None, *, rows: str = "rows") -> Iterator[Json]:
+        """Yield every row of a list below ``/api/v1``, page after page; ``rows`` names the field that holds them."""
+        cursor: str | None = None
+        while True:
+            page = self.send(page_of(path, params, cursor))
+            yield from page[rows]
+            cursor = page.get("next")
+            if not cursor:
+                return
+
     def follow(self, path: str, follower: Follower) -> Iterator[StreamEvent]:
         """Yield the events of a stream, through every end of the connection, until the follower has had enough.
 
@@ -180,5 +192,5 @@ class Transport:
             )
         except httpx.TransportError as error:
             raise no_answer(self._http.base_url, call.method, call.url, error) from error
-        answer: Result = decoded(response)
+        answer: Result = decoded(response, call.member)
         return answer
