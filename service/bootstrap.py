@@ -1,6 +1,7 @@
 """Composition root: settings become adapters, adapters become an application. The only module that names db."""
 
 import asyncio
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,8 +22,8 @@ from service.records.operations.audit import DONE, Deed
 from service.runtime.alarms.alarm_service import AlarmDesk
 from service.runtime.alarms.notifications import NoticeChannel, NoticeChannels
 from service.runtime.clock import DataClock, SystemClock
-from service.runtime.control.release_notifications import Tidings
-from service.runtime.control.release_service import ReleaseDesk
+from service.runtime.control.release_notifications import ReleasePublisher
+from service.runtime.control.release_service import ReleaseService
 from service.runtime.jobs.alignment_service import Aligner
 from service.runtime.jobs.archive_maintenance import Upkeep
 from service.runtime.jobs.calibration_job import Calibrator, fitted
@@ -199,14 +200,16 @@ def build_upkeep(settings: Settings, storage: Storage, clock: Clock, turn: Turn 
     return Upkeep(storage, clock, settings.sealing, settings.retention, turn)
 
 
-def build_desk(settings: Settings, storage: Storage, clock: Clock, tidings: Tidings, leading: Leading) -> ReleaseDesk:
-    """Return the desk that releases torques while this service leads."""
-    return ReleaseDesk(
+def build_release_service(
+    settings: Settings, storage: Storage, clock: Clock, feed: LiveFeed, notify: Callable[[str], None], leading: Leading
+) -> ReleaseService:
+    """Return the service that releases torques while this service leads; `notify` is told of new journal entries."""
+    return ReleaseService(
         storage,
         clock,
         settings.release,
         settings.torque,
-        tidings,
+        ReleasePublisher(storage.audit, feed, notify),
         is_data_service=settings.clock == "data",
         turn=leading.turn,
     )
@@ -231,8 +234,8 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
     feed = LiveFeed()
     leading = Leading(storage.lease)
     alarms = build_alarms(settings, storage, clock, feed, leading.turn)
-    desk = build_desk(settings, storage, clock, Tidings(storage.audit, feed, lambda sc: supervisor.notify(sc)), leading)
-    supervisor = Supervisor(storage, feed, settings.chain_config(), alarms, leading.turn, desk)
+    release_service = build_release_service(settings, storage, clock, feed, lambda sc: supervisor.notify(sc), leading)
+    supervisor = Supervisor(storage, feed, settings.chain_config(), alarms, leading.turn, release_service)
     jobs = JobRunner(storage.results, clock)
     # apart, so that no calibration waits for an analysis
     analyses = JobRunner(storage.results, clock)
@@ -245,11 +248,11 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
         upkeep.start()
         alarms.start()
         supervisor.start()
-        desk.start()
+        release_service.start()
 
     async def stop() -> None:
-        computing = (workers.stop, jobs.stop, analyses.stop)
-        for end in (desk.stop, supervisor.stop, alarms.stop, *computing, upkeep.stop, leading.stop, storage.close):
+        running = (release_service.stop, supervisor.stop, alarms.stop, workers.stop, jobs.stop, analyses.stop)
+        for end in (*running, upkeep.stop, leading.stop, storage.close):
             await asyncio.to_thread(end)
 
     context = ApiContext(
@@ -271,7 +274,7 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
         replayer=Replayer(storage, clock, jobs, settings.chain_config()),
         flights=_flights(settings, analyses, workers),
         workers=workers,
-        desk=desk,
+        release_service=release_service,
         calibration=settings.calibration,
         kernels=settings.kernels,
     )

@@ -16,8 +16,8 @@ from service.api.app import create_app
 from service.api.context.dependencies import ApiContext, Limits
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.release.settings import ReleaseSettings
-from service.runtime.control.release_notifications import Tidings
-from service.runtime.control.release_service import ReleaseDesk
+from service.runtime.control.release_notifications import ReleasePublisher
+from service.runtime.control.release_service import ReleaseService
 from service.runtime.jobs.workers import WorkerConfig, Workers
 from service.runtime.live.live_feed import LiveFeed
 
@@ -111,8 +111,12 @@ async def soo(storage: SqlStorage, workers: Workers) -> AsyncIterator[Soo]:
         replayer=cast("Any", None),
         flights=cast("Any", None),
         workers=workers,
-        desk=ReleaseDesk(
-            storage, clock, ReleaseSettings(), TorqueConfig(), Tidings(storage.audit, LiveFeed(), accepted.append)
+        release_service=ReleaseService(
+            storage,
+            clock,
+            ReleaseSettings(),
+            TorqueConfig(),
+            ReleasePublisher(storage.audit, LiveFeed(), accepted.append),
         ),
         bootstrap_key=KEY,
         limits=limits,

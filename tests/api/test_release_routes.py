@@ -1,10 +1,10 @@
-"""Release of torques over the interface: what reaches the desk, how its answers and refusals leave, who may what."""
+"""Release of torques over the interface: what reaches the service, how its answers and refusals leave, who may what."""
 
 from dataclasses import replace
 from typing import Any
 
 import pytest
-from scripted_desk import AT_US, S, ScriptedDesk
+from scripted_release_service import AT_US, S, ScriptedReleaseService
 
 from service.errors import (
     ConflictError,
@@ -15,7 +15,7 @@ from service.errors import (
     StorageError,
 )
 from service.pipeline.control.release.control_reasons import reason_of
-from service.records.operations.release import CommandWish, EnvelopeLimits
+from service.records.operations.release import CommandRequest, EnvelopeLimits
 
 pytestmark = pytest.mark.anyio
 SC = "yamal-202"
@@ -26,11 +26,11 @@ PREPARE = {"reason": "roll is off"}
 
 
 @pytest.fixture
-async def desk(soo, spacecraft) -> ScriptedDesk:
-    """The desk of the service under test, and a spacecraft."""
+async def service(soo, spacecraft) -> ScriptedReleaseService:
+    """The service of the service under test, and a spacecraft."""
     assert (await soo.client.post("/api/v1/spacecraft", json=spacecraft)).status_code == 201
-    scripted = ScriptedDesk()
-    object.__setattr__(soo.app.state.context, "desk", scripted)
+    scripted = ScriptedReleaseService()
+    object.__setattr__(soo.app.state.context, "release_service", scripted)
     return scripted
 
 
@@ -41,19 +41,19 @@ async def key(soo: Any, name: str, role: str) -> dict[str, str]:
     return {"Authorization": f"Bearer {made.json()['key']}"}
 
 
-async def test_a_wish_reaches_the_desk_and_the_command_comes_back(soo, desk):
+async def test_a_request_reaches_the_service_and_the_command_comes_back(soo, service):
     anna = await key(soo, "Anna", "operator")
-    wish = {
+    request = {
         "reason": "roll is off",
         "attitude_epoch": "2026-11-21T02:59:30Z",
         "start": "2026-11-21T03:01:00Z",
         "duration_s": 600.0,
         "max_torque_n_m": 0.01,
     }
-    answer = await soo.client.post(f"{URL}/torques:prepare", json=wish, headers=anna)
+    answer = await soo.client.post(f"{URL}/torques:prepare", json=request, headers=anna)
     assert answer.status_code == 201, answer.text
-    wanted = CommandWish("roll is off", AT_US - 30 * S, AT_US + 60 * S, 600.0, 0.01)
-    assert desk.asked == [("prepare", SC, "Anna", wanted, False)]
+    wanted = CommandRequest("roll is off", AT_US - 30 * S, AT_US + 60 * S, 600.0, 0.01)
+    assert service.asked == [("prepare", SC, "Anna", wanted, False)]
     assert answer.headers["location"] == f"{URL}/torques/7"
     told = answer.json()
     assert (told["id"], told["counter"], told["state"], told["digest"]) == (7, 7, "PREPARED", "ab" * 32)
@@ -67,70 +67,70 @@ async def test_a_wish_reaches_the_desk_and_the_command_comes_back(soo, desk):
     assert told["schedule_check"] is None
 
 
-async def test_a_dry_run_stores_nothing_and_says_so(soo, desk):
+async def test_a_dry_run_stores_nothing_and_says_so(soo, service):
     answer = await soo.client.post(f"{URL}/torques:prepare", json={**PREPARE, "dry_run": True})
     assert (answer.status_code, answer.json()["dry_run"]) == (200, True)
     assert "location" not in answer.headers
-    assert desk.asked[0][-1] is True
+    assert service.asked[0][-1] is True
 
 
-async def test_confirm_takes_digest_and_person(soo, desk):
+async def test_confirm_takes_digest_and_person(soo, service):
     boris = await key(soo, "Boris", "approver")
     body = {"digest": "ab" * 32, "comment": "looked at the pulses"}
     answer = await soo.client.post(f"{URL}/torques/7:confirm", json=body, headers=boris)
     assert answer.status_code == 200, answer.text
     said = {"is_approver": True, "comment": "looked at the pulses"}
-    assert desk.asked == [("confirm", SC, 7, "Boris", "ab" * 32, said)]
+    assert service.asked == [("confirm", SC, 7, "Boris", "ab" * 32, said)]
     assert (answer.json()["state"], answer.json()["confirmed_by"]) == ("RELEASED", "Boris")
     assert answer.json()["needs_approver"] is False
 
 
 @pytest.mark.parametrize("turn", ["sent", "executed", "failed"])
-async def test_reports_reach_the_desk_with_and_without_a_body(soo, desk, turn):
+async def test_reports_reach_the_service_with_and_without_a_body(soo, service, turn):
     plain = await soo.client.post(f"{URL}/torques/7:{turn}")
     assert (plain.status_code, plain.json()["state"]) == (200, turn.upper())
     times = {"at": "2026-11-21T03:05:00Z", "executed_from": "2026-11-21T03:01:00Z", "executed_until": None}
     await soo.client.post(f"{URL}/torques/7:{turn}", json=times)
     nothing = {"by": "bootstrap", "at_us": None, "executed_from_us": None, "executed_until_us": None}
     some = {**nothing, "at_us": AT_US + 300 * S, "executed_from_us": AT_US + 60 * S}
-    assert [(asked[:4], asked[4]) for asked in desk.asked] == [
+    assert [(asked[:4], asked[4]) for asked in service.asked] == [
         (("report", SC, 7, turn), nothing),
         (("report", SC, 7, turn), some),
     ]
 
 
 @pytest.mark.parametrize("order", ["arm", "disengage", "reset", "stop"])
-async def test_orders_reach_the_desk_and_what_is_said_goes_to_the_shift_log(soo, desk, order):
+async def test_orders_reach_the_service_and_what_is_said_goes_to_the_shift_log(soo, service, order):
     anna = await key(soo, "Anna", "operator")
     for body in ({"content": b""}, {"json": {"comment": "shift begins"}}):
         answer = await soo.client.post(f"{URL}/control:{order}", headers=anna, **body)
         assert (answer.status_code, answer.json()["state"]) == (200, "ARMED"), answer.text
-    assert desk.asked == [("order", SC, order, "Anna")] * 2
+    assert service.asked == [("order", SC, order, "Anna")] * 2
     notes = (await soo.client.get("/api/v1/notes", params={"spacecraft_id": SC})).json()["rows"]
     assert [(note["text"], note["author"], note["tags"]) for note in notes] == [
         (f"{order}: shift begins", "Anna", ["control"])
     ]
 
 
-async def test_engage_asks_with_the_limits_that_are_given_and_the_rest_as_wide_as_allowed(soo, desk):
+async def test_engage_asks_with_the_limits_that_are_given_and_the_rest_as_wide_as_allowed(soo, service):
     boris = await key(soo, "Boris", "approver")
     body = {"until": UNTIL, "envelope": {"impulse_n_m_s": 0.01}}
     answer = await soo.client.post(f"{URL}/control:engage", json=body, headers=boris)
     assert answer.status_code == 200, answer.text
     terms = {"is_approver": True, "until_us": UNTIL_US, "envelope": EnvelopeLimits(0.1, 3e-4, 0.01, 0.1)}
-    assert desk.asked == [("control", SC), ("engage", SC, "Boris", terms)]
+    assert service.asked == [("control", SC), ("engage", SC, "Boris", terms)]
     await soo.client.post(f"{URL}/control:engage", json={"until": UNTIL}, headers=boris)
-    assert desk.asked[-1][-1]["envelope"] is None
+    assert service.asked[-1][-1]["envelope"] is None
 
 
-async def test_a_sign_check_takes_the_axis_or_the_first_that_is_not_proven(soo, desk):
+async def test_a_sign_check_takes_the_axis_or_the_first_that_is_not_proven(soo, service):
     assert (await soo.client.post(f"{URL}/control:sign-check", json={"axis": "yaw"})).status_code == 200
     assert (await soo.client.post(f"{URL}/control:sign-check")).status_code == 200
-    orders = [asked for asked in desk.asked if asked[0] == "sign_check"]
+    orders = [asked for asked in service.asked if asked[0] == "sign_check"]
     assert [order[2] for order in orders] == ["yaw", "pitch"]
 
 
-async def test_what_stands_can_be_read(soo, desk):
+async def test_what_stands_can_be_read(soo, service):
     viewer = await key(soo, "Vera", "viewer")
     control = (await soo.client.get(f"{URL}/control", headers=viewer)).json()
     assert (control["state"], control["proven_axes"]) == ("ARMED", ["roll"])
@@ -163,16 +163,16 @@ class Follower:
         return False
 
 
-async def test_status_tells_the_interlock_and_goes_on_where_it_cannot_be_read(soo, desk):
+async def test_status_tells_the_interlock_and_goes_on_where_it_cannot_be_read(soo, service):
     object.__setattr__(soo.app.state.context, "supervisor", Follower())
     told = (await soo.client.get(f"{URL}/status")).json()
     assert told["interlock"] == {"state": "ARMED", "reasons": ["yaw_sign", "no_attitude"]}
     stop = (reason_of("stop", AT_US),)
-    tripped = replace(desk.control_view, state="TRIPPED", reasons=stop, is_withheld=True, release="automatic")
-    desk.control_view = tripped
+    tripped = replace(service.control_view, state="TRIPPED", reasons=stop, is_withheld=True, release="automatic")
+    service.control_view = tripped
     told = (await soo.client.get(f"{URL}/status")).json()
     assert told["interlock"] == {"state": "TRIPPED", "reasons": ["stop", "no_attitude"]}
-    desk.error = StorageError("storage.unavailable", "the archive is away")
+    service.error = StorageError("storage.unavailable", "the archive is away")
     told = await soo.client.get(f"{URL}/status")
     assert told.status_code == 200, "what was estimated can be read all the same"
     assert told.json()["interlock"] == {
@@ -181,7 +181,7 @@ async def test_status_tells_the_interlock_and_goes_on_where_it_cannot_be_read(so
     }
 
 
-async def test_commands_are_listed_page_by_page(soo, desk):
+async def test_commands_are_listed_page_by_page(soo, service):
     first = (await soo.client.get(f"{URL}/torques/commands", params={"limit": 1})).json()
     assert [row["id"] for row in first["rows"]] == [7]
     second = (await soo.client.get(f"{URL}/torques/commands", params={"limit": 1, "cursor": first["next"]})).json()
@@ -202,8 +202,8 @@ async def test_commands_are_listed_page_by_page(soo, desk):
         (InvalidInputError("report.interval", "ends before it begins"), 422),
     ],
 )
-async def test_refusals_of_the_desk_leave_as_problems_and_stand_in_the_audit_log(soo, desk, error, status):
-    desk.error = error
+async def test_refusals_of_the_service_leave_as_problems_and_stand_in_the_audit_log(soo, service, error, status):
+    service.error = error
     calls = [
         ("torques:prepare", PREPARE),
         ("torques/7:confirm", {"digest": "ab"}),
@@ -222,7 +222,7 @@ async def test_refusals_of_the_desk_leave_as_problems_and_stand_in_the_audit_log
     assert (await soo.client.get("/api/v1/notes")).json()["rows"] == []
 
 
-async def test_every_order_stands_in_the_audit_log_with_person_and_body(soo, desk):
+async def test_every_order_stands_in_the_audit_log_with_person_and_body(soo, service):
     anna, boris = await key(soo, "Anna", "operator"), await key(soo, "Boris", "approver")
     orders = [
         (anna, "torques:prepare", PREPARE, "prepare_torques"),
@@ -260,11 +260,11 @@ async def test_every_order_stands_in_the_audit_log_with_person_and_body(soo, des
         ("station", "control:stop"),
     ],
 )
-async def test_who_may_not_is_stopped_before_the_desk(soo, desk, role, path):
+async def test_who_may_not_is_stopped_before_the_service(soo, service, role, path):
     headers = await key(soo, "Nobody", role)
     answer = await soo.client.post(f"{URL}/{path}", json={"digest": "ab", "until": UNTIL}, headers=headers)
     assert (answer.status_code, answer.json()["code"]) == (403, "key.forbidden")
-    assert desk.asked == []
+    assert service.asked == []
 
 
 @pytest.mark.parametrize(
@@ -290,15 +290,15 @@ async def test_who_may_not_is_stopped_before_the_desk(soo, desk, role, path):
         ("control:sign-check", {"axis": "x"}, "value.choice", "/axis"),
     ],
 )
-async def test_bad_bodies_are_refused_by_place_and_never_reach_the_desk(soo, desk, path, body, code, pointer):
+async def test_bad_bodies_are_refused_by_place_and_never_reach_the_service(soo, service, path, body, code, pointer):
     answer = await soo.client.post(f"{URL}/{path}", json=body)
     problem = answer.json()
     assert (answer.status_code, problem["code"]) == (422, code), answer.text
     assert pointer in (None, problem["errors"][0]["pointer"])
-    assert desk.asked == []
+    assert service.asked == []
 
 
-async def test_release_automatic_of_a_real_spacecraft_is_set_by_two_approvers(soo, desk):
+async def test_release_automatic_of_a_real_spacecraft_is_set_by_two_approvers(soo, service):
     anna, boris = await key(soo, "Anna", "approver"), await key(soo, "Boris", "approver")
     carl = await key(soo, "Carl", "operator")
     body = {"release": "automatic", "comment": "night shift"}

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from service.pipeline.control.release.command_states import LIVES, Life, Turn
+from service.pipeline.control.release.command_states import COMMAND_TRANSITIONS, CommandState, CommandTransition
 from service.pipeline.control.release.interlock_conditions import Condition
 from service.pipeline.control.release.interlock_states import REFUSALS, TRANSITIONS, Guard, State, Trigger
 from service.pipeline.control.release.reference_page import command_diagram, interlock_diagram, reference_page
@@ -16,7 +16,7 @@ def test_page_is_the_tables() -> None:
 
 def test_page_names_everything() -> None:
     page = reference_page()
-    for name in (*State, *Trigger, *Life, *Turn):
+    for name in (*State, *Trigger, *CommandState, *CommandTransition):
         assert f"| `{name.name}` |" in page
     assert all(f"| `{condition.word}` |" in page for condition in Condition)
     assert all(len(line) <= 120 for line in page.splitlines())
@@ -28,7 +28,7 @@ def test_diagrams_draw_every_change() -> None:
             lines = interlock_diagram().splitlines()
             (line,) = [each for each in lines if f" {row.source.name} --> {row.target.name}:" in each]
             assert row.trigger.name in line
-    for life, turns in LIVES.items():
+    for life, turns in COMMAND_TRANSITIONS.items():
         for turn, target in turns.items():
             assert f"    {life.name} --> {target.name}: {turn.name}" in command_diagram().splitlines()
 

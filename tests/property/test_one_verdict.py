@@ -1,17 +1,17 @@
 """After every event of the interlock all answers carry the same verdict, and it never allows too much.
 
 The answers are those of the routes, the stream, the metrics and the demonstration, over an archive in memory; what is
-allowed is judged by the rules of `tests/fakes/drivers/desk_driver.py`, not by the interlock's.
+allowed is judged by the rules of `tests/fakes/drivers/release_service_driver.py`, not by the interlock's.
 """
 
 from contextlib import suppress
 from types import SimpleNamespace
 
 import pytest
-from desk_driver import GOOD, US, DeskDriver
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+from release_service_driver import GOOD, US, ReleaseServiceDriver
 from release_storage import SC
 from rich.console import Console
 
@@ -101,7 +101,7 @@ def context_of(driver):
     return SimpleNamespace(
         storage=storage,
         clock=driver.clock,
-        desk=driver.desk,
+        release_service=driver.service,
         limits=Limits(),
         supervisor=SimpleNamespace(is_disagreeing=lambda _: False, carrier_states=lambda _: None),
         alarms=SimpleNamespace(notices=SimpleNamespace(channels=())),
@@ -130,7 +130,7 @@ class AnyStory(RuleBasedStateMachine):
 
     @initialize(release=st.sampled_from(Release), start=st.sampled_from(["armed", "engaged", "nothing"]))
     def begin(self, release, start):
-        self.driver = DeskDriver()
+        self.driver = ReleaseServiceDriver()
         self.is_automatic = release is Release.AUTOMATIC
         self.reset_us = None
         if self.is_automatic:
@@ -151,7 +151,7 @@ class AnyStory(RuleBasedStateMachine):
     def time_passes(self, seconds):
         self.driver.pass_time(seconds)
         self.driver.note()
-        self.driver.desk.tick()
+        self.driver.service.tick()
 
     @rule(kind=st.sampled_from([OrderKind.STOP, OrderKind.RESET, OrderKind.RESET, OrderKind.ARM, OrderKind.DISENGAGE]))
     def order(self, kind):
@@ -246,7 +246,7 @@ test_any_story = AnyStory.TestCase
 
 @pytest.mark.parametrize("release", Release)
 def test_a_stop_is_told_by_every_answer(release):
-    driver = DeskDriver()
+    driver = ReleaseServiceDriver()
     driver.archive.change_craft(release=release)
     driver.rows(12)
     if release is Release.TWO_STEP:

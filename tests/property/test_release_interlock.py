@@ -9,22 +9,22 @@ from dataclasses import replace
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
-from release_driver import AROUND, GOOD, SETTINGS, US, ReleaseDriver
+from release_driver import GOOD, INPUTS, SETTINGS, US, ReleaseDriver
 
 from service.core.control.envelope import Envelope
 from service.core.control.sign_check import Verdict
-from service.pipeline.control.release.command_states import Life, Turn
+from service.pipeline.control.release.command_states import CommandState, CommandTransition
 from service.pipeline.control.release.events import (
     Automatic,
     Cancel,
     Confirm,
     Engage,
+    InputsChanged,
     OrderKind,
     Report,
     ResponseJudged,
     RowSeen,
     SignJudged,
-    Told,
 )
 from service.pipeline.control.release.interlock_states import TRANSITIONS, State
 from service.records.levels.attitude import Axes
@@ -57,7 +57,7 @@ CHANGES = st.sampled_from(
         {"spacecraft_version": 2},
     ]
 )
-WISHES = st.sampled_from(
+SLEWS = st.sampled_from(
     [
         {"roll_deg": 0.02},
         {"roll_deg": -0.05, "pitch_deg": 0.05},
@@ -103,11 +103,13 @@ class AnyOrder(RuleBasedStateMachine):
 
     @rule(change=CHANGES)
     def something_changes(self, change):
-        self.send(Told(self.driver.at, replace(self.driver.around, **change)))
+        self.send(InputsChanged(self.driver.at, replace(self.driver.inputs, **change)))
 
     @rule()
     def all_is_well(self):
-        self.send(Told(self.driver.at, replace(AROUND, spacecraft_version=self.driver.around.spacecraft_version)))
+        self.send(
+            InputsChanged(self.driver.at, replace(INPUTS, spacecraft_version=self.driver.inputs.spacecraft_version))
+        )
 
     @rule(by=PERSONS, kind=st.sampled_from([OrderKind.ARM] * 6 + list(OrderKind)))
     def order(self, by, kind):
@@ -129,9 +131,9 @@ class AnyOrder(RuleBasedStateMachine):
     def response(self, log_ratio):
         self.send(ResponseJudged(self.driver.at, log_ratio))
 
-    @rule(by=PERSONS, wish=WISHES)
-    def prepare(self, by, wish):
-        self.driver.prepare(by, **wish)
+    @rule(by=PERSONS, wanted=SLEWS)
+    def prepare(self, by, wanted):
+        self.driver.prepare(by, **wanted)
 
     @precondition(lambda self: self.driver.state.commands)
     @rule(by=PERSONS, is_right=st.sampled_from([True, True, False]), is_approver=st.sampled_from([True, True, False]))
@@ -140,12 +142,12 @@ class AnyOrder(RuleBasedStateMachine):
         digest = command.digest if is_right else "0" * 64
         self.send(Confirm(self.driver.at, by, command.counter, digest, is_approver))
 
-    @rule(wish=WISHES)
-    def automatic(self, wish):
-        event = Automatic(self.driver.at, self.driver.proposal(**wish))
+    @rule(wanted=SLEWS)
+    def automatic(self, wanted):
+        event = Automatic(self.driver.at, self.driver.proposal(**wanted))
         self.send(event)
 
-    @rule(counter=st.integers(0, 9), turn=st.sampled_from(list(Turn)))
+    @rule(counter=st.integers(0, 9), turn=st.sampled_from(list(CommandTransition)))
     def report(self, counter, turn):
         self.send(Report(self.driver.at, counter, turn))
 
@@ -159,8 +161,13 @@ class AnyOrder(RuleBasedStateMachine):
         event = data.draw(st.sampled_from(self.past))
         self.driver.send(replace(event, at=self.driver.at))
 
-    @rule(wish=WISHES, row=BAD_ROWS, change=CHANGES, kind=st.sampled_from(["row", "change", "jump", "stop", "silence"]))
-    def something_stands_in_the_way_of_a_release(self, wish, row, change, kind):
+    @rule(
+        wanted=SLEWS,
+        row=BAD_ROWS,
+        change=CHANGES,
+        kind=st.sampled_from(["row", "change", "jump", "stop", "silence"]),
+    )
+    def something_stands_in_the_way_of_a_release(self, wanted, row, change, kind):
         self.driver.prepare("ann")
         if kind == "row":
             self.driver.rows(1, replace(GOOD, **row))
@@ -174,14 +181,14 @@ class AnyOrder(RuleBasedStateMachine):
             self.driver.pass_time(215.0)
         if self.driver.state.commands:
             self.driver.confirm("bob")
-        self.automatic(wish)
+        self.automatic(wanted)
 
     @rule(hours=st.integers(1, 11))
     def everything_is_put_right(self, hours):
         """Come back to ENGAGED from wherever, so that most stories have something to lose."""
         driver = self.driver
         for command in driver.state.commands:
-            driver.send(Report(driver.at, command.counter, Turn.EXECUTED))
+            driver.send(Report(driver.at, command.counter, CommandTransition.EXECUTED))
             driver.send(Cancel(driver.at, "ann", command.counter))
         self.all_is_well()
         driver.order(OrderKind.RESET)
@@ -192,21 +199,25 @@ class AnyOrder(RuleBasedStateMachine):
         for person in ("ann", "bob"):
             driver.engage(person, until_us=driver.now_us + hours * 3600 * US)
 
-    @rule(wish=WISHES, count=st.integers(1, 12))
-    def the_law_goes_on(self, wish, count):
-        """Minute by minute; small wishes, and at last any."""
+    @rule(wanted=SLEWS, count=st.integers(1, 12))
+    def the_law_goes_on(self, wanted, count):
+        """Minute by minute; small requests, and at last any."""
         if self.driver.name != "ENGAGED":
             self.everything_is_put_right(6)
         for _ in range(count):
             self.driver.rows(1)
             self.driver.automatic(roll_deg=0.03)
-        self.automatic(wish)
+        self.automatic(wanted)
 
-    @rule(wish=WISHES, ending=st.sampled_from([Turn.EXECUTED, Turn.FAILED, Turn.SENT]), by=PERSONS)
-    def persons_send_one(self, wish, ending, by):
+    @rule(
+        wanted=SLEWS,
+        ending=st.sampled_from([CommandTransition.EXECUTED, CommandTransition.FAILED, CommandTransition.SENT]),
+        by=PERSONS,
+    )
+    def persons_send_one(self, wanted, ending, by):
         if self.driver.name not in ("ARMED", "ENGAGED", "RECOVERY"):
             self.everything_is_put_right(6)
-        self.driver.prepare("ann", **wish)
+        self.driver.prepare("ann", **wanted)
         if self.driver.state.commands:
             self.confirm(by, True, True)
             self.report(self.driver.state.commands[-1].counter, ending)
@@ -219,7 +230,7 @@ class AnyOrder(RuleBasedStateMachine):
     def teardown(self):
         """Hold what must be true of the whole story."""
         state = getattr(self, "driver", ReleaseDriver()).state
-        assert sum(each.life in (Life.RELEASED, Life.SENT) for each in state.commands) <= 1
+        assert sum(each.life in (CommandState.RELEASED, CommandState.SENT) for each in state.commands) <= 1
         assert len({each.counter for each in state.commands}) == len(state.commands)
 
 
@@ -233,10 +244,10 @@ def test_the_law_goes_on_after_the_clock_was_set_forth_and_back():
     """A sequence that `test_any_order` found: the wall clock shows 180 s where 780 steady seconds have passed."""
     story = AnyOrder()
     story.begin(start="armed")
-    story.the_law_goes_on(wish={"roll_deg": 0.02}, count=1)
+    story.the_law_goes_on(wanted={"roll_deg": 0.02}, count=1)
     for seconds in (3.0, 600.0, 0.5, -600.0):
         story.clock_jumps(seconds)
-    story.the_law_goes_on(wish={"roll_deg": 0.02}, count=1)
+    story.the_law_goes_on(wanted={"roll_deg": 0.02}, count=1)
     assert len(story.driver.released) > 1
     story.teardown()
 
@@ -278,7 +289,7 @@ def _order(kind):
 
 
 def _tell(driver):
-    driver.send(Told(driver.at, AROUND))
+    driver.send(InputsChanged(driver.at, INPUTS))
 
 
 ARMED, ENGAGED = ReleaseDriver.armed, ReleaseDriver.engaged
@@ -341,7 +352,7 @@ def test_good_minutes_pass_by_the_steady_clock():
     """Steps of the wall clock, each too small to trip, must not bring the tenth good minute forward or put it off."""
     for step_s in (1.5, -1.5):
         driver = ReleaseDriver()
-        driver.send(Told(driver.at, AROUND))
+        driver.send(InputsChanged(driver.at, INPUTS))
         driver.rows(1)
         for _ in range(59):
             driver.jump_clock(step_s)
@@ -368,7 +379,7 @@ def test_killed_between_release_and_report_nothing_goes_out_again_and_the_report
     driver.rows(25)
     assert driver.name == "INHIBITED"
     assert driver.alarms.count("report_late") == 1
-    step = driver.send(Report(driver.at, 1, Turn.EXECUTED))
+    step = driver.send(Report(driver.at, 1, CommandTransition.EXECUTED))
     assert [action.kind.value for action in step.actions] == ["certain", "known_input"]
     assert [counter for counter, _, _ in driver.released] == [1]
     driver.rows(11)
@@ -382,7 +393,7 @@ def test_replayed_commands_go_out_once():
     for _ in range(5):
         driver.rows(1)
         assert driver.send(replace(first, at=driver.at)).refusal.code == "command.duplicate"
-    driver.send(Report(driver.at, 1, Turn.EXECUTED))
+    driver.send(Report(driver.at, 1, CommandTransition.EXECUTED))
     driver.prepare("ann")
     command = driver.state.commands[-1]
     confirmation = Confirm(driver.at, "bob", command.counter, command.digest, is_approver=True)

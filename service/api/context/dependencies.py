@@ -18,7 +18,7 @@ from service.errors import NotFoundError
 from service.pipeline.config import CalibrationConfig
 from service.ports import Clock, Storage
 from service.runtime.alarms.alarm_service import AlarmDesk
-from service.runtime.control.release_service import ReleaseDesk
+from service.runtime.control.release_service import ReleaseService
 from service.runtime.jobs.alignment_service import Aligner
 from service.runtime.jobs.calibration_job import Calibrator
 from service.runtime.jobs.flight_analysis_job import FlightAnalyses
@@ -102,7 +102,7 @@ class ApiContext:
     flights: FlightAnalyses
     workers: Workers
     #: interlock and commands
-    desk: ReleaseDesk
+    release_service: ReleaseService
     #: how harmonics are fitted and carriers judged on demand
     calibration: CalibrationConfig = field(default_factory=CalibrationConfig)
     #: administrator's key; None = every request is refused

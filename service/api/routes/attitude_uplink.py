@@ -11,4 +11,4 @@ router = APIRouter(prefix="/spacecraft/{spacecraft_id}/attitude", tags=["release
 @router.get("/uplink")
 def get_attitude_uplink(spacecraft_id: SpacecraftId, context: Context) -> UplinkAnswer:
     """Return the newest angles for a spacecraft in mode onboard, with their counter and how long they hold."""
-    return UplinkAnswer.of(context.desk.attitude_uplink(spacecraft_id))
+    return UplinkAnswer.of(context.release_service.attitude_uplink(spacecraft_id))

@@ -23,7 +23,7 @@ def start_closed_loop(
 ) -> ClosedLoopStartedAnswer:
     """Fly a craft in the orbital frame under the gyro-orbitant law; the job tells when its result can be read."""
     try:
-        job = context.flights.start(body.to_wish(), body.points)
+        job = context.flights.start(body.to_request(), body.points)
     except ValueError as error:
         raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, "analysis.not_physical", str(error)[:1000]) from error
     response.headers["Location"] = f"/api/v1/jobs/{job.id}"

@@ -27,7 +27,7 @@ _CHECK_ORDER = ("roll", "pitch", "yaw")
 @router.get("/control")
 def get_control(spacecraft_id: SpacecraftId, context: Context) -> ControlAnswer:
     """Return what the interlock says, and every reason that stands."""
-    return _told(context, spacecraft_id, context.desk.control(spacecraft_id))
+    return _told(context, spacecraft_id, context.release_service.control(spacecraft_id))
 
 
 @router.post("/control:arm", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_ORDER)
@@ -39,14 +39,14 @@ def arm_control(
         return _order(context, spacecraft_id, OrderKind.ARM, principal, body)
     if not principal.may(Permission.APPROVE):
         raise ForbiddenError("key.forbidden", "release automatic is asked for by approvers")
-    if not context.desk.control(spacecraft_id).is_armed:
-        context.desk.order(spacecraft_id, OrderKind.ARM, principal.name)
+    if not context.release_service.control(spacecraft_id).is_armed:
+        context.release_service.order(spacecraft_id, OrderKind.ARM, principal.name)
     automatic: AutomaticRelease = request.app.state.automatic_release
     first = automatic.ask(spacecraft_id, principal.name, context.clock.system_us())
     text = "release automatic asked for" if first is None else f"release automatic set, asked for by {first} before"
     log_comment(context, spacecraft_id, principal, text, body.comment or "control:arm")
     context.on_accepted(spacecraft_id)
-    return _told(context, spacecraft_id, context.desk.control(spacecraft_id))
+    return _told(context, spacecraft_id, context.release_service.control(spacecraft_id))
 
 
 @router.post("/control:disengage", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_ORDER)
@@ -83,8 +83,8 @@ def engage_control(
         raise invalid_request([FieldError("/until", "field.missing", detail)])
     limits = None
     if body.envelope is not None:
-        limits = body.envelope.to_limits(context.desk.control(spacecraft_id).envelope)
-    engaged = context.desk.engage(
+        limits = body.envelope.to_limits(context.release_service.control(spacecraft_id).envelope)
+    engaged = context.release_service.engage(
         spacecraft_id,
         principal.name,
         is_approver=principal.may(Permission.APPROVE),
@@ -107,9 +107,9 @@ def check_sign(
     """Begin to prove the sign of an axis: small turns are prepared one by one, each to be confirmed and reported."""
     axis: str | None = body.axis
     if axis is None:
-        proven = context.desk.control(spacecraft_id).proven_axes
+        proven = context.release_service.control(spacecraft_id).proven_axes
         axis = next((each for each in _CHECK_ORDER if each not in proven), _CHECK_ORDER[0])
-    begun = context.desk.sign_check(spacecraft_id, axis, principal.name)
+    begun = context.release_service.sign_check(spacecraft_id, axis, principal.name)
     log_comment(context, spacecraft_id, principal, f"sign check of {axis}", body.comment)
     return _told(context, spacecraft_id, begun)
 
@@ -118,7 +118,7 @@ def _order(
     context: Context, spacecraft_id: str, kind: OrderKind, principal: Principal, body: OrderDocument
 ) -> ControlAnswer:
     """Return what the interlock says after an order."""
-    view = context.desk.order(spacecraft_id, kind, principal.name)
+    view = context.release_service.order(spacecraft_id, kind, principal.name)
     log_comment(context, spacecraft_id, principal, kind.value, body.comment)
     return _told(context, spacecraft_id, view)
 

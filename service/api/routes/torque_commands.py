@@ -44,7 +44,7 @@ def prepare_torques(
     response: Response,
 ) -> CommandAnswer:
     """Compute and check a command that waits for another person; a dry run only shows it."""
-    command = context.desk.prepare(spacecraft_id, principal.name, body.to_wish(), dry_run=body.dry_run)
+    command = context.release_service.prepare(spacecraft_id, principal.name, body.to_request(), dry_run=body.dry_run)
     if command.is_dry_run:
         response.status_code = HTTPStatus.OK
     else:
@@ -58,7 +58,7 @@ def list_commands(
 ) -> CommandPage:
     """List commands that were prepared in the range, in order of their preparation."""
     context.storage.catalogue.spacecraft(spacecraft_id)
-    found = context.desk.commands(spacecraft_id, page.window, page.limit + 1, page.after)
+    found = context.release_service.commands(spacecraft_id, page.window, page.limit + 1, page.after)
     commands, cursor = cut_page(found, page.limit, _place, request, response)
     rows = [CommandAnswer.of(command) for command in commands]
     return CommandPage(range=WindowAnswer.of(page.window), rows=rows, next=cursor)
@@ -67,13 +67,13 @@ def list_commands(
 @router.get("/torques/{command_id}")
 def get_command(spacecraft_id: SpacecraftId, command_id: CommandId, context: Context) -> CommandAnswer:
     """Return one command as it stands."""
-    return CommandAnswer.of(context.desk.command(spacecraft_id, command_id))
+    return CommandAnswer.of(context.release_service.command(spacecraft_id, command_id))
 
 
 @router.get("/torques/{command_id}/uplink")
 def get_uplink(spacecraft_id: SpacecraftId, command_id: CommandId, context: Context) -> UplinkAnswer:
     """Return what goes up of a released command."""
-    return UplinkAnswer.of(context.desk.uplink(spacecraft_id, command_id))
+    return UplinkAnswer.of(context.release_service.uplink(spacecraft_id, command_id))
 
 
 @router.post("/torques/{command_id}:confirm", dependencies=[MAY_APPROVE], openapi_extra=accepts(ConfirmDocument))
@@ -85,7 +85,7 @@ def confirm_torques(
     principal: CurrentPrincipal,
 ) -> CommandAnswer:
     """Confirm a command that another person prepared; it is released at once, or refused with the reason."""
-    command = context.desk.confirm(
+    command = context.release_service.confirm(
         spacecraft_id,
         command_id,
         principal.name,
@@ -101,7 +101,7 @@ def cancel_torques(
     spacecraft_id: SpacecraftId, command_id: CommandId, body: Said, context: Context, principal: CurrentPrincipal
 ) -> CommandAnswer:
     """Take a prepared command back; what has been released cannot be called back."""
-    command = context.desk.cancel(spacecraft_id, command_id, principal.name)
+    command = context.release_service.cancel(spacecraft_id, command_id, principal.name)
     log_comment(context, spacecraft_id, principal, f"cancel command {command_id}", body.comment)
     return CommandAnswer.of(command)
 
@@ -134,7 +134,7 @@ def _reported(
     context: Context, spacecraft_id: str, command_id: int, turn: str, body: ReportDocument, by: str
 ) -> CommandView:
     """Return a command after a report."""
-    return context.desk.report(
+    return context.release_service.report(
         spacecraft_id,
         command_id,
         turn,

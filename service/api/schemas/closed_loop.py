@@ -232,7 +232,7 @@ class ClosedLoopDocument(Document):
     points: Annotated[int, Field(ge=2, le=5000)] = 1000
     """Rows of the time series at most; figures are those of every period."""
 
-    def to_wish(self) -> Wish:
+    def to_request(self) -> Wish:
         """Return what is to be flown."""
         return Wish(
             self._craft(),

@@ -7,7 +7,7 @@ from pydantic import Field
 from service.api.schemas.base import AnglesAnswer, Answer, Document, Epoch, EpochAnswer, Remark, Text, WindowAnswer
 from service.api.schemas.torques import PulseAnswer, ScheduleCheckAnswer
 from service.records.levels.command import Pulse
-from service.records.operations.release import CommandView, CommandWish, ProductForm, Purpose, UplinkProduct
+from service.records.operations.release import CommandRequest, CommandView, ProductForm, Purpose, UplinkProduct
 
 #: a reason is asked for, so one must stand there
 Reason = Annotated[Remark, Field(min_length=1)]
@@ -32,9 +32,9 @@ class PrepareDocument(Document):
     dry_run: bool = False
     """True: nothing is stored, and checks that fail are told instead of refused."""
 
-    def to_wish(self) -> CommandWish:
-        """Return the wish as the release desk takes it."""
-        return CommandWish(self.reason, self.attitude_epoch, self.start, self.duration_s, self.max_torque_n_m)
+    def to_request(self) -> CommandRequest:
+        """Return the request as the release service takes it."""
+        return CommandRequest(self.reason, self.attitude_epoch, self.start, self.duration_s, self.max_torque_n_m)
 
 
 class ConfirmDocument(Document):

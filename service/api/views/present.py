@@ -26,7 +26,7 @@ def present_of(context: ApiContext, spacecraft: Spacecraft, view: ControlView | 
     row = newest_attitude(context, spacecraft.id, spacecraft.control.method)
     if view is None:
         try:
-            view = context.desk.control(spacecraft.id)
+            view = context.release_service.control(spacecraft.id)
         except StorageError:
             # estimation can be read while nothing can be stored
             view = None

@@ -124,7 +124,7 @@ class ControlView:
 
 
 @dataclass(frozen=True, slots=True)
-class CommandWish:
+class CommandRequest:
     """What a person wants to have prepared; None: the default."""
 
     reason: str

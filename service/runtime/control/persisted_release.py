@@ -22,12 +22,12 @@ from service.pipeline.control.release.events import (
     Confirm,
     Engage,
     Event,
+    InputsChanged,
     Order,
     Prepare,
     ReleaseState,
     Report,
     Step,
-    Told,
 )
 from service.pipeline.control.release.interlock import Instant
 from service.pipeline.control.release.settings import ReleaseSettings
@@ -66,7 +66,7 @@ class Annex:
     products: tuple[UplinkProduct, ...] = ()
 
 
-class ReleaseCase:
+class PersistedRelease:
     """Release of one spacecraft.
 
     Parameters
@@ -131,7 +131,7 @@ class ReleaseCase:
             for _ in range(_ATTEMPTS):
                 step = self._judged(event, settings)
                 try:
-                    with nullcontext() if is_deed(event, step) else apart_from_request():
+                    with nullcontext() if is_order(event, step) else apart_from_request():
                         return step, self._keep(step, event.at, annex or Annex())
                 except ConflictError as error:
                     if error.code != "release.changed":
@@ -153,12 +153,12 @@ class ReleaseCase:
         """Return the step of an event, of a lease that is held twice as well."""
         before = self.state
         told: tuple[Action, ...] = ()
-        if self.lease_holders(event.at.now_us) > before.interlock.around.lease_holders:
-            around = replace(before.interlock.around, lease_holders=2)
-            first = advance(before, Told(event.at, around), settings)
+        if self.lease_holders(event.at.now_us) > before.interlock.inputs.lease_holders:
+            inputs = replace(before.interlock.inputs, lease_holders=2)
+            first = advance(before, InputsChanged(event.at, inputs), settings)
             before, told = first.state, first.actions
-            if isinstance(event, Told):
-                event = Told(event.at, replace(event.around, lease_holders=2))
+            if isinstance(event, InputsChanged):
+                event = InputsChanged(event.at, replace(event.inputs, lease_holders=2))
         step = advance(before, event, settings)
         return replace(step, actions=(*told, *step.actions))
 
@@ -255,7 +255,7 @@ class ReleaseCase:
         self._views.clear()
 
 
-def is_deed(event: Event, step: Step) -> bool:
+def is_order(event: Event, step: Step) -> bool:
     """Whether a step is what a person ordered, and not what time, rows or a refusal brought along."""
     return isinstance(event, Order | Engage | Prepare | Confirm | Cancel | Report) and step.refusal is None
 

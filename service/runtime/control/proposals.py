@@ -19,8 +19,8 @@ from service.records.catalogue import Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import AttitudeRow
 from service.records.levels.command import TorqueCommand
-from service.records.operations.release import CommandWish
-from service.runtime.control.spacecraft_release import ReleaseEntry
+from service.records.operations.release import CommandRequest
+from service.runtime.control.spacecraft_release import SpacecraftRelease
 from service.runtime.control.views import Dress, check_views
 
 #: what was sent longer ago has left nothing in the flexible modes
@@ -46,61 +46,66 @@ class Proposals:
         self._settings = settings
         self._torque = torque
 
-    def wished(
-        self, entry: ReleaseEntry, spacecraft: Spacecraft, wish: CommandWish, at: Instant
+    def requested(
+        self, release: SpacecraftRelease, spacecraft: Spacecraft, request: CommandRequest, at: Instant
     ) -> tuple[Proposal, Dress]:
         """Return what a person wants as a proposal, with every check as it stands.
 
         ConflictError ``command.no_estimate``, ``command.estimate_stale``; InvalidInputError ``command.wish``.
         """
-        row, settings = _row_of(entry), self._settings
-        stale_us = microseconds(settings.stale_periods * entry.period_s + settings.stale_margin_s)
-        epoch_us = wish.attitude_epoch_us
+        row, settings = _row_of(release), self._settings
+        stale_us = microseconds(settings.stale_periods * release.period_s + settings.stale_margin_s)
+        epoch_us = request.attitude_epoch_us
         if epoch_us is not None and not 0 <= row.epoch_us - epoch_us <= stale_us:
             raise ConflictError("command.estimate_stale", "attitude_epoch is not that of a recent estimate")
-        start_us = wish.start_us or soonest_start_us(at.now_us, settings, settings.confirm_s)
-        duration_s = wish.duration_s or spacecraft.control.forecast_horizon_s
+        start_us = request.start_us or soonest_start_us(at.now_us, settings, settings.confirm_s)
+        duration_s = request.duration_s or spacecraft.control.forecast_horizon_s
         if not 0.0 < duration_s <= settings.latest_stop_s:
             raise InvalidInputError("command.wish", f"duration_s must lie between 0 and {settings.latest_stop_s:g} s")
         if not -US_PER_S <= start_us - at.now_us <= microseconds(settings.latest_stop_s):
             detail = f"start must lie ahead of the spacecraft's clock by at most {settings.latest_stop_s:g} s"
             raise InvalidInputError("command.wish", detail)
-        command = self.law(entry, spacecraft, start_us, duration_s, wish.max_torque_n_m)
+        command = self.law(release, spacecraft, start_us, duration_s, request.max_torque_n_m)
         try:
-            proposal = proposal_of(command, spacecraft, wish.reason)
+            proposal = proposal_of(command, spacecraft, request.reason)
         except ValueError as error:
             raise InvalidInputError("command.wish", str(error)) from error
-        return proposal, self._dressed(entry, spacecraft, proposal, command, at)
+        return proposal, self._dressed(release, spacecraft, proposal, command, at)
 
     def law(
         self,
-        entry: ReleaseEntry,
+        release: SpacecraftRelease,
         spacecraft: Spacecraft,
         start_us: int,
         duration_s: float,
         max_torque_n_m: float | None = None,
     ) -> TorqueCommand:
         """Return what the law wants from an instant on; what the interlock withholds is left out."""
-        row = _row_of(entry)
-        rate_age_s = self._torque.rate_stale_periods * entry.period_s + self._torque.rate_stale_margin_s
+        row = _row_of(release)
+        rate_age_s = self._torque.rate_stale_periods * release.period_s + self._torque.rate_stale_margin_s
         return command_for(
-            allowed_row(row, entry.case.state.interlock),
+            allowed_row(row, release.case.state.interlock),
             spacecraft,
             start_us,
             duration_s,
             max_torque_n_m,
             self._torque,
-            None if entry.seen is None else entry.seen.outcome.disturbance,
-            None if entry.facts is None else entry.facts.momentum_n_m_s(row.epoch_us),
+            None if release.seen is None else release.seen.outcome.disturbance,
+            None if release.facts is None else release.facts.momentum_n_m_s(row.epoch_us),
             swing=swing_left(self._releases, spacecraft, start_us),
-            body_rate_deg_s=None if entry.facts is None else entry.facts.body_rate_deg_s(row.epoch_us, rate_age_s),
+            body_rate_deg_s=None if release.facts is None else release.facts.body_rate_deg_s(row.epoch_us, rate_age_s),
         )
 
     def _dressed(
-        self, entry: ReleaseEntry, spacecraft: Spacecraft, proposal: Proposal, command: TorqueCommand, at: Instant
+        self,
+        release: SpacecraftRelease,
+        spacecraft: Spacecraft,
+        proposal: Proposal,
+        command: TorqueCommand,
+        at: Instant,
     ) -> Dress:
         """Return what a proposal carries beside itself."""
-        settled = settled_at(entry.case.state, at, self._settings)
+        settled = settled_at(release.case.state, at, self._settings)
         envelope, waiting_s = self._settings.envelope, self._settings.prepared_s
         checks = release_checks(settled, proposal, at, self._settings, envelope=envelope, waiting_s=waiting_s)
         return Dress(spacecraft, check_views(checks), command)
@@ -142,8 +147,8 @@ def soonest_start_us(now_us: int, settings: ReleaseSettings, waiting_s: float = 
     return now_us + microseconds(settings.uplink_lead_s + waiting_s)
 
 
-def _row_of(entry: ReleaseEntry) -> AttitudeRow:
+def _row_of(release: SpacecraftRelease) -> AttitudeRow:
     """Return the newest row, ConflictError ``command.no_estimate`` before it."""
-    if entry.row is None:
+    if release.row is None:
         raise ConflictError("command.no_estimate", "there is no row of the method that drives control yet")
-    return entry.row
+    return release.row

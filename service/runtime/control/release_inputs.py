@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from hashlib import sha256
 
 from service.errors import NotFoundError
-from service.pipeline.control.release.interlock_conditions import Surroundings
+from service.pipeline.control.release.interlock_conditions import InterlockInputs
 from service.pipeline.inputs.knowledge import has_body_rate
 from service.ports import Storage
 from service.records.calibration import CalibrationMethod, CalibrationState, Window
@@ -97,13 +97,13 @@ def read_telemetry(storage: Storage, spacecraft_id: str, from_us: int) -> tuple[
         after = (found[-1].epoch_us, page[-1].number)
 
 
-def surroundings_of(facts: KnownFacts, now_us: int, *, lease_holders: int, is_disagreeing: bool) -> Surroundings:
+def interlock_inputs(facts: KnownFacts, now_us: int, *, lease_holders: int, is_disagreeing: bool) -> InterlockInputs:
     """Return what the interlock must know at an instant."""
     telemetry = facts.telemetry_at(now_us)
     burns_us = [
         each.stop_us for each in facts.operations if each.kind == _BURN and each.stop_us and each.stop_us <= now_us
     ]
-    return Surroundings(
+    return InterlockInputs(
         is_aligned=facts.is_aligned,
         onboard_mode=None if telemetry is None else telemetry.onboard_mode,
         has_inhibiting_operation=any(_is_inhibiting(each, now_us) for each in facts.operations),

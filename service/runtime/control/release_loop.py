@@ -1,4 +1,4 @@
-"""The floor of the release desk: each spacecraft's case, the present, rows and time as they come in.
+"""The floor of the release service: each spacecraft's case, the present, rows and time as they come in.
 
 Persons' orders stand in `service.runtime.control.release_service`. Only the service that leads its archive
 judges events; a service that becomes leader again reads its state from the archive.
@@ -15,7 +15,7 @@ from uuid import uuid4
 from service.errors import SooError
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.release.advance import settled_at
-from service.pipeline.control.release.events import Event, Step, Tick, Told
+from service.pipeline.control.release.events import Event, InputsChanged, Step, Tick
 from service.pipeline.control.release.interlock import Instant
 from service.pipeline.control.release.row_facts import SeenRow
 from service.pipeline.control.release.settings import ReleaseSettings
@@ -25,12 +25,12 @@ from service.records.catalogue import Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.operations.audit import apart_from_request
 from service.records.operations.release import ControlView
-from service.runtime.control.persisted_release import Annex, ReleaseCase, is_deed
+from service.runtime.control.persisted_release import Annex, PersistedRelease, is_order
 from service.runtime.control.proposals import Proposals
-from service.runtime.control.release_inputs import KnownFacts, read_facts, surroundings_of
-from service.runtime.control.release_notifications import Tidings
-from service.runtime.control.row_handler import RowWork
-from service.runtime.control.spacecraft_release import ReleaseEntry
+from service.runtime.control.release_inputs import KnownFacts, interlock_inputs, read_facts
+from service.runtime.control.release_notifications import ReleasePublisher
+from service.runtime.control.row_handler import RowHandler
+from service.runtime.control.spacecraft_release import SpacecraftRelease
 from service.runtime.control.views import control_view
 from service.runtime.live.leadership import Turn, always, elsewhere
 
@@ -42,7 +42,7 @@ def _steady_us() -> int:
     return round(time.monotonic() * US_PER_S)
 
 
-class ReleaseFloor:
+class ReleaseLoop:
     """Cases of all spacecraft, and what rows and time bring about.
 
     Parameters
@@ -55,7 +55,7 @@ class ReleaseFloor:
         What inhibits, what trips, and how long things last.
     torque : TorqueConfig
         Of the control law.
-    tidings : Tidings
+    publisher : ReleasePublisher
         Who is told of what has been stored.
     is_data_service : bool
         Whether the service runs under the data clock: then only simulated craft get commands.
@@ -71,7 +71,7 @@ class ReleaseFloor:
         clock: Clock,
         settings: ReleaseSettings,
         torque: TorqueConfig,
-        tidings: Tidings,
+        publisher: ReleasePublisher,
         *,
         is_data_service: bool = False,
         turn: Turn = always,
@@ -80,15 +80,15 @@ class ReleaseFloor:
         self._storage = storage
         self._clock = clock
         self._settings = settings
-        self._tidings = tidings
+        self._publisher = publisher
         self._is_data_service = is_data_service
         self._turn = turn
         self._steady = steady
         self._holder = uuid4().hex
-        self._entries: dict[str, ReleaseEntry] = {}
+        self._releases: dict[str, SpacecraftRelease] = {}
         self._making = threading.Lock()
         self._proposals = Proposals(storage.releases, settings, torque)
-        self._rows = RowWork(storage, settings, torque, self._step, self._proposals)
+        self._rows = RowHandler(storage, settings, torque, self._step, self._proposals)
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="soo-release", daemon=True)
 
@@ -108,15 +108,15 @@ class ReleaseFloor:
         Nothing is raised: estimation goes on whatever happens to control.
         """
         try:
-            entry = self._entry(spacecraft_id)
-            with entry.case.lock:
+            release = self._release(spacecraft_id)
+            with release.case.lock:
                 if has_inputs:
-                    entry.read_s = -math.inf
+                    release.read_s = -math.inf
                 epochs_us = (row.epoch_us for one in seen for row in one.outcome.rows)
-                entry.case.stored_us = max(entry.case.stored_us, *epochs_us, 0)
+                release.case.stored_us = max(release.case.stored_us, *epochs_us, 0)
                 for one in seen:
-                    self._see_one(entry, spacecraft_id, one)
-                self._tell(entry, spacecraft_id)
+                    self._see_one(release, spacecraft_id, one)
+                self._tell(release, spacecraft_id)
         except Exception:  # noqa: BLE001 rows go on; what was not stored does not hold, and old estimates inhibit
             _LOG.exception("the release of %s could not take rows over", spacecraft_id)
 
@@ -124,7 +124,7 @@ class ReleaseFloor:
     def steady(self, spacecraft_id: str) -> Iterator[bool]:
         """Let nobody trip control while rows are stored and taken over; tell whether torques are withheld."""
         try:
-            case = self._entry(spacecraft_id).case
+            case = self._release(spacecraft_id).case
         except SooError:
             _LOG.exception("the release of %s cannot be read", spacecraft_id)
             yield False
@@ -139,12 +139,12 @@ class ReleaseFloor:
         for spacecraft in self._storage.catalogue.all_spacecraft():
             if self._clock.is_data(spacecraft.id):
                 continue
-            entry = self._entry(spacecraft.id)
-            with entry.case.lock:
-                at, facts = self._present(entry, spacecraft.id)
-                self._step(entry, facts.spacecraft, Tick(at))
-                self._rows.go_on(entry, facts, at)
-                self._tell(entry, spacecraft.id)
+            release = self._release(spacecraft.id)
+            with release.case.lock:
+                at, facts = self._present(release, spacecraft.id)
+                self._step(release, facts.spacecraft, Tick(at))
+                self._rows.go_on(release, facts, at)
+                self._tell(release, spacecraft.id)
 
     def _run(self) -> None:
         """Let time pass until stopped."""
@@ -154,7 +154,7 @@ class ReleaseFloor:
             except Exception:  # noqa: BLE001 time goes on; a state that grows old inhibits
                 _LOG.exception("time could not pass for the release")
 
-    def _entry(self, spacecraft_id: str) -> ReleaseEntry:
+    def _release(self, spacecraft_id: str) -> SpacecraftRelease:
         """Return what is kept of a spacecraft.
 
         NotFoundError ``spacecraft.unknown``; StorageError ``lease.elsewhere`` while another service leads.
@@ -163,14 +163,14 @@ class ReleaseFloor:
         if turn == 0:
             raise elsewhere()
         with self._making:
-            entry = self._entries.get(spacecraft_id)
-            if entry is None or entry.turn != turn:
-                case = ReleaseCase(self._storage.releases, spacecraft_id, f"{self._holder}/{turn}")
-                entry = ReleaseEntry(case, turn, newest_us=self._newest_us(spacecraft_id, case))
-                self._entries[spacecraft_id] = entry
-            return entry
+            release = self._releases.get(spacecraft_id)
+            if release is None or release.turn != turn:
+                case = PersistedRelease(self._storage.releases, spacecraft_id, f"{self._holder}/{turn}")
+                release = SpacecraftRelease(case, turn, newest_us=self._newest_us(spacecraft_id, case))
+                self._releases[spacecraft_id] = release
+            return release
 
-    def _instant(self, entry: ReleaseEntry, spacecraft_id: str, epoch_us: int | None = None) -> Instant:
+    def _instant(self, release: SpacecraftRelease, spacecraft_id: str, epoch_us: int | None = None) -> Instant:
         """Return the present; under the data clock the newest epoch that was looked at, which never goes back.
 
         Rows that are stored and not yet computed do not move that clock: they would make the estimate look old to
@@ -178,63 +178,65 @@ class ReleaseFloor:
         """
         if not self._clock.is_data(spacecraft_id):
             return Instant(self._clock.system_us(), self._steady())
-        entry.newest_us = max(entry.newest_us, epoch_us or 0)
-        return Instant(entry.newest_us, entry.newest_us)
+        release.newest_us = max(release.newest_us, epoch_us or 0)
+        return Instant(release.newest_us, release.newest_us)
 
-    def _newest_us(self, spacecraft_id: str, case: ReleaseCase) -> int:
+    def _newest_us(self, spacecraft_id: str, case: PersistedRelease) -> int:
         """Return the newest instant that the interlock, or the estimator before a restart, has looked at."""
         stored = case.state.interlock.clock
         consumed_us = self._storage.archive.head(spacecraft_id).consumed_epoch_us
         is_data = self._clock.is_data(spacecraft_id)
         return max(0 if stored is None else stored.now_us, consumed_us or 0 if is_data else 0)
 
-    def _present(self, entry: ReleaseEntry, spacecraft_id: str) -> tuple[Instant, KnownFacts]:
+    def _present(self, release: SpacecraftRelease, spacecraft_id: str) -> tuple[Instant, KnownFacts]:
         """Return the present with what holds at it, told to the interlock."""
-        at = self._instant(entry, spacecraft_id)
-        return at, self._informed(entry, spacecraft_id, at)
+        at = self._instant(release, spacecraft_id)
+        return at, self._informed(release, spacecraft_id, at)
 
-    def _informed(self, entry: ReleaseEntry, spacecraft_id: str, at: Instant) -> KnownFacts:
+    def _informed(self, release: SpacecraftRelease, spacecraft_id: str, at: Instant) -> KnownFacts:
         """Return what holds beside the rows, and tell the interlock where it has changed."""
-        if entry.facts is None or entry.are_facts_old:
-            entry.facts = read_facts(self._storage, spacecraft_id, at.now_us)
-            entry.read_s = time.monotonic()
-        facts, case = entry.facts, entry.case
+        if release.facts is None or release.are_facts_old:
+            release.facts = read_facts(self._storage, spacecraft_id, at.now_us)
+            release.read_s = time.monotonic()
+        facts, case = release.facts, release.case
         holders = case.lease_holders(at.now_us)
-        around = surroundings_of(facts, at.now_us, lease_holders=holders, is_disagreeing=entry.is_disagreeing)
-        if around != case.state.interlock.around:
-            self._step(entry, facts.spacecraft, Told(at, around))
+        inputs = interlock_inputs(facts, at.now_us, lease_holders=holders, is_disagreeing=release.is_disagreeing)
+        if inputs != case.state.interlock.inputs:
+            self._step(release, facts.spacecraft, InputsChanged(at, inputs))
         return facts
 
-    def _see_one(self, entry: ReleaseEntry, spacecraft_id: str, one: SeenRow) -> None:
+    def _see_one(self, release: SpacecraftRelease, spacecraft_id: str, one: SeenRow) -> None:
         """Take over one row."""
         epochs_us = [row.epoch_us for row in one.outcome.rows]
-        at = self._instant(entry, spacecraft_id, max(epochs_us, default=None))
-        facts = self._informed(entry, spacecraft_id, at)
-        row = entry.take(one, facts.spacecraft.control.method)
+        at = self._instant(release, spacecraft_id, max(epochs_us, default=None))
+        facts = self._informed(release, spacecraft_id, at)
+        row = release.take(one, facts.spacecraft.control.method)
         if row is not None:
-            self._informed(entry, spacecraft_id, at)
-            self._rows.see(entry, facts, one, row, at, may_send=self._may_send(facts.spacecraft))
+            self._informed(release, spacecraft_id, at)
+            self._rows.see(release, facts, one, row, at, may_send=self._may_send(facts.spacecraft))
 
-    def _step(self, entry: ReleaseEntry, spacecraft: Spacecraft, event: Event, annex: Annex | None = None) -> Step:
+    def _step(
+        self, release: SpacecraftRelease, spacecraft: Spacecraft, event: Event, annex: Annex | None = None
+    ) -> Step:
         """Judge and store an event, and tell who has to know."""
-        step, entries = entry.case.step(event, self._settings, annex)
-        with nullcontext() if is_deed(event, step) else apart_from_request():
-            self._tidings.told(spacecraft, step, event.at, has_entries=bool(entries))
+        step, entries = release.case.step(event, self._settings, annex)
+        with nullcontext() if is_order(event, step) else apart_from_request():
+            self._publisher.told(spacecraft, step, event.at, has_entries=bool(entries))
         return step
 
-    def _tell(self, entry: ReleaseEntry, spacecraft_id: str) -> None:
+    def _tell(self, release: SpacecraftRelease, spacecraft_id: str) -> None:
         """Tell streams that something has changed, if it has."""
-        interlock = entry.case.state.interlock
-        lives = tuple((command.counter, command.life) for command in entry.case.state.commands)
-        told = (interlock.state, interlock.reasons, interlock.authorisation, lives, entry.case.sign_check)
-        if told != entry.told:
-            entry.told = told
-            self._tidings.changed(spacecraft_id)
+        interlock = release.case.state.interlock
+        lives = tuple((command.counter, command.life) for command in release.case.state.commands)
+        told = (interlock.state, interlock.reasons, interlock.authorisation, lives, release.case.sign_check)
+        if told != release.told:
+            release.told = told
+            self._publisher.changed(spacecraft_id)
 
-    def _view(self, entry: ReleaseEntry, facts: KnownFacts, at: Instant) -> ControlView:
+    def _view(self, release: SpacecraftRelease, facts: KnownFacts, at: Instant) -> ControlView:
         """Return what the interlock says at an instant; nothing is stored."""
-        state = settled_at(entry.case.state, at, self._settings)
-        return control_view(state, facts.spacecraft, self._settings, at.now_us, entry.case.sign_check)
+        state = settled_at(release.case.state, at, self._settings)
+        return control_view(state, facts.spacecraft, self._settings, at.now_us, release.case.sign_check)
 
     def _stored_view(self, spacecraft_id: str) -> ControlView:
         """Return what the service that leads has stored last."""

@@ -17,13 +17,13 @@ _LOG = logging.getLogger("soo.release")
 _WHO = "interlock"
 
 
-class Tidings:
+class ReleasePublisher:
     """Tells of what was stored.
 
     Parameters
     ----------
     audit : Audit
-        What happened by itself is entered; what a person did, the request's own entry tells.
+        What happened by itself is entered; what a person did, the request's own release tells.
     feed : LiveFeed
         Streams look at the state anew.
     on_journal : callable
@@ -53,10 +53,10 @@ class Tidings:
             self._feed.publish(spacecraft_id, (FeedEvent("status", Cursor(0, 0), None),))
 
     def _enter(self, action: str, target: str, at: Instant) -> None:
-        """Enter a deed of the interlock itself; the archive may be away, and control does not wait for it."""
+        """Enter a event of the interlock itself; the archive may be away, and control does not wait for it."""
         if CURRENT_NOTE.get() is not None:
             return
-        deed = Deed(
+        event = Deed(
             at_us=at.now_us,
             who=_WHO,
             key_id="",
@@ -68,6 +68,6 @@ class Tidings:
             request_id="",
         )
         try:
-            self._audit.append(deed)
+            self._audit.append(event)
         except SooError as error:
             _LOG.error("%s of %s is not in the audit log: %s", action, target, error)

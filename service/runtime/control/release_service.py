@@ -1,4 +1,4 @@
-"""Release desk: what persons order, and what they are told.
+"""Release service: what persons order, and what they are told.
 
 Every method may be called from any thread and raises nothing but errors of `service.errors`, with the codes of
 docs/reference/errors.md, section Control. What is judged and how stands in `service.pipeline.control.release`; how a
@@ -8,7 +8,7 @@ step is kept in `service.runtime.control.persisted_release`; nothing here decide
 from dataclasses import replace
 
 from service.errors import ConflictError, GoneError, InvalidInputError, NotFoundError
-from service.pipeline.control.release.command_states import Life, Turn
+from service.pipeline.control.release.command_states import CommandState, CommandTransition
 from service.pipeline.control.release.events import (
     Cancel,
     CommandRecord,
@@ -28,8 +28,8 @@ from service.records.calibration import Window
 from service.records.catalogue import ControlMode, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.operations.release import (
+    CommandRequest,
     CommandView,
-    CommandWish,
     ControlView,
     EnvelopeLimits,
     ProductForm,
@@ -38,17 +38,17 @@ from service.records.operations.release import (
 from service.runtime.control.persisted_release import Annex
 from service.runtime.control.refusal_errors import error_of, require_release
 from service.runtime.control.release_inputs import KnownFacts
-from service.runtime.control.release_loop import ReleaseFloor
-from service.runtime.control.spacecraft_release import ReleaseEntry
+from service.runtime.control.release_loop import ReleaseLoop
+from service.runtime.control.spacecraft_release import SpacecraftRelease
 from service.runtime.control.views import envelope_of, is_told_already
 
-_TURNS = {"sent": Turn.SENT, "executed": Turn.EXECUTED, "failed": Turn.FAILED}
+_REPORTS = {"sent": CommandTransition.SENT, "executed": CommandTransition.EXECUTED, "failed": CommandTransition.FAILED}
 #: a report may be this much older than the release, and this much ahead of the clock: clocks of two centres differ
 _REPORT_SLACK_US = 60 * US_PER_S
 
 
-class ReleaseDesk(ReleaseFloor):
-    """Interlock and commands of all spacecraft; parameters as `ReleaseFloor`.
+class ReleaseService(ReleaseLoop):
+    """Interlock and commands of all spacecraft; parameters as `ReleaseLoop`.
 
     Orders raise StorageError ``lease.elsewhere`` while another service leads; what is told then is what it has stored.
     """
@@ -57,10 +57,10 @@ class ReleaseDesk(ReleaseFloor):
         """Return what the interlock says; NotFoundError ``spacecraft.unknown``."""
         if self._turn() == 0:
             return self._stored_view(spacecraft_id)
-        entry = self._entry(spacecraft_id)
-        with entry.case.lock:
-            at, facts = self._present(entry, spacecraft_id)
-            return self._view(entry, facts, at)
+        release = self._release(spacecraft_id)
+        with release.case.lock:
+            at, facts = self._present(release, spacecraft_id)
+            return self._view(release, facts, at)
 
     def order(self, spacecraft_id: str, kind: OrderKind, by: str) -> ControlView:
         """Arm, disengage, reset or stop.
@@ -68,13 +68,13 @@ class ReleaseDesk(ReleaseFloor):
         ConflictError ``interlock.inhibited``, ``interlock.tripped``, ``interlock.trip_stands``,
         ``interlock.not_armed``, ``interlock.state``, ``interlock.simulated``, ``control.mode``, ``release.automatic``.
         """
-        entry = self._entry(spacecraft_id)
-        with entry.case.lock:
-            at, facts = self._present(entry, spacecraft_id)
+        release = self._release(spacecraft_id)
+        with release.case.lock:
+            at, facts = self._present(release, spacecraft_id)
             if kind is OrderKind.ARM:
                 self._require_possible(facts.spacecraft)
-            self._done(entry, facts, Order(at, by, kind))
-            return self._view(entry, facts, at)
+            self._done(release, facts, Order(at, by, kind))
+            return self._view(release, facts, at)
 
     def engage(
         self, spacecraft_id: str, by: str, *, is_approver: bool, until_us: int, envelope: EnvelopeLimits | None = None
@@ -84,15 +84,15 @@ class ReleaseDesk(ReleaseFloor):
         Beside those of `order`: ConflictError ``interlock.sign_unproven``; ForbiddenError
         ``interlock.second_person``; InvalidInputError ``interlock.authorisation``, ``envelope.wider``.
         """
-        entry = self._entry(spacecraft_id)
+        release = self._release(spacecraft_id)
         wanted = self._settings.envelope if envelope is None else envelope_of(envelope)
-        with entry.case.lock:
-            at, facts = self._present(entry, spacecraft_id)
+        with release.case.lock:
+            at, facts = self._present(release, spacecraft_id)
             self._require_possible(facts.spacecraft)
-            self._done(entry, facts, Engage(at, by, until_us, wanted, is_approver))
-            return self._view(entry, facts, at)
+            self._done(release, facts, Engage(at, by, until_us, wanted, is_approver))
+            return self._view(release, facts, at)
 
-    def prepare(self, spacecraft_id: str, by: str, wish: CommandWish, *, dry_run: bool = False) -> CommandView:
+    def prepare(self, spacecraft_id: str, by: str, request: CommandRequest, *, dry_run: bool = False) -> CommandView:
         """Return a prepared command; a dry run stores nothing and tells failing checks instead of refusing.
 
         ConflictError ``interlock.inhibited``, ``interlock.tripped``, ``interlock.not_armed``,
@@ -101,18 +101,18 @@ class ReleaseDesk(ReleaseFloor):
         ``command.estimate_stale``, ``command.no_estimate``, ``command.start_passed``, ``command.too_long``;
         InvalidInputError ``command.wish``.
         """
-        entry = self._entry(spacecraft_id)
-        with entry.case.lock:
-            at, facts = self._present(entry, spacecraft_id)
+        release = self._release(spacecraft_id)
+        with release.case.lock:
+            at, facts = self._present(release, spacecraft_id)
             self._require_possible(facts.spacecraft)
-            proposal, dress = self._proposals.wished(entry, facts.spacecraft, wish, at)
-            counter = entry.case.state.next_counter
+            proposal, dress = self._proposals.requested(release, facts.spacecraft, request, at)
+            counter = release.case.state.next_counter
             if dry_run:
                 digest = digest_of(counter, proposal)
-                record = CommandRecord(counter, Life.PREPARED, proposal, digest, by, at.now_us, at.now_us)
+                record = CommandRecord(counter, CommandState.PREPARED, proposal, digest, by, at.now_us, at.now_us)
                 return replace(dress.view(record), is_dry_run=True)
-            self._done(entry, facts, Prepare(at, by, proposal), Annex(dress))
-            return entry.case.view(counter)
+            self._done(release, facts, Prepare(at, by, proposal), Annex(dress))
+            return release.case.view(counter)
 
     def confirm(
         self, spacecraft_id: str, counter: int, by: str, digest: str, *, is_approver: bool, comment: str = ""
@@ -122,21 +122,21 @@ class ReleaseDesk(ReleaseFloor):
         NotFoundError ``command.unknown``; GoneError ``command.expired``; ForbiddenError ``command.second_person``;
         ConflictError ``command.digest``, ``command.state`` and those of `prepare`.
         """
-        entry = self._entry(spacecraft_id)
-        with entry.case.lock:
-            at, facts = self._present(entry, spacecraft_id)
+        release = self._release(spacecraft_id)
+        with release.case.lock:
+            at, facts = self._present(release, spacecraft_id)
             self._require_possible(facts.spacecraft)
             event = Confirm(at, by, counter, digest, is_approver)
-            self._done(entry, facts, event, Annex(notes={counter: {"comment": comment}} if comment else {}))
-            return entry.case.view(counter)
+            self._done(release, facts, event, Annex(notes={counter: {"comment": comment}} if comment else {}))
+            return release.case.view(counter)
 
     def cancel(self, spacecraft_id: str, counter: int, by: str) -> CommandView:
         """Take a prepared command back; NotFoundError ``command.unknown``, ConflictError ``command.state``."""
-        entry = self._entry(spacecraft_id)
-        with entry.case.lock:
-            at, facts = self._present(entry, spacecraft_id)
-            self._done(entry, facts, Cancel(at, by, counter))
-            return entry.case.view(counter)
+        release = self._release(spacecraft_id)
+        with release.case.lock:
+            at, facts = self._present(release, spacecraft_id)
+            self._done(release, facts, Cancel(at, by, counter))
+            return release.case.view(counter)
 
     def report(
         self,
@@ -154,31 +154,31 @@ class ReleaseDesk(ReleaseFloor):
         The same report again changes nothing. NotFoundError ``command.unknown``; ConflictError ``command.state``;
         InvalidInputError ``report.interval``, ``report.time``.
         """
-        entry = self._entry(spacecraft_id)
+        release = self._release(spacecraft_id)
         executed = (executed_from_us, executed_until_us)
-        with entry.case.lock:
-            at, facts = self._present(entry, spacecraft_id)
-            if is_told_already(entry.case.view(counter), turn, at_us, executed):
-                return entry.case.view(counter)
+        with release.case.lock:
+            at, facts = self._present(release, spacecraft_id)
+            if is_told_already(release.case.view(counter), turn, at_us, executed):
+                return release.case.view(counter)
             if at_us is not None:
-                self._require_time(entry, counter, at_us, at, is_data=self._clock.is_data(spacecraft_id))
+                self._require_time(release, counter, at_us, at, is_data=self._clock.is_data(spacecraft_id))
             told_us = at.now_us if at_us is None else at_us
             notes = {"sent_us": told_us} if turn == "sent" else {"reported_by": by, "told_executed_us": executed}
-            event = Report(at, counter, _TURNS[turn], *executed)
-            self._done(entry, facts, event, Annex(notes={counter: notes}))
-            self._hold_against_powers(entry, facts.spacecraft, event)
-            self._rows.go_on(entry, facts, at)
-            return entry.case.view(counter)
+            event = Report(at, counter, _REPORTS[turn], *executed)
+            self._done(release, facts, event, Annex(notes={counter: notes}))
+            self._hold_against_powers(release, facts.spacecraft, event)
+            self._rows.go_on(release, facts, at)
+            return release.case.view(counter)
 
     def command(self, spacecraft_id: str, counter: int) -> CommandView:
         """Return one command as it is now; NotFoundError ``command.unknown``."""
         if self._turn() == 0:
             return self._storage.releases.command(spacecraft_id, counter)
-        entry = self._entry(spacecraft_id)
-        with entry.case.lock:
-            at, facts = self._present(entry, spacecraft_id)
-            self._step(entry, facts.spacecraft, Tick(at))
-            return entry.case.view(counter)
+        release = self._release(spacecraft_id)
+        with release.case.lock:
+            at, facts = self._present(release, spacecraft_id)
+            self._step(release, facts.spacecraft, Tick(at))
+            return release.case.view(counter)
 
     def commands(
         self, spacecraft_id: str, window: Window, limit: int, after: tuple[int, int] | None = None
@@ -211,24 +211,24 @@ class ReleaseDesk(ReleaseFloor):
         ConflictError ``sign_check.running``, ``sign_check.no_rows``, ``sign_check.flying`` and those of `prepare`;
         InvalidInputError ``sign_check.axis``.
         """
-        entry = self._entry(spacecraft_id)
-        with entry.case.lock:
-            at, facts = self._present(entry, spacecraft_id)
+        release = self._release(spacecraft_id)
+        with release.case.lock:
+            at, facts = self._present(release, spacecraft_id)
             self._require_possible(facts.spacecraft)
-            self._rows.sign_checks.begin(entry, facts, axis, by, at)
-            self._tell(entry, spacecraft_id)
-            return self._view(entry, facts, at)
+            self._rows.sign_checks.begin(release, facts, axis, by, at)
+            self._tell(release, spacecraft_id)
+            return self._view(release, facts, at)
 
-    def _done(self, entry: ReleaseEntry, facts: KnownFacts, event: Event, annex: Annex | None = None) -> None:
+    def _done(self, release: SpacecraftRelease, facts: KnownFacts, event: Event, annex: Annex | None = None) -> None:
         """Do what a person wants; refused, it is an error."""
-        step = self._step(entry, facts.spacecraft, event, annex)
-        self._tell(entry, facts.spacecraft.id)
+        step = self._step(release, facts.spacecraft, event, annex)
+        self._tell(release, facts.spacecraft.id)
         refusal = step.refusal
         if refusal is None:
             return
         if refusal.code == "command.unknown" and isinstance(event, Confirm | Cancel | Report):
-            # one that ended long ago is not on the desk any more
-            life = entry.case.view(event.counter).state
+            # one that ended long ago is not on the service any more
+            life = release.case.view(event.counter).state
             raise ConflictError("command.state", f"command {event.counter} is {life}: this is not possible any more")
         raise error_of(refusal)
 
@@ -239,18 +239,20 @@ class ReleaseDesk(ReleaseFloor):
             raise ConflictError("interlock.simulated", detail)
         require_release(spacecraft)
 
-    def _require_time(self, entry: ReleaseEntry, counter: int, at_us: int, at: Instant, *, is_data: bool) -> None:
+    def _require_time(
+        self, release: SpacecraftRelease, counter: int, at_us: int, at: Instant, *, is_data: bool
+    ) -> None:
         """Raise InvalidInputError for a report from before the release, or from the future."""
-        released_us = entry.case.view(counter).released_us
+        released_us = release.case.view(counter).released_us
         is_early = released_us is not None and at_us < released_us - _REPORT_SLACK_US
         if is_early or (not is_data and at_us > at.now_us + _REPORT_SLACK_US):
             raise InvalidInputError("report.time", "the report is from before the release, or from the future")
 
-    def _hold_against_powers(self, entry: ReleaseEntry, spacecraft: Spacecraft, event: Report) -> None:
+    def _hold_against_powers(self, release: SpacecraftRelease, spacecraft: Spacecraft, event: Report) -> None:
         """Judge a command that is reported executed whole by what the powers said of it before."""
-        record = next(each for each in entry.case.state.commands if each.counter == event.counter)
-        evidence = None if entry.seen is None else entry.seen.evidence
-        is_whole = event.turn is Turn.EXECUTED and record.executed == record.proposal.pulses
+        record = next(each for each in release.case.state.commands if each.counter == event.counter)
+        evidence = None if release.seen is None else release.seen.evidence
+        is_whole = event.turn is CommandTransition.EXECUTED and record.executed == record.proposal.pulses
         if evidence is None or evidence.unreported_log_ratio is None or record.proposal.is_sign_check or not is_whole:
             return
-        self._step(entry, spacecraft, ResponseJudged(event.at, evidence.unreported_log_ratio))
+        self._step(release, spacecraft, ResponseJudged(event.at, evidence.unreported_log_ratio))

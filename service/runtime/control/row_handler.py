@@ -26,7 +26,7 @@ from service.runtime.control.persisted_release import Annex
 from service.runtime.control.proposals import Proposals, soonest_start_us
 from service.runtime.control.release_inputs import KnownFacts
 from service.runtime.control.sign_checks import SignChecks
-from service.runtime.control.spacecraft_release import ReleaseEntry, Stepper
+from service.runtime.control.spacecraft_release import SpacecraftRelease, Stepper
 from service.runtime.control.views import Dress, attitude_product
 
 _LOG = logging.getLogger("soo.release")
@@ -37,8 +37,8 @@ _BOUNDLESS = Effect(_UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN, 
 _REASON = "standing authorisation"
 
 
-class RowWork:
-    """Work of the release desk that rows and time bring about.
+class RowHandler:
+    """Work of the release service that rows and time bring about.
 
     Parameters
     ----------
@@ -64,55 +64,66 @@ class RowWork:
         self.sign_checks = SignChecks(storage, settings, torque, step)
 
     def see(
-        self, entry: ReleaseEntry, facts: KnownFacts, seen: SeenRow, row: AttitudeRow, at: Instant, *, may_send: bool
+        self,
+        release: SpacecraftRelease,
+        facts: KnownFacts,
+        seen: SeenRow,
+        row: AttitudeRow,
+        at: Instant,
+        *,
+        may_send: bool,
     ) -> None:
         """Let a row of the method that drives control, with what came beside it, bring about what follows."""
         craft = facts.spacecraft
-        self._step(entry, craft, RowSeen(at, entry.row_facts(row)))
+        self._step(release, craft, RowSeen(at, release.row_facts(row)))
         if seen.outcome.applied is not None:
-            self._step(entry, craft, Applied(at, _effect(seen.outcome.applied.command, craft)))
+            self._step(release, craft, Applied(at, _effect(seen.outcome.applied.command, craft)))
         evidence = seen.evidence
         if evidence is not None and not evidence.missed_log_ratio <= self._settings.missed_log_ratio:
-            self._step(entry, craft, ResponseJudged(at, evidence.missed_log_ratio))
-        if evidence is not None and entry.run is not None:
-            entry.run.see(row.epoch_us, evidence.model, evidence.deviation_db)
-        self.sign_checks.go_on(entry, facts, at)
+            self._step(release, craft, ResponseJudged(at, evidence.missed_log_ratio))
+        if evidence is not None and release.run is not None:
+            release.run.see(row.epoch_us, evidence.model, evidence.deviation_db)
+        self.sign_checks.go_on(release, facts, at)
         if may_send:
-            self._send(entry, facts, at)
-            self._give_angles(entry, facts, row, at)
+            self._send(release, facts, at)
+            self._give_angles(release, facts, row, at)
 
-    def go_on(self, entry: ReleaseEntry, facts: KnownFacts, at: Instant) -> None:
+    def go_on(self, release: SpacecraftRelease, facts: KnownFacts, at: Instant) -> None:
         """Let time, or a report, bring about what follows."""
-        self.sign_checks.go_on(entry, facts, at)
+        self.sign_checks.go_on(release, facts, at)
 
-    def _send(self, entry: ReleaseEntry, facts: KnownFacts, at: Instant) -> None:
+    def _send(self, release: SpacecraftRelease, facts: KnownFacts, at: Instant) -> None:
         """Offer what the law wants to a standing authorisation, once a command period, while nothing else is out."""
         craft, control = facts.spacecraft, facts.spacecraft.control
-        if entry.case.state.interlock.state is not State.ENGAGED or not _is_for_release(craft) or entry.run is not None:
+        if (
+            release.case.state.interlock.state is not State.ENGAGED
+            or not _is_for_release(craft)
+            or release.run is not None
+        ):
             return
-        commands = entry.case.state.commands
-        newest_us = max([entry.asked_us, *(each.released_us or 0 for each in commands)])
+        commands = release.case.state.commands
+        newest_us = max([release.asked_us, *(each.released_us or 0 for each in commands)])
         is_busy = any(each.life in OPEN or each.life in UNREPORTED for each in commands)
         if is_busy or at.now_us - newest_us < microseconds(control.command_period_s):
             return
-        entry.asked_us = at.now_us
+        release.asked_us = at.now_us
         start_us = soonest_start_us(at.now_us, self._settings)
-        command = self._proposals.law(entry, craft, start_us, control.command_period_s)
+        command = self._proposals.law(release, craft, start_us, control.command_period_s)
         if not command.schedule:
             return
         proposal = proposal_of(command, craft, _REASON)
-        step = self._step(entry, craft, Automatic(at, proposal), Annex(Dress(craft, computed=command)))
+        step = self._step(release, craft, Automatic(at, proposal), Annex(Dress(craft, computed=command)))
         if step.refusal is not None:
             _LOG.warning("release of %s: %s (%s)", craft.id, step.refusal.detail, step.refusal.code)
 
-    def _give_angles(self, entry: ReleaseEntry, facts: KnownFacts, row: AttitudeRow, at: Instant) -> None:
+    def _give_angles(self, release: SpacecraftRelease, facts: KnownFacts, row: AttitudeRow, at: Instant) -> None:
         """Store angles for a craft that computes its torques itself, while nothing stands against them."""
-        craft, interlock = facts.spacecraft, entry.case.state.interlock
+        craft, interlock = facts.spacecraft, release.case.state.interlock
         is_fit = row.control_allowed and not interlock.inhibiting and interlock.state is not State.TRIPPED
         if craft.control.mode is not ControlMode.ONBOARD or not is_fit:
             return
         newest = self._storage.releases.newest_product(craft.id, ProductForm.ATTITUDE)
-        stale_s = self._settings.stale_periods * entry.period_s + self._settings.stale_margin_s
+        stale_s = self._settings.stale_periods * release.period_s + self._settings.stale_margin_s
         product = attitude_product(
             row,
             1 if newest is None else newest.counter + 1,
@@ -120,7 +131,7 @@ class RowWork:
             row.epoch_us + microseconds(stale_s),
             is_simulated=craft.simulated,
         )
-        entry.case.put(at, entry.case.sign_check, product)
+        release.case.put(at, release.case.sign_check, product)
 
 
 def _is_for_release(spacecraft: Spacecraft) -> bool:

@@ -1,4 +1,4 @@
-"""Sign checks on the desk: legs are prepared as commands, persons confirm them, the rows decide."""
+"""Sign checks on the service: legs are prepared as commands, persons confirm them, the rows decide."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from service.errors import ConflictError, InvalidInputError
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.control_design import control_design
 from service.pipeline.control.command.schedule_check import schedule_verdict
-from service.pipeline.control.release.command_states import OPEN, UNREPORTED, Life
+from service.pipeline.control.release.command_states import OPEN, UNREPORTED, CommandState
 from service.pipeline.control.release.command_transitions import command_of
 from service.pipeline.control.release.events import (
     Cancel,
@@ -30,7 +30,7 @@ from service.runtime.control.proposals import soonest_start_us, swing_left
 from service.runtime.control.refusal_errors import error_of
 from service.runtime.control.release_inputs import KnownFacts, read_telemetry
 from service.runtime.control.sign_check_run import AXES, SignCheckRun
-from service.runtime.control.spacecraft_release import ReleaseEntry, Stepper
+from service.runtime.control.spacecraft_release import SpacecraftRelease, Stepper
 from service.runtime.control.views import Dress
 
 _RUNNING = "running"
@@ -62,55 +62,55 @@ class SignChecks:
         self._torque = torque
         self._step = step
 
-    def begin(self, entry: ReleaseEntry, facts: KnownFacts, axis: str, by: str, at: Instant) -> None:
+    def begin(self, release: SpacecraftRelease, facts: KnownFacts, axis: str, by: str, at: Instant) -> None:
         """Prepare the first leg, or raise why it cannot be."""
         if axis not in AXES:
             raise InvalidInputError("sign_check.axis", "axis must be yaw, roll or pitch")
-        if entry.run is not None:
-            raise ConflictError("sign_check.running", f"the sign check of {entry.run.axis} is under way")
-        if entry.row is None or entry.seen is None or entry.seen.evidence is None:
+        if release.run is not None:
+            raise ConflictError("sign_check.running", f"the sign check of {release.run.axis} is under way")
+        if release.row is None or release.seen is None or release.seen.evidence is None:
             detail = "there are no rows of the robust method yet, whose model a sign check needs"
             raise ConflictError("sign_check.no_rows", detail)
         craft = facts.spacecraft
-        entry.run = SignCheckRun(
+        release.run = SignCheckRun(
             axis=axis,
             by=by,
             started_us=at.now_us,
-            attitude_deg=entry.row.attitude_deg,
+            attitude_deg=release.row.attitude_deg,
             inertia_kg_m2=inertia_about_angles(np.array(craft.inertia_kg_m2)),
             has_coupling=craft.onboard.roll_yaw_coupling is True,
             settings=self._settings,
         )
         try:
-            refusal = self._prepare_leg(entry, facts, at)
+            refusal = self._prepare_leg(release, facts, at)
         except BaseException:
-            entry.run = None
+            release.run = None
             raise
         if refusal is not None:
-            entry.run = None
+            release.run = None
             raise error_of(refusal)
-        entry.case.put(at, _view(entry.run, _RUNNING, None))
+        release.case.put(at, _view(release.run, _RUNNING, None))
 
-    def go_on(self, entry: ReleaseEntry, facts: KnownFacts, at: Instant) -> None:
+    def go_on(self, release: SpacecraftRelease, facts: KnownFacts, at: Instant) -> None:
         """Take in what became of the leg that is out, judge, and prepare the next one."""
-        run = entry.run
+        run = release.run
         if run is None:
             return
-        problem = _take_in(run, entry)
+        problem = _take_in(run, release)
         decision = self._decision(run)
         wheels = self._wheels(run, facts) if run.axis == "yaw" else None
         powers = Verdict.OPEN if decision is None else decision.verdict
         verdict = run.verdict(powers, wheels, at.now_us)
         if problem:
-            self._finish(entry, facts, _view(run, _INTERRUPTED, decision, wheels, problem), at)
+            self._finish(release, facts, _view(run, _INTERRUPTED, decision, wheels, problem), at)
         elif verdict is not Verdict.OPEN:
-            self._finish(entry, facts, _view(run, verdict.value, decision, wheels), at)
+            self._finish(release, facts, _view(run, verdict.value, decision, wheels), at)
         elif at.now_us >= run.until_us:
-            self._finish(entry, facts, _view(run, verdict.value, decision, wheels, "its time is over"), at)
+            self._finish(release, facts, _view(run, verdict.value, decision, wheels, "its time is over"), at)
         else:
-            refusal = self._prepare_leg(entry, facts, at)
+            refusal = self._prepare_leg(release, facts, at)
             detail = "" if refusal is None else f"{refusal.code}: {refusal.detail}"
-            self._show(entry, _view(run, _RUNNING, decision, wheels, detail), at)
+            self._show(release, _view(run, _RUNNING, decision, wheels, detail), at)
 
     def _decision(self, run: SignCheckRun) -> Decision | None:
         """Return what the powers say; hours of rows are not weighed with every one of them."""
@@ -125,9 +125,9 @@ class SignChecks:
         telemetry = read_telemetry(self._storage, facts.spacecraft.id, run.started_us)
         return run.wheel_verdict(telemetry, control_design(facts.spacecraft, self._torque).wheels.axes)
 
-    def _prepare_leg(self, entry: ReleaseEntry, facts: KnownFacts, at: Instant) -> Refusal | None:
+    def _prepare_leg(self, release: SpacecraftRelease, facts: KnownFacts, at: Instant) -> Refusal | None:
         """Prepare the next leg if it is due; return why it cannot be."""
-        run, row, craft = entry.run, entry.row, facts.spacecraft
+        run, row, craft = release.run, release.row, facts.spacecraft
         start_us = soonest_start_us(at.now_us, self._settings, self._settings.sign_confirm_s)
         if run is None or row is None or not run.is_leg_due(start_us):
             return None
@@ -147,40 +147,40 @@ class SignChecks:
             reason=f"sign check of {run.axis}, leg {len(run.done) + 1} of {len(run.profile.legs)}",
             is_sign_check=True,
         )
-        counter = entry.case.state.next_counter
-        step = self._step(entry, craft, Prepare(at, run.by, proposal), Annex(Dress(craft)))
+        counter = release.case.state.next_counter
+        step = self._step(release, craft, Prepare(at, run.by, proposal), Annex(Dress(craft)))
         if step.refusal is None:
             run.pending, run.pending_us = counter, start_us
         return step.refusal
 
-    def _finish(self, entry: ReleaseEntry, facts: KnownFacts, view: SignCheckView, at: Instant) -> None:
+    def _finish(self, release: SpacecraftRelease, facts: KnownFacts, view: SignCheckView, at: Instant) -> None:
         """End a check: what is prepared is taken back, the verdict told to the interlock, the result stored."""
-        run, entry.run = entry.run, None
+        run, release.run = release.run, None
         if run is None:
             return
-        command = None if run.pending is None else command_of(entry.case.state, run.pending)
+        command = None if run.pending is None else command_of(release.case.state, run.pending)
         if command is not None and command.life in OPEN:
-            self._step(entry, facts.spacecraft, Cancel(at, run.by, command.counter))
+            self._step(release, facts.spacecraft, Cancel(at, run.by, command.counter))
         if view.state in {verdict.value for verdict in _TOLD}:
-            self._step(entry, facts.spacecraft, SignJudged(at, run.axis, Verdict(view.state)))
-        entry.case.put(at, view)
+            self._step(release, facts.spacecraft, SignJudged(at, run.axis, Verdict(view.state)))
+        release.case.put(at, view)
 
-    def _show(self, entry: ReleaseEntry, view: SignCheckView, at: Instant) -> None:
+    def _show(self, release: SpacecraftRelease, view: SignCheckView, at: Instant) -> None:
         """Store how far a check is, where that is news: what the likelihoods do from row to row is none."""
-        told = entry.case.sign_check
+        told = release.case.sign_check
         if told is None or replace(told, log_ratio=None) != replace(view, log_ratio=None):
-            entry.case.put(at, view)
+            release.case.put(at, view)
 
 
-def _take_in(run: SignCheckRun, entry: ReleaseEntry) -> str:
+def _take_in(run: SignCheckRun, release: SpacecraftRelease) -> str:
     """Take in what became of the leg that is out; return what ends the check, if anything does."""
-    if entry.case.state.interlock.state is State.TRIPPED:
+    if release.case.state.interlock.state is State.TRIPPED:
         return "control tripped"
-    command = None if run.pending is None else command_of(entry.case.state, run.pending)
+    command = None if run.pending is None else command_of(release.case.state, run.pending)
     if command is None or command.life in OPEN or command.life in UNREPORTED:
         return ""
     run.pending = None
-    if command.life is Life.EXECUTED:
+    if command.life is CommandState.EXECUTED:
         run.done.append(schedule_of(command.executed, command.proposal.start_us))
     elif command.executed:
         return f"leg {command.counter} was carried out in part"

@@ -1,4 +1,4 @@
-"""What the release desk keeps of one spacecraft beside the stored state: facts, newest rows, a sign check under way."""
+"""Release of one spacecraft in memory: stored state, facts, newest rows, a sign check under way."""
 
 import math
 import time
@@ -14,7 +14,7 @@ from service.pipeline.control.release.row_facts import SeenRow, facts_of_row
 from service.records.catalogue import Method, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import AttitudeRow
-from service.runtime.control.persisted_release import Annex, ReleaseCase
+from service.runtime.control.persisted_release import Annex, PersistedRelease
 from service.runtime.control.release_inputs import KnownFacts
 from service.runtime.control.sign_check_run import SignCheckRun
 
@@ -32,10 +32,10 @@ _FACTS_S = 20.0
 
 
 @dataclass(slots=True)
-class ReleaseEntry:
-    """One spacecraft on the desk."""
+class SpacecraftRelease:
+    """One spacecraft on the service."""
 
-    case: ReleaseCase
+    case: PersistedRelease
     #: of the service as the one that leads
     turn: int = 1
     facts: KnownFacts | None = None
@@ -89,6 +89,8 @@ class ReleaseEntry:
 class Stepper(Protocol):
     """Judges and stores an event of a spacecraft."""
 
-    def __call__(self, entry: ReleaseEntry, spacecraft: Spacecraft, event: Event, annex: Annex | None = None) -> Step:
+    def __call__(
+        self, release: SpacecraftRelease, spacecraft: Spacecraft, event: Event, annex: Annex | None = None
+    ) -> Step:
         """Return what the event has led to."""
         ...

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from service.core.control.envelope import Envelope
-from service.pipeline.control.release.command_states import OPEN, UNREPORTED, Life
+from service.pipeline.control.release.command_states import OPEN, UNREPORTED, CommandState
 from service.pipeline.control.release.control_reasons import reason_of
 from service.pipeline.control.release.events import CommandRecord, ReleaseState
 from service.pipeline.control.release.proposals import schedule_of
@@ -173,7 +173,7 @@ def envelope_of(limits: EnvelopeLimits) -> Envelope:
     )
 
 
-def _counters(state: ReleaseState, is_wanted: Callable[[Life], bool]) -> tuple[int, ...]:
+def _counters(state: ReleaseState, is_wanted: Callable[[CommandState], bool]) -> tuple[int, ...]:
     return tuple(command.counter for command in state.commands if is_wanted(command.life))
 
 

@@ -56,8 +56,8 @@ from service.records.levels.measurement import CarrierDetails, Measurement, Meas
 from service.records.operations.job import Replay
 from service.runtime.alarms.alarm_service import AlarmDesk
 from service.runtime.alarms.notifications import NoticeChannels
-from service.runtime.control.release_notifications import Tidings
-from service.runtime.control.release_service import ReleaseDesk
+from service.runtime.control.release_notifications import ReleasePublisher
+from service.runtime.control.release_service import ReleaseService
 from service.runtime.jobs.alignment_service import Aligner
 from service.runtime.jobs.calibration_job import Calibrator, fitted
 from service.runtime.jobs.flight_analysis_job import FlightAnalyses, fly_thinned
@@ -306,7 +306,7 @@ async def bench(storage: SqlStorage, workers: Workers) -> AsyncIterator[Bench]:
     storage.catalogue.put_ephemeris(SC, Ephemeris(0, nodes_us, 86_328.0, nodes_us[0], nodes_us[-1], "nodes"))
     clock, feed, config = SetClock(), LiveFeed(capacity=50), ChainConfig()
     jobs = JobRunner(storage.results, clock)
-    tidings = Tidings(storage.audit, feed, lambda _: None)
+    publisher = ReleasePublisher(storage.audit, feed, lambda _: None)
     context = ApiContext(
         storage=storage,
         clock=clock,
@@ -319,7 +319,7 @@ async def bench(storage: SqlStorage, workers: Workers) -> AsyncIterator[Bench]:
         replayer=Replayer(storage, clock, jobs, config),
         workers=workers,
         flights=FlightAnalyses(jobs, partial(fly_thinned, kernels="numpy")),
-        desk=ReleaseDesk(storage, clock, ReleaseSettings(), TorqueConfig(), tidings),
+        release_service=ReleaseService(storage, clock, ReleaseSettings(), TorqueConfig(), publisher),
         bootstrap_key=KEY,
         limits=Limits(stream_heartbeat_s=0.3),
     )

@@ -9,13 +9,14 @@ from service.core.control.envelope import Envelope
 from service.core.control.sign_check import Verdict
 from service.core.control.slew_schedule import Drive, plan_slew, predicted_effect
 from service.pipeline.control.release.advance import advance, restored
-from service.pipeline.control.release.command_states import Turn
+from service.pipeline.control.release.command_states import CommandTransition
 from service.pipeline.control.release.events import (
     ActionKind,
     Automatic,
     Confirm,
     Engage,
     Event,
+    InputsChanged,
     Order,
     OrderKind,
     Prepare,
@@ -27,10 +28,9 @@ from service.pipeline.control.release.events import (
     SignJudged,
     Step,
     Tick,
-    Told,
 )
 from service.pipeline.control.release.interlock import Instant
-from service.pipeline.control.release.interlock_conditions import RowFacts, Surroundings
+from service.pipeline.control.release.interlock_conditions import InterlockInputs, RowFacts
 from service.pipeline.control.release.settings import ReleaseSettings
 from service.records.levels.attitude import Axes
 
@@ -41,7 +41,7 @@ START_US = 1_900_000_000 * US
 INERTIA = np.diag([2600.0, 2600.0, 1400.0])
 DRIVE = Drive(0.05, 0.002, 0.1, 0.001)
 SETTINGS = ReleaseSettings()
-AROUND = Surroundings(
+INPUTS = InterlockInputs(
     is_aligned=True,
     ephemeris_received_us=START_US - 3600 * US,
     ephemeris_stop_us=START_US + 90 * 86_400 * US,
@@ -74,7 +74,7 @@ class ReleaseDriver:
         self.state = ReleaseState()
         self.now_us, self.steady_us = START_US, 5 * US
         self.row: RowFacts | None = None
-        self.around = Surroundings()
+        self.inputs = InterlockInputs()
         #: counter, instant, effect
         self.released: list[tuple[int, int, object]] = []
         self.alarms: list[str] = []
@@ -119,9 +119,9 @@ class ReleaseDriver:
             return step
         if isinstance(event, RowSeen) and (self.row is None or event.row.epoch_us > self.row.epoch_us):
             self.row = event.row
-        if isinstance(event, Told):
-            self.around = event.around
-            self.is_tripped |= event.around.lease_holders > 1 or (event.around.momentum_share or 0.0) > 0.8
+        if isinstance(event, InputsChanged):
+            self.inputs = event.inputs
+            self.is_tripped |= event.inputs.lease_holders > 1 or (event.inputs.momentum_share or 0.0) > 0.8
         if isinstance(event, ResponseJudged):
             self.is_tripped |= event.log_ratio > 9.0
         if isinstance(event, SignJudged):
@@ -141,11 +141,11 @@ class ReleaseDriver:
 
     def is_bad(self) -> bool:
         """Whether no torque may go, by the facts alone."""
-        row, around = self.row, self.around
-        if row is None or not around.is_aligned or around.has_inhibiting_operation or around.lease_holders > 1:
+        row, inputs = self.row, self.inputs
+        if row is None or not inputs.is_aligned or inputs.has_inhibiting_operation or inputs.lease_holders > 1:
             return True
         age_s = (self.now_us - row.epoch_us) / US
-        burn_us = around.burn_stop_us
+        burn_us = inputs.burn_stop_us
         return (
             abs(age_s) > 3.0 * row.period_s + 30.0
             or bool(set(row.inhibitions) - {"beyond_validity"})
@@ -153,10 +153,10 @@ class ReleaseDriver:
             or row.redundancy < 2
             or not (row.sigma_deg.roll <= 0.06 and row.sigma_deg.pitch <= 0.10)
             or not (abs(row.attitude_deg.roll) <= 0.6 and abs(row.attitude_deg.pitch) <= 0.6)
-            or (around.momentum_share or 0.0) > 0.8
-            or around.ephemeris_stop_us is None
-            or around.ephemeris_stop_us - self.now_us < 6 * 3600 * US
-            or (burn_us is not None and around.ephemeris_received_us <= burn_us <= self.now_us)
+            or (inputs.momentum_share or 0.0) > 0.8
+            or inputs.ephemeris_stop_us is None
+            or inputs.ephemeris_stop_us - self.now_us < 6 * 3600 * US
+            or (burn_us is not None and inputs.ephemeris_received_us <= burn_us <= self.now_us)
         )
 
     def _judge_release(self, state: ReleaseState, counter: int) -> None:
@@ -189,7 +189,7 @@ class ReleaseDriver:
             self.send(RowSeen(self.at, replace(row, epoch_us=self.now_us - round(lag_s * US))))
 
     def tell(self, **changes: object) -> Step:
-        return self.send(Told(self.at, replace(self.around, **changes)))
+        return self.send(InputsChanged(self.at, replace(self.inputs, **changes)))
 
     def order(self, kind: OrderKind, by: str = "ann") -> Step:
         return self.send(Order(self.at, by, kind))
@@ -198,18 +198,18 @@ class ReleaseDriver:
         until = START_US + round(hours * 3600 * US) if until_us is None else until_us
         return self.send(Engage(self.at, by, until, Envelope(), is_approver))
 
-    def prepare(self, by: str = "ann", **wish: float) -> Step:
-        return self.send(Prepare(self.at, by, self.proposal(**wish)))
+    def prepare(self, by: str = "ann", **request: float) -> Step:
+        return self.send(Prepare(self.at, by, self.proposal(**request)))
 
     def confirm(self, by: str = "bob", counter: int | None = None, is_approver: bool = True) -> Step:
         command = self.state.commands[-1] if counter is None else self.command(counter)
         return self.send(Confirm(self.at, by, command.counter, command.digest, is_approver))
 
-    def automatic(self, *, is_reported: bool = True, **wish: float) -> Step:
+    def automatic(self, *, is_reported: bool = True, **request: float) -> Step:
         """Let the law send; the centre reports at once."""
-        step = self.send(Automatic(self.at, self.proposal(**wish)))
+        step = self.send(Automatic(self.at, self.proposal(**request)))
         if is_reported and any(action.kind is ActionKind.RELEASE for action in step.actions):
-            self.send(Report(self.at, self.state.commands[-1].counter, Turn.EXECUTED))
+            self.send(Report(self.at, self.state.commands[-1].counter, CommandTransition.EXECUTED))
         return step
 
     def command(self, counter: int):
@@ -233,7 +233,7 @@ class ReleaseDriver:
 
     def armed(self) -> "ReleaseDriver":
         """Bring control to ARMED with the signs of all axes proven."""
-        self.send(Told(self.at, AROUND))
+        self.send(InputsChanged(self.at, INPUTS))
         self.rows(11)
         self.order(OrderKind.ARM)
         for axis in ("yaw", "roll", "pitch"):

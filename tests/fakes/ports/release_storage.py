@@ -1,4 +1,4 @@
-"""What the release desk asks of an archive, in memory; a process that is killed leaves behind what was stored."""
+"""What the release service asks of an archive, in memory; a process that is killed leaves behind what was stored."""
 
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
@@ -90,7 +90,7 @@ class FakeReleases:
 
 
 class FakeArchive:
-    """The storage of one spacecraft as the desk sees it; facts are changed by assignment."""
+    """The storage of one spacecraft as the service sees it; facts are changed by assignment."""
 
     def __init__(self, start_us: int) -> None:
         self.craft = CRAFT
@@ -100,7 +100,7 @@ class FakeArchive:
         self.ephemeris_stop_us = start_us + 90 * 86_400_000_000
         self.operations: list[Operation] = []
         self.telemetry: list[TelemetryRecord] = []
-        self.deeds: list = []
+        self.audit_events: list = []
         self.releases = FakeReleases()
         self.catalogue = SimpleNamespace(
             spacecraft=self._spacecraft,
@@ -115,7 +115,7 @@ class FakeArchive:
             alignments=lambda _: (1,) if self.is_aligned else (),
             calibrations=lambda *_: (self._calibration(),),
         )
-        self.audit = SimpleNamespace(append=self.deeds.append)
+        self.audit = SimpleNamespace(append=self.audit_events.append)
 
     def change_craft(self, **changes: object) -> None:
         """Change the catalogue's statement; fields of ``control`` by their own names."""

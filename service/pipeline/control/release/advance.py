@@ -11,7 +11,7 @@ import numpy as np
 
 from service.core.control.sign_check import Verdict
 from service.core.control.slew_schedule import Triple, triple_of
-from service.pipeline.control.release.command_states import OPEN, UNREPORTED, Turn, next_life
+from service.pipeline.control.release.command_states import OPEN, UNREPORTED, CommandTransition, next_state
 from service.pipeline.control.release.command_transitions import (
     applied,
     automatic,
@@ -31,6 +31,7 @@ from service.pipeline.control.release.events import (
     Confirm,
     Engage,
     Event,
+    InputsChanged,
     Order,
     OrderKind,
     Prepare,
@@ -41,7 +42,6 @@ from service.pipeline.control.release.events import (
     SignJudged,
     Step,
     Tick,
-    Told,
 )
 from service.pipeline.control.release.interlock import (
     Instant,
@@ -157,16 +157,16 @@ def _handled(state: ReleaseState, event: Event, settings: ReleaseSettings) -> St
 
 
 def _informed(
-    interlock: Interlock, event: Tick | RowSeen | Told | ResponseJudged | SignJudged, settings: ReleaseSettings
+    interlock: Interlock, event: Tick | RowSeen | InputsChanged | ResponseJudged | SignJudged, settings: ReleaseSettings
 ) -> Interlock:
     """Return the interlock with what an event tells."""
     match event:
         case RowSeen():
             return _with_row(interlock, event, settings)
-        case Told():
-            is_other_craft = event.around.spacecraft_version != interlock.around.spacecraft_version
+        case InputsChanged():
+            is_other_craft = event.inputs.spacecraft_version != interlock.inputs.spacecraft_version
             proven = () if is_other_craft else interlock.proven_axes
-            return replace(interlock, around=event.around, proven_axes=proven)
+            return replace(interlock, inputs=event.inputs, proven_axes=proven)
         case ResponseJudged():
             is_missed = not event.log_ratio <= settings.missed_log_ratio
             return tripped(interlock, Condition.RESPONSE_MISSED, event.at, settings) if is_missed else interlock
@@ -244,9 +244,10 @@ def _aged(command: CommandRecord, at: Instant, *, is_tripped: bool) -> CommandRe
     """Return a command at an instant: an open one ends by a trip or by its time."""
     if command.life not in OPEN:
         return command
-    turn = Turn.REJECT if is_tripped else Turn.EXPIRE if at.now_us >= command.expires_us else None
-    life = next_life(command.life, turn) if turn is not None else None
-    return command if life is None else replace(command, life=life)
+    if not is_tripped and at.now_us < command.expires_us:
+        return command
+    ended = next_state(command.life, CommandTransition.REJECT if is_tripped else CommandTransition.EXPIRE)
+    return command if ended is None else replace(command, life=ended)
 
 
 def _is_kept(command: CommandRecord, at: Instant) -> bool:

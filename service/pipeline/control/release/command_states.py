@@ -1,13 +1,12 @@
-"""Life of a command: one table.
+"""States of a command and what moves it: one table.
 
-Law of this file: a change that does not stand in `LIVES` does not happen; what has gone out cannot be called back,
-only its report ends it.
+Law of this file: only changes in `COMMAND_TRANSITIONS` happen; a released command is ended by its report alone.
 """
 
 from enum import Enum
 
 
-class Life(Enum):
+class CommandState(Enum):
     """Where a command stands."""
 
     PREPARED = "computed and checked, waiting for another person"
@@ -21,7 +20,7 @@ class Life(Enum):
     REJECTED = "a trip came before its release"
 
 
-class Turn(Enum):
+class CommandTransition(Enum):
     """What moves a command."""
 
     CONFIRM = "another person confirms the same digest in time"
@@ -34,40 +33,49 @@ class Turn(Enum):
     REJECT = "the interlock tripped"
 
 
-LIVES: dict[Life, dict[Turn, Life]] = {
-    Life.PREPARED: {
-        Turn.CONFIRM: Life.CONFIRMED,
-        Turn.EXPIRE: Life.EXPIRED,
-        Turn.CANCEL: Life.CANCELLED,
-        Turn.REJECT: Life.REJECTED,
+COMMAND_TRANSITIONS: dict[CommandState, dict[CommandTransition, CommandState]] = {
+    CommandState.PREPARED: {
+        CommandTransition.CONFIRM: CommandState.CONFIRMED,
+        CommandTransition.EXPIRE: CommandState.EXPIRED,
+        CommandTransition.CANCEL: CommandState.CANCELLED,
+        CommandTransition.REJECT: CommandState.REJECTED,
     },
-    Life.CONFIRMED: {
-        Turn.RELEASE: Life.RELEASED,
-        Turn.EXPIRE: Life.EXPIRED,
-        Turn.CANCEL: Life.CANCELLED,
-        Turn.REJECT: Life.REJECTED,
+    CommandState.CONFIRMED: {
+        CommandTransition.RELEASE: CommandState.RELEASED,
+        CommandTransition.EXPIRE: CommandState.EXPIRED,
+        CommandTransition.CANCEL: CommandState.CANCELLED,
+        CommandTransition.REJECT: CommandState.REJECTED,
     },
-    Life.RELEASED: {Turn.SENT: Life.SENT, Turn.EXECUTED: Life.EXECUTED, Turn.FAILED: Life.FAILED},
-    Life.SENT: {Turn.EXECUTED: Life.EXECUTED, Turn.FAILED: Life.FAILED},
-    Life.EXECUTED: {},
-    Life.FAILED: {},
-    Life.EXPIRED: {},
-    Life.CANCELLED: {},
-    Life.REJECTED: {},
+    CommandState.RELEASED: {
+        CommandTransition.SENT: CommandState.SENT,
+        CommandTransition.EXECUTED: CommandState.EXECUTED,
+        CommandTransition.FAILED: CommandState.FAILED,
+    },
+    CommandState.SENT: {
+        CommandTransition.EXECUTED: CommandState.EXECUTED,
+        CommandTransition.FAILED: CommandState.FAILED,
+    },
+    CommandState.EXECUTED: {},
+    CommandState.FAILED: {},
+    CommandState.EXPIRED: {},
+    CommandState.CANCELLED: {},
+    CommandState.REJECTED: {},
 }
 
+#: transitions that the centre reports
+REPORTS = frozenset({CommandTransition.SENT, CommandTransition.EXECUTED, CommandTransition.FAILED})
 #: waiting for a release
-OPEN = frozenset({Life.PREPARED, Life.CONFIRMED})
+OPEN = frozenset({CommandState.PREPARED, CommandState.CONFIRMED})
 #: gone out, nobody has told what became of it
-UNREPORTED = frozenset({Life.RELEASED, Life.SENT})
+UNREPORTED = frozenset({CommandState.RELEASED, CommandState.SENT})
 
 
-def next_life(life: Life, turn: Turn) -> Life | None:
-    """Return where a turn leads, None where it is illegal.
+def next_state(state: CommandState, transition: CommandTransition) -> CommandState | None:
+    """Return where a transition leads, None where it is illegal.
 
     Examples
     --------
-    >>> next_life(Life.RELEASED, Turn.CANCEL) is None
+    >>> next_state(CommandState.RELEASED, CommandTransition.CANCEL) is None
     True
     """
-    return LIVES[life].get(turn)
+    return COMMAND_TRANSITIONS[state].get(transition)

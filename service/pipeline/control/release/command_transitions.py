@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from service.core.control.envelope import envelope_excesses
 from service.core.control.slew_schedule import AxisPulse
-from service.pipeline.control.release.command_states import OPEN, Life, Turn, next_life
+from service.pipeline.control.release.command_states import OPEN, REPORTS, CommandState, CommandTransition, next_state
 from service.pipeline.control.release.events import (
     Action,
     ActionKind,
@@ -59,8 +59,8 @@ def confirm(state: ReleaseState, event: Confirm, settings: ReleaseSettings) -> S
         refusal = _failure_by_hand(state, command.proposal, event.at, settings)
     if refusal is not None:
         return Step(state, (), refusal)
-    confirmed = replace(command, life=_turned(command, Turn.CONFIRM), confirmed_by=event.by)
-    released = replace(confirmed, life=_turned(confirmed, Turn.RELEASE), released_us=event.at.now_us)
+    confirmed = replace(command, life=_moved(command, CommandTransition.CONFIRM), confirmed_by=event.by)
+    released = replace(confirmed, life=_moved(confirmed, CommandTransition.RELEASE), released_us=event.at.now_us)
     actions = (
         Action(ActionKind.RELEASE, "confirmed", command.counter),
         Action(ActionKind.UNCERTAIN, "until reported", command.counter),
@@ -71,7 +71,7 @@ def confirm(state: ReleaseState, event: Confirm, settings: ReleaseSettings) -> S
 def automatic(state: ReleaseState, event: Automatic, settings: ReleaseSettings) -> Step:
     """Return the state with a command of the law released under the standing authorisation.
 
-    A wish beyond the envelope of the settings trips: the law does not ask for such things. One beyond the authorised
+    A request beyond the envelope of the settings trips: the law does not ask for such things. One beyond the authorised
     envelope only is refused; it may be prepared and confirmed. What was released waits for its report like any other.
     """
     interlock = state.interlock
@@ -91,8 +91,10 @@ def automatic(state: ReleaseState, event: Automatic, settings: ReleaseSettings) 
     if failure is not None:
         return Step(state, (), failure)
     command = _new(state, event.proposal, AUTHORISATION, event.at, settings)
-    confirmed = replace(command, life=_turned(command, Turn.CONFIRM), confirmed_by=AUTHORISATION, is_automatic=True)
-    released = replace(confirmed, life=_turned(confirmed, Turn.RELEASE), released_us=event.at.now_us)
+    confirmed = replace(
+        command, life=_moved(command, CommandTransition.CONFIRM), confirmed_by=AUTHORISATION, is_automatic=True
+    )
+    released = replace(confirmed, life=_moved(confirmed, CommandTransition.RELEASE), released_us=event.at.now_us)
     numbered = replace(state, commands=(*state.commands, command), next_counter=state.next_counter + 1)
     actions = (
         Action(ActionKind.RELEASE, "authorised", command.counter),
@@ -134,7 +136,7 @@ def cancel(state: ReleaseState, event: Cancel) -> Step:
     command = command_of(state, event.counter)
     if command is None:
         return unknown(state, event.counter)
-    life = next_life(command.life, Turn.CANCEL)
+    life = next_state(command.life, CommandTransition.CANCEL)
     if life is None:
         return _illegal(state, command)
     return Step(with_command(state, replace(command, life=life)))
@@ -145,10 +147,10 @@ def report(state: ReleaseState, event: Report) -> Step:
     command = command_of(state, event.counter)
     if command is None:
         return unknown(state, event.counter)
-    life = next_life(command.life, event.turn) if event.turn in (Turn.SENT, Turn.EXECUTED, Turn.FAILED) else None
+    life = next_state(command.life, event.turn) if event.turn in REPORTS else None
     if life is None:
         return _illegal(state, command)
-    if event.turn is Turn.SENT:
+    if event.turn is CommandTransition.SENT:
         return Step(with_command(state, replace(command, life=life)))
     start_us, stop_us = event.executed_from_us, event.executed_until_us
     if start_us is not None and stop_us is not None and stop_us < start_us:
@@ -232,14 +234,14 @@ def _new(state: ReleaseState, proposal: Proposal, by: str, at: Instant, settings
     latest_us = proposal.start_us - microseconds(settings.uplink_lead_s) + 1
     expires_us = min(at.now_us + microseconds(settings.prepared_s), latest_us)
     digest = digest_of(state.next_counter, proposal)
-    return CommandRecord(state.next_counter, Life.PREPARED, proposal, digest, by, at.now_us, expires_us)
+    return CommandRecord(state.next_counter, CommandState.PREPARED, proposal, digest, by, at.now_us, expires_us)
 
 
 def _confirm_refusal(command: CommandRecord, event: Confirm) -> Refusal | None:
     """Return why a confirmation cannot hold for this command."""
-    if command.life is Life.EXPIRED:
+    if command.life is CommandState.EXPIRED:
         return Refusal("command.expired", f"command {command.counter} was not confirmed in time: prepare anew")
-    if next_life(command.life, Turn.CONFIRM) is None:
+    if next_state(command.life, CommandTransition.CONFIRM) is None:
         return Refusal("command.state", f"command {command.counter} is {command.life.name}: it cannot be confirmed")
     if event.digest != command.digest:
         return Refusal("command.digest", "the digest is not that of the prepared command: read it again")
@@ -248,9 +250,9 @@ def _confirm_refusal(command: CommandRecord, event: Confirm) -> Refusal | None:
     return None
 
 
-def _turned(command: CommandRecord, turn: Turn) -> Life:
+def _moved(command: CommandRecord, turn: CommandTransition) -> CommandState:
     """Return where a turn leads that the table must allow here."""
-    life = next_life(command.life, turn)
+    life = next_state(command.life, turn)
     if life is None:
         raise ValueError(f"the table of lives knows no {turn.name} from {command.life.name}")
     return life
@@ -265,7 +267,7 @@ def _with_released(state: ReleaseState, command: CommandRecord, at: Instant) -> 
 
 def _reported_part(proposal: Proposal, event: Report) -> tuple[AxisPulse, ...]:
     """Return what a report says was executed."""
-    if event.turn is Turn.EXECUTED and event.executed_from_us is None and event.executed_until_us is None:
+    if event.turn is CommandTransition.EXECUTED and event.executed_from_us is None and event.executed_until_us is None:
         return proposal.pulses
     if event.executed_from_us is None and event.executed_until_us is None:
         return ()

@@ -7,9 +7,9 @@ from enum import Enum
 from service.core.control.envelope import Envelope
 from service.core.control.sign_check import Verdict
 from service.core.control.slew_schedule import AxisPulse, Effect, Triple
-from service.pipeline.control.release.command_states import Life, Turn
+from service.pipeline.control.release.command_states import CommandState, CommandTransition
 from service.pipeline.control.release.interlock import Instant, Interlock
-from service.pipeline.control.release.interlock_conditions import RowFacts, Surroundings
+from service.pipeline.control.release.interlock_conditions import InterlockInputs, RowFacts
 from service.records.epoch import US_PER_S
 
 
@@ -42,7 +42,7 @@ class CommandRecord:
 
     #: rises by one with each command of a spacecraft; the uplink product carries it
     counter: int
-    life: Life
+    life: CommandState
     proposal: Proposal
     digest: str
     prepared_by: str
@@ -94,11 +94,11 @@ class RowSeen:
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class InputsChanged:
     """Something beside the rows has changed."""
 
     at: Instant
-    around: Surroundings
+    inputs: InterlockInputs
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,7 +200,7 @@ class Report:
     at: Instant
     counter: int
     #: SENT, EXECUTED or FAILED
-    turn: Turn
+    turn: CommandTransition
     #: executed part; None: all of it (EXECUTED), nothing (FAILED)
     executed_from_us: int | None = None
     executed_until_us: int | None = None
@@ -209,7 +209,7 @@ class Report:
 Event = (
     Tick
     | RowSeen
-    | Told
+    | InputsChanged
     | ResponseJudged
     | SignJudged
     | Order

@@ -10,12 +10,12 @@ from service.pipeline.control.release.interlock_conditions import (
     Condition,
     Consequence,
     Durations,
+    InterlockInputs,
     RowFacts,
-    Surroundings,
     Unreported,
+    input_conditions,
     lasting_conditions,
     row_conditions,
-    surrounding_conditions,
 )
 from service.pipeline.control.release.interlock_states import Guard, State, Transition, Trigger, rows_of
 from service.pipeline.control.release.settings import ReleaseSettings, microseconds
@@ -62,7 +62,7 @@ class Interlock:
     state: State = State.INHIBITED
     since_us: int = 0
     row: RowFacts | None = None
-    around: Surroundings = field(default_factory=Surroundings)
+    inputs: InterlockInputs = field(default_factory=InterlockInputs)
     durations: Durations = field(default_factory=Durations)
     clock: Instant | None = None
     #: since when no condition inhibits
@@ -104,7 +104,7 @@ class Interlock:
         """Why no torque may go, or which axis is withheld, in words that programs see."""
         words = [each.word for each in (*self.trips, *self.standing) if each is not Condition.DISAGREEMENT]
         words += () if self.row is None else self.row.inhibitions
-        if self.state is State.INHIBITED and not self.is_armed and not self.around.is_automatic:
+        if self.state is State.INHIBITED and not self.is_armed and not self.inputs.is_automatic:
             words.append("not_armed")
         if self.state is State.INHIBITED and not self.inhibiting and (self.is_armed or self.is_after_reset):
             words.append("good_minutes")
@@ -113,8 +113,8 @@ class Interlock:
     @property
     def configuration(self) -> tuple[int | None, ...]:
         """What must not change while control is armed."""
-        around = self.around
-        return around.calibration_id, around.plan_id, around.spacecraft_version, around.control_version
+        inputs = self.inputs
+        return inputs.calibration_id, inputs.plan_id, inputs.spacecraft_version, inputs.control_version
 
 
 def settle(interlock: Interlock, at: Instant, unreported: Unreported, settings: ReleaseSettings) -> Interlock:
@@ -136,7 +136,7 @@ def conditions_at(
     """Return everything that stands, in the order of the table of conditions."""
     found = (
         row_conditions(interlock.row, at.now_us, settings)
-        | surrounding_conditions(interlock.around, at.now_us, settings)
+        | input_conditions(interlock.inputs, at.now_us, settings)
         | lasting_conditions(interlock.durations, unreported, at.now_us, settings)
     )
     own = {

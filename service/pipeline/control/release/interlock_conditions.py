@@ -101,7 +101,7 @@ class RowFacts:
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
+class InterlockInputs:
     """What the interlock must know beside the row; told anew whenever one of them changes."""
 
     is_aligned: bool = False
@@ -166,20 +166,20 @@ def row_conditions(row: RowFacts | None, now_us: int, settings: ReleaseSettings)
     return frozenset(condition for condition, is_standing in stands.items() if is_standing)
 
 
-def surrounding_conditions(around: Surroundings, now_us: int, settings: ReleaseSettings) -> frozenset[Condition]:
+def input_conditions(inputs: InterlockInputs, now_us: int, settings: ReleaseSettings) -> frozenset[Condition]:
     """Return the conditions that lie beside the row."""
     modes = settings.allowed_modes
-    has_mode = not modes or around.onboard_mode in modes
+    has_mode = not modes or inputs.onboard_mode in modes
     stands = {
-        Condition.NOT_ALIGNED: not around.is_aligned,
-        Condition.OPERATION: around.has_inhibiting_operation,
-        Condition.EPHEMERIS: _is_ephemeris_stale(around, now_us, settings),
+        Condition.NOT_ALIGNED: not inputs.is_aligned,
+        Condition.OPERATION: inputs.has_inhibiting_operation,
+        Condition.EPHEMERIS: _is_ephemeris_stale(inputs, now_us, settings),
         Condition.ONBOARD_MODE: not has_mode,
         # a momentum that is not told trips nothing; one that is not a number does
-        Condition.MOMENTUM: around.momentum_share is not None
-        and not around.momentum_share <= settings.momentum_share_limit,
-        Condition.LEASE: around.lease_holders > 1,
-        Condition.DISAGREEMENT: around.is_disagreeing,
+        Condition.MOMENTUM: inputs.momentum_share is not None
+        and not inputs.momentum_share <= settings.momentum_share_limit,
+        Condition.LEASE: inputs.lease_holders > 1,
+        Condition.DISAGREEMENT: inputs.is_disagreeing,
     }
     return frozenset(condition for condition, is_standing in stands.items() if is_standing)
 
@@ -200,11 +200,11 @@ def _has_lasted(since_us: int | None, now_us: int, seconds: float) -> bool:
     return since_us is not None and now_us - since_us >= microseconds(seconds)
 
 
-def _is_ephemeris_stale(around: Surroundings, now_us: int, settings: ReleaseSettings) -> bool:
+def _is_ephemeris_stale(inputs: InterlockInputs, now_us: int, settings: ReleaseSettings) -> bool:
     """Whether the orbit is not known well enough."""
-    if around.ephemeris_stop_us is None or around.ephemeris_received_us is None:
+    if inputs.ephemeris_stop_us is None or inputs.ephemeris_received_us is None:
         return True
-    if around.ephemeris_stop_us - now_us < microseconds(settings.ephemeris_ahead_s):
+    if inputs.ephemeris_stop_us - now_us < microseconds(settings.ephemeris_ahead_s):
         return True
-    burn_us = around.burn_stop_us
-    return burn_us is not None and burn_us <= now_us and around.ephemeris_received_us <= burn_us
+    burn_us = inputs.burn_stop_us
+    return burn_us is not None and burn_us <= now_us and inputs.ephemeris_received_us <= burn_us

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from service.pipeline.control.release.command_states import LIVES, Life, Turn
+from service.pipeline.control.release.command_states import COMMAND_TRANSITIONS, CommandState, CommandTransition
 from service.pipeline.control.release.interlock_conditions import Condition, Consequence
 from service.pipeline.control.release.interlock_states import TRANSITIONS, Guard, State, Trigger
 from service.pipeline.control.release.settings import ReleaseSettings
@@ -21,9 +21,9 @@ def interlock_diagram() -> str:
 
 
 def command_diagram() -> str:
-    """Return the life of a command as a Mermaid state diagram."""
-    lines = ["stateDiagram-v2", f"    [*] --> {Life.PREPARED.name}"]
-    for life, row in LIVES.items():
+    """Return the states of a command as a Mermaid state diagram."""
+    lines = ["stateDiagram-v2", f"    [*] --> {CommandState.PREPARED.name}"]
+    for life, row in COMMAND_TRANSITIONS.items():
         lines += [f"    {life.name} --> {target.name}: {turn.name}" for turn, target in row.items()]
         lines += [] if row else [f"    {life.name} --> [*]"]
     return "\n".join(lines)
@@ -52,13 +52,13 @@ def reference_page() -> str:
         "What is not known counts as bad; only a momentum that no telemetry tells is passed over. A trip takes arming\n"
         "and authorisation away: after the reset come ten good minutes, and an operator arms again. In release\n"
         "`automatic` nobody arms: torques are withheld from the trip until these ten good minutes are over.",
-        "## Life of a command",
+        "## States of a command",
         "```mermaid\n" + command_diagram() + "\n```",
-        _table(("life", "meaning"), [(f"`{life.name}`", life.value) for life in Life]),
-        _table(("turn", "when"), [(f"`{turn.name}`", turn.value) for turn in Turn]),
+        _table(("state", "meaning"), [(f"`{state.name}`", state.value) for state in CommandState]),
+        _table(("transition", "when"), [(f"`{each.name}`", each.value) for each in CommandTransition]),
         "A command released by standing authorisation goes from PREPARED to RELEASED in one step. Every released\n"
         "command is uncertainty of the filter, with its whole effect, until its report; one at a time. In release\n"
-        "`automatic` computed commands count as applied and have no life here: one beyond the envelope trips.",
+        "`automatic` computed commands count as applied and have no state here: one beyond the envelope trips.",
     ]
     return "\n\n".join(parts) + "\n"
 

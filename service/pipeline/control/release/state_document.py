@@ -14,8 +14,11 @@ from types import NoneType, UnionType
 from typing import Any, get_args, get_origin, get_type_hints
 
 from service.pipeline.control.release.events import ReleaseState
-from service.pipeline.control.release.interlock_conditions import Durations, Surroundings
+from service.pipeline.control.release.interlock_conditions import Durations, InterlockInputs
 from service.records.operations.release import SignCheckView
+
+#: fields that are stored under the name that they had first
+_STORED_AS = {"inputs": "around"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,13 +57,13 @@ def essence(state: ReleaseState) -> ReleaseState:
     """Return what of a state must not be lost; rows and surroundings are told anew after a restart."""
     interlock = state.interlock
     calibration_id, plan_id, version, control = interlock.configuration
-    around = Surroundings(
+    inputs = InterlockInputs(
         calibration_id=calibration_id, plan_id=plan_id, spacecraft_version=version, control_version=control
     )
     kept = replace(
         interlock,
         row=None,
-        around=around,
+        inputs=inputs,
         durations=Durations(),
         clock=None,
         good_since_us=None,
@@ -78,7 +81,7 @@ def _plain(value: Any) -> Any:
     kind: Any = type(value)
     names = _names(kind)
     if names is not None:
-        return {name: _plain(getattr(value, name)) for name in names}
+        return {_STORED_AS.get(name, name): _plain(getattr(value, name)) for name in names}
     if isinstance(value, tuple):
         return [_plain(each) for each in value]
     return value
@@ -96,7 +99,8 @@ def _read(kind: Any, value: Any) -> Any:
         return kind[value]
     if _names(kind) is not None:
         hints = _hints(kind)
-        return kind(**{name: _read(hints[name], part) for name, part in value.items() if name in hints})
+        stored = {_STORED_AS.get(name, name): name for name in hints}
+        return kind(**{stored[key]: _read(hints[stored[key]], part) for key, part in value.items() if key in stored})
     if not isinstance(value, (int, float) if kind is float else kind):
         message = f"{value!r} is no {kind.__name__}"
         raise TypeError(message)

@@ -1,9 +1,9 @@
-"""The gyro-orbitant law on the release desk: its commands are prepared, and offered to a standing authorisation."""
+"""The gyro-orbitant law on the release service: its commands are prepared, and offered to a standing authorisation."""
 
 import math
 
 import pytest
-from desk_driver import DeskDriver
+from release_service_driver import ReleaseServiceDriver
 from release_storage import SC
 
 from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S
@@ -11,7 +11,7 @@ from service.errors import ConflictError
 from service.records.catalogue import ControlLaw, GyroOrbitantGains
 from service.records.inputs import TelemetryRecord
 from service.records.levels.attitude import Axes
-from service.records.operations.release import CommandWish
+from service.records.operations.release import CommandRequest
 
 W0_DEG_S = math.degrees(GEOSTATIONARY_RATE_RAD_S)
 GAINS = GyroOrbitantGains(9.9e-4, 2.0, 5.3e-4, 1.1, 3.1e-4, 2.0)
@@ -20,13 +20,13 @@ RATE = Axes(0.0, -W0_DEG_S * math.radians(0.1), -W0_DEG_S)
 
 
 @pytest.fixture
-def driver() -> DeskDriver:
-    driven = DeskDriver()
+def driver() -> ReleaseServiceDriver:
+    driven = ReleaseServiceDriver()
     driven.archive.change_craft(law=ControlLaw.GYRO_ORBITANT, gyro_orbitant=GAINS)
     return driven
 
 
-def told(driver: DeskDriver, rate: Axes | None = RATE) -> None:
+def told(driver: ReleaseServiceDriver, rate: Axes | None = RATE) -> None:
     """Let telemetry of this instant come."""
     wheels = (0.0, 0.0, 0.0)
     driver.archive.telemetry.append(
@@ -35,7 +35,7 @@ def told(driver: DeskDriver, rate: Axes | None = RATE) -> None:
     driver.tell()
 
 
-def test_a_command_of_the_law_is_prepared_confirmed_and_released(driver: DeskDriver) -> None:
+def test_a_command_of_the_law_is_prepared_confirmed_and_released(driver: ReleaseServiceDriver) -> None:
     driver.armed()
     driver.prove("yaw")
     told(driver)
@@ -50,7 +50,7 @@ def test_a_command_of_the_law_is_prepared_confirmed_and_released(driver: DeskDri
     assert driver.confirm(command).state == "RELEASED"
 
 
-def test_without_a_fresh_body_rate_there_is_nothing_to_prepare(driver: DeskDriver) -> None:
+def test_without_a_fresh_body_rate_there_is_nothing_to_prepare(driver: ReleaseServiceDriver) -> None:
     driver.armed()
     with pytest.raises(ConflictError, match=r"command\.empty"):
         driver.prepare()
@@ -58,16 +58,16 @@ def test_without_a_fresh_body_rate_there_is_nothing_to_prepare(driver: DeskDrive
     driver.rows(2)
     # a record without rates is newer, and does not hide the one that has them
     told(driver, None)
-    dry = driver.desk.prepare(SC, "ann", CommandWish("look"), dry_run=True)
+    dry = driver.service.prepare(SC, "ann", CommandRequest("look"), dry_run=True)
     assert dry.computed is not None
     assert dry.computed.inhibitions == ()
     driver.rows(3)
-    dry = driver.desk.prepare(SC, "ann", CommandWish("look"), dry_run=True)
+    dry = driver.service.prepare(SC, "ann", CommandRequest("look"), dry_run=True)
     assert dry.computed is not None
     assert (dry.computed.inhibitions, dry.schedule) == (("no_body_rate",), ())
 
 
-def test_a_standing_authorisation_is_never_asked_for_more_than_the_envelope(driver: DeskDriver) -> None:
+def test_a_standing_authorisation_is_never_asked_for_more_than_the_envelope(driver: ReleaseServiceDriver) -> None:
     driver.engaged()
     told(driver, Axes(2e-3, 3e-3, -W0_DEG_S + 2e-3))
     driver.rows(1)

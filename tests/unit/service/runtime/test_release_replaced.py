@@ -1,11 +1,11 @@
-"""A command that takes the place of another on board takes it on the desk, in the journal and in the filter."""
+"""A command that takes the place of another on board takes it on the service, in the journal and in the filter."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from desk_driver import US, DeskDriver
 from geometry_flight import INERTIA, Flight, FlightPayload
+from release_service_driver import US, ReleaseServiceDriver
 from release_storage import SC
 from sign_world import payload
 
@@ -21,9 +21,9 @@ PAYLOAD = FlightPayload.make()
 MOMENTS = np.array([INERTIA[2][2], INERTIA[0][0], INERTIA[1][1]])
 
 
-def replaced() -> tuple[DeskDriver, object, object]:
+def replaced() -> tuple[ReleaseServiceDriver, object, object]:
     """Report all of a command executed while its end lies ahead, and release one that begins before that end."""
-    driver = DeskDriver().armed()
+    driver = ReleaseServiceDriver().armed()
     first = driver.sent()
     driver.rows(1)
     assert driver.report(1).executed == first.schedule
@@ -50,11 +50,11 @@ def turned_deg(pulses, at_us):
     return turned
 
 
-def test_the_desk_tells_what_was_flown_before_the_later_command_began() -> None:
+def test_the_service_tells_what_was_flown_before_the_later_command_began() -> None:
     driver, first, second = replaced()
-    assert driver.desk.command(SC, 1).executed == first.schedule  # until it is known that the second was flown
+    assert driver.service.command(SC, 1).executed == first.schedule  # until it is known that the second was flown
     assert driver.report(2).executed == second.schedule
-    told = driver.desk.command(SC, 1)
+    told = driver.service.command(SC, 1)
     assert told.executed == before(first.schedule, second.start_us)
     assert 0 < len(told.executed) < len(first.schedule)
     assert (told.state, told.schedule) == ("EXECUTED", first.schedule)
@@ -63,32 +63,32 @@ def test_the_desk_tells_what_was_flown_before_the_later_command_began() -> None:
 def test_a_later_command_that_failed_leaves_the_earlier_one_whole() -> None:
     driver, first, _ = replaced()
     driver.report(2, "failed")
-    assert driver.desk.command(SC, 1).executed == first.schedule
+    assert driver.service.command(SC, 1).executed == first.schedule
 
 
 def test_what_was_left_out_is_told_after_a_restart_too() -> None:
     driver, first, second = replaced()
     driver.restart()
     driver.report(2)
-    assert driver.desk.command(SC, 1).executed == before(first.schedule, second.start_us)
+    assert driver.service.command(SC, 1).executed == before(first.schedule, second.start_us)
 
 
 def test_a_sign_check_cuts_no_command_short() -> None:
     """The filter is not told of a sign check, so it would count on what the check has left out."""
-    driver = DeskDriver().armed()
+    driver = ReleaseServiceDriver().armed()
     first = driver.sent()
     driver.report(1)
     evidence = CommandEvidence(payload(5), np.zeros(payload(5).carriers), 0.0, None)
     driver.rows(1, evidence=evidence)
     with pytest.raises(ConflictError, match=r"sign_check\.flying: command 1 is still flown"):
-        driver.desk.sign_check(SC, "roll", "ann")
+        driver.service.sign_check(SC, "roll", "ann")
     while driver.clock.now < first.stop_us:
         driver.rows(1, evidence=evidence)
-    assert driver.desk.sign_check(SC, "roll", "ann").sign_check.state == "running"
+    assert driver.service.sign_check(SC, "roll", "ann").sign_check.state == "running"
 
 
 @pytest.mark.parametrize("is_flown", [True, False], ids=["flown", "lost"])
-def test_the_filter_that_reads_the_journal_of_the_desk_follows_the_craft(is_flown) -> None:
+def test_the_filter_that_reads_the_journal_of_the_service_follows_the_craft(is_flown) -> None:
     driver, first, second = replaced()
     driver.report(2, "executed" if is_flown else "failed")
     entries = [entry for entry in driver.releases.told if not isinstance(entry, InterlockHold)]

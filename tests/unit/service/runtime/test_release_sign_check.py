@@ -1,14 +1,14 @@
-"""A sign check on the desk: legs are confirmed and reported one by one, and the powers decide."""
+"""A sign check on the service: legs are confirmed and reported one by one, and the powers decide."""
 
 import numpy as np
 import pytest
-from desk_driver import GOOD, US, DeskDriver
+from release_service_driver import GOOD, US, ReleaseServiceDriver
 from release_storage import SC
 from sign_world import payload
 
 from service.core.estimation.filtering.model.filter_model import pattern_change
 from service.errors import ConflictError, InvalidInputError
-from service.pipeline.control.release.command_states import Life
+from service.pipeline.control.release.command_states import CommandState
 from service.pipeline.control.release.events import OrderKind
 from service.pipeline.control.release.settings import ReleaseSettings
 from service.pipeline.estimation.method import CommandEvidence
@@ -25,7 +25,7 @@ BODY = [1, 2, 0]
 class AnsweringCraft:
     """Answers released schedules with a sign, in powers and in the momentum of its wheels."""
 
-    def __init__(self, driver: DeskDriver, sign: int, seed: int = 5) -> None:
+    def __init__(self, driver: ReleaseServiceDriver, sign: int, seed: int = 5) -> None:
         self.driver, self.sign = driver, sign
         self.model, self.rng = payload(seed), np.random.default_rng(seed)
         self.level = 0.09 * self.rng.normal(size=self.model.carriers)
@@ -71,7 +71,7 @@ class AnsweringCraft:
 
 
 def ready(sign: int = 1, seed: int = 5, settings: ReleaseSettings | None = None) -> AnsweringCraft:
-    driver = DeskDriver(settings)
+    driver = ReleaseServiceDriver(settings)
     craft = AnsweringCraft(driver, sign, seed)
     for _ in range(12):
         driver.rows(1, lag_s=0.0, evidence=craft.evidence())
@@ -84,10 +84,10 @@ def test_a_right_sign_is_proven_and_engaging_becomes_possible(axis):
     craft = ready()
     driver = craft.driver
     begun_us = driver.clock.now
-    check = driver.desk.sign_check(SC, axis, "ann").sign_check
+    check = driver.service.sign_check(SC, axis, "ann").sign_check
     assert (check.state, check.axis, check.legs, check.legs_done) == ("running", axis, 4, 0)
     with pytest.raises(ConflictError, match=r"sign_check\.running"):
-        driver.desk.sign_check(SC, axis, "ann")
+        driver.service.sign_check(SC, axis, "ann")
     craft.fly(60)
     view = driver.view
     assert view.sign_check.state == "plus", view.sign_check
@@ -106,7 +106,7 @@ def test_a_right_sign_is_proven_and_engaging_becomes_possible(axis):
 @pytest.mark.parametrize("axis", ["roll", "pitch"])
 def test_a_wrong_sign_or_none_trips_before_a_tenth_of_a_degree_is_lost(axis, sign, word):
     craft = ready(sign)
-    craft.driver.desk.sign_check(SC, axis, "ann")
+    craft.driver.service.sign_check(SC, axis, "ann")
     craft.fly(60)
     view = craft.driver.view
     assert (view.sign_check.state, view.trips) == (word, ("response_missed",))
@@ -118,7 +118,7 @@ def test_yaw_needs_powers_wheels_and_three_hours():
     craft = ready()
     driver = craft.driver
     begun_us = driver.clock.now
-    driver.desk.sign_check(SC, "yaw", "ann")
+    driver.service.sign_check(SC, "yaw", "ann")
     craft.fly(330)
     view = driver.view
     assert (view.sign_check.state, view.sign_check.wheels) == ("plus", "plus"), view.sign_check
@@ -129,7 +129,7 @@ def test_yaw_needs_powers_wheels_and_three_hours():
 def test_yaw_without_telemetry_stays_open_and_is_not_engaged():
     craft = ready(settings=ReleaseSettings(yaw_sign_check_s=6000.0, yaw_sign_least_s=3600.0))
     craft.telemetry = lambda: None
-    craft.driver.desk.sign_check(SC, "yaw", "ann")
+    craft.driver.service.sign_check(SC, "yaw", "ann")
     craft.fly(130)
     view = craft.driver.view
     assert (view.sign_check.state, view.proven_axes, view.trips) == ("open", (), ())
@@ -139,7 +139,7 @@ def test_yaw_without_telemetry_stays_open_and_is_not_engaged():
 def test_legs_that_nobody_confirms_are_prepared_again_until_the_time_is_over():
     craft = ready()
     driver = craft.driver
-    driver.desk.sign_check(SC, "roll", "ann")
+    driver.service.sign_check(SC, "roll", "ann")
     for _ in range(56):
         craft.minute(confirms=False)
     assert driver.view.sign_check.state == "open"
@@ -151,7 +151,7 @@ def test_legs_that_nobody_confirms_are_prepared_again_until_the_time_is_over():
 def test_a_restart_interrupts_a_check_and_a_lost_leg_is_flown_again():
     craft = ready()
     driver = craft.driver
-    driver.desk.sign_check(SC, "roll", "ann")
+    driver.service.sign_check(SC, "roll", "ann")
     first = driver.releases.views[1]
     driver.confirm(first)
     driver.report(1, "failed")
@@ -164,15 +164,15 @@ def test_a_restart_interrupts_a_check_and_a_lost_leg_is_flown_again():
 
 
 def test_a_check_needs_an_axis_rows_and_a_state_in_which_commands_may_go():
-    driver = DeskDriver().armed()
+    driver = ReleaseServiceDriver().armed()
     with pytest.raises(InvalidInputError, match=r"sign_check\.axis"):
-        driver.desk.sign_check(SC, "nick", "ann")
+        driver.service.sign_check(SC, "nick", "ann")
     with pytest.raises(ConflictError, match=r"sign_check\.no_rows"):
-        driver.desk.sign_check(SC, "roll", "ann")
+        driver.service.sign_check(SC, "roll", "ann")
     craft = ready()
     craft.driver.order(OrderKind.DISENGAGE)
     with pytest.raises(ConflictError, match=r"interlock\.not_armed"):
-        craft.driver.desk.sign_check(SC, "roll", "ann")
+        craft.driver.service.sign_check(SC, "roll", "ann")
     assert craft.driver.view.sign_check is None
 
 
@@ -180,12 +180,12 @@ def test_the_turn_of_its_own_check_does_not_stop_it():
     craft = ready()
     driver = craft.driver
     moving = {"inhibitions": ("unannounced_motion",), "control_allowed": False}
-    driver.desk.sign_check(SC, "roll", "ann")
+    driver.service.sign_check(SC, "roll", "ann")
     driver.rows(1, lag_s=0.0, evidence=craft.evidence(), **moving)
     assert driver.state == "ARMED"
-    driver.desk.cancel(SC, 1, "ann")
+    driver.service.cancel(SC, 1, "ann")
     driver.order(OrderKind.STOP)
     driver.rows(1, lag_s=0.0, evidence=craft.evidence())
     assert driver.view.sign_check.state == "interrupted"
     assert GOOD.inhibitions == ()
-    assert driver.desk._entry(SC).case.state.commands[0].life in (Life.CANCELLED, Life.REJECTED)
+    assert driver.service._release(SC).case.state.commands[0].life in (CommandState.CANCELLED, CommandState.REJECTED)

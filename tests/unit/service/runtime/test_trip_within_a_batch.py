@@ -9,8 +9,8 @@ from service.pipeline.control.release.events import OrderKind
 from service.pipeline.control.release.settings import ReleaseSettings
 from service.records.levels.command import AppliedCommand
 from service.records.operations.release import InterlockHold
-from service.runtime.control.release_notifications import Tidings
-from service.runtime.control.release_service import ReleaseDesk
+from service.runtime.control.release_notifications import ReleasePublisher
+from service.runtime.control.release_service import ReleaseService
 from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.supervisor import Supervisor
 
@@ -32,32 +32,32 @@ class DataClock:
 
 
 class Watched:
-    """A release desk of which an operator stops control at a row, after it was computed and before it is stored."""
+    """A release service of which an operator stops control at a row, after it was computed and before it is stored."""
 
-    def __init__(self, desk, stop_after):
-        self.desk, self.stop_after, self.parts = desk, stop_after, 0
+    def __init__(self, service, stop_after):
+        self.service, self.stop_after, self.parts = service, stop_after, 0
 
     def see(self, spacecraft_id, seen, *, has_inputs=False):
-        self.desk.see(spacecraft_id, seen, has_inputs=has_inputs)
+        self.service.see(spacecraft_id, seen, has_inputs=has_inputs)
         self.parts += any(one.outcome.applied is not None for one in seen)
 
     @contextmanager
     def steady(self, spacecraft_id):
         if self.parts == self.stop_after:
             self.parts += 1
-            self.desk.order(spacecraft_id, OrderKind.STOP, "ann")
-        with self.desk.steady(spacecraft_id) as is_withheld:
+            self.service.order(spacecraft_id, OrderKind.STOP, "ann")
+        with self.service.steady(spacecraft_id) as is_withheld:
             yield is_withheld
 
 
 @contextmanager
 def released(ground, stop_after, settings):
-    tidings = Tidings(ground.storage.audit, LiveFeed(), lambda _: None)
-    desk = ReleaseDesk(ground.storage, DataClock(ground), settings, TorqueConfig(), tidings)
-    supervisor = Supervisor(ground.storage, LiveFeed(), ground.config, release=Watched(desk, stop_after))
+    publisher = ReleasePublisher(ground.storage.audit, LiveFeed(), lambda _: None)
+    service = ReleaseService(ground.storage, DataClock(ground), settings, TorqueConfig(), publisher)
+    supervisor = Supervisor(ground.storage, LiveFeed(), ground.config, release=Watched(service, stop_after))
     supervisor.start()
     try:
-        yield supervisor, desk
+        yield supervisor, service
     finally:
         supervisor.stop()
 
@@ -71,9 +71,9 @@ def released(ground, stop_after, settings):
 )
 def test_rows_behind_a_trip_get_no_torque_live_and_in_a_replay(ground, stop_after, settings):
     ground.append(range(1, 41))
-    with released(ground, stop_after, settings) as (supervisor, desk):
+    with released(ground, stop_after, settings) as (supervisor, service):
         ground.settle(supervisor)
-        assert desk.control(ground.id).state == "TRIPPED"
+        assert service.control(ground.id).state == "TRIPPED"
         ground.append(range(41, 46))
         ground.settle(supervisor)
     entries = [entry.content for entry in ground.storage.archive.journal(ground.id, 0, 10_000)]
@@ -94,11 +94,11 @@ def test_rows_behind_a_trip_get_no_torque_live_and_in_a_replay(ground, stop_afte
 
 
 def test_a_service_killed_between_trip_and_rows_withholds_them_after_its_start(ground):
-    tidings = Tidings(ground.storage.audit, LiveFeed(), lambda _: None)
-    desk = ReleaseDesk(ground.storage, DataClock(ground), ReleaseSettings(), TorqueConfig(), tidings)
+    publisher = ReleasePublisher(ground.storage.audit, LiveFeed(), lambda _: None)
+    service = ReleaseService(ground.storage, DataClock(ground), ReleaseSettings(), TorqueConfig(), publisher)
     ground.append(range(1, 41))
     # stopped before any of them is computed: all are later than what anybody has seen
-    desk.order(ground.id, OrderKind.STOP, "ann")
+    service.order(ground.id, OrderKind.STOP, "ann")
     with released(ground, -1, ReleaseSettings()) as (supervisor, _):
         ground.settle(supervisor)
     assert not any(each.control_allowed for each in ground.commands())

@@ -1,4 +1,4 @@
-"""Life of a command: persons, digests, times, reports; each illegal step with its code and without effect."""
+"""CommandState of a command: persons, digests, times, reports; each illegal step with its code and without effect."""
 
 from dataclasses import replace
 
@@ -8,7 +8,14 @@ from release_driver import US, ReleaseDriver
 
 from service.core.control.slew_schedule import AxisPulse
 from service.pipeline.control.release.advance import advance, uncertainty_of
-from service.pipeline.control.release.command_states import LIVES, OPEN, UNREPORTED, Life, Turn, next_life
+from service.pipeline.control.release.command_states import (
+    COMMAND_TRANSITIONS,
+    OPEN,
+    UNREPORTED,
+    CommandState,
+    CommandTransition,
+    next_state,
+)
 from service.pipeline.control.release.command_transitions import executed_part
 from service.pipeline.control.release.events import ActionKind, Cancel, Confirm, Prepare, Report, digest_of
 from service.pipeline.control.release.release_checks import release_checks, sent_within_an_hour
@@ -25,10 +32,15 @@ def report(driver, turn, counter=1, **part):
 
 def test_what_has_gone_out_cannot_be_called_back_and_ends_are_ends():
     for life in UNREPORTED:
-        assert not {Turn.CANCEL, Turn.EXPIRE, Turn.REJECT, Turn.RELEASE} & set(LIVES[life])
-    ends = set(Life) - OPEN - UNREPORTED
-    assert all(LIVES[life] == {} for life in ends)
-    assert next_life(Life.EXECUTED, Turn.EXECUTED) is None
+        assert not {
+            CommandTransition.CANCEL,
+            CommandTransition.EXPIRE,
+            CommandTransition.REJECT,
+            CommandTransition.RELEASE,
+        } & set(COMMAND_TRANSITIONS[life])
+    ends = set(CommandState) - OPEN - UNREPORTED
+    assert all(COMMAND_TRANSITIONS[life] == {} for life in ends)
+    assert next_state(CommandState.EXECUTED, CommandTransition.EXECUTED) is None
 
 
 def test_a_command_is_prepared_confirmed_released_sent_and_executed(driver):
@@ -36,9 +48,9 @@ def test_a_command_is_prepared_confirmed_released_sent_and_executed(driver):
     step = driver.confirm("bob")
     assert [action.kind for action in step.actions] == [ActionKind.RELEASE, ActionKind.UNCERTAIN]
     command = driver.command(1)
-    assert (command.life, command.prepared_by, command.confirmed_by) == (Life.RELEASED, "ann", "bob")
-    report(driver, Turn.SENT)
-    step = report(driver, Turn.EXECUTED)
+    assert (command.life, command.prepared_by, command.confirmed_by) == (CommandState.RELEASED, "ann", "bob")
+    report(driver, CommandTransition.SENT)
+    step = report(driver, CommandTransition.EXECUTED)
     assert [action.kind for action in step.actions] == [ActionKind.CERTAIN, ActionKind.KNOWN_INPUT]
     assert driver.command(1).executed == command.proposal.pulses
 
@@ -73,7 +85,7 @@ def test_confirmation_after_expiry_is_refused(driver):
     driver.prepare("ann")
     driver.rows(10)
     assert driver.confirm("bob").refusal.code == "command.expired"
-    assert driver.command(1).life is Life.EXPIRED
+    assert driver.command(1).life is CommandState.EXPIRED
 
 
 def test_a_cancelled_command_makes_room(driver):
@@ -84,20 +96,22 @@ def test_a_cancelled_command_makes_room(driver):
 
 
 def test_reports_for_unknown_or_finished_commands_are_refused(driver):
-    assert report(driver, Turn.EXECUTED, counter=9).refusal.code == "command.unknown"
+    assert report(driver, CommandTransition.EXECUTED, counter=9).refusal.code == "command.unknown"
     driver.prepare()
-    assert report(driver, Turn.EXECUTED).refusal.code == "command.state"
+    assert report(driver, CommandTransition.EXECUTED).refusal.code == "command.state"
     driver.confirm()
-    report(driver, Turn.FAILED)
-    assert report(driver, Turn.FAILED).refusal.code == "command.state"
-    assert report(driver, Turn.SENT).refusal.code == "command.state"
-    assert report(driver, Turn.CONFIRM).refusal.code == "command.state"
+    report(driver, CommandTransition.FAILED)
+    assert report(driver, CommandTransition.FAILED).refusal.code == "command.state"
+    assert report(driver, CommandTransition.SENT).refusal.code == "command.state"
+    assert report(driver, CommandTransition.CONFIRM).refusal.code == "command.state"
 
 
 def test_an_interval_that_ends_before_it_begins_is_refused(driver):
     driver.prepare()
     driver.confirm()
-    step = report(driver, Turn.EXECUTED, executed_from_us=driver.now_us, executed_until_us=driver.now_us - 1)
+    step = report(
+        driver, CommandTransition.EXECUTED, executed_from_us=driver.now_us, executed_until_us=driver.now_us - 1
+    )
     assert step.refusal.code == "report.interval"
 
 
@@ -106,7 +120,7 @@ def test_a_command_that_failed_half_way_is_known_input_as_far_as_it_went(driver)
     driver.confirm()
     proposal = driver.command(1).proposal
     middle_us = proposal.start_us + 100 * US
-    step = report(driver, Turn.FAILED, executed_from_us=proposal.start_us, executed_until_us=middle_us)
+    step = report(driver, CommandTransition.FAILED, executed_from_us=proposal.start_us, executed_until_us=middle_us)
     assert [action.kind for action in step.actions] == [ActionKind.CERTAIN, ActionKind.KNOWN_INPUT]
     # the first pulse went, the one that nulls the rate did not: the craft is turning
     assert driver.command(1).executed == proposal.pulses[:1]
@@ -129,7 +143,7 @@ def test_an_unreported_command_is_uncertainty_with_its_whole_effect(driver):
     assert found.angle_deg[1] == pytest.approx(0.05)
     # the greatest rate, though none is left in the end
     assert found.rate_deg_s[1] > 5e-5
-    report(driver, Turn.EXECUTED)
+    report(driver, CommandTransition.EXECUTED)
     assert not np.any(uncertainty_of(driver.state))
 
 
@@ -151,15 +165,15 @@ def test_proposals_that_must_not_go_are_refused(driver, change, code):
 
 
 @pytest.mark.parametrize(
-    "wish",
+    "wanted",
     [
         {"roll_deg": 0.11, "horizon_s": 3600.0},
         {"roll_deg": 0.09, "horizon_s": 300.0},
         {"roll_deg": 0.0, "pitch_deg": 0.1, "horizon_s": 300.0},
     ],
 )
-def test_beyond_the_envelope_a_command_is_refused_never_clipped(driver, wish):
-    refusal = driver.prepare(**wish).refusal
+def test_beyond_the_envelope_a_command_is_refused_never_clipped(driver, wanted):
+    refusal = driver.prepare(**wanted).refusal
     assert refusal.code == "envelope.exceeded"
     assert " of " in refusal.detail
 
@@ -172,7 +186,7 @@ def test_the_hour_holds_over_many_commands_and_frees_itself():
         if step.refusal is not None:
             break
         driver.confirm("bob")
-        report(driver, Turn.EXECUTED, counter=driver.state.commands[-1].counter)
+        report(driver, CommandTransition.EXECUTED, counter=driver.state.commands[-1].counter)
         went += 1
     assert step.refusal.code == "envelope.exceeded"
     # 0.008964 N m s each
@@ -222,8 +236,8 @@ def test_commands_that_ended_an_hour_ago_are_forgotten_and_waiting_ones_never(dr
     driver.prepare()
     driver.confirm()
     driver.rows(150)
-    assert driver.command(1).life is Life.RELEASED
-    report(driver, Turn.EXECUTED)
+    assert driver.command(1).life is CommandState.RELEASED
+    report(driver, CommandTransition.EXECUTED)
     driver.rows(61)
     assert driver.state.commands == ()
 

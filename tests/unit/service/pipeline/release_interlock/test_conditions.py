@@ -6,7 +6,7 @@ import pytest
 from release_driver import GOOD, MINUTE_US, START_US, US, ReleaseDriver, slew
 
 from service.core.control.sign_check import Verdict
-from service.pipeline.control.release.command_states import Turn
+from service.pipeline.control.release.command_states import CommandTransition
 from service.pipeline.control.release.events import (
     Applied,
     Cancel,
@@ -313,7 +313,7 @@ def test_what_the_authorisation_sends_waits_for_its_report_like_any_other():
     assert driver.automatic(is_reported=False).refusal is None
     driver.rows(1)
     assert driver.automatic().refusal.code == "command.unreported"
-    assert driver.send(Report(driver.at, 1, Turn.EXECUTED)).refusal is None
+    assert driver.send(Report(driver.at, 1, CommandTransition.EXECUTED)).refusal is None
     assert driver.automatic().refusal is None
 
 
@@ -337,12 +337,12 @@ def test_a_computed_command_that_counts_as_applied_trips_beyond_the_envelope_and
 def test_a_sign_check_of_yaw_needs_no_proven_sign_and_every_other_reason_still_holds():
     driver = ReleaseDriver().armed()
     driver.forget("yaw")
-    wish = replace(driver.proposal(roll_deg=0.0, yaw_deg=0.03), is_sign_check=True)
-    assert driver.send(Prepare(driver.at, "ann", replace(wish, is_sign_check=False))).refusal is not None
-    assert driver.send(Prepare(driver.at, "ann", wish)).refusal is None
+    request = replace(driver.proposal(roll_deg=0.0, yaw_deg=0.03), is_sign_check=True)
+    assert driver.send(Prepare(driver.at, "ann", replace(request, is_sign_check=False))).refusal is not None
+    assert driver.send(Prepare(driver.at, "ann", request)).refusal is None
     driver.send(Cancel(driver.at, "ann", 1))
     driver.rows(1, replace(GOOD, sigma_deg=Axes(0.3, 0.02, 0.03)))
-    late = replace(wish, attitude_epoch_us=driver.row.epoch_us, start_us=driver.now_us + 600 * US)
+    late = replace(request, attitude_epoch_us=driver.row.epoch_us, start_us=driver.now_us + 600 * US)
     assert driver.send(Prepare(driver.at, "ann", late)).refusal.code == "interlock.yaw_withheld"
 
 

@@ -1,7 +1,7 @@
 """What the clock finds: rows that do not come, links, gaps, ages, keys that end, a full disk."""
 
 from alarm_rig import HOUR, MINUTE, START, S, append, report
-from desk_driver import DeskDriver
+from release_service_driver import ReleaseServiceDriver
 
 from db.schema.release_tables import release_made_two_step
 from service.pipeline.control.release.events import OrderKind
@@ -133,7 +133,7 @@ def test_a_key_that_ends_and_a_full_disk_concern_the_service(rig, monkeypatch):
 
 
 def test_a_trip_alarms_until_it_is_reset_and_a_report_that_does_not_come_as_well(rig):
-    driver = DeskDriver().armed()
+    driver = ReleaseServiceDriver().armed()
     sent = driver.sent()
     rig.clock.us = sent.stop_us + 600 * S
     keep_release(rig, driver)

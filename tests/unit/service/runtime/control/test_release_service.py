@@ -1,9 +1,9 @@
-"""The release desk: orders reach the interlock, everything is stored before it holds, a restart sends nothing again."""
+"""Orders reach the interlock, everything is stored before it holds, a restart sends nothing again."""
 
 from dataclasses import replace
 
 import pytest
-from desk_driver import GOOD, MINUTE_US, START_US, US, DeskDriver
+from release_service_driver import GOOD, MINUTE_US, START_US, US, ReleaseServiceDriver
 from release_storage import SC
 
 from service.errors import ConflictError, ForbiddenError, GoneError, InvalidInputError, NotFoundError, StorageError
@@ -13,13 +13,13 @@ from service.records.catalogue import ControlMode, Onboard, Release
 from service.records.inputs import Operation
 from service.records.levels.attitude import Axes
 from service.records.levels.command import ReportedCommand
-from service.records.operations.release import CommandWish, EnvelopeLimits, InterlockHold, ProductForm
+from service.records.operations.release import CommandRequest, EnvelopeLimits, InterlockHold, ProductForm
 from service.runtime.live.leadership import elsewhere
 
 
 @pytest.fixture
 def driver():
-    return DeskDriver()
+    return ReleaseServiceDriver()
 
 
 def test_before_anything_nothing_may_go_and_it_says_why(driver):
@@ -32,7 +32,7 @@ def test_before_anything_nothing_may_go_and_it_says_why(driver):
     with pytest.raises(ConflictError, match=r"command\.no_estimate"):
         driver.prepare()
     with pytest.raises(NotFoundError, match=r"spacecraft\.unknown"):
-        driver.desk.control("nobody")
+        driver.service.control("nobody")
 
 
 def test_ten_good_minutes_arm_and_two_persons_release(driver):
@@ -51,7 +51,7 @@ def test_ten_good_minutes_arm_and_two_persons_release(driver):
     assert (released.state, released.confirmed_by, released.released_us) == ("RELEASED", "bob", driver.clock.now)
     assert driver.releases.released[0].schedule == command.schedule
     assert driver.notified == [SC]
-    product = driver.desk.uplink(SC, 1)
+    product = driver.service.uplink(SC, 1)
     assert (product.counter, product.digest, product.schedule) == (1, command.digest, command.schedule)
     assert (product.is_simulated, product.valid_until_us) == (False, command.start_us)
 
@@ -59,7 +59,7 @@ def test_ten_good_minutes_arm_and_two_persons_release(driver):
 def test_a_dry_run_tells_failing_checks_and_stores_nothing(driver):
     driver.rows(2)
     saves = driver.releases.saves
-    told = driver.desk.prepare(SC, "ann", CommandWish("look"), dry_run=True)
+    told = driver.service.prepare(SC, "ann", CommandRequest("look"), dry_run=True)
     assert (told.is_dry_run, told.counter, driver.releases.views) == (True, 1, {})
     assert [check.name for check in told.checks if not check.is_ok] == ["interlock"]
     assert driver.releases.saves == saves
@@ -114,17 +114,17 @@ def test_what_waits_too_long_expires_and_what_is_cancelled_is_over(driver):
     with pytest.raises(ConflictError, match=r"command\.open"):
         driver.prepare()
     driver.rows(4)
-    assert driver.desk.command(SC, 1).state == "EXPIRED"
+    assert driver.service.command(SC, 1).state == "EXPIRED"
     with pytest.raises(GoneError, match=r"command\.expired"):
         driver.confirm(first)
     second = driver.prepare()
-    assert driver.desk.cancel(SC, 2, "ann").state == "CANCELLED"
+    assert driver.service.cancel(SC, 2, "ann").state == "CANCELLED"
     with pytest.raises(ConflictError, match=r"command\.state"):
         driver.confirm(second)
 
 
 @pytest.mark.parametrize(
-    ("wish", "error", "code"),
+    ("wanted", "error", "code"),
     [
         ({"duration_s": 0.5}, ConflictError, "command.empty"),
         ({"duration_s": 9000.0}, InvalidInputError, "command.wish"),
@@ -135,10 +135,10 @@ def test_what_waits_too_long_expires_and_what_is_cancelled_is_over(driver):
         ({"attitude_epoch_us": 1 << 61}, ConflictError, "command.estimate_stale"),
     ],
 )
-def test_wishes_that_cannot_be_met_are_refused(driver, wish, error, code):
+def test_wishes_that_cannot_be_met_are_refused(driver, wanted, error, code):
     driver.armed()
     with pytest.raises(error, match=code.replace(".", r"\.")):
-        driver.prepare(**wish)
+        driver.prepare(**wanted)
     assert driver.releases.views == {}
 
 
@@ -151,7 +151,7 @@ def test_engaging_needs_signs_two_persons_and_an_end(driver):
     with pytest.raises(InvalidInputError, match=r"interlock\.authorisation"):
         driver.engage("ann", hours=13.0)
     with pytest.raises(InvalidInputError, match=r"envelope\.wider"):
-        driver.desk.engage(
+        driver.service.engage(
             SC, "ann", is_approver=True, until_us=driver.clock.now + US, envelope=EnvelopeLimits(impulse_n_m_s=0.03)
         )
     assert driver.engage("ann").requested_by == "ann"
@@ -167,7 +167,7 @@ def test_engaged_the_law_sends_once_a_period_while_nothing_waits_for_a_report(dr
     (command,) = driver.releases.views.values()
     assert (command.state, command.is_automatic, command.confirmed_by) == ("RELEASED", True, "authorisation")
     assert command.start_us == driver.clock.now + 150 * US
-    assert [deed.action for deed in driver.archive.deeds].count("release_torque") == 1
+    assert [event.action for event in driver.archive.audit_events].count("release_torque") == 1
     driver.rows(20)
     assert len(driver.releases.views) == 1
     driver.report(1)
@@ -221,9 +221,9 @@ def test_while_the_archive_is_away_nothing_holds(driver):
 def test_of_two_services_on_one_archive_one_releases_and_control_trips(driver):
     driver.armed()
     command = driver.prepare()
-    first = driver.desk
+    first = driver.service
     driver.start()
-    second, driver.desk = driver.desk, first
+    second, driver.service = driver.service, first
     second.order(SC, OrderKind.STOP, "bob")
     with pytest.raises(ConflictError, match=r"command\.state"):
         driver.confirm(command)
@@ -238,13 +238,13 @@ def test_of_two_services_on_one_archive_one_releases_and_control_trips(driver):
 def test_a_service_that_does_not_lead_tells_what_is_stored_and_takes_no_orders(driver):
     driver.armed()
     turns = [0]
-    driver._desk = {"turn": lambda: turns[0]}
+    driver._arguments = {"turn": lambda: turns[0]}
     driver.start()
     assert driver.state == "ARMED"
     for order in (lambda: driver.order(OrderKind.STOP), driver.prepare, lambda: driver.report(1)):
         with pytest.raises(StorageError, match=elsewhere().code.replace(".", r"\.")):
             order()
-    driver.desk.tick()
+    driver.service.tick()
     turns[0] = 1
     assert driver.state == "INHIBITED"
     driver.rows(12)
@@ -256,7 +256,7 @@ def test_a_trip_is_told_to_the_journal_and_its_reset_as_well(driver):
     driver.prepare()
     driver.momentum(17.0)
     driver.rows(1)
-    assert driver.desk.command(SC, 1).state == "REJECTED"
+    assert driver.service.command(SC, 1).state == "REJECTED"
     hold = driver.releases.told[-1]
     assert isinstance(hold, InterlockHold)
     assert (hold.state, hold.is_withheld, "momentum" in hold.reasons) == ("TRIPPED", True, True)
@@ -265,7 +265,7 @@ def test_a_trip_is_told_to_the_journal_and_its_reset_as_well(driver):
     assert driver.view.is_withheld
     driver.rows(12)
     assert driver.releases.told[-1].is_withheld is False
-    assert [deed.action for deed in driver.archive.deeds] == [
+    assert [event.action for event in driver.archive.audit_events] == [
         "interlock_armed",
         "interlock_tripped",
         "interlock_inhibited",
@@ -273,7 +273,7 @@ def test_a_trip_is_told_to_the_journal_and_its_reset_as_well(driver):
 
 
 def test_under_automatic_release_the_interlock_watches_and_a_trip_withholds():
-    driver = DeskDriver()
+    driver = ReleaseServiceDriver()
     driver.archive.change_craft(release=Release.AUTOMATIC)
     driver.rows(2)
     assert driver.verdict.state == "ENGAGED"
@@ -306,31 +306,31 @@ def test_modes_without_torques_from_the_ground_release_none(driver, changes, cod
 
 def test_mode_onboard_gets_angles_while_they_are_fit_for_use(driver):
     with pytest.raises(ConflictError, match=r"control\.mode"):
-        driver.desk.attitude_uplink(SC)
+        driver.service.attitude_uplink(SC)
     driver.archive.change_craft(mode=ControlMode.ONBOARD)
     with pytest.raises(NotFoundError, match=r"uplink\.unknown"):
-        driver.desk.attitude_uplink(SC)
+        driver.service.attitude_uplink(SC)
     driver.rows(3)
-    product = driver.desk.attitude_uplink(SC)
+    product = driver.service.attitude_uplink(SC)
     assert (product.form, product.counter, product.attitude_deg) == (ProductForm.ATTITUDE, 3, GOOD.attitude_deg)
     driver.rows(3, control_allowed=False, inhibitions=("downlink_fade",))
-    assert driver.desk.attitude_uplink(SC) == product
+    assert driver.service.attitude_uplink(SC) == product
     driver.rows(1, downlink_fade=True)
     with pytest.raises(GoneError, match=r"uplink\.expired"):
-        driver.desk.attitude_uplink(SC)
+        driver.service.attitude_uplink(SC)
 
 
 def test_under_the_data_clock_only_simulated_craft_get_commands():
-    driver = DeskDriver(is_data_service=True)
+    driver = ReleaseServiceDriver(is_data_service=True)
     driver.rows(12)
     with pytest.raises(ConflictError, match=r"interlock\.simulated"):
         driver.order(OrderKind.ARM)
-    driver = DeskDriver(is_data_service=True)
+    driver = ReleaseServiceDriver(is_data_service=True)
     driver.archive.change_craft(simulated=True)
     driver.clock.is_of_data = True
     driver.armed()
     assert driver.sent().is_simulated
-    assert driver.desk.uplink(SC, 1).is_simulated
+    assert driver.service.uplink(SC, 1).is_simulated
 
 
 def test_facts_of_the_archive_reach_the_interlock(driver):

@@ -4,8 +4,8 @@ import re
 from dataclasses import replace
 
 import pytest
-from desk_driver import GOOD, US, DeskDriver
-from scripted_desk import CONTROL
+from release_service_driver import GOOD, US, ReleaseServiceDriver
+from scripted_release_service import CONTROL
 
 from service.pipeline.control.release.control_reasons import _NEXT_STEPS, CODES, reason_of
 from service.pipeline.control.release.control_verdict import control_verdict
@@ -34,8 +34,8 @@ def test_rows_of_every_status_have_reasons_in_words():
     for status in Status:
         facts = facts_of_row(replace(GOOD, status=status), 60.0, is_innovation_in_band=True)
         assert set(facts.inhibitions) <= CODES | {"not_received"}, "rows are received"
-    # a row without angles, told by the desk
-    driver = DeskDriver()
+    # a row without angles, told by the service
+    driver = ReleaseServiceDriver()
     driver.rows(1, status=Status.INVALID, inhibitions=("no_fix",), control_allowed=False)
     assert codes(driver.verdict) == ["yaw_sign", "no_fix", "invalid", "not_armed"]
     assert driver.verdict.reasons[2].text == "the newest row gives no attitude"
@@ -80,7 +80,7 @@ def test_a_trip_forbids_whatever_the_row_says():
 
 
 def test_reasons_tell_since_when_they_stand_without_a_break():
-    driver = DeskDriver()
+    driver = ReleaseServiceDriver()
     driver.rows(3)
     driver.rows(1, downlink_fade=True)
     began_us = driver.clock.now
@@ -102,7 +102,7 @@ def test_reasons_tell_since_when_they_stand_without_a_break():
 
 
 def test_after_a_reset_automatic_control_waits_for_ten_good_minutes_also_over_a_restart():
-    driver = DeskDriver()
+    driver = ReleaseServiceDriver()
     driver.archive.change_craft(release=Release.AUTOMATIC)
     driver.rows(2)
     assert driver.verdict.is_allowed
@@ -129,10 +129,10 @@ def test_after_a_reset_automatic_control_waits_for_ten_good_minutes_also_over_a_
 
 
 def test_the_estimators_own_reasons_are_told_in_place_of_one_for_all():
-    driver = DeskDriver()
+    driver = ReleaseServiceDriver()
     driver.rows(1, inhibitions=("chain_step",), control_allowed=False)
     assert codes(driver.verdict) == ["yaw_sign", "chain_step", "not_armed"]
-    driver = DeskDriver().armed()
+    driver = ReleaseServiceDriver().armed()
     # by its own wider limits the interlock stays armed; the row forbids all the same
     driver.rows(1, attitude_deg=Axes(0.0, 0.35, 0.0), inhibitions=("beyond_validity",), control_allowed=False)
     assert (driver.state, driver.verdict.is_allowed) == ("ARMED", False)

@@ -40,6 +40,11 @@ def test_not_a_number_and_infinity_come_back():
     assert repr(tuple(angles)) == "(nan, -0.0, inf)"
 
 
+def test_a_field_that_was_renamed_is_stored_under_its_first_name():
+    document = json.loads(document_of(ReleaseMemory(ReleaseDriver().armed().state)))
+    assert document["state"]["interlock"]["around"]["calibration_id"] == 7
+
+
 def test_an_empty_text_is_the_state_before_the_first_event():
     assert memory_of("") == ReleaseMemory()
 

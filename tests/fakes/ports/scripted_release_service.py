@@ -1,4 +1,4 @@
-"""A release desk that writes down what it is asked for and answers what a test says: routes without an interlock."""
+"""A release service that writes down what it is asked for and answers what a test says: routes without an interlock."""
 
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -9,8 +9,8 @@ from service.records.levels.attitude import Axes
 from service.records.levels.command import Pulse
 from service.records.operations.release import (
     CheckView,
+    CommandRequest,
     CommandView,
-    CommandWish,
     ControlView,
     EnvelopeLimits,
     ProductForm,
@@ -85,7 +85,7 @@ ANGLES = UplinkProduct(
 
 
 @dataclass
-class ScriptedDesk:
+class ScriptedReleaseService:
     """Answers every request alike, or raises the error that a test has laid ready."""
 
     error: SooError | None = None
@@ -110,8 +110,8 @@ class ScriptedDesk:
         self._answer("engage", spacecraft_id, by, terms)
         return self.control_view
 
-    def prepare(self, spacecraft_id: str, by: str, wish: CommandWish, *, dry_run: bool = False) -> CommandView:
-        self._answer("prepare", spacecraft_id, by, wish, dry_run)
+    def prepare(self, spacecraft_id: str, by: str, request: CommandRequest, *, dry_run: bool = False) -> CommandView:
+        self._answer("prepare", spacecraft_id, by, request, dry_run)
         return replace(self.command_view, is_dry_run=dry_run)
 
     def confirm(self, spacecraft_id: str, counter: int, by: str, digest: str, **said: Any) -> CommandView:

@@ -1,4 +1,4 @@
-"""Drives a release desk as a service would, over an archive in memory, and judges what went out by rules of its own."""
+"""Drives the release service, over an archive in memory, and judges what went out by rules of its own."""
 
 from contextlib import suppress
 from dataclasses import replace
@@ -16,9 +16,9 @@ from service.ports import Outcome
 from service.records.catalogue import Method
 from service.records.inputs import TelemetryRecord
 from service.records.levels.attitude import AttitudeRow, Axes, Status
-from service.records.operations.release import CommandView, CommandWish, ControlVerdict, ControlView
-from service.runtime.control.release_notifications import Tidings
-from service.runtime.control.release_service import ReleaseDesk
+from service.records.operations.release import CommandRequest, CommandView, ControlVerdict, ControlView
+from service.runtime.control.release_notifications import ReleasePublisher
+from service.runtime.control.release_service import ReleaseService
 from service.runtime.live.live_feed import LiveFeed
 
 US = 1_000_000
@@ -65,12 +65,12 @@ class FakeClock:
         return self.is_of_data
 
 
-class DeskDriver:
-    """One spacecraft's desk, its clocks, its archive and its persons."""
+class ReleaseServiceDriver:
+    """One spacecraft's release service, its clocks, its archive and its persons."""
 
-    def __init__(self, settings: ReleaseSettings | None = None, **desk: object) -> None:
+    def __init__(self, settings: ReleaseSettings | None = None, **arguments: object) -> None:
         self.archive, self.clock = FakeArchive(START_US), FakeClock()
-        self.settings, self._desk = settings or ReleaseSettings(), desk
+        self.settings, self._arguments = settings or ReleaseSettings(), arguments
         self.row: AttitudeRow | None = None
         self.notified: list[str] = []
         #: instant and command of each release that was stored
@@ -81,15 +81,15 @@ class DeskDriver:
 
     def start(self) -> None:
         """Start the service on what is stored."""
-        tidings = Tidings(self.archive.audit, LiveFeed(), self.notified.append)
-        self.desk = ReleaseDesk(
+        publisher = ReleasePublisher(self.archive.audit, LiveFeed(), self.notified.append)
+        self.service = ReleaseService(
             self.archive,
             self.clock,
             self.settings,
             TorqueConfig(),
-            tidings,
+            publisher,
             steady=lambda: self.clock.steady,
-            **self._desk,
+            **self._arguments,
         )
 
     def restart(self) -> None:
@@ -103,7 +103,7 @@ class DeskDriver:
 
     @property
     def view(self) -> ControlView:
-        return self.desk.control(SC)
+        return self.service.control(SC)
 
     @property
     def verdict(self) -> ControlVerdict:
@@ -133,59 +133,59 @@ class DeskDriver:
         """Hand the newest row over, beside those of other methods."""
         self.note()
         outcome = Outcome((self.row, *others), None if applied is None else applied.command, applied)
-        self.desk.see(SC, [SeenRow(outcome, evidence)])
+        self.service.see(SC, [SeenRow(outcome, evidence)])
         self.judge()
 
     def tell(self, **facts: object) -> None:
         """Change what the archive says."""
         for name, value in facts.items():
             setattr(self.archive, name, value)
-        self.desk.see(SC, [], has_inputs=True)
+        self.service.see(SC, [], has_inputs=True)
         self.note()
 
     def momentum(self, n_m_s: float) -> None:
         self.archive.telemetry.append(TelemetryRecord(self.clock.now, wheel_momentum_n_m_s=(n_m_s, 0.0, 0.0)))
         self.tell()
         # the release loop looks at what was told each second; a fact that comes and goes in between is not judged
-        self.desk.tick()
+        self.service.tick()
 
     def order(self, kind: OrderKind, by: str = "ann") -> ControlView:
-        return self.desk.order(SC, kind, by)
+        return self.service.order(SC, kind, by)
 
     def prepare(self, by: str = "ann", **wish: object) -> CommandView:
-        return self.desk.prepare(SC, by, CommandWish("test", **wish))
+        return self.service.prepare(SC, by, CommandRequest("test", **wish))
 
     def confirm(
         self, command: CommandView, by: str = "bob", *, is_approver: bool = True, digest: str = ""
     ) -> CommandView:
         self.note()
         try:
-            return self.desk.confirm(SC, command.counter, by, digest or command.digest, is_approver=is_approver)
+            return self.service.confirm(SC, command.counter, by, digest or command.digest, is_approver=is_approver)
         finally:
             self.judge()
 
     def report(self, counter: int, turn: str = "executed", **told: object) -> CommandView:
-        return self.desk.report(SC, counter, turn, by="centre", **told)
+        return self.service.report(SC, counter, turn, by="centre", **told)
 
     def engage(self, by: str, hours: float = 6.0, *, is_approver: bool = True) -> ControlView:
         until_us = self.clock.now + round(hours * 3600 * US)
-        return self.desk.engage(SC, by, is_approver=is_approver, until_us=until_us)
+        return self.service.engage(SC, by, is_approver=is_approver, until_us=until_us)
 
     def prove(self, *axes: str) -> None:
         """Let sign checks have proven some axes."""
-        entry = self.desk._entry(SC)
+        release = self.service._release(SC)
         for axis in axes:
-            at = self.desk._instant(entry, SC)
-            entry.case.step(SignJudged(at, axis, Verdict.PLUS), self.settings)
+            at = self.service._instant(release, SC)
+            release.case.step(SignJudged(at, axis, Verdict.PLUS), self.settings)
 
-    def armed(self) -> "DeskDriver":
+    def armed(self) -> "ReleaseServiceDriver":
         self.rows(12)
         self.order(OrderKind.ARM)
         self.prove("roll", "pitch")
         assert self.state == "ARMED"
         return self
 
-    def engaged(self) -> "DeskDriver":
+    def engaged(self) -> "ReleaseServiceDriver":
         self.armed()
         self.engage("ann")
         self.engage("bob")

@@ -1,14 +1,14 @@
-"""No story of rows, persons, faults and kills makes the desk release while a reason stands, or send anything twice.
+"""No story of rows, persons, faults and kills makes the service release while a reason stands, or send anything twice.
 
-`tests/fakes/drivers/desk_driver.py` judges each release by rules of its own. A killed service starts
+`tests/fakes/drivers/release_service_driver.py` judges each release by rules of its own. A killed service starts
 again with what was stored.
 """
 
 import pytest
-from desk_driver import US, DeskDriver
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
+from release_service_driver import US, ReleaseServiceDriver
 from release_storage import SC
 
 from service.errors import SooError
@@ -46,7 +46,7 @@ class AnyStory(RuleBasedStateMachine):
 
     @initialize(start=st.sampled_from(["armed", "engaged", "nothing"]))
     def begin(self, start):
-        self.driver = DeskDriver()
+        self.driver = ReleaseServiceDriver()
         if start != "nothing":
             getattr(self.driver, start)()
 
@@ -74,7 +74,7 @@ class AnyStory(RuleBasedStateMachine):
     def time_passes(self, seconds):
         self.driver.pass_time(seconds)
         self.driver.note()
-        self.driver.desk.tick()
+        self.driver.service.tick()
 
     @rule(seconds=st.sampled_from([-600.0, -3.0, 1.0, 3.0, 600.0]))
     def the_clock_jumps(self, seconds):
@@ -118,7 +118,7 @@ class AnyStory(RuleBasedStateMachine):
 
     @rule(counter=st.integers(0, 9))
     def cancel(self, counter):
-        self.tried(self.driver.desk.cancel, SC, counter, "ann")
+        self.tried(self.driver.service.cancel, SC, counter, "ann")
 
     @rule(by=PERSONS, moment=st.sampled_from(["before", "after"]))
     def killed_while_it_stores(self, by, moment):
@@ -145,7 +145,7 @@ class AnyStory(RuleBasedStateMachine):
         driver.archive.telemetry.clear()
         for counter in list(driver.releases.views):
             self.tried(driver.report, counter)
-            self.tried(driver.desk.cancel, SC, counter, "ann")
+            self.tried(driver.service.cancel, SC, counter, "ann")
         driver.tell(calibration_id=7, operations=[], is_aligned=True)
         driver.rows(12)
         self.tried(driver.order, OrderKind.RESET)
@@ -170,7 +170,7 @@ test_any_story = AnyStory.TestCase
 
 
 def _engaged_and_sending():
-    driver = DeskDriver().engaged()
+    driver = ReleaseServiceDriver().engaged()
     driver.rows(1)
     assert len(driver.releases.released) == 1
     driver.report(1)
@@ -205,7 +205,7 @@ def test_a_forged_jump_gives_no_more_than_a_command_and_recovery_needs_persons()
 
 
 def test_killed_between_release_and_report_it_goes_on_and_the_report_still_counts():
-    driver = DeskDriver().engaged()
+    driver = ReleaseServiceDriver().engaged()
     driver.rows(1)
     driver.restart()
     driver.rows(15)
@@ -217,7 +217,7 @@ def test_killed_between_release_and_report_it_goes_on_and_the_report_still_count
 
 
 def test_replayed_confirmations_and_reports_change_nothing():
-    driver = DeskDriver().armed()
+    driver = ReleaseServiceDriver().armed()
     command = driver.prepare()
     driver.confirm(command)
     driver.report(1)
