@@ -6,11 +6,7 @@ Tables that grow with every measurement carry no foreign keys: their rows are wr
 under the lock of the spacecraft's head by code that has just read the parents.
 """
 
-import math
-from typing import Any
-
 from sqlalchemy import (
-    DOUBLE_PRECISION,
     BigInteger,
     Boolean,
     Column,
@@ -21,53 +17,21 @@ from sqlalchemy import (
     MetaData,
     Table,
     Text,
-    TypeDecorator,
     UniqueConstraint,
-    types,
 )
-from sqlalchemy.engine import Dialect
 
+from db.schema.column_types import Figure
+from db.schema.record_columns import record_columns
 from db.schema.row_checksum import checksum_column
+from service.records.levels.attitude import AttitudeRow
+from service.records.levels.command import TorqueCommand
 
 metadata = MetaData()
-
-
-class UntypedDouble(types.UserDefinedType[float]):
-    """A double in a SQLite column without affinity, where -0.0 keeps its sign; a REAL column would store 0."""
-
-    cache_ok = True
-
-    def get_col_spec(self, **_: Any) -> str:
-        """Return the name of the type; the part BLOB is what SQLite looks at."""
-        return "DOUBLE_BLOB"
-
-
-class Figure(TypeDecorator[float]):
-    """A float that comes back bit for bit; NaN is NULL in the table."""
-
-    impl = DOUBLE_PRECISION
-    cache_ok = True
-
-    def load_dialect_impl(self, dialect: Dialect) -> types.TypeEngine[Any]:
-        """Return the type of the column in a dialect."""
-        return dialect.type_descriptor(UntypedDouble() if dialect.name == "sqlite" else DOUBLE_PRECISION())
-
-    def process_bind_param(self, value: float | None, dialect: Dialect) -> float | None:  # noqa: ARG002 - SQLAlchemy's signature
-        """Store NaN as NULL."""
-        return None if value is None or math.isnan(value) else float(value)
-
-    def process_result_value(self, value: float | None, dialect: Dialect) -> float:  # noqa: ARG002 - SQLAlchemy's signature
-        """Read NULL as NaN."""
-        return math.nan if value is None else value
 
 
 def _spacecraft_key(*, is_referencing: bool = True) -> Column[int]:
     reference = [ForeignKey("spacecraft.spacecraft_key")] if is_referencing else []
     return Column("spacecraft_key", Integer, *reference, primary_key=True, autoincrement=False)
-
-
-def _axes(pattern: str) -> list[Column[float]]:
-    return [Column(pattern.format(axis), Figure) for axis in ("yaw", "roll", "pitch")]
 
 
 spacecraft = Table(
@@ -272,27 +236,7 @@ attitude = Table(
     Column("epoch_us", BigInteger, primary_key=True, autoincrement=False),
     Column("number", BigInteger, primary_key=True, autoincrement=False),
     Column("sequence", BigInteger),
-    Column("received_at_us", BigInteger, nullable=False),
-    *_axes("{}_deg"),
-    *_axes("{}_sigma_deg"),
-    Column("has_rates", Boolean, nullable=False),
-    *_axes("{}_rate_deg_s"),
-    Column("status", Text, nullable=False),
-    Column("control_allowed", Boolean, nullable=False),
-    Column("yaw_control_allowed", Boolean, nullable=False),
-    Column("roll_control_allowed", Boolean, nullable=False),
-    Column("pitch_control_allowed", Boolean, nullable=False),
-    Column("inhibitions", Text, nullable=False),
-    Column("carriers_used", Integer, nullable=False),
-    Column("excluded", Text, nullable=False),
-    Column("downlink_fade", Boolean, nullable=False),
-    Column("downlink_fade_db", Figure),
-    Column("common_db", Figure),
-    Column("residual_rms_db", Figure),
-    Column("calibration_id", Integer),
-    Column("alignment_id", Integer),
-    # null where nothing is advised, as nearly always
-    Column("advice", Text),
+    *record_columns(AttitudeRow, without=("method", "epoch_us", "number")),
     checksum_column(),
     Index("attitude_sequence", "spacecraft_key", "sequence", unique=True),
     sqlite_with_rowid=False,
@@ -306,21 +250,7 @@ torque = Table(
     Column("epoch_us", BigInteger, primary_key=True, autoincrement=False),
     Column("number", BigInteger, primary_key=True, autoincrement=False),
     Column("sequence", BigInteger),
-    Column("attitude_epoch_us", BigInteger, nullable=False),
-    Column("mode", Text, nullable=False),
-    *_axes("{}_n_m"),
-    Column("wheels_n_m", Text, nullable=False),
-    Column("saturated", Boolean, nullable=False),
-    Column("command_period_s", Figure),
-    Column("valid_until_us", BigInteger, nullable=False),
-    Column("schedule", Text, nullable=False),
-    *_axes("{}_impulse_n_m_s"),
-    *_axes("predicted_{}_change_deg"),
-    *_axes("predicted_{}_rate_change_deg_s"),
-    Column("predicted_wheel_momentum_n_m_s", Text, nullable=False),
-    Column("control_allowed", Boolean, nullable=False),
-    Column("inhibitions", Text, nullable=False),
-    Column("schedule_check", Text),
+    *record_columns(TorqueCommand, without=("epoch_us", "number")),
     checksum_column(),
     Index("torque_sequence", "spacecraft_key", "sequence", unique=True),
     sqlite_with_rowid=False,

@@ -151,10 +151,16 @@ def test_the_migrations_make_the_tables_of_the_code(any_engine):
         metadata.drop_all(connection)
         metadata.create_all(connection)
         made = inspect(connection)
-        declared = {name: [repr(column["type"]) for column in made.get_columns(name)] for name in metadata.tables}
+        declared = {
+            name: {column["name"]: repr(column["type"]) for column in made.get_columns(name)}
+            for name in metadata.tables
+        }
         connection.rollback()
         built = inspect(connection)
-        migrated = {name: [repr(column["type"]) for column in built.get_columns(name)] for name in metadata.tables}
+        migrated = {
+            name: {column["name"]: repr(column["type"]) for column in built.get_columns(name)}
+            for name in metadata.tables
+        }
     assert migrated == declared
 
 

@@ -1,0 +1,137 @@
+"""Coding of records to columns and back, derived from the fields of the record.
+
+Values that a column holds as they are go through one `operator.attrgetter`; only the others are coded one by one.
+"""
+
+import json
+from collections.abc import Callable
+from dataclasses import MISSING
+from operator import attrgetter, itemgetter
+from typing import Any, Generic, TypeVar
+
+from sqlalchemy import Row, Table
+
+from db.encoding.json_documents import decode, decode_all, encode, encode_all
+from db.schema.record_columns import column_names
+from service.records.levels.attitude import NO_ANGLES, Axes
+from service.records.record_fields import FieldKind, RecordField, record_fields
+
+Record = TypeVar("Record")
+#: columns of a value
+Encode = Callable[[Any], tuple[Any, ...]]
+#: value of a stored row
+Decode = Callable[[Any], Any]
+
+
+class RecordCodec(Generic[Record]):
+    """Columns of the records of one class.
+
+    Parameters
+    ----------
+    record : type
+        Dataclass.
+    table : Table
+        Has the columns of `db.schema.record_columns.record_columns`.
+    """
+
+    def __init__(self, record: type[Record], table: Table) -> None:
+        self._record = record
+        kind: type = record
+        fields = record_fields(kind).values()
+        paths = {name: path for field in fields for name, path in _plain_paths(field).items()}
+        self._plain_names, self._plain = tuple(paths), attrgetter(*paths.values())
+        encodes = ((field, _encode(field)) for field in fields)
+        self._encodes = [(attrgetter(f.name), column_names(f), encode) for f, encode in encodes if encode is not None]
+        place_of = {name: place for place, name in enumerate(table.c.keys())}
+        places = [tuple(place_of[name] for name in column_names(field)) for field in fields]
+        self._first_columns = itemgetter(*(first for first, *_ in places))
+        decodes = enumerate(map(_decode, fields, places))
+        self._decodes = [(place, decode) for place, decode in decodes if decode is not None]
+
+    def values(self, record: Record) -> dict[str, Any]:
+        """Return the columns of a record."""
+        values = dict(zip(self._plain_names, self._plain(record), strict=True))
+        for get, names, encode_value in self._encodes:
+            values.update(zip(names, encode_value(get(record)), strict=True))
+        return values
+
+    def record(self, row: Row[Any]) -> Record:
+        """Return the record of a row of the table, with all of its columns in their order."""
+        stored = tuple(row)
+        values = list(self._first_columns(stored))
+        for place, decode_row in self._decodes:
+            values[place] = decode_row(stored)
+        return self._record(*values)
+
+
+def _plain_paths(field: RecordField) -> dict[str, str]:
+    """Return the path to the value of each column that needs no coding."""
+    if _encode(field) is not None:
+        return {}
+    if field.kind is FieldKind.AXES:
+        return dict(zip(field.axis_names(), (f"{field.name}.{axis}" for axis in Axes._fields), strict=True))
+    return {field.name: f"{field.name}.value" if field.kind is FieldKind.CHOICE else field.name}
+
+
+def _encode(field: RecordField) -> Encode | None:
+    """Return what makes the columns of a value; None where they are the value itself."""
+    if field.kind is FieldKind.AXES:
+        return _optional_axes if field.is_optional else None
+    if field.kind is FieldKind.AXIS_TRUTHS:
+        return tuple
+    text = _text_of(field)
+    if field.default is MISSING:
+        return None if text is None else lambda value: (text(value),)
+    # a row from before the field was added, and one with its default, are the same row
+    same = text or (lambda value: value)
+    return lambda value: (None if value == field.default else same(value),)
+
+
+def _optional_axes(value: Axes | None) -> tuple[Any, ...]:
+    return (False, *NO_ANGLES) if value is None else (True, *value)
+
+
+def _text_of(field: RecordField) -> Callable[[Any], str] | None:
+    """Return what writes a value as JSON; None for values that columns hold."""
+    content = field.content
+    if field.kind is FieldKind.RECORD:
+        return encode
+    if field.kind is FieldKind.TEXTS or (field.kind is FieldKind.RECORDS and issubclass(content, tuple)):
+        return json.dumps
+    return (lambda value: encode_all(content, value)) if field.kind is FieldKind.RECORDS else None
+
+
+def _decode(field: RecordField, places: tuple[int, ...]) -> Decode | None:
+    """Return what makes the value from a row; None where the column holds it."""
+    get, content, first = itemgetter(*places), field.content, places[0]
+    match field.kind:
+        case FieldKind.AXES if field.is_optional:
+            axes = itemgetter(*places[1:])
+            return lambda row: Axes._make(axes(row)) if row[first] else None
+        case FieldKind.AXES:
+            return lambda row: Axes._make(get(row))
+        case FieldKind.AXIS_TRUTHS:
+            return get
+        case FieldKind.CHOICE:
+            return lambda row: content(row[first])
+        case _:
+            pass
+    of_text = _value_of(field)
+    if field.default is MISSING:
+        return None if of_text is None else lambda row: of_text(row[first])
+    same = of_text or (lambda value: value)
+    return lambda row: field.default if (stored := row[first]) is None else same(stored)
+
+
+def _value_of(field: RecordField) -> Callable[[str], Any] | None:
+    """Return what reads a value from JSON."""
+    content = field.content
+    if field.kind is FieldKind.RECORD:
+        return lambda text: decode(content, text)
+    if field.kind is FieldKind.TEXTS:
+        return lambda text: tuple(json.loads(text))
+    if field.kind is not FieldKind.RECORDS:
+        return None
+    if issubclass(content, tuple):
+        return lambda text: tuple(content(*each) for each in json.loads(text))
+    return lambda text: decode_all(content, text)
