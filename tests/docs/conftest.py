@@ -65,7 +65,9 @@ def service(tmp_path: Path) -> Iterator[RunningService]:
         line = process.stdout.readline()
         assert line, f"the service did not start:\n{log_path.read_text()}"
         announcement: dict[str, Any] = json.loads(line)
-        yield RunningService(announcement["url"], {**environment, "SOO_URL": announcement["url"]})
+        api = announcement["api"]
+        shell = {"API": api, "SC": f"{api}/spacecraft/yamal-202", "AUTH": f"Authorization: Bearer {KEY}"}
+        yield RunningService(announcement["url"], {**environment, **shell, "SOO_URL": announcement["url"]})
     finally:
         watchdog.cancel()
         process.terminate()

@@ -1,4 +1,4 @@
-"""The page on links names every state that a link can tell, and its blocks run as they stand."""
+"""Pages on links and acquisitions: they name every state of the code, and their blocks run as they stand."""
 
 import re
 import subprocess
@@ -10,11 +10,13 @@ from page_blocks import CRAFT
 
 from service.api.views.links import SILENT
 from service.client.service_client import ServiceClient
-from service.frontend.acquisition.states import State
+from service.frontend.acquisition.states import ACTIONS, MEANINGS, TRANSITIONS, Event, State, diagram, reference_page
 from service.frontend.link_report import RUNNING, SERVICE_AWAY
 from service.records.operations.link import STOPPED
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "watch-the-links.md"
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+PAGE = DOCS / "how-to" / "watch-the-links.md"
+STATES = DOCS / "reference" / "acquisition-states.md"
 #: told in place of the state of an acquisition that hangs
 STUCK = "STUCK"
 CARRIER = {"id": "b0", "band": "Ku", "transponder": "Ku1", "downlink_hz": 11.2e9, "bandwidth_hz": 1e3, "kind": "beacon"}
@@ -76,3 +78,19 @@ def run(block: str, environment: dict[str, str], folder: Path) -> str:
     )
     assert done.returncode == 0, f"{block}\n{done.stderr}"
     return done.stdout
+
+
+def test_page_of_states_is_the_table() -> None:
+    assert STATES.read_text() == reference_page()
+
+
+def test_page_of_states_names_every_state_and_event_and_draws_every_change() -> None:
+    page = reference_page()
+    assert set(ACTIONS) == set(State)
+    assert set(MEANINGS) == set(Event)
+    assert all(f"| {state.name} |" in page for state in State)
+    for state, row in TRANSITIONS.items():
+        for event, target in row.items():
+            if target is not state:
+                (line,) = [each for each in diagram().splitlines() if f"{state.name} --> {target.name}:" in each]
+                assert event.name in line

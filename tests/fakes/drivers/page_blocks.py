@@ -41,4 +41,4 @@ def run_blocks(page: Path, wanted: Sequence[tuple[str, str]], environment: Mappi
             command = ["bash", "-c", text.strip() + (" --json" if language == "console" else "")]
         done = subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True, timeout=120)
         assert done.returncode == 0, f"{text}\n{done.stdout}\n{done.stderr}"
-        assert printed in done.stdout
+        assert printed in done.stdout, f"{text}\n{done.stdout}"

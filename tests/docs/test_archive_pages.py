@@ -1,4 +1,4 @@
-"""The page on exports: its blocks run as they stand against a service."""
+"""The pages on exports and on archives that are sent: their blocks run as they stand against a service."""
 
 from pathlib import Path
 from typing import Any
@@ -8,9 +8,9 @@ from page_blocks import CARRIERS, CRAFT, run_blocks
 
 from service.client.service_client import ServiceClient
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "export-the-archive.md"
+HOW_TO = Path(__file__).resolve().parents[2] / "docs" / "how-to"
 #: what each block prints, in the order of the page
-WANTED = [
+EXPORTED = [
     ("console", '"rows": 3'),
     ("bash", "epoch,method,yaw_deg"),
     ("bash", '"rows":3'),
@@ -18,10 +18,17 @@ WANTED = [
     ("console", "attitude.aem"),
     ("python", "star_tracker 0 new, 2 known"),
 ]
+SENT = [
+    ("console", '"rows": 3'),
+    ("console", '"accepted": 3'),
+    ("python", "3 0 0"),
+    ("python", "1 True"),
+    ("bash", '"accepted":1'),
+]
 
 
 @pytest.mark.system
-def test_the_blocks_run_as_they_stand(service: Any, tmp_path: Path) -> None:
+def test_exports(service: Any, tmp_path: Path) -> None:
     with ServiceClient(service.url, service.environment["SOO_KEY"], retries=6) as client:
         client.create_spacecraft(CRAFT)
         plan = client.put_carriers("yamal-202", CARRIERS)["plan_id"]
@@ -29,5 +36,14 @@ def test_the_blocks_run_as_they_stand(service: Any, tmp_path: Path) -> None:
         assert client.post_measurements("yamal-202", plan, rows, source="sa-1")["accepted"] == 3
         told = [{"epoch": f"2026-11-19T00:0{k}:00Z", "roll_deg": 0.1, "sigma_deg": {"roll": 0.01}} for k in range(2)]
         assert client.post_references("yamal-202", "star_tracker", told)["accepted"] == 2
-    environment = service.environment | {"SOO_URL": service.url}
-    run_blocks(PAGE, WANTED, environment, tmp_path)
+    run_blocks(HOW_TO / "export-the-archive.md", EXPORTED, service.environment, tmp_path)
+
+
+@pytest.mark.system
+def test_sent_archives(service: Any, tmp_path: Path) -> None:
+    with ServiceClient(service.url, service.environment["SOO_KEY"], retries=6) as client:
+        client.create_spacecraft(CRAFT)
+        assert client.put_carriers("yamal-202", CARRIERS)["plan_id"] == 1
+    lines = [f"2026-11-20T00:0{k}:00Z,-42.{k},-71.5,x" for k in range(3)]
+    (tmp_path / "levels.csv").write_text("\n".join(["epoch,c00_dbm,c01_dbw,note", *lines]) + "\n")
+    run_blocks(HOW_TO / "send-an-archive.md", SENT, service.environment, tmp_path)
