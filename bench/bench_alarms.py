@@ -13,13 +13,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.pipeline.alarms.alarm_engine import AlarmBook
+from service.pipeline.alarms.alarm_engine import AlarmEngine
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.alarms.readings import RowReader
 from service.pipeline.chain import Chain
 from service.pipeline.config import AlarmConfig, ChainConfig, RobustConfig
 from service.records.levels.measurement import CarrierDetails
-from service.records.operations.alarm_memory import BookMemory
+from service.records.operations.alarm_memory import EngineMemory
 from tests.fakes.worlds.geometry_flight import Flight, FlightPayload
 
 ASKED_SHARE = 0.05
@@ -53,7 +53,7 @@ def measure(carriers: int, steps: int, *, is_storm: bool, seed: int = 5) -> tupl
     chain = Chain(flight.documents, ChainConfig(kernels="numba"))
     for content in flight.opening():
         chain.learn(content)
-    reader = RowReader(AlarmBook("craft", condition_table(AlarmConfig(), RobustConfig())), BookMemory())
+    reader = RowReader(AlarmEngine("craft", condition_table(AlarmConfig(), RobustConfig())), EngineMemory())
     noise = 0.05 * np.random.default_rng(seed).normal(size=(_SETTLING + steps, carriers))
     c_n0 = np.full(carriers, 85.0, dtype=np.float32)
     details = CarrierDetails(c_n0, c_n0, c_n0, c_n0)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from service.frontend.acquisition.evaluation import MeasuredRow
-from service.frontend.spool.file import Lane, Owner
+from service.frontend.spool.file import Owner, UploadLane
 from service.frontend.spool.row import SpooledTask
 from service.frontend.spool.spool import Spool
 
@@ -57,7 +57,7 @@ def main() -> None:
                 ratios.append(statistics.median(kept) / statistics.median(plain))
                 appended.append(statistics.median(kept))
                 begun_s = time.perf_counter()
-                while rows := spool.batch(Lane.LIVE, 0, 100):
+                while rows := spool.batch(UploadLane.LIVE, 0, 100):
                     spool.settle(rows)
                 settled.append((time.perf_counter() - begun_s) / ROWS)
         bare.close()

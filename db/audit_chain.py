@@ -8,12 +8,12 @@ from sqlalchemy import Connection, select, update
 from sqlalchemy.dialects import postgresql, sqlite
 
 from db.schema.access_tables import audit_entry, audit_head
-from service.records.operations.audit import GENESIS, AuditEntry, AuditHead, Deed, naming_result, next_entry
+from service.records.operations.audit import GENESIS, AuditEntry, AuditEvent, AuditHead, naming_result, next_entry
 
 Result = TypeVar("Result")
 
 
-def append_entry(connection: Connection, deed: Deed) -> AuditEntry:
+def append_entry(connection: Connection, deed: AuditEvent) -> AuditEntry:
     """Add a deed to the chain in the transaction of a connection."""
     entry = next_entry(lock_audit_head(connection), deed)
     values = {"number": entry.number, **asdict(deed), "previous_hash": entry.previous_hash, "hash": entry.hash}
@@ -22,7 +22,9 @@ def append_entry(connection: Connection, deed: Deed) -> AuditEntry:
     return entry
 
 
-def accompanied(work: Callable[[Connection], Result], deed: Deed) -> Callable[[Connection], tuple[Result, AuditEntry]]:
+def accompanied(
+    work: Callable[[Connection], Result], deed: AuditEvent
+) -> Callable[[Connection], tuple[Result, AuditEntry]]:
     """Return a write that leaves its deed in the audit log: both are committed, or neither."""
 
     def write(connection: Connection) -> tuple[Result, AuditEntry]:

@@ -27,7 +27,7 @@ from service.records.operations.audit import CURRENT_NOTE
 Result = TypeVar("Result")
 
 
-class Span(NamedTuple):
+class EpochSpan(NamedTuple):
     """Interval that a slow input holds for; ``stop_us`` None = open end."""
 
     start_us: int
@@ -154,7 +154,7 @@ def count_entries(connection: Connection, key: int, kind: str) -> int:
     return connection.scalar(query) or 0
 
 
-def add_entries(connection: Connection, key: int, entries: Sequence[tuple[SlowInput, Span | None]]) -> int:
+def add_entries(connection: Connection, key: int, entries: Sequence[tuple[SlowInput, EpochSpan | None]]) -> int:
     """Journal slow inputs under the next numbers and return the number of the last.
 
     An input without a span of its own stands at the newest epoch of the spacecraft's measurements.
@@ -166,7 +166,7 @@ def add_entries(connection: Connection, key: int, entries: Sequence[tuple[SlowIn
         .returning(head.c.newest_number, head.c.newest_epoch_us)
     )
     newest_number, newest_epoch_us = connection.execute(moved).one()
-    here = Span(newest_epoch_us or 0, newest_epoch_us or 0)
+    here = EpochSpan(newest_epoch_us or 0, newest_epoch_us or 0)
     rows = [
         _journal_row(key, newest_number - len(entries) + place, record, span or here)
         for place, (record, span) in enumerate(entries, start=1)
@@ -176,7 +176,7 @@ def add_entries(connection: Connection, key: int, entries: Sequence[tuple[SlowIn
     return int(newest_number)
 
 
-def _journal_row(key: int, number: int, record: SlowInput, span: Span) -> dict[str, Any]:
+def _journal_row(key: int, number: int, record: SlowInput, span: EpochSpan) -> dict[str, Any]:
     return {
         "spacecraft_key": key,
         "number": number,

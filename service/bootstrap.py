@@ -12,20 +12,20 @@ from pydantic import SecretStr
 from db.storage import SqlStorage
 from service.api.app import create_app
 from service.api.context.dependencies import ApiContext, Limits
-from service.api.context.monitoring_settings import Observation
+from service.api.context.monitoring_settings import MonitoringSettings
 from service.core.dynamics.orbital_frame_analysis import MOST_STEPS, MOST_STEPS_PLAIN
 from service.pipeline.alarms.conditions import condition_table
 from service.ports import Clock, Storage
 from service.records.operations.access_key import AccessKey, Role, StoredKey, digest_of, new_key
 from service.records.operations.alarm import Severity
-from service.records.operations.audit import DONE, Deed
-from service.runtime.alarms.alarm_service import AlarmDesk
+from service.records.operations.audit import DONE, AuditEvent
+from service.runtime.alarms.alarm_service import AlarmService
 from service.runtime.alarms.notifications import NoticeChannel, NoticeChannels
 from service.runtime.clock import DataClock, SystemClock
 from service.runtime.control.release_notifications import ReleasePublisher
 from service.runtime.control.release_service import ReleaseService
 from service.runtime.jobs.alignment_service import Aligner
-from service.runtime.jobs.archive_maintenance import Upkeep
+from service.runtime.jobs.archive_maintenance import ArchiveMaintenance
 from service.runtime.jobs.calibration_job import Calibrator, fitted
 from service.runtime.jobs.flight_analysis_job import FlightAnalyses, fly_thinned
 from service.runtime.jobs.job_runner import JobRunner
@@ -39,7 +39,7 @@ from service.settings import Settings
 
 if TYPE_CHECKING:
     from db.connection.file_identity import FileWatch
-    from db.maintenance.archive_tools import Keeping
+    from db.maintenance.archive_tools import ArchiveTools
 
 #: descriptors that connections leave to the archive, logs and worker processes
 _OWN_FILES = 256
@@ -99,7 +99,7 @@ def first_administrator(settings: Settings, storage: Storage) -> Path | None:
     key = AccessKey(
         id=key_id, name="first administrator", role=Role.ADMIN, created_at_us=now_us, created_by="first start"
     )
-    deed = Deed(
+    deed = AuditEvent(
         at_us=now_us,
         who="service",
         key_id="",
@@ -123,7 +123,7 @@ def first_administrator(settings: Settings, storage: Storage) -> Path | None:
     return None
 
 
-def build_alarms(settings: Settings, storage: Storage, clock: Clock, feed: LiveFeed, turn: Turn) -> AlarmDesk:
+def build_alarms(settings: Settings, storage: Storage, clock: Clock, feed: LiveFeed, turn: Turn) -> AlarmService:
     """Return the alarm desk with the notices of the settings."""
     conditions = condition_table(settings.alarms, settings.robust)
     from_severity = Severity[settings.alarm_notices_from.upper()]
@@ -148,7 +148,7 @@ def build_alarms(settings: Settings, storage: Storage, clock: Clock, feed: LiveF
             password=_secret(settings.alarm_mail_password),
         )
         channels.append(NoticeChannel("mail", Mail(route).deliver, conditions, from_severity))
-    return AlarmDesk(
+    return AlarmService(
         storage,
         clock,
         feed,
@@ -185,9 +185,9 @@ def _limits(settings: Settings) -> Limits:
     )
 
 
-def _observation(settings: Settings) -> Observation:
+def _observation(settings: Settings) -> MonitoringSettings:
     """Return how the service lets itself be watched."""
-    return Observation(
+    return MonitoringSettings(
         metrics_need_key=settings.metrics_need_key,
         access_log=settings.access_log,
         ready_lag=settings.ready_lag,
@@ -195,9 +195,9 @@ def _observation(settings: Settings) -> Observation:
     )
 
 
-def build_upkeep(settings: Settings, storage: Storage, clock: Clock, turn: Turn = always) -> Upkeep:
+def build_upkeep(settings: Settings, storage: Storage, clock: Clock, turn: Turn = always) -> ArchiveMaintenance:
     """Return what seals closed days and drops what is no longer kept."""
-    return Upkeep(storage, clock, settings.sealing, settings.retention, turn)
+    return ArchiveMaintenance(storage, clock, settings.sealing, settings.retention, turn)
 
 
 def build_release_service(
@@ -281,9 +281,9 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
     return create_app(context)
 
 
-def open_keeping(database_url: str | None) -> "Keeping":
+def open_keeping(database_url: str | None) -> "ArchiveTools":
     """Return what makes backups of an archive and looks at it; without a URL the archive of the settings."""
     # brings the migrations along, which serving needs at its start only
-    from db.maintenance.archive_tools import Keeping
+    from db.maintenance.archive_tools import ArchiveTools
 
-    return Keeping(database_url or Settings.model_validate({}).database_url, SystemClock())
+    return ArchiveTools(database_url or Settings.model_validate({}).database_url, SystemClock())

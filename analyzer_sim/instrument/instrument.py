@@ -24,7 +24,7 @@ from analyzer_sim.instrument.painter import FloatArray, Trace, TracePainter
 from analyzer_sim.instrument.settings.analyzer_model import AnalyzerModel
 from analyzer_sim.instrument.settings.instrument_settings import Settings, reset_state
 from analyzer_sim.instrument.settings.models import FSW_26
-from analyzer_sim.instrument.sweep_life import OPERATION_BITS, Pace, SweepLife, SweepState
+from analyzer_sim.instrument.sweep_life import OPERATION_BITS, Pace, SweepProgress, SweepState
 from analyzer_sim.instrument.trace_faults import TraceFaults
 from analyzer_sim.instrument.truth_log import Reading, TruthLog
 from analyzer_sim.scpi.errors import ScpiError
@@ -55,7 +55,7 @@ class Instrument:
         Whether the next row may be swept now.
     model : AnalyzerModel
         Figures of the make.
-    life : SweepLife, optional
+    life : SweepProgress, optional
         How long sweeps last; at the virtual pace when left out.
     truth : TruthLog, optional
         Where completed sweeps and delivered traces are written.
@@ -67,7 +67,7 @@ class Instrument:
         painter: TracePainter,
         may_advance: Callable[[], bool] = _always,
         model: AnalyzerModel = FSW_26,
-        life: SweepLife | None = None,
+        life: SweepProgress | None = None,
         truth: TruthLog | None = None,
     ) -> None:
         self.model = model
@@ -82,7 +82,7 @@ class Instrument:
         self._trace: Trace | None = None
         self._list_entries: tuple[Settings, ...] = ()
         self._list_traces: tuple[Trace, ...] = ()
-        self._life = life or SweepLife()
+        self._life = life or SweepProgress()
         self._truth = truth
         self._sweeps = 0
         self._repeats_shown = 0

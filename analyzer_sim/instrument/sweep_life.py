@@ -48,7 +48,7 @@ OPERATION_BITS: dict[SweepState, int] = {
 }
 
 
-class SweepLife:
+class SweepProgress:
     """The life of sweeps of one instrument.
 
     Parameters

@@ -13,7 +13,7 @@ from sqlalchemy.engine import Dialect
 from sqlalchemy.exc import OperationalError
 
 
-class Answer(Protocol):
+class StatementResult(Protocol):
     """What a statement gives back, read at once."""
 
     def fetchone(self) -> Any:
@@ -52,7 +52,7 @@ class CompiledStatement:
         self._names = names
         self._known: dict[str, tuple[str, tuple[int, ...] | None]] = {}
 
-    def run(self, connection: Connection, *values: Any) -> Answer:
+    def run(self, connection: Connection, *values: Any) -> StatementResult:
         """Execute with one set of values."""
         text, order = self._compiled(connection.dialect)
         if order is None:

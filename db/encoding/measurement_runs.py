@@ -41,7 +41,7 @@ class Piece(Protocol):
         ...
 
 
-class Run(NamedTuple):
+class PieceRun(NamedTuple):
     """Rows of one piece that follow each other in the order of epochs."""
 
     piece: Piece
@@ -80,7 +80,7 @@ class OrderedRows:
         How many rows.
     """
 
-    def __init__(self, parts: Sequence[Run], limit: int) -> None:
+    def __init__(self, parts: Sequence[PieceRun], limit: int) -> None:
         self._parts = parts
         epochs_us = np.concatenate([piece.epochs_us[places] for piece, places in parts])
         numbers = np.concatenate([piece.numbers[places] for piece, places in parts])
@@ -89,7 +89,7 @@ class OrderedRows:
         self._places: IntArray = np.concatenate([places for _, places in parts])[order]
         self._breaks = np.flatnonzero(np.diff(self._owners)) + 1
 
-    def runs(self) -> list[Run]:
+    def runs(self) -> list[PieceRun]:
         """Return the rows as runs."""
         bounds = [0, *self._breaks.tolist(), len(self._owners)]
         return [self._run(start, stop) for start, stop in pairwise(bounds)]
@@ -107,8 +107,8 @@ class OrderedRows:
         """Return the cursor behind the last row."""
         return self._run(len(self._owners) - 1, len(self._owners)).end
 
-    def _run(self, start: int, stop: int) -> Run:
-        return Run(self._parts[self._owners[start]].piece, self._places[start:stop])
+    def _run(self, start: int, stop: int) -> PieceRun:
+        return PieceRun(self._parts[self._owners[start]].piece, self._places[start:stop])
 
     def _mixed(self, start: int, stop: int) -> MeasurementBlock:
         """Return rows of several pieces under one plan."""
@@ -135,7 +135,7 @@ def _block(
     return MeasurementBlock(sources, piece.plan_id, epochs_us, power_dbm, places)
 
 
-def end_us(parts: Sequence[Run], limit: int) -> int | None:
+def end_us(parts: Sequence[PieceRun], limit: int) -> int | None:
     """Return the epoch right behind the first ``limit`` rows of parts, None when they hold fewer."""
     if sum(len(places) for _, places in parts) < limit:
         return None

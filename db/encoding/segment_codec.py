@@ -56,7 +56,7 @@ class Blobs(NamedTuple):
     extras: bytes | None
 
 
-class Columns(NamedTuple):
+class SegmentColumns(NamedTuple):
     """What a segment tells of each row beside powers, flags and details; all (T,)."""
 
     epochs_us: IntArray
@@ -90,13 +90,13 @@ def pack(rows: SealedRows) -> Blobs:
     return Blobs(_packed(_planes(integers) + bits.tobytes()), _packed(powers.tobytes()), _pack_extras(rows))
 
 
-def unpack_columns(blob: bytes, count: int) -> Columns:
+def unpack_columns(blob: bytes, count: int) -> SegmentColumns:
     """Return the columns of a segment of ``count`` rows."""
     raw = _unpacked(blob, count * (8 * _INTEGERS + 1))
     epochs_us, numbers, received_at_us, seqs = _integers(raw[: 8 * _INTEGERS * count], count)
     bits = np.frombuffer(raw, dtype=np.uint8, offset=8 * _INTEGERS * count)
     claims = ((bits & mask) != 0 for mask in (_HAS_SEQ, _LATE, _FEEDS, _HAS_FLAGS, _HAS_DETAILS))
-    return Columns(epochs_us, numbers, received_at_us, seqs, *claims)
+    return SegmentColumns(epochs_us, numbers, received_at_us, seqs, *claims)
 
 
 def unpack_powers(blob: bytes, count: int) -> Float32Array:
@@ -106,7 +106,7 @@ def unpack_powers(blob: bytes, count: int) -> Float32Array:
     return powers
 
 
-def unpack_extras(blob: bytes, columns: Columns, carriers: int) -> Extras:
+def unpack_extras(blob: bytes, columns: SegmentColumns, carriers: int) -> Extras:
     """Return flags and details of a segment."""
     raw = _unpacked(blob, None)
     flagged, detailed = int(columns.has_flags.sum()), int(columns.has_details.sum())

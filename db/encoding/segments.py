@@ -16,7 +16,7 @@ import numpy as np
 from sqlalchemy import ColumnElement, Connection, LargeBinary, Select, and_, select, tuple_
 
 from db.encoding.row_content import RowContent, row_content
-from db.encoding.segment_codec import CODEC, Blobs, Columns, Extras, unpack_columns, unpack_extras, unpack_powers
+from db.encoding.segment_codec import CODEC, Blobs, Extras, SegmentColumns, unpack_columns, unpack_extras, unpack_powers
 from db.schema.tables import measurement_segment as segment_table
 from db.schema.tables import source, spacecraft
 from service.errors import StorageError
@@ -59,7 +59,7 @@ class SegmentPiece:
         self.source, self.plan_id = name, head.plan_id
         self._count = head.row_count
         self._blobs = blobs
-        self.columns: Columns = unpack_columns(blobs.columns, head.row_count)
+        self.columns: SegmentColumns = unpack_columns(blobs.columns, head.row_count)
         self.epochs_us: IntArray = self.columns.epochs_us
         self.numbers: IntArray = self.columns.numbers
         self.received_at_us: IntArray = self.columns.received_at_us

@@ -14,7 +14,7 @@ from service.records.storage.backup import Manifest
 from service.records.storage.diagnosis import Diagnosis
 
 
-class Keeping:
+class ArchiveTools:
     """What an operator does with an archive from outside of the service.
 
     Parameters

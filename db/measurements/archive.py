@@ -28,7 +28,7 @@ from service.records.levels.attitude import FloatArray, IntArray
 from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
 from service.records.levels.measurement_block import MeasurementBlock
 from service.records.levels.series import HeadState, InputReceipt, MeasurementSeries, ReferenceSeries, SourceState
-from service.records.storage.archive_upkeep import Dropped, SealedPart, SegmentState
+from service.records.storage.archive_upkeep import RetiredRows, SealedPart, SegmentState
 
 #: rows of a page that is read as blocks: what a page asks of the database takes longer than a sealed day
 BLOCK_PAGE_ROWS = 32_768
@@ -263,7 +263,7 @@ class SqlArchive:
         """Give rows of versions before checksums theirs, a transaction a step."""
         return checksum_check.complete(self._database)
 
-    def drop_before(self, spacecraft_id: str, series: str, before_us: int) -> Iterator[Dropped]:
+    def drop_before(self, spacecraft_id: str, series: str, before_us: int) -> Iterator[RetiredRows]:
         """Drop the rows of a series of whole days before an epoch, a transaction a step."""
         return retention.drop(self._database, self._database.key(spacecraft_id), series, before_us)
 

@@ -16,13 +16,13 @@ from db.database import lock_head
 from db.encoding.measurement_details import insert_details
 from db.encoding.segments import SegmentCache
 from db.measurements.prepared_batch import PreparedBatch
-from db.measurements.row_insert import Run, insert_run
+from db.measurements.row_insert import RowRun, insert_run
 from db.measurements.row_sorting import SortedRows, seq_at, sort_rows
 from db.measurements.sequence_numbers import MAX_JUMP, NumberedRow, SequenceNumbers, Tail, blocks_of
 from db.schema.tables import head, source
 from service.errors import InvalidInputError
 from service.records.levels.attitude import BoolArray, IntArray
-from service.records.levels.measurement import BatchReceipt, MeasurementBatch, RowRemark, Sender
+from service.records.levels.measurement import BatchReceipt, MeasurementBatch, RowNotice, Sender
 
 #: of ``IngestState``
 STATE_COLUMNS = (
@@ -162,7 +162,7 @@ def _lateness(batch: MeasurementBatch, consumed_us: int | None) -> BoolArray:
     return batch.is_stale if consumed_us is None else batch.is_stale | (batch.epochs_us < consumed_us)
 
 
-def _runs(prepared: PreparedBatch, accepted: IntArray, is_late: BoolArray, state: IngestState) -> Iterator[Run]:
+def _runs(prepared: PreparedBatch, accepted: IntArray, is_late: BoolArray, state: IngestState) -> Iterator[RowRun]:
     """Yield the accepted rows as runs, numbered on from the head."""
     batch, details = prepared.batch, prepared.details
     is_whole = prepared.is_even and len(accepted) == len(prepared.epochs_us) and is_late.all() == is_late.any()
@@ -170,7 +170,7 @@ def _runs(prepared: PreparedBatch, accepted: IntArray, is_late: BoolArray, state
     for start, stop in pairwise([0, *breaks, len(accepted)]):
         place = int(accepted[start])
         after = place + stop - start
-        yield Run(
+        yield RowRun(
             spacecraft_key=prepared.spacecraft_key,
             source_key=state.source_key,
             plan_id=batch.plan_id,
@@ -210,7 +210,7 @@ def _store_details(connection: Connection, prepared: PreparedBatch, accepted: In
 
 def _advance(
     connection: Connection, prepared: PreparedBatch, outcome: SortedRows, state: IngestState
-) -> list[RowRemark]:
+) -> list[RowNotice]:
     """Move the head of the spacecraft and the figures of the source past the stored rows; return jumps of numbers."""
     key, stored = prepared.spacecraft_key, len(outcome.accepted)
     newest_us = int(prepared.batch.epochs_us[outcome.accepted].max())
@@ -224,10 +224,10 @@ def _advance(
 
 def _numbered(
     connection: Connection, prepared: PreparedBatch, outcome: SortedRows, state: IngestState
-) -> tuple[Tail | None, list[RowRemark]]:
+) -> tuple[Tail | None, list[RowNotice]]:
     """Return where the sequence numbers of the source stand after the batch, and the rows at which they jump."""
     batch, tail, newest_us = prepared.batch, state.tail, state.source_newest_epoch_us
-    jumps: list[RowRemark] = []
+    jumps: list[RowNotice] = []
     if batch.first_seq is None:
         return tail, jumps
     rows = len(prepared.epochs_us)
@@ -240,7 +240,7 @@ def _numbered(
     for block in blocks_of(_held_rows(prepared, outcome), newest_us):
         if tail is not None and block.first - tail.last > MAX_JUMP:
             detail = f"the sequence number before was {tail.last}; no gap is counted in between"
-            jumps.append(RowRemark(block.first - batch.first_seq, block.first, "seq.jump", detail))
+            jumps.append(RowNotice(block.first - batch.first_seq, block.first, "seq.jump", detail))
         tail = numbers.added(tail, block, newest_us)
     return tail, jumps
 

@@ -11,7 +11,7 @@ import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, select
 
 from db.database import beyond, within
-from db.encoding.measurement_runs import Cursor, OrderedRows, Run, end_us
+from db.encoding.measurement_runs import Cursor, OrderedRows, PieceRun, end_us
 from db.encoding.power_codec import unpack_powers
 from db.encoding.row_mapping import MEASUREMENT_COLUMNS, RECEIVED_AT_US, measurement_of, measurements_of
 from db.encoding.segments import (
@@ -104,11 +104,11 @@ class MeasurementPages:
         self._cache = cache
         self._key = key
 
-    def read(self, chosen: Chosen, limit: int, after: Cursor | None, *, columns: Columns = FULL) -> list[Run]:
+    def read(self, chosen: Chosen, limit: int, after: Cursor | None, *, columns: Columns = FULL) -> list[PieceRun]:
         """Return the next rows behind a cursor as runs; fewer than ``limit`` only when there are no more."""
         parts = self._parts(chosen, limit, after, columns)
         if len(parts) < 2:
-            return [Run(piece, places[:limit]) for piece, places in parts]
+            return [PieceRun(piece, places[:limit]) for piece, places in parts]
         return OrderedRows(parts, limit).runs()
 
     def read_blocks(
@@ -119,12 +119,12 @@ class MeasurementPages:
         if not parts:
             return [], None
         if len(parts) == 1:
-            run = Run(parts[0].piece, parts[0].places[:limit])
+            run = PieceRun(parts[0].piece, parts[0].places[:limit])
             return [run.block()], run.end
         rows = OrderedRows(parts, limit)
         return rows.blocks(), rows.end
 
-    def _parts(self, chosen: Chosen, limit: int, after: Cursor | None, columns: Columns) -> list[Run]:
+    def _parts(self, chosen: Chosen, limit: int, after: Cursor | None, columns: Columns) -> list[PieceRun]:
         """Return pieces that hold the next ``limit`` rows."""
         sealed = list(self._sealed(chosen, limit, after))
         # behind the place up to which sealed rows fill the page there may be any number of rows: they are not for it
@@ -136,9 +136,9 @@ class MeasurementPages:
             .limit(limit)
         )
         rows = self._connection.execute(query).all()
-        return [*(Run(piece, np.arange(len(piece.epochs_us))) for piece in self._pieces(rows)), *sealed]
+        return [*(PieceRun(piece, np.arange(len(piece.epochs_us))) for piece in self._pieces(rows)), *sealed]
 
-    def read_all(self, chosen: Chosen, *, columns: Columns = FULL) -> Iterator[Run]:
+    def read_all(self, chosen: Chosen, *, columns: Columns = FULL) -> Iterator[PieceRun]:
         """Yield all rows as runs."""
         after: Cursor | None = None
         while runs := self.read(chosen, PAGE_ROWS, after, columns=columns):
@@ -207,10 +207,10 @@ class MeasurementPages:
         piece = read_piece(self._connection, self._cache, head)
         return len(_places(piece, Chosen(window), None, window.stop_us)) > 0
 
-    def _sealed(self, chosen: Chosen, limit: int, after: Cursor | None) -> Iterator[Run]:
+    def _sealed(self, chosen: Chosen, limit: int, after: Cursor | None) -> Iterator[PieceRun]:
         """Yield parts of segments until they hold the next ``limit`` rows of their own."""
         start_us = chosen.window.start_us if after is None else max(chosen.window.start_us, after[0])
-        parts: list[Run] = []
+        parts: list[PieceRun] = []
         for head in heads(self._connection, self._key, start_us, chosen.window.stop_us, *self._of_segments(chosen)):
             reached_us = end_us(parts, limit)
             if reached_us is not None and head.first_epoch_us >= reached_us:
@@ -218,7 +218,7 @@ class MeasurementPages:
             piece = read_piece(self._connection, self._cache, head)
             places = _places(piece, chosen, after, chosen.window.stop_us)
             if len(places):
-                parts.append(Run(piece, places))
+                parts.append(PieceRun(piece, places))
                 yield parts[-1]
 
     def _rows(self, chosen: Chosen, columns: Columns) -> Select[Any]:

@@ -35,7 +35,7 @@ from db.schema.tables import (
     torque,
     trace,
 )
-from service.records.storage.archive_upkeep import Dropped
+from service.records.storage.archive_upkeep import RetiredRows
 
 #: rows that one transaction drops
 ROWS_AT_ONCE = 500
@@ -124,7 +124,7 @@ def kept_from_us(connection: Connection, key: int, series: str) -> int:
     return _NEVER_US if mark is None else int(mark)
 
 
-def drop(database: Database, key: int, series: str, before_us: int) -> Iterator[Dropped]:
+def drop(database: Database, key: int, series: str, before_us: int) -> Iterator[RetiredRows]:
     """Drop the rows of whole days before an epoch, a transaction a step."""
     stop_us = day_of(before_us) * DAY_US
     for part in PARTS[series]:
@@ -140,7 +140,7 @@ def drop(database: Database, key: int, series: str, before_us: int) -> Iterator[
                 stop_us=stop_us,
             )
             while (rows := database.write(step)) > 0:
-                yield Dropped(series, rows, stop_us)
+                yield RetiredRows(series, rows, stop_us)
 
 
 def fitting_us(database: Database, key: int, series: str, size_bytes: int) -> int | None:

@@ -35,7 +35,7 @@ FROM (SELECT epoch_us, place - 1 AS place FROM unnest(%s::bigint[]) WITH ORDINAL
 """
 
 
-class Run(NamedTuple):
+class RowRun(NamedTuple):
     """Rows to insert, in order of journal number."""
 
     spacecraft_key: int
@@ -70,7 +70,7 @@ class Run(NamedTuple):
         return measurement_checksums(shared, zip(*columns, strict=False))
 
 
-def insert_run(connection: Connection, run: Run) -> None:
+def insert_run(connection: Connection, run: RowRun) -> None:
     """Insert the rows of a run."""
     width, powers = run.powers
     flag_width, flags = (0, None) if run.flags is None else run.flags

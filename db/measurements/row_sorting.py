@@ -19,7 +19,7 @@ from db.measurements.prepared_batch import PreparedBatch, prepare
 from db.schema.tables import measurement, measurement_detail
 from service.records.epoch import format_epoch
 from service.records.levels.attitude import IntArray
-from service.records.levels.measurement import MeasurementBatch, Refusal, RowRemark
+from service.records.levels.measurement import MeasurementBatch, RowNotice, RowRefusal
 from service.records.levels.quality_flag import QualityFlag
 
 #: epochs in one query; SQLite before 3.32 binds 999 values at most
@@ -36,8 +36,8 @@ class SortedRows:
     accepted: IntArray
     #: places of the rows that were held already
     duplicates: tuple[int, ...] = ()
-    refused: tuple[Refusal, ...] = ()
-    flagged: tuple[RowRemark, ...] = ()
+    refused: tuple[RowRefusal, ...] = ()
+    flagged: tuple[RowNotice, ...] = ()
 
 
 @dataclass
@@ -102,7 +102,7 @@ def sort_rows(
     stored.look_up(prepared.epochs_us)
     accepted: list[int] = []
     duplicates: list[int] = []
-    refused: list[Refusal] = []
+    refused: list[RowRefusal] = []
     moved: list[int] = []
     for place, epoch_us in enumerate(prepared.epochs_us):
         content = prepared.content(place)
@@ -151,15 +151,15 @@ def _contents(rows: Sequence[Row[Any]]) -> Iterator[tuple[int, RowContent]]:
             yield epoch_us, row_content(plan_id, powers, masks, details)
 
 
-def _moved_remark(batch: MeasurementBatch, place: int) -> RowRemark:
+def _moved_remark(batch: MeasurementBatch, place: int) -> RowNotice:
     epoch = format_epoch(int(batch.epochs_us[place]) + 1)
     detail = f"a row of the leap second stands at this epoch, or this is one: stored at {epoch}"
-    return RowRemark(int(batch.index[place]), seq_at(batch, place), "time.leap_second", detail)
+    return RowNotice(int(batch.index[place]), seq_at(batch, place), "time.leap_second", detail)
 
 
-def _conflict(batch: MeasurementBatch, place: int) -> Refusal:
+def _conflict(batch: MeasurementBatch, place: int) -> RowRefusal:
     detail = (
         f"Source {batch.source!r} has sent other content for this epoch before (plan, powers, flags or figures beside "
         "the powers); the first row stays. Send a corrected row under its own epoch or from another source."
     )
-    return Refusal(int(batch.index[place]), seq_at(batch, place), "measurement.conflict", detail)
+    return RowRefusal(int(batch.index[place]), seq_at(batch, place), "measurement.conflict", detail)

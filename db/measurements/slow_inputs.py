@@ -5,14 +5,14 @@ from dataclasses import replace
 
 from sqlalchemy import Connection, select, update
 
-from db.database import Span, add_entries, lock_head, next_id
+from db.database import EpochSpan, add_entries, lock_head, next_id
 from db.encoding.json_documents import encode, is_same_input, kind_of
 from db.schema.tables import journal, operation
 from service.errors import InvalidInputError, NotFoundError
 from service.records.inputs import AttitudeReference, Correction, Operation, TelemetryRecord
 from service.records.journal import SlowInput
 from service.records.levels.command import AppliedCommand, ReleasedCommand, ReportedCommand
-from service.records.levels.measurement import Refusal
+from service.records.levels.measurement import RowRefusal
 from service.records.levels.series import InputReceipt
 from service.records.operations.release import InterlockHold
 
@@ -29,27 +29,27 @@ KEYED = (
 )
 
 
-def span_of(record: KEYED) -> Span:
+def span_of(record: KEYED) -> EpochSpan:
     """Return the interval that a slow input holds for."""
     if isinstance(record, Correction):
-        return Span(record.start_us, record.stop_us)
+        return EpochSpan(record.start_us, record.stop_us)
     if isinstance(record, AppliedCommand):
-        return Span(record.command.epoch_us, record.command.valid_until_us)
+        return EpochSpan(record.command.epoch_us, record.command.valid_until_us)
     if isinstance(record, ReleasedCommand):
-        return Span(record.released_us, record.stop_us)
+        return EpochSpan(record.released_us, record.stop_us)
     if isinstance(record, ReportedCommand):
-        return Span(record.reported_us, record.reported_us)
+        return EpochSpan(record.reported_us, record.reported_us)
     if isinstance(record, InterlockHold):
-        return Span(record.at_us, None)
-    return Span(record.epoch_us, record.epoch_us)
+        return EpochSpan(record.at_us, None)
+    return EpochSpan(record.epoch_us, record.epoch_us)
 
 
 def store_inputs(connection: Connection, key: int, records: Sequence[SlowInput]) -> InputReceipt:
     """Store and journal those records whose key is new."""
     lock_head(connection, key)
     known = _stored(connection, key, records)
-    accepted: list[tuple[SlowInput, Span | None]] = []
-    refused: list[Refusal] = []
+    accepted: list[tuple[SlowInput, EpochSpan | None]] = []
+    refused: list[RowRefusal] = []
     for place, record in enumerate(map(_keyed, records)):
         name, document = (kind_of(record), record.key), encode(record)
         stored = known.get(name)
@@ -58,7 +58,7 @@ def store_inputs(connection: Connection, key: int, records: Sequence[SlowInput])
             accepted.append((record, span_of(record)))
         elif not is_same_input(name[0], stored, document):
             detail = f"Another {name[0]} with the key {name[1]!r} is stored already; the first one stays."
-            refused.append(Refusal(place, None, "input.conflict", detail))
+            refused.append(RowRefusal(place, None, "input.conflict", detail))
     add_entries(connection, key, accepted)
     return InputReceipt(len(accepted), len(records) - len(accepted) - len(refused), tuple(refused))
 
@@ -87,7 +87,7 @@ def revise_operation(connection: Connection, key: int, record: Operation) -> Ope
 
 
 def _journal_operation(connection: Connection, key: int, record: Operation) -> int:
-    return add_entries(connection, key, [(record, Span(record.start_us, record.stop_us))])
+    return add_entries(connection, key, [(record, EpochSpan(record.start_us, record.stop_us))])
 
 
 def _keyed(record: SlowInput) -> KEYED:

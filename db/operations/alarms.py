@@ -16,7 +16,7 @@ from service.errors import NotFoundError
 from service.records.calibration import Window
 from service.records.operations.alarm import Alarm, AlarmChange
 from service.records.operations.alarm_limits import AlarmLimits
-from service.records.operations.alarm_memory import BookMemory
+from service.records.operations.alarm_memory import EngineMemory
 
 #: states that stand for several
 _GROUPS: dict[str, tuple[str, ...]] = {
@@ -94,13 +94,13 @@ class SqlAlarms:
         row = self._database.fetch_one(select(func.max(alarm_change.c.sequence)))
         return 0 if row is None or row[0] is None else int(row[0])
 
-    def memory(self, spacecraft_id: str | None) -> BookMemory:
+    def memory(self, spacecraft_id: str | None) -> EngineMemory:
         """Return what the alarms of a spacecraft, or of the service, remember."""
         query = select(alarm_memory.c.document).where(alarm_memory.c.spacecraft_id == (spacecraft_id or ""))
         row = self._database.fetch_one(query)
-        return BookMemory() if row is None else decode(BookMemory, row.document)
+        return EngineMemory() if row is None else decode(EngineMemory, row.document)
 
-    def save_memory(self, spacecraft_id: str | None, memory: BookMemory) -> None:
+    def save_memory(self, spacecraft_id: str | None, memory: EngineMemory) -> None:
         """Store what they remember in place of what they did."""
         values = {"spacecraft_id": spacecraft_id or "", "document": encode(memory)}
 

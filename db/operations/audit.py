@@ -9,11 +9,11 @@ from sqlalchemy import ColumnElement, Row, select
 from db.audit_chain import append_entry
 from db.database import Database
 from db.schema.access_tables import audit_entry, audit_head
-from service.records.operations.audit import GENESIS, AuditEntry, AuditFilter, AuditHead, Deed
+from service.records.operations.audit import GENESIS, AuditEntry, AuditEvent, AuditFilter, AuditHead
 
 #: entries held at once while a chain is walked
 _WALK = 2000
-_DEED_FIELDS = tuple(field.name for field in fields(Deed))
+_DEED_FIELDS = tuple(field.name for field in fields(AuditEvent))
 
 
 class SqlAudit:
@@ -28,7 +28,7 @@ class SqlAudit:
     def __init__(self, database: Database) -> None:
         self._database = database
 
-    def append(self, deed: Deed) -> AuditEntry:
+    def append(self, deed: AuditEvent) -> AuditEntry:
         """Add a deed and wait for its commit."""
         return self._database.submit(lambda connection: append_entry(connection, deed)).result()
 
@@ -71,5 +71,5 @@ def _conditions(wanted: AuditFilter) -> list[ColumnElement[bool]]:
 
 
 def _entry_of(row: Row[Any]) -> AuditEntry:
-    deed = Deed(**{name: getattr(row, name) for name in _DEED_FIELDS})
+    deed = AuditEvent(**{name: getattr(row, name) for name in _DEED_FIELDS})
     return AuditEntry(row.number, deed, row.previous_hash, row.hash)

@@ -7,7 +7,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, Table, delete, select, update
 from sqlalchemy.exc import IntegrityError
 
-from db.database import Database, Span, add_entries, count_entries, lock_head, next_id
+from db.database import Database, EpochSpan, add_entries, count_entries, lock_head, next_id
 from db.encoding.json_documents import decode, decode_all, encode, encode_all
 from db.schema.tables import calibration, carrier_plan, ephemeris, head, measurement, measurement_segment, source
 from db.schema.tables import spacecraft as spacecraft_table
@@ -149,7 +149,7 @@ def _put_ephemeris(connection: Connection, key: int, record: Ephemeris) -> Ephem
     stored = replace(record, id=next_id(connection, ephemeris, "ephemeris_id", key))
     values = {"spacecraft_key": key, "ephemeris_id": stored.id, "document": encode(stored)}
     connection.execute(ephemeris.insert().values(values))
-    span = Span(stored.valid_start_us, stored.valid_stop_us)
+    span = EpochSpan(stored.valid_start_us, stored.valid_stop_us)
     add_entries(connection, key, [(EphemerisChange(stored.id), span)])
     return stored
 

@@ -11,7 +11,7 @@ from db.database import Database
 from db.schema.access_tables import access_key
 from service.errors import ConflictError, NotFoundError
 from service.records.operations.access_key import AccessKey, Role, StoredKey, name_key
-from service.records.operations.audit import Deed
+from service.records.operations.audit import AuditEvent
 
 
 class SqlKeys:
@@ -69,7 +69,7 @@ class SqlKeys:
 
         self._database.submit(write).result()
 
-    def add_first_administrator(self, stored: StoredKey, deed: Deed) -> bool:
+    def add_first_administrator(self, stored: StoredKey, deed: AuditEvent) -> bool:
         """Store an administrator's key with its audit entry unless one is in force; return whether it was stored."""
 
         def write(connection: Connection) -> bool:

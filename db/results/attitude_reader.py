@@ -13,7 +13,7 @@ from sqlalchemy import Connection, Select, select
 
 from db.database import beyond, within
 from db.encoding.json_documents import decode
-from db.encoding.measurement_runs import Run
+from db.encoding.measurement_runs import PieceRun
 from db.encoding.row_mapping import attitude_of
 from db.encoding.segments import SegmentCache
 from db.measurements.measurement_pages import EVER, LIGHT, Chosen, MeasurementPages
@@ -34,7 +34,7 @@ class _Consumed(NamedTuple):
     received_at_us: int
 
 
-class Synthesis:
+class AttitudeReader:
     """Reader of the live attitude of one method within one read transaction."""
 
     def __init__(self, connection: Connection, cache: SegmentCache, key: int, method: Method) -> None:
@@ -131,6 +131,6 @@ class Synthesis:
         return None
 
 
-def _of_run(run: Run) -> Iterator[_Consumed]:
+def _of_run(run: PieceRun) -> Iterator[_Consumed]:
     columns = (run.piece.epochs_us, run.piece.numbers, run.piece.received_at_us)
     return starmap(_Consumed, zip(*(column[run.places].tolist() for column in columns), strict=True))

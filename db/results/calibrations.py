@@ -5,7 +5,7 @@ from typing import Any
 
 from sqlalchemy import Connection, Row, Select, select, update
 
-from db.database import Database, Span, add_entries, count_entries, lock_head, next_id
+from db.database import Database, EpochSpan, add_entries, count_entries, lock_head, next_id
 from db.encoding.json_documents import decode, encode
 from db.schema.tables import alignment as alignment_table
 from db.schema.tables import calibration as calibration_table
@@ -205,7 +205,7 @@ def _insert_alignment(connection: Connection, key: int, record: Alignment) -> Al
     lock_head(connection, key)
     _calibration(connection, key, record.calibration_id)
     stored = replace(record, id=next_id(connection, alignment_table, "alignment_id", key))
-    span = Span(stored.epoch_us, stored.epoch_us)
+    span = EpochSpan(stored.epoch_us, stored.epoch_us)
     values = {
         "spacecraft_key": key,
         "alignment_id": stored.id,

@@ -7,7 +7,7 @@ from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, not_,
 
 from db.database import Database, beyond, within
 from db.encoding.row_mapping import attitude_of, torque_of
-from db.results.attitude_reader import Synthesis
+from db.results.attitude_reader import AttitudeReader
 from db.results.calibrations import SqlCalibrations
 from db.results.jobs import SqlJobs
 from db.results.outcomes import Consumed, Result, store_outcomes
@@ -61,7 +61,7 @@ class SqlResults(SqlCalibrations, SqlJobs):
         key = self._database.key(spacecraft_id)
         if version == LIVE:
             with self._database.read() as connection:
-                return Synthesis(connection, self._database.segments, key, method).rows(window, limit, after)
+                return AttitudeReader(connection, self._database.segments, key, method).rows(window, limit, after)
         query = _of_version(key, version, method).where(within(attitude.c.epoch_us, window))
         query = query.where(beyond(attitude.c.epoch_us, attitude.c.number, after))
         ordered = query.order_by(attitude.c.epoch_us, attitude.c.number).limit(limit)
@@ -72,7 +72,7 @@ class SqlResults(SqlCalibrations, SqlJobs):
         key = self._database.key(spacecraft_id)
         if version == LIVE:
             with self._database.read() as connection:
-                return Synthesis(connection, self._database.segments, key, method).newest()
+                return AttitudeReader(connection, self._database.segments, key, method).newest()
         query = _of_version(key, version, method).order_by(attitude.c.epoch_us.desc(), attitude.c.number.desc())
         row = self._database.fetch_one(query.limit(1))
         return None if row is None else attitude_of(row)

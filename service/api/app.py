@@ -12,17 +12,17 @@ from typing import Any
 from fastapi import FastAPI
 from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
 
-from service.api.access.access_housekeeping import AccessKeeping
+from service.api.access.access_housekeeping import AccessHousekeeping
 from service.api.access.access_middleware import AccessLayer
 from service.api.access.audit_context import BASE_PATH
 from service.api.access.auth import MAY_READ
 from service.api.access.key_cache import StoredKeys
 from service.api.access.refusal_audit import Refusals
-from service.api.context.carrier_names import CarrierNames
-from service.api.context.commit_waiter import Landings
+from service.api.context.carrier_names import CarrierNameCache
+from service.api.context.commit_waiter import CommitWaiter
 from service.api.context.dependencies import ApiContext, Limits
 from service.api.context.epoch_limits import EpochLimits
-from service.api.context.monitoring_settings import Observation
+from service.api.context.monitoring_settings import MonitoringSettings
 from service.api.context.plan_widths import PlanWidths
 from service.api.limits.body_limit import BodyLimit
 from service.api.limits.connections import Connections
@@ -57,9 +57,9 @@ def create_app(context: ApiContext) -> FastAPI:
     app = _bare_app(context.limits, figures, context.observation)
     app.state.context = context
     app.state.plan_widths = PlanWidths(context.storage.catalogue)
-    app.state.carrier_names = CarrierNames(context.storage.catalogue)
+    app.state.carrier_names = CarrierNameCache(context.storage.catalogue)
     app.state.epoch_limits = EpochLimits(context.clock, context.limits, context.storage.archive)
-    app.state.landings = Landings()
+    app.state.landings = CommitWaiter()
     app.state.automatic_release = AutomaticRelease(context.storage.catalogue)
     app.state.open_streams = streams = OpenStreams(context.limits.max_streams)
     app.state.stream_parts = StreamParts(context, app.state.carrier_names, streams)
@@ -79,7 +79,7 @@ def create_app(context: ApiContext) -> FastAPI:
 
 def render_openapi() -> str:
     """Return the OpenAPI document as it is committed in docs/reference/openapi.json."""
-    document: dict[str, Any] = _bare_app(Limits(), RequestFigures(), Observation()).openapi()
+    document: dict[str, Any] = _bare_app(Limits(), RequestFigures(), MonitoringSettings()).openapi()
     return openapi.as_text(document)
 
 
@@ -88,7 +88,9 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
     """Run the hooks of the context around the time of serving."""
     context: ApiContext = app.state.context
     storage = context.storage
-    keeping = AccessKeeping(app.state.stored_keys, app.state.refusals, storage.audit, storage.archive.journal_heads)
+    keeping = AccessHousekeeping(
+        app.state.stored_keys, app.state.refusals, storage.audit, storage.archive.journal_heads
+    )
     await context.on_startup()
     keeping.start()
     try:
@@ -108,7 +110,7 @@ class _Application(FastAPI):
         return self.openapi_schema
 
 
-def _bare_app(limits: Limits, figures: RequestFigures, observation: Observation) -> FastAPI:
+def _bare_app(limits: Limits, figures: RequestFigures, observation: MonitoringSettings) -> FastAPI:
     """Return the application without a context."""
     app = _Application(
         title="SOO",

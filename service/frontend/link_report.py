@@ -11,7 +11,7 @@ from typing import Any
 
 from service.client.problem import ClientError
 from service.client.service_client import ServiceClient
-from service.frontend.station import Station
+from service.frontend.station import MeasuringStation
 from service.records.epoch import format_epoch
 from service.records.operations.link import STOPPED
 
@@ -39,7 +39,7 @@ class LinkReporter:
     """
 
     def __init__(
-        self, client: ServiceClient, name: str, stations: Sequence[Station], period_s: float = REPORT_PERIOD_S
+        self, client: ServiceClient, name: str, stations: Sequence[MeasuringStation], period_s: float = REPORT_PERIOD_S
     ) -> None:
         self._client = client
         self._name = name
@@ -123,7 +123,7 @@ class LinkReporter:
             self._resets_seen = resets
 
 
-def analyzer_link(station: Station, period_s: float) -> dict[str, Any]:
+def analyzer_link(station: MeasuringStation, period_s: float) -> dict[str, Any]:
     """Return what one analyzer's link says of itself."""
     acquisition, counters, spool = station.acquisition, station.acquisition.counters, station.spool.state
     upload = station.uploader.counters

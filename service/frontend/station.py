@@ -40,7 +40,7 @@ class StationSummary:
     unwritten: int = 0
 
 
-class Station:
+class MeasuringStation:
     """Measure a task on one analyzer for one spacecraft.
 
     Parameters
@@ -126,7 +126,7 @@ class Station:
         return StationSummary(self.acquisition.counters, self.uploader.counters, state.waiting, state.held)
 
 
-def run_stations(stations: Sequence[Station]) -> list[StationSummary]:
+def run_stations(stations: Sequence[MeasuringStation]) -> list[StationSummary]:
     """Run several stations until each has been stopped; one that dies stops the others.
 
     Raises
@@ -136,7 +136,7 @@ def run_stations(stations: Sequence[Station]) -> list[StationSummary]:
     """
     summaries: dict[str, StationSummary] = {}
 
-    def run(station: Station) -> None:
+    def run(station: MeasuringStation) -> None:
         try:
             summaries[station.link_id] = station.run()
         finally:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from service.records.epoch import EARLIEST_EPOCH_US, LATEST_EPOCH_US, US_PER_S, format_epoch
 from service.records.levels.attitude import FloatArray, IntArray
-from service.records.levels.measurement import DETAIL_NAMES, CarrierDetails, MeasurementBatch, Refusal, Sender
+from service.records.levels.measurement import DETAIL_NAMES, CarrierDetails, MeasurementBatch, RowRefusal, Sender
 
 #: no carrier power that an analyzer can see lies outside
 MIN_POWER_DBM = -250.0
@@ -101,7 +101,7 @@ def data_bounds(now_us: int | None, future_tolerance_s: float, retention_s: floa
     return EpochBounds(_earliest_us(now_us, retention_s), latest_us, None)
 
 
-def screen(rows: ReceivedRows, width: int, bounds: EpochBounds) -> tuple[MeasurementBatch, tuple[Refusal, ...]]:
+def screen(rows: ReceivedRows, width: int, bounds: EpochBounds) -> tuple[MeasurementBatch, tuple[RowRefusal, ...]]:
     """Return the rows that may be stored, and why the others may not.
 
     Parameters
@@ -127,7 +127,7 @@ def screen(rows: ReceivedRows, width: int, bounds: EpochBounds) -> tuple[Measure
     is_old = rows.epochs_us < bounds.earliest_us
     is_ahead = rows.epochs_us > bounds.latest_us
     index = np.flatnonzero(has_width & ~is_outside & ~is_old & ~is_ahead)
-    refusals: list[Refusal] = []
+    refusals: list[RowRefusal] = []
     if len(index) < len(has_width):
         faults = {
             "value.count": ~has_width,
@@ -195,11 +195,13 @@ def _as_array(power_dbm: Powers, has_width: BoolArray, width: int) -> FloatArray
     return np.array(kept, dtype=np.float64).reshape(len(kept), width)
 
 
-def _refusal(rows: ReceivedRows, place: int, faults: dict[str, BoolArray], width: int, bounds: EpochBounds) -> Refusal:
+def _refusal(
+    rows: ReceivedRows, place: int, faults: dict[str, BoolArray], width: int, bounds: EpochBounds
+) -> RowRefusal:
     """Return why one row is refused."""
     code = next(code for code, is_faulty in faults.items() if is_faulty[place])
     seq = None if rows.first_seq is None else rows.first_seq + place
-    return Refusal(place, seq, code, _detail(code, rows, place, width, bounds))
+    return RowRefusal(place, seq, code, _detail(code, rows, place, width, bounds))
 
 
 def _detail(code: str, rows: ReceivedRows, place: int, width: int, bounds: EpochBounds) -> str:

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from typing import Protocol
 
 from service.records.operations.access_key import AccessKey, StoredKey
-from service.records.operations.audit import AuditEntry, AuditFilter, AuditHead, Deed
+from service.records.operations.audit import AuditEntry, AuditEvent, AuditFilter, AuditHead
 
 
 class Keys(Protocol):
@@ -26,7 +26,7 @@ class Keys(Protocol):
         """Store when keys were last used, by id."""
         ...
 
-    def add_first_administrator(self, stored: StoredKey, deed: Deed) -> bool:
+    def add_first_administrator(self, stored: StoredKey, deed: AuditEvent) -> bool:
         """Store an administrator's key with its audit entry unless one is in force; return whether it was stored."""
         ...
 
@@ -34,7 +34,7 @@ class Keys(Protocol):
 class Audit(Protocol):
     """The audit log: entries are added, never changed."""
 
-    def append(self, deed: Deed) -> AuditEntry:
+    def append(self, deed: AuditEvent) -> AuditEntry:
         """Add a deed and wait for its commit."""
         ...
 

@@ -10,7 +10,7 @@ from service.records.journal import JournalEntry, JournalHead, SlowInput
 from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
 from service.records.levels.measurement_block import MeasurementBlock
 from service.records.levels.series import HeadState, InputReceipt, MeasurementSeries, ReferenceSeries, SourceState
-from service.records.storage.archive_upkeep import Dropped, SealedPart, SegmentState
+from service.records.storage.archive_upkeep import RetiredRows, SealedPart, SegmentState
 
 
 class Archive(Protocol):
@@ -135,7 +135,7 @@ class Archive(Protocol):
         """Give rows of versions before checksums theirs, a short transaction a step, and yield how many."""
         ...
 
-    def drop_before(self, spacecraft_id: str, series: str, before_us: int) -> Iterator[Dropped]:
+    def drop_before(self, spacecraft_id: str, series: str, before_us: int) -> Iterator[RetiredRows]:
         """Drop the rows of a series of whole days before an epoch, a short transaction a step.
 
         Series: ``measurements``, ``attitude``, ``torques``, ``traces``. What the live chain has not consumed stays.

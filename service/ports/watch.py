@@ -6,7 +6,7 @@ from typing import Protocol
 from service.records.calibration import Window
 from service.records.operations.alarm import Alarm, AlarmChange
 from service.records.operations.alarm_limits import AlarmLimits
-from service.records.operations.alarm_memory import BookMemory
+from service.records.operations.alarm_memory import EngineMemory
 from service.records.operations.note import Note
 
 
@@ -49,11 +49,11 @@ class Alarms(Protocol):
         """Return the number of the newest change, 0 before the first."""
         ...
 
-    def memory(self, spacecraft_id: str | None) -> BookMemory:
+    def memory(self, spacecraft_id: str | None) -> EngineMemory:
         """Return what the alarms of a spacecraft, or of the service, remember."""
         ...
 
-    def save_memory(self, spacecraft_id: str | None, memory: BookMemory) -> None:
+    def save_memory(self, spacecraft_id: str | None, memory: EngineMemory) -> None:
         """Store what they remember in place of what they did."""
         ...
 

@@ -24,7 +24,7 @@ _CONTROLS = {code: f"\\u{code:04x}" for code in (*range(32), 127, *range(0x80, 0
 _HIDDEN = "[hidden]"
 
 
-class JsonLines(logging.Formatter):
+class JsonLogFormatter(logging.Formatter):
     """One JSON object a line: ``time``, ``level``, ``logger``, ``message``, ``request_id``, fields, ``traceback``.
 
     Fields of an event are given as ``extra={"fields": {...}}``.
@@ -32,7 +32,7 @@ class JsonLines(logging.Formatter):
     Examples
     --------
     >>> record = logging.makeLogRecord({"msg": "ready", "levelname": "INFO", "name": "soo", "created": 0.0})
-    >>> JsonLines().format(record)
+    >>> JsonLogFormatter().format(record)
     '{"time":"1970-01-01T00:00:00.000000Z","level":"info","logger":"soo","message":"ready"}'
     """
 
@@ -77,7 +77,7 @@ class TextLines(logging.Formatter):
         return line
 
 
-FORMS: dict[LogForm, type[logging.Formatter]] = {"json": JsonLines, "text": TextLines}
+FORMS: dict[LogForm, type[logging.Formatter]] = {"json": JsonLogFormatter, "text": TextLines}
 
 
 def without_secrets(text: str) -> str:

@@ -7,7 +7,7 @@ from enum import StrEnum
 COLUMNS = ("figure", "parameters", "paper", "reproduced", "ratio", "verdict")
 
 
-class Verdict(StrEnum):
+class Agreement(StrEnum):
     """What a reproduced figure is to the published one."""
 
     #: equal within the rounding of the print, within a stated bound, or as the print says in words
@@ -29,7 +29,7 @@ class Row:
     is_bound: bool
     reproduced: float
     unit: str
-    verdict: Verdict
+    verdict: Agreement
     #: the print in words
     statement: str = ""
     #: not reproduced, and the page of the study says why
@@ -43,7 +43,7 @@ class Row:
     @property
     def is_surprising(self) -> bool:
         """Return whether a figure does not reproduce that should."""
-        return self.verdict is Verdict.NOT_REPRODUCED and not self.is_known_miss
+        return self.verdict is Agreement.NOT_REPRODUCED and not self.is_known_miss
 
     @property
     def cells(self) -> tuple[str, ...]:
@@ -69,8 +69,8 @@ def row(
 ) -> Row:
     """Return the row of a published figure; ``within`` is the rounding of the print or the error to be expected."""
     is_met = reproduced <= published if is_bound else abs(reproduced - published) <= within
-    met = Verdict.FITTED if is_fitted else Verdict.REPRODUCED
-    verdict = met if is_met else Verdict.NOT_REPRODUCED
+    met = Agreement.FITTED if is_fitted else Agreement.REPRODUCED
+    verdict = met if is_met else Agreement.NOT_REPRODUCED
     return Row(what, parameters, published, is_bound, reproduced, unit, verdict, is_known_miss=is_known_miss)
 
 
@@ -86,8 +86,8 @@ def statement_row(
     is_known_miss: bool = False,
 ) -> Row:
     """Return the row of a statement that the print makes in words."""
-    met = Verdict.FITTED if is_fitted else Verdict.REPRODUCED
-    verdict = met if is_met else Verdict.NOT_REPRODUCED
+    met = Agreement.FITTED if is_fitted else Agreement.REPRODUCED
+    verdict = met if is_met else Agreement.NOT_REPRODUCED
     return Row(what, parameters, None, False, reproduced, unit, verdict, statement, is_known_miss)
 
 

@@ -9,7 +9,7 @@ from db.storage import SqlStorage
 from service.errors import NotFoundError
 from service.records.operations.alarm import Alarm, AlarmChange, ChangeKind, Cover, Handling, Process, Severity
 from service.records.operations.alarm_limits import AlarmLimits
-from service.records.operations.alarm_memory import BookMemory, Watch, WatchMemory
+from service.records.operations.alarm_memory import EngineMemory, ValueMemory, WatchMemory
 from service.records.operations.note import Note
 
 S = 1_000_000
@@ -87,11 +87,11 @@ def test_alarms_are_listed_by_state_and_window_with_those_of_the_service(storage
 
 
 def test_memory_and_alarms_outlive_the_service(url):
-    memory = BookMemory((WatchMemory("carrier_level", "c01", Watch(2, 5, 3, 7, None, 1.5, 8)),), 11, 60.5)
+    memory = EngineMemory((WatchMemory("carrier_level", "c01", ValueMemory(2, 5, 3, 7, None, 1.5, 8)),), 11, 60.5)
     first = SqlStorage(url)
     first.migrate()
-    assert first.alarms.memory("craft") == BookMemory()
-    first.alarms.save_memory("craft", BookMemory())
+    assert first.alarms.memory("craft") == EngineMemory()
+    first.alarms.save_memory("craft", EngineMemory())
     first.alarms.save_memory("craft", memory)
     first.alarms.save_memory(None, replace(memory, newest_row_us=12))
     alarm = raise_one(first)

@@ -18,7 +18,7 @@ from db.storage import SqlStorage
 from service.ports import Outcome
 from service.records.catalogue import Method
 from service.records.inputs import Operation
-from service.records.operations.audit import Deed
+from service.records.operations.audit import AuditEvent
 from service.records.storage.backup import BackupError
 from service.records.storage.diagnosis import worst
 
@@ -41,7 +41,7 @@ def filled(setting, make):
     made = [make.attitude_row(row, method, common_db=0.1 + 0.2) for row in rows for method in Method]
     setting.consume([Outcome(tuple(made), make.torque_command(rows[0]))])
     deed = {"who": "a", "key_id": "k", "role": "admin", "address": "::1", "action": "x", "target": "/y"}
-    setting.storage.audit.append(Deed(at_us=1, outcome="done", request_id="r", **deed))
+    setting.storage.audit.append(AuditEvent(at_us=1, outcome="done", request_id="r", **deed))
     return setting
 
 

@@ -19,7 +19,7 @@ from db.schema.schema_version import known_versions
 from service.ports import Outcome
 from service.records.inputs import Correction
 from service.records.operations.access_key import AccessKey, Role, StoredKey, digest_of
-from service.records.operations.audit import Deed
+from service.records.operations.audit import AuditEvent
 from service.records.storage.archive_upkeep import SealedPart
 from service.records.storage.diagnosis import worst
 from service.runtime.clock import system_now_us
@@ -46,7 +46,7 @@ def filled(setting, make):
     assert sum(part.rows for part in sealed) == 40
     deed = {"who": "a", "key_id": "k", "role": "admin", "address": "::1", "action": "x", "target": "/y"}
     for number in range(3):
-        setting.storage.audit.append(Deed(at_us=number, outcome="done", request_id="r", **deed))
+        setting.storage.audit.append(AuditEvent(at_us=number, outcome="done", request_id="r", **deed))
     return setting
 
 

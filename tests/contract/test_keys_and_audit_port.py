@@ -9,14 +9,14 @@ from sqlalchemy import text
 from service.errors import ConflictError, NotFoundError, StorageError
 from service.records.catalogue import Site, Spacecraft
 from service.records.operations.access_key import AccessKey, Role, StoredKey, digest_of
-from service.records.operations.audit import CURRENT_NOTE, AuditFilter, Deed, Note, findings
+from service.records.operations.audit import CURRENT_NOTE, AuditContext, AuditEvent, AuditFilter, findings
 
 EVER = AuditFilter(start_us=-(2**62), stop_us=2**62)
 INERTIA = ((4000.0, 0.0, 0.0), (0.0, 2000.0, 0.0), (0.0, 0.0, 4000.0))
 
 
 def deed(action="create", **changes):
-    known = Deed(
+    known = AuditEvent(
         at_us=5,
         who="anna",
         key_id="k1",
@@ -46,7 +46,7 @@ def noted():
     tokens = []
 
     def put(wanted):
-        note = Note(wanted)
+        note = AuditContext(wanted)
         tokens.append(CURRENT_NOTE.set(note))
         return note
 

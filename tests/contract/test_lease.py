@@ -7,7 +7,7 @@ import pytest
 from db.storage import SqlStorage
 from service.errors import StorageError
 from service.ports import Outcome
-from service.records.operations.alarm_memory import BookMemory
+from service.records.operations.alarm_memory import EngineMemory
 
 
 @pytest.fixture
@@ -65,7 +65,7 @@ def test_what_is_written_under_a_lost_lease_is_refused(setting, twin, make):
     assert twin.lease.take()
     setting.append([20])
     later = outcome_of(setting.rows()[1], make)
-    for write in (lambda: setting.consume([later]), lambda: first.alarms.save_memory(setting.id, BookMemory())):
+    for write in (lambda: setting.consume([later]), lambda: first.alarms.save_memory(setting.id, EngineMemory())):
         with pytest.raises(StorageError) as caught:
             write()
         assert caught.value.code == "lease.lost"
@@ -93,7 +93,7 @@ def test_a_lock_on_a_file_that_was_taken_away_is_none(setting, twin, url):
     assert twin.lease.take()
     assert not first.lease.is_held()
     with pytest.raises(StorageError, match=r"lease\.lost"):
-        first.alarms.save_memory(setting.id, BookMemory())
+        first.alarms.save_memory(setting.id, EngineMemory())
     assert not first.lease.take()
 
 

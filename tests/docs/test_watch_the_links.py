@@ -10,7 +10,15 @@ from page_blocks import CRAFT
 
 from service.api.views.links import SILENT
 from service.client.service_client import ServiceClient
-from service.frontend.acquisition.states import ACTIONS, MEANINGS, TRANSITIONS, Event, State, diagram, reference_page
+from service.frontend.acquisition.states import (
+    ACTIONS,
+    MEANINGS,
+    TRANSITIONS,
+    AcquisitionEvent,
+    AcquisitionState,
+    diagram,
+    reference_page,
+)
 from service.frontend.link_report import RUNNING, SERVICE_AWAY
 from service.records.operations.link import STOPPED
 
@@ -44,7 +52,7 @@ def test_the_page_names_every_state_and_no_other() -> None:
     table = PAGE.read_text().partition("## What each state means")[2].partition("`reported_state`")[0]
     named = re.findall(r"^\| `([A-Z_]+)` \| \S", table, re.MULTILINE)
     assert len(named) == len(set(named))
-    assert set(named) == {state.name for state in State} | {STUCK, RUNNING, SERVICE_AWAY, SILENT, STOPPED}
+    assert set(named) == {state.name for state in AcquisitionState} | {STUCK, RUNNING, SERVICE_AWAY, SILENT, STOPPED}
 
 
 @pytest.mark.system
@@ -86,9 +94,9 @@ def test_page_of_states_is_the_table() -> None:
 
 def test_page_of_states_names_every_state_and_event_and_draws_every_change() -> None:
     page = reference_page()
-    assert set(ACTIONS) == set(State)
-    assert set(MEANINGS) == set(Event)
-    assert all(f"| {state.name} |" in page for state in State)
+    assert set(ACTIONS) == set(AcquisitionState)
+    assert set(MEANINGS) == set(AcquisitionEvent)
+    assert all(f"| {state.name} |" in page for state in AcquisitionState)
     for state, row in TRANSITIONS.items():
         for event, target in row.items():
             if target is not state:

@@ -4,12 +4,12 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from service.pipeline.alarms.alarm_engine import AlarmBook, Readings
-from service.pipeline.alarms.condition import Condition, Kind, Origin
-from service.pipeline.alarms.limit_sets import Circumstances
+from service.pipeline.alarms.alarm_engine import AlarmEngine, Readings
+from service.pipeline.alarms.condition import AlarmCondition, Kind, Origin
+from service.pipeline.alarms.limit_sets import AlarmContext
 from service.records.operations.alarm import ChangeKind, Cover, Handling, Process
 from service.records.operations.alarm_limits import ConditionLimits
-from service.records.operations.alarm_memory import BookMemory
+from service.records.operations.alarm_memory import EngineMemory
 
 S = 1_000_000
 THINGS = ("c0", "c1")
@@ -20,14 +20,14 @@ def condition(name, *, latching):
     limits = ConditionLimits(
         warning=3.0, critical=6.0, deadband=0.5, on_s=60.0, off_s=60.0, repeat_s=240.0, latching=latching
     )
-    return Condition(name, Kind.ABOVE, "dB", "carrier", Origin.ROW, "is", "look", limits)
+    return AlarmCondition(name, Kind.ABOVE, "dB", "carrier", Origin.ROW, "is", "look", limits)
 
 
 CONDITIONS = {
     "carrier_level": condition("carrier_level", latching=False),
     "carrier_residual": condition("carrier_residual", latching=True),
 }
-QUIET = Circumstances(quiet_carriers=frozenset(THINGS))
+QUIET = AlarmContext(quiet_carriers=frozenset(THINGS))
 VALUE = st.sampled_from([0.0, 2.8, 4.0, 7.0, float("nan")])
 STEP = st.one_of(
     st.tuples(st.just("observe"), st.sampled_from(list(CONDITIONS)), st.tuples(VALUE, VALUE)),
@@ -40,7 +40,7 @@ class Story:
     """A book that lives through steps, a minute each, and what is known of its alarms."""
 
     def __init__(self):
-        self.book = AlarmBook("craft", CONDITIONS)
+        self.book = AlarmEngine("craft", CONDITIONS)
         self.minute = 0
         self.changes = []
 
@@ -67,12 +67,12 @@ class Story:
         return self.book.enter(QUIET, self.now_us)
 
     def _operation_over(self, *_):
-        return self.book.enter(Circumstances(), self.now_us)
+        return self.book.enter(AlarmContext(), self.now_us)
 
     def _restart(self, *_):
         holds = self.book.circumstances
-        memory = BookMemory(self.book.watches())
-        self.book = AlarmBook("craft", CONDITIONS, None, tuple(self.book.open_alarms.values()), memory)
+        memory = EngineMemory(self.book.watches())
+        self.book = AlarmEngine("craft", CONDITIONS, None, tuple(self.book.open_alarms.values()), memory)
         return self.book.enter(holds, self.now_us)
 
     def _operate(self, place, order):

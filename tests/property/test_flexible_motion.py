@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 
 from service.core.flexible.motion import follow_motion
 from service.core.flexible.propagation import BodyState, start_leg, state_at, states_at
-from service.core.flexible.spacecraft import FlexibleMode, WheelDrive
+from service.core.flexible.spacecraft import HubMode, WheelDrive
 from service.core.flexible.switching_law import SwitchingLaw
 
-MODES = st.builds(FlexibleMode, st.floats(0.1, 4.0), st.floats(1e-4, 0.5), st.floats(0.0, 3.0))
+MODES = st.builds(HubMode, st.floats(0.1, 4.0), st.floats(1e-4, 0.5), st.floats(0.0, 3.0))
 STATES = st.builds(
     BodyState,
     st.floats(-0.06, 0.06),

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 from service.core.flexible.propagation import BodyState, start_leg, states_at
 from service.core.flexible.schedule.schedule_check import analyse_schedule
 from service.core.flexible.schedule.schedule_response import TorquePulse, carry_phasor, schedule_response
-from service.core.flexible.spacecraft import FlexibleMode
+from service.core.flexible.spacecraft import HubMode
 
 INERTIA = 4000.0
-MODES = st.builds(FlexibleMode, st.floats(0.1, 4.0), st.floats(1e-4, 0.3), st.floats(0.01, 3.0))
+MODES = st.builds(HubMode, st.floats(0.1, 4.0), st.floats(1e-4, 0.3), st.floats(0.01, 3.0))
 #: gaps and lengths make pulses that never overlap
 PARTS = st.lists(st.tuples(st.floats(0.0, 20.0), st.floats(0.01, 10.0), st.floats(-0.3, 0.3)), min_size=1, max_size=6)
 CARRIED = st.complex_numbers(max_magnitude=1e-3, allow_nan=False, allow_infinity=False)

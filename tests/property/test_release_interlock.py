@@ -12,7 +12,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition,
 from release_driver import GOOD, INPUTS, SETTINGS, US, ReleaseDriver
 
 from service.core.control.envelope import Envelope
-from service.core.control.sign_check import Verdict
+from service.core.control.sign_check import SignState
 from service.pipeline.control.release.command_states import CommandState, CommandTransition
 from service.pipeline.control.release.events import (
     Automatic,
@@ -123,7 +123,9 @@ class AnyOrder(RuleBasedStateMachine):
         envelope = Envelope(angle_change_deg=0.5) if wide else Envelope()
         self.send(Engage(self.driver.at, by, until_us, envelope, is_approver))
 
-    @rule(axis=st.sampled_from(["yaw", "roll", "pitch"]), verdict=st.sampled_from([Verdict.PLUS] * 6 + list(Verdict)))
+    @rule(
+        axis=st.sampled_from(["yaw", "roll", "pitch"]), verdict=st.sampled_from([SignState.PLUS] * 6 + list(SignState))
+    )
     def sign(self, axis, verdict):
         self.send(SignJudged(self.driver.at, axis, verdict))
 
@@ -195,7 +197,7 @@ class AnyOrder(RuleBasedStateMachine):
         driver.rows(12)
         driver.order(OrderKind.ARM)
         for axis in ("roll", "pitch"):
-            driver.send(SignJudged(driver.at, axis, Verdict.PLUS))
+            driver.send(SignJudged(driver.at, axis, SignState.PLUS))
         for person in ("ann", "bob"):
             driver.engage(person, until_us=driver.now_us + hours * 3600 * US)
 

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from sign_world import FLICKER, LOUD, NOMINAL, decisions, payload, powers_db
 
 from service.core.control.sign_check import (
-    Circumstances,
     Sign,
-    Verdict,
+    SignContext,
+    SignState,
     decide,
     expected_ratio,
     weigh,
@@ -46,9 +46,9 @@ def test_false_decisions_stay_below_one_in_a_thousand(axis, noise):
     wrong, open_, rows = 0, 0, []
     for sign in Sign:
         found = verdicts(axis, sign, 1200, noise)
-        wrong += sum(each.verdict not in (Verdict[sign.name], Verdict.OPEN) for each in found)
-        open_ += sum(each.verdict is Verdict.OPEN for each in found)
-        rows += [each.row for each in found if each.verdict is Verdict[sign.name]]
+        wrong += sum(each.verdict not in (SignState[sign.name], SignState.OPEN) for each in found)
+        open_ += sum(each.verdict is SignState.OPEN for each in found)
+        rows += [each.row for each in found if each.verdict is SignState[sign.name]]
     assert wrong <= 3, "false decisions"
     assert open_ <= 0.25 * 3600, "undecided after 45 minutes"
     assert np.median(EPOCHS_S[rows]) <= 35 * 60.0, "time to decide"
@@ -58,7 +58,7 @@ def test_false_decisions_stay_below_one_in_a_thousand(axis, noise):
 def test_powers_that_no_hypothesis_explains_decide_nothing(axis):
     """Links 1.6 times as loud as the model believes: contradicted, and seldom decided wrongly before that."""
     counts = Counter(each.verdict for sign in Sign for each in verdicts(axis, sign, 200, LOUD))
-    assert counts[Verdict.CONTRADICTED] > 0.9 * 600
+    assert counts[SignState.CONTRADICTED] > 0.9 * 600
 
 
 def test_a_wrong_sign_is_found_and_never_costs_a_tenth_of_a_degree():
@@ -66,8 +66,8 @@ def test_a_wrong_sign_is_found_and_never_costs_a_tenth_of_a_degree():
         assert greatest_loss_deg(profile) < 0.1
         assert profile.stop_s <= 45 * 60.0
         found = Counter(each.verdict for each in verdicts(axis, Sign.MINUS, 400))
-        assert found[Verdict.MINUS] > 0.75 * 400
-        assert found[Verdict.PLUS] == 0
+        assert found[SignState.MINUS] > 0.75 * 400
+        assert found[SignState.PLUS] == 0
 
 
 def test_yaw_moves_roll_by_less_than_a_tenth_of_a_degree_and_is_told_by_it():
@@ -78,9 +78,9 @@ def test_yaw_moves_roll_by_less_than_a_tenth_of_a_degree_and_is_told_by_it():
     assert np.abs(turn[:, 1]).max() < 0.1
     assert abs(turn[-1, 0]) < 1e-12
     assert abs(turn[-1, 1]) < 1e-12
-    ratios = [expected_ratio(payload(s), epochs_s, turn, Circumstances(np.zeros(3)))[-1] for s in range(4)]
+    ratios = [expected_ratio(payload(s), epochs_s, turn, SignContext(np.zeros(3)))[-1] for s in range(4)]
     without_roll = turn * [1.0, 0.0, 0.0]
-    alone = [expected_ratio(payload(s), epochs_s, without_roll, Circumstances(np.zeros(3)))[-1] for s in range(4)]
+    alone = [expected_ratio(payload(s), epochs_s, without_roll, SignContext(np.zeros(3)))[-1] for s in range(4)]
     # decisive in the mean on most payloads; without the roll that yaw causes not half of it on any
     assert np.median(ratios) > 9.0
     assert max(alone) < 4.5
@@ -88,7 +88,7 @@ def test_yaw_moves_roll_by_less_than_a_tenth_of_a_degree_and_is_told_by_it():
 
 def test_rows_and_carriers_that_are_absent_are_left_out():
     model, profile = payload(5), roll_profile()
-    turn, still = profile_angles_deg(profile, EPOCHS_S), Circumstances(np.zeros(3))
+    turn, still = profile_angles_deg(profile, EPOCHS_S), SignContext(np.zeros(3))
     (powers,) = powers_db(model, EPOCHS_S, profile, Sign.PLUS, 1, np.random.default_rng(SEED))
     powers[4] = np.nan
     powers[:, 7] = np.nan
@@ -106,7 +106,7 @@ def test_rows_and_carriers_that_are_absent_are_left_out():
 def test_levels_decide_nothing(level_db, seed):
     """A level of all, or another one for each carrier, moves no ratio: only what changes with the turn counts."""
     model, profile = payload(seed), pitch_profile()
-    turn, still = profile_angles_deg(profile, EPOCHS_S), Circumstances(np.zeros(3))
+    turn, still = profile_angles_deg(profile, EPOCHS_S), SignContext(np.zeros(3))
     (powers,) = powers_db(model, EPOCHS_S, profile, Sign.PLUS, 1, np.random.default_rng(seed))
     before = weigh(model, EPOCHS_S, powers, turn, still).ratio(Sign.PLUS)
     own_db = np.random.default_rng(seed + 1).normal(0.0, 0.3, model.carriers)
@@ -120,13 +120,14 @@ def test_one_run_by_weigh_is_the_run_of_the_campaign():
     powers = powers_db(model, EPOCHS_S, profile, Sign.MINUS, 2, np.random.default_rng(SEED))
     campaign = decisions(model, EPOCHS_S, profile, powers)
     for run, expected in zip(powers, campaign, strict=True):
-        own = decide(weigh(model, EPOCHS_S, run, profile_angles_deg(profile, EPOCHS_S), Circumstances(np.zeros(3))))
+        own = decide(weigh(model, EPOCHS_S, run, profile_angles_deg(profile, EPOCHS_S), SignContext(np.zeros(3))))
         assert (own.verdict, own.row) == (expected.verdict, expected.row)
         np.testing.assert_allclose(own.log_ratio, expected.log_ratio, rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.parametrize(
-    ("factor", "verdict"), [(1.0, Verdict.PLUS), (-1.0, Verdict.MINUS), (0.0, Verdict.NOTHING), (0.5, Verdict.OPEN)]
+    ("factor", "verdict"),
+    [(1.0, SignState.PLUS), (-1.0, SignState.MINUS), (0.0, SignState.NOTHING), (0.5, SignState.OPEN)],
 )
 def test_wheel_telemetry_tells_the_way(factor, verdict):
     predicted = np.array([0.01, -0.02, 0.0])
@@ -134,7 +135,7 @@ def test_wheel_telemetry_tells_the_way(factor, verdict):
 
 
 def test_wheel_telemetry_that_is_absent_tells_nothing():
-    assert wheel_decision(np.array([0.01]), np.array([np.nan]), 0.002).verdict is Verdict.OPEN
+    assert wheel_decision(np.array([0.01]), np.array([np.nan]), 0.002).verdict is SignState.OPEN
     with pytest.raises(ValueError, match="sigma positive"):
         wheel_decision(np.array([0.01]), np.array([0.01]), 0.0)
 
@@ -151,4 +152,4 @@ def test_rows_that_do_not_fit_are_refused(change):
     else:
         turn[2, 1] = np.nan
     with pytest.raises(ValueError, match=r"epochs"):
-        weigh(model, epochs_s, powers, turn, Circumstances(np.zeros(3)))
+        weigh(model, epochs_s, powers, turn, SignContext(np.zeros(3)))

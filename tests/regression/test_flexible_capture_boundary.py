@@ -10,7 +10,7 @@ from service.core.flexible.capture.capture import (
     least_capturing_amplitude_rad,
     lowest_angle_rad,
 )
-from service.core.flexible.spacecraft import FlexibleMode
+from service.core.flexible.spacecraft import HubMode
 from service.study.limit_cycles import reference
 from service.study.limit_cycles.capture_tables import is_captured, mode_of, switch_of
 from service.study.limit_cycles.reference import CaptureCase
@@ -74,7 +74,7 @@ def test_damping_raises_the_boundary_so_that_leaving_it_out_is_safe() -> None:
 
 def test_special_forms_of_the_boundary() -> None:
     omega, kn, rate, eps_a, eps_c = 2.0, 0.7, 3e-4, 1.9e-4, 1.1e-6
-    mode, pi = FlexibleMode(omega, 0.01, kn), math.pi
+    mode, pi = HubMode(omega, 0.01, kn), math.pi
     one_line = SwitchOn(eps_a, eps_c, rate, 0.0175, 0.0175)
     by_19 = pi * rate / omega - eps_a / omega**2 * (pi**2 / 2 + 2 * kn) - 2 * kn * eps_c / omega**2
     assert 2.0 * critical_amplitude_rad(one_line, mode) == pytest.approx(by_19, rel=1e-12)

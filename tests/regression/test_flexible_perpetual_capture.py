@@ -3,7 +3,7 @@
 import pytest
 
 from service.core.flexible.capture.capture import SwitchOn, perpetual_amplitude_rad
-from service.core.flexible.spacecraft import FlexibleMode
+from service.core.flexible.spacecraft import HubMode
 from service.study.limit_cycles import reference
 from service.study.limit_cycles.capture_tables import is_as_told, perpetual_lock
 from service.study.limit_cycles.reference import PerpetualCase
@@ -11,7 +11,7 @@ from service.study.limit_cycles.reference import PerpetualCase
 
 def limit_rad(case: PerpetualCase) -> float:
     switch = SwitchOn(2e-4, 0.0, 1e-4, reference.ALPHA_RAD, reference.BETA_RAD)
-    return perpetual_amplitude_rad(switch, FlexibleMode(case.omega_rad_s, case.damping_ratio, case.coupling))
+    return perpetual_amplitude_rad(switch, HubMode(case.omega_rad_s, case.damping_ratio, case.coupling))
 
 
 @pytest.mark.parametrize(

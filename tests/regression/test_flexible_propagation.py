@@ -7,13 +7,13 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from service.core.flexible.propagation import BodyState, bi_plane_invariant, start_leg, state_at, states_at
-from service.core.flexible.spacecraft import FlexibleMode
+from service.core.flexible.spacecraft import HubMode
 
 INERTIA = 1000.0
 START = BodyState(0.0349, -1.3e-4, 2.1e-3, -7e-4, 0.8)
 
 
-def integrated(mode: FlexibleMode, decay_1_s: float, wheel_n_m: float, external_n_m: float, duration_s: float):
+def integrated(mode: HubMode, decay_1_s: float, wheel_n_m: float, external_n_m: float, duration_s: float):
     """Return the state by DOP853 at relative tolerance 1e-12; the wheel's torque follows its own momentum."""
 
     def derivative(_: float, y: np.ndarray) -> list[float]:
@@ -30,7 +30,7 @@ def integrated(mode: FlexibleMode, decay_1_s: float, wheel_n_m: float, external_
 @pytest.mark.parametrize("decay_1_s", [0.0, 5e-6, 1e-3, 0.05])
 @pytest.mark.parametrize("external_n_m", [0.0, 2e-3])
 def test_a_leg_of_a_minute_agrees_with_the_integrator(decay_1_s: float, external_n_m: float) -> None:
-    mode = FlexibleMode(0.5, 0.005, 0.5)
+    mode = HubMode(0.5, 0.005, 0.5)
     leg = start_leg(
         START,
         mode,
@@ -45,7 +45,7 @@ def test_a_leg_of_a_minute_agrees_with_the_integrator(decay_1_s: float, external
 
 
 def test_without_the_decaying_part_the_comparison_fails() -> None:
-    mode = FlexibleMode(0.5, 0.005, 0.5)
+    mode = HubMode(0.5, 0.005, 0.5)
     leg = start_leg(START, mode, inertia_kg_m2=INERTIA, wheel_torque_n_m=-0.011)
     wanted = integrated(mode, 5e-6, -0.011, 0.0, 60.0)
     assert np.abs(np.array(state_at(leg, 60.0))[:4] - wanted[:4]).max() > 1e-9
@@ -53,7 +53,7 @@ def test_without_the_decaying_part_the_comparison_fails() -> None:
 
 @pytest.mark.parametrize("xi", [1e-4, 0.005, 0.3])
 def test_the_invariant_of_the_bi_plane_stays_to_fourteen_digits(xi: float) -> None:
-    mode = FlexibleMode(0.7, xi, 0.4)
+    mode = HubMode(0.7, xi, 0.4)
     leg = start_leg(START, mode, inertia_kg_m2=INERTIA, wheel_torque_n_m=-0.2)
     # with heavy damping the swing itself falls below its rounding
     times = np.linspace(0.0, min(20.0, 0.3 / xi) * 2.0 * math.pi / mode.omega_rad_s, 400)
@@ -63,7 +63,7 @@ def test_the_invariant_of_the_bi_plane_stays_to_fourteen_digits(xi: float) -> No
 
 def test_the_printed_sign_would_break_the_invariant() -> None:
     # (8) with the printed minus, put into (9) and (11)
-    mode = FlexibleMode(0.7, 0.05, 0.4)
+    mode = HubMode(0.7, 0.05, 0.4)
     leg = start_leg(START, mode, inertia_kg_m2=INERTIA, wheel_torque_n_m=-0.2)
     states = states_at(leg, np.linspace(0.0, 20.0, 200))
     away = states[:, 2] - leg.decaying_rad

@@ -9,12 +9,12 @@ from scipy.integrate import solve_ivp
 
 from service.core.flexible.schedule.schedule_figures import FREQUENCY_COUNT, FREQUENCY_REACH
 from service.core.flexible.schedule.schedule_response import TorquePulse, carry_phasor, schedule_response
-from service.core.flexible.spacecraft import FlexibleMode
+from service.core.flexible.spacecraft import HubMode
 from service.study.limit_cycles import reference
 from service.study.limit_cycles.schedule_table import schedules
 
 INERTIA, NUMBERS, TORQUE, WIDTH = reference.SCHEDULE_AXIS
-MODE = FlexibleMode(*NUMBERS)
+MODE = HubMode(*NUMBERS)
 
 
 @pytest.mark.parametrize("name", list(reference.SCHEDULES))

@@ -6,7 +6,7 @@ import pytest
 
 from service.core.flexible.capture.capture import SwitchOn, critical_amplitude_rad, rigid_frequency_rad_s, stable_band
 from service.core.flexible.closed_forms import cycle_period_s
-from service.core.flexible.spacecraft import FlexibleMode
+from service.core.flexible.spacecraft import HubMode
 from service.study.limit_cycles import reference
 from service.study.limit_cycles.capture_tables import cycle_switch, is_captured
 from service.study.limit_cycles.reference import CaptureCase
@@ -26,7 +26,7 @@ def test_a_cell_of_the_table(coupling: float, swing: float, band: tuple[float, f
 
 @pytest.mark.parametrize(("swing", "omega", "printed"), reference.SURFACE)
 def test_the_surface(swing: float, omega: float, printed: float) -> None:
-    found = rigid_frequency_rad_s(cycle_switch(), FlexibleMode(omega, 0.01, 0.5), swing)
+    found = rigid_frequency_rad_s(cycle_switch(), HubMode(omega, 0.01, 0.5), swing)
     assert found == pytest.approx(printed, rel=1e-6)
 
 
@@ -38,7 +38,7 @@ def test_the_own_frequency_of_the_cycle() -> None:
 @pytest.mark.parametrize("omega", [0.7, 4.0, 11.0])
 @pytest.mark.parametrize("rate", [2e-5, 1e-4, 4e-4])
 def test_the_surface_is_the_boundary_with_the_rate_of_the_cycle(omega: float, rate: float) -> None:
-    mode = FlexibleMode(omega, 0.01, 0.6)
+    mode = HubMode(omega, 0.01, 0.6)
     switch = SwitchOn(1.9895e-4, 1.05e-6, rate, 0.0175, 0.0175)
     swing = 2.0 * critical_amplitude_rad(switch, mode) / switch.alpha_rad
     period_s = 2.0 * rate * (1.0 / switch.pulse_rad_s2 + 1.0 / switch.passive_rad_s2)

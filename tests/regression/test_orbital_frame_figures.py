@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from service.core.dynamics.orbital_frame_flight import (
-    Flight,
+    FlightRecord,
     Start,
     fly_craft,
     harmonic_amplitude,
@@ -31,16 +31,16 @@ from service.core.dynamics.orbital_frame_model import (
     ORBITAL_RATE_RAD_S,
     YAW_FIRST,
     Craft,
-    Gains,
     Inertia,
     Law,
+    OrbitalFrameGains,
     RateSensor,
     rigid_craft,
 )
 from service.study.orbital_frame.reproduction import reproduce
 
 ORBIT_S = 2.0 * math.pi / ORBITAL_RATE_RAD_S
-Fly = Callable[..., Flight]
+Fly = Callable[..., FlightRecord]
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def fly() -> Fly:
     return partial(fly_craft, kernel=compiled_fly())
 
 
-def _at(flight: Flight, time_s: float) -> tuple[float, float, float]:
+def _at(flight: FlightRecord, time_s: float) -> tuple[float, float, float]:
     k = round(time_s / 0.125)
     return float(flight.roll_deg[k]), float(flight.pitch_deg[k]), float(flight.yaw_deg[k])
 
@@ -89,7 +89,9 @@ def _at(flight: Flight, time_s: float) -> tuple[float, float, float]:
     ],
     ids=["yaw 10, max", "yaw 10, min", "roll 2, max"],
 )
-def test_trajectories(fly: Fly, gains: Gains, start: Start, points: dict[int, tuple[float, float, float]]) -> None:
+def test_trajectories(
+    fly: Fly, gains: OrbitalFrameGains, start: Start, points: dict[int, tuple[float, float, float]]
+) -> None:
     flight = fly(rigid_craft(gains), start, 1000.0)
     for time_s, wanted in points.items():
         assert _at(flight, time_s) == pytest.approx(wanted, abs=0.002), time_s
@@ -109,7 +111,7 @@ def test_pitch_tells_which_product_is_coded(fly: Fly) -> None:
 @pytest.mark.parametrize(
     ("gains", "wanted_s", "roll_deg", "at_s"), [(MAX_GAINS, 966.0, 0.440, 106.0), (MIN_GAINS, 700.0, 0.458, 115.0)]
 )
-def test_yaw_of_ten_degrees(fly: Fly, gains: Gains, wanted_s: float, roll_deg: float, at_s: float) -> None:
+def test_yaw_of_ten_degrees(fly: Fly, gains: OrbitalFrameGains, wanted_s: float, roll_deg: float, at_s: float) -> None:
     flight = fly(rigid_craft(gains), Start(yaw_deg=10.0), 3000.0)
     first_s = float(flight.time_s[np.flatnonzero(np.abs(flight.yaw_deg) <= 0.1)[0]])
     assert first_s == pytest.approx(wanted_s, rel=0.01)
@@ -132,7 +134,7 @@ def test_slope_of_a_half_is_too_slow(fly: Fly) -> None:
     assert flight.time_s[np.flatnonzero(np.abs(flight.yaw_deg) <= 0.1)[0]] == pytest.approx(1509.0, abs=15.0)
 
 
-def _closed_form_harmonic(gains: Gains) -> tuple[float, float]:
+def _closed_form_harmonic(gains: OrbitalFrameGains) -> tuple[float, float]:
     """Return amplitudes of yaw and roll, deg, from the torque of the products by hand."""
     torque = ORBITAL_RATE_RAD_S**2 * math.hypot(NOMINAL_INERTIA.xy, 4.0 * NOMINAL_INERTIA.yz)
     x = torque / complex(gains.yaw_stiffness / math.sqrt(2.0), gains.yaw_damping * ORBITAL_RATE_RAD_S)
@@ -144,7 +146,7 @@ def _closed_form_harmonic(gains: Gains) -> tuple[float, float]:
     ("gains", "yaw_deg", "roll_deg"), [(MAX_GAINS, 0.0170, 0.00182), (MIN_GAINS, 0.0642, 0.00389)], ids=["max", "min"]
 )
 def test_products_of_inertia_move_the_craft_at_the_orbital_frequency(
-    fly: Fly, gains: Gains, yaw_deg: float, roll_deg: float
+    fly: Fly, gains: OrbitalFrameGains, yaw_deg: float, roll_deg: float
 ) -> None:
     flight = fly(rigid_craft(gains, NOMINAL_INERTIA), Start(), 15_000.0)
     late = flight.time_s > 15_000.0 - ORBIT_S
@@ -165,7 +167,7 @@ def test_products_of_inertia_move_the_craft_at_the_orbital_frequency(
     ids=["max", "min"],
 )
 def test_quantum_of_torque(
-    fly: Fly, gains: Gains, yaw_deg: float, yaw_by: float, roll_deg: float, roll_by: float
+    fly: Fly, gains: OrbitalFrameGains, yaw_deg: float, yaw_by: float, roll_deg: float, roll_by: float
 ) -> None:
     craft = rigid_craft(gains, NOMINAL_INERTIA, is_sampled=True)
     flight = fly(craft, Start(), 15_000.0)
@@ -273,7 +275,7 @@ def test_rates_are_as_old_as_their_sensor_says(fly: Fly) -> None:
 
 
 def test_free_libration_has_the_period_of_the_gravity_gradient(fly: Fly) -> None:
-    craft = rigid_craft(Gains(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    craft = rigid_craft(OrbitalFrameGains(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     rate = (0.0, ORBITAL_RATE_RAD_S, 0.0)
     flight = fly(craft, Start(pitch_deg=1.0, rate_rad_s=rate), 16_000.0)
     pitch = flight.pitch_deg

@@ -31,7 +31,7 @@ from service.core.estimation.snapshot.snapshot_start import subset_orders
 from service.core.geometry.frames import station_direction
 from service.core.geometry.line_of_sight import (
     Places,
-    Track,
+    PredictedTrack,
     antenna_motion_deg,
     sight_motion_deg,
     track_position_deg,
@@ -59,7 +59,7 @@ class Calibrated(NamedTuple):
 
 def motion_at(file, epochs_us, places):
     """Ballistics of the exported track; the receiving site comes last in `places`."""
-    track = Track(file["track_epoch_us"], file["track_latitude_deg"], file["track_longitude_deg"])
+    track = PredictedTrack(file["track_epoch_us"], file["track_latitude_deg"], file["track_longitude_deg"])
     users = Places(*(column[:-1] for column in places))
     sight = sight_motion_deg(track_position_deg(track, epochs_us), users, LONGITUDE_DEG)
     return OrbitMotion(sight, antenna_motion_deg(track, epochs_us, places, LONGITUDE_DEG))

@@ -12,7 +12,7 @@ import pytest
 from service.records.levels.attitude import Axes
 from service.records.levels.measurement import Measurement
 from service.study.closed_loop import run
-from service.study.closed_loop.controllers import LEAD_S, ByTruth, Decision, Sensing
+from service.study.closed_loop.controllers import LEAD_S, ByTruth, ControllerOutput, Sensing
 from service.study.closed_loop.merit import UNKNOWN_TORQUE_SCENARIOS, group_merit, run_merit
 from service.study.closed_loop.plant_process import CommandReport, CraftTruth
 
@@ -31,7 +31,7 @@ class ByCorrections:
     rates_deg_s: np.ndarray = field(default_factory=lambda: np.zeros(3))
     sent: list = field(default_factory=list)
 
-    def decide(self, measurement: Measurement, truth: CraftTruth, counter: int) -> Decision:
+    def decide(self, measurement: Measurement, truth: CraftTruth, counter: int) -> ControllerOutput:
         step_s = (measurement.epoch_us - self.epoch_us) / 1e6 if self.epoch_us else 0.0
         due = [pulse for pulse in self.sent if pulse.start_us < measurement.epoch_us]
         self.sent = [pulse for pulse in self.sent if pulse not in due]

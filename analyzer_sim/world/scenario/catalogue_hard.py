@@ -17,7 +17,7 @@ from analyzer_sim.world.scenario.events import (
     SwitchOff,
     UplinkRain,
 )
-from analyzer_sim.world.scenario.story import KeepingFigures, NoiseFigures, RepeaterFigures, Scenario
+from analyzer_sim.world.scenario.story import KeepingErrors, NoiseFigures, RepeaterFigures, Scenario
 
 #: levels of 284 real microwave links: with the default sweep's own noise these parts give their Allan deviation and
 #: autocorrelation from a minute to half a day
@@ -35,7 +35,7 @@ FLICKER_NOISE = NoiseFigures(
 _EQUINOX_US = epoch_us_from_text("2026-09-18T00:00:00Z")
 _STORMS = Storm("storms", 5)
 _DAYS_BETWEEN = 30
-_NOT_COUPLED = KeepingFigures(is_coupled=False, is_coupled_told=False)
+_NOT_COUPLED = KeepingErrors(is_coupled=False, is_coupled_told=False)
 
 HARD: tuple[Scenario, ...] = (
     Scenario(

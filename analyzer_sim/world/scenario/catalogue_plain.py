@@ -15,12 +15,12 @@ from analyzer_sim.world.scenario.events import (
     Tour,
     UplinkRain,
 )
-from analyzer_sim.world.scenario.story import KeepingFigures, NoiseFigures, Scenario
+from analyzer_sim.world.scenario.story import KeepingErrors, NoiseFigures, Scenario
 
 #: the carriers of the default plan
 ALL16 = tuple(f"c{number:02d}" for number in range(16))
 #: attitude kept closely enough for an announced tour to stay within 0.42 deg
-_CLOSE_KEEPING = KeepingFigures(knowledge_deg=(0.018, 0.012, 0.014), feedback_tau_s=0.5 * 3600.0, scale_error=0.01)
+_CLOSE_KEEPING = KeepingErrors(knowledge_deg=(0.018, 0.012, 0.014), feedback_tau_s=0.5 * 3600.0, scale_error=0.01)
 _TOUR = Tour("tour")
 
 
@@ -156,7 +156,7 @@ PLAIN: tuple[Scenario, ...] = (
     Scenario(
         "init_bias",
         "Aligned while the craft stands at 0.25/0.16/0.13 deg instead of zero.",
-        keeping=KeepingFigures(alignment_deg=(0.25, 0.16, 0.13)),
+        keeping=KeepingErrors(alignment_deg=(0.25, 0.16, 0.13)),
     ),
     Scenario("interference", "Eight narrow signals inside carriers' bands.", faults=(Interference("signals", 8),)),
     Scenario(

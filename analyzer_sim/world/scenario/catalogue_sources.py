@@ -2,7 +2,7 @@
 
 from analyzer_sim.world.scenario.catalogue_plain import ALL16
 from analyzer_sim.world.scenario.events import ChainStep, DownlinkRain, Gap, PlanChange, SourceSwitch, SwitchOff
-from analyzer_sim.world.scenario.story import KeepingFigures, Scenario
+from analyzer_sim.world.scenario.story import KeepingErrors, Scenario
 from analyzer_sim.world.sensors import EARTH_SENSOR, RADIO_BEACON
 
 #: the three that stay when all others leave: one far in the west, one north, one far in the east
@@ -52,6 +52,6 @@ SOURCES_OF_REALITY: tuple[Scenario, ...] = (
     Scenario(
         "corrections_late",
         "As nominal; the ground is told of each correction half an hour after its end.",
-        keeping=KeepingFigures(corrections_late_min=30.0),
+        keeping=KeepingErrors(corrections_late_min=30.0),
     ),
 )

@@ -1,9 +1,9 @@
 """Catalogue, third part: worlds that differ from what the estimator believes, and reports that are wrong."""
 
 from analyzer_sim.world.scenario.events import FalseReport
-from analyzer_sim.world.scenario.story import KeepingFigures, NoiseFigures, Scenario
+from analyzer_sim.world.scenario.story import KeepingErrors, NoiseFigures, Scenario
 
-_PLAIN_DRIFT_DEG_H = KeepingFigures().drift_deg_h
+_PLAIN_DRIFT_DEG_H = KeepingErrors().drift_deg_h
 _TRIPLE_DRIFT_DEG_H = (3.0 * _PLAIN_DRIFT_DEG_H[0], 3.0 * _PLAIN_DRIFT_DEG_H[1], 3.0 * _PLAIN_DRIFT_DEG_H[2])
 
 
@@ -28,12 +28,12 @@ WRONG: tuple[Scenario, ...] = (
     Scenario(
         "nominal_drift3",
         "As nominal; the inertial model drifts three times as fast.",
-        keeping=KeepingFigures(drift_deg_h=_TRIPLE_DRIFT_DEG_H),
+        keeping=KeepingErrors(drift_deg_h=_TRIPLE_DRIFT_DEG_H),
     ),
     Scenario(
         "nominal_uncoupled",
         "As nominal; roll and yaw do not exchange although the catalogue says that they do.",
-        keeping=KeepingFigures(is_coupled=False),
+        keeping=KeepingErrors(is_coupled=False),
     ),
     Scenario("nominal_10s", "As nominal, a row each 10 s.", row_period_s=10.0),
     Scenario("nominal_300s", "As nominal, a row each 300 s.", row_period_s=300.0),

@@ -9,7 +9,7 @@ from analyzer_sim.world.scenario.catalogue_sources import SOURCES_OF_REALITY
 from analyzer_sim.world.scenario.catalogue_wrong import WRONG
 from analyzer_sim.world.scenario.story import (
     DEFAULT_START_US,
-    KeepingFigures,
+    KeepingErrors,
     NoiseFigures,
     Phase,
     RepeaterFigures,
@@ -20,7 +20,7 @@ __all__ = [
     "CLOSED_SCENARIOS",
     "DEFAULT_START_US",
     "SCENARIOS",
-    "KeepingFigures",
+    "KeepingErrors",
     "NoiseFigures",
     "Phase",
     "RepeaterFigures",

@@ -56,7 +56,7 @@ class ResidualTorque:
 
 
 @dataclass(frozen=True, slots=True)
-class KeepingFigures:
+class KeepingErrors:
     """How the attitude is kept; triples in the order yaw, roll, pitch."""
 
     #: limit cycle under the star tracker, deg
@@ -122,7 +122,7 @@ class Scenario:
     operation_h: float = 48.0
     plan: str = "ku16"
     noise: NoiseFigures = field(default_factory=NoiseFigures)
-    keeping: KeepingFigures = field(default_factory=KeepingFigures)
+    keeping: KeepingErrors = field(default_factory=KeepingErrors)
     manoeuvres: tuple[Manoeuvre, ...] = ()
     faults: tuple[Fault, ...] = ()
     repeater: RepeaterFigures = field(default_factory=RepeaterFigures)

@@ -18,7 +18,7 @@ from analyzer_sim.streams import FloatArray, stream
 from analyzer_sim.world.noise import first_order
 from analyzer_sim.world.orbit.orbit import EARTH_RATE_RAD_S, EpochArray
 from analyzer_sim.world.scenario.manoeuvres import holds_of, piece_edges, planned_deg, unexecuted_deg
-from analyzer_sim.world.scenario.story import KeepingFigures, Scenario
+from analyzer_sim.world.scenario.story import KeepingErrors, Scenario
 from analyzer_sim.world.scenario.turns import SLEW_MIN, TIMETABLE, TURNS_H
 
 #: exchange of roll and yaw, 1/h
@@ -151,24 +151,24 @@ def _free_flight(
     return attitude[:count], tuple(corrections)
 
 
-def _told_us(start_us: int, stop_us: int, figures: KeepingFigures) -> int:
+def _told_us(start_us: int, stop_us: int, figures: KeepingErrors) -> int:
     late_min = figures.corrections_late_min
     return start_us if late_min is None else stop_us + round(60.0 * late_min) * US_PER_S
 
 
-def _feed_forward(begin: FloatArray, end: FloatArray, span_h: float, figures: KeepingFigures) -> FloatArray:
+def _feed_forward(begin: FloatArray, end: FloatArray, span_h: float, figures: KeepingErrors) -> FloatArray:
     """Return the rate that leads from one planned attitude to the next against the coupling."""
     return np.asarray((end - begin) / span_h + _balance(begin, end, figures))
 
 
-def _balance(begin: FloatArray, end: FloatArray, figures: KeepingFigures) -> FloatArray:
+def _balance(begin: FloatArray, end: FloatArray, figures: KeepingErrors) -> FloatArray:
     """Return the rate against the coupling, as far as those who plan believe in it."""
     rate = ORBITAL_RATE_PER_H if figures.is_coupled_told else 0.0
     middle = 0.5 * (begin + end)
     return -rate * np.array([-middle[1], middle[0], 0.0])
 
 
-def _feedback(deviation_deg: FloatArray, span_h: float, figures: KeepingFigures) -> FloatArray:
+def _feedback(deviation_deg: FloatArray, span_h: float, figures: KeepingErrors) -> FloatArray:
     """Return the rate that removes the known deviation within the feedback time."""
     share = -np.expm1(-span_h * 3600.0 / figures.feedback_tau_s)
     return np.asarray(-share * deviation_deg / span_h)

@@ -42,7 +42,7 @@ class _Announcer:
         self._said, self._due_s = lines, time.monotonic() + self._period_s
 
 
-class AccessKeeping:
+class AccessHousekeeping:
     """The keeper of keys' use, refusals and announced heads.
 
     Parameters

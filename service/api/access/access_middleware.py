@@ -19,9 +19,9 @@ from service.api.access.principals import Principal
 from service.api.access.refusal_audit import Refusals
 from service.api.context.dependencies import ApiContext
 from service.api.limits.rate_limits import Allowance, RateLimits
-from service.api.problems.problems import ProblemError, from_soo_error, render
+from service.api.problems.problems import RequestProblemError, from_soo_error, render
 from service.errors import StorageError
-from service.records.operations.audit import CURRENT_NOTE, Deed, Note, naming_result
+from service.records.operations.audit import CURRENT_NOTE, AuditContext, AuditEvent, naming_result
 
 MAX_QUERY_PARAMETERS = 100
 _REFUSED = frozenset({HTTPStatus.UNAUTHORIZED, HTTPStatus.FORBIDDEN})
@@ -53,7 +53,7 @@ class AccessLayer:
             return
         try:
             _check_outside(scope)
-        except ProblemError as problem:
+        except RequestProblemError as problem:
             await render(HTTPConnection(scope), problem)(scope, receive, send)
             return
         answer = _Answer(scope, receive, send)
@@ -70,7 +70,7 @@ class _Answer:
     """One answer on its way out."""
 
     def __init__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        self.note = scope.setdefault("state", {})["audit_note"] = Note()
+        self.note = scope.setdefault("state", {})["audit_note"] = AuditContext()
         self._scope = scope
         self._receive = receive
         self._send = send
@@ -140,14 +140,14 @@ def _check_outside(scope: Scope) -> None:
     """Refuse what needs no look at a route."""
     if scope["query_string"].count(b"&") >= MAX_QUERY_PARAMETERS:
         detail = f"more than {MAX_QUERY_PARAMETERS} query parameters; no path takes so many"
-        raise ProblemError(HTTPStatus.BAD_REQUEST, "query.too_many", detail)
+        raise RequestProblemError(HTTPStatus.BAD_REQUEST, "query.too_many", detail)
     path = scope["path"]
     if not path.startswith(f"{BASE_PATH}/") and path not in _UNCOUNTED:
         limits: RateLimits = scope["app"].state.rate_limits
         refuse_above(limits.take_anonymous(address_of(scope)))
 
 
-def _refusal(scope: Scope, status: int) -> Deed:
+def _refusal(scope: Scope, status: int) -> AuditEvent:
     """Return the deed that was refused, or that failed."""
     return naming_result(deed_of(scope, _context(scope).clock.system_us(), str(status)), None)
 

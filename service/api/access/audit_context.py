@@ -7,7 +7,7 @@ from starlette.types import Scope
 
 from service.api.access.principals import Principal
 from service.records.operations.access_key import without_secrets
-from service.records.operations.audit import DONE, Deed, Note
+from service.records.operations.audit import DONE, AuditContext, AuditEvent
 
 BASE_PATH = "/api/v1"
 SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
@@ -15,9 +15,9 @@ SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 _TARGET_LENGTH = 200
 
 
-def note_of(scope: Scope) -> Note:
+def note_of(scope: Scope) -> AuditContext:
     """Return the note that the access layer gave a request."""
-    note: Note = scope["state"].setdefault("audit_note", Note())
+    note: AuditContext = scope["state"].setdefault("audit_note", AuditContext())
     return note
 
 
@@ -35,7 +35,7 @@ def note_choice(scope: Scope, choice: str) -> None:
         note.deed = replace(note.deed, target=f"{note.deed.target.rstrip('/')}?{choice}")
 
 
-def deed_of(scope: Scope, at_us: int, outcome: str = DONE) -> Deed:
+def deed_of(scope: Scope, at_us: int, outcome: str = DONE) -> AuditEvent:
     """Return what a request does, or wanted to do.
 
     Parameters
@@ -49,7 +49,7 @@ def deed_of(scope: Scope, at_us: int, outcome: str = DONE) -> Deed:
     """
     state = scope["state"]
     principal: Principal | None = state.get("principal")
-    return Deed(
+    return AuditEvent(
         at_us=at_us,
         who=principal.name if principal else "anonymous",
         key_id=principal.key_id if principal else "",

@@ -13,7 +13,7 @@ from fastapi import Depends, Request
 from service.api.access.audit_context import SAFE_METHODS, address_of, deed_of, note_of
 from service.api.access.principals import Permission, Principal
 from service.api.limits.rate_limits import Allowance, RateLimits, class_of
-from service.api.problems.problems import ProblemError, request_id_of
+from service.api.problems.problems import RequestProblemError, request_id_of
 from service.records.operations.access_key import without_secrets
 
 _LOG = logging.getLogger(__name__)
@@ -55,7 +55,9 @@ async def _holder(request: Request) -> Principal:
     if principal is None:
         _LOG.warning("request %s %s: no valid key", request_id_of(request), without_secrets(request.url.path))
         detail = "send a valid key as Authorization: Bearer <key>"
-        raise ProblemError(HTTPStatus.UNAUTHORIZED, "key.invalid", detail, headers={"WWW-Authenticate": "Bearer"})
+        raise RequestProblemError(
+            HTTPStatus.UNAUTHORIZED, "key.invalid", detail, headers={"WWW-Authenticate": "Bearer"}
+        )
     return principal
 
 
@@ -72,7 +74,7 @@ def refuse_above(allowance: Allowance | None) -> None:
     if allowance is not None and not allowance.is_allowed:
         detail = f"too many requests; go on after {allowance.reset_s} s, and slower"
         headers = {"Retry-After": str(allowance.reset_s)}
-        raise ProblemError(HTTPStatus.TOO_MANY_REQUESTS, "rate.limited", detail, headers=headers)
+        raise RequestProblemError(HTTPStatus.TOO_MANY_REQUESTS, "rate.limited", detail, headers=headers)
 
 
 #: holder of the key of the present request
@@ -97,7 +99,7 @@ class Requires:
         if not principal.may(self.permission):
             _LOG.warning("request %s: %s lacks %s", request_id_of(request), principal.name, self.permission)
             detail = f"a key of role {principal.role} may not {self.permission}; ask an administrator for another key"
-            raise ProblemError(HTTPStatus.FORBIDDEN, "key.forbidden", detail)
+            raise RequestProblemError(HTTPStatus.FORBIDDEN, "key.forbidden", detail)
         if self.permission in _AUDITED and request.method not in SAFE_METHODS:
             note_of(request.scope).deed = deed_of(request.scope, request.app.state.context.clock.system_us())
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from threading import Lock
 
-from service.records.operations.audit import Deed
+from service.records.operations.audit import AuditEvent
 
 WINDOW_S = 600.0
 MAX_GROUPS = 20
@@ -21,7 +21,7 @@ _OTHERS = ("", "", "")
 class _Group:
     """Refusals counted, but not written."""
 
-    last: Deed
+    last: AuditEvent
     times: int = 0
 
 
@@ -41,12 +41,12 @@ class Refusals:
         #: requests come on the loop, another thread takes away what was counted
         self._lock = Lock()
 
-    def admit(self, deed: Deed) -> bool:
+    def admit(self, deed: AuditEvent) -> bool:
         """Whether a refusal is to be written now; the others are counted."""
         with self._lock:
             return self._is_first(deed)
 
-    def settled(self, *, is_last: bool = False) -> list[Deed]:
+    def settled(self, *, is_last: bool = False) -> list[AuditEvent]:
         """Return what was counted, when its time is over or nothing more will come, and begin anew."""
         now_s = self._monotonic_s()
         if now_s < self._until_s and not is_last:
@@ -55,7 +55,7 @@ class Refusals:
             groups, self._groups, self._until_s = self._groups, {}, now_s + WINDOW_S
         return [replace(group.last, times=group.times) for group in groups.values() if group.times]
 
-    def _is_first(self, deed: Deed) -> bool:
+    def _is_first(self, deed: AuditEvent) -> bool:
         name = (deed.outcome, deed.key_id, deed.address)
         group = self._groups.get(name)
         is_new = group is None

@@ -5,7 +5,7 @@ import threading
 from service.ports import Catalogue
 
 
-class CarrierNames:
+class CarrierNameCache:
     """Carrier ids of the plans asked for so far; safe from any thread.
 
     Parameters

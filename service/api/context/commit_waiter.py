@@ -14,7 +14,7 @@ Result = TypeVar("Result")
 _Waiter = asyncio.Future[None]
 
 
-class Landings:
+class CommitWaiter:
     """What requests wait for; all of one event loop."""
 
     def __init__(self) -> None:

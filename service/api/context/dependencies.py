@@ -10,14 +10,14 @@ from typing import Annotated, Literal
 
 from fastapi import Depends, Path, Request
 
-from service.api.context.carrier_names import CarrierNames
-from service.api.context.monitoring_settings import Observation
+from service.api.context.carrier_names import CarrierNameCache
+from service.api.context.monitoring_settings import MonitoringSettings
 from service.api.context.plan_widths import PlanWidths
 from service.api.limits.rate_limits import RateLimitConfig
 from service.errors import NotFoundError
 from service.pipeline.config import CalibrationConfig
 from service.ports import Clock, Storage
-from service.runtime.alarms.alarm_service import AlarmDesk
+from service.runtime.alarms.alarm_service import AlarmService
 from service.runtime.control.release_service import ReleaseService
 from service.runtime.jobs.alignment_service import Aligner
 from service.runtime.jobs.calibration_job import Calibrator
@@ -93,7 +93,7 @@ class ApiContext:
     clock: Clock
     #: knows the newest carriers, and is told when a journal has grown
     supervisor: Supervisor
-    alarms: AlarmDesk
+    alarms: AlarmService
     #: source of live streams
     feed: LiveFeed
     calibrator: Calibrator
@@ -108,7 +108,7 @@ class ApiContext:
     #: administrator's key; None = every request is refused
     bootstrap_key: str | None = field(default=None, repr=False)
     limits: Limits = field(default_factory=Limits)
-    observation: Observation = field(default_factory=Observation)
+    observation: MonitoringSettings = field(default_factory=MonitoringSettings)
     #: whether the estimator runs
     is_following: Callable[[], bool] = _always
     #: who writes exported levels
@@ -133,9 +133,9 @@ async def plan_widths_of(request: Request) -> PlanWidths:
     return widths
 
 
-async def carrier_names_of(request: Request) -> CarrierNames:
+async def carrier_names_of(request: Request) -> CarrierNameCache:
     """Return the application's memory of carrier ids."""
-    names: CarrierNames = request.app.state.carrier_names
+    names: CarrierNameCache = request.app.state.carrier_names
     return names
 
 
@@ -159,5 +159,5 @@ async def spacecraft_id_of(spacecraft_id: SpacecraftIdText) -> str:
 
 Context = Annotated[ApiContext, Depends(context_of)]
 Widths = Annotated[PlanWidths, Depends(plan_widths_of)]
-Names = Annotated[CarrierNames, Depends(carrier_names_of)]
+Names = Annotated[CarrierNameCache, Depends(carrier_names_of)]
 SpacecraftId = Annotated[str, Depends(spacecraft_id_of)]

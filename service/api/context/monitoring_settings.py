@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Observation:
+class MonitoringSettings:
     """Settings of readiness, metrics and access log."""
 
     #: whether /metrics wants a key

@@ -20,7 +20,7 @@ from service.formats.aem import AemWriter, AttitudeMessage
 from service.formats.tabular.measurement_file import MeasurementColumns, file_bytes, measurement_file
 from service.formats.tabular.row_text import ready_kernels
 from service.formats.tabular.series_tables import ATTITUDE, EVENTS, REFERENCES, TORQUES, EventRow, plain_value
-from service.formats.tabular.table_file import Table, TableFormat, table_bytes
+from service.formats.tabular.table_file import SeriesTable, TableFormat, table_bytes
 from service.formats.tdm import TdmWriter, TrackingMessage
 from service.ports import LIVE
 from service.records.calibration import Window
@@ -260,7 +260,7 @@ class _Maker:
         yield writer.header()
         yield from writer.segments(cast("Iterable[Sequence[Measurement]]", _records(chunks)))
 
-    def _table(self, table: Table[Any]) -> Callable[[Iterable[Chunk], Window], Iterator[bytes]]:
+    def _table(self, table: SeriesTable[Any]) -> Callable[[Iterable[Chunk], Window], Iterator[bytes]]:
         file_format = cast("TableFormat", self._format)
         return lambda chunks, _: table_bytes(table, file_format, _records(chunks))
 

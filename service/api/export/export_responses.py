@@ -9,7 +9,7 @@ from typing import IO
 from fastapi import Request
 from fastapi.responses import Response, StreamingResponse
 
-from service.api.problems.problems import ProblemError
+from service.api.problems.problems import RequestProblemError
 from service.api.protocol.byte_ranges import UnsatisfiableRangeError, wanted_range
 
 #: a file up to this size waits in memory, a greater one on the disk
@@ -50,7 +50,7 @@ def whole_answer(pieces: Iterable[bytes], media_type: str, name: str, request: R
 
     Raises
     ------
-    ProblemError
+    RequestProblemError
         416 ``range.unsatisfiable``.
     """
     file: IO[bytes] = SpooledTemporaryFile(max_size=_HELD_BYTES)  # noqa: SIM115 closed when it has been sent
@@ -61,7 +61,7 @@ def whole_answer(pieces: Iterable[bytes], media_type: str, name: str, request: R
     size, tag = file.tell(), f'"{digest.hexdigest()}"'
     try:
         part = _wanted_part(request, tag, size)
-    except ProblemError:
+    except RequestProblemError:
         file.close()
         raise
     first, last = part or (0, size - 1)
@@ -88,7 +88,7 @@ def _wanted_part(request: Request, tag: str, size: int) -> tuple[int, int] | Non
     try:
         return wanted_range(request.headers.get("range"), size)
     except UnsatisfiableRangeError:
-        raise ProblemError(
+        raise RequestProblemError(
             HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE,
             "range.unsatisfiable",
             f"the file has {size} bytes; ask for a range within them, or for the whole",

@@ -12,7 +12,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.api.problems.problems import ProblemError, render
+from service.api.problems.problems import RequestProblemError, render
 
 #: zlib's word for "expect a gzip header"
 _GZIP_WBITS = 16 + zlib.MAX_WBITS
@@ -58,12 +58,12 @@ class BodyLimit:
             del mutable["content-length"]
         await self._app(scope, _Counter(receive, self._max_body_bytes, unpacker), send)
 
-    def _refusal(self, length: str, encoding: str) -> ProblemError | None:
+    def _refusal(self, length: str, encoding: str) -> RequestProblemError | None:
         """Return why a request is refused by its headers alone."""
         if encoding not in {"identity", "gzip", "x-gzip", ""}:
             detail = "Content-Encoding may be gzip or identity; send the body packed by gzip or plain"
             status = HTTPStatus.UNSUPPORTED_MEDIA_TYPE
-            return ProblemError(status, "encoding.unsupported", detail, headers={"Accept-Encoding": "gzip"})
+            return RequestProblemError(status, "encoding.unsupported", detail, headers={"Accept-Encoding": "gzip"})
         if length.isascii() and length.isdigit() and int(length[:20]) > self._max_body_bytes:
             return too_large(self._max_body_bytes)
         return None
@@ -120,7 +120,7 @@ class _Unpacker:
                 raise too_large(self._max_body_bytes)
             if self._allowed < 0:
                 detail = f"the body unpacks to more than {MAX_RATIO} times its size; send it plain"
-                raise ProblemError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "body.gzip_ratio", detail)
+                raise RequestProblemError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "body.gzip_ratio", detail)
             # what was read may hold more than a step
             packed, is_pending = rest, len(piece) == _STEP_BYTES and not self._member.eof
         if is_last and self._is_started and not self._member.eof:
@@ -135,13 +135,13 @@ class _Unpacker:
             raise _broken_gzip() from None
 
 
-def too_large(max_body_bytes: int) -> ProblemError:
+def too_large(max_body_bytes: int) -> RequestProblemError:
     """Return the problem of a body above the limit."""
     detail = f"the body exceeds the limit of {max_body_bytes} bytes (after unpacking); send it in smaller batches"
-    return ProblemError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "body.too_large", detail)
+    return RequestProblemError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "body.too_large", detail)
 
 
-def _broken_gzip() -> ProblemError:
+def _broken_gzip() -> RequestProblemError:
     """Return the problem of a body that gzip cannot unpack."""
     detail = "the body is not whole gzip data although Content-Encoding says so"
-    return ProblemError(HTTPStatus.BAD_REQUEST, "body.gzip", detail)
+    return RequestProblemError(HTTPStatus.BAD_REQUEST, "body.gzip", detail)

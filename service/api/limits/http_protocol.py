@@ -11,7 +11,7 @@ from starlette.requests import HTTPConnection
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
 from service.api.limits.connections import Connections
-from service.api.problems.problems import RETRY_AFTER_S, ProblemError, render
+from service.api.problems.problems import RETRY_AFTER_S, RequestProblemError, render
 
 #: request line and headers together; a bearer key and a long list of parameters take two of them
 MAX_HEAD_BYTES = 32 * 1024
@@ -49,7 +49,9 @@ class BoundedProtocol(HttpToolsProtocol):
         self._is_admitted = reason is None
         if reason is not None:
             headers = {"Retry-After": str(RETRY_AFTER_S)}
-            self._refuse(ProblemError(HTTPStatus.TOO_MANY_REQUESTS, "connection.too_many", reason, headers=headers))
+            self._refuse(
+                RequestProblemError(HTTPStatus.TOO_MANY_REQUESTS, "connection.too_many", reason, headers=headers)
+            )
             return
         self._arm()
 
@@ -109,7 +111,7 @@ class BoundedProtocol(HttpToolsProtocol):
             self._refuse(_head_too_large())
             return
         detail = "this is not HTTP/1.1 as RFC 9112 has it; check the client, or the proxy between"
-        self._refuse(ProblemError(HTTPStatus.BAD_REQUEST, "http.malformed", detail))
+        self._refuse(RequestProblemError(HTTPStatus.BAD_REQUEST, "http.malformed", detail))
 
     def _grow(self, size: int) -> None:
         """Count a part of the head."""
@@ -140,9 +142,9 @@ class BoundedProtocol(HttpToolsProtocol):
         if not self._is_message_open or is_answered:
             self.transport.close()
             return
-        self._refuse(ProblemError(HTTPStatus.REQUEST_TIMEOUT, "request.too_slow", reason))
+        self._refuse(RequestProblemError(HTTPStatus.REQUEST_TIMEOUT, "request.too_slow", reason))
 
-    def _refuse(self, problem: ProblemError) -> None:
+    def _refuse(self, problem: RequestProblemError) -> None:
         """Answer with a problem outside of the application and close the connection."""
         self._disarm()
         answer = render(HTTPConnection({"type": "http", "headers": [], "state": {}}), problem)
@@ -151,7 +153,7 @@ class BoundedProtocol(HttpToolsProtocol):
         self.transport.close()
 
 
-def _head_too_large() -> ProblemError:
+def _head_too_large() -> RequestProblemError:
     """Return the problem of a head above the limit."""
     detail = f"request line and headers exceed {MAX_HEAD_BYTES} bytes; send less of them, or use a body"
-    return ProblemError(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE, "head.too_large", detail)
+    return RequestProblemError(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE, "head.too_large", detail)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from starlette.concurrency import run_in_threadpool
 
 from service.api.context.dependencies import ApiContext
-from service.api.problems.problems import RETRY_AFTER_S, ProblemError
+from service.api.problems.problems import RETRY_AFTER_S, RequestProblemError
 from service.errors import FieldError, StorageError
 from service.records.storage.storage_state import StorageState
 
@@ -67,7 +67,7 @@ def require_ready(parts: tuple[Part, ...]) -> None:
     code = fields[0].code if len(fields) == 1 else "service.not_ready"
     detail = "; ".join(f"{part.name}: {part.detail}" for part in faults)
     headers = {"Retry-After": str(RETRY_AFTER_S)}
-    raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, code, detail, fields, headers)
+    raise RequestProblemError(HTTPStatus.SERVICE_UNAVAILABLE, code, detail, fields, headers)
 
 
 def _schema(state: StorageState) -> Part:

@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from service.records.levels.measurement import BatchReceipt, Refusal
+from service.records.levels.measurement import BatchReceipt, RowRefusal
 
 #: upper bounds of the classes of durations, s
 DURATION_BOUNDS_S = (0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
@@ -19,7 +19,7 @@ _METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"
 
 
 @dataclass(slots=True)
-class Durations:
+class DurationHistogram:
     """How long requests of one route took."""
 
     #: requests in each class of duration, the last one above all bounds
@@ -39,7 +39,7 @@ class RequestFigures:
     #: by (method, route, status)
     requests: Counter[tuple[str, str, int]] = field(default_factory=Counter)
     #: by route; live streams are left out, for they last as long as their clients like
-    durations: dict[str, Durations] = field(default_factory=dict)
+    durations: dict[str, DurationHistogram] = field(default_factory=dict)
     in_progress: int = 0
     #: rows by what became of them: accepted, duplicates, late (which are accepted too)
     rows: Counter[tuple[str, str]] = field(default_factory=Counter)
@@ -50,9 +50,9 @@ class RequestFigures:
         """Count one request that has ended."""
         self.requests[method if method in _METHODS else "other", route, status] += 1
         if not is_stream:
-            self.durations.setdefault(route, Durations()).add(duration_s)
+            self.durations.setdefault(route, DurationHistogram()).add(duration_s)
 
-    def add_receipt(self, spacecraft_id: str, receipt: BatchReceipt, screened: Sequence[Refusal]) -> None:
+    def add_receipt(self, spacecraft_id: str, receipt: BatchReceipt, screened: Sequence[RowRefusal]) -> None:
         """Count the rows of one batch of measurements."""
         for outcome in ("accepted", "duplicates", "late"):
             self.rows[spacecraft_id, outcome] += getattr(receipt, outcome)

@@ -12,7 +12,7 @@ from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
-from service.api.problems.problems import ProblemError, from_soo_error, invalid_request, render
+from service.api.problems.problems import RequestProblemError, from_soo_error, invalid_request, render
 from service.api.problems.validation_errors import faults_of
 from service.errors import SooError
 
@@ -24,7 +24,7 @@ _HTTP_CODES = {
 
 def add_handlers(app: FastAPI) -> None:
     """Register the handlers of all exceptions that this interface expects."""
-    app.add_exception_handler(ProblemError, _on_problem)
+    app.add_exception_handler(RequestProblemError, _on_problem)
     app.add_exception_handler(SooError, _on_soo_error)
     app.add_exception_handler(RequestValidationError, _on_parameters)
     app.add_exception_handler(HTTPException, _on_http)
@@ -46,9 +46,9 @@ async def _on_parameters(request: Request, error: Any) -> Response:
 async def _on_http(request: Request, error: Any) -> Response:
     status = HTTPStatus(error.status_code)
     code, detail = _HTTP_CODES.get(status, ("request.refused", str(error.detail)))
-    return render(request, ProblemError(status, code, detail, headers=error.headers))
+    return render(request, RequestProblemError(status, code, detail, headers=error.headers))
 
 
 async def _on_disconnect(request: Request, _error: Any) -> Response:
     detail = "the connection was closed before the whole body had come"
-    return render(request, ProblemError(HTTPStatus.BAD_REQUEST, "body.incomplete", detail))
+    return render(request, RequestProblemError(HTTPStatus.BAD_REQUEST, "body.incomplete", detail))

@@ -63,7 +63,7 @@ class ProblemSchema(BaseModel):
     errors: list[FaultSchema]
 
 
-class ProblemError(Exception):
+class RequestProblemError(Exception):
     """A request that the interface itself refuses.
 
     Parameters
@@ -96,19 +96,19 @@ class ProblemError(Exception):
         self.headers = dict(headers or {})
 
 
-def invalid_request(fields: Sequence[FieldError]) -> ProblemError:
+def invalid_request(fields: Sequence[FieldError]) -> RequestProblemError:
     """Return the 422 that names faulty fields."""
     if len(fields) == 1:
-        return ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, fields[0].code, fields[0].detail, fields)
+        return RequestProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, fields[0].code, fields[0].detail, fields)
     detail = f"{len(fields)} fields of the request are at fault; see errors"
-    return ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, "request.invalid", detail, fields)
+    return RequestProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, "request.invalid", detail, fields)
 
 
-def from_soo_error(error: SooError) -> ProblemError:
+def from_soo_error(error: SooError) -> RequestProblemError:
     """Return the problem that tells an error of the service."""
     status = next((status for kind, status in _STATUS_OF if isinstance(error, kind)), HTTPStatus.INTERNAL_SERVER_ERROR)
     headers = {"Retry-After": str(RETRY_AFTER_S)} if status in _RETRIED else None
-    return ProblemError(status, error.code, error.detail, error.fields, headers)
+    return RequestProblemError(status, error.code, error.detail, error.fields, headers)
 
 
 def request_id_of(connection: HTTPConnection) -> str:
@@ -116,7 +116,7 @@ def request_id_of(connection: HTTPConnection) -> str:
     return str(connection.scope.get("state", {}).get("request_id", ""))
 
 
-def render(connection: HTTPConnection, error: ProblemError) -> JSONResponse:
+def render(connection: HTTPConnection, error: RequestProblemError) -> JSONResponse:
     """Return the answer that carries a problem."""
     content = {
         "type": f"urn:soo:problem:{error.code}",

@@ -12,7 +12,7 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 from starlette.concurrency import run_in_threadpool
 
 from service.api.access.audit_context import digest_body
-from service.api.problems.problems import ProblemError, invalid_request
+from service.api.problems.problems import RequestProblemError, invalid_request
 from service.api.problems.validation_errors import faults_of
 
 M = TypeVar("M", bound=BaseModel)
@@ -37,18 +37,20 @@ def decode(adapter: TypeAdapter[M], raw: bytes, prefix: str = "") -> M:
 
     Raises
     ------
-    ProblemError
+    RequestProblemError
         400 for text that is no JSON, 413 for more values than are decoded, 422 for JSON that does not fit the model.
     """
     if len(raw) > MOST_VALUES and sum(raw.count(mark) for mark in (b",", b"[", b"{")) > MOST_VALUES:
         detail = f"the body holds more than {MOST_VALUES} values; send it in smaller batches"
-        raise ProblemError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "body.too_many_values", detail)
+        raise RequestProblemError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "body.too_many_values", detail)
     try:
         return adapter.validate_json(raw)
     except ValidationError as error:
         faults = error.errors(include_url=False, include_context=False, include_input=False)
     if faults[0]["type"] == "json_invalid":
-        raise ProblemError(HTTPStatus.BAD_REQUEST, "json.malformed", f"the body is not JSON: {faults[0]['msg'][:200]}")
+        raise RequestProblemError(
+            HTTPStatus.BAD_REQUEST, "json.malformed", f"the body is not JSON: {faults[0]['msg'][:200]}"
+        )
     raise invalid_request(faults_of(faults, prefix))
 
 
@@ -62,10 +64,10 @@ def is_json(media: str) -> bool:
     return media in {"", "application/json"} or (media.startswith("application/") and media.endswith("+json"))
 
 
-def unsupported_media(accepted: str) -> ProblemError:
+def unsupported_media(accepted: str) -> RequestProblemError:
     """Return the 415 that names what is accepted."""
     detail = f"send the body as {accepted} and say so in Content-Type"
-    return ProblemError(
+    return RequestProblemError(
         HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "media_type.unsupported", detail, headers={"Accept": accepted}
     )
 

@@ -14,7 +14,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.api.problems.problems import ProblemError, render
+from service.api.problems.problems import RequestProblemError, render
 from service.records.operations.access_key import without_secrets
 from service.runtime.log_format import REQUEST_ID
 
@@ -64,7 +64,7 @@ class RequestIds:
             if is_answered:
                 raise
             detail = f"the service failed; its log tells why under request id {request_id}"
-            problem = ProblemError(HTTPStatus.INTERNAL_SERVER_ERROR, "service.failed", detail)
+            problem = RequestProblemError(HTTPStatus.INTERNAL_SERVER_ERROR, "service.failed", detail)
             await render(HTTPConnection(scope), problem)(scope, receive, send_with_id)
         finally:
             REQUEST_ID.reset(token)

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Path, Response
 from service.api.access.auth import MAY_OPERATE, CurrentPrincipal
 from service.api.access.principals import Permission, Principal
 from service.api.context.dependencies import Context, SpacecraftId
-from service.api.problems.problems import ProblemError
+from service.api.problems.problems import RequestProblemError
 from service.api.protocol.bodies import accepts, body_of
 from service.api.schemas.alignments import AlignmentAnswer, AlignmentDocument, AlignmentList, AlignmentMadeAnswer
 
@@ -55,4 +55,4 @@ def _require_approver(principal: Principal) -> None:
     """Refuse angles by hand from a key that may not approve."""
     if not principal.may(Permission.APPROVE):
         detail = f"angles by hand need an approver's key, this one has the role {principal.role}"
-        raise ProblemError(HTTPStatus.FORBIDDEN, "key.forbidden", detail)
+        raise RequestProblemError(HTTPStatus.FORBIDDEN, "key.forbidden", detail)

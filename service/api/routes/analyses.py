@@ -9,7 +9,7 @@ from typing import Annotated, Any, TypeVar
 from fastapi import APIRouter, Depends
 
 from service.api.context.dependencies import Context
-from service.api.problems.problems import ProblemError
+from service.api.problems.problems import RequestProblemError
 from service.api.protocol.bodies import accepts, body_of
 from service.api.schemas.analyses import (
     CaptureAnswer,
@@ -73,4 +73,6 @@ async def _computed(workers: Workers, work: Callable[..., Found], given: dict[st
     try:
         return await asyncio.wrap_future(workers.analyse(work, **given))
     except (ValueError, ArithmeticError) as error:
-        raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, "analysis.not_physical", str(error)[:1000]) from error
+        raise RequestProblemError(
+            HTTPStatus.UNPROCESSABLE_ENTITY, "analysis.not_physical", str(error)[:1000]
+        ) from error

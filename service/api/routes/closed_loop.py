@@ -6,7 +6,7 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Response
 
 from service.api.context.dependencies import Context
-from service.api.problems.problems import ProblemError
+from service.api.problems.problems import RequestProblemError
 from service.api.protocol.bodies import accepts, body_of
 from service.api.schemas.closed_loop import ClosedLoopAnswer, ClosedLoopDocument, ClosedLoopStartedAnswer
 from service.records.operations.job import JobState
@@ -25,7 +25,9 @@ def start_closed_loop(
     try:
         job = context.flights.start(body.to_request(), body.points)
     except ValueError as error:
-        raise ProblemError(HTTPStatus.UNPROCESSABLE_ENTITY, "analysis.not_physical", str(error)[:1000]) from error
+        raise RequestProblemError(
+            HTTPStatus.UNPROCESSABLE_ENTITY, "analysis.not_physical", str(error)[:1000]
+        ) from error
     response.headers["Location"] = f"/api/v1/jobs/{job.id}"
     return ClosedLoopStartedAnswer(job=job.id, result=f"{RESULTS}/{job.id}")
 
@@ -38,11 +40,13 @@ def get_closed_loop(job_id: Annotated[str, Path(max_length=64)], context: Contex
         return ClosedLoopAnswer.of(job_id, found)
     job = context.storage.results.job(job_id)
     if job.kind != KIND:
-        raise ProblemError(HTTPStatus.NOT_FOUND, "job.unknown", f"job {job_id} is no closed loop")
+        raise RequestProblemError(HTTPStatus.NOT_FOUND, "job.unknown", f"job {job_id} is no closed loop")
     if job.state is JobState.FAILED:
-        raise ProblemError(HTTPStatus.CONFLICT, "analysis.failed", f"the flight failed: {job.error or ''}"[:1000])
+        raise RequestProblemError(
+            HTTPStatus.CONFLICT, "analysis.failed", f"the flight failed: {job.error or ''}"[:1000]
+        )
     if job.state is not JobState.DONE:
         detail = f"the flight is {job.state.value}; ask again when its job is done"
-        raise ProblemError(HTTPStatus.CONFLICT, "analysis.unfinished", detail)
+        raise RequestProblemError(HTTPStatus.CONFLICT, "analysis.unfinished", detail)
     detail = f"the newest {MOST_RESULTS} results are kept until the service ends; send the same request again"
-    raise ProblemError(HTTPStatus.GONE, "analysis.gone", detail)
+    raise RequestProblemError(HTTPStatus.GONE, "analysis.gone", detail)

@@ -23,7 +23,7 @@ class HealthAnswer(BaseModel):
     status: Literal["ok"] = "ok"
 
 
-class PartAnswer(BaseModel):
+class PartHealth(BaseModel):
     """One part of the service that is ready."""
 
     name: str
@@ -34,7 +34,7 @@ class ReadinessAnswer(BaseModel):
     """State of a service that is ready; one that is not answers 503 with a problem that names the parts."""
 
     status: Literal["ready"] = "ready"
-    parts: list[PartAnswer]
+    parts: list[PartHealth]
 
 
 @router.get("/healthz")
@@ -49,7 +49,7 @@ async def get_readiness(request: Request) -> ReadinessAnswer:
     readiness: SharedReadiness = request.app.state.readiness
     parts = await readiness.parts()
     require_ready(parts)
-    return ReadinessAnswer(parts=[PartAnswer(name=part.name, detail=part.detail) for part in parts])
+    return ReadinessAnswer(parts=[PartHealth(name=part.name, detail=part.detail) for part in parts])
 
 
 @router.get(

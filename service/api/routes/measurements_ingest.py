@@ -13,18 +13,18 @@ from pydantic import TypeAdapter
 from starlette.responses import JSONResponse
 
 from service.api.access.auth import MAY_SEND
-from service.api.context.commit_waiter import Landings
+from service.api.context.commit_waiter import CommitWaiter
 from service.api.context.dependencies import ApiContext, SpacecraftIdText, checked_spacecraft_id
 from service.api.context.epoch_limits import EpochLimits
 from service.api.context.plan_widths import PlanWidths
 from service.api.monitoring.request_metrics import RequestFigures
-from service.api.problems.problems import ProblemError, invalid_request
+from service.api.problems.problems import RequestProblemError, invalid_request
 from service.api.protocol.bodies import accepts, read_body
 from service.api.protocol.epochs import EpochTextError, ParsedEpochs, parse_epochs
 from service.api.schemas.measurements import MAX_SEQ, MeasurementBatchDocument, MeasurementReceiptAnswer
 from service.errors import FieldError
 from service.pipeline.ingest_screening import ReceivedRows, screen
-from service.records.levels.measurement import BatchReceipt, Refusal, RowRemark, Sender
+from service.records.levels.measurement import BatchReceipt, RowNotice, RowRefusal, Sender
 from service.records.levels.quality_flag import QualityFlag
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["measurements"])
@@ -68,7 +68,7 @@ async def send_measurements(spacecraft_id: SpacecraftIdText, request: Request) -
         batch, screened = screen(rows, width, await epoch_limits.present(spacecraft_id))
     receipt = _NOTHING_STORED
     if len(batch.index):
-        landings: Landings = request.app.state.landings
+        landings: CommitWaiter = request.app.state.landings
         receipt = await landings.of(context.storage.archive.append_measurements(batch))
     figures: RequestFigures = request.app.state.request_figures
     figures.add_receipt(spacecraft_id, receipt, screened)
@@ -82,7 +82,7 @@ def check_batch_size(size: int, context: ApiContext, pointer: str) -> None:
     limit = context.limits.max_rows_per_batch
     if size > limit:
         detail = f"the batch has {size} rows, the limit is {limit}; send it in smaller batches"
-        raise ProblemError(422, "batch.too_long", detail, [FieldError(pointer, "batch.too_long", detail)])
+        raise RequestProblemError(422, "batch.too_long", detail, [FieldError(pointer, "batch.too_long", detail)])
 
 
 def _flags(body: MeasurementBatchDocument, leap_places: Sequence[int]) -> list[Sequence[int] | None]:
@@ -105,7 +105,7 @@ def _epochs(body: MeasurementBatchDocument) -> ParsedEpochs:
 
 
 def _answer(
-    body: MeasurementBatchDocument, receipt: BatchReceipt, screened: tuple[Refusal, ...], leap_places: Sequence[int]
+    body: MeasurementBatchDocument, receipt: BatchReceipt, screened: tuple[RowRefusal, ...], leap_places: Sequence[int]
 ) -> dict[str, Any]:
     """Return the receipt as it is sent."""
     received = len(body.measurements)
@@ -126,12 +126,12 @@ def _answer(
     }
 
 
-def _leap_remark(place: int, first_seq: int | None) -> RowRemark:
+def _leap_remark(place: int, first_seq: int | None) -> RowNotice:
     """Return what is said of a row within a leap second."""
     seq = None if first_seq is None else first_seq + place
-    return RowRemark(place, seq, "time.leap_second", "measured within a leap second: stored in the second after it")
+    return RowNotice(place, seq, "time.leap_second", "measured within a leap second: stored in the second after it")
 
 
-def _listed(remarks: Sequence[RowRemark]) -> list[dict[str, Any]]:
+def _listed(remarks: Sequence[RowNotice]) -> list[dict[str, Any]]:
     """Return remarks in order of place."""
     return [asdict(remark) for remark in sorted(remarks, key=lambda remark: remark.index)]

@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field
 
-from service.api.schemas.base import Answer, Document, Epoch, EpochAnswer, Figure, Name, Remark, Text, WindowAnswer
+from service.api.schemas.base import Answer, CommentText, Document, Epoch, EpochAnswer, Figure, Name, Text, WindowAnswer
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.records.operations.alarm import Alarm, AlarmChange
@@ -32,7 +32,7 @@ FiniteFigure = Annotated[float | None, BeforeValidator(_finite)]
 class RemarkDocument(Document):
     """What an operator says to what he does."""
 
-    comment: Remark = ""
+    comment: CommentText = ""
 
 
 class ShelveDocument(RemarkDocument):
@@ -192,7 +192,7 @@ class LimitsDocument(Document):
     sets: dict[SetName, dict[ConditionName, StatementDocument]] = Field(default_factory=dict)
     nominal_dbm: dict[Name, Annotated[float, Field(ge=-250, le=50)]] = Field(default_factory=dict, max_length=1000)
     """Levels of carriers of which nothing better is expected."""
-    comment: Remark = ""
+    comment: CommentText = ""
     version: Annotated[int, Field(ge=0)] | None = None
     """As exported; not looked at."""
     created_at: Epoch | None = None

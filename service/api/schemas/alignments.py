@@ -8,11 +8,11 @@ from pydantic_core import PydanticCustomError
 from service.api.schemas.base import (
     AnglesAnswer,
     Answer,
+    CommentText,
     Document,
     Epoch,
     EpochAnswer,
     Figure,
-    Remark,
     WindowAnswer,
 )
 from service.api.schemas.calibrations import SensorsDocument
@@ -48,7 +48,7 @@ class AlignmentDocument(Document):
     roll_deg: AngleDeg | None = None
     pitch_deg: AngleDeg | None = None
     sigma_deg: SigmaDocument | None = None
-    override_reason: Annotated[Remark, Field(min_length=1)] | None = None
+    override_reason: Annotated[CommentText, Field(min_length=1)] | None = None
     """Why the angles hold although the powers contradict them."""
 
     @property

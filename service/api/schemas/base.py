@@ -22,7 +22,7 @@ NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._:-]{0,63}$"
 #: one line of text; control characters would break logs, CSV and PostgreSQL
 Text = Annotated[str, StringConstraints(max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")]
 #: a remark of several lines
-Remark = Annotated[str, StringConstraints(max_length=4000, pattern=r"^[^\x00-\x08\x0b\x0c\x0e-\x1f\x7f]*$")]
+CommentText = Annotated[str, StringConstraints(max_length=4000, pattern=r"^[^\x00-\x08\x0b\x0c\x0e-\x1f\x7f]*$")]
 #: name of a carrier, transponder, band or front end; it stands in paths and column names
 Name = Annotated[str, StringConstraints(pattern=NAME_PATTERN)]
 #: any instant; the route judges whether it is plausible

@@ -16,7 +16,7 @@ from service.core.dynamics.orbital_frame_analysis import (
     LONGEST_S,
     BeyondOrbitalRate,
     ClosedLoop,
-    Wish,
+    SettlingRequest,
 )
 from service.core.dynamics.orbital_frame_flight import FloatArray, Start
 from service.core.dynamics.orbital_frame_model import (
@@ -29,16 +29,16 @@ from service.core.dynamics.orbital_frame_model import (
     TILT_FIRST,
     TO_ZERO,
     YAW_FIRST,
+    AxisWheels,
     Computer,
     Craft,
-    Gains,
     Inertia,
     Law,
+    OrbitalFrameGains,
     RateSensor,
     Tones,
     Triple,
     VerticalSensor,
-    Wheels,
 )
 from service.records.catalogue import Matrix3
 
@@ -74,9 +74,9 @@ class GainsDocument(Document):
     yaw_stiffness_n_m: Gain = MAX_GAINS.yaw_stiffness
     yaw_damping_n_m_s: Gain = MAX_GAINS.yaw_damping
 
-    def to_gains(self) -> Gains:
+    def to_gains(self) -> OrbitalFrameGains:
         """Return the gains of the law."""
-        return Gains(
+        return OrbitalFrameGains(
             self.roll_stiffness_n_m,
             self.roll_damping_n_m_s,
             self.pitch_stiffness_n_m,
@@ -155,15 +155,15 @@ class RateSensorDocument(Document):
 class FlownWheelsDocument(Document):
     """One reaction wheel an axis."""
 
-    slope: Annotated[float, Field(gt=0, le=10)] = Wheels().slope
+    slope: Annotated[float, Field(gt=0, le=10)] = AxisWheels().slope
     """Torque given over torque asked for, at rest."""
-    no_load_rad_s: Size = Wheels().no_load_rad_s
-    inertia_kg_m2: Annotated[float, Field(ge=1e-4, le=1e3)] = Wheels().inertia_kg_m2
-    momentum_limit_n_m_s: Size = Wheels().momentum_limit_n_m_s
-    dry_friction_n_m: NotNegative = Wheels().dry_friction_n_m
-    viscous_friction_n_m_s: Annotated[float, Field(ge=0, le=1e-2)] = Wheels().viscous_friction_n_m_s
-    cogging_n_m: NotNegative = Wheels().cogging_n_m
-    cogging_periods: Annotated[float, Field(ge=0, le=1000)] = Wheels().cogging_periods
+    no_load_rad_s: Size = AxisWheels().no_load_rad_s
+    inertia_kg_m2: Annotated[float, Field(ge=1e-4, le=1e3)] = AxisWheels().inertia_kg_m2
+    momentum_limit_n_m_s: Size = AxisWheels().momentum_limit_n_m_s
+    dry_friction_n_m: NotNegative = AxisWheels().dry_friction_n_m
+    viscous_friction_n_m_s: Annotated[float, Field(ge=0, le=1e-2)] = AxisWheels().viscous_friction_n_m_s
+    cogging_n_m: NotNegative = AxisWheels().cogging_n_m
+    cogging_periods: Annotated[float, Field(ge=0, le=1000)] = AxisWheels().cogging_periods
 
 
 class TonesDocument(Document):
@@ -232,9 +232,9 @@ class ClosedLoopDocument(Document):
     points: Annotated[int, Field(ge=2, le=5000)] = 1000
     """Rows of the time series at most; figures are those of every period."""
 
-    def to_request(self) -> Wish:
+    def to_request(self) -> SettlingRequest:
         """Return what is to be flown."""
-        return Wish(
+        return SettlingRequest(
             self._craft(),
             self.start.to_start(),
             self.duration_s,
@@ -253,7 +253,7 @@ class ClosedLoopDocument(Document):
             computer=self.computer.to_computer(),
             vertical_sensor=VerticalSensor(False) if sensor is None else VerticalSensor(**sensor.model_dump()),
             rate_sensor=RateSensor(False) if rates is None else rates.to_sensor(),
-            wheels=Wheels(False) if wheels is None else Wheels(**wheels.model_dump()),
+            wheels=AxisWheels(False) if wheels is None else AxisWheels(**wheels.model_dump()),
             tones=Tones(False) if tones is None else Tones(**tones.model_dump()),
             has_gravity_torque=self.has_gravity_torque,
             steps=self.steps,

@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field
 
-from service.api.schemas.base import AnglesAnswer, Answer, Document, Epoch, EpochAnswer, Remark
+from service.api.schemas.base import AnglesAnswer, Answer, CommentText, Document, Epoch, EpochAnswer
 from service.records.catalogue import ControlMode, Release
 from service.records.operations.release import ControlVerdict, ControlView, EnvelopeLimits, SignCheckView
 
@@ -45,7 +45,7 @@ class OrderDocument(Document):
     """Of a standing authorisation; null: that of the settings."""
     release: Literal["automatic"] | None = None
     """Of `control:arm`: ask for release automatic, which is set once a second approver asks for it within 15 min."""
-    comment: Remark = ""
+    comment: CommentText = ""
 
 
 class SignCheckDocument(Document):
@@ -53,7 +53,7 @@ class SignCheckDocument(Document):
 
     axis: Literal["yaw", "roll", "pitch"] | None = None
     """Null: the first of roll, pitch and yaw whose sign is not proven."""
-    comment: Remark = ""
+    comment: CommentText = ""
 
 
 class ControlReasonAnswer(Answer):

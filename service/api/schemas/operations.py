@@ -9,11 +9,11 @@ from service.api.schemas.base import (
     AnglesAnswer,
     AnglesDocument,
     Answer,
+    CommentText,
     Document,
     Epoch,
     EpochAnswer,
     Name,
-    Remark,
     WindowAnswer,
 )
 from service.records.inputs import Operation
@@ -47,7 +47,7 @@ class OperationDocument(Document):
     inhibit_control: bool | None = None
     """null = true for station_keeping, momentum_unloading, receive_chain_work and calibration_turn, else false."""
     attitude_uncertainty_deg: AnglesDocument | None = None
-    comment: Remark = ""
+    comment: CommentText = ""
 
     @model_validator(mode="after")
     def _check_interval(self) -> Self:

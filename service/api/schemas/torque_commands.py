@@ -4,13 +4,13 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field
 
-from service.api.schemas.base import AnglesAnswer, Answer, Document, Epoch, EpochAnswer, Remark, Text, WindowAnswer
+from service.api.schemas.base import AnglesAnswer, Answer, CommentText, Document, Epoch, EpochAnswer, Text, WindowAnswer
 from service.api.schemas.torques import PulseAnswer, ScheduleCheckAnswer
 from service.records.levels.command import Pulse
 from service.records.operations.release import CommandRequest, CommandView, ProductForm, Purpose, UplinkProduct
 
 #: a reason is asked for, so one must stand there
-Reason = Annotated[Remark, Field(min_length=1)]
+Reason = Annotated[CommentText, Field(min_length=1)]
 CommandState = Literal[
     "PREPARED", "CONFIRMED", "RELEASED", "SENT", "EXECUTED", "FAILED", "EXPIRED", "CANCELLED", "REJECTED"
 ]
@@ -42,7 +42,7 @@ class ConfirmDocument(Document):
 
     digest: Annotated[Text, Field(min_length=1)]
     """Of the command as it was prepared."""
-    comment: Remark = ""
+    comment: CommentText = ""
 
 
 class ReportDocument(Document):

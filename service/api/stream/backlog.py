@@ -5,7 +5,7 @@ Journal numbers and result sequences have no gaps, so a missing number is one th
 
 from typing import NamedTuple
 
-from service.api.context.carrier_names import CarrierNames
+from service.api.context.carrier_names import CarrierNameCache
 from service.api.stream.event_ids import DroppedAnswer, lost_to_retention
 from service.ports import Storage
 from service.records.levels.attitude import AttitudeRow
@@ -35,13 +35,13 @@ class ArchiveReader:
     ----------
     storage : Storage
         Archive and results.
-    names : CarrierNames
+    names : CarrierNameCache
         Learns the plans of rows that are read.
     spacecraft_id : str
         An existing spacecraft.
     """
 
-    def __init__(self, storage: Storage, names: CarrierNames, spacecraft_id: str) -> None:
+    def __init__(self, storage: Storage, names: CarrierNameCache, spacecraft_id: str) -> None:
         self._storage = storage
         self._names = names
         self._spacecraft_id = spacecraft_id

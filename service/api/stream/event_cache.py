@@ -9,7 +9,7 @@ from collections import OrderedDict, defaultdict
 
 from starlette.concurrency import run_in_threadpool
 
-from service.api.context.carrier_names import CarrierNames
+from service.api.context.carrier_names import CarrierNameCache
 from service.api.context.dependencies import ApiContext
 from service.api.schemas.alarms import AlarmChangeAnswer
 from service.api.schemas.attitude import AttitudeAnswer
@@ -35,11 +35,11 @@ class EventTexts:
 
     Parameters
     ----------
-    names : CarrierNames
+    names : CarrierNameCache
         Carriers of the plans.
     """
 
-    def __init__(self, names: CarrierNames) -> None:
+    def __init__(self, names: CarrierNameCache) -> None:
         self._names = names
         self._texts: OrderedDict[tuple[str, str, int], bytes] = OrderedDict()
 

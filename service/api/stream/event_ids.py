@@ -11,7 +11,7 @@ from service.api.problems.problems import invalid_request
 from service.api.schemas.base import Answer
 from service.errors import FieldError
 from service.records.epoch import format_epoch
-from service.runtime.live.live_feed import Cursor, Dropped, FeedEvent
+from service.runtime.live.live_feed import Cursor, DroppedRows, FeedEvent
 
 #: longest id: the longest name of a spacecraft and three numbers
 MAX_ID_LENGTH = 128
@@ -72,7 +72,7 @@ def advanced(place: Cursor, event: FeedEvent) -> Cursor | None:
     return place._replace(number=event.cursor.number) if part == 0 else place._replace(alarm=event.cursor.alarm)
 
 
-def missed_by_slowness(spacecraft_id: str, dropped: Dropped) -> DroppedAnswer:
+def missed_by_slowness(spacecraft_id: str, dropped: DroppedRows) -> DroppedAnswer:
     """Return what a client is told whose queue was full."""
     span = ""
     if dropped.first_us is not None and dropped.last_us is not None:

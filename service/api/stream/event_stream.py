@@ -13,7 +13,7 @@ from collections.abc import AsyncIterator, Sequence
 from pydantic import BaseModel
 from starlette.concurrency import run_in_threadpool
 
-from service.api.context.carrier_names import CarrierNames
+from service.api.context.carrier_names import CarrierNameCache
 from service.api.context.dependencies import ApiContext
 from service.api.schemas.status import StatusAnswer
 from service.api.stream.backlog import ArchiveReader
@@ -22,7 +22,7 @@ from service.api.stream.event_ids import DroppedAnswer, advanced, beyond_the_arc
 from service.api.stream.open_streams import OpenStreams
 from service.errors import StorageError
 from service.records.levels.measurement import Measurement
-from service.runtime.live.live_feed import Cursor, Dropped, FeedEvent, Subscription
+from service.runtime.live.live_feed import Cursor, DroppedRows, FeedEvent, Subscription
 
 _LOG = logging.getLogger(__name__)
 #: events encoded before other connections get their turn
@@ -40,13 +40,13 @@ class StreamParts:
     ----------
     context : ApiContext
         Archive, results and feed.
-    names : CarrierNames
+    names : CarrierNameCache
         Carriers of the plans.
     streams : OpenStreams
         Says when the service stops, and counts.
     """
 
-    def __init__(self, context: ApiContext, names: CarrierNames, streams: OpenStreams) -> None:
+    def __init__(self, context: ApiContext, names: CarrierNameCache, streams: OpenStreams) -> None:
         self.context = context
         self.names = names
         self.streams = streams
@@ -115,7 +115,7 @@ class EventStream:
                 beat = loop.time() + heartbeat_s
                 yield b": heartbeat\n\n" + await self._changed_status(loop.time() - min(_STATUS_SHARED_S, heartbeat_s))
 
-    async def _fresh(self, events: Sequence[FeedEvent], dropped: Dropped) -> AsyncIterator[bytes]:
+    async def _fresh(self, events: Sequence[FeedEvent], dropped: DroppedRows) -> AsyncIterator[bytes]:
         """Yield queued events that were not sent yet."""
         taken_s = asyncio.get_running_loop().time()
         if dropped:

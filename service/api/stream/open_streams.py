@@ -6,7 +6,7 @@ A stream never ends by itself, so a server that stops ends them first.
 from collections import Counter
 from http import HTTPStatus
 
-from service.api.problems.problems import RETRY_AFTER_S, ProblemError
+from service.api.problems.problems import RETRY_AFTER_S, RequestProblemError
 from service.runtime.live.live_feed import Subscription
 
 
@@ -45,7 +45,7 @@ class OpenStreams:
         if self.count >= self._limit:
             detail = f"{self.count} streams are open, the service gives {self._limit}; close one, or try again later"
             headers = {"Retry-After": str(RETRY_AFTER_S)}
-            raise ProblemError(HTTPStatus.SERVICE_UNAVAILABLE, "stream.too_many", detail, headers=headers)
+            raise RequestProblemError(HTTPStatus.SERVICE_UNAVAILABLE, "stream.too_many", detail, headers=headers)
         self._places += 1
 
     def leave(self) -> None:

@@ -14,7 +14,7 @@ import typer
 
 from service.cli.operation.connection import JsonOption
 from service.errors import StorageError
-from service.records.operations.audit import Finding, findings
+from service.records.operations.audit import ChainFinding, findings
 from service.settings import Settings
 
 app = typer.Typer(help="The audit log: who did what, chained by hashes.", no_args_is_help=True)
@@ -64,7 +64,7 @@ def verify(
         raise typer.Exit(EXIT_BROKEN)
 
 
-def _tell(summary: str, found: Sequence[Finding]) -> None:
+def _tell(summary: str, found: Sequence[ChainFinding]) -> None:
     """Print what was found."""
     for each in found:
         typer.echo(f"entry {each.number}: {each.kind}: {each.detail}")

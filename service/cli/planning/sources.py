@@ -62,7 +62,7 @@ def planned_by_assumption(
         A file that cannot be read or understood, a beam of another form, or carriers that cannot be chosen from.
     """
     # web framework and validation cost a quarter of a second that other commands need not pay
-    from service.api.problems.problems import ProblemError
+    from service.api.problems.problems import RequestProblemError
     from service.api.protocol.bodies import decode
     from service.api.schemas.carriers import CARRIER_PLAN_ADAPTER
     from service.api.schemas.spacecraft import SPACECRAFT_ADAPTER
@@ -71,7 +71,7 @@ def planned_by_assumption(
     try:
         spacecraft = decode(SPACECRAFT_ADAPTER, _read(spacecraft_path)).to_record()
         carriers = decode(CARRIER_PLAN_ADAPTER, _carriers_json(_read(carriers_path))).to_records()
-    except ProblemError as error:
+    except RequestProblemError as error:
         fields = "; ".join(f"{field.pointer or '/'}: {field.detail}" for field in error.fields) or error.detail
         raise InvalidInputError(error.code, fields) from None
     return _assumed_planning(spacecraft.id, carriers, spacecraft.longitude_deg, assumed, noise, request)

@@ -29,7 +29,7 @@ from service.frontend.spool.file import Bounds, Owner
 from service.frontend.spool.row import SpooledTask
 from service.frontend.spool.schema import SpoolError
 from service.frontend.spool.spool import Spool, spool_path
-from service.frontend.station import Station, StationError, StationSummary, run_stations
+from service.frontend.station import MeasuringStation, StationError, StationSummary, run_stations
 from service.frontend.tasks.station_file import StationEntry, load_station
 from service.frontend.upload.uploader import UploadSettings
 from service.records.epoch import US_PER_S, format_epoch
@@ -196,7 +196,7 @@ def _measure(planned: list[PlannedAnalyzer], delivery: _Delivery, report_s: floa
             raise typer.Exit(1) from error
 
 
-def _stop_on_signals(stations: list[Station]) -> None:
+def _stop_on_signals(stations: list[MeasuringStation]) -> None:
     """End all analyzers when a signal asks for it."""
 
     def stop(*_: object) -> None:
@@ -207,12 +207,12 @@ def _stop_on_signals(stations: list[Station]) -> None:
         signal.signal(number, stop)
 
 
-def _station(stack: ExitStack, planned: PlannedAnalyzer, delivery: _Delivery) -> Station:
+def _station(stack: ExitStack, planned: PlannedAnalyzer, delivery: _Delivery) -> MeasuringStation:
     """Return one analyzer with its own client and its own spool."""
     entry, task = planned.entry, planned.task
     measured = SpooledTask(planned.sha256, tuple(carrier.id for carrier in task.carriers))
     rows = stack.enter_context(_open(delivery, Owner(entry.spacecraft, entry.source), measured))
-    return Station(
+    return MeasuringStation(
         task,
         AcquisitionSettings(
             planned.resource or "",

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from service.study.estimation import report
-    from service.study.estimation.campaign import Campaign, Plan, Show
+    from service.study.estimation.campaign import Campaign, CampaignPlan, Show
 
 app = typer.Typer(help="Campaigns on simulated truth and reproductions of papers.", no_args_is_help=True)
 app.command()(orbital_frame)
@@ -58,12 +58,12 @@ def estimation(
 ) -> None:
     """Run both methods over simulated worlds and hold their figures against the bounds."""
     # these cost half a second that no other command needs
-    from service.study.estimation.campaign import Plan, run_campaign
+    from service.study.estimation.campaign import CampaignPlan, run_campaign
     from service.study.estimation.flight.world import ExportFailedError
     from service.study.estimation.report import as_document, markdown, tables, verdict_lines
 
     console = _console(is_report_elsewhere=as_json or as_markdown)
-    plan = Plan(_scenarios(scenario, group), seeds, workers, operation_days)
+    plan = CampaignPlan(_scenarios(scenario, group), seeds, workers, operation_days)
     try:
         with ended_by_signals():
             campaign = _run(plan, run_campaign, console)
@@ -92,7 +92,7 @@ def _console(*, is_report_elsewhere: bool) -> Console:
     return console if console.is_terminal else Console(stderr=is_report_elsewhere, width=_FILE_WIDTH)
 
 
-def _print(told: "Sequence[report.Table]", lines: list[str], console: Console) -> None:
+def _print(told: "Sequence[report.ReportTable]", lines: list[str], console: Console) -> None:
     """Print tables and what was missed."""
     for one in told:
         table = Table(title=one.title, title_justify="left")
@@ -116,7 +116,9 @@ def _scenarios(named: list[str] | None, group: str | None) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*grouped, *(named or ())]))
 
 
-def _run(plan: "Plan", run_campaign: "Callable[[Plan, Show], Campaign]", console: Console) -> "Campaign":
+def _run(
+    plan: "CampaignPlan", run_campaign: "Callable[[CampaignPlan, Show], Campaign]", console: Console
+) -> "Campaign":
     """Run the campaign behind a progress bar; away from a terminal it would be noise."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, TimeRemainingColumn(), console=console, disable=not console.is_terminal) as progress:

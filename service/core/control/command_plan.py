@@ -48,7 +48,7 @@ class Forecast(NamedTuple):
         return len(self.torque_n_m) - 1
 
 
-class Plan(NamedTuple):
+class PlannedPulses(NamedTuple):
     """Pulses of a command."""
 
     #: in order of time
@@ -59,14 +59,16 @@ class Plan(NamedTuple):
     is_shortened: bool
 
 
-class _Wish(NamedTuple):
+class _Request(NamedTuple):
     """What the pulses of the slew shall do; (3,) rad and rad/s."""
 
     change_rad: FloatArray
     rate_rad_s: FloatArray
 
 
-def plan_command(gains: Gains, drive: Drive, situation: Situation, forecast: Forecast, envelope: Envelope) -> Plan:
+def plan_command(
+    gains: Gains, drive: Drive, situation: Situation, forecast: Forecast, envelope: Envelope
+) -> PlannedPulses:
     """Return the pulses of a command.
 
     Parameters
@@ -107,21 +109,21 @@ def plan_command(gains: Gains, drive: Drive, situation: Situation, forecast: For
         torques = forecast.torque_n_m[1 : slices + 1, axis].tolist()
         pulses += _balancing(axis, float(left_n_m_s[axis]), torques, forecast, drive)
     is_shortened = bool(np.abs(fitted.change_rad - wish.change_rad).max() > 1e-12)
-    return Plan(tuple(sorted(pulses, key=lambda pulse: (pulse.start_s, pulse.axis))), horizon_s, is_shortened)
+    return PlannedPulses(tuple(sorted(pulses, key=lambda pulse: (pulse.start_s, pulse.axis))), horizon_s, is_shortened)
 
 
-def _wish_of(gains: Gains, situation: Situation, forecast: Forecast) -> _Wish:
+def _wish_of(gains: Gains, situation: Situation, forecast: Forecast) -> _Request:
     """Return what the pulses shall do: the law's slew, and what the torque would turn and leave until its end."""
     slew = tracking_wish(gains, situation.attitude_deg, situation.rates_deg_s, forecast.slew_s)
     pushed_rad_s2 = np.linalg.solve(gains.inertia_kg_m2, forecast.torque_n_m[0])
     change = np.radians(slew.angle_change_deg) + 0.5 * pushed_rad_s2 * forecast.slew_s**2
     rate = np.radians(slew.rate_deg_s) + pushed_rad_s2 * forecast.slew_s
-    return _Wish(np.where(situation.is_allowed, change, 0.0), np.where(situation.is_allowed, rate, 0.0))
+    return _Request(np.where(situation.is_allowed, change, 0.0), np.where(situation.is_allowed, rate, 0.0))
 
 
 def _fitted(
-    wish: _Wish, inertia: FloatArray, forecast: Forecast, envelope: Envelope, counts: BoolArray
-) -> tuple[_Wish, int]:
+    wish: _Request, inertia: FloatArray, forecast: Forecast, envelope: Envelope, counts: BoolArray
+) -> tuple[_Request, int]:
     """Return a wish inside the envelope and how many slices may follow it.
 
     The axes that count (3,) settle how long the command may hold. Yaw, known ten times worse than roll and pitch, makes
@@ -134,7 +136,7 @@ def _fitted(
     return _limited(wish, inertia, forecast, 0, envelope), 0
 
 
-def _limited(wish: _Wish, inertia: FloatArray, forecast: Forecast, slices: int, envelope: Envelope) -> _Wish:
+def _limited(wish: _Request, inertia: FloatArray, forecast: Forecast, slices: int, envelope: Envelope) -> _Request:
     """Return the part of a wish that the envelope has room for."""
     horizon_s = forecast.slew_s + slices * forecast.slice_s
     gross, turned = _balance(inertia, forecast, slices)
@@ -145,7 +147,7 @@ def _limited(wish: _Wish, inertia: FloatArray, forecast: Forecast, slices: int, 
     )
     rate = np.clip(wish.rate_rad_s, -np.maximum(greatest, 0.0), np.maximum(greatest, 0.0))
     lower, upper = _bounds(rate, inertia, forecast, slices, envelope)
-    return _Wish(np.clip(wish.change_rad, lower, np.maximum(lower, upper)), rate)
+    return _Request(np.clip(wish.change_rad, lower, np.maximum(lower, upper)), rate)
 
 
 def _balance(inertia: FloatArray, forecast: Forecast, slices: int) -> tuple[FloatArray, FloatArray]:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S, inertia_about_angles
-from service.core.dynamics.orbital_frame_model import Gains, Law
+from service.core.dynamics.orbital_frame_model import Law, OrbitalFrameGains
 
 FloatArray = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ _TERMS = 16
 
 def gyro_orbitant_law(
     inertia_kg_m2: ArrayLike,
-    gains: Gains,
+    gains: OrbitalFrameGains,
     *,
     torque_limit_n_m: float,
     command_period_s: float,
@@ -40,7 +40,7 @@ def gyro_orbitant_law(
     ----------
     inertia_kg_m2 : array_like, shape (3, 3), kg m^2
         Tensor about x roll, y pitch, z yaw.
-    gains : Gains
+    gains : OrbitalFrameGains
         Stiffness, N m a unit of half-angle, and damping, N m s, about each axis.
     torque_limit_n_m : float, N m
         Greatest torque on an axis.
@@ -58,7 +58,7 @@ def gyro_orbitant_law(
     Examples
     --------
     >>> inertia = np.diag([2600.0, 1400.0, 2600.0])
-    >>> gains = Gains(0.02, 6.0, 0.01, 3.0, 2e-3, 6.0)
+    >>> gains = OrbitalFrameGains(0.02, 6.0, 0.01, 3.0, 2e-3, 6.0)
     >>> law = gyro_orbitant_law(inertia, gains, torque_limit_n_m=0.05, command_period_s=60.0)
     >>> round(law.orbital_rate_rad_s, 9)
     7.2921e-05
@@ -79,7 +79,9 @@ def gyro_orbitant_law(
     return Law(gains=gains, orbital_rate_rad_s=orbital_rate_rad_s)
 
 
-def sampled_growth(tensor_kg_m2: FloatArray, gains: Gains, orbital_rate_rad_s: float, period_s: float) -> float:
+def sampled_growth(
+    tensor_kg_m2: FloatArray, gains: OrbitalFrameGains, orbital_rate_rad_s: float, period_s: float
+) -> float:
     """Return by how much an error grows at most from one command to the next; below 1 the loop settles.
 
     ``tensor_kg_m2`` (3, 3) stands in the order yaw, roll, pitch. The greater of two: values that are new when the
@@ -106,7 +108,7 @@ def _motion(tensor_kg_m2: FloatArray, w0: float, period_s: float) -> tuple[Float
     return whole[:6, :6], whole[:6, 6:]
 
 
-def _feedback(gains: Gains, w0: float, period_s: float) -> FloatArray:
+def _feedback(gains: OrbitalFrameGains, w0: float, period_s: float) -> FloatArray:
     """Return the torque (3, 6) of the linear law on angles and on rates a period."""
     stiffness = np.diag([0.0, -0.5 * gains.roll_stiffness, -0.5 * gains.pitch_stiffness])
     damping = -np.diag([gains.yaw_damping, gains.roll_damping, gains.pitch_damping])
@@ -114,7 +116,7 @@ def _feedback(gains: Gains, w0: float, period_s: float) -> FloatArray:
     return np.hstack([stiffness, damping / period_s])
 
 
-def _check_torque(gains: Gains, torque_limit_n_m: float, w0: float) -> None:
+def _check_torque(gains: OrbitalFrameGains, torque_limit_n_m: float, w0: float) -> None:
     """Raise ValueError where the law saturates at an angle and a rate that it must bear."""
     angle_rad = math.radians(_ANGLE_DEG)
     # the roll rate tells yaw up to the orbital rate

@@ -38,7 +38,7 @@ class Sign(Enum):
     MINUS = -1
 
 
-class Verdict(Enum):
+class SignState(Enum):
     """What the powers say of a command so far."""
 
     PLUS = "plus"
@@ -50,7 +50,7 @@ class Verdict(Enum):
     CONTRADICTED = "contradicted"
 
 
-class Circumstances(NamedTuple):
+class SignContext(NamedTuple):
     """What moves the levels beside the command; triples in the order yaw, roll, pitch."""
 
     #: (3,) deg, attitude before the check
@@ -61,7 +61,7 @@ class Circumstances(NamedTuple):
     chain_walk_db: float = 0.03
 
 
-class Evidence(NamedTuple):
+class SignLikelihoods(NamedTuple):
     """Log-likelihoods after each row."""
 
     #: (T, 3) of PLUS, NOTHING, MINUS, without the part that all share
@@ -78,10 +78,10 @@ class Evidence(NamedTuple):
         return np.asarray(self.log_likelihood[:, own] - others)
 
 
-class Decision(NamedTuple):
+class SignDecision(NamedTuple):
     """Verdict and the row that settled it."""
 
-    verdict: Verdict
+    verdict: SignState
     #: place of the row; the last one while open
     row: int
     #: of PLUS, NOTHING, MINUS at that row, against the best
@@ -96,8 +96,8 @@ def weigh(
     epochs_s: FloatArray,
     deviation_db: FloatArray,
     profile_deg: FloatArray,
-    circumstances: Circumstances,
-) -> Evidence:
+    circumstances: SignContext,
+) -> SignLikelihoods:
     """Return how likely each hypothesis is after each row.
 
     Parameters
@@ -110,7 +110,7 @@ def weigh(
         Power less reference less daily change, NaN = absent. Levels may be off by anything below a few dB.
     profile_deg : ndarray, shape (T, 3), deg
         Turn that the commands should have made: yaw, roll, pitch.
-    circumstances : Circumstances
+    circumstances : SignContext
         Attitude before it, drift, receiving chain.
 
     Raises
@@ -131,10 +131,10 @@ def weigh(
     squares[is_there] = white**2
     sums = squares.sum(axis=1).cumsum(axis=0)
     values = is_there.sum(axis=1).cumsum()
-    return Evidence(-0.5 * sums, sums.min(axis=1) / np.maximum(values, 1), values.astype(np.int64))
+    return SignLikelihoods(-0.5 * sums, sums.min(axis=1) / np.maximum(values, 1), values.astype(np.int64))
 
 
-def decide(evidence: Evidence, least_ratio: float = DECISIVE) -> Decision:
+def decide(evidence: SignLikelihoods, least_ratio: float = DECISIVE) -> SignDecision:
     """Return the verdict at the first row that settles it.
 
     A decision against powers that no hypothesis explains is none: `CONTRADICTED` stands above every ratio.
@@ -146,16 +146,16 @@ def decide(evidence: Evidence, least_ratio: float = DECISIVE) -> Decision:
     log_ratio = evidence.log_likelihood[row] - evidence.log_likelihood[row].max()
     plus, nothing, minus = log_ratio.tolist()
     if is_contradicted[row]:
-        verdict = Verdict.CONTRADICTED
+        verdict = SignState.CONTRADICTED
     elif is_settled[row]:
-        verdict = Verdict[_SIGNS[int(np.argmax(ratios[row]))].name]
+        verdict = SignState[_SIGNS[int(np.argmax(ratios[row]))].name]
     else:
-        verdict = Verdict.OPEN
-    return Decision(verdict, row, (plus, nothing, minus))
+        verdict = SignState.OPEN
+    return SignDecision(verdict, row, (plus, nothing, minus))
 
 
 def expected_ratio(
-    model: CarrierModel, epochs_s: FloatArray, profile_deg: FloatArray, circumstances: Circumstances
+    model: CarrierModel, epochs_s: FloatArray, profile_deg: FloatArray, circumstances: SignContext
 ) -> FloatArray:
     """Return the mean log-likelihood ratio (T,) of the true PLUS against NOTHING, for the choice of a profile.
 
@@ -171,7 +171,7 @@ def expected_ratio(
 
 def wheel_decision(
     predicted_n_m_s: FloatArray, measured_n_m_s: FloatArray, sigma_n_m_s: float, least_ratio: float = DECISIVE
-) -> Decision:
+) -> SignDecision:
     """Return what telemetry of the wheels says: whether their momentum changed as commanded.
 
     Parameters
@@ -192,7 +192,7 @@ def wheel_decision(
     is_told = np.isfinite(measured)
     off = [(measured - sign.value * predicted)[is_told] / sigma_n_m_s for sign in _SIGNS]
     likelihood = np.array([[-0.5 * float(each @ each) for each in off]])
-    return decide(Evidence(likelihood, np.zeros(1), np.array([int(is_told.sum())], dtype=np.int64)), least_ratio)
+    return decide(SignLikelihoods(likelihood, np.zeros(1), np.array([int(is_told.sum())], dtype=np.int64)), least_ratio)
 
 
 def _signature(model: CarrierModel, attitude_deg: FloatArray, turn_deg: FloatArray) -> FloatArray:
@@ -202,7 +202,7 @@ def _signature(model: CarrierModel, attitude_deg: FloatArray, turn_deg: FloatArr
 
 
 def _covariance(
-    model: CarrierModel, epochs_s: FloatArray, circumstances: Circumstances, is_there: NDArray[np.bool_]
+    model: CarrierModel, epochs_s: FloatArray, circumstances: SignContext, is_there: NDArray[np.bool_]
 ) -> FloatArray:
     """Return the covariance of the present values, row by row, dB^2."""
     rows, carriers = np.nonzero(is_there)

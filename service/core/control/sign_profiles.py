@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 YAW, ROLL, PITCH = 0, 1, 2
 
 
-class Leg(NamedTuple):
+class SlewLeg(NamedTuple):
     """One slew of a profile; it ends without a rate."""
 
     start_s: float
@@ -30,7 +30,7 @@ class Profile(NamedTuple):
 
     #: 0 yaw, 1 roll, 2 pitch
     axis: int
-    legs: tuple[Leg, ...]
+    legs: tuple[SlewLeg, ...]
     stop_s: float
 
 
@@ -44,14 +44,14 @@ def pitch_profile(side_deg: float = 0.075) -> Profile:
     return Profile(PITCH, _swing(side_deg, 300.0, 500.0), 2700.0)
 
 
-def _swing(side_deg: float, slew_s: float, rest_s: float) -> tuple[Leg, ...]:
+def _swing(side_deg: float, slew_s: float, rest_s: float) -> tuple[SlewLeg, ...]:
     """Return out, rest, back in two slews and beyond, rest, back: each slew no further than a side."""
     back_s = slew_s + rest_s
     return (
-        Leg(0.0, slew_s, side_deg),
-        Leg(back_s, slew_s, -side_deg),
-        Leg(back_s + slew_s, slew_s, -side_deg),
-        Leg(2.0 * back_s + slew_s, slew_s, side_deg),
+        SlewLeg(0.0, slew_s, side_deg),
+        SlewLeg(back_s, slew_s, -side_deg),
+        SlewLeg(back_s + slew_s, slew_s, -side_deg),
+        SlewLeg(2.0 * back_s + slew_s, slew_s, side_deg),
     )
 
 
@@ -59,11 +59,11 @@ def yaw_profile(side_deg: float = 0.25, hold_s: float = 3600.0) -> Profile:
     """Return the yaw check: 4 hours, one side, the other, back; slews in parts of at most 0.1 deg."""
     parts = int(np.ceil(side_deg / 0.1 - 1e-9))
     step, slew_s = side_deg / parts, 600.0
-    legs = [Leg(k * slew_s, slew_s, step) for k in range(parts)]
+    legs = [SlewLeg(k * slew_s, slew_s, step) for k in range(parts)]
     begin_s = parts * slew_s + hold_s
-    legs += [Leg(begin_s + k * slew_s, slew_s, -step) for k in range(2 * parts)]
+    legs += [SlewLeg(begin_s + k * slew_s, slew_s, -step) for k in range(2 * parts)]
     begin_s += 2 * parts * slew_s + hold_s
-    legs += [Leg(begin_s + k * slew_s, slew_s, step) for k in range(parts)]
+    legs += [SlewLeg(begin_s + k * slew_s, slew_s, step) for k in range(parts)]
     return Profile(YAW, tuple(legs), begin_s + parts * slew_s)
 
 

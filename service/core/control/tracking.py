@@ -17,7 +17,7 @@ from service.core.control.quaternion_law import Gains, error_angles_rad
 FloatArray = NDArray[np.float64]
 
 
-class SlewWish(NamedTuple):
+class SlewRequest(NamedTuple):
     """What `slew_schedule.plan_slew` is asked for; (3,) in the order yaw, roll, pitch."""
 
     angle_change_deg: FloatArray
@@ -33,7 +33,7 @@ def tracking_wish(
     target_deg: ArrayLike = (0.0, 0.0, 0.0),
     disturbance_n_m: ArrayLike = (0.0, 0.0, 0.0),
     least_deg: float = 0.0,
-) -> SlewWish:
+) -> SlewRequest:
     """Return the slew that takes a share of the error within a command period.
 
     Parameters
@@ -77,4 +77,4 @@ def tracking_wish(
     yaw_deg, roll_deg, _ = change_deg.tolist()
     exchanged_deg_s = gains.orbital_rate_rad_s * np.array([-roll_deg, yaw_deg, 0.0])
     pushed_deg_s = np.degrees(np.linalg.solve(gains.inertia_kg_m2, given[3])) * horizon_s / 2.0
-    return SlewWish(change_deg, given[1] + exchanged_deg_s + pushed_deg_s)
+    return SlewRequest(change_deg, given[1] + exchanged_deg_s + pushed_deg_s)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.dynamics.orbital_frame_flight import (
-    Flight,
+    FlightRecord,
     FloatArray,
     Start,
     fly_craft,
@@ -40,7 +40,7 @@ class BeyondOrbitalRate(StrEnum):
     AS_PRINTED = "as_printed"
 
 
-class Wish(NamedTuple):
+class SettlingRequest(NamedTuple):
     """One flight and how it is looked at."""
 
     craft: Craft = Craft()
@@ -78,7 +78,7 @@ class Merit(NamedTuple):
 class ClosedLoop(NamedTuple):
     """A flight with its figures."""
 
-    flight: Flight
+    flight: FlightRecord
     merit: Merit
     #: what to beware of, each ``(code, text)``
     warnings: tuple[tuple[str, str], ...]
@@ -90,7 +90,7 @@ class ClosedLoop(NamedTuple):
         return self._replace(flight=self.flight._replace(**columns))
 
 
-def check_closed_loop(wish: Wish, most_steps: int = MOST_STEPS) -> None:
+def check_closed_loop(wish: SettlingRequest, most_steps: int = MOST_STEPS) -> None:
     """Raise ValueError, with the values at fault, for a flight that cannot be or would take too long."""
     craft = wish.craft
     found = refusals(craft)
@@ -110,12 +110,12 @@ def check_closed_loop(wish: Wish, most_steps: int = MOST_STEPS) -> None:
         raise ValueError("; ".join(found))
 
 
-def fly_closed_loop(wish: Wish, kernel: Fly = fly) -> ClosedLoop:
+def fly_closed_loop(wish: SettlingRequest, kernel: Fly = fly) -> ClosedLoop:
     """Return the flight of a wish and its figures.
 
     Parameters
     ----------
-    wish : Wish
+    wish : SettlingRequest
         Passed by ``check_closed_loop``.
     kernel : callable
         ``fly`` or its compiled form; they agree to rounding.
@@ -140,7 +140,7 @@ def fly_closed_loop(wish: Wish, kernel: Fly = fly) -> ClosedLoop:
     return ClosedLoop(flight, merit, _warnings(merit, craft))
 
 
-def _largest_ratio(wish: Wish) -> float:
+def _largest_ratio(wish: SettlingRequest) -> float:
     """Return the largest roll rate over orbital rate from which a flight may start."""
     slope = abs(wish.craft.law.slope)
     printed = 1.0 / slope if slope > 0.0 else math.inf
@@ -160,7 +160,7 @@ def _beyond_text(when: str, ratio: float, beyond: BeyondOrbitalRate) -> str:
     )
 
 
-def _merit(flight: Flight, wish: Wish) -> Merit:
+def _merit(flight: FlightRecord, wish: SettlingRequest) -> Merit:
     """Return the figures of a flight."""
     craft, time_s = wish.craft, flight.time_s
     angles = np.column_stack([flight.roll_deg, flight.pitch_deg, flight.yaw_deg])

@@ -27,7 +27,7 @@ class Start(NamedTuple):
     rate_rad_s: tuple[float, float, float] | None = None
 
 
-class Flight(NamedTuple):
+class FlightRecord(NamedTuple):
     """Record of a flight; one row a period of the computer, the start first."""
 
     #: (T,) s
@@ -44,7 +44,7 @@ class Flight(NamedTuple):
     end: State
 
 
-def fly_craft(craft: Craft, start: Start, duration_s: float, seed: int = 1, kernel: Fly = fly) -> Flight:
+def fly_craft(craft: Craft, start: Start, duration_s: float, seed: int = 1, kernel: Fly = fly) -> FlightRecord:
     """Return a flight.
 
     Parameters
@@ -62,7 +62,7 @@ def fly_craft(craft: Craft, start: Start, duration_s: float, seed: int = 1, kern
 
     Returns
     -------
-    Flight
+    FlightRecord
 
     Raises
     ------
@@ -86,7 +86,7 @@ def fly_craft(craft: Craft, start: Start, duration_s: float, seed: int = 1, kern
             "nu0 of the printed law is imaginary; take the guarded law, or stop the roll first"
         )
     degrees = np.degrees(record[:, 1:4])
-    return Flight(
+    return FlightRecord(
         record[:, 0], degrees[:, 0], degrees[:, 1], degrees[:, 2], record[:, 4:7], record[:, 7:10], record[:, 10], end
     )
 
@@ -136,7 +136,7 @@ def tone_steps(craft: Craft) -> FloatArray:
     return steps
 
 
-def largest_after(flight: Flight, time_s: float) -> tuple[float, float, float]:
+def largest_after(flight: FlightRecord, time_s: float) -> tuple[float, float, float]:
     """Return the largest size of roll, pitch and yaw after a time, deg."""
     late = flight.time_s > time_s
     return tuple(float(np.abs(angle[late]).max()) for angle in (flight.roll_deg, flight.pitch_deg, flight.yaw_deg))  # type: ignore[return-value]  # three angles
@@ -164,7 +164,7 @@ def harmonic_amplitude(time_s: FloatArray, angle_deg: FloatArray, period_s: floa
     return float(np.hypot(solved[0], solved[1]))
 
 
-def mean_over_orbits(flight: Flight, orbital_rate_rad_s: float, orbits: int = 2) -> float:
+def mean_over_orbits(flight: FlightRecord, orbital_rate_rad_s: float, orbits: int = 2) -> float:
     """Return the mean yaw of the last whole orbits, deg; what comes and goes with the orbit leaves no mark on it."""
     late = flight.time_s > flight.time_s[-1] - orbits * 2.0 * math.pi / orbital_rate_rad_s
     return float(flight.yaw_deg[late].mean())

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.core.dynamics import orbital_frame_step
-from service.core.dynamics.orbital_frame_model import Computer, Craft, RateSensor, VerticalSensor, Wheels
+from service.core.dynamics.orbital_frame_model import AxisWheels, Computer, Craft, RateSensor, VerticalSensor
 from service.core.dynamics.orbital_frame_step import (
     Inverse,
     State,
@@ -102,7 +102,7 @@ def sensed_rate(sensor: RateSensor, rate: Triple, noise: FloatArray) -> Triple:
     )
 
 
-def rotor_torque(wheels: Wheels, asked: float, momentum: float, angle: float, step_s: float) -> float:
+def rotor_torque(wheels: AxisWheels, asked: float, momentum: float, angle: float, step_s: float) -> float:
     """Return the mean torque on a rotor over a step, N m: motor, cogging, dry and viscous friction, stop and limit."""
     speed = momentum / wheels.inertia_kg_m2
     motor = -wheels.slope * asked * (1.0 + math.copysign(1.0, asked) * speed / wheels.no_load_rad_s)
@@ -125,7 +125,7 @@ def rotor_torque(wheels: Wheels, asked: float, momentum: float, angle: float, st
     return torque
 
 
-def given_torque(wheels: Wheels, asked: Triple, state: State, turns: FloatArray, step_s: float) -> Triple:
+def given_torque(wheels: AxisWheels, asked: Triple, state: State, turns: FloatArray, step_s: float) -> Triple:
     """Return the torques that the wheels give the body over a step, N m, and turn the rotors."""
     if not wheels.is_real:
         return asked

@@ -34,7 +34,7 @@ class Inertia(NamedTuple):
 NOMINAL_INERTIA = Inertia(xy=100.0, xz=60.0, yz=114.0)
 
 
-class Gains(NamedTuple):
+class OrbitalFrameGains(NamedTuple):
     """Gains of the law: N m a unit of half-angle, and N m s."""
 
     roll_stiffness: float = 40.0
@@ -45,15 +45,15 @@ class Gains(NamedTuple):
     yaw_damping: float = 500.0
 
 
-MAX_GAINS = Gains()
-MIN_GAINS = Gains(yaw_stiffness=0.625, yaw_damping=125.0)
-MIDDLE_GAINS = Gains(yaw_stiffness=1.25, yaw_damping=250.0)
+MAX_GAINS = OrbitalFrameGains()
+MIN_GAINS = OrbitalFrameGains(yaw_stiffness=0.625, yaw_damping=125.0)
+MIDDLE_GAINS = OrbitalFrameGains(yaw_stiffness=1.25, yaw_damping=250.0)
 
 
 class Law(NamedTuple):
     """The gyro-orbitant law and its readings."""
 
-    gains: Gains = MAX_GAINS
+    gains: OrbitalFrameGains = MAX_GAINS
     orbital_rate_rad_s: float = ORBITAL_RATE_RAD_S
     #: share of the roll rate over the orbital rate in the yaw quaternion
     slope: float = 1.0 / math.sqrt(2.0)
@@ -98,7 +98,7 @@ class RateSensor(NamedTuple):
     delay_periods: int = 1
 
 
-class Wheels(NamedTuple):
+class AxisWheels(NamedTuple):
     """One reaction wheel an axis."""
 
     is_real: bool = True
@@ -131,7 +131,7 @@ class Craft(NamedTuple):
     computer: Computer = Computer()
     vertical_sensor: VerticalSensor = VerticalSensor()
     rate_sensor: RateSensor = RateSensor()
-    wheels: Wheels = Wheels()
+    wheels: AxisWheels = AxisWheels()
     tones: Tones = Tones()
     has_gravity_torque: bool = True
     #: Runge-Kutta steps in a period of the computer
@@ -142,13 +142,13 @@ class Craft(NamedTuple):
 _IDEAL = Craft(
     vertical_sensor=VerticalSensor(is_real=False),
     rate_sensor=RateSensor(is_real=False),
-    wheels=Wheels(is_real=False),
+    wheels=AxisWheels(is_real=False),
     tones=Tones(is_real=False),
 )
 
 
 def rigid_craft(
-    gains: Gains = MAX_GAINS, inertia: Inertia | None = None, *, is_sampled: bool = False, steps: int = 1
+    gains: OrbitalFrameGains = MAX_GAINS, inertia: Inertia | None = None, *, is_sampled: bool = False, steps: int = 1
 ) -> Craft:
     """Return a craft of ideal components: continuous, or with the computer's period and quantum."""
     return _IDEAL._replace(

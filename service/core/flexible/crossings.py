@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.flexible.phi_functions import FloatArray
-from service.core.flexible.propagation import Leg, angle_and_rate_at, states_at
+from service.core.flexible.propagation import MotionLeg, angle_and_rate_at, states_at
 from service.core.flexible.roots import brent_root, newton_root
 
 #: points a period of the flexible mode
@@ -32,7 +32,7 @@ class Line(NamedTuple):
     direction: float
 
 
-def crossing_time(leg: Leg, line: Line, horizon_s: float) -> float:
+def crossing_time(leg: MotionLeg, line: Line, horizon_s: float) -> float:
     """Return when a leg first crosses a line within a time; infinite where it does not."""
     ahead_rad = line.direction * (_angle(leg, 0.0) - line.angle_rad)
     rate = line.direction * _rate(leg, 0.0)
@@ -43,17 +43,17 @@ def crossing_time(leg: Leg, line: Line, horizon_s: float) -> float:
     return _scanned_crossing(leg, line, horizon_s)
 
 
-def _angle(leg: Leg, t: float) -> float:
+def _angle(leg: MotionLeg, t: float) -> float:
     """Return theta."""
     return angle_and_rate_at(leg, t)[0]
 
 
-def _rate(leg: Leg, t: float) -> float:
+def _rate(leg: MotionLeg, t: float) -> float:
     """Return the rate of theta."""
     return angle_and_rate_at(leg, t)[1]
 
 
-def _rigid_crossing(leg: Leg, line: Line, horizon_s: float) -> float:
+def _rigid_crossing(leg: MotionLeg, line: Line, horizon_s: float) -> float:
     """Return the first crossing of a rigid body: monotone between its turns."""
 
     def gap(t: float) -> tuple[float, float]:
@@ -68,7 +68,7 @@ def _rigid_crossing(leg: Leg, line: Line, horizon_s: float) -> float:
     return math.inf
 
 
-def _turns(leg: Leg, horizon_s: float) -> list[float]:
+def _turns(leg: MotionLeg, horizon_s: float) -> list[float]:
     """Return when the rate of a rigid body is zero, at most twice."""
     c, v = leg.decay_1_s, leg.start.rate_rad_s
     constant, fading = leg.external_torque_n_m / leg.inertia_kg_m2, leg.wheel_torque_n_m / leg.inertia_kg_m2
@@ -95,7 +95,7 @@ def _single_turn(rate: float, acceleration: float, c: float) -> float:
     return -math.log(left) / c if c > 0.0 else -rate / acceleration
 
 
-def _scanned_crossing(leg: Leg, line: Line, horizon_s: float) -> float:
+def _scanned_crossing(leg: MotionLeg, line: Line, horizon_s: float) -> float:
     """Return the first crossing of a flexible body by a scan in chunks."""
     step_s = 2.0 * math.pi / (leg.frequency_rad_s * SCAN_POINTS)
     first, count = 0, math.ceil(horizon_s / step_s)
@@ -109,7 +109,7 @@ def _scanned_crossing(leg: Leg, line: Line, horizon_s: float) -> float:
     return math.inf
 
 
-def _crossing_in(leg: Leg, line: Line, times: FloatArray) -> float | None:
+def _crossing_in(leg: MotionLeg, line: Line, times: FloatArray) -> float | None:
     """Return the first crossing between some times in order."""
     states = states_at(leg, times)
     ahead = line.direction * (states[:, 0] + states[:, 2] - line.angle_rad)
@@ -125,14 +125,14 @@ def _crossing_in(leg: Leg, line: Line, times: FloatArray) -> float | None:
     return None
 
 
-def _turn(leg: Leg, low: float, high: float) -> float:
+def _turn(leg: MotionLeg, low: float, high: float) -> float:
     """Return when the rate turns between two times; the later one where it hardly does, by rounding."""
     if _rate(leg, low) * _rate(leg, high) >= 0.0:
         return high
     return brent_root(lambda t: _rate(leg, t), low, high)
 
 
-def _root_after(leg: Leg, line: Line, low: float, high: float) -> float:
+def _root_after(leg: MotionLeg, line: Line, low: float, high: float) -> float:
     """Return the crossing between a time before the line, or on it, and one beyond."""
     # a leg may begin on the line and turn back to it within the first points: its root comes after the turn
     if line.direction * (_angle(leg, low) - line.angle_rad) >= 0.0 and line.direction * _rate(leg, low) < 0.0:
@@ -142,7 +142,7 @@ def _root_after(leg: Leg, line: Line, low: float, high: float) -> float:
     return brent_root(lambda t: _angle(leg, t) - line.angle_rad, low, high)
 
 
-def momentum_time(leg: Leg, momentum_n_m_s: float) -> float:
+def momentum_time(leg: MotionLeg, momentum_n_m_s: float) -> float:
     """Return when the momentum of a leg comes to a value; infinite where it does not. A value held is not come to."""
     gap, c = momentum_n_m_s - leg.start.momentum_n_m_s, leg.decay_1_s
     if gap * leg.wheel_torque_n_m <= 0.0:

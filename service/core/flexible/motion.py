@@ -12,13 +12,13 @@ import numpy as np
 
 from service.core.flexible.crossings import Line, crossing_time, momentum_time
 from service.core.flexible.phi_functions import FloatArray
-from service.core.flexible.propagation import BodyState, Leg, start_leg, state_at, states_at
-from service.core.flexible.spacecraft import FlexibleMode, WheelDrive, require_drive, require_mode, require_positive
+from service.core.flexible.propagation import BodyState, MotionLeg, start_leg, state_at, states_at
+from service.core.flexible.spacecraft import HubMode, WheelDrive, require_drive, require_mode, require_positive
 from service.core.flexible.switching_law import (
     WATCHES,
     Arm,
+    CrossingWatch,
     SwitchingLaw,
-    Watch,
     arm_after_pulse,
     counter_after,
     require_law,
@@ -47,12 +47,12 @@ class Regulator(NamedTuple):
         return self.arm in {Arm.FIRING, Arm.RELAY_ON}
 
 
-class Motion(NamedTuple):
+class FlexibleMotion(NamedTuple):
     """What a run gave, leg by leg."""
 
     #: (L,) s, start of each leg
     times_s: FloatArray
-    legs: tuple[Leg, ...]
+    legs: tuple[MotionLeg, ...]
     #: state of the law on each leg
     regulators: tuple[Regulator, ...]
     #: (F,) s, when the motor was switched on, and (R,) s, when the law came back to neutral
@@ -74,11 +74,11 @@ class Motion(NamedTuple):
 def follow_motion(
     start: BodyState,
     drive: WheelDrive,
-    mode: FlexibleMode | None,
+    mode: HubMode | None,
     law: SwitchingLaw,
     duration_s: float,
     regulator: Regulator | None = None,
-) -> Motion:
+) -> FlexibleMotion:
     """Return the motion of one axis under its law.
 
     Parameters
@@ -122,18 +122,18 @@ def follow_motion(
 def steps_of(
     start: BodyState,
     drive: WheelDrive,
-    mode: FlexibleMode | None,
+    mode: HubMode | None,
     law: SwitchingLaw,
     duration_s: float,
     regulator: Regulator | None = None,
-) -> Iterator["Step"]:
+) -> Iterator["MotionStep"]:
     """Yield the motion of one axis, event by event, as `follow_motion` records it; what is given is not checked."""
     now_s, state, waiting = 0.0, start, regulator or Regulator()
     while now_s < duration_s:
         leg = _leg(state, waiting, drive, mode)
         event = _next_event(leg, waiting, drive, law, duration_s - now_s)
         state = _state_after(leg, event)
-        yield Step(now_s, leg, waiting, event, now_s + event.after_s, state)
+        yield MotionStep(now_s, leg, waiting, event, now_s + event.after_s, state)
         now_s, waiting = now_s + event.after_s, event.regulator
 
 
@@ -150,11 +150,11 @@ class _Event(NamedTuple):
     momentum_n_m_s: float | None = None
 
 
-class Step(NamedTuple):
+class MotionStep(NamedTuple):
     """One leg, what ended it, and where."""
 
     start_s: float
-    leg: Leg
+    leg: MotionLeg
     #: state of the law on the leg
     regulator: Regulator
     event: _Event
@@ -167,11 +167,11 @@ class _Record:
 
     def __init__(self) -> None:
         self.events = 0
-        self._legs: list[tuple[float, Leg, Regulator]] = []
+        self._legs: list[tuple[float, MotionLeg, Regulator]] = []
         self._firings: list[float] = []
         self._releases: list[float] = []
 
-    def add(self, step: Step) -> None:
+    def add(self, step: MotionStep) -> None:
         """Keep a leg and what ended it."""
         self.events += 1
         if step.event.after_s > 0.0:
@@ -181,13 +181,15 @@ class _Record:
         if step.event.is_release:
             self._releases.append(step.end_s)
 
-    def motion(self, end_s: float, end: BodyState) -> Motion:
+    def motion(self, end_s: float, end: BodyState) -> FlexibleMotion:
         """Return everything kept."""
         starts, legs, regulators = zip(*self._legs, strict=True)
-        return Motion(np.array(starts), legs, regulators, np.array(self._firings), np.array(self._releases), end_s, end)
+        return FlexibleMotion(
+            np.array(starts), legs, regulators, np.array(self._firings), np.array(self._releases), end_s, end
+        )
 
 
-def _leg(state: BodyState, regulator: Regulator, drive: WheelDrive, mode: FlexibleMode | None) -> Leg:
+def _leg(state: BodyState, regulator: Regulator, drive: WheelDrive, mode: HubMode | None) -> MotionLeg:
     """Return the leg that begins in a state of body and law."""
     motor_n_m = -regulator.side * drive.motor_torque_n_m if regulator.is_on else 0.0
     momentum, limit = state.momentum_n_m_s, drive.momentum_limit_n_m_s
@@ -210,7 +212,7 @@ def _leg(state: BodyState, regulator: Regulator, drive: WheelDrive, mode: Flexib
     )
 
 
-def _next_event(leg: Leg, regulator: Regulator, drive: WheelDrive, law: SwitchingLaw, left_s: float) -> _Event:
+def _next_event(leg: MotionLeg, regulator: Regulator, drive: WheelDrive, law: SwitchingLaw, left_s: float) -> _Event:
     """Return what ends a leg: the time asked for, a pulse's end, the momentum, or a line."""
     soonest = _Event(left_s, regulator._replace(timer_s=regulator.timer_s - left_s))
     if regulator.timer_s <= left_s:
@@ -229,7 +231,7 @@ def _next_event(leg: Leg, regulator: Regulator, drive: WheelDrive, law: Switchin
     return soonest
 
 
-def _lines(watch: Watch, regulator: Regulator, law: SwitchingLaw) -> list[tuple[float, Line]]:
+def _lines(watch: CrossingWatch, regulator: Regulator, law: SwitchingLaw) -> list[tuple[float, Line]]:
     """Return the lines of a watch with their sides."""
     side = regulator.side
     if watch.line == "line":
@@ -240,7 +242,7 @@ def _lines(watch: Watch, regulator: Regulator, law: SwitchingLaw) -> list[tuple[
     return [(side, Line(side * angle, -side))]
 
 
-def _switched(after_s: float, watch: Watch, regulator: Regulator, law: SwitchingLaw) -> _Event:
+def _switched(after_s: float, watch: CrossingWatch, regulator: Regulator, law: SwitchingLaw) -> _Event:
     """Return the crossing of a line: the law's next state."""
     is_firing = watch.to is Arm.FIRING
     arm = Arm.RELAY_ON if is_firing and law.is_relay else watch.to
@@ -249,7 +251,7 @@ def _switched(after_s: float, watch: Watch, regulator: Regulator, law: Switching
     return _Event(after_s, Regulator(arm, counter, regulator.side, timer_s), is_firing, arm is Arm.NEUTRAL)
 
 
-def _state_after(leg: Leg, event: _Event) -> BodyState:
+def _state_after(leg: MotionLeg, event: _Event) -> BodyState:
     """Return the state at the end of a leg; the momentum that was come to is that exactly."""
     state = state_at(leg, event.after_s) if event.after_s > 0.0 else leg.start
     return state if event.momentum_n_m_s is None else state._replace(momentum_n_m_s=event.momentum_n_m_s)

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.flexible.phi_functions import FloatArray, phi1, phi2, phi2_scalar
-from service.core.flexible.spacecraft import FlexibleMode
+from service.core.flexible.spacecraft import HubMode
 
 
 class BodyState(NamedTuple):
@@ -35,7 +35,7 @@ class BodyState(NamedTuple):
     momentum_n_m_s: float = 0.0
 
 
-class Leg(NamedTuple):
+class MotionLeg(NamedTuple):
     """Motion between two events: its start and the constants of the solution."""
 
     start: BodyState
@@ -57,20 +57,20 @@ class Leg(NamedTuple):
 
 def start_leg(
     start: BodyState,
-    mode: FlexibleMode | None,
+    mode: HubMode | None,
     *,
     inertia_kg_m2: float,
     wheel_torque_n_m: float,
     decay_1_s: float = 0.0,
     external_torque_n_m: float = 0.0,
-) -> Leg:
+) -> MotionLeg:
     """Return the leg that begins in a state under a torque.
 
     Parameters
     ----------
     start : BodyState
         State at t = 0.
-    mode : FlexibleMode or None
+    mode : HubMode or None
         None for a rigid body.
     inertia_kg_m2 : float, kg m^2
         Inertia of the axis.
@@ -82,7 +82,7 @@ def start_leg(
         M_B, constant.
     """
     if mode is None:
-        return Leg(start, inertia_kg_m2, external_torque_n_m, wheel_torque_n_m, decay_1_s, 0, 0, 0, 0, 0, 0)
+        return MotionLeg(start, inertia_kg_m2, external_torque_n_m, wheel_torque_n_m, decay_1_s, 0, 0, 0, 0, 0, 0)
     omega, xi = mode.omega_rad_s, mode.damping_ratio
     frequency = omega * math.sqrt(1.0 - xi * xi)
     gain = mode.coupling / inertia_kg_m2
@@ -92,16 +92,16 @@ def start_leg(
     rate = start.deflection_rate_rad_s + decay_1_s * decaying
     sine = (rate + xi * omega * cosine) / frequency
     constants = (xi * omega, frequency, offset, decaying, cosine, sine)
-    return Leg(start, inertia_kg_m2, external_torque_n_m, wheel_torque_n_m, decay_1_s, *constants)
+    return MotionLeg(start, inertia_kg_m2, external_torque_n_m, wheel_torque_n_m, decay_1_s, *constants)
 
 
-def state_at(leg: Leg, elapsed_s: float) -> BodyState:
+def state_at(leg: MotionLeg, elapsed_s: float) -> BodyState:
     """Return the state some time after the start of a leg."""
     states = states_at(leg, np.array([elapsed_s]))
     return BodyState(*(float(value) for value in states[0]))
 
 
-def angle_and_rate_at(leg: Leg, t: float) -> tuple[float, float]:
+def angle_and_rate_at(leg: MotionLeg, t: float) -> tuple[float, float]:
     """Return theta and its rate, what `state_at` gives in sum, ten times as fast: searches for events live on it."""
     start, c = leg.start, leg.decay_1_s
     half = phi2_scalar(c * t)
@@ -120,7 +120,7 @@ def angle_and_rate_at(leg: Leg, t: float) -> tuple[float, float]:
     return angle + leg.offset_rad + fading + swing, rate + swing_rate
 
 
-def states_at(leg: Leg, elapsed_s: FloatArray) -> FloatArray:
+def states_at(leg: MotionLeg, elapsed_s: FloatArray) -> FloatArray:
     """Return states (T, 5), columns those of `BodyState`, at some times (T,) after the start of a leg."""
     t, start = elapsed_s, leg.start
     z = leg.decay_1_s * t
@@ -132,7 +132,7 @@ def states_at(leg: Leg, elapsed_s: FloatArray) -> FloatArray:
     return np.column_stack([angle, rate, deflection, deflection_rate, start.momentum_n_m_s + gained])
 
 
-def _deflection(leg: Leg, t: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _deflection(leg: MotionLeg, t: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return thU and its rate."""
     fading = leg.decaying_rad * np.exp(-leg.decay_1_s * t)
     envelope = np.exp(-leg.damping_1_s * t)
@@ -142,14 +142,14 @@ def _deflection(leg: Leg, t: FloatArray) -> tuple[FloatArray, FloatArray]:
     return leg.offset_rad + fading + swing, swing_rate - leg.damping_1_s * swing - leg.decay_1_s * fading
 
 
-def bi_plane_invariant(leg: Leg, mode: FlexibleMode, elapsed_s: FloatArray) -> FloatArray:
+def bi_plane_invariant(leg: MotionLeg, mode: HubMode, elapsed_s: FloatArray) -> FloatArray:
     """Return K (T,) of equation (11) along a leg of constant torque (c = 0); it does not change.
 
     Parameters
     ----------
-    leg : Leg
+    leg : MotionLeg
         With ``decay_1_s`` zero.
-    mode : FlexibleMode
+    mode : HubMode
         That of the leg.
     elapsed_s : ndarray, shape (T,), s
         Times in order, closer together than half a period of the mode, the first zero.

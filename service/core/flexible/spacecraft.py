@@ -35,7 +35,7 @@ class WheelDrive(NamedTuple):
     external_torque_n_m: float = 0.0
 
 
-class FlexibleMode(NamedTuple):
+class HubMode(NamedTuple):
     """One tone of the panels as the hub feels it; without a mode the body is rigid."""
 
     omega_rad_s: float
@@ -98,7 +98,7 @@ def require_drive(drive: WheelDrive) -> None:
         )
 
 
-def require_mode(mode: FlexibleMode, *, may_be_undamped: bool = False) -> None:
+def require_mode(mode: HubMode, *, may_be_undamped: bool = False) -> None:
     """Refuse a mode that cannot exist, one without damping among them unless the question allows it."""
     require_positive("omega_rad_s", mode.omega_rad_s)
     require_not_negative("coupling", mode.coupling)

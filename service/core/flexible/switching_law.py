@@ -65,7 +65,7 @@ class SwitchingLaw(NamedTuple):
         return self.beta_rad + counter * self.line_step_rad
 
 
-class Watch(NamedTuple):
+class CrossingWatch(NamedTuple):
     """A line to be watched while the regulator waits, and what follows its crossing."""
 
     #: "line" fires on an outward arrival; "alpha", "beta", "last" on falling below
@@ -74,13 +74,13 @@ class Watch(NamedTuple):
 
 
 #: what is watched in each state; the first crossing in time counts
-WATCHES: dict[Arm, tuple[Watch, ...]] = {
-    Arm.NEUTRAL: (Watch("line", Arm.FIRING),),
-    Arm.COUNTING: (Watch("line", Arm.FIRING), Watch("alpha", Arm.NEUTRAL)),
-    Arm.FULL: (Watch("line", Arm.FIRING), Watch("last", Arm.CAPPED)),
-    Arm.CAPPED: (Watch("line", Arm.FIRING), Watch("beta", Arm.NEUTRAL)),
+WATCHES: dict[Arm, tuple[CrossingWatch, ...]] = {
+    Arm.NEUTRAL: (CrossingWatch("line", Arm.FIRING),),
+    Arm.COUNTING: (CrossingWatch("line", Arm.FIRING), CrossingWatch("alpha", Arm.NEUTRAL)),
+    Arm.FULL: (CrossingWatch("line", Arm.FIRING), CrossingWatch("last", Arm.CAPPED)),
+    Arm.CAPPED: (CrossingWatch("line", Arm.FIRING), CrossingWatch("beta", Arm.NEUTRAL)),
     Arm.FIRING: (),
-    Arm.RELAY_ON: (Watch("alpha", Arm.NEUTRAL),),
+    Arm.RELAY_ON: (CrossingWatch("alpha", Arm.NEUTRAL),),
 }
 
 

@@ -33,7 +33,7 @@ EARTH_RATE_RAD_S = 7.292115e-5
 _RATE_STEP_US = 300_000_000
 
 
-class Track(NamedTuple):
+class PredictedTrack(NamedTuple):
     """Predicted sub-satellite point at M >= 4 epochs in ascending order.
 
     Parameters
@@ -57,12 +57,12 @@ class Places(NamedTuple):
     height_m: FloatArray
 
 
-def track_position_deg(track: Track, epoch_us: IntArray) -> FloatArray:
+def track_position_deg(track: PredictedTrack, epoch_us: IntArray) -> FloatArray:
     """Return latitude and longitude of the sub-satellite point, shape (T, 2), deg.
 
     Parameters
     ----------
-    track : Track
+    track : PredictedTrack
         Prediction of ballistics.
     epoch_us : ndarray of int, shape (T,), microseconds UTC
         Epochs in any order.
@@ -78,7 +78,7 @@ def track_position_deg(track: Track, epoch_us: IntArray) -> FloatArray:
 
     Examples
     --------
-    >>> track = Track(np.arange(5) * 10, np.arange(5.0) ** 2, np.full(5, 90.0))
+    >>> track = PredictedTrack(np.arange(5) * 10, np.arange(5.0) ** 2, np.full(5, 90.0))
     >>> track_position_deg(track, np.array([25, 99]))
     array([[ 6.25, 90.  ],
            [  nan,   nan]])
@@ -135,12 +135,14 @@ def sight_motion_deg(position_deg: FloatArray, stations: Places, nominal_longitu
     return np.asarray(np.degrees(np.stack(angles, axis=-1)))
 
 
-def antenna_motion_deg(track: Track, epoch_us: IntArray, stations: Places, nominal_longitude_deg: float) -> FloatArray:
+def antenna_motion_deg(
+    track: PredictedTrack, epoch_us: IntArray, stations: Places, nominal_longitude_deg: float
+) -> FloatArray:
     """Return by how much each station moves in the antenna frame of a body held to the nadir frame.
 
     Parameters
     ----------
-    track : Track
+    track : PredictedTrack
         Prediction of ballistics.
     epoch_us : ndarray of int, shape (T,), microseconds UTC
         Epochs.

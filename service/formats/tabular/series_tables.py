@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from typing import Any
 
-from service.formats.tabular.table_file import Column, Kind, Table
+from service.formats.tabular.table_file import Column, Kind, SeriesTable
 from service.records.epoch import format_epoch
 from service.records.inputs import AttitudeReference
 from service.records.levels.attitude import AttitudeRow, Axes
@@ -57,7 +57,7 @@ def _attitude_values(row: AttitudeRow) -> Sequence[Any]:
     )
 
 
-ATTITUDE = Table(
+ATTITUDE = SeriesTable(
     _columns(
         {
             "epoch": "epoch",
@@ -81,7 +81,7 @@ def _reference_values(row: AttitudeReference) -> Sequence[Any]:
     return (row.epoch_us, row.source, *row.attitude_deg, *row.sigma_deg)
 
 
-REFERENCES = Table(
+REFERENCES = SeriesTable(
     _columns({"epoch": "epoch", "source": "text", **_axes_columns("{}_deg"), **_axes_columns("{}_sigma_deg")}),
     _reference_values,
 )
@@ -119,7 +119,7 @@ def _torque_values(row: TorqueCommand) -> Sequence[Any]:
     )
 
 
-TORQUES = Table(
+TORQUES = SeriesTable(
     _columns(
         {
             "epoch": "epoch",
@@ -150,7 +150,7 @@ def _event_values(row: EventRow) -> Sequence[Any]:
     return (row.epoch_us, row.stop_us, row.number, row.kind, row.key, row.document)
 
 
-EVENTS = Table(
+EVENTS = SeriesTable(
     _columns(
         {
             "epoch": "epoch",

@@ -28,7 +28,7 @@ class Column(NamedTuple):
     kind: Kind
 
 
-class Table(NamedTuple, Generic[R]):
+class SeriesTable(NamedTuple, Generic[R]):
     """What a series looks like as a table."""
 
     columns: tuple[Column, ...]
@@ -36,12 +36,12 @@ class Table(NamedTuple, Generic[R]):
     values: Callable[[R], Sequence[Any]]
 
 
-def table_bytes(table: Table[R], file_format: TableFormat, pages: Iterable[Sequence[R]]) -> Iterator[bytes]:
+def table_bytes(table: SeriesTable[R], file_format: TableFormat, pages: Iterable[Sequence[R]]) -> Iterator[bytes]:
     """Yield the file of records, piece by piece; memory is that of one page.
 
     Parameters
     ----------
-    table : Table
+    table : SeriesTable
         Columns, and the values of a record.
     file_format : str
         ``csv``, ``ndjson`` or ``parquet``.
@@ -51,7 +51,7 @@ def table_bytes(table: Table[R], file_format: TableFormat, pages: Iterable[Seque
     return {"csv": _csv, "ndjson": _ndjson, "parquet": _parquet}[file_format](table, pages)
 
 
-def _csv(table: Table[R], pages: Iterable[Sequence[R]]) -> Iterator[bytes]:
+def _csv(table: SeriesTable[R], pages: Iterable[Sequence[R]]) -> Iterator[bytes]:
     texts = [guarded if column.kind == "text" else _TEXT_OF[column.kind] for column in table.columns]
     yield _csv_line([column.name for column in table.columns]).encode()
     for page in pages:
@@ -62,7 +62,7 @@ def _csv(table: Table[R], pages: Iterable[Sequence[R]]) -> Iterator[bytes]:
         yield "".join(lines).encode()
 
 
-def _ndjson(table: Table[R], pages: Iterable[Sequence[R]]) -> Iterator[bytes]:
+def _ndjson(table: SeriesTable[R], pages: Iterable[Sequence[R]]) -> Iterator[bytes]:
     plain = [(column.name, _JSON_OF[column.kind]) for column in table.columns]
     for page in pages:
         lines = []
@@ -72,7 +72,7 @@ def _ndjson(table: Table[R], pages: Iterable[Sequence[R]]) -> Iterator[bytes]:
         yield "".join(lines).encode()
 
 
-def _parquet(table: Table[R], pages: Iterable[Sequence[R]]) -> Iterator[bytes]:
+def _parquet(table: SeriesTable[R], pages: Iterable[Sequence[R]]) -> Iterator[bytes]:
     # 90 ms that only Parquet needs
     import pyarrow as pa
 

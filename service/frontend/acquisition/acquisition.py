@@ -19,7 +19,7 @@ from service.frontend.acquisition.evaluation import MeasuredRow, TaskEvaluation
 from service.frontend.acquisition.measuring_cycle import MeasuringCycle, is_good
 from service.frontend.acquisition.orders import AcquisitionOrders
 from service.frontend.acquisition.settings import WATCHDOG_PERIODS, AcquisitionCounters, AcquisitionSettings
-from service.frontend.acquisition.states import TRANSITIONS, Event, State
+from service.frontend.acquisition.states import TRANSITIONS, AcquisitionEvent, AcquisitionState
 from service.frontend.drivers.base import SweepRefusedError
 from service.frontend.drivers.choice import dialect_of, identify
 from service.frontend.drivers.scpi_driver import RESET_S, ScpiDriver
@@ -93,13 +93,13 @@ class Acquisition:
         self._due_s: float | None = None
         self._last_good_s = 0.0
         self._bound_s = float("inf")
-        self._actions: dict[State, Callable[[], None]] = {
-            State.CONNECT: self._connect,
-            State.IDENTIFY: self._identify,
-            State.CONFIGURE: self._configure,
-            State.MEASURE: self._measure,
-            State.BACKOFF: self._wait,
-            State.DISABLED: self._rest,
+        self._actions: dict[AcquisitionState, Callable[[], None]] = {
+            AcquisitionState.CONNECT: self._connect,
+            AcquisitionState.IDENTIFY: self._identify,
+            AcquisitionState.CONFIGURE: self._configure,
+            AcquisitionState.MEASURE: self._measure,
+            AcquisitionState.BACKOFF: self._wait,
+            AcquisitionState.DISABLED: self._rest,
         }
 
     @property
@@ -143,7 +143,7 @@ class Acquisition:
             self._bound_s = float("inf")
             self._close()
 
-    def step(self) -> State:
+    def step(self) -> AcquisitionState:
         """Carry out an order or the action of the state, and return the next state."""
         state = self.counters.state
         event = self.orders.next(state)
@@ -154,20 +154,20 @@ class Acquisition:
         self.counters.state = TRANSITIONS[state][event]
         return self.counters.state
 
-    def _act(self, state: State) -> Event:
+    def _act(self, state: AcquisitionState) -> AcquisitionEvent:
         """Carry out the action of a state."""
         self._allow(self._longest_s())
         try:
             self._actions[state]()
         except FAULTS as fault:
             self._note(state, fault)
-            return Event.FAULT
-        return Event.OK
+            return AcquisitionEvent.FAULT
+        return AcquisitionEvent.OK
 
-    def _follow(self, event: Event) -> None:
+    def _follow(self, event: AcquisitionEvent) -> None:
         """Carry out an order: whatever it is, the session is closed and waiting times begin anew."""
         logger.info("%s: %s by an operator", self._settings.resource, event.name)
-        if event is Event.RESET:
+        if event is AcquisitionEvent.RESET:
             self.counters.resets += 1
             self._had_fault = True
         self._backoff.reset()
@@ -206,7 +206,7 @@ class Acquisition:
     def _measure(self) -> None:
         """Take one cycle and hand its row over."""
         self._pace()
-        if self._stop.is_set() or self.orders.is_pending(State.MEASURE):
+        if self._stop.is_set() or self.orders.is_pending(AcquisitionState.MEASURE):
             return
         self._allow(self._longest_s())
         row = self._measuring().row()
@@ -253,7 +253,7 @@ class Acquisition:
             self._due_s = now_s
         if self._due_s > now_s:
             self._allow(self._due_s - now_s + self._longest_s())
-            self.orders.wait(self._due_s - now_s, State.MEASURE)
+            self.orders.wait(self._due_s - now_s, AcquisitionState.MEASURE)
         self._due_s += period_s
 
     def _wait(self) -> None:
@@ -262,12 +262,12 @@ class Acquisition:
         wait_s = self._backoff.next_s()
         logger.info("next attempt in %.1f s", wait_s)
         self._allow(wait_s + self._longest_s())
-        self.orders.wait(wait_s, State.BACKOFF)
+        self.orders.wait(wait_s, AcquisitionState.BACKOFF)
 
     def _rest(self) -> None:
         """Rest while the link is disabled."""
         self._allow(float("inf"))
-        self.orders.wait(1.0, State.DISABLED)
+        self.orders.wait(1.0, AcquisitionState.DISABLED)
 
     def _measuring(self) -> MeasuringCycle:
         """Return the cycle of the open session."""
@@ -284,7 +284,7 @@ class Acquisition:
         """Say how long the action in hand may take from now on."""
         self._bound_s = time.monotonic() + bound_s
 
-    def _note(self, state: State, fault: Exception) -> None:
+    def _note(self, state: AcquisitionState, fault: Exception) -> None:
         """Count and log a fault."""
         self._had_fault = True
         self.counters.faults += 1

@@ -6,7 +6,7 @@ Law of this file: an order is taken once, between two actions; a wait ends as so
 import threading
 import time
 
-from service.frontend.acquisition.states import Event, State
+from service.frontend.acquisition.states import AcquisitionEvent, AcquisitionState
 
 #: an order is noticed within this time, s
 _LOOK_S = 0.2
@@ -46,23 +46,23 @@ class AcquisitionOrders:
         with self._lock:
             self._is_reset_here = True
 
-    def next(self, state: State) -> Event | None:
+    def next(self, state: AcquisitionState) -> AcquisitionEvent | None:
         """Return the order that applies in a state; a reset counts as carried out."""
         with self._lock:
             is_reset = self._is_reset_here or self._resets_wanted > self.resets_seen
             self._is_reset_here = False
             self.resets_seen = max(self.resets_seen, self._resets_wanted)
-            if self._is_enabled != (state is not State.DISABLED):
-                return Event.ENABLE if self._is_enabled else Event.DISABLE
-            return Event.RESET if is_reset else None
+            if self._is_enabled != (state is not AcquisitionState.DISABLED):
+                return AcquisitionEvent.ENABLE if self._is_enabled else AcquisitionEvent.DISABLE
+            return AcquisitionEvent.RESET if is_reset else None
 
-    def is_pending(self, state: State) -> bool:
+    def is_pending(self, state: AcquisitionState) -> bool:
         """Return whether there is an order that applies in a state."""
         with self._lock:
             is_reset = self._is_reset_here or self._resets_wanted > self.resets_seen
-            return is_reset or self._is_enabled != (state is not State.DISABLED)
+            return is_reset or self._is_enabled != (state is not AcquisitionState.DISABLED)
 
-    def wait(self, wait_s: float, state: State) -> None:
+    def wait(self, wait_s: float, state: AcquisitionState) -> None:
         """Wait, but no longer than until an order or the stop comes."""
         end_s = time.monotonic() + wait_s
         while not self._stop.is_set() and not self.is_pending(state):

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, fields
 
-from service.frontend.acquisition.states import State
+from service.frontend.acquisition.states import AcquisitionState
 
 #: periods without a good row after which the session is opened anew
 WATCHDOG_PERIODS = 3.0
@@ -46,7 +46,7 @@ class AcquisitionCounters:
     resets: int = 0
     #: actions that hung beyond every bound
     stuck: int = 0
-    state: State = State.CONNECT
+    state: AcquisitionState = AcquisitionState.CONNECT
     last_fault: str = ""
     #: epoch of the newest good row, microseconds UTC
     last_good_us: int | None = None

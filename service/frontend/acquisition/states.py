@@ -6,7 +6,7 @@ Law of this file: a change of state that does not stand in `TRANSITIONS` does no
 from enum import Enum, auto
 
 
-class State(Enum):
+class AcquisitionState(Enum):
     """Where the acquisition stands."""
 
     CONNECT = auto()
@@ -17,7 +17,7 @@ class State(Enum):
     DISABLED = auto()
 
 
-class Event(Enum):
+class AcquisitionEvent(Enum):
     """How the action of a state ended, or what an operator ordered before it."""
 
     OK = auto()
@@ -28,47 +28,49 @@ class Event(Enum):
 
 
 #: what is done in each state
-ACTIONS: dict[State, str] = {
-    State.CONNECT: "open a session",
-    State.IDENTIFY: "ask `*IDN?`, choose the driver, reset the analyzer, set detector, unit and format",
-    State.CONFIGURE: "send the settings of the first sweep and read them back",
-    State.MEASURE: "wait for the period, take one cycle of sweeps, hand its row over",
-    State.BACKOFF: "close the session; wait 1, 2, 4 .. 60 s, shortened by up to a fifth at random",
-    State.DISABLED: "rest with the session closed until an operator enables the link again",
+ACTIONS: dict[AcquisitionState, str] = {
+    AcquisitionState.CONNECT: "open a session",
+    AcquisitionState.IDENTIFY: "ask `*IDN?`, choose the driver, reset the analyzer, set detector, unit and format",
+    AcquisitionState.CONFIGURE: "send the settings of the first sweep and read them back",
+    AcquisitionState.MEASURE: "wait for the period, take one cycle of sweeps, hand its row over",
+    AcquisitionState.BACKOFF: "close the session; wait 1, 2, 4 .. 60 s, shortened by up to a fifth at random",
+    AcquisitionState.DISABLED: "rest with the session closed until an operator enables the link again",
 }
 #: what each event means
-MEANINGS: dict[Event, str] = {
-    Event.OK: "the action succeeded",
-    Event.FAULT: "no answer, a broken line, an answer that makes no sense, a refusal, or no good row for three periods",
-    Event.RESET: "an operator asked for a new session; waiting times begin anew",
-    Event.DISABLE: "an operator disabled the link",
-    Event.ENABLE: "an operator enabled the link",
+MEANINGS: dict[AcquisitionEvent, str] = {
+    AcquisitionEvent.OK: "the action succeeded",
+    AcquisitionEvent.FAULT: "no answer, a broken line, an unreadable answer, a refusal, no good row for three periods",
+    AcquisitionEvent.RESET: "an operator asked for a new session; waiting times begin anew",
+    AcquisitionEvent.DISABLE: "an operator disabled the link",
+    AcquisitionEvent.ENABLE: "an operator enabled the link",
 }
 
 
-def _row(state: State, on_success: State, on_fault: State = State.BACKOFF) -> dict[Event, State]:
+def _row(
+    state: AcquisitionState, on_success: AcquisitionState, on_fault: AcquisitionState = AcquisitionState.BACKOFF
+) -> dict[AcquisitionEvent, AcquisitionState]:
     """Return the row of a state that works; orders mean the same in all of them."""
     return {
-        Event.OK: on_success,
-        Event.FAULT: on_fault,
-        Event.RESET: State.CONNECT,
-        Event.DISABLE: State.DISABLED,
-        Event.ENABLE: state,
+        AcquisitionEvent.OK: on_success,
+        AcquisitionEvent.FAULT: on_fault,
+        AcquisitionEvent.RESET: AcquisitionState.CONNECT,
+        AcquisitionEvent.DISABLE: AcquisitionState.DISABLED,
+        AcquisitionEvent.ENABLE: state,
     }
 
 
-TRANSITIONS: dict[State, dict[Event, State]] = {
-    State.CONNECT: _row(State.CONNECT, State.IDENTIFY),
-    State.IDENTIFY: _row(State.IDENTIFY, State.CONFIGURE),
-    State.CONFIGURE: _row(State.CONFIGURE, State.MEASURE),
-    State.MEASURE: _row(State.MEASURE, State.MEASURE),
-    State.BACKOFF: _row(State.BACKOFF, State.CONNECT, State.CONNECT),
-    State.DISABLED: {
-        Event.OK: State.DISABLED,
-        Event.FAULT: State.DISABLED,
-        Event.RESET: State.DISABLED,
-        Event.DISABLE: State.DISABLED,
-        Event.ENABLE: State.CONNECT,
+TRANSITIONS: dict[AcquisitionState, dict[AcquisitionEvent, AcquisitionState]] = {
+    AcquisitionState.CONNECT: _row(AcquisitionState.CONNECT, AcquisitionState.IDENTIFY),
+    AcquisitionState.IDENTIFY: _row(AcquisitionState.IDENTIFY, AcquisitionState.CONFIGURE),
+    AcquisitionState.CONFIGURE: _row(AcquisitionState.CONFIGURE, AcquisitionState.MEASURE),
+    AcquisitionState.MEASURE: _row(AcquisitionState.MEASURE, AcquisitionState.MEASURE),
+    AcquisitionState.BACKOFF: _row(AcquisitionState.BACKOFF, AcquisitionState.CONNECT, AcquisitionState.CONNECT),
+    AcquisitionState.DISABLED: {
+        AcquisitionEvent.OK: AcquisitionState.DISABLED,
+        AcquisitionEvent.FAULT: AcquisitionState.DISABLED,
+        AcquisitionEvent.RESET: AcquisitionState.DISABLED,
+        AcquisitionEvent.DISABLE: AcquisitionState.DISABLED,
+        AcquisitionEvent.ENABLE: AcquisitionState.CONNECT,
     },
 }
 
@@ -77,9 +79,9 @@ def diagram() -> str:
     """Return the table as a Mermaid state diagram; what stays in its state is left out, but for measuring."""
     lines = ["stateDiagram-v2", "    [*] --> CONNECT"]
     for state, row in TRANSITIONS.items():
-        targets: dict[State, list[str]] = {}
+        targets: dict[AcquisitionState, list[str]] = {}
         for event, target in row.items():
-            if target is not state or (state is State.MEASURE and event is Event.OK):
+            if target is not state or (state is AcquisitionState.MEASURE and event is AcquisitionEvent.OK):
                 targets.setdefault(target, []).append(event.name)
         lines += [f"    {state.name} --> {target.name}: {', '.join(events)}" for target, events in targets.items()]
     return "\n".join(lines)
@@ -87,10 +89,11 @@ def diagram() -> str:
 
 def reference_page() -> str:
     """Return the page of the reference (Markdown)."""
-    head = "| state | " + " | ".join(event.name for event in Event) + " |"
-    rule = "|---|" + "---|" * len(Event)
+    head = "| state | " + " | ".join(event.name for event in AcquisitionEvent) + " |"
+    rule = "|---|" + "---|" * len(AcquisitionEvent)
     rows = [
-        f"| {state.name} | " + " | ".join(TRANSITIONS[state][event].name for event in Event) + " |" for state in State
+        f"| {state.name} | " + " | ".join(TRANSITIONS[state][event].name for event in AcquisitionEvent) + " |"
+        for state in AcquisitionState
     ]
     actions = [f"| {state.name} | {action} |" for state, action in ACTIONS.items()]
     meanings = [f"| {event.name} | {meaning} |" for event, meaning in MEANINGS.items()]

@@ -25,14 +25,14 @@ from service.client.service_client import ServiceClient
 from service.frontend.backfill.columns import (
     ArchiveError,
     CellError,
-    Columns,
+    FileColumns,
     match_columns,
     read_epoch,
     read_levels,
 )
-from service.frontend.backfill.reader import ArchiveFile, FileRow, open_archive, sha256_of
+from service.frontend.backfill.reader import ArchiveReader, FileRow, open_archive, sha256_of
 from service.frontend.backfill.state import Destination, SendState
-from service.frontend.upload.answers import Receipt, Verdict, judge, read_receipt
+from service.frontend.upload.answers import BatchAction, BatchReply, judge, read_receipt
 from service.records.epoch import format_epoch, is_leap_second
 
 #: code of a row whose cells mean nothing
@@ -62,7 +62,7 @@ class ArchiveOrder:
     #: where state and refused rows are kept; None: beside the file
     folder: Path | None = None
     #: reads the file; archives of other formats come with readers of their own
-    open_file: Callable[[Path], ArchiveFile] = open_archive
+    open_file: Callable[[Path], ArchiveReader] = open_archive
 
 
 class Progress(NamedTuple):
@@ -190,7 +190,7 @@ class _Sender:
         order: ArchiveOrder,
         state: SendState,
         plan_id: int,
-        columns: Columns,
+        columns: FileColumns,
         backoff: Backoff,
     ) -> None:
         self._client = client
@@ -201,7 +201,7 @@ class _Sender:
         self._backoff = backoff
         self._batch_rows = order.batch_rows
 
-    def send(self, archive: ArchiveFile, on_progress: Callable[[Progress], None]) -> None:
+    def send(self, archive: ArchiveReader, on_progress: Callable[[Progress], None]) -> None:
         """Send what is left of a file."""
         settled = self._state.counters.rows
         rows: list[_Row] = []
@@ -246,7 +246,7 @@ class _Sender:
         counters.rows += len(rows) + len(seen)
         self._state.save()
 
-    def _deliver(self, rows: list[_Row]) -> tuple[int, Receipt]:
+    def _deliver(self, rows: list[_Row]) -> tuple[int, BatchReply]:
         """Send rows, or the first of them, until that is answered; return how many are settled, and how."""
         deadline_s = time.monotonic() + self._order.patience_s
         while True:
@@ -260,7 +260,7 @@ class _Sender:
             except ProblemError as problem:
                 rows = self._shortened(problem, rows)
                 if not rows:
-                    return 1, Receipt(0, 0, 0, {0: (problem.code, problem.detail)})
+                    return 1, BatchReply(0, 0, 0, {0: (problem.code, problem.detail)})
             else:
                 self._backoff.reset()
                 return len(rows), receipt
@@ -268,14 +268,14 @@ class _Sender:
     def _shortened(self, problem: ProblemError, rows: list[_Row]) -> list[_Row]:
         """Return the rows to be sent after a batch was refused as a whole; none when its first row is the reason."""
         verdict, place = judge(problem, len(rows))
-        if verdict is Verdict.SHORTER:
+        if verdict is BatchAction.SHORTER:
             self._batch_rows = max(1, len(rows) // 2)
             return rows[: self._batch_rows]
-        if verdict is Verdict.PARTED:
+        if verdict is BatchAction.PARTED:
             return rows[:place]
         raise problem
 
-    def _post(self, rows: list[_Row]) -> Receipt:
+    def _post(self, rows: list[_Row]) -> BatchReply:
         """Send rows once; they take no sequence numbers, which belong to the front end."""
         reply = self._client.post_measurements(
             self._order.spacecraft_id, self._plan_id, [each.as_json() for each in rows], source=self._order.source
@@ -287,8 +287,8 @@ class _Sender:
 
 
 def _plan_columns(
-    client: ServiceClient, order: ArchiveOrder, archive: ArchiveFile, plan_id: int | None = None
-) -> tuple[int, Columns]:
+    client: ServiceClient, order: ArchiveOrder, archive: ArchiveReader, plan_id: int | None = None
+) -> tuple[int, FileColumns]:
     """Return the number of a plan, the newest by default, and what the file's columns are under it."""
     plan = client.carriers(order.spacecraft_id, plan_id)
     if not isinstance(plan.get("plan_id"), int):
@@ -299,7 +299,9 @@ def _plan_columns(
     return int(plan["plan_id"]), columns
 
 
-def _judged(archive: ArchiveFile, columns: Columns, order: ArchiveOrder) -> Iterator[_Row | _Unreadable | _Foreign]:
+def _judged(
+    archive: ArchiveReader, columns: FileColumns, order: ArchiveOrder
+) -> Iterator[_Row | _Unreadable | _Foreign]:
     """Yield each row of a file as what it is."""
     wanted = {order.from_source} if order.from_source is not None else {order.source, ""}
     for file_row in archive.rows():
@@ -320,7 +322,7 @@ def _judged(archive: ArchiveFile, columns: Columns, order: ArchiveOrder) -> Iter
             yield _Unreadable(file_row, str(error))
 
 
-def _told(columns: Columns) -> dict[str, list[str]]:
+def _told(columns: FileColumns) -> dict[str, list[str]]:
     """Return the columns as a report tells them."""
     return {
         "sent": [each.name for each in columns.carriers],

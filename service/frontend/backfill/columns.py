@@ -43,7 +43,7 @@ class CarrierColumn(NamedTuple):
     offset_db: float
 
 
-class Columns(NamedTuple):
+class FileColumns(NamedTuple):
     """What the columns of a file are."""
 
     header: tuple[str, ...]
@@ -58,7 +58,7 @@ class Columns(NamedTuple):
     width: int
 
 
-def match_columns(header: Sequence[str], plan_ids: Sequence[str]) -> Columns:
+def match_columns(header: Sequence[str], plan_ids: Sequence[str]) -> FileColumns:
     """Return what the columns of a header are under a plan.
 
     Raises
@@ -88,7 +88,7 @@ def match_columns(header: Sequence[str], plan_ids: Sequence[str]) -> Columns:
         )
     known = {"epoch", "source", *(each.name for each in carriers)}
     found = {each.plan_place for each in carriers}
-    return Columns(
+    return FileColumns(
         names,
         names.index("epoch"),
         names.index("source") if "source" in names else None,
@@ -118,7 +118,7 @@ def read_epoch(cell: Any) -> int:
         raise CellError(f"epoch: {error}") from None
 
 
-def read_levels(cells: Sequence[Any], columns: Columns) -> list[float | None]:
+def read_levels(cells: Sequence[Any], columns: FileColumns) -> list[float | None]:
     """Return the levels of a row in the order of the plan, dBm, None = absent; CellError names the first bad cell."""
     levels: list[float | None] = [None] * columns.width
     for column in columns.carriers:

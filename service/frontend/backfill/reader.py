@@ -26,7 +26,7 @@ class FileRow(NamedTuple):
     cells: list[Any]
 
 
-class ArchiveFile(Protocol):
+class ArchiveReader(Protocol):
     """A file that is read once from its beginning."""
 
     header: list[str]
@@ -43,7 +43,7 @@ class ArchiveFile(Protocol):
         ...
 
 
-def open_archive(path: Path) -> ArchiveFile:
+def open_archive(path: Path) -> ArchiveReader:
     """Return a file by the ending of its name; ArchiveError when it cannot be read as that."""
     try:
         return _ARCHIVES.get(path.suffix.lower(), CsvArchive)(path)
@@ -206,7 +206,7 @@ class ParquetArchive:
 
 
 #: ending of a name -> what reads it; CSV any other
-_ARCHIVES: dict[str, Callable[[Path], ArchiveFile]] = {
+_ARCHIVES: dict[str, Callable[[Path], ArchiveReader]] = {
     ".parquet": ParquetArchive,
     ".ndjson": NdjsonArchive,
     ".jsonl": NdjsonArchive,

@@ -9,7 +9,7 @@ from pathlib import Path
 from service.frontend.spool import warnings as codes
 from service.frontend.spool.file import Owner, SpoolFile, WaitingRow
 from service.frontend.spool.lock import SpoolLock
-from service.frontend.spool.salvage import Wreck, set_aside
+from service.frontend.spool.salvage import DamagedSpool, set_aside
 from service.frontend.spool.schema import (
     SpoolDamagedError,
     SpoolError,
@@ -54,7 +54,7 @@ class SpoolDisk:
         """Return the file, opened or begun when it must be; any of `DISK_FAULTS` when that is not possible now."""
         carried: list[tuple[int, WaitingRow]] | None = None
         if self.file is not None and self._is_removed():
-            carried = list(Wreck(self.file.connection).rows())
+            carried = list(DamagedSpool(self.file.connection).rows())
             self.close()
         if self.file is None:
             self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -119,7 +119,7 @@ class SpoolDisk:
         aside = set_aside(self._path, self._now_us())
         file = SpoolFile(self._path, self._owner)
         with closing(sqlite3.connect(aside)) as connection:
-            wreck = Wreck(connection)
+            wreck = DamagedSpool(connection)
             marked = self.last_seq or (self._lock.numbers_to if self._lock is not None else 0)
             said = wreck.last_seq()
             file.restore(wreck.rows(), marked if said is None else max(said, self.last_seq), 0)

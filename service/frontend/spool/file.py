@@ -35,7 +35,7 @@ _SELECT_ROWS = (
 _CHUNK = 256
 
 
-class Lane(Enum):
+class UploadLane(Enum):
     """Which rows a request carries."""
 
     #: younger than the limit of lateness
@@ -173,7 +173,7 @@ class SpoolFile:
                 self.count("traces_dropped", self.traces.insert(trace, bounds.traces, bounds.traces_bytes))
         return dropped
 
-    def batch(self, lane: Lane, cutoff_us: int, limit: int) -> list[SpooledRow]:
+    def batch(self, lane: UploadLane, cutoff_us: int, limit: int) -> list[SpooledRow]:
         """Return the oldest rows of a lane, of one task and without a gap in their numbers; they stay in the file."""
         first = self.connection.execute(
             f"SELECT seq FROM measured WHERE epoch_us {lane.value} ? "  # noqa: S608 one of two signs
@@ -185,7 +185,7 @@ class SpoolFile:
             return rows
         for seq, epoch_us, task_key, *blobs in self.connection.execute(_SELECT_ROWS, (first[0], limit)):
             task, is_live = self._tasks[task_key], epoch_us >= cutoff_us
-            if is_live != (lane is Lane.LIVE) or (rows and (seq != first[0] + len(rows) or task != rows[0].task)):
+            if is_live != (lane is UploadLane.LIVE) or (rows and (seq != first[0] + len(rows) or task != rows[0].task)):
                 break
             rows.append(SpooledRow(seq, task, _decoded(epoch_us, blobs)))
         return rows

@@ -29,7 +29,7 @@ def set_aside(path: Path, now_us: int) -> Path:
     return path.with_name(name)
 
 
-class Wreck:
+class DamagedSpool:
     """A spoiled file, read as far as it lets itself be read.
 
     Parameters

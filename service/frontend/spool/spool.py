@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, Self, TypeVar
 from service.frontend.acquisition.evaluation import MeasuredRow
 from service.frontend.spool import warnings as codes
 from service.frontend.spool.disk import DISK_FAULTS, SpoolDisk
-from service.frontend.spool.file import Bounds, Lane, Owner, RefusedRow, SpoolFile, WaitingRow
+from service.frontend.spool.file import Bounds, Owner, RefusedRow, SpoolFile, UploadLane, WaitingRow
 from service.frontend.spool.row import SpooledRow, SpooledTask, SpooledTrace, decode_row, encode_row, trace_of
 from service.frontend.spool.schema import SpoolError
 from service.frontend.spool.warnings import SpoolWarning, WarningBoard
@@ -173,12 +173,12 @@ class Spool:
 
     # What the service takes goes out
 
-    def batch(self, lane: Lane, cutoff_us: int, limit: int) -> list[SpooledRow]:
+    def batch(self, lane: UploadLane, cutoff_us: int, limit: int) -> list[SpooledRow]:
         """Return the oldest rows of a lane: of one task, their numbers without a gap; none has a number in memory.
 
         Parameters
         ----------
-        lane : Lane
+        lane : UploadLane
             Rows younger than the limit of lateness, or the others.
         cutoff_us : int
             Oldest epoch of the live lane, microseconds UTC.
@@ -189,7 +189,9 @@ class Spool:
             none: list[SpooledRow] = []
             rows = self._read(lambda file: file.batch(lane, cutoff_us, limit), none)
             if not rows:
-                held = (each for each in self._held.values() if (each.epoch_us >= cutoff_us) == (lane is Lane.LIVE))
+                held = (
+                    each for each in self._held.values() if (each.epoch_us >= cutoff_us) == (lane is UploadLane.LIVE)
+                )
                 first = next(held, None)
                 if first is not None:
                     alike = (each for each in held if each.task == first.task)

@@ -48,7 +48,7 @@ FIXED_POINTS = {SIGLENT.name: SIGLENT.fixed_points}
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class TaskFinding:
     """One rule that the task breaks."""
 
     rule: str
@@ -65,17 +65,17 @@ class Finding:
 class TaskPlan:
     """What the planner found."""
 
-    findings: tuple[Finding, ...]
+    findings: tuple[TaskFinding, ...]
     #: carrier -> predicted standard deviation of its level, dB
     sigma_db: dict[str, float]
 
     @property
-    def errors(self) -> tuple[Finding, ...]:
+    def errors(self) -> tuple[TaskFinding, ...]:
         """The findings that forbid the task."""
         return tuple(finding for finding in self.findings if finding.is_error)
 
     @property
-    def warnings(self) -> tuple[Finding, ...]:
+    def warnings(self) -> tuple[TaskFinding, ...]:
         """The findings that the operator should know."""
         return tuple(finding for finding in self.findings if not finding.is_error)
 
@@ -109,7 +109,9 @@ def plan_task(task: MeasurementTask, period_s: float | None = None) -> TaskPlan:
     for carrier in task.carriers:
         own = sweeps.get(carrier.sweep)
         if own is None:
-            findings.append(Finding("sweep.unknown", carrier.id, f"there is no sweep {carrier.sweep}", is_error=True))
+            findings.append(
+                TaskFinding("sweep.unknown", carrier.id, f"there is no sweep {carrier.sweep}", is_error=True)
+            )
             continue
         findings += _carrier(carrier, own)
         sigma_db[carrier.id] = predict_sigma_db(carrier, own)
@@ -117,7 +119,7 @@ def plan_task(task: MeasurementTask, period_s: float | None = None) -> TaskPlan:
     return TaskPlan(tuple(findings), sigma_db)
 
 
-def recheck(task: MeasurementTask, sweep: SweepPart, actual: SweepSettings) -> list[Finding]:
+def recheck(task: MeasurementTask, sweep: SweepPart, actual: SweepSettings) -> list[TaskFinding]:
     """Return what speaks against a sweep as the analyzer really takes it and did not speak against it as asked for."""
     taken = sweep.model_copy(
         update={
@@ -131,7 +133,7 @@ def recheck(task: MeasurementTask, sweep: SweepPart, actual: SweepSettings) -> l
     return [finding for finding in _of_sweep(task, taken) if (finding.rule, finding.subject) not in known]
 
 
-def _of_sweep(task: MeasurementTask, sweep: SweepPart) -> list[Finding]:
+def _of_sweep(task: MeasurementTask, sweep: SweepPart) -> list[TaskFinding]:
     """Return what speaks against one sweep and the carriers in it."""
     findings = _sweep(sweep)
     for carrier in task.carriers_of(sweep.id):
@@ -166,57 +168,59 @@ def cycle_s(task: MeasurementTask) -> float:
     return sum(sweep_time_s(sweep) * sweep.count + SWEEP_OVERHEAD_S for sweep in taken)
 
 
-def _names(task: MeasurementTask) -> list[Finding]:
+def _names(task: MeasurementTask) -> list[TaskFinding]:
     """Check that names are unique."""
     findings = []
     for kind, ids in (("sweep", [s.id for s in task.sweeps]), ("carrier", [c.id for c in task.carriers])):
         twice = sorted({name for name in ids if ids.count(name) > 1})
-        findings += [Finding("id.unique", name, f"two of the {kind}s have this id", is_error=True) for name in twice]
+        findings += [
+            TaskFinding("id.unique", name, f"two of the {kind}s have this id", is_error=True) for name in twice
+        ]
     return findings
 
 
-def _period(task: MeasurementTask, period_s: float) -> list[Finding]:
+def _period(task: MeasurementTask, period_s: float) -> list[TaskFinding]:
     """Check that all sweeps fit into the period."""
     needed_s = cycle_s(task)
     if period_s == 0.0 or needed_s <= period_s:
         return []
     detail = f"the sweeps take {needed_s:.2f} s of a period of {period_s:g} s"
-    return [Finding("period.too_short", task.task.id, detail, is_error=True)]
+    return [TaskFinding("period.too_short", task.task.id, detail, is_error=True)]
 
 
-def _sweep(sweep: SweepPart) -> list[Finding]:
+def _sweep(sweep: SweepPart) -> list[TaskFinding]:
     """Check one sweep by itself."""
     findings = []
     shortest_s = shortest_sweep_s(sweep)
     if sweep_time_s(sweep) < 0.999 * shortest_s:
         detail = f"{sweep.time_s:g} s where span and RBW need {shortest_s:.3g} s"
-        findings.append(Finding("sweep.too_fast", sweep.id, detail, is_error=True))
+        findings.append(TaskFinding("sweep.too_fast", sweep.id, detail, is_error=True))
     step_hz = (sweep.stop_hz - sweep.start_hz) / (sweep.points - 1)
     if step_hz > 0.501 * sweep.rbw_hz:
         detail = f"points lie {step_hz:.0f} Hz apart, RBW {sweep.rbw_hz:.0f} Hz allows half of it"
-        findings.append(Finding("sweep.points", sweep.id, detail, is_error=True))
+        findings.append(TaskFinding("sweep.points", sweep.id, detail, is_error=True))
     return findings
 
 
-def _means(task: MeasurementTask, sweep: SweepPart) -> list[Finding]:
+def _means(task: MeasurementTask, sweep: SweepPart) -> list[TaskFinding]:
     """Check what is asked of the analyzer in one sweep: points of its family, video filter, reference level."""
     findings = []
     carriers = task.carriers_of(sweep.id)
     if not carriers:
-        findings.append(Finding("sweep.empty", sweep.id, "no carrier is measured in it", is_error=False))
+        findings.append(TaskFinding("sweep.empty", sweep.id, "no carrier is measured in it", is_error=False))
     fixed = FIXED_POINTS.get(task.task.analyzer.dialect)
     if fixed is not None and fixed != sweep.points:
         step_hz = (sweep.stop_hz - sweep.start_hz) / (fixed - 1)
         verdict = "still enough" if step_hz <= 0.501 * sweep.rbw_hz else f"too far for RBW {sweep.rbw_hz:.0f} Hz"
         detail = f"firmware with {fixed} fixed points puts them {step_hz:.0f} Hz apart: {verdict}"
-        findings.append(Finding("points.fixed", sweep.id, detail, is_error=False))
+        findings.append(TaskFinding("points.fixed", sweep.id, detail, is_error=False))
     if sweep.vbw_hz is not None and sweep.vbw_hz < sweep.rbw_hz:
         detail = f"VBW {sweep.vbw_hz:.0f} Hz is below RBW {sweep.rbw_hz:.0f} Hz"
-        findings.append(Finding("vbw.narrow", sweep.id, detail, is_error=False))
+        findings.append(TaskFinding("vbw.narrow", sweep.id, detail, is_error=False))
     return findings + _reference(task, sweep, carriers)
 
 
-def _reference(task: MeasurementTask, sweep: SweepPart, carriers: tuple[CarrierPart, ...]) -> list[Finding]:
+def _reference(task: MeasurementTask, sweep: SweepPart, carriers: tuple[CarrierPart, ...]) -> list[TaskFinding]:
     """Check the sum of the nominal levels against the reference level."""
     levels = [c.limits.nominal_dbm for c in carriers if c.limits.nominal_dbm is not None]
     reference_dbm = task.input.ref_level_dbm
@@ -226,10 +230,10 @@ def _reference(task: MeasurementTask, sweep: SweepPart, carriers: tuple[CarrierP
     if sum_dbm <= reference_dbm - HEADROOM_DB:
         return []
     detail = f"the carriers add up to {sum_dbm:.1f} dBm, the reference level is {reference_dbm:g} dBm"
-    return [Finding("level.reference", sweep.id, detail, is_error=False)]
+    return [TaskFinding("level.reference", sweep.id, detail, is_error=False)]
 
 
-def _carrier(carrier: CarrierPart, sweep: SweepPart) -> list[Finding]:
+def _carrier(carrier: CarrierPart, sweep: SweepPart) -> list[TaskFinding]:
     """Check one carrier against its sweep."""
     findings = []
     bands = [(carrier.fc_hz - carrier.integ_bw_hz / 2, carrier.fc_hz + carrier.integ_bw_hz / 2), *carrier.noise]
@@ -237,18 +241,18 @@ def _carrier(carrier: CarrierPart, sweep: SweepPart) -> list[Finding]:
     for low, high in bands:
         if low < sweep.start_hz - step_hz / 2 or high > sweep.stop_hz + step_hz / 2:
             detail = f"{low / 1e6:.4f}-{high / 1e6:.4f} MHz lies outside of sweep {sweep.id}"
-            findings.append(Finding("sweep.outside", carrier.id, detail, is_error=True))
+            findings.append(TaskFinding("sweep.outside", carrier.id, detail, is_error=True))
     width_hz = carrier.symbol_rate if carrier.symbol_rate is not None else 4.0 * carrier.integ_bw_hz
     if sweep.rbw_hz > width_hz / 5.0:
         detail = f"RBW {sweep.rbw_hz:.0f} Hz is more than a fifth of {width_hz:.0f} Hz"
-        findings.append(Finding("rbw.too_wide", carrier.id, detail, is_error=True))
+        findings.append(TaskFinding("rbw.too_wide", carrier.id, detail, is_error=True))
     elif carrier.kind == "modulated" and sweep.rbw_hz > width_hz / 20.0:
         detail = f"RBW {sweep.rbw_hz:.0f} Hz is more than a twentieth of {width_hz:.0f} Hz: the level is biased low"
-        findings.append(Finding("rbw.wide", carrier.id, detail, is_error=False))
+        findings.append(TaskFinding("rbw.wide", carrier.id, detail, is_error=False))
     return findings
 
 
-def _separation(sweep: SweepPart, carriers: tuple[CarrierPart, ...]) -> list[Finding]:
+def _separation(sweep: SweepPart, carriers: tuple[CarrierPart, ...]) -> list[TaskFinding]:
     """Check carriers against one another and against noise windows."""
     findings = []
     guard_hz = GUARD_RBW * sweep.rbw_hz
@@ -256,17 +260,17 @@ def _separation(sweep: SweepPart, carriers: tuple[CarrierPart, ...]) -> list[Fin
         distance_hz = abs(one.fc_hz - other.fc_hz)
         if distance_hz < (one.integ_bw_hz + other.integ_bw_hz) / 2 - 1.0:
             detail = f"overlaps the integration band of {other.id}"
-            findings.append(Finding("carriers.overlap", one.id, detail, is_error=True))
+            findings.append(TaskFinding("carriers.overlap", one.id, detail, is_error=True))
         elif distance_hz - (one.occupied_hz + other.occupied_hz) / 2 < guard_hz:
             detail = f"{other.id} is closer than {GUARD_RBW:g} RBW"
-            findings.append(Finding("neighbour.close", one.id, detail, is_error=False))
+            findings.append(TaskFinding("neighbour.close", one.id, detail, is_error=False))
     for carrier in carriers:
         for neighbour in carriers:
             findings += _noise_against(carrier, neighbour, guard_hz)
     return findings
 
 
-def _noise_against(carrier: CarrierPart, neighbour: CarrierPart, guard_hz: float) -> list[Finding]:
+def _noise_against(carrier: CarrierPart, neighbour: CarrierPart, guard_hz: float) -> list[TaskFinding]:
     """Check the noise windows of a carrier against one carrier of the sweep."""
     findings = []
     low_edge, high_edge = neighbour.fc_hz - neighbour.occupied_hz / 2, neighbour.fc_hz + neighbour.occupied_hz / 2
@@ -274,17 +278,17 @@ def _noise_against(carrier: CarrierPart, neighbour: CarrierPart, guard_hz: float
         gap_hz = max(low - high_edge, low_edge - high)
         where = f"noise window {low / 1e6:.4f}-{high / 1e6:.4f} MHz"
         if gap_hz < 0.0:
-            findings.append(Finding("noise.overlap", carrier.id, f"{where} holds {neighbour.id}", is_error=True))
+            findings.append(TaskFinding("noise.overlap", carrier.id, f"{where} holds {neighbour.id}", is_error=True))
         elif gap_hz < guard_hz:
             detail = f"{where} is closer than {GUARD_RBW:g} RBW to {neighbour.id}"
-            findings.append(Finding("noise.close", carrier.id, detail, is_error=False))
+            findings.append(TaskFinding("noise.close", carrier.id, detail, is_error=False))
     return findings
 
 
-def _goal(carrier: CarrierPart, sigma_db: float) -> list[Finding]:
+def _goal(carrier: CarrierPart, sigma_db: float) -> list[TaskFinding]:
     """Check the predicted scatter against the carrier's goal."""
     goal_db = carrier.limits.sigma_goal_db
     if goal_db is None or sigma_db <= goal_db:
         return []
     detail = f"{sigma_db:.3f} dB predicted, {goal_db:g} dB wanted: give it a longer sweep or a narrow one of its own"
-    return [Finding("sigma.goal", carrier.id, detail, is_error=False)]
+    return [TaskFinding("sigma.goal", carrier.id, detail, is_error=False)]

@@ -19,7 +19,7 @@ from service.frontend.measurement_task import CarrierPart, MeasurementTask, Swee
 from service.frontend.tasks.task_plan import (
     GUARD_RBW,
     SWEEP_OVERHEAD_S,
-    Finding,
+    TaskFinding,
     TaskPlan,
     cycle_s,
     plan_task,
@@ -57,7 +57,7 @@ def plan_with_zoom(task: MeasurementTask, period_s: float | None = None) -> tupl
         return task, plan
     wanted_s = task.task.period_s if period_s is None else period_s
     reasons = {finding.subject: finding for finding in plan.findings if finding.rule in MOVING_RULES}
-    moves: list[Finding] = []
+    moves: list[TaskFinding] = []
     for carrier in task.carriers:
         if carrier.id in reasons:
             left_s = wanted_s - cycle_s(task) - SWEEP_OVERHEAD_S if wanted_s else LONGEST_S
@@ -69,19 +69,19 @@ def plan_with_zoom(task: MeasurementTask, period_s: float | None = None) -> tupl
 
 
 def _move(
-    task: MeasurementTask, carrier: CarrierPart, reason: Finding, left_s: float
-) -> tuple[MeasurementTask, Finding]:
+    task: MeasurementTask, carrier: CarrierPart, reason: TaskFinding, left_s: float
+) -> tuple[MeasurementTask, TaskFinding]:
     """Return the task with one carrier in a sweep of its own, or as it was where there is no room for one."""
     parent = next(sweep for sweep in task.sweeps if sweep.id == carrier.sweep)
     rbw_hz = zoom_rbw_hz(carrier)
     windows = _windows(task, carrier, rbw_hz, parent)
     if not windows:
-        return task, Finding("zoom.no_room", carrier.id, "no noise lies beside it in the sweep", is_error=False)
+        return task, TaskFinding("zoom.no_room", carrier.id, "no noise lies beside it in the sweep", is_error=False)
     sweep = _zoom_sweep(carrier, windows, rbw_hz, parent)
     shortest_s = SETTLED * shortest_sweep_s(sweep)
     if shortest_s > left_s:
         detail = f"a sweep of its own takes {shortest_s:.2f} s, {max(left_s, 0.0):.2f} s are left of the period"
-        return task, Finding("zoom.no_time", carrier.id, detail, is_error=False)
+        return task, TaskFinding("zoom.no_time", carrier.id, detail, is_error=False)
     moved = carrier.model_copy(update={"sweep": sweep.id, "noise": windows})
     sweep = sweep.model_copy(update={"time_s": _time_s(moved, sweep, shortest_s, left_s)})
     carriers = tuple(moved if each.id == carrier.id else each for each in task.carriers)
@@ -90,7 +90,7 @@ def _move(
         f"{reason.rule} in {parent.id}: measured in {sweep.id}, span {(sweep.stop_hz - sweep.start_hz) / 1e3:.0f} kHz, "
         f"RBW {rbw_hz:g} Hz, {sweep.time_s:.2f} s"
     )
-    return changed, Finding("zoom.moved", carrier.id, detail, is_error=False)
+    return changed, TaskFinding("zoom.moved", carrier.id, detail, is_error=False)
 
 
 def zoom_rbw_hz(carrier: CarrierPart) -> float:

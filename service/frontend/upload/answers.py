@@ -21,7 +21,7 @@ TOO_LARGE = 413
 DETAIL_DECIMALS = {"sigma_db": 5, "c_n0_db_hz": 3, "occupied_bandwidth_hz": 1, "centroid_offset_hz": 1}
 
 
-class Verdict(Enum):
+class BatchAction(Enum):
     """What to do about a batch that was refused as a whole."""
 
     SHORTER = auto()
@@ -31,7 +31,7 @@ class Verdict(Enum):
     WAIT = auto()
 
 
-class Receipt(NamedTuple):
+class BatchReply(NamedTuple):
     """What became of the rows of a batch."""
 
     accepted: int
@@ -41,7 +41,7 @@ class Receipt(NamedTuple):
     refused: dict[int, tuple[str, str]]
 
 
-def read_receipt(reply: Any, rows: int) -> Receipt | None:
+def read_receipt(reply: Any, rows: int) -> BatchReply | None:
     """Return what a 2xx says; None when it does not account for every row, once."""
     try:
         accepted, duplicates, late = int(reply["accepted"]), int(reply["duplicates"]), int(reply.get("late", 0))
@@ -49,20 +49,20 @@ def read_receipt(reply: Any, rows: int) -> Receipt | None:
     except (AttributeError, KeyError, TypeError, ValueError):
         return None
     is_complete = accepted + duplicates + len(refused) == rows and all(0 <= place < rows for place in refused)
-    return Receipt(accepted, duplicates, late, refused) if is_complete else None
+    return BatchReply(accepted, duplicates, late, refused) if is_complete else None
 
 
-def judge(problem: ProblemError, rows: int) -> tuple[Verdict, int]:
+def judge(problem: ProblemError, rows: int) -> tuple[BatchAction, int]:
     """Return the verdict on a batch of this many rows, and for PARTED the place of the first row at fault."""
     if problem.status == TOO_LARGE or problem.code == "batch.too_long":
-        return (Verdict.SHORTER if rows > 1 else Verdict.WAIT), 0
+        return (BatchAction.SHORTER if rows > 1 else BatchAction.WAIT), 0
     if problem.code == "plan.unknown":
-        return Verdict.NEW_PLAN, 0
+        return BatchAction.NEW_PLAN, 0
     faults = [
         (str(error.get("code")), str(error.get("pointer", "")).removeprefix("#").split("/")) for error in problem.errors
     ]
     at_rows = [parts for _, parts in faults if len(parts) > 2 and parts[1] == "measurements" and parts[2].isdigit()]
     if any(code == "field.unknown" and parts[-1] in DETAIL_DECIMALS for code, parts in faults):
-        return Verdict.WITHOUT_DETAILS, 0
+        return BatchAction.WITHOUT_DETAILS, 0
     places = [int(parts[2]) for parts in at_rows if int(parts[2]) < rows]
-    return (Verdict.PARTED, min(places)) if places else (Verdict.WAIT, 0)
+    return (BatchAction.PARTED, min(places)) if places else (BatchAction.WAIT, 0)

@@ -10,31 +10,31 @@
 A request that failed is no turn: the same lane comes again.
 """
 
-from service.frontend.spool.file import Lane
+from service.frontend.spool.file import UploadLane
 
-_OTHER = {Lane.LIVE: Lane.BACKFILL, Lane.BACKFILL: Lane.LIVE}
+_OTHER = {UploadLane.LIVE: UploadLane.BACKFILL, UploadLane.BACKFILL: UploadLane.LIVE}
 
 
-class LaneTurns:
+class LaneRotation:
     """Whose turn it is.
 
     Examples
     --------
-    >>> turns = LaneTurns()
+    >>> turns = LaneRotation()
     >>> [lane.name for lane in turns.order()]
     ['LIVE', 'BACKFILL']
-    >>> turns.took(Lane.LIVE)
+    >>> turns.took(UploadLane.LIVE)
     >>> [lane.name for lane in turns.order()]
     ['BACKFILL', 'LIVE']
     """
 
     def __init__(self) -> None:
-        self._next = Lane.LIVE
+        self._next = UploadLane.LIVE
 
-    def order(self) -> tuple[Lane, Lane]:
+    def order(self) -> tuple[UploadLane, UploadLane]:
         """Return the lanes in the order in which they are looked into for rows."""
         return self._next, _OTHER[self._next]
 
-    def took(self, lane: Lane) -> None:
+    def took(self, lane: UploadLane) -> None:
         """Note that a request of a lane has been answered for good."""
         self._next = _OTHER[lane]

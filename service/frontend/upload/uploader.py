@@ -17,11 +17,11 @@ from typing import Any
 from service.client.backoff import Backoff
 from service.client.problem import ProblemError, ServiceUnavailableError
 from service.client.service_client import ServiceClient
-from service.frontend.spool.file import Lane
+from service.frontend.spool.file import UploadLane
 from service.frontend.spool.row import SpooledRow, SpooledTask
 from service.frontend.spool.spool import Spool
-from service.frontend.upload.answers import Verdict, judge, read_receipt
-from service.frontend.upload.lanes import LaneTurns
+from service.frontend.upload.answers import BatchAction, judge, read_receipt
+from service.frontend.upload.lanes import LaneRotation
 from service.frontend.upload.plan_binding import PlanBinding, PlanMismatchError, find_binding
 from service.frontend.upload.traces import TraceCounters, TraceSender
 from service.records.epoch import US_PER_S, format_epoch
@@ -101,7 +101,7 @@ class Uploader:
         self._spool = spool
         self._now_us = now_us
         self._backoff = backoff or Backoff()
-        self._turns = LaneTurns()
+        self._turns = LaneRotation()
         self._traces = TraceSender(client, settings.spacecraft_id, settings.source, spool, settings.batch_traces)
         self._batch_rows = settings.batch_rows
         #: rows of the next request, when a row at fault stands behind them
@@ -164,7 +164,7 @@ class Uploader:
             spool.await_rows(self._batch_rows, remaining_s)
         return time.monotonic() < self._deadline_s
 
-    def _batch(self) -> tuple[Lane, list[SpooledRow]]:
+    def _batch(self) -> tuple[UploadLane, list[SpooledRow]]:
         """Return the rows whose turn it is; they stay in the spool until they are settled."""
         cutoff_us = self._now_us() - round(self._settings.lateness_s * US_PER_S)
         first, second = self._turns.order()
@@ -174,7 +174,7 @@ class Uploader:
                 return lane, rows
         return first, []
 
-    def _deliver(self, lane: Lane, rows: list[SpooledRow]) -> None:
+    def _deliver(self, lane: UploadLane, rows: list[SpooledRow]) -> None:
         """Send one batch once; settle its rows or wait."""
         try:
             binding = self._binding(rows[0].task)
@@ -189,11 +189,11 @@ class Uploader:
         else:
             self._settle(reply, lane, rows)
 
-    def _post(self, lane: Lane, rows: Sequence[SpooledRow], binding: PlanBinding) -> Any:
+    def _post(self, lane: UploadLane, rows: Sequence[SpooledRow], binding: PlanBinding) -> Any:
         """Send rows and return the answer."""
         self._sent_at_s = time.monotonic()
         self.counters.requests += 1
-        self.counters.backfill_requests += lane is Lane.BACKFILL
+        self.counters.backfill_requests += lane is UploadLane.BACKFILL
         if self._sent_at_s < self._details_from_s:
             self._bare.update(each.row.epoch_us for each in rows)
         return self._client.post_measurements(
@@ -204,7 +204,7 @@ class Uploader:
             first_seq=rows[0].seq,
         )
 
-    def _settle(self, reply: Any, lane: Lane, rows: list[SpooledRow]) -> None:
+    def _settle(self, reply: Any, lane: UploadLane, rows: list[SpooledRow]) -> None:
         """Count what the service says and let the rows go, if it accounts for all of them."""
         receipt = read_receipt(reply, len(rows))
         if receipt is None:
@@ -216,7 +216,7 @@ class Uploader:
         self.counters.late += receipt.late
         self._let_go(lane, rows, receipt.refused)
 
-    def _let_go(self, lane: Lane, rows: list[SpooledRow], refused: dict[int, tuple[str, str]]) -> None:
+    def _let_go(self, lane: UploadLane, rows: list[SpooledRow], refused: dict[int, tuple[str, str]]) -> None:
         """Take settled rows off the spool; the refused ones are logged and kept apart."""
         for place, (code, detail) in refused.items():
             self.counters.refused += 1
@@ -230,21 +230,21 @@ class Uploader:
         self._turns.took(lane)
         self._part = None
 
-    def _face(self, problem: ProblemError, lane: Lane, rows: list[SpooledRow]) -> None:
+    def _face(self, problem: ProblemError, lane: UploadLane, rows: list[SpooledRow]) -> None:
         """Act on a batch that was refused as a whole."""
         verdict, place = judge(problem, len(rows))
-        if verdict is Verdict.SHORTER:
+        if verdict is BatchAction.SHORTER:
             self._batch_rows = max(1, len(rows) // 2)
             logger.warning("service finds %d rows too long, %d from now on", len(rows), self._batch_rows)
-        elif verdict is Verdict.WITHOUT_DETAILS and self._sent_at_s >= self._details_from_s:
+        elif verdict is BatchAction.WITHOUT_DETAILS and self._sent_at_s >= self._details_from_s:
             self._details_from_s = self._sent_at_s + _DETAILS_AGAIN_S
             logger.warning("service does not take figures beside the powers (%s): they are left out", problem)
-        elif verdict is Verdict.PARTED and place > 0:
+        elif verdict is BatchAction.PARTED and place > 0:
             self._part = place  # a batch has one first_seq and no holes
-        elif verdict is Verdict.PARTED:
+        elif verdict is BatchAction.PARTED:
             self._let_go(lane, rows[:1], {0: (problem.code, problem.detail)})
         else:
-            if verdict is Verdict.NEW_PLAN:
+            if verdict is BatchAction.NEW_PLAN:
                 self._is_resuming = False
                 self._bindings.clear()
             self._fail(f"service refuses the batch: {problem}", None)

@@ -10,15 +10,15 @@ from typing import NamedTuple
 import numpy as np
 
 from service.pipeline.alarms import transitions as steps
-from service.pipeline.alarms.condition import Condition, Kind
-from service.pipeline.alarms.debounce import Verdict, look, outermost
-from service.pipeline.alarms.limit_sets import Circumstances, limits_in_force
-from service.pipeline.alarms.states import CoverEvent, Event
+from service.pipeline.alarms.condition import AlarmCondition, Kind
+from service.pipeline.alarms.debounce import ConditionChange, look, outermost
+from service.pipeline.alarms.limit_sets import AlarmContext, limits_in_force
+from service.pipeline.alarms.states import AlarmEvent, CoverEvent
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import FloatArray
 from service.records.operations.alarm import Alarm, AlarmChange, ChangeKind, Cover, Handling, Process
 from service.records.operations.alarm_limits import AlarmLimits, ConditionLimits
-from service.records.operations.alarm_memory import BookMemory, Watch, WatchMemory
+from service.records.operations.alarm_memory import EngineMemory, ValueMemory, WatchMemory
 
 Key = tuple[str, str]
 _NO_NOTES: Mapping[str, str] = {}
@@ -42,7 +42,7 @@ class Readings(NamedTuple):
 class _InForce:
     """Limits of one condition, and the one that is passed first."""
 
-    condition: Condition
+    condition: AlarmCondition
     limits: ConditionLimits
     bound: float | None = field(init=False)
 
@@ -63,7 +63,7 @@ class _InForce:
         return [k for k, value in enumerate(told) if self.is_beyond(value)]
 
 
-class AlarmBook:
+class AlarmEngine:
     """Alarms of one spacecraft, or of the service where ``spacecraft_id`` is None.
 
     Parameters
@@ -76,26 +76,26 @@ class AlarmBook:
         Limits that hold beside the defaults.
     alarms : sequence of Alarm
         Those that were open.
-    memory : BookMemory
+    memory : EngineMemory
         What was about to happen.
     """
 
     def __init__(
         self,
         spacecraft_id: str | None,
-        conditions: Mapping[str, Condition],
+        conditions: Mapping[str, AlarmCondition],
         stated: AlarmLimits | None = None,
         alarms: Sequence[Alarm] = (),
-        memory: BookMemory | None = None,
+        memory: EngineMemory | None = None,
     ) -> None:
         self._spacecraft_id = spacecraft_id
         self._conditions = conditions
         self._stated = stated or AlarmLimits()
-        self._circumstances = Circumstances()
+        self._circumstances = AlarmContext()
         self._open: dict[Key, Alarm] = {alarm.key: alarm for alarm in alarms if alarm.is_open}
-        self._watches: dict[str, dict[str, Watch]] = {name: {} for name in conditions}
+        self._watches: dict[str, dict[str, ValueMemory]] = {name: {} for name in conditions}
         self._in_force = self._limits()
-        self._recall(memory or BookMemory())
+        self._recall(memory or EngineMemory())
 
     @property
     def open_alarms(self) -> Mapping[Key, Alarm]:
@@ -103,13 +103,13 @@ class AlarmBook:
         return self._open
 
     @property
-    def circumstances(self) -> Circumstances:
+    def circumstances(self) -> AlarmContext:
         """What holds for alarms now."""
         return self._circumstances
 
     def watches(self) -> tuple[WatchMemory, ...]:
         """Return what is watched, for the next start; newest values are told anew by the next row."""
-        fresh = Watch()
+        fresh = ValueMemory()
         return tuple(
             WatchMemory(condition, thing, replace(watch, value=fresh.value, newest_us=fresh.newest_us))
             for condition, watched in self._watches.items()
@@ -132,7 +132,7 @@ class AlarmBook:
         self._stated = stated
         self._in_force = self._limits()
 
-    def enter(self, circumstances: Circumstances, at_us: int) -> list[AlarmChange]:
+    def enter(self, circumstances: AlarmContext, at_us: int) -> list[AlarmChange]:
         """Take over what holds now; alarms are suppressed and released by it."""
         if circumstances.sets != self._circumstances.sets:
             self._circumstances = circumstances
@@ -162,7 +162,7 @@ class AlarmBook:
         concerned = dict.fromkeys([*suspected, *(readings.things if readings.is_partial else watched)])
         changes = []
         for thing in concerned:
-            watch = watched.setdefault(thing, Watch())
+            watch = watched.setdefault(thing, ValueMemory())
             place = places_of.get(thing)
             if place is None or not in_force.limits.enabled:
                 changes += self._over(watch, (readings.condition, thing), at_us)
@@ -205,21 +205,23 @@ class AlarmBook:
         alarm = self._open[key]
         return self._put(ChangeKind.CLEARED, alarm, steps.cleared(alarm, handling), handling.at_us, handling)
 
-    def _judged(self, verdict: Verdict, in_force: _InForce, thing: str, at_us: int, note: str) -> list[AlarmChange]:
+    def _judged(
+        self, verdict: ConditionChange, in_force: _InForce, thing: str, at_us: int, note: str
+    ) -> list[AlarmChange]:
         """Carry out the verdict on one value."""
         condition, limits = in_force.condition, in_force.limits
         watch, before = self._watches[condition.name][thing], self._open.get((condition.name, thing))
-        if verdict is Verdict.RETURN:
+        if verdict is ConditionChange.RETURN:
             return [] if before is None else [self._return(before, at_us, is_latching=limits.latching)]
         if before is None:
             after = steps.raised(self._spacecraft_id, condition, thing, watch, limits, at_us)
         else:
-            event = Event.RAISE if verdict is Verdict.RAISE else Event.ESCALATE
+            event = AlarmEvent.RAISE if verdict is ConditionChange.RAISE else AlarmEvent.ESCALATE
             after = steps.again(before, watch, limits, event, at_us)
         after = steps.told_in_words(after, condition, note)
         if self._is_quiet(after.key) and after.cover is Cover.NONE:
             after = steps.covered(after, CoverEvent.SUPPRESS, at_us)
-        kind = ChangeKind.ESCALATED if verdict is Verdict.ESCALATE else ChangeKind.RAISED
+        kind = ChangeKind.ESCALATED if verdict is ConditionChange.ESCALATE else ChangeKind.RAISED
         return [self._put(kind, before, after, at_us)]
 
     def _return(self, alarm: Alarm, at_us: int, *, is_latching: bool) -> AlarmChange:
@@ -227,7 +229,7 @@ class AlarmBook:
         after = steps.returned(alarm, at_us, is_latching=is_latching)
         return self._put(ChangeKind.RETURNED, alarm, after, at_us)
 
-    def _over(self, watch: Watch, key: Key, at_us: int) -> list[AlarmChange]:
+    def _over(self, watch: ValueMemory, key: Key, at_us: int) -> list[AlarmChange]:
         """Forget a thing that is gone, or that is no longer looked at."""
         was_alarmed = watch.level > 0
         watch.level, watch.since_us, watch.pending_us = 0, None, None
@@ -272,7 +274,7 @@ class AlarmBook:
         limits = limits_in_force(self._conditions, self._stated, self._circumstances.sets)
         return {name: _InForce(condition, limits[name]) for name, condition in self._conditions.items()}
 
-    def _recall(self, memory: BookMemory) -> None:
+    def _recall(self, memory: EngineMemory) -> None:
         """Take over what was watched; where it says otherwise than the open alarms, these are right."""
         for kept in memory.watches:
             if kept.condition in self._watches:
@@ -281,7 +283,7 @@ class AlarmBook:
                 self._watches[kept.condition][kept.thing] = watch
         for key in self._active():
             alarm = self._open[key]
-            watch = self._watches[key[0]].setdefault(key[1], Watch())
+            watch = self._watches[key[0]].setdefault(key[1], ValueMemory())
             watch.level = max(watch.level, int(alarm.severity) if watch.level == 0 else watch.level)
             watch.since_us = alarm.since_us if watch.since_us is None else watch.since_us
 

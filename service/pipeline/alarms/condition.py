@@ -26,7 +26,7 @@ class Origin(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Condition:
+class AlarmCondition:
     """One condition."""
 
     name: str

@@ -3,24 +3,24 @@
 The page docs/reference/alarms.md is made from this table.
 """
 
-from service.pipeline.alarms.condition import Condition, Kind, Origin
+from service.pipeline.alarms.condition import AlarmCondition, Kind, Origin
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.records.operations.alarm_limits import ConditionLimits
 
 _HOUR_S = 3600.0
 
 
-def condition_table(alarms: AlarmConfig, robust: RobustConfig) -> dict[str, Condition]:
+def condition_table(alarms: AlarmConfig, robust: RobustConfig) -> dict[str, AlarmCondition]:
     """Return every condition by name."""
     estimate = (*_of_attitude(alarms), *_of_agreement(robust))
     rows = (*_of_carriers(), *estimate, *_of_inputs(alarms), *_of_release(), *_of_service(alarms))
     return {row.name: row for row in rows}
 
 
-def _of_carriers() -> tuple[Condition, ...]:
+def _of_carriers() -> tuple[AlarmCondition, ...]:
     """Return what is looked at carrier by carrier."""
     return (
-        Condition(
+        AlarmCondition(
             "carrier_level",
             Kind.ABOVE,
             "dB",
@@ -31,7 +31,7 @@ def _of_carriers() -> tuple[Condition, ...]:
             "if so; the estimate leaves a carrier that moved alone out by itself",
             ConditionLimits(warning=3.0, distress=6.0, deadband=0.5, on_s=300.0, off_s=300.0),
         ),
-        Condition(
+        AlarmCondition(
             "carrier_absent",
             Kind.LASTING,
             "s",
@@ -41,7 +41,7 @@ def _of_carriers() -> tuple[Condition, ...]:
             "look at the trace; ask the user whether the carrier was switched off; declare carrier_work while it is",
             ConditionLimits(warning=120.0, distress=_HOUR_S, off_s=120.0),
         ),
-        Condition(
+        AlarmCondition(
             "carrier_c_n0",
             Kind.BELOW,
             "dB",
@@ -51,7 +51,7 @@ def _of_carriers() -> tuple[Condition, ...]:
             "compare with the other carriers: all low means rain or the receiving chain, one low its uplink",
             ConditionLimits(warning=6.0, distress=3.0, deadband=0.5, on_s=300.0, off_s=300.0),
         ),
-        Condition(
+        AlarmCondition(
             "carrier_residual",
             Kind.ABOVE,
             "dB",
@@ -64,10 +64,10 @@ def _of_carriers() -> tuple[Condition, ...]:
     )
 
 
-def _of_attitude(alarms: AlarmConfig) -> tuple[Condition, ...]:
+def _of_attitude(alarms: AlarmConfig) -> tuple[AlarmCondition, ...]:
     """Return what is looked at in the attitude rows of the method that drives control."""
     return (
-        Condition(
+        AlarmCondition(
             "attitude_angle",
             Kind.ABOVE,
             "deg",
@@ -85,7 +85,7 @@ def _of_attitude(alarms: AlarmConfig) -> tuple[Condition, ...]:
                 repeat_s=600.0,
             ),
         ),
-        Condition(
+        AlarmCondition(
             "attitude_lost",
             Kind.LASTING,
             "s",
@@ -98,10 +98,10 @@ def _of_attitude(alarms: AlarmConfig) -> tuple[Condition, ...]:
     )
 
 
-def _of_agreement(robust: RobustConfig) -> tuple[Condition, ...]:
+def _of_agreement(robust: RobustConfig) -> tuple[AlarmCondition, ...]:
     """Return what is looked at between methods, sensors and carriers."""
     return (
-        Condition(
+        AlarmCondition(
             "methods_disagree",
             Kind.ABOVE,
             "deg",
@@ -116,7 +116,7 @@ def _of_agreement(robust: RobustConfig) -> tuple[Condition, ...]:
                 latching=True,
             ),
         ),
-        Condition(
+        AlarmCondition(
             "downlink_fade",
             Kind.ABOVE,
             "dB",
@@ -126,7 +126,7 @@ def _of_agreement(robust: RobustConfig) -> tuple[Condition, ...]:
             "wait for the rain to end; control returns by itself; a fade without rain means the receiving chain",
             ConditionLimits(watch=0.0, warning=6.0, deadband=0.0, on_s=300.0, off_s=600.0, repeat_s=None),
         ),
-        Condition(
+        AlarmCondition(
             "sensor_disagreement",
             Kind.ABOVE,
             "deg",
@@ -139,10 +139,10 @@ def _of_agreement(robust: RobustConfig) -> tuple[Condition, ...]:
     )
 
 
-def _of_inputs(alarms: AlarmConfig) -> tuple[Condition, ...]:
+def _of_inputs(alarms: AlarmConfig) -> tuple[AlarmCondition, ...]:
     """Return what is looked at in what comes in, or does not."""
     return (
-        Condition(
+        AlarmCondition(
             "data_stale",
             Kind.ABOVE,
             "row periods",
@@ -154,7 +154,7 @@ def _of_inputs(alarms: AlarmConfig) -> tuple[Condition, ...]:
                 warning=alarms.stale_periods, distress=10.0 * alarms.stale_periods, off_s=0.0, repeat_s=600.0
             ),
         ),
-        Condition(
+        AlarmCondition(
             "link_down",
             Kind.ABOVE,
             "s",
@@ -165,7 +165,7 @@ def _of_inputs(alarms: AlarmConfig) -> tuple[Condition, ...]:
             # only 0 s lies a deadband inside 30 s: a link is back when it works, not when it has just failed anew
             ConditionLimits(distress=30.0, critical=_HOUR_S, deadband=30.0, off_s=10.0, repeat_s=600.0),
         ),
-        Condition(
+        AlarmCondition(
             "link_warning",
             Kind.ABOVE,
             "s",
@@ -175,7 +175,7 @@ def _of_inputs(alarms: AlarmConfig) -> tuple[Condition, ...]:
             "see the warning in GET /links; a full spool wants the line to the service or more disk",
             ConditionLimits(warning=0.0, distress=_HOUR_S),
         ),
-        Condition(
+        AlarmCondition(
             "rows_missing",
             Kind.ABOVE,
             "rows",
@@ -188,10 +188,10 @@ def _of_inputs(alarms: AlarmConfig) -> tuple[Condition, ...]:
     )
 
 
-def _of_release() -> tuple[Condition, ...]:
+def _of_release() -> tuple[AlarmCondition, ...]:
     """Return what is looked at in the release of torques."""
     return (
-        Condition(
+        AlarmCondition(
             "control_tripped",
             Kind.ABOVE,
             "s",
@@ -201,7 +201,7 @@ def _of_release() -> tuple[Condition, ...]:
             "find the cause in GET .../control, then POST .../control:reset; ten good minutes later an operator arms",
             ConditionLimits(distress=0.0, repeat_s=_HOUR_S),
         ),
-        Condition(
+        AlarmCondition(
             "release_changed",
             Kind.ABOVE,
             "s",
@@ -211,7 +211,7 @@ def _of_release() -> tuple[Condition, ...]:
             "where torques shall go without a person, two approvers send control:arm with release automatic",
             ConditionLimits(warning=0.0),
         ),
-        Condition(
+        AlarmCondition(
             "report_late",
             Kind.ABOVE,
             "s",
@@ -224,10 +224,10 @@ def _of_release() -> tuple[Condition, ...]:
     )
 
 
-def _of_service(alarms: AlarmConfig) -> tuple[Condition, ...]:
+def _of_service(alarms: AlarmConfig) -> tuple[AlarmCondition, ...]:
     """Return what is looked at in what the service lives on."""
     return (
-        Condition(
+        AlarmCondition(
             "calibration_old",
             Kind.ABOVE,
             "d",
@@ -237,7 +237,7 @@ def _of_service(alarms: AlarmConfig) -> tuple[Condition, ...]:
             "plan a quiet day and turns, calibrate, activate",
             ConditionLimits(watch=90.0, warning=180.0, repeat_s=None),
         ),
-        Condition(
+        AlarmCondition(
             "ephemeris_ending",
             Kind.BELOW,
             "h",
@@ -247,7 +247,7 @@ def _of_service(alarms: AlarmConfig) -> tuple[Condition, ...]:
             "PUT .../ephemeris with the newest orbit of the ballistics centre",
             ConditionLimits(watch=48.0, warning=12.0, distress=0.0, repeat_s=6 * _HOUR_S),
         ),
-        Condition(
+        AlarmCondition(
             "key_ending",
             Kind.BELOW,
             "d",
@@ -257,7 +257,7 @@ def _of_service(alarms: AlarmConfig) -> tuple[Condition, ...]:
             "make a new key (`soo keys create`), hand it to its user, remove the old one",
             ConditionLimits(watch=14.0, warning=3.0, repeat_s=24 * _HOUR_S),
         ),
-        Condition(
+        AlarmCondition(
             "disk_full",
             Kind.BELOW,
             "MB",

@@ -10,10 +10,10 @@ from enum import Enum, auto
 from service.pipeline.alarms.condition import Kind
 from service.records.epoch import US_PER_S
 from service.records.operations.alarm_limits import ConditionLimits
-from service.records.operations.alarm_memory import Watch
+from service.records.operations.alarm_memory import ValueMemory
 
 
-class Verdict(Enum):
+class ConditionChange(Enum):
     """What a value leads to."""
 
     RAISE = auto()
@@ -44,12 +44,12 @@ def severity_level(kind: Kind, value: float, limits: ConditionLimits) -> int:
     return passed
 
 
-def look(watch: Watch, kind: Kind, told: float, epoch_us: int, limits: ConditionLimits) -> Verdict | None:
+def look(watch: ValueMemory, kind: Kind, told: float, epoch_us: int, limits: ConditionLimits) -> ConditionChange | None:
     """Take in a value and return what it leads to.
 
     Parameters
     ----------
-    watch : Watch
+    watch : ValueMemory
         Changed in place.
     kind : Kind
         How the value is held against the limits.
@@ -74,7 +74,7 @@ def look(watch: Watch, kind: Kind, told: float, epoch_us: int, limits: Condition
     return _better(watch, epoch_us, limits, is_gone=is_gone)
 
 
-def _value(watch: Watch, kind: Kind, told: float, epoch_us: int) -> float:
+def _value(watch: ValueMemory, kind: Kind, told: float, epoch_us: int) -> float:
     """Return the value that is held against the limits; of what lasts, the time since it began, s."""
     if kind is not Kind.LASTING:
         return told
@@ -87,7 +87,7 @@ def _value(watch: Watch, kind: Kind, told: float, epoch_us: int) -> float:
     return (epoch_us - watch.since_us) / US_PER_S
 
 
-def _worse(watch: Watch, level: int, epoch_us: int, limits: ConditionLimits) -> Verdict | None:
+def _worse(watch: ValueMemory, level: int, epoch_us: int, limits: ConditionLimits) -> ConditionChange | None:
     """Take in a severity; a verdict when one above the alarmed one has stood for its time."""
     if level <= watch.level:
         watch.pending_us = None
@@ -98,13 +98,13 @@ def _worse(watch: Watch, level: int, epoch_us: int, limits: ConditionLimits) -> 
     watch.pending_level = min(watch.pending_level, level)
     if epoch_us - watch.pending_us < limits.on_s * US_PER_S:
         return None
-    verdict = Verdict.RAISE if watch.level == 0 else Verdict.ESCALATE
+    verdict = ConditionChange.RAISE if watch.level == 0 else ConditionChange.ESCALATE
     watch.since_us = watch.pending_us if watch.since_us is None else watch.since_us
     watch.level, watch.pending_us = watch.pending_level, None
     return verdict
 
 
-def _better(watch: Watch, epoch_us: int, limits: ConditionLimits, *, is_gone: bool) -> Verdict | None:
+def _better(watch: ValueMemory, epoch_us: int, limits: ConditionLimits, *, is_gone: bool) -> ConditionChange | None:
     """Return the verdict when what was alarmed has been gone for its time."""
     if watch.level == 0:
         return None
@@ -116,7 +116,7 @@ def _better(watch: Watch, epoch_us: int, limits: ConditionLimits, *, is_gone: bo
     if epoch_us - watch.gone_us < limits.off_s * US_PER_S:
         return None
     watch.level, watch.since_us, watch.gone_us = 0, None, None
-    return Verdict.RETURN
+    return ConditionChange.RETURN
 
 
 def _is_gone(kind: Kind, told: float, limits: ConditionLimits) -> bool:

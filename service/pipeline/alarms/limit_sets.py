@@ -16,7 +16,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from service.errors import FieldError
-from service.pipeline.alarms.condition import Condition, Kind
+from service.pipeline.alarms.condition import AlarmCondition, Kind
 from service.records.catalogue import CarrierPlan
 from service.records.inputs import Operation
 from service.records.operations.alarm_limits import AlarmLimits, ConditionLimits, Statement
@@ -56,7 +56,7 @@ DEFAULT_SETS: dict[str, dict[str, Statement]] = {
 }
 
 
-class Circumstances(NamedTuple):
+class AlarmContext(NamedTuple):
     """What holds for alarms at an instant."""
 
     #: sets in force, in the order of ``SETS``
@@ -74,11 +74,11 @@ class Circumstances(NamedTuple):
 
 def circumstances(
     operations: Iterable[Operation], plan: CarrierPlan | None, epoch_us: int, *, is_raining: bool
-) -> Circumstances:
+) -> AlarmContext:
     """Return what holds at an epoch, and for how long if no operation changes."""
     wanted = {NORMAL, RAIN} if is_raining else {NORMAL}
     quiet: set[str] = set()
-    since_us, until_us = Circumstances().since_us, Circumstances().until_us
+    since_us, until_us = AlarmContext().since_us, AlarmContext().until_us
     for operation in operations:
         edges_us = [operation.start_us] if operation.stop_us is None else [operation.start_us, operation.stop_us]
         since_us = max([since_us, *(edge for edge in edges_us if edge <= epoch_us)])
@@ -89,7 +89,7 @@ def circumstances(
             wanted.add(_SET_OF_KIND[operation.kind])
         if operation.kind in _QUIETING_KINDS and plan is not None:
             quiet.update(_named(operation, plan))
-    return Circumstances(tuple(name for name in SETS if name in wanted), frozenset(quiet), since_us, until_us)
+    return AlarmContext(tuple(name for name in SETS if name in wanted), frozenset(quiet), since_us, until_us)
 
 
 def _named(operation: Operation, plan: CarrierPlan) -> Iterable[str]:
@@ -101,7 +101,7 @@ def _named(operation: Operation, plan: CarrierPlan) -> Iterable[str]:
 
 
 def limits_in_force(
-    conditions: Mapping[str, Condition], stated: AlarmLimits, sets: Sequence[str]
+    conditions: Mapping[str, AlarmCondition], stated: AlarmLimits, sets: Sequence[str]
 ) -> dict[str, ConditionLimits]:
     """Return the limits of every condition under some sets: defaults, changed by what each set states."""
     return {name: _changed(row.limits, name, stated, sets) for name, row in conditions.items()}
@@ -115,7 +115,7 @@ def _changed(limits: ConditionLimits, name: str, stated: AlarmLimits, sets: Sequ
     return limits
 
 
-def faults_of(conditions: Mapping[str, Condition], stated: AlarmLimits) -> tuple[FieldError, ...]:
+def faults_of(conditions: Mapping[str, AlarmCondition], stated: AlarmLimits) -> tuple[FieldError, ...]:
     """Return what is wrong with stated limits: unknown conditions, severities out of order."""
     faults = []
     for chosen, statements in stated.sets.items():

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.pipeline.alarms.alarm_engine import AlarmBook, Readings
-from service.pipeline.alarms.limit_sets import Circumstances, circumstances
+from service.pipeline.alarms.alarm_engine import AlarmEngine, Readings
+from service.pipeline.alarms.limit_sets import AlarmContext, circumstances
 from service.pipeline.estimation.method import CarrierLevels
 from service.records.catalogue import CarrierPlan, Method
 from service.records.epoch import US_PER_S
@@ -19,7 +19,7 @@ from service.records.levels.attitude import AttitudeRow, FloatArray, Status
 from service.records.levels.measurement import Measurement
 from service.records.levels.quality_flag import QualityFlag
 from service.records.operations.alarm import AlarmChange
-from service.records.operations.alarm_memory import BookMemory
+from service.records.operations.alarm_memory import EngineMemory
 
 #: rows from whose median distance the period is taken
 _PERIOD_ROWS = 16
@@ -56,20 +56,20 @@ class RowReader:
 
     Parameters
     ----------
-    book : AlarmBook
+    book : AlarmEngine
         Where the readings go.
-    memory : BookMemory
+    memory : EngineMemory
         Where the former run stood.
     """
 
-    def __init__(self, book: AlarmBook, memory: BookMemory) -> None:
+    def __init__(self, book: AlarmEngine, memory: EngineMemory) -> None:
         self._book = book
         self._newest_us = memory.newest_row_us
         self._recent_us: deque[int] = deque(maxlen=_PERIOD_ROWS)
         self._kept_period_s = memory.row_period_s
         self._nominal_dbm: Mapping[str, float] = {}
         self._told: deque[AttitudeRow] = deque(maxlen=_KEPT_ROWS)
-        self._holds = Circumstances()
+        self._holds = AlarmContext()
         self._holds_for: tuple[object, object, object] = (None, None, None)
         self._plan: CarrierPlan | None = None
         self._carrier_ids: tuple[str, ...] = ()

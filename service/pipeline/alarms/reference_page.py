@@ -5,7 +5,7 @@
 
 import sys
 
-from service.pipeline.alarms.condition import Condition
+from service.pipeline.alarms.condition import AlarmCondition
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.alarms.limit_sets import DEFAULT_SETS, NORMAL
 from service.pipeline.alarms.states import diagram, tables
@@ -78,7 +78,7 @@ def reference_page() -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _limits_table(conditions: dict[str, Condition]) -> str:
+def _limits_table(conditions: dict[str, AlarmCondition]) -> str:
     """Return the limits by default."""
     severities = [severity.word for severity in Severity]
     head = f"| condition | about | unit | | {' | '.join(severities)} | deadband | on, s | off, s | repeat, s |"
@@ -93,7 +93,7 @@ def _limits_table(conditions: dict[str, Condition]) -> str:
     return "\n".join(rows)
 
 
-def _words(condition: Condition) -> str:
+def _words(condition: AlarmCondition) -> str:
     """Return what a condition says, what tells it, and what to do."""
     says = condition.says.format(thing="*name*", value="*value*")
     says = f"* **`{condition.name}`**: {says}; looked at in {condition.origin.value}."

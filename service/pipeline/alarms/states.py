@@ -8,7 +8,7 @@ from enum import Enum, auto
 from service.records.operations.alarm import Cover, Process
 
 
-class Event(Enum):
+class AlarmEvent(Enum):
     """What moves the process state."""
 
     #: the condition has stood for its time
@@ -37,13 +37,13 @@ class CoverEvent(Enum):
 
 
 #: what each event means, for the page
-MEANINGS: dict[Event | CoverEvent, str] = {
-    Event.RAISE: "the condition has stood for `on_s`",
-    Event.ESCALATE: "a higher limit has been passed for `on_s`; who acknowledged the lower one has not seen this",
-    Event.RETURN: "the value has been inside the limit by the deadband for `off_s`",
-    Event.RETURN_UNSEEN: "the same while the alarm was shelved or suppressed: nobody has to acknowledge it",
-    Event.ACKNOWLEDGE: "an operator has seen it",
-    Event.CLEAR: "an operator closes it; a condition that still stands alarms anew after `on_s`",
+MEANINGS: dict[AlarmEvent | CoverEvent, str] = {
+    AlarmEvent.RAISE: "the condition has stood for `on_s`",
+    AlarmEvent.ESCALATE: "a higher limit has been passed for `on_s`; who acknowledged the lower one has not seen this",
+    AlarmEvent.RETURN: "the value has been inside the limit by the deadband for `off_s`",
+    AlarmEvent.RETURN_UNSEEN: "the same while the alarm was shelved or suppressed: nobody has to acknowledge it",
+    AlarmEvent.ACKNOWLEDGE: "an operator has seen it",
+    AlarmEvent.CLEAR: "an operator closes it; a condition that still stands alarms anew after `on_s`",
     CoverEvent.SHELVE: "an operator wants quiet until an instant, at most 24 h ahead",
     CoverEvent.UNSHELVE: "an operator ends that, or the instant has come",
     CoverEvent.SUPPRESS: "a declared operation says that the alarm means nothing now",
@@ -59,12 +59,12 @@ _N, _U, _A, _R, _L = (
 )
 
 
-def _row(*targets: Process) -> dict[Event, Process]:
-    """Return the row of a state: targets in the order of ``Event``."""
-    return dict(zip(Event, targets, strict=True))
+def _row(*targets: Process) -> dict[AlarmEvent, Process]:
+    """Return the row of a state: targets in the order of ``AlarmEvent``."""
+    return dict(zip(AlarmEvent, targets, strict=True))
 
 
-PROCESS: dict[Process, dict[Event, Process]] = {
+PROCESS: dict[Process, dict[AlarmEvent, Process]] = {
     #         RAISE ESCALATE RETURN RETURN_UNSEEN ACKNOWLEDGE CLEAR
     _N: _row(_U, _U, _N, _N, _N, _N),
     _U: _row(_U, _U, _R, _N, _A, _N),
@@ -82,18 +82,18 @@ COVERS: dict[Cover, dict[CoverEvent, Cover]] = {
 }
 
 
-def next_process(process: Process, event: Event, *, is_latching: bool) -> Process:
+def next_process(process: Process, event: AlarmEvent, *, is_latching: bool) -> Process:
     """Return the state after an event; what latches ends by clearing only.
 
     Examples
     --------
-    >>> next_process(Process.ACKNOWLEDGED, Event.RETURN, is_latching=False).value
+    >>> next_process(Process.ACKNOWLEDGED, AlarmEvent.RETURN, is_latching=False).value
     'normal'
-    >>> next_process(Process.ACKNOWLEDGED, Event.RETURN, is_latching=True).value
+    >>> next_process(Process.ACKNOWLEDGED, AlarmEvent.RETURN, is_latching=True).value
     'latched'
     """
     target = PROCESS[process][event]
-    is_ending = target is Process.NORMAL and process is not Process.NORMAL and event is not Event.CLEAR
+    is_ending = target is Process.NORMAL and process is not Process.NORMAL and event is not AlarmEvent.CLEAR
     return Process.LATCHED if is_ending and is_latching else target
 
 
@@ -108,7 +108,9 @@ def diagram() -> str:
     for state, row in PROCESS.items():
         lines += _arrows(state.value, {event.name: target.value for event, target in row.items()})
     for state in Process:
-        ends = [event for event in Event if next_process(state, event, is_latching=True) is not PROCESS[state][event]]
+        ends = [
+            event for event in AlarmEvent if next_process(state, event, is_latching=True) is not PROCESS[state][event]
+        ]
         names = ", ".join(event.name for event in ends)
         lines += [f"    {state.value} --> {Process.LATCHED.value}: {names} (where it latches)"] if names else []
     lines.append("    state cover {")
@@ -129,7 +131,7 @@ def _arrows(state: str, targets: dict[str, str]) -> list[str]:
 
 def tables() -> str:
     """Return both tables in Markdown, and what each event means."""
-    head = "| state | " + " | ".join(event.name for event in Event) + " |\n|---|" + "---|" * len(Event)
+    head = "| state | " + " | ".join(event.name for event in AlarmEvent) + " |\n|---|" + "---|" * len(AlarmEvent)
     rows = [f"| {state.value} | " + " | ".join(t.value for t in row.values()) + " |" for state, row in PROCESS.items()]
     cover_head = "| cover | " + " | ".join(e.name for e in CoverEvent) + " |\n|---|" + "---|" * len(CoverEvent)
     covers = [f"| {cover.value} | " + " | ".join(t.value for t in row.values()) + " |" for cover, row in COVERS.items()]

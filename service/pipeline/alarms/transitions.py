@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 
-from service.pipeline.alarms.condition import Condition, Kind
+from service.pipeline.alarms.condition import AlarmCondition, Kind
 from service.pipeline.alarms.debounce import limit_of
-from service.pipeline.alarms.states import CoverEvent, Event, next_cover, next_process
+from service.pipeline.alarms.states import AlarmEvent, CoverEvent, next_cover, next_process
 from service.records.operations.alarm import Alarm, AlarmChange, ChangeKind, Cover, Handling, Process, Severity
 from service.records.operations.alarm_limits import ConditionLimits
-from service.records.operations.alarm_memory import Watch
+from service.records.operations.alarm_memory import ValueMemory
 
 #: after these somebody knows of the alarm as it is
 _ANNOUNCING = (
@@ -23,7 +23,12 @@ _QUIET_KINDS = (ChangeKind.SHELVED, ChangeKind.SUPPRESSED)
 
 
 def raised(
-    spacecraft_id: str | None, condition: Condition, thing: str, watch: Watch, limits: ConditionLimits, at_us: int
+    spacecraft_id: str | None,
+    condition: AlarmCondition,
+    thing: str,
+    watch: ValueMemory,
+    limits: ConditionLimits,
+    at_us: int,
 ) -> Alarm:
     """Return the alarm that a watch has just raised, not yet told."""
     since_us = at_us if watch.since_us is None else watch.since_us
@@ -32,7 +37,7 @@ def raised(
         spacecraft_id=spacecraft_id,
         condition=condition.name,
         thing=thing,
-        process=next_process(Process.NORMAL, Event.RAISE, is_latching=limits.latching),
+        process=next_process(Process.NORMAL, AlarmEvent.RAISE, is_latching=limits.latching),
         cover=Cover.NONE,
         severity=Severity(watch.level),
         since_us=since_us,
@@ -45,7 +50,7 @@ def raised(
     )
 
 
-def told_in_words(alarm: Alarm, condition: Condition, note: str) -> Alarm:
+def told_in_words(alarm: Alarm, condition: AlarmCondition, note: str) -> Alarm:
     """Return the alarm with what happened in words."""
     limit = _figure(alarm.limit, 4)
     # as few digits as tell the value from its limit
@@ -61,9 +66,9 @@ def _figure(value: float, digits: int) -> str:
     return f"{value:.0f}" if abs(value) >= 100.0 else f"{value:.{digits}g}"
 
 
-def again(alarm: Alarm, watch: Watch, limits: ConditionLimits, event: Event, at_us: int) -> Alarm:
+def again(alarm: Alarm, watch: ValueMemory, limits: ConditionLimits, event: AlarmEvent, at_us: int) -> Alarm:
     """Return an open alarm whose condition came back, or became worse."""
-    is_back = event is Event.RAISE
+    is_back = event is AlarmEvent.RAISE
     return replace(
         alarm,
         process=next_process(alarm.process, event, is_latching=limits.latching),
@@ -79,7 +84,7 @@ def again(alarm: Alarm, watch: Watch, limits: ConditionLimits, event: Event, at_
 
 def returned(alarm: Alarm, at_us: int, *, is_latching: bool) -> Alarm:
     """Return an alarm whose condition is gone; what lay under suppression closes with it."""
-    event = Event.RETURN if alarm.cover is Cover.NONE else Event.RETURN_UNSEEN
+    event = AlarmEvent.RETURN if alarm.cover is Cover.NONE else AlarmEvent.RETURN_UNSEEN
     process = next_process(alarm.process, event, is_latching=is_latching)
     is_closing = process is Process.NORMAL and alarm.cover is Cover.SUPPRESSED
     cover = Cover.NONE if is_closing else alarm.cover
@@ -88,7 +93,7 @@ def returned(alarm: Alarm, at_us: int, *, is_latching: bool) -> Alarm:
 
 def acknowledged(alarm: Alarm, handling: Handling, *, is_latching: bool) -> Alarm:
     """Return an alarm that an operator has seen."""
-    process = next_process(alarm.process, Event.ACKNOWLEDGE, is_latching=is_latching)
+    process = next_process(alarm.process, AlarmEvent.ACKNOWLEDGE, is_latching=is_latching)
     return replace(alarm, process=process, acknowledged=handling, changed_at_us=handling.at_us)
 
 
@@ -102,7 +107,7 @@ def cleared(alarm: Alarm, handling: Handling) -> Alarm:
     """Return an alarm that an operator has closed."""
     return replace(
         alarm,
-        process=next_process(alarm.process, Event.CLEAR, is_latching=False),
+        process=next_process(alarm.process, AlarmEvent.CLEAR, is_latching=False),
         cover=next_cover(alarm.cover, CoverEvent.CLEAR),
         cleared=handling,
         shelved_until_us=None,

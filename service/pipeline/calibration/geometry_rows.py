@@ -13,7 +13,13 @@ from service.core.estimation.calibration.geometry_calibration import Calibration
 from service.core.estimation.calibration.geometry_columns import CarrierGeometry, OrbitMotion, is_known_orbit
 from service.core.estimation.calibration.sensor_smoothing import SmoothedAngles, smoothed_angles
 from service.core.geometry.frames import station_direction
-from service.core.geometry.line_of_sight import Places, Track, antenna_motion_deg, sight_motion_deg, track_position_deg
+from service.core.geometry.line_of_sight import (
+    Places,
+    PredictedTrack,
+    antenna_motion_deg,
+    sight_motion_deg,
+    track_position_deg,
+)
 from service.pipeline.calibration.windows import CalibrationError, CalibrationInput, phase_rad, unturned_sides
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.inputs.sensor_angles import angles_at
@@ -137,7 +143,9 @@ def orbit_motion(data: CalibrationInput, epochs_us: IntArray, places: PlanPlaces
     told, spacecraft = data.ephemeris.track, data.spacecraft
     if told is None or spacecraft is None or len(told.epochs_us) < 4:
         return None
-    track = Track(np.array(told.epochs_us, dtype=np.int64), np.array(told.latitude_deg), np.array(told.longitude_deg))
+    track = PredictedTrack(
+        np.array(told.epochs_us, dtype=np.int64), np.array(told.latitude_deg), np.array(told.longitude_deg)
+    )
     stations = Places(*(values[:-1] for values in places.stations))
     is_placeless = np.isnan(places.geometry.azimuth_deg)
     sight = sight_motion_deg(track_position_deg(track, epochs_us), stations, spacecraft.longitude_deg)

@@ -14,7 +14,7 @@ import numpy as np
 from service.core.estimation.calibration.daily_fit import DailyFits, fit_daily
 from service.core.estimation.calibration.geometry_columns import OrbitMotion, daily_columns
 from service.core.estimation.paper.harmonic import HarmonicFits, fit_harmonics
-from service.core.geometry.line_of_sight import Places, Track, sight_motion_deg, track_position_deg
+from service.core.geometry.line_of_sight import Places, PredictedTrack, sight_motion_deg, track_position_deg
 from service.core.geometry.node_phase import latest_node_us, node_phase_rad
 from service.pipeline.config import CalibrationConfig
 from service.records.calibration import Harmonic
@@ -126,7 +126,9 @@ def _sight_deg(
     told = ephemeris.track
     if told is None:
         return np.full((len(epochs_us), len(carriers), 2), np.nan)
-    track = Track(np.array(told.epochs_us, dtype=np.int64), np.array(told.latitude_deg), np.array(told.longitude_deg))
+    track = PredictedTrack(
+        np.array(told.epochs_us, dtype=np.int64), np.array(told.latitude_deg), np.array(told.longitude_deg)
+    )
     placed = [
         (np.nan, np.nan) if carrier.station is None else (carrier.station.latitude_deg, carrier.station.longitude_deg)
         for carrier in carriers

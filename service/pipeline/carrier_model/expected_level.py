@@ -11,7 +11,13 @@ import numpy as np
 
 from service.core.estimation.calibration.geometry_columns import OrbitMotion, daily_columns
 from service.core.estimation.calibration.geometry_prediction import predict_level_dbm
-from service.core.geometry.line_of_sight import Places, Track, antenna_motion_deg, sight_motion_deg, track_position_deg
+from service.core.geometry.line_of_sight import (
+    Places,
+    PredictedTrack,
+    antenna_motion_deg,
+    sight_motion_deg,
+    track_position_deg,
+)
 from service.core.geometry.node_phase import node_phase_rad
 from service.pipeline.carrier_model.calibrated_arrays import GeometryModel
 from service.records.catalogue import Ephemeris
@@ -49,7 +55,9 @@ def _motion(model: GeometryModel, fit: GeometryFit, ephemeris: Ephemeris, epochs
     if ephemeris.track is None:
         return None
     told = ephemeris.track
-    track = Track(np.array(told.epochs_us, dtype=np.int64), np.array(told.latitude_deg), np.array(told.longitude_deg))
+    track = PredictedTrack(
+        np.array(told.epochs_us, dtype=np.int64), np.array(told.latitude_deg), np.array(told.longitude_deg)
+    )
     stations = Places(*(values[:-1] for values in model.places))
     sight = sight_motion_deg(track_position_deg(track, epochs_us), stations, fit.nominal_longitude_deg)
     return OrbitMotion(sight, antenna_motion_deg(track, epochs_us, model.places, fit.nominal_longitude_deg))

@@ -35,7 +35,7 @@ INHIBITIONS: dict[str, str] = {
 
 
 @dataclass(frozen=True)
-class Circumstances:
+class RowContext:
     """What the interlock must know about a row beside its fix."""
 
     is_late: bool
@@ -47,7 +47,7 @@ class Circumstances:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class RowPermission:
     """Whether a torque may follow, axis by axis, and why not."""
 
     inhibitions: tuple[str, ...]
@@ -60,18 +60,18 @@ class Verdict:
         return not self.inhibitions
 
 
-def judge(fix: AttitudeFix, circumstances: Circumstances, config: InterlockConfig) -> Verdict:
+def judge(fix: AttitudeFix, circumstances: RowContext, config: InterlockConfig) -> RowPermission:
     """Return the verdict on one fix."""
     standing = _circumstantial(circumstances) | _of_fix(fix, config)
     inhibitions = tuple(reason for reason in INHIBITIONS if reason in standing)
     if inhibitions:
-        return Verdict(inhibitions, (False, False, False))
+        return RowPermission(inhibitions, (False, False, False))
     is_yaw_known = float(np.sqrt(fix.covariance_deg2[0, 0])) <= config.yaw_sigma_limit_deg
     is_yaw_valid = abs(float(fix.attitude_deg[0])) <= config.validity_limit_deg
-    return Verdict((), (circumstances.is_yaw_controllable and is_yaw_known and is_yaw_valid, True, True))
+    return RowPermission((), (circumstances.is_yaw_controllable and is_yaw_known and is_yaw_valid, True, True))
 
 
-def _circumstantial(circumstances: Circumstances) -> set[str]:
+def _circumstantial(circumstances: RowContext) -> set[str]:
     """Return the reasons that lie outside the fix."""
     conditions = {
         "late": circumstances.is_late,

@@ -54,7 +54,7 @@ class _Effect:
         )
 
 
-class CarrierNames:
+class CarrierIndices:
     """Which carriers an operation names, by place in the model."""
 
     def __init__(self, carrier_ids: tuple[str, ...], transponders: tuple[str, ...], transponder: FloatArray) -> None:
@@ -87,7 +87,7 @@ class CarrierNames:
 
 
 def declared_between(
-    operations: tuple[Operation, ...], names: CarrierNames, from_us: int, to_us: int, config: OperationConfig
+    operations: tuple[Operation, ...], names: CarrierIndices, from_us: int, to_us: int, config: OperationConfig
 ) -> Declared | None:
     """Return the effect of the operations on the step between two epochs, None where there is none."""
     effect, is_any = _Effect(names.carriers, names.transponders), False
@@ -112,7 +112,7 @@ def declared_between(
     return effect.declared()
 
 
-def with_chain_step(declared: Declared | None, names: CarrierNames, step_db: float) -> Declared:
+def with_chain_step(declared: Declared | None, names: CarrierIndices, step_db: float) -> Declared:
     """Return the effect with a step of the receiving chain, as a change of the measuring source makes one."""
     base = declared or nothing_declared(names.carriers, names.transponders)
     return base._replace(chain_step_db=float(np.hypot(base.chain_step_db, step_db)))
@@ -121,7 +121,7 @@ def with_chain_step(declared: Declared | None, names: CarrierNames, step_db: flo
 def _add_lasting(
     effect: _Effect,
     operation: Operation,
-    names: CarrierNames,
+    names: CarrierIndices,
     overlap_us: int,
     *,
     is_now: bool,
@@ -144,7 +144,9 @@ def _add_lasting(
         )
 
 
-def _add_edges(effect: _Effect, operation: Operation, names: CarrierNames, edges: int, config: OperationConfig) -> None:
+def _add_edges(
+    effect: _Effect, operation: Operation, names: CarrierIndices, edges: int, config: OperationConfig
+) -> None:
     """Add what the beginning or the end of an operation does."""
     if operation.kind == "carrier_work":
         effect.reference_step_db2 += names.named_carriers(operation) * config.carrier_step_db**2 * edges

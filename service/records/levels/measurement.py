@@ -61,7 +61,7 @@ class Measurement:
 
 
 @dataclass(frozen=True, slots=True)
-class RowRemark:
+class RowNotice:
     """One row of a batch that was stored otherwise than it was sent, or numbered otherwise than expected."""
 
     index: int
@@ -72,7 +72,7 @@ class RowRemark:
 
 
 @dataclass(frozen=True, slots=True)
-class Refusal(RowRemark):
+class RowRefusal(RowNotice):
     """One refused row of a batch; code: time.future, time.too_old, value.out_of_range, value.count or conflict."""
 
 
@@ -116,8 +116,8 @@ class BatchReceipt:
     accepted: int
     duplicates: int
     late: int
-    refused: tuple[Refusal, ...]
-    flagged: tuple[RowRemark, ...] = ()
+    refused: tuple[RowRefusal, ...]
+    flagged: tuple[RowNotice, ...] = ()
     #: journal number of the first row accepted, the others follow it; None when there is none
     first_number: int | None = field(default=None, compare=False)
     #: whether its source was the prime one

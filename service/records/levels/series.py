@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 from service.records.levels.attitude import FloatArray, IntArray
-from service.records.levels.measurement import Refusal
+from service.records.levels.measurement import RowRefusal
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class InputReceipt:
 
     accepted: int
     duplicates: int
-    refused: tuple[Refusal, ...]
+    refused: tuple[RowRefusal, ...]
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 
 @dataclass(slots=True)
-class Watch:
+class ValueMemory:
     """Memory of one value that is not, or not yet again, as it should be."""
 
     #: severity that was alarmed, 0 = none
@@ -32,11 +32,11 @@ class WatchMemory:
 
     condition: str
     thing: str
-    watch: Watch
+    watch: ValueMemory
 
 
 @dataclass(frozen=True, slots=True)
-class BookMemory:
+class EngineMemory:
     """What the alarms of one spacecraft must remember."""
 
     watches: tuple[WatchMemory, ...] = ()

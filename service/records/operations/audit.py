@@ -20,7 +20,7 @@ DONE = "done"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Deed:
+class AuditEvent:
     """Something that was done, or refused."""
 
     at_us: int
@@ -55,7 +55,7 @@ class AuditEntry:
     """One link of the chain."""
 
     number: int
-    deed: Deed
+    deed: AuditEvent
     previous_hash: str
     hash: str
 
@@ -79,7 +79,7 @@ class AuditFilter:
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class ChainFinding:
     """One place where a chain is not what it was."""
 
     number: int
@@ -89,28 +89,28 @@ class Finding:
 
 
 @dataclass
-class Note:
+class AuditContext:
     """What one request writes into the log beside its change.
 
     Attributes
     ----------
-    deed : Deed or None
+    deed : AuditEvent or None
         Set once it is known who asks for what; the first write then takes it along.
     entry : AuditEntry or None
         The entry, once it is committed.
     """
 
-    deed: Deed | None = None
+    deed: AuditEvent | None = None
     entry: AuditEntry | None = None
 
     @property
-    def due(self) -> Deed | None:
+    def due(self) -> AuditEvent | None:
         """Return the deed that the next write has to take along."""
         return self.deed if self.entry is None else None
 
 
 #: note of the request in progress; empty outside of requests and in requests that change nothing
-CURRENT_NOTE: ContextVar[Note | None] = ContextVar("audit_note", default=None)
+CURRENT_NOTE: ContextVar[AuditContext | None] = ContextVar("audit_note", default=None)
 
 
 @contextmanager
@@ -123,19 +123,19 @@ def apart_from_request() -> Iterator[None]:
         CURRENT_NOTE.reset(token)
 
 
-def next_entry(head: AuditHead, deed: Deed) -> AuditEntry:
+def next_entry(head: AuditHead, deed: AuditEvent) -> AuditEntry:
     """Return the entry that follows a head."""
     number = head.number + 1
     return AuditEntry(number, deed, head.hash, entry_hash(number, deed, head.hash))
 
 
-def entry_hash(number: int, deed: Deed, previous_hash: str) -> str:
+def entry_hash(number: int, deed: AuditEvent, previous_hash: str) -> str:
     """Return the hash of an entry: SHA-256 over the JSON list of previous hash, number and all fields in order."""
     content = json.dumps([previous_hash, number, *astuple(deed)], separators=(",", ":"), ensure_ascii=True)
     return sha256(content.encode("ascii")).hexdigest()
 
 
-def naming_result(deed: Deed, result: object) -> Deed:
+def naming_result(deed: AuditEvent, result: object) -> AuditEvent:
     """Return the deed with the id of what it made, when its target is a collection."""
     made = getattr(result, "id", None)
     if not deed.target.endswith("/") or not isinstance(made, int | str):
@@ -148,7 +148,7 @@ def findings(
     head: AuditHead,
     announced: Mapping[int, str] | None = None,
     head_after: Callable[[], AuditHead] | None = None,
-) -> Iterator[Finding]:
+) -> Iterator[ChainFinding]:
     """Yield every place where a chain is broken.
 
     Parameters
@@ -167,25 +167,25 @@ def findings(
     for entry in entries:
         yield from _against_former(entry, last)
         if unseen.pop(entry.number, entry.hash) != entry.hash:
-            yield Finding(entry.number, "announced", "the hash is not the one that was announced")
+            yield ChainFinding(entry.number, "announced", "the hash is not the one that was announced")
         if entry.number == head.number and entry.hash != head.hash:
-            yield Finding(entry.number, "changed", "the hash is not that of the head")
+            yield ChainFinding(entry.number, "changed", "the hash is not that of the head")
         # go on from what is stored: one fault is told once, not at every later entry
         last = entry.head
     if last.number < head.number:
-        yield Finding(last.number + 1, "truncated", f"entries {last.number + 1} to {head.number} are gone")
+        yield ChainFinding(last.number + 1, "truncated", f"entries {last.number + 1} to {head.number} are gone")
     newest = head_after() if head_after else head
     if last.number > newest.number:
-        yield Finding(newest.number + 1, "beyond_head", f"the head was left at number {newest.number}")
+        yield ChainFinding(newest.number + 1, "beyond_head", f"the head was left at number {newest.number}")
     for number in unseen:
-        yield Finding(number, "announced", "an announced entry is gone")
+        yield ChainFinding(number, "announced", "an announced entry is gone")
 
 
-def _against_former(entry: AuditEntry, former: AuditHead) -> Iterator[Finding]:
+def _against_former(entry: AuditEntry, former: AuditHead) -> Iterator[ChainFinding]:
     """Yield what is wrong with one entry."""
     if entry.number != former.number + 1:
-        yield Finding(former.number + 1, "missing", f"after number {former.number} comes {entry.number}")
+        yield ChainFinding(former.number + 1, "missing", f"after number {former.number} comes {entry.number}")
     elif entry.previous_hash != former.hash:
-        yield Finding(entry.number, "changed", "the entry does not follow the one before it")
+        yield ChainFinding(entry.number, "changed", "the entry does not follow the one before it")
     if entry_hash(entry.number, entry.deed, entry.previous_hash) != entry.hash:
-        yield Finding(entry.number, "changed", "the fields do not give the hash")
+        yield ChainFinding(entry.number, "changed", "the fields do not give the hash")

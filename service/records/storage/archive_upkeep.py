@@ -33,7 +33,7 @@ class SegmentState:
 
 
 @dataclass(frozen=True, slots=True)
-class Dropped:
+class RetiredRows:
     """Rows that one transaction of retention took away."""
 
     #: measurements, attitude, torques or traces

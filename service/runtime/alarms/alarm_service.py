@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 
 from service.errors import ConflictError, FieldError, InvalidInputError, StorageError
-from service.pipeline.alarms.alarm_engine import AlarmBook, Key, Readings
-from service.pipeline.alarms.condition import Condition
+from service.pipeline.alarms.alarm_engine import AlarmEngine, Key, Readings
+from service.pipeline.alarms.condition import AlarmCondition
 from service.pipeline.alarms.readings import RowFacts
 from service.ports import Clock, Storage
 from service.records.epoch import US_PER_S
@@ -22,7 +22,7 @@ from service.records.operations.alarm import Alarm, AlarmChange, Handling
 from service.records.operations.alarm_limits import AlarmLimits
 from service.runtime.alarms.clock_checks import ClockChecks
 from service.runtime.alarms.notifications import NoticeChannels
-from service.runtime.alarms.persisted_alarms import AlarmCase
+from service.runtime.alarms.persisted_alarms import PersistedAlarms
 from service.runtime.live.leadership import Turn, always, elsewhere
 from service.runtime.live.live_feed import Cursor, FeedEvent, LiveFeed
 from service.runtime.live.row_watchers import Seen
@@ -37,7 +37,7 @@ SHELVE_LIMIT_US = 24 * 3600 * US_PER_S
 _CHECKS_A_LOOK = 15
 
 
-class AlarmDesk:
+class AlarmService:
     """Alarms of all spacecraft.
 
     Parameters
@@ -65,7 +65,7 @@ class AlarmDesk:
         storage: Storage,
         clock: Clock,
         feed: LiveFeed,
-        conditions: Mapping[str, Condition],
+        conditions: Mapping[str, AlarmCondition],
         notices: NoticeChannels,
         *,
         check_period_s: float = 2.0,
@@ -83,7 +83,7 @@ class AlarmDesk:
         self._check_period_s = check_period_s
         self._checks = ClockChecks(storage, clock, stale_periods)
         self._looks = 0
-        self._cases: dict[str | None, AlarmCase] = {}
+        self._cases: dict[str | None, PersistedAlarms] = {}
         self._lock = threading.RLock()
         self._queue: deque[tuple[str, Seen]] = deque()
         self._arrived = threading.Event()
@@ -123,16 +123,16 @@ class AlarmDesk:
 
     def acknowledge(self, alarm_id: int, by: str, comment: str) -> Alarm:
         """Note that somebody has seen an alarm; ConflictError ``alarm.closed``."""
-        return self._order(alarm_id, by, comment, AlarmBook.acknowledge)
+        return self._order(alarm_id, by, comment, AlarmEngine.acknowledge)
 
     def clear(self, alarm_id: int, by: str, comment: str) -> Alarm:
         """Close an alarm; ConflictError ``alarm.closed``."""
-        return self._order(alarm_id, by, comment, AlarmBook.clear)
+        return self._order(alarm_id, by, comment, AlarmEngine.clear)
 
     def shelve(self, alarm_id: int, by: str, comment: str, until_us: int) -> Alarm:
         """Keep an alarm quiet until an instant; InvalidInputError ``alarm.shelve_until``."""
 
-        def shelve(book: AlarmBook, key: Key, handling: Handling) -> AlarmChange:
+        def shelve(book: AlarmEngine, key: Key, handling: Handling) -> AlarmChange:
             if not handling.at_us < until_us <= handling.at_us + SHELVE_LIMIT_US:
                 detail = "until must lie ahead of the spacecraft's clock by at most 24 h"
                 field = FieldError("/until", "alarm.shelve_until", detail)
@@ -144,7 +144,7 @@ class AlarmDesk:
     def unshelve(self, alarm_id: int, by: str, comment: str) -> Alarm:
         """End a shelving before its time; ConflictError ``alarm.not_shelved``."""
 
-        def unshelve(book: AlarmBook, key: Key, handling: Handling) -> AlarmChange:
+        def unshelve(book: AlarmEngine, key: Key, handling: Handling) -> AlarmChange:
             if book.open_alarms[key].state != "shelved":
                 raise ConflictError("alarm.not_shelved", f"alarm {alarm_id} is not shelved")
             return book.unshelve(key, handling)
@@ -173,7 +173,7 @@ class AlarmDesk:
         return float("nan") if case is None else case.book.present_value(alarm.key)
 
     def _order(
-        self, alarm_id: int, by: str, comment: str, carry_out: Callable[[AlarmBook, Key, Handling], AlarmChange]
+        self, alarm_id: int, by: str, comment: str, carry_out: Callable[[AlarmEngine, Key, Handling], AlarmChange]
     ) -> Alarm:
         """Carry out an operator's order; stored when this returns."""
         with self._lock:
@@ -252,7 +252,7 @@ class AlarmDesk:
             readings += self._checks.of_foundations(spacecraft_id, now_us)
         self._check(case, readings, now_us)
 
-    def _check(self, case: AlarmCase, readings: Iterable[Readings], now_us: int) -> None:
+    def _check(self, case: PersistedAlarms, readings: Iterable[Readings], now_us: int) -> None:
         """Hold readings of the clock against the limits, let time pass, and keep what is about to happen."""
         changes: list[AlarmChange] = []
         for each in readings:
@@ -280,11 +280,11 @@ class AlarmDesk:
             self._served_turn = turn
         return turn > 0
 
-    def _case(self, spacecraft_id: str | None) -> AlarmCase:
+    def _case(self, spacecraft_id: str | None) -> PersistedAlarms:
         """Return the alarms of a spacecraft, from the archive where they are not at hand."""
         case = self._cases.get(spacecraft_id)
         if case is None:
-            case = self._cases[spacecraft_id] = AlarmCase(self._storage.alarms, spacecraft_id, self.conditions)
+            case = self._cases[spacecraft_id] = PersistedAlarms(self._storage.alarms, spacecraft_id, self.conditions)
         return case
 
     def _now_us(self, spacecraft_id: str | None) -> int:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from service.client.backoff import Backoff
-from service.pipeline.alarms.condition import Condition
+from service.pipeline.alarms.condition import AlarmCondition
 from service.records.epoch import format_epoch
 from service.records.operations.alarm import AlarmChange, Severity
 
@@ -76,7 +76,7 @@ class NoticeChannel:
         self,
         name: str,
         deliver: Callable[[dict[str, Any]], None],
-        conditions: Mapping[str, Condition],
+        conditions: Mapping[str, AlarmCondition],
         from_severity: Severity,
         backoff: Callable[[], Backoff] = Backoff,
         capacity: int = CAPACITY,
@@ -177,7 +177,7 @@ class NoticeChannels:
             channel.offer(change)
 
 
-def notice_of(change: AlarmChange, conditions: Mapping[str, Condition]) -> dict[str, Any]:
+def notice_of(change: AlarmChange, conditions: Mapping[str, AlarmCondition]) -> dict[str, Any]:
     """Return what is told: JSON without NaN, epochs as the interface tells them."""
     alarm, condition = change.alarm, conditions.get(change.alarm.condition)
     return {

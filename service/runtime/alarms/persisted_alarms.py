@@ -2,21 +2,21 @@
 
 from collections.abc import Mapping, Sequence
 
-from service.pipeline.alarms.alarm_engine import AlarmBook
-from service.pipeline.alarms.condition import Condition
+from service.pipeline.alarms.alarm_engine import AlarmEngine
+from service.pipeline.alarms.condition import AlarmCondition
 from service.pipeline.alarms.readings import RowReader
 from service.ports import Alarms
 from service.records.epoch import US_PER_S
 from service.records.operations.alarm import AlarmChange
 from service.records.operations.alarm_limits import AlarmLimits
-from service.records.operations.alarm_memory import BookMemory
+from service.records.operations.alarm_memory import EngineMemory
 
 #: what is kept of the rows may be so old, us, and their period so far off
 _FAR_US = 600 * US_PER_S
 _OTHER_PACE = 0.2
 
 
-class AlarmCase:
+class PersistedAlarms:
     """A book, its reader of rows, and the changes that wait to be stored.
 
     Parameters
@@ -29,13 +29,13 @@ class AlarmCase:
         Table of conditions.
     """
 
-    def __init__(self, alarms: Alarms, spacecraft_id: str | None, conditions: Mapping[str, Condition]) -> None:
+    def __init__(self, alarms: Alarms, spacecraft_id: str | None, conditions: Mapping[str, AlarmCondition]) -> None:
         self._alarms = alarms
         self._spacecraft_id = spacecraft_id
         self._unsaved: list[AlarmChange] = []
         self._kept = alarms.memory(spacecraft_id)
         limits = AlarmLimits() if spacecraft_id is None else alarms.limits(spacecraft_id)
-        self.book = AlarmBook(spacecraft_id, conditions, limits, alarms.open_alarms(spacecraft_id), self._kept)
+        self.book = AlarmEngine(spacecraft_id, conditions, limits, alarms.open_alarms(spacecraft_id), self._kept)
         self.reader = RowReader(self.book, self._kept)
         self.reader.use_nominal(limits.nominal_dbm)
 
@@ -64,14 +64,14 @@ class AlarmCase:
 
     def keep_memory(self) -> None:
         """Store what is about to happen, where it has changed."""
-        memory = BookMemory(self.book.watches(), self.reader.newest_row_us, self.reader.row_period_s)
+        memory = EngineMemory(self.book.watches(), self.reader.newest_row_us, self.reader.row_period_s)
         # rows alone are no reason to write, nor is the jitter of their period
         if memory.watches != self._kept.watches or _is_other(memory, self._kept):
             self._alarms.save_memory(self._spacecraft_id, memory)
             self._kept = memory
 
 
-def _is_other(memory: BookMemory, kept: BookMemory) -> bool:
+def _is_other(memory: EngineMemory, kept: EngineMemory) -> bool:
     """Whether rows have gone on by much, or come at another pace, since the memory was stored."""
     if memory.newest_row_us is None or memory.newest_row_us == kept.newest_row_us:
         return False

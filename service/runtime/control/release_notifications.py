@@ -8,7 +8,7 @@ from service.pipeline.control.release.events import ActionKind, Step
 from service.pipeline.control.release.interlock import Instant
 from service.ports import Audit
 from service.records.catalogue import Spacecraft
-from service.records.operations.audit import CURRENT_NOTE, DONE, Deed
+from service.records.operations.audit import CURRENT_NOTE, DONE, AuditEvent
 from service.runtime.live.live_feed import Cursor, FeedEvent, LiveFeed
 
 _LOG = logging.getLogger("soo.release")
@@ -56,7 +56,7 @@ class ReleasePublisher:
         """Enter a event of the interlock itself; the archive may be away, and control does not wait for it."""
         if CURRENT_NOTE.get() is not None:
             return
-        event = Deed(
+        event = AuditEvent(
             at_us=at.now_us,
             who=_WHO,
             key_id="",

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S
-from service.core.control.sign_check import Circumstances, Decision, Verdict, decide, weigh, wheel_decision
+from service.core.control.sign_check import SignContext, SignDecision, SignState, decide, weigh, wheel_decision
 from service.core.control.sign_profiles import Profile, pitch_profile, roll_profile, yaw_profile
 from service.core.control.slew_schedule import LONGEST_SHARE, AxisPulse, Drive, plan_slew
 from service.core.estimation.filtering.model.filter_model import CarrierModel
@@ -54,7 +54,7 @@ class SignCheckRun:
     epochs_us: list[int] = field(default_factory=list)
     deviations_db: list[FloatArray] = field(default_factory=list)
     #: legs and rows that were weighed last, and what they said
-    judged: tuple[int, int, Decision] | None = None
+    judged: tuple[int, int, SignDecision] | None = None
 
     @property
     def profile(self) -> Profile:
@@ -93,7 +93,7 @@ class SignCheckRun:
         horizon_s = _SAILING_S[self.axis] / _SAILING_SHARE
         return plan_slew(change, np.zeros(3), self.inertia_kg_m2, horizon_s, drive)
 
-    def decision(self) -> Decision | None:
+    def decision(self) -> SignDecision | None:
         """Return what the powers say; None while there is nothing to judge."""
         if not self.done or self.model is None:
             return None
@@ -107,16 +107,16 @@ class SignCheckRun:
             self.judged = len(self.done), len(epochs_us), self._weighed(self.model, epochs_us, deviation_db)
         return self.judged[2]
 
-    def _weighed(self, model: CarrierModel, epochs_us: FloatArray, deviation_db: FloatArray) -> Decision:
+    def _weighed(self, model: CarrierModel, epochs_us: FloatArray, deviation_db: FloatArray) -> SignDecision:
         """Return what some rows say."""
         size = math.ceil(len(epochs_us) / _MOST_ROWS)
         model = model._replace(white_sigma_db=model.white_sigma_db / math.sqrt(size))
         epochs_us, deviation_db = _averaged(epochs_us, deviation_db, size)
         epochs_s = (epochs_us - epochs_us[0]) / US_PER_S
         turn = turned_deg(self.done, epochs_us, self.inertia_kg_m2, has_coupling=self.has_coupling)
-        return decide(weigh(model, epochs_s, deviation_db, turn, Circumstances(np.array(self.attitude_deg))))
+        return decide(weigh(model, epochs_s, deviation_db, turn, SignContext(np.array(self.attitude_deg))))
 
-    def wheel_verdict(self, telemetry: tuple[TelemetryRecord, ...], wheel_axes: FloatArray) -> Verdict:
+    def wheel_verdict(self, telemetry: tuple[TelemetryRecord, ...], wheel_axes: FloatArray) -> SignState:
         """Return what wheel telemetry says: momentum while sailing against that before each leg."""
         predicted, measured = [], []
         for schedule in self.done:
@@ -126,20 +126,20 @@ class SignCheckRun:
                 predicted.append(-impulse @ np.linalg.pinv(wheel_axes))
                 measured.append(told)
         if not predicted:
-            return Verdict.OPEN
+            return SignState.OPEN
         sigma = self.settings.wheel_sigma_n_m_s
         return wheel_decision(np.concatenate(predicted), np.concatenate(measured), sigma).verdict
 
-    def verdict(self, powers: Verdict, wheels: Verdict | None, now_us: int) -> Verdict:
+    def verdict(self, powers: SignState, wheels: SignState | None, now_us: int) -> SignState:
         """Return what holds: powers alone for roll and pitch; for yaw both, and not before its time."""
         if wheels is None:
             return powers
         if not self.done or now_us - self.done[0][0].start_us < microseconds(self.settings.yaw_sign_least_s):
-            return Verdict.OPEN
-        wrong = [each for each in (powers, wheels) if each in (Verdict.MINUS, Verdict.NOTHING)]
+            return SignState.OPEN
+        wrong = [each for each in (powers, wheels) if each in (SignState.MINUS, SignState.NOTHING)]
         if wrong:
             return wrong[0]
-        return Verdict.PLUS if powers is wheels is Verdict.PLUS else Verdict.OPEN
+        return SignState.PLUS if powers is wheels is SignState.PLUS else SignState.OPEN
 
 
 def turned_deg(

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from service.core.control.quaternion_law import inertia_about_angles
-from service.core.control.sign_check import Decision, Verdict
+from service.core.control.sign_check import SignDecision, SignState
 from service.errors import ConflictError, InvalidInputError
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.control_design import control_design
@@ -36,7 +36,7 @@ from service.runtime.control.views import Dress
 _RUNNING = "running"
 _INTERRUPTED = "interrupted"
 #: verdicts that the interlock is told
-_TOLD = frozenset({Verdict.PLUS, Verdict.MINUS, Verdict.NOTHING})
+_TOLD = frozenset({SignState.PLUS, SignState.MINUS, SignState.NOTHING})
 #: a check of yaw, with hours of rows, is judged once in so many
 _YAW_ROWS = 30
 
@@ -99,11 +99,11 @@ class SignChecks:
         problem = _take_in(run, release)
         decision = self._decision(run)
         wheels = self._wheels(run, facts) if run.axis == "yaw" else None
-        powers = Verdict.OPEN if decision is None else decision.verdict
+        powers = SignState.OPEN if decision is None else decision.verdict
         verdict = run.verdict(powers, wheels, at.now_us)
         if problem:
             self._finish(release, facts, _view(run, _INTERRUPTED, decision, wheels, problem), at)
-        elif verdict is not Verdict.OPEN:
+        elif verdict is not SignState.OPEN:
             self._finish(release, facts, _view(run, verdict.value, decision, wheels), at)
         elif at.now_us >= run.until_us:
             self._finish(release, facts, _view(run, verdict.value, decision, wheels, "its time is over"), at)
@@ -112,16 +112,16 @@ class SignChecks:
             detail = "" if refusal is None else f"{refusal.code}: {refusal.detail}"
             self._show(release, _view(run, _RUNNING, decision, wheels, detail), at)
 
-    def _decision(self, run: SignCheckRun) -> Decision | None:
+    def _decision(self, run: SignCheckRun) -> SignDecision | None:
         """Return what the powers say; hours of rows are not weighed with every one of them."""
         if run.axis == "yaw" and len(run.epochs_us) % _YAW_ROWS:
             return None
         return run.decision()
 
-    def _wheels(self, run: SignCheckRun, facts: KnownFacts) -> Verdict:
+    def _wheels(self, run: SignCheckRun, facts: KnownFacts) -> SignState:
         """Return what wheel telemetry says of a check of yaw."""
         if not run.done or len(run.epochs_us) % _YAW_ROWS:
-            return Verdict.OPEN
+            return SignState.OPEN
         telemetry = read_telemetry(self._storage, facts.spacecraft.id, run.started_us)
         return run.wheel_verdict(telemetry, control_design(facts.spacecraft, self._torque).wheels.axes)
 
@@ -162,7 +162,7 @@ class SignChecks:
         if command is not None and command.life in OPEN:
             self._step(release, facts.spacecraft, Cancel(at, run.by, command.counter))
         if view.state in {verdict.value for verdict in _TOLD}:
-            self._step(release, facts.spacecraft, SignJudged(at, run.axis, Verdict(view.state)))
+            self._step(release, facts.spacecraft, SignJudged(at, run.axis, SignState(view.state)))
         release.case.put(at, view)
 
     def _show(self, release: SpacecraftRelease, view: SignCheckView, at: Instant) -> None:
@@ -188,7 +188,7 @@ def _take_in(run: SignCheckRun, release: SpacecraftRelease) -> str:
 
 
 def _view(
-    run: SignCheckRun, state: str, decision: Decision | None, wheels: Verdict | None = None, detail: str = ""
+    run: SignCheckRun, state: str, decision: SignDecision | None, wheels: SignState | None = None, detail: str = ""
 ) -> SignCheckView:
     """Return a check as it is told."""
     ratio = None if decision is None else SignRatios(*decision.log_ratio)

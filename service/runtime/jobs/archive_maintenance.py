@@ -13,17 +13,17 @@ from typing import TypeVar
 
 from service.ports import Clock, Storage
 from service.records.epoch import US_PER_S, format_epoch
-from service.records.storage.archive_upkeep import LOGS, SERIES, Dropped, RetentionConfig, SealedPart, SealingConfig
+from service.records.storage.archive_upkeep import LOGS, SERIES, RetentionConfig, RetiredRows, SealedPart, SealingConfig
 from service.runtime.live.leadership import Turn, always
 
 _LOG = logging.getLogger("soo.upkeep")
 _DAY_US = 86_400 * US_PER_S
 #: between two looks at the sizes of series, which read them through, s
 SIZING_S = 3600.0
-_Step = TypeVar("_Step", SealedPart, Dropped, int)
+_Step = TypeVar("_Step", SealedPart, RetiredRows, int)
 
 
-class Upkeep:
+class ArchiveMaintenance:
     """Seals days and drops rows while the service runs.
 
     Parameters

@@ -12,7 +12,7 @@ from typing import Literal
 from service.core.dynamics.orbital_frame_analysis import (
     MOST_STEPS,
     ClosedLoop,
-    Wish,
+    SettlingRequest,
     check_closed_loop,
     fly_closed_loop,
 )
@@ -42,7 +42,9 @@ class FlightAnalyses:
         Longest flight, Runge-Kutta steps.
     """
 
-    def __init__(self, jobs: JobRunner, flown: Callable[[Wish, int], ClosedLoop], most_steps: int = MOST_STEPS) -> None:
+    def __init__(
+        self, jobs: JobRunner, flown: Callable[[SettlingRequest, int], ClosedLoop], most_steps: int = MOST_STEPS
+    ) -> None:
         self._jobs = jobs
         self._flown = flown
         self._most_steps = most_steps
@@ -50,7 +52,7 @@ class FlightAnalyses:
         self._waiting = 0
         self._results: OrderedDict[str, ClosedLoop] = OrderedDict()
 
-    def start(self, wish: Wish, points: int) -> Job:
+    def start(self, wish: SettlingRequest, points: int) -> Job:
         """Queue a flight whose record is thinned to so many points.
 
         Raises
@@ -78,7 +80,7 @@ class FlightAnalyses:
         with self._lock:
             return self._results.get(job_id)
 
-    def _fly(self, job_id: str, wish: Wish, points: int, report: Progress) -> None:
+    def _fly(self, job_id: str, wish: SettlingRequest, points: int, report: Progress) -> None:
         """Fly and keep the result."""
         try:
             report(0.1)
@@ -97,6 +99,6 @@ class FlightAnalyses:
             self._waiting -= 1
 
 
-def fly_thinned(wish: Wish, points: int, kernels: Literal["numba", "numpy"]) -> ClosedLoop:
+def fly_thinned(wish: SettlingRequest, points: int, kernels: Literal["numba", "numpy"]) -> ClosedLoop:
     """Return a flight with so many rows of its record at most; for a worker process, whose kernel stays compiled."""
     return fly_closed_loop(wish, flight_kernel() if kernels == "numba" else fly).thinned(points)

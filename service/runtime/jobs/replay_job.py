@@ -16,7 +16,7 @@ from service.records.inputs import AlignmentSet
 from service.records.journal import JournalEntry
 from service.records.operations.job import Job, Replay
 from service.runtime.jobs.job_runner import JobRunner, Progress
-from service.runtime.live.journal_consumer import Documents, consume, prepare, trips_after, without_torque_after
+from service.runtime.live.journal_consumer import DocumentCache, consume, prepare, trips_after, without_torque_after
 
 _ENTRIES_AT_ONCE = 512
 _OUTCOMES_AT_ONCE = 500
@@ -90,7 +90,7 @@ class Replayer:
     def _run(self, plan: "_Plan", report: Progress) -> None:
         """Run one replay and store what falls into its span."""
         replay, results = plan.replay, self._storage.results
-        documents = Documents(self._storage.catalogue, results, plan.spacecraft_id)
+        documents = DocumentCache(self._storage.catalogue, results, plan.spacecraft_id)
         methods = METHODS if replay.method is None else (replay.method,)
         chain = Chain(documents, self._config, plan.calibration, methods)
         newest_number = self._storage.archive.head(plan.spacecraft_id).newest_number

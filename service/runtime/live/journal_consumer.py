@@ -30,7 +30,7 @@ _INPUTS_AT_ONCE = 1000
 _FOR_EVER_US = _EVERY_NUMBER = 1 << 62
 
 
-class Documents:
+class DocumentCache:
     """Immutable documents of one spacecraft by number, each read once."""
 
     def __init__(self, catalogue: Catalogue, results: Results, spacecraft_id: str) -> None:

@@ -46,7 +46,7 @@ class FeedEvent:
 
 
 @dataclass(slots=True)
-class Dropped:
+class DroppedRows:
     """What the queue of a slow subscriber had no place for."""
 
     #: by kind of event
@@ -75,7 +75,7 @@ class Subscription:
         self._events: deque[FeedEvent] = deque()
         self._capacity = capacity
         self._arrived = asyncio.Event()
-        self._dropped = Dropped()
+        self._dropped = DroppedRows()
 
     def take(self, events: Sequence[FeedEvent]) -> None:
         """Queue events in the subscriber's own loop; drop the oldest when full."""
@@ -88,7 +88,7 @@ class Subscription:
         """Let the reader look around, in the subscriber's own loop."""
         self._arrived.set()
 
-    async def next_events(self, timeout_s: float) -> tuple[tuple[FeedEvent, ...], Dropped]:
+    async def next_events(self, timeout_s: float) -> tuple[tuple[FeedEvent, ...], DroppedRows]:
         """Return the queued events and what was lost before them; nothing after the timeout."""
         if not self._events:
             self._arrived.clear()
@@ -96,10 +96,10 @@ class Subscription:
                 async with asyncio.timeout(timeout_s):
                     await self._arrived.wait()
             except TimeoutError:
-                return (), Dropped()
+                return (), DroppedRows()
         events, dropped = tuple(self._events), self._dropped
         self._events.clear()
-        self._dropped = Dropped()
+        self._dropped = DroppedRows()
         return events, dropped
 
 

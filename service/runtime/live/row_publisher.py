@@ -18,7 +18,7 @@ from service.runtime.live.live_feed import Cursor, FeedEvent, LiveFeed
 _ROWS_AT_ONCE = 16
 
 
-class RowNews:
+class RowPublisher:
     """Tells listeners of rows; safe from any thread.
 
     Parameters

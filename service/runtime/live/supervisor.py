@@ -24,11 +24,18 @@ from service.records.levels.attitude import AttitudeRow, CarrierState
 from service.records.levels.command import AppliedCommand, TorqueCommand
 from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
 from service.runtime.live.follower_relay import Relay
-from service.runtime.live.journal_consumer import Documents, Trip, consume, prepare, trips_after, without_torque_after
+from service.runtime.live.journal_consumer import (
+    DocumentCache,
+    Trip,
+    consume,
+    prepare,
+    trips_after,
+    without_torque_after,
+)
 from service.runtime.live.leadership import Turn, always
 from service.runtime.live.live_feed import Cursor, FeedEvent, LiveFeed
 from service.runtime.live.row_cache import FreshRows
-from service.runtime.live.row_publisher import RowNews
+from service.runtime.live.row_publisher import RowPublisher
 from service.runtime.live.row_watchers import ReleaseWatcher, Seen, Watcher
 
 _LOG = logging.getLogger("soo.supervisor")
@@ -115,7 +122,7 @@ class Supervisor:
         self._release = release
         self._turn = turn
         self._relay = Relay(storage, feed)
-        self._news = RowNews(feed)
+        self._news = RowPublisher(feed)
         self._fresh = FreshRows()
         self._watcher = watcher
         self._feed = feed
@@ -316,7 +323,7 @@ class Supervisor:
         """Bring a chain to where its results were stored, without storing or publishing anything."""
         archive, results = self._storage.archive, self._storage.results
         head = archive.head(spacecraft_id)
-        chain = Chain(Documents(self._storage.catalogue, results, spacecraft_id), self._config)
+        chain = Chain(DocumentCache(self._storage.catalogue, results, spacecraft_id), self._config)
         number, aligned_us = self._last_alignment(spacecraft_id, head.consumed_number)
         prepare(chain, archive, spacecraft_id, number or head.consumed_number + 1, aligned_us)
         position = head.consumed_number if number is None else number - 1

@@ -39,7 +39,7 @@ class Sensing(StrEnum):
 
 
 @dataclass(frozen=True)
-class Decision:
+class ControllerOutput:
     """What a controller wants at one row."""
 
     schedule: tuple[Pulse, ...] = ()
@@ -52,7 +52,7 @@ class Decision:
 class Controller(Protocol):
     """Decides, row by row, what is sent."""
 
-    def decide(self, measurement: Measurement, truth: CraftTruth, counter: int) -> Decision:
+    def decide(self, measurement: Measurement, truth: CraftTruth, counter: int) -> ControllerOutput:
         """Return what is to be sent under a counter; only a controller with perfect sensing may read the truth."""
         ...
 
@@ -65,9 +65,9 @@ class Controller(Protocol):
 class Idle:
     """Nobody controls."""
 
-    def decide(self, measurement: Measurement, truth: CraftTruth, counter: int) -> Decision:  # noqa: ARG002
+    def decide(self, measurement: Measurement, truth: CraftTruth, counter: int) -> ControllerOutput:  # noqa: ARG002
         """Return nothing to send."""
-        return Decision()
+        return ControllerOutput()
 
     def hear(self, reports: tuple[CommandReport, ...]) -> None:
         """Hear nothing: nothing was sent."""
@@ -81,11 +81,11 @@ class ByChain:
     #: None = an ideal uplink: what the chain computes counts as applied from its epoch
     release: Releaser | None = None
 
-    def decide(self, measurement: Measurement, truth: CraftTruth, counter: int) -> Decision:  # noqa: ARG002
+    def decide(self, measurement: Measurement, truth: CraftTruth, counter: int) -> ControllerOutput:  # noqa: ARG002
         """Return what the chain computes from the powers of the row, or what is released of it."""
         outcome = self.chain.step(measurement)
         if outcome is None or outcome.command is None:
-            return Decision(is_inhibited=True)
+            return ControllerOutput(is_inhibited=True)
         driving = next((row for row in outcome.rows if row.method is Method.ROBUST), None)
         angles = None if driving is None else driving.attitude_deg
         command, schedule = outcome.command, outcome.command.schedule
@@ -93,7 +93,7 @@ class ByChain:
             schedule = self.release.wanted(outcome, driving, measurement, counter)
         elif outcome.applied is not None:
             self.chain.learn(outcome.applied)
-        return Decision(schedule, not command.control_allowed, angles)
+        return ControllerOutput(schedule, not command.control_allowed, angles)
 
     def hear(self, reports: tuple[CommandReport, ...]) -> None:
         """Take what the craft has told of released commands."""
@@ -108,14 +108,14 @@ class ByAngles:
     chain: Chain
     _command: TorqueCommand | None = None
 
-    def decide(self, measurement: Measurement, truth: CraftTruth, counter: int) -> Decision:  # noqa: ARG002
+    def decide(self, measurement: Measurement, truth: CraftTruth, counter: int) -> ControllerOutput:  # noqa: ARG002
         """Return the angles of the row, inhibited where they are not fit for use."""
         outcome = self.chain.step(measurement)
         driving = None if outcome is None else next((r for r in outcome.rows if r.method is Method.ROBUST), None)
         if outcome is None or driving is None:
-            return Decision(is_inhibited=True)
+            return ControllerOutput(is_inhibited=True)
         self._command = outcome.command or self._command
-        return Decision((), not driving.control_allowed, driving.attitude_deg)
+        return ControllerOutput((), not driving.control_allowed, driving.attitude_deg)
 
     def hear(self, reports: tuple[CommandReport, ...]) -> None:
         """Tell the chain the mean torque of the pulses that were executed."""
@@ -137,13 +137,13 @@ class ByTruth:
     period_s: float
     _carry_n_m_s: FloatArray = field(default_factory=lambda: np.array(NO_CARRY))
 
-    def decide(self, measurement: Measurement, truth: CraftTruth, counter: int) -> Decision:  # noqa: ARG002
+    def decide(self, measurement: Measurement, truth: CraftTruth, counter: int) -> ControllerOutput:  # noqa: ARG002
         """Return what the law wants of the truth."""
         row = _row_of_truth(measurement, truth)
         told = compute_command(row, self.spacecraft, self._carry_n_m_s, self.period_s, TorqueConfig())
         self._carry_n_m_s = told.carry_n_m_s
         command = postponed(told.command, self.lead_s)
-        return Decision(command.schedule, attitude_deg=truth.attitude_deg)
+        return ControllerOutput(command.schedule, attitude_deg=truth.attitude_deg)
 
     def hear(self, reports: tuple[CommandReport, ...]) -> None:
         """Hear nothing: the truth tells it all."""

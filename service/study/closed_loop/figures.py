@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from service.study.closed_loop.campaign import LoopCampaign
 from service.study.closed_loop.controllers import Sensing
 from service.study.closed_loop.merit import NARROW_DEG, PERCENTILES
-from service.study.closed_loop.run import Flight
+from service.study.closed_loop.run import FlownRun
 
 _COLOURS = {Sensing.AUTOMATIC: "#1f77b4", Sensing.TRUTH: "#2ca02c", Sensing.OFF: "#d62728"}
 #: deg, what is farther off is cut
@@ -28,7 +28,7 @@ def draw_campaign(campaign: LoopCampaign, folder: Path) -> list[Path]:
     return [path for path in paths if path is not None]
 
 
-def _flights(campaign: LoopCampaign, scenario: str, sensing: Sensing) -> list[Flight]:
+def _flights(campaign: LoopCampaign, scenario: str, sensing: Sensing) -> list[FlownRun]:
     """Return what was flown."""
     found = [one for one in campaign.results if one.unit.scenario == scenario and one.unit.sensing is sensing]
     return [one.flight for one in found if one.flight is not None]

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from service.study.closed_loop.controllers import Sensing
-from service.study.closed_loop.run import Flight, LoopResult, LoopUnit
+from service.study.closed_loop.run import FlownRun, LoopResult, LoopUnit
 
 _ARRAYS = ("hours", "truth_deg", "estimate_deg", "is_inhibited", "is_faded")
 
@@ -44,7 +44,7 @@ def kept(folder: Path, unit: LoopUnit) -> LoopResult | None:
         flight = None
         if head["flight"] is not None:
             told = {**head["flight"], "impulse_n_m_s": tuple(head["flight"]["impulse_n_m_s"])}
-            flight = Flight(**{name: stored[name] for name in _ARRAYS}, **told)
+            flight = FlownRun(**{name: stored[name] for name in _ARRAYS}, **told)
     return LoopResult(unit, head["seconds"], head["refusal"], flight)
 
 

@@ -20,7 +20,7 @@ from service.study.estimation.flight.catalogue_lines import (
     read_spacecraft,
     read_telemetry,
 )
-from service.study.estimation.flight.journal import Documents
+from service.study.estimation.flight.journal import JournalDocuments
 from service.study.estimation.flight.world import AXES, Ground
 
 _SOURCE = "sa-1"
@@ -72,7 +72,7 @@ def _spacecraft(body: Line, fed_forward: Line | None) -> Spacecraft:
     return replace(craft, onboard=replace(craft.onboard, fed_forward_torque=told))
 
 
-def slow_inputs(lines: tuple[Line, ...], documents: Documents, number: int) -> Iterator[SlowInput]:
+def slow_inputs(lines: tuple[Line, ...], documents: JournalDocuments, number: int) -> Iterator[SlowInput]:
     """Yield what some lines of the ground tell the chain; operations are numbered from ``number`` on."""
     for place, line in enumerate(lines):
         kind, body = line["kind"], line.get("body", {})

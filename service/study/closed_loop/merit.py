@@ -8,7 +8,7 @@ import numpy as np
 
 from service.records.levels.attitude import BoolArray
 from service.study.closed_loop.controllers import Sensing
-from service.study.closed_loop.run import Flight, LoopResult
+from service.study.closed_loop.run import FlownRun, LoopResult
 
 #: deg, yaw, roll, pitch: 95 % of the runs within the first, all of them within the second
 NARROW_DEG = (0.4, 0.2, 0.2)
@@ -96,7 +96,7 @@ class GroupMerit:
         return self.narrow_share >= NARROW_SHARE and self.wide_share == 1.0
 
 
-def run_merit(flight: Flight) -> RunMerit:
+def run_merit(flight: FlownRun) -> RunMerit:
     """Return the figures of one flight."""
     size = np.abs(flight.truth_deg)
     step_h = float(np.median(np.diff(flight.hours)))
@@ -155,7 +155,7 @@ def _longest_run(is_set: BoolArray) -> int:
     return int((edges[1::2] - edges[::2]).max(initial=0))
 
 
-def _settled_h(flight: Flight) -> float | None:
+def _settled_h(flight: FlownRun) -> float | None:
     """Return the time from the end of the fade until roll and pitch are both small."""
     wet = np.flatnonzero(flight.is_faded)
     if not len(wet):

@@ -19,7 +19,7 @@ from service.study.closed_loop.controllers import (
     ByChain,
     ByTruth,
     Controller,
-    Decision,
+    ControllerOutput,
     Idle,
     Sensing,
 )
@@ -27,7 +27,7 @@ from service.study.closed_loop.ground_knowledge import ground_of, slow_inputs
 from service.study.closed_loop.plant_process import CraftTruth, PlantProcess, PlantRow
 from service.study.closed_loop.released import Releaser
 from service.study.estimation.flight.drive import UndrivenError, align, calibrate
-from service.study.estimation.flight.journal import Documents
+from service.study.estimation.flight.journal import JournalDocuments
 from service.study.estimation.flight.world import Ground
 
 #: what the craft tells of commands
@@ -63,7 +63,7 @@ class LoopUnit(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Flight:
+class FlownRun:
     """What was flown; T rows of operation."""
 
     #: (T,) since its start
@@ -90,7 +90,7 @@ class LoopResult:
     seconds: float
     #: why nothing was flown, empty where it was
     refusal: str = ""
-    flight: Flight | None = None
+    flight: FlownRun | None = None
 
 
 def fly_unit(unit: LoopUnit) -> LoopResult:
@@ -105,7 +105,7 @@ def fly_unit(unit: LoopUnit) -> LoopResult:
     options = ("--age-limit", str(AGE_LIMIT_S)) if unit.mode == "onboard" else ()
     with PlantProcess(unit.scenario, unit.seed, unit.uplink, unit.operation_days, options) as plant:
         ground = ground_of(plant.opening())
-        documents = Documents()
+        documents = JournalDocuments()
         plan = documents.add_plan(ground.carriers)
         try:
             controller = controller_of(unit, ground, documents, plan)
@@ -115,7 +115,7 @@ def fly_unit(unit: LoopUnit) -> LoopResult:
     return LoopResult(unit, time.monotonic() - began_s, "", flight)
 
 
-def controller_of(unit: LoopUnit, ground: Ground, documents: Documents, plan: PlanChange) -> Controller:
+def controller_of(unit: LoopUnit, ground: Ground, documents: JournalDocuments, plan: PlanChange) -> Controller:
     """Return who closes the loop."""
     is_ideal = unit.uplink == "ideal"
     spacecraft = flown_spacecraft(ground.spacecraft, Release.AUTOMATIC if is_ideal else Release.TWO_STEP)
@@ -164,7 +164,7 @@ class GroundJournal:
     """Hands measurements and slow inputs to whoever reads powers."""
 
     ground: Ground
-    documents: Documents
+    documents: JournalDocuments
     plan_id: int
     number: int = 0
 
@@ -185,7 +185,7 @@ class GroundJournal:
         return Measurement(epoch_us, epoch_us, self.number, source, self.plan_id, power_dbm, None, feeds_estimator=True)
 
 
-def _product(epoch_us: int, counter: int, decision: Decision) -> dict[str, Any] | None:
+def _product(epoch_us: int, counter: int, decision: ControllerOutput) -> dict[str, Any] | None:
     """Return the angles of a row as `attitude/uplink` gives them; None where they are not fit for use."""
     if decision.attitude_deg is None or decision.is_inhibited:
         return None
@@ -194,7 +194,7 @@ def _product(epoch_us: int, counter: int, decision: Decision) -> dict[str, Any] 
     return {"counter": counter, **epochs, "attitude_deg": decision.attitude_deg._asdict()}
 
 
-def _fly(plant: PlantProcess, controller: Controller, journal: GroundJournal, unit: LoopUnit) -> Flight:
+def _fly(plant: PlantProcess, controller: Controller, journal: GroundJournal, unit: LoopUnit) -> FlownRun:
     """Fly to the end of the story."""
     truth: list[CraftTruth] = []
     estimates, inhibited, faded = [], [], []
@@ -226,7 +226,7 @@ def _fly(plant: PlantProcess, controller: Controller, journal: GroundJournal, un
         inhibited.append(is_inhibited)
         faded.append(row.truth.downlink_fade_db > 0.0)
     epochs_us = np.array([state.epoch_us for state in truth])
-    return Flight(
+    return FlownRun(
         hours=(epochs_us - epochs_us[0]) / 3.6e9,
         truth_deg=np.array([state.attitude_deg for state in truth]),
         estimate_deg=np.array(estimates),

@@ -39,7 +39,7 @@ _SNAPSHOT_SEEDS = 16
 _THREADS = "OPENBLAS_NUM_THREADS"
 
 
-class Plan(NamedTuple):
+class CampaignPlan(NamedTuple):
     """What to run."""
 
     scenarios: tuple[str, ...]
@@ -53,7 +53,7 @@ class Plan(NamedTuple):
 class Campaign:
     """What came out of a campaign."""
 
-    plan: Plan
+    plan: CampaignPlan
     seconds: float
     #: of every unit, in the order of scenarios and seeds
     results: tuple[UnitResult, ...]
@@ -78,7 +78,7 @@ class Campaign:
 Show = Callable[[int, int], None]
 
 
-def run_campaign(plan: Plan, show: Show) -> Campaign:
+def run_campaign(plan: CampaignPlan, show: Show) -> Campaign:
     """Run every unit of a plan and judge the figures.
 
     Raises
@@ -112,7 +112,7 @@ def run_campaign(plan: Plan, show: Show) -> Campaign:
 
 
 def assess(
-    plan: Plan,
+    plan: CampaignPlan,
     seconds: float,
     results: tuple[UnitResult, ...],
     figures: dict[tuple[str, str], Figures],

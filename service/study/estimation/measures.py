@@ -41,7 +41,7 @@ WRONG_FROM_H = {
 _US_PER_S = 1_000_000
 
 
-class Control(NamedTuple):
+class ControlOutcome(NamedTuple):
     """What control would have done with an answer."""
 
     #: minutes in which any allowed torque would be wrong, one of roll and pitch, that of yaw
@@ -59,7 +59,7 @@ class Measures(NamedTuple):
     """One answer in one world."""
 
     accuracy: Accuracy
-    control: Control
+    control: ControlOutcome
     rain: RainFigures
     faults: FaultFigures
     #: (E, 3) deg, change of the error over each step of a transponder
@@ -120,11 +120,11 @@ def _control(
     fade_db: FloatArray,
     is_night: BoolArray,
     row_min: float,
-) -> Control:
+) -> ControlOutcome:
     """Return what control would have done."""
     is_allowed, is_dry = series.is_control_allowed[judged], fade_db == 0.0
     nights = stretches(is_night)
-    return Control(
+    return ControlOutcome(
         row_min * float(np.count_nonzero(is_wrong.any(axis=1))),
         row_min * float(np.count_nonzero(is_wrong[:, 1:].any(axis=1))),
         row_min * float(np.count_nonzero(is_wrong[:, 0])),

@@ -21,7 +21,7 @@ _DASH = "-"
 _PAGE_WIDTH = 120
 
 
-class Table(NamedTuple):
+class ReportTable(NamedTuple):
     """Rows under a title."""
 
     title: str
@@ -29,7 +29,7 @@ class Table(NamedTuple):
     rows: tuple[tuple[str, ...], ...]
 
 
-def tables(campaign: Campaign) -> tuple[Table, ...]:
+def tables(campaign: Campaign) -> tuple[ReportTable, ...]:
     """Return the tables of a campaign; what was not run has no row, a table without rows is left out."""
     made = (_accuracy(campaign), _baselines(campaign), _control(campaign), _events(campaign), _bounds(campaign))
     return tuple(table for table in made if table.rows)
@@ -145,7 +145,7 @@ def _answers(campaign: Campaign) -> Iterator[tuple[str, str, Figures]]:
             yield scenario, answer, figures
 
 
-def _accuracy(campaign: Campaign) -> Table:
+def _accuracy(campaign: Campaign) -> ReportTable:
     """Return the errors of both methods."""
     rows = tuple(
         (
@@ -159,10 +159,10 @@ def _accuracy(campaign: Campaign) -> Table:
         )
         for scenario, method, figures in _answers(campaign)
     )
-    return Table("Errors", ("scenario", "method", "rms", "p95", "skill", "slope", "rms/sigma"), rows)
+    return ReportTable("Errors", ("scenario", "method", "rms", "p95", "skill", "slope", "rms/sigma"), rows)
 
 
-def _baselines(campaign: Campaign) -> Table:
+def _baselines(campaign: Campaign) -> ReportTable:
     """Return the errors of the answers that need no powers; that of zero is the truth's own size."""
     rows = []
     for (scenario, answer), figures in campaign.figures.items():
@@ -171,10 +171,10 @@ def _baselines(campaign: Campaign) -> Table:
             robust, corrections, coupling = (_angles(other, "rms_deg", 3) for other in others)
             rows.append((scenario, _angles(figures, "rms_deg", 3), corrections, coupling, robust))
     columns = ("scenario", "zero = truth", "corrections only", "coupling only", "robust")
-    return Table("Rms of answers without powers", columns, tuple(rows))
+    return ReportTable("Rms of answers without powers", columns, tuple(rows))
 
 
-def _control(campaign: Campaign) -> Table:
+def _control(campaign: Campaign) -> ReportTable:
     """Return what control would have done."""
     rows = tuple(
         (
@@ -199,10 +199,10 @@ def _control(campaign: Campaign) -> Table:
         "alarms a day",
         "alarm after, min",
     )
-    return Table("Control", columns, rows)
+    return ReportTable("Control", columns, rows)
 
 
-def _events(campaign: Campaign) -> Table:
+def _events(campaign: Campaign) -> ReportTable:
     """Return how rain and faults were noticed; a scenario that has neither has no row."""
     rows = tuple(
         (
@@ -230,10 +230,10 @@ def _events(campaign: Campaign) -> Table:
         "after, min",
         "false exclusion",
     )
-    return Table("Rain and faults", columns, rows)
+    return ReportTable("Rain and faults", columns, rows)
 
 
-def _bounds(campaign: Campaign) -> Table:
+def _bounds(campaign: Campaign) -> ReportTable:
     """Return every bound with its mark, the axes of a figure in one row."""
     rows = []
     for (scenario, method, figure), group in groupby(campaign.judged, key=_figure_of):
@@ -250,7 +250,7 @@ def _bounds(campaign: Campaign) -> Table:
                 _joined([judged.mark.value for judged in axes]),
             )
         )
-    return Table("Bounds", ("scenario", "method", "figure", "value", "must", "goal", "mark"), tuple(rows))
+    return ReportTable("Bounds", ("scenario", "method", "figure", "value", "must", "goal", "mark"), tuple(rows))
 
 
 def _figure_of(judged: Judged) -> tuple[str, str, str]:

@@ -16,7 +16,7 @@ from service.core.flexible.capture.capture import (
 from service.core.flexible.closed_forms import cycle_period_s
 from service.core.flexible.motion import follow_motion
 from service.core.flexible.propagation import BodyState
-from service.core.flexible.spacecraft import FlexibleMode, WheelDrive
+from service.core.flexible.spacecraft import HubMode, WheelDrive
 from service.core.flexible.switching_law import SwitchingLaw
 from service.study.limit_cycles import reference
 from service.study.limit_cycles.comparison import Compared, ComparedTable, holds
@@ -37,9 +37,9 @@ def switch_of(case: CaptureCase) -> SwitchOn:
     return SwitchOn(reference.PULSE_RAD_S2, reference.PASSIVE_RAD_S2, *lines)
 
 
-def mode_of(case: CaptureCase) -> FlexibleMode:
+def mode_of(case: CaptureCase) -> HubMode:
     """Return the mode of a case."""
-    return FlexibleMode(case.omega_rad_s, case.damping_ratio, case.coupling)
+    return HubMode(case.omega_rad_s, case.damping_ratio, case.coupling)
 
 
 def is_captured(case: CaptureCase, amplitude_rad: float) -> bool:
@@ -97,7 +97,7 @@ def band_table() -> ComparedTable:
             rows.append(Compared(case, "w-, rad/s", band[0], found.low_rad_s, 1e-6))
             rows.append(Compared(case, "w+, rad/s", band[1], found.high_rad_s, 1e-6))
     for swing, omega, printed in reference.SURFACE:
-        mode = FlexibleMode(omega, 0.01, 0.5)
+        mode = HubMode(omega, 0.01, 0.5)
         found_rad_s = rigid_frequency_rad_s(cycle_switch(), mode, swing)
         rows.append(Compared(f"C {swing:g}, w {omega:g}", "w_T by (26), rad/s", printed, found_rad_s, 1e-6))
     own = 2.0 * math.pi / cycle_period_s(reference.BASE, 1.0, 1)
@@ -114,7 +114,7 @@ class Lock(NamedTuple):
 
 def perpetual_lock(case: PerpetualCase) -> Lock:
     """Return what 150 periods of a relay on a body without friction come to."""
-    mode = FlexibleMode(case.omega_rad_s, case.damping_ratio, case.coupling)
+    mode = HubMode(case.omega_rad_s, case.damping_ratio, case.coupling)
     drive = WheelDrive(1000.0, 0.2, momentum_limit_n_m_s=1e6)
     period_s = 2.0 * math.pi / case.omega_rad_s
     start = BodyState(reference.BETA_RAD - case.amplitude_rad, 1e-4, case.amplitude_rad)
@@ -130,7 +130,7 @@ def perpetual_table() -> ComparedTable:
     rows: list[Compared] = []
     for case in reference.PERPETUAL:
         switch = SwitchOn(2e-4, 0.0, 1e-4, reference.ALPHA_RAD, reference.BETA_RAD)
-        limit = perpetual_amplitude_rad(switch, FlexibleMode(case.omega_rad_s, case.damping_ratio, case.coupling))
+        limit = perpetual_amplitude_rad(switch, HubMode(case.omega_rad_s, case.damping_ratio, case.coupling))
         lock = perpetual_lock(case)
         name = f"w {case.omega_rad_s:g}, kn {case.coupling:g}, xi {case.damping_ratio:g}, p0 {case.amplitude_rad:g}"
         rows.append(Compared(name, "p_inf / beta", case.lock_ratio, limit / reference.BETA_RAD, 6e-3))

@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 
 from service.core.flexible.capture.capture import least_capturing_amplitude_rad, rigid_frequency_rad_s, stable_band
 from service.core.flexible.closed_forms import cycle_period_s
-from service.core.flexible.motion import Motion, follow_motion
+from service.core.flexible.motion import FlexibleMotion, follow_motion
 from service.core.flexible.phi_functions import FloatArray
 from service.core.flexible.propagation import BodyState
-from service.core.flexible.spacecraft import FlexibleMode, WheelDrive
+from service.core.flexible.spacecraft import HubMode, WheelDrive
 from service.core.flexible.succession import koenigs_lamerey, succession
 from service.core.flexible.switching_law import SwitchingLaw
 from service.study.limit_cycles import reference
@@ -23,7 +23,7 @@ from service.study.limit_cycles.cycle_tables import cycle_of, motion_of
 
 _COLORS = ("#1f77b4", "#ff7f0e", "#2ca02c", "#d62728", "#9467bd")
 #: mode of the panels in the figure of the cycles; the paper gives none
-_MODE = FlexibleMode(0.5, 0.005, 0.5)
+_MODE = HubMode(0.5, 0.005, 0.5)
 _NAMES = ("A0", "B3", "C2")
 _SETTLED_PERIODS = 4.0
 #: angles are drawn in mrad
@@ -78,7 +78,7 @@ def _draw_bi_plane(path: Path) -> None:
     _save(figure, path)
 
 
-def _relay_from_line(mode: FlexibleMode, amplitude_rad: float) -> Motion:
+def _relay_from_line(mode: HubMode, amplitude_rad: float) -> FlexibleMotion:
     """Return the motion of a relay from its line with a swing of the mode at its worst phase."""
     inertia = reference.BASE.inertia_kg_m2
     drive = WheelDrive(inertia, 0.2, reference.PASSIVE_RAD_S2 * inertia, momentum_limit_n_m_s=1e6)
@@ -109,7 +109,7 @@ def _draw_cycles(path: Path) -> None:
     _save(figure, path)
 
 
-def _cycle_states(name: str, mode: FlexibleMode | None, after_periods: float) -> FloatArray:
+def _cycle_states(name: str, mode: HubMode | None, after_periods: float) -> FloatArray:
     """Return states over one period of a cycle, some periods after its start."""
     case, cycle = reference.CYCLES[name], cycle_of(name)
     momentum = case.drive.momentum_n_m_s - case.drive.inertia_kg_m2 * cycle.speed_rad_s
@@ -157,7 +157,7 @@ def _draw_stability(path: Path) -> None:
     band.legend()
     omegas = np.linspace(0.3, 12.0, 400)
     for color, swing in zip(_COLORS, (0.0, 1e-3, 5e-3, 2e-2, 8e-2), strict=True):
-        bound = [rigid_frequency_rad_s(cycle_switch(), FlexibleMode(float(w), 0.01, 0.5), swing) for w in omegas]
+        bound = [rigid_frequency_rad_s(cycle_switch(), HubMode(float(w), 0.01, 0.5), swing) for w in omegas]
         surface.plot(omegas, bound, color=color, label=f"C {swing:g}")
     own = 2.0 * math.pi / cycle_period_s(reference.BASE, 1.0, 1)
     surface.axhline(own, color="#555555", linestyle="--", linewidth=0.9, label="cycle A0")

@@ -6,7 +6,7 @@ import numpy as np
 
 from service.core.flexible.schedule.schedule_figures import FREQUENCY_COUNT, FREQUENCY_REACH
 from service.core.flexible.schedule.schedule_response import TorquePulse, schedule_response
-from service.core.flexible.spacecraft import FlexibleMode
+from service.core.flexible.spacecraft import HubMode
 from service.study.limit_cycles import reference
 from service.study.limit_cycles.comparison import Compared, ComparedTable
 
@@ -26,7 +26,7 @@ def schedules() -> dict[str, tuple[TorquePulse, ...]]:
 def schedule_table() -> ComparedTable:
     """Return T6."""
     inertia, mode_numbers, _, _ = reference.SCHEDULE_AXIS
-    mode = FlexibleMode(*mode_numbers)
+    mode = HubMode(*mode_numbers)
     tried = mode.omega_rad_s * np.linspace(1.0 - FREQUENCY_REACH, 1.0 + FREQUENCY_REACH, FREQUENCY_COUNT)
     rows = []
     for name, pulses in schedules().items():

@@ -5,7 +5,7 @@ from pathlib import Path
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from service.core.dynamics.orbital_frame_flight import Flight, Start, fly_craft
+from service.core.dynamics.orbital_frame_flight import FlightRecord, Start, fly_craft
 from service.core.dynamics.orbital_frame_kernel import Fly
 from service.study.orbital_frame.reproduction import STABILISATION_S, full_craft, transient_flights
 
@@ -30,7 +30,7 @@ def draw_reproduction(kernel: Fly, folder: Path, suffix: str = "png") -> list[Pa
     return drawn
 
 
-def _draw(flight: Flight, title: str, path: Path) -> None:
+def _draw(flight: FlightRecord, title: str, path: Path) -> None:
     """Draw the three angles of a flight below one another."""
     with mpl.rc_context({"font.size": 9, "axes.grid": True, "grid.alpha": 0.3, "svg.hashsalt": "soo"}):
         figure = Figure(figsize=(8.0, 5.5), layout="constrained")

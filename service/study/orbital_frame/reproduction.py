@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 
 from service.core.dynamics.orbital_frame_flight import (
-    Flight,
+    FlightRecord,
     Start,
     fly_craft,
     harmonic_amplitude,
@@ -21,13 +21,13 @@ from service.core.dynamics.orbital_frame_model import (
     MIN_GAINS,
     NOMINAL_INERTIA,
     ORBITAL_RATE_RAD_S,
+    AxisWheels,
     Craft,
-    Gains,
     Law,
+    OrbitalFrameGains,
     RateSensor,
     Tones,
     VerticalSensor,
-    Wheels,
     rigid_craft,
 )
 from service.study.published import Row, row, statement_row
@@ -68,7 +68,7 @@ def reproduce(kernel: Fly, tell: Callable[[str], None] = lambda _what: None) -> 
     return tuple(rows)
 
 
-def transient_flights(kernel: Fly, gains: Gains = MAX_GAINS) -> tuple[Flight, Flight]:
+def transient_flights(kernel: Fly, gains: OrbitalFrameGains = MAX_GAINS) -> tuple[FlightRecord, FlightRecord]:
     """Return the flights of figures 2 and 3: yaw of 10 and roll of 2 degrees at the start."""
     craft = rigid_craft(gains)
     return (
@@ -85,7 +85,9 @@ def _slow_transients(kernel: Fly) -> list[Row]:
     return _transient_rows(*transient_flights(kernel, MIN_GAINS), "the same, smallest yaw gains", is_known_miss=True)
 
 
-def _transient_rows(yaw: Flight, roll: Flight, parameters: str, *, is_known_miss: bool = False) -> list[Row]:
+def _transient_rows(
+    yaw: FlightRecord, roll: FlightRecord, parameters: str, *, is_known_miss: bool = False
+) -> list[Row]:
     """Return what the print says of both transients; it does not say with which gains they were flown."""
     first_s = float(yaw.time_s[np.flatnonzero(np.abs(yaw.yaw_deg) <= 0.1)[0]])
     settled_s = time_within(roll.time_s, roll.roll_deg, 0.02)
@@ -211,8 +213,10 @@ def _noise(kernel: Fly) -> list[Row]:
 def _friction(kernel: Fly) -> list[Row]:
     """Return what each part of the wheels' model alone does to the mean of yaw."""
     rigid = rigid_craft(MIN_GAINS, NOMINAL_INERTIA, is_sampled=True)
-    none = Wheels(dry_friction_n_m=0.0, viscous_friction_n_m_s=0.0, cogging_n_m=0.0, no_load_rad_s=1e9)
-    parts = {name: getattr(Wheels(), name) for name in none._fields if getattr(none, name) != getattr(Wheels(), name)}
+    none = AxisWheels(dry_friction_n_m=0.0, viscous_friction_n_m_s=0.0, cogging_n_m=0.0, no_load_rad_s=1e9)
+    parts = {
+        name: getattr(AxisWheels(), name) for name in none._fields if getattr(none, name) != getattr(AxisWheels(), name)
+    }
     means = {}
     for name, value in parts.items():
         craft = rigid._replace(wheels=none._replace(**{name: value}))

@@ -54,7 +54,7 @@ from service.records.levels.attitude import AttitudeRow, Axes, Exclusion, Status
 from service.records.levels.command import Pulse, TorqueCommand
 from service.records.levels.measurement import CarrierDetails, Measurement, MeasurementBatch
 from service.records.operations.job import Replay
-from service.runtime.alarms.alarm_service import AlarmDesk
+from service.runtime.alarms.alarm_service import AlarmService
 from service.runtime.alarms.notifications import NoticeChannels
 from service.runtime.control.release_notifications import ReleasePublisher
 from service.runtime.control.release_service import ReleaseService
@@ -312,7 +312,7 @@ async def bench(storage: SqlStorage, workers: Workers) -> AsyncIterator[Bench]:
         clock=clock,
         supervisor=Supervisor(storage, feed, config),
         # its thread is not started: tests look when they want to
-        alarms=AlarmDesk(storage, clock, feed, condition_table(AlarmConfig(), RobustConfig()), NoticeChannels()),
+        alarms=AlarmService(storage, clock, feed, condition_table(AlarmConfig(), RobustConfig()), NoticeChannels()),
         feed=feed,
         calibrator=Calibrator(storage, clock, jobs, partial(fitted, CalibrationConfig()), 2),
         aligner=Aligner(storage, clock, AlignmentConfig()),

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from service.api.context.carrier_names import CarrierNames
+from service.api.context.carrier_names import CarrierNameCache
 from service.api.stream.backlog import ArchiveReader
 from service.api.stream.event_cache import EventTexts
 from service.pipeline.alarms.readings import RowFacts
@@ -165,7 +165,7 @@ async def test_a_stream_resumes_changes_of_alarms_without_loss(bench, absent, ma
     absent("c00")
     absent()
     raised, returned = bench.storage.alarms.changes_after(make.sc, 0, 10)
-    names = CarrierNames(bench.storage.catalogue)
+    names = CarrierNameCache(bench.storage.catalogue)
     reader = ArchiveReader(bench.storage, names, make.sc)
     present, _ = reader.present_and_end()
     assert present.alarm == returned.sequence

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from service.core.dynamics.orbital_frame_analysis import ClosedLoop, Wish
+from service.core.dynamics.orbital_frame_analysis import ClosedLoop, SettlingRequest
 from service.runtime.jobs.flight_analysis_job import MOST_RESULTS, MOST_WAITING, FlightAnalyses, fly_thinned
 
 pytestmark = pytest.mark.anyio
@@ -137,7 +137,7 @@ async def test_results_that_are_not_there_are_told_apart(bench):
 async def test_only_so_many_wait_at_once(bench):
     begun = threading.Event()
 
-    def flown_later(wish: Wish, points: int) -> ClosedLoop:
+    def flown_later(wish: SettlingRequest, points: int) -> ClosedLoop:
         assert begun.wait(120)
         return fly_thinned(wish, points, "numpy")
 

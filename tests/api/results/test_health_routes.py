@@ -13,7 +13,7 @@ from service.errors import StorageError
 from service.ports import Outcome
 from service.records.levels.attitude import Axes, CarrierState
 from service.records.operations.link import LinkReport
-from service.runtime.log_format import JsonLines
+from service.runtime.log_format import JsonLogFormatter
 
 pytestmark = pytest.mark.anyio
 
@@ -177,7 +177,7 @@ async def test_every_request_has_a_line_with_its_id_and_template(bench, make, ca
 async def test_lines_written_while_a_request_is_served_name_it(bench, monkeypatch):
     written = []
     handler = logging.Handler()
-    handler.setFormatter(JsonLines())
+    handler.setFormatter(JsonLogFormatter())
     handler.emit = lambda record: written.append(json.loads(handler.format(record)))
 
     def fail() -> None:

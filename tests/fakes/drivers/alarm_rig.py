@@ -11,7 +11,7 @@ from service.pipeline.config import AlarmConfig, RobustConfig
 from service.records.catalogue import Carrier, CarrierPlan, Method
 from service.records.levels.measurement import Measurement, MeasurementBatch
 from service.records.operations.link import LinkReport
-from service.runtime.alarms.alarm_service import AlarmDesk
+from service.runtime.alarms.alarm_service import AlarmService
 from service.runtime.alarms.notifications import NoticeChannels
 from service.runtime.live.live_feed import LiveFeed
 
@@ -66,7 +66,7 @@ class Rig:
         feed = LiveFeed()
         feed.publish = lambda spacecraft_id, events: self.events.extend(events)
         conditions = condition_table(AlarmConfig(), RobustConfig())
-        self.desk = AlarmDesk(self.storage, self.clock, feed, conditions, self.notices)
+        self.desk = AlarmService(self.storage, self.clock, feed, conditions, self.notices)
 
     def row(self, minute, *power_dbm, is_late=False):
         epoch_us = START + round(minute * MINUTE)

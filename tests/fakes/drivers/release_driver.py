@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from service.core.control.envelope import Envelope
-from service.core.control.sign_check import Verdict
+from service.core.control.sign_check import SignState
 from service.core.control.slew_schedule import Drive, plan_slew, predicted_effect
 from service.pipeline.control.release.advance import advance, restored
 from service.pipeline.control.release.command_states import CommandTransition
@@ -125,7 +125,7 @@ class ReleaseDriver:
         if isinstance(event, ResponseJudged):
             self.is_tripped |= event.log_ratio > 9.0
         if isinstance(event, SignJudged):
-            self.is_tripped |= event.verdict in (Verdict.MINUS, Verdict.NOTHING)
+            self.is_tripped |= event.verdict in (SignState.MINUS, SignState.NOTHING)
         if isinstance(event, Order):
             self.is_tripped = (self.is_tripped or event.kind is OrderKind.STOP) and event.kind is not OrderKind.RESET
         # before the event is looked at, and with what it told
@@ -237,7 +237,7 @@ class ReleaseDriver:
         self.rows(11)
         self.order(OrderKind.ARM)
         for axis in ("yaw", "roll", "pitch"):
-            self.send(SignJudged(self.at, axis, Verdict.PLUS))
+            self.send(SignJudged(self.at, axis, SignState.PLUS))
         assert self.name == "ARMED"
         return self
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from release_storage import SC, FakeArchive, KilledError
 
-from service.core.control.sign_check import Verdict
+from service.core.control.sign_check import SignState
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.release.control_verdict import control_verdict
 from service.pipeline.control.release.events import OrderKind, SignJudged
@@ -176,7 +176,7 @@ class ReleaseServiceDriver:
         release = self.service._release(SC)
         for axis in axes:
             at = self.service._instant(release, SC)
-            release.case.step(SignJudged(at, axis, Verdict.PLUS), self.settings)
+            release.case.step(SignJudged(at, axis, SignState.PLUS), self.settings)
 
     def armed(self) -> "ReleaseServiceDriver":
         self.rows(12)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from service.frontend.acquisition.evaluation import MeasuredRow
-from service.frontend.spool.file import Bounds, Lane, Owner
+from service.frontend.spool.file import Bounds, Owner, UploadLane
 from service.frontend.spool.row import ARRAYS, SpooledTask
 from service.frontend.spool.spool import Spool
 from service.records.levels.sweep import Sweep, SweepSettings
@@ -62,7 +62,7 @@ def spool(
 
 def waiting(made: Spool, limit: int = 1000) -> list[tuple[int | None, int]]:
     """Return number and epoch of what waits."""
-    return [(each.seq, each.row.epoch_us) for each in made.batch(Lane.LIVE, 0, limit)]
+    return [(each.seq, each.row.epoch_us) for each in made.batch(UploadLane.LIVE, 0, limit)]
 
 
 def fill_disk(made: Spool) -> None:

@@ -34,7 +34,7 @@ from service.records.inputs import (
 from service.records.levels.attitude import AttitudeRow, BoolArray, FloatArray, IntArray, Status
 from service.records.levels.measurement import Measurement
 from service.study.estimation.flight.drive import calibrate
-from service.study.estimation.flight.journal import Documents, measurements, slow_entries
+from service.study.estimation.flight.journal import JournalDocuments, measurements, slow_entries
 from service.study.estimation.flight.world import Ground, read_world
 
 HOUR_US = 3_600_000_000
@@ -131,7 +131,7 @@ class DrivenWorld:
         """Calibrate and align with what a ground knows and measured."""
         self.ground = ground
         self.start_us = self.ground.phases["operation"].start_us
-        self.documents = Documents()
+        self.documents = JournalDocuments()
         self.documents.add_plan(self.ground.carriers)
         self.documents.add_ephemeris(self.ground.ephemeris)
         self.documents.calibrations[1] = calibrate(self.ground, self.documents.plans[1], self.documents.ephemerides[1])
@@ -184,7 +184,7 @@ class DrivenWorld:
         power_dbm[rows] = block
         return power_dbm
 
-    def aligned_chain(self, documents: Documents, number: int = 1, methods: Any = ROBUST_ONLY) -> Chain:
+    def aligned_chain(self, documents: JournalDocuments, number: int = 1, methods: Any = ROBUST_ONLY) -> Chain:
         """Return a chain that has heard everything up to an alignment."""
         chain = Chain(documents, ChainConfig(), methods=methods)
         told = [entry.content for entry in slow_entries(self.ground, documents) if entry.epoch_us < self.start_us]
@@ -206,7 +206,7 @@ class DrivenWorld:
     def fly_ground(self, ground: Ground, *, until_h: float = np.inf, method: Method = Method.ROBUST) -> Flown:
         """Return what a method says of the rows of operation of a ground; no flight may acquire what is no angle."""
         kept = self.documents
-        documents = Documents(dict(kept.plans), dict(kept.ephemerides), kept.calibrations, kept.alignments)
+        documents = JournalDocuments(dict(kept.plans), dict(kept.ephemerides), kept.calibrations, kept.alignments)
         chain = self.aligned_chain(documents, methods=(method,))
         entries = [entry for entry in slow_entries(ground, documents) if entry.epoch_us >= self.start_us]
         rows = np.flatnonzero(ground.is_measured & (self.hours >= 0.0) & (self.hours < until_h))

@@ -3,7 +3,7 @@
 import numpy as np
 
 from service.core.control import sign_check
-from service.core.control.sign_check import Circumstances, Decision, Evidence, Sign, decide
+from service.core.control.sign_check import Sign, SignContext, SignDecision, SignLikelihoods, decide
 from service.core.control.sign_profiles import Profile, profile_angles_deg
 from service.core.estimation.filtering.model.filter_model import CarrierModel
 
@@ -65,9 +65,9 @@ def powers_db(
     return powers + walk + rng.normal(0.0, 0.5, (runs, 1, 1)) + rng.normal(0.0, 0.5, (runs, 1, carriers))
 
 
-def decisions(model: CarrierModel, epochs_s: np.ndarray, profile: Profile, powers: np.ndarray) -> list[Decision]:
+def decisions(model: CarrierModel, epochs_s: np.ndarray, profile: Profile, powers: np.ndarray) -> list[SignDecision]:
     """Return what `weigh` and `decide` say of each run; one factor serves all of them."""
-    still = Circumstances(np.zeros(3))
+    still = SignContext(np.zeros(3))
     turn = profile_angles_deg(profile, epochs_s)
     rows, carriers = len(epochs_s), model.carriers
     covariance = sign_check._covariance(model, epochs_s, still, np.ones((rows, carriers), dtype=bool))
@@ -79,6 +79,6 @@ def decisions(model: CarrierModel, epochs_s: np.ndarray, profile: Profile, power
     values = carriers * np.arange(1, rows + 1)
     squares = np.stack(sums, axis=-1)
     return [
-        decide(Evidence(-0.5 * squares[:, run], squares[:, run].min(axis=1) / values, values))
+        decide(SignLikelihoods(-0.5 * squares[:, run], squares[:, run].min(axis=1) / values, values))
         for run in range(len(powers))
     ]

@@ -38,7 +38,7 @@ from service.frontend.measurement_task import MeasurementTask, parse_task
 from service.frontend.spool.file import Owner
 from service.frontend.spool.row import SpooledTask
 from service.frontend.spool.spool import Spool
-from service.frontend.station import Station, StationSummary
+from service.frontend.station import MeasuringStation, StationSummary
 from service.frontend.upload.uploader import UploadSettings
 from service.records.levels.quality_flag import QualityFlag
 
@@ -65,7 +65,7 @@ class Bench:
         self.client = ServiceClient(f"http://127.0.0.1:{self.recorder.port}", "key", retries=0, timeout_s=0.4)
         ids = tuple(carrier.id for carrier in self.task.carriers)
         self.spool = Spool(folder / "sa-1.spool", Owner("sc", "sa-1"), SpooledTask("0" * 64, ids), lambda: 0)
-        self.station = Station(
+        self.station = MeasuringStation(
             self.task,
             AcquisitionSettings(
                 f"TCPIP::127.0.0.1::{self.analyzer.port}::SOCKET",

@@ -19,7 +19,7 @@ from analyzer_sim.dialects.makers.rs import IDENTITY
 from analyzer_sim.emission import Emission, Signal
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import TracePainter
-from analyzer_sim.instrument.sweep_life import Pace, SweepLife
+from analyzer_sim.instrument.sweep_life import Pace, SweepProgress
 from analyzer_sim.lines.line_faults import GARBAGE_BYTES, LineFault
 from analyzer_sim.lines.server import AnalyzerThread, start_in_thread
 
@@ -253,7 +253,7 @@ READ_TRACE = {
 @pytest.mark.parametrize("name", list(DIALECTS))
 def test_every_dialect_sweeps_at_real_pace(name: str) -> None:
     dialect, source = DIALECTS[name], StandingSource()
-    instrument = Instrument(source, TracePainter(1), model=dialect.model, life=SweepLife(Pace.REAL))
+    instrument = Instrument(source, TracePainter(1), model=dialect.model, life=SweepProgress(Pace.REAL))
     with start_in_thread(instrument, dialect=dialect) as handle, connect(handle.port) as line:
         line.sendall(b"*RST;*CLS;:FREQ:STAR 954 MHZ;STOP 990 MHZ;:BAND 30 KHZ;:SWE:TIME 0.15;:INIT:CONT ON\n")
         traces = {ask(line, READ_TRACE[name]) for _ in range(3)}

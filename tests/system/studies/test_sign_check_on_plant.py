@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.core.control.sign_check import Verdict
+from service.core.control.sign_check import SignState
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.control_design import control_design
 from service.pipeline.control.release.settings import ReleaseSettings
@@ -15,7 +15,7 @@ from service.study.closed_loop.controllers import LEAD_S, Sensing
 from service.study.closed_loop.ground_knowledge import ground_of
 from service.study.closed_loop.plant_process import PlantProcess, PlantRow
 from service.study.closed_loop.run import GroundJournal, LoopUnit, controller_of
-from service.study.estimation.flight.journal import Documents
+from service.study.estimation.flight.journal import JournalDocuments
 
 pytestmark = pytest.mark.system
 
@@ -27,7 +27,7 @@ class CheckedCraft:
 
     def __init__(self, plant: PlantProcess, axis: str) -> None:
         ground = ground_of(plant.opening())
-        documents = Documents()
+        documents = JournalDocuments()
         plan = documents.add_plan(ground.carriers)
         unit = LoopUnit("nominal", SEED, Sensing.AUTOMATIC)
         self.controller = controller_of(unit, ground, documents, plan)
@@ -37,7 +37,7 @@ class CheckedCraft:
         self.check: SignCheckRun | None = None
         self.sent: dict[int, tuple[Pulse, ...]] = {}
 
-    def take(self, row: PlantRow) -> Verdict:
+    def take(self, row: PlantRow) -> SignState:
         """Take a row and send the next leg when it is due; return what the powers say."""
         self.journal.learn(row, self.controller)
         self.controller.chain.step(self.journal.measurement(row))
@@ -55,7 +55,7 @@ class CheckedCraft:
                 self.check.pending = None
         self.plant.send(*self._leg(epoch_us + round(LEAD_S * US_PER_S)))
         decision = self.check.decision()
-        return Verdict.OPEN if decision is None else decision.verdict
+        return SignState.OPEN if decision is None else decision.verdict
 
     def _leg(self, start_us: int) -> tuple[tuple[Pulse, ...], int | None]:
         """Return the next leg and its counter; nothing where none is due."""
@@ -78,20 +78,20 @@ class CheckedCraft:
 @pytest.mark.parametrize(
     ("axis", "response", "expected"),
     [
-        ("roll", "roll=-1", Verdict.MINUS),
-        ("roll", "roll=1", Verdict.PLUS),
-        pytest.param("pitch", "pitch=-1", Verdict.MINUS, marks=pytest.mark.nightly),
+        ("roll", "roll=-1", SignState.MINUS),
+        ("roll", "roll=1", SignState.PLUS),
+        pytest.param("pitch", "pitch=-1", SignState.MINUS, marks=pytest.mark.nightly),
     ],
 )
 def test_a_wrong_wheel_sign_is_found_before_a_tenth_of_a_degree_is_lost(axis, response, expected):
     place = ("yaw", "roll", "pitch").index(axis)
     with PlantProcess("nominal", SEED, "link", 0.05, ("--response", response)) as plant:
         craft = CheckedCraft(plant, axis)
-        angles, verdict = [], Verdict.OPEN
+        angles, verdict = [], SignState.OPEN
         for row in plant.rows():
             angles.append(row.truth.attitude_deg[place])
             verdict = craft.take(row)
-            if verdict is not Verdict.OPEN:
+            if verdict is not SignState.OPEN:
                 break
     lost = float(np.abs(np.array(angles) - angles[0]).max())
     print(f"seed {SEED}, {response}: {verdict.value} after {len(angles)} min, {lost:.3f} deg of {axis} lost")

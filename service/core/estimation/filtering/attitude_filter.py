@@ -44,7 +44,7 @@ from service.core.estimation.filtering.watches.command_watch import (
     push_row,
 )
 from service.core.estimation.filtering.watches.drift_watch import push_drift, scaled_settings
-from service.core.estimation.filtering.watches.integrity import Evidence, IntegrityLimits, assess
+from service.core.estimation.filtering.watches.integrity import IntegrityInputs, IntegrityLimits, assess
 from service.core.estimation.filtering.watches.motion_watch import newly_explained, pass_motion
 
 __all__ = ["MIN_CARRIERS", "FilterState", "FilterStep", "start", "step"]
@@ -233,7 +233,7 @@ def _told(
 ) -> FilterStep:
     """Return what is told about a state."""
     gaussian = state.gaussian
-    evidence = Evidence(
+    evidence = IntegrityInputs(
         gaussian.attitude_sigma_deg,
         len(used),
         state.rain.is_raining,

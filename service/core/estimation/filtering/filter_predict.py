@@ -41,7 +41,7 @@ _SMALL = 1e-6
 _S_PER_H = 3600.0
 
 
-class Motion(NamedTuple):
+class TransitionMatrices(NamedTuple):
     """Transition of attitude, drift and commanded rate over one step."""
 
     #: (9, 9)
@@ -70,7 +70,7 @@ def _drift_to_attitude(hours: float, coupling_per_h: float, tau_h: float) -> Flo
 
 
 @lru_cache(maxsize=64)
-def motion_over(step_us: int, settings: FilterSettings) -> Motion:
+def motion_over(step_us: int, settings: FilterSettings) -> TransitionMatrices:
     """Return the exact motion over a step.
 
     Parameters
@@ -82,7 +82,7 @@ def motion_over(step_us: int, settings: FilterSettings) -> Motion:
 
     Returns
     -------
-    Motion
+    TransitionMatrices
         Arrays nobody may write: one answer serves every step of the same length.
     """
     hours = step_us / 1e6 / _S_PER_H
@@ -102,7 +102,7 @@ def motion_over(step_us: int, settings: FilterSettings) -> Motion:
     noise = 0.5 * (noise + noise.T)
     transition.setflags(write=False)
     noise.setflags(write=False)
-    return Motion(transition, noise)
+    return TransitionMatrices(transition, noise)
 
 
 class Weather(NamedTuple):

@@ -14,7 +14,7 @@ from service.core.estimation.filtering.causes.carrier_faults import (
     watch_flagged,
 )
 from service.core.estimation.filtering.causes.common_cause import common_innovation, find_cause, widen
-from service.core.estimation.filtering.causes.fault_hypotheses import Cause, Choice, Chooser
+from service.core.estimation.filtering.causes.fault_hypotheses import Cause, Chooser, LikeliestCause
 from service.core.estimation.filtering.causes.rain_state import push_common
 from service.core.estimation.filtering.filter_records import FilterState
 from service.core.estimation.filtering.filter_update import Innovation, Updated, site_db
@@ -30,7 +30,7 @@ class Heard(NamedTuple):
 
     state: FilterState
     #: None = nothing moved them together
-    choice: Choice | None
+    choice: LikeliestCause | None
     #: (N,) values of a closed minute for the tests of single carriers; None while a minute lasts, and in a row whose
     #: innovations belong to a common cause
     values: FloatArray | None
@@ -62,12 +62,12 @@ def common_first(
     return Heard(freed, choice, None)
 
 
-def is_shared(choice: Choice | None) -> bool:
+def is_shared(choice: LikeliestCause | None) -> bool:
     """Return whether one cause moved all that moved."""
     return choice is not None and choice.cause is not Cause.INDEPENDENT
 
 
-def moved(state: FilterState, updated: Updated, choice: Choice | None, *, is_pushed: bool) -> MotionWatch:
+def moved(state: FilterState, updated: Updated, choice: LikeliestCause | None, *, is_pushed: bool) -> MotionWatch:
     """Return the watch on motion after an update; `is_pushed` = a torque is among the states."""
     motion, epoch_us = state.motion, state.epoch_us
     if is_shared(choice):

@@ -52,7 +52,7 @@ _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
 _ADJUGATE = np.stack([_PAIRS[:, rows][:, :, columns] for rows in (_NEXT, _LAST) for columns in (_NEXT, _LAST)])
 
 
-class Choice(NamedTuple):
+class BestCandidate(NamedTuple):
     """Best candidate of each row.
 
     Parameters
@@ -82,7 +82,7 @@ class Choice(NamedTuple):
     second_gain: FloatArray
 
 
-def choose_candidate(normal: FloatArray, moment: FloatArray) -> Choice:
+def choose_candidate(normal: FloatArray, moment: FloatArray) -> BestCandidate:
     """Return the cheapest feasible candidate of each row.
 
     Parameters
@@ -94,7 +94,7 @@ def choose_candidate(normal: FloatArray, moment: FloatArray) -> Choice:
 
     Returns
     -------
-    Choice
+    BestCandidate
         Of equal costs the candidate with more free angles wins, then the first in the order + - 0, yaw first. The
         candidate with three zeros is always feasible, so a choice always exists.
     """
@@ -114,7 +114,7 @@ def choose_candidate(normal: FloatArray, moment: FloatArray) -> Choice:
     octant = _OCTANT_OF_CANDIDATE[best]
     gain_of_octant = gain[:, _CANDIDATES_OF_OCTANT].max(axis=2)
     gain_of_octant[rows, octant] = -math.inf
-    return Choice(
+    return BestCandidate(
         octant=octant,
         signs=CANDIDATE_SIGNS[best],
         columns=_COLUMNS[best],

@@ -18,9 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.flexible.propagation import BodyState, Leg, angle_and_rate_at, start_leg, state_at, states_at
+from service.core.flexible.propagation import BodyState, MotionLeg, angle_and_rate_at, start_leg, state_at, states_at
 from service.core.flexible.roots import brent_root
-from service.core.flexible.spacecraft import FlexibleMode
+from service.core.flexible.spacecraft import HubMode
 
 #: points of half a period in the search for the lowest angle
 _HALF_PERIOD_POINTS = 97
@@ -42,14 +42,14 @@ class SwitchOn(NamedTuple):
     pulse_s: float = math.inf
 
 
-def critical_amplitude_rad(switch: SwitchOn, mode: FlexibleMode, *, is_refined: bool = False) -> float:
+def critical_amplitude_rad(switch: SwitchOn, mode: HubMode, *, is_refined: bool = False) -> float:
     """Return p_cr, the amplitude of the swing before the switching above which it turns the motor off.
 
     Parameters
     ----------
     switch : SwitchOn
         A pulse shorter than half a period takes the form for a timed pulse.
-    mode : FlexibleMode
+    mode : HubMode
         Its damping is left out, which is safe: it raises p_cr by about 1.6 % at xi = 0.01.
     is_refined : bool
         Take off what the body still moves outward at half a period (relay).
@@ -76,7 +76,7 @@ def critical_amplitude_rad(switch: SwitchOn, mode: FlexibleMode, *, is_refined: 
     return critical_rad - (lead_rad - math.pi * active) ** 2 / (4.0 * (swing_rad - active))
 
 
-def _timed_critical_rad(switch: SwitchOn, mode: FlexibleMode, half_s: float) -> float:
+def _timed_critical_rad(switch: SwitchOn, mode: HubMode, half_s: float) -> float:
     """Return p_cr of a pulse that ends before half a period is over."""
     rest_s = half_s - switch.pulse_s
     moved = switch.rate_rad_s * half_s + 0.5 * switch.passive_rad_s2 * rest_s**2
@@ -86,7 +86,7 @@ def _timed_critical_rad(switch: SwitchOn, mode: FlexibleMode, half_s: float) -> 
     return 0.5 * (switch.beta_rad - switch.alpha_rad + moved - swung)
 
 
-def least_capturing_amplitude_rad(switch: SwitchOn, mode: FlexibleMode) -> float:
+def least_capturing_amplitude_rad(switch: SwitchOn, mode: HubMode) -> float:
     """Return the least p0 that turns the motor off within half a period, found by following the motion; 0: any does."""
 
     def clearance_rad(amplitude_rad: float) -> float:
@@ -100,7 +100,7 @@ def least_capturing_amplitude_rad(switch: SwitchOn, mode: FlexibleMode) -> float
     return brent_root(clearance_rad, 0.0, high_rad)
 
 
-def lowest_angle_rad(switch: SwitchOn, mode: FlexibleMode, amplitude_rad: float) -> float:
+def lowest_angle_rad(switch: SwitchOn, mode: HubMode, amplitude_rad: float) -> float:
     """Return the lowest angle that the sensor sees within half a period after switching on with a swing of p0."""
     static_rad = mode.coupling * switch.passive_rad_s2 / mode.omega_rad_s**2
     deflection_rad = static_rad + amplitude_rad
@@ -114,7 +114,7 @@ def lowest_angle_rad(switch: SwitchOn, mode: FlexibleMode, amplitude_rad: float)
     return min(_lowest_rad(active, switch.pulse_s), _lowest_rad(passive, half_s - switch.pulse_s))
 
 
-def _lowest_rad(leg: Leg, duration_s: float) -> float:
+def _lowest_rad(leg: MotionLeg, duration_s: float) -> float:
     """Return the lowest angle of a leg: its end and every turn on the way."""
     times = np.linspace(0.0, duration_s, _HALF_PERIOD_POINTS)
     states = states_at(leg, times)
@@ -168,7 +168,7 @@ def stable_band(switch: SwitchOn, coupling: float, swing: float) -> StableBand:
     return StableBand(constant / larger, larger / square)
 
 
-def rigid_frequency_rad_s(switch: SwitchOn, mode: FlexibleMode, swing: float) -> float:
+def rigid_frequency_rad_s(switch: SwitchOn, mode: HubMode, swing: float) -> float:
     """Return w_T of equation (26), the frequency of the rigid cycle on the boundary of capture at one line.
 
     A cycle whose own frequency lies below it is not captured. With net torques ``M_a = I eps_a``, ``M_c = I eps_c`` the
@@ -182,7 +182,7 @@ def rigid_frequency_rad_s(switch: SwitchOn, mode: FlexibleMode, swing: float) ->
     return math.pi**2 * omega * active * passive / ((active + passive) * boundary)
 
 
-def perpetual_amplitude_rad(switch: SwitchOn, mode: FlexibleMode) -> float:
+def perpetual_amplitude_rad(switch: SwitchOn, mode: HubMode) -> float:
     """Return p_inf, at which a captured relay holds its own oscillation: what it pumps in, damping takes out.
 
     ``p_inf^2 = kn eps_a (beta - alpha) / (pi xi w^2)``. Locks were seen only where p_inf is 1.9 beta or more, and then

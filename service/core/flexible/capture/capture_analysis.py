@@ -12,7 +12,7 @@ from service.core.flexible.capture.capture import (
     stable_band,
 )
 from service.core.flexible.spacecraft import (
-    FlexibleMode,
+    HubMode,
     require_mode,
     require_not_negative,
     require_positive,
@@ -97,7 +97,7 @@ def analyse_capture(
     >>> round(found.p_cr_rad, 9), found.verdict
     (0.00826619, 'free')
     """
-    mode = FlexibleMode(omega_rad_s, damping_ratio, coupling)
+    mode = HubMode(omega_rad_s, damping_ratio, coupling)
     require_mode(mode, may_be_undamped=True)
     law = SwitchingLaw(alpha_rad, beta_rad, pulse_s)
     require_law(law)
@@ -120,7 +120,7 @@ def analyse_capture(
     return _analyse(switch, mode, law, amplitude_rad)
 
 
-def _analyse(switch: SwitchOn, mode: FlexibleMode, law: SwitchingLaw, amplitude_rad: float) -> CaptureAnalysis:
+def _analyse(switch: SwitchOn, mode: HubMode, law: SwitchingLaw, amplitude_rad: float) -> CaptureAnalysis:
     """Return the analysis of a switching that was found physical."""
     critical_rad = critical_amplitude_rad(switch, mode)
     perpetual_rad = perpetual_amplitude_rad(switch, mode) if law.is_relay else 0.0

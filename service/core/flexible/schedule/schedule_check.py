@@ -16,7 +16,7 @@ from service.core.flexible.schedule.schedule_figures import (
     schedule_figures,
 )
 from service.core.flexible.schedule.schedule_response import TorquePulse, ordered_schedule
-from service.core.flexible.spacecraft import FlexibleMode
+from service.core.flexible.spacecraft import HubMode
 from service.core.flexible.switching_law import SwitchingLaw
 
 #: a swing or peak must become less than this share of what it was to be worth a suggestion
@@ -127,7 +127,7 @@ def analyse_schedule(
         raise ValueError("a regulator needs all of alpha_rad, beta_rad and motor_torque_n_m; give the missing, or none")
     limits = ScheduleLimits(
         inertia_kg_m2,
-        tuple(FlexibleMode(*mode) for mode in modes),
+        tuple(HubMode(*mode) for mode in modes),
         peak_allowed_rad,
         regulator,
         momentum_n_m_s,
@@ -198,7 +198,7 @@ def _suggestions(
 _Change = tuple[str, float, tuple[TorquePulse, ...]]
 
 
-def _splits(pulses: tuple[TorquePulse, ...], mode: FlexibleMode) -> list[_Change]:
+def _splits(pulses: tuple[TorquePulse, ...], mode: HubMode) -> list[_Change]:
     """Return each pulse in two halves, half a damped period apart, where they fit."""
     apart_s = math.pi / (mode.omega_rad_s * math.sqrt(1.0 - mode.damping_ratio**2))
     halves = []
@@ -208,7 +208,7 @@ def _splits(pulses: tuple[TorquePulse, ...], mode: FlexibleMode) -> list[_Change
     return [("split", apart_s, tuple(sorted(halves)))] if _is_apart(halves) else []
 
 
-def _widths(pulses: tuple[TorquePulse, ...], mode: FlexibleMode) -> list[_Change]:
+def _widths(pulses: tuple[TorquePulse, ...], mode: HubMode) -> list[_Change]:
     """Return pulses that last whole periods, impulse kept and never stronger, where they fit."""
     period_s = 2.0 * math.pi / mode.omega_rad_s
     longest_s = max((pulse.duration_s for pulse in pulses), default=0.0)
@@ -217,7 +217,7 @@ def _widths(pulses: tuple[TorquePulse, ...], mode: FlexibleMode) -> list[_Change
     return [("width", width_s, tuple(wide))] if _is_apart(wide) else []
 
 
-def _intervals(pulses: tuple[TorquePulse, ...], mode: FlexibleMode) -> list[_Change]:
+def _intervals(pulses: tuple[TorquePulse, ...], mode: HubMode) -> list[_Change]:
     """Return equally spaced pulses half a period further from the mode's own rhythm."""
     intervals = [latter.start_s - former.start_s for former, latter in pairwise(pulses)]
     if not intervals or max(intervals) - min(intervals) > _SAME_INTERVAL * max(intervals):

@@ -19,7 +19,7 @@ from service.core.flexible.schedule.schedule_response import (
     schedule_response,
 )
 from service.core.flexible.spacecraft import (
-    FlexibleMode,
+    HubMode,
     require_mode,
     require_not_negative,
     require_positive,
@@ -48,7 +48,7 @@ class ScheduleLimits(NamedTuple):
     """What a schedule must respect on one axis."""
 
     inertia_kg_m2: float
-    modes: tuple[FlexibleMode, ...]
+    modes: tuple[HubMode, ...]
     #: hub angle that panels may add
     peak_allowed_rad: float
     #: None: nothing on board switches on the angle

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.core.flexible.phi_functions import FloatArray
-from service.core.flexible.spacecraft import FlexibleMode, require_finite, require_not_negative, require_positive
+from service.core.flexible.spacecraft import HubMode, require_finite, require_not_negative, require_positive
 
 ComplexArray = NDArray[np.complex128]
 
@@ -73,7 +73,7 @@ def ordered_schedule(pulses: tuple[TorquePulse, ...]) -> tuple[TorquePulse, ...]
 
 def schedule_response(
     pulses: tuple[TorquePulse, ...],
-    mode: FlexibleMode,
+    mode: HubMode,
     inertia_kg_m2: float,
     *,
     carried_rad: complex = 0j,
@@ -85,7 +85,7 @@ def schedule_response(
     ----------
     pulses : tuple of TorquePulse
         In order and apart (`ordered_schedule`).
-    mode : FlexibleMode
+    mode : HubMode
         w, xi, kn.
     inertia_kg_m2 : float, kg m^2
         Inertia of the axis.
@@ -101,7 +101,7 @@ def schedule_response(
 
     Examples
     --------
-    >>> response = schedule_response((TorquePulse(0.0, 1.0, 0.2),), FlexibleMode(0.6, 0.003, 0.4), 5000.0)
+    >>> response = schedule_response((TorquePulse(0.0, 1.0, 0.2),), HubMode(0.6, 0.003, 0.4), 5000.0)
     >>> f"{response.peak_rad[0]:.6e}"
     '2.614520e-05'
     """
@@ -127,13 +127,13 @@ def schedule_response(
     return ModeResponse(omega, peak, swings[-1], swings.max(axis=0), phasors[-1], float(edges_s[-1]))
 
 
-def carry_phasor(phasor_rad: complex, mode: FlexibleMode, elapsed_s: float) -> complex:
+def carry_phasor(phasor_rad: complex, mode: HubMode, elapsed_s: float) -> complex:
     """Return Z after a free time: from the last edge of one schedule to time zero of the next."""
     turned = np.exp(mode.omega_rad_s * complex(-mode.damping_ratio, _nu(mode)) * elapsed_s)
     return complex(phasor_rad * turned)
 
 
-def _nu(mode: FlexibleMode) -> float:
+def _nu(mode: HubMode) -> float:
     """Return sqrt(1 - xi^2)."""
     return math.sqrt(1.0 - mode.damping_ratio**2)
 

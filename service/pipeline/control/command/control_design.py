@@ -11,8 +11,7 @@ from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S, Gains,
 from service.core.control.slew_schedule import Drive
 from service.core.control.wheel_allocation import Wheels, wheel_set
 from service.core.control.wheels import body_torque_limit_n_m
-from service.core.dynamics.orbital_frame_model import Gains as GyroOrbitantLawGains
-from service.core.dynamics.orbital_frame_model import Law
+from service.core.dynamics.orbital_frame_model import Law, OrbitalFrameGains
 from service.pipeline.config import TorqueConfig
 from service.records.catalogue import Release, Spacecraft
 
@@ -87,7 +86,7 @@ def _gyro_design(spacecraft: Spacecraft, period_s: int) -> Law:
     told = spacecraft.control.gyro_orbitant
     if told is None:
         raise ValueError("the law gyro_orbitant has no gains: state control.gyro_orbitant")
-    gains = GyroOrbitantLawGains(
+    gains = OrbitalFrameGains(
         roll_stiffness=told.roll_stiffness_n_m,
         roll_damping=told.roll_damping_n_m_s,
         pitch_stiffness=told.pitch_stiffness_n_m,

@@ -18,7 +18,7 @@ from service.core.flexible.schedule.schedule_response import (
     ordered_schedule,
     schedule_response,
 )
-from service.core.flexible.spacecraft import FlexibleMode
+from service.core.flexible.spacecraft import HubMode
 from service.pipeline.config import TorqueConfig
 from service.records import catalogue
 from service.records.catalogue import Spacecraft
@@ -158,8 +158,8 @@ def _carried(swing: PanelSwing | None, spacecraft: Spacecraft, place: int, at_us
     return carry_phasor(swing.phasor_rad[place], _tone(spacecraft.modes[place]), elapsed_s)
 
 
-def _tone(mode: "catalogue.FlexibleMode") -> FlexibleMode:
-    return FlexibleMode(mode.omega_rad_s, max(mode.damping_ratio, _LEAST_DAMPING), mode.coupling)
+def _tone(mode: "catalogue.FlexibleMode") -> HubMode:
+    return HubMode(mode.omega_rad_s, max(mode.damping_ratio, _LEAST_DAMPING), mode.coupling)
 
 
 def _inertia(spacecraft: Spacecraft, axis: str) -> float:

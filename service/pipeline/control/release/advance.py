@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from service.core.control.sign_check import Verdict
+from service.core.control.sign_check import SignState
 from service.core.control.slew_schedule import Triple, triple_of
 from service.pipeline.control.release.command_states import OPEN, UNREPORTED, CommandTransition, next_state
 from service.pipeline.control.release.command_transitions import (
@@ -190,9 +190,9 @@ def _with_row(interlock: Interlock, event: RowSeen, settings: ReleaseSettings) -
 def _with_sign(interlock: Interlock, event: SignJudged, settings: ReleaseSettings) -> Interlock:
     """Return the interlock with the result of a sign check; an axis that answers wrongly or not at all trips."""
     others = tuple(axis for axis in interlock.proven_axes if axis != event.axis)
-    if event.verdict is Verdict.PLUS:
+    if event.verdict is SignState.PLUS:
         return replace(interlock, proven_axes=(*others, event.axis))
-    if event.verdict in (Verdict.MINUS, Verdict.NOTHING):
+    if event.verdict in (SignState.MINUS, SignState.NOTHING):
         return tripped(replace(interlock, proven_axes=others), Condition.RESPONSE_MISSED, event.at, settings)
     return interlock
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from service.core.control.envelope import Envelope
-from service.core.control.sign_check import Verdict
+from service.core.control.sign_check import SignState
 from service.core.control.slew_schedule import AxisPulse, Effect, Triple
 from service.pipeline.control.release.command_states import CommandState, CommandTransition
 from service.pipeline.control.release.interlock import Instant, Interlock
@@ -116,7 +116,7 @@ class SignJudged:
     at: Instant
     #: yaw, roll or pitch
     axis: str
-    verdict: Verdict
+    verdict: SignState
 
 
 class OrderKind(Enum):

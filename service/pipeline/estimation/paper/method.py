@@ -19,7 +19,7 @@ from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.paper.harmonic_removal import ExpectedPower, expected_power, remove_harmonic
 from service.pipeline.estimation.paper.rate_filter import NO_FIXES, FixHistory, rate_deg_s, remember_fix
 from service.pipeline.estimation.paper.snapshot_fix import SensitivityModel, sensitivity_model, solve_attitude
-from service.pipeline.estimation.row_inhibitions import Circumstances, Verdict, judge
+from service.pipeline.estimation.row_inhibitions import RowContext, RowPermission, judge
 from service.pipeline.inputs.knowledge import Knowledge
 from service.records.calibration import Calibration
 from service.records.catalogue import Ephemeris, Method
@@ -106,7 +106,7 @@ def step_paper(
         after = _remember_row(state, model, deviation, config)
         fix = _averaged_fix(after, model, deviation.epoch_us, config)
         after = _remember_fix(after, fix, config)
-    circumstances = Circumstances(
+    circumstances = RowContext(
         is_late=is_late,
         is_catch_up=is_catch_up,
         is_settled=is_late or _rows_in_window(after, config) >= config.estimation.min_rows,
@@ -207,7 +207,7 @@ def _row(
     measurement: Measurement,
     model: PaperModel,
     fix: AttitudeFix,
-    verdict: Verdict,
+    verdict: RowPermission,
     rates_deg_s: FloatArray,
     fade_db: float,
 ) -> AttitudeRow:

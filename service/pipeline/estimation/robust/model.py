@@ -16,7 +16,7 @@ from service.pipeline.carrier_model.expected_level import ExpectedLevel, daily_e
 from service.pipeline.carrier_model.level_control import centred_model, centred_response, member_groups
 from service.pipeline.config import ChainConfig, InterlockConfig, RobustConfig
 from service.pipeline.inputs.catalogue_torque import constant_share, fed_forward, is_torque_unknown, residual_deg_h2
-from service.pipeline.inputs.declared_operations import CarrierNames
+from service.pipeline.inputs.declared_operations import CarrierIndices
 from service.pipeline.inputs.knowledge import Knowledge
 from service.pipeline.inputs.known_motion import angle_inertia_kg_m2
 from service.records.calibration import Alignment, Calibration, CalibrationResult
@@ -52,7 +52,7 @@ class RobustModel:
     orders: IntArray
     level: ExpectedLevel
     fit: GeometryFit
-    names: CarrierNames
+    names: CarrierIndices
     #: (N,) dB, reference level minus the calibration's level
     reference_offset_db: FloatArray
     #: (N,) dB
@@ -125,7 +125,7 @@ def robust_model(
         orders=subset_orders(len(carrier_ids), _SUBSETS),
         level=level,
         fit=fit,
-        names=CarrierNames(carrier_ids, fit.transponders, np.array(fit.transponder, dtype=np.int64)),
+        names=CarrierIndices(carrier_ids, fit.transponders, np.array(fit.transponder, dtype=np.int64)),
         reference_offset_db=np.nan_to_num(offset_db),
         # the reference holds what the daily change had wrong at the alignment
         reference_sigma_db=np.hypot(sigma_db, grown_db),

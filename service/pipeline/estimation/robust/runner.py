@@ -23,8 +23,8 @@ from service.pipeline.estimation.robust.unreported_commands import (
     MAX_ROWS,
     Branch,
     Motion,
+    ReportedMotion,
     Step,
-    Told,
     closed,
     open_branch,
     reported,
@@ -105,7 +105,7 @@ class RobustRunner:
         """Let the filter know of a motion."""
         if self._state is None or self._model is None:
             return
-        told = Told(content, craft, self._model)
+        told = ReportedMotion(content, craft, self._model)
         self._state = told_to(self._state, told)
         if self._branch is not None:
             self._branch = open_branch(self._branch, self._state, told)
@@ -115,7 +115,7 @@ class RobustRunner:
         """Let the effect of a released command be uncertain from now on."""
         if self._state is None or self._model is None:
             return
-        told = Told(content, craft, self._model)
+        told = ReportedMotion(content, craft, self._model)
         self._branch = open_branch(self._branch, self._state, told)
         self._state = told_to(self._state, told)
 
@@ -241,7 +241,7 @@ class RobustRunner:
         state = initial_state(model, alignment, commanded, self._config)
         for released, craft in self._open.values():
             if released.stop_us > since_us:
-                told = Told(released, craft, model)
+                told = ReportedMotion(released, craft, model)
                 self._branch = open_branch(self._branch, state, told)
                 state = told_to(state, told)
         return state

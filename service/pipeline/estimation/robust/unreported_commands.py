@@ -28,7 +28,7 @@ Motion = Correction | AppliedCommand | ReportedCommand
 
 
 @dataclass(frozen=True)
-class Told:
+class ReportedMotion:
     """A motion or a release that the ground told."""
 
     content: Motion | ReleasedCommand
@@ -41,11 +41,11 @@ class Branch:
     """State before the oldest command that is not reported, and all that happened since."""
 
     base: RobustState
-    entries: tuple[Told | Step, ...] = ()
+    entries: tuple[ReportedMotion | Step, ...] = ()
     rows: int = 0
 
 
-def open_branch(branch: Branch | None, state: RobustState, told: Told) -> Branch:
+def open_branch(branch: Branch | None, state: RobustState, told: ReportedMotion) -> Branch:
     """Return the branch with a release, begun at the state before it where there was none."""
     branch = branch or Branch(state)
     return replace(branch, entries=(*branch.entries, told))
@@ -56,7 +56,7 @@ def stepped(branch: Branch, taken: Step) -> Branch:
     return replace(branch, entries=(*branch.entries, taken), rows=branch.rows + 1)
 
 
-def told_to(state: RobustState, told: Told) -> RobustState:
+def told_to(state: RobustState, told: ReportedMotion) -> RobustState:
     """Return the state that has heard of a motion, or of a release whose effect is uncertain."""
     content, newest_us = told.content, state.filter.epoch_us
     if isinstance(content, ReportedCommand):
@@ -78,18 +78,18 @@ def _with_replaced(state: RobustState, counter: int, schedule: Sequence[Pulse]) 
 
 def reported(branch: Branch, report: ReportedCommand) -> tuple[RobustState, Branch | None]:
     """Return state and branch after a report; the branch is None where nothing is uncertain any longer."""
-    entries: list[Told | Step] = []
+    entries: list[ReportedMotion | Step] = []
     for entry in branch.entries:
         if not _is_release(entry, report.counter):
             entries.append(entry)
-        elif isinstance(entry, Told) and report.executed:
+        elif isinstance(entry, ReportedMotion) and report.executed:
             entries.append(replace(entry, content=report))
     first = next((place for place, entry in enumerate(entries) if _is_release(entry)), len(entries))
     base = _taken(branch.base, entries[:first])
     if first == len(entries):
         return base, None
     left = tuple(entries[first:])
-    return _taken(base, left), Branch(base, left, sum(not isinstance(entry, Told) for entry in left))
+    return _taken(base, left), Branch(base, left, sum(not isinstance(entry, ReportedMotion) for entry in left))
 
 
 def closed(state: RobustState, model: RobustModel) -> RobustState:
@@ -97,13 +97,13 @@ def closed(state: RobustState, model: RobustModel) -> RobustState:
     return replace(state, filter=without_shares(model.filter, state.filter, len(state.released)), released=())
 
 
-def _taken(state: RobustState, entries: Sequence[Told | Step]) -> RobustState:
+def _taken(state: RobustState, entries: Sequence[ReportedMotion | Step]) -> RobustState:
     for entry in entries:
-        state = told_to(state, entry) if isinstance(entry, Told) else entry(state)
+        state = told_to(state, entry) if isinstance(entry, ReportedMotion) else entry(state)
     return state
 
 
-def _is_release(entry: "Told | Step", counter: int | None = None) -> bool:
-    if not isinstance(entry, Told) or not isinstance(entry.content, ReleasedCommand):
+def _is_release(entry: "ReportedMotion | Step", counter: int | None = None) -> bool:
+    if not isinstance(entry, ReportedMotion) or not isinstance(entry.content, ReleasedCommand):
         return False
     return counter is None or entry.content.counter == counter

@@ -29,7 +29,7 @@ from service.records.inputs import (
 )
 from service.records.journal import SlowInput
 from service.records.levels.attitude import AttitudeRow, BoolArray, FloatArray, IntArray
-from service.study.estimation.flight.journal import Documents, Entry, measurements, slow_entries
+from service.study.estimation.flight.journal import Entry, JournalDocuments, measurements, slow_entries
 from service.study.estimation.flight.world import Ground
 
 #: what a row says, among its inhibitions or as advice, when the craft moves other than it was told to, or the powers
@@ -90,7 +90,7 @@ def drive(ground: Ground, config: ChainConfig | None = None) -> Driven:
     UndrivenError
         The calibration or the alignment was refused.
     """
-    documents = Documents()
+    documents = JournalDocuments()
     opening: list[SlowInput] = [SpacecraftChange(ground.spacecraft, 1), documents.add_plan(ground.carriers)]
     opening.append(documents.add_ephemeris(ground.ephemeris))
     documents.calibrations[1] = calibrate(ground, documents.plans[1], documents.ephemerides[1])
@@ -132,7 +132,7 @@ def calibrate(ground: Ground, plan: CarrierPlan, ephemeris: Ephemeris) -> Calibr
     return Calibration(1, 1, 1, CalibrationState.ACTIVE, request, 0, "study", result)
 
 
-def align(ground: Ground, documents: Documents) -> Alignment:
+def align(ground: Ground, documents: JournalDocuments) -> Alignment:
     """Return the alignment from the last hour in which the sensor is on.
 
     Raises
@@ -166,7 +166,7 @@ def align(ground: Ground, documents: Documents) -> Alignment:
     )
 
 
-def _operate(chain: Chain, ground: Ground, documents: Documents, entries: list[Entry]) -> Driven:
+def _operate(chain: Chain, ground: Ground, documents: JournalDocuments, entries: list[Entry]) -> Driven:
     """Run the chain over the rows of operation and keep what every method says."""
     rows = np.flatnonzero(ground.is_measured & (ground.epochs_us >= ground.phases["operation"].start_us))
     told: list[tuple[AttitudeRow, ...]] = []

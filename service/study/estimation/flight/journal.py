@@ -19,7 +19,7 @@ from service.study.estimation.flight.world import Ground
 
 
 @dataclass
-class Documents:
+class JournalDocuments:
     """Documents that journal entries name by number."""
 
     plans: dict[int, CarrierPlan] = field(default_factory=dict)
@@ -63,7 +63,7 @@ class Entry(NamedTuple):
     content: SlowInput
 
 
-def slow_entries(ground: Ground, documents: Documents) -> list[Entry]:
+def slow_entries(ground: Ground, documents: JournalDocuments) -> list[Entry]:
     """Return the slow inputs in the order in which the ground hands them over."""
     entries = []
     for told_us, content in ground.news:
@@ -77,7 +77,7 @@ def slow_entries(ground: Ground, documents: Documents) -> list[Entry]:
 
 
 def measurements(
-    chain: Chain, ground: Ground, documents: Documents, entries: list[Entry], rows: IntArray
+    chain: Chain, ground: Ground, documents: JournalDocuments, entries: list[Entry], rows: IntArray
 ) -> Iterator[Measurement]:
     """Yield the measurements in order, teaching the chain what comes before each of them."""
     waiting = entries[::-1]

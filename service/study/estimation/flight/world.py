@@ -37,7 +37,7 @@ class ExportFailedError(Exception):
     """The simulator wrote no world; the text is its own."""
 
 
-class News(NamedTuple):
+class GroundEvent(NamedTuple):
     """Something of which the ground learns after the start."""
 
     told_us: int
@@ -53,7 +53,7 @@ class Ground:
     carriers: tuple[Carrier, ...]
     ephemeris: Ephemeris
     #: corrections among them
-    news: tuple[News, ...]
+    news: tuple[GroundEvent, ...]
     corrections: tuple[Correction, ...]
     phases: dict[str, Window]
     #: names of the columns of ``power_dbm``: carriers of every plan
@@ -198,30 +198,30 @@ def _references(arrays: Arrays, kind: str) -> tuple[ReferenceSeries, ...]:
     return tuple(ReferenceSeries(name, epochs_us[k], angles[k], sigmas[k]) for name, k in chosen.items())
 
 
-def _news(arrays: Arrays) -> Iterator[News]:
+def _news(arrays: Arrays) -> Iterator[GroundEvent]:
     """Yield what the ground learns later; tasks are for the front end, late corrections stand among the others."""
     lines = json.loads(str(arrays["news_json"]))
     for number, (told_us, line) in enumerate(zip(arrays["news_us"].tolist(), lines, strict=True), start=1):
         body, kind = line["body"], line["kind"]
         if kind == "carriers":
-            yield News(told_us, read_carriers(body))
+            yield GroundEvent(told_us, read_carriers(body))
         elif kind == "ephemeris":
-            yield News(told_us, read_ephemeris(body))
+            yield GroundEvent(told_us, read_ephemeris(body))
         elif kind == "operations":
-            yield News(told_us, read_operation(body, number))
+            yield GroundEvent(told_us, read_operation(body, number))
         elif kind == "telemetry":
-            yield from (News(told_us, record) for record in read_telemetry(body))
+            yield from (GroundEvent(told_us, record) for record in read_telemetry(body))
         elif kind == "source":
-            yield News(told_us, SourceSelection(body["source"], number))
+            yield GroundEvent(told_us, SourceSelection(body["source"], number))
 
 
-def _corrections(arrays: Arrays) -> tuple[News, ...]:
+def _corrections(arrays: Arrays) -> tuple[GroundEvent, ...]:
     """Return the announced corrections with the epochs at which they are announced."""
     spans = zip(arrays["correction_start_us"].tolist(), arrays["correction_stop_us"].tolist(), strict=True)
     changes = _by_axis(arrays, "correction_").tolist()
     records = [Correction(*span, Axes(*change)) for span, change in zip(spans, changes, strict=True)]
     told_us = arrays["correction_told_us"].tolist()
-    return tuple(News(told, record) for told, record in zip(told_us, records, strict=True))
+    return tuple(GroundEvent(told, record) for told, record in zip(told_us, records, strict=True))
 
 
 def _truth(arrays: Arrays) -> Truth:

@@ -9,7 +9,7 @@ from analyzer_sim.dialects.makers.rs import RS
 from analyzer_sim.instrument.imperfections import IDEAL
 from analyzer_sim.instrument.instrument import Instrument, TraceNotReadyError
 from analyzer_sim.instrument.painter import TracePainter
-from analyzer_sim.instrument.sweep_life import Pace, SweepLife, SweepState
+from analyzer_sim.instrument.sweep_life import Pace, SweepProgress, SweepState
 from analyzer_sim.lines.session import Session, command_tree
 from analyzer_sim.scpi.status import OPERATION_SWEEPING, OPERATION_WAITING_FOR_TRIGGER
 
@@ -33,7 +33,7 @@ class Slow:
             bench.source,
             TracePainter(7, IDEAL),
             lambda: self.is_allowed,
-            life=SweepLife(Pace.REAL, self.clock),
+            life=SweepProgress(Pace.REAL, self.clock),
         )
         bench.instrument = self.instrument
         bench.session = Session(self.instrument, RS, command_tree(RS))
@@ -212,7 +212,7 @@ def test_a_glimpse_changes_nothing(slow: Slow) -> None:
 
 def test_life_counts_its_changes_and_time() -> None:
     clock = Clock()
-    life = SweepLife(Pace.REAL, clock)
+    life = SweepProgress(Pace.REAL, clock)
     assert (life.state, life.is_pending, life.remaining_s, life.is_due) == (SweepState.IDLE, False, None, False)
     life.wait()
     life.start(0.5)

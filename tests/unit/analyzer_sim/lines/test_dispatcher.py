@@ -13,7 +13,7 @@ from analyzer_sim.instrument.imperfections import IDEAL
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import TracePainter
 from analyzer_sim.instrument.settings.models import FSW_26
-from analyzer_sim.instrument.sweep_life import Pace, SweepLife
+from analyzer_sim.instrument.sweep_life import Pace, SweepProgress
 from analyzer_sim.lines.dispatcher import Dispatcher
 from analyzer_sim.lines.session import Session
 from analyzer_sim.scpi.framing import ProgramMessage
@@ -122,7 +122,7 @@ def test_a_short_sweep_does_not_wait_for_the_long_one_that_was_aborted(play: Cal
         assert await held == "1"
         assert await party.ask(second, "*OPC?") == "1"
 
-    play(story, life=SweepLife(Pace.REAL))
+    play(story, life=SweepProgress(Pace.REAL))
 
 
 def test_the_first_of_endless_sweeps_wakes_who_waits_for_it(play: Callable[..., None]) -> None:
@@ -132,7 +132,7 @@ def test_the_first_of_endless_sweeps_wakes_who_waits_for_it(play: Callable[..., 
         assert not await settled(traces[0])
         assert {(await trace).count(",") for trace in traces} == {200}
 
-    play(story, life=SweepLife(Pace.REAL))
+    play(story, life=SweepProgress(Pace.REAL))
 
 
 def test_a_sweep_that_is_over_before_anybody_looks_wakes_who_waits_for_it(play: Callable[..., None]) -> None:
@@ -144,7 +144,7 @@ def test_a_sweep_that_is_over_before_anybody_looks_wakes_who_waits_for_it(play: 
             assert (await trace).count(",") == 200
 
     # six tenths of the sweep pass from one look at the clock to the next
-    play(story, life=SweepLife(Pace.REAL, lambda: 0.0006 * next(reads)))
+    play(story, life=SweepProgress(Pace.REAL, lambda: 0.0006 * next(reads)))
 
 
 def test_the_end_of_the_scenario_is_told_to_the_session_that_asked(play: Callable[..., None]) -> None:

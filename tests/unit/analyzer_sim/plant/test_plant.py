@@ -18,7 +18,7 @@ from analyzer_sim.plant.schedule_lines import Schedule, ScheduleError, parse_sch
 from analyzer_sim.world.ground.ground_bodies import INERTIA_KG_M2
 from analyzer_sim.world.scenario.events import Gap, SwitchOff
 from analyzer_sim.world.scenario.scenario import Scenario, scenario_named
-from analyzer_sim.world.scenario.story import KeepingFigures, RepeaterFigures
+from analyzer_sim.world.scenario.story import KeepingErrors, RepeaterFigures
 from analyzer_sim.world.spacecraft.rigid_body import TorqueElement
 from analyzer_sim.world.world import World
 
@@ -221,7 +221,7 @@ def test_the_truth_can_be_held_and_leaves_when_control_stops(seed: int) -> None:
 
 
 def test_an_uncoupled_story_flies_an_uncoupled_body() -> None:
-    plain = replace(SHORT, keeping=KeepingFigures(drift_deg_h=(0.0, 0.0, 0.0)))
+    plain = replace(SHORT, keeping=KeepingErrors(drift_deg_h=(0.0, 0.0, 0.0)))
     free = replace(plain, keeping=replace(plain.keeping, is_coupled=False))
     coupled, uncoupled = Plant(plain, 1, 1.0, PERFECT), Plant(free, 1, 1.0, PERFECT)
     for plant in (coupled, uncoupled):
@@ -250,7 +250,7 @@ def test_the_flown_craft_goes_where_a_perfect_loop_would_take_it() -> None:
 
 
 def test_a_wheel_with_the_wrong_sign_turns_the_other_way() -> None:
-    scenario = replace(SHORT, keeping=KeepingFigures(drift_deg_h=(0.0, 0.0, 0.0)))
+    scenario = replace(SHORT, keeping=KeepingErrors(drift_deg_h=(0.0, 0.0, 0.0)))
     right, wrong, still = (
         Plant(scenario, 1, 1.0, PlantOptions(response=(sign, 1.0, 1.0))) for sign in (1.0, -1.0, 1.0)
     )

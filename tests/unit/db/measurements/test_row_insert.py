@@ -8,7 +8,7 @@ from sqlalchemy import delete, select
 from db.connection.engines import open_engines
 from db.encoding.measurement_details import insert_details
 from db.encoding.power_codec import StoredRows
-from db.measurements.row_insert import Run, insert_run
+from db.measurements.row_insert import RowRun, insert_run
 from db.migrations.migrate import upgrade
 from db.schema.tables import measurement, measurement_detail
 
@@ -34,7 +34,7 @@ def blobs(draw, rows, least=1):
 @st.composite
 def runs(draw):
     rows = draw(st.integers(1, 6))
-    return Run(
+    return RowRun(
         spacecraft_key=draw(st.integers(1, 9)),
         source_key=draw(st.integers(1, 9)),
         plan_id=draw(st.integers(1, 9)),

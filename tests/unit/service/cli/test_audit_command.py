@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from db.storage import SqlStorage
 from service.cli.app import app
-from service.records.operations.audit import Deed
+from service.records.operations.audit import AuditEvent
 
 
 def verify(*arguments):
@@ -23,7 +23,7 @@ def archive(tmp_path):
     storage.migrate()
     for k in range(4):
         entry = storage.audit.append(
-            Deed(
+            AuditEvent(
                 at_us=k,
                 who="anna",
                 key_id="k",

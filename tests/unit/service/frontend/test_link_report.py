@@ -13,9 +13,9 @@ from steady_world import steady_task
 
 from service.client.service_client import ServiceClient
 from service.frontend.acquisition.settings import AcquisitionSettings
-from service.frontend.acquisition.states import Event, State
+from service.frontend.acquisition.states import AcquisitionEvent, AcquisitionState
 from service.frontend.link_report import LinkReporter
-from service.frontend.station import Station
+from service.frontend.station import MeasuringStation
 from service.frontend.upload.uploader import UploadSettings
 
 Answer = Callable[[httpx.Request], httpx.Response]
@@ -42,12 +42,12 @@ class Service:
 
 
 @pytest.fixture
-def made(tmp_path: Path) -> Iterator[tuple[Service, Station, LinkReporter]]:
+def made(tmp_path: Path) -> Iterator[tuple[Service, MeasuringStation, LinkReporter]]:
     """Give a service, a station and its reporter."""
     service = Service()
     client = ServiceClient("http://service", "key", retries=0, http=httpx.MockTransport(service.handle))
     with spool(tmp_path) as rows:
-        station = Station(
+        station = MeasuringStation(
             steady_task(),
             AcquisitionSettings("TCPIP::analyzer::5025::SOCKET", 5.0),
             UploadSettings("sc", "sa-1"),
@@ -58,7 +58,7 @@ def made(tmp_path: Path) -> Iterator[tuple[Service, Station, LinkReporter]]:
         yield service, station, LinkReporter(client, "front-end.here", [station])
 
 
-def test_a_report_tells_state_counters_and_warnings(made: tuple[Service, Station, LinkReporter]) -> None:
+def test_a_report_tells_state_counters_and_warnings(made: tuple[Service, MeasuringStation, LinkReporter]) -> None:
     service, station, reporter = made
     counters = station.acquisition.counters
     counters.rows, counters.good_rows, counters.last_good_us = 7, 6, 1_795_230_152_000_000
@@ -73,42 +73,46 @@ def test_a_report_tells_state_counters_and_warnings(made: tuple[Service, Station
     assert analyzer["warnings"] == []
 
 
-def test_orders_reach_the_acquisition(made: tuple[Service, Station, LinkReporter]) -> None:
+def test_orders_reach_the_acquisition(made: tuple[Service, MeasuringStation, LinkReporter]) -> None:
     service, station, reporter = made
     orders = station.acquisition.orders
     reporter.report()
-    assert orders.next(State.MEASURE) is None
+    assert orders.next(AcquisitionState.MEASURE) is None
     service.wishes["sc.sa-1"] = (False, 0)
     reporter.report()
-    assert orders.next(State.MEASURE) is Event.DISABLE
+    assert orders.next(AcquisitionState.MEASURE) is AcquisitionEvent.DISABLE
     service.wishes["sc.sa-1"] = (True, 2)
     reporter.report()
-    assert orders.next(State.DISABLED) is Event.ENABLE
+    assert orders.next(AcquisitionState.DISABLED) is AcquisitionEvent.ENABLE
     reporter.report()
     assert service.reports[-1]["links"][1]["reset_seen"] == 2
 
 
-def test_a_reset_of_the_front_end_is_one_of_all_its_analyzers(made: tuple[Service, Station, LinkReporter]) -> None:
+def test_a_reset_of_the_front_end_is_one_of_all_its_analyzers(
+    made: tuple[Service, MeasuringStation, LinkReporter],
+) -> None:
     service, station, reporter = made
     reporter.report()
     service.wishes["front-end.here"] = (True, 1)
     reporter.report()
-    assert station.acquisition.orders.next(State.MEASURE) is Event.RESET
+    assert station.acquisition.orders.next(AcquisitionState.MEASURE) is AcquisitionEvent.RESET
     reporter.report()
-    assert station.acquisition.orders.next(State.MEASURE) is None
+    assert station.acquisition.orders.next(AcquisitionState.MEASURE) is None
 
 
-def test_resets_of_an_earlier_start_are_not_carried_out_again(made: tuple[Service, Station, LinkReporter]) -> None:
+def test_resets_of_an_earlier_start_are_not_carried_out_again(
+    made: tuple[Service, MeasuringStation, LinkReporter],
+) -> None:
     service, station, reporter = made
     service.wishes = {"front-end.here": (True, 3), "sc.sa-1": (True, 2)}
     reporter.report()
-    assert station.acquisition.orders.next(State.MEASURE) is None
+    assert station.acquisition.orders.next(AcquisitionState.MEASURE) is None
     service.wishes["sc.sa-1"] = (True, 3)
     reporter.report()
-    assert station.acquisition.orders.next(State.MEASURE) is Event.RESET
+    assert station.acquisition.orders.next(AcquisitionState.MEASURE) is AcquisitionEvent.RESET
 
 
-def test_an_end_in_good_order_is_the_last_word(made: tuple[Service, Station, LinkReporter]) -> None:
+def test_an_end_in_good_order_is_the_last_word(made: tuple[Service, MeasuringStation, LinkReporter]) -> None:
     service, _, reporter = made
     reporter.start()
     reporter.stop()
@@ -137,21 +141,21 @@ def raises(error: Exception) -> Answer:
     ],
 )
 def test_a_service_that_is_away_changes_nothing_and_is_told_of_once(
-    made: tuple[Service, Station, LinkReporter], answer: Answer, caplog: pytest.LogCaptureFixture
+    made: tuple[Service, MeasuringStation, LinkReporter], answer: Answer, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO, logger="service.frontend.link_report")
     service, station, reporter = made
     service.answer = answer
     reporter.report()
     reporter.report()
-    assert station.acquisition.orders.next(State.MEASURE) is None
+    assert station.acquisition.orders.next(AcquisitionState.MEASURE) is None
     assert caplog.text.count("links cannot be reported") == 1
     service.answer = service.agree
     reporter.report()
     assert "links are reported again" in caplog.text
 
 
-def test_reports_end_with_a_last_one(made: tuple[Service, Station, LinkReporter]) -> None:
+def test_reports_end_with_a_last_one(made: tuple[Service, MeasuringStation, LinkReporter]) -> None:
     service, _, reporter = made
     reporter.start()
     reporter.stop()

@@ -13,7 +13,7 @@ from service.client.backoff import Backoff
 from service.client.service_client import ServiceClient
 from service.frontend.acquisition.settings import AcquisitionSettings
 from service.frontend.measurement_task import MeasurementTask, parse_task
-from service.frontend.station import Station, StationError
+from service.frontend.station import MeasuringStation, StationError
 from service.frontend.upload.uploader import UploadSettings
 
 
@@ -27,13 +27,13 @@ def task() -> MeasurementTask:
 
 
 @pytest.fixture
-def made(tmp_path: Path) -> Iterator[Station]:
+def made(tmp_path: Path) -> Iterator[MeasuringStation]:
     """Give a station whose service knows the plan."""
     plan = {"plan_id": 1, "carriers": [{"id": "c00"}]}
     http = httpx.MockTransport(lambda _: httpx.Response(200, json=plan))
     client = ServiceClient("http://service", "key", retries=0, http=http)
     with spool(tmp_path) as rows:
-        yield Station(
+        yield MeasuringStation(
             task(),
             AcquisitionSettings("TCPIP::analyzer::5025::SOCKET", 0.0),
             UploadSettings("sc", "sa-1", drain_s=0.2),
@@ -44,7 +44,7 @@ def made(tmp_path: Path) -> Iterator[Station]:
         )
 
 
-def test_a_stop_ends_both_threads(made: Station, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stop_ends_both_threads(made: MeasuringStation, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(made.acquisition, "run", lambda: made._stop.wait(120.0))
     threading.Timer(0.05, made.stop).start()
     summary = made.run()
@@ -53,7 +53,9 @@ def test_a_stop_ends_both_threads(made: Station, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize("part", ["acquisition", "uploader"])
-def test_a_thread_that_dies_takes_the_station_down(made: Station, monkeypatch: pytest.MonkeyPatch, part: str) -> None:
+def test_a_thread_that_dies_takes_the_station_down(
+    made: MeasuringStation, monkeypatch: pytest.MonkeyPatch, part: str
+) -> None:
 
     def die(*_: Any) -> None:
         raise MemoryError("no room")

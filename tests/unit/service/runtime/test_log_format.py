@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from service.runtime.log_format import REQUEST_ID, JsonLines, TextLines, write_log
+from service.runtime.log_format import REQUEST_ID, JsonLogFormatter, TextLines, write_log
 
 
 def record(message: str, *args: object, fields: dict | None = None, exc_info=None) -> logging.LogRecord:
@@ -31,7 +31,7 @@ def fault() -> tuple:
 def test_a_line_holds_what_is_known():
     token = REQUEST_ID.set("r-1")
     try:
-        line = JsonLines().format(record("%d rows", 3, fields={"status": 200, "route": "/x"}))
+        line = JsonLogFormatter().format(record("%d rows", 3, fields={"status": 200, "route": "/x"}))
     finally:
         REQUEST_ID.reset(token)
     assert json.loads(line) == {
@@ -45,22 +45,22 @@ def test_a_line_holds_what_is_known():
     }
 
 
-@pytest.mark.parametrize("form", [JsonLines, TextLines])
+@pytest.mark.parametrize("form", [JsonLogFormatter, TextLines])
 def test_nobody_writes_lines_of_his_own(form):
     line = form().format(record("a\nb\r\x1b[31m\u2028\x85\x7f", fields={"path": "/x\n{}"}))
     assert not [c for c in line if ord(c) < 32 or c in "\u2028\x85\x7f"]
-    if form is JsonLines:
+    if form is JsonLogFormatter:
         assert json.loads(line)["message"] == "a\nb\r\x1b[31m\u2028\x85\x7f"
 
 
 def test_a_traceback_stays_on_the_line_in_json_and_follows_it_in_text():
-    line = JsonLines().format(record("failed", exc_info=fault()))
+    line = JsonLogFormatter().format(record("failed", exc_info=fault()))
     assert "\n" not in line
     assert "ValueError" in json.loads(line)["traceback"]
     assert len(TextLines().format(record("failed", exc_info=fault())).splitlines()) > 2
 
 
-@pytest.mark.parametrize("form", [JsonLines, TextLines])
+@pytest.mark.parametrize("form", [JsonLogFormatter, TextLines])
 @pytest.mark.parametrize(
     "text",
     [

@@ -10,7 +10,7 @@ import service.runtime.live.leadership as leading_module
 import service.runtime.live.supervisor as supervisor_module
 from db.storage import SqlStorage
 from service.errors import StorageError
-from service.runtime.alarms.alarm_service import AlarmDesk
+from service.runtime.alarms.alarm_service import AlarmService
 from service.runtime.live.leadership import Leading
 from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.supervisor import Supervisor
@@ -116,7 +116,7 @@ def test_streams_of_a_service_that_stands_by_hear_what_the_other_stored(new_grou
 
 def test_alarms_are_the_business_of_the_service_that_leads(new_ground):
     ground, turn = new_ground(), Mock(return_value=0)
-    desk = AlarmDesk(ground.storage, ground.clock, LiveFeed(), {}, Mock(), turn=turn)
+    desk = AlarmService(ground.storage, ground.clock, LiveFeed(), {}, Mock(), turn=turn)
     alarms = Mock(wraps=ground.storage.alarms)
     alarms.alarm = Mock(return_value=Mock(spacecraft_id=ground.id))
     with patch.object(ground.storage, "alarms", alarms), pytest.raises(StorageError) as caught:

@@ -11,7 +11,13 @@ import numpy as np
 
 from service.core.estimation.filtering.causes.carrier_faults import CarrierWatch
 from service.core.estimation.filtering.causes.common_change import common_value, quiet_cusum
-from service.core.estimation.filtering.causes.fault_hypotheses import GROUP_STEP_DB, JUMP_DEG, Cause, Choice, Chooser
+from service.core.estimation.filtering.causes.fault_hypotheses import (
+    GROUP_STEP_DB,
+    JUMP_DEG,
+    Cause,
+    Chooser,
+    LikeliestCause,
+)
 from service.core.estimation.filtering.causes.rain_state import (
     SUDDEN,
     RainWatch,
@@ -65,7 +71,7 @@ def common_innovation(model: CarrierModel, innovation: Innovation) -> CommonInno
 
 def find_cause(
     model: CarrierModel, rain: RainWatch, innovation: Innovation, common: CommonInnovation, chooser: Chooser
-) -> Choice | None:
+) -> LikeliestCause | None:
     """Return what moved the carriers of a row together, None = nothing did.
 
     Parameters
@@ -84,7 +90,7 @@ def find_cause(
     suspects = np.count_nonzero(np.abs(innovation.innovation_db) > _SUSPECT * innovation.sigma_db)
     if suspects >= _SEVERAL or abs(common.value) > SUDDEN:
         return chooser(model, innovation)
-    return Choice(Cause.COMMON) if is_down(rain) or is_up(rain) else None
+    return LikeliestCause(Cause.COMMON) if is_down(rain) or is_up(rain) else None
 
 
 def widen(
@@ -92,7 +98,7 @@ def widen(
     gaussian: Gaussian,
     carriers: CarrierWatch,
     rain: RainWatch,
-    choice: Choice,
+    choice: LikeliestCause,
     common: CommonInnovation,
     *,
     is_chain_worked: bool = False,
@@ -105,7 +111,7 @@ def widen(
         The carriers.
     gaussian, carriers, rain : Gaussian, CarrierWatch, RainWatch
         Predicted state and watches.
-    choice : Choice
+    choice : LikeliestCause
         Cause, not `INDEPENDENT`.
     common : CommonInnovation
         Common part of the row.

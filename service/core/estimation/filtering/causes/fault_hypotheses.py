@@ -40,7 +40,7 @@ class Cause(StrEnum):
     ATTITUDE = "attitude"
 
 
-class Choice(NamedTuple):
+class LikeliestCause(NamedTuple):
     """The likeliest cause."""
 
     cause: Cause
@@ -49,10 +49,10 @@ class Choice(NamedTuple):
 
 
 #: decides what moved several carriers at once, from the innovations of a row before anything is taken out
-Chooser = Callable[[CarrierModel, Innovation], Choice]
+Chooser = Callable[[CarrierModel, Innovation], LikeliestCause]
 
 
-def choose_cause(model: CarrierModel, innovation: Innovation) -> Choice:
+def choose_cause(model: CarrierModel, innovation: Innovation) -> LikeliestCause:
     """Return the likeliest cause of a row in which several carriers fail.
 
     Parameters
@@ -64,21 +64,21 @@ def choose_cause(model: CarrierModel, innovation: Innovation) -> Choice:
 
     Returns
     -------
-    Choice
+    LikeliestCause
         `INDEPENDENT` where each failing carrier is best explained by a fault of its own.
     """
     count = len(innovation.carriers)
     candidates = [
-        (Choice(Cause.INDEPENDENT), np.zeros((count, 0)), 0.0),
-        (Choice(Cause.COMMON), np.full((count, 1), COMMON_STEP_DB), _PRIOR["common"]),
-        (Choice(Cause.ATTITUDE), JUMP_DEG * innovation.core_jacobian[:, ATTITUDE], _PRIOR["attitude"]),
+        (LikeliestCause(Cause.INDEPENDENT), np.zeros((count, 0)), 0.0),
+        (LikeliestCause(Cause.COMMON), np.full((count, 1), COMMON_STEP_DB), _PRIOR["common"]),
+        (LikeliestCause(Cause.ATTITUDE), JUMP_DEG * innovation.core_jacobian[:, ATTITUDE], _PRIOR["attitude"]),
     ]
     labels = model.transponder[innovation.carriers]
     for transponder in np.unique(labels).tolist():
         members = labels == transponder
         if _MIN_GROUP <= np.count_nonzero(members) < count:
             column = GROUP_STEP_DB * members[:, None].astype(np.float64)
-            candidates.append((Choice(Cause.GROUP, transponder), column, _PRIOR["group"]))
+            candidates.append((LikeliestCause(Cause.GROUP, transponder), column, _PRIOR["group"]))
     spread = innovation.covariance_db2
     scores = [
         prior + _log_likelihood(innovation.innovation_db, spread + column @ column.T)

@@ -26,7 +26,7 @@ class IntegrityLimits(NamedTuple):
     relearned_share: float = 1.0 / 3.0
 
 
-class Evidence(NamedTuple):
+class IntegrityInputs(NamedTuple):
     """What integrity looks at."""
 
     #: (3,) deg
@@ -54,12 +54,12 @@ class Integrity(NamedTuple):
     is_realignment_advised: bool
 
 
-def assess(evidence: Evidence, limits: IntegrityLimits) -> Integrity:
+def assess(evidence: IntegrityInputs, limits: IntegrityLimits) -> Integrity:
     """Return whether control may use an attitude.
 
     Parameters
     ----------
-    evidence : Evidence
+    evidence : IntegrityInputs
         Of the row.
     limits : IntegrityLimits
         Settings.
@@ -72,7 +72,7 @@ def assess(evidence: Evidence, limits: IntegrityLimits) -> Integrity:
     Examples
     --------
     >>> import numpy as np
-    >>> calm = Evidence(np.array([0.3, 0.01, 0.02]), 16, False, False, 1.0, (False, False, False), 0, 16)
+    >>> calm = IntegrityInputs(np.array([0.3, 0.01, 0.02]), 16, False, False, 1.0, (False, False, False), 0, 16)
     >>> assess(calm, IntegrityLimits()).is_axis_allowed
     (False, True, True)
     """

@@ -7,11 +7,11 @@ from types import SimpleNamespace
 import pytest
 
 from service.api.access import access_housekeeping as access_keeping
-from service.api.access.access_housekeeping import AccessKeeping
+from service.api.access.access_housekeeping import AccessHousekeeping
 from service.api.access.refusal_audit import MAX_GROUPS, Refusals
 from service.errors import StorageError
 from service.records.journal import JournalHead
-from service.records.operations.audit import AuditHead, Deed, next_entry
+from service.records.operations.audit import AuditEvent, AuditHead, next_entry
 
 pytestmark = pytest.mark.anyio
 
@@ -22,7 +22,7 @@ def anyio_backend():
 
 
 def refused(address="192.0.2.1"):
-    return Deed(
+    return AuditEvent(
         at_us=1,
         who="anonymous",
         key_id="",
@@ -55,7 +55,7 @@ def log():
 
 def keeping(log, refusals=None, keys=None):
     unused = SimpleNamespace(write_down_used=lambda: None)
-    return AccessKeeping(keys or unused, refusals or Refusals(), log)
+    return AccessHousekeeping(keys or unused, refusals or Refusals(), log)
 
 
 def announced(caplog):
@@ -126,7 +126,7 @@ async def test_journal_heads_are_announced_first_every_ten_minutes_and_last_whil
     monkeypatch.setattr(access_keeping.time, "monotonic", lambda: now_s[0])
     unused = SimpleNamespace(write_down_used=lambda: None)
     heads = lambda: [JournalHead("craft-1", number[0], "0123456789abcdef")]  # noqa: E731
-    kept = AccessKeeping(unused, Refusals(), log, heads)
+    kept = AccessHousekeeping(unused, Refusals(), log, heads)
     with caplog.at_level(logging.INFO, "soo.audit"):
         for at_s, entry in ((0.0, 1), (599.0, 2), (600.0, 3), (1200.0, 3), (1300.0, 4)):
             now_s[0], number[0] = at_s, entry

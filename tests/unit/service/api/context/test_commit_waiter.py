@@ -6,12 +6,12 @@ from concurrent.futures import Future
 
 import pytest
 
-from service.api.context.commit_waiter import Landings
+from service.api.context.commit_waiter import CommitWaiter
 
 
 def test_results_and_faults_arrive_with_one_wake_of_the_loop():
     async def run() -> tuple[list[object], int]:
-        landings, loop, wakes = Landings(), asyncio.get_running_loop(), []
+        landings, loop, wakes = CommitWaiter(), asyncio.get_running_loop(), []
         original = loop.call_soon_threadsafe
         loop.call_soon_threadsafe = lambda *call: wakes.append(1) or original(*call)  # type: ignore[method-assign]
         futures: list[Future[int]] = [Future() for _ in range(5)]
@@ -37,7 +37,7 @@ def test_results_and_faults_arrive_with_one_wake_of_the_loop():
 
 def test_many_landings_at_any_moment_lose_none():
     async def run() -> list[int]:
-        landings = Landings()
+        landings = CommitWaiter()
         futures: list[Future[int]] = [Future() for _ in range(400)]
         thread = threading.Thread(target=lambda: [future.set_result(k) for k, future in enumerate(futures)])
         waiting = asyncio.gather(*map(landings.of, futures))
@@ -52,7 +52,7 @@ def test_many_landings_at_any_moment_lose_none():
 
 def test_who_gives_up_does_not_cancel_what_is_under_way():
     async def run() -> Future[int]:
-        landings, future = Landings(), Future[int]()
+        landings, future = CommitWaiter(), Future[int]()
         with pytest.raises(TimeoutError):
             await asyncio.wait_for(landings.of(future), 0.01)
         other = asyncio.ensure_future(landings.of(future))
@@ -71,7 +71,7 @@ def test_a_loop_that_has_ended_is_not_woken():
 
     async def give_up() -> None:
         with pytest.raises(TimeoutError):
-            await asyncio.wait_for(Landings().of(future), 0.01)
+            await asyncio.wait_for(CommitWaiter().of(future), 0.01)
 
     asyncio.run(give_up())
     future.set_result(1)

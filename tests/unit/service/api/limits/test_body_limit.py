@@ -6,7 +6,7 @@ from random import Random
 import pytest
 
 from service.api.limits.body_limit import BodyLimit
-from service.api.problems.problems import ProblemError
+from service.api.problems.problems import RequestProblemError
 
 pytestmark = pytest.mark.anyio
 
@@ -41,7 +41,7 @@ async def passed(body: bytes, piece: int, limit: int, *headers: tuple[bytes, byt
     scope = {"type": "http", "headers": list(headers), "method": "POST", "path": "/"}
     try:
         await BodyLimit(inside, limit)(scope, receive, send)
-    except ProblemError as problem:
+    except RequestProblemError as problem:
         return problem.code.encode(), taken, seen
     return scope["read"], taken, seen
 

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 from pydantic import BaseModel, TypeAdapter
 
-from service.api.problems.problems import ProblemError
+from service.api.problems.problems import RequestProblemError
 from service.api.protocol import bodies
 from service.api.protocol.bodies import MOST_VALUES, decode, read_body
 from service.api.schemas.inputs import ReferenceBatchDocument
@@ -34,7 +34,7 @@ class Anything(BaseModel):
 @pytest.mark.parametrize("piece", [b"0,", b"[],", b'"",', b"{},"], ids=["numbers", "lists", "texts", "objects"])
 def test_more_values_than_are_decoded_are_refused_unseen(piece):
     raw = b'{"x":[' + piece * (MOST_VALUES + 1) + b"0]}"
-    with pytest.raises(ProblemError) as caught:
+    with pytest.raises(RequestProblemError) as caught:
         decode(None, raw)
     assert (caught.value.status, caught.value.code) == (413, "body.too_many_values")
 
@@ -57,7 +57,7 @@ def test_as_many_values_as_are_decoded_pass():
     ids=["a row", "rows", "references"],
 )
 def test_lists_beyond_their_length_end_the_decoding(model, raw):
-    with pytest.raises(ProblemError) as caught:
+    with pytest.raises(RequestProblemError) as caught:
         decode(TypeAdapter(model), raw)
     assert (caught.value.status, caught.value.code) == (422, "value.length")
     assert len(caught.value.fields) == 1

@@ -4,7 +4,7 @@ import base64
 
 import pytest
 
-from service.api.problems.problems import ProblemError
+from service.api.problems.problems import RequestProblemError
 from service.api.protocol.paging import EVERYTHING, decode_cursor, encode_cursor, window_of
 from service.records.calibration import Window
 
@@ -33,13 +33,13 @@ def test_a_cursor_gives_its_place_back_and_fits_into_a_url(place):
     ],
 )
 def test_any_other_text_is_no_cursor(text):
-    with pytest.raises(ProblemError) as caught:
+    with pytest.raises(RequestProblemError) as caught:
         decode_cursor(text)
     assert (caught.value.status, caught.value.code) == (422, "cursor.invalid")
 
 
 def test_a_cursor_of_another_query_is_refused():
-    with pytest.raises(ProblemError) as caught:
+    with pytest.raises(RequestProblemError) as caught:
         decode_cursor(encode_cursor((1, 2), 7), 8)
     assert (caught.value.status, caught.value.code) == (422, "cursor.invalid")
     assert "another query" in caught.value.detail
@@ -53,6 +53,6 @@ def test_defaults_hold_where_nothing_is_stated():
 
 @pytest.mark.parametrize(("start", "stop"), [("1970-01-01T00:00:05Z", None), (None, "1970-01-01T00:00:00Z")])
 def test_an_interval_of_nothing_is_refused(start, stop):
-    with pytest.raises(ProblemError) as caught:
+    with pytest.raises(RequestProblemError) as caught:
         window_of(start, stop, Window(0, 5_000_000))
     assert caught.value.code == "range.invalid"

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.core.control.command_plan import Forecast, Plan, Situation, plan_command
+from service.core.control.command_plan import Forecast, PlannedPulses, Situation, plan_command
 from service.core.control.envelope import Envelope, envelope_excesses
 from service.core.control.quaternion_law import loop_gains
 from service.core.control.slew_schedule import Drive, predicted_effect
@@ -30,7 +30,7 @@ def forecast(torque_n_m=(0.0, 0.0, 0.0), slices=7) -> Forecast:
     return Forecast(SLEW_S, SLICE_S, np.tile(np.array(torque_n_m), (1 + slices, 1)))
 
 
-def flown(plan: Plan, rates_deg_s=NOTHING, torque_n_m=NOTHING, until_s=None) -> tuple[np.ndarray, np.ndarray]:
+def flown(plan: PlannedPulses, rates_deg_s=NOTHING, torque_n_m=NOTHING, until_s=None) -> tuple[np.ndarray, np.ndarray]:
     """Return what the craft has turned and its rate, deg and deg/s, by steps of 10 ms and without exchange."""
     stop_s = plan.horizon_s if until_s is None else until_s
     step_s = 0.01
@@ -64,7 +64,7 @@ def test_a_known_torque_is_balanced_until_the_horizon_and_a_rate_is_taken():
         turned, rate = flown(plan, rates, torque, until_s)
         np.testing.assert_allclose(turned, 0.0, atol=ANGLE_LEFT_DEG)
         np.testing.assert_allclose(rate, 0.0, atol=RATE_LEFT_DEG_S)
-    idle, _ = flown(Plan((), plan.horizon_s, False), rates, torque)
+    idle, _ = flown(PlannedPulses((), plan.horizon_s, False), rates, torque)
     assert np.abs(idle).max() > 4.0 * ANGLE_LEFT_DEG
 
 

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from service.core.control.gyro_orbitant import gyro_orbitant_torque, yaw_from_roll_rate_deg
-from service.core.dynamics.orbital_frame_model import MAX_GAINS, Gains, Law
+from service.core.dynamics.orbital_frame_model import MAX_GAINS, Law, OrbitalFrameGains
 from service.core.dynamics.orbital_frame_step import wanted_torque
 from service.core.geometry.frames import body_from_nadir
 
@@ -96,7 +96,7 @@ def test_values_that_are_none_are_refused(rate: NDArray[np.float64]) -> None:
 
 def test_imaginary_yaw_is_refused_never_cut() -> None:
     fast = np.array([0.0, 2.0 * math.degrees(W0_RAD_S), -math.degrees(W0_RAD_S)])
-    printed = Law(gains=Gains(), orbital_rate_rad_s=W0_RAD_S, is_guarded=False)
+    printed = Law(gains=OrbitalFrameGains(), orbital_rate_rad_s=W0_RAD_S, is_guarded=False)
     with pytest.raises(ValueError, match="not guarded"):
         gyro_orbitant_torque(0.0, 0.0, fast, printed, 0.05)
     assert np.isfinite(gyro_orbitant_torque(0.0, 0.0, fast, LAW, 0.05)).all()

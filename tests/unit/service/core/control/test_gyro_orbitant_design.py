@@ -8,7 +8,7 @@ import pytest
 from service.core.control.gyro_orbitant import does_rate_tell_yaw, gyro_orbitant_torque
 from service.core.control.gyro_orbitant_design import gyro_orbitant_law, sampled_growth
 from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S, inertia_about_angles
-from service.core.dynamics.orbital_frame_model import Gains
+from service.core.dynamics.orbital_frame_model import OrbitalFrameGains
 
 W0 = GEOSTATIONARY_RATE_RAD_S
 INERTIA = np.array([[2600.0, 40.0, 0.0], [40.0, 1400.0, 0.0], [0.0, 0.0, 2500.0]])
@@ -16,17 +16,17 @@ TENSOR = inertia_about_angles(INERTIA)
 DAMPING = 0.9
 
 
-def gains_of(period_s: float) -> Gains:
+def gains_of(period_s: float) -> OrbitalFrameGains:
     """Return gains whose roll and pitch loops have some period, yaw four times slower than its damping."""
     w = 2.0 * math.pi / period_s
     yaw, roll, pitch = TENSOR.diagonal()
     k2 = 2.0 * DAMPING * w
-    return Gains(
+    return OrbitalFrameGains(
         2.0 * roll * w**2, roll * k2, 2.0 * pitch * w**2, pitch * k2, math.sqrt(2.0) * 0.25 * w * yaw * k2, yaw * k2
     )
 
 
-def flown_deg(gains: Gains, period_s: float, delay: int, commands: int) -> list[float]:
+def flown_deg(gains: OrbitalFrameGains, period_s: float, delay: int, commands: int) -> list[float]:
     """Return the greatest angle after each command, in steps of a twentieth of the period."""
     law = gyro_orbitant_law(INERTIA, gains_of(40.0 * period_s), torque_limit_n_m=1e9, command_period_s=period_s)
     law = law._replace(gains=gains)

@@ -26,19 +26,19 @@ from service.core.dynamics.orbital_frame_model import (
     TILT_FIRST,
     TO_ZERO,
     YAW_FIRST,
+    AxisWheels,
     Computer,
     Craft,
-    Gains,
     Inertia,
     Law,
+    OrbitalFrameGains,
     Tones,
-    Wheels,
     refusals,
     rigid_craft,
 )
 from service.core.dynamics.orbital_frame_step import body_rate, half_angles, inverse_inertia, times, wanted_torque
 
-FREE = Gains(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+FREE = OrbitalFrameGains(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _TILT = st.floats(-0.035, 0.035)
 
 
@@ -112,7 +112,7 @@ def test_commands_are_multiples_of_the_quantum_within_the_limit(wanted: tuple[fl
 
 
 def test_dry_friction_holds_a_rotor_at_rest() -> None:
-    wheels = Wheels(cogging_n_m=0.0)
+    wheels = AxisWheels(cogging_n_m=0.0)
     assert rotor_torque(wheels, 1.9e-3, 0.0, 0.0, 0.125) == 0.0
     assert rotor_torque(wheels, 3e-3, 0.0, 0.0, 0.125) == pytest.approx(-1e-3)
     # a rotor that would pass through rest under less than the friction stops there
@@ -121,14 +121,14 @@ def test_dry_friction_holds_a_rotor_at_rest() -> None:
 
 
 def test_wheel_at_its_limit_takes_no_more() -> None:
-    wheels = Wheels()
+    wheels = AxisWheels()
     assert rotor_torque(wheels, -0.2, wheels.momentum_limit_n_m_s, 0.0, 0.125) <= 0.0
     slow = rotor_torque(wheels, -0.2, 19.9999, 0.0, 0.125)
     assert 19.9999 + 0.125 * slow <= wheels.momentum_limit_n_m_s + 1e-12
 
 
 def test_cogging_over_whole_turns_is_nothing() -> None:
-    wheels = Wheels(dry_friction_n_m=0.0, viscous_friction_n_m_s=0.0)
+    wheels = AxisWheels(dry_friction_n_m=0.0, viscous_friction_n_m_s=0.0)
     momentum = wheels.inertia_kg_m2 * 2.0 * math.pi / 0.125  # one turn a period
     assert rotor_torque(wheels, 0.0, momentum, 0.3, 0.125) == pytest.approx(0.0, abs=1e-12)
 
@@ -159,7 +159,7 @@ def test_tones_step_exactly() -> None:
         (rigid_craft()._replace(law=Law(orbital_rate_rad_s=0.0)), "orbital_rate"),
         (rigid_craft()._replace(computer=Computer(period_s=0.0)), "period_s"),
         (rigid_craft()._replace(computer=Computer(torque_quantum_n_m=-1.0)), "torque_quantum"),
-        (rigid_craft()._replace(wheels=Wheels(inertia_kg_m2=0.0)), "wheels.inertia"),
+        (rigid_craft()._replace(wheels=AxisWheels(inertia_kg_m2=0.0)), "wheels.inertia"),
         (rigid_craft()._replace(tones=Tones(damping_ratio=0.0)), "damping_ratio"),
         (rigid_craft(steps=0), "steps"),
     ],

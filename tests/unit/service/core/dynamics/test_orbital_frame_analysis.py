@@ -8,7 +8,7 @@ import pytest
 from service.core.dynamics.orbital_frame_analysis import (
     MOST_STEPS,
     BeyondOrbitalRate,
-    Wish,
+    SettlingRequest,
     check_closed_loop,
     fly_closed_loop,
 )
@@ -17,7 +17,7 @@ from service.core.dynamics.orbital_frame_model import Computer, Craft, Inertia, 
 
 
 def test_figures_are_those_of_the_flight():
-    wish = Wish(Craft(), Start(yaw_deg=1.0), 60.0, seed=3, settled_after_s=30.0, bound_deg=0.98)
+    wish = SettlingRequest(Craft(), Start(yaw_deg=1.0), 60.0, seed=3, settled_after_s=30.0, bound_deg=0.98)
     found, flown = fly_closed_loop(wish), fly_craft(Craft(), Start(yaw_deg=1.0), 60.0, 3)
     assert np.array_equal(found.flight.yaw_deg, flown.yaw_deg)
     late = flown.time_s > 30.0
@@ -33,14 +33,14 @@ def test_figures_are_those_of_the_flight():
 def test_harmonics_over_an_orbit_are_those_of_the_specification():
     # the craft turns in a fifth of the periods here, which changes nothing of a slow motion
     craft = rigid_craft(inertia=Inertia(xy=100.0, xz=60.0, yz=114.0))._replace(computer=Computer(False, period_s=1.0))
-    merit = fly_closed_loop(Wish(craft, Start(), 15_000.0)).merit
+    merit = fly_closed_loop(SettlingRequest(craft, Start(), 15_000.0)).merit
     assert merit.harmonic_deg[2] == pytest.approx(0.0170, abs=0.0002)
     assert merit.harmonic_deg[0] == pytest.approx(0.00182, abs=0.00002)
     assert merit.mean_yaw_deg == pytest.approx(0.0, abs=0.001)
 
 
 def test_a_thinned_record_keeps_the_start_and_the_figures():
-    found = fly_closed_loop(Wish(rigid_craft(), Start(yaw_deg=1.0), 10.0))
+    found = fly_closed_loop(SettlingRequest(rigid_craft(), Start(yaw_deg=1.0), 10.0))
     thin = found.thinned(10)
     assert (len(found.flight.time_s), len(thin.flight.time_s)) == (81, 9)
     assert thin.flight.time_s[0] == 0.0
@@ -52,12 +52,12 @@ def test_a_thinned_record_keeps_the_start_and_the_figures():
 @pytest.mark.parametrize(
     ("wish", "says"),
     [
-        (Wish(craft=Craft(inertia=Inertia(zz=20_000.0))), "triangle"),
-        (Wish(duration_s=math.nan), "duration_s"),
-        (Wish(duration_s=60_001.0), "60000 s"),
-        (Wish(craft=Craft(steps=16)), f"{MOST_STEPS} steps"),
-        (Wish(start=Start(rate_rad_s=(-1.04e-3, 0.0, 0.0))), "1.01 orbital rates"),
-        (Wish(start=Start(rate_rad_s=(2.1e-3, 0.0, 0.0)), beyond=BeyondOrbitalRate.AS_PRINTED), "imaginary"),
+        (SettlingRequest(craft=Craft(inertia=Inertia(zz=20_000.0))), "triangle"),
+        (SettlingRequest(duration_s=math.nan), "duration_s"),
+        (SettlingRequest(duration_s=60_001.0), "60000 s"),
+        (SettlingRequest(craft=Craft(steps=16)), f"{MOST_STEPS} steps"),
+        (SettlingRequest(start=Start(rate_rad_s=(-1.04e-3, 0.0, 0.0))), "1.01 orbital rates"),
+        (SettlingRequest(start=Start(rate_rad_s=(2.1e-3, 0.0, 0.0)), beyond=BeyondOrbitalRate.AS_PRINTED), "imaginary"),
     ],
 )
 def test_what_cannot_fly_is_refused(wish, says):
@@ -75,7 +75,7 @@ def test_what_cannot_fly_is_refused(wish, says):
 )
 def test_what_may_fly_is_not_refused(ratio, beyond):
     start = Start(rate_rad_s=(ratio * Craft().law.orbital_rate_rad_s, 0.0, 0.0))
-    check_closed_loop(Wish(start=start, beyond=beyond))
+    check_closed_loop(SettlingRequest(start=start, beyond=beyond))
 
 
 def test_a_flight_whose_numbers_leave_all_bounds_is_an_error():
@@ -83,4 +83,4 @@ def test_a_flight_whose_numbers_leave_all_bounds_is_an_error():
     craft = rigid_craft(inertia=Inertia(1.0, 1.0, 1.5))._replace(computer=Computer(False, 10.0, 100.0))
     start = Start(rate_rad_s=(1.0, 0.8, -0.7))
     with pytest.raises(ValueError, match=r"leaves all bounds|imaginary"):
-        fly_closed_loop(Wish(craft, start, 2000.0, beyond=BeyondOrbitalRate.SECOND_BRANCH))
+        fly_closed_loop(SettlingRequest(craft, start, 2000.0, beyond=BeyondOrbitalRate.SECOND_BRANCH))

@@ -7,9 +7,9 @@ import pytest
 
 from service.core.flexible.crossings import Line, crossing_time, momentum_time
 from service.core.flexible.propagation import BodyState, angle_and_rate_at, start_leg, state_at, states_at
-from service.core.flexible.spacecraft import FlexibleMode
+from service.core.flexible.spacecraft import HubMode
 
-MODE = FlexibleMode(0.5, 0.005, 0.5)
+MODE = HubMode(0.5, 0.005, 0.5)
 
 
 def leg_of(start, mode=None, wheel_n_m=0.0, decay_1_s=0.0, external_n_m=0.0):

@@ -7,7 +7,7 @@ import pytest
 
 from service.core.flexible.motion import Regulator, follow_motion
 from service.core.flexible.propagation import BodyState
-from service.core.flexible.spacecraft import FlexibleMode, WheelDrive
+from service.core.flexible.spacecraft import HubMode, WheelDrive
 from service.core.flexible.switching_law import Arm, SwitchingLaw
 
 FREE = WheelDrive(1000.0, 0.2, momentum_limit_n_m_s=1e6)
@@ -124,7 +124,7 @@ def test_an_external_torque_fills_the_wheel_through_the_law():
 
 def test_states_are_continuous_over_events():
     drive = WheelDrive(1000.0, 0.2, 1e-3, 1e-3, momentum_n_m_s=1.0)
-    mode = FlexibleMode(0.5, 0.01, 1.0)
+    mode = HubMode(0.5, 0.01, 1.0)
     motion = follow_motion(BodyState(0.03, 4e-4, 1e-3, 0.0, 1.4), drive, mode, LAW, 300.0)
     assert len(motion.legs) > 5
     for later in motion.times_s[1:]:
@@ -136,13 +136,13 @@ def test_a_law_that_chatters_is_refused_and_said_so(monkeypatch):
     monkeypatch.setattr("service.core.flexible.motion.MOST_EVENTS", 3)
     relay = SwitchingLaw(0.0349, 0.0349, math.inf)
     with pytest.raises(ValueError, match=r"more than 3 events in .* the law chatters; widen the distance"):
-        follow_motion(BodyState(0.0349, 1e-4, 0.0, 0.01), FREE, FlexibleMode(2.0, 0.01, 3.0), relay, 100.0)
+        follow_motion(BodyState(0.0349, 1e-4, 0.0, 0.01), FREE, HubMode(2.0, 0.01, 3.0), relay, 100.0)
 
 
 def test_what_is_not_physical_is_refused():
     with pytest.raises(ValueError, match="inertia_kg_m2"):
         follow_motion(BodyState(0.0, 0.0), FREE._replace(inertia_kg_m2=-1.0), None, LAW, 1.0)
     with pytest.raises(ValueError, match="damping_ratio"):
-        follow_motion(BodyState(0.0, 0.0), FREE, FlexibleMode(1.0, 0.0, 1.0), LAW, 1.0)
+        follow_motion(BodyState(0.0, 0.0), FREE, HubMode(1.0, 0.0, 1.0), LAW, 1.0)
     with pytest.raises(ValueError, match="pulse_s"):
         follow_motion(BodyState(0.0, 0.0), FREE, None, LAW._replace(pulse_s=-1.0), 1.0)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from service.core.flexible.propagation import BodyState, angle_and_rate_at, start_leg, state_at, states_at
-from service.core.flexible.spacecraft import FlexibleMode
+from service.core.flexible.spacecraft import HubMode
 
 START = BodyState(0.0349, -1.3e-4, 2.1e-3, -7e-4, 0.8)
-MODES = [None, FlexibleMode(0.5, 0.005, 0.5), FlexibleMode(3.0, 0.4, 2.0)]
+MODES = [None, HubMode(0.5, 0.005, 0.5), HubMode(3.0, 0.4, 2.0)]
 
 
 def leg_of(mode, decay_1_s=1e-3):
@@ -51,6 +51,6 @@ def test_rates_are_the_slopes_of_angles(mode):
 
 
 def test_under_constant_torque_a_damped_mode_comes_to_its_centre():
-    mode = FlexibleMode(3.0, 0.4, 2.0)
+    mode = HubMode(3.0, 0.4, 2.0)
     leg = start_leg(START, mode, inertia_kg_m2=1000.0, wheel_torque_n_m=-0.2)
     assert state_at(leg, 60.0).deflection_rad == pytest.approx(-2.0 * 0.2 / 1000.0 / 9.0, rel=1e-12)

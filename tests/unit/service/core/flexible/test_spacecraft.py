@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from service.core.flexible.spacecraft import FlexibleMode, WheelDrive, accelerations, require_drive, require_mode
+from service.core.flexible.spacecraft import HubMode, WheelDrive, accelerations, require_drive, require_mode
 
 DRIVE = WheelDrive(1000.0, 0.2, 1e-3, 1e-4, momentum_n_m_s=10.0)
 
@@ -46,20 +46,20 @@ def test_a_motor_weaker_than_its_friction_is_refused():
 @pytest.mark.parametrize("xi", [0.0, -0.01, 1.0, 1.5, math.nan])
 def test_a_mode_without_damping_or_with_too_much_is_refused(xi):
     with pytest.raises(ValueError, match=r"damping_ratio is .*, it must lie between 0 and 1, both excluded"):
-        require_mode(FlexibleMode(0.5, xi, 0.4))
+        require_mode(HubMode(0.5, xi, 0.4))
 
 
 def test_a_question_may_allow_a_mode_without_damping():
-    require_mode(FlexibleMode(0.5, 0.0, 0.4), may_be_undamped=True)
+    require_mode(HubMode(0.5, 0.0, 0.4), may_be_undamped=True)
     with pytest.raises(ValueError, match="between 0 and 1, 1 excluded"):
-        require_mode(FlexibleMode(0.5, -1e-3, 0.4), may_be_undamped=True)
+        require_mode(HubMode(0.5, -1e-3, 0.4), may_be_undamped=True)
 
 
 @pytest.mark.parametrize(
     ("mode", "told"),
     [
-        (FlexibleMode(0.0, 0.01, 0.4), "omega_rad_s is 0"),
-        (FlexibleMode(0.5, 0.01, -0.4), "coupling is -0.4"),
+        (HubMode(0.0, 0.01, 0.4), "omega_rad_s is 0"),
+        (HubMode(0.5, 0.01, -0.4), "coupling is -0.4"),
     ],
 )
 def test_a_mode_that_cannot_swing_is_refused(mode, told):

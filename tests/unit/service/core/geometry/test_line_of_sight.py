@@ -9,7 +9,7 @@ from analyzer_sim.world.payload.carriers import PLANS
 from analyzer_sim.world.payload.payload import plan_positions_km
 from service.core.geometry.line_of_sight import (
     Places,
-    Track,
+    PredictedTrack,
     antenna_motion_deg,
     sight_motion_deg,
     track_position_deg,
@@ -61,7 +61,7 @@ def test_moving_east_is_positive_and_moving_north_is_up_or_tilted():
 def orbit_and_track():
     orbit = Orbit.drawn(SEED, 90.0, 0)
     epochs_us = np.arange(-10 * HALF_HOUR_US, 150 * HALF_HOUR_US, HALF_HOUR_US, dtype=np.int64)
-    return orbit, Track(epochs_us, *orbit.sub_satellite_deg(epochs_us))
+    return orbit, PredictedTrack(epochs_us, *orbit.sub_satellite_deg(epochs_us))
 
 
 def test_track_is_interpolated_to_a_millionth_of_a_degree():
@@ -79,7 +79,7 @@ def test_outside_the_track_and_on_short_tracks_nothing_is_known():
     outside_us = np.array([track.epoch_us[0] - 1, track.epoch_us[-1] + 1])
     assert np.isnan(track_position_deg(track, outside_us)).all()
     assert np.isfinite(track_position_deg(track, track.epoch_us[[0, -1]])).all()
-    short = Track(*(column[:3] for column in track))
+    short = PredictedTrack(*(column[:3] for column in track))
     assert np.isnan(track_position_deg(short, track.epoch_us[:3])).all()
 
 

@@ -12,14 +12,14 @@ from pyarrow import parquet
 
 from service.formats.tabular import parquet_stream
 from service.formats.tabular.series_tables import ATTITUDE, EVENTS, REFERENCES, TORQUES, plain_value
-from service.formats.tabular.table_file import Column, Table, TableFormat, table_bytes
+from service.formats.tabular.table_file import Column, SeriesTable, TableFormat, table_bytes
 from service.records.catalogue import Site, Spacecraft
 from service.records.csv_guard import unguarded
 from service.records.inputs import AttitudeReference, Operation
 from service.records.levels.attitude import NO_ANGLES, Axes
 from service.records.levels.command import Pulse
 
-KINDS = Table(
+KINDS = SeriesTable(
     (
         Column("epoch", "epoch"),
         Column("word", "text"),
@@ -37,7 +37,7 @@ ROWS: list[Sequence[Any]] = [
 ]
 
 
-def written(file_format: TableFormat, pages: Sequence[Sequence[Any]], table: Table[Any] = KINDS) -> bytes:
+def written(file_format: TableFormat, pages: Sequence[Sequence[Any]], table: SeriesTable[Any] = KINDS) -> bytes:
     return b"".join(table_bytes(table, file_format, pages))
 
 
@@ -84,7 +84,7 @@ def test_bytes_do_not_tell_in_which_pages_rows_came(file_format: TableFormat, mo
 
 
 @pytest.mark.parametrize("table", [ATTITUDE, REFERENCES, TORQUES, EVENTS])
-def test_files_without_a_row_are_files(table: Table[Any]) -> None:
+def test_files_without_a_row_are_files(table: SeriesTable[Any]) -> None:
     names = [column.name for column in table.columns]
     assert written("csv", [], table).decode() == ",".join(names) + "\r\n"
     assert written("ndjson", [], table) == b""

@@ -14,7 +14,7 @@ from service.frontend.acquisition import acquisition as module
 from service.frontend.acquisition.acquisition import Acquisition
 from service.frontend.acquisition.evaluation import MeasuredRow
 from service.frontend.acquisition.settings import AcquisitionSettings
-from service.frontend.acquisition.states import ACTIONS, TRANSITIONS, Event, State
+from service.frontend.acquisition.states import ACTIONS, TRANSITIONS, AcquisitionEvent, AcquisitionState
 from service.frontend.drivers.base import Features, SweepRefusedError
 from service.frontend.drivers.scpi import AnalyzerMessage, Identity
 from service.frontend.drivers.visa_session import AnalyzerIOError
@@ -129,20 +129,30 @@ def acquisition(
 
 
 def test_the_table_is_complete_and_every_fault_leads_to_the_wait() -> None:
-    assert set(TRANSITIONS) == set(State) == set(ACTIONS)
-    assert all(set(row) == set(Event) for row in TRANSITIONS.values())
-    working = [State.CONNECT, State.IDENTIFY, State.CONFIGURE, State.MEASURE]
-    assert all(TRANSITIONS[state][Event.FAULT] is State.BACKOFF for state in working)
-    for event in (Event.OK, Event.FAULT, Event.RESET):
-        assert TRANSITIONS[State.BACKOFF][event] is State.CONNECT
-    for state in State:
-        assert TRANSITIONS[state][Event.DISABLE] is State.DISABLED
-    assert TRANSITIONS[State.DISABLED][Event.ENABLE] is State.CONNECT
+    assert set(TRANSITIONS) == set(AcquisitionState) == set(ACTIONS)
+    assert all(set(row) == set(AcquisitionEvent) for row in TRANSITIONS.values())
+    working = [
+        AcquisitionState.CONNECT,
+        AcquisitionState.IDENTIFY,
+        AcquisitionState.CONFIGURE,
+        AcquisitionState.MEASURE,
+    ]
+    assert all(TRANSITIONS[state][AcquisitionEvent.FAULT] is AcquisitionState.BACKOFF for state in working)
+    for event in (AcquisitionEvent.OK, AcquisitionEvent.FAULT, AcquisitionEvent.RESET):
+        assert TRANSITIONS[AcquisitionState.BACKOFF][event] is AcquisitionState.CONNECT
+    for state in AcquisitionState:
+        assert TRANSITIONS[state][AcquisitionEvent.DISABLE] is AcquisitionState.DISABLED
+    assert TRANSITIONS[AcquisitionState.DISABLED][AcquisitionEvent.ENABLE] is AcquisitionState.CONNECT
 
 
 def test_the_way_to_the_first_row(monkeypatch: pytest.MonkeyPatch) -> None:
     made, rows, _ = acquisition(monkeypatch, Script())
-    assert [made.step() for _ in range(4)] == [State.IDENTIFY, State.CONFIGURE, State.MEASURE, State.MEASURE]
+    assert [made.step() for _ in range(4)] == [
+        AcquisitionState.IDENTIFY,
+        AcquisitionState.CONFIGURE,
+        AcquisitionState.MEASURE,
+        AcquisitionState.MEASURE,
+    ]
     assert len(rows) == 1
     assert np.isfinite(rows[0].power_dbm).all()
     assert rows[0].flags.tolist() == [QualityFlag.SIMULATED] * 2
@@ -203,7 +213,7 @@ def test_all_sweeps_refused_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     while made.counters.faults == 0:
         made.step()
     assert rows == []
-    assert made.counters.state is State.BACKOFF
+    assert made.counters.state is AcquisitionState.BACKOFF
 
 
 def test_settings_are_sent_when_the_sweep_changes(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -280,7 +290,7 @@ def test_no_good_row_for_three_periods_opens_another_session(monkeypatch: pytest
         made.step()
         assert len(rows) < 8
     assert len(rows) in {4, 5}
-    assert made.counters.state is State.BACKOFF
+    assert made.counters.state is AcquisitionState.BACKOFF
     script.is_stale = False
     before = made.counters.good_rows
     while made.counters.good_rows == before:
@@ -296,11 +306,11 @@ def test_an_order_to_rest_and_to_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
     while not rows:
         made.step()
     made.orders.obey(is_enabled=False, resets=0)
-    assert [made.step() for _ in range(3)] == [State.DISABLED] * 3
+    assert [made.step() for _ in range(3)] == [AcquisitionState.DISABLED] * 3
     assert script.closed == 1
     assert len(rows) == 1
     made.orders.obey(is_enabled=True, resets=0)
-    assert made.step() is State.CONNECT
+    assert made.step() is AcquisitionState.CONNECT
     while len(rows) < 2:
         made.step()
     assert made.counters.faults == 0
@@ -313,7 +323,7 @@ def test_a_reset_closes_the_session_clears_the_waits_and_keeps_the_counters(monk
         made.step()
     made.orders.obey(is_enabled=True, resets=0)
     made.orders.obey(is_enabled=True, resets=3)
-    assert made.step() is State.CONNECT
+    assert made.step() is AcquisitionState.CONNECT
     assert script.closed == 1
     assert made.orders.resets_seen == 3
     made.orders.obey(is_enabled=True, resets=3)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from spooled_rows import NOW_US, TASK, Hands, heal_disk, protect_disk, row, spool, sweep, waiting
 
-from service.frontend.spool.file import Bounds, Lane, Owner
+from service.frontend.spool.file import Bounds, Owner, UploadLane
 from service.frontend.spool.row import ARRAYS, ROW_OVERHEAD, SpooledTask, encode_row
 from service.frontend.spool.schema import MIGRATIONS, SpoolFileError, connect, migrate
 from service.frontend.spool.spool import Spool, spool_path
@@ -23,7 +23,7 @@ def test_a_row_comes_back_as_it_was(tmp_path: Path) -> None:
     with spool(tmp_path) as made:
         assert made.append(row(5))
     with spool(tmp_path) as made:
-        (found,) = made.batch(Lane.LIVE, 0, 10)
+        (found,) = made.batch(UploadLane.LIVE, 0, 10)
     assert found.seq == 1
     assert found.task == TASK
     for name, kind in ARRAYS.items():
@@ -46,7 +46,7 @@ def test_numbers_go_on_for_ever_even_over_an_emptied_spool_and_a_restart(tmp_pat
         with spool(tmp_path) as made:
             for number in range(start, start + 3):
                 assert made.append(row(number))
-            rows = made.batch(Lane.LIVE, 0, 10)
+            rows = made.batch(UploadLane.LIVE, 0, 10)
             assert [each.seq for each in rows] == [start + 1, start + 2, start + 3]
             made.settle(rows)
             assert made.waiting == 0
@@ -74,12 +74,12 @@ def test_lanes_part_at_the_limit_of_lateness_and_batches_have_no_gap(tmp_path: P
     with spool(tmp_path) as made:
         for epoch in (10, 20, 30, 40, 15, 50):
             made.append(row(epoch))
-        assert [each.seq for each in made.batch(Lane.LIVE, 20, 10)] == [2, 3, 4]
-        assert [each.seq for each in made.batch(Lane.BACKFILL, 20, 10)] == [1]
-        made.settle(made.batch(Lane.BACKFILL, 20, 10))
-        assert [each.seq for each in made.batch(Lane.BACKFILL, 20, 10)] == [5]
-        assert [each.seq for each in made.batch(Lane.LIVE, 20, 2)] == [2, 3]
-        assert made.batch(Lane.BACKFILL, 0, 10) == []
+        assert [each.seq for each in made.batch(UploadLane.LIVE, 20, 10)] == [2, 3, 4]
+        assert [each.seq for each in made.batch(UploadLane.BACKFILL, 20, 10)] == [1]
+        made.settle(made.batch(UploadLane.BACKFILL, 20, 10))
+        assert [each.seq for each in made.batch(UploadLane.BACKFILL, 20, 10)] == [5]
+        assert [each.seq for each in made.batch(UploadLane.LIVE, 20, 2)] == [2, 3]
+        assert made.batch(UploadLane.BACKFILL, 0, 10) == []
 
 
 def test_rows_of_another_task_are_another_batch(tmp_path: Path) -> None:
@@ -88,9 +88,9 @@ def test_rows_of_another_task_are_another_batch(tmp_path: Path) -> None:
     other = SpooledTask("e" * 64, ("c07", "c08", "c09"))
     with spool(tmp_path, task=other) as made:
         made.append(row(2, carriers=3))
-        (first,) = made.batch(Lane.LIVE, 0, 10)
+        (first,) = made.batch(UploadLane.LIVE, 0, 10)
         made.settle([first])
-        (second,) = made.batch(Lane.LIVE, 0, 10)
+        (second,) = made.batch(UploadLane.LIVE, 0, 10)
     assert (first.task, second.task) == (TASK, other)
     assert second.row.power_dbm.size == 3
 
@@ -105,7 +105,7 @@ def test_beyond_its_size_the_oldest_rows_go_and_leave_a_gap(tmp_path: Path) -> N
         assert warning.code == "spool.full"
         assert "6 rows given up" in warning.detail
         assert set(warning.as_json()) == {"code", "detail", "since"}
-        made.settle(made.batch(Lane.LIVE, 0, 10))
+        made.settle(made.batch(UploadLane.LIVE, 0, 10))
         assert made.warnings == []
         state = made.state
     # every number is settled or given up
@@ -118,7 +118,7 @@ def test_rows_that_are_being_sent_are_not_given_up(tmp_path: Path) -> None:
     with spool(tmp_path, Bounds(rows_bytes=3 * ROW_BYTES)) as made:
         for number in range(3):
             made.append(row(number))
-        sent = made.batch(Lane.LIVE, 0, 2)
+        sent = made.batch(UploadLane.LIVE, 0, 2)
         made.append(row(3))
         assert made.state.dropped == {"full": 1}
         made.settle(sent)
@@ -156,7 +156,7 @@ def test_refused_rows_are_kept_apart_bounded_and_counted(tmp_path: Path) -> None
     with spool(tmp_path, Bounds(refused_rows=3)) as made:
         for number in range(6):
             made.append(row(number))
-        rows = made.batch(Lane.LIVE, 0, 10)
+        rows = made.batch(UploadLane.LIVE, 0, 10)
         made.settle(rows, {place: ("time.future", f"row {place}") for place in range(1, 6)})
         assert made.state.refused == 5
         assert made.waiting == 0
@@ -205,7 +205,7 @@ def test_an_emptied_file_gives_its_pages_back(tmp_path: Path, monkeypatch: pytes
     with spool(tmp_path) as made:
         for number in range(2000):
             made.append(row(number))
-        made.settle(made.batch(Lane.LIVE, 0, 5000))
+        made.settle(made.batch(UploadLane.LIVE, 0, 5000))
         made._disk.file.connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
         assert (tmp_path / "sa-1.spool").stat().st_size < 1 << 16
 
@@ -217,7 +217,7 @@ def test_threads_append_and_settle_at_the_same_time(tmp_path: Path) -> None:
         measuring.start()
         while len(taken) < 500:
             made.await_rows(1, 5.0)
-            rows = made.batch(Lane.LIVE, 0, 20)
+            rows = made.batch(UploadLane.LIVE, 0, 20)
             taken += [each.seq for each in rows]
             made.settle(rows)
         measuring.join()
@@ -267,7 +267,7 @@ def test_every_number_is_settled_waiting_or_given_up_whatever_happens(tmp_path: 
             made.append(row(number))
             number += 1
         elif act < 0.75:
-            rows = made.batch(draw.choice(list(Lane)), number - 5, draw.randrange(1, 6))
+            rows = made.batch(draw.choice(list(UploadLane)), number - 5, draw.randrange(1, 6))
             seqs = [each.seq for each in rows if each.seq is not None]
             assert not seen & set(seqs)
             seen |= set(seqs)

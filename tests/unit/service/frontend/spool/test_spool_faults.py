@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from spooled_rows import NOW_US, OWNER, TASK, Hands, fill_disk, heal_disk, protect_disk, row, spool, waiting
 
-from service.frontend.spool.file import Bounds, Lane
+from service.frontend.spool.file import Bounds, UploadLane
 from service.frontend.spool.lock import MARK_STEP, SpoolInUseError
 from service.frontend.spool.row import ROW_OVERHEAD, encode_row
 from service.frontend.spool.spool import Spool
@@ -30,12 +30,12 @@ def test_a_disk_that_takes_nothing_stops_neither_measuring_nor_sending(tmp_path:
         assert [each.code for each in made.warnings] == [code]
         assert made.waiting == on_disk + 40
         # what is on the disk is sent, and not again although it cannot be deleted
-        rows = made.batch(Lane.LIVE, 0, 1000)
+        rows = made.batch(UploadLane.LIVE, 0, 1000)
         assert len(rows) == on_disk
         made.settle(rows, {1: ("value.out_of_range", "because")})
         assert made.waiting == 40
         # what is in memory is sent without a number
-        first = made.batch(Lane.LIVE, 0, 5)
+        first = made.batch(UploadLane.LIVE, 0, 5)
         assert [(each.seq, each.row.epoch_us) for each in first] == [(None, on_disk + k) for k in range(5)]
         made.settle(first)
         assert made.waiting == 35
@@ -64,7 +64,7 @@ def test_beyond_the_bound_in_memory_the_oldest_rows_go_and_their_numbers_with_th
         # memory held 3 rows, the tenth one made a sixth of them go
         assert made.state.dropped == {"memory": 6}
         assert waiting(made)[0] == (1, 0)
-        made.settle(made.batch(Lane.LIVE, 0, 1))
+        made.settle(made.batch(UploadLane.LIVE, 0, 1))
         assert waiting(made) == [(8, 7), (9, 8), (10, 9)]
 
 
@@ -136,7 +136,7 @@ def test_a_file_that_is_spoiled_while_in_use_loses_no_row_that_can_be_read(tmp_p
             file.write(b"\xff" * 4096)
         epochs, last = set(), 2000
         made.append(row(last))
-        while rows := made.batch(Lane.LIVE, 0, 50):
+        while rows := made.batch(UploadLane.LIVE, 0, 50):
             epochs |= {each.row.epoch_us for each in rows}
             made.settle(rows)
         assert [each.code for each in made.warnings] == ["spool.corrupt"]

@@ -5,18 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.pipeline.alarms.alarm_engine import AlarmBook, Readings
-from service.pipeline.alarms.condition import Condition, Kind, Origin
+from service.pipeline.alarms.alarm_engine import AlarmEngine, Readings
+from service.pipeline.alarms.condition import AlarmCondition, Kind, Origin
 from service.pipeline.alarms.conditions import condition_table
-from service.pipeline.alarms.limit_sets import Circumstances
+from service.pipeline.alarms.limit_sets import AlarmContext
 from service.pipeline.alarms.transitions import told_in_words
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.records.operations.alarm import ChangeKind, Cover, Handling, Process, Severity
 from service.records.operations.alarm_limits import AlarmLimits, ConditionLimits
-from service.records.operations.alarm_memory import BookMemory
+from service.records.operations.alarm_memory import EngineMemory
 
 S = 1_000_000
-CONDITION = Condition(
+CONDITION = AlarmCondition(
     "carrier_level",
     Kind.ABOVE,
     "dB",
@@ -47,7 +47,7 @@ def by(name="anna", minute=10):
 
 @pytest.fixture
 def book():
-    return AlarmBook("craft", CONDITIONS)
+    return AlarmEngine("craft", CONDITIONS)
 
 
 @pytest.fixture
@@ -206,14 +206,14 @@ def test_what_nobody_acts_on_is_told_again(raised):
 
 
 def test_a_declared_operation_suppresses_what_stands_and_what_comes(raised):
-    quiet = Circumstances(quiet_carriers=frozenset(THINGS))
+    quiet = AlarmContext(quiet_carriers=frozenset(THINGS))
     (change,) = raised.enter(quiet, 120 * S)
     assert (change.kind, change.alarm.state, change.is_told) == (ChangeKind.SUPPRESSED, "suppressed", False)
     tell(raised, 3, 4.0, 4.0)
     (new,) = tell(raised, 4, 4.0, 4.0)
     assert (new.alarm.thing, new.alarm.state, new.is_told) == ("c1", "suppressed", False)
     assert raised.pass_time(1000 * 60 * S) == []
-    released = raised.enter(Circumstances(), 1001 * 60 * S)
+    released = raised.enter(AlarmContext(), 1001 * 60 * S)
     assert [(one.alarm.thing, one.alarm.state, one.is_told) for one in released] == [
         ("c0", "unacknowledged", True),
         ("c1", "unacknowledged", True),
@@ -221,7 +221,7 @@ def test_a_declared_operation_suppresses_what_stands_and_what_comes(raised):
 
 
 def test_what_is_gone_while_it_was_suppressed_is_closed(raised):
-    raised.enter(Circumstances(quiet_carriers=frozenset(THINGS)), 120 * S)
+    raised.enter(AlarmContext(quiet_carriers=frozenset(THINGS)), 120 * S)
     tell(raised, 3, 0.0, 0.0)
     (gone,) = tell(raised, 4, 0.0, 0.0)
     assert (gone.alarm.is_open, gone.is_told) == (False, False)
@@ -229,7 +229,7 @@ def test_what_is_gone_while_it_was_suppressed_is_closed(raised):
 
 def test_a_shelving_that_ends_during_an_operation_leaves_the_alarm_quiet(raised):
     raised.shelve(KEY, by(), 60 * 60 * S)
-    assert raised.enter(Circumstances(quiet_carriers=frozenset(THINGS)), 120 * S) == []
+    assert raised.enter(AlarmContext(quiet_carriers=frozenset(THINGS)), 120 * S) == []
     (change,) = raised.pass_time(60 * 60 * S)
     assert (change.alarm.state, change.is_told) == ("suppressed", False)
 
@@ -246,7 +246,7 @@ def test_stated_limits_and_sets_change_what_alarms(book):
     assert kinds(tell(book, 0, 1.5, 0.0)) == [ChangeKind.RAISED]
     rain = replace(stated, sets={"rain": {"carrier_level": {"warning": None, "critical": None}}})
     book.use_limits(rain)
-    book.enter(Circumstances(("normal", "rain")), 60 * S)
+    book.enter(AlarmContext(("normal", "rain")), 60 * S)
     tell(book, 1, 0.0, 14.0)
     assert kinds(tell(book, 2, 0.0, 14.0)) == [ChangeKind.RETURNED]
 
@@ -259,8 +259,8 @@ def test_a_condition_that_is_switched_off_ends_its_alarms(raised):
 
 def test_a_restart_forgets_nothing_and_repeats_nothing(raised):
     tell(raised, 2, 4.0, 4.0)
-    memory = BookMemory(raised.watches())
-    after = AlarmBook("craft", CONDITIONS, None, tuple(raised.open_alarms.values()), memory)
+    memory = EngineMemory(raised.watches())
+    after = AlarmEngine("craft", CONDITIONS, None, tuple(raised.open_alarms.values()), memory)
     assert after.pass_time(180 * S) == []
     # what was about to alarm does so after its time, what was alarmed not again
     (change,) = tell(after, 3, 4.0, 4.0)
@@ -270,13 +270,13 @@ def test_a_restart_forgets_nothing_and_repeats_nothing(raised):
 
 
 def test_a_memory_that_was_lost_is_found_again_in_the_open_alarms(raised):
-    after = AlarmBook("craft", CONDITIONS, None, tuple(raised.open_alarms.values()))
+    after = AlarmEngine("craft", CONDITIONS, None, tuple(raised.open_alarms.values()))
     assert tell(after, 2, 4.0, 0.0) == []
     tell(after, 3, 0.0, 0.0)
     assert kinds(tell(after, 4, 0.0, 0.0)) == [ChangeKind.RETURNED]
     # and one that was cleared meanwhile is not taken for alarmed
-    stale = BookMemory(raised.watches())
-    fresh = AlarmBook("craft", CONDITIONS, None, (), stale)
+    stale = EngineMemory(raised.watches())
+    fresh = AlarmEngine("craft", CONDITIONS, None, (), stale)
     tell(fresh, 5, 4.0, 0.0)
     assert kinds(tell(fresh, 6, 4.0, 0.0)) == [ChangeKind.RAISED]
 

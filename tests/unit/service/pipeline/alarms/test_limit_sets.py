@@ -6,7 +6,7 @@ from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.alarms.limit_sets import (
     DEFAULT_SETS,
     SETS,
-    Circumstances,
+    AlarmContext,
     circumstances,
     faults_of,
     limits_in_force,
@@ -25,7 +25,7 @@ def at(epoch_us, *operations, is_raining=False):
 
 
 def test_nothing_declared_is_the_normal_set():
-    assert at(5) == Circumstances()
+    assert at(5) == AlarmContext()
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.pipeline.alarms.alarm_engine import AlarmBook
+from service.pipeline.alarms.alarm_engine import AlarmEngine
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.alarms.readings import RowFacts, RowReader
 from service.pipeline.config import AlarmConfig, RobustConfig
@@ -17,7 +17,7 @@ from service.records.levels.attitude import NO_ANGLES, Axes, Status, row_without
 from service.records.levels.measurement import CarrierDetails, Measurement
 from service.records.levels.quality_flag import QualityFlag
 from service.records.operations.alarm_limits import AlarmLimits
-from service.records.operations.alarm_memory import BookMemory
+from service.records.operations.alarm_memory import EngineMemory
 
 S = 1_000_000
 NAN = math.nan
@@ -35,8 +35,8 @@ class Rig:
 
     def __init__(self, **changes):
         limits = AlarmLimits(1, sets={"normal": {**AT_ONCE, **changes}})
-        self.book = AlarmBook("craft", CONDITIONS, limits)
-        self.reader = RowReader(self.book, BookMemory())
+        self.book = AlarmEngine("craft", CONDITIONS, limits)
+        self.reader = RowReader(self.book, EngineMemory())
         self.operations = {}
 
     def row(self, minute, *, power_dbm=(-40.0,) * 3, flags=None, c_n0_db_hz=None, is_late=False, **more):
@@ -133,7 +133,7 @@ def test_late_rows_and_rows_out_of_order_never_alarm():
 
 
 def test_a_reader_goes_on_where_it_stood():
-    reader = RowReader(AlarmBook("craft", CONDITIONS), BookMemory((), 600 * S, 60.0))
+    reader = RowReader(AlarmEngine("craft", CONDITIONS), EngineMemory((), 600 * S, 60.0))
     assert (reader.newest_row_us, reader.row_period_s) == (600 * S, 60.0)
 
 

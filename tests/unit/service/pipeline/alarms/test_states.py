@@ -2,7 +2,7 @@
 
 import pytest
 
-from service.pipeline.alarms.states import COVERS, PROCESS, CoverEvent, Event, diagram, next_cover, next_process
+from service.pipeline.alarms.states import COVERS, PROCESS, AlarmEvent, CoverEvent, diagram, next_cover, next_process
 from service.records.operations.alarm import Cover, Process
 
 STATES = list(Process)
@@ -10,7 +10,7 @@ STATES = list(Process)
 
 def test_every_state_answers_every_event():
     assert set(PROCESS) == set(Process)
-    assert all(set(row) == set(Event) for row in PROCESS.values())
+    assert all(set(row) == set(AlarmEvent) for row in PROCESS.values())
     assert set(COVERS) == set(Cover)
     assert all(set(row) == set(CoverEvent) for row in COVERS.values())
 
@@ -18,13 +18,13 @@ def test_every_state_answers_every_event():
 @pytest.mark.parametrize("is_latching", [False, True])
 @pytest.mark.parametrize("state", STATES)
 def test_clearing_leads_out_of_every_state(state, is_latching):
-    assert next_process(state, Event.CLEAR, is_latching=is_latching) is Process.NORMAL
+    assert next_process(state, AlarmEvent.CLEAR, is_latching=is_latching) is Process.NORMAL
     assert all(next_cover(cover, CoverEvent.CLEAR) is Cover.NONE for cover in Cover)
 
 
 def test_an_alarm_that_was_seen_and_is_gone_is_closed_in_either_order():
-    for order in ((Event.ACKNOWLEDGE, Event.RETURN), (Event.RETURN, Event.ACKNOWLEDGE)):
-        state = next_process(Process.NORMAL, Event.RAISE, is_latching=False)
+    for order in ((AlarmEvent.ACKNOWLEDGE, AlarmEvent.RETURN), (AlarmEvent.RETURN, AlarmEvent.ACKNOWLEDGE)):
+        state = next_process(Process.NORMAL, AlarmEvent.RAISE, is_latching=False)
         for event in order:
             assert state is not Process.NORMAL
             state = next_process(state, event, is_latching=False)
@@ -32,22 +32,26 @@ def test_an_alarm_that_was_seen_and_is_gone_is_closed_in_either_order():
 
 
 def test_what_latches_waits_for_its_clearing():
-    for order in ((Event.ACKNOWLEDGE, Event.RETURN), (Event.RETURN, Event.ACKNOWLEDGE), (Event.RETURN_UNSEEN,)):
+    for order in (
+        (AlarmEvent.ACKNOWLEDGE, AlarmEvent.RETURN),
+        (AlarmEvent.RETURN, AlarmEvent.ACKNOWLEDGE),
+        (AlarmEvent.RETURN_UNSEEN,),
+    ):
         state = Process.UNACKNOWLEDGED
         for event in order:
             state = next_process(state, event, is_latching=True)
         assert state is Process.LATCHED
-    assert next_process(Process.NORMAL, Event.RETURN, is_latching=True) is Process.NORMAL
+    assert next_process(Process.NORMAL, AlarmEvent.RETURN, is_latching=True) is Process.NORMAL
 
 
 def test_only_a_worse_condition_takes_an_acknowledgement_away():
-    losing = {event for event in Event if PROCESS[Process.ACKNOWLEDGED][event] is Process.UNACKNOWLEDGED}
-    assert losing == {Event.ESCALATE}
+    losing = {event for event in AlarmEvent if PROCESS[Process.ACKNOWLEDGED][event] is Process.UNACKNOWLEDGED}
+    assert losing == {AlarmEvent.ESCALATE}
 
 
 def test_what_nobody_was_told_of_needs_no_acknowledgement():
-    assert PROCESS[Process.UNACKNOWLEDGED][Event.RETURN] is Process.RETURNED
-    assert PROCESS[Process.UNACKNOWLEDGED][Event.RETURN_UNSEEN] is Process.NORMAL
+    assert PROCESS[Process.UNACKNOWLEDGED][AlarmEvent.RETURN] is Process.RETURNED
+    assert PROCESS[Process.UNACKNOWLEDGED][AlarmEvent.RETURN_UNSEEN] is Process.NORMAL
 
 
 def test_shelving_stands_above_suppression():
@@ -61,7 +65,7 @@ def test_the_diagram_draws_every_change_of_state_once():
     drawn = diagram()
     for state, row in PROCESS.items():
         for target in set(row.values()) - {state}:
-            names = ", ".join(event.name for event in Event if row[event] is target)
+            names = ", ".join(event.name for event in AlarmEvent if row[event] is target)
             assert drawn.count(f"    {state.value} --> {target.value}: {names}\n") == 1
     assert "acknowledged --> latched: RETURN, RETURN_UNSEEN (where it latches)" in drawn
     assert "none --> shelved: SHELVE" in drawn

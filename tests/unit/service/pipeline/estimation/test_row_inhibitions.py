@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from service.pipeline.config import InterlockConfig
-from service.pipeline.estimation.row_inhibitions import INHIBITIONS, Circumstances, judge
+from service.pipeline.estimation.row_inhibitions import INHIBITIONS, RowContext, judge
 from service.records.levels.attitude import AttitudeFix
 
 CONFIG = InterlockConfig()
-CALM = Circumstances(is_late=False, is_catch_up=False, is_settled=True, is_fading=False, has_inhibiting_operation=False)
+CALM = RowContext(is_late=False, is_catch_up=False, is_settled=True, is_fading=False, has_inhibiting_operation=False)
 NAN = float("nan")
 
 
@@ -54,7 +54,7 @@ def test_every_listed_reason_is_reachable_and_says_something():
 
 def test_several_reasons_are_listed_in_the_order_of_the_table():
     bad = fix(angles=(0.0, 0.5, 0.0), sigma=(0.1, 0.07, 0.2), carriers_used=4)
-    all_at_once = Circumstances(
+    all_at_once = RowContext(
         is_late=True, is_catch_up=True, is_settled=False, is_fading=True, has_inhibiting_operation=True
     )
     found = judge(bad, all_at_once, CONFIG).inhibitions

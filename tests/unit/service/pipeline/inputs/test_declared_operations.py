@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from service.pipeline.config import OperationConfig
-from service.pipeline.inputs.declared_operations import CarrierNames, declared_between, with_chain_step
+from service.pipeline.inputs.declared_operations import CarrierIndices, declared_between, with_chain_step
 from service.records.inputs import Operation
 from service.records.levels.attitude import Axes
 
 S = 1_000_000
 MINUTE, HOUR = 60 * S, 3600 * S
 CONFIG = OperationConfig()
-NAMES = CarrierNames(("a", "b", "c", "d"), ("K1", "K2"), np.array([0, 0, 1, 1]))
+NAMES = CarrierIndices(("a", "b", "c", "d"), ("K1", "K2"), np.array([0, 0, 1, 1]))
 #: shares of hours, divided and multiplied again
 EXACT = 1e-12
 

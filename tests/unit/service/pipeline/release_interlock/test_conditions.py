@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from release_driver import GOOD, MINUTE_US, START_US, US, ReleaseDriver, slew
 
-from service.core.control.sign_check import Verdict
+from service.core.control.sign_check import SignState
 from service.pipeline.control.release.command_states import CommandTransition
 from service.pipeline.control.release.events import (
     Applied,
@@ -101,8 +101,8 @@ CASES = {
     Condition.RESPONSE_MISSED: [
         lambda driver: driver.send(ResponseJudged(driver.at, 9.1)),
         lambda driver: driver.send(ResponseJudged(driver.at, NAN)),
-        lambda driver: driver.send(SignJudged(driver.at, "roll", Verdict.MINUS)),
-        lambda driver: driver.send(SignJudged(driver.at, "pitch", Verdict.NOTHING)),
+        lambda driver: driver.send(SignJudged(driver.at, "roll", SignState.MINUS)),
+        lambda driver: driver.send(SignJudged(driver.at, "pitch", SignState.NOTHING)),
     ],
     Condition.ENVELOPE: [lambda driver: [engage(driver), too_much(driver)]],
     Condition.CONFIGURATION: [told(calibration_id=8), told(plan_id=4), told(spacecraft_version=2)],

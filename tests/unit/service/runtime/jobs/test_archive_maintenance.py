@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import pytest
 
 from service.errors import StorageError
-from service.records.storage.archive_upkeep import SERIES, Dropped, RetentionConfig, SealedPart, SealingConfig
-from service.runtime.jobs.archive_maintenance import Upkeep
+from service.records.storage.archive_upkeep import SERIES, RetentionConfig, RetiredRows, SealedPart, SealingConfig
+from service.runtime.jobs.archive_maintenance import ArchiveMaintenance
 
 DAY_US = 86_400_000_000
 NOW_US = 20_000 * DAY_US
@@ -31,7 +31,7 @@ class Archive:
 
     def drop_before(self, name, series, before_us):
         self.asked.append(("drop", series, before_us))
-        yield Dropped(series, 2, before_us)
+        yield RetiredRows(series, 2, before_us)
 
     def complete_checksums(self):
         yield from (3, 2)
@@ -60,7 +60,7 @@ def archive():
 def upkeep(archive, retention=None, clock=None, names=("a",)):
     catalogue = SimpleNamespace(all_spacecraft=lambda: [SimpleNamespace(id=name) for name in names])
     storage = SimpleNamespace(catalogue=catalogue, archive=archive)
-    return Upkeep(storage, clock or Clock(), FAST, retention or RetentionConfig())
+    return ArchiveMaintenance(storage, clock or Clock(), FAST, retention or RetentionConfig())
 
 
 def test_days_are_sealed_after_the_quiet_time_and_nothing_is_dropped_by_default(archive):

@@ -5,7 +5,7 @@ from functools import partial
 
 import pytest
 
-from service.core.dynamics.orbital_frame_analysis import Wish
+from service.core.dynamics.orbital_frame_analysis import SettlingRequest
 from service.core.dynamics.orbital_frame_flight import Start
 from service.core.dynamics.orbital_frame_model import rigid_craft
 from service.errors import BusyError
@@ -20,7 +20,7 @@ def ground(new_ground):
 
 
 FLOWN = partial(fly_thinned, kernels="numpy")
-SHORT = Wish(rigid_craft(), Start(yaw_deg=1.0), 1.0)
+SHORT = SettlingRequest(rigid_craft(), Start(yaw_deg=1.0), 1.0)
 
 
 def test_a_flight_is_kept_thinned(ground):

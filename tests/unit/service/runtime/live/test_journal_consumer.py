@@ -10,7 +10,7 @@ from service.pipeline.config import ChainConfig
 from service.records.inputs import AlignmentSet, Correction, Operation, PlanChange, TelemetryRecord
 from service.records.journal import JournalEntry
 from service.records.levels.attitude import Axes
-from service.runtime.live.journal_consumer import MOTION_KINDS, STANDING_KINDS, Documents, consume, prepare
+from service.runtime.live.journal_consumer import MOTION_KINDS, STANDING_KINDS, DocumentCache, consume, prepare
 
 
 @pytest.fixture
@@ -72,7 +72,7 @@ def test_commanded_motion_is_told_as_far_as_it_reaches_beyond_the_alignment_in_t
 
 def test_each_document_is_read_once():
     catalogue, results = Mock(), Mock()
-    documents = Documents(catalogue, results, "y")
+    documents = DocumentCache(catalogue, results, "y")
     for port, name in (
         (catalogue, "plan"),
         (catalogue, "ephemeris"),

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from service.runtime.live.live_feed import Cursor, Dropped, FeedEvent, LiveFeed
+from service.runtime.live.live_feed import Cursor, DroppedRows, FeedEvent, LiveFeed
 
 pytestmark = pytest.mark.anyio
 
@@ -34,8 +34,8 @@ async def test_events_arrive_in_order_and_none_is_lost():
     await asyncio.sleep(0)
     for subscription in (one, two):
         found, dropped = await subscription.next_events(1.0)
-        assert (numbers(found), dropped) == ([1, 2, 3], Dropped())
-    assert await one.next_events(0.01) == ((), Dropped())
+        assert (numbers(found), dropped) == ([1, 2, 3], DroppedRows())
+    assert await one.next_events(0.01) == ((), DroppedRows())
 
 
 async def test_a_waiting_subscriber_wakes_up_for_events_from_another_thread():
@@ -60,7 +60,7 @@ async def test_a_slow_subscriber_loses_the_oldest_and_is_told_how_many():
     feed.publish("a", events(6))
     await asyncio.sleep(0)
     # what was told once is not told again
-    assert await slow.next_events(1.0) == (events(6), Dropped())
+    assert await slow.next_events(1.0) == (events(6), DroppedRows())
 
 
 async def test_others_spacecraft_and_former_subscribers_hear_nothing():
@@ -70,8 +70,8 @@ async def test_others_spacecraft_and_former_subscribers_hear_nothing():
     feed.unsubscribe("nobody", gone)
     feed.publish("a", events(1))
     await asyncio.sleep(0)
-    assert await other.next_events(0.01) == ((), Dropped())
-    assert await gone.next_events(0.01) == ((), Dropped())
+    assert await other.next_events(0.01) == ((), DroppedRows())
+    assert await gone.next_events(0.01) == ((), DroppedRows())
 
 
 async def test_a_subscriber_whose_loop_is_closed_is_passed_over():
@@ -97,6 +97,6 @@ async def test_what_was_dropped_is_told_by_kind_and_span(make_row):
     await asyncio.sleep(0)
     found, dropped = await slow.next_events(1.0)
     assert numbers(found) == [2]
-    assert dropped == Dropped(Counter({"measurement": 2}), 1_000_000, 3_000_000)
+    assert dropped == DroppedRows(Counter({"measurement": 2}), 1_000_000, 3_000_000)
     assert dropped
-    assert not Dropped()
+    assert not DroppedRows()

@@ -10,7 +10,7 @@ from service.records.inputs import AlignmentSet
 from service.records.journal import JournalEntry
 from service.records.levels.measurement import BatchReceipt, CarrierDetails, MeasurementBatch
 from service.runtime.live.live_feed import FeedEvent, LiveFeed
-from service.runtime.live.row_publisher import RowNews, stored_rows
+from service.runtime.live.row_publisher import RowPublisher, stored_rows
 
 
 class Listener(LiveFeed):
@@ -38,7 +38,7 @@ def listener():
 @pytest.fixture
 def news(listener):
     """Return news of a journal that is followed from behind number 10."""
-    news = RowNews(listener)
+    news = RowPublisher(listener)
     news.begin("sc", 10)
     return news
 
@@ -52,13 +52,13 @@ def batch(rows: int) -> MeasurementBatch:
     )
 
 
-def stored(news: RowNews, first: int, rows: int = 1, **changes: int) -> None:
+def stored(news: RowPublisher, first: int, rows: int = 1, **changes: int) -> None:
     """Tell of a batch that was stored under the numbers from ``first`` on."""
     receipt = BatchReceipt(rows, 0, 0, (), first_number=first, feeds_estimator=True)
     news.stored(batch(rows), replace(receipt, **changes))  # type: ignore[arg-type]
 
 
-def followed(news: RowNews, *numbers: int) -> None:
+def followed(news: RowPublisher, *numbers: int) -> None:
     """Come to entries of the journal."""
     (row,) = stored_rows(batch(1), BatchReceipt(1, 0, 0, (), first_number=1))
     news.followed("sc", [JournalEntry(number, replace(row, number=number)) for number in numbers])
@@ -90,7 +90,7 @@ def test_who_follows_comes_first(news, listener):
 
 
 def test_a_journal_that_nobody_follows_yet_is_not_told(news, listener):
-    fresh = RowNews(listener)
+    fresh = RowPublisher(listener)
     stored(fresh, 1)
     assert listener.numbers == []
 
@@ -118,7 +118,7 @@ def test_a_backlog_is_left_to_who_follows_the_journal(news, listener):
 
 
 def test_rows_without_a_listener_count_as_told(listener):
-    news = RowNews(LiveFeed())
+    news = RowPublisher(LiveFeed())
     news.begin("sc", 10)
     stored(news, 11)
     news._feed = listener

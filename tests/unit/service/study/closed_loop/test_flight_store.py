@@ -5,15 +5,15 @@ import pytest
 
 from service.study.closed_loop.controllers import Sensing
 from service.study.closed_loop.flight_store import keep, kept
-from service.study.closed_loop.run import Flight, LoopResult, LoopUnit
+from service.study.closed_loop.run import FlownRun, LoopResult, LoopUnit
 
 UNIT = LoopUnit("nominal", 3, Sensing.AUTOMATIC, "link", 0.5, (0.1, 0.2, 0.3))
 
 
-def flight() -> Flight:
+def flight() -> FlownRun:
     rng = np.random.default_rng(1)
     flags = rng.uniform(size=5) < 0.5
-    return Flight(
+    return FlownRun(
         np.arange(5.0), rng.normal(size=(5, 3)), np.full((5, 3), np.nan), flags, ~flags, (0.1, 0.2, 0.3), 7, {"late": 1}
     )
 

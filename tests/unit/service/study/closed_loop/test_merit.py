@@ -12,19 +12,19 @@ from service.study.closed_loop.controllers import Sensing
 from service.study.closed_loop.figures import draw_campaign
 from service.study.closed_loop.merit import UNKNOWN_TORQUE_SCENARIOS, group_merit, run_merit
 from service.study.closed_loop.report import COLUMNS, as_document, cells, markdown, verdict
-from service.study.closed_loop.run import Flight, LoopResult, LoopUnit
+from service.study.closed_loop.run import FlownRun, LoopResult, LoopUnit
 
 ROWS = 600
 
 
-def flight(largest_deg=(0.1, 0.1, 0.1), faded_rows=(0, 0), settles_at=0, inhibited=0) -> Flight:
+def flight(largest_deg=(0.1, 0.1, 0.1), faded_rows=(0, 0), settles_at=0, inhibited=0) -> FlownRun:
     """Return ten hours at a row a minute; roll and pitch sit at their largest until a row, then at nothing."""
     truth = np.zeros((ROWS, 3))
     truth[0] = largest_deg
     truth[:settles_at, 1:] = largest_deg[1:]
     wet = np.zeros(ROWS, dtype=np.bool_)
     wet[slice(*faded_rows)] = True
-    return Flight(
+    return FlownRun(
         hours=np.arange(ROWS) / 60.0,
         truth_deg=truth,
         estimate_deg=truth,

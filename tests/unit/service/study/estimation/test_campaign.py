@@ -5,9 +5,9 @@ import pytest
 
 from service.study.estimation.baselines import BASELINES
 from service.study.estimation.bounds import Bound, Mark, at_least, at_most
-from service.study.estimation.campaign import Plan, assess, collect_figures, versions
+from service.study.estimation.campaign import CampaignPlan, assess, collect_figures, versions
 
-PLAN = Plan(("octants",), 2)
+PLAN = CampaignPlan(("octants",), 2)
 
 
 def assessed(results, **options):

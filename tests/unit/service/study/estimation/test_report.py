@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from service.study.estimation.campaign import Plan, assess, collect_figures
+from service.study.estimation.campaign import CampaignPlan, assess, collect_figures
 from service.study.estimation.report import (
     MARKER_BEGIN,
     MARKER_END,
@@ -22,7 +22,7 @@ COMMAND = "soo study estimation --scenario octants --seeds 1"
 @pytest.fixture
 def campaign(judged_unit):
     results = (judged_unit(), judged_unit("corrections_lost"))
-    return assess(Plan(("octants", "corrections_lost"), 1), 12.34, results, collect_figures(results))
+    return assess(CampaignPlan(("octants", "corrections_lost"), 1), 12.34, results, collect_figures(results))
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_every_miss_is_named_in_words(campaign):
 
 def test_a_refusal_is_told(judged_unit):
     results = (judged_unit(is_silent=True),)
-    campaign = assess(Plan(("octants",), 1), 1.0, results, collect_figures(results))
+    campaign = assess(CampaignPlan(("octants",), 1), 1.0, results, collect_figures(results))
     assert "refused: octants, seed 1: calibration refused: no rows" in verdict_lines(campaign)
     assert [table.title for table in tables(campaign)] == ["Bounds"]
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from service.core.estimation.filtering.attitude_filter import start, step
-from service.core.estimation.filtering.causes.fault_hypotheses import Cause, Choice
+from service.core.estimation.filtering.causes.fault_hypotheses import Cause, LikeliestCause
 from service.core.estimation.filtering.model.filter_model import FilterSettings, KnownMotion, no_motion, pattern_change
 from service.core.estimation.filtering.model.filter_state import CHAIN
 from service.core.estimation.filtering.watches.integrity import IntegrityLimits
@@ -162,7 +162,7 @@ def test_the_chooser_is_the_callers(run):
 
     def chooser(model, innovation):
         seen.append(len(innovation.carriers))
-        return Choice(Cause.INDEPENDENT)
+        return LikeliestCause(Cause.INDEPENDENT)
 
     run.rows(20)
     run.rows(1, np.where(EVERYONE < 8, -4.0, 0.0), chooser=chooser, limits=IntegrityLimits())
@@ -173,7 +173,7 @@ def test_the_chooser_is_the_callers(run):
 
 def test_a_row_that_nobody_survives_is_a_row_without_an_update(run):
     run.rows(20)
-    told = run.rows(1, 50.0 * (-1.0) ** EVERYONE, chooser=lambda _model, _innovation: Choice(Cause.INDEPENDENT))
+    told = run.rows(1, 50.0 * (-1.0) ** EVERYONE, chooser=lambda _model, _innovation: LikeliestCause(Cause.INDEPENDENT))
     assert len(told.used) == 0
     assert np.abs(told.attitude_deg).max() < 0.2
 

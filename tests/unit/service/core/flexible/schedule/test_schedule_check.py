@@ -6,7 +6,7 @@ import pytest
 
 from service.core.flexible.schedule.schedule_check import analyse_schedule
 from service.core.flexible.schedule.schedule_response import TorquePulse, carry_phasor, ordered_schedule
-from service.core.flexible.spacecraft import FlexibleMode
+from service.core.flexible.spacecraft import HubMode
 
 OMEGA, XI, KN = 0.6, 0.003, 0.4
 PERIOD_S = 2.0 * math.pi / OMEGA
@@ -65,10 +65,10 @@ def test_what_swings_from_earlier_counts_and_waiting_is_suggested():
     carried = analyse_schedule(pulses=repeated(1, 1.0), **relay, carried_rad=(6e-3 + 0j,))
     assert carried.reasons == ("near_capture",)
     (wait,) = [one for one in carried.suggestions if one.kind == "wait"]
-    faded = carry_phasor(6e-3 + 0j, FlexibleMode(OMEGA, XI, KN), wait.value_s)
+    faded = carry_phasor(6e-3 + 0j, HubMode(OMEGA, XI, KN), wait.value_s)
     again = analyse_schedule(pulses=repeated(1, 1.0), **relay, carried_rad=(faded,))
     assert (again.verdict, wait.verdict) == ("accept", "accept")
-    sooner = carry_phasor(6e-3 + 0j, FlexibleMode(OMEGA, XI, KN), 0.9 * wait.value_s)
+    sooner = carry_phasor(6e-3 + 0j, HubMode(OMEGA, XI, KN), 0.9 * wait.value_s)
     assert analyse_schedule(pulses=repeated(1, 1.0), **relay, carried_rad=(sooner,)).verdict == "warn"
 
 

@@ -8,8 +8,8 @@ import pytest
 from service.records.catalogue import Carrier
 from service.records.inputs import Correction, PlanChange, SourceSelection
 from service.records.levels.attitude import Axes
-from service.study.estimation.flight.journal import Documents, measurements, slow_entries
-from service.study.estimation.flight.world import News
+from service.study.estimation.flight.journal import JournalDocuments, measurements, slow_entries
+from service.study.estimation.flight.world import GroundEvent
 
 
 class Listener:
@@ -44,7 +44,7 @@ def ground(toured_world):
 def told(ground, *news):
     """Return what a chain hears of the ten rows: the rows and, of each slow input, how many rows came before it."""
     ground = replace(ground, news=news)
-    documents, listener = Documents(), Listener()
+    documents, listener = JournalDocuments(), Listener()
     documents.add_plan(ground.carriers)
     entries = slow_entries(ground, documents)
     rows, before = [], []
@@ -62,7 +62,7 @@ def test_powers_stand_in_the_order_of_the_plan(ground):
 
 def test_an_input_comes_before_the_first_row_that_is_not_older(ground):
     corrections = [
-        News(int(ground.epochs_us[row]) + late_us, Correction(1, 2, Axes(0.0, 0.0, float(row))))
+        GroundEvent(int(ground.epochs_us[row]) + late_us, Correction(1, 2, Axes(0.0, 0.0, float(row))))
         for row, late_us in ((7, 0), (2, 1))
     ]
     _, taught, before = told(ground, *corrections)
@@ -74,7 +74,7 @@ def test_an_input_comes_before_the_first_row_that_is_not_older(ground):
 
 
 def test_a_new_plan_gives_another_order_from_its_row_on(ground):
-    rows, taught, _ = told(ground, News(int(ground.epochs_us[4]), carriers("c0", "c1", "c3")))
+    rows, taught, _ = told(ground, GroundEvent(int(ground.epochs_us[4]), carriers("c0", "c1", "c3")))
     assert taught == [PlanChange(2)]
     assert [row.plan_id for row in rows] == [1] * 4 + [2] * 6
     assert rows[4].power_dbm.tolist() == [16.0, 17.0, 19.0]
@@ -83,6 +83,6 @@ def test_a_new_plan_gives_another_order_from_its_row_on(ground):
 def test_only_the_prime_analyzer_feeds_the_estimator(ground):
     rows, _, _ = told(ground)
     assert [row.feeds_estimator for row in rows] == [True] * 5 + [False] * 5
-    rows, _, _ = told(ground, News(int(ground.epochs_us[6]), SourceSelection("sa-2", 1)))
+    rows, _, _ = told(ground, GroundEvent(int(ground.epochs_us[6]), SourceSelection("sa-2", 1)))
     assert [row.feeds_estimator for row in rows] == [True] * 5 + [False] + [True] * 4
     assert rows[9].source == "sa-2"

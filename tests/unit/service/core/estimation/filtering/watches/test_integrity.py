@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from service.core.estimation.filtering.watches.integrity import Evidence, IntegrityLimits, assess
+from service.core.estimation.filtering.watches.integrity import IntegrityInputs, IntegrityLimits, assess
 
-CALM = Evidence(np.array([0.09, 0.01, 0.02]), 16, False, False, 1.0, (False, False, False), 0, 16)
+CALM = IntegrityInputs(np.array([0.09, 0.01, 0.02]), 16, False, False, 1.0, (False, False, False), 0, 16)
 
 
 def test_a_calm_row_allows_all_axes():
