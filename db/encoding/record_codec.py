@@ -36,8 +36,7 @@ class RecordCodec(Generic[Record]):
 
     def __init__(self, record: type[Record], table: Table) -> None:
         self._record = record
-        kind: type = record
-        fields = record_fields(kind).values()
+        fields = record_fields(record).values()
         paths = {name: path for field in fields for name, path in _plain_paths(field).items()}
         self._plain_names, self._plain = tuple(paths), attrgetter(*paths.values())
         encodes = ((field, _encode(field)) for field in fields)

@@ -6,7 +6,6 @@ A field added to a record appears in all of these by its type. `AXIS_NAMES` hold
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from enum import Enum, StrEnum, auto
-from functools import cache
 from types import NoneType, UnionType
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 
@@ -76,7 +75,6 @@ class RecordField:
         return tuple(pattern.format(axis) for axis in order)
 
 
-@cache
 def record_fields(record: type) -> Mapping[str, RecordField]:
     """Return the fields of a dataclass by name, in their order.
 

@@ -1,16 +1,18 @@
 """Columns of the series that are kept as records: attitude, torques, references, events."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
+from operator import attrgetter
 from typing import Any
 
 from service.formats.tabular.table_file import Column, Kind, SeriesTable
 from service.records.epoch import format_epoch
 from service.records.inputs import AttitudeReference
 from service.records.levels.attitude import AttitudeRow, Axes
-from service.records.levels.command import Pulse, TorqueCommand
+from service.records.levels.command import Pulse, ScheduleVerdict, TorqueCommand
+from service.records.record_fields import FieldKind, RecordField, record_fields
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,139 +32,101 @@ class EventRow:
     document: Mapping[str, Any]
 
 
-def _columns(kinds: Mapping[str, Kind]) -> tuple[Column, ...]:
-    return tuple(Column(name, kind) for name, kind in kinds.items())
-
-
-def _axes_columns(pattern: str, order: Sequence[str] = ("yaw", "roll", "pitch")) -> dict[str, Kind]:
-    return {pattern.format(axis): "figure" for axis in order}
-
-
+#: values of the columns of one field
+Code = Callable[[Any], Sequence[Any]]
+#: order of axes in the table of torques
 _BODY = ("roll", "pitch", "yaw")
-
-
-def _attitude_values(row: AttitudeRow) -> Sequence[Any]:
-    return (
-        row.epoch_us,
-        row.method.value,
-        *row.attitude_deg,
-        *row.sigma_deg,
-        row.control_allowed,
-        row.downlink_fade,
-        row.downlink_fade_db,
-        row.common_db,
-        row.carriers_used,
-        ";".join(f"{item.carrier}:{item.reason}" for item in row.excluded),
-        row.status.value,
-    )
-
-
-ATTITUDE = SeriesTable(
-    _columns(
-        {
-            "epoch": "epoch",
-            "method": "text",
-            **_axes_columns("{}_deg"),
-            **_axes_columns("{}_sigma_deg"),
-            "control_allowed": "truth",
-            "downlink_fade": "truth",
-            "downlink_fade_db": "figure",
-            "common_db": "figure",
-            "carriers_used": "count",
-            "excluded": "text",
-            "status": "text",
-        }
-    ),
-    _attitude_values,
-)
-
-
-def _reference_values(row: AttitudeReference) -> Sequence[Any]:
-    return (row.epoch_us, row.source, *row.attitude_deg, *row.sigma_deg)
-
-
-REFERENCES = SeriesTable(
-    _columns({"epoch": "epoch", "source": "text", **_axes_columns("{}_deg"), **_axes_columns("{}_sigma_deg")}),
-    _reference_values,
-)
-
-
-def _body(axes: Axes) -> tuple[float, float, float]:
-    """Return values in the order in which torques are told."""
-    return axes.roll, axes.pitch, axes.yaw
+_KINDS: dict[FieldKind, Kind] = {
+    FieldKind.EPOCH: "epoch",
+    FieldKind.COUNT: "count",
+    FieldKind.NUMBER: "figure",
+    FieldKind.TRUTH: "truth",
+    FieldKind.AXES: "figure",
+    FieldKind.AXIS_TRUTHS: "truth",
+    FieldKind.RECORDS: "document",
+    FieldKind.DOCUMENT: "document",
+}
 
 
 def _pulse(pulse: Pulse) -> dict[str, Any]:
-    torque = {f"{axis}_n_m": value for axis, value in zip(_BODY, _body(pulse.torque_n_m), strict=True)}
+    torque = {f"{axis}_n_m": getattr(pulse.torque_n_m, axis) for axis in _BODY}
     return {"start": format_epoch(pulse.start_us), "duration_s": pulse.duration_s, **torque}
 
 
-def _torque_values(row: TorqueCommand) -> Sequence[Any]:
-    check = row.schedule_check
-    return (
-        row.epoch_us,
-        row.attitude_epoch_us,
-        row.mode,
-        *_body(row.torque_n_m),
-        plain_value(row.wheels_n_m),
-        row.saturated,
-        row.command_period_s,
-        row.valid_until_us,
-        [_pulse(pulse) for pulse in row.schedule],
-        *_body(row.impulse_n_m_s),
-        *_body(row.predicted_angle_change_deg),
-        *_body(row.predicted_rate_change_deg_s),
-        plain_value(row.predicted_wheel_momentum_n_m_s),
-        row.control_allowed,
-        ";".join(row.inhibitions),
-        *((None, None, None) if check is None else (check.verdict, check.peak_deg, check.margin)),
-    )
+def _check(check: ScheduleVerdict | None) -> Sequence[Any]:
+    return (None, None, None) if check is None else (check.verdict, check.peak_deg, check.margin)
 
 
-TORQUES = SeriesTable(
-    _columns(
-        {
-            "epoch": "epoch",
-            "attitude_epoch": "epoch",
-            "mode": "text",
-            **_axes_columns("{}_n_m", _BODY),
-            "wheels_n_m": "document",
-            "saturated": "truth",
-            "command_period_s": "figure",
-            "valid_until": "epoch",
-            "schedule": "document",
-            **_axes_columns("{}_impulse_n_m_s", _BODY),
-            **_axes_columns("predicted_{}_change_deg", _BODY),
-            **_axes_columns("predicted_{}_rate_change_deg_s", _BODY),
-            "predicted_wheel_momentum_n_m_s": "document",
-            "control_allowed": "truth",
-            "inhibitions": "text",
-            "schedule_verdict": "text",
-            "schedule_peak_deg": "figure",
-            "schedule_margin": "figure",
-        }
+#: fields whose columns do not follow from their types
+_EXCEPTIONS: dict[str, tuple[dict[str, Kind], Code]] = {
+    "excluded": ({"excluded": "text"}, lambda excluded: (";".join(f"{one.carrier}:{one.reason}" for one in excluded),)),
+    "schedule": ({"schedule": "document"}, lambda pulses: ([_pulse(pulse) for pulse in pulses],)),
+    "schedule_check": (
+        {"schedule_verdict": "text", "schedule_peak_deg": "figure", "schedule_margin": "figure"},
+        _check,
     ),
-    _torque_values,
-)
+}
+#: values of the columns of a field that are not the value itself
+_CODES: dict[FieldKind, Code] = {
+    FieldKind.TEXTS: lambda texts: (";".join(texts),),
+    FieldKind.AXIS_TRUTHS: tuple,
+    FieldKind.RECORDS: lambda records: (plain_value(records),),
+}
 
 
-def _event_values(row: EventRow) -> Sequence[Any]:
-    return (row.epoch_us, row.stop_us, row.number, row.kind, row.key, row.document)
+def _columns(field: RecordField, axes: tuple[str, ...]) -> tuple[dict[str, Kind], Code | None, Sequence[str]]:
+    """Return the columns of a field, what makes their values, and the paths to what it makes them from."""
+    if field.name in _EXCEPTIONS:
+        return *_EXCEPTIONS[field.name], (field.name,)
+    kind, code = _KINDS.get(field.kind, "text"), _CODES.get(field.kind)
+    if field.kind in {FieldKind.AXES, FieldKind.AXIS_TRUTHS}:
+        paths = [f"{field.name}.{axis}" for axis in axes] if code is None else [field.name]
+        return dict.fromkeys(field.axis_names(axes), kind), code, paths
+    name = field.name.removesuffix("_us") if kind == "epoch" else field.name
+    return {name: kind}, code, (f"{field.name}.value" if field.kind is FieldKind.CHOICE else field.name,)
 
 
-EVENTS = SeriesTable(
-    _columns(
-        {
-            "epoch": "epoch",
-            "stop": "epoch",
-            "number": "count",
-            "kind": "text",
-            "key": "text",
-            "document": "document",
-        }
+def _table(
+    record: type[Any], *, first: Sequence[str] = (), without: Sequence[str] = (), axes: tuple[str, ...] = Axes._fields
+) -> SeriesTable[Any]:
+    """Return the table of a record: the fields named first, then the others as they stand."""
+    known = record_fields(record)
+    columns: dict[str, Kind] = {}
+    paths: list[str] = []
+    codes: list[tuple[int, Code]] = []
+    for name in dict.fromkeys((*first, *(name for name in known if name not in without))):
+        kinds, code, sources = _columns(known[name], axes)
+        if code is not None:
+            codes.insert(0, (len(paths), code))
+        columns |= kinds
+        paths += sources
+    plain: Callable[[Any], tuple[Any, ...]] = attrgetter(*paths)
+
+    def values(row: Any) -> Sequence[Any]:
+        found = list(plain(row))
+        # the last first: a code may give more columns than one
+        for place, code in codes:
+            found[place : place + 1] = code(found[place])
+        return found
+
+    return SeriesTable(tuple(Column(name, kind) for name, kind in columns.items()), values)
+
+
+#: a field that is added to the row comes last
+ATTITUDE: SeriesTable[AttitudeRow] = _table(
+    AttitudeRow,
+    first=(
+        *("epoch_us", "method", "attitude_deg", "sigma_deg", "control_allowed", "downlink_fade", "downlink_fade_db"),
+        *("common_db", "carriers_used", "excluded", "status"),
     ),
-    _event_values,
+    without=(
+        *("received_at_us", "number", "rates_deg_s", "control_allowed_axes", "inhibitions", "residual_rms_db"),
+        *("calibration_id", "alignment_id", "advice"),
+    ),
 )
+REFERENCES: SeriesTable[AttitudeReference] = _table(AttitudeReference, first=("epoch_us",))
+TORQUES: SeriesTable[TorqueCommand] = _table(TorqueCommand, without=("number",), axes=_BODY)
+EVENTS: SeriesTable[EventRow] = _table(EventRow)
 
 
 def plain_value(value: Any) -> Any:
