@@ -11,7 +11,7 @@ from service.api.export import export_chunks as archive_chunks
 from service.api.export import export_files as archive_files
 from service.ports import Outcome
 from service.records.epoch import format_epoch
-from service.records.levels.attitude import NO_ANGLES
+from service.records.levels.attitude import NO_ANGLES, Axes
 
 pytestmark = pytest.mark.anyio
 
@@ -26,7 +26,7 @@ async def lines_of(bench, path: str, **params: str) -> list[list[str]]:
 
 async def test_attitude_columns_and_numbers(bench, make):
     first, second = bench.append([make.now_us, make.now_us + 60 * make.s])
-    found = make.row(first, attitude_deg=(0.1 + 0.2, -1e-7, 0.0), downlink_fade=True, downlink_fade_db=-0.3)
+    found = make.row(first, attitude_deg=Axes(0.1 + 0.2, -1e-7, 0.0), downlink_fade=True, downlink_fade_db=-0.3)
     lost = make.row(
         second,
         attitude_deg=NO_ANGLES,
