@@ -8,7 +8,7 @@ CLIENTS_VENV := .venv-clients
 CLIENTS_STAMP := $(CLIENTS_VENV)/.installed
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: help install install-dev run demo-check test clients lint types imports locks check coverage bench nightly schema lock clean
+.PHONY: help install install-dev run demo-check test test-all mutants clients lint types imports locks check coverage bench nightly schema lock clean
 
 help: ## show the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/:/' | column -t -s ':'
@@ -41,8 +41,17 @@ demo-check: $(STAMP) ## two virtual days on a tour of slews, half a day in close
 	$(BIN)/soo demo --open --exit --json
 	$(BIN)/soo demo --exit --json --days 0.5
 
-test: $(DEV_STAMP) ## run the whole test suite
-	$(BIN)/python -m pytest -m "not nightly" -n 2 --dist worksteal
+# prints wall time and processor time of all processes
+PARALLEL := bash -c 'time "$$0" "$$@"' $(BIN)/python -m pytest -n 2 --dist worksteal --durations=25
+
+test: $(DEV_STAMP) ## run the tests of every change, in five minutes
+	$(PARALLEL) -m "not nightly and not slow"
+
+test-all: $(DEV_STAMP) ## run the slow tests too, as continuous integration does
+	$(PARALLEL) -m "not nightly"
+
+mutants: $(DEV_STAMP) ## run sixty mutants against the tests of their packages; print how many were killed
+	$(BIN)/python tests/mutation/mutants.py
 
 # without unraisableexception: the sockets that a client leaves to the collector are its own
 clients: $(STAMP) $(CLIENTS_STAMP) ## drive the simulated analyzer with other people's programs, print what each did
@@ -61,17 +70,17 @@ imports: $(DEV_STAMP) ## import rules
 locks: ## lock files name no address
 	! grep -n '://' requirements*.lock
 
-check: lint types imports locks test clients ## all that must hold before a change lands
+check: lint types imports locks test-all clients ## all that must hold before a change lands
 
 coverage: $(DEV_STAMP) ## branch coverage of core, pipeline and records
-	$(BIN)/python -m pytest -m "not nightly and not system" -n 2 -q --cov --cov-report=term-missing:skip-covered
+	SOO_TEST_PROFILE=ci $(BIN)/python -m pytest -m "not nightly and not system" -n 2 -q --cov --cov-report=term-missing:skip-covered
 
 bench: $(DEV_STAMP) ## ratios, measured in one run; times of single computations
 	$(BIN)/python -m bench
 	$(BIN)/python -m pytest -q -s -p no:randomly tests/speed
 
 nightly: $(DEV_STAMP) ## long tests
-	$(BIN)/python -m pytest -m nightly
+	SOO_TEST_PROFILE=ci $(BIN)/python -m pytest -m nightly
 
 schema: $(STAMP) ## write the OpenAPI document
 	$(BIN)/soo openapi --output docs/reference/openapi.json
@@ -85,4 +94,4 @@ lock: $(DEV_STAMP) ## resolve and pin again
 LOCK_OPTIONS := --quiet --generate-hashes --no-emit-index-url --no-header --universal --python-version 3.11
 
 clean: ## remove what was built
-	rm -rf $(VENV) $(CLIENTS_VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
+	rm -rf $(VENV) $(CLIENTS_VENV) build *.egg-info .cache .mypy_cache .ruff_cache .pytest_cache .import_linter_cache

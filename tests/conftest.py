@@ -2,20 +2,37 @@
 
 import importlib
 import os
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 from types import ModuleType
 
 import pytest
 
+ROOT = Path(__file__).resolve().parents[1]
 # two workers on two cores: a second thread of each matrix product takes the other worker's core and gives nothing
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# all processes of all runs share what numba and Python compile: a start takes half the time
+os.environ.setdefault("NUMBA_CACHE_DIR", str(ROOT / ".cache" / "numba"))
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
+#: of a test that names no number of its own: with every push all hundred
+FAST_EXAMPLES = 25
 
 if importlib.util.find_spec("hypothesis") is not None:  # the environment of tests/clients does without
     from hypothesis import settings
 
     # a time limit of an example judges the machine; the one of pytest bounds hangs
-    settings.register_profile("unhurried", deadline=None)
-    settings.load_profile("unhurried")
+    settings.register_profile("fast", deadline=None, max_examples=FAST_EXAMPLES)
+    settings.register_profile("ci", deadline=None)
+    settings.load_profile(os.environ.get("SOO_TEST_PROFILE", "fast"))
+
+
+@pytest.fixture
+def anyio_backend() -> str:
+    """Run asynchronous tests on asyncio."""
+    return "asyncio"
 
 
 def _load(name: str) -> ModuleType:
@@ -33,12 +50,6 @@ def synthetic() -> ModuleType:
 def payload(synthetic):
     """Twelve carriers with known slopes and harmonics."""
     return synthetic.SyntheticPayload.make()
-
-
-@pytest.fixture(scope="session")
-def exported_world() -> ModuleType:
-    """The chain over worlds of the simulator."""
-    return _load("exported_world")
 
 
 @pytest.fixture(scope="session")

@@ -3,13 +3,14 @@
 import asyncio
 import shutil
 from collections.abc import AsyncIterator, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
 import httpx
 import pytest
 from fastapi import FastAPI
+from set_clock import SetClock
 
 from db.storage import SqlStorage
 from service.api.app import create_app
@@ -22,25 +23,6 @@ from service.runtime.jobs.workers import WorkerConfig, Workers
 from service.runtime.live.live_feed import LiveFeed
 
 KEY = "test-key-of-the-administrator"
-#: 2026-11-21T03:00:00Z
-NOW_US = 1_795_230_000_000_000
-
-
-@dataclass
-class SetClock:
-    """A clock that stands still; spacecraft named in ``data`` live under the data clock."""
-
-    system: int = NOW_US
-    data: dict[str, int | None] = field(default_factory=dict)
-
-    def now_us(self, spacecraft_id: str) -> int | None:
-        return self.data.get(spacecraft_id, self.system)
-
-    def is_data(self, spacecraft_id: str) -> bool:
-        return spacecraft_id in self.data
-
-    def system_us(self) -> int:
-        return self.system
 
 
 @dataclass
@@ -61,11 +43,6 @@ class Soo:
         assert put.status_code == 200, put.text
         self.accepted.clear()
         return int(put.json()["plan_id"])
-
-
-@pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"
 
 
 @pytest.fixture(scope="session")

@@ -8,11 +8,10 @@ from typing import Any
 
 import httpx
 import pytest
+from role_keys import RoleKeys
 
-from service.api.access.principals import Principal
 from service.api.app import render_openapi
 from service.errors import StorageError
-from service.records.operations.access_key import Role
 
 pytestmark = pytest.mark.anyio
 SC = "/api/v1/spacecraft"
@@ -75,11 +74,7 @@ async def test_the_key_is_checked_before_the_body_is_read(soo):
 
 
 async def test_roles_decide_who_may_write(soo, spacecraft):
-    class Ring:
-        async def principal(self, key: str) -> Principal:
-            return Principal("someone", Role(key))
-
-    soo.app.state.key_ring = Ring()
+    soo.app.state.key_ring = RoleKeys()
 
     async def post(role: str, path: str) -> int:
         return (await soo.client.post(path, json={}, headers={"Authorization": f"Bearer {role}"})).status_code

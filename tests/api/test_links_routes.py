@@ -4,10 +4,9 @@ import json
 from typing import Any
 
 import pytest
+from role_keys import RoleKeys
 
-from service.api.access.principals import Principal
 from service.records.epoch import format_epoch
-from service.records.operations.access_key import Role
 
 pytestmark = pytest.mark.anyio
 LINKS = "/api/v1/links"
@@ -152,12 +151,8 @@ async def test_rows_missing_stand_with_the_link_until_they_come(soo, spacecraft,
 
 
 async def test_roles(soo):
-    class Ring:
-        async def principal(self, key: str) -> Principal:
-            return Principal("someone", Role(key))
-
     await send(soo, report())
-    soo.app.state.key_ring = Ring()
+    soo.app.state.key_ring = RoleKeys()
 
     async def status(role: str, method: str, path: str, **options: Any) -> int:
         headers = {"Authorization": f"Bearer {role}"}

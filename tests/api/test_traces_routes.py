@@ -4,10 +4,9 @@ import json
 from typing import Any
 
 import pytest
+from role_keys import RoleKeys
 
-from service.api.access.principals import Principal
 from service.records.epoch import format_epoch
-from service.records.operations.access_key import Role
 
 pytestmark = pytest.mark.anyio
 URL = "/api/v1/spacecraft/yamal-202/traces"
@@ -127,11 +126,7 @@ async def test_unknown_ones_are_404_and_a_bad_epoch_is_422(craft):
 
 
 async def test_roles(craft):
-    class Ring:
-        async def principal(self, key: str) -> Principal:
-            return Principal("someone", Role(key))
-
-    craft.app.state.key_ring = Ring()
+    craft.app.state.key_ring = RoleKeys()
     body = {"source": "sa-1", "traces": [trace(-1)]}
     for role, status in (("viewer", 403), ("station", 200)):
         answer = await craft.client.post(URL, json=body, headers={"Authorization": f"Bearer {role}"})

@@ -4,6 +4,7 @@ Every rms stands beside the rms of the truth and beside the answer that the craf
 bounds. Levels enter as the archive keeps them, float32.
 """
 
+import exported_world
 import numpy as np
 import pytest
 
@@ -28,9 +29,9 @@ def judge(estimate_deg, truth_deg):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
-def test_the_demonstration_meets_its_bounds_and_the_answer_that_never_moves_does_not(exported_world, tmp_path, seed):
+def test_the_demonstration_meets_its_bounds_and_the_answer_that_never_moves_does_not(seed):
     """Two days of operation, calibrated and aligned by the service itself; one drive serves every claim."""
-    day = exported_world.ExportedWorld(SCENARIOS["demo"], seed, tmp_path).drive()
+    day = exported_world.driven(SCENARIOS["demo"], seed)
     merits = judge(day.estimate_deg, day.truth_deg)
     for axis, merit in merits.items():
         figures = " ".join(f"{name} {value:.3f}" for name, value in merit._asdict().items())

@@ -6,6 +6,7 @@ slopes from 0.05 to 3 dB/min; no stop in 48 dry hours with excursions of 0.2-0.3
 
 from dataclasses import replace
 
+import exported_world
 import numpy as np
 import pytest
 
@@ -17,10 +18,10 @@ SLOPES_DB_MIN = (0.05, 0.1, 0.3, 1.0, 3.0)
 LATEST_STOP_MIN = 20
 
 
-def _stop_delay_min(exported_world, slope_db_min: float, seed: int, directory) -> int | None:
+def _stop_delay_min(slope_db_min: float, seed: int) -> int | None:
     """Return how long after 0.3 dB control was stopped, None = never; fails when it was stopped in the dry before."""
     scenario = replace(downlink_rain(slope_db_min, 2.0, 40.0), operation_h=8.0)
-    driven = exported_world.ExportedWorld(scenario, seed, directory).drive()
+    driven = exported_world.driven(scenario, seed)
     begin = int(np.flatnonzero(driven.downlink_fade_db > 0.3)[0])
     dry_before = driven.downlink_fade_db[:begin] == 0.0
     assert not driven.is_stopped[:begin][dry_before].any(), f"stopped in the dry, seed {seed}"
@@ -30,9 +31,9 @@ def _stop_delay_min(exported_world, slope_db_min: float, seed: int, directory) -
 
 @pytest.mark.slow
 @pytest.mark.parametrize("slope_db_min", SLOPES_DB_MIN)
-def test_a_fade_stops_control_in_time(slope_db_min, exported_world, tmp_path):
+def test_a_fade_stops_control_in_time(slope_db_min):
     """In ten seeds a slope, control stops within 20 minutes after 0.3 dB."""
-    delays = [_stop_delay_min(exported_world, slope_db_min, seed, tmp_path) for seed in SEEDS]
+    delays = [_stop_delay_min(slope_db_min, seed) for seed in SEEDS]
     print(f"slope {slope_db_min} dB/min, seeds {list(SEEDS)}: delays {delays} min")
     in_time = [delay is not None and delay <= LATEST_STOP_MIN for delay in delays]
     # 95 % of the fifty cases may miss two in all; ten of one slope may miss none
@@ -46,9 +47,9 @@ DRIFTS = pytest.mark.xfail(strict=True, reason="paper: references at zero attitu
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [pytest.param(seed, marks=[DRIFTS] if seed == 7 else []) for seed in SEEDS])
-def test_dry_excursions_never_stop_control(seed, exported_world, tmp_path):
+def test_dry_excursions_never_stop_control(seed):
     """Two dry days through all octants raise no rain."""
-    driven = exported_world.ExportedWorld(scenario_named("demo"), seed, tmp_path).drive()
+    driven = exported_world.driven(scenario_named("demo"), seed)
     reached = np.abs(driven.truth_deg).max(axis=0)
     print(f"seed {seed}: largest excursions {reached.round(3)} deg")
     assert (reached > 0.25).all(), "the craft must move for the claim to mean anything"
@@ -56,11 +57,11 @@ def test_dry_excursions_never_stop_control(seed, exported_world, tmp_path):
     assert not driven.is_stopped.any()
 
 
-def test_the_rule_that_is_never_met_would_fail(exported_world, tmp_path):
+def test_the_rule_that_is_never_met_would_fail():
     """Control that never stops misses the bound: the figure cannot be met by doing nothing."""
     config = exported_world.ChainConfig()
     deaf = replace(config, fade=replace(config.fade, depth_db=99.0))
     scenario = replace(downlink_rain(0.3, 2.0, 40.0), operation_h=8.0)
-    driven = exported_world.ExportedWorld(scenario, 1, tmp_path).drive(deaf)
+    driven = exported_world.driven(scenario, 1, deaf)
     assert not driven.is_stopped.any()
     assert (driven.downlink_fade_db > 0.3).any()

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibration_world import CalibratedWorld
+from calibration_world import calibrated_world
 
 from service.pipeline.calibration.geometry_calibration import calibrate_geometry
 from service.pipeline.config import CalibrationConfig
@@ -21,7 +21,7 @@ ATTITUDES = np.random.default_rng(1).uniform(-0.3, 0.3, (300, 3))
 @pytest.fixture(scope="module")
 def worlds():
     """Three seeds of three kinds of noise, a week of operation each."""
-    return {name: [CalibratedWorld.of(name, seed) for seed in SEEDS] for name in ("white", "nominal", "flicker")}
+    return {name: [calibrated_world(name, seed) for seed in SEEDS] for name in ("white", "nominal", "flicker")}
 
 
 def rms(values):

@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from calibration_world import CalibratedWorld
+from standing_source import StandingSource
 
-from analyzer_sim.emission import Emission, Signal
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import TracePainter
 from analyzer_sim.lines.server import start_in_thread
@@ -118,20 +118,8 @@ def test_rows_as_text_are_faster_than_the_csv_module() -> None:
     assert 10.0 * least_s(by_the_module, 3) > 8.0 * least_s(lambda: compiled.rows(epochs_us, values, frame), 3)
 
 
-class StandingSource:
-    """Sixteen carriers, the same in every row."""
-
-    signals = tuple(Signal(f"c{n}", 956e6 + 2e6 * n, 1.2e6, 0.2, -45.0) for n in range(16))
-
-    def advance(self) -> Emission:
-        return self.current()
-
-    def current(self) -> Emission:
-        return Emission(1_793_491_200_000_000, self.signals, -135.0)
-
-
 def test_sweep_and_trace_take_less_than_two_milliseconds() -> None:
-    with start_in_thread(Instrument(StandingSource(), TracePainter(1))) as analyzer:
+    with start_in_thread(Instrument(StandingSource.endless(), TracePainter(1))) as analyzer:
         line = socket.create_connection(("127.0.0.1", analyzer.port))
         line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         line.sendall(SETUP)

@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import AsyncIterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from types import SimpleNamespace
 from typing import Any
@@ -11,6 +11,7 @@ import httpx
 import numpy as np
 import pytest
 from fastapi import FastAPI
+from set_clock import NOW_US, SetClock
 
 from db.storage import SqlStorage
 from service.api.app import create_app
@@ -68,29 +69,10 @@ from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.supervisor import Supervisor
 
 KEY = "key-of-the-results"
-#: 2026-11-21T03:00:00Z
-NOW_US = 1_795_230_000_000_000
 S = 1_000_000
 NAN = float("nan")
 SC = "yamal-202"
 INERTIA = ((2600.0, 0.0, 0.0), (0.0, 1400.0, 0.0), (0.0, 0.0, 2600.0))
-
-
-@dataclass
-class SetClock:
-    """A clock that stands where a test puts it."""
-
-    system: int = NOW_US
-    data: dict[str, int | None] = field(default_factory=dict)
-
-    def now_us(self, spacecraft_id: str) -> int | None:
-        return self.data.get(spacecraft_id, self.system)
-
-    def is_data(self, spacecraft_id: str) -> bool:
-        return spacecraft_id in self.data
-
-    def system_us(self) -> int:
-        return self.system
 
 
 def carrier(k: int, **changes: Any) -> Carrier:

@@ -3,8 +3,8 @@
 import asyncio
 
 import pytest
+from role_keys import RoleKeys
 
-from service.api.access.principals import Principal
 from service.records.epoch import format_epoch
 from service.records.levels.attitude import Axes
 from service.records.operations.access_key import Role
@@ -22,16 +22,6 @@ MANUAL = {
     "sigma_deg": {"yaw": 0.1, "roll": 0.02, "pitch": 0.02},
     "source": "manual",
 }
-
-
-class Ring:
-    """Every key has one role."""
-
-    def __init__(self, role: Role) -> None:
-        self.role = role
-
-    async def principal(self, key: str) -> Principal:
-        return Principal("somebody", self.role)
 
 
 async def job_of(bench, job: str) -> dict:
@@ -205,7 +195,7 @@ async def test_angles_by_hand_need_an_approver(bench):
         (Role.OPERATOR, (403, "key.forbidden")),
         (Role.APPROVER, (409, "alignment.no_calibration")),
     ):
-        bench.app.state.key_ring = Ring(role)
+        bench.app.state.key_ring = RoleKeys(role)
         assert (await bench.refused("POST", f"{SC}/alignments", json=MANUAL))[:2] == expected, role
 
 
@@ -214,7 +204,7 @@ async def test_angles_by_hand_need_an_approver(bench):
     [("POST", "/calibrations"), ("POST", "/calibrations/1:activate"), ("POST", "/alignments"), ("POST", "/replays")],
 )
 async def test_viewer_may_not_change_anything(bench, method, path):
-    bench.app.state.key_ring = Ring(Role.VIEWER)
+    bench.app.state.key_ring = RoleKeys(Role.VIEWER)
     assert (await bench.refused(method, SC + path, json={}))[:2] == (403, "key.forbidden")
 
 

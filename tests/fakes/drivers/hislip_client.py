@@ -8,8 +8,9 @@ import struct
 import threading
 from typing import NamedTuple
 
+from standing_source import StandingSource
+
 from analyzer_sim.dialects.makers.rs import RS
-from analyzer_sim.emission import Emission, Signal
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import TracePainter
 
@@ -146,26 +147,11 @@ class Client:
         self.next_id, self.last_id, self.delivered = FIRST_ID, FIRST_ID - 2, 0
 
 
-class StandingSource:
-    """Sixteen carriers, the same in every row."""
-
-    def __init__(self) -> None:
-        self.row = 0
-        self.signals = tuple(Signal(f"c{n}", 956e6 + 2e6 * n, 1.2e6, 0.2, -45.0) for n in range(16))
-
-    def advance(self) -> Emission:
-        self.row += 1
-        return self.current()
-
-    def current(self) -> Emission:
-        return Emission(1_793_491_200_000_000 + 60_000_000 * self.row, self.signals, -135.0)
-
-
 class Held:
     """An analyzer whose sweeps wait until they are allowed."""
 
     def __init__(self) -> None:
         self.allowed = threading.Event()
         self.allowed.set()
-        self.source = StandingSource()
+        self.source = StandingSource.endless()
         self.instrument = Instrument(self.source, TracePainter(1), self.allowed.is_set)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from kept_results import kept
 
 from analyzer_sim.export import export_arrays
 from analyzer_sim.streams import stream
@@ -88,6 +89,11 @@ class CalibratedWorld:
         warm = [daily_wave(stream(world.seed, "thermal", c.id), seconds, size_db) for c in world.plan.carriers]
         dish = dishes_loss_db(world.plan, world.orbit, epochs_us, world.seed)
         return np.array([c.level_dbm for c in world.plan.carriers]) + still - dish + np.stack(warm, axis=1)
+
+
+def calibrated_world(name: str, seed: int) -> CalibratedWorld:
+    """Return a calibrated world with a week of operation; calibrated once for all tests."""
+    return kept(CalibratedWorld.of, name, seed)
 
 
 def calibration_input(arrays: dict[str, Any]) -> CalibrationInput:

@@ -13,6 +13,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from kept_results import kept
 
 from analyzer_sim.export import export_npz
 from analyzer_sim.world.payload.payload import attitude_gain_db, dishes_loss_db
@@ -237,6 +238,10 @@ class DrivenWorld:
 @cache
 def shared_world(name: str, seed: int, operation_days: float = 0.5) -> DrivenWorld:
     """Return a world of the catalogue; tests of one process share its calibration, so none may change it."""
+    return kept(_made, name, seed, operation_days)
+
+
+def _made(name: str, seed: int, operation_days: float) -> DrivenWorld:
     with TemporaryDirectory() as directory:
         return DrivenWorld(scenario_named(name, operation_days=operation_days), seed, Path(directory))
 

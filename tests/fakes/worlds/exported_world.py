@@ -6,8 +6,10 @@ the truth stays with the judge.
 
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
+from kept_results import kept
 
 from analyzer_sim.export import export_npz
 from analyzer_sim.world.world import World
@@ -85,11 +87,11 @@ class _Documents:
 class ExportedWorld:
     """One world as its file says it."""
 
-    def __init__(self, scenario, seed: int, directory: Path) -> None:
-        path = directory / f"{scenario.name}-{seed}.npz"
-        export_npz(World(scenario, seed), path)
-        with np.load(path) as file:
-            self._file = {name: file[name] for name in file.files}
+    def __init__(self, scenario, seed: int) -> None:
+        with TemporaryDirectory() as folder:
+            export_npz(World(scenario, seed), path := Path(folder) / "world.npz")
+            with np.load(path) as file:
+                self._file = {name: file[name] for name in file.files}
         self.carrier_ids = tuple(str(name) for name in self._file["carrier_id"])
         self.epochs_us = self._file["epoch_us"]
         # powers are kept as float32 by the archive, so that is what the chain gets
@@ -120,10 +122,10 @@ class ExportedWorld:
         sigma = np.tile(self._file["reference_sigma_deg"], (len(angles), 1))
         return (ReferenceSeries("star_tracker", epochs_us[chosen], angles, sigma),)
 
-    def drive(self, config: ChainConfig | None = None) -> Driven:
+    def drive(self, config: ChainConfig) -> Driven:
         """Calibrate, align and run the chain over the operation phase."""
         calibration = self._calibrate()
-        chain = Chain(self._documents(calibration), config or ChainConfig())
+        chain = Chain(self._documents(calibration), config)
         for content in (
             SpacecraftChange(_spacecraft(), 1),
             PlanChange(1),
@@ -177,6 +179,15 @@ class ExportedWorld:
     def _measurement(self, k: int) -> Measurement:
         epoch_us = int(self.epochs_us[k])
         return Measurement(epoch_us, epoch_us, int(k) + 10, "sa-1", 1, self.power_dbm[k], None)
+
+
+def driven(scenario, seed: int, config: ChainConfig | None = None) -> Driven:
+    """Return what the chain makes of a world; calibrated and flown once for all tests."""
+    return kept(_driven, scenario, seed, config or ChainConfig())
+
+
+def _driven(scenario, seed: int, config: ChainConfig) -> Driven:
+    return ExportedWorld(scenario, seed).drive(config)
 
 
 def _spacecraft() -> Spacecraft:

@@ -13,10 +13,10 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from standing_source import StandingSource
 
 from analyzer_sim.dialects.dialects import DIALECTS
 from analyzer_sim.dialects.makers.rs import IDENTITY
-from analyzer_sim.emission import Emission, Signal
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import TracePainter
 from analyzer_sim.instrument.sweep_life import Pace, SweepProgress
@@ -32,24 +32,9 @@ SETUP = (
 BLOCK_BYTES = len("#49604") + 4 * 2401 + 1
 
 
-class StandingSource:
-    """Sixteen carriers, the same in every row."""
-
-    def __init__(self) -> None:
-        self.row = 0
-        self.signals = tuple(Signal(f"c{n}", 956e6 + 2e6 * n, 1.2e6, 0.2, -45.0) for n in range(16))
-
-    def advance(self) -> Emission:
-        self.row += 1
-        return self.current()
-
-    def current(self) -> Emission:
-        return Emission(1_793_491_200_000_000 + 60_000_000 * self.row, self.signals, -135.0)
-
-
 @pytest.fixture
 def analyzer() -> Iterator[AnalyzerThread]:
-    with start_in_thread(Instrument(StandingSource(), TracePainter(1))) as handle:
+    with start_in_thread(Instrument(StandingSource.endless(), TracePainter(1))) as handle:
         yield handle
 
 
@@ -229,7 +214,7 @@ def test_bytes_once_written_stay_in_the_stream(analyzer: AnalyzerThread) -> None
 
 def test_sweep_waits_for_permission_while_others_are_served() -> None:
     allowed = threading.Event()
-    instrument = Instrument(StandingSource(), TracePainter(1), may_advance=allowed.is_set)
+    instrument = Instrument(StandingSource.endless(), TracePainter(1), may_advance=allowed.is_set)
     with start_in_thread(instrument) as handle, connect(handle.port) as waiting, connect(handle.port) as other:
         waiting.settimeout(0.2)
         waiting.sendall(SETUP + b"INIT;*OPC?\n")
@@ -252,7 +237,7 @@ READ_TRACE = {
 
 @pytest.mark.parametrize("name", list(DIALECTS))
 def test_every_dialect_sweeps_at_real_pace(name: str) -> None:
-    dialect, source = DIALECTS[name], StandingSource()
+    dialect, source = DIALECTS[name], StandingSource.endless()
     instrument = Instrument(source, TracePainter(1), model=dialect.model, life=SweepProgress(Pace.REAL))
     with start_in_thread(instrument, dialect=dialect) as handle, connect(handle.port) as line:
         line.sendall(b"*RST;*CLS;:FREQ:STAR 954 MHZ;STOP 990 MHZ;:BAND 30 KHZ;:SWE:TIME 0.15;:INIT:CONT ON\n")
@@ -271,7 +256,7 @@ def test_every_dialect_sweeps_at_real_pace(name: str) -> None:
 
 
 def test_abort_from_another_session_releases_the_one_that_waits() -> None:
-    instrument = Instrument(StandingSource(), TracePainter(1), may_advance=lambda: False)
+    instrument = Instrument(StandingSource.endless(), TracePainter(1), may_advance=lambda: False)
     with start_in_thread(instrument) as handle, connect(handle.port) as waiting, connect(handle.port) as other:
         waiting.sendall(SETUP + b"INIT;*OPC?\n")
         while ask(other, b"STAT:OPER:COND?") != b"32":
@@ -281,7 +266,7 @@ def test_abort_from_another_session_releases_the_one_that_waits() -> None:
 
 
 def test_the_sweep_of_a_client_that_left_takes_no_row_once_it_is_aborted() -> None:
-    allowed, source = threading.Event(), StandingSource()
+    allowed, source = threading.Event(), StandingSource.endless()
     instrument = Instrument(source, TracePainter(1), may_advance=allowed.is_set)
     with start_in_thread(instrument) as handle, connect(handle.port) as other:
         with connect(handle.port) as waiting:
@@ -306,7 +291,7 @@ def test_client_that_resets_does_not_harm_the_server(analyzer: AnalyzerThread) -
 
 def test_taken_port_is_an_error(analyzer: AnalyzerThread) -> None:
     with pytest.raises(OSError, match="address already in use"):
-        start_in_thread(Instrument(StandingSource(), TracePainter(1)), port=analyzer.port)
+        start_in_thread(Instrument(StandingSource.endless(), TracePainter(1)), port=analyzer.port)
 
 
 @pytest.fixture

@@ -3,42 +3,15 @@
 from collections.abc import Callable
 
 import pytest
+from standing_source import StandingSource
 
 from analyzer_sim.dialects.dialect import Dialect
 from analyzer_sim.dialects.makers.rs import RS
-from analyzer_sim.emission import Emission, EndOfScenario, Signal
 from analyzer_sim.instrument.imperfections import IDEAL
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import TracePainter
 from analyzer_sim.lines.session import Session, command_tree
 from analyzer_sim.scpi.framing import MessageFramer
-
-START_US = 1_793_491_200_000_000
-ROW_US = 60_000_000
-CARRIERS = (
-    Signal("a", 1012e6, 1e6, 0.25, -40.0),
-    Signal("b", 1017e6, 2e6, 0.20, -43.0),
-    Signal("c", 1022e6, 0.5e6, 0.35, -46.0),
-)
-
-
-class StandingSource:
-    """The same three carriers in every row, until the last one."""
-
-    def __init__(self, rows: int = 1000, signals: tuple[Signal, ...] = CARRIERS, noise_dbm_hz: float = -120.0) -> None:
-        self.row = 0
-        self.rows = rows
-        self.signals = signals
-        self.noise_dbm_hz = noise_dbm_hz
-
-    def advance(self) -> Emission:
-        if self.row >= self.rows:
-            raise EndOfScenario
-        self.row += 1
-        return self.current()
-
-    def current(self) -> Emission:
-        return Emission(START_US + ROW_US * self.row, self.signals, self.noise_dbm_hz)
 
 
 class Bench:

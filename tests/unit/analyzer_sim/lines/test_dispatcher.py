@@ -2,11 +2,13 @@
 
 import asyncio
 import itertools
-from collections.abc import Callable, Coroutine
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from dataclasses import replace
 from typing import Any
 
 import pytest
+from standing_source import StandingSource
 
 from analyzer_sim.dialects.makers.rs import RS
 from analyzer_sim.instrument.imperfections import IDEAL
@@ -18,15 +20,16 @@ from analyzer_sim.lines.dispatcher import Dispatcher
 from analyzer_sim.lines.session import Session
 from analyzer_sim.scpi.framing import ProgramMessage
 
+pytestmark = pytest.mark.anyio
 MAX_WAIT_S = 120.0
 
 
 class Party:
     """A dispatcher and a way to ask it."""
 
-    def __init__(self, source: Any, **instrument: Any) -> None:
+    def __init__(self, rows: int = 1000, **instrument: Any) -> None:
         self.allowed = asyncio.Event()
-        self.instrument = Instrument(source, TracePainter(1, IDEAL), self.allowed.is_set, **instrument)
+        self.instrument = Instrument(StandingSource(rows), TracePainter(1, IDEAL), self.allowed.is_set, **instrument)
         self.dispatcher = Dispatcher(self.instrument, RS, self.permission)
 
     async def permission(self) -> None:
@@ -40,24 +43,14 @@ class Party:
         return asyncio.create_task(self.ask(session, text))
 
 
-Story = Callable[[Party, Session, Session], Coroutine[Any, Any, None]]
-
-
-@pytest.fixture
-def play(make_bench: Callable[..., Any]) -> Callable[..., None]:
-    """Run a story of two sessions to its end."""
-
-    def run(story: Story, rows: int = 1000, **instrument: Any) -> None:
-        async def whole() -> None:
-            party = Party(make_bench(rows=rows).source, **instrument)
-            first, second = party.dispatcher.new_session("socket"), party.dispatcher.new_session("socket")
-            async with asyncio.timeout(MAX_WAIT_S):
-                await story(party, first, second)
-            await party.dispatcher.close()
-
-        asyncio.run(whole())
-
-    return run
+@asynccontextmanager
+async def two_sessions(**options: Any) -> AsyncIterator[tuple[Party, Session, Session]]:
+    """Open two sessions on one instrument; close the dispatcher."""
+    party = Party(**options)
+    first, second = party.dispatcher.new_session("socket"), party.dispatcher.new_session("socket")
+    async with asyncio.timeout(MAX_WAIT_S):
+        yield party, first, second
+    await party.dispatcher.close()
 
 
 async def settled(task: "asyncio.Task[str]") -> bool:
@@ -67,29 +60,25 @@ async def settled(task: "asyncio.Task[str]") -> bool:
     return task.done()
 
 
-def test_a_held_session_goes_on_when_its_row_is_allowed(play: Callable[..., None]) -> None:
-    async def story(party: Party, first: Session, second: Session) -> None:
+async def test_a_held_session_goes_on_when_its_row_is_allowed() -> None:
+    async with two_sessions() as (party, first, second):
         held = party.asking(first, "INIT:CONT OFF;:INIT;*OPC?")
         assert not await settled(held)
         assert await party.ask(second, "STAT:OPER:COND?") == "32"
         party.allowed.set()
         assert await held == "1"
 
-    play(story)
 
-
-def test_abort_of_another_frees_the_one_that_is_held(play: Callable[..., None]) -> None:
-    async def story(party: Party, first: Session, second: Session) -> None:
+async def test_abort_of_another_frees_the_one_that_is_held() -> None:
+    async with two_sessions() as (party, first, second):
         held = party.asking(first, "INIT:CONT OFF;:INIT;*OPC?")
         assert not await settled(held)
         assert await party.ask(second, "ABOR") == ""
         assert await held == "1"
 
-    play(story)
 
-
-def test_a_locked_out_session_starts_when_the_lock_is_given_back(play: Callable[..., None]) -> None:
-    async def story(party: Party, first: Session, second: Session) -> None:
+async def test_a_locked_out_session_starts_when_the_lock_is_given_back() -> None:
+    async with two_sessions() as (party, first, second):
         party.dispatcher.locks.request(first, "")
         waiting = party.asking(second, "*ESE 3;*ESE?")
         assert not await settled(waiting)
@@ -97,11 +86,9 @@ def test_a_locked_out_session_starts_when_the_lock_is_given_back(play: Callable[
         party.dispatcher.leave(first)
         assert await waiting == "3"
 
-    play(story)
 
-
-def test_watchers_see_the_end_of_a_sweep_that_nobody_asks_about(play: Callable[..., None]) -> None:
-    async def story(party: Party, first: Session, _second: Session) -> None:
+async def test_watchers_see_the_end_of_a_sweep_that_nobody_asks_about() -> None:
+    async with two_sessions() as (party, first, _second):
         seen: list[int] = []
         party.dispatcher.watchers.add(lambda: seen.append(party.instrument.status.event & 1))
         await party.ask(first, "INIT:CONT OFF;:INIT;*OPC")
@@ -110,11 +97,9 @@ def test_watchers_see_the_end_of_a_sweep_that_nobody_asks_about(play: Callable[.
         while not seen[-1]:
             await asyncio.sleep(0)
 
-    play(story)
 
-
-def test_a_short_sweep_does_not_wait_for_the_long_one_that_was_aborted(play: Callable[..., None]) -> None:
-    async def story(party: Party, first: Session, second: Session) -> None:
+async def test_a_short_sweep_does_not_wait_for_the_long_one_that_was_aborted() -> None:
+    async with two_sessions(life=SweepProgress(Pace.REAL)) as (party, first, second):
         party.allowed.set()
         held = party.asking(first, "INIT:CONT OFF;:SWE:TIME 1000;:INIT;*OPC?")
         assert not await settled(held)
@@ -122,33 +107,28 @@ def test_a_short_sweep_does_not_wait_for_the_long_one_that_was_aborted(play: Cal
         assert await held == "1"
         assert await party.ask(second, "*OPC?") == "1"
 
-    play(story, life=SweepProgress(Pace.REAL))
 
-
-def test_the_first_of_endless_sweeps_wakes_who_waits_for_it(play: Callable[..., None]) -> None:
-    async def story(party: Party, first: Session, second: Session) -> None:
+async def test_the_first_of_endless_sweeps_wakes_who_waits_for_it() -> None:
+    async with two_sessions(life=SweepProgress(Pace.REAL)) as (party, first, second):
         await party.ask(first, "INIT:CONT OFF;:SWE:POIN 201;TIME 0.05;:INIT:CONT ON")
         traces = [party.asking(session, "TRAC? TRACE1") for session in (first, second)]
         assert not await settled(traces[0])
         assert {(await trace).count(",") for trace in traces} == {200}
 
-    play(story, life=SweepProgress(Pace.REAL))
 
-
-def test_a_sweep_that_is_over_before_anybody_looks_wakes_who_waits_for_it(play: Callable[..., None]) -> None:
+async def test_a_sweep_that_is_over_before_anybody_looks_wakes_who_waits_for_it() -> None:
     reads = itertools.count()
 
-    async def story(party: Party, first: Session, second: Session) -> None:
+    async with two_sessions(life=SweepProgress(Pace.REAL, lambda: 0.0006 * next(reads))) as (party, first, second):
         for session in (first, second):
             trace = party.asking(session, "INIT:CONT OFF;:SWE:POIN 201;TIME 0.001;:INIT:CONT ON;:TRAC? TRACE1")
             assert (await trace).count(",") == 200
 
     # six tenths of the sweep pass from one look at the clock to the next
-    play(story, life=SweepProgress(Pace.REAL, lambda: 0.0006 * next(reads)))
 
 
-def test_the_end_of_the_scenario_is_told_to_the_session_that_asked(play: Callable[..., None]) -> None:
-    async def story(party: Party, first: Session, second: Session) -> None:
+async def test_the_end_of_the_scenario_is_told_to_the_session_that_asked() -> None:
+    async with two_sessions(rows=0, model=replace(FSW_26, is_error_queue_per_session=True)) as (party, first, second):
         held = party.asking(first, "INIT:CONT OFF;:INIT;*OPC?")
         assert not await settled(held)
         assert await party.ask(second, "*ESE?") == "0"
@@ -156,5 +136,3 @@ def test_the_end_of_the_scenario_is_told_to_the_session_that_asked(play: Callabl
         assert await held == "1"
         assert (await party.ask(second, "SYST:ERR?")).startswith("0,")
         assert (await party.ask(first, "SYST:ERR?")).startswith("-200,")
-
-    play(story, rows=0, model=replace(FSW_26, is_error_queue_per_session=True))

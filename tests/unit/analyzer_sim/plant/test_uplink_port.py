@@ -2,7 +2,7 @@
 
 import asyncio
 import json
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from typing import Any
@@ -19,6 +19,7 @@ from analyzer_sim.plant.uplink_port import UplinkPort
 from analyzer_sim.world.ground.ground_port import Gate, serve_ground
 from analyzer_sim.world.scenario.scenario import scenario_named
 
+pytestmark = pytest.mark.anyio
 STORY = replace(scenario_named("nominal"), quiet_h=0.5, operation_h=0.2)
 SEED = 1
 PROCEED = b'{"kind":"proceed"}\n'
@@ -58,20 +59,17 @@ async def connected(port: int) -> AsyncIterator[Client]:
         writer.close()
 
 
-def run(story: Callable[[int, FlownWorld], Awaitable[None]], *, rows: int = 1) -> None:
-    """Serve the port of a craft that has flown some rows while a story is told with it."""
-
-    async def told() -> None:
-        craft = FlownWorld(STORY, SEED, PlantOptions())
-        while rows and craft.epoch_us is None:
-            craft.advance()
-        server = await UplinkPort(craft).serve("127.0.0.1", 0)
-        async with server:
-            await story(server.sockets[0].getsockname()[1], craft)
-            for _ in range(20):
-                await asyncio.sleep(0)  # lets the handlers notice that their clients left
-
-    asyncio.run(told())
+@asynccontextmanager
+async def served(*, rows: int = 1) -> AsyncIterator[tuple[int, FlownWorld]]:
+    """Serve the port of a craft that has flown some rows; give its number and the craft."""
+    craft = FlownWorld(STORY, SEED, PlantOptions())
+    while rows and craft.epoch_us is None:
+        craft.advance()
+    server = await UplinkPort(craft).serve("127.0.0.1", 0)
+    async with server:
+        yield server.sockets[0].getsockname()[1], craft
+        for _ in range(20):
+            await asyncio.sleep(0)  # lets the handlers notice that their clients left
 
 
 def schedule(craft: FlownWorld, counter: int) -> bytes:
@@ -80,28 +78,25 @@ def schedule(craft: FlownWorld, counter: int) -> bytes:
     return json.dumps({"schedule": [element], "counter": counter}).encode()
 
 
-def test_a_schedule_is_taken_and_its_report_comes_before_the_row_that_was_flown() -> None:
-    async def story(port: int, craft: FlownWorld) -> None:
-        async with connected(port) as client:
-            opening = await client.line()
-            assert opening == {
-                "type": "start",
-                "scenario": "nominal",
-                "seed": SEED,
-                "uplink": "ideal",
-                "onboard": "wheels",
-                "operation_start": rfc3339(STORY.operation_start_us),
-                "fed_forward_torque": fed_forward_line(craft.world),
-            }
-            sent = rfc3339(craft.epoch_us)
-            assert await client.ask(schedule(craft, 4)) == {"type": "taken", "counter": 4, "sent": sent}
-            assert await client.ask(b'{"schedule":[]}') == {"type": "taken", "counter": None, "sent": sent}
-            craft.advance()
-            report, flown = await client.line(), await client.line()
-            assert (report["type"], report["counter"], report["state"]) == ("report", 4, "executed")
-            assert flown == {"type": "flown", "epoch": rfc3339(craft.epoch_us)}
-
-    run(story)
+async def test_a_schedule_is_taken_and_its_report_comes_before_the_row_that_was_flown() -> None:
+    async with served() as (port, craft), connected(port) as client:
+        opening = await client.line()
+        assert opening == {
+            "type": "start",
+            "scenario": "nominal",
+            "seed": SEED,
+            "uplink": "ideal",
+            "onboard": "wheels",
+            "operation_start": rfc3339(STORY.operation_start_us),
+            "fed_forward_torque": fed_forward_line(craft.world),
+        }
+        sent = rfc3339(craft.epoch_us)
+        assert await client.ask(schedule(craft, 4)) == {"type": "taken", "counter": 4, "sent": sent}
+        assert await client.ask(b'{"schedule":[]}') == {"type": "taken", "counter": None, "sent": sent}
+        craft.advance()
+        report, flown = await client.line(), await client.line()
+        assert (report["type"], report["counter"], report["state"]) == ("report", 4, "executed")
+        assert flown == {"type": "flown", "epoch": rfc3339(craft.epoch_us)}
 
 
 @pytest.mark.parametrize(
@@ -116,53 +111,41 @@ def test_a_schedule_is_taken_and_its_report_comes_before_the_row_that_was_flown(
         b'{"kind":"proceed"}',
     ],
 )
-def test_garbage_is_answered_and_changes_nothing(data: bytes) -> None:
-    async def story(port: int, craft: FlownWorld) -> None:
-        async with connected(port) as client:
-            await client.line()
-            answer = await client.ask(data)
-            assert answer["type"] == "error"
-            assert (await client.ask(schedule(craft, 1)))["type"] == "taken"
-
-    run(story)
+async def test_garbage_is_answered_and_changes_nothing(data: bytes) -> None:
+    async with served() as (port, craft), connected(port) as client:
+        await client.line()
+        answer = await client.ask(data)
+        assert answer["type"] == "error"
+        assert (await client.ask(schedule(craft, 1)))["type"] == "taken"
 
 
-def test_a_line_that_is_too_long_is_skipped_to_its_end() -> None:
-    async def story(port: int, craft: FlownWorld) -> None:
-        async with connected(port) as client:
-            await client.line()
-            answer = await client.ask(b"x" * (2 * MAX_LINE_CHARACTERS + 7))
-            assert "at most 1000000 characters" in answer["detail"]
-            assert (await client.ask(schedule(craft, 1)))["type"] == "taken"
-
-    run(story)
+async def test_a_line_that_is_too_long_is_skipped_to_its_end() -> None:
+    async with served() as (port, craft), connected(port) as client:
+        await client.line()
+        answer = await client.ask(b"x" * (2 * MAX_LINE_CHARACTERS + 7))
+        assert "at most 1000000 characters" in answer["detail"]
+        assert (await client.ask(schedule(craft, 1)))["type"] == "taken"
 
 
-def test_before_operation_nothing_is_taken() -> None:
-    async def story(port: int, craft: FlownWorld) -> None:
-        async with connected(port) as client:
-            await client.line()
-            assert "under its sensors" in (await client.ask(b'{"schedule":[]}'))["detail"]
-
-    run(story, rows=0)
+async def test_before_operation_nothing_is_taken() -> None:
+    async with served(rows=0) as (port, _craft), connected(port) as client:
+        await client.line()
+        assert "under its sensors" in (await client.ask(b'{"schedule":[]}'))["detail"]
 
 
-def test_a_second_client_is_turned_away_and_the_first_goes_on() -> None:
-    async def story(port: int, craft: FlownWorld) -> None:
-        async with connected(port) as first:
-            await first.line()
-            async with connected(port) as second:
-                assert await second.line() == {"type": "error", "detail": "another client holds the uplink"}
-                assert await second.reader.read() == b""
-            assert (await first.ask(schedule(craft, 1)))["type"] == "taken"
-            craft.advance()
-            assert [(await first.line())["type"] for _ in range(2)] == ["report", "flown"]
-
-    run(story)
+async def test_a_second_client_is_turned_away_and_the_first_goes_on() -> None:
+    async with served() as (port, craft), connected(port) as first:
+        await first.line()
+        async with connected(port) as second:
+            assert await second.line() == {"type": "error", "detail": "another client holds the uplink"}
+            assert await second.reader.read() == b""
+        assert (await first.ask(schedule(craft, 1)))["type"] == "taken"
+        craft.advance()
+        assert [(await first.line())["type"] for _ in range(2)] == ["report", "flown"]
 
 
-def test_what_was_told_while_nobody_was_there_is_told_to_the_next() -> None:
-    async def story(port: int, craft: FlownWorld) -> None:
+async def test_what_was_told_while_nobody_was_there_is_told_to_the_next() -> None:
+    async with served() as (port, craft):
         async with connected(port) as client:
             await client.line()
             await client.ask(schedule(craft, 9))
@@ -175,23 +158,18 @@ def test_what_was_told_while_nobody_was_there_is_told_to_the_next() -> None:
             craft.advance()
             assert (await client.line())["type"] == "flown"
 
-    run(story)
 
-
-def test_a_client_that_does_not_read_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_client_that_does_not_read_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(uplink_port, "MAX_WAITING_BYTES", 0)
 
-    async def story(port: int, craft: FlownWorld) -> None:
-        async with connected(port) as deaf:
-            await deaf.line()
-            # more than the buffers of both systems take
-            lines: list[dict[str, Any]] = [{"filler": "x" * 1_000_000} for _ in range(20)]
-            craft._tell(lines)
-            await asyncio.sleep(0.05)
-            async with connected(port) as client:
-                assert (await client.line())["type"] == "start"
-
-    run(story)
+    async with served() as (port, craft), connected(port) as deaf:
+        await deaf.line()
+        # more than the buffers of both systems take
+        lines: list[dict[str, Any]] = [{"filler": "x" * 1_000_000} for _ in range(20)]
+        craft._tell(lines)
+        await asyncio.sleep(0.05)
+        async with connected(port) as client:
+            assert (await client.line())["type"] == "start"
 
 
 def test_the_ground_port_tells_truth_and_telemetry_after_the_row() -> None:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from alarm_rig import CARRIERS, INERTIA, Rig
+from set_clock import SetClock
 
 from db.storage import SqlStorage
 from service.pipeline.config import AlignmentConfig, CalibrationConfig, ChainConfig
@@ -36,22 +37,6 @@ NOISE_DB = 0.05
 TRACKER = ("star_tracker",) * 3
 
 
-class SetClock:
-    """A clock that stands."""
-
-    def now_us(self, spacecraft_id: str) -> int | None:
-        """Return the instant it was set to."""
-        return self.system_us()
-
-    def is_data(self, spacecraft_id: str) -> bool:
-        """Return False."""
-        return False
-
-    def system_us(self) -> int:
-        """Return the instant it was set to."""
-        return 1_900_000_000_000_000
-
-
 def wait_for(is_done: Callable[[], bool], timeout_s: float = 120.0) -> None:
     """Wait until a condition holds."""
     deadline = time.monotonic() + timeout_s
@@ -66,7 +51,7 @@ class Ground:
     def __init__(self, url: str, payload: Any, synthetic: Any) -> None:
         self.payload, self.synthetic, self.id = payload, synthetic, synthetic.SC
         self.storage = SqlStorage(url)
-        self.clock = SetClock()
+        self.clock = SetClock(1_900_000_000_000_000)
         self.config = ChainConfig()
         self.jobs = JobRunner(self.storage.results, self.clock)
         self.calibrator = Calibrator(self.storage, self.clock, self.jobs, partial(fitted, CalibrationConfig()), 8)
@@ -282,12 +267,6 @@ def lived(_lived: Path, tmp_path: Path, payload: Any, synthetic: Any) -> Iterato
     ground = Ground(f"sqlite:///{tmp_path / 'lived' / 'soo.db'}", payload, synthetic)
     yield ground
     ground.close()
-
-
-@pytest.fixture
-def anyio_backend() -> str:
-    """Run asynchronous tests on asyncio."""
-    return "asyncio"
 
 
 @pytest.fixture

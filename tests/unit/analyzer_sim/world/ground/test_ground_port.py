@@ -3,7 +3,7 @@
 import asyncio
 import json
 import socket
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from functools import cache
@@ -17,6 +17,7 @@ from analyzer_sim.world.ground.ground_port import MAX_LINE_BYTES, Gate, serve_gr
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 
+pytestmark = pytest.mark.anyio
 PROCEED = b'{"kind":"proceed"}\n'
 
 
@@ -59,18 +60,15 @@ async def connected(port: int) -> AsyncIterator[Client]:
         await client.close()
 
 
-def run(story: Callable[[int, Gate], Awaitable[None]], *, await_ground: bool = True) -> None:
-    """Serve the port while a story is told with it."""
-
-    async def told() -> None:
-        gate = Gate()
-        server = await serve_ground(world(), gate, port=0, await_ground=await_ground)
-        async with server:
-            await story(server.sockets[0].getsockname()[1], gate)
-            for _ in range(20):
-                await asyncio.sleep(0)  # lets the handlers notice that their clients left
-
-    asyncio.run(told())
+@asynccontextmanager
+async def served(*, await_ground: bool = True) -> AsyncIterator[tuple[int, Gate]]:
+    """Serve the port; give its number and its gate."""
+    gate = Gate()
+    server = await serve_ground(world(), gate, port=0, await_ground=await_ground)
+    async with server:
+        yield server.sockets[0].getsockname()[1], gate
+        for _ in range(20):
+            await asyncio.sleep(0)  # lets the handlers notice that their clients left
 
 
 async def settled(condition: Callable[[], bool]) -> None:
@@ -84,38 +82,32 @@ def test_an_open_gate_holds_nothing_back() -> None:
     asyncio.run(asyncio.wait_for(Gate().wait(10**18), 120.0))
 
 
-def test_a_closed_gate_opens_up_to_what_was_granted() -> None:
-    async def story() -> None:
-        gate = Gate(is_open=False)
-        early, late = asyncio.create_task(gate.wait(100)), asyncio.create_task(gate.wait(101))
-        await asyncio.sleep(0)
-        assert not early.done()
-        gate.grant_until(100)
-        await asyncio.wait_for(early, 120.0)
-        gate.grant_until(50)  # a grant never shrinks
-        assert gate.is_granted(100)
-        assert not late.done()
-        gate.open()
-        await asyncio.wait_for(late, 120.0)
-
-    asyncio.run(story())
+async def test_a_closed_gate_opens_up_to_what_was_granted() -> None:
+    gate = Gate(is_open=False)
+    early, late = asyncio.create_task(gate.wait(100)), asyncio.create_task(gate.wait(101))
+    await asyncio.sleep(0)
+    assert not early.done()
+    gate.grant_until(100)
+    await asyncio.wait_for(early, 120.0)
+    gate.grant_until(50)  # a grant never shrinks
+    assert gate.is_granted(100)
+    assert not late.done()
+    gate.open()
+    await asyncio.wait_for(late, 120.0)
 
 
-def test_a_cancelled_wait_leaves_nothing_behind() -> None:
-    async def story() -> None:
-        gate = Gate(is_open=False)
-        waiting = asyncio.create_task(gate.wait(1))
-        await asyncio.sleep(0)
-        waiting.cancel()
-        with pytest.raises(asyncio.CancelledError):
-            await waiting
-        assert not gate._waiting
-
-    asyncio.run(story())
+async def test_a_cancelled_wait_leaves_nothing_behind() -> None:
+    gate = Gate(is_open=False)
+    waiting = asyncio.create_task(gate.wait(1))
+    await asyncio.sleep(0)
+    waiting.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await waiting
+    assert not gate._waiting
 
 
-def test_the_port_says_all_the_ground_knows_and_ends() -> None:
-    async def story(port: int, gate: Gate) -> None:
+async def test_the_port_says_all_the_ground_knows_and_ends() -> None:
+    async with served() as (port, gate):
         heard: list[dict[str, Any]] = []
         async with connected(port) as client:
             for first, last, phase in chunks_of(world()):
@@ -130,22 +122,17 @@ def test_the_port_says_all_the_ground_knows_and_ends() -> None:
         assert gate.is_granted(int(world().rows.epochs_us[-1]))
         assert heard == json.loads(json.dumps(list(ground_lines(world()))))
 
-    run(story)
+
+async def test_a_grant_reaches_exactly_to_the_last_row_of_the_chunk() -> None:
+    async with served() as (port, gate), connected(port) as client:
+        hold = (await client.until("hold"))[-1]
+        await client.send()
+        await client.until("hold")
+        assert gate.granted_until_us == epoch_us_from_text(hold["until"])
 
 
-def test_a_grant_reaches_exactly_to_the_last_row_of_the_chunk() -> None:
-    async def story(port: int, gate: Gate) -> None:
-        async with connected(port) as client:
-            hold = (await client.until("hold"))[-1]
-            await client.send()
-            await client.until("hold")
-            assert gate.granted_until_us == epoch_us_from_text(hold["until"])
-
-    run(story)
-
-
-def test_a_client_that_returns_resumes_at_the_first_unconfirmed_chunk() -> None:
-    async def story(port: int, _gate: Gate) -> None:
+async def test_a_client_that_returns_resumes_at_the_first_unconfirmed_chunk() -> None:
+    async with served() as (port, _gate):
         async with connected(port) as client:
             await client.until("hold")
             await client.send()
@@ -155,8 +142,6 @@ def test_a_client_that_returns_resumes_at_the_first_unconfirmed_chunk() -> None:
             lines = await client.until("hold")
             assert [line["kind"] for line in lines[:4]] == ["spacecraft", "carriers", "task", "ephemeris"]
             assert lines[-1] == second
-
-    run(story)
 
 
 @pytest.mark.parametrize(
@@ -169,52 +154,42 @@ def test_a_client_that_returns_resumes_at_the_first_unconfirmed_chunk() -> None:
         (b" " * (2 * MAX_LINE_BYTES) + b"\n", "line.too_long"),
     ],
 )
-def test_a_bad_line_is_answered_and_changes_nothing(data: bytes, code: str) -> None:
-    async def story(port: int, gate: Gate) -> None:
-        async with connected(port) as client:
-            hold = (await client.until("hold"))[-1]
-            await client.send(data)
-            error = (await client.until("error"))[-1]
-            assert error["code"] == code
-            assert not gate.is_granted(epoch_us_from_text(hold["until"]))
-            await client.send()
-            await client.until("hold")
-            assert gate.is_granted(epoch_us_from_text(hold["until"]))
-
-    run(story)
+async def test_a_bad_line_is_answered_and_changes_nothing(data: bytes, code: str) -> None:
+    async with served() as (port, gate), connected(port) as client:
+        hold = (await client.until("hold"))[-1]
+        await client.send(data)
+        error = (await client.until("error"))[-1]
+        assert error["code"] == code
+        assert not gate.is_granted(epoch_us_from_text(hold["until"]))
+        await client.send()
+        await client.until("hold")
+        assert gate.is_granted(epoch_us_from_text(hold["until"]))
 
 
-def test_a_second_client_is_turned_away() -> None:
-    async def story(port: int, _gate: Gate) -> None:
-        async with connected(port) as holder:
-            await holder.until("hold")
-            async with connected(port) as other:
-                assert (await other.line())["code"] == "ground.taken"
-            await holder.send()
-            await holder.until("hold")
-
-    run(story)
+async def test_a_second_client_is_turned_away() -> None:
+    async with served() as (port, _gate), connected(port) as holder:
+        await holder.until("hold")
+        async with connected(port) as other:
+            assert (await other.line())["code"] == "ground.taken"
+        await holder.send()
+        await holder.until("hold")
 
 
-def test_without_await_ground_the_gate_is_open_until_a_client_comes_and_after_it_left() -> None:
-    async def story(port: int, gate: Gate) -> None:
+async def test_without_await_ground_the_gate_is_open_until_a_client_comes_and_after_it_left() -> None:
+    async with served(await_ground=False) as (port, gate):
         assert gate.is_granted(10**18)
         async with connected(port) as client:
             await client.until("hold")
             assert not gate.is_granted(10**18)
         await settled(lambda: gate.is_granted(10**18))
 
-    run(story, await_ground=False)
 
-
-def test_with_await_ground_the_gate_stays_closed_when_the_client_leaves() -> None:
-    async def story(port: int, gate: Gate) -> None:
+async def test_with_await_ground_the_gate_stays_closed_when_the_client_leaves() -> None:
+    async with served() as (port, gate):
         async with connected(port) as client:
             await client.until("hold")
         await asyncio.sleep(0.05)
         assert not gate.is_granted(int(world().rows.epochs_us[0]))
-
-    run(story)
 
 
 def test_stopping_the_simulator_with_a_client_connected_is_silent(caplog: pytest.LogCaptureFixture) -> None:

@@ -16,11 +16,6 @@ from service.records.operations.audit import AuditEvent, AuditHead, next_entry
 pytestmark = pytest.mark.anyio
 
 
-@pytest.fixture
-def anyio_backend():
-    return "asyncio"
-
-
 def refused(address="192.0.2.1"):
     return AuditEvent(
         at_us=1,

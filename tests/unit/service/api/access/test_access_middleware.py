@@ -12,11 +12,6 @@ from service.records.operations.access_key import AccessKey, Role, StoredKey, di
 pytestmark = pytest.mark.anyio
 
 
-@pytest.fixture
-def anyio_backend():
-    return "asyncio"
-
-
 class Keys:
     """An archive of one key."""
 

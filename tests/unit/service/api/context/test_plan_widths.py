@@ -9,11 +9,6 @@ from service.records.catalogue import Carrier, CarrierPlan
 pytestmark = pytest.mark.anyio
 
 
-@pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"
-
-
 class CountingCatalogue:
     def __init__(self) -> None:
         self.asked: list[tuple[str, int]] = []

@@ -11,11 +11,6 @@ from service.api.problems.problems import RequestProblemError
 pytestmark = pytest.mark.anyio
 
 
-@pytest.fixture
-def anyio_backend() -> str:
-    return "asyncio"
-
-
 async def passed(body: bytes, piece: int, limit: int, *headers: tuple[bytes, bytes]) -> tuple[bytes, int, list]:
     """Send a body in pieces through the layer; return what the inside read, the pieces taken, and its headers."""
     pieces = [body[k : k + piece] for k in range(0, len(body), piece)] or [b""]

@@ -20,11 +20,6 @@ REFERENCES = b'{"source":"star_tracker","references":[%b{}]}'
 BATCH = b'{"plan_id":1,"measurements":[%b]}'
 
 
-@pytest.fixture
-def anyio_backend():
-    return "asyncio"
-
-
 class Anything(BaseModel):
     """A document that takes what comes."""
 
