@@ -171,7 +171,7 @@ def test_limits_and_checks_are_those_of_the_code() -> None:
     assert CLOCK_TOLERANCE_US == 5_000_000
     root = PAGE.parents[2]
     files = ("examination", "doctor", "journal_heads")
-    code = "".join((root / f"db/{name}.py").read_text() for name in files)
+    code = "".join((root / f"db/maintenance/{name}.py").read_text() for name in files)
     made = set(re.findall(r'Diagnosis\("(\w+)"', code))
     told = {
         name
