@@ -10,26 +10,21 @@ With ``--uplink-port`` the craft is flown: schedules come in on that port (``upl
 """
 
 import argparse
-import asyncio
 import io
 import os
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from analyzer_sim.dialects.dialects import DIALECTS
+# numpy, scipy and the world cost twenty times the parser: each command imports what it runs
 from analyzer_sim.epochs import epoch_us_from_text
-from analyzer_sim.export import run_export
-from analyzer_sim.instrument.painter import Detail
 from analyzer_sim.instrument.sweep_life import Pace
-from analyzer_sim.plant.plant import PlantOptions
-from analyzer_sim.plant.plant_lines import run_plant
-from analyzer_sim.serving import parse_fault, serve
-from analyzer_sim.world.scenario.scenario import CLOSED_SCENARIOS, SCENARIOS, Scenario, scenario_named
-from analyzer_sim.world.scenario_table import markdown_page, plain_table
 from analyzer_sim.world.spacecraft.hub_tones import HubTone, parse_tone
-from analyzer_sim.world.spacecraft.uplink import UPLINKS
-from analyzer_sim.world.spacecraft.wheels import AXES
+
+if TYPE_CHECKING:
+    from analyzer_sim.plant.plant import PlantOptions
+    from analyzer_sim.world.scenario.scenario import Scenario
 
 _SUBCOMMANDS = ("serve", "export", "plant", "scenarios")
 
@@ -69,7 +64,45 @@ def _tone(text: str) -> HubTone:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
+def _one_of(load: Callable[[], Iterable[str]]) -> Callable[[str], str]:
+    """Return the type of an option that takes a name of a table, which is imported when the option is read."""
+
+    def read(text: str) -> str:
+        names = sorted(load())
+        if text not in names:
+            raise argparse.ArgumentTypeError(f"invalid choice: {text!r} (choose from {', '.join(names)})")
+        return text
+
+    return read
+
+
+def _scenarios() -> Iterable[str]:
+    from analyzer_sim.world.scenario.scenario import SCENARIOS
+
+    return SCENARIOS
+
+
+def _closed_scenarios() -> Iterable[str]:
+    from analyzer_sim.world.scenario.scenario import CLOSED_SCENARIOS
+
+    return CLOSED_SCENARIOS
+
+
+def _dialects() -> Iterable[str]:
+    from analyzer_sim.dialects.dialects import DIALECTS
+
+    return DIALECTS
+
+
+def _fault(text: str) -> tuple[str, int]:
+    from analyzer_sim.serving import parse_fault
+
+    return parse_fault(text)
+
+
 def _response(text: str) -> tuple[str, float]:
+    from analyzer_sim.world.spacecraft.wheels import AXES
+
     axis, _, value = text.partition("=")
     if axis not in AXES or not value:
         raise argparse.ArgumentTypeError(f"{text!r} is not AXIS=FACTOR with an axis of {', '.join(AXES)}")
@@ -79,9 +112,11 @@ def _response(text: str) -> tuple[str, float]:
     return axis, factor
 
 
-def _add_story(parser: argparse.ArgumentParser, names: Iterable[str] = SCENARIOS) -> None:
+def _add_story(parser: argparse.ArgumentParser, load: Callable[[], Iterable[str]] = _scenarios) -> None:
     """Add the options that choose the world."""
-    parser.add_argument("--scenario", default="demo", choices=sorted(names), help="the story (default: demo)")
+    parser.add_argument(
+        "--scenario", default="demo", type=_one_of(load), metavar="NAME", help="one of `scenarios` (default: demo)"
+    )
     parser.add_argument("--seed", type=_seed, default=1, help="seed of every random quantity (default: 1)")
     parser.add_argument("--start", type=_epoch_us, help="first epoch, RFC 3339 with zone")
     parser.add_argument("--operation-days", type=_positive, help="length of the operation phase, days")
@@ -91,8 +126,10 @@ def _add_story(parser: argparse.ArgumentParser, names: Iterable[str] = SCENARIOS
 
 def _add_serve(parser: argparse.ArgumentParser) -> None:
     """Add the options of the served instrument."""
-    _add_story(parser, CLOSED_SCENARIOS)
-    parser.add_argument("--dialect", default="rs", choices=sorted(DIALECTS), help="language (default: rs)")
+    _add_story(parser, _closed_scenarios)
+    parser.add_argument(
+        "--dialect", default="rs", type=_one_of(_dialects), help="rs, keysight, siglent or anritsu (default: rs)"
+    )
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: 127.0.0.1)")
     parser.add_argument("--port", type=_port, default=5025, help="SCPI port, 0 = a free one (default: 5025)")
     parser.add_argument("--alias-port", type=_port, action="append", default=[], help="further SCPI port; may repeat")
@@ -102,8 +139,8 @@ def _add_serve(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--await-ground", action="store_true", help="sweep no row before a ground client allows it")
     parser.add_argument(
         "--detail",
-        default=Detail.FAST.value,
-        choices=[detail.value for detail in Detail],
+        default="fast",
+        choices=["fast", "envelope"],
         help="fast: drawn per point; envelope: drawn in time (default: fast)",
     )
     parser.add_argument("--ideal", action="store_true", help="an analyzer without errors and noise of its own")
@@ -116,7 +153,7 @@ def _add_serve(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--truth-log", type=Path, help="file for the truth of every sweep, JSON lines; is overwritten")
     parser.add_argument(
         "--fault",
-        type=parse_fault,
+        type=_fault,
         action="append",
         default=[],
         metavar="NAME[:TIMES]",
@@ -130,7 +167,7 @@ def _add_craft(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--uplink",
         default="ideal",
-        choices=sorted(UPLINKS),
+        choices=["ideal", "link"],
         help="ideal: a schedule arrives at once; link: after 30-120 s, 2%% lost, 1%% twice (default: ideal)",
     )
     parser.add_argument(
@@ -166,7 +203,7 @@ def build_parser() -> argparse.ArgumentParser:
     _add_story(export)
     export.add_argument("--out", type=Path, required=True, help="file to write, .npz")
     plant = commands.add_parser("plant", help="close a loop: powers to standard output, torque schedules from input")
-    _add_story(plant, CLOSED_SCENARIOS)
+    _add_story(plant, _closed_scenarios)
     _add_craft(plant)
     plant.add_argument(
         "--age-limit",
@@ -183,7 +220,9 @@ def build_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _scenario(options: argparse.Namespace) -> Scenario:
+def _scenario(options: argparse.Namespace) -> "Scenario":
+    from analyzer_sim.world.scenario.scenario import scenario_named
+
     return scenario_named(
         options.scenario,
         operation_days=options.operation_days,
@@ -193,7 +232,10 @@ def _scenario(options: argparse.Namespace) -> Scenario:
     )
 
 
-def _flown(options: argparse.Namespace) -> PlantOptions:
+def _flown(options: argparse.Namespace) -> "PlantOptions":
+    from analyzer_sim.plant.plant import PlantOptions
+    from analyzer_sim.world.spacecraft.wheels import AXES
+
     factors = {**dict.fromkeys(AXES, 1.0), **dict(options.response)}
     response = (factors["roll"], factors["pitch"], factors["yaw"])
     return PlantOptions(
@@ -203,6 +245,8 @@ def _flown(options: argparse.Namespace) -> PlantOptions:
 
 def _run_plant(options: argparse.Namespace) -> int:
     """Close a loop over the standard streams; a reader that leaves ends it without a complaint."""
+    from analyzer_sim.plant.plant_lines import run_plant
+
     # bytes that are no text must reach the parser of lines, which answers them
     source = io.TextIOWrapper(sys.stdin.buffer, encoding="utf-8", errors="replace")
     try:
@@ -221,14 +265,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = build_parser()
     options = parser.parse_args(given)
     if options.command == "scenarios":
+        from analyzer_sim.world.scenario_table import markdown_page, plain_table
+
         sys.stdout.write(markdown_page() if options.markdown else plain_table())
         return 0
     if options.command == "export":
+        from analyzer_sim.export import run_export
+
         return run_export(_scenario(options), options.seed, options.out, options.sweep_noise)
     if options.command == "plant":
         return _run_plant(options)
-    if options.uplink_port is None and options.scenario not in SCENARIOS:
+    if options.uplink_port is None and options.scenario not in _scenarios():
         parser.error(f"scenario {options.scenario} is for closed loops alone: give --uplink-port")
+    return _run_server(options)
+
+
+def _run_server(options: argparse.Namespace) -> int:
+    """Serve until a signal; a port that is taken is told."""
+    import asyncio
+
+    from analyzer_sim.serving import serve
+
     try:
         asyncio.run(serve(options, _scenario(options), _flown(options)))
     except OSError as error:

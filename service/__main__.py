@@ -3,24 +3,27 @@
 import gc
 import sys
 
+#: third-party packages of an extra, by the name under which they are imported
+_EXTRA_OF = {"matplotlib": "study", "pyvisa": "station", "pyvisa_py": "station"}
+
 
 def main() -> None:
-    """Run the command line; the service starts without the modules of the other commands, which take half a second."""
-    if sys.argv[1:2] == ["serve"]:
-        # the collector finds nothing among modules being loaded and takes a seventh of the start to say so; it is back
-        # once the service is put together
-        gc.disable()
-        import typer
-
-        from service.cli.administration.serve import serve
-
-        alone = typer.Typer(pretty_exceptions_show_locals=False, add_completion=False)
-        alone.command()(serve)
-        alone(args=sys.argv[2:], prog_name="soo serve")
-        return
+    """Run the command line; end with 2 and the name of the extra where a package of one is missing."""
+    # the collector finds nothing among modules being loaded and takes a tenth of the start to say so; it is back when
+    # the command begins, for ``serve`` when the service is put together
+    gc.disable()
     from service.cli.app import app
 
-    app()
+    try:
+        app()
+    except ModuleNotFoundError as error:
+        extra = _EXTRA_OF.get((error.name or "").partition(".")[0])
+        if extra is None:
+            raise
+        sys.stderr.write(
+            f"{error.name} is not installed; install it with the extra {extra}: pip install 'soo[{extra}]'\n"
+        )
+        sys.exit(2)
 
 
 if __name__ == "__main__":

@@ -1,33 +1,51 @@
-"""The command line: every command registered here, one group a file."""
+"""Command line: every command by name, with the module that is imported when it is run and its line in the help.
 
-import typer
+The line is the first of the command's docstring or of its group's help; ``tests/docs/test_command_line.py`` holds it.
+"""
 
-from service.cli.administration.audit import app as audit
-from service.cli.administration.backup import app as backup
-from service.cli.administration.doctor import doctor
-from service.cli.administration.keys import app as keys
-from service.cli.administration.serve import serve
-from service.cli.administration.upkeep import upkeep
-from service.cli.demo import demo
-from service.cli.operation.export import export
-from service.cli.operation.operate import align, calibrate, replay
-from service.cli.planning.plan import plan
-from service.cli.reference import openapi, settings
-from service.cli.station.acquire import acquire
-from service.cli.station.send import send
-from service.cli.studies.study import app as study
+from service.cli.command_group import CommandSource, late_app
 
-app = typer.Typer(
-    name="soo",
-    help="Attitude of a geostationary satellite from the powers of the carriers it retransmits.",
-    no_args_is_help=True,
-    pretty_exceptions_show_locals=False,
-    add_completion=False,
+_COMMANDS = {
+    "demo": CommandSource(
+        "demo", "Show the whole chain: SCPI analyzer to angles to torques that keep the craft, on a virtual clock."
+    ),
+    "serve": CommandSource(
+        "administration.serve", "Serve the REST interface; creates and migrates its database before it is ready."
+    ),
+    "acquire": CommandSource(
+        "station.acquire", "Measure carrier powers on spectrum analyzers and send them to the service."
+    ),
+    "send": CommandSource(
+        "station.send", "Send an archive of carrier powers to the service; goes on where it was interrupted."
+    ),
+    "calibrate": CommandSource(
+        "operation.operate", "Fit daily changes and sensitivities from quiet days and calibration turns."
+    ),
+    "align": CommandSource(
+        "operation.operate", "Take angles and reference powers from a window; from then on no sensor is used."
+    ),
+    "replay": CommandSource("operation.operate", "Run the chain again over the archive, as a new version."),
+    "export": CommandSource("operation.export", "Download a stretch of the archive."),
+    "plan": CommandSource(
+        "planning.plan", "Choose carriers, judge what they can see, and print a timetable of calibration turns."
+    ),
+    "doctor": CommandSource(
+        "administration.doctor", "Look at an archive, also of a running service, and say what is wrong and what to do."
+    ),
+    "upkeep": CommandSource(
+        "administration.upkeep",
+        "Seal closed days and drop what retention no longer keeps, as the service does by itself.",
+    ),
+    "openapi": CommandSource("reference", "Write the OpenAPI document of this version."),
+    "settings": CommandSource("reference", "Print the settings in force, or the reference of all settings."),
+    "keys": CommandSource("administration.keys", "Access keys of a service: make, list, revoke."),
+    "audit": CommandSource("administration.audit", "The audit log: who did what, chained by hashes."),
+    "backup": CommandSource(
+        "administration.backup", "Copies of an archive: made while the service runs, proved, put back."
+    ),
+    "study": CommandSource("studies.study", "Campaigns on simulated truth and reproductions of papers."),
+}
+
+app = late_app(
+    _COMMANDS, name="soo", help="Attitude of a geostationary satellite from the powers of the carriers it retransmits."
 )
-
-for command in (demo, serve, acquire, send, calibrate, align, replay, export, plan, doctor, upkeep, openapi, settings):
-    app.command()(command)
-app.add_typer(keys, name="keys")
-app.add_typer(audit, name="audit")
-app.add_typer(backup, name="backup")
-app.add_typer(study, name="study")

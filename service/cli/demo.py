@@ -1,41 +1,18 @@
 """``soo demo``: simulated analyzer, front end and service on this machine, from nothing to angles beside the truth."""
 
 import json
-import signal
 import tempfile
-import time
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, NoReturn
+from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.live import Live
-from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
-from service.cli.operation.connection import DEFAULT_KEY_ENVIRONMENT, key_of
-from service.client.documents import Json
-from service.client.problem import ClientError
-from service.client.service_client import ServiceClient
-from service.records.epoch import parse_epoch
-from service.study.closed_loop.plant_process import PlantFailedError
-from service.study.demonstration.closed_judgement import FlightAlone, fly_alone, judge_control
-from service.study.demonstration.demonstration import Endpoints, Scene, Story, run_story, simulated_station
-from service.study.demonstration.judgement import judge_story, tracked_angles
-from service.study.demonstration.merit import AXES
-from service.study.demonstration.processes import ProcessFailedError
-from service.study.demonstration.replay_check import METHODS
-from service.study.demonstration.spacecraft_line import CraftLineError
+from service.cli.studies.exit_code import ended_by_signals
 
 #: operation that the endless demonstration can show, days
 _ENDLESS_DAYS = 30.0
 _EXIT_DAYS = 2.0
-#: seconds between two prints of the tracking table away from a terminal
-_PRINT_EVERY_S = 3.0
-_ROWS_A_CHUNK = 60.0
-#: an answer may take so long on a machine that has much else to do, s
-_PATIENCE_S = 60.0
 
 
 def demo(
@@ -54,17 +31,24 @@ def demo(
     closed: Annotated[bool, typer.Option("--closed/--open", help="Keep the craft, or follow its slews.")] = True,
 ) -> None:
     """Show the whole chain: SCPI analyzer to angles to torques that keep the craft, on a virtual clock."""
-    _end_on_signals()
+    from rich.console import Console
+
+    # the story costs half a second that a wrong option need not pay
+    from service.cli.demo_run import FAILURES, Alone, external, play
+    from service.cli.demo_screen import Presenter, print_figures
+    from service.study.demonstration.demonstration import simulated_station
+
     console = Console(stderr=as_json)
     operation_days = days or (_EXIT_DAYS if leave else _ENDLESS_DAYS)
     presenter = Presenter(console, 0.0 if leave else rows_per_second, with_table=not leave and not as_json)
     with ExitStack() as stack:
+        stack.enter_context(ended_by_signals())
         directory = _directory(stack, keep)
         stack.callback(presenter.close)
         presenter.open()
         try:
             if service and analyzer and ground:
-                endpoints = _external(service, analyzer, ground, uplink)
+                endpoints = external(service, analyzer, ground, uplink)
             else:
                 channel = "ideal" if closed else None
                 station = simulated_station(
@@ -74,31 +58,18 @@ def demo(
                 presenter.key_file = directory / "administrator.key"
                 presenter.key_file.touch(0o600)
                 presenter.key_file.write_text(f"{endpoints.key}\n")
-            figures = _play(directory, endpoints, presenter, figure, _Alone(seed, operation_days))
+            figures = play(directory, endpoints, presenter, figure, Alone(seed, operation_days))
         except KeyboardInterrupt:
             presenter.close()
             console.print("stopped")
             return
-        except (ProcessFailedError, PlantFailedError, CraftLineError, ClientError, TimeoutError, OSError) as error:
+        except FAILURES as error:
             presenter.close()
             typer.echo(f"the demonstration failed: {error}", err=True)
             raise typer.Exit(2) from error
-    typer.echo(json.dumps({"seed": seed, **figures}, allow_nan=False)) if as_json else _print_figures(console, figures)
+    typer.echo(json.dumps({"seed": seed, **figures}, allow_nan=False)) if as_json else print_figures(console, figures)
     if figures["missed"]:
         raise typer.Exit(1)
-
-
-def _end_on_signals() -> None:
-    """Let the first signal end the demonstration; further ones do not disturb the end of its processes."""
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-
-    def end(*_: object) -> NoReturn:
-        for number in numbers:
-            signal.signal(number, signal.SIG_IGN)
-        raise KeyboardInterrupt
-
-    for number in numbers:
-        signal.signal(number, end)
 
 
 def _directory(stack: ExitStack, keep: Path | None) -> Path:
@@ -110,212 +81,3 @@ def _directory(stack: ExitStack, keep: Path | None) -> Path:
         raise typer.Exit(2)
     keep.mkdir(parents=True, exist_ok=True)
     return keep
-
-
-class Presenter:
-    """Shows the story: a progress bar, and in place of it a table of angles while it tracks without an end.
-
-    Parameters
-    ----------
-    console : Console
-        Where to show it.
-    rows_per_second : float
-        Pace of tracking; 0 = as fast as it goes.
-    with_table : bool
-        Whether tracking is shown as a table.
-    """
-
-    def __init__(self, console: Console, rows_per_second: float, *, with_table: bool) -> None:
-        self._console = console
-        self._rows_per_second = rows_per_second
-        self._with_table = with_table
-        self._progress: Progress | None = None
-        self._live: Live | None = None
-        self._task: TaskID | None = None
-        self._printed_at = 0.0
-        self._began_at = self._shown_at = time.monotonic()
-        #: holds the key of the demonstration's own service, made for this run
-        self.key_file: Path | None = None
-
-    def show(self, scene: Scene) -> None:
-        """Show one moment."""
-        if scene.phase == "operation" and self._with_table:
-            self._show_tracking(scene)
-        else:
-            self._show_progress(scene)
-        if scene.phase == "operation" and self._rows_per_second > 0.0:
-            # a chunk holds an hour of rows; where each row waits for a command it has used part of its time
-            due_at = self._shown_at + _ROWS_A_CHUNK / self._rows_per_second
-            time.sleep(max(0.0, due_at - time.monotonic()))
-        self._shown_at = time.monotonic()
-
-    def close(self) -> None:
-        """End what moves on the screen."""
-        if self._progress is not None:
-            self._progress.stop()
-            self._progress = None
-        if self._live is not None:
-            self._live.stop()
-            self._live = None
-
-    def open(self) -> None:
-        """Start the progress bar; away from a terminal it would be noise."""
-        columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-        self._progress = Progress(*columns, console=self._console, disable=not self._console.is_terminal)
-        self._task = self._progress.add_task(f"{'start':11s}", total=1.0)
-        self._progress.start()
-
-    def _show_progress(self, scene: Scene) -> None:
-        """Move the progress bar along quiet days, turns, alignment and operation."""
-        phases = scene.story.phases
-        last = "alignment" if self._with_table else "operation"
-        if self._progress is None or self._task is None or last not in phases:
-            return
-        start_us, stop_us = parse_epoch(phases["quiet"][0]), parse_epoch(phases[last][1])
-        share = (parse_epoch(scene.until) - start_us) / (stop_us - start_us)
-        self._progress.update(self._task, completed=share, description=f"{scene.phase:11s}")
-
-    def _show_tracking(self, scene: Scene) -> None:
-        """Show the newest angles, in place on a terminal, else every few seconds."""
-        if self._progress is not None:
-            self.close()
-            self._say_where(scene)
-        if self._console.is_terminal:
-            if self._live is None:
-                self._live = Live(console=self._console, auto_refresh=False)
-                self._live.start()
-            self._live.update(_tracking_table(scene), refresh=True)
-        elif time.monotonic() - self._printed_at >= _PRINT_EVERY_S:
-            self._printed_at = time.monotonic()
-            self._console.print(_tracking_table(scene))
-
-    def _say_where(self, scene: Scene) -> None:
-        """Say how to reach the service from elsewhere."""
-        url = scene.client.service_url
-        self._console.print(f"aligned after {time.monotonic() - self._began_at:.0f} s; tracking; Ctrl-C ends it")
-        if self.key_file is not None:
-            self._console.print(f"REST interface {url}/api/v1, described in {url}/docs; for example", soft_wrap=True)
-            path = f"{url}/api/v1/spacecraft/{scene.story.spacecraft_id}/attitude"
-            header = f'"Authorization: Bearer $(cat {self.key_file})"'
-            self._console.print(f"  curl -H {header} {path}", soft_wrap=True, highlight=False)
-
-
-def _external(service: str, analyzer: str, ground: str, uplink: str | None) -> Endpoints:
-    """Return the addresses of processes that run already."""
-    key = key_of(DEFAULT_KEY_ENVIRONMENT)
-    host, port = _address(analyzer)
-    craft = _address(uplink) if uplink else None
-    return Endpoints(service, key, _address(ground), f"TCPIP::{host}::{port}::SOCKET", uplink=craft)
-
-
-def _address(text: str) -> tuple[str, int]:
-    host, _, port = text.rpartition(":")
-    return host, int(port)
-
-
-class _Alone(NamedTuple):
-    """Which craft is flown once more, without control."""
-
-    seed: int
-    operation_days: float
-
-
-def _play(
-    directory: Path, endpoints: Endpoints, presenter: Presenter, figure: Path | None, alone: _Alone
-) -> dict[str, Any]:
-    """Run the story to its end and return its figures."""
-    with ServiceClient(endpoints.service_url, endpoints.key, timeout_s=_PATIENCE_S) as client:
-        try:
-            story = run_story(directory, endpoints, client, presenter.show)
-        finally:
-            presenter.close()
-        flown = None if story.centre is None else fly_alone("demo", alone.seed, alone.operation_days)
-        loop = None
-        if story.centre is not None and flown is not None:
-            loop = judge_control(story, story.centre.log, flown)
-        figures = judge_story(story, client, loop)
-        if figure is not None:
-            _draw(story, client, flown, figure)
-    return figures
-
-
-def _draw(story: Story, client: ServiceClient, flown: FlightAlone | None, figure: Path) -> None:
-    """Draw the operation phase."""
-    # matplotlib costs a second that only a figure needs
-    from service.study.demonstration.figures import draw_control, draw_tracking
-
-    tracked = {method: tracked_angles(story, client, method) for method in METHODS}
-    if flown is None:
-        draw_tracking(tracked, figure)
-    else:
-        draw_control(tracked[METHODS[0]], flown, figure)
-
-
-def _tracking_table(scene: Scene) -> Table:
-    """Return the newest angles beside the truth, the torques and who is left out."""
-    # angles are looked up by names that are put together
-    attitude, beside = (Json(scene.client.attitude(scene.story.spacecraft_id, method)) for method in METHODS)
-    torques = scene.client.torques(scene.story.spacecraft_id)
-    truth = scene.story.truth_deg.get(parse_epoch(attitude["epoch"]))
-    columns = ("axis", f"{METHODS[0]}, deg", "sigma, deg", "truth, deg", f"{METHODS[1]}, deg", "torque, N m")
-    table = Table(*columns, title=attitude["epoch"])
-    for k, axis in enumerate(AXES):
-        table.add_row(
-            axis,
-            _signed(attitude[f"{axis}_deg"]),
-            _signed(attitude["sigma_deg"][axis], sign=""),
-            _signed(truth[k] if truth else None),
-            _signed(beside[f"{axis}_deg"]),
-            "-" if torques[f"{axis}_n_m"] is None else f"{torques[f'{axis}_n_m']:+.1e}",
-        )
-    control = attitude["control"]
-    verdict = "control allowed" if control["allowed"] else f"control not allowed ({control['state']})"
-    reasons = "; ".join([verdict, *(reason["text"] for reason in control["reasons"])])
-    out = ", ".join(f"{item['carrier']} ({item['reason']})" for item in attitude["excluded"]) or "none"
-    table.caption = f"{reasons}; carriers excluded: {out}\nreference of the interface: {scene.client.service_url}/docs"
-    return table
-
-
-def _signed(value: float | None, sign: str = "+") -> str:
-    """Return an angle with three decimals, a dash for none."""
-    return "-" if value is None else f"{value:{sign}.3f}"
-
-
-def _print_figures(console: Console, figures: dict[str, Any]) -> None:
-    """Print the figures of the operation as a table."""
-    title = f"{figures['rows_judged']} rows"
-    names = ("rms_deg", "error_95_deg", "truth_rms_deg", "skill", "slope")
-    table = Table("method", "axis", "rms, deg", "95 % error, deg", "truth rms, deg", "skill", "slope", title=title)
-    for method, axes in ((METHODS[0], figures["axes"]), (METHODS[1], figures[METHODS[1]]["axes"])):
-        for axis, merit in axes.items():
-            table.add_row(method, axis, *("-" if merit[name] is None else f"{merit[name]:.3f}" for name in names))
-    crlb = ", ".join(f"{axis} {value:.3f}" for axis, value in figures["crlb_deg"].items())
-    table.caption = f"control allowed {figures['availability']:.1%} of the rows; one-row bound {crlb} deg"
-    console.print(table)
-    console.print(
-        f"{figures['rows_archived']} rows in the archive, {figures['rows_lost']} lost; "
-        f"{figures['replay_rows']} rows replayed, {figures['replay_rows_different']} differ from live"
-    )
-    if figures["closed_loop"] is not None:
-        _print_loop(console, figures["closed_loop"])
-        for text in figures["estimate_misses"]:
-            console.print(f"not judged where the craft is kept, a miss where it is not: {text}")
-    for text in figures["missed"]:
-        console.print(f"missed: {text}")
-
-
-def _print_loop(console: Console, loop: dict[str, Any]) -> None:
-    """Print what control came to."""
-    alone = loop["control_off"]
-    columns = ("axis", "largest, deg", "95 %, deg", "bound, deg", "usual, deg", "impulse, N m s", "left alone, deg")
-    table = Table(*columns, title="the true attitude, loop closed; usual: for 95 runs of 100")
-    for axis, largest_deg in loop["largest_deg"].items():
-        names = ("size_95_deg", "bounds_deg", "usual_bounds_deg", "impulse_n_m_s")
-        values = (largest_deg, *(loop[name][axis] for name in names), alone["largest_deg"][axis])
-        table.add_row(axis, *(f"{value:.3f}" for value in values))
-    told = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in loop["commands"].items() if count)
-    table.caption = (
-        f"commands: {told}; control inhibited {loop['inhibited_share']:.1%} of the rows\n"
-        f"without control within the bounds for {alone['hours_within_bounds']} of {alone['hours']} h"
-    )
-    console.print(table)

@@ -26,6 +26,14 @@ def commands(group, prefix=""):
 COMMANDS = commands(GROUP)
 
 
+def test_the_list_of_commands_says_what_each_says_itself() -> None:
+    group = typer.testing.CliRunner().invoke(app, ["--help"], terminal_width=300)
+    listed = dict(re.findall(r"^  ([a-z-]+)  +(\S.*)$", group.output.partition("Commands:")[2], re.MULTILINE))
+    assert listed == {
+        name: (command.help or "").split("\n\n")[0].replace("\n", " ") for name, command in GROUP.commands.items()
+    }
+
+
 def sections() -> dict[str, str]:
     """Return the text of each command's section."""
     return dict(re.findall(r"^## soo ([\w -]+)\n(.*?)(?=^## |\Z)", PAGE, re.DOTALL | re.MULTILINE))

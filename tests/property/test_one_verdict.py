@@ -22,7 +22,7 @@ from service.api.routes.control import get_control
 from service.api.routes.torques import get_torques
 from service.api.views.handover import handover_of
 from service.api.views.status import status_of
-from service.cli.demo import _tracking_table
+from service.cli.demo_screen import tracking_table
 from service.errors import SooError
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.compute_command import NO_CARRY, compute_command
@@ -231,7 +231,7 @@ class AnyStory(RuleBasedStateMachine):
             client=Client(context), story=SimpleNamespace(spacecraft_id=SC, truth_deg={}), phase="operation"
         )
         console = Console(width=400, record=True, quiet=True)
-        table = _tracking_table(scene)
+        table = tracking_table(scene)
         console.print(table)
         word = "control allowed" if verdict["allowed"] else f"control not allowed ({verdict['state']})"
         assert str(table.caption).startswith(word)

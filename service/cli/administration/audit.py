@@ -12,12 +12,12 @@ from typing import Annotated, NoReturn
 
 import typer
 
+from service.cli.command_group import new_app
 from service.cli.operation.connection import JsonOption
 from service.errors import StorageError
 from service.records.operations.audit import ChainFinding, findings
-from service.settings import Settings
 
-app = typer.Typer(help="The audit log: who did what, chained by hashes.", no_args_is_help=True)
+app = new_app(help="The audit log: who did what, chained by hashes.", no_args_is_help=True)
 EXIT_BROKEN, EXIT_USAGE = 1, 2
 _LOGGED = re.compile(r"audit head (\d+) ([0-9a-f]{64})")
 _NOTED = re.compile(r"(\d+):([0-9a-f]{64})")
@@ -40,6 +40,7 @@ def verify(
     """Tell whether entries were changed, removed, put in or cut off."""
     # imported here so that other commands start without the database
     from service.bootstrap import open_storage
+    from service.settings import Settings
 
     announced = _noted(head or []) | _logged(log or [])
     try:

@@ -11,15 +11,14 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.progress import Progress
 
 from service.cli.administration.doctor import EXIT_USAGE, show
+from service.cli.command_group import new_app
 from service.cli.operation.connection import JsonOption
 from service.records.storage.backup import BackupError, Manifest
 from service.records.storage.diagnosis import worst
 
-app = typer.Typer(help="Copies of an archive: made while the service runs, proved, put back.", no_args_is_help=True)
+app = new_app(help="Copies of an archive: made while the service runs, proved, put back.", no_args_is_help=True)
 
 Database = Annotated[str | None, typer.Option(help="SQLAlchemy URL of the archive.")]
 Folder = Annotated[Path, typer.Argument(help="Folder of the backup.")]
@@ -85,6 +84,9 @@ def _tell_damaged(manifest: Manifest) -> None:
 @contextmanager
 def _guarded() -> Iterator[Callable[[str, float], None]]:
     """Give a function that shows progress; a refusal ends the command with its words."""
+    from rich.console import Console
+    from rich.progress import Progress
+
     with Progress(console=Console(stderr=True), transient=True) as progress:
         tasks: dict[str, Any] = {}
 

@@ -10,12 +10,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.table import Table
 
 from service.cli.administration.audit import logged
 from service.cli.operation.connection import JsonOption
-from service.records.journal import JournalHead
 from service.records.storage.diagnosis import Diagnosis, State, worst
 
 EXIT_OF: dict[State, int] = {"ok": 0, "fault": 1, "warning": 3}
@@ -32,8 +29,11 @@ def doctor(
     as_json: JsonOption = False,
 ) -> None:
     """Look at an archive, also of a running service, and say what is wrong and what to do."""
+    from rich.console import Console
+
     # the database costs time that other commands need not pay
     from service.bootstrap import open_keeping
+    from service.records.journal import JournalHead
 
     announced = [JournalHead(name, int(number), digest) for name, number, digest in logged(_LOGGED, log or [])]
     if log and not announced:
@@ -51,6 +51,9 @@ def doctor(
 
 def show(found: list[Diagnosis], *, as_json: bool) -> None:
     """Print diagnoses."""
+    from rich.console import Console
+    from rich.table import Table
+
     if as_json:
         typer.echo(json.dumps({"state": worst(found), "checks": [asdict(diagnosis) for diagnosis in found]}))
         return

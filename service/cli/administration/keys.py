@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from service.cli.command_group import new_app
 from service.cli.operation.connection import (
     DEFAULT_KEY_ENVIRONMENT,
     DEFAULT_SERVICE,
@@ -14,7 +15,7 @@ from service.cli.operation.connection import (
     connected,
 )
 
-app = typer.Typer(help="Access keys of a service: make, list, revoke.", no_args_is_help=True)
+app = new_app(help="Access keys of a service: make, list, revoke.", no_args_is_help=True)
 
 
 @app.command()

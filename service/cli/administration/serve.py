@@ -9,7 +9,6 @@ import logging
 import os
 import signal
 import socket
-import ssl
 import sys
 import time
 from collections.abc import Callable
@@ -18,18 +17,16 @@ from threading import Event, Thread
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
-from pydantic import ValidationError
-from pydantic_settings import SettingsError
 
 from service.errors import StorageError
 from service.runtime.log_format import write_log
-from service.settings import Settings
 
 if TYPE_CHECKING:
     from fastapi import FastAPI
 
     from service.api.server_process import StreamingServer
     from service.ports import Storage
+    from service.settings import Settings
 
 _LOG = logging.getLogger("soo.serve")
 
@@ -69,8 +66,14 @@ def serve(
         _serve(settings, listener)
 
 
-def _settings(given: dict[str, str | int | None]) -> Settings:
+def _settings(given: dict[str, str | int | None]) -> "Settings":
     """Return the settings of options and environment, or end with what is wrong with them."""
+    # pydantic costs more than the command line itself
+    from pydantic import ValidationError
+    from pydantic_settings import SettingsError
+
+    from service.settings import Settings
+
     try:
         return Settings(**{name: value for name, value in given.items() if value is not None})  # type: ignore[arg-type] # pydantic validates
     except ValidationError as error:
@@ -81,13 +84,16 @@ def _settings(given: dict[str, str | int | None]) -> Settings:
         _refuse(f"settings cannot be read: {error}")
 
 
-def _check_tls(settings: Settings) -> None:
+def _check_tls(settings: "Settings") -> None:
     """End unless certificate and key are both left out, or belong together."""
     certificate, key = settings.tls_certificate, settings.tls_key
     if certificate is None and key is None:
         return
     if certificate is None or key is None:
         _refuse("--tls-certificate and --tls-key go together: one is missing")
+    # loads OpenSSL, which a service without a certificate does not need
+    import ssl
+
     try:
         # an encrypted key is refused rather than asked for on a terminal that a service does not have
         ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(certificate, key, password="")
@@ -95,7 +101,7 @@ def _check_tls(settings: Settings) -> None:
         _refuse(f"cannot use certificate {certificate} with key {key}: {error.strerror or error}")
 
 
-def _listener(settings: Settings) -> socket.socket:
+def _listener(settings: "Settings") -> socket.socket:
     """Return a socket bound to the address of the settings, or end."""
     family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
     listener = socket.socket(family, socket.SOCK_STREAM)
@@ -108,7 +114,7 @@ def _listener(settings: Settings) -> socket.socket:
     return listener
 
 
-def _serve(settings: Settings, listener: socket.socket) -> None:
+def _serve(settings: "Settings", listener: socket.socket) -> None:
     """Listen, say where, and run until told to stop; begin anew on an archive that was put in the place of ours."""
     # imported here so that other commands start without the web framework and the database
     from service.api.server_process import calm_collector
@@ -149,7 +155,7 @@ def _stop_when(is_due: Callable[[], bool], server: "StreamingServer", replaced: 
             server.should_exit = True
 
 
-def _opened(settings: Settings) -> "Storage":
+def _opened(settings: "Settings") -> "Storage":
     """Return the archive; one behind a server is waited for, because both may have been started together."""
     from service.bootstrap import build_storage
 
@@ -165,7 +171,7 @@ def _opened(settings: Settings) -> "Storage":
         time.sleep(_LOOK_S)
 
 
-def _server(settings: Settings, app: "FastAPI", announced: socket.socket | None) -> "StreamingServer":
+def _server(settings: "Settings", app: "FastAPI", announced: socket.socket | None) -> "StreamingServer":
     """Return a server that says where it listens once it does, when it is given a socket to say it of."""
     from service.api.server_process import StreamingServer, server_config
 

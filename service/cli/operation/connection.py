@@ -4,12 +4,12 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service.client.problem import ClientError
-from service.client.service_client import ServiceClient
+if TYPE_CHECKING:
+    from service.client.service_client import ServiceClient
 
 ServiceUrl = Annotated[str, typer.Option(help="Address of the service.")]
 KeyEnvironment = Annotated[str, typer.Option(help="Environment variable that holds the key.")]
@@ -35,9 +35,13 @@ def key_of(key_env: str) -> str:
 
 
 @contextmanager
-def connected(service: str, key_env: str, **options: Any) -> Iterator[ServiceClient]:
+def connected(service: str, key_env: str, **options: Any) -> Iterator["ServiceClient"]:
     """Give a client; a refusal of the service ends the command with its words and exit code 1."""
     key = key_of(key_env)
+    # httpx costs more than the command line itself; a wrong option must not wait for it
+    from service.client.problem import ClientError
+    from service.client.service_client import ServiceClient
+
     try:
         with ServiceClient(service, key, **options) as client:
             yield client

@@ -7,11 +7,9 @@ stopped), 2 an option or the file's place is wrong.
 import json
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from service.cli.operation.connection import (
     DEFAULT_KEY_ENVIRONMENT,
@@ -22,9 +20,11 @@ from service.cli.operation.connection import (
     SpacecraftOption,
     connected,
 )
-from service.client.archive_download import DownloadOrder, DownloadProgress, download_archive
-from service.client.service_client import ServiceClient
 from service.records.epoch import parse_epoch
+
+if TYPE_CHECKING:
+    from service.client.archive_download import DownloadOrder, DownloadProgress
+    from service.client.service_client import ServiceClient
 
 EXIT_STOPPED, EXIT_USAGE = 1, 2
 
@@ -50,6 +50,9 @@ def export(
     as_json: JsonOption = False,
 ) -> None:
     """Download a stretch of the archive."""
+    # httpx costs more than the command line itself
+    from service.client.archive_download import DownloadOrder
+
     order = DownloadOrder(spacecraft, series, format_, start, stop, method, version, patience)
     if output is None and (by_day or as_json):
         typer.echo("--by-day and --json need --output", err=True)
@@ -75,9 +78,14 @@ def export(
 
 
 def _download(
-    client: ServiceClient, order: DownloadOrder, output: Path, *, by_day: bool, is_quiet: bool
+    client: "ServiceClient", order: "DownloadOrder", output: Path, *, by_day: bool, is_quiet: bool
 ) -> dict[str, Any]:
     """Download behind a progress bar; away from a terminal it would be noise."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    from service.client.archive_download import download_archive
+
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     bar = Progress(*columns, TextColumn("{task.fields[size]}"), console=console)
@@ -85,7 +93,7 @@ def _download(
     with bar:
         task = bar.add_task(output.name, total=None, size="")
 
-        def show(progress: DownloadProgress) -> None:
+        def show(progress: "DownloadProgress") -> None:
             # the service has read both epochs by now
             start_us, stop_us = parse_epoch(order.start), parse_epoch(order.stop)
             done = parse_epoch(progress.until) - start_us

@@ -1,11 +1,9 @@
 """Operators' commands over the REST interface: calibrate, align, replay."""
 
 import json
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.progress import Progress
 
 from service.cli.operation.connection import (
     DEFAULT_KEY_ENVIRONMENT,
@@ -16,8 +14,9 @@ from service.cli.operation.connection import (
     SpacecraftOption,
     connected,
 )
-from service.client.service_client import ServiceClient
-from service.study.demonstration.replay_check import METHODS, compare_with_live
+
+if TYPE_CHECKING:
+    from service.client.service_client import ServiceClient
 
 Start = Annotated[str, typer.Option(help="RFC 3339 start, inclusive.")]
 Stop = Annotated[str, typer.Option(help="RFC 3339 stop, exclusive.")]
@@ -116,6 +115,8 @@ def replay(
         _wait(client, started["job"], "replay")
         report: dict[str, Any] = {"id": started["id"], "version": started["version"]}
         if compare:
+            from service.study.demonstration.replay_check import METHODS, compare_with_live
+
             methods = (method,) if method else METHODS
             report |= compare_with_live(client, spacecraft, start, stop, methods, started["version"])
     typer.echo(json.dumps(report) if as_json else ", ".join(f"{name} {value}" for name, value in report.items()))
@@ -123,8 +124,11 @@ def replay(
         raise typer.Exit(1)
 
 
-def _wait(client: ServiceClient, job_id: str, what: str) -> None:
+def _wait(client: "ServiceClient", job_id: str, what: str) -> None:
     """Wait for a job behind a progress bar on standard error."""
+    from rich.console import Console
+    from rich.progress import Progress
+
     with Progress(console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task(what, total=1.0)
         client.wait_job(job_id, on_progress=lambda share: progress.update(task, completed=share))

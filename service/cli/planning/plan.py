@@ -2,10 +2,9 @@
 
 import json
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
-from rich.console import Console
 
 from service.cli.operation.connection import (
     DEFAULT_KEY_ENVIRONMENT,
@@ -15,10 +14,11 @@ from service.cli.operation.connection import (
     ServiceUrl,
     connected,
 )
-from service.cli.planning.report import print_planning
-from service.cli.planning.sources import CarrierPlanning, PlanRequest, planned_by_assumption, planned_by_service
 from service.errors import SooError
 from service.records.epoch import US_PER_S, format_epoch, parse_epoch
+
+if TYPE_CHECKING:
+    from service.cli.planning.sources import CarrierPlanning
 
 #: columns of a report that is no terminal's
 _FILE_COLUMNS = 140
@@ -41,6 +41,9 @@ def plan(
     as_json: JsonOption = False,
 ) -> None:
     """Choose carriers, judge what they can see, and print a timetable of calibration turns."""
+    # numpy and httpx cost more than the command line itself
+    from service.cli.planning.sources import PlanRequest, planned_by_assumption, planned_by_service
+
     is_offline = spacecraft_file is not None or carriers_file is not None
     if is_offline == (spacecraft is not None):
         raise _refused("name a spacecraft of the service, or both --spacecraft-file and --carriers-file")
@@ -63,8 +66,10 @@ def plan(
     _deliver(planning, figure, as_json=as_json)
 
 
-def _deliver(planning: CarrierPlanning, figure: Path | None, *, as_json: bool) -> None:
+def _deliver(planning: "CarrierPlanning", figure: Path | None, *, as_json: bool) -> None:
     """Print the planning and draw its map."""
+    from rich.console import Console
+
     if figure is not None:
         # matplotlib costs half a second that a plan without a figure need not pay
         from service.cli.planning.figure import draw_planning
@@ -76,6 +81,8 @@ def _deliver(planning: CarrierPlanning, figure: Path | None, *, as_json: bool) -
     if as_json:
         typer.echo(json.dumps(planning.document, allow_nan=False))
         return
+    from service.cli.planning.report import print_planning
+
     console = Console()
     print_planning(console if console.is_terminal else Console(width=_FILE_COLUMNS), planning)
 

@@ -7,40 +7,15 @@ from the command line.
 
 import json
 import logging
-import signal
-import socket
-from contextlib import ExitStack
-from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated
 
 import typer
 
 from service.cli.operation.connection import key_of
-from service.cli.station.check_task import PlannedAnalyzer, faults_of, plan_analyzer, show
 from service.cli.station.state_folder import state_folder
-from service.client.service_client import ServiceClient
-from service.frontend.acquisition.settings import AcquisitionSettings
-from service.frontend.acquisition.states import reference_page
-from service.frontend.link_report import LinkReporter
-from service.frontend.measurement_task import TaskError
-from service.frontend.spool.file import Bounds, Owner
-from service.frontend.spool.row import SpooledTask
-from service.frontend.spool.schema import SpoolError
-from service.frontend.spool.spool import Spool, spool_path
-from service.frontend.station import MeasuringStation, StationError, StationSummary, run_stations
-from service.frontend.tasks.station_file import StationEntry, load_station
-from service.frontend.upload.uploader import UploadSettings
 from service.records.epoch import US_PER_S, format_epoch
-from service.runtime.clock import system_now_us
-
-logger = logging.getLogger("service.cli.station.acquire")
-
-#: wrong task or option
-EXIT_USAGE = 2
-#: bound on a report of links, s: it is repeated anyway
-_REPORT_TIMEOUT_S = 5.0
 
 
 class EpochClock(StrEnum):
@@ -64,19 +39,6 @@ class JsonLines(logging.Formatter):
         if record.exc_info:
             entry["exception"] = self.formatException(record.exc_info)
         return json.dumps(entry)
-
-
-@dataclass(frozen=True, slots=True)
-class _Delivery:
-    """Where rows go, and where they wait."""
-
-    service: str
-    key: str
-    batch_rows: int
-    batch_s: float
-    spool_folder: Path
-    bounds: Bounds
-    trace_period_s: float
 
 
 def acquire(
@@ -125,11 +87,18 @@ def acquire(
 ) -> None:
     """Measure carrier powers on spectrum analyzers and send them to the service."""
     if states:
+        from service.frontend.acquisition.states import reference_page
+
         typer.echo(reference_page(), nl=False)
         return
+    # plans, spool and client cost half a second that a wrong option need not pay
+    from service.cli.station.acquisition_run import Delivery, entries_of, log_summary, measure, planned_of, refuse
+    from service.frontend.spool.file import Bounds
+    from service.frontend.tasks.station_file import StationEntry
+
     _start_log(json_log=json_log)
     if station_file is not None:
-        entries = _entries(station_file, task_file)
+        entries = entries_of(station_file, task_file)
     elif task_file is not None and spacecraft is not None:
         entries = (
             StationEntry(
@@ -143,123 +112,16 @@ def acquire(
             ),
         )
     else:
-        _refuse("nothing to measure: give --task and --spacecraft, or --station")
-    planned = _plan(entries, is_quiet=json_log)
+        refuse("nothing to measure: give --task and --spacecraft, or --station")
+    planned = planned_of(entries, is_quiet=json_log)
     if check:
         return
     key = key_of(key_env)
     bounds = Bounds(rows_bytes=round(spool_mib * 2**20), age_s=spool_days * 86_400.0, traces=evidence_traces)
     folder = spool or state_folder("spool")
-    delivery = _Delivery(service, key, batch_rows, batch_s, folder, bounds, trace_period)
-    for each, summary in zip(planned, _measure(planned, delivery, report_s), strict=True):
-        _finish(each.entry, summary)
-
-
-def _entries(station_file: Path, task_file: Path | None) -> tuple[StationEntry, ...]:
-    """Return the analyzers of a station file, or end with its faults."""
-    if task_file is not None:
-        _refuse("--task and --station exclude one another")
-    try:
-        return load_station(station_file)
-    except TaskError as error:
-        _refuse(str(error))
-
-
-def _plan(entries: tuple[StationEntry, ...], *, is_quiet: bool) -> list[PlannedAnalyzer]:
-    """Load, plan and show all tasks, or end with their faults."""
-    try:
-        planned = [plan_analyzer(entry) for entry in entries]
-    except TaskError as error:
-        _refuse(str(error))
-    for each in planned:
-        show(each, is_quiet=is_quiet)
-    faults = [fault for each in planned for fault in faults_of(each)]
-    if faults:
-        _refuse("; ".join(faults))
-    return planned
-
-
-def _measure(planned: list[PlannedAnalyzer], delivery: _Delivery, report_s: float) -> list[StationSummary]:
-    """Run all analyzers until a signal asks for the end."""
-    with ExitStack() as stack:
-        stations = [_station(stack, each, delivery) for each in planned]
-        _stop_on_signals(stations)
-        if report_s > 0.0:
-            client = ServiceClient(delivery.service, delivery.key, retries=0, timeout_s=_REPORT_TIMEOUT_S)
-            reporter = LinkReporter(stack.enter_context(client), _front_end_name(), stations, report_s)
-            reporter.start()
-            stack.callback(reporter.stop)
-        try:
-            return run_stations(stations)
-        except StationError as error:
-            logger.critical("%s", error)
-            raise typer.Exit(1) from error
-
-
-def _stop_on_signals(stations: list[MeasuringStation]) -> None:
-    """End all analyzers when a signal asks for it."""
-
-    def stop(*_: object) -> None:
-        for station in stations:
-            station.stop()
-
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, stop)
-
-
-def _station(stack: ExitStack, planned: PlannedAnalyzer, delivery: _Delivery) -> MeasuringStation:
-    """Return one analyzer with its own client and its own spool."""
-    entry, task = planned.entry, planned.task
-    measured = SpooledTask(planned.sha256, tuple(carrier.id for carrier in task.carriers))
-    rows = stack.enter_context(_open(delivery, Owner(entry.spacecraft, entry.source), measured))
-    return MeasuringStation(
-        task,
-        AcquisitionSettings(
-            planned.resource or "",
-            planned.period_s,
-            EpochClock(entry.epoch) is EpochClock.ANALYZER,
-            task.task.analyzer.io_timeout_s,
-            entry.hold_s,
-        ),
-        UploadSettings(entry.spacecraft, entry.source, delivery.batch_rows, delivery.batch_s),
-        stack.enter_context(ServiceClient(delivery.service, delivery.key, retries=0)),
-        rows,
-        system_now_us,
-    )
-
-
-def _open(delivery: _Delivery, owner: Owner, task: SpooledTask) -> Spool:
-    """Return the spool of a source, or end with the reason why it cannot be used."""
-    path = spool_path(delivery.spool_folder, *owner)
-    try:
-        spool = Spool(path, owner, task, system_now_us, delivery.bounds, trace_period_s=delivery.trace_period_s)
-    except SpoolError as error:
-        _refuse(str(error))
-    state = spool.state
-    logger.info("spool %s: %d rows wait, newest number %d", path, state.waiting, state.last_seq)
-    return spool
-
-
-def _front_end_name() -> str:
-    """Return the name of this front end among links."""
-    return f"front-end.{socket.gethostname()}"[:64]
-
-
-def _finish(entry: StationEntry, summary: StationSummary) -> None:
-    """Say what the run came to."""
-    upload, measured = summary.upload, summary.acquisition
-    logger.info(
-        "%s.%s: %d rows measured, %d accepted, %d known already, %d refused, %d left in the spool; "
-        "%d faults of the analyzer",
-        entry.spacecraft,
-        entry.source,
-        measured.rows,
-        upload.accepted,
-        upload.duplicates,
-        upload.refused,
-        summary.undelivered,
-        measured.faults,
-    )
+    delivery = Delivery(service, key, batch_rows, batch_s, folder, bounds, trace_period)
+    for each, summary in zip(planned, measure(planned, delivery, report_s), strict=True):
+        log_summary(each.entry, summary)
 
 
 def _start_log(*, json_log: bool) -> None:
@@ -270,9 +132,3 @@ def _start_log(*, json_log: bool) -> None:
     root = logging.getLogger("service")
     root.handlers = [handler]
     root.setLevel(logging.INFO)
-
-
-def _refuse(message: str) -> NoReturn:
-    """End with a message on standard error."""
-    logger.error("%s", message)
-    raise typer.Exit(EXIT_USAGE)

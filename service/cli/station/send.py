@@ -7,12 +7,9 @@ goes on where it stopped), 2 the file or an option is wrong, 3 rows were refused
 import json
 import signal
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
 from service.cli.operation.connection import (
     DEFAULT_KEY_ENVIRONMENT,
@@ -23,11 +20,10 @@ from service.cli.operation.connection import (
     SpacecraftOption,
     connected,
 )
-from service.cli.station.tdm_archive import open_any_archive
-from service.client.service_client import ServiceClient
-from service.frontend.backfill import backfill
-from service.frontend.backfill.backfill import ArchiveOrder, check_archive, send_archive
-from service.frontend.backfill.columns import ArchiveError
+
+if TYPE_CHECKING:
+    from service.client.service_client import ServiceClient
+    from service.frontend.backfill import backfill
 
 EXIT_STOPPED, EXIT_USAGE, EXIT_REFUSED = 1, 2, 3
 
@@ -55,6 +51,11 @@ def send(
     as_json: JsonOption = False,
 ) -> None:
     """Send an archive of carrier powers to the service; goes on where it was interrupted."""
+    # httpx and numpy cost more than the command line itself
+    from service.cli.station.tdm_archive import open_any_archive
+    from service.frontend.backfill.backfill import ArchiveOrder, check_archive
+    from service.frontend.backfill.columns import ArchiveError
+
     order = ArchiveOrder(
         file, spacecraft, source, from_source, refuse_unknown, batch_rows, patience, state, open_any_archive
     )
@@ -72,8 +73,13 @@ def send(
     _end(report, source)
 
 
-def _send(client: ServiceClient, order: ArchiveOrder, *, is_quiet: bool) -> dict[str, Any]:
+def _send(client: "ServiceClient", order: "backfill.ArchiveOrder", *, is_quiet: bool) -> dict[str, Any]:
     """Send behind a progress bar; away from a terminal it would be noise."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    from service.frontend.backfill.backfill import send_archive
+
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     bar = Progress(*columns, TextColumn("{task.fields[rate]}"), console=console)
@@ -83,7 +89,7 @@ def _send(client: ServiceClient, order: ArchiveOrder, *, is_quiet: bool) -> dict
         begun_at = bar.get_time()
         first: list[int] = []
 
-        def show(progress: backfill.Progress) -> None:
+        def show(progress: "backfill.Progress") -> None:
             first.append(progress.rows) if not first else None
             rate = (progress.rows - first[0]) / max(bar.get_time() - begun_at, 1e-3)
             bar.update(task, completed=progress.done, total=progress.total, rate=f"{rate:,.0f} rows/s")
@@ -98,6 +104,9 @@ def _stop(*_: object) -> NoReturn:
 
 def _show(report: dict[str, Any]) -> None:
     """Print a report as a table."""
+    from rich.console import Console
+    from rich.table import Table
+
     table = Table("", "", show_header=False)
     for name, value in report.items():
         if name not in {"columns", "faults"} and value not in ({}, None):

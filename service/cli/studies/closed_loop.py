@@ -6,14 +6,10 @@ Exit codes: 0 every group does what it shall, 1 one does not, 2 the study could 
 import json
 import shlex
 from collections.abc import Sequence
-from concurrent.futures import BrokenExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table
 
 from service.cli.studies.exit_code import ended_by_signals
 
@@ -68,6 +64,8 @@ def closed_loop(
     figures: Annotated[Path | None, typer.Option(help="Draw PNG figures into this folder.", file_okay=False)] = None,
 ) -> None:
     """Close the loop with the chain, beside perfect sensing and beside no control, which must fail."""
+    from concurrent.futures import BrokenExecutor
+
     from service.study.closed_loop.campaign import LoopPlan
     from service.study.closed_loop.controllers import Sensing
     from service.study.closed_loop.plant_process import PlantFailedError
@@ -114,6 +112,16 @@ def _require(kind: str, told: list[str], known: Sequence[str]) -> None:
 
 def _run(plan: "LoopPlan", flights: Path | None) -> "LoopCampaign":
     """Run the campaign behind a progress bar; away from a terminal it would be noise."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
     from service.study.closed_loop.campaign import run_loops
 
     console = Console(stderr=True)
@@ -147,6 +155,9 @@ def _command(plan: "LoopPlan") -> str:
 
 def _print(campaign: "LoopCampaign") -> None:
     """Print the table and the command that makes it again."""
+    from rich.console import Console
+    from rich.table import Table
+
     from service.study.closed_loop.report import COLUMNS, cells
 
     console = Console()

@@ -5,8 +5,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
-from rich.table import Table
 
 if TYPE_CHECKING:
     from service.study.limit_cycles.report import Reproduction
@@ -51,6 +49,9 @@ def _draw(folder: Path, suffix: str) -> None:
 
 def _print(done: "Reproduction") -> None:
     """Print tables, what was missed, and the time."""
+    from rich.console import Console
+    from rich.table import Table
+
     from service.study.limit_cycles.report import COLUMNS, cells, summary_lines
 
     console = Console()

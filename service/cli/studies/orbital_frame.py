@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from service.cli.studies.published import report
 
@@ -23,6 +21,9 @@ def orbital_frame(
     plain: Annotated[bool, typer.Option("--plain", help="Compute without the compiler.")] = False,
 ) -> None:
     """Fly the orbital-frame model and print its figures beside the published ones."""
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
     from service.core.dynamics.orbital_frame_kernel import fly
     from service.pipeline.dynamics_kernels import flight_kernel
     from service.study.orbital_frame.reproduction import reproduce

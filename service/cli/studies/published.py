@@ -6,8 +6,6 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 import typer
-from rich.console import Console
-from rich.table import Table
 
 if TYPE_CHECKING:
     from service.study.published import Row
@@ -15,6 +13,9 @@ if TYPE_CHECKING:
 
 def report(rows: "Sequence[Row]", title: str, *, as_json: bool, as_markdown: bool) -> None:
     """Print the rows of a study."""
+    from rich.console import Console
+    from rich.table import Table
+
     from service.study.published import COLUMNS, markdown
 
     if as_json:

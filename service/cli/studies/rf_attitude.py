@@ -7,8 +7,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from service.cli.studies.published import report
 
@@ -22,6 +20,9 @@ def rf_attitude(
     ] = None,
 ) -> None:
     """Fit the published daily curve and compare sessions with other sensors, beside the published figures."""
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
     from service.study.estimation.flight.drive import UndrivenError
     from service.study.estimation.flight.world import ExportFailedError
     from service.study.rf_attitude.reproduction import reproduce

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 from rich.console import Console
 
-from service.cli.demo import Presenter
+from service.cli.demo_screen import Presenter
 
 
 def test_the_key_is_named_by_its_file(tmp_path):

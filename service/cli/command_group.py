@@ -1,0 +1,74 @@
+"""Groups of commands that import a command only when it is run: the start of one must not pay for the others."""
+
+import gc
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from typing import Any, NamedTuple
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+
+class CommandSource(NamedTuple):
+    """Module below ``service.cli`` that holds a command, or the ``app`` of a group, and its line in the help."""
+
+    module: str
+    help: str
+
+
+class _LateCommands(Mapping[str, Any]):
+    """Commands by name, each imported when it is taken out."""
+
+    def __init__(self, sources: Mapping[str, CommandSource]) -> None:
+        self._sources = sources
+
+    def __getitem__(self, name: str) -> Any:
+        module = import_module(f"service.cli.{self._sources[name].module}")
+        app = getattr(module, "app", None)
+        if app is None:
+            app = new_app()
+            app.command(name)(getattr(module, name.replace("-", "_")))
+        command = typer.main.get_command(app)
+        command.name = name
+        return command
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._sources)
+
+    def __len__(self) -> int:
+        return len(self._sources)
+
+
+def new_app(**options: Any) -> typer.Typer:
+    """Return a Typer object as all of ours are: help is plain text, the frames of rich cost as much as the rest."""
+    return typer.Typer(pretty_exceptions_show_locals=False, add_completion=False, rich_markup_mode=None, **options)
+
+
+def _begin(ctx: typer.Context) -> None:
+    """Switch on the collector that ``main`` switched off; what was loaded until now is no garbage and is left out."""
+    if not gc.isenabled():
+        gc.freeze()
+        if ctx.invoked_subcommand != "serve":
+            gc.enable()
+
+
+def late_app(sources: Mapping[str, CommandSource], **options: Any) -> typer.Typer:
+    """Return a group of commands, each imported when it is run; its help is written from the table alone."""
+
+    class LateGroup(TyperGroup):
+        """Group of the table."""
+
+        def __init__(self, **settings: Any) -> None:
+            super().__init__(**settings)
+            self.commands: Any = _LateCommands(sources)
+
+        def format_help(self, ctx: Any, formatter: Any) -> None:
+            imported_late = self.commands
+            self.commands = {name: TyperCommand(name, short_help=source.help) for name, source in sources.items()}
+            super().format_help(ctx, formatter)
+            self.commands = imported_late
+
+    app = new_app(**options)
+    # Typer makes a group of what has a callback
+    app.callback(cls=LateGroup, no_args_is_help=True)(_begin)
+    return app

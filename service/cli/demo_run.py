@@ -1,0 +1,72 @@
+"""One run of ``soo demo``, from its addresses to its figures."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from service.cli.demo_screen import Presenter
+from service.cli.operation.connection import DEFAULT_KEY_ENVIRONMENT, key_of
+from service.client.problem import ClientError
+from service.client.service_client import ServiceClient
+from service.study.closed_loop.plant_process import PlantFailedError
+from service.study.demonstration.closed_judgement import FlightAlone, fly_alone, judge_control
+from service.study.demonstration.demonstration import Endpoints, Story, run_story
+from service.study.demonstration.judgement import judge_story, tracked_angles
+from service.study.demonstration.processes import ProcessFailedError
+from service.study.demonstration.replay_check import METHODS
+from service.study.demonstration.spacecraft_line import CraftLineError
+
+#: an answer may take so long on a machine that has much else to do, s
+_PATIENCE_S = 60.0
+#: what ends a demonstration with a message in place of a trace
+FAILURES = (ProcessFailedError, PlantFailedError, CraftLineError, ClientError, TimeoutError, OSError)
+
+
+def external(service: str, analyzer: str, ground: str, uplink: str | None) -> Endpoints:
+    """Return the addresses of processes that run already."""
+    key = key_of(DEFAULT_KEY_ENVIRONMENT)
+    host, port = _address(analyzer)
+    craft = _address(uplink) if uplink else None
+    return Endpoints(service, key, _address(ground), f"TCPIP::{host}::{port}::SOCKET", uplink=craft)
+
+
+def _address(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    return host, int(port)
+
+
+class Alone(NamedTuple):
+    """Which craft is flown once more, without control."""
+
+    seed: int
+    operation_days: float
+
+
+def play(
+    directory: Path, endpoints: Endpoints, presenter: Presenter, figure: Path | None, alone: Alone
+) -> dict[str, Any]:
+    """Run the story to its end and return its figures."""
+    with ServiceClient(endpoints.service_url, endpoints.key, timeout_s=_PATIENCE_S) as client:
+        try:
+            story = run_story(directory, endpoints, client, presenter.show)
+        finally:
+            presenter.close()
+        flown = None if story.centre is None else fly_alone("demo", alone.seed, alone.operation_days)
+        loop = None
+        if story.centre is not None and flown is not None:
+            loop = judge_control(story, story.centre.log, flown)
+        figures = judge_story(story, client, loop)
+        if figure is not None:
+            _draw(story, client, flown, figure)
+    return figures
+
+
+def _draw(story: Story, client: ServiceClient, flown: FlightAlone | None, figure: Path) -> None:
+    """Draw the operation phase."""
+    # matplotlib costs a second that only a figure needs
+    from service.study.demonstration.figures import draw_control, draw_tracking
+
+    tracked = {method: tracked_angles(story, client, method) for method in METHODS}
+    if flown is None:
+        draw_tracking(tracked, figure)
+    else:
+        draw_control(tracked[METHODS[0]], flown, figure)
