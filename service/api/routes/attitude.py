@@ -22,8 +22,10 @@ def get_attitude(spacecraft_id: SpacecraftId, method: WantedMethod, context: Con
     row, _, verdict = present_of(context, spacecraft)
     if method is not spacecraft.control.method:
         row = newest_attitude(context, spacecraft_id, method)
-    answer = AttitudeAnswer.not_received(method, LIVE) if row is None else AttitudeAnswer.of(row, LIVE)
-    return NewestAttitudeAnswer(**dict(answer), control=VerdictAnswer.of(verdict))
+    control = VerdictAnswer.of(verdict)
+    if row is None:
+        return NewestAttitudeAnswer.not_received(method, LIVE, control=control)
+    return NewestAttitudeAnswer.of(row, LIVE, control=control)
 
 
 @router.get("/history")

@@ -7,7 +7,15 @@ microseconds into RFC 3339 by themselves, so routes hand over records as they ar
 import math
 from typing import Annotated, Any, Self
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, StringConstraints, WithJsonSchema
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    StringConstraints,
+    WithJsonSchema,
+)
 
 from service.api.protocol.epochs import epoch_of, plausible_epoch
 from service.records.calibration import Window
@@ -95,6 +103,14 @@ class AnglesAnswer(Answer):
     def of(cls, axes: Axes) -> Self:
         """Return the answer that tells a value of each axis."""
         return cls(yaw=axes.yaw, roll=axes.roll, pitch=axes.pitch)
+
+
+class AllowedAxesAnswer(Answer):
+    """Which axes may be controlled."""
+
+    yaw: bool
+    roll: bool
+    pitch: bool
 
 
 class WindowAnswer(Answer):

@@ -6,7 +6,7 @@ records are read-only.
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,7 +81,11 @@ class AttitudeFix:
 
 @dataclass(frozen=True, slots=True)
 class AttitudeRow:
-    """L4: what one method says about one measurement."""
+    """L4: what one method says about one measurement.
+
+    Tables, exports and answers derive from these fields (`service.records.record_fields`); a text beside a type is the
+    description in the interface. A new field stands at the end, with the default that older rows have.
+    """
 
     epoch_us: int
     received_at_us: int
@@ -89,11 +93,14 @@ class AttitudeRow:
     number: int
     method: Method
     attitude_deg: Axes
-    sigma_deg: Axes
-    #: None where the method knows no rate
-    rates_deg_s: Axes | None
+    sigma_deg: Annotated[Axes, "One standard deviation."]
+    rates_deg_s: Annotated[Axes | None, "Null where the method knows no rate."]
     status: Status
-    control_allowed: bool
+    control_allowed: Annotated[
+        bool,
+        "Whether this estimate may be used for control: no inhibition stands; yaw alone may be withheld. It is stored "
+        "and\ndoes not change; whether a torque may go now is told by `control.allowed` of the newest answer.",
+    ]
     #: yaw, roll, pitch
     control_allowed_axes: tuple[bool, bool, bool]
     inhibitions: tuple[str, ...]
@@ -105,8 +112,7 @@ class AttitudeRow:
     residual_rms_db: float
     calibration_id: int | None
     alignment_id: int | None
-    #: what the operator is advised while control goes on
-    advice: tuple[str, ...] = ()
+    advice: Annotated[tuple[str, ...], "What the operator is advised while control goes on: `realign`."] = ()
 
 
 def row_without_attitude(
