@@ -82,8 +82,9 @@ bench: $(DEV_STAMP) ## ratios, measured in one run; times of single computations
 nightly: $(DEV_STAMP) ## long tests
 	SOO_TEST_PROFILE=ci $(BIN)/python -m pytest -m nightly
 
-schema: $(STAMP) ## write the OpenAPI document
+schema: $(STAMP) ## write the OpenAPI document and the client's types of its answers
 	$(BIN)/soo openapi --output docs/reference/openapi.json
+	$(BIN)/soo openapi --types --output service/client/documents.py
 
 lock: $(DEV_STAMP) ## resolve and pin again
 	$(BIN)/uv pip compile pyproject.toml $(LOCK_OPTIONS) -o requirements.lock

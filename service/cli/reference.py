@@ -1,5 +1,6 @@
 """``soo openapi`` and ``soo settings``: references that the code itself writes."""
 
+import json
 from pathlib import Path
 from typing import Annotated
 
@@ -8,12 +9,20 @@ import typer
 Output = Annotated[Path | None, typer.Option(help="File to write; without it the document is printed.")]
 
 
-def openapi(output: Output = None) -> None:
+def openapi(
+    types: Annotated[bool, typer.Option("--types", help="Types of the Python client instead of the document.")] = False,
+    output: Output = None,
+) -> None:
     """Write the OpenAPI document of this version."""
     # the web framework costs a quarter of a second that other commands need not pay
     from service.api.app import render_openapi
 
-    _deliver(render_openapi(), output)
+    document = render_openapi()
+    if types:
+        from service.cli.client_types import client_types
+
+        document = client_types(json.loads(document))
+    _deliver(document, output)
 
 
 def settings(

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-import typer
+import typer.testing
 
 from service.cli.app import app
 

@@ -1,0 +1,73 @@
+"""Types of the client's answers, written from the OpenAPI document: ``service/client/documents.py``."""
+
+from collections.abc import Mapping
+from typing import Any
+
+_HEAD = '''"""Answers of the service as types; written from the OpenAPI document by ``make schema``, not by hand.
+
+Answers stay plain dictionaries; a field that a newer service adds is there though it has no name here.
+"""
+
+from typing import Any, Literal, TypedDict
+
+Json = dict[str, Any]
+'''
+#: schemas that have a type; any other object is `Json`
+TYPES = {
+    "AnglesAnswer": "Angles",
+    "AllowedAxesAnswer": "AllowedAxes",
+    "RowRemarkAnswer": "Refused",
+    "MeasurementReceiptAnswer": "Receipt",
+    "CatalogueWarning": "CatalogueWarning",
+    "PlanReceiptAnswer": "PlanPut",
+    "MeasurementAnswer": "Measurement",
+    "ExclusionAnswer": "Exclusion",
+    "ControlReasonAnswer": "ControlReason",
+    "VerdictAnswer": "Verdict",
+    "NewestAttitudeAnswer": "Attitude",
+    "JobAnswer": "Job",
+    "StatusAnswer": "Status",
+    "PulseAnswer": "Pulse",
+    "CheckAnswer": "Check",
+    "CommandAnswer": "Command",
+    "ControlAnswer": "Control",
+}
+_PLAIN = {"string": "str", "number": "float", "integer": "int", "boolean": "bool", "null": "None"}
+_LINE = 120
+
+
+def client_types(document: Mapping[str, Any]) -> str:
+    """Return the module with the types of the schemas in `TYPES`, formatted as ruff formats it."""
+    schemas = document["components"]["schemas"]
+    return _HEAD + "".join(_class(name, schemas[schema], schemas) for schema, name in TYPES.items())
+
+
+def _class(name: str, schema: Mapping[str, Any], schemas: Mapping[str, Any]) -> str:
+    """Return one class."""
+    lines = ["", "", f"class {name}(TypedDict):", f'    """{schema["description"].splitlines()[0]}"""', ""]
+    properties = schema["properties"]
+    for field in dict.fromkeys((*schema["required"], *properties)):
+        content = properties[field]
+        lines += (f"    #: {line}" for line in content.get("description", "").splitlines())
+        line = f"    {field}: {_type(content, schemas)}"
+        lines += [line] if len(line) <= _LINE else [line.replace("[", "[\n        ").removesuffix("]"), "    ]"]
+    return "\n".join(lines) + "\n"
+
+
+def _type(schema: Mapping[str, Any], schemas: Mapping[str, Any]) -> str:
+    """Return the annotation of a schema."""
+    if "$ref" in schema:
+        referenced = schema["$ref"].rpartition("/")[2]
+        is_object = schemas[referenced].get("type") == "object"
+        return TYPES.get(referenced, "Json") if is_object else _type(schemas[referenced], schemas)
+    if "anyOf" in schema:
+        return " | ".join(_type(each, schemas) for each in schema["anyOf"])
+    if "enum" in schema:
+        values = ", ".join(f'"{value}"' for value in schema["enum"])
+        return f"Literal[{values}]"
+    if schema.get("type") == "array":
+        return f"list[{_type(schema['items'], schemas)}]"
+    if schema.get("type") == "object":
+        member = schema.get("additionalProperties")
+        return f"dict[str, {_type(member, schemas)}]" if isinstance(member, Mapping) else "Json"
+    return _PLAIN[schema["type"]]
