@@ -16,7 +16,8 @@ from service.core.estimation.paper.selection import select_by_axis
 from service.pipeline.planning.assumed_beams import NOISES
 from service.pipeline.planning.candidates import candidates_of
 from service.pipeline.planning.planning import Rule, recommend
-from service.study.estimation.flight.drive import Documents, calibrate
+from service.study.estimation.flight.drive import calibrate
+from service.study.estimation.flight.journal import JournalDocuments
 from service.study.estimation.flight.world import export_world, read_world
 
 SEED = 61
@@ -153,7 +154,7 @@ def test_calibration_by_geometry_states_an_honest_bound(stations, tmp_path):
     """32 users of `many32`: bounds by fitted coefficients against those by the true ones, and the sets side by side."""
     export_world("many32", 1, tmp_path / "world.npz", operation_days=0.2)
     ground = read_world(tmp_path / "world.npz").ground
-    documents = Documents()
+    documents = JournalDocuments()
     documents.add_plan(ground.carriers)
     documents.add_ephemeris(ground.ephemeris)
     plan = documents.plans[1]

@@ -7,14 +7,18 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
+from release_ground import seed_archive
 from storage_trial import Trial
 
 KEY = "a-key-for-tests-only"
+#: the compiler would take longer than the tests of a module
+PLAIN = {"SOO_BOOTSTRAP_KEY": KEY, "SOO_KERNELS": "numpy", "SOO_ACCESS_LOG": "false"}
 #: a start takes 2 s alone; the machine may be busy with other tests
 START_TIMEOUT_S = 120.0
 
@@ -79,6 +83,41 @@ StartService = Callable[..., ServiceProcess]
 def compiled_environment() -> dict[str, str]:
     """Return an environment in which processes share what Python and numba compile."""
     return dict(os.environ)
+
+
+@pytest.fixture(scope="session")
+def serving(compiled_environment: dict[str, str]) -> Callable[..., AbstractContextManager[ServiceProcess]]:
+    """Give a function that runs a service under the clock of the data, and fails where it logs a traceback."""
+
+    @contextmanager
+    def serve(database: Path, **settings: str) -> Iterator[ServiceProcess]:
+        environment = {**compiled_environment, **PLAIN, **settings}
+        service = ServiceProcess(database.parent, database, ["--port", "0", "--clock", "data"], environment)
+        try:
+            yield service
+            said = service.written()
+            assert "Traceback" not in said, said[said.index("Traceback") - 500 :][:5000]
+        finally:
+            service.process.kill()
+            service.process.wait()
+
+    return serve
+
+
+@pytest.fixture(scope="module")
+def service(serving: Any, request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """Give one service to the tests of a module, on an archive with the spacecraft of its ``CRAFTS``."""
+    database = tmp_path_factory.mktemp("service") / "soo.db"
+    seed_archive(f"sqlite:///{database}", *request.module.CRAFTS)
+    with serving(database) as started:
+        yield started
+
+
+@pytest.fixture
+def client(service: ServiceProcess) -> Iterator[httpx.Client]:
+    """Give an administrator's client of the module's service."""
+    with service.client() as opened:
+        yield opened
 
 
 @pytest.fixture

@@ -103,7 +103,7 @@ def job_of(client: httpx.Client, started: dict[str, Any]) -> dict[str, Any]:
     return dict(client.get(f"/api/v1/jobs/{started['job']}").json())
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_calibration_and_replay_of_an_ended_service_are_failed(
     start_service, chaos, spacecraft, carriers, tmp_path, number
 ):

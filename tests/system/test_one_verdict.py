@@ -1,43 +1,19 @@
 """One verdict over HTTP: through stop, reset and arming every answer about the present says the same."""
 
 import json
-from collections.abc import Iterator
 from typing import Any
 
 import httpx
 import pytest
-from release_ground import ReleaseGround, craft, seed_archive
+from release_ground import ReleaseGround, craft
 
 from service.client.service_client import ServiceClient
 from service.records.catalogue import ControlMode, ControlSettings, Method, Release
 
 pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
 KEY = "a-key-for-tests-only"
-OWN = {"SOO_BOOTSTRAP_KEY": KEY, "SOO_KERNELS": "numpy", "SOO_ACCESS_LOG": "false"}
 AUTOMATIC = ControlSettings(Method.ROBUST, ControlMode.GROUND, Release.AUTOMATIC)
-
-
-@pytest.fixture(scope="module")
-def service(
-    service_process: Any, compiled_environment: dict[str, str], tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[Any]:
-    """One service for all, with a spacecraft of each release."""
-    path = tmp_path_factory.mktemp("verdict") / "soo.db"
-    seed_archive(f"sqlite:///{path}", craft("steps"), craft("automatic", control=AUTOMATIC))
-    started = service_process(path.parent, path, ["--port", "0", "--clock", "data"], {**compiled_environment, **OWN})
-    try:
-        yield started
-        assert "Traceback" not in started.written(), started.written()[-5000:]
-    finally:
-        started.process.kill()
-        started.process.wait()
-
-
-@pytest.fixture
-def client(service: Any) -> Iterator[httpx.Client]:
-    """An administrator."""
-    with service.client() as opened:
-        yield opened
+CRAFTS = (craft("steps"), craft("automatic", control=AUTOMATIC))
 
 
 def verdict(ground: ReleaseGround) -> Any:

@@ -4,9 +4,7 @@ Every test has a spacecraft of its own in one service under the clock of the dat
 """
 
 import signal
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any
 
 import httpx
@@ -15,43 +13,10 @@ import pytest
 from release_ground import ReleaseGround, craft, seed_archive
 
 pytestmark = pytest.mark.system
-KEY = "a-key-for-tests-only"
-#: the compiler would take longer than these tests
-OWN = {"SOO_BOOTSTRAP_KEY": KEY, "SOO_KERNELS": "numpy", "SOO_ACCESS_LOG": "false"}
-CRAFTS = ("whole", "expired", "crowd", "forged", "impulse", "real")
+CRAFTS = (*map(craft, ("whole", "expired", "crowd", "forged", "impulse")), craft("real", simulated=False))
 GOOD_ROWS = 15
 IMPULSE_N_M_S = 0.02
 WHY = {"reason": "roll is off"}
-
-
-@pytest.fixture(scope="module")
-def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Spacecraft that are calibrated and wait for rows."""
-    path = tmp_path_factory.mktemp("release") / "soo.db"
-    crafts = [craft(name, simulated=name != "real") for name in CRAFTS]
-    seed_archive(f"sqlite:///{path}", *crafts)
-    return path
-
-
-@pytest.fixture(scope="module")
-def service(service_process: Any, compiled_environment: dict[str, str], archive: Path) -> Iterator[Any]:
-    """One service for all."""
-    started = service_process(
-        archive.parent, archive, ["--port", "0", "--clock", "data"], {**compiled_environment, **OWN}
-    )
-    try:
-        yield started
-        assert "Traceback" not in started.written(), started.written()[-5000:]
-    finally:
-        started.process.kill()
-        started.process.wait()
-
-
-@pytest.fixture
-def client(service: Any) -> Iterator[httpx.Client]:
-    """An administrator."""
-    with service.client() as opened:
-        yield opened
 
 
 def armed(client: httpx.Client, name: str, roll_deg: float = 0.03) -> ReleaseGround:
@@ -240,23 +205,18 @@ def test_a_spacecraft_that_is_not_simulated_gets_nothing_under_the_clock_of_data
         assert ground.refused(path, body) == (409, "interlock.simulated")
 
 
-def test_a_service_killed_between_release_and_report_never_releases_twice(
-    service_process: Any, compiled_environment: dict[str, str], tmp_path: Path
-):
+def test_a_service_killed_between_release_and_report_never_releases_twice(serving, tmp_path):
     path = tmp_path / "soo.db"
     seed_archive(f"sqlite:///{path}", craft("killed"))
-    arguments, environment = ["--port", "0", "--clock", "data"], {**compiled_environment, **OWN}
-    first = service_process(tmp_path, path, arguments, environment)
-    with first.client() as client:
+    with serving(path) as first, first.client() as client:
         ground = armed(client, "killed")
         boris = ground.key("Boris", "approver")
         command = ground.post("/torques:prepare", WHY, status=201)
         confirm = (f"/torques/{command['id']}:confirm", {"digest": command["digest"]}, boris)
         released = ground.post(confirm[0], confirm[1], key=boris)
         product = ground.get(f"/torques/{command['id']}/uplink")
-    first.end(signal.SIGKILL)
-    second = service_process(tmp_path, path, arguments, environment)
-    try:
+        first.end(signal.SIGKILL)
+    with serving(path) as second:
         with second.client() as client:
             ground = ReleaseGround(client, "killed", ground.now_us)
             assert ground.get(f"/torques/{command['id']}") == released
@@ -272,6 +232,3 @@ def test_a_service_killed_between_release_and_report_never_releases_twice(
             assert ground.get("/control")["state"] == "ARMED"
             assert ground.post("/torques:prepare", WHY, status=201)["id"] == command["id"] + 1
         assert second.end()[0] == 0
-    finally:
-        second.process.kill()
-        second.process.wait()

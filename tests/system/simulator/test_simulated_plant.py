@@ -70,7 +70,10 @@ def test_a_loop_closes_over_pipes(plant) -> None:
     assert plant.stderr.read() == b""
 
 
-@pytest.mark.parametrize("data", [b"\xff\xfe\x00", b"", b'{"schedule":[{"start":1}]}'])
+OTHERS = [pytest.param(data, marks=pytest.mark.slow) for data in (b"\xff\xfe\x00", b"")]
+
+
+@pytest.mark.parametrize("data", [b'{"schedule":[{"start":1}]}', *OTHERS])
 def test_a_bad_line_is_answered(plant, data: bytes) -> None:
     truth = {}
     for text in plant.stdout:

@@ -63,7 +63,7 @@ def test_an_unknown_scenario_is_refused_in_the_words_of_the_simulator(compiled_e
     assert "Traceback" not in ran.stderr
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_a_signal_ends_the_study_with_all_its_processes(number, compiled_environment, tmp_path):
     log = tmp_path / "out"
     with log.open("wb") as output:
