@@ -65,6 +65,18 @@ def robust_world() -> ModuleType:
 
 
 @pytest.fixture(scope="session")
+def empty_database(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a migrated SQLite file of which tests take copies."""
+    from db.storage import SqlStorage  # the environment of tests/clients has no database
+
+    path = tmp_path_factory.mktemp("archive") / "empty.db"
+    storage = SqlStorage(f"sqlite:///{path}")
+    storage.migrate()
+    storage.close()
+    return path
+
+
+@pytest.fixture(scope="session")
 def postgresql_cluster() -> Iterator[object]:
     """One PostgreSQL server a session; skips, and says why, where there is none."""
     module = _load("postgresql_cluster")

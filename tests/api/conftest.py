@@ -45,16 +45,6 @@ class Soo:
         return int(put.json()["plan_id"])
 
 
-@pytest.fixture(scope="session")
-def empty_database(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Migrated once; every test gets a copy."""
-    path = tmp_path_factory.mktemp("archive") / "empty.db"
-    storage = SqlStorage(f"sqlite:///{path}")
-    storage.migrate()
-    storage.close()
-    return path
-
-
 @pytest.fixture
 def storage(empty_database: Path, tmp_path: Path) -> Iterator[SqlStorage]:
     path = tmp_path / "soo.db"

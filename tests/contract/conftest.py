@@ -1,5 +1,6 @@
 """Storages under test and makers of records; every storage has to keep the same contract."""
 
+import shutil
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
@@ -154,8 +155,9 @@ def torque_command(of: Measurement, **changes: object) -> TorqueCommand:
 
 @pytest.fixture(params=["sqlite", "postgresql"])
 def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
-    """URL of an empty database."""
+    """URL of a database with the schema and empty tables."""
     if request.param == "sqlite":
+        shutil.copy(request.getfixturevalue("empty_database"), tmp_path / "soo.db")
         return f"sqlite:///{tmp_path / 'soo.db'}"
     cluster = request.getfixturevalue("postgresql_cluster")
     return str(cluster.shared_database())
@@ -165,7 +167,6 @@ def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
 def storage(url: str) -> Iterator[Storage]:
     """A migrated storage."""
     opened = SqlStorage(url)
-    opened.migrate()
     yield opened
     opened.close()
 
