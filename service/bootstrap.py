@@ -22,7 +22,7 @@ from service.records.operations.audit import DONE, AuditEvent
 from service.runtime.alarms.alarm_service import AlarmService
 from service.runtime.alarms.notifications import NoticeChannel, NoticeChannels
 from service.runtime.clock import DataClock, SystemClock
-from service.runtime.control.release_notifications import ReleasePublisher
+from service.runtime.control.release_publisher import ReleasePublisher
 from service.runtime.control.release_service import ReleaseService
 from service.runtime.jobs.alignment_service import Aligner
 from service.runtime.jobs.archive_maintenance import ArchiveMaintenance

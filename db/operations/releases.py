@@ -8,7 +8,7 @@ from db.measurements.slow_inputs import store_inputs
 from db.schema.release_tables import release_command, release_made_two_step, release_state, uplink_product
 from service.errors import ConflictError, NotFoundError
 from service.records.calibration import Window
-from service.records.operations.release import CommandView, ProductForm, ReleaseChange, StoredRelease, UplinkProduct
+from service.records.operations.release import Command, ProductForm, ReleaseChange, StoredRelease, UplinkProduct
 
 
 class SqlReleases:
@@ -48,23 +48,21 @@ class SqlReleases:
                 _store_command(connection, key, command)
             for product in change.products:
                 _store_product(connection, key, product)
-            if change.told and store_inputs(connection, key, change.told).accepted != len(change.told):
+            if change.entries and store_inputs(connection, key, change.entries).accepted != len(change.entries):
                 raise _changed(f"journal entries of version {version + 1} are there already")
             return version + 1
 
         return self._database.write(self._database.lease.under(store))
 
-    def command(self, spacecraft_id: str, counter: int) -> CommandView:
+    def command(self, spacecraft_id: str, counter: int) -> Command:
         """Return one command; NotFoundError ``command.unknown``."""
         key = self._database.key(spacecraft_id)
         row = self._database.fetch_one(select(release_command.c.document).where(_is_command(key, counter)))
         if row is None:
             raise NotFoundError("command.unknown", f"There is no command {counter} of this spacecraft.")
-        return decode(CommandView, row.document)
+        return decode(Command, row.document)
 
-    def commands(
-        self, spacecraft_id: str, window: Window, limit: int, after: tuple[int, int] | None
-    ) -> list[CommandView]:
+    def commands(self, spacecraft_id: str, window: Window, limit: int, after: tuple[int, int] | None) -> list[Command]:
         """Return commands prepared in a window in order of (prepared, counter) beyond a cursor."""
         prepared, counter = release_command.c.prepared_us, release_command.c.counter
         query = select(release_command.c.document).where(
@@ -73,7 +71,7 @@ class SqlReleases:
             beyond(prepared, counter, after),
         )
         rows = self._database.fetch(query.order_by(prepared, counter).limit(limit))
-        return [decode(CommandView, row.document) for row in rows]
+        return [decode(Command, row.document) for row in rows]
 
     def product(self, spacecraft_id: str, form: ProductForm, counter: int) -> UplinkProduct:
         """Return one uplink product; NotFoundError ``uplink.unknown``."""
@@ -105,11 +103,11 @@ def _swap(connection: Connection, key: int, version: int, change: ReleaseChange)
         connection.execute(update(release_state).where(release_state.c.spacecraft_key == key).values(values))
 
 
-def _store_command(connection: Connection, key: int, command: CommandView) -> None:
+def _store_command(connection: Connection, key: int, command: Command) -> None:
     """Store a command, new or changed; what was prepared under a counter never becomes something else."""
     is_it = _is_command(key, command.counter)
     digest = connection.scalar(select(release_command.c.digest).where(is_it))
-    values = {"state": command.state, "document": encode(command)}
+    values = {"state": command.state.value, "document": encode(command)}
     if digest is None:
         whole = {"spacecraft_key": key, "counter": command.counter, "prepared_us": command.prepared_us, **values}
         connection.execute(release_command.insert().values(digest=command.digest, **whole))

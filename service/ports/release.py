@@ -3,7 +3,7 @@
 from typing import Protocol
 
 from service.records.calibration import Window
-from service.records.operations.release import CommandView, ProductForm, ReleaseChange, StoredRelease, UplinkProduct
+from service.records.operations.release import Command, ProductForm, ReleaseChange, StoredRelease, UplinkProduct
 
 
 class Releases(Protocol):
@@ -25,13 +25,11 @@ class Releases(Protocol):
         """
         ...
 
-    def command(self, spacecraft_id: str, counter: int) -> CommandView:
+    def command(self, spacecraft_id: str, counter: int) -> Command:
         """Return one command; NotFoundError ``command.unknown``."""
         ...
 
-    def commands(
-        self, spacecraft_id: str, window: Window, limit: int, after: tuple[int, int] | None
-    ) -> list[CommandView]:
+    def commands(self, spacecraft_id: str, window: Window, limit: int, after: tuple[int, int] | None) -> list[Command]:
         """Return commands prepared in a window in order of (prepared, counter) beyond a cursor."""
         ...
 

@@ -17,7 +17,7 @@ from service.api.app import create_app
 from service.api.context.dependencies import ApiContext, Limits
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.release.settings import ReleaseSettings
-from service.runtime.control.release_notifications import ReleasePublisher
+from service.runtime.control.release_publisher import ReleasePublisher
 from service.runtime.control.release_service import ReleaseService
 from service.runtime.jobs.workers import WorkerConfig, Workers
 from service.runtime.live.live_feed import LiveFeed

@@ -14,7 +14,7 @@ from service.errors import (
     NotFoundError,
     StorageError,
 )
-from service.pipeline.control.release.control_reasons import reason_of
+from service.pipeline.control.release.control_verdict import reason_of
 from service.records.operations.release import CommandRequest, EnvelopeLimits
 
 pytestmark = pytest.mark.anyio

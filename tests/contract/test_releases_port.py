@@ -13,7 +13,8 @@ from service.records.levels.attitude import Axes
 from service.records.levels.command import Pulse, ReleasedCommand, ReportedCommand
 from service.records.operations.release import (
     CheckView,
-    CommandView,
+    Command,
+    CommandState,
     InterlockHold,
     ProductForm,
     Purpose,
@@ -25,9 +26,9 @@ from service.records.operations.release import (
 S = 1_000_000
 AXES = Axes(0.001, -0.0, math.nan)
 PULSES = (Pulse(900 * S, 2.5, Axes(0.0, 0.002, 0.0)), Pulse(990 * S, 2.5, Axes(0.0, -0.002, 0.0)))
-COMMAND = CommandView(
+COMMAND = Command(
     counter=1,
-    state="PREPARED",
+    state=CommandState.PREPARED,
     digest="ab",
     purpose=Purpose.CONTROL,
     is_automatic=False,
@@ -74,7 +75,7 @@ def test_who_does_not_know_the_newest_version_changes_nothing(setting, version):
     number = setting.storage.archive.head(setting.id).newest_number
     told = (InterlockHold(1, "TRIPPED", ("stop",), is_withheld=True, version=9),)
     with pytest.raises(ConflictError, match=r"release\.changed"):
-        releases.save(setting.id, version, change("second", commands=(COMMAND,), products=(PRODUCT,), told=told))
+        releases.save(setting.id, version, change("second", commands=(COMMAND,), products=(PRODUCT,), entries=told))
     assert releases.stored(setting.id).document == "first"
     assert releases.newest_product(setting.id, ProductForm.TORQUES) is None
     assert setting.storage.archive.head(setting.id).newest_number == number
@@ -106,7 +107,7 @@ def test_a_command_changes_its_state_and_never_what_it_is(setting):
     releases = setting.storage.releases
     releases.save(setting.id, 0, change(commands=(COMMAND,)))
     assert repr(releases.command(setting.id, 1)) == repr(COMMAND)
-    released = replace(COMMAND, state="RELEASED", confirmed_by="bob", released_us=800 * S)
+    released = replace(COMMAND, state=CommandState.RELEASED, confirmed_by="bob", released_us=800 * S)
     releases.save(setting.id, 1, change(commands=(released,), products=(PRODUCT,)))
     assert repr(releases.command(setting.id, 1)) == repr(released)
     with pytest.raises(ConflictError, match=r"release\.changed"):
@@ -146,15 +147,15 @@ def test_release_and_report_enter_the_journal_with_the_state(setting):
         ReportedCommand(1, 1000 * S, PULSES[:1]),
         InterlockHold(1000 * S, "TRIPPED", ("stop",), is_withheld=True, version=1),
     )
-    releases.save(setting.id, 0, change(told=told))
+    releases.save(setting.id, 0, change(entries=told))
     assert tuple(entry.content for entry in archive.journal(setting.id, before, 9)) == told
     again = InterlockHold(1000 * S, "INHIBITED", (), is_withheld=False, version=2)
-    releases.save(setting.id, 1, change(told=(again,)))
+    releases.save(setting.id, 1, change(entries=(again,)))
     holds = archive.inputs(setting.id, "interlock", Window(0, 1 << 60), 9, None)
     assert [entry.content.version for entry in holds] == [1, 2]
     # a version that is told again would be lost without a word
     with pytest.raises(ConflictError, match=r"release\.changed"):
-        releases.save(setting.id, 2, change("third", told=told[:1]))
+        releases.save(setting.id, 2, change("third", entries=told[:1]))
     assert releases.stored(setting.id).version == 2
 
 

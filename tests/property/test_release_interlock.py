@@ -20,6 +20,7 @@ from service.pipeline.control.release.events import (
     Confirm,
     Engage,
     InputsChanged,
+    Journal,
     OrderKind,
     Report,
     ResponseJudged,
@@ -28,6 +29,7 @@ from service.pipeline.control.release.events import (
 )
 from service.pipeline.control.release.interlock_states import TRANSITIONS, State
 from service.records.levels.attitude import Axes
+from service.records.levels.command import ReportedCommand
 
 PERSONS = st.sampled_from(["ann", "bob", "cas"])
 NAN = float("nan")
@@ -232,7 +234,7 @@ class AnyOrder(RuleBasedStateMachine):
     def teardown(self):
         """Hold what must be true of the whole story."""
         state = getattr(self, "driver", ReleaseDriver()).state
-        assert sum(each.life in (CommandState.RELEASED, CommandState.SENT) for each in state.commands) <= 1
+        assert sum(each.state in (CommandState.RELEASED, CommandState.SENT) for each in state.commands) <= 1
         assert len({each.counter for each in state.commands}) == len(state.commands)
 
 
@@ -382,7 +384,7 @@ def test_killed_between_release_and_report_nothing_goes_out_again_and_the_report
     assert driver.name == "INHIBITED"
     assert driver.alarms.count("report_late") == 1
     step = driver.send(Report(driver.at, 1, CommandTransition.EXECUTED))
-    assert [action.kind.value for action in step.actions] == ["certain", "known_input"]
+    assert step.effects[0] == Journal(ReportedCommand(1, driver.now_us, driver.command(1).schedule))
     assert [counter for counter, _, _ in driver.released] == [1]
     driver.rows(11)
     assert driver.name == "ARMED"

@@ -20,7 +20,7 @@ from service.api.schemas.torque_commands import (
     ReportDocument,
     UplinkAnswer,
 )
-from service.records.operations.release import CommandView
+from service.records.operations.release import Command
 
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["release of torques"])
 #: its counter
@@ -132,7 +132,7 @@ def report_failed(
 
 def _reported(
     context: Context, spacecraft_id: str, command_id: int, turn: str, body: ReportDocument, by: str
-) -> CommandView:
+) -> Command:
     """Return a command after a report."""
     return context.release_service.report(
         spacecraft_id,
@@ -145,6 +145,6 @@ def _reported(
     )
 
 
-def _place(command: CommandView) -> Place:
+def _place(command: Command) -> Place:
     """Return where a command stands in its list."""
     return command.prepared_us, command.counter

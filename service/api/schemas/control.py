@@ -6,7 +6,7 @@ from pydantic import Field
 
 from service.api.schemas.base import AnglesAnswer, Answer, CommentText, Document, Epoch, EpochAnswer
 from service.records.catalogue import ControlMode, Release
-from service.records.operations.release import ControlVerdict, ControlView, EnvelopeLimits, SignCheckView
+from service.records.operations.release import ControlVerdict, ControlView, EnvelopeLimits, SignCheck
 
 ControlState = Literal["INHIBITED", "ARMED", "ENGAGED", "RECOVERY", "TRIPPED"]
 Limit = Annotated[float, Field(gt=0, le=1e3)]
@@ -116,7 +116,7 @@ class SignCheckAnswer(Answer):
     detail: str
 
     @classmethod
-    def of(cls, check: SignCheckView) -> Self:
+    def of(cls, check: SignCheck) -> Self:
         """Return the answer that tells a sign check."""
         return cls.model_validate(
             {

@@ -7,7 +7,7 @@ from pydantic import Field
 from service.api.schemas.base import AnglesAnswer, Answer, CommentText, Document, Epoch, EpochAnswer, Text, WindowAnswer
 from service.api.schemas.torques import PulseAnswer, ScheduleCheckAnswer
 from service.records.levels.command import Pulse
-from service.records.operations.release import CommandRequest, CommandView, ProductForm, Purpose, UplinkProduct
+from service.records.operations.release import Command, CommandRequest, ProductForm, Purpose, UplinkProduct
 
 #: a reason is asked for, so one must stand there
 Reason = Annotated[CommentText, Field(min_length=1)]
@@ -119,7 +119,7 @@ class CommandAnswer(Answer):
     """What of the schedule was carried out, by report."""
 
     @classmethod
-    def of(cls, command: CommandView) -> Self:
+    def of(cls, command: Command) -> Self:
         """Return the answer that tells a command."""
         computed = command.computed
         return cls.model_validate(

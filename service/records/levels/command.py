@@ -15,6 +15,11 @@ class Pulse:
     #: N m on the body
     torque_n_m: Axes
 
+    @property
+    def stop_us(self) -> int:
+        """When it ends."""
+        return self.start_us + round(self.duration_s * US_PER_S)
+
 
 @dataclass(frozen=True, slots=True)
 class ScheduleVerdict:
@@ -87,8 +92,7 @@ class ReleasedCommand:
     @property
     def stop_us(self) -> int:
         """When its last pulse ends."""
-        ends = (pulse.start_us + round(pulse.duration_s * US_PER_S) for pulse in self.schedule)
-        return max(ends, default=self.released_us)
+        return max((pulse.stop_us for pulse in self.schedule), default=self.released_us)
 
     @property
     def key(self) -> str:

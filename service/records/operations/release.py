@@ -47,7 +47,7 @@ class SignRatios(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class SignCheckView:
+class SignCheck:
     """The newest sign check, or the one that is under way."""
 
     #: yaw, roll or pitch
@@ -65,8 +65,13 @@ class SignCheckView:
     log_ratio: SignRatios | None = None
     #: yaw: the same word by wheel telemetry
     wheels: str | None = None
-    #: why a leg could not be prepared or what is waited for
+    #: why a leg could not be prepared, or why the check ended
     detail: str = ""
+    #: counter of the leg that is prepared or out, and when the newest leg begins
+    leg: int | None = None
+    leg_start_us: int = 0
+    #: pulses that were carried out of each leg
+    flown: tuple[tuple[Pulse, ...], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,12 +125,12 @@ class ControlView:
     unreported_commands: tuple[int, ...]
     #: sum of the sizes of what was sent within the hour, N m s
     sent_impulse_n_m_s: Axes
-    sign_check: SignCheckView | None = None
+    sign_check: SignCheck | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class CommandRequest:
-    """What a person wants to have prepared; None: the default."""
+    """Command that a person requests; None: the default."""
 
     reason: str
     #: estimate that the person has looked at; None: the newest
@@ -154,30 +159,46 @@ class Purpose(StrEnum):
     SIGN_CHECK = "sign_check"
 
 
-@dataclass(frozen=True, slots=True)
-class CommandView:
-    """One command that was prepared, as it stands."""
+class CommandState(StrEnum):
+    """State of a command; `service.pipeline.control.release.command_states` says what moves it."""
+
+    PREPARED = "PREPARED"
+    CONFIRMED = "CONFIRMED"
+    RELEASED = "RELEASED"
+    SENT = "SENT"
+    EXECUTED = "EXECUTED"
+    FAILED = "FAILED"
+    EXPIRED = "EXPIRED"
+    CANCELLED = "CANCELLED"
+    REJECTED = "REJECTED"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Command:
+    """One command: pulses, effect, checks, persons and reports; before it is prepared without counter and digest."""
 
     #: rises by one with each command of a spacecraft: its id in paths and in the uplink product
-    counter: int
-    #: PREPARED, CONFIRMED, RELEASED, SENT, EXECUTED, FAILED, EXPIRED, CANCELLED or REJECTED
-    state: str
+    counter: int = 0
+    state: CommandState = CommandState.PREPARED
     #: what a person confirms
-    digest: str
-    purpose: Purpose
+    digest: str = ""
+    purpose: Purpose = Purpose.CONTROL
     #: released by standing authorisation
-    is_automatic: bool
-    is_simulated: bool
-    reason: str
-    prepared_by: str
-    prepared_us: int
+    is_automatic: bool = False
+    is_simulated: bool = False
+    reason: str = ""
+    prepared_by: str = ""
+    prepared_us: int = 0
     #: it cannot be confirmed from then on
-    expires_us: int
+    expires_us: int = 0
     #: of the estimate that it was computed from
     attitude_epoch_us: int
     start_us: int
     stop_us: int
+    #: in order of time, each about one axis
     schedule: tuple[Pulse, ...]
+    #: of the flexible-response check: accept, warn or reject
+    schedule_verdict: str = "accept"
     #: net, N m s
     impulse_n_m_s: Axes
     #: sum of the sizes of the pulses, N m s: what the envelope counts
@@ -206,6 +227,11 @@ class CommandView:
     executed: tuple[Pulse, ...] = ()
     #: only looked at: nothing is stored, the counter is the one that it would get
     is_dry_run: bool = False
+
+    @property
+    def is_sign_check(self) -> bool:
+        """Whether its torque is kept from the filter, because it proves a sign."""
+        return self.purpose is Purpose.SIGN_CHECK
 
 
 class ProductForm(StrEnum):
@@ -256,7 +282,7 @@ class ReleaseChange:
     document: str
     holder: str
     #: commands that are new or have changed
-    commands: tuple[CommandView, ...] = ()
+    commands: tuple[Command, ...] = ()
     products: tuple[UplinkProduct, ...] = ()
-    #: for the journal
-    told: tuple[ReleasedCommand | ReportedCommand | InterlockHold, ...] = ()
+    #: of the journal
+    entries: tuple[ReleasedCommand | ReportedCommand | InterlockHold, ...] = ()

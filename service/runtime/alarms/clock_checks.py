@@ -6,12 +6,13 @@ Everything is asked of the archive; links are judged by the system's time, the r
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import partial
 
 from service.errors import NotFoundError
 from service.pipeline.alarms.alarm_engine import Readings
 from service.pipeline.alarms.readings import RowReader
 from service.pipeline.control.release.command_states import UNREPORTED
-from service.pipeline.control.release.state_document import memory_of
+from service.pipeline.control.release.state_document import state_of
 from service.ports import Clock, Storage
 from service.records.calibration import CalibrationState
 from service.records.epoch import US_PER_S
@@ -70,16 +71,17 @@ class ClockChecks:
 
     def of_release(self, spacecraft_id: str, now_us: int) -> Iterator[Readings]:
         """Yield what is looked at in the release of torques, as it is stored."""
-        state = memory_of(self._storage.releases.stored(spacecraft_id).document).state
+        releases = self._storage.releases
+        state = state_of(releases.stored(spacecraft_id).document, partial(releases.command, spacecraft_id))
         tripped_s = max((now_us - state.interlock.since_us) / US_PER_S, _LEAST_AGE_S)
         trips = tuple(condition.word for condition in state.interlock.trips)
         yield Readings("control_tripped", trips, (tripped_s,) * len(trips))
-        made_us = self._storage.releases.made_two_step_us(spacecraft_id)
+        made_us = releases.made_two_step_us(spacecraft_id)
         made_s = {} if made_us is None else {"two_step": (now_us - made_us) / US_PER_S}
         kept_s = {thing: max(age_s, _LEAST_AGE_S) for thing, age_s in made_s.items() if age_s < _RELEASE_TOLD_S}
         yield Readings("release_changed", tuple(kept_s), tuple(kept_s.values()))
-        waiting = [command for command in state.commands if command.life in UNREPORTED]
-        over_s = [(now_us - max(each.proposal.stop_us, each.released_us or 0)) / US_PER_S for each in waiting]
+        waiting = [command for command in state.commands if command.state in UNREPORTED]
+        over_s = [(now_us - max(each.stop_us, each.released_us or 0)) / US_PER_S for each in waiting]
         yield Readings("report_late", tuple(f"command {each.counter}" for each in waiting), tuple(over_s))
 
     def of_foundations(self, spacecraft_id: str, now_us: int) -> Iterator[Readings]:

@@ -1,4 +1,4 @@
-"""What is proposed for release: commands of the control law, for persons and for a standing authorisation."""
+"""Proposals for release: commands of the control law, for persons and for a standing authorisation."""
 
 from dataclasses import replace
 
@@ -7,7 +7,6 @@ from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.compute_command import command_for
 from service.pipeline.control.command.schedule_check import PanelSwing, swing_after
 from service.pipeline.control.release.advance import settled_at
-from service.pipeline.control.release.events import Proposal
 from service.pipeline.control.release.interlock import Instant, Interlock
 from service.pipeline.control.release.interlock_conditions import OWN_AFFAIR
 from service.pipeline.control.release.proposals import proposal_of
@@ -19,9 +18,9 @@ from service.records.catalogue import Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import AttitudeRow
 from service.records.levels.command import TorqueCommand
-from service.records.operations.release import CommandRequest
-from service.runtime.control.spacecraft_release import SpacecraftRelease
-from service.runtime.control.views import Dress, check_views
+from service.records.operations.release import Command, CommandRequest
+from service.runtime.control.release_context import ReleaseContext
+from service.runtime.control.views import check_views
 
 #: what was sent longer ago has left nothing in the flexible modes
 _SWING_US = 3 * 3600 * US_PER_S
@@ -29,12 +28,12 @@ _COMMANDS_AT_ONCE = 500
 
 
 class Proposals:
-    """Commands that may be asked to be released.
+    """Commands that may be proposed for release.
 
     Parameters
     ----------
     releases : Releases
-        What was released before.
+        Commands that were released before.
     settings : ReleaseSettings
         Lead of the uplink, time for persons, limits.
     torque : TorqueConfig
@@ -46,17 +45,14 @@ class Proposals:
         self._settings = settings
         self._torque = torque
 
-    def requested(
-        self, release: SpacecraftRelease, spacecraft: Spacecraft, request: CommandRequest, at: Instant
-    ) -> tuple[Proposal, Dress]:
-        """Return what a person wants as a proposal, with every check as it stands.
+    def requested(self, context: ReleaseContext, request: CommandRequest, at: Instant) -> Command:
+        """Return what a person requests as a proposal, with every check as it stands.
 
         ConflictError ``command.no_estimate``, ``command.estimate_stale``; InvalidInputError ``command.wish``.
         """
-        row, settings = _row_of(release), self._settings
-        stale_us = microseconds(settings.stale_periods * release.period_s + settings.stale_margin_s)
+        row, settings, spacecraft = context.row, self._settings, context.spacecraft
         epoch_us = request.attitude_epoch_us
-        if epoch_us is not None and not 0 <= row.epoch_us - epoch_us <= stale_us:
+        if epoch_us is not None and not 0 <= row.epoch_us - epoch_us <= context.stale_us(settings):
             raise ConflictError("command.estimate_stale", "attitude_epoch is not that of a recent estimate")
         start_us = request.start_us or soonest_start_us(at.now_us, settings, settings.confirm_s)
         duration_s = request.duration_s or spacecraft.control.forecast_horizon_s
@@ -65,50 +61,33 @@ class Proposals:
         if not -US_PER_S <= start_us - at.now_us <= microseconds(settings.latest_stop_s):
             detail = f"start must lie ahead of the spacecraft's clock by at most {settings.latest_stop_s:g} s"
             raise InvalidInputError("command.wish", detail)
-        command = self.law(release, spacecraft, start_us, duration_s, request.max_torque_n_m)
+        computed = self.computed(context, start_us, duration_s, request.max_torque_n_m)
         try:
-            proposal = proposal_of(command, spacecraft, request.reason)
+            command = proposal_of(computed, spacecraft, request.reason)
         except ValueError as error:
             raise InvalidInputError("command.wish", str(error)) from error
-        return proposal, self._dressed(release, spacecraft, proposal, command, at)
+        settled, envelope = settled_at(context.state, at, settings), settings.envelope
+        checks = release_checks(settled, command, at, settings, envelope=envelope, waiting_s=settings.prepared_s)
+        return replace(command, checks=check_views(checks))
 
-    def law(
-        self,
-        release: SpacecraftRelease,
-        spacecraft: Spacecraft,
-        start_us: int,
-        duration_s: float,
-        max_torque_n_m: float | None = None,
+    def computed(
+        self, context: ReleaseContext, start_us: int, duration_s: float, max_torque_n_m: float | None = None
     ) -> TorqueCommand:
-        """Return what the law wants from an instant on; what the interlock withholds is left out."""
-        row = _row_of(release)
-        rate_age_s = self._torque.rate_stale_periods * release.period_s + self._torque.rate_stale_margin_s
+        """Return the command of the law from an instant on, without what the interlock withholds."""
+        row, facts = context.row, context.facts
+        rate_age_s = self._torque.rate_stale_periods * context.period_s + self._torque.rate_stale_margin_s
         return command_for(
-            allowed_row(row, release.case.state.interlock),
-            spacecraft,
+            allowed_row(row, context.state.interlock),
+            context.spacecraft,
             start_us,
             duration_s,
             max_torque_n_m,
             self._torque,
-            None if release.seen is None else release.seen.outcome.disturbance,
-            None if release.facts is None else release.facts.momentum_n_m_s(row.epoch_us),
-            swing=swing_left(self._releases, spacecraft, start_us),
-            body_rate_deg_s=None if release.facts is None else release.facts.body_rate_deg_s(row.epoch_us, rate_age_s),
+            None if context.stored is None else context.stored.outcome.disturbance,
+            facts.momentum_n_m_s(row.epoch_us),
+            swing=swing_left(self._releases, context.spacecraft, start_us),
+            body_rate_deg_s=facts.body_rate_deg_s(row.epoch_us, rate_age_s),
         )
-
-    def _dressed(
-        self,
-        release: SpacecraftRelease,
-        spacecraft: Spacecraft,
-        proposal: Proposal,
-        command: TorqueCommand,
-        at: Instant,
-    ) -> Dress:
-        """Return what a proposal carries beside itself."""
-        settled = settled_at(release.case.state, at, self._settings)
-        envelope, waiting_s = self._settings.envelope, self._settings.prepared_s
-        checks = release_checks(settled, proposal, at, self._settings, envelope=envelope, waiting_s=waiting_s)
-        return Dress(spacecraft, check_views(checks), command)
 
 
 def allowed_row(row: AttitudeRow, interlock: Interlock) -> AttitudeRow:
@@ -145,10 +124,3 @@ def swing_left(releases: Releases, spacecraft: Spacecraft, now_us: int) -> Panel
 def soonest_start_us(now_us: int, settings: ReleaseSettings, waiting_s: float = 0.0) -> int:
     """Return when a schedule may begin at the soonest; persons get so long to confirm it."""
     return now_us + microseconds(settings.uplink_lead_s + waiting_s)
-
-
-def _row_of(release: SpacecraftRelease) -> AttitudeRow:
-    """Return the newest row, ConflictError ``command.no_estimate`` before it."""
-    if release.row is None:
-        raise ConflictError("command.no_estimate", "there is no row of the method that drives control yet")
-    return release.row

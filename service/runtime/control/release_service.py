@@ -1,17 +1,20 @@
-"""Release service: what persons order, and what they are told.
+"""Release service: orders of persons, and views of the release.
 
 Every method may be called from any thread and raises nothing but errors of `service.errors`, with the codes of
-docs/reference/errors.md, section Control. What is judged and how stands in `service.pipeline.control.release`; how a
-step is kept in `service.runtime.control.persisted_release`; nothing here decides anything.
+docs/reference/errors.md, section Control. An order is an event that is built, handled and answered with a view: what
+is judged and how stands in `service.pipeline.control.release`, how a step is kept in
+`service.runtime.control.spacecraft_release`; nothing here decides anything.
 """
 
 from dataclasses import replace
+from functools import partial
 
 from service.errors import ConflictError, GoneError, InvalidInputError, NotFoundError
-from service.pipeline.control.release.command_states import CommandState, CommandTransition
+from service.pipeline.control.release.advance import settled_at
+from service.pipeline.control.release.command_states import CommandTransition
+from service.pipeline.control.release.command_transitions import command_of
 from service.pipeline.control.release.events import (
     Cancel,
-    CommandRecord,
     Confirm,
     Engage,
     Event,
@@ -24,25 +27,24 @@ from service.pipeline.control.release.events import (
     digest_of,
 )
 from service.pipeline.control.release.interlock import Instant
+from service.pipeline.control.release.state_document import state_of
 from service.records.calibration import Window
 from service.records.catalogue import ControlMode, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.operations.release import (
+    Command,
     CommandRequest,
-    CommandView,
     ControlView,
     EnvelopeLimits,
     ProductForm,
     UplinkProduct,
 )
-from service.runtime.control.persisted_release import Annex
 from service.runtime.control.refusal_errors import error_of, require_release
-from service.runtime.control.release_inputs import KnownFacts
+from service.runtime.control.release_context import ReleaseContext
 from service.runtime.control.release_loop import ReleaseLoop
-from service.runtime.control.spacecraft_release import SpacecraftRelease
-from service.runtime.control.views import envelope_of, is_told_already
+from service.runtime.control.views import control_view, envelope_of, is_repeated
 
-_REPORTS = {"sent": CommandTransition.SENT, "executed": CommandTransition.EXECUTED, "failed": CommandTransition.FAILED}
+_REPORTS = {each.name.lower(): each for each in CommandTransition}
 #: a report may be this much older than the release, and this much ahead of the clock: clocks of two centres differ
 _REPORT_SLACK_US = 60 * US_PER_S
 
@@ -50,17 +52,15 @@ _REPORT_SLACK_US = 60 * US_PER_S
 class ReleaseService(ReleaseLoop):
     """Interlock and commands of all spacecraft; parameters as `ReleaseLoop`.
 
-    Orders raise StorageError ``lease.elsewhere`` while another service leads; what is told then is what it has stored.
+    Orders raise StorageError ``lease.elsewhere`` while another service leads; views then show what it has stored.
     """
 
     def control(self, spacecraft_id: str) -> ControlView:
-        """Return what the interlock says; NotFoundError ``spacecraft.unknown``."""
+        """Return the view of the interlock; NotFoundError ``spacecraft.unknown``."""
         if self._turn() == 0:
             return self._stored_view(spacecraft_id)
-        release = self._release(spacecraft_id)
-        with release.case.lock:
-            at, facts = self._present(release, spacecraft_id)
-            return self._view(release, facts, at)
+        with self._present(spacecraft_id) as (context, at):
+            return self._view(context, at)
 
     def order(self, spacecraft_id: str, kind: OrderKind, by: str) -> ControlView:
         """Arm, disengage, reset or stop.
@@ -68,32 +68,28 @@ class ReleaseService(ReleaseLoop):
         ConflictError ``interlock.inhibited``, ``interlock.tripped``, ``interlock.trip_stands``,
         ``interlock.not_armed``, ``interlock.state``, ``interlock.simulated``, ``control.mode``, ``release.automatic``.
         """
-        release = self._release(spacecraft_id)
-        with release.case.lock:
-            at, facts = self._present(release, spacecraft_id)
+        with self._present(spacecraft_id) as (context, at):
             if kind is OrderKind.ARM:
-                self._require_possible(facts.spacecraft)
-            self._done(release, facts, Order(at, by, kind))
-            return self._view(release, facts, at)
+                self._require_possible(context.spacecraft)
+            self._handle(context, Order(at, by, kind))
+            return self._view(context, at)
 
     def engage(
         self, spacecraft_id: str, by: str, *, is_approver: bool, until_us: int, envelope: EnvelopeLimits | None = None
     ) -> ControlView:
         """Ask for standing authorisation, or join who asked for the same; without an envelope that of the settings.
 
-        Beside those of `order`: ConflictError ``interlock.sign_unproven``; ForbiddenError
+        Errors of `order`, and ConflictError ``interlock.sign_unproven``; ForbiddenError
         ``interlock.second_person``; InvalidInputError ``interlock.authorisation``, ``envelope.wider``.
         """
-        release = self._release(spacecraft_id)
         wanted = self._settings.envelope if envelope is None else envelope_of(envelope)
-        with release.case.lock:
-            at, facts = self._present(release, spacecraft_id)
-            self._require_possible(facts.spacecraft)
-            self._done(release, facts, Engage(at, by, until_us, wanted, is_approver))
-            return self._view(release, facts, at)
+        with self._present(spacecraft_id) as (context, at):
+            self._require_possible(context.spacecraft)
+            self._handle(context, Engage(at, by, until_us, wanted, is_approver))
+            return self._view(context, at)
 
-    def prepare(self, spacecraft_id: str, by: str, request: CommandRequest, *, dry_run: bool = False) -> CommandView:
-        """Return a prepared command; a dry run stores nothing and tells failing checks instead of refusing.
+    def prepare(self, spacecraft_id: str, by: str, request: CommandRequest, *, dry_run: bool = False) -> Command:
+        """Return a prepared command; a dry run stores nothing and shows failing checks instead of refusing.
 
         ConflictError ``interlock.inhibited``, ``interlock.tripped``, ``interlock.not_armed``,
         ``interlock.simulated``, ``interlock.yaw_withheld``, ``control.mode``, ``release.automatic``,
@@ -101,42 +97,35 @@ class ReleaseService(ReleaseLoop):
         ``command.estimate_stale``, ``command.no_estimate``, ``command.start_passed``, ``command.too_long``;
         InvalidInputError ``command.wish``.
         """
-        release = self._release(spacecraft_id)
-        with release.case.lock:
-            at, facts = self._present(release, spacecraft_id)
-            self._require_possible(facts.spacecraft)
-            proposal, dress = self._proposals.requested(release, facts.spacecraft, request, at)
-            counter = release.case.state.next_counter
+        with self._present(spacecraft_id) as (context, at):
+            self._require_possible(context.spacecraft)
+            command = self._proposals.requested(context, request, at)
+            counter = context.state.next_counter
             if dry_run:
-                digest = digest_of(counter, proposal)
-                record = CommandRecord(counter, CommandState.PREPARED, proposal, digest, by, at.now_us, at.now_us)
-                return replace(dress.view(record), is_dry_run=True)
-            self._done(release, facts, Prepare(at, by, proposal), Annex(dress))
-            return release.case.view(counter)
+                digest, now_us = digest_of(counter, command), at.now_us
+                numbered = replace(command, counter=counter, digest=digest, prepared_by=by, prepared_us=now_us)
+                return replace(numbered, expires_us=now_us, is_dry_run=True)
+            self._handle(context, Prepare(at, by, command))
+            return context.release.command(counter)
 
     def confirm(
         self, spacecraft_id: str, counter: int, by: str, digest: str, *, is_approver: bool, comment: str = ""
-    ) -> CommandView:
+    ) -> Command:
         """Return a command released.
 
         NotFoundError ``command.unknown``; GoneError ``command.expired``; ForbiddenError ``command.second_person``;
         ConflictError ``command.digest``, ``command.state`` and those of `prepare`.
         """
-        release = self._release(spacecraft_id)
-        with release.case.lock:
-            at, facts = self._present(release, spacecraft_id)
-            self._require_possible(facts.spacecraft)
-            event = Confirm(at, by, counter, digest, is_approver)
-            self._done(release, facts, event, Annex(notes={counter: {"comment": comment}} if comment else {}))
-            return release.case.view(counter)
+        with self._present(spacecraft_id) as (context, at):
+            self._require_possible(context.spacecraft)
+            self._handle(context, Confirm(at, by, counter, digest, is_approver, comment))
+            return context.release.command(counter)
 
-    def cancel(self, spacecraft_id: str, counter: int, by: str) -> CommandView:
+    def cancel(self, spacecraft_id: str, counter: int, by: str) -> Command:
         """Take a prepared command back; NotFoundError ``command.unknown``, ConflictError ``command.state``."""
-        release = self._release(spacecraft_id)
-        with release.case.lock:
-            at, facts = self._present(release, spacecraft_id)
-            self._done(release, facts, Cancel(at, by, counter))
-            return release.case.view(counter)
+        with self._present(spacecraft_id) as (context, at):
+            self._handle(context, Cancel(at, by, counter))
+            return context.release.command(counter)
 
     def report(
         self,
@@ -148,41 +137,35 @@ class ReleaseService(ReleaseLoop):
         at_us: int | None = None,
         executed_from_us: int | None = None,
         executed_until_us: int | None = None,
-    ) -> CommandView:
-        """Take what the centre tells of a released command: ``sent``, ``executed`` or ``failed``.
+    ) -> Command:
+        """Report a released command ``sent``, ``executed`` or ``failed``.
 
         The same report again changes nothing. NotFoundError ``command.unknown``; ConflictError ``command.state``;
         InvalidInputError ``report.interval``, ``report.time``.
         """
-        release = self._release(spacecraft_id)
-        executed = (executed_from_us, executed_until_us)
-        with release.case.lock:
-            at, facts = self._present(release, spacecraft_id)
-            if is_told_already(release.case.view(counter), turn, at_us, executed):
-                return release.case.view(counter)
+        with self._present(spacecraft_id) as (context, at):
+            event = Report(at, counter, _REPORTS[turn], executed_from_us, executed_until_us, by, at_us)
+            command = context.release.command(counter)
+            if is_repeated(command, event):
+                return command
             if at_us is not None:
-                self._require_time(release, counter, at_us, at, is_data=self._clock.is_data(spacecraft_id))
-            told_us = at.now_us if at_us is None else at_us
-            notes = {"sent_us": told_us} if turn == "sent" else {"reported_by": by, "told_executed_us": executed}
-            event = Report(at, counter, _REPORTS[turn], *executed)
-            self._done(release, facts, event, Annex(notes={counter: notes}))
-            self._hold_against_powers(release, facts.spacecraft, event)
-            self._rows.go_on(release, facts, at)
-            return release.case.view(counter)
+                _require_time(command, at_us, at, is_data=self._clock.is_data(spacecraft_id))
+            self._handle(context, event)
+            self._hold_against_powers(context, event)
+            self._rows.sign_checks.go_on(context, at)
+            return context.release.command(counter)
 
-    def command(self, spacecraft_id: str, counter: int) -> CommandView:
+    def command(self, spacecraft_id: str, counter: int) -> Command:
         """Return one command as it is now; NotFoundError ``command.unknown``."""
         if self._turn() == 0:
             return self._storage.releases.command(spacecraft_id, counter)
-        release = self._release(spacecraft_id)
-        with release.case.lock:
-            at, facts = self._present(release, spacecraft_id)
-            self._step(release, facts.spacecraft, Tick(at))
-            return release.case.view(counter)
+        with self._present(spacecraft_id) as (context, at):
+            context.release.handle(Tick(at))
+            return context.release.command(counter)
 
     def commands(
         self, spacecraft_id: str, window: Window, limit: int, after: tuple[int, int] | None = None
-    ) -> list[CommandView]:
+    ) -> list[Command]:
         """Return commands prepared in a window in order of (prepared, counter) beyond a cursor."""
         return self._storage.releases.commands(spacecraft_id, window, limit, after)
 
@@ -211,26 +194,33 @@ class ReleaseService(ReleaseLoop):
         ConflictError ``sign_check.running``, ``sign_check.no_rows``, ``sign_check.flying`` and those of `prepare`;
         InvalidInputError ``sign_check.axis``.
         """
-        release = self._release(spacecraft_id)
-        with release.case.lock:
-            at, facts = self._present(release, spacecraft_id)
-            self._require_possible(facts.spacecraft)
-            self._rows.sign_checks.begin(release, facts, axis, by, at)
-            self._tell(release, spacecraft_id)
-            return self._view(release, facts, at)
+        with self._present(spacecraft_id) as (context, at):
+            self._require_possible(context.spacecraft)
+            self._rows.sign_checks.begin(context, axis, by, at)
+            return self._view(context, at)
 
-    def _done(self, release: SpacecraftRelease, facts: KnownFacts, event: Event, annex: Annex | None = None) -> None:
-        """Do what a person wants; refused, it is an error."""
-        step = self._step(release, facts.spacecraft, event, annex)
-        self._tell(release, facts.spacecraft.id)
-        refusal = step.refusal
+    def _handle(self, context: ReleaseContext, event: Event) -> None:
+        """Handle an order; refused, it is an error."""
+        refusal = context.release.handle(event).refusal
         if refusal is None:
             return
         if refusal.code == "command.unknown" and isinstance(event, Confirm | Cancel | Report):
-            # one that ended long ago is not on the service any more
-            life = release.case.view(event.counter).state
-            raise ConflictError("command.state", f"command {event.counter} is {life}: this is not possible any more")
+            # one that ended long ago is not in the state any more
+            ended = context.release.command(event.counter).state
+            raise ConflictError("command.state", f"command {event.counter} is {ended}: this is not possible any more")
         raise error_of(refusal)
+
+    def _view(self, context: ReleaseContext, at: Instant) -> ControlView:
+        """Return the view of the interlock at an instant; nothing is stored."""
+        state = settled_at(context.state, at, self._settings)
+        return control_view(state, context.spacecraft, self._settings, at.now_us)
+
+    def _stored_view(self, spacecraft_id: str) -> ControlView:
+        """Return the view of what the service that leads has stored last."""
+        releases = self._storage.releases
+        state = state_of(releases.stored(spacecraft_id).document, partial(releases.command, spacecraft_id))
+        spacecraft = self._storage.catalogue.spacecraft(spacecraft_id)
+        return control_view(state, spacecraft, self._settings, self._clock.now_us(spacecraft_id) or 0)
 
     def _require_possible(self, spacecraft: Spacecraft) -> None:
         """Raise ConflictError unless commands of this spacecraft are released here at all."""
@@ -239,20 +229,18 @@ class ReleaseService(ReleaseLoop):
             raise ConflictError("interlock.simulated", detail)
         require_release(spacecraft)
 
-    def _require_time(
-        self, release: SpacecraftRelease, counter: int, at_us: int, at: Instant, *, is_data: bool
-    ) -> None:
-        """Raise InvalidInputError for a report from before the release, or from the future."""
-        released_us = release.case.view(counter).released_us
-        is_early = released_us is not None and at_us < released_us - _REPORT_SLACK_US
-        if is_early or (not is_data and at_us > at.now_us + _REPORT_SLACK_US):
-            raise InvalidInputError("report.time", "the report is from before the release, or from the future")
-
-    def _hold_against_powers(self, release: SpacecraftRelease, spacecraft: Spacecraft, event: Report) -> None:
-        """Judge a command that is reported executed whole by what the powers said of it before."""
-        record = next(each for each in release.case.state.commands if each.counter == event.counter)
-        evidence = None if release.seen is None else release.seen.evidence
-        is_whole = event.turn is CommandTransition.EXECUTED and record.executed == record.proposal.pulses
-        if evidence is None or evidence.unreported_log_ratio is None or record.proposal.is_sign_check or not is_whole:
+    def _hold_against_powers(self, context: ReleaseContext, event: Report) -> None:
+        """Judge a command that is reported executed whole by its response in the powers before."""
+        command = command_of(context.state, event.counter)
+        evidence = None if context.stored is None else context.stored.evidence
+        if command is None or evidence is None or evidence.unreported_log_ratio is None or command.is_sign_check:
             return
-        self._step(release, spacecraft, ResponseJudged(event.at, evidence.unreported_log_ratio))
+        if event.transition is CommandTransition.EXECUTED and command.executed == command.schedule:
+            context.release.handle(ResponseJudged(event.at, evidence.unreported_log_ratio))
+
+
+def _require_time(command: Command, at_us: int, at: Instant, *, is_data: bool) -> None:
+    """Raise InvalidInputError for a report from before the release, or from the future."""
+    is_early = command.released_us is not None and at_us < command.released_us - _REPORT_SLACK_US
+    if is_early or (not is_data and at_us > at.now_us + _REPORT_SLACK_US):
+        raise InvalidInputError("report.time", "the report is from before the release, or from the future")

@@ -1,6 +1,4 @@
-"""Sign checks on the service: legs are prepared as commands, persons confirm them, the rows decide."""
-
-from dataclasses import replace
+"""Sign checks: the inputs of their events, which are legs to be prepared and verdicts on the rows."""
 
 import numpy as np
 
@@ -10,33 +8,19 @@ from service.errors import ConflictError, InvalidInputError
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.control_design import control_design
 from service.pipeline.control.command.schedule_check import schedule_verdict
-from service.pipeline.control.release.command_states import OPEN, UNREPORTED, CommandState
-from service.pipeline.control.release.command_transitions import command_of
-from service.pipeline.control.release.events import (
-    Cancel,
-    Prepare,
-    Proposal,
-    Refusal,
-    SignJudged,
-)
+from service.pipeline.control.release.events import BeginSignCheck, PrepareLeg, Refusal, SignJudged
 from service.pipeline.control.release.interlock import Instant
-from service.pipeline.control.release.interlock_states import State
-from service.pipeline.control.release.proposals import effect_of_pulses, schedule_of
+from service.pipeline.control.release.proposals import effect_of_pulses, proposed, schedule_of
 from service.pipeline.control.release.settings import ReleaseSettings
+from service.pipeline.control.release.sign_checks import RUNNING, is_leg_due, is_running, profile_of
 from service.ports import Storage
-from service.records.operations.release import SignCheckView, SignRatios
-from service.runtime.control.persisted_release import Annex
+from service.records.operations.release import Command, Purpose, SignCheck, SignRatios
 from service.runtime.control.proposals import soonest_start_us, swing_left
 from service.runtime.control.refusal_errors import error_of
-from service.runtime.control.release_inputs import KnownFacts, read_telemetry
-from service.runtime.control.sign_check_run import AXES, SignCheckRun
-from service.runtime.control.spacecraft_release import SpacecraftRelease, Stepper
-from service.runtime.control.views import Dress
+from service.runtime.control.release_context import ReleaseContext
+from service.runtime.control.release_inputs import read_telemetry
+from service.runtime.control.sign_check_rows import AXES, SignCheckRows, joint_verdict, wheel_verdict
 
-_RUNNING = "running"
-_INTERRUPTED = "interrupted"
-#: verdicts that the interlock is told
-_TOLD = frozenset({SignState.PLUS, SignState.MINUS, SignState.NOTHING})
 #: a check of yaw, with hours of rows, is judged once in so many
 _YAW_ROWS = 30
 
@@ -47,160 +31,87 @@ class SignChecks:
     Parameters
     ----------
     storage : Storage
-        Where telemetry and released commands lie.
+        Of telemetry and released commands.
     settings : ReleaseSettings
         Times and the error of telemetry.
     torque : TorqueConfig
         Of the control law, for the drive.
-    step : Stepper
-        Judges and stores.
     """
 
-    def __init__(self, storage: Storage, settings: ReleaseSettings, torque: TorqueConfig, step: Stepper) -> None:
+    def __init__(self, storage: Storage, settings: ReleaseSettings, torque: TorqueConfig) -> None:
         self._storage = storage
         self._settings = settings
         self._torque = torque
-        self._step = step
 
-    def begin(self, release: SpacecraftRelease, facts: KnownFacts, axis: str, by: str, at: Instant) -> None:
-        """Prepare the first leg, or raise why it cannot be."""
+    def begin(self, context: ReleaseContext, axis: str, by: str, at: Instant) -> None:
+        """Start a check with its first leg, or raise why it cannot be."""
         if axis not in AXES:
             raise InvalidInputError("sign_check.axis", "axis must be yaw, roll or pitch")
-        if release.run is not None:
-            raise ConflictError("sign_check.running", f"the sign check of {release.run.axis} is under way")
-        if release.row is None or release.seen is None or release.seen.evidence is None:
+        if context.stored is None or context.stored.evidence is None:
             detail = "there are no rows of the robust method yet, whose model a sign check needs"
             raise ConflictError("sign_check.no_rows", detail)
-        craft = facts.spacecraft
-        release.run = SignCheckRun(
-            axis=axis,
-            by=by,
-            started_us=at.now_us,
-            attitude_deg=release.row.attitude_deg,
-            inertia_kg_m2=inertia_about_angles(np.array(craft.inertia_kg_m2)),
-            has_coupling=craft.onboard.roll_yaw_coupling is True,
-            settings=self._settings,
+        spacecraft = context.spacecraft
+        rows = SignCheckRows(
+            attitude_deg=context.row.attitude_deg,
+            inertia_kg_m2=inertia_about_angles(np.array(spacecraft.inertia_kg_m2)),
+            has_coupling=spacecraft.onboard.roll_yaw_coupling is True,
         )
-        try:
-            refusal = self._prepare_leg(release, facts, at)
-        except BaseException:
-            release.run = None
-            raise
+        check = SignCheck(axis, RUNNING, at.now_us, by, 0, 0, 0)
+        leg = self._leg(context, rows, check, at)
+        refusal = leg if isinstance(leg, Refusal) else context.release.handle(BeginSignCheck(at, by, axis, leg)).refusal
         if refusal is not None:
-            release.run = None
             raise error_of(refusal)
-        release.case.put(at, _view(release.run, _RUNNING, None))
+        context.sign_rows = rows
 
-    def go_on(self, release: SpacecraftRelease, facts: KnownFacts, at: Instant) -> None:
-        """Take in what became of the leg that is out, judge, and prepare the next one."""
-        run = release.run
-        if run is None:
+    def go_on(self, context: ReleaseContext, at: Instant) -> None:
+        """Judge the rows of a running check, and prepare its next leg when it is due."""
+        check, rows = context.state.sign_check, context.sign_rows
+        if check is None or not is_running(check) or rows is None:
             return
-        problem = _take_in(run, release)
-        decision = self._decision(run)
-        wheels = self._wheels(run, facts) if run.axis == "yaw" else None
+        decision = self._decision(check, rows)
+        wheels = self._wheels(context, check, rows) if check.axis == "yaw" else None
         powers = SignState.OPEN if decision is None else decision.verdict
-        verdict = run.verdict(powers, wheels, at.now_us)
-        if problem:
-            self._finish(release, facts, _view(run, _INTERRUPTED, decision, wheels, problem), at)
-        elif verdict is not SignState.OPEN:
-            self._finish(release, facts, _view(run, verdict.value, decision, wheels), at)
-        elif at.now_us >= run.until_us:
-            self._finish(release, facts, _view(run, verdict.value, decision, wheels, "its time is over"), at)
-        else:
-            refusal = self._prepare_leg(release, facts, at)
-            detail = "" if refusal is None else f"{refusal.code}: {refusal.detail}"
-            self._show(release, _view(run, _RUNNING, decision, wheels, detail), at)
+        verdict = joint_verdict(check, powers, wheels, at.now_us, self._settings)
+        ratio = None if decision is None else SignRatios(*decision.log_ratio)
+        judged = SignJudged(at, check.axis, verdict, ratio, None if wheels is None else wheels.value)
+        check = context.release.handle(judged).state.sign_check
+        if check is not None and is_leg_due(check, self._start_us(at)):
+            leg = self._leg(context, rows, check, at)
+            context.release.handle(PrepareLeg(at, leg))
 
-    def _decision(self, run: SignCheckRun) -> SignDecision | None:
-        """Return what the powers say; hours of rows are not weighed with every one of them."""
-        if run.axis == "yaw" and len(run.epochs_us) % _YAW_ROWS:
+    def _decision(self, check: SignCheck, rows: SignCheckRows) -> SignDecision | None:
+        """Return the decision of the powers; hours of rows are not weighed with every one of them."""
+        if check.axis == "yaw" and len(rows.epochs_us) % _YAW_ROWS:
             return None
-        return run.decision()
+        return rows.decision(check)
 
-    def _wheels(self, run: SignCheckRun, facts: KnownFacts) -> SignState:
-        """Return what wheel telemetry says of a check of yaw."""
-        if not run.done or len(run.epochs_us) % _YAW_ROWS:
+    def _wheels(self, context: ReleaseContext, check: SignCheck, rows: SignCheckRows) -> SignState:
+        """Return the verdict of wheel telemetry on a check of yaw."""
+        if not check.flown or len(rows.epochs_us) % _YAW_ROWS:
             return SignState.OPEN
-        telemetry = read_telemetry(self._storage, facts.spacecraft.id, run.started_us)
-        return run.wheel_verdict(telemetry, control_design(facts.spacecraft, self._torque).wheels.axes)
+        telemetry = read_telemetry(self._storage, context.spacecraft.id, check.started_us)
+        axes = control_design(context.spacecraft, self._torque).wheels.axes
+        return wheel_verdict(check, telemetry, axes, self._settings)
 
-    def _prepare_leg(self, release: SpacecraftRelease, facts: KnownFacts, at: Instant) -> Refusal | None:
-        """Prepare the next leg if it is due; return why it cannot be."""
-        run, row, craft = release.run, release.row, facts.spacecraft
-        start_us = soonest_start_us(at.now_us, self._settings, self._settings.sign_confirm_s)
-        if run is None or row is None or not run.is_leg_due(start_us):
-            return None
+    def _start_us(self, at: Instant) -> int:
+        """Return when a leg may begin that is prepared now."""
+        return soonest_start_us(at.now_us, self._settings, self._settings.sign_confirm_s)
+
+    def _leg(self, context: ReleaseContext, rows: SignCheckRows, check: SignCheck, at: Instant) -> Command | Refusal:
+        """Return the next leg as a command, or why there can be none."""
+        spacecraft, start_us = context.spacecraft, self._start_us(at)
         try:
-            pulses = run.leg(control_design(craft, self._torque).drive)
+            pulses = rows.leg(check, control_design(spacecraft, self._torque).drive)
         except ValueError as error:
             return Refusal("command.empty", str(error))
-        schedule = schedule_of(pulses, start_us)
-        swing = swing_left(self._storage.releases, craft, start_us)
-        checked = schedule_verdict(schedule, craft, self._torque, swing)
-        proposal = Proposal(
-            attitude_epoch_us=row.epoch_us,
-            start_us=start_us,
-            pulses=pulses,
-            effect=effect_of_pulses(pulses, craft, 0.0),
-            schedule_verdict="accept" if checked is None else checked.verdict,
-            reason=f"sign check of {run.axis}, leg {len(run.done) + 1} of {len(run.profile.legs)}",
-            is_sign_check=True,
+        swing = swing_left(self._storage.releases, spacecraft, start_us)
+        return proposed(
+            spacecraft,
+            context.row.epoch_us,
+            start_us,
+            pulses,
+            effect_of_pulses(pulses, spacecraft, 0.0),
+            schedule_verdict(schedule_of(pulses, start_us), spacecraft, self._torque, swing),
+            reason=f"sign check of {check.axis}, leg {check.legs_done + 1} of {len(profile_of(check.axis).legs)}",
+            purpose=Purpose.SIGN_CHECK,
         )
-        counter = release.case.state.next_counter
-        step = self._step(release, craft, Prepare(at, run.by, proposal), Annex(Dress(craft)))
-        if step.refusal is None:
-            run.pending, run.pending_us = counter, start_us
-        return step.refusal
-
-    def _finish(self, release: SpacecraftRelease, facts: KnownFacts, view: SignCheckView, at: Instant) -> None:
-        """End a check: what is prepared is taken back, the verdict told to the interlock, the result stored."""
-        run, release.run = release.run, None
-        if run is None:
-            return
-        command = None if run.pending is None else command_of(release.case.state, run.pending)
-        if command is not None and command.life in OPEN:
-            self._step(release, facts.spacecraft, Cancel(at, run.by, command.counter))
-        if view.state in {verdict.value for verdict in _TOLD}:
-            self._step(release, facts.spacecraft, SignJudged(at, run.axis, SignState(view.state)))
-        release.case.put(at, view)
-
-    def _show(self, release: SpacecraftRelease, view: SignCheckView, at: Instant) -> None:
-        """Store how far a check is, where that is news: what the likelihoods do from row to row is none."""
-        told = release.case.sign_check
-        if told is None or replace(told, log_ratio=None) != replace(view, log_ratio=None):
-            release.case.put(at, view)
-
-
-def _take_in(run: SignCheckRun, release: SpacecraftRelease) -> str:
-    """Take in what became of the leg that is out; return what ends the check, if anything does."""
-    if release.case.state.interlock.state is State.TRIPPED:
-        return "control tripped"
-    command = None if run.pending is None else command_of(release.case.state, run.pending)
-    if command is None or command.life in OPEN or command.life in UNREPORTED:
-        return ""
-    run.pending = None
-    if command.life is CommandState.EXECUTED:
-        run.done.append(schedule_of(command.executed, command.proposal.start_us))
-    elif command.executed:
-        return f"leg {command.counter} was carried out in part"
-    return ""
-
-
-def _view(
-    run: SignCheckRun, state: str, decision: SignDecision | None, wheels: SignState | None = None, detail: str = ""
-) -> SignCheckView:
-    """Return a check as it is told."""
-    ratio = None if decision is None else SignRatios(*decision.log_ratio)
-    return SignCheckView(
-        axis=run.axis,
-        state=state,
-        started_us=run.started_us,
-        started_by=run.by,
-        until_us=run.until_us,
-        legs=len(run.profile.legs),
-        legs_done=len(run.done),
-        log_ratio=ratio,
-        wheels=None if wheels is None else wheels.value,
-        detail=detail,
-    )

@@ -1,96 +1,168 @@
-"""Release of one spacecraft in memory: stored state, facts, newest rows, a sign check under way."""
+"""Release of one spacecraft: an event is judged, what follows is stored, and only then does it hold.
 
-import math
+Law of this file: the state that is seen is the stored one, up to what a restart may forget. Two processes on one
+database cannot both store a step from the same state; the second one loads what the first has stored, and control
+trips, for a release that two processes hold is held by none.
+"""
+
+import threading
 import time
-from collections import deque
-from dataclasses import dataclass, field, replace
-from typing import Protocol
+from contextlib import nullcontext
+from dataclasses import replace
+from functools import partial
 
-import numpy as np
-
-from service.pipeline.control.release.events import Event, Step
-from service.pipeline.control.release.interlock_conditions import RowFacts
-from service.pipeline.control.release.row_facts import SeenRow, facts_of_row
-from service.records.catalogue import Method, Spacecraft
+from service.errors import ConflictError, NotFoundError, StorageError
+from service.pipeline.control.release.advance import advance, restored
+from service.pipeline.control.release.command_transitions import command_of
+from service.pipeline.control.release.events import (
+    PERSONAL,
+    Event,
+    InputsChanged,
+    Journal,
+    ReleaseEffect,
+    ReleaseState,
+    Step,
+    Uplink,
+)
+from service.pipeline.control.release.interlock import Instant
+from service.pipeline.control.release.settings import ReleaseSettings
+from service.pipeline.control.release.state_document import document_of, essence, state_of
+from service.ports import Releases
 from service.records.epoch import US_PER_S
-from service.records.levels.attitude import AttitudeRow
-from service.runtime.control.persisted_release import Annex, PersistedRelease
-from service.runtime.control.release_inputs import KnownFacts
-from service.runtime.control.sign_check_run import SignCheckRun
+from service.records.levels.command import ReleasedCommand, ReportedCommand
+from service.records.operations.audit import apart_from_request
+from service.records.operations.release import Command, InterlockHold, ReleaseChange
+from service.runtime.control.release_publisher import ReleasePublisher
 
-#: rows from whose epochs the row period is taken
-_PERIOD_ROWS = 15
-_DEFAULT_PERIOD_S = 60.0
-#: rows that came late or again say nothing of the present
-_NOT_PRESENT = frozenset({"late", "catch_up"})
-#: what the estimator makes of a turn that it was not told of; a sign check is told of by the release itself
-_OWN_TURN = "unannounced_motion"
-#: the estimator tells the statistic itself as a reason
-_OUT_OF_BAND = "innovations"
-#: what was told of the archive holds for so long, unless something came in, s
-_FACTS_S = 20.0
+#: another process that has stored counts as there for so long
+_FOREIGN_US = 600 * US_PER_S
+#: a state that matters is stored at least this often, so that a restart knows the time, s
+_HEARTBEAT_S = 60.0
+_ATTEMPTS = 3
 
 
-@dataclass(slots=True)
 class SpacecraftRelease:
-    """One spacecraft on the service."""
+    """Release of one spacecraft.
 
-    case: PersistedRelease
-    #: of the service as the one that leads
-    turn: int = 1
-    facts: KnownFacts | None = None
-    read_s: float = 0.0
-    #: newest instant of the spacecraft that was looked at
-    newest_us: int = 0
-    #: newest row of the method that drives control, with what came beside it
-    row: AttitudeRow | None = None
-    seen: SeenRow | None = None
-    is_disagreeing: bool = False
-    epochs_us: deque[int] = field(default_factory=lambda: deque(maxlen=_PERIOD_ROWS + 1))
-    run: SignCheckRun | None = None
-    #: when the law was asked last under a standing authorisation
-    asked_us: int = 0
-    #: what was told last: streams are told of changes only
-    told: object = None
+    Parameters
+    ----------
+    spacecraft_id : str
+        An existing spacecraft.
+    releases : Releases
+        Where its state is stored.
+    publisher : ReleasePublisher
+        Gets the effects that are not stored here.
+    settings : ReleaseSettings
+        Limits and times.
+    holder : str
+        This process.
 
-    @property
-    def period_s(self) -> float:
-        """Return the expected time to the next row."""
-        if len(self.epochs_us) < 2:
-            return _DEFAULT_PERIOD_S
-        return float(np.median(np.diff(np.array(self.epochs_us)))) / US_PER_S
+    Raises
+    ------
+    StorageError
+        ``release.unreadable``: what is stored is no state of this program.
+    """
 
-    @property
-    def are_facts_old(self) -> bool:
-        """Whether the archive should be asked again."""
-        return self.facts is None or time.monotonic() - self.read_s > _FACTS_S
+    def __init__(
+        self,
+        spacecraft_id: str,
+        releases: Releases,
+        publisher: ReleasePublisher,
+        settings: ReleaseSettings,
+        holder: str,
+    ) -> None:
+        self._spacecraft_id = spacecraft_id
+        self._releases = releases
+        self._publisher = publisher
+        self._settings = settings
+        self._holder = holder
+        self._foreign_us: int | None = None
+        #: newest epoch of which results are stored
+        self.stored_us = 0
+        self._stored_s = time.monotonic()
+        #: an event and its storing are one
+        self.lock = threading.RLock()
+        self.state, self._version = self._loaded()
 
-    def take(self, seen: SeenRow, method: Method) -> AttitudeRow | None:
-        """Take over a row; return that of the method that drives control, None where it says nothing of the present."""
-        row = next((each for each in seen.outcome.rows if each.method is method), None)
-        if row is None or _NOT_PRESENT.intersection(row.inhibitions):
-            return None
-        if self.row is not None and row.epoch_us <= self.row.epoch_us:
-            return None
-        self.row, self.seen = row, seen
-        self.epochs_us.append(row.epoch_us)
-        if not math.isnan(seen.outcome.disagreement_deg):
-            self.is_disagreeing = seen.outcome.disagreement_deg > 0.0
-        return row
+    def lease_holders(self, now_us: int) -> int:
+        """Return how many processes have stored lately."""
+        is_shared = self._foreign_us is not None and now_us - self._foreign_us < _FOREIGN_US
+        return 2 if is_shared else 1
 
-    def row_facts(self, row: AttitudeRow) -> RowFacts:
-        """Return what the interlock must know of a row."""
-        facts = facts_of_row(row, self.period_s, is_innovation_in_band=_OUT_OF_BAND not in row.inhibitions)
-        if self.run is None:
-            return facts
-        return replace(facts, inhibitions=tuple(reason for reason in facts.inhibitions if reason != _OWN_TURN))
+    def command(self, counter: int) -> Command:
+        """Return a command as it is stored; NotFoundError ``command.unknown``."""
+        return command_of(self.state, counter) or self._releases.command(self._spacecraft_id, counter)
 
+    def handle(self, event: Event) -> Step:
+        """Judge an event, store what follows, apply its effects, and return the step.
 
-class Stepper(Protocol):
-    """Judges and stores an event of a spacecraft."""
+        StorageError ``release.busy`` where another process keeps storing, and those of the storage: nothing holds then.
+        """
+        with self.lock:
+            for _ in range(_ATTEMPTS):
+                step = self._judged(event)
+                is_ordered = isinstance(event, PERSONAL) and step.refusal is None
+                with nullcontext() if is_ordered else apart_from_request():
+                    try:
+                        self._store(step, event.at)
+                    except ConflictError as error:
+                        if error.code != "release.changed":
+                            raise
+                        self.state, self._version = self._loaded(event.at)
+                        continue
+                    self._publisher.publish(self._spacecraft_id, step.effects, event.at)
+                    return step
+            raise StorageError(
+                "release.busy", f"another process changes the release of {self._spacecraft_id} too; try again"
+            )
 
-    def __call__(
-        self, release: SpacecraftRelease, spacecraft: Spacecraft, event: Event, annex: Annex | None = None
-    ) -> Step:
-        """Return what the event has led to."""
-        ...
+    def _judged(self, event: Event) -> Step:
+        """Return the step of an event; a lease that is held twice counts first."""
+        before, now_us = self.state, event.at.now_us
+        effects: tuple[ReleaseEffect, ...] = ()
+        if self.lease_holders(now_us) > before.interlock.inputs.lease_holders:
+            shared = InputsChanged(event.at, replace(before.interlock.inputs, lease_holders=2))
+            first = advance(before, shared, self._settings)
+            before, effects = first.state, first.effects
+            if isinstance(event, InputsChanged):
+                event = InputsChanged(event.at, replace(event.inputs, lease_holders=2))
+        step = advance(before, event, self._settings)
+        return replace(step, effects=(*effects, *step.effects))
+
+    def _store(self, step: Step, at: Instant) -> None:
+        """Store what a step must not lose, in one transaction; only then does the state hold."""
+        known = {command.counter: command for command in self.state.commands}
+        commands = tuple(each for each in step.state.commands if known.get(each.counter) != each)
+        entries = tuple(self._numbered(each.entry, at) for each in step.effects if isinstance(each, Journal))
+        products = tuple(each.product for each in step.effects if isinstance(each, Uplink))
+        is_same = essence(self.state) == essence(step.state)
+        if not is_same or products or entries or self._is_due(step.state):
+            change = ReleaseChange(document_of(step.state), self._holder, commands, products, entries)
+            self._version = self._releases.save(self._spacecraft_id, self._version, change)
+            self._stored_s = time.monotonic()
+        self.state = step.state
+
+    def _numbered(
+        self, entry: ReleasedCommand | ReportedCommand | InterlockHold, at: Instant
+    ) -> ReleasedCommand | ReportedCommand | InterlockHold:
+        """Return a journal entry with the version that it is stored with."""
+        if not isinstance(entry, InterlockHold):
+            return entry
+        # no row whose results are stored is later than the trip, also not one from a clock that is ahead
+        return replace(entry, at_us=max(at.now_us, self.stored_us), version=self._version + 1)
+
+    def _is_due(self, state: ReleaseState) -> bool:
+        """Whether a state that somebody relies on was stored long ago."""
+        is_relied_on = state.interlock.is_armed or bool(state.interlock.trips) or bool(state.commands)
+        return is_relied_on and time.monotonic() - self._stored_s > _HEARTBEAT_S
+
+    def _loaded(self, at: Instant | None = None) -> tuple[ReleaseState, int]:
+        """Return the stored state and its version, at an instant at which somebody else has changed it."""
+        stored = self._releases.stored(self._spacecraft_id)
+        if at is not None and stored.holder != self._holder:
+            self._foreign_us = at.now_us
+        try:
+            state = state_of(stored.document, partial(self._releases.command, self._spacecraft_id))
+        except (ValueError, NotFoundError) as error:
+            raise StorageError("release.unreadable", f"{self._spacecraft_id}: {error}") from error
+        return restored(state), stored.version

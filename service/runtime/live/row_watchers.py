@@ -5,7 +5,7 @@ from contextlib import AbstractContextManager
 from typing import Protocol
 
 from service.pipeline.alarms.readings import RowFacts
-from service.pipeline.control.release.row_facts import SeenRow
+from service.pipeline.control.release.events import StoredRow
 from service.records.inputs import AttitudeReference
 
 #: what alarms look at
@@ -23,7 +23,7 @@ class Watcher(Protocol):
 class ReleaseWatcher(Protocol):
     """Looks at what control may follow from, after it was stored."""
 
-    def see(self, spacecraft_id: str, seen: Sequence[SeenRow], *, has_inputs: bool = False) -> None:
+    def see(self, spacecraft_id: str, seen: Sequence[StoredRow], *, has_inputs: bool = False) -> None:
         """Take over what was computed, and whether inputs other than rows came in; nothing is raised."""
         ...
 

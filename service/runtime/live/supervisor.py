@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from service.errors import NotFoundError, StorageError
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
-from service.pipeline.control.release.row_facts import SeenRow
+from service.pipeline.control.release.events import StoredRow
 from service.ports import LIVE, Outcome, Storage
 from service.records.inputs import AlignmentSet, AttitudeReference, CalibrationActivation
 from service.records.journal import JournalEntry
@@ -77,7 +77,7 @@ class _Step:
 
     outcomes: list[Outcome] = field(default_factory=list)
     seen: list[Seen] = field(default_factory=list)
-    released: list[SeenRow] = field(default_factory=list)
+    released: list[StoredRow] = field(default_factory=list)
 
     @property
     def has_applied(self) -> bool:
@@ -293,7 +293,7 @@ class Supervisor:
             if self._watcher is not None:
                 step.seen += _seen(chain, entry, told)
             if told and isinstance(entry.content, Measurement):
-                step.released += (SeenRow(outcome, chain.command_evidence()) for outcome in told)
+                step.released += (StoredRow(outcome, chain.command_evidence()) for outcome in told)
             if step.has_applied:
                 return entries[place:]
         return []

@@ -57,7 +57,7 @@ from service.records.levels.measurement import CarrierDetails, Measurement, Meas
 from service.records.operations.job import Replay
 from service.runtime.alarms.alarm_service import AlarmService
 from service.runtime.alarms.notifications import NoticeChannels
-from service.runtime.control.release_notifications import ReleasePublisher
+from service.runtime.control.release_publisher import ReleasePublisher
 from service.runtime.control.release_service import ReleaseService
 from service.runtime.jobs.alignment_service import Aligner
 from service.runtime.jobs.calibration_job import Calibrator, fitted

@@ -4,6 +4,7 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
+from release_storage import CRAFT
 
 from service.core.control.envelope import Envelope
 from service.core.control.sign_check import SignState
@@ -11,7 +12,6 @@ from service.core.control.slew_schedule import Drive, plan_slew, predicted_effec
 from service.pipeline.control.release.advance import advance, restored
 from service.pipeline.control.release.command_states import CommandTransition
 from service.pipeline.control.release.events import (
-    ActionKind,
     Automatic,
     Confirm,
     Engage,
@@ -20,7 +20,7 @@ from service.pipeline.control.release.events import (
     Order,
     OrderKind,
     Prepare,
-    Proposal,
+    Publish,
     ReleaseState,
     Report,
     ResponseJudged,
@@ -28,9 +28,11 @@ from service.pipeline.control.release.events import (
     SignJudged,
     Step,
     Tick,
+    Uplink,
 )
 from service.pipeline.control.release.interlock import Instant
 from service.pipeline.control.release.interlock_conditions import InterlockInputs, RowFacts
+from service.pipeline.control.release.proposals import proposed
 from service.pipeline.control.release.settings import ReleaseSettings
 from service.records.levels.attitude import Axes
 
@@ -109,10 +111,10 @@ class ReleaseDriver:
         if step.refusal is not None:
             tick = advance(before, Tick(self.at), self.settings)
             assert step.state == tick.state, "an illegal event changed more than time does"
-            assert step.actions == tick.actions, "an illegal event did something"
+            assert step.effects == tick.effects, "an illegal event did something"
             if self.is_bad():
                 self.last_bad_us = self.steady_us
-            self.alarms += [action.detail for action in step.actions if action.kind is ActionKind.ALARM]
+            self.alarms += [each.warning for each in step.effects if isinstance(each, Publish) and each.warning]
             self.state = step.state
             assert step.refusal.code
             assert step.refusal.detail
@@ -131,11 +133,11 @@ class ReleaseDriver:
         # before the event is looked at, and with what it told
         if self.is_bad():
             self.last_bad_us = self.steady_us
-        for action in step.actions:
-            if action.kind is ActionKind.RELEASE:
-                self._judge_release(step.state, action.counter)
-            if action.kind is ActionKind.ALARM:
-                self.alarms.append(action.detail)
+        for effect in step.effects:
+            if isinstance(effect, Uplink):
+                self._judge_release(step.state, effect.product.counter)
+            if isinstance(effect, Publish) and effect.warning:
+                self.alarms.append(effect.warning)
         self.state = step.state
         return step
 
@@ -165,12 +167,12 @@ class ReleaseDriver:
         assert not self.is_tripped, "released after a trip"
         assert self.steady_us - self.last_bad_us >= 600 * US, "released before ten good minutes"
         assert counter not in [each for each, _, _ in self.released], "released twice"
-        proposal = next(each.proposal for each in state.commands if each.counter == counter)
-        gross = np.array(proposal.effect.gross_impulse_n_m_s)
+        command = next(each for each in state.commands if each.counter == counter)
+        gross = np.array(command.gross_impulse_n_m_s)
         assert (gross <= 0.02 + 1e-12).all(), "beyond the impulse of a command"
-        assert max(map(abs, proposal.effect.peak_angle_deg)) <= 0.1 + 1e-9
-        assert max(map(abs, proposal.effect.peak_rate_deg_s)) <= 3e-4 + 1e-12
-        self.released.append((counter, self.now_us, proposal.effect))
+        assert max(map(abs, command.peak_angle_deg)) <= 0.1 + 1e-9
+        assert max(map(abs, command.peak_rate_deg_s)) <= 3e-4 + 1e-12
+        self.released.append((counter, self.now_us, command))
         hour = [np.array(e.gross_impulse_n_m_s) for _, t, e in self.released if self.now_us - t < 3600 * US]
         assert (np.sum(hour, axis=0) <= 0.1 + 1e-9).all(), "beyond the impulse of an hour"
 
@@ -180,7 +182,7 @@ class ReleaseDriver:
         """Return a slew computed from the newest row, to begin in eleven minutes."""
         pulses, effect = slew(yaw_deg, roll_deg, pitch_deg, horizon_s)
         epoch_us = self.row.epoch_us if self.row else self.now_us
-        return Proposal(epoch_us, self.now_us + 660 * US, pulses, effect, "accept")
+        return proposed(CRAFT, epoch_us, self.now_us + 660 * US, pulses, effect, None, reason="test")
 
     def rows(self, count: int, row: RowFacts = GOOD, lag_s: float = 10.0) -> None:
         """Let rows come, one a minute."""
@@ -208,7 +210,7 @@ class ReleaseDriver:
     def automatic(self, *, is_reported: bool = True, **request: float) -> Step:
         """Let the law send; the centre reports at once."""
         step = self.send(Automatic(self.at, self.proposal(**request)))
-        if is_reported and any(action.kind is ActionKind.RELEASE for action in step.actions):
+        if is_reported and any(isinstance(effect, Uplink) for effect in step.effects):
             self.send(Report(self.at, self.state.commands[-1].counter, CommandTransition.EXECUTED))
         return step
 

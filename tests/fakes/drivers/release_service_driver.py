@@ -9,15 +9,14 @@ from release_storage import SC, FakeArchive, KilledError
 from service.core.control.sign_check import SignState
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.release.control_verdict import control_verdict
-from service.pipeline.control.release.events import OrderKind, SignJudged
-from service.pipeline.control.release.row_facts import SeenRow
+from service.pipeline.control.release.events import OrderKind, SignJudged, StoredRow
 from service.pipeline.control.release.settings import ReleaseSettings
 from service.ports import Outcome
 from service.records.catalogue import Method
 from service.records.inputs import TelemetryRecord
 from service.records.levels.attitude import AttitudeRow, Axes, Status
-from service.records.operations.release import CommandRequest, CommandView, ControlVerdict, ControlView
-from service.runtime.control.release_notifications import ReleasePublisher
+from service.records.operations.release import Command, CommandRequest, ControlVerdict, ControlView
+from service.runtime.control.release_publisher import ReleasePublisher
 from service.runtime.control.release_service import ReleaseService
 from service.runtime.live.live_feed import LiveFeed
 
@@ -74,7 +73,7 @@ class ReleaseServiceDriver:
         self.row: AttitudeRow | None = None
         self.notified: list[str] = []
         #: instant and command of each release that was stored
-        self.released: list[tuple[int, CommandView]] = []
+        self.released: list[tuple[int, Command]] = []
         #: by the steady clock, as the ten good minutes are
         self.last_bad_us = self.clock.steady
         self.start()
@@ -133,7 +132,7 @@ class ReleaseServiceDriver:
         """Hand the newest row over, beside those of other methods."""
         self.note()
         outcome = Outcome((self.row, *others), None if applied is None else applied.command, applied)
-        self.service.see(SC, [SeenRow(outcome, evidence)])
+        self.service.see(SC, [StoredRow(outcome, evidence)])
         self.judge()
 
     def tell(self, **facts: object) -> None:
@@ -152,19 +151,17 @@ class ReleaseServiceDriver:
     def order(self, kind: OrderKind, by: str = "ann") -> ControlView:
         return self.service.order(SC, kind, by)
 
-    def prepare(self, by: str = "ann", **wish: object) -> CommandView:
+    def prepare(self, by: str = "ann", **wish: object) -> Command:
         return self.service.prepare(SC, by, CommandRequest("test", **wish))
 
-    def confirm(
-        self, command: CommandView, by: str = "bob", *, is_approver: bool = True, digest: str = ""
-    ) -> CommandView:
+    def confirm(self, command: Command, by: str = "bob", *, is_approver: bool = True, digest: str = "") -> Command:
         self.note()
         try:
             return self.service.confirm(SC, command.counter, by, digest or command.digest, is_approver=is_approver)
         finally:
             self.judge()
 
-    def report(self, counter: int, turn: str = "executed", **told: object) -> CommandView:
+    def report(self, counter: int, turn: str = "executed", **told: object) -> Command:
         return self.service.report(SC, counter, turn, by="centre", **told)
 
     def engage(self, by: str, hours: float = 6.0, *, is_approver: bool = True) -> ControlView:
@@ -173,10 +170,10 @@ class ReleaseServiceDriver:
 
     def prove(self, *axes: str) -> None:
         """Let sign checks have proven some axes."""
-        release = self.service._release(SC)
+        context = self.service._context(SC)
         for axis in axes:
-            at = self.service._instant(release, SC)
-            release.case.step(SignJudged(at, axis, SignState.PLUS), self.settings)
+            at = self.service._instant(context, SC)
+            context.release.handle(SignJudged(at, axis, SignState.PLUS))
 
     def armed(self) -> "ReleaseServiceDriver":
         self.rows(12)
@@ -192,7 +189,7 @@ class ReleaseServiceDriver:
         assert self.state == "ENGAGED"
         return self
 
-    def sent(self) -> CommandView:
+    def sent(self) -> Command:
         """Bring a command out by two persons."""
         return self.confirm(self.prepare())
 

@@ -56,7 +56,7 @@ class FakeReleases:
             key = product.form, product.counter
             assert key not in self.products, "an uplink product was made twice"
             self.products[key] = product
-        self.told += change.told
+        self.told += change.entries
         self.stored_release = StoredRelease(version + 1, change.document, change.holder)
         self.saves += 1
         if kill == "after":

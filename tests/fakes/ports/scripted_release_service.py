@@ -4,18 +4,19 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from service.errors import SooError
-from service.pipeline.control.release.control_reasons import reason_of
+from service.pipeline.control.release.control_verdict import reason_of
 from service.records.levels.attitude import Axes
 from service.records.levels.command import Pulse
 from service.records.operations.release import (
     CheckView,
+    Command,
     CommandRequest,
-    CommandView,
+    CommandState,
     ControlView,
     EnvelopeLimits,
     ProductForm,
     Purpose,
-    SignCheckView,
+    SignCheck,
     UplinkProduct,
 )
 
@@ -44,11 +45,11 @@ CONTROL = ControlView(
     open_commands=(7,),
     unreported_commands=(),
     sent_impulse_n_m_s=Axes(0.0, 0.016, 0.0),
-    sign_check=SignCheckView("roll", "plus", AT_US, "Anna", AT_US + 2700 * S, 2, 2, Axes(0.0, -12.0, -40.0)),
+    sign_check=SignCheck("roll", "plus", AT_US, "Anna", AT_US + 2700 * S, 2, 2, Axes(0.0, -12.0, -40.0)),
 )
-COMMAND = CommandView(
+COMMAND = Command(
     counter=7,
-    state="PREPARED",
+    state=CommandState.PREPARED,
     digest="ab" * 32,
     purpose=Purpose.CONTROL,
     is_automatic=False,
@@ -90,7 +91,7 @@ class ScriptedReleaseService:
 
     error: SooError | None = None
     asked: list[tuple[Any, ...]] = field(default_factory=list)
-    command_view: CommandView = COMMAND
+    command_view: Command = COMMAND
     control_view: ControlView = CONTROL
 
     def _answer(self, *asked: Any) -> None:
@@ -110,27 +111,27 @@ class ScriptedReleaseService:
         self._answer("engage", spacecraft_id, by, terms)
         return self.control_view
 
-    def prepare(self, spacecraft_id: str, by: str, request: CommandRequest, *, dry_run: bool = False) -> CommandView:
+    def prepare(self, spacecraft_id: str, by: str, request: CommandRequest, *, dry_run: bool = False) -> Command:
         self._answer("prepare", spacecraft_id, by, request, dry_run)
         return replace(self.command_view, is_dry_run=dry_run)
 
-    def confirm(self, spacecraft_id: str, counter: int, by: str, digest: str, **said: Any) -> CommandView:
+    def confirm(self, spacecraft_id: str, counter: int, by: str, digest: str, **said: Any) -> Command:
         self._answer("confirm", spacecraft_id, counter, by, digest, said)
-        return replace(self.command_view, state="RELEASED", confirmed_by=by, released_us=AT_US)
+        return replace(self.command_view, state=CommandState.RELEASED, confirmed_by=by, released_us=AT_US)
 
-    def cancel(self, spacecraft_id: str, counter: int, by: str) -> CommandView:
+    def cancel(self, spacecraft_id: str, counter: int, by: str) -> Command:
         self._answer("cancel", spacecraft_id, counter, by)
-        return replace(self.command_view, state="CANCELLED")
+        return replace(self.command_view, state=CommandState.CANCELLED)
 
-    def report(self, spacecraft_id: str, counter: int, turn: str, **told: Any) -> CommandView:
+    def report(self, spacecraft_id: str, counter: int, turn: str, **told: Any) -> Command:
         self._answer("report", spacecraft_id, counter, turn, told)
-        return replace(self.command_view, state=turn.upper())
+        return replace(self.command_view, state=CommandState[turn.upper()])
 
-    def command(self, spacecraft_id: str, counter: int) -> CommandView:
+    def command(self, spacecraft_id: str, counter: int) -> Command:
         self._answer("command", spacecraft_id, counter)
         return self.command_view
 
-    def commands(self, spacecraft_id: str, *page: Any) -> list[CommandView]:
+    def commands(self, spacecraft_id: str, *page: Any) -> list[Command]:
         self._answer("commands", spacecraft_id, *page)
         later = replace(self.command_view, counter=8, prepared_us=AT_US + S)
         places = [(each.prepared_us, each.counter) for each in (self.command_view, later)]

@@ -1,16 +1,20 @@
 """The sign check against the plant: a wheel whose sign is wrong is found before a tenth of a degree is lost."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from service.core.control.sign_check import SignState
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.control_design import control_design
-from service.pipeline.control.release.settings import ReleaseSettings
+from service.pipeline.control.release.proposals import schedule_of
+from service.pipeline.control.release.sign_checks import RUNNING, is_leg_due
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import Axes
 from service.records.levels.command import Pulse
-from service.runtime.control.sign_check_run import SignCheckRun
+from service.records.operations.release import SignCheck
+from service.runtime.control.sign_check_rows import SignCheckRows
 from service.study.closed_loop.controllers import LEAD_S, Sensing
 from service.study.closed_loop.ground_knowledge import ground_of
 from service.study.closed_loop.plant_process import PlantProcess, PlantRow
@@ -34,7 +38,8 @@ class CheckedCraft:
         self.journal = GroundJournal(ground, documents, plan.plan_id)
         self.plant, self.axis = plant, axis
         self.design = control_design(ground.spacecraft, TorqueConfig())
-        self.check: SignCheckRun | None = None
+        self.check = SignCheck(axis, RUNNING, 0, "test", 0, 0, 0)
+        self.rows: SignCheckRows | None = None
         self.sent: dict[int, tuple[Pulse, ...]] = {}
 
     def take(self, row: PlantRow) -> SignState:
@@ -43,35 +48,26 @@ class CheckedCraft:
         self.controller.chain.step(self.journal.measurement(row))
         runner = self.controller.chain._runners[0]
         epoch_us = row.truth.epoch_us
-        if self.check is None:
-            inertia = self.design.gains.inertia_kg_m2
+        if self.rows is None:
             attitude = runner._last[0].row.attitude_deg
-            settings = ReleaseSettings()
-            self.check = SignCheckRun(self.axis, "test", epoch_us, Axes(*attitude), inertia, True, settings)
-        self.check.see(epoch_us, runner._model.filter, runner._last[0].deviation_db)
+            self.rows = SignCheckRows(Axes(*attitude), self.design.gains.inertia_kg_m2, has_coupling=True)
+        self.rows.append(epoch_us, runner._model.filter, runner._last[0].deviation_db)
         for report in row.reports:
             if report.state == "executed":
-                self.check.done.append(self.sent[report.counter])
-                self.check.pending = None
+                flown = (*self.check.flown, self.sent[report.counter])
+                self.check = replace(self.check, leg=None, flown=flown, legs_done=len(flown))
         self.plant.send(*self._leg(epoch_us + round(LEAD_S * US_PER_S)))
-        decision = self.check.decision()
+        decision = self.rows.decision(self.check)
         return SignState.OPEN if decision is None else decision.verdict
 
     def _leg(self, start_us: int) -> tuple[tuple[Pulse, ...], int | None]:
         """Return the next leg and its counter; nothing where none is due."""
-        if not self.check.is_leg_due(start_us):
+        if not is_leg_due(self.check, start_us):
             return (), None
-        pulses = tuple(
-            Pulse(
-                start_us + round(pulse.start_s * US_PER_S),
-                pulse.duration_s,
-                Axes(*(pulse.torque_n_m if axis == pulse.axis else 0.0 for axis in range(3))),
-            )
-            for pulse in self.check.leg(self.design.drive)
-        )
+        pulses = schedule_of(self.rows.leg(self.check, self.design.drive), start_us)
         counter = len(self.sent) + 1
         self.sent[counter] = pulses
-        self.check.pending, self.check.pending_us = counter, start_us
+        self.check = replace(self.check, leg=counter, leg_start_us=start_us)
         return pulses, counter
 
 

@@ -1,62 +1,59 @@
-"""The one function that steps interlock and commands: state and event in, state, actions and refusal out.
+"""The one function that steps interlock, commands and sign check: state and event in, state, effects and refusal out.
 
 Law of this file: an event is judged against the state as it is at the event's instant; where it is refused
-nothing happens but what a tick at that instant does, so a trip found then is kept. No clock is read here.
+nothing happens but what a tick at that instant does, so a trip found then is kept. No clock is read here. Effects
+follow from the change of the state, so what a state does not show is not given out.
 """
 
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any
 
-import numpy as np
-
-from service.core.control.sign_check import SignState
-from service.core.control.slew_schedule import Triple, triple_of
 from service.pipeline.control.release.command_states import OPEN, UNREPORTED, CommandTransition, next_state
 from service.pipeline.control.release.command_transitions import (
     applied,
     automatic,
     cancel,
+    command_effects,
     confirm,
     prepare,
     refused,
     report,
 )
 from service.pipeline.control.release.events import (
-    Action,
-    ActionKind,
+    AnglesFit,
     Applied,
+    Audit,
     Automatic,
+    BeginSignCheck,
     Cancel,
-    CommandRecord,
     Confirm,
     Engage,
     Event,
     InputsChanged,
+    Journal,
     Order,
     OrderKind,
     Prepare,
+    PrepareLeg,
+    Publish,
+    ReleaseEffect,
     ReleaseState,
     Report,
     ResponseJudged,
     RowSeen,
     SignJudged,
     Step,
-    Tick,
+    Uplink,
 )
-from service.pipeline.control.release.interlock import (
-    Instant,
-    Interlock,
-    Request,
-    Terms,
-    fire,
-    settle,
-    tripped,
-)
+from service.pipeline.control.release.interlock import Instant, Interlock, Request, Terms, fire, settle, tripped
 from service.pipeline.control.release.interlock_conditions import ALARMED, Condition, RowFacts
 from service.pipeline.control.release.interlock_states import REFUSALS, State, Trigger, rows_of
 from service.pipeline.control.release.release_checks import unreported_of
 from service.pipeline.control.release.settings import ReleaseSettings, microseconds
+from service.pipeline.control.release.sign_checks import begin, followed, interrupted, judge, prepare_leg
 from service.records.epoch import US_PER_S
+from service.records.operations.release import Command, InterlockHold
 
 _HOUR_US = 3600 * US_PER_S
 _TRIGGERS = {
@@ -82,14 +79,14 @@ def advance(state: ReleaseState, event: Event, settings: ReleaseSettings) -> Ste
     Returns
     -------
     Step
-        State, what the world must do, and a refusal with a code where the event was illegal; then state and actions
-        are those of a `Tick` at the same instant.
+        State, effects, and a refusal with a code where the event was illegal; then state and effects are those of a
+        `Tick` at the same instant.
     """
     settled = settled_at(state, event.at, settings)
     step = _handled(settled, event, settings)
     # a refused step holds the settled state: time passes all the same, and what it brings to light is kept
     after = settled_at(step.state, event.at, settings)
-    return Step(after, (*step.actions, *_changes(state, after)), step.refusal)
+    return Step(after, (*step.effects, *effects_of(state, after, event.at)), step.refusal)
 
 
 def settled_at(state: ReleaseState, at: Instant, settings: ReleaseSettings) -> ReleaseState:
@@ -99,7 +96,7 @@ def settled_at(state: ReleaseState, at: Instant, settings: ReleaseSettings) -> R
     commands = tuple(_aged(command, at, is_tripped=is_tripped) for command in state.commands)
     kept = tuple(command for command in commands if _is_kept(command, at))
     sent = tuple(each for each in state.sent if at.now_us - each.at_us < _HOUR_US)
-    return replace(state, interlock=interlock, commands=kept, sent=sent)
+    return followed(replace(state, interlock=interlock, commands=kept, sent=sent), settings)
 
 
 def restored(state: ReleaseState) -> ReleaseState:
@@ -114,66 +111,40 @@ def restored(state: ReleaseState) -> ReleaseState:
     trips = {condition.word for condition in interlock.trips}
     since = tuple(each for each in interlock.since if each[0] in trips)
     forgotten = replace(interlock, row=None, good_since_us=None, clock=clock, request=None, since=since)
-    return replace(state, interlock=replace(forgotten, state=inhibited))
-
-
-class Uncertainty(NamedTuple):
-    """What may have been done and is not told, one sigma."""
-
-    angle_deg: Triple
-    rate_deg_s: Triple
-
-
-def uncertainty_of(state: ReleaseState) -> Uncertainty:
-    """Return what unreported commands may have done: their whole effect, at its greatest."""
-    angle, rate = np.zeros(3), np.zeros(3)
-    for command in state.commands:
-        if command.life in UNREPORTED and not command.proposal.is_sign_check:
-            effect = command.proposal.effect
-            angle += np.maximum(np.abs(effect.angle_change_deg), np.abs(effect.peak_angle_deg))
-            rate += np.maximum(np.abs(effect.rate_change_deg_s), np.abs(effect.peak_rate_deg_s))
-    return Uncertainty(triple_of(angle), triple_of(rate))
+    check = interrupted(state.sign_check)
+    return replace(state, interlock=replace(forgotten, state=inhibited), sign_check=check)
 
 
 def _handled(state: ReleaseState, event: Event, settings: ReleaseSettings) -> Step:
     """Return the step of an event on a settled state."""
-    match event:
-        case Prepare():
-            return prepare(state, event, settings)
-        case Confirm():
-            return confirm(state, event, settings)
-        case Automatic():
-            return automatic(state, event, settings)
-        case Applied():
-            return applied(state, event, settings)
-        case Cancel():
-            return cancel(state, event)
-        case Report():
-            return report(state, event)
-        case Order() | Engage():
-            return _ordered(state, event, settings)
-        case _:
-            return Step(replace(state, interlock=_informed(state.interlock, event, settings)))
+    handler = _HANDLERS.get(type(event))
+    return handler(state, event, settings) if handler else Step(state)
 
 
-def _informed(
-    interlock: Interlock, event: Tick | RowSeen | InputsChanged | ResponseJudged | SignJudged, settings: ReleaseSettings
+def _informed(state: ReleaseState, event: RowSeen | InputsChanged | ResponseJudged, settings: ReleaseSettings) -> Step:
+    """Return the state whose interlock has the news of an event."""
+    return Step(replace(state, interlock=_with_news(state.interlock, event, settings)))
+
+
+def _given(state: ReleaseState, event: AnglesFit, _settings: ReleaseSettings) -> Step:
+    """Return the step that gives angles out; the state stays."""
+    return Step(state, (Uplink(event.product),))
+
+
+def _with_news(
+    interlock: Interlock, event: RowSeen | InputsChanged | ResponseJudged, settings: ReleaseSettings
 ) -> Interlock:
-    """Return the interlock with what an event tells."""
+    """Return the interlock with the news of an event."""
     match event:
         case RowSeen():
             return _with_row(interlock, event, settings)
         case InputsChanged():
-            is_other_craft = event.inputs.spacecraft_version != interlock.inputs.spacecraft_version
-            proven = () if is_other_craft else interlock.proven_axes
+            is_other_spacecraft = event.inputs.spacecraft_version != interlock.inputs.spacecraft_version
+            proven = () if is_other_spacecraft else interlock.proven_axes
             return replace(interlock, inputs=event.inputs, proven_axes=proven)
         case ResponseJudged():
             is_missed = not event.log_ratio <= settings.missed_log_ratio
             return tripped(interlock, Condition.RESPONSE_MISSED, event.at, settings) if is_missed else interlock
-        case SignJudged():
-            return _with_sign(interlock, event, settings)
-        case Tick():
-            return interlock
 
 
 def _with_row(interlock: Interlock, event: RowSeen, settings: ReleaseSettings) -> Interlock:
@@ -185,16 +156,6 @@ def _with_row(interlock: Interlock, event: RowSeen, settings: ReleaseSettings) -
     since_us = _since(interlock.durations.innovation_since_us, event.at.now_us, is_so=not row.is_innovation_in_band)
     durations = replace(interlock.durations, innovation_since_us=since_us)
     return replace(interlock, row=replace(row, is_after_gap=is_after_gap), durations=durations)
-
-
-def _with_sign(interlock: Interlock, event: SignJudged, settings: ReleaseSettings) -> Interlock:
-    """Return the interlock with the result of a sign check; an axis that answers wrongly or not at all trips."""
-    others = tuple(axis for axis in interlock.proven_axes if axis != event.axis)
-    if event.verdict is SignState.PLUS:
-        return replace(interlock, proven_axes=(*others, event.axis))
-    if event.verdict in (SignState.MINUS, SignState.NOTHING):
-        return tripped(replace(interlock, proven_axes=others), Condition.RESPONSE_MISSED, event.at, settings)
-    return interlock
 
 
 def _ordered(state: ReleaseState, event: Order | Engage, settings: ReleaseSettings) -> Step:
@@ -240,24 +201,22 @@ def _engage_problem(interlock: Interlock, event: Engage, settings: ReleaseSettin
     return None
 
 
-def _aged(command: CommandRecord, at: Instant, *, is_tripped: bool) -> CommandRecord:
+def _aged(command: Command, at: Instant, *, is_tripped: bool) -> Command:
     """Return a command at an instant: an open one ends by a trip or by its time."""
-    if command.life not in OPEN:
+    if command.state not in OPEN or (not is_tripped and at.now_us < command.expires_us):
         return command
-    if not is_tripped and at.now_us < command.expires_us:
-        return command
-    ended = next_state(command.life, CommandTransition.REJECT if is_tripped else CommandTransition.EXPIRE)
-    return command if ended is None else replace(command, life=ended)
+    ended = next_state(command.state, CommandTransition.REJECT if is_tripped else CommandTransition.EXPIRE)
+    return command if ended is None else replace(command, state=ended)
 
 
-def _is_kept(command: CommandRecord, at: Instant) -> bool:
+def _is_kept(command: Command, at: Instant) -> bool:
     """Whether a command may still be asked for: it is alive, or ended less than an hour ago."""
-    if command.life in OPEN or command.life in UNREPORTED:
+    if command.state in OPEN or command.state in UNREPORTED:
         return True
     newest_us = max(command.prepared_us, command.released_us or 0, command.reported_us or 0)
     if command.executed:
         # a later command may leave out its end
-        newest_us = max(newest_us, command.proposal.stop_us)
+        newest_us = max(newest_us, command.stop_us)
     return at.now_us - newest_us < _HOUR_US
 
 
@@ -272,13 +231,46 @@ def _since(before_us: int | None, now_us: int, *, is_so: bool) -> int | None:
     return now_us if before_us is None else before_us
 
 
-def _changes(before: ReleaseState, after: ReleaseState) -> tuple[Action, ...]:
-    """Return what a change of the interlock tells the world."""
+def effects_of(before: ReleaseState, after: ReleaseState, at: Instant) -> Iterator[ReleaseEffect]:
+    """Yield the effects of a change of the state: of its commands, of its interlock, and of what listeners see."""
+    known = {command.counter: command for command in before.commands}
+    for command in after.commands:
+        yield from command_effects(known.get(command.counter), command)
     old, new = before.interlock, after.interlock
-    actions = []
+    if new.is_withholding is not old.is_withholding:
+        yield Journal(InterlockHold(at.now_us, new.state.name, new.reasons, new.is_withholding, 0))
     if new.state is not old.state:
-        actions.append(Action(ActionKind.STATE, new.state.name))
+        yield Audit(f"interlock_{new.state.name.lower()}", "control")
     alarms = [condition for condition in new.standing if condition in ALARMED and condition not in old.standing]
     alarms += [condition for condition in new.trips if condition not in old.trips]
-    actions += [Action(ActionKind.ALARM, condition.word) for condition in alarms]
-    return tuple(actions)
+    yield from (Publish(condition.word) for condition in alarms)
+    if _shown(before) != _shown(after):
+        yield Publish()
+
+
+def _shown(state: ReleaseState) -> tuple[object, ...]:
+    """Return the part of a state whose change listeners are notified of."""
+    interlock, check = state.interlock, state.sign_check
+    states = tuple((command.counter, command.state) for command in state.commands)
+    shown = None if check is None else replace(check, log_ratio=None)
+    return interlock.state, interlock.reasons, interlock.authorisation, states, shown
+
+
+#: a tick does nothing but let time pass
+_HANDLERS: dict[type, Callable[[ReleaseState, Any, ReleaseSettings], Step]] = {
+    RowSeen: _informed,
+    InputsChanged: _informed,
+    ResponseJudged: _informed,
+    Prepare: prepare,
+    Confirm: confirm,
+    Cancel: cancel,
+    Report: report,
+    Automatic: automatic,
+    Applied: applied,
+    AnglesFit: _given,
+    BeginSignCheck: begin,
+    PrepareLeg: prepare_leg,
+    SignJudged: judge,
+    Order: _ordered,
+    Engage: _ordered,
+}

@@ -5,19 +5,19 @@ Law of this file: only changes in `COMMAND_TRANSITIONS` happen; a released comma
 
 from enum import Enum
 
+from service.records.operations.release import CommandState
 
-class CommandState(Enum):
-    """Where a command stands."""
-
-    PREPARED = "computed and checked, waiting for another person"
-    CONFIRMED = "confirmed, about to be released"
-    RELEASED = "given out for uplink; its effect is uncertain until it is reported"
-    SENT = "the centre reports that it was uplinked"
-    EXECUTED = "reported executed: known input of the filter"
-    FAILED = "reported not executed, or in part"
-    EXPIRED = "not confirmed in time"
-    CANCELLED = "taken back before its release"
-    REJECTED = "a trip came before its release"
+MEANINGS = {
+    CommandState.PREPARED: "computed and checked, waiting for another person",
+    CommandState.CONFIRMED: "confirmed, about to be released",
+    CommandState.RELEASED: "given out for uplink; its effect is uncertain until it is reported",
+    CommandState.SENT: "the centre reports that it was uplinked",
+    CommandState.EXECUTED: "reported executed: known input of the filter",
+    CommandState.FAILED: "reported not executed, or in part",
+    CommandState.EXPIRED: "not confirmed in time",
+    CommandState.CANCELLED: "taken back before its release",
+    CommandState.REJECTED: "a trip came before its release",
+}
 
 
 class CommandTransition(Enum):

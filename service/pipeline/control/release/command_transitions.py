@@ -1,29 +1,31 @@
 """Commands: prepared, confirmed, released, reported.
 
 Law of this file: every function gets a settled state, and returns a step whose refusal means that nothing changed. The
-torque of a sign check is not told to the filter; its actions say so, the rest of its life is that of any command.
+effects of a release and of a report follow from the change of the record alone.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 from service.core.control.envelope import envelope_excesses
-from service.core.control.slew_schedule import AxisPulse
-from service.pipeline.control.release.command_states import OPEN, REPORTS, CommandState, CommandTransition, next_state
+from service.core.control.slew_schedule import Triple
+from service.pipeline.control.release.command_states import OPEN, REPORTS, CommandTransition, next_state
 from service.pipeline.control.release.events import (
-    Action,
-    ActionKind,
     Applied,
+    Audit,
     Automatic,
     Cancel,
-    CommandRecord,
     Confirm,
+    Journal,
     Prepare,
-    Proposal,
+    Publish,
     Refusal,
+    ReleaseEffect,
     ReleaseState,
     Report,
     SentImpulse,
     Step,
+    Uplink,
     digest_of,
 )
 from service.pipeline.control.release.interlock import Instant, tripped
@@ -32,6 +34,8 @@ from service.pipeline.control.release.interlock_states import State
 from service.pipeline.control.release.release_checks import first_failure, release_checks, sent_within_an_hour
 from service.pipeline.control.release.settings import ReleaseSettings, microseconds
 from service.records.epoch import US_PER_S
+from service.records.levels.command import Pulse, ReleasedCommand, ReportedCommand
+from service.records.operations.release import Command, CommandState, ProductForm, UplinkProduct
 
 #: who stands behind a command that nobody confirmed by hand
 AUTHORISATION = "authorisation"
@@ -39,14 +43,13 @@ AUTHORISATION = "authorisation"
 
 def prepare(state: ReleaseState, event: Prepare, settings: ReleaseSettings) -> Step:
     """Return the state with a prepared command."""
-    waiting = [command.counter for command in state.commands if command.life in OPEN]
+    waiting = [command.counter for command in state.commands if command.state in OPEN]
     if waiting:
         return refused(state, "command.open", f"command {waiting[0]} waits for its confirmation: confirm or cancel it")
-    refusal = _failure_by_hand(state, event.proposal, event.at, settings)
+    refusal = _failure_by_hand(state, event.command, event.at, settings)
     if refusal is not None:
         return Step(state, (), refusal)
-    command = _new(state, event.proposal, event.by, event.at, settings)
-    return Step(replace(state, commands=(*state.commands, command), next_counter=state.next_counter + 1))
+    return Step(_with_new(state, event.command, event.by, event.at, settings))
 
 
 def confirm(state: ReleaseState, event: Confirm, settings: ReleaseSettings) -> Step:
@@ -54,160 +57,118 @@ def confirm(state: ReleaseState, event: Confirm, settings: ReleaseSettings) -> S
     command = command_of(state, event.counter)
     if command is None:
         return unknown(state, event.counter)
-    refusal = _confirm_refusal(command, event)
-    if refusal is None:
-        refusal = _failure_by_hand(state, command.proposal, event.at, settings)
+    refusal = _confirm_refusal(command, event) or _failure_by_hand(state, command, event.at, settings)
     if refusal is not None:
         return Step(state, (), refusal)
-    confirmed = replace(command, life=_moved(command, CommandTransition.CONFIRM), confirmed_by=event.by)
-    released = replace(confirmed, life=_moved(confirmed, CommandTransition.RELEASE), released_us=event.at.now_us)
-    actions = (
-        Action(ActionKind.RELEASE, "confirmed", command.counter),
-        Action(ActionKind.UNCERTAIN, "until reported", command.counter),
-    )
-    return Step(_with_released(state, released, event.at), actions)
+    return Step(_with_released(state, replace(command, comment=event.comment or command.comment), event.by, event.at))
 
 
 def automatic(state: ReleaseState, event: Automatic, settings: ReleaseSettings) -> Step:
     """Return the state with a command of the law released under the standing authorisation.
 
     A request beyond the envelope of the settings trips: the law does not ask for such things. One beyond the authorised
-    envelope only is refused; it may be prepared and confirmed. What was released waits for its report like any other.
+    envelope only is refused; it may be prepared and confirmed. A released command waits for its report like any other.
     """
-    interlock = state.interlock
+    interlock, wanted = state.interlock, event.command
     if interlock.state in (State.ARMED, State.RECOVERY) or interlock.authorisation is None:
         return refused(state, *_no_authorisation(interlock.state))
-    if event.proposal.attitude_epoch_us <= state.released_epoch_us:
+    if wanted.attitude_epoch_us <= state.released_epoch_us:
         return refused(state, "command.duplicate", "a command from this estimate, or a newer one, has been released")
-    allowed = settings.envelope
-    checks = release_checks(state, event.proposal, event.at, settings, envelope=allowed, waiting_s=0.0)
+    checks = release_checks(state, wanted, event.at, settings, envelope=settings.envelope, waiting_s=0.0)
     failure = first_failure(checks)
     if failure is not None and failure.code == "envelope.exceeded":
         stopped = tripped(interlock, Condition.ENVELOPE, event.at, settings)
-        return Step(replace(state, interlock=stopped), (Action(ActionKind.ALARM, f"envelope: {failure.detail}"),))
+        return Step(replace(state, interlock=stopped), (Publish(f"envelope: {failure.detail}"),))
     allowed = interlock.authorisation.terms.envelope
-    checks = release_checks(state, event.proposal, event.at, settings, envelope=allowed, waiting_s=0.0)
+    checks = release_checks(state, wanted, event.at, settings, envelope=allowed, waiting_s=0.0)
     failure = failure or first_failure(checks)
     if failure is not None:
         return Step(state, (), failure)
-    command = _new(state, event.proposal, AUTHORISATION, event.at, settings)
-    confirmed = replace(
-        command, life=_moved(command, CommandTransition.CONFIRM), confirmed_by=AUTHORISATION, is_automatic=True
-    )
-    released = replace(confirmed, life=_moved(confirmed, CommandTransition.RELEASE), released_us=event.at.now_us)
-    numbered = replace(state, commands=(*state.commands, command), next_counter=state.next_counter + 1)
-    actions = (
-        Action(ActionKind.RELEASE, "authorised", command.counter),
-        Action(ActionKind.UNCERTAIN, "until reported", command.counter),
-    )
-    return Step(_with_released(numbered, released, event.at), actions)
+    numbered = _with_new(state, replace(wanted, is_automatic=True), AUTHORISATION, event.at, settings)
+    return Step(_with_released(numbered, numbered.commands[-1], AUTHORISATION, event.at))
 
 
 def applied(state: ReleaseState, event: Applied, settings: ReleaseSettings) -> Step:
     """Return the state with a computed command that counts as applied without anybody's confirmation.
 
-    It has been told already, so nothing can be refused: one beyond the envelope trips, and none is told any more.
+    It has been published already, so nothing can be refused: one beyond the envelope trips, and the next are withheld.
     """
-    sent = SentImpulse(event.at.now_us, event.effect.gross_impulse_n_m_s)
-    counted = replace(state, sent=(*state.sent, sent))
+    counted = _with_sent(state, event.effect.gross_impulse_n_m_s, event.at)
     excesses = envelope_excesses(event.effect, sent_within_an_hour(state, event.at.now_us), settings.envelope)
     if not excesses:
         return Step(counted)
     stopped = tripped(state.interlock, Condition.ENVELOPE, event.at, settings)
     detail = f"envelope: {'; '.join(map(str, excesses))}"
-    return Step(replace(counted, interlock=stopped), (Action(ActionKind.ALARM, detail),))
+    return Step(replace(counted, interlock=stopped), (Publish(detail),))
 
 
-def _failure_by_hand(state: ReleaseState, proposal: Proposal, at: Instant, settings: ReleaseSettings) -> Refusal | None:
-    """Return why a command that persons look at may not go."""
-    allowed, waiting_s = settings.envelope, settings.prepared_s
-    return first_failure(release_checks(state, proposal, at, settings, envelope=allowed, waiting_s=waiting_s))
-
-
-def _no_authorisation(state: State) -> tuple[str, str]:
-    """Return code and detail where the interlock is not engaged."""
-    if state is State.TRIPPED:
-        return "interlock.tripped", "control tripped: find the cause, reset, arm"
-    return "interlock.not_engaged", "there is no standing authorisation: prepare and confirm the command"
-
-
-def cancel(state: ReleaseState, event: Cancel) -> Step:
+def cancel(state: ReleaseState, event: Cancel, _settings: ReleaseSettings) -> Step:
     """Return the state with a command taken back."""
     command = command_of(state, event.counter)
     if command is None:
         return unknown(state, event.counter)
-    life = next_state(command.life, CommandTransition.CANCEL)
-    if life is None:
+    ended = next_state(command.state, CommandTransition.CANCEL)
+    if ended is None:
         return _illegal(state, command)
-    return Step(with_command(state, replace(command, life=life)))
+    return Step(with_command(state, replace(command, state=ended)))
 
 
-def report(state: ReleaseState, event: Report) -> Step:
+def report(state: ReleaseState, event: Report, _settings: ReleaseSettings) -> Step:
     """Return the state with what became of a command."""
     command = command_of(state, event.counter)
     if command is None:
         return unknown(state, event.counter)
-    life = next_state(command.life, event.turn) if event.turn in REPORTS else None
-    if life is None:
+    moved = next_state(command.state, event.transition) if event.transition in REPORTS else None
+    if moved is None:
         return _illegal(state, command)
-    if event.turn is CommandTransition.SENT:
-        return Step(with_command(state, replace(command, life=life)))
+    if event.transition is CommandTransition.SENT:
+        sent_us = event.at.now_us if event.reported_at_us is None else event.reported_at_us
+        return Step(with_command(state, replace(command, state=moved, sent_us=sent_us)))
     start_us, stop_us = event.executed_from_us, event.executed_until_us
     if start_us is not None and stop_us is not None and stop_us < start_us:
         return refused(state, "report.interval", "the executed part ends before it begins")
-    executed = _reported_part(command.proposal, event)
-    ended = replace(command, life=life, reported_us=event.at.now_us, executed=executed)
-    actions = [Action(ActionKind.CERTAIN, life.name, command.counter)]
-    if executed:
-        actions.append(Action(ActionKind.KNOWN_INPUT, "as reported", command.counter))
-    return Step(_with_replaced(with_command(state, ended)), tuple(actions))
+    ended = replace(
+        command,
+        state=moved,
+        reported_us=event.at.now_us,
+        reported_by=event.by,
+        told_executed_us=(start_us, stop_us),
+        executed=_reported_part(command, event),
+    )
+    return Step(_with_replaced(with_command(state, ended)))
 
 
-def _with_replaced(state: ReleaseState) -> ReleaseState:
-    """Return the state in which nothing was executed of a command after the first pulse of a later one.
-
-    A report may say that all was executed while the end still lies ahead; the craft leaves it out when it begins a
-    command with a greater counter.
-    """
-    begun_us = {
-        command.counter: command.proposal.start_us + round(command.executed[0].start_s * US_PER_S)
-        for command in state.commands
-        if command.executed
-    }
-    commands = []
-    for command in state.commands:
-        later_us = [start_us for counter, start_us in begun_us.items() if counter > command.counter]
-        if later_us and command.executed:
-            left = pulses_between(command.executed, command.proposal.start_us, 0, min(later_us))
-            command = command if left == command.executed else replace(command, executed=left)
-        commands.append(command)
-    return replace(state, commands=tuple(commands))
+def command_effects(before: Command | None, after: Command) -> Iterator[ReleaseEffect]:
+    """Yield the effects of a command's release and report; the filter does not get the torque of a sign check."""
+    if after.released_us is not None and (before is None or before.released_us is None):
+        if not after.is_sign_check:
+            yield Journal(ReleasedCommand(after.counter, after.released_us, after.schedule))
+        yield Uplink(_torque_product(after, after.released_us))
+        if after.is_automatic:
+            yield Audit("release_torque", f"torques/{after.counter}")
+    is_reported = after.reported_us is not None and (before is None or before.reported_us is None)
+    if is_reported and not after.is_sign_check:
+        yield Journal(ReportedCommand(after.counter, after.reported_us or 0, after.executed))
 
 
-def executed_part(proposal: Proposal, from_us: int, until_us: int) -> tuple[AxisPulse, ...]:
+def pulses_between(pulses: tuple[Pulse, ...], from_us: int, until_us: int) -> tuple[Pulse, ...]:
     """Return the pulses of a schedule, or parts of them, that lie between two instants."""
-    return pulses_between(proposal.pulses, proposal.start_us, from_us, until_us)
-
-
-def pulses_between(pulses: tuple[AxisPulse, ...], epoch_us: int, from_us: int, until_us: int) -> tuple[AxisPulse, ...]:
-    """Return the pulses of a schedule that began at an epoch, or parts of them, that lie between two instants."""
-    from_s = (from_us - epoch_us) / US_PER_S
-    until_s = (until_us - epoch_us) / US_PER_S
     kept = []
     for pulse in pulses:
-        start_s, stop_s = max(pulse.start_s, from_s), min(pulse.stop_s, until_s)
-        if stop_s > start_s:
-            is_whole = start_s == pulse.start_s and stop_s == pulse.stop_s
-            kept.append(pulse if is_whole else pulse._replace(start_s=start_s, duration_s=stop_s - start_s))
+        start_us, stop_us = max(pulse.start_us, from_us), min(pulse.stop_us, until_us)
+        if (start_us, stop_us) == (pulse.start_us, pulse.stop_us):
+            kept.append(pulse)
+        elif stop_us > start_us:
+            kept.append(replace(pulse, start_us=start_us, duration_s=(stop_us - start_us) / US_PER_S))
     return tuple(kept)
 
 
-def command_of(state: ReleaseState, counter: int) -> CommandRecord | None:
+def command_of(state: ReleaseState, counter: int | None) -> Command | None:
     """Return a command by its counter."""
     return next((command for command in state.commands if command.counter == counter), None)
 
 
-def with_command(state: ReleaseState, changed: CommandRecord) -> ReleaseState:
+def with_command(state: ReleaseState, changed: Command) -> ReleaseState:
     """Return the state with a command in the place of the one of its counter."""
     commands = tuple(changed if each.counter == changed.counter else each for each in state.commands)
     return replace(state, commands=commands)
@@ -223,26 +184,30 @@ def unknown(state: ReleaseState, counter: int) -> Step:
     return refused(state, "command.unknown", f"no command {counter} is open or ended within the last hour")
 
 
-def _illegal(state: ReleaseState, command: CommandRecord) -> Step:
-    return refused(
-        state, "command.state", f"command {command.counter} is {command.life.name}: this is not possible any more"
-    )
+def _illegal(state: ReleaseState, command: Command) -> Step:
+    detail = f"command {command.counter} is {command.state}: this is not possible any more"
+    return refused(state, "command.state", detail)
 
 
-def _new(state: ReleaseState, proposal: Proposal, by: str, at: Instant, settings: ReleaseSettings) -> CommandRecord:
-    """Return a prepared command with the next counter; it expires when the uplink cannot bring it in time any more."""
-    latest_us = proposal.start_us - microseconds(settings.uplink_lead_s) + 1
-    expires_us = min(at.now_us + microseconds(settings.prepared_s), latest_us)
-    digest = digest_of(state.next_counter, proposal)
-    return CommandRecord(state.next_counter, CommandState.PREPARED, proposal, digest, by, at.now_us, expires_us)
+def _failure_by_hand(state: ReleaseState, command: Command, at: Instant, settings: ReleaseSettings) -> Refusal | None:
+    """Return why a command that persons look at may not go."""
+    envelope, waiting_s = settings.envelope, settings.prepared_s
+    return first_failure(release_checks(state, command, at, settings, envelope=envelope, waiting_s=waiting_s))
 
 
-def _confirm_refusal(command: CommandRecord, event: Confirm) -> Refusal | None:
+def _no_authorisation(state: State) -> tuple[str, str]:
+    """Return code and detail where the interlock is not engaged."""
+    if state is State.TRIPPED:
+        return "interlock.tripped", "control tripped: find the cause, reset, arm"
+    return "interlock.not_engaged", "there is no standing authorisation: prepare and confirm the command"
+
+
+def _confirm_refusal(command: Command, event: Confirm) -> Refusal | None:
     """Return why a confirmation cannot hold for this command."""
-    if command.life is CommandState.EXPIRED:
-        return Refusal("command.expired", f"command {command.counter} was not confirmed in time: prepare anew")
-    if next_state(command.life, CommandTransition.CONFIRM) is None:
-        return Refusal("command.state", f"command {command.counter} is {command.life.name}: it cannot be confirmed")
+    if command.state is CommandState.EXPIRED:
+        return Refusal("command.expired", f"command {command.counter} was not confirmed in time: prepare it again")
+    if next_state(command.state, CommandTransition.CONFIRM) is None:
+        return Refusal("command.state", f"command {command.counter} is {command.state}: it cannot be confirmed")
     if event.digest != command.digest:
         return Refusal("command.digest", "the digest is not that of the prepared command: read it again")
     if event.by == command.prepared_by or not event.is_approver:
@@ -250,27 +215,79 @@ def _confirm_refusal(command: CommandRecord, event: Confirm) -> Refusal | None:
     return None
 
 
-def _moved(command: CommandRecord, turn: CommandTransition) -> CommandState:
-    """Return where a turn leads that the table must allow here."""
-    life = next_state(command.life, turn)
-    if life is None:
-        raise ValueError(f"the table of lives knows no {turn.name} from {command.life.name}")
-    return life
+def _with_new(state: ReleaseState, command: Command, by: str, at: Instant, settings: ReleaseSettings) -> ReleaseState:
+    """Return the state with a prepared command; it expires when the uplink cannot bring it in time any more."""
+    latest_us = command.start_us - microseconds(settings.uplink_lead_s) + 1
+    prepared = replace(
+        command,
+        counter=state.next_counter,
+        state=CommandState.PREPARED,
+        digest=digest_of(state.next_counter, command),
+        prepared_by=by,
+        prepared_us=at.now_us,
+        expires_us=min(at.now_us + microseconds(settings.prepared_s), latest_us),
+    )
+    return replace(state, commands=(*state.commands, prepared), next_counter=state.next_counter + 1)
 
 
-def _with_released(state: ReleaseState, command: CommandRecord, at: Instant) -> ReleaseState:
-    """Return the state with a released command; its whole impulse counts from now on, whatever becomes of it."""
-    sent = SentImpulse(at.now_us, command.proposal.effect.gross_impulse_n_m_s)
-    newest_us = max(state.released_epoch_us, command.proposal.attitude_epoch_us)
-    return replace(with_command(state, command), sent=(*state.sent, sent), released_epoch_us=newest_us)
+def _with_released(state: ReleaseState, command: Command, by: str, at: Instant) -> ReleaseState:
+    """Return the state with a command confirmed and released; its whole impulse counts, whatever becomes of it."""
+    confirmed = _moved(command, CommandTransition.CONFIRM)
+    released = replace(_moved(confirmed, CommandTransition.RELEASE), confirmed_by=by, released_us=at.now_us)
+    newest_us = max(state.released_epoch_us, command.attitude_epoch_us)
+    sent = _with_sent(with_command(state, released), command.gross_impulse_n_m_s, at)
+    return replace(sent, released_epoch_us=newest_us)
 
 
-def _reported_part(proposal: Proposal, event: Report) -> tuple[AxisPulse, ...]:
+def _moved(command: Command, transition: CommandTransition) -> Command:
+    """Return a command after a transition that its table must have."""
+    state = next_state(command.state, transition)
+    if state is None:
+        raise ValueError(f"the table of commands knows no {transition.name} from {command.state}")
+    return replace(command, state=state)
+
+
+def _with_sent(state: ReleaseState, impulse_n_m_s: Triple, at: Instant) -> ReleaseState:
+    yaw, roll, pitch = impulse_n_m_s
+    return replace(state, sent=(*state.sent, SentImpulse(at.now_us, (yaw, roll, pitch))))
+
+
+def _with_replaced(state: ReleaseState) -> ReleaseState:
+    """Return the state in which nothing was executed of a command after the first pulse of a later one.
+
+    A report may say that all was executed while the end still lies ahead; the spacecraft leaves it out when it begins a
+    command with a greater counter.
+    """
+    begun_us = {command.counter: command.executed[0].start_us for command in state.commands if command.executed}
+    commands = []
+    for command in state.commands:
+        later_us = [start_us for counter, start_us in begun_us.items() if counter > command.counter]
+        if later_us:
+            command = replace(command, executed=pulses_between(command.executed, 0, min(later_us)))
+        commands.append(command)
+    return replace(state, commands=tuple(commands))
+
+
+def _reported_part(command: Command, event: Report) -> tuple[Pulse, ...]:
     """Return what a report says was executed."""
-    if event.turn is CommandTransition.EXECUTED and event.executed_from_us is None and event.executed_until_us is None:
-        return proposal.pulses
-    if event.executed_from_us is None and event.executed_until_us is None:
-        return ()
-    from_us = proposal.start_us if event.executed_from_us is None else event.executed_from_us
-    until_us = proposal.stop_us + US_PER_S if event.executed_until_us is None else event.executed_until_us
-    return executed_part(proposal, from_us, until_us)
+    from_us, until_us = event.executed_from_us, event.executed_until_us
+    if from_us is None and until_us is None:
+        return command.schedule if event.transition is CommandTransition.EXECUTED else ()
+    start_us = command.start_us if from_us is None else from_us
+    return pulses_between(command.schedule, start_us, command.stop_us + US_PER_S if until_us is None else until_us)
+
+
+def _torque_product(command: Command, released_us: int) -> UplinkProduct:
+    """Return the uplink product of a released command."""
+    return UplinkProduct(
+        form=ProductForm.TORQUES,
+        counter=command.counter,
+        created_us=released_us,
+        valid_from_us=released_us,
+        # a centre that gets it later than the first pulse must not send it
+        valid_until_us=command.start_us,
+        attitude_epoch_us=command.attitude_epoch_us,
+        is_simulated=command.is_simulated,
+        digest=command.digest,
+        schedule=command.schedule,
+    )

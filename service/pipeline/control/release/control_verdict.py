@@ -1,20 +1,83 @@
-"""The verdict on control: whether a torque may go now, in which state, and every reason with its next step.
+"""Control verdict: whether a torque may go now, in which state, and every reason with its next step.
 
 Every answer about the present carries this one object.
 """
 
-from service.pipeline.control.release.control_reasons import reason_of
+from service.pipeline.control.command.control_inhibitions import CONTROL_INHIBITIONS
 from service.pipeline.control.release.interlock_conditions import Condition, Consequence
 from service.pipeline.control.release.interlock_states import State
+from service.pipeline.control.release.settings import ReleaseSettings
+from service.pipeline.estimation.row_inhibitions import INHIBITIONS
 from service.records.catalogue import Release
 from service.records.levels.attitude import AttitudeRow
 from service.records.levels.command import TorqueCommand
-from service.records.operations.release import ControlVerdict, ControlView
+from service.records.operations.release import ControlReason, ControlVerdict, ControlView
 
 #: states in which torques go, by hand or by themselves
 _GIVING = frozenset({State.ARMED.name, State.ENGAGED.name, State.RECOVERY.name})
 #: reasons that withhold yaw alone
 _YAW_ONLY = frozenset(each.word for each in Condition if each.consequence is Consequence.YAW)
+#: reasons that are neither conditions of the interlock nor inhibitions of rows and commands
+_OTHERS = {
+    "not_armed": "control is not armed",
+    "good_minutes": "{good_min:g} minutes without a reason are not over",
+    "no_attitude": "no attitude has been computed yet",
+    "expired": "the newest attitude is too old, or stands on older data",
+    "invalid": "the newest row gives no attitude",
+    "release_unreadable": "the state of the interlock cannot be read",
+}
+
+#: next step, with the codes that it is for, by blanks
+_NEXT_STEPS = {
+    "Wait: it clears by itself.": "late catch_up settling no_rate gap good_minutes chain_step",
+    "Check links and newest_measurement of GET .../status.": "estimate_old no_attitude expired",
+    "Check the excluded carriers of GET .../attitude.": "no_fix invalid redundancy sigma_roll sigma_pitch",
+    "Turn in yaw or add carriers that tell yaw; roll and pitch go on.": "sigma_yaw",
+    "Check the inhibitions of GET .../attitude.": "estimator",
+    "Wait for the end of the rain; without rain check the receiving chain.": "fade downlink_fade",
+    "Compare with another sensor; align again if the estimate is wrong.": "innovations innovation",
+    "Find out what moves the spacecraft; declare it as an operation or a correction.": "unannounced_motion",
+    "Calibrate, then POST .../calibrations/{id}:activate.": "no_calibration",
+    "POST .../alignments.": "not_aligned",
+    "PUT .../ephemeris with the newest orbit.": "no_ephemeris ephemeris",
+    "Wait for the end of the operation, or PATCH .../operations/{id}.": "operation",
+    "Bring the angle back by another sensor or confirmed commands.": "beyond_validity hand_over yaw_beyond",
+    "Read the service log and report the failure.": "internal_error release_unreadable",
+    "Set entry_modes or wait for the on-board mode.": "onboard_mode",
+    "POST .../torques/{id}:executed or :failed.": "report_late",
+    "POST .../torques/{id}:executed or :failed; then POST .../control:reset.": "unreported",
+    "POST .../control:sign-check for yaw; roll and pitch go on.": "yaw_sign",
+    "POST .../control:arm.": "not_armed",
+    "PATCH control.mode to ground if the ground is to compute torques.": "mode_onboard mode_off",
+    "State onboard.fast_loop and onboard.forecast_mode in the catalogue.": "no_fast_loop",
+    "Correct inertia, wheels, period or damping of the catalogue.": "no_law",
+    "Send telemetry with body rates.": "no_body_rate",
+    "Bring the rates down with another control mode.": "law_beyond",
+    "Find the cause; then POST .../control:reset.": (
+        "clock_jump momentum response_missed envelope configuration stop tripped"
+    ),
+    "Stop the other service on this archive; then POST .../control:reset.": "lease",
+}
+_NEXT_STEP = {code: step for step, codes in _NEXT_STEPS.items() for code in codes.split()}
+_CONDITIONS = {each.word: each for each in Condition if each.consequence is not Consequence.ALARM}
+#: every code that a verdict may name
+CODES = frozenset((*_CONDITIONS, *INHIBITIONS, *CONTROL_INHIBITIONS, *_OTHERS))
+
+
+def reason_of(code: str, since_us: int | None = None, settings: ReleaseSettings | None = None) -> ControlReason:
+    """Return a reason in words; figures are those of the settings, by default those of the reference.
+
+    A code that another version has stored is told as it is.
+
+    Examples
+    --------
+    >>> reason_of("hand_over").text
+    'roll or pitch beyond 0.6 deg: over to the sensor mode (alarm)'
+    """
+    known = INHIBITIONS | CONTROL_INHIBITIONS | _OTHERS | {word: each.meaning for word, each in _CONDITIONS.items()}
+    figures = (settings or ReleaseSettings()).figures
+    text, next_step = known.get(code, code).format(**figures), _NEXT_STEP.get(code, _NEXT_STEP["estimator"])
+    return ControlReason(code, text, since_us, next_step)
 
 
 def control_verdict(view: ControlView | None, newest: TorqueCommand | AttitudeRow | None) -> ControlVerdict:

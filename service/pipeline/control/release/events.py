@@ -1,64 +1,25 @@
-"""What reaches the release, what it keeps, and what it answers: plain frozen records."""
+"""Events of the release, its state, and the effects of a step: plain frozen records."""
 
 import hashlib
 from dataclasses import dataclass, field
 from enum import Enum
+from typing import NamedTuple
 
 from service.core.control.envelope import Envelope
 from service.core.control.sign_check import SignState
-from service.core.control.slew_schedule import AxisPulse, Effect, Triple
-from service.pipeline.control.release.command_states import CommandState, CommandTransition
+from service.core.control.slew_schedule import Effect, Triple
+from service.pipeline.control.release.command_states import CommandTransition
 from service.pipeline.control.release.interlock import Instant, Interlock
 from service.pipeline.control.release.interlock_conditions import InterlockInputs, RowFacts
-from service.records.epoch import US_PER_S
-
-
-@dataclass(frozen=True, slots=True)
-class Proposal:
-    """A schedule that somebody, or the law, wants to send."""
-
-    #: of the estimate from which it was computed
-    attitude_epoch_us: int
-    #: when the schedule begins
-    start_us: int
-    pulses: tuple[AxisPulse, ...]
-    #: against no command, at the end of its horizon
-    effect: Effect
-    #: of the flexible-response check: accept, warn or reject
-    schedule_verdict: str
-    reason: str = ""
-    #: a turn by which a sign is proven: the filter is not told of its torque
-    is_sign_check: bool = False
-
-    @property
-    def stop_us(self) -> int:
-        """When the last pulse ends."""
-        return self.start_us + round(US_PER_S * max((pulse.stop_s for pulse in self.pulses), default=0.0))
-
-
-@dataclass(frozen=True, slots=True)
-class CommandRecord:
-    """One command and its life."""
-
-    #: rises by one with each command of a spacecraft; the uplink product carries it
-    counter: int
-    life: CommandState
-    proposal: Proposal
-    digest: str
-    prepared_by: str
-    prepared_us: int
-    expires_us: int
-    is_automatic: bool = False
-    confirmed_by: str | None = None
-    released_us: int | None = None
-    reported_us: int | None = None
-    #: what of the schedule was carried out
-    executed: tuple[AxisPulse, ...] = ()
+from service.pipeline.estimation.method import CommandEvidence
+from service.ports import Outcome
+from service.records.levels.command import ReleasedCommand, ReportedCommand
+from service.records.operations.release import Command, InterlockHold, SignCheck, SignRatios, UplinkProduct
 
 
 @dataclass(frozen=True, slots=True)
 class SentImpulse:
-    """What a release may put on the craft: sum of the sizes of its pulses, yaw, roll, pitch."""
+    """Impulse that a release may put on the spacecraft: sum of the sizes of its pulses, yaw, roll, pitch."""
 
     at_us: int
     impulse_n_m_s: Triple
@@ -66,16 +27,33 @@ class SentImpulse:
 
 @dataclass(frozen=True, slots=True)
 class ReleaseState:
-    """Interlock and commands of one spacecraft; what is stored is enough to go on after a restart."""
+    """Interlock, commands and sign check of one spacecraft; what is stored is enough to go on after a restart."""
 
     interlock: Interlock = field(default_factory=Interlock)
     #: open ones, unreported ones, and those that ended within an hour
-    commands: tuple[CommandRecord, ...] = ()
+    commands: tuple[Command, ...] = ()
     next_counter: int = 1
     #: of the last hour
     sent: tuple[SentImpulse, ...] = ()
     #: of the estimate that the newest release was computed from
     released_epoch_us: int = 0
+    #: the newest, or the one that is running
+    sign_check: SignCheck | None = None
+
+
+class StoredRow(NamedTuple):
+    """Results of one measurement, after they were stored."""
+
+    outcome: Outcome
+    evidence: CommandEvidence | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """Why an event was illegal."""
+
+    code: str
+    detail: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +73,7 @@ class RowSeen:
 
 @dataclass(frozen=True, slots=True)
 class InputsChanged:
-    """Something beside the rows has changed."""
+    """An input of the interlock other than the rows has changed."""
 
     at: Instant
     inputs: InterlockInputs
@@ -103,7 +81,7 @@ class InputsChanged:
 
 @dataclass(frozen=True, slots=True)
 class ResponseJudged:
-    """How much likelier the powers make "no effect" or "reversed" than a command's own response."""
+    """Log-likelihood ratio of "no effect" or "reversed" to a command's own response, by the powers."""
 
     at: Instant
     log_ratio: float
@@ -111,16 +89,20 @@ class ResponseJudged:
 
 @dataclass(frozen=True, slots=True)
 class SignJudged:
-    """What a sign check says of an axis; yaw: of powers and wheel telemetry together."""
+    """SignState of a sign check on an axis so far; yaw: of powers and wheel telemetry together."""
 
     at: Instant
     #: yaw, roll or pitch
     axis: str
     verdict: SignState
+    #: by the powers
+    log_ratio: SignRatios | None = None
+    #: yaw: the verdict by wheel telemetry
+    wheels: str | None = None
 
 
 class OrderKind(Enum):
-    """What an operator orders."""
+    """Orders of an operator to the interlock."""
 
     ARM = "arm"
     DISENGAGE = "disengage"
@@ -150,11 +132,30 @@ class Engage:
 
 @dataclass(frozen=True, slots=True)
 class Prepare:
-    """An operator wants a command prepared."""
+    """An operator requests a command, given without counter and digest."""
 
     at: Instant
     by: str
-    proposal: Proposal
+    command: Command
+
+
+@dataclass(frozen=True, slots=True)
+class BeginSignCheck:
+    """An operator starts the sign check of an axis with its first leg."""
+
+    at: Instant
+    by: str
+    #: yaw, roll or pitch
+    axis: str
+    command: Command
+
+
+@dataclass(frozen=True, slots=True)
+class PrepareLeg:
+    """The next leg of the running sign check is due; a refusal says why there can be none."""
+
+    at: Instant
+    leg: Command | Refusal
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,6 +167,7 @@ class Confirm:
     counter: int
     digest: str
     is_approver: bool
+    comment: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,31 +181,42 @@ class Cancel:
 
 @dataclass(frozen=True, slots=True)
 class Automatic:
-    """The control law wants a command sent under the standing authorisation."""
+    """The control law requests a command under the standing authorisation."""
 
     at: Instant
-    proposal: Proposal
+    command: Command
 
 
 @dataclass(frozen=True, slots=True)
 class Applied:
-    """A computed command counts as applied (release automatic): whoever applies torques has been told of it."""
+    """A computed command counts as applied (release automatic): it has been published already."""
 
     at: Instant
     effect: Effect
 
 
 @dataclass(frozen=True, slots=True)
+class AnglesFit:
+    """Angles are fit for a spacecraft that computes its torques on board."""
+
+    at: Instant
+    product: UplinkProduct
+
+
+@dataclass(frozen=True, slots=True)
 class Report:
-    """The centre tells what became of a released command."""
+    """The centre reports the fate of a released command."""
 
     at: Instant
     counter: int
     #: SENT, EXECUTED or FAILED
-    turn: CommandTransition
+    transition: CommandTransition
     #: executed part; None: all of it (EXECUTED), nothing (FAILED)
     executed_from_us: int | None = None
     executed_until_us: int | None = None
+    by: str | None = None
+    #: when it happened, by the centre; None: now
+    reported_at_us: int | None = None
 
 
 Event = (
@@ -215,61 +228,66 @@ Event = (
     | Order
     | Engage
     | Prepare
+    | BeginSignCheck
+    | PrepareLeg
     | Confirm
     | Cancel
     | Automatic
     | Applied
+    | AnglesFit
     | Report
 )
-
-
-class ActionKind(Enum):
-    """What the world must do after a step."""
-
-    #: give the command out, once
-    RELEASE = "release"
-    #: the executed part is known input of the filter from now on
-    KNOWN_INPUT = "known_input"
-    #: the whole effect of the command is uncertainty of the filter
-    UNCERTAIN = "uncertain"
-    #: that uncertainty is over
-    CERTAIN = "certain"
-    ALARM = "alarm"
-    STATE = "state"
+#: events that a person causes
+PERSONAL = (Order, Engage, Prepare, BeginSignCheck, Confirm, Cancel, Report)
 
 
 @dataclass(frozen=True, slots=True)
-class Action:
-    """One thing to be done."""
+class Journal:
+    """Effect: an entry of the journal, known to the filter from then on."""
 
-    kind: ActionKind
-    #: condition, state or reason
-    detail: str
-    counter: int | None = None
+    entry: ReleasedCommand | ReportedCommand | InterlockHold
 
 
 @dataclass(frozen=True, slots=True)
-class Refusal:
-    """Why an event was illegal."""
+class Uplink:
+    """Effect: a product is given out for uplink, once."""
 
-    code: str
-    detail: str
+    product: UplinkProduct
+
+
+@dataclass(frozen=True, slots=True)
+class Audit:
+    """Effect: an audit event that no person caused."""
+
+    action: str
+    #: below the path of the spacecraft
+    target: str
+
+
+@dataclass(frozen=True, slots=True)
+class Publish:
+    """Effect: listeners are notified of the new state; a warning goes to the log as well."""
+
+    warning: str = ""
+
+
+ReleaseEffect = Journal | Uplink | Audit | Publish
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """What an event leads to; with a refusal no more than a tick does."""
+    """State and effects that an event leads to; with a refusal no more than a tick does."""
 
     state: ReleaseState
-    actions: tuple[Action, ...] = ()
+    effects: tuple[ReleaseEffect, ...] = ()
     refusal: Refusal | None = None
 
 
-def digest_of(counter: int, proposal: Proposal) -> str:
+def digest_of(counter: int, command: Command) -> str:
     """Return what a person confirms: SHA-256 of counter, estimate, start and pulses to the last bit."""
     pulses = ";".join(
-        f"{pulse.axis},{pulse.start_s.hex()},{pulse.duration_s.hex()},{pulse.torque_n_m.hex()}"
-        for pulse in proposal.pulses
+        f"{pulse.start_us},{pulse.duration_s.hex()},{','.join(torque.hex() for torque in pulse.torque_n_m)}"
+        for pulse in command.schedule
     )
-    text = f"soo-command-1|{counter}|{proposal.attitude_epoch_us}|{proposal.start_us}|{pulses}"
+    text = f"soo-command-2|{counter}|{command.attitude_epoch_us}|{command.start_us}|{pulses}"
     return hashlib.sha256(text.encode("ascii")).hexdigest()

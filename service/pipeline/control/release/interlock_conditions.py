@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from service.pipeline.control.release.settings import ReleaseSettings, microseconds
-from service.records.levels.attitude import Axes
+from service.records.levels.attitude import AttitudeRow, Axes, Status
 
 
 class Consequence(Enum):
@@ -77,7 +77,9 @@ class Condition(Enum):
 
 #: reasons of the estimator that the interlock judges itself, by wider limits
 OWN_AFFAIR = frozenset({"beyond_validity", "sigma_roll", "sigma_pitch"})
-#: conditions beside which an alarm is raised
+#: an attitude has three unknowns
+_UNKNOWNS = 3
+#: conditions that raise an alarm as well
 ALARMED = frozenset({Condition.REPORT_LATE, Condition.HAND_OVER, Condition.DISAGREEMENT})
 
 
@@ -98,6 +100,31 @@ class RowFacts:
     inhibitions: tuple[str, ...] = ()
     #: set by the interlock
     is_after_gap: bool = False
+
+
+def facts_of_row(row: AttitudeRow, period_s: float, *, is_innovation_in_band: bool) -> RowFacts:
+    """Return the facts of a row of the method that drives control.
+
+    Parameters
+    ----------
+    row : AttitudeRow
+        Newest row.
+    period_s : float, s
+        Expected time to the next one.
+    is_innovation_in_band : bool
+        By the estimator; a method without the statistic says True.
+    """
+    not_acquired = () if row.status is Status.ACQUIRED else (row.status.value.lower(),)
+    return RowFacts(
+        epoch_us=row.epoch_us,
+        period_s=period_s,
+        attitude_deg=row.attitude_deg,
+        sigma_deg=row.sigma_deg,
+        redundancy=row.carriers_used - _UNKNOWNS,
+        is_fading=row.downlink_fade,
+        is_innovation_in_band=is_innovation_in_band,
+        inhibitions=(*row.inhibitions, *not_acquired),
+    )
 
 
 @dataclass(frozen=True, slots=True)

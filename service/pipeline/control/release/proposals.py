@@ -1,4 +1,4 @@
-"""Computed commands as proposals for the release, and pulses of the law as pulses of the calendar and back."""
+"""Commands before they are prepared: computed schedules with their predicted effect."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -7,42 +7,73 @@ import numpy as np
 
 from service.core.control.quaternion_law import inertia_about_angles
 from service.core.control.slew_schedule import AxisPulse, Effect, FloatArray, predicted_effect
-from service.pipeline.control.release.events import Proposal
 from service.records.catalogue import Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import Axes
-from service.records.levels.command import Pulse, TorqueCommand
+from service.records.levels.command import Pulse, ScheduleVerdict, TorqueCommand
+from service.records.operations.release import Command, Purpose
 
 #: body axes x roll, y pitch, z yaw in the order yaw, roll, pitch
 _ANGLES_FROM_BODY = [2, 0, 1]
 
 
-def proposal_of(command: TorqueCommand, spacecraft: Spacecraft, reason: str) -> Proposal:
-    """Return a computed command as a proposal.
+def proposed(
+    spacecraft: Spacecraft,
+    attitude_epoch_us: int,
+    start_us: int,
+    pulses: tuple[AxisPulse, ...],
+    effect: Effect,
+    checked: ScheduleVerdict | None,
+    *,
+    reason: str,
+    purpose: Purpose = Purpose.CONTROL,
+    computed: TorqueCommand | None = None,
+) -> Command:
+    """Return a command that waits for its preparation; `checked` is None where no flexible mode is known."""
+    schedule = schedule_of(pulses, start_us)
+    return Command(
+        purpose=purpose,
+        is_simulated=spacecraft.simulated,
+        reason=reason,
+        attitude_epoch_us=attitude_epoch_us,
+        start_us=start_us,
+        stop_us=max((pulse.stop_us for pulse in schedule), default=start_us),
+        schedule=schedule,
+        schedule_verdict="accept" if checked is None else checked.verdict,
+        impulse_n_m_s=Axes(*effect.impulse_n_m_s),
+        gross_impulse_n_m_s=Axes(*effect.gross_impulse_n_m_s),
+        angle_change_deg=Axes(*effect.angle_change_deg),
+        rate_change_deg_s=Axes(*effect.rate_change_deg_s),
+        peak_angle_deg=Axes(*effect.peak_angle_deg),
+        peak_rate_deg_s=Axes(*effect.peak_rate_deg_s),
+        wheel_momentum_n_m_s=effect.wheel_momentum_n_m_s,
+        computed=computed,
+    )
+
+
+def proposal_of(command: TorqueCommand, spacecraft: Spacecraft, reason: str) -> Command:
+    """Return a command of the control law as a proposal.
 
     Raises
     ------
     ValueError
         Its pulses overlap, or the inertia is that of no body.
     """
-    return Proposal(
-        attitude_epoch_us=command.attitude_epoch_us,
-        start_us=command.epoch_us,
-        pulses=pulses_of(command.schedule, command.epoch_us),
-        effect=effect_of(command, spacecraft),
-        schedule_verdict="accept" if command.schedule_check is None else command.schedule_check.verdict,
-        reason=reason,
+    pulses, effect = pulses_of(command.schedule, command.epoch_us), effect_of_law(command, spacecraft)
+    start_us, checked = command.epoch_us, command.schedule_check
+    return proposed(
+        spacecraft, command.attitude_epoch_us, start_us, pulses, effect, checked, reason=reason, computed=command
     )
 
 
-def effect_of(command: TorqueCommand, spacecraft: Spacecraft) -> Effect:
-    """Return what a computed command does to angles, rates and wheels; ValueError as `proposal_of`."""
+def effect_of_law(command: TorqueCommand, spacecraft: Spacecraft) -> Effect:
+    """Return the effect of a command of the law on angles, rates and wheels; ValueError as `proposal_of`."""
     pulses = pulses_of(command.schedule, command.epoch_us)
     return effect_of_pulses(pulses, spacecraft, command.command_period_s)
 
 
 def effect_of_pulses(pulses: tuple[AxisPulse, ...], spacecraft: Spacecraft, least_horizon_s: float) -> Effect:
-    """Return what pulses do until the horizon, or until the last of them ends."""
+    """Return the effect of pulses until the horizon, or until the last of them ends."""
     inertia, wheels = _mechanics(spacecraft)
     horizon_s = max([least_horizon_s, *(pulse.stop_s for pulse in pulses)])
     return predicted_effect(pulses, inertia, wheels, horizon_s)

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from service.pipeline.control.release.command_states import COMMAND_TRANSITIONS, CommandState, CommandTransition
+from service.pipeline.control.release.command_states import COMMAND_TRANSITIONS, MEANINGS, CommandTransition
 from service.pipeline.control.release.interlock_conditions import Condition, Consequence
 from service.pipeline.control.release.interlock_states import TRANSITIONS, Guard, State, Trigger
 from service.pipeline.control.release.settings import ReleaseSettings
@@ -22,10 +22,10 @@ def interlock_diagram() -> str:
 
 def command_diagram() -> str:
     """Return the states of a command as a Mermaid state diagram."""
-    lines = ["stateDiagram-v2", f"    [*] --> {CommandState.PREPARED.name}"]
-    for life, row in COMMAND_TRANSITIONS.items():
-        lines += [f"    {life.name} --> {target.name}: {turn.name}" for turn, target in row.items()]
-        lines += [] if row else [f"    {life.name} --> [*]"]
+    lines = ["stateDiagram-v2", f"    [*] --> {next(iter(MEANINGS))}"]
+    for state, row in COMMAND_TRANSITIONS.items():
+        lines += [f"    {state} --> {target}: {transition.name}" for transition, target in row.items()]
+        lines += [] if row else [f"    {state} --> [*]"]
     return "\n".join(lines)
 
 
@@ -54,7 +54,7 @@ def reference_page() -> str:
         "`automatic` nobody arms: torques are withheld from the trip until these ten good minutes are over.",
         "## States of a command",
         "```mermaid\n" + command_diagram() + "\n```",
-        _table(("state", "meaning"), [(f"`{state.name}`", state.value) for state in CommandState]),
+        _table(("state", "meaning"), [(f"`{state}`", meaning) for state, meaning in MEANINGS.items()]),
         _table(("transition", "when"), [(f"`{each.name}`", each.value) for each in CommandTransition]),
         "A command released by standing authorisation goes from PREPARED to RELEASED in one step. Every released\n"
         "command is uncertainty of the filter, with its whole effect, until its report; one at a time. In release\n"

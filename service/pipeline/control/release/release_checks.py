@@ -3,14 +3,15 @@
 from typing import NamedTuple
 
 from service.core.control.envelope import Envelope, envelope_excesses
-from service.core.control.slew_schedule import Triple
+from service.core.control.slew_schedule import Effect, Triple
 from service.pipeline.control.release.command_states import UNREPORTED
-from service.pipeline.control.release.events import CommandRecord, Proposal, Refusal, ReleaseState
+from service.pipeline.control.release.events import Refusal, ReleaseState
 from service.pipeline.control.release.interlock import Instant, Interlock
 from service.pipeline.control.release.interlock_conditions import Condition, Consequence, Unreported
 from service.pipeline.control.release.interlock_states import State
 from service.pipeline.control.release.settings import ReleaseSettings, microseconds
 from service.records.epoch import US_PER_S
+from service.records.operations.release import Command
 
 _HOUR_US = 3600 * US_PER_S
 #: states in which a command may go
@@ -18,7 +19,7 @@ _MAY_RELEASE = frozenset({State.ARMED, State.ENGAGED, State.RECOVERY})
 
 
 class Check(NamedTuple):
-    """One check of a proposal."""
+    """One check of a command."""
 
     name: str
     is_ok: bool
@@ -29,14 +30,14 @@ class Check(NamedTuple):
 
 def release_checks(
     state: ReleaseState,
-    proposal: Proposal,
+    command: Command,
     at: Instant,
     settings: ReleaseSettings,
     *,
     envelope: Envelope,
     waiting_s: float,
 ) -> tuple[Check, ...]:
-    """Return every check of a proposal against a settled state, those that fail and those that hold.
+    """Return every check of a command against a settled state, those that fail and those that hold.
 
     Parameters
     ----------
@@ -45,22 +46,22 @@ def release_checks(
     envelope : Envelope
         Of the settings, or the authorised one.
     waiting_s : float, s
-        How long a person may look at a proposal before it is too old; 0 for the law.
+        How long a person may look at a command before it is too old; 0 for the law.
     """
     interlock = state.interlock
     sent = sent_within_an_hour(state, at.now_us)
-    excesses = envelope_excesses(proposal.effect, sent, envelope)
+    excesses = envelope_excesses(effect_of(command), sent, envelope)
     row = interlock.row
     newest_us, period_s = (0, 0.0) if row is None else (row.epoch_us, row.period_s)
     stale_us = microseconds(settings.stale_periods * period_s + settings.stale_margin_s + waiting_s)
-    yaw = proposal.effect.gross_impulse_n_m_s[0]
-    waiting = [command.counter for command in state.commands if command.life in UNREPORTED]
+    yaw = command.gross_impulse_n_m_s.yaw
+    waiting = [each.counter for each in state.commands if each.state in UNREPORTED]
     return (
         _interlock_check(state),
         Check("envelope", not excesses, "envelope.exceeded", "; ".join(map(str, excesses))),
         Check(
             "yaw",
-            yaw == 0.0 or not _is_yaw_withheld(interlock, proposal),
+            yaw == 0.0 or not _is_yaw_withheld(interlock, command),
             "interlock.yaw_withheld",
             "the yaw torque is withheld: leave it out",
         ),
@@ -72,63 +73,62 @@ def release_checks(
         ),
         Check(
             "estimate",
-            0 < proposal.attitude_epoch_us <= newest_us and newest_us - proposal.attitude_epoch_us <= stale_us,
+            0 < command.attitude_epoch_us <= newest_us and newest_us - command.attitude_epoch_us <= stale_us,
             "command.estimate_stale",
-            "computed from an estimate that is not the newest any more: prepare anew",
+            "computed from an estimate that is not the newest any more: prepare it again",
         ),
-        *_tail_checks(state, proposal),
-        *_schedule_checks(proposal, at, settings),
+        *_tail_checks(state, command),
+        *_schedule_checks(command, at, settings),
     )
 
 
-def _tail_checks(state: ReleaseState, proposal: Proposal) -> tuple[Check, ...]:
+def _tail_checks(state: ReleaseState, command: Command) -> tuple[Check, ...]:
     """Return the check that a sign check cuts no command short: the filter would not be told."""
-    if not proposal.is_sign_check:
+    if not command.is_sign_check:
         return ()
     flying = [
-        command.counter
-        for command in state.commands
-        if not command.proposal.is_sign_check and _executed_until_us(command) > proposal.start_us
+        each.counter
+        for each in state.commands
+        if not each.is_sign_check and max((pulse.stop_us for pulse in each.executed), default=0) > command.start_us
     ]
     detail = f"command {', '.join(map(str, flying))} is still flown when it would begin: wait for its end"
     return (Check("earlier commands", not flying, "sign_check.flying", detail),)
 
 
-def _executed_until_us(command: CommandRecord) -> int:
-    """Return when what was reported executed of a command ends, 0 where nothing was."""
-    ends_s = [pulse.stop_s for pulse in command.executed]
-    return command.proposal.start_us + round(max(ends_s) * US_PER_S) if ends_s else 0
-
-
-def _schedule_checks(proposal: Proposal, at: Instant, settings: ReleaseSettings) -> tuple[Check, ...]:
+def _schedule_checks(command: Command, at: Instant, settings: ReleaseSettings) -> tuple[Check, ...]:
     """Return the checks of the schedule itself."""
     latest_us = at.now_us + microseconds(settings.latest_stop_s)
     return (
         Check(
             "flexible response",
-            proposal.schedule_verdict in ("accept", "warn"),
+            command.schedule_verdict in ("accept", "warn"),
             "schedule.rejected",
-            f"the flexible-response check says {proposal.schedule_verdict}",
+            f"the flexible-response check says {command.schedule_verdict}",
         ),
         Check(
             "start",
-            proposal.start_us >= at.now_us + microseconds(settings.uplink_lead_s),
+            command.start_us >= at.now_us + microseconds(settings.uplink_lead_s),
             "command.start_passed",
             f"the uplink needs {settings.uplink_lead_s:g} s: the schedule begins before it can be there",
         ),
         Check(
             "end",
-            proposal.stop_us <= latest_us,
+            max(command.start_us, command.stop_us, *(pulse.stop_us for pulse in command.schedule)) <= latest_us,
             "command.too_long",
             f"the schedule must be over within {settings.latest_stop_s:g} s: what has gone out no trip can stop",
         ),
-        Check("pulses", bool(proposal.pulses), "command.empty", "a command without a pulse does nothing"),
+        Check("pulses", bool(command.schedule), "command.empty", "a command without a pulse does nothing"),
     )
 
 
 def first_failure(checks: tuple[Check, ...]) -> Refusal | None:
     """Return the refusal of the first check that fails."""
     return next((Refusal(check.code, check.detail) for check in checks if not check.is_ok), None)
+
+
+def effect_of(command: Command) -> Effect:
+    """Return the predicted effect of a command as the envelope measures it."""
+    return Effect(*(getattr(command, name) for name in Effect._fields))
 
 
 def sent_within_an_hour(state: ReleaseState, now_us: int) -> Triple:
@@ -138,17 +138,17 @@ def sent_within_an_hour(state: ReleaseState, now_us: int) -> Triple:
     return yaw, roll, pitch
 
 
-def unreported_of(commands: tuple[CommandRecord, ...]) -> Unreported:
+def unreported_of(commands: tuple[Command, ...]) -> Unreported:
     """Return what nobody has reported among the commands that went out."""
-    waiting = [command for command in commands if command.life in UNREPORTED]
-    stops_us = [max(command.proposal.stop_us, command.released_us or 0) for command in waiting]
+    waiting = [command for command in commands if command.state in UNREPORTED]
+    stops_us = [max(command.stop_us, command.released_us or 0) for command in waiting]
     return Unreported(len(waiting), min(stops_us, default=None))
 
 
-def _is_yaw_withheld(interlock: Interlock, proposal: Proposal) -> bool:
+def _is_yaw_withheld(interlock: Interlock, command: Command) -> bool:
     """Whether a yaw torque may not go; that the sign is not proven does not hold back the check that proves it."""
     standing = {each for each in interlock.standing if each.consequence is Consequence.YAW}
-    return bool(standing - {Condition.YAW_SIGN} if proposal.is_sign_check else standing)
+    return bool(standing - {Condition.YAW_SIGN} if command.is_sign_check else standing)
 
 
 def _interlock_check(state: ReleaseState) -> Check:

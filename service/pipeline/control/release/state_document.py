@@ -7,7 +7,8 @@ default, one that the code does not have any more is passed over; a text that do
 """
 
 import json
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass, replace
 from enum import Enum
 from functools import cache
 from types import NoneType, UnionType
@@ -15,47 +16,50 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 from service.pipeline.control.release.events import ReleaseState
 from service.pipeline.control.release.interlock_conditions import Durations, InterlockInputs
-from service.records.operations.release import SignCheckView
+from service.records.operations.release import Command, SignCheck
 
 #: fields that are stored under the name that they had first
 _STORED_AS = {"inputs": "around"}
 
 
-@dataclass(frozen=True, slots=True)
-class ReleaseMemory:
-    """What is stored of the release of one spacecraft as one document."""
-
-    state: ReleaseState = field(default_factory=ReleaseState)
-    #: the newest, or the one that is under way
-    sign_check: SignCheckView | None = None
+def document_of(state: ReleaseState) -> str:
+    """Return the text of a state; of its commands the counters, because their records are stored by themselves."""
+    document = _plain(replace(state, commands=(), sign_check=None))
+    document["commands"] = [{"counter": command.counter} for command in state.commands]
+    return json.dumps({"state": document, "sign_check": _plain(state.sign_check)}, separators=(",", ":"))
 
 
-def document_of(memory: ReleaseMemory) -> str:
-    """Return the text of a memory."""
-    return json.dumps(_plain(memory), separators=(",", ":"))
+def state_of(document: str, command_of: Callable[[int], Command]) -> ReleaseState:
+    """Return the state of a text; that before the first event for an empty one.
 
-
-def memory_of(document: str) -> ReleaseMemory:
-    """Return the memory of a text; that before the first event for an empty one.
+    Parameters
+    ----------
+    document : str
+        Of `document_of`; in those of former versions commands stand whole, and their counters alone are read.
+    command_of : callable
+        Gives the stored command of a counter.
 
     Raises
     ------
     ValueError
-        The text is not that of a memory.
+        The text is not that of a state.
     """
     if not document:
-        return ReleaseMemory()
+        return ReleaseState()
     try:
-        memory: ReleaseMemory = _read(ReleaseMemory, json.loads(document))
+        stored = json.loads(document)
+        counters = [command["counter"] for command in stored["state"].pop("commands", ())]
+        state: ReleaseState = _read(ReleaseState, stored["state"])
+        check: SignCheck | None = _read(SignCheck | None, stored.get("sign_check"))
     except (KeyError, TypeError, AttributeError) as error:
         message = f"the stored state of the release cannot be read: {error!r}"
         raise ValueError(message) from error
-    return memory
+    return replace(state, commands=tuple(map(command_of, counters)), sign_check=check)
 
 
 def essence(state: ReleaseState) -> ReleaseState:
-    """Return what of a state must not be lost; rows and surroundings are told anew after a restart."""
-    interlock = state.interlock
+    """Return the part of a state that must not be lost; rows and inputs are read again after a restart."""
+    interlock, check = state.interlock, state.sign_check
     calibration_id, plan_id, version, control = interlock.configuration
     inputs = InterlockInputs(
         calibration_id=calibration_id, plan_id=plan_id, spacecraft_version=version, control_version=control
@@ -70,8 +74,9 @@ def essence(state: ReleaseState) -> ReleaseState:
         standing=(),
         since=(),
     )
-    # impulses are kept with the release that they belong to
-    return replace(state, interlock=kept, sent=())
+    # impulses are kept with the release that they belong to, likelihoods with the next leg
+    kept_check = None if check is None else replace(check, log_ratio=None)
+    return replace(state, interlock=kept, sent=(), sign_check=kept_check)
 
 
 def _plain(value: Any) -> Any:

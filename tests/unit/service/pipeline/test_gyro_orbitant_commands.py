@@ -12,7 +12,7 @@ from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S
 from service.core.geometry.frames import body_from_nadir
 from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.compute_command import NO_CARRY, command_for, compute_command
-from service.pipeline.control.release.proposals import effect_of
+from service.pipeline.control.release.proposals import effect_of_law
 from service.records.catalogue import ControlLaw, FlexibleMode, GyroOrbitantGains, Method, Release
 from service.records.inputs import TelemetryRecord
 from service.records.levels.attitude import Axes, row_without_attitude
@@ -122,7 +122,7 @@ def test_released_in_two_steps_a_command_stays_within_the_envelope_and_its_perio
     assert told.schedule
     assert told.schedule_check is not None
     assert all(pulse.start_us + pulse.duration_s * S <= told.valid_until_us for pulse in told.schedule)
-    assert envelope_excesses(effect_of(told, craft), (0.0, 0.0, 0.0), Envelope()) == ()
+    assert envelope_excesses(effect_of_law(told, craft), (0.0, 0.0, 0.0), Envelope()) == ()
     assert told.saturated is (rate_deg_h == 10.0)
     weak = command_for(row(), craft, EPOCH, 3600.0, 0.002, TorqueConfig(), body_rate_deg_s=rate)
     assert max(abs(part) for pulse in weak.schedule for part in pulse.torque_n_m) == pytest.approx(0.002)

@@ -14,7 +14,7 @@ from service.pipeline.control.release.settings import ReleaseSettings
 from service.pipeline.estimation.method import CommandEvidence
 from service.records.inputs import TelemetryRecord
 from service.records.operations.release import Purpose
-from service.runtime.control.sign_check_run import turned_deg
+from service.runtime.control.sign_check_rows import turned_deg
 
 #: in the order yaw, roll, pitch
 INERTIA = np.diag([2600.0, 2600.0, 1400.0])
@@ -188,4 +188,4 @@ def test_the_turn_of_its_own_check_does_not_stop_it():
     driver.rows(1, lag_s=0.0, evidence=craft.evidence())
     assert driver.view.sign_check.state == "interrupted"
     assert GOOD.inhibitions == ()
-    assert driver.service._release(SC).case.state.commands[0].life in (CommandState.CANCELLED, CommandState.REJECTED)
+    assert driver.service._context(SC).state.commands[0].state in (CommandState.CANCELLED, CommandState.REJECTED)

@@ -9,7 +9,7 @@ from service.pipeline.control.release.events import OrderKind
 from service.pipeline.control.release.settings import ReleaseSettings
 from service.records.levels.command import AppliedCommand
 from service.records.operations.release import InterlockHold
-from service.runtime.control.release_notifications import ReleasePublisher
+from service.runtime.control.release_publisher import ReleasePublisher
 from service.runtime.control.release_service import ReleaseService
 from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.supervisor import Supervisor

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from release_driver import US, ReleaseDriver
 
-from service.core.control.slew_schedule import AxisPulse
-from service.pipeline.control.release.advance import advance, uncertainty_of
+from service.pipeline.control.release.advance import advance
 from service.pipeline.control.release.command_states import (
     COMMAND_TRANSITIONS,
     OPEN,
@@ -16,9 +15,11 @@ from service.pipeline.control.release.command_states import (
     CommandTransition,
     next_state,
 )
-from service.pipeline.control.release.command_transitions import executed_part
-from service.pipeline.control.release.events import ActionKind, Cancel, Confirm, Prepare, Report, digest_of
+from service.pipeline.control.release.command_transitions import pulses_between
+from service.pipeline.control.release.events import Cancel, Confirm, Journal, Prepare, Report, Uplink, digest_of
 from service.pipeline.control.release.release_checks import release_checks, sent_within_an_hour
+from service.records.levels.attitude import Axes
+from service.records.levels.command import Pulse, ReleasedCommand, ReportedCommand
 
 
 @pytest.fixture
@@ -46,13 +47,16 @@ def test_what_has_gone_out_cannot_be_called_back_and_ends_are_ends():
 def test_a_command_is_prepared_confirmed_released_sent_and_executed(driver):
     assert driver.prepare("ann").refusal is None
     step = driver.confirm("bob")
-    assert [action.kind for action in step.actions] == [ActionKind.RELEASE, ActionKind.UNCERTAIN]
     command = driver.command(1)
-    assert (command.life, command.prepared_by, command.confirmed_by) == (CommandState.RELEASED, "ann", "bob")
+    journal, uplink, _ = step.effects
+    assert journal == Journal(ReleasedCommand(1, driver.now_us, command.schedule))
+    assert isinstance(uplink, Uplink)
+    assert (uplink.product.counter, uplink.product.schedule) == (1, command.schedule)
+    assert (command.state, command.prepared_by, command.confirmed_by) == (CommandState.RELEASED, "ann", "bob")
     report(driver, CommandTransition.SENT)
     step = report(driver, CommandTransition.EXECUTED)
-    assert [action.kind for action in step.actions] == [ActionKind.CERTAIN, ActionKind.KNOWN_INPUT]
-    assert driver.command(1).executed == command.proposal.pulses
+    assert step.effects[0] == Journal(ReportedCommand(1, driver.now_us, command.schedule))
+    assert driver.command(1).executed == command.schedule
 
 
 @pytest.mark.parametrize(
@@ -85,7 +89,7 @@ def test_confirmation_after_expiry_is_refused(driver):
     driver.prepare("ann")
     driver.rows(10)
     assert driver.confirm("bob").refusal.code == "command.expired"
-    assert driver.command(1).life is CommandState.EXPIRED
+    assert driver.command(1).state is CommandState.EXPIRED
 
 
 def test_a_cancelled_command_makes_room(driver):
@@ -118,33 +122,20 @@ def test_an_interval_that_ends_before_it_begins_is_refused(driver):
 def test_a_command_that_failed_half_way_is_known_input_as_far_as_it_went(driver):
     driver.prepare()
     driver.confirm()
-    proposal = driver.command(1).proposal
-    middle_us = proposal.start_us + 100 * US
-    step = report(driver, CommandTransition.FAILED, executed_from_us=proposal.start_us, executed_until_us=middle_us)
-    assert [action.kind for action in step.actions] == [ActionKind.CERTAIN, ActionKind.KNOWN_INPUT]
+    command = driver.command(1)
+    middle_us = command.start_us + 100 * US
+    step = report(driver, CommandTransition.FAILED, executed_from_us=command.start_us, executed_until_us=middle_us)
+    assert step.effects[0] == Journal(ReportedCommand(1, driver.now_us, command.schedule[:1]))
     # the first pulse went, the one that nulls the rate did not: the craft is turning
-    assert driver.command(1).executed == proposal.pulses[:1]
+    assert driver.command(1).executed == command.schedule[:1]
 
 
-def test_a_pulse_that_was_cut_is_cut_in_the_record(driver):
-    proposal = replace(driver.proposal(), pulses=(AxisPulse(1, 10.0, 4.0, 0.002),))
-    start_us = proposal.start_us
-    (part,) = executed_part(proposal, start_us + 11 * US, start_us + 13 * US)
-    assert part == AxisPulse(1, 11.0, 2.0, 0.002)
-    assert executed_part(proposal, start_us, start_us + 9 * US) == ()
-
-
-def test_an_unreported_command_is_uncertainty_with_its_whole_effect(driver):
-    assert not np.any(uncertainty_of(driver.state))
-    driver.prepare(roll_deg=0.05)
-    assert not np.any(uncertainty_of(driver.state))
-    driver.confirm()
-    found = uncertainty_of(driver.state)
-    assert found.angle_deg[1] == pytest.approx(0.05)
-    # the greatest rate, though none is left in the end
-    assert found.rate_deg_s[1] > 5e-5
-    report(driver, CommandTransition.EXECUTED)
-    assert not np.any(uncertainty_of(driver.state))
+def test_a_pulse_that_was_cut_is_cut_in_the_record():
+    pulse = Pulse(10 * US, 4.0, Axes(0.0, 0.002, 0.0))
+    (part,) = pulses_between((pulse,), 11 * US, 13 * US)
+    assert part == Pulse(11 * US, 2.0, Axes(0.0, 0.002, 0.0))
+    assert pulses_between((pulse,), 0, 9 * US) == ()
+    assert pulses_between((pulse,), 0, 20 * US) == (pulse,)
 
 
 @pytest.mark.parametrize(
@@ -152,7 +143,7 @@ def test_an_unreported_command_is_uncertainty_with_its_whole_effect(driver):
     [
         ({"schedule_verdict": "reject"}, "schedule.rejected"),
         ({"schedule_verdict": ""}, "schedule.rejected"),
-        ({"pulses": ()}, "command.empty"),
+        ({"schedule": ()}, "command.empty"),
         ({"start_us": 0}, "command.start_passed"),
         ({"start_us": 2**62}, "command.too_long"),
         ({"attitude_epoch_us": 1}, "command.estimate_stale"),
@@ -221,12 +212,13 @@ def test_checks_tell_all_that_is_wrong_at_once(driver):
 
 def test_the_digest_changes_with_the_last_bit(driver):
     proposal = driver.proposal()
-    first = proposal.pulses[0]
-    nudged = first._replace(torque_n_m=np.nextafter(first.torque_n_m, 1.0).item())
+    first = proposal.schedule[0]
+    torque_n_m = first.torque_n_m._replace(roll=np.nextafter(first.torque_n_m.roll, 1.0).item())
+    nudged = replace(first, torque_n_m=torque_n_m)
     others = [
         digest_of(2, proposal),
         digest_of(1, replace(proposal, start_us=proposal.start_us + 1)),
-        digest_of(1, replace(proposal, pulses=(nudged, *proposal.pulses[1:]))),
+        digest_of(1, replace(proposal, schedule=(nudged, *proposal.schedule[1:]))),
     ]
     assert len({digest_of(1, proposal), *others}) == 4
     assert digest_of(1, proposal) == digest_of(1, replace(proposal))
@@ -236,7 +228,7 @@ def test_commands_that_ended_an_hour_ago_are_forgotten_and_waiting_ones_never(dr
     driver.prepare()
     driver.confirm()
     driver.rows(150)
-    assert driver.command(1).life is CommandState.RELEASED
+    assert driver.command(1).state is CommandState.RELEASED
     report(driver, CommandTransition.EXECUTED)
     driver.rows(61)
     assert driver.state.commands == ()
@@ -245,7 +237,7 @@ def test_commands_that_ended_an_hour_ago_are_forgotten_and_waiting_ones_never(dr
 def test_a_report_is_late_ten_minutes_after_the_end_of_the_schedule(driver):
     driver.prepare()
     driver.confirm()
-    over_us = driver.command(1).proposal.stop_us + 600 * US
+    over_us = driver.command(1).stop_us + 600 * US
     driver.rows((over_us - driver.now_us) // (60 * US))
     assert driver.name == "ARMED"
     driver.rows(1)

@@ -19,6 +19,7 @@ from service.pipeline.control.release.events import (
 )
 from service.pipeline.control.release.interlock_conditions import Condition, Consequence
 from service.records.levels.attitude import Axes
+from service.records.operations.release import Purpose
 
 NAN = float("nan")
 
@@ -196,7 +197,7 @@ def test_a_trip_rejects_what_waits():
     driver = ReleaseDriver().armed()
     driver.prepare()
     driver.order(OrderKind.STOP)
-    assert driver.state.commands[-1].life.name == "REJECTED"
+    assert driver.state.commands[-1].state == "REJECTED"
 
 
 @pytest.mark.parametrize(
@@ -337,8 +338,8 @@ def test_a_computed_command_that_counts_as_applied_trips_beyond_the_envelope_and
 def test_a_sign_check_of_yaw_needs_no_proven_sign_and_every_other_reason_still_holds():
     driver = ReleaseDriver().armed()
     driver.forget("yaw")
-    request = replace(driver.proposal(roll_deg=0.0, yaw_deg=0.03), is_sign_check=True)
-    assert driver.send(Prepare(driver.at, "ann", replace(request, is_sign_check=False))).refusal is not None
+    request = replace(driver.proposal(roll_deg=0.0, yaw_deg=0.03), purpose=Purpose.SIGN_CHECK)
+    assert driver.send(Prepare(driver.at, "ann", replace(request, purpose=Purpose.CONTROL))).refusal is not None
     assert driver.send(Prepare(driver.at, "ann", request)).refusal is None
     driver.send(Cancel(driver.at, "ann", 1))
     driver.rows(1, replace(GOOD, sigma_deg=Axes(0.3, 0.02, 0.03)))

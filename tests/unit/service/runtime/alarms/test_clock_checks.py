@@ -169,4 +169,8 @@ def test_an_upgrade_that_took_release_automatic_away_alarms_for_a_day(rig):
 def keep_release(rig, driver):
     """Store what a desk has stored."""
     releases, document = rig.storage.releases, driver.releases.stored_release.document
-    releases.save("craft", releases.stored("craft").version, ReleaseChange(document, "test"))
+    releases.save(
+        "craft",
+        releases.stored("craft").version,
+        ReleaseChange(document, "test", tuple(driver.releases.views.values())),
+    )

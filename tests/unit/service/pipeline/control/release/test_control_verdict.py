@@ -7,10 +7,9 @@ import pytest
 from release_service_driver import GOOD, US, ReleaseServiceDriver
 from scripted_release_service import CONTROL
 
-from service.pipeline.control.release.control_reasons import _NEXT_STEPS, CODES, reason_of
-from service.pipeline.control.release.control_verdict import control_verdict
+from service.pipeline.control.release.control_verdict import _NEXT_STEPS, CODES, control_verdict, reason_of
 from service.pipeline.control.release.events import OrderKind
-from service.pipeline.control.release.row_facts import facts_of_row
+from service.pipeline.control.release.interlock_conditions import facts_of_row
 from service.pipeline.control.release.settings import ReleaseSettings
 from service.records.catalogue import Release
 from service.records.levels.attitude import Axes, Status

@@ -1,9 +1,8 @@
-"""One sign check under way: its legs, what was carried out of them, the rows meanwhile, and what they say.
+"""Rows of a running sign check, and the verdicts of powers and wheel telemetry.
 
-The filter is not told of the torque, so the powers alone must show the turn. Legs go one by one, each confirmed by
-persons and reported by the centre. What counts as commanded is what was reported executed, and rows from the start of
-a leg on are judged once it is reported: a leg that was lost on its way is no wrong sign. Rows live in this process
-only: a check that a restart interrupts begins anew.
+The filter does not get the torque of a sign check, so the powers alone must show the turn. The pulses that were
+reported executed are the commanded turn, and rows from the start of a leg on are judged once it is reported: a leg
+that was lost on its way is no wrong sign. Rows live in this process only: a restart interrupts a check.
 """
 
 import math
@@ -13,14 +12,15 @@ import numpy as np
 
 from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S
 from service.core.control.sign_check import SignContext, SignDecision, SignState, decide, weigh, wheel_decision
-from service.core.control.sign_profiles import Profile, pitch_profile, roll_profile, yaw_profile
 from service.core.control.slew_schedule import LONGEST_SHARE, AxisPulse, Drive, plan_slew
 from service.core.estimation.filtering.model.filter_model import CarrierModel
 from service.pipeline.control.release.settings import ReleaseSettings, microseconds
+from service.pipeline.control.release.sign_checks import profile_of
 from service.records.epoch import US_PER_S
 from service.records.inputs import TelemetryRecord
 from service.records.levels.attitude import Axes, FloatArray
 from service.records.levels.command import Pulse
+from service.records.operations.release import SignCheck
 
 AXES = ("yaw", "roll", "pitch")
 #: time from the middle of a leg's first pulse to that of its second, s; roll slower, so that it stays in the envelope
@@ -33,113 +33,90 @@ _LEAST_ROWS = 4
 
 
 @dataclass(slots=True)
-class SignCheckRun:
-    """A sign check of one axis."""
+class SignCheckRows:
+    """Rows since a sign check began."""
 
-    axis: str
-    by: str
-    started_us: int
     #: attitude before it, deg
     attitude_deg: Axes
     #: (3, 3) in the order yaw, roll, pitch
     inertia_kg_m2: FloatArray
     has_coupling: bool
-    settings: ReleaseSettings
-    #: counter of the leg that is prepared or out, and when it begins
-    pending: int | None = None
-    pending_us: int = 0
-    #: what was carried out of each leg
-    done: list[tuple[Pulse, ...]] = field(default_factory=list)
     model: CarrierModel | None = None
     epochs_us: list[int] = field(default_factory=list)
     deviations_db: list[FloatArray] = field(default_factory=list)
-    #: legs and rows that were weighed last, and what they said
+    #: legs and rows that were weighed last, and their decision
     judged: tuple[int, int, SignDecision] | None = None
 
-    @property
-    def profile(self) -> Profile:
-        """The turns that are planned."""
-        return {"yaw": yaw_profile, "roll": roll_profile, "pitch": pitch_profile}[self.axis]()
-
-    @property
-    def until_us(self) -> int:
-        """When it ends undecided: its time runs from the first turn on, and persons get theirs before."""
-        limit_s = self.settings.yaw_sign_check_s if self.axis == "yaw" else self.settings.sign_check_s
-        if self.done:
-            return self.done[0][0].start_us + microseconds(limit_s)
-        return self.started_us + microseconds(limit_s + self.settings.prepared_s)
-
-    def see(self, epoch_us: int, model: CarrierModel, deviation_db: FloatArray) -> None:
-        """Keep a row; those of another model than the first one's carriers do not fit."""
+    def append(self, epoch_us: int, model: CarrierModel, deviation_db: FloatArray) -> None:
+        """Append a row; those of another model than the first one's carriers do not fit."""
         if self.model is not None and model.carriers != self.model.carriers:
             return
         self.model = model
         self.epochs_us.append(epoch_us)
         self.deviations_db.append(deviation_db)
 
-    def is_leg_due(self, start_us: int) -> bool:
-        """Whether the next leg may begin at an instant: yaw stays on each side for its time."""
-        legs = self.profile.legs
-        if self.pending is not None or len(self.done) >= len(legs):
-            return False
-        if not self.done:
-            return True
-        return start_us >= self.done[0][0].start_us + microseconds(legs[len(self.done)].start_s)
-
-    def leg(self, drive: Drive) -> tuple[AxisPulse, ...]:
+    def leg(self, check: SignCheck, drive: Drive) -> tuple[AxisPulse, ...]:
         """Return the pulses of the next leg; ValueError where the drive cannot give them."""
         change = np.zeros(3)
-        change[AXES.index(self.axis)] = self.profile.legs[len(self.done)].change_deg
-        horizon_s = _SAILING_S[self.axis] / _SAILING_SHARE
+        change[AXES.index(check.axis)] = profile_of(check.axis).legs[check.legs_done].change_deg
+        horizon_s = _SAILING_S[check.axis] / _SAILING_SHARE
         return plan_slew(change, np.zeros(3), self.inertia_kg_m2, horizon_s, drive)
 
-    def decision(self) -> SignDecision | None:
-        """Return what the powers say; None while there is nothing to judge."""
-        if not self.done or self.model is None:
+    def decision(self, check: SignCheck) -> SignDecision | None:
+        """Return the decision of the powers; None while there is nothing to judge."""
+        if not check.flown or self.model is None:
             return None
         epochs_us, deviation_db = np.array(self.epochs_us), np.array(self.deviations_db)
-        if self.pending is not None:
-            is_before = epochs_us < self.pending_us
+        if check.leg is not None:
+            is_before = epochs_us < check.leg_start_us
             epochs_us, deviation_db = epochs_us[is_before], deviation_db[is_before]
         if len(epochs_us) < _LEAST_ROWS:
             return None
-        if self.judged is None or self.judged[:2] != (len(self.done), len(epochs_us)):
-            self.judged = len(self.done), len(epochs_us), self._weighed(self.model, epochs_us, deviation_db)
+        weighed = len(check.flown), len(epochs_us)
+        if self.judged is None or self.judged[:2] != weighed:
+            self.judged = *weighed, self._weighed(check, self.model, epochs_us, deviation_db)
         return self.judged[2]
 
-    def _weighed(self, model: CarrierModel, epochs_us: FloatArray, deviation_db: FloatArray) -> SignDecision:
-        """Return what some rows say."""
+    def _weighed(
+        self, check: SignCheck, model: CarrierModel, epochs_us: FloatArray, deviation_db: FloatArray
+    ) -> SignDecision:
+        """Return the decision of some rows."""
         size = math.ceil(len(epochs_us) / _MOST_ROWS)
         model = model._replace(white_sigma_db=model.white_sigma_db / math.sqrt(size))
         epochs_us, deviation_db = _averaged(epochs_us, deviation_db, size)
         epochs_s = (epochs_us - epochs_us[0]) / US_PER_S
-        turn = turned_deg(self.done, epochs_us, self.inertia_kg_m2, has_coupling=self.has_coupling)
+        turn = turned_deg(list(check.flown), epochs_us, self.inertia_kg_m2, has_coupling=self.has_coupling)
         return decide(weigh(model, epochs_s, deviation_db, turn, SignContext(np.array(self.attitude_deg))))
 
-    def wheel_verdict(self, telemetry: tuple[TelemetryRecord, ...], wheel_axes: FloatArray) -> SignState:
-        """Return what wheel telemetry says: momentum while sailing against that before each leg."""
-        predicted, measured = [], []
-        for schedule in self.done:
-            told = _sailing_change(schedule, telemetry)
-            if told is not None and len(told) == len(wheel_axes):
-                impulse = np.array(schedule[0].torque_n_m) * schedule[0].duration_s
-                predicted.append(-impulse @ np.linalg.pinv(wheel_axes))
-                measured.append(told)
-        if not predicted:
-            return SignState.OPEN
-        sigma = self.settings.wheel_sigma_n_m_s
-        return wheel_decision(np.concatenate(predicted), np.concatenate(measured), sigma).verdict
 
-    def verdict(self, powers: SignState, wheels: SignState | None, now_us: int) -> SignState:
-        """Return what holds: powers alone for roll and pitch; for yaw both, and not before its time."""
-        if wheels is None:
-            return powers
-        if not self.done or now_us - self.done[0][0].start_us < microseconds(self.settings.yaw_sign_least_s):
-            return SignState.OPEN
-        wrong = [each for each in (powers, wheels) if each in (SignState.MINUS, SignState.NOTHING)]
-        if wrong:
-            return wrong[0]
-        return SignState.PLUS if powers is wheels is SignState.PLUS else SignState.OPEN
+def wheel_verdict(
+    check: SignCheck, telemetry: tuple[TelemetryRecord, ...], wheel_axes: FloatArray, settings: ReleaseSettings
+) -> SignState:
+    """Return the verdict of wheel telemetry: momentum while sailing against that before each leg."""
+    predicted, measured = [], []
+    for schedule in check.flown:
+        change = _sailing_change(schedule, telemetry)
+        if change is not None and len(change) == len(wheel_axes):
+            impulse = np.array(schedule[0].torque_n_m) * schedule[0].duration_s
+            predicted.append(-impulse @ np.linalg.pinv(wheel_axes))
+            measured.append(change)
+    if not predicted:
+        return SignState.OPEN
+    return wheel_decision(np.concatenate(predicted), np.concatenate(measured), settings.wheel_sigma_n_m_s).verdict
+
+
+def joint_verdict(
+    check: SignCheck, powers: SignState, wheels: SignState | None, now_us: int, settings: ReleaseSettings
+) -> SignState:
+    """Return the verdict: of powers alone for roll and pitch; for yaw of both, and not before its time."""
+    if wheels is None:
+        return powers
+    if not check.flown or now_us - check.flown[0][0].start_us < microseconds(settings.yaw_sign_least_s):
+        return SignState.OPEN
+    wrong = [each for each in (powers, wheels) if each in (SignState.MINUS, SignState.NOTHING)]
+    if wrong:
+        return wrong[0]
+    return SignState.PLUS if powers is wheels is SignState.PLUS else SignState.OPEN
 
 
 def turned_deg(

@@ -1,0 +1,69 @@
+"""Publisher of stored steps of the release: to the estimator, to streams and to the audit log."""
+
+import logging
+from collections.abc import Callable, Iterable
+
+from service.errors import SooError
+from service.pipeline.control.release.events import Audit as AuditEffect
+from service.pipeline.control.release.events import Journal, Publish, ReleaseEffect
+from service.pipeline.control.release.interlock import Instant
+from service.ports import Audit
+from service.records.operations.audit import CURRENT_NOTE, DONE, AuditEvent
+from service.runtime.live.live_feed import Cursor, FeedEvent, LiveFeed
+
+_LOG = logging.getLogger("soo.release")
+
+#: who did what no person ordered
+_WHO = "interlock"
+
+
+class ReleasePublisher:
+    """Publishes the effects of a step that is stored.
+
+    Parameters
+    ----------
+    audit : Audit
+        Gets what happened by itself; what a person did, the request's own event tells.
+    feed : LiveFeed
+        Streams read the state again.
+    on_journal : callable
+        Called with the spacecraft whose journal has grown.
+    """
+
+    def __init__(self, audit: Audit, feed: LiveFeed, on_journal: Callable[[str], None]) -> None:
+        self._audit = audit
+        self._feed = feed
+        self._on_journal = on_journal
+
+    def publish(self, spacecraft_id: str, effects: Iterable[ReleaseEffect], at: Instant) -> None:
+        """Apply the effects of a step; products and journal entries have been stored with it."""
+        kinds = {type(effect) for effect in effects}
+        if Journal in kinds:
+            self._on_journal(spacecraft_id)
+        for effect in effects:
+            if isinstance(effect, AuditEffect):
+                self._append(effect.action, f"/spacecraft/{spacecraft_id}/{effect.target}", at)
+            elif isinstance(effect, Publish) and effect.warning:
+                _LOG.warning("release of %s: %s", spacecraft_id, effect.warning)
+        if Publish in kinds and self._feed.has_subscribers(spacecraft_id):
+            self._feed.publish(spacecraft_id, (FeedEvent("status", Cursor(0, 0), None),))
+
+    def _append(self, action: str, target: str, at: Instant) -> None:
+        """Append an event of the interlock itself; the archive may be away, and control does not wait for it."""
+        if CURRENT_NOTE.get() is not None:
+            return
+        event = AuditEvent(
+            at_us=at.now_us,
+            who=_WHO,
+            key_id="",
+            role="",
+            address="",
+            action=action,
+            target=target,
+            outcome=DONE,
+            request_id="",
+        )
+        try:
+            self._audit.append(event)
+        except SooError as error:
+            _LOG.error("%s of %s is not in the audit log: %s", action, target, error)
