@@ -14,9 +14,8 @@ from math import isfinite
 
 import numpy as np
 
-from service.core.geometry.quaternion import attitude_of_quaternion, quaternion_of_attitude, with_continuous_sign
-from service.formats.ccsds import Segment, as_bytes, comment, epoch_of, epoch_texts, line, malformed, read_segments
-from service.formats.ccsds import require as require_meta
+from service.core.geometry.quaternion import quaternion_of_attitude, with_continuous_sign
+from service.formats.ccsds import as_bytes, comment, epoch_texts, line
 from service.records.levels.attitude import AttitudeRow, FloatArray, IntArray
 
 #: rows of one segment at most: what is held in memory
@@ -26,12 +25,6 @@ GAP_ROWS = 2.5
 #: rows whose median distance is the usual one
 _USUAL_OF_ROWS = 1000
 _VERSION = "CCSDS_AEM_VERS"
-_UNDERSTOOD: dict[str, Sequence[str]] = {
-    "TIME_SYSTEM": ("UTC",),
-    "REF_FRAME_A": ("LVLH_ROTATING",),
-    "REF_FRAME_B": ("SC_BODY_1",),
-    "ATTITUDE_TYPE": ("QUATERNION",),
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,42 +134,3 @@ def _continues(last: AttitudeRow, row: AttitudeRow, usual_us: float) -> bool:
     is_near = row.epoch_us - last.epoch_us <= GAP_ROWS * usual_us if usual_us > 0.0 else True
     same = (row.status, row.calibration_id, row.alignment_id) == (last.status, last.calibration_id, last.alignment_id)
     return is_near and same
-
-
-@dataclass(frozen=True, slots=True)
-class AttitudeTrack:
-    """One segment as read: (T,) microseconds UTC and (T, 3) deg, yaw, roll, pitch."""
-
-    object_name: str
-    epochs_us: IntArray
-    attitude_deg: FloatArray
-
-
-def read_aem(text: str) -> tuple[AttitudeTrack, ...]:
-    """Return the segments of a message with quaternions LVLH_ROTATING -> SC_BODY_1.
-
-    Raises
-    ------
-    InvalidInputError
-        ``ccsds.malformed`` with the line, ``ccsds.unsupported`` with the keyword.
-    """
-    return tuple(_track(segment) for segment in read_segments(text, _VERSION))
-
-
-def _track(segment: Segment) -> AttitudeTrack:
-    require_meta(segment, _UNDERSTOOD)
-    epochs_us: list[int] = []
-    quaternions: list[list[float]] = []
-    for number, content in segment.data:
-        fields = content.split()
-        try:
-            values = [float(text) for text in fields[1:]]
-        except ValueError:
-            values = []
-        length = float(np.linalg.norm(values)) if len(values) == 4 else 0.0
-        if not abs(length - 1.0) < 1e-3:
-            raise malformed(number, "a row is an epoch and the four parts of a unit quaternion, scalar last")
-        epochs_us.append(epoch_of(number, fields[0]))
-        quaternions.append(values)
-    attitude_deg = attitude_of_quaternion(np.array(quaternions).reshape(-1, 4))
-    return AttitudeTrack(segment.meta.get("OBJECT_NAME", ""), np.array(epochs_us, dtype=np.int64), attitude_deg)

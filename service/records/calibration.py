@@ -6,7 +6,6 @@ All arrays are tuples in the order of the plan's carriers or of (yaw, roll, pitc
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from service.records.catalogue import Method
 from service.records.geometry import GeometryFit
 from service.records.levels.attitude import Axes
 from service.records.noise import NoiseComponent
@@ -154,11 +153,6 @@ class Calibration:
     def is_yaw_controllable(self) -> bool:
         """Whether yaw may be controlled: its sign is proven, or nobody judged it when this calibration was made."""
         return self.result is None or self.result.signs is None or self.result.signs.is_yaw_proven
-
-    def serves(self, method: Method) -> bool:
-        """Whether this calibration can drive an estimation method by itself."""
-        wanted = CalibrationMethod.GEOMETRY if method is Method.ROBUST else CalibrationMethod.PAPER
-        return self.request.method is wanted
 
 
 @dataclass(frozen=True, slots=True)

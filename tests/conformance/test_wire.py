@@ -9,11 +9,11 @@ from contextlib import closing
 import numpy as np
 import pytest
 import wire_lines as w
+from analyzer_thread import AnalyzerThread, start_in_thread
 from scpi_bench import standing_instrument
 from wire_lines import HislipLine, RawLine
 
 from analyzer_sim.dialects.dialects import DIALECTS
-from analyzer_sim.lines.server import AnalyzerThread, start_in_thread
 
 pytestmark = pytest.mark.system
 

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from block_rows import row_sources
 from sqlalchemy import select, update
 
 from db.encoding.segments import DAY_US
@@ -50,7 +51,7 @@ def blocks(archive, name, window, **options):
     return [
         (source, block.plan_id, epoch_us, powers.tobytes())
         for block in archive.measurement_blocks(name, window, **options)
-        for source, epoch_us, powers in zip(block.row_sources(), block.epochs_us.tolist(), block.power_dbm, strict=True)
+        for source, epoch_us, powers in zip(row_sources(block), block.epochs_us.tolist(), block.power_dbm, strict=True)
     ]
 
 

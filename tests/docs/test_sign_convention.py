@@ -4,8 +4,9 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
+from flight_geometry import turned_direction
 
-from service.core.geometry.frames import AntennaDirection, turned_direction
+from service.core.geometry.frames import AntennaDirection
 
 PICTURE = Path(__file__).parents[2] / "docs" / "images" / "sign-convention.svg"
 SPACE = "{http://www.w3.org/2000/svg}"

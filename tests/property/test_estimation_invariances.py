@@ -1,6 +1,7 @@
 """Invariances of the paper method that must hold for any data."""
 
 import numpy as np
+from flight_geometry import direction_vector
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -10,7 +11,7 @@ from service.core.estimation.paper.octants import predict_deviation_db, solve_oc
 from service.core.estimation.paper.rejection import RejectionReason, reject_faded_carriers
 from service.core.estimation.paper.sensitivity import fit_turn_sensitivity
 from service.core.estimation.paper.trailing_mean import empty_window, mean, push
-from service.core.geometry.frames import AntennaDirection, antenna_direction, body_from_nadir, direction_vector
+from service.core.geometry.frames import AntennaDirection, antenna_direction, body_from_nadir
 from service.core.geometry.node_phase import latest_node_us, node_phase_rad
 
 SEEDS = st.integers(0, 2**32 - 1)

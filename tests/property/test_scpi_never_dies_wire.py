@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing
 
 import pytest
+from analyzer_thread import AnalyzerThread, start_in_thread
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scpi_bench import standing_instrument
@@ -12,7 +13,6 @@ from scpi_soup import KINDS
 from wire_lines import HislipLine, RawLine
 
 from analyzer_sim.dialects.dialects import DIALECTS
-from analyzer_sim.lines.server import AnalyzerThread, start_in_thread
 from analyzer_sim.scpi.framing import MessageFramer
 
 pytestmark = pytest.mark.system

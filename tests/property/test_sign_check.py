@@ -6,24 +6,20 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sign_world import FLICKER, LOUD, NOMINAL, decisions, payload, powers_db
-
-from service.core.control.sign_check import (
-    Sign,
-    SignContext,
-    SignState,
-    decide,
+from sign_world import (
+    FLICKER,
+    LOUD,
+    NOMINAL,
+    decisions,
     expected_ratio,
-    weigh,
-    wheel_decision,
-)
-from service.core.control.sign_profiles import (
     greatest_loss_deg,
-    pitch_profile,
+    payload,
+    powers_db,
     profile_angles_deg,
-    roll_profile,
-    yaw_profile,
 )
+
+from service.core.control.sign_check import Sign, SignContext, SignState, decide, weigh, wheel_decision
+from service.core.control.sign_profiles import pitch_profile, roll_profile, yaw_profile
 
 #: rows every two minutes: what passes at half the rows passes at all of them, at a fraction of the cost
 EPOCHS_S = np.arange(0.0, 2701.0, 120.0)

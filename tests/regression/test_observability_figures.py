@@ -181,9 +181,9 @@ def test_calibration_by_geometry_states_an_honest_bound(stations, tmp_path):
     assert (optimal / everything < 1.2).all(), "half of the carriers, well chosen, see nearly as much as all"
     # the simulator's users: white 0.155 dB and 0.09 dB of 20 min in the mean; what the calibration learned of them
     # gives the same average of an hour to a quarter
-    hour = np.array(found.chosen_set.averaged_deg[1])
+    hour = np.array(found.sets[found.rule].averaged_deg[1])
     kept = averaged_crlb_deg(
-        true[found.chosen_set.chosen],
+        true[found.sets[found.rule].chosen],
         ColouredNoise(np.full(16, 0.155), np.full((16, 1), 0.09), np.full((16, 1), 1200.0)),
         np.array([3600.0]),
         60.0,

@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from analyzer_thread import AnalyzerThread, start_in_thread
 from steady_world import Steady, steady_task
 
 from analyzer_sim.instrument.imperfections import IDEAL
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import Detail, TracePainter
-from analyzer_sim.lines.server import AnalyzerThread, start_in_thread
 from analyzer_sim.world.ground import ground
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World

@@ -9,12 +9,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from analyzer_thread import start_in_thread
 from calibration_world import CalibratedWorld
 from standing_source import StandingSource
 
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import TracePainter
-from analyzer_sim.lines.server import start_in_thread
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 from service.core.dynamics.orbital_frame_flight import Start, fly_craft

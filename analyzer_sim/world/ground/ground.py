@@ -40,13 +40,6 @@ ROWS_PER_CHUNK = 60
 _NOT_FLOWN = {"corrections", "telemetry"}
 
 
-def ground_lines(world: World, rows_per_chunk: int = ROWS_PER_CHUNK) -> Iterator[Line]:
-    """Yield all lines of a world in the order in which the ground port sends them, holds left out."""
-    yield from catalogue_lines(world)
-    for first, last, _phase in chunks_of(world, rows_per_chunk):
-        yield from chunk_lines(world, first, last)
-
-
 def chunks_of(world: World, rows_per_chunk: int = ROWS_PER_CHUNK) -> list[tuple[int, int, str]]:
     """Return (first row, last row, phase) of each chunk.
 

@@ -69,18 +69,6 @@ def sensitivity_db_per_deg(plan: CarrierPlan, orbit: Orbit, step_deg: float = 0.
     return np.asarray((gains[:3] - gains[3:]).T / (2.0 * step_deg))
 
 
-def attitude_gain_db(
-    plan: CarrierPlan,
-    orbit: Orbit,
-    epochs_us: EpochArray,
-    attitude_deg: FloatArray,
-    shift_deg: FloatArray | None = None,
-) -> FloatArray:
-    """Return the change of gain (T, N) against nominal attitude and place; `shift_deg` as in `pattern_gain_db`."""
-    gain_db = flown_gain_db(plan, orbit, epochs_us, attitude_deg, shift_deg)
-    return gain_db - nominal_gain_db(plan, orbit, np.zeros((1, 3)))
-
-
 def flown_gain_db(
     plan: CarrierPlan,
     orbit: Orbit,

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.core.dynamics.orbital_frame_model import Law
-from service.core.dynamics.orbital_frame_step import half_angles, wanted_torque
+from service.core.dynamics.orbital_frame_step import wanted_torque
 
 FloatArray = NDArray[np.float64]
 
@@ -72,21 +72,6 @@ def does_rate_tell_yaw(body_rate_deg_s: FloatArray, orbital_rate_rad_s: float) -
     """
     _, roll_rate, pitch_rate = np.radians(np.asarray(body_rate_deg_s, dtype=np.float64)).tolist()
     return bool(np.isfinite(body_rate_deg_s).all() and abs(roll_rate) <= orbital_rate_rad_s and pitch_rate <= 0.0)
-
-
-def yaw_from_roll_rate_deg(roll_deg: float, pitch_deg: float, body_rate_deg_s: FloatArray, law: Law) -> float:
-    """Return the yaw that the law believes in, deg; at small angles ``sqrt(2)`` of the true one, by its slope.
-
-    Examples
-    --------
-    >>> law = Law(orbital_rate_rad_s=7.292e-5)
-    >>> w0 = math.degrees(law.orbital_rate_rad_s)
-    >>> rate = np.array([0.0, -w0 * math.radians(1.0), -w0])
-    >>> round(yaw_from_roll_rate_deg(0.0, 0.0, rate, law), 3)
-    1.414
-    """
-    half = half_angles(law, *_in_model_axes(roll_deg, pitch_deg, body_rate_deg_s))
-    return -math.degrees(2.0 * math.asin(max(-1.0, min(1.0, half[3]))))
 
 
 def _in_model_axes(

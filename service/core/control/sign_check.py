@@ -154,21 +154,6 @@ def decide(evidence: SignLikelihoods, least_ratio: float = DECISIVE) -> SignDeci
     return SignDecision(verdict, row, (plus, nothing, minus))
 
 
-def expected_ratio(
-    model: CarrierModel, epochs_s: FloatArray, profile_deg: FloatArray, circumstances: SignContext
-) -> FloatArray:
-    """Return the mean log-likelihood ratio (T,) of the true PLUS against NOTHING, for the choice of a profile.
-
-    Its standard deviation is the square root of twice the mean; against MINUS both are about four and two times that.
-    """
-    still = _signature(model, circumstances.attitude_deg, 0.0 * profile_deg)
-    moved = _signature(model, circumstances.attitude_deg, profile_deg) - still
-    everywhere = np.ones(moved.shape, dtype=np.bool_)
-    covariance = _covariance(model, epochs_s, circumstances, everywhere)
-    white = _whitened(covariance, moved.reshape(-1, 1)).reshape(moved.shape)
-    return np.asarray(0.5 * (white**2).sum(axis=1).cumsum())
-
-
 def wheel_decision(
     predicted_n_m_s: FloatArray, measured_n_m_s: FloatArray, sigma_n_m_s: float, least_ratio: float = DECISIVE
 ) -> SignDecision:

@@ -65,38 +65,3 @@ def yaw_profile(side_deg: float = 0.25, hold_s: float = 3600.0) -> Profile:
     begin_s += 2 * parts * slew_s + hold_s
     legs += [SlewLeg(begin_s + k * slew_s, slew_s, step) for k in range(parts)]
     return Profile(YAW, tuple(legs), begin_s + parts * slew_s)
-
-
-def profile_angles_deg(profile: Profile, epochs_s: FloatArray, coupling_per_h: float = 0.2625162) -> FloatArray:
-    """Return the turn (T, 3), deg, that a profile makes by some epochs (T,), s.
-
-    Parameters
-    ----------
-    profile : Profile
-        Slews at a steady rate between their pulses.
-    epochs_s : ndarray, shape (T,), s
-        From the beginning of the profile.
-    coupling_per_h : float, 1/h
-        Exchange of roll and yaw; a turn about yaw drags roll behind it (and a turn about roll yaw), to first order.
-    """
-    turn = np.zeros((len(epochs_s), 3))
-    dragged = np.zeros(len(epochs_s))
-    for leg in profile.legs:
-        since_s = np.maximum(0.0, epochs_s - leg.start_s)
-        beyond_s = np.maximum(0.0, since_s - leg.duration_s)
-        turn[:, profile.axis] += leg.change_deg * np.minimum(1.0, since_s / leg.duration_s)
-        # integral over time, deg h
-        area = 0.5 * (since_s**2 - beyond_s**2) / leg.duration_s
-        dragged += leg.change_deg * area / 3600.0
-    if profile.axis == YAW:
-        turn[:, ROLL] = coupling_per_h * dragged
-    elif profile.axis == ROLL:
-        turn[:, YAW] = -coupling_per_h * dragged
-    return turn
-
-
-def greatest_loss_deg(profile: Profile) -> float:
-    """Return how far yaw, roll or pitch leaves its place at most if the sign of the profile's axis is wrong."""
-    epochs_s = np.arange(0.0, profile.stop_s + 1.0, 10.0)
-    turn = np.abs(profile_angles_deg(profile, epochs_s)).max(axis=0)
-    return float(turn.max())

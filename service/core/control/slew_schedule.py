@@ -164,12 +164,6 @@ def _shaped(impulse_n_m_s: FloatArray, drive: Drive, longest_s: float) -> list[t
     return shaped
 
 
-def superseded(pulses: tuple[AxisPulse, ...], at_s: float) -> tuple[AxisPulse, ...]:
-    """Return what of a schedule has begun when the next one takes its place; a pulse in flight is cut there."""
-    begun = [pulse for pulse in pulses if pulse.start_s < at_s]
-    return tuple(pulse._replace(duration_s=min(pulse.duration_s, at_s - pulse.start_s)) for pulse in begun)
-
-
 def predicted_effect(
     pulses: tuple[AxisPulse, ...], inertia_kg_m2: FloatArray, wheel_axes: FloatArray, horizon_s: float
 ) -> Effect:

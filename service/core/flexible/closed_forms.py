@@ -4,14 +4,12 @@ With Delta = eps_a tau the gain of speed in a pulse and v the speed at firing, o
 without viscous loss (c = 0); `limit_cycle` has the exact figures for any.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from service.core.flexible.phi_functions import FloatArray
 from service.core.flexible.return_kernels import OneSided
-from service.core.flexible.roots import brent_root
 from service.core.flexible.spacecraft import WheelDrive, accelerations
 
 
@@ -73,51 +71,3 @@ def truncated_succession(speeds_rad_s: FloatArray, motion: OneSided) -> FloatArr
     gained = motion.pulse_rad_s2 * motion.pulse_s
     passive_part = motion.passive_rad_s2 * motion.pulse_rad_s2 * motion.pulse_s**2
     return np.sqrt((speeds_rad_s - gained) ** 2 + passive_part)
-
-
-def frictionless_succession(speeds_rad_s: FloatArray, motion: OneSided) -> FloatArray:
-    """Return the succession (S,) of a single pulse without viscous loss; NaN where the body turns before the line."""
-    gained = motion.pulse_rad_s2 * motion.pulse_s
-    fallen = 2.0 * motion.passive_rad_s2 * motion.pulse_s * (speeds_rad_s - 0.5 * gained)
-    square = (speeds_rad_s - gained) ** 2 - fallen
-    return np.sqrt(np.where(square >= 0.0, square, np.nan))
-
-
-class StaggeredForms(NamedTuple):
-    """Cycle of N pulses at N lines with instantaneous pulses."""
-
-    #: (N,) at each line
-    speeds_rad_s: FloatArray
-    multiplier: float
-
-
-def staggered_forms(motion: OneSided) -> StaggeredForms | None:
-    """Return the cycle of all lines in the limit of instantaneous pulses without viscous loss; None: there is none.
-
-    The sum of ``v_i - Delta / 2`` is zero, ``v_i+1^2 = (Delta - v_i)^2 + 2 eps_c (L_i+1 - L_i)``, and the multiplier is
-    minus the product of ``(Delta - v_i) / v_i+1``, for an odd number of pulses; an even number has no fixed cycle.
-    """
-    gained = motion.pulse_rad_s2 * motion.pulse_s
-
-    def balance(first: float) -> float:
-        return float(np.sum(_staggered_speeds(first, motion)[:-1] - 0.5 * gained))
-
-    if motion.pulse_count % 2 == 0 or balance(0.0) * balance(gained) > 0.0:
-        return None
-    speeds = _staggered_speeds(brent_root(balance, 0.0, gained), motion)
-    if not speeds[1:].all():
-        # the body turns before a line
-        return None
-    ratio = (gained - speeds[:-1]) / speeds[1:]
-    return StaggeredForms(speeds[:-1], -float(np.prod(ratio)))
-
-
-def _staggered_speeds(first: float, motion: OneSided) -> FloatArray:
-    """Return the speeds at the lines and at the return to the first, (N + 1,)."""
-    gained = motion.pulse_rad_s2 * motion.pulse_s
-    climb = 2.0 * motion.passive_rad_s2 * motion.line_step_rad
-    steps = [climb] * (motion.pulse_count - 1) + [-(motion.pulse_count - 1) * climb]
-    speeds = [first]
-    for step in steps:
-        speeds.append(math.sqrt(max((gained - speeds[-1]) ** 2 + step, 0.0)))
-    return np.array(speeds)

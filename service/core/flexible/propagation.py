@@ -140,29 +140,3 @@ def _deflection(leg: MotionLeg, t: FloatArray) -> tuple[FloatArray, FloatArray]:
     swing = envelope * (leg.cosine_rad * cosine + leg.sine_rad * sine)
     swing_rate = envelope * leg.frequency_rad_s * (leg.sine_rad * cosine - leg.cosine_rad * sine)
     return leg.offset_rad + fading + swing, swing_rate - leg.damping_1_s * swing - leg.decay_1_s * fading
-
-
-def bi_plane_invariant(leg: MotionLeg, mode: HubMode, elapsed_s: FloatArray) -> FloatArray:
-    """Return K (T,) of equation (11) along a leg of constant torque (c = 0); it does not change.
-
-    Parameters
-    ----------
-    leg : MotionLeg
-        With ``decay_1_s`` zero.
-    mode : HubMode
-        That of the leg.
-    elapsed_s : ndarray, shape (T,), s
-        Times in order, closer together than half a period of the mode, the first zero.
-
-    Notes
-    -----
-    ``[y + xi (x - x_c)]^2 + nu^2 (x - x_c)^2 = K exp(2 xi / nu arctg(...))`` with x = thU, y = thU' / w. The printed
-    arctg holds for a quarter of a turn; here it is unwrapped.
-    """
-    states = states_at(leg, elapsed_s)
-    nu = math.sqrt(1.0 - mode.damping_ratio**2)
-    centre = leg.offset_rad + leg.decaying_rad
-    x = nu * (states[:, 2] - centre)
-    y = states[:, 3] / mode.omega_rad_s + mode.damping_ratio * (states[:, 2] - centre)
-    turn_rad = np.unwrap(np.arctan2(y, x))
-    return np.asarray((x * x + y * y) * np.exp(-2.0 * mode.damping_ratio / nu * turn_rad))

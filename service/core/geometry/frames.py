@@ -66,50 +66,12 @@ def body_from_nadir(attitude_deg: ArrayLike) -> FloatArray:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def direction_vector(direction: AntennaDirection) -> FloatArray:
-    """Return unit vectors, shape (..., 3), of antenna angles that lie within 90 degrees of the axis.
-
-    Examples
-    --------
-    >>> direction_vector(AntennaDirection(np.array(0.0), np.array(0.0)))
-    array([ 0., -0.,  1.])
-    """
-    east = np.tan(np.radians(direction.azimuth_deg))
-    north = np.tan(np.radians(direction.elevation_deg))
-    vector = np.stack([east, -north, np.ones_like(east)], axis=-1)
-    return np.asarray(vector / np.linalg.norm(vector, axis=-1, keepdims=True))
-
-
 def antenna_direction(vector: FloatArray) -> AntennaDirection:
     """Return the antenna angles of vectors, shape (..., 3), in the frame in which they are given."""
     return AntennaDirection(
         np.degrees(np.arctan2(vector[..., 0], vector[..., 2])),
         np.degrees(np.arctan2(-vector[..., 1], vector[..., 2])),
     )
-
-
-def turned_direction(direction: AntennaDirection, attitude_deg: ArrayLike) -> AntennaDirection:
-    """Return where directions known at zero attitude are seen by the turned body.
-
-    Parameters
-    ----------
-    direction : AntennaDirection
-        Angles at zero attitude, shape (N,).
-    attitude_deg : array_like, shape (..., 3), deg
-        Yaw, roll, pitch.
-
-    Returns
-    -------
-    AntennaDirection
-        Angles in the body, shape (..., N); exact, not to first order.
-
-    Examples
-    --------
-    >>> turned = turned_direction(AntennaDirection(np.zeros(1), np.zeros(1)), [0.0, 0.5, 0.0])
-    >>> float(turned.elevation_deg[0].round(12))
-    -0.5
-    """
-    return antenna_direction(direction_vector(direction) @ np.swapaxes(body_from_nadir(attitude_deg), -1, -2))
 
 
 def station_direction(

@@ -13,8 +13,6 @@ FloatArray = NDArray[np.float64]
 
 #: dB of one neper of power, 10 / ln 10; small relative deviations times this are deviations in dB
 DB_PER_NEPER = 10.0 / math.log(10.0)
-#: dBW = dBm - 30
-DBM_OF_ONE_WATT = 30.0
 
 
 def ratio_from_db(ratio_db: ArrayLike) -> FloatArray:
@@ -61,28 +59,6 @@ def dbm_from_mw(power_mw: ArrayLike) -> FloatArray:
     True
     """
     return db_from_ratio(power_mw)
-
-
-def dbw_from_dbm(level_dbm: ArrayLike) -> FloatArray:
-    """Return the level in dBW of a level in dBm.
-
-    Examples
-    --------
-    >>> float(dbw_from_dbm(-42.9))
-    -72.9
-    """
-    return np.asarray(level_dbm, dtype=np.float64) - DBM_OF_ONE_WATT
-
-
-def dbm_from_dbw(level_dbw: ArrayLike) -> FloatArray:
-    """Return the level in dBm of a level in dBW.
-
-    Examples
-    --------
-    >>> float(dbm_from_dbw(-72.5))
-    -42.5
-    """
-    return np.asarray(level_dbw, dtype=np.float64) + DBM_OF_ONE_WATT
 
 
 def mean_dbm(level_dbm: ArrayLike) -> float:

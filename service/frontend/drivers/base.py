@@ -6,12 +6,9 @@ hands on the values that the analyzer states, and it never gives out a trace tha
 
 import re
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from service.core.radio.predicted_sigma import GAUSSIAN_ENBW_RATIO
-from service.frontend.drivers.scpi import Identity
-from service.frontend.measurement_task import InputPart, SweepPart
-from service.records.levels.sweep import Sweep, SweepSettings
 
 
 class SweepRefusedError(Exception):
@@ -101,37 +98,3 @@ class Dialect:
     sweep_end: str = ""
     #: gives the front panel back
     local: str = ":SYST:LOC"
-
-
-class Analyzer(Protocol):
-    """One analyzer that answers; as `service.frontend.drivers.scpi_driver.ScpiDriver` does."""
-
-    @property
-    def identity(self) -> Identity:
-        """Answer to ``*IDN?``."""
-        ...
-
-    @property
-    def features(self) -> Features:
-        """What it can be asked for."""
-        ...
-
-    def preset(self) -> None:
-        """Bring the analyzer into a known state: once a session."""
-        ...
-
-    def configure(self, sweep: SweepPart, path: InputPart) -> SweepSettings:
-        """Send the settings that changed; return those that the analyzer states."""
-        ...
-
-    def take(self, sweep: SweepPart) -> Sweep:
-        """Sweep with the settings configured last and return the trace."""
-        ...
-
-    def release(self) -> None:
-        """Give the front panel back to whoever stands before it."""
-        ...
-
-    def close(self) -> None:
-        """Close the session."""
-        ...

@@ -80,11 +80,6 @@ class Recommendation:
     #: (N,)
     words: tuple[CarrierWord, ...]
 
-    @property
-    def chosen_set(self) -> CarrierSet:
-        """The set that the rule asked for recommends."""
-        return self.sets[self.rule.value]
-
 
 class TurnStep(NamedTuple):
     """One level of the calibration turns."""

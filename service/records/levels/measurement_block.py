@@ -26,9 +26,3 @@ class MeasurementBlock:
         return MeasurementBlock(
             self.sources, self.plan_id, self.epochs_us[first:last], self.power_dbm[first:last], places
         )
-
-    def row_sources(self) -> list[str]:
-        """Return the source of each row."""
-        if self.source_places is None:
-            return [self.sources[0]] * len(self.epochs_us)
-        return [self.sources[place] for place in self.source_places.tolist()]

@@ -9,7 +9,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 from service.client.backoff import Backoff
 from service.pipeline.alarms.condition import AlarmCondition
@@ -43,14 +43,6 @@ class NoticeCounts:
     failed: int = 0
     #: no place in the queue
     dropped: int = 0
-
-
-class Notifier(Protocol):
-    """Takes notices; must not block."""
-
-    def offer(self, change: AlarmChange) -> None:
-        """Take over a change that is to be told."""
-        ...
 
 
 class NoticeChannel:

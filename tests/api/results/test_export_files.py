@@ -11,10 +11,10 @@ from dataclasses import replace
 import httpx
 import numpy as np
 import pytest
+from aem_reader import read_aem
 from pyarrow import parquet
 
 from service.api.export.export_files import OFFERED
-from service.formats.aem import read_aem
 from service.formats.tdm import read_tdm
 from service.ports import Outcome
 from service.records.epoch import format_epoch

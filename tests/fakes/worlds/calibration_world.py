@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 from kept_results import kept
+from simulated_gain import attitude_gain_db
 
 from analyzer_sim.export import export_arrays
 from analyzer_sim.streams import stream
 from analyzer_sim.world.noise import daily_wave
-from analyzer_sim.world.payload.payload import attitude_gain_db, dishes_loss_db, nominal_gain_db
+from analyzer_sim.world.payload.payload import dishes_loss_db, nominal_gain_db
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 from service.core.estimation.calibration.quadratic_response import predict_deviation

@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 from kept_results import kept
+from simulated_gain import attitude_gain_db
 
 from analyzer_sim.export import export_npz
-from analyzer_sim.world.payload.payload import attitude_gain_db, dishes_loss_db
+from analyzer_sim.world.payload.payload import dishes_loss_db
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 from service.pipeline.alignment.alignment import align_methods

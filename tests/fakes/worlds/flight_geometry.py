@@ -7,7 +7,9 @@ two have apart is of second order: below 0.002 deg of displacement at 0.4 deg.
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from service.core.geometry.frames import AntennaDirection, antenna_direction, body_from_nadir
 from service.records.catalogue import Site
 from service.records.levels.attitude import FloatArray
 
@@ -100,3 +102,29 @@ def antenna_deg(here_m: FloatArray, axes: FloatArray, places_m: FloatArray) -> F
     sight = np.einsum("tij,tnj->tni", axes, places_m - here_m[:, None])
     angles = [np.arctan(sight[..., 0] / sight[..., 2]), np.arctan(-sight[..., 1] / sight[..., 2])]
     return np.asarray(np.degrees(np.stack(angles, axis=-1)))
+
+
+def turned_direction(direction: AntennaDirection, attitude_deg: ArrayLike) -> AntennaDirection:
+    """Return where directions known at zero attitude are seen by the turned body.
+
+    Parameters
+    ----------
+    direction : AntennaDirection
+        Angles at zero attitude, shape (N,).
+    attitude_deg : array_like, shape (..., 3), deg
+        Yaw, roll, pitch.
+
+    Returns
+    -------
+    AntennaDirection
+        Angles in the body, shape (..., N); exact, not to first order.
+    """
+    return antenna_direction(direction_vector(direction) @ np.swapaxes(body_from_nadir(attitude_deg), -1, -2))
+
+
+def direction_vector(direction: AntennaDirection) -> FloatArray:
+    """Return unit vectors, shape (..., 3), of antenna angles that lie within 90 degrees of the axis."""
+    east = np.tan(np.radians(direction.azimuth_deg))
+    north = np.tan(np.radians(direction.elevation_deg))
+    vector = np.stack([east, -north, np.ones_like(east)], axis=-1)
+    return np.asarray(vector / np.linalg.norm(vector, axis=-1, keepdims=True))

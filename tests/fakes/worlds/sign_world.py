@@ -3,8 +3,8 @@
 import numpy as np
 
 from service.core.control import sign_check
-from service.core.control.sign_check import Sign, SignContext, SignDecision, SignLikelihoods, decide
-from service.core.control.sign_profiles import Profile, profile_angles_deg
+from service.core.control.sign_check import FloatArray, Sign, SignContext, SignDecision, SignLikelihoods, decide
+from service.core.control.sign_profiles import ROLL, YAW, Profile
 from service.core.estimation.filtering.model.filter_model import CarrierModel
 
 #: white noise of a row and coloured parts as (dB, s), those that the links of rf-attitude.md have
@@ -82,3 +82,53 @@ def decisions(model: CarrierModel, epochs_s: np.ndarray, profile: Profile, power
         decide(SignLikelihoods(-0.5 * squares[:, run], squares[:, run].min(axis=1) / values, values))
         for run in range(len(powers))
     ]
+
+
+def expected_ratio(
+    model: CarrierModel, epochs_s: FloatArray, profile_deg: FloatArray, circumstances: SignContext
+) -> FloatArray:
+    """Return the mean log-likelihood ratio (T,) of the true PLUS against NOTHING, for the choice of a profile.
+
+    Its standard deviation is the square root of twice the mean; against MINUS both are about four and two times that.
+    """
+    still = sign_check._signature(model, circumstances.attitude_deg, 0.0 * profile_deg)
+    moved = sign_check._signature(model, circumstances.attitude_deg, profile_deg) - still
+    everywhere = np.ones(moved.shape, dtype=np.bool_)
+    covariance = sign_check._covariance(model, epochs_s, circumstances, everywhere)
+    white = sign_check._whitened(covariance, moved.reshape(-1, 1)).reshape(moved.shape)
+    return np.asarray(0.5 * (white**2).sum(axis=1).cumsum())
+
+
+def greatest_loss_deg(profile: Profile) -> float:
+    """Return how far yaw, roll or pitch leaves its place at most if the sign of the profile's axis is wrong."""
+    epochs_s = np.arange(0.0, profile.stop_s + 1.0, 10.0)
+    turn = np.abs(profile_angles_deg(profile, epochs_s)).max(axis=0)
+    return float(turn.max())
+
+
+def profile_angles_deg(profile: Profile, epochs_s: FloatArray, coupling_per_h: float = 0.2625162) -> FloatArray:
+    """Return the turn (T, 3), deg, that a profile makes by some epochs (T,), s.
+
+    Parameters
+    ----------
+    profile : Profile
+        Slews at a steady rate between their pulses.
+    epochs_s : ndarray, shape (T,), s
+        From the beginning of the profile.
+    coupling_per_h : float, 1/h
+        Exchange of roll and yaw; a turn about yaw drags roll behind it (and a turn about roll yaw), to first order.
+    """
+    turn = np.zeros((len(epochs_s), 3))
+    dragged = np.zeros(len(epochs_s))
+    for leg in profile.legs:
+        since_s = np.maximum(0.0, epochs_s - leg.start_s)
+        beyond_s = np.maximum(0.0, since_s - leg.duration_s)
+        turn[:, profile.axis] += leg.change_deg * np.minimum(1.0, since_s / leg.duration_s)
+        # integral over time, deg h
+        area = 0.5 * (since_s**2 - beyond_s**2) / leg.duration_s
+        dragged += leg.change_deg * area / 3600.0
+    if profile.axis == YAW:
+        turn[:, ROLL] = coupling_per_h * dragged
+    elif profile.axis == ROLL:
+        turn[:, YAW] = -coupling_per_h * dragged
+    return turn

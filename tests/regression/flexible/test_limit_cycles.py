@@ -4,8 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from flexible_oracles import staggered_forms
 
-from service.core.flexible.closed_forms import cycle_period_s, single_pulse_forms, staggered_forms
+from service.core.flexible.closed_forms import cycle_period_s, single_pulse_forms
 from service.core.flexible.limit_cycle import critical_viscous_loss_n_m, cycle_multiplier, find_limit_cycles
 from service.core.flexible.motion import follow_motion
 from service.core.flexible.propagation import BodyState

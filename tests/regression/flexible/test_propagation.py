@@ -4,9 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from flexible_oracles import bi_plane_invariant
 from scipy.integrate import solve_ivp
 
-from service.core.flexible.propagation import BodyState, bi_plane_invariant, start_leg, state_at, states_at
+from service.core.flexible.propagation import BodyState, start_leg, state_at, states_at
 from service.core.flexible.spacecraft import HubMode
 
 INERTIA = 1000.0

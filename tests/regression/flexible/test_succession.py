@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from flexible_oracles import frictionless_succession
 
-from service.core.flexible.closed_forms import frictionless_succession, truncated_succession
+from service.core.flexible.closed_forms import truncated_succession
 from service.core.flexible.return_kernels import compiled_follow, follow
 from service.core.flexible.succession import succession
 from service.study.limit_cycles import reference

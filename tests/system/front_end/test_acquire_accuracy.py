@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from analyzer_thread import start_in_thread
 from steady_world import CARRIERS, NOISE_DBM_HZ, Steady, steady_task
 
 from analyzer_sim.dialects.dialects import DIALECTS
@@ -15,7 +16,6 @@ from analyzer_sim.emission import Signal
 from analyzer_sim.instrument.imperfections import IDEAL
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import Detail, TracePainter
-from analyzer_sim.lines.server import start_in_thread
 from service.frontend.acquisition.evaluation import MeasuredRow, TaskEvaluation
 from service.frontend.acquisition.measuring_cycle import MeasuringCycle
 from service.frontend.drivers.choice import dialect_of, identify

@@ -12,6 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 import pyvisa
+from analyzer_thread import AnalyzerThread, start_in_thread
 from fault_table import TABLE, FaultRow
 from steady_world import CARRIERS, Steady, steady_task
 
@@ -20,7 +21,6 @@ from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import Detail, TracePainter
 from analyzer_sim.instrument.trace_faults import TraceFault
 from analyzer_sim.lines.line_faults import LineFault
-from analyzer_sim.lines.server import AnalyzerThread, start_in_thread
 from service.client.backoff import Backoff
 from service.frontend.acquisition.acquisition import Acquisition
 from service.frontend.acquisition.evaluation import MeasuredRow

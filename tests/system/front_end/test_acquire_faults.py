@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from analyzer_thread import AnalyzerThread, start_in_thread
 from recording_service import Recorder
 
 from analyzer_sim.emission import EndOfScenario
@@ -27,7 +28,6 @@ from analyzer_sim.instrument.imperfections import Imperfections
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import Detail, TracePainter
 from analyzer_sim.lines.line_faults import LineFault
-from analyzer_sim.lines.server import AnalyzerThread, start_in_thread
 from analyzer_sim.world.ground import ground
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World

@@ -5,12 +5,12 @@ import time
 from collections.abc import Iterator
 
 import pytest
+from analyzer_thread import AnalyzerThread, start_in_thread
 from steady_world import Steady
 
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import TracePainter
 from analyzer_sim.lines.line_faults import LineFault
-from analyzer_sim.lines.server import AnalyzerThread, start_in_thread
 from service.frontend.drivers.visa_session import AnalyzerIOError, VisaSession
 
 pytestmark = pytest.mark.system

@@ -13,13 +13,13 @@ from typing import Any
 
 import httpx
 import pytest
+from analyzer_thread import AnalyzerThread, start_in_thread
 from steady_world import CARRIERS, Steady, steady_task
 
 from analyzer_sim.dialects.dialects import DIALECTS
 from analyzer_sim.instrument.imperfections import IDEAL
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import Detail, TracePainter
-from analyzer_sim.lines.server import AnalyzerThread, start_in_thread
 from service.frontend.spool.spool import spool_path
 
 pytestmark = pytest.mark.system

@@ -3,12 +3,11 @@
 from collections.abc import Iterator
 
 import pytest
+from analyzer_thread import AnalyzerThread, start_in_thread
 from hislip_client import (
     Client,
     Held,
 )
-
-from analyzer_sim.lines.server import AnalyzerThread, start_in_thread
 
 
 @pytest.fixture

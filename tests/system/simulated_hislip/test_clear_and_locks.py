@@ -4,6 +4,7 @@ import socket
 import time
 
 import pytest
+from analyzer_thread import AnalyzerThread
 from hislip_client import (
     CLEAR,
     CLEAR_ACKNOWLEDGED,
@@ -20,8 +21,6 @@ from hislip_client import (
     Client,
     Held,
 )
-
-from analyzer_sim.lines.server import AnalyzerThread
 
 pytestmark = pytest.mark.system
 

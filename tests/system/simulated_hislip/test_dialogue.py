@@ -5,6 +5,7 @@ import struct
 
 import numpy as np
 import pytest
+from analyzer_thread import AnalyzerThread
 from hislip_client import (
     ASYNC_INTERRUPTED,
     DATA,
@@ -20,8 +21,6 @@ from hislip_client import (
     Heard,
     Held,
 )
-
-from analyzer_sim.lines.server import AnalyzerThread
 
 pytestmark = pytest.mark.system
 

@@ -5,6 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from analyzer_thread import AnalyzerThread
 from hislip_client import (
     FATAL,
     IDENTITY,
@@ -15,7 +16,6 @@ from hislip_client import (
 )
 
 from analyzer_sim.dialects.makers.rs import RS
-from analyzer_sim.lines.server import AnalyzerThread
 
 pytestmark = pytest.mark.system
 

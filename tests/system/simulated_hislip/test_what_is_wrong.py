@@ -4,6 +4,7 @@ import struct
 
 import numpy as np
 import pytest
+from analyzer_thread import AnalyzerThread
 from hislip_client import (
     ASYNC_INITIALIZE,
     CLEAR,
@@ -33,7 +34,6 @@ from hislip_client import (
 )
 
 from analyzer_sim.lines.line_faults import LineFault
-from analyzer_sim.lines.server import AnalyzerThread
 
 pytestmark = pytest.mark.system
 

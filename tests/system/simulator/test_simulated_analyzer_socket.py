@@ -13,6 +13,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from analyzer_thread import AnalyzerThread, start_in_thread
 from standing_source import StandingSource
 
 from analyzer_sim.dialects.dialects import DIALECTS
@@ -21,7 +22,6 @@ from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import TracePainter
 from analyzer_sim.instrument.sweep_life import Pace, SweepProgress
 from analyzer_sim.lines.line_faults import GARBAGE_BYTES, LineFault
-from analyzer_sim.lines.server import AnalyzerThread, start_in_thread
 
 pytestmark = pytest.mark.system
 

@@ -5,9 +5,10 @@ from functools import cache
 
 import numpy as np
 import pytest
+from simulated_gain import attitude_gain_db
 
 from analyzer_sim.export import measured_dbm
-from analyzer_sim.world.payload.payload import attitude_gain_db, dishes_loss_db
+from analyzer_sim.world.payload.payload import dishes_loss_db
 from analyzer_sim.world.payload.user_noise import users_noise_db
 from analyzer_sim.world.scenario.scenario import Scenario, scenario_named
 from analyzer_sim.world.world import World

@@ -6,10 +6,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from ground_story import ground_lines
 
 from analyzer_sim.epochs import epoch_us_from_text
 from analyzer_sim.export import export_arrays
-from analyzer_sim.world.ground.ground import chunks_of, ground_lines
+from analyzer_sim.world.ground.ground import chunks_of
 from analyzer_sim.world.ground.ground_bodies import carrier_body, task
 from analyzer_sim.world.payload.effects import FaultFlag
 from analyzer_sim.world.payload.payload import sensitivity_db_per_deg

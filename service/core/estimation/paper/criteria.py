@@ -65,11 +65,6 @@ class CarrierVerdicts(NamedTuple):
     nonlinearity_sigma_deg: FloatArray
     range_deg: FloatArray
 
-    @property
-    def is_eligible(self) -> BoolArray:
-        """Carriers that meet all three requirements, shape (N,)."""
-        return self.stable & self.linear & self.dominant
-
 
 def judge_carriers(
     residual_rms_db: FloatArray,

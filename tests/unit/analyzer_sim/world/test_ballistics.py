@@ -7,10 +7,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from ground_story import ground_lines
 
 from analyzer_sim.epochs import epoch_us_from_text
 from analyzer_sim.export import export_arrays
-from analyzer_sim.world.ground.ground import ground_lines, news
+from analyzer_sim.world.ground.ground import news
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 

@@ -5,7 +5,6 @@ from dataclasses import FrozenInstanceError, replace
 import numpy as np
 import pytest
 
-from service.records.calibration import CalibrationMethod
 from service.records.catalogue import Carrier, Method
 from service.records.inputs import (
     AlignmentSet,
@@ -72,20 +71,6 @@ def test_inputs_know_their_natural_key(record, key):
 
 def test_a_change_of_the_spacecraft_is_known_by_its_count(payload):
     assert SpacecraftChange(payload.spacecraft(), 12).key == "12"
-
-
-@pytest.mark.parametrize(
-    ("of", "method", "serves"),
-    [
-        (CalibrationMethod.PAPER, Method.PAPER, True),
-        (CalibrationMethod.PAPER, Method.ROBUST, False),
-        (CalibrationMethod.GEOMETRY, Method.PAPER, False),
-        (CalibrationMethod.GEOMETRY, Method.ROBUST, True),
-    ],
-)
-def test_a_calibration_serves_its_method(payload, of, method, serves):
-    calibration = replace(payload.calibration(), request=replace(payload.request, method=of))
-    assert calibration.serves(method) == serves
 
 
 @pytest.mark.parametrize(

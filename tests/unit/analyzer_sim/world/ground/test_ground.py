@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from ground_story import ground_lines
 
 from analyzer_sim.epochs import epoch_us_from_text
-from analyzer_sim.world.ground.ground import catalogue_lines, chunks_of, ground_lines, turn_operations
+from analyzer_sim.world.ground.ground import catalogue_lines, chunks_of, turn_operations
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.scenario.turns import TIMETABLE
 from analyzer_sim.world.world import World

@@ -10,9 +10,10 @@ from functools import cache
 from typing import Any
 
 import pytest
+from ground_story import ground_lines
 
 from analyzer_sim.epochs import epoch_us_from_text
-from analyzer_sim.world.ground.ground import chunks_of, ground_lines
+from analyzer_sim.world.ground.ground import chunks_of
 from analyzer_sim.world.ground.ground_port import MAX_LINE_BYTES, Gate, serve_ground
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World

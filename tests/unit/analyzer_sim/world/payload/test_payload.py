@@ -4,12 +4,13 @@ import itertools
 
 import numpy as np
 import pytest
+from simulated_gain import attitude_gain_db
 
 from analyzer_sim.world.orbit.orbit import Orbit
 from analyzer_sim.world.payload.beams import Beam, Ripple
 from analyzer_sim.world.payload.carriers import PLANS
 from analyzer_sim.world.payload.dish import dish_loss_db, mispointing_deg
-from analyzer_sim.world.payload.payload import attitude_gain_db, dishes_loss_db, nominal_gain_db, sensitivity_db_per_deg
+from analyzer_sim.world.payload.payload import dishes_loss_db, nominal_gain_db, sensitivity_db_per_deg
 
 PLAN = PLANS["ku16"]
 ORBIT = Orbit.drawn(1, 90.0, 1_793_491_200_000_000)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from service.core.control.gyro_orbitant import gyro_orbitant_torque, yaw_from_roll_rate_deg
+from service.core.control.gyro_orbitant import gyro_orbitant_torque
 from service.core.dynamics.orbital_frame_model import MAX_GAINS, Law, OrbitalFrameGains
 from service.core.dynamics.orbital_frame_step import wanted_torque
 from service.core.geometry.frames import body_from_nadir
@@ -61,13 +61,6 @@ def test_yaw_of_either_sign_is_brought_back(yaw_deg: float) -> None:
 
 def test_unconverted_law_drives_yaw_away() -> None:
     assert abs(_flown(1.0, is_converted=False)[0]) > 5.0
-
-
-@pytest.mark.parametrize("yaw_deg", [0.5, -0.5])
-def test_yaw_is_read_from_the_roll_rate_with_its_sign(yaw_deg: float) -> None:
-    x, y, z = _rate_at(np.array([yaw_deg, 0.0, 0.0]))
-    told_deg = yaw_from_roll_rate_deg(0.0, 0.0, np.array([z, x, y]), LAW)
-    assert told_deg == pytest.approx(math.sqrt(2.0) * yaw_deg, rel=1e-3)
 
 
 def test_no_torque_at_zero_attitude() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from service.core.control.envelope import Envelope, envelope_excesses
-from service.core.control.slew_schedule import AxisPulse, Drive, plan_slew, predicted_effect, superseded
+from service.core.control.slew_schedule import AxisPulse, Drive, plan_slew, predicted_effect
 
 INERTIA = np.diag([2600.0, 2600.0, 1400.0])
 DRIVE = Drive(0.05, 0.002, 0.1, 0.001)
@@ -98,13 +98,6 @@ def test_schedules_that_make_no_sense_are_refused(pulses, message):
 
 def test_pulses_of_different_axes_may_overlap():
     effect_of((AxisPulse(0, 0.0, 5.0, 0.01), AxisPulse(2, 4.0, 1.0, 0.01)))
-
-
-def test_the_next_schedule_cuts_this_one():
-    pulses = plan_slew([0.0, 0.08, 0.0], NOTHING, INERTIA, 900.0, DRIVE)
-    assert superseded(pulses, 60.0) == pulses[:1]
-    (cut,) = superseded(pulses, 1.0)
-    assert cut.duration_s == 1.0
 
 
 def test_what_was_sent_within_the_hour_counts():

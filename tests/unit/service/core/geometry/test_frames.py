@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from flight_geometry import direction_vector, turned_direction
 
 from service.core.geometry.frames import (
     EARTH_EQUATORIAL_RADIUS_M,
@@ -11,9 +12,7 @@ from service.core.geometry.frames import (
     AntennaDirection,
     antenna_direction,
     body_from_nadir,
-    direction_vector,
     station_direction,
-    turned_direction,
 )
 
 STATION = AntennaDirection(np.array([-4.0, 0.0, 4.5]), np.array([7.5, 6.3, 8.4]))

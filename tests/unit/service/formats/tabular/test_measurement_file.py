@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
+from block_rows import row_sources
 from numpy.typing import NDArray
 from pyarrow import parquet
 
@@ -48,7 +49,7 @@ def _written(file: MeasurementFile, blocks: Sequence[MeasurementBlock]) -> bytes
 def _wanted(blocks: Sequence[MeasurementBlock]) -> tuple[list[str], list[str], dict[str, NDArray[np.float32]]]:
     names = sorted({name for block in blocks for name in PLANS[block.plan_id]})
     epochs = [format_epoch(epoch) for block in blocks for epoch in block.epochs_us.tolist()]
-    sources = [source for block in blocks for source in block.row_sources()]
+    sources = [source for block in blocks for source in row_sources(block)]
     parts: dict[str, list[NDArray[np.float32]]] = {name: [] for name in names}
     for block in blocks:
         for name in names:

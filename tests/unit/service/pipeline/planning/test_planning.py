@@ -53,8 +53,8 @@ def test_refused_carriers_say_why_and_are_in_no_set():
         (NOT_USABLE,),
     )
     assert sorted(found.sets["all"].chosen.tolist()) == list(range(4, 20))
-    assert len(found.chosen_set.chosen) == 16
-    assert 4 in found.chosen_set.chosen, "an unsteady user is weighed by its noise, not left out"
+    assert len(found.sets[found.rule].chosen) == 16
+    assert 4 in found.sets[found.rule].chosen, "an unsteady user is weighed by its noise, not left out"
     assert 4 not in found.sets["paper"].chosen
     for k in range(4):
         assert found.words[k].rank is None
@@ -86,7 +86,7 @@ def test_noise_of_a_row_holds_all_its_parts():
 @pytest.mark.parametrize("rule", list(Rule))
 def test_ranks_are_the_order_of_choice(rule):
     found = recommend(candidates_of(result_of(), plan_of()), 12, rule)
-    chosen = found.chosen_set.chosen
+    chosen = found.sets[found.rule].chosen
     assert [found.words[k].rank for k in chosen] == list(range(12))
     assert sum(word.rank is None for word in found.words) == 8
     assert all(word.reasons for word in found.words)
@@ -94,7 +94,7 @@ def test_ranks_are_the_order_of_choice(rule):
 
 def test_the_first_carrier_is_the_one_whose_loss_costs_most():
     candidates = candidates_of(result_of(), plan_of())
-    chosen = recommend(candidates, 12, Rule.OPTIMAL).chosen_set.chosen
+    chosen = recommend(candidates, 12, Rule.OPTIMAL).sets["optimal"].chosen
 
     def cost(kept):
         design = np.column_stack([candidates.sensitivity_db_per_deg[kept], np.ones(len(kept))])
@@ -108,20 +108,20 @@ def test_the_first_carrier_is_the_one_whose_loss_costs_most():
 def test_shortcomings_carry_their_figures():
     candidates = candidates_of(result_of(), PAYLOAD.plan())
     found = recommend(candidates, 9, Rule.OPTIMAL)
-    assert found.chosen_set.shortcomings == (
+    assert found.sets[found.rule].shortcomings == (
         "9 carriers; the robust method wants at least 12",
         "4 carriers beyond the unknowns; 6 keep faults from hiding",
         "transponder K1 holds 100% of the carriers; more than 35% fail together when it changes",
     )
-    assert recommend(candidates_of(result_of(), plan_of()), 12, Rule.OPTIMAL).chosen_set.shortcomings == ()
+    assert recommend(candidates_of(result_of(), plan_of()), 12, Rule.OPTIMAL).sets["optimal"].shortcomings == ()
 
 
 def test_no_usable_carrier_is_an_answer_too():
     plan = plan_of(**{name: {"enabled": False} for name in PAYLOAD.ids})
     found = recommend(candidates_of(result_of(), plan), 12, Rule.OPTIMAL)
-    assert found.chosen_set.chosen.size == 0
-    assert np.isnan(found.chosen_set.figures.crlb_deg).all()
-    assert found.chosen_set.transponder_share == 0.0
+    assert found.sets[found.rule].chosen.size == 0
+    assert np.isnan(found.sets[found.rule].figures.crlb_deg).all()
+    assert found.sets[found.rule].transponder_share == 0.0
 
 
 def test_turns_follow_one_another():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from flight_geometry import turned_direction
 
 from service.core.estimation.calibration.quadratic_response import (
     QuadraticResponse,
@@ -14,7 +15,7 @@ from service.core.estimation.calibration.quadratic_response import (
     response_transform,
     symmetric_matrix,
 )
-from service.core.geometry.frames import AntennaDirection, turned_direction
+from service.core.geometry.frames import AntennaDirection
 
 SEED = 11
 STATIONS = AntennaDirection(np.array([-5.2, 0.1, 5.0]), np.array([6.3, 8.6, 7.0]))

@@ -31,7 +31,7 @@ def judge(slopes, bends, *, noise_db=0.0, block_db=0.0, seed=0, rms_db=0.1, angl
 def test_a_straight_steep_stable_roll_carrier_is_eligible():
     verdicts = judge([0.02, 1.2, 0.3], [0.0, 0.0, 0.0])
     assert (verdicts.stable[0], verdicts.linear[0], verdicts.dominant[0]) == (True, True, True)
-    assert verdicts.is_eligible[0]
+    assert (verdicts.stable & verdicts.linear & verdicts.dominant)[0]
     assert verdicts.axis[0] == 1
     assert verdicts.axis_ratio[0] == pytest.approx(4.0, rel=1e-9)  # 1.2 / 0.3, rounding
     assert verdicts.nonlinearity_deg[0] == pytest.approx(0.0, abs=1e-9)  # rounding
@@ -51,7 +51,7 @@ def test_a_bent_flat_carrier_is_not_linear_and_its_range_says_how_far():
     verdicts = judge([0.02, 0.5, 0.1], [0.0, -1.35, 0.0])
     assert not verdicts.linear[0]
     assert verdicts.range_deg[0] == pytest.approx(math.sqrt(4.0 * 0.1 * 0.5 / 1.35), rel=1e-6)  # rounding
-    assert not verdicts.is_eligible[0]
+    assert not (verdicts.stable & verdicts.linear & verdicts.dominant)[0]
 
 
 def test_the_worse_side_counts():
@@ -128,4 +128,4 @@ def test_a_side_of_the_main_axis_that_was_not_turned_leaves_linearity_open():
 def test_a_carrier_without_any_answer_meets_nothing_but_stability():
     verdicts = judge(np.zeros(3), np.zeros(3))
     assert (verdicts.stable[0], verdicts.dominant[0]) == (True, False)
-    assert not verdicts.is_eligible[0]
+    assert not (verdicts.stable & verdicts.linear & verdicts.dominant)[0]
