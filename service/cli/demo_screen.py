@@ -9,7 +9,7 @@ from rich.live import Live
 from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from service.client.documents import Json
+from service.client.documents import Json, Verdict
 from service.records.epoch import parse_epoch
 from service.study.demonstration.demonstration import Scene
 from service.study.demonstration.merit import AXES
@@ -126,11 +126,17 @@ def tracking_table(scene: Scene) -> Table:
             "-" if torques[f"{axis}_n_m"] is None else f"{torques[f'{axis}_n_m']:+.1e}",
         )
     control = attitude["control"]
-    verdict = "control allowed" if control["allowed"] else f"control not allowed ({control['state']})"
-    reasons = "; ".join([verdict, *(reason["text"] for reason in control["reasons"])])
+    reasons = "; ".join([_verdict(control), *(reason["text"] for reason in control["reasons"])])
     out = ", ".join(f"{item['carrier']} ({item['reason']})" for item in attitude["excluded"]) or "none"
     table.caption = f"{reasons}; carriers excluded: {out}\nreference of the interface: {scene.client.service_url}/docs"
     return table
+
+
+def _verdict(control: Verdict) -> str:
+    """Return which axes may be controlled; reasons beside an allowed control concern yaw."""
+    if not control["allowed"]:
+        return f"control not allowed ({control['state']})"
+    return "roll and pitch: control allowed; yaw withheld" if control["reasons"] else "control allowed"
 
 
 def _signed(value: float | None, sign: str = "+") -> str:

@@ -233,7 +233,8 @@ class AnyStory(RuleBasedStateMachine):
         console = Console(width=400, record=True, quiet=True)
         table = tracking_table(scene)
         console.print(table)
-        word = "control allowed" if verdict["allowed"] else f"control not allowed ({verdict['state']})"
+        allowed = "roll and pitch: control allowed; yaw withheld; " if verdict["reasons"] else "control allowed; "
+        word = allowed if verdict["allowed"] else f"control not allowed ({verdict['state']}); "
         assert str(table.caption).startswith(word)
         assert all(reason["text"] in str(table.caption) for reason in verdict["reasons"])
 

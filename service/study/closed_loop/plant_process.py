@@ -1,6 +1,6 @@
 """The plant as a process: its lines as records, row by row, and schedules back to it.
 
-``python -m analyzer_sim plant``; its lines are explained in docs/reference/scenarios.md.
+``python -m analyzer_sim plant``; its lines are explained in docs/evidence/scenarios.md.
 """
 
 import json

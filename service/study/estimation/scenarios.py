@@ -1,4 +1,4 @@
-"""Scenarios of a campaign by group; ``docs/reference/scenarios.md`` says what happens in each."""
+"""Scenarios of a campaign by group; ``docs/evidence/scenarios.md`` says what happens in each."""
 
 #: not a scenario of the simulator but the trials of the fix of one epoch alone
 SNAPSHOT = "snapshot"

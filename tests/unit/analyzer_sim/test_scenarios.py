@@ -21,7 +21,7 @@ from analyzer_sim.world.spacecraft.spacecraft import attitude_history
 from analyzer_sim.world.structure import crlb_deg
 from analyzer_sim.world.world import World, row_epochs_us
 
-PAGE = Path(__file__).parents[3] / "docs" / "reference" / "scenarios.md"
+PAGE = Path(__file__).parents[3] / "docs" / "evidence" / "scenarios.md"
 #: the stories of the table by which the method is judged
 TABLE = (
     *("nominal", "white", "few8", "many32", "octants", "steps", "steps_heavy", "uplink_rain", "downlink_rain"),

@@ -1,6 +1,6 @@
 """Lines of the simulator's ground as records of the service.
 
-What ``docs/reference/scenarios.md`` calls the ground's knowledge comes as JSON objects shaped like the bodies of the
+What ``docs/evidence/scenarios.md`` calls the ground's knowledge comes as JSON objects shaped like the bodies of the
 REST interface. A study stands beside that interface and feeds the pipeline directly, so it reads them itself; the lines
 come from a program of this repository and are taken at their word.
 """

@@ -5,7 +5,7 @@ from pathlib import Path
 from analyzer_sim.dialects.dialect_page import MARKDOWN_COMMAND, markdown_page
 from analyzer_sim.dialects.dialects import DIALECTS
 
-PAGE = Path(__file__).parents[4] / "docs" / "reference" / "simulated-analyzer.md"
+PAGE = Path(__file__).parents[4] / "docs" / "evidence" / "simulated-analyzer.md"
 
 
 def test_page_is_current() -> None:

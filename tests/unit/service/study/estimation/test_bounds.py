@@ -13,7 +13,7 @@ from service.study.estimation.scenarios import GROUPS, SNAPSHOT
 
 ROLL = Bound("nominal", "rms_deg.roll", at_most(0.025), at_most(0.015), "test")
 ROOT = Path(__file__).resolve().parents[5]
-SCENARIOS = set(re.findall(r"^\| `(\w+)` \| \d+ \|", (ROOT / "docs/reference/scenarios.md").read_text(), re.MULTILINE))
+SCENARIOS = set(re.findall(r"^\| `(\w+)` \| \d+ \|", (ROOT / "docs/evidence/scenarios.md").read_text(), re.MULTILINE))
 
 
 @pytest.mark.parametrize(
