@@ -6,9 +6,11 @@ STAMP := $(VENV)/.installed
 DEV_STAMP := $(VENV)/.installed-dev
 CLIENTS_VENV := .venv-clients
 CLIENTS_STAMP := $(CLIENTS_VENV)/.installed
+DOCS_VENV := .venv-docs
+DOCS_STAMP := $(DOCS_VENV)/.installed
 export OPENBLAS_NUM_THREADS := 1
 
-.PHONY: help install install-dev run demo-check test test-all mutants clients lint types imports locks check coverage bench nightly schema lock clean
+.PHONY: help install install-dev run demo-check test test-all mutants clients lint types imports locks check coverage bench nightly docs map hooks schema lock clean
 
 help: ## show the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/:/' | column -t -s ':'
@@ -24,10 +26,15 @@ $(DEV_STAMP): $(STAMP) requirements-dev.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-dev.lock
 	touch $@
 
-# other people's programs: their dependencies must not move the product's
+# third-party programs: their dependencies must not move the product's
 $(CLIENTS_STAMP): requirements-clients.lock
 	test -x $(CLIENTS_VENV)/bin/python || $(PYTHON) -m venv $(CLIENTS_VENV)
 	$(CLIENTS_VENV)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-clients.lock
+	touch $@
+
+$(DOCS_STAMP): requirements-docs.lock
+	test -x $(DOCS_VENV)/bin/python || $(PYTHON) -m venv $(DOCS_VENV)
+	$(DOCS_VENV)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-docs.lock
 	touch $@
 
 install: $(STAMP) ## install what the service needs
@@ -54,7 +61,7 @@ mutants: $(DEV_STAMP) ## run sixty mutants against the tests of their packages; 
 	$(BIN)/python tests/mutation/mutants.py
 
 # without unraisableexception: the sockets that a client leaves to the collector are its own
-clients: $(STAMP) $(CLIENTS_STAMP) ## drive the simulated analyzer with other people's programs, print what each did
+clients: $(STAMP) $(CLIENTS_STAMP) ## drive the simulated analyzer with third-party programs, print what each did
 	SOO_ANALYZER=$(BIN)/soo-analyzer $(CLIENTS_VENV)/bin/python -m pytest -p no:unraisableexception tests/clients
 
 lint: $(DEV_STAMP) ## style and format
@@ -82,6 +89,15 @@ bench: $(DEV_STAMP) ## ratios, measured in one run; times of single computations
 nightly: $(DEV_STAMP) ## long tests
 	SOO_TEST_PROFILE=ci $(BIN)/python -m pytest -m nightly
 
+docs: $(DOCS_STAMP) ## build the documents as a searchable offline site, build/site/index.html; broken links fail
+	NO_MKDOCS_2_WARNING=1 $(DOCS_VENV)/bin/mkdocs build
+
+map: $(DEV_STAMP) ## draw the packages and their imports into the documents
+	$(BIN)/python docs/package_map.py docs
+
+hooks: $(DEV_STAMP) ## check every commit before it is made (.pre-commit-config.yaml)
+	$(BIN)/pre-commit install
+
 schema: $(STAMP) ## write the OpenAPI document and the client's types of its answers
 	$(BIN)/soo openapi --output docs/reference/openapi.json
 	$(BIN)/soo openapi --types --output service/client/documents.py
@@ -91,8 +107,9 @@ lock: $(DEV_STAMP) ## resolve and pin again
 	$(BIN)/uv pip compile --group dev -c requirements.lock $(LOCK_OPTIONS) -o requirements-dev.lock
 	$(BIN)/uv pip compile --group build -c requirements-dev.lock $(LOCK_OPTIONS) -o requirements-build.lock
 	$(BIN)/uv pip compile --group clients $(LOCK_OPTIONS) -o requirements-clients.lock
+	$(BIN)/uv pip compile --group docs $(LOCK_OPTIONS) -o requirements-docs.lock
 
 LOCK_OPTIONS := --quiet --generate-hashes --no-emit-index-url --no-header --universal --python-version 3.11
 
 clean: ## remove what was built
-	rm -rf $(VENV) $(CLIENTS_VENV) build *.egg-info .cache .mypy_cache .ruff_cache .pytest_cache .import_linter_cache
+	rm -rf $(VENV) $(CLIENTS_VENV) $(DOCS_VENV) build *.egg-info .cache .mypy_cache .ruff_cache .pytest_cache .import_linter_cache

@@ -4,7 +4,8 @@ import re
 from pathlib import Path
 
 import pytest
-import typer.testing
+import typer
+from typer.testing import CliRunner
 
 from service.cli.app import app
 
@@ -27,7 +28,7 @@ COMMANDS = commands(GROUP)
 
 
 def test_the_list_of_commands_says_what_each_says_itself() -> None:
-    group = typer.testing.CliRunner().invoke(app, ["--help"], terminal_width=300)
+    group = CliRunner().invoke(app, ["--help"], terminal_width=300)
     listed = dict(re.findall(r"^  ([a-z-]+)  +(\S.*)$", group.output.partition("Commands:")[2], re.MULTILINE))
     assert listed == {
         name: (command.help or "").split("\n\n")[0].replace("\n", " ") for name, command in GROUP.commands.items()

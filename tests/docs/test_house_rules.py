@@ -15,7 +15,7 @@ MAX_FUNCTION_LINES = 50
 SHORT_FOLDERS = ("service/core", "service/pipeline")
 SHORT_FILE_LINES, FILE_LINES = 300, 400
 #: directories that hold no source
-SKIPPED = {".venv", ".venv-clients", ".git", "build", "dist", "node_modules"}
+SKIPPED = {".venv", ".venv-clients", ".venv-docs", ".git", "build", "dist", "node_modules"}
 
 
 @cache
