@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 # numpy, scipy and the world cost twenty times the parser: each command imports what it runs
 from analyzer_sim.epochs import epoch_us_from_text
-from analyzer_sim.instrument.sweep_life import Pace
+from analyzer_sim.instrument.sweep_progress import Pace
 from analyzer_sim.world.spacecraft.hub_tones import HubTone, parse_tone
 
 if TYPE_CHECKING:

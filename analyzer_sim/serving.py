@@ -14,7 +14,7 @@ from analyzer_sim.dialects.dialects import DIALECTS
 from analyzer_sim.instrument.imperfections import IDEAL
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import Detail, TracePainter
-from analyzer_sim.instrument.sweep_life import Pace, SweepProgress
+from analyzer_sim.instrument.sweep_progress import Pace, SweepProgress
 from analyzer_sim.instrument.trace_faults import TraceFault, TraceFaults
 from analyzer_sim.instrument.truth_log import TruthLog
 from analyzer_sim.lines.line_faults import LineFault, LineFaults

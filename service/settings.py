@@ -32,7 +32,7 @@ from service.pipeline.config import (
     TorqueConfig,
 )
 from service.pipeline.control.release.settings import ReleaseSettings
-from service.records.storage.archive_upkeep import RetentionConfig, SealingConfig
+from service.records.storage.archive_maintenance import RetentionConfig, SealingConfig
 from service.runtime.jobs.workers import WorkerConfig
 
 

@@ -24,7 +24,7 @@ from analyzer_sim.instrument.painter import FloatArray, Trace, TracePainter
 from analyzer_sim.instrument.settings.analyzer_model import AnalyzerModel
 from analyzer_sim.instrument.settings.instrument_settings import Settings, reset_state
 from analyzer_sim.instrument.settings.models import FSW_26
-from analyzer_sim.instrument.sweep_life import OPERATION_BITS, Pace, SweepProgress, SweepState
+from analyzer_sim.instrument.sweep_progress import OPERATION_BITS, Pace, SweepProgress, SweepState
 from analyzer_sim.instrument.trace_faults import TraceFaults
 from analyzer_sim.instrument.truth_log import Reading, TruthLog
 from analyzer_sim.scpi.errors import ScpiError

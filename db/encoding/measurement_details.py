@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from sqlalchemy import Connection
 
-from db.connection.compiled_statements import run_bare
+from db.connection.prepared_statements import run_bare
 from service.records.levels.attitude import BoolArray, FloatArray
 from service.records.levels.measurement import DETAIL_NAMES, CarrierDetails
 

@@ -28,7 +28,7 @@ from service.records.levels.attitude import FloatArray, IntArray
 from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
 from service.records.levels.measurement_block import MeasurementBlock
 from service.records.levels.series import HeadState, InputReceipt, MeasurementSeries, ReferenceSeries, SourceState
-from service.records.storage.archive_upkeep import RetiredRows, SealedPart, SegmentState
+from service.records.storage.archive_maintenance import RetiredRows, SealedPart, SegmentState
 
 #: rows of a page that is read as blocks: what a page asks of the database takes longer than a sealed day
 BLOCK_PAGE_ROWS = 32_768

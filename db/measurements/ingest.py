@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from sqlalchemy import Connection, and_, bindparam, func, select, update
 
-from db.connection.compiled_statements import CompiledStatement
+from db.connection.prepared_statements import CompiledStatement
 from db.database import lock_head
 from db.encoding.measurement_details import insert_details
 from db.encoding.segments import SegmentCache

@@ -17,7 +17,7 @@ from typing import Any
 
 from sqlalchemy import Connection, bindparam, select
 
-from db.connection.compiled_statements import CompiledStatement, run_bare
+from db.connection.prepared_statements import CompiledStatement, run_bare
 from db.encoding.segments import SegmentCache
 from db.measurements.ingest import MOVE_HEAD, STATE_COLUMNS, IngestState, later, store_batch
 from db.measurements.prepared_batch import PreparedBatch

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from sqlalchemy import Connection
 
-from db.connection.compiled_statements import run_bare
+from db.connection.prepared_statements import run_bare
 from db.encoding.power_codec import StoredRows
 from db.schema.row_checksum import measurement_checksums
 

@@ -25,7 +25,7 @@ from db.schema.tables import measurement, measurement_detail, measurement_segmen
 from service.errors import StorageError
 from service.records.epoch import format_epoch
 from service.records.levels.measurement import DETAIL_NAMES, Measurement
-from service.records.storage.archive_upkeep import SealedPart, SegmentState
+from service.records.storage.archive_maintenance import SealedPart, SegmentState
 
 _LOG = logging.getLogger(__name__)
 #: rows of a segment: a day at a row every eight seconds, 1.4 MB of powers of 32 carriers in memory

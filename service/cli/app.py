@@ -33,7 +33,7 @@ _COMMANDS = {
         "administration.doctor", "Look at an archive, also of a running service, and say what is wrong and what to do."
     ),
     "upkeep": CommandSource(
-        "administration.upkeep",
+        "administration.maintenance",
         "Seal closed days and drop what retention no longer keeps, as the service does by itself.",
     ),
     "openapi": CommandSource("reference", "Write the OpenAPI document of this version."),

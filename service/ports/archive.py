@@ -10,7 +10,7 @@ from service.records.journal import JournalEntry, JournalHead, SlowInput
 from service.records.levels.measurement import BatchReceipt, Measurement, MeasurementBatch
 from service.records.levels.measurement_block import MeasurementBlock
 from service.records.levels.series import HeadState, InputReceipt, MeasurementSeries, ReferenceSeries, SourceState
-from service.records.storage.archive_upkeep import RetiredRows, SealedPart, SegmentState
+from service.records.storage.archive_maintenance import RetiredRows, SealedPart, SegmentState
 
 
 class Archive(Protocol):

@@ -20,7 +20,7 @@ from service.ports import Outcome
 from service.records.inputs import Correction
 from service.records.operations.access_key import AccessKey, Role, StoredKey, digest_of
 from service.records.operations.audit import AuditEvent
-from service.records.storage.archive_upkeep import SealedPart
+from service.records.storage.archive_maintenance import SealedPart
 from service.records.storage.diagnosis import worst
 from service.runtime.clock import system_now_us
 

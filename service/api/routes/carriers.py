@@ -18,7 +18,7 @@ from service.api.schemas.carriers import (
     PlanReceiptAnswer,
     content_digest,
 )
-from service.api.views.places import accepted_places
+from service.api.views.catalogue_findings import accepted_places
 from service.formats.carrier_plan_csv import read_carrier_plan, write_carrier_plan
 from service.pipeline.inputs.catalogue_checks import check_carriers
 

@@ -15,7 +15,7 @@ from service.api.protocol.bodies import accepts, body_of
 from service.api.protocol.merge_patch import MergePatch, patched
 from service.api.schemas.base import Answer, CatalogueWarning
 from service.api.schemas.spacecraft import SPACECRAFT_ADAPTER, SpacecraftAnswer, SpacecraftDocument
-from service.api.views.places import accepted_places
+from service.api.views.catalogue_findings import accepted_places
 from service.errors import ConflictError, FieldError
 from service.pipeline.inputs.catalogue_checks import Place, check_places
 

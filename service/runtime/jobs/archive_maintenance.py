@@ -13,7 +13,14 @@ from typing import TypeVar
 
 from service.ports import Clock, Storage
 from service.records.epoch import US_PER_S, format_epoch
-from service.records.storage.archive_upkeep import LOGS, SERIES, RetentionConfig, RetiredRows, SealedPart, SealingConfig
+from service.records.storage.archive_maintenance import (
+    LOGS,
+    SERIES,
+    RetentionConfig,
+    RetiredRows,
+    SealedPart,
+    SealingConfig,
+)
 from service.runtime.live.leadership import Turn, always
 
 _LOG = logging.getLogger("soo.upkeep")

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from service.core.flexible.schedule.schedule_figures import FREQUENCY_COUNT, FREQUENCY_REACH
+from service.core.flexible.schedule.schedule_metrics import FREQUENCY_COUNT, FREQUENCY_REACH
 from service.core.flexible.schedule.schedule_response import TorquePulse, schedule_response
 from service.core.flexible.spacecraft import HubMode
 from service.study.limit_cycles import reference

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from service.core.flexible.schedule.schedule_figures import FREQUENCY_COUNT, FREQUENCY_REACH
+from service.core.flexible.schedule.schedule_metrics import FREQUENCY_COUNT, FREQUENCY_REACH
 from service.core.flexible.schedule.schedule_response import TorquePulse, carry_phasor, schedule_response
 from service.core.flexible.spacecraft import HubMode
 from service.study.limit_cycles import reference

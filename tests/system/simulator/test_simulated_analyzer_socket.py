@@ -20,7 +20,7 @@ from analyzer_sim.dialects.dialects import DIALECTS
 from analyzer_sim.dialects.makers.rs import IDENTITY
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import TracePainter
-from analyzer_sim.instrument.sweep_life import Pace, SweepProgress
+from analyzer_sim.instrument.sweep_progress import Pace, SweepProgress
 from analyzer_sim.lines.line_faults import GARBAGE_BYTES, LineFault
 
 pytestmark = pytest.mark.system

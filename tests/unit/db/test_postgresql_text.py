@@ -5,7 +5,7 @@ from sqlalchemy import select
 from sqlalchemy.dialects.postgresql import psycopg
 from sqlalchemy.schema import CreateTable
 
-from db.connection.compiled_statements import CompiledStatement
+from db.connection.prepared_statements import CompiledStatement
 from db.measurements.ingest import _MOVE_SOURCE, _READ_STATE
 from db.measurements.ingest_grouped import _READ_STATES
 from db.schema.tables import attitude, head, measurement

@@ -5,7 +5,7 @@ import math
 from itertools import pairwise
 from typing import NamedTuple
 
-from service.core.flexible.schedule.schedule_figures import (
+from service.core.flexible.schedule.schedule_metrics import (
     WARNED_SHARE,
     OnboardRegulator,
     ScheduleFigures,

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.core.flexible.schedule.schedule_check import ScheduleCheck, Suggestion, check_schedule
-from service.core.flexible.schedule.schedule_figures import ScheduleLimits
+from service.core.flexible.schedule.schedule_metrics import ScheduleLimits
 from service.core.flexible.schedule.schedule_response import (
     TorquePulse,
     carry_phasor,

@@ -15,7 +15,7 @@ from analyzer_sim.instrument.imperfections import IDEAL
 from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import TracePainter
 from analyzer_sim.instrument.settings.models import FSW_26
-from analyzer_sim.instrument.sweep_life import Pace, SweepProgress
+from analyzer_sim.instrument.sweep_progress import Pace, SweepProgress
 from analyzer_sim.lines.dispatcher import Dispatcher
 from analyzer_sim.lines.session import Session
 from analyzer_sim.scpi.framing import ProgramMessage

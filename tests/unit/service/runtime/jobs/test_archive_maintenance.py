@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from service.errors import StorageError
-from service.records.storage.archive_upkeep import SERIES, RetentionConfig, RetiredRows, SealedPart, SealingConfig
+from service.records.storage.archive_maintenance import SERIES, RetentionConfig, RetiredRows, SealedPart, SealingConfig
 from service.runtime.jobs.archive_maintenance import ArchiveMaintenance
 
 DAY_US = 86_400_000_000

@@ -9,7 +9,7 @@ from analyzer_sim.dialects.makers.rs import RS
 from analyzer_sim.instrument.imperfections import IDEAL
 from analyzer_sim.instrument.instrument import Instrument, TraceNotReadyError
 from analyzer_sim.instrument.painter import TracePainter
-from analyzer_sim.instrument.sweep_life import Pace, SweepProgress, SweepState
+from analyzer_sim.instrument.sweep_progress import Pace, SweepProgress, SweepState
 from analyzer_sim.lines.session import Session, command_tree
 from analyzer_sim.scpi.status import OPERATION_SWEEPING, OPERATION_WAITING_FOR_TRIGGER
 
