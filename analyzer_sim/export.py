@@ -61,7 +61,7 @@ import numpy as np
 
 from analyzer_sim.epochs import US_PER_S
 from analyzer_sim.streams import FloatArray, stream
-from analyzer_sim.world.ground.ground import catalogue_lines, news
+from analyzer_sim.world.ground.ground import catalogue_lines, events
 from analyzer_sim.world.orbit.orbit import predicted_track
 from analyzer_sim.world.payload.carriers import ROLLOFF
 from analyzer_sim.world.payload.effects import SOURCES
@@ -108,7 +108,7 @@ def export_arrays(world: World, sweep_noise: float = 1.0) -> dict[str, Any]:
         **_knowledge(world),
         **_ballistics(world),
         "catalogue_json": json.dumps(list(catalogue_lines(world)), allow_nan=False),
-        **_news(world),
+        **_ground_events(world),
     }
 
 
@@ -157,11 +157,11 @@ def _truth(world: World) -> dict[str, Any]:
     }
 
 
-def _news(world: World) -> dict[str, Any]:
-    told = sorted(news(world), key=lambda item: item[0])
+def _ground_events(world: World) -> dict[str, Any]:
+    reported = sorted(events(world), key=lambda item: item[0])
     return {
-        "news_us": np.array([epoch_us for epoch_us, _line in told], dtype=np.int64),
-        "news_json": json.dumps([line for _epoch_us, line in told], allow_nan=False),
+        "news_us": np.array([epoch_us for epoch_us, _line in reported], dtype=np.int64),
+        "news_json": json.dumps([line for _epoch_us, line in reported], allow_nan=False),
     }
 
 
@@ -169,7 +169,7 @@ def _knowledge(world: World) -> dict[str, Any]:
     phases = world.scenario.phases
     turns_us = world.scenario.phase("turns").start_us
     turns = [turn for turn in TIMETABLE if any(turn.attitude_deg)]
-    told = np.array([c.attitude_deg for c in world.corrections]).reshape(-1, 3)
+    reported = np.array([c.attitude_deg for c in world.corrections]).reshape(-1, 3)
     return {
         "phase_name": np.array([phase.name for phase in phases]),
         "phase_start_us": np.array([phase.start_us for phase in phases]),
@@ -179,29 +179,29 @@ def _knowledge(world: World) -> dict[str, Any]:
         "reference_sigma_deg": np.nanmax([sensor.sigma_deg for sensor in world.scenario.sensors], axis=0),
         "correction_start_us": np.array([c.start_us for c in world.corrections], dtype=np.int64),
         "correction_stop_us": np.array([c.stop_us for c in world.corrections], dtype=np.int64),
-        **_by_axis("correction_", told),
-        "correction_told_us": np.array([c.told_us for c in world.corrections], dtype=np.int64),
+        **_by_axis("correction_", reported),
+        "correction_told_us": np.array([c.reported_us for c in world.corrections], dtype=np.int64),
         "turn_start_us": np.array([turns_us + (turn.start_min + SLEW_MIN) * 60 * US_PER_S for turn in turns]),
         "turn_stop_us": np.array([turns_us + turn.stop_min * 60 * US_PER_S for turn in turns]),
         **_by_axis("turn_", np.array([turn.attitude_deg for turn in turns])),
     }
 
 
-def _sensed(name: str, told: References) -> dict[str, Any]:
+def _sensed(name: str, reported: References) -> dict[str, Any]:
     return {
-        f"{name}_epoch_us": told.epochs_us,
-        **_by_axis(f"{name}_", told.attitude_deg),
-        f"{name}_source": told.source,
-        **_by_axis(f"{name}_sigma_", told.sigma_deg),
+        f"{name}_epoch_us": reported.epochs_us,
+        **_by_axis(f"{name}_", reported.attitude_deg),
+        f"{name}_source": reported.source,
+        **_by_axis(f"{name}_sigma_", reported.sigma_deg),
     }
 
 
 def _ballistics(world: World) -> dict[str, Any]:
-    told = world.ephemerides[0]
-    track = predicted_track(told.orbit, world.seed, told.start_us, told.stop_us, name=told.stream_name)
+    reported = world.ephemerides[0]
+    track = predicted_track(reported.orbit, world.seed, reported.start_us, reported.stop_us, name=reported.stream_name)
     return {
-        "node_us": np.array(told.nodes_us, dtype=np.int64),
-        "nodal_period_s": told.nodal_period_s,
+        "node_us": np.array(reported.nodes_us, dtype=np.int64),
+        "nodal_period_s": reported.nodal_period_s,
         "track_epoch_us": track.epochs_us,
         "track_latitude_deg": track.latitude_deg,
         "track_longitude_deg": track.longitude_deg,

@@ -77,7 +77,7 @@ async def serve(options: argparse.Namespace, scenario: Scenario, flown: PlantOpt
             _painter(options, dialect),
             may_advance=lambda: _may_advance(world, gate),
             model=dialect.model,
-            life=SweepProgress(Pace(options.pace)),
+            progress=SweepProgress(Pace(options.pace)),
             truth=truth,
         )
         analyzer = SimulatedAnalyzer(

@@ -28,7 +28,7 @@ from tests.fakes.worlds.synthetic_payload import HOUR, MINUTE, START_US, FixedDo
 _SETTLING = 60
 
 
-class StepFigures(NamedTuple):
+class StepTimes(NamedTuple):
     """Time of a step, s."""
 
     carriers: int
@@ -54,7 +54,7 @@ def main() -> bool:
     return True
 
 
-def _show(what: str, figures: StepFigures) -> None:
+def _show(what: str, figures: StepTimes) -> None:
     """Print one line."""
     ratio = figures.median_s / yardstick_s()
     print(
@@ -74,19 +74,19 @@ def yardstick_s(repeats: int = 40) -> float:
     return statistics.median(taken)
 
 
-def measure_filter(carriers: int, steps: int, seed: int = 5) -> StepFigures:
+def measure_filter(carriers: int, steps: int, seed: int = 5) -> StepTimes:
     """Return the time of one step of the robust filter."""
     model, settings = carrier_model(carriers, components=3, common=2), FilterSettings()
     state, taken = start(model, START_US, aligned(model)), []
     for row, row_db in enumerate(_deviations_db(carriers, steps, seed), start=1):
         began = time.perf_counter()
-        told = step(model, settings, state, START_US + row * MINUTE, row_db, no_motion())
+        reported = step(model, settings, state, START_US + row * MINUTE, row_db, no_motion())
         taken.append(time.perf_counter() - began)
-        state = told.state
+        state = reported.state
     return _figures(carriers, taken)
 
 
-def measure_arithmetic(carriers: int, steps: int, kernels: Kernels, seed: int = 5) -> StepFigures:
+def measure_arithmetic(carriers: int, steps: int, kernels: Kernels, seed: int = 5) -> StepTimes:
     """Return the time that prediction and update take of a step."""
     model, settings, used = carrier_model(carriers, components=3, common=2), FilterSettings(), np.arange(carriers)
     state, variance, taken = aligned(model), np.zeros(carriers), []
@@ -110,13 +110,13 @@ def _deviations_db(carriers: int, steps: int, seed: int) -> np.ndarray:
     return np.random.default_rng(seed).normal(0.0, 0.17, (_SETTLING + steps, carriers))
 
 
-def _figures(carriers: int, taken: list[float]) -> StepFigures:
+def _figures(carriers: int, taken: list[float]) -> StepTimes:
     """Return the figures of some times, those of the first rows left out."""
     timed = sorted(taken[_SETTLING:])
-    return StepFigures(carriers, statistics.median(timed), timed[int(0.99 * (len(timed) - 1))])
+    return StepTimes(carriers, statistics.median(timed), timed[int(0.99 * (len(timed) - 1))])
 
 
-def measure(carriers: int, steps: int, seed: int = 5) -> StepFigures:
+def measure(carriers: int, steps: int, seed: int = 5) -> StepTimes:
     """Return the time of one step."""
     payload = SyntheticPayload.make(carriers, seed)
     aligned_us = START_US + HOUR

@@ -78,7 +78,7 @@ def main() -> bool:
 
 def _batches(new_url: Callable[[str], str], options: argparse.Namespace) -> bool:
     rates = measure(("none", "durable"), BATCHES, new_url, options)
-    _tell("SQLite", BATCHES, rates)
+    _report("SQLite", BATCHES, rates)
     values_per_s = BATCHES.rows * BATCHES.carriers * _middle(rates["durable"]).per_second
     is_reached = values_per_s >= AIM_VALUES_PER_S
     print(f"  {values_per_s:.0f} values/s, aim {AIM_VALUES_PER_S}: {'reached' if is_reached else 'not reached'}")
@@ -87,10 +87,10 @@ def _batches(new_url: Callable[[str], str], options: argparse.Namespace) -> bool
 
 def _singles(new_url: Callable[[str], str], options: argparse.Namespace) -> bool:
     slow = measure(("durable", "each"), SINGLES, new_url, options, sync_ms=SLOW_SYNC_MS)
-    _tell(f"SQLite with {SLOW_SYNC_MS:.0f} ms a sync", SINGLES, slow)
+    _report(f"SQLite with {SLOW_SYNC_MS:.0f} ms a sync", SINGLES, slow)
     print(f"  group commit over a commit each on a thread pool: {_ratio(slow, 'each'):.2f}")
     rates = measure(("none", "durable", "each", "single"), SINGLES, new_url, options)
-    _tell("SQLite", SINGLES, rates)
+    _report("SQLite", SINGLES, rates)
     print(f"  group commit over one writer that commits each: {_ratio(rates, 'single'):.2f}")
     p99 = statistics.median(
         group.p99_s / each.p99_s for group, each in zip(rates["durable"], rates["each"], strict=True)
@@ -115,7 +115,7 @@ def _singles_on_postgresql(options: argparse.Namespace) -> None:
         rates = measure(("none", "durable", "each"), SINGLES, lambda _: cluster.new_database(), options)
     finally:
         cluster.close()
-    _tell("PostgreSQL", SINGLES, rates)
+    _report("PostgreSQL", SINGLES, rates)
     print(f"  durable over no storage {_ratio(rates, 'none'):.2f}, over a commit each {_ratio(rates, 'each'):.2f}")
 
 
@@ -153,7 +153,7 @@ def _middle(taken: Sequence[Rate]) -> Middle:
     return Middle(statistics.median(rate.per_second for rate in taken), statistics.median(rate.p99_s for rate in taken))
 
 
-def _tell(database: str, shape: Shape, rates: Rates) -> None:
+def _report(database: str, shape: Shape, rates: Rates) -> None:
     """Print the medians."""
     print(
         f"POST of {shape.rows} rows x {shape.carriers} carriers, {shape.connections} connections, {database}, ", end=""

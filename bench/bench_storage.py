@@ -61,9 +61,9 @@ def main() -> bool:
         bare = measure_driver(folder / "driver.db", options)
         rate = measure(folder / "bench.db", options)
         print(f"ratio to the bare driver {rate / bare:.2f}")
-        urls = {kind: f"sqlite:///{folder / str(place)}.db" for place, kind in enumerate(KINDS)}
+        urls = {kind: f"sqlite:///{folder / str(position)}.db" for position, kind in enumerate(KINDS)}
         if options.url:
-            urls = {kind: options.url.format(place) for place, kind in enumerate(KINDS)}
+            urls = {kind: options.url.format(position) for position, kind in enumerate(KINDS)}
         is_met = [measure_reading(url, kind, options) for kind, url in urls.items()]
         measure_results(f"sqlite:///{folder / 'results'}.db", options)
     return all(is_met)

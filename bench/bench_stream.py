@@ -39,7 +39,7 @@ GOAL_DELIVERED = 0.95
 _WARM_UP = 20
 
 
-class StreamFigures(NamedTuple):
+class StreamTimes(NamedTuple):
     """What came of one run."""
 
     #: from POST to event, s: measurement, attitude
@@ -84,7 +84,7 @@ def _show(kind: str, delays_s: list[float]) -> bool:
     return is_met
 
 
-def measure(seconds: float, clients: int) -> StreamFigures:
+def measure(seconds: float, clients: int) -> StreamTimes:
     """Return the figures of one run."""
     payload, key = SyntheticPayload.make(CARRIERS, 5), secrets.token_urlsafe(16)
     with tempfile.TemporaryDirectory(dir=Path.cwd(), prefix="bench-") as name:
@@ -100,7 +100,7 @@ def measure(seconds: float, clients: int) -> StreamFigures:
                 counts = crowd.counts()
             share = (service.cpu_s() - cpu_s) / (time.monotonic() - began_s)
     delivered = sum(min(count, sent) for count in counts) / (sent * clients)
-    return StreamFigures(alone["measurement"], alone["attitude"], clients, delivered, share)
+    return StreamTimes(alone["measurement"], alone["attitude"], clients, delivered, share)
 
 
 def _prepare(database: Path, payload: SyntheticPayload) -> None:
@@ -141,8 +141,8 @@ async def _send(
     count = round(seconds * ROWS_PER_S)
     async with AsyncServiceClient(url, key) as client:
         begin_s = time.perf_counter()
-        for place in range(count):
-            await asyncio.sleep(max(0.0, begin_s + place / ROWS_PER_S - time.perf_counter()))
+        for position in range(count):
+            await asyncio.sleep(max(0.0, begin_s + position / ROWS_PER_S - time.perf_counter()))
             _Numbers.sent += 1
             row = _row(payload, _Numbers.sent)
             if sent_s is not None:
@@ -186,8 +186,8 @@ class _Crowd:
 
     def counts(self) -> list[int]:
         """End the clients and return what each got."""
-        told, _ = self._process.communicate()
-        return list(json.loads(told.splitlines()[-1]))
+        reported, _ = self._process.communicate()
+        return list(json.loads(reported.splitlines()[-1]))
 
 
 @contextmanager

@@ -26,7 +26,7 @@ async def main(url: str, key: str, spacecraft_id: str, clients: int) -> None:
     print(json.dumps(counts), flush=True)
 
 
-async def _read(url: str, key: str, spacecraft_id: str, counts: list[int], place: int, ready: asyncio.Event) -> None:
+async def _read(url: str, key: str, spacecraft_id: str, counts: list[int], position: int, ready: asyncio.Event) -> None:
     """Count the measurements of one connection."""
     address = urlsplit(url)
     reader, writer = await asyncio.open_connection(address.hostname, address.port)
@@ -38,7 +38,7 @@ async def _read(url: str, key: str, spacecraft_id: str, counts: list[int], place
             ready.set()
             # a mark may be cut by the end of a chunk
             rest += chunk
-            counts[place] += rest.count(_MARK)
+            counts[position] += rest.count(_MARK)
             rest = rest[-(len(_MARK) - 1) :]
     finally:
         writer.close()

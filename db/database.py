@@ -61,10 +61,10 @@ class Database:
             yield connection
 
     def submit(
-        self, work: Callable[[Connection], Result], told: Callable[[Result], None] | None = None
+        self, work: Callable[[Connection], Result], reported: Callable[[Result], None] | None = None
     ) -> Future[Result]:
         """Queue a write; after its commit the result is told, in the order of commits, and the future resolves."""
-        return self._writer.submit(work, told)
+        return self._writer.submit(work, reported)
 
     def write(self, work: Callable[[Connection], Result]) -> Result:
         """Do a write and wait for its commit; a request's first write takes the request's audit entry along."""
@@ -135,12 +135,14 @@ def insert_new(connection: Connection, table: Table, rows: Sequence[Mapping[str,
         connection.execute(insert(table).on_conflict_do_nothing(), rows)
 
 
-def beyond(place: ColumnElement[int], number: ColumnElement[int], after: tuple[int, int] | None) -> ColumnElement[bool]:
+def beyond(
+    position: ColumnElement[int], number: ColumnElement[int], after: tuple[int, int] | None
+) -> ColumnElement[bool]:
     """Return the condition that (place, number) lies behind a cursor."""
     if after is None:
         return true()
     # the first part alone bounds the range of the index
-    return and_(place >= after[0], or_(place > after[0], number > after[1]))
+    return and_(position >= after[0], or_(position > after[0], number > after[1]))
 
 
 def within(epoch_us: ColumnElement[int], window: Window) -> ColumnElement[bool]:
@@ -168,8 +170,8 @@ def add_entries(connection: Connection, key: int, entries: Sequence[tuple[SlowIn
     newest_number, newest_epoch_us = connection.execute(moved).one()
     here = EpochSpan(newest_epoch_us or 0, newest_epoch_us or 0)
     rows = [
-        _journal_row(key, newest_number - len(entries) + place, record, span or here)
-        for place, (record, span) in enumerate(entries, start=1)
+        _journal_row(key, newest_number - len(entries) + position, record, span or here)
+        for position, (record, span) in enumerate(entries, start=1)
     ]
     if rows:
         connection.execute(journal.insert(), rows)

@@ -31,7 +31,7 @@ from service.runtime.jobs.flight_analysis_job import FlightAnalyses, fly_thinned
 from service.runtime.jobs.job_runner import JobRunner
 from service.runtime.jobs.replay_job import Replayer
 from service.runtime.jobs.workers import Workers
-from service.runtime.live.leadership import Leading, Turn, always
+from service.runtime.live.leadership import Leading, Term, always
 from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.supervisor import Supervisor
 from service.runtime.process_metrics import raised_descriptor_limit
@@ -123,7 +123,7 @@ def first_administrator(settings: Settings, storage: Storage) -> Path | None:
     return None
 
 
-def build_alarms(settings: Settings, storage: Storage, clock: Clock, feed: LiveFeed, turn: Turn) -> AlarmService:
+def build_alarms(settings: Settings, storage: Storage, clock: Clock, feed: LiveFeed, turn: Term) -> AlarmService:
     """Return the alarm desk with the notices of the settings."""
     conditions = condition_table(settings.alarms, settings.robust)
     from_severity = Severity[settings.alarm_notices_from.upper()]
@@ -185,7 +185,7 @@ def _limits(settings: Settings) -> Limits:
     )
 
 
-def _observation(settings: Settings) -> MonitoringSettings:
+def _monitoring_settings(settings: Settings) -> MonitoringSettings:
     """Return how the service lets itself be watched."""
     return MonitoringSettings(
         metrics_need_key=settings.metrics_need_key,
@@ -195,7 +195,7 @@ def _observation(settings: Settings) -> MonitoringSettings:
     )
 
 
-def build_upkeep(settings: Settings, storage: Storage, clock: Clock, turn: Turn = always) -> ArchiveMaintenance:
+def build_maintenance(settings: Settings, storage: Storage, clock: Clock, turn: Term = always) -> ArchiveMaintenance:
     """Return what seals closed days and drops what is no longer kept."""
     return ArchiveMaintenance(storage, clock, settings.sealing, settings.retention, turn)
 
@@ -241,18 +241,18 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
     analyses = JobRunner(storage.results, clock)
     workers = Workers(settings.workers)
 
-    upkeep = build_upkeep(settings, storage, clock, leading.turn)
+    maintainer = build_maintenance(settings, storage, clock, leading.turn)
 
     async def start() -> None:
         await asyncio.to_thread(leading.start, [jobs.start])
-        upkeep.start()
+        maintainer.start()
         alarms.start()
         supervisor.start()
         release_service.start()
 
     async def stop() -> None:
         running = (release_service.stop, supervisor.stop, alarms.stop, workers.stop, jobs.stop, analyses.stop)
-        for end in (*running, upkeep.stop, leading.stop, storage.close):
+        for end in (*running, maintainer.stop, leading.stop, storage.close):
             await asyncio.to_thread(end)
 
     context = ApiContext(
@@ -260,7 +260,7 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
         clock=clock,
         bootstrap_key=_secret(settings.bootstrap_key) or None,
         limits=_limits(settings),
-        observation=_observation(settings),
+        monitoring=_monitoring_settings(settings),
         is_following=lambda: supervisor.is_running,
         on_accepted=supervisor.notify,
         on_rows_accepted=supervisor.notify,
@@ -281,7 +281,7 @@ def build_app(settings: Settings, storage: Storage) -> FastAPI:
     return create_app(context)
 
 
-def open_keeping(database_url: str | None) -> "ArchiveTools":
+def open_archive_tools(database_url: str | None) -> "ArchiveTools":
     """Return what makes backups of an archive and looks at it; without a URL the archive of the settings."""
     # brings the migrations along, which serving needs at its start only
     from db.maintenance.archive_tools import ArchiveTools

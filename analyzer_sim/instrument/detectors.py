@@ -169,7 +169,7 @@ def _draw_peak(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator) -> Float
     count = 1.0 + _PEAKS_PER_FREEDOM * _values_of_dwell(dwell)
     above = -np.expm1(np.log(rng.random(len(mean.noise_mw))) / count)
     freedom = _video_freedom(dwell)
-    return _beside_lines(mean, np.asarray(gammainccinv(freedom, above) / freedom, np.float64), +1.0)
+    return _line_skirts(mean, np.asarray(gammainccinv(freedom, above) / freedom, np.float64), +1.0)
 
 
 def _draw_minimum(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator) -> FloatArray:
@@ -177,10 +177,10 @@ def _draw_minimum(mean: MeanTrace, dwell: Dwell, rng: np.random.Generator) -> Fl
     below = -np.expm1(np.log(rng.random(len(mean.noise_mw))) / count)
     freedom = _video_freedom(dwell)
     freedom += _FREEDOM_OF_MINIMA if freedom > 1.0 else 0.0
-    return _beside_lines(mean, np.asarray(gammaincinv(freedom, below) / freedom, np.float64), -1.0)
+    return _line_skirts(mean, np.asarray(gammaincinv(freedom, below) / freedom, np.float64), -1.0)
 
 
-def _beside_lines(mean: MeanTrace, relative: FloatArray, sign: float) -> FloatArray:
+def _line_skirts(mean: MeanTrace, relative: FloatArray, sign: float) -> FloatArray:
     """Add the amplitude of lines to that of the noise, in phase for a peak, in opposition for a minimum."""
     noise = np.sqrt(mean.noise_mw * relative)
     return np.asarray(np.square(np.sqrt(mean.lines_mw.sum(axis=0)) + sign * noise))

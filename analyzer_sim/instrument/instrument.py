@@ -67,7 +67,7 @@ class Instrument:
         painter: TracePainter,
         may_advance: Callable[[], bool] = _always,
         model: AnalyzerModel = FSW_26,
-        life: SweepProgress | None = None,
+        progress: SweepProgress | None = None,
         truth: TruthLog | None = None,
     ) -> None:
         self.model = model
@@ -82,7 +82,7 @@ class Instrument:
         self._trace: Trace | None = None
         self._list_entries: tuple[Settings, ...] = ()
         self._list_traces: tuple[Trace, ...] = ()
-        self._life = life or SweepProgress()
+        self._progress = progress or SweepProgress()
         self._truth = truth
         self._sweeps = 0
         self._repeats_shown = 0
@@ -93,22 +93,22 @@ class Instrument:
     @property
     def is_pending(self) -> bool:
         """Whether a single sweep waits for permission or runs."""
-        return self._life.is_pending
+        return self._progress.is_pending
 
     @property
     def is_waiting(self) -> bool:
         """Whether a single sweep waits for permission."""
-        return self._life.state is SweepState.WAITING
+        return self._progress.state is SweepState.WAITING
 
     @property
     def changes(self) -> int:
         """Changes in the life of sweeps so far."""
-        return self._life.changes
+        return self._progress.changes
 
     @property
     def remaining_s(self) -> float | None:
         """Time until the sweep that runs is complete; ``None`` when no time is waited for."""
-        return self._life.remaining_s
+        return self._progress.remaining_s
 
     @property
     def swept(self) -> Settings:
@@ -140,8 +140,8 @@ class Instrument:
 
     def _begin(self) -> None:
         self._sweep_errors = self.status.errors
-        self._life.wait()
-        self._report_life()
+        self._progress.wait()
+        self._report_progress()
         self.complete_pending()
 
     def initiate_list(self, entries: tuple[Settings, ...]) -> None:
@@ -160,16 +160,16 @@ class Instrument:
 
     def complete_pending(self) -> bool:
         """Begin the pending sweep if its row is allowed, end it if its time is over; return whether none is pending."""
-        life = self._life
+        progress = self._progress
         if self.is_waiting and self._may_advance():
-            if life.pace is Pace.VIRTUAL:
+            if progress.pace is Pace.VIRTUAL:
                 self._complete()
             else:
-                life.start(self._duration_s())
-                self._report_life()
-        if life.is_due:
+                progress.start(self._duration_s())
+                self._report_progress()
+        if progress.is_due:
             self._complete()
-        return not life.is_pending
+        return not progress.is_pending
 
     def _complete(self) -> None:
         try:
@@ -181,23 +181,23 @@ class Instrument:
 
     def keep_continuous(self) -> None:
         """Let sweeps follow one another while ``INIT:CONT`` is ON; at the virtual pace they take no time."""
-        if self._life.pace is Pace.VIRTUAL or self.is_pending:
+        if self._progress.pace is Pace.VIRTUAL or self.is_pending:
             return
-        is_repeating = self._life.state is SweepState.CONTINUOUS
+        is_repeating = self._progress.state is SweepState.CONTINUOUS
         if self.settings.is_continuous and not is_repeating:
-            self._life.repeat(self._duration_s())
-            self._report_life()
+            self._progress.repeat(self._duration_s())
+            self._report_progress()
         elif is_repeating and not self.settings.is_continuous:
-            self._life.end()
-            self._report_life()
+            self._progress.end()
+            self._report_progress()
 
     def _duration_s(self) -> float:
         """Return how long the sweeps of one trace last."""
         return sum(entry.time_s * entry.sweeps for entry in self._list_entries or (self.swept,))
 
-    def _report_life(self) -> None:
+    def _report_progress(self) -> None:
         others = self.status.operation.condition & ~_SWEEP_BITS
-        self.status.operation.put_condition(others | OPERATION_BITS[self._life.state])
+        self.status.operation.put_condition(others | OPERATION_BITS[self._progress.state])
 
     def abort(self) -> None:
         """``ABORt``: forget the pending sweep; operations are then complete. Sweeps without end begin again."""
@@ -208,8 +208,8 @@ class Instrument:
 
     def _end_pending(self) -> None:
         self._list_entries = ()
-        self._life.end()
-        self._report_life()
+        self._progress.end()
+        self._report_progress()
         if self._completion_wanted:
             self.report_completion()
 
@@ -230,8 +230,8 @@ class Instrument:
         self._restart()
 
     def _restart(self) -> None:
-        if self._life.is_running:
-            self._life.restart(self._duration_s())
+        if self._progress.is_running:
+            self._progress.restart(self._duration_s())
 
     def trace(self) -> Trace:
         """Return the trace to show.
@@ -251,10 +251,10 @@ class Instrument:
 
     def _has_fresh_sweep(self) -> bool:
         """Tell whether a sweep without end has been completed since the trace was drawn."""
-        if self._life.pace is Pace.VIRTUAL:
+        if self._progress.pace is Pace.VIRTUAL:
             return True
         self.keep_continuous()
-        repeats = self._life.sweeps_done
+        repeats = self._progress.sweeps_done
         if not repeats:
             raise TraceNotReadyError
         is_fresh = self._trace is None or repeats != self._repeats_shown
@@ -271,7 +271,7 @@ class Instrument:
         self._readings.append(Reading(self._sweeps, leaving is not shown))
         return leaving
 
-    def take_readings(self) -> tuple[Reading, ...]:
+    def measured_readings(self) -> tuple[Reading, ...]:
         """Return the traces read since this was asked last."""
         readings = tuple(self._readings)
         self._readings.clear()

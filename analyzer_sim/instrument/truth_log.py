@@ -63,14 +63,14 @@ class TruthLog:
 
     def sweep(self, number: int, emission: Emission, settings: Settings) -> None:
         """Write a completed sweep."""
-        place = {"sweep": number, "row": self._row_of(), "epoch": rfc3339(emission.epoch_us)}
-        self._shown[number] = place
+        position = {"sweep": number, "row": self._row_of(), "epoch": rfc3339(emission.epoch_us)}
+        self._shown[number] = position
         self._shown.pop(number - _REMEMBERED_SWEEPS, None)
         powers_dbm = {signal.carrier: round(signal.power_dbm, 6) for signal in emission.signals}
         self._write(
             {
                 "kind": "sweep",
-                **place,
+                **position,
                 "power_dbm": {carrier: powers_dbm.get(carrier) for carrier in self._carriers},
                 "interference_dbm": {
                     name.removeprefix(_INTERFERENCE): power
@@ -87,8 +87,8 @@ class TruthLog:
 
     def trace(self, reading: Reading, session: str) -> None:
         """Write a trace that left whole."""
-        place = self._shown.get(reading.sweep, {"sweep": reading.sweep})
-        self._write({"kind": "trace", **place, "session": session, "spoiled": reading.is_spoiled})
+        position = self._shown.get(reading.sweep, {"sweep": reading.sweep})
+        self._write({"kind": "trace", **position, "session": session, "spoiled": reading.is_spoiled})
 
     def _write(self, line: dict[str, Any]) -> None:
         self._stream.write(json.dumps(line, allow_nan=False, separators=(",", ":")) + "\n")

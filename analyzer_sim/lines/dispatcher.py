@@ -74,7 +74,7 @@ class Dispatcher:
         session.submit(message)
         while True:
             response = session.run()
-            self.look_around()
+            self.poll()
             if session.is_held:
                 await self.change()
             elif session.is_busy:
@@ -96,7 +96,7 @@ class Dispatcher:
         self.locks.drop(session)
         self.announce()
 
-    def look_around(self) -> None:
+    def poll(self) -> None:
         """Act on what a turn, or time, may have changed."""
         self.instrument.keep_continuous()
         if self._changes_seen != self.instrument.changes:
@@ -111,7 +111,7 @@ class Dispatcher:
         """Let pending sweeps begin when they are allowed and end when their time is over."""
         while True:
             self.instrument.complete_pending()
-            self.look_around()
+            self.poll()
             remaining_s = self.instrument.remaining_s
             if remaining_s is None and self._changes_settled != self.instrument.changes:
                 # the first of endless sweeps is over: no change of state, yet somebody may wait for it

@@ -59,8 +59,8 @@ class Conversation:
         self._handlers: dict[int, Callable[[Channel, Message], Awaitable[None]]] = {
             MessageType.ASYNC_MAX_MSG_SIZE: self._exchange_size,
             MessageType.ASYNC_LOCK: self._lock,
-            MessageType.ASYNC_LOCK_INFO: self._tell_locks,
-            MessageType.ASYNC_STATUS_QUERY: self._tell_status,
+            MessageType.ASYNC_LOCK_INFO: self._report_locks,
+            MessageType.ASYNC_STATUS_QUERY: self._report_status,
             MessageType.ASYNC_REMOTE_LOCAL_CONTROL: self._control_remote,
             MessageType.ASYNC_DEVICE_CLEAR: self._clear,
         }
@@ -70,7 +70,7 @@ class Conversation:
         self.state.step(message, is_synchronous=False)
         self._asynchronous = channel
         channel.put(MessageType.ASYNC_INITIALIZE_RESPONSE, 0, _VENDOR)
-        self._dispatcher.watchers.add(self._look_for_service)
+        self._dispatcher.watchers.add(self._check_service_request)
         self._start_worker()
 
     def close(self) -> None:
@@ -78,7 +78,7 @@ class Conversation:
         self.state.phase = Phase.CLOSED
         self._requests.clear()
         self._wake()
-        self._dispatcher.watchers.discard(self._look_for_service)
+        self._dispatcher.watchers.discard(self._check_service_request)
         for task in (self._worker, self._lock_task):
             if task is not None:
                 task.cancel()
@@ -96,7 +96,7 @@ class Conversation:
 
     # the synchronous channel
 
-    async def take_synchronous(self, message: Message) -> None:
+    async def on_synchronous(self, message: Message) -> None:
         """Act on a message of the synchronous channel."""
         self.state.step(message, is_synchronous=True)
         if message.kind == MessageType.DEVICE_CLEAR_COMPLETE:
@@ -155,7 +155,7 @@ class Conversation:
             self._interrupt(self._requests[0].message_id)
             return
         self.state.is_unread = True
-        self._look_for_service()
+        self._check_service_request()
         parts = answer_parts(answer, request.message_id, self.state.client_bytes)
         is_sent = await self._synchronous.line.send(answer, self._until_interrupted(parts))
         if is_sent and next(parts, None) is None:
@@ -184,7 +184,7 @@ class Conversation:
 
     # the asynchronous channel
 
-    async def take_asynchronous(self, channel: Channel, message: Message) -> None:
+    async def on_asynchronous(self, channel: Channel, message: Message) -> None:
         """Act on a message of the asynchronous channel."""
         self.state.step(message, is_synchronous=False)
         handler = self._handlers.get(message.kind)
@@ -199,7 +199,7 @@ class Conversation:
         self.state.client_bytes = size_bytes
         channel.put(MessageType.ASYNC_MAX_MSG_SIZE_RESPONSE, 0, 0, encode_size(MAX_PAYLOAD_BYTES))
 
-    async def _tell_locks(self, channel: Channel, _message: Message) -> None:
+    async def _report_locks(self, channel: Channel, _message: Message) -> None:
         locks = self._dispatcher.locks
         channel.put(MessageType.ASYNC_LOCK_INFO_RESPONSE, int(locks.is_exclusive), locks.holders)
 
@@ -208,13 +208,13 @@ class Conversation:
             raise RefusedMessageError(ErrorCode.UNKNOWN_CONTROL_CODE, "remote/local control is 0 to 6")
         channel.put(MessageType.ASYNC_REMOTE_LOCAL_RESPONSE)
 
-    async def _tell_status(self, channel: Channel, message: Message) -> None:
-        self.state.take_delivery(message)
+    async def _report_status(self, channel: Channel, message: Message) -> None:
+        self.state.on_delivery(message)
         await asyncio.sleep(_HEAD_START_S)
         byte = self._session.status_byte(has_response=self.state.is_unread)
         channel.put(MessageType.ASYNC_STATUS_RESPONSE, self.state.polled(byte))
 
-    def _look_for_service(self) -> None:
+    def _check_service_request(self) -> None:
         """Request service when a reason that ``*SRE`` enables has come up."""
         byte = self._session.status_byte(has_response=self.state.is_unread)
         enable = self._dispatcher.instrument.status.service_enable

@@ -74,7 +74,7 @@ class HislipServer:
             channel.put(MessageType.INITIALIZE_RESPONSE, 0, state.version << 16 | state.number)
             async for message in messages:
                 try:
-                    await conversation.take_synchronous(message)
+                    await conversation.on_synchronous(message)
                 except RefusedMessageError as refusal:
                     channel.refuse(refusal)
                 if state.phase is Phase.CLOSED:
@@ -111,7 +111,7 @@ class HislipServer:
         try:
             async for message in messages:
                 try:
-                    await conversation.take_asynchronous(channel, message)
+                    await conversation.on_asynchronous(channel, message)
                 except RefusedMessageError as refusal:
                     channel.refuse(refusal)
                 if conversation.state.phase is Phase.CLOSED:

@@ -183,7 +183,7 @@ class HislipSession:
         self.is_unread = False
         return is_interrupted
 
-    def take_delivery(self, message: Message) -> None:
+    def on_delivery(self, message: Message) -> None:
         """Note what a status query says about the last answer."""
         if message.control & _RMT_DELIVERED:
             self.is_unread = False

@@ -158,11 +158,11 @@ class Session:
         return self._instrument.is_pending
 
     def _answer(self, command: Command, unit: Unit, call: Call) -> None:
-        self._instrument.take_readings()
+        self._instrument.measured_readings()
         answer = command.run(unit, call)
         if answer is None:
             return
-        self._readings += self._instrument.take_readings()
+        self._readings += self._instrument.measured_readings()
         self._answers.append(answer if isinstance(answer, bytes) else answer.encode("ascii"))
         self._answer_bytes += len(self._answers[-1])
         if self._answer_bytes > OUTPUT_LIMIT_BYTES:

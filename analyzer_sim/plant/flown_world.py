@@ -35,14 +35,14 @@ class FlownWorld:
     seed : int
         Seed of every named stream.
     options : PlantOptions
-        Craft and channel.
+        OrbitalFrameSpacecraft and channel.
 
     Attributes
     ----------
     world : World
         The story; before operation its rows are what is swept.
     options : PlantOptions
-        Craft and channel.
+        OrbitalFrameSpacecraft and channel.
     """
 
     def __init__(self, scenario: Scenario, seed: int, options: PlantOptions) -> None:
@@ -100,10 +100,10 @@ class FlownWorld:
         self._sent_from_row += 1
         return self._plant.send(schedule)
 
-    def told_after(self, first: int, last: int) -> Iterator[Line]:
+    def reported_after(self, first: int, last: int) -> Iterator[Line]:
         """Yield what the ground is told once rows of operation have been flown: telemetry, and truth for the judge."""
         start_us, stop_us = (int(self.world.rows.epochs_us[row]) for row in (first, last))
-        if any(start_us <= record.told_us <= stop_us for record in self.world.telemetry):
+        if any(start_us <= record.reported_us <= stop_us for record in self.world.telemetry):
             yield {"kind": "telemetry", "body": {"records": [telemetry_of(self._plant)]}}
         rows = [truth_row(self.world, row, self._attitude_deg[row]) for row in range(first, last + 1)]
         yield {"kind": "truth", "rows": rows}
@@ -116,12 +116,12 @@ class FlownWorld:
         while self._plant.row < row:
             self._plant.advance(_NOTHING)
             self._attitude_deg[self._plant.row] = self._plant.state.attitude_deg
-            self._tell([report_line(report) for report in self._plant.reports])
+            self._report([report_line(report) for report in self._plant.reports])
         if self._plant.row == self._plant.first_row:
-            self._tell([])
+            self._report([])
         self._sent_from_row = 0
 
-    def _tell(self, lines: list[Line]) -> None:
+    def _report(self, lines: list[Line]) -> None:
         for listener in self._listeners:
             listener(self._plant.epoch_us, lines)
 

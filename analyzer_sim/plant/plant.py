@@ -19,7 +19,7 @@ from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.spacecraft.angles_loop import AnglesLoop
 from analyzer_sim.world.spacecraft.body_dynamics import Vector
 from analyzer_sim.world.spacecraft.disturbance import disturbance
-from analyzer_sim.world.spacecraft.flown_spacecraft import Craft, craft_at_rest
+from analyzer_sim.world.spacecraft.flown_spacecraft import OrbitalFrameSpacecraft, spacecraft_at_rest
 from analyzer_sim.world.spacecraft.hub_tones import HubTone
 from analyzer_sim.world.spacecraft.rigid_body import BodyState, RigidBody, TorqueElement, Triple
 from analyzer_sim.world.spacecraft.telemetry import TelemetryRecord
@@ -55,7 +55,7 @@ class Plant:
     sweep_noise : float
         Scale of the stand-in for the sweep's own noise.
     options : PlantOptions, optional
-        Craft and channel.
+        OrbitalFrameSpacecraft and channel.
 
     Attributes
     ----------
@@ -87,7 +87,7 @@ class Plant:
         self._store = CommandStore(0.0 if is_perfect else QUANTUM_N_M)
         self._acting: list[TorqueElement] = []
         self._counter = 0
-        self.craft: Craft = self._craft(options)
+        self.craft: OrbitalFrameSpacecraft = self._craft(options)
         roll, pitch, yaw = INERTIA_KG_M2
         coupling = EARTH_RATE_RAD_S if scenario.keeping.is_coupled else 0.0
         self._perfect = RigidBody((yaw, roll, pitch), coupling) if is_perfect else None
@@ -184,18 +184,18 @@ class Plant:
         else:
             self.state = self._perfect.fly(self.state, (begin_us, end_us), self._acting, drift_deg_s, unseen_n_m)
 
-    def _craft(self, options: PlantOptions) -> Craft:
+    def _craft(self, options: PlantOptions) -> OrbitalFrameSpacecraft:
         """Return the craft as it stands when operation begins."""
         keeping, seed = self.world.scenario.keeping, self.world.seed
-        wheels = wheel_set(seed, self.told_telemetry().wheel_momentum_n_m_s)
+        wheels = wheel_set(seed, self.reported_telemetry().wheel_momentum_n_m_s)
         attitude_deg = _triple(self._attitude_deg[self.first_row])
-        craft = craft_at_rest(INERTIA_KG_M2, attitude_deg, wheels, is_coupled=keeping.is_coupled)
+        craft = spacecraft_at_rest(INERTIA_KG_M2, attitude_deg, wheels, is_coupled=keeping.is_coupled)
         craft.response, craft.tones = options.response, options.tones
         return craft
 
-    def told_telemetry(self) -> TelemetryRecord:
+    def reported_telemetry(self) -> TelemetryRecord:
         """Return the story's newest record at the present row."""
-        return [record for record in self.world.telemetry if record.told_us <= self.epoch_us][-1]
+        return [record for record in self.world.telemetry if record.reported_us <= self.epoch_us][-1]
 
 
 def _triple(values: FloatArray) -> Triple:

@@ -35,7 +35,7 @@ from analyzer_sim.epochs import rfc3339
 from analyzer_sim.plant.plant import Plant, PlantOptions
 from analyzer_sim.plant.schedule_lines import MAX_LINE_CHARACTERS, Schedule, ScheduleError, parse_schedule
 from analyzer_sim.streams import FloatArray
-from analyzer_sim.world.ground.ground import catalogue_lines, chunks_of, flown_lines, told_lines, truth_row
+from analyzer_sim.world.ground.ground import catalogue_lines, chunks_of, flown_lines, reported_lines, truth_row
 from analyzer_sim.world.scenario.story import Scenario
 from analyzer_sim.world.spacecraft.disturbance import fed_forward
 from analyzer_sim.world.spacecraft.telemetry import PERIOD_H
@@ -83,13 +83,13 @@ def _opening(plant: Plant, options: PlantOptions) -> Iterator[Line]:
     rows = {"open_rows": plant.first_row, "closed_rows": plant.row_count - plant.first_row}
     what = {"uplink": options.uplink, "onboard": options.onboard}
     carriers = list(world.carrier_ids)
-    told = {"fed_forward_torque": fed_forward_line(world)}
+    reported = {"fed_forward_torque": fed_forward_line(world)}
     start = {"type": "start", "scenario": world.scenario.name, "seed": world.seed, "carriers": carriers}
-    yield {**start, **rows, **what, **told}
+    yield {**start, **rows, **what, **reported}
     yield from ({"type": "ground", "line": line} for line in catalogue_lines(world))
     for first, last, phase in chunks_of(world):
         if phase != "operation":
-            yield from ({"type": "ground", "line": line} for line in told_lines(world, first, last))
+            yield from ({"type": "ground", "line": line} for line in reported_lines(world, first, last))
             for row in range(first, last + 1):
                 yield {"type": "truth", **truth_row(world, row, world.rows.attitude_deg[row])}
                 yield _row_line(int(world.rows.epochs_us[row]), plant.open_dbm[row])
@@ -99,10 +99,10 @@ def fed_forward_line(world: World) -> Line | None:
     """Return the profile that the loop on board feeds forward, as the catalogue states one; None = it is not known."""
     if world.scenario.keeping.residual is not None:
         return None
-    told = fed_forward(world.scenario, world.seed)
-    parts = {"constant_n_m": np.zeros(3), "cosine_n_m": told.cosine_n_m, "sine_n_m": told.sine_n_m}
+    reported = fed_forward(world.scenario, world.seed)
+    parts = {"constant_n_m": np.zeros(3), "cosine_n_m": reported.cosine_n_m, "sine_n_m": reported.sine_n_m}
     torques = {name: dict(zip(_AXES, part.tolist(), strict=True)) for name, part in parts.items()}
-    return {"epoch": rfc3339(told.epoch_us), "period_s": told.period_s, **torques}
+    return {"epoch": rfc3339(reported.epoch_us), "period_s": reported.period_s, **torques}
 
 
 def _present(plant: Plant) -> Iterator[Line]:
@@ -120,14 +120,15 @@ def _present(plant: Plant) -> Iterator[Line]:
 
 def telemetry_of(plant: Plant) -> Line:
     """Return what the craft says of itself; its inertial model does not see the drift of its rate."""
-    momentum, told = plant.momentum_n_m_s, plant.told_telemetry()
+    momentum, reported = plant.momentum_n_m_s, plant.reported_telemetry()
     x, y, z = (math.degrees(rate) for rate in plant.craft.commanded_rad_s)
     return {
         "epoch": rfc3339(plant.epoch_us),
-        "onboard_mode": told.onboard_mode,
+        "onboard_mode": reported.onboard_mode,
         "wheel_momentum_n_m_s": [round(h, 6) for h in momentum],
         "wheel_speed_rpm": [round(rotor_speed_rpm(h), 3) for h in momentum],
-        "thrusters_active": told.thrusters_active and plant.epoch_us - told.told_us < PERIOD_H * _US_PER_H // 2,
+        "thrusters_active": reported.thrusters_active
+        and plant.epoch_us - reported.reported_us < PERIOD_H * _US_PER_H // 2,
         "body_rate_deg_s": {"yaw": round(z, 9), "roll": round(x, 9), "pitch": round(y, 9)},
     }
 
@@ -138,7 +139,7 @@ def report_line(report: Report) -> Line:
         "type": "report",
         "counter": report.counter,
         "state": report.fate.value,
-        "told": rfc3339(report.told_us),
+        "told": rfc3339(report.reported_us),
         "received": rfc3339(report.received_us),
     }
     if report.executed_us is not None:

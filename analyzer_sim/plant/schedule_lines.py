@@ -50,12 +50,12 @@ def parse_schedule(text: str, not_before_us: int) -> Schedule:
         raise ScheduleError("a line is one JSON object") from None
     if not isinstance(message, dict) or not {"schedule"} <= set(message) <= {"schedule", "counter", "attitude"}:
         raise ScheduleError('a line is {"schedule": [..]}, perhaps with a counter or an attitude, and nothing else')
-    told = message["schedule"]
-    if not isinstance(told, list):
+    reported = message["schedule"]
+    if not isinstance(reported, list):
         raise ScheduleError("the schedule is a list of elements")
-    if len(told) > MAX_ELEMENTS:
+    if len(reported) > MAX_ELEMENTS:
         raise ScheduleError(f"a schedule holds at most {MAX_ELEMENTS} elements")
-    elements = tuple(_element(k, item, not_before_us) for k, item in enumerate(told))
+    elements = tuple(_element(k, item, not_before_us) for k, item in enumerate(reported))
     counter = _counter(message["counter"]) if "counter" in message else None
     return Schedule(elements, counter, _angles(message["attitude"]) if "attitude" in message else None)
 
@@ -64,8 +64,8 @@ def _angles(item: object) -> Angles:
     """Return the angles of a line, fields as in `attitude/uplink`."""
     if not isinstance(item, dict) or not set(item) >= _ANGLE_FIELDS or not isinstance(item["attitude_deg"], dict):
         raise ScheduleError(f"an attitude has {', '.join(sorted(_ANGLE_FIELDS))}")
-    told = [item["attitude_deg"].get(axis) for axis in ("yaw", "roll", "pitch")]
-    yaw, roll, pitch = (angle if isinstance(angle, float) else math.nan for angle in told)
+    reported = [item["attitude_deg"].get(axis) for axis in ("yaw", "roll", "pitch")]
+    yaw, roll, pitch = (angle if isinstance(angle, float) else math.nan for angle in reported)
     # NaN is not within either
     if not all(abs(angle) <= MAX_ANGLE_DEG for angle in (yaw, roll, pitch)):
         raise ScheduleError(f"attitude_deg holds yaw, roll and pitch within {MAX_ANGLE_DEG:g} deg")

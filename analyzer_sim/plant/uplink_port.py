@@ -73,11 +73,11 @@ class UplinkPort:
         """Serve the client that holds the port."""
         self._client = writer
         try:
-            self._tell(self._opening())
+            self._report(self._opening())
             while self._unheard:
-                self._tell(self._unheard.popleft())
+                self._report(self._unheard.popleft())
             while (line := await _read_line(reader)) is not None:
-                self._tell(self._answer(line))
+                self._report(self._answer(line))
                 await writer.drain()
         finally:
             self._client = None
@@ -111,9 +111,9 @@ class UplinkPort:
             self._unheard.extend(reports)
             return
         for line in (*reports, {"type": "flown", "epoch": rfc3339(epoch_us)}):
-            self._tell(line)
+            self._report(line)
 
-    def _tell(self, line: Line) -> None:
+    def _report(self, line: Line) -> None:
         if self._client is None:
             return
         self._client.write(_text(line))

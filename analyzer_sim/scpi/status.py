@@ -61,7 +61,7 @@ class StatusRegister:
         """Report nothing; let rising edges through."""
         self.enable, self.rising, self.falling = 0, REGISTER_MASK, 0
 
-    def take_event(self) -> int:
+    def pop_event(self) -> int:
         """Return the event part and clear it."""
         event, self.event = self.event, 0
         return event
@@ -127,13 +127,13 @@ class StatusModel:
         self.event = ESR_POWER_ON
         self.event_enable = 0
         self.service_enable = 0
-        self._queue_figures = error_queue_depth, no_error
+        self._queue_state = error_queue_depth, no_error
         #: the queue in use; a dialect with a queue for each session puts that of the session here
         self.errors = self.new_queue()
 
     def new_queue(self) -> ErrorQueue:
         """Return an empty error queue of this instrument's kind."""
-        return ErrorQueue(*self._queue_figures)
+        return ErrorQueue(*self._queue_state)
 
     @property
     def _registers(self) -> tuple[StatusRegister, ...]:
@@ -159,7 +159,7 @@ class StatusModel:
         """Errors in the queue."""
         return len(self.errors)
 
-    def take_event(self) -> int:
+    def pop_event(self) -> int:
         """Return the standard event register and clear it."""
         event, self.event = self.event, 0
         return event

@@ -23,7 +23,7 @@ class Ephemeris:
     """One ephemeris of the ground."""
 
     #: epoch from which the ground has it
-    told_us: int
+    reported_us: int
     #: the orbit that it predicts, up to a small error drawn from the stream of this name
     orbit: Orbit
     stream_name: str
@@ -68,16 +68,16 @@ def ephemerides(scenario: Scenario, orbit: Orbit) -> tuple[Ephemeris, ...]:
     """Return every ephemeris of the story in order of time; the first is there before the first row."""
     stop_us = scenario.stop_us + US_PER_DAY
     before = replace(orbit, impulses=())
-    told = [Ephemeris(scenario.start_us, before, "track", scenario.start_us - US_PER_DAY, stop_us)]
+    reported = [Ephemeris(scenario.start_us, before, "track", scenario.start_us - US_PER_DAY, stop_us)]
     if scenario.pause_h > 0.0:
         start_us = scenario.phase("alignment").start_us
-        told.append(Ephemeris(start_us, before, "track after the pause", start_us - US_PER_DAY, stop_us))
+        reported.append(Ephemeris(start_us, before, "track after the pause", start_us - US_PER_DAY, stop_us))
     for number, burn in enumerate(scenario.burns):
         after = replace(orbit, impulses=orbit.impulses[: number + 1])
         burnt_us = after.impulses[-1].epoch_us
-        told_us = burnt_us + round(burn.ephemeris_after_h * US_PER_H)
-        told.append(Ephemeris(told_us, after, f"track after {burn.name}", burnt_us - US_PER_DAY, stop_us))
-    return tuple(sorted(told, key=lambda ephemeris: ephemeris.told_us))
+        reported_us = burnt_us + round(burn.ephemeris_after_h * US_PER_H)
+        reported.append(Ephemeris(reported_us, after, f"track after {burn.name}", burnt_us - US_PER_DAY, stop_us))
+    return tuple(sorted(reported, key=lambda ephemeris: ephemeris.reported_us))
 
 
 def burn_operations(burns: Sequence[Burn], orbit: Orbit) -> list[Operation]:

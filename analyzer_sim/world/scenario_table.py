@@ -24,7 +24,7 @@ from analyzer_sim.world.world import LONGITUDE_DEG
 MARKDOWN_COMMAND = "python -m analyzer_sim scenarios --markdown"
 
 #: what the ground is told of an event, if it is
-_TOLD: dict[type[Fault], Callable[[Fault], str]] = {
+_REPORTED: dict[type[Fault], Callable[[Fault], str]] = {
     SwitchOff: lambda fault: "carrier_work" if isinstance(fault, SwitchOff) and fault.is_announced else "",
     GroupStep: lambda fault: "gain_change" if isinstance(fault, GroupStep) and fault.is_announced else "",
     ChainStep: lambda fault: "receive_chain_work" if isinstance(fault, ChainStep) and fault.is_announced else "",
@@ -46,27 +46,27 @@ def markdown_page() -> str:
     return "\n".join([*_HEAD, *_scenario_rows(), *_PLAN_HEAD, *_plan_rows(), *_FOOT]) + "\n"
 
 
-def told(scenario: Scenario) -> str:
+def reported(scenario: Scenario) -> str:
     """Return what the ground learns beside references and corrections; a dash for nothing."""
-    kinds = [_TOLD[type(fault)](fault) for fault in scenario.faults if type(fault) in _TOLD]
+    kinds = [_REPORTED[type(fault)](fault) for fault in scenario.faults if type(fault) in _REPORTED]
     for burn in scenario.burns:
         delay = f"{burn.ephemeris_after_h:g} h after the burn" if burn.ephemeris_after_h else "with the burn"
         kinds += ["station_keeping", f"new ephemeris {delay}"]
     if scenario.pause_h > 0.0:
         kinds.append("new ephemeris after the pause")
-    kinds += _told_figures(scenario)
+    kinds += _reported_statistics(scenario)
     return ", ".join(dict.fromkeys(kind for kind in kinds if kind)) or "-"
 
 
-def _told_figures(scenario: Scenario) -> list[str]:
+def _reported_statistics(scenario: Scenario) -> list[str]:
     """Return what the ground learns by catalogue and habit."""
     kinds, figures = [], scenario.repeater
     if figures.alc_transponders:
         kinds.append("catalogue: transponder_mode alc")
     if figures.power_controlled:
-        kinds.append(f"catalogue: uplink_power_control {'auto' if figures.is_power_control_told else 'unknown'}")
+        kinds.append(f"catalogue: uplink_power_control {'auto' if figures.is_power_control_announced else 'unknown'}")
     if not scenario.keeping.is_coupled:
-        kinds.append(f"catalogue: roll_yaw_coupling {str(scenario.keeping.is_coupled_told).lower()}")
+        kinds.append(f"catalogue: roll_yaw_coupling {str(scenario.keeping.is_coupling_announced).lower()}")
     if scenario.keeping.corrections_late_min is not None:
         kinds.append(f"corrections {scenario.keeping.corrections_late_min:g} min after their end")
     return kinds
@@ -175,7 +175,7 @@ _FOOT = (
 def _scenario_rows() -> Iterator[str]:
     for name, scenario in SCENARIOS.items():
         days, row = f"{scenario.operation_h / 24.0:g}", f"{scenario.row_period_s:g} s"
-        yield f"| `{name}` | {days} | {scenario.plan} | {row} | {scenario.summary} | {told(scenario)} |"
+        yield f"| `{name}` | {days} | {scenario.plan} | {row} | {scenario.summary} | {reported(scenario)} |"
 
 
 def _plan_rows() -> Iterator[str]:

@@ -58,18 +58,18 @@ class References:
 
 def references(sensors: tuple[Sensor, ...], seed: int, epochs_us: EpochArray, attitude_deg: FloatArray) -> References:
     """Return at most one reference a row and sensor."""
-    told = [_told(sensor, seed, epochs_us, attitude_deg) for sensor in sensors]
+    reported = [_reported(sensor, seed, epochs_us, attitude_deg) for sensor in sensors]
     series = References(
-        np.concatenate([one.epochs_us for one in told]),
-        np.concatenate([one.attitude_deg for one in told]),
-        np.concatenate([one.sigma_deg for one in told]),
-        np.concatenate([one.source for one in told]),
+        np.concatenate([one.epochs_us for one in reported]),
+        np.concatenate([one.attitude_deg for one in reported]),
+        np.concatenate([one.sigma_deg for one in reported]),
+        np.concatenate([one.source for one in reported]),
     )
     order = np.argsort(series.epochs_us, kind="stable")
     return series.of(order)
 
 
-def _told(sensor: Sensor, seed: int, epochs_us: EpochArray, attitude_deg: FloatArray) -> References:
+def _reported(sensor: Sensor, seed: int, epochs_us: EpochArray, attitude_deg: FloatArray) -> References:
     """Return what one sensor tells."""
     name, count = sensor.source.replace("_", " "), len(epochs_us)
     noise = stream(seed, name).normal(size=(count, 3)) * np.array(sensor.sigma_deg)
@@ -82,9 +82,9 @@ def _told(sensor: Sensor, seed: int, epochs_us: EpochArray, attitude_deg: FloatA
         axis=1,
     )
     works = _in_session(sensor, epochs_us)
-    told = np.round(attitude_deg + noise + bias, 6)[works]
-    sigma_deg = np.broadcast_to(np.array(sensor.sigma_deg), told.shape)
-    return References(epochs_us[works], told, sigma_deg, np.full(len(told), sensor.source))
+    reported = np.round(attitude_deg + noise + bias, 6)[works]
+    sigma_deg = np.broadcast_to(np.array(sensor.sigma_deg), reported.shape)
+    return References(epochs_us[works], reported, sigma_deg, np.full(len(reported), sensor.source))
 
 
 def _in_session(sensor: Sensor, epochs_us: EpochArray) -> NDArray[np.bool_]:

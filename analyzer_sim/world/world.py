@@ -100,10 +100,10 @@ class World:
         epochs_us = row_epochs_us(scenario)
         history = attitude_history(scenario, seed, epochs_us)
         self.corrections: tuple[Correction, ...] = history.corrections
-        told = references(scenario.sensors, seed, epochs_us, history.attitude_deg)
-        is_before = told.epochs_us < scenario.operation_start_us
-        self.references: References = told.of(is_before)
-        self.witnesses: References = told.of(~is_before)
+        reported = references(scenario.sensors, seed, epochs_us, history.attitude_deg)
+        is_before = reported.epochs_us < scenario.operation_start_us
+        self.references: References = reported.of(is_before)
+        self.witnesses: References = reported.of(~is_before)
         effects = effects_of(
             scenario.faults,
             seed,
@@ -115,7 +115,9 @@ class World:
         self.terms = LevelTerms(scenario, seed, self.plan, self.orbit, epochs_us, effects)
         self.rows: Rows = self._series(epochs_us, history.attitude_deg, effects)
         declared = [*burn_operations(scenario.burns, self.orbit), *effects.operations]
-        self.operations: tuple[Operation, ...] = tuple(sorted(declared, key=lambda item: (item.told_us, item.start_us)))
+        self.operations: tuple[Operation, ...] = tuple(
+            sorted(declared, key=lambda item: (item.reported_us, item.start_us))
+        )
         self.ephemerides: tuple[Ephemeris, ...] = ephemerides(scenario, self.orbit)
         self.plan_versions: tuple[PlanVersion, ...] = plan_versions(scenario, self.plan)
         self.source_switches: tuple[tuple[int, str], ...] = tuple(sorted(effects.source_switches))

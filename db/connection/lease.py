@@ -30,7 +30,7 @@ _log = logging.getLogger(__name__)
 
 #: any number, the same in every process; another one than those of writers and migrations
 _LOCK = 5_210_121
-_TAKE = text("SELECT pg_try_advisory_lock(:lock), pg_backend_pid()").bindparams(lock=_LOCK)
+_ACQUIRE = text("SELECT pg_try_advisory_lock(:lock), pg_backend_pid()").bindparams(lock=_LOCK)
 _IS_OURS = text(
     "SELECT count(*) FROM pg_locks WHERE locktype = 'advisory' AND classid = 0 AND objid = :lock AND objsubid = 1 "
     "AND granted AND pid = :pid AND database = (SELECT oid FROM pg_database WHERE datname = current_database())"
@@ -179,7 +179,7 @@ class _ServerHold:
         except SQLAlchemyError:
             return False
         try:
-            is_ours, pid = connection.execute(_TAKE).one()
+            is_ours, pid = connection.execute(_ACQUIRE).one()
         except SQLAlchemyError:
             is_ours, pid = False, 0
         if not is_ours:

@@ -23,7 +23,7 @@ _GRACE_S = 1.0
 _LEAST_CONNECT_S = 2
 #: any number, the same in every process; another one than that of the migrations
 _WRITERS_LOCK = 5_210_120
-_WAIT_FOR_TURN = text("SELECT pg_advisory_xact_lock(:lock)").bindparams(lock=_WRITERS_LOCK)
+_WAIT_FOR_LOCK = text("SELECT pg_advisory_xact_lock(:lock)").bindparams(lock=_WRITERS_LOCK)
 
 _Ready = Any
 _Answer = TypeVar("_Answer")
@@ -90,7 +90,7 @@ def lease_engine(target: URL, limit_s: float) -> Engine:
 
 def _wait_for_turn(connection: Connection) -> None:
     """Let one transaction write at a time, as SQLite does: groups of two services never wait for each other's rows."""
-    connection.execute(_WAIT_FOR_TURN)
+    connection.execute(_WAIT_FOR_LOCK)
 
 
 def _bound(engine: Engine, limit_s: float, more: set[str] | frozenset[str]) -> None:

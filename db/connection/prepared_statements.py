@@ -36,7 +36,7 @@ def run_bare(connection: Connection, text: str, values: tuple[Any, ...]) -> sqli
     return cursor
 
 
-class CompiledStatement:
+class PreparedStatement:
     """A statement and its text in the dialect that runs it.
 
     Parameters
@@ -57,7 +57,7 @@ class CompiledStatement:
         text, order = self._compiled(connection.dialect)
         if order is None:
             return connection.exec_driver_sql(text, dict(zip(self._names, values, strict=True)))
-        placed = tuple(values[place] for place in order)
+        placed = tuple(values[position] for position in order)
         if connection.dialect.name == "sqlite":
             return run_bare(connection, text, placed)
         return connection.exec_driver_sql(text, placed)

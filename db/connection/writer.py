@@ -36,9 +36,9 @@ _log = logging.getLogger(__name__)
 class _Task(Generic[Result]):
     """One function on its way through the queue."""
 
-    def __init__(self, work: Callable[[Connection], Result], told: Callable[[Result], None] | None) -> None:
+    def __init__(self, work: Callable[[Connection], Result], reported: Callable[[Result], None] | None) -> None:
         self.work = work
-        self._told = told
+        self._reported = reported
         self.future: Future[Result] = Future()
         self.result: Result | None = None
         self.fault: BaseException | None = None
@@ -46,11 +46,11 @@ class _Task(Generic[Result]):
     def settle(self) -> None:
         """Tell the caller what became of it."""
         if self.fault is not None:
-            self.future.set_exception(_told(self.fault))
+            self.future.set_exception(_reported(self.fault))
             return
         try:
-            if self._told is not None:
-                self._told(self.result)  # type: ignore[arg-type]  # set by the work
+            if self._reported is not None:
+                self._reported(self.result)  # type: ignore[arg-type]  # set by the work
         except Exception:  # noqa: BLE001 what is stored is stored, whoever listens
             _log.exception("telling of a write failed")
         self.future.set_result(self.result)  # type: ignore[arg-type]
@@ -74,13 +74,13 @@ class Writer:
         self._thread.start()
 
     def submit(
-        self, work: Callable[[Connection], Result], told: Callable[[Result], None] | None = None
+        self, work: Callable[[Connection], Result], reported: Callable[[Result], None] | None = None
     ) -> Future[Result]:
         """Queue a function; its future resolves after the commit.
 
         ``told`` gets the result between commit and future, in the order of the commits; it must be quick.
         """
-        task = _Task(work, told)
+        task = _Task(work, reported)
         with self._lock:
             if self._is_closed:
                 raise StorageError("storage.closed", "The archive is closing; send it again after the restart.")
@@ -222,6 +222,6 @@ def _attempt(connection: Connection, task: _Task[Any]) -> None:
         savepoint.commit()
 
 
-def _told(fault: BaseException) -> BaseException:
+def _reported(fault: BaseException) -> BaseException:
     """Return a fault as the caller shall see it."""
     return storage_error(fault) if isinstance(fault, SQLAlchemyError) else fault

@@ -36,9 +36,9 @@ class PreparedDetails(NamedTuple):
     #: of all rows
     figures: bytes
 
-    def of_row(self, place: int) -> bytes | None:
+    def of_row(self, position: int) -> bytes | None:
         """Return the figures of a row, None when it states none."""
-        return self.figures[place * self.width : (place + 1) * self.width] if self.is_stated[place] else None
+        return self.figures[position * self.width : (position + 1) * self.width] if self.is_stated[position] else None
 
 
 def prepare_details(details: CarrierDetails | None) -> PreparedDetails | None:
@@ -74,8 +74,8 @@ def details_of(blob: bytes, carriers: int) -> CarrierDetails:
     mask, stored = blob[0], np.frombuffer(blob, dtype="<f4", offset=1).reshape(-1, carriers)
     found: dict[str, FloatArray] = {}
     for kind, name in enumerate(DETAIL_NAMES):
-        place = (mask & ((1 << kind) - 1)).bit_count()
-        figures = stored[place].astype(np.float64) if mask >> kind & 1 else np.full(carriers, np.nan)
+        position = (mask & ((1 << kind) - 1)).bit_count()
+        figures = stored[position].astype(np.float64) if mask >> kind & 1 else np.full(carriers, np.nan)
         figures.setflags(write=False)
         found[name] = figures
     return CarrierDetails(**found)

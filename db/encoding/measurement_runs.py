@@ -20,7 +20,7 @@ Cursor = tuple[int, int]
 _LONG_RUN = 64
 
 
-class Piece(Protocol):
+class Chunk(Protocol):
     """Rows of one source under one plan."""
 
     source: str
@@ -36,37 +36,37 @@ class Piece(Protocol):
         """Return the powers as stored, (T, N) dBm."""
         ...
 
-    def record(self, place: int) -> Measurement:
+    def record(self, position: int) -> Measurement:
         """Return the row at a place."""
         ...
 
 
-class PieceRun(NamedTuple):
+class ChunkRun(NamedTuple):
     """Rows of one piece that follow each other in the order of epochs."""
 
-    piece: Piece
+    piece: Chunk
     #: (n,) places within the piece
-    places: IntArray
+    positions: IntArray
 
     @property
     def end(self) -> Cursor:
         """Return the cursor behind the last row."""
-        return int(self.piece.epochs_us[self.places[-1]]), int(self.piece.numbers[self.places[-1]])
+        return int(self.piece.epochs_us[self.positions[-1]]), int(self.piece.numbers[self.positions[-1]])
 
     def records(self) -> Iterator[Measurement]:
         """Yield the rows."""
-        return map(self.piece.record, self.places.tolist())
+        return map(self.piece.record, self.positions.tolist())
 
     def power_dbm(self) -> Float32Array:
         """Return the powers of the rows, (n, N) dBm."""
-        first, last = int(self.places[0]), int(self.places[-1])
+        first, last = int(self.positions[0]), int(self.positions[-1])
         held = self.piece.power_dbm()
         # nearly always the rows lie side by side: nothing is copied
-        return held[first : last + 1] if last - first + 1 == len(self.places) else held[self.places]
+        return held[first : last + 1] if last - first + 1 == len(self.positions) else held[self.positions]
 
     def block(self) -> MeasurementBlock:
         """Return the rows as arrays."""
-        return _block((self.piece.source,), self.piece, self.piece.epochs_us[self.places], self.power_dbm(), None)
+        return _block((self.piece.source,), self.piece, self.piece.epochs_us[self.positions], self.power_dbm(), None)
 
 
 class OrderedRows:
@@ -80,16 +80,16 @@ class OrderedRows:
         How many rows.
     """
 
-    def __init__(self, parts: Sequence[PieceRun], limit: int) -> None:
+    def __init__(self, parts: Sequence[ChunkRun], limit: int) -> None:
         self._parts = parts
-        epochs_us = np.concatenate([piece.epochs_us[places] for piece, places in parts])
-        numbers = np.concatenate([piece.numbers[places] for piece, places in parts])
+        epochs_us = np.concatenate([piece.epochs_us[positions] for piece, positions in parts])
+        numbers = np.concatenate([piece.numbers[positions] for piece, positions in parts])
         order = np.lexsort((numbers, epochs_us))[:limit]
-        self._owners = np.repeat(np.arange(len(parts)), [len(places) for _, places in parts])[order]
-        self._places: IntArray = np.concatenate([places for _, places in parts])[order]
+        self._owners = np.repeat(np.arange(len(parts)), [len(positions) for _, positions in parts])[order]
+        self._positions: IntArray = np.concatenate([positions for _, positions in parts])[order]
         self._breaks = np.flatnonzero(np.diff(self._owners)) + 1
 
-    def runs(self) -> list[PieceRun]:
+    def runs(self) -> list[ChunkRun]:
         """Return the rows as runs."""
         bounds = [0, *self._breaks.tolist(), len(self._owners)]
         return [self._run(start, stop) for start, stop in pairwise(bounds)]
@@ -107,37 +107,37 @@ class OrderedRows:
         """Return the cursor behind the last row."""
         return self._run(len(self._owners) - 1, len(self._owners)).end
 
-    def _run(self, start: int, stop: int) -> PieceRun:
-        return PieceRun(self._parts[self._owners[start]].piece, self._places[start:stop])
+    def _run(self, start: int, stop: int) -> ChunkRun:
+        return ChunkRun(self._parts[self._owners[start]].piece, self._positions[start:stop])
 
     def _mixed(self, start: int, stop: int) -> MeasurementBlock:
         """Return rows of several pieces under one plan."""
-        owners, places = self._owners[start:stop], self._places[start:stop]
+        owners, positions = self._owners[start:stop], self._positions[start:stop]
         pieces = {owner: self._parts[owner].piece for owner in np.unique(owners).tolist()}
         sources = tuple(dict.fromkeys(piece.source for piece in pieces.values()))
         first = self._parts[owners[0]].piece
-        epochs_us, source_places = np.empty((2, stop - start), dtype=np.int64)
+        epochs_us, source_positions = np.empty((2, stop - start), dtype=np.int64)
         power_dbm = np.empty((stop - start, first.power_dbm().shape[1]), dtype=np.float32)
         for owner, piece in pieces.items():
             is_its = owners == owner
-            epochs_us[is_its] = piece.epochs_us[places[is_its]]
-            power_dbm[is_its] = piece.power_dbm()[places[is_its]]
-            source_places[is_its] = sources.index(piece.source)
-        return _block(sources, first, epochs_us, power_dbm, source_places)
+            epochs_us[is_its] = piece.epochs_us[positions[is_its]]
+            power_dbm[is_its] = piece.power_dbm()[positions[is_its]]
+            source_positions[is_its] = sources.index(piece.source)
+        return _block(sources, first, epochs_us, power_dbm, source_positions)
 
 
 def _block(
-    sources: tuple[str, ...], piece: Piece, epochs_us: IntArray, power_dbm: Float32Array, places: IntArray | None
+    sources: tuple[str, ...], piece: Chunk, epochs_us: IntArray, power_dbm: Float32Array, positions: IntArray | None
 ) -> MeasurementBlock:
     """Return a block that nobody can change."""
     for array in (epochs_us, power_dbm):
         array.setflags(write=False)
-    return MeasurementBlock(sources, piece.plan_id, epochs_us, power_dbm, places)
+    return MeasurementBlock(sources, piece.plan_id, epochs_us, power_dbm, positions)
 
 
-def end_us(parts: Sequence[PieceRun], limit: int) -> int | None:
+def end_us(parts: Sequence[ChunkRun], limit: int) -> int | None:
     """Return the epoch right behind the first ``limit`` rows of parts, None when they hold fewer."""
-    if sum(len(places) for _, places in parts) < limit:
+    if sum(len(positions) for _, positions in parts) < limit:
         return None
-    epochs_us = np.concatenate([piece.epochs_us[places] for piece, places in parts])
+    epochs_us = np.concatenate([piece.epochs_us[positions] for piece, positions in parts])
     return int(np.partition(epochs_us, limit - 1)[limit - 1]) + 1

@@ -59,7 +59,7 @@ class StoredRows(NamedTuple):
     def each(self, count: int) -> list[bytes]:
         """Return the rows one by one; a row of no bytes does not tell how many there are."""
         width, rows = self.width, self.rows
-        return [rows[place * width : (place + 1) * width] for place in range(count)]
+        return [rows[position * width : (position + 1) * width] for position in range(count)]
 
 
 #: where no flag is set
@@ -137,17 +137,17 @@ def unpack_powers(blobs: Sequence[bytes]) -> Float32Array:
     if len(parts) == 1:
         return parts[0][1]
     powers = np.empty((len(blobs), parts[0][1].shape[1]), dtype="<f4")
-    for places, part in parts:
-        powers[places] = part
+    for positions, part in parts:
+        powers[positions] = part
     return powers
 
 
 def unpack_parts(blobs: Sequence[bytes]) -> list[tuple[list[int], Float32Array]]:
     """Return the powers of rows of any plans: those of one form together, (T, N) dBm, with their places."""
-    places: dict[tuple[int, bytes], list[int]] = {}
-    for place, blob in enumerate(blobs):
-        places.setdefault((len(blob), blob[:2] if len(blob) % 4 else b""), []).append(place)
-    return [(found, _of_one_form([blobs[place] for place in found])) for found in places.values()]
+    positions: dict[tuple[int, bytes], list[int]] = {}
+    for position, blob in enumerate(blobs):
+        positions.setdefault((len(blob), blob[:2] if len(blob) % 4 else b""), []).append(position)
+    return [(found, _of_one_form([blobs[position] for position in found])) for found in positions.values()]
 
 
 def pack_flags(masks: NDArray[np.int32]) -> StoredRows:

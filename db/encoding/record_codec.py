@@ -41,11 +41,11 @@ class RecordCodec(Generic[Record]):
         self._plain_names, self._plain = tuple(paths), attrgetter(*paths.values())
         encodes = ((field, _encode(field)) for field in fields)
         self._encodes = [(attrgetter(f.name), column_names(f), encode) for f, encode in encodes if encode is not None]
-        place_of = {name: place for place, name in enumerate(table.c.keys())}
-        places = [tuple(place_of[name] for name in column_names(field)) for field in fields]
-        self._first_columns = itemgetter(*(first for first, *_ in places))
-        decodes = enumerate(map(_decode, fields, places))
-        self._decodes = [(place, decode) for place, decode in decodes if decode is not None]
+        position_of = {name: position for position, name in enumerate(table.c.keys())}
+        positions = [tuple(position_of[name] for name in column_names(field)) for field in fields]
+        self._first_columns = itemgetter(*(first for first, *_ in positions))
+        decodes = enumerate(map(_decode, fields, positions))
+        self._decodes = [(position, decode) for position, decode in decodes if decode is not None]
 
     def values(self, record: Record) -> dict[str, Any]:
         """Return the columns of a record."""
@@ -58,8 +58,8 @@ class RecordCodec(Generic[Record]):
         """Return the record of a row of the table, with all of its columns in their order."""
         stored = tuple(row)
         values = list(self._first_columns(stored))
-        for place, decode_row in self._decodes:
-            values[place] = decode_row(stored)
+        for position, decode_row in self._decodes:
+            values[position] = decode_row(stored)
         return self._record(*values)
 
 
@@ -100,12 +100,12 @@ def _text_of(field: RecordField) -> Callable[[Any], str] | None:
     return (lambda value: encode_all(content, value)) if field.kind is FieldKind.RECORDS else None
 
 
-def _decode(field: RecordField, places: tuple[int, ...]) -> Decode | None:
+def _decode(field: RecordField, positions: tuple[int, ...]) -> Decode | None:
     """Return what makes the value from a row; None where the column holds it."""
-    get, content, first = itemgetter(*places), field.content, places[0]
+    get, content, first = itemgetter(*positions), field.content, positions[0]
     match field.kind:
         case FieldKind.AXES if field.is_optional:
-            axes = itemgetter(*places[1:])
+            axes = itemgetter(*positions[1:])
             return lambda row: Axes._make(axes(row)) if row[first] else None
         case FieldKind.AXES:
             return lambda row: Axes._make(get(row))

@@ -57,9 +57,9 @@ def measurement_of(row: Row[Any], power_dbm: FloatArray | None = None) -> Measur
 def measurements_of(rows: Sequence[Row[Any]]) -> list[Measurement]:
     """Return the records of many rows of ``MEASUREMENT_COLUMNS``; powers of one form are read in one go."""
     power_dbm: dict[int, FloatArray] = {}
-    for places, part in unpack_parts([row.powers for row in rows]):
-        power_dbm.update(zip(places, _read_only(part.astype(np.float64)), strict=True))
-    return [measurement_of(row, power_dbm[place]) for place, row in enumerate(rows)]
+    for positions, part in unpack_parts([row.powers for row in rows]):
+        power_dbm.update(zip(positions, _read_only(part.astype(np.float64)), strict=True))
+    return [measurement_of(row, power_dbm[position]) for position, row in enumerate(rows)]
 
 
 def attitude_values(key: int, version: str, row: AttitudeRow, sequence: int | None) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from service.records.levels.measurement import DETAIL_NAMES, Float32Array
 CODEC = 1
 _LEVEL = 3
 _INTEGERS = 4
-_LATE, _FEEDS, _HAS_SEQ, _HAS_FLAGS, _HAS_DETAILS = (1 << place for place in range(5))
+_LATE, _FEEDS, _HAS_SEQ, _HAS_FLAGS, _HAS_DETAILS = (1 << position for position in range(5))
 
 
 class SealedRows(NamedTuple):
@@ -84,8 +84,8 @@ def pack(rows: SealedRows) -> Blobs:
     integers = np.stack((rows.epochs_us, rows.numbers, rows.received_at_us, rows.seqs)).astype("<i8")
     claims = (rows.is_late, rows.feeds, rows.has_seq, rows.has_flags, rows.has_details)
     bits = np.zeros(len(rows.epochs_us), dtype=np.uint8)
-    for place, claim in enumerate(claims):
-        bits |= claim.astype(np.uint8) << place
+    for position, claim in enumerate(claims):
+        bits |= claim.astype(np.uint8) << position
     powers = np.ascontiguousarray(rows.power_dbm.T.astype("<f4"))
     return Blobs(_packed(_planes(integers) + bits.tobytes()), _packed(powers.tobytes()), _pack_extras(rows))
 
@@ -110,7 +110,7 @@ def unpack_extras(blob: bytes, columns: SegmentColumns, carriers: int) -> Extras
     """Return flags and details of a segment."""
     raw = _unpacked(blob, None)
     flagged, detailed = int(columns.has_flags.sum()), int(columns.has_details.sum())
-    kinds = [place for place in range(len(DETAIL_NAMES)) if raw[0] >> place & 1]
+    kinds = [position for position in range(len(DETAIL_NAMES)) if raw[0] >> position & 1]
     flags = np.frombuffer(raw, dtype="<i4", count=flagged * carriers, offset=1).reshape(carriers, flagged).T
     stated = np.frombuffer(raw, dtype="<f4", offset=1 + 4 * flagged * carriers).reshape(len(kinds), carriers, detailed)
     details = np.full((detailed, len(DETAIL_NAMES), carriers), np.nan, dtype=np.float32)

@@ -52,7 +52,7 @@ class SegmentHead(NamedTuple):
     crc32: int
 
 
-class SegmentPiece:
+class SegmentChunk:
     """Rows of one segment; powers and the rest are unpacked when they are wanted."""
 
     def __init__(self, head: SegmentHead, name: str, blobs: Blobs) -> None:
@@ -79,44 +79,44 @@ class SegmentPiece:
             self._extras = unpack_extras(self._blobs.extras, self.columns, self.power_dbm().shape[1])
         return self._extras
 
-    def content(self, place: int) -> RowContent:
+    def content(self, position: int) -> RowContent:
         """Return the content of a row."""
-        return row_content(self.plan_id, self.power_dbm()[place], self.flags(place), self._figures(place))
+        return row_content(self.plan_id, self.power_dbm()[position], self.flags(position), self._figures(position))
 
-    def record(self, place: int) -> Measurement:
+    def record(self, position: int) -> Measurement:
         """Return the row at a place."""
-        columns, flags = self.columns, self.flags(place)
+        columns, flags = self.columns, self.flags(position)
         if flags is not None:
             flags = flags.astype(np.int64)
             flags.setflags(write=False)
-        power_dbm = self.power_dbm()[place].astype(np.float64)
+        power_dbm = self.power_dbm()[position].astype(np.float64)
         power_dbm.setflags(write=False)
         return Measurement(
-            epoch_us=int(columns.epochs_us[place]),
-            received_at_us=int(columns.received_at_us[place]),
-            number=int(columns.numbers[place]),
+            epoch_us=int(columns.epochs_us[position]),
+            received_at_us=int(columns.received_at_us[position]),
+            number=int(columns.numbers[position]),
             source=self.source,
             plan_id=self.plan_id,
             power_dbm=power_dbm,
             flags=flags,
-            is_late=bool(columns.is_late[place]),
-            feeds_estimator=bool(columns.feeds[place]),
-            seq=int(columns.seqs[place]) if columns.has_seq[place] else None,
-            details=self._details(place),
+            is_late=bool(columns.is_late[position]),
+            feeds_estimator=bool(columns.feeds[position]),
+            seq=int(columns.seqs[position]) if columns.has_seq[position] else None,
+            details=self._details(position),
         )
 
-    def flags(self, place: int) -> IntArray | None:
+    def flags(self, position: int) -> IntArray | None:
         """Return the bit masks of a row, None when it has none."""
-        extras = self.extras() if self.columns.has_flags[place] else None
-        return None if extras is None else extras.flags[int(self.columns.has_flags[:place].sum())]
+        extras = self.extras() if self.columns.has_flags[position] else None
+        return None if extras is None else extras.flags[int(self.columns.has_flags[:position].sum())]
 
-    def _figures(self, place: int) -> Float32Array | None:
+    def _figures(self, position: int) -> Float32Array | None:
         """Return the details of a row, (K, N), None when it has none."""
-        extras = self.extras() if self.columns.has_details[place] else None
-        return None if extras is None else extras.details[int(self.columns.has_details[:place].sum())]
+        extras = self.extras() if self.columns.has_details[position] else None
+        return None if extras is None else extras.details[int(self.columns.has_details[:position].sum())]
 
-    def _details(self, place: int) -> CarrierDetails | None:
-        stated = self._figures(place)
+    def _details(self, position: int) -> CarrierDetails | None:
+        stated = self._figures(position)
         if stated is None:
             return None
         figures = stated.astype(np.float64)
@@ -129,11 +129,11 @@ class SegmentCache:
 
     def __init__(self, size_bytes: int = CACHE_BYTES) -> None:
         self._size_bytes = size_bytes
-        self._held: OrderedDict[tuple[int, int], tuple[int, SegmentPiece]] = OrderedDict()
+        self._held: OrderedDict[tuple[int, int], tuple[int, SegmentChunk]] = OrderedDict()
         self._bytes = 0
         self._lock = Lock()
 
-    def get(self, head: SegmentHead) -> SegmentPiece | None:
+    def get(self, head: SegmentHead) -> SegmentChunk | None:
         """Return the piece of a head, if it is held."""
         # an id comes again after a roll-back, with another content
         name = head.segment_id, head.crc32
@@ -144,7 +144,7 @@ class SegmentCache:
             self._held.move_to_end(name)
             return held[1]
 
-    def put(self, head: SegmentHead, piece: SegmentPiece, carriers: int) -> None:
+    def put(self, head: SegmentHead, piece: SegmentChunk, carriers: int) -> None:
         """Hold a piece; what was not read for longest goes."""
         size = head.row_count * (4 * carriers + _ROW_BYTES)
         with self._lock:
@@ -172,7 +172,7 @@ class _ScanCache(SegmentCache):
         super().__init__(size_bytes=0)
         self._shared = shared
 
-    def get(self, head: SegmentHead) -> SegmentPiece | None:
+    def get(self, head: SegmentHead) -> SegmentChunk | None:
         """Return the piece of a head, if it was the last one, or is held for everybody."""
         return super().get(head) or self._shared.get(head)
 
@@ -226,7 +226,7 @@ def heads_of_numbers(connection: Connection, key: int, after: int, upto: int) ->
     return [SegmentHead(*row) for row in connection.execute(query)]
 
 
-def read_piece(connection: Connection, cache: SegmentCache | None, head: SegmentHead) -> SegmentPiece:
+def read_chunk(connection: Connection, cache: SegmentCache | None, head: SegmentHead) -> SegmentChunk:
     """Return the rows of a segment; StorageError ``storage.corrupt``."""
     known = None if cache is None else cache.get(head)
     if known is not None:
@@ -262,10 +262,10 @@ def sealed_contents(
         inside = wanted_us[(wanted_us >= head.first_epoch_us) & (wanted_us <= head.last_epoch_us)]
         if not len(inside):
             continue
-        piece = read_piece(connection, cache, head)
-        places = np.searchsorted(piece.epochs_us, inside)
-        for place in places[piece.epochs_us[places] == inside].tolist():
-            found[int(piece.epochs_us[place])] = piece.content(place)
+        piece = read_chunk(connection, cache, head)
+        positions = np.searchsorted(piece.epochs_us, inside)
+        for position in positions[piece.epochs_us[positions] == inside].tolist():
+            found[int(piece.epochs_us[position])] = piece.content(position)
     return found
 
 
@@ -280,7 +280,7 @@ def corrupt(connection: Connection, head: SegmentHead, reason: str) -> StorageEr
     return StorageError("storage.corrupt", detail)
 
 
-def _opened(head: SegmentHead, name: str | None, blobs: Blobs) -> SegmentPiece:
+def _opened(head: SegmentHead, name: str | None, blobs: Blobs) -> SegmentChunk:
     """Return the rows of blobs after they were checked; ValueError says what is wrong."""
     if head.codec != CODEC:
         message = f"it is written in codec {head.codec}, which this version does not know"
@@ -291,7 +291,7 @@ def _opened(head: SegmentHead, name: str | None, blobs: Blobs) -> SegmentPiece:
     if name is None:
         message = f"there is no source {head.source_key}"
         raise ValueError(message)
-    return SegmentPiece(head, name, blobs)
+    return SegmentChunk(head, name, blobs)
 
 
 def day_of(epoch_us: int) -> int:
@@ -301,11 +301,11 @@ def day_of(epoch_us: int) -> int:
 
 def _paged(connection: Connection, query: Select[Any], *, is_descending: bool = False) -> Iterator[SegmentHead]:
     """Yield heads in order of first epoch and source, some at a time."""
-    place = tuple_(segment_table.c.first_epoch_us, segment_table.c.source_key)
+    position = tuple_(segment_table.c.first_epoch_us, segment_table.c.source_key)
     page = [SegmentHead(*row) for row in connection.execute(query)]
     yield from page
     while len(page) == _HEADS:
         end = (page[-1].first_epoch_us, page[-1].source_key)
-        is_beyond = place < end if is_descending else place > end
+        is_beyond = position < end if is_descending else position > end
         page = [SegmentHead(*row) for row in connection.execute(query.where(is_beyond))]
         yield from page

@@ -55,7 +55,7 @@ def create_backup(url: str, folder: Path, made_at_us: int, report: Report) -> Ma
     if folder.exists():
         message = f"{folder} exists: a backup never overwrites one; choose another name"
         raise BackupError(message)
-    with _growing(folder) as partial:
+    with _unfinished_backups(folder) as partial:
         archive = partial / ARCHIVE_FILE
         kind = _copy(url, archive, lambda share: report("copy", share))
         settle(archive)
@@ -98,7 +98,7 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 @contextmanager
-def _growing(folder: Path) -> Iterator[Path]:
+def _unfinished_backups(folder: Path) -> Iterator[Path]:
     """Give a folder to fill; it gets its name when all of it is on the disk, and goes when anything fails."""
     partial = folder.with_name(f".{folder.name}.partial")
     # what an interrupted run has left
@@ -208,9 +208,9 @@ def _rows_of_spacecraft(connection: Connection) -> dict[str, SpacecraftCount]:
     ).all()
     rows: dict[int, dict[str, int]] = {head.spacecraft_key: dict.fromkeys(tables, 0) for head in heads}
     for name in tables:
-        of_craft: ColumnElement[int] = column("spacecraft_key")
+        of_spacecraft: ColumnElement[int] = column("spacecraft_key")
         for key, count in connection.execute(
-            select(of_craft, func.count()).select_from(table(name)).group_by(of_craft)
+            select(of_spacecraft, func.count()).select_from(table(name)).group_by(of_spacecraft)
         ):
             rows.get(key, {})[name] = count
     return {

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import ColumnElement, Connection, Row, Table, func, select
 
-from db.encoding.segments import SegmentHead, heads, read_piece
+from db.encoding.segments import SegmentHead, heads, read_chunk
 from db.schema.tables import attitude, head, journal, measurement, retention_mark, torque
 from service.errors import StorageError
 from service.records.levels.attitude import IntArray
@@ -137,7 +137,7 @@ def _take_segments(connection: Connection, key: int, ledger: Ledger) -> None:
 def _numbers_of(connection: Connection, segment: SegmentHead, ledger: Ledger) -> IntArray | None:
     """Return the numbers of a sealed day; None, and a note, when it cannot be read."""
     try:
-        piece = read_piece(connection, None, segment)
+        piece = read_chunk(connection, None, segment)
         piece.extras()
     except StorageError as error:
         ledger.damaged.append(error.detail)

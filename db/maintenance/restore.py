@@ -16,7 +16,7 @@ from db.connection.storage_state import newest_revision
 from db.maintenance.backup import Report, read_manifest, verify_backup
 from db.maintenance.integrity_check import examine, examine_content
 from db.maintenance.table_copy import copy_tables
-from db.migrations.migrate import change_schema, upgrade, wait_for_turn
+from db.migrations.migrate import change_schema, upgrade, wait_for_lock
 from db.schema.schema_version import version_of
 from db.schema.tables import metadata
 from service.records.storage.backup import BackupError, Manifest
@@ -137,7 +137,7 @@ def _to_server(work: Path, manifest: Manifest, url: str, stamp: str, report: Rep
     source, target = open_engines(f"sqlite:///{work}"), open_engines(url)
     try:
         with source.read.connect() as reading, target.write.begin() as writing:
-            wait_for_turn(writing)
+            wait_for_lock(writing)
             aside = _tables_aside(writing, stamp, may_replace=may_replace)
             change_schema(writing)
             copy_tables(reading, writing, lambda share: report("tables", share))

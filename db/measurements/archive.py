@@ -56,8 +56,8 @@ class SqlArchive:
             raise InvalidInputError("value.count", detail)
         work = StoreBatch(prepare(key, batch), self._database.segments)
         listener = self._listener
-        told = None if listener is None else partial(listener, batch)
-        return self._database.submit(work, told)
+        reported = None if listener is None else partial(listener, batch)
+        return self._database.submit(work, reported)
 
     def listen(self, listener: Callable[[MeasurementBatch, BatchReceipt], None] | None) -> None:
         """Tell a listener of every batch right after its commit; None: nobody any more."""
@@ -231,9 +231,9 @@ class SqlArchive:
         powers: list[FloatArray] = [np.empty((0, len(carrier_ids)))]
         for block in self._blocks(key, Chosen(window, feeds_only=True)):
             held = {name: column for column, name in enumerate(self._carrier_ids(key, block.plan_id))}
-            wanted = [(place, held[name]) for place, name in enumerate(carrier_ids) if name in held]
+            wanted = [(position, held[name]) for position, name in enumerate(carrier_ids) if name in held]
             power_dbm = np.full((len(block.epochs_us), len(carrier_ids)), np.nan)
-            power_dbm[:, [place for place, _ in wanted]] = block.power_dbm[:, [column for _, column in wanted]]
+            power_dbm[:, [position for position, _ in wanted]] = block.power_dbm[:, [column for _, column in wanted]]
             epochs_us.append(block.epochs_us)
             powers.append(power_dbm)
         series = MeasurementSeries(tuple(carrier_ids), np.concatenate(epochs_us), np.concatenate(powers))

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from sqlalchemy import Connection, and_, bindparam, func, select, update
 
-from db.connection.prepared_statements import CompiledStatement
+from db.connection.prepared_statements import PreparedStatement
 from db.database import lock_head
 from db.encoding.measurement_details import insert_details
 from db.encoding.segments import SegmentCache
@@ -39,7 +39,7 @@ STATE_COLUMNS = (
     source.c.seq_last,
     source.c.rows_missing,
 )
-_READ_STATE = CompiledStatement(
+_READ_STATE = PreparedStatement(
     select(*STATE_COLUMNS)
     .select_from(head)
     .outerjoin(source, and_(source.c.spacecraft_key == head.c.spacecraft_key, source.c.name == bindparam("of_name")))
@@ -47,7 +47,7 @@ _READ_STATE = CompiledStatement(
     "of_spacecraft",
     "of_name",
 )
-MOVE_HEAD = CompiledStatement(
+MOVE_HEAD = PreparedStatement(
     update(head)
     .where(head.c.spacecraft_key == bindparam("of_spacecraft"))
     .values(newest_number=bindparam("to_number"), newest_epoch_us=bindparam("to_epoch_us")),
@@ -55,7 +55,7 @@ MOVE_HEAD = CompiledStatement(
     "to_number",
     "to_epoch_us",
 )
-_MOVE_SOURCE = CompiledStatement(
+_MOVE_SOURCE = PreparedStatement(
     update(source)
     .where(source.c.spacecraft_key == bindparam("of_spacecraft"), source.c.source_key == bindparam("of_source"))
     .values(
@@ -168,8 +168,8 @@ def _runs(prepared: PreparedBatch, accepted: IntArray, is_late: BoolArray, state
     is_whole = prepared.is_even and len(accepted) == len(prepared.epochs_us) and is_late.all() == is_late.any()
     breaks = [] if is_whole else _breaks(prepared, accepted, is_late)
     for start, stop in pairwise([0, *breaks, len(accepted)]):
-        place = int(accepted[start])
-        after = place + stop - start
+        position = int(accepted[start])
+        after = position + stop - start
         yield RowRun(
             spacecraft_key=prepared.spacecraft_key,
             source_key=state.source_key,
@@ -178,19 +178,19 @@ def _runs(prepared: PreparedBatch, accepted: IntArray, is_late: BoolArray, state
             feeds=bool(state.is_prime),
             is_late=bool(is_late[start]),
             first_number=state.newest_number + 1 + start,
-            first_seq=seq_at(batch, place),
-            epochs_us=prepared.epochs_us[place:after],
-            powers=prepared.powers.part(place, after),
-            flags=prepared.flags.part(place, after) if prepared.has_flags[place] else None,
-            figures=None if details is None else list(map(details.of_row, range(place, after))),
+            first_seq=seq_at(batch, position),
+            epochs_us=prepared.epochs_us[position:after],
+            powers=prepared.powers.part(position, after),
+            flags=prepared.flags.part(position, after) if prepared.has_flags[position] else None,
+            figures=None if details is None else list(map(details.of_row, range(position, after))),
         )
 
 
 def _breaks(prepared: PreparedBatch, accepted: IntArray, is_late: BoolArray) -> list[int]:
     """Return where a row does not follow the one before it as the rows of a run do."""
-    places = (accepted, prepared.batch.index[accepted])
+    positions = (accepted, prepared.batch.index[accepted])
     claims = (is_late.astype(np.int64), prepared.has_flags[accepted].astype(np.int64))
-    is_break = np.diff(np.stack((*places, *claims)), axis=1) != [[1], [1], [0], [0]]
+    is_break = np.diff(np.stack((*positions, *claims)), axis=1) != [[1], [1], [0], [0]]
     found: list[int] = (np.flatnonzero(is_break.any(axis=0)) + 1).tolist()
     return found
 
@@ -200,11 +200,11 @@ def _store_details(connection: Connection, prepared: PreparedBatch, accepted: In
     details = prepared.details
     if details is None:
         return
-    places = accepted[details.is_stated[accepted]].tolist()
+    positions = accepted[details.is_stated[accepted]].tolist()
     width, figures = details.width, details.figures
-    if len(places) < len(prepared.epochs_us):
-        figures = b"".join(figures[place * width : (place + 1) * width] for place in places)
-    epochs_us = [prepared.epochs_us[place] for place in places]
+    if len(positions) < len(prepared.epochs_us):
+        figures = b"".join(figures[position * width : (position + 1) * width] for position in positions)
+    epochs_us = [prepared.epochs_us[position] for position in positions]
     insert_details(connection, prepared.spacecraft_key, state.source_key, epochs_us, width, figures)
 
 
@@ -249,8 +249,8 @@ def _held_rows(prepared: PreparedBatch, outcome: SortedRows) -> Iterator[Numbere
     """Yield the rows of a batch that the archive holds after it, in order of place."""
     seqs = ((prepared.batch.first_seq or 0) + prepared.batch.index).tolist()
     known = set(outcome.duplicates)
-    for place in sorted((*outcome.accepted.tolist(), *outcome.duplicates)):
-        yield NumberedRow(seqs[place], prepared.epochs_us[place], place not in known)
+    for position in sorted((*outcome.accepted.tolist(), *outcome.duplicates)):
+        yield NumberedRow(seqs[position], prepared.epochs_us[position], position not in known)
 
 
 def later(epoch_us: int, other_us: int | None) -> int:

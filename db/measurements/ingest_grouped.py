@@ -17,7 +17,7 @@ from typing import Any
 
 from sqlalchemy import Connection, bindparam, select
 
-from db.connection.prepared_statements import CompiledStatement, run_bare
+from db.connection.prepared_statements import PreparedStatement, run_bare
 from db.encoding.segments import SegmentCache
 from db.measurements.ingest import MOVE_HEAD, STATE_COLUMNS, IngestState, later, store_batch
 from db.measurements.prepared_batch import PreparedBatch
@@ -27,7 +27,7 @@ from service.records.levels.measurement import BatchReceipt
 
 #: UPDATE .. FROM
 _IS_KNOWN_TO_SQLITE = sqlite3.sqlite_version_info >= (3, 33)
-_READ_STATES = CompiledStatement(
+_READ_STATES = PreparedStatement(
     select(source.c.name, *STATE_COLUMNS)
     .select_from(head)
     .join(source, source.c.spacecraft_key == head.c.spacecraft_key)
@@ -108,10 +108,10 @@ class _Blobs:
 
     def add(self, part: bytes) -> tuple[int, int]:
         """Return first place and number of bytes of a part."""
-        place = self._size + 1
+        position = self._size + 1
         self._parts.append(part)
         self._size += len(part)
-        return place, len(part)
+        return position, len(part)
 
     def joined(self) -> bytes:
         """Return all."""
@@ -170,16 +170,16 @@ class _Together:
     def _add(self, prepared: PreparedBatch, state: IngestState, seq: int | None, *, is_late: bool) -> None:
         """Note a row, and where its source stands behind it."""
         batch, epoch_us, details = prepared.batch, prepared.epochs_us[0], prepared.details
-        place, delay_us = (epoch_us, state.source_key), batch.received_at_us - epoch_us
+        position, delay_us = (epoch_us, state.source_key), batch.received_at_us - epoch_us
         claims, number = (is_late, bool(state.is_prime)), self._first_number + len(self._rows)
         powers, flags = prepared.powers.rows, prepared.flags.rows if prepared.has_flags[0] else None
         figures = None if details is None else details.figures
         shared = (self._key, state.source_key, batch.plan_id, *claims)
         checksum = measurement_checksums(shared, [(epoch_us, number, seq, delay_us, powers, flags, figures)])
         parts = [(1, None) if part is None else self._blobs.add(part) for part in (powers, flags, checksum)]
-        self._rows.append((*place, batch.plan_id, seq, delay_us, *claims, *chain.from_iterable(parts)))
+        self._rows.append((*position, batch.plan_id, seq, delay_us, *claims, *chain.from_iterable(parts)))
         if figures is not None:
-            self._details.append((*place, *self._figures.add(figures)))
+            self._details.append((*position, *self._figures.add(figures)))
         self._newest_epoch_us = later(epoch_us, self._newest_epoch_us)
         self._moved.add(batch.source)
         last = state.seq_last if seq is None else seq

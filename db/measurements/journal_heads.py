@@ -34,11 +34,11 @@ def journal_heads(connection: Connection, cache: SegmentCache) -> list[JournalHe
 
 def compared_heads(connection: Connection, announced: Iterable[JournalHead]) -> Iterator[Diagnosis]:
     """Compare journals with heads that were logged; an entry that retention took away is not compared."""
-    by_craft: dict[str, list[JournalHead]] = {}
+    by_spacecraft: dict[str, list[JournalHead]] = {}
     for each in sorted(set(announced)):
-        by_craft.setdefault(each.spacecraft_id, []).append(each)
+        by_spacecraft.setdefault(each.spacecraft_id, []).append(each)
     query = select(spacecraft.c.spacecraft_key, head.c.newest_number).join_from(spacecraft, head)
-    for name, heads in by_craft.items():
+    for name, heads in by_spacecraft.items():
         row = connection.execute(query.where(spacecraft.c.id == name)).first()
         key, newest = (0, 0) if row is None else row
         last = heads[-1].number

@@ -11,18 +11,18 @@ import numpy as np
 from sqlalchemy import ColumnElement, Connection, Row, Select, and_, func, select
 
 from db.database import beyond, within
-from db.encoding.measurement_runs import Cursor, OrderedRows, PieceRun, end_us
+from db.encoding.measurement_runs import ChunkRun, Cursor, OrderedRows, end_us
 from db.encoding.power_codec import unpack_powers
 from db.encoding.row_mapping import MEASUREMENT_COLUMNS, RECEIVED_AT_US, measurement_of, measurements_of
 from db.encoding.segments import (
     SegmentCache,
+    SegmentChunk,
     SegmentHead,
-    SegmentPiece,
     day_of,
     heads,
     heads_of_numbers,
     newest_heads,
-    read_piece,
+    read_chunk,
 )
 from db.schema.tables import measurement, measurement_detail, measurement_segment, source
 from service.records.calibration import Window
@@ -62,7 +62,7 @@ class Chosen(NamedTuple):
     before_number: int | None = None
 
 
-class RowPiece:
+class RowChunk:
     """Rows as the table of rows gives them: in columns of ``FULL``, or without records in fewer."""
 
     def __init__(self, name: str, rows: Sequence[Row[Any]], columns: dict[str, tuple[Any, ...]]) -> None:
@@ -70,8 +70,8 @@ class RowPiece:
         self.source, self.plan_id = name, columns["plan_id"][0]
         self._blobs: tuple[bytes, ...] = columns.get("powers", ())
         self._power_dbm: Float32Array | None = None
-        places = (np.array(columns[name], dtype=np.int64) for name in ("epoch_us", "number", "received_at_us"))
-        self.epochs_us, self.numbers, self.received_at_us = places
+        positions = (np.array(columns[name], dtype=np.int64) for name in ("epoch_us", "number", "received_at_us"))
+        self.epochs_us, self.numbers, self.received_at_us = positions
 
     def power_dbm(self) -> Float32Array:
         """Return the powers as stored, (T, N) dBm."""
@@ -79,11 +79,11 @@ class RowPiece:
             self._power_dbm = unpack_powers(self._blobs)
         return self._power_dbm
 
-    def record(self, place: int) -> Measurement:
+    def record(self, position: int) -> Measurement:
         """Return the row at a place."""
-        power_dbm = self.power_dbm()[place].astype(np.float64)
+        power_dbm = self.power_dbm()[position].astype(np.float64)
         power_dbm.setflags(write=False)
-        return measurement_of(self._rows[place], power_dbm)
+        return measurement_of(self._rows[position], power_dbm)
 
 
 class MeasurementPages:
@@ -104,11 +104,11 @@ class MeasurementPages:
         self._cache = cache
         self._key = key
 
-    def read(self, chosen: Chosen, limit: int, after: Cursor | None, *, columns: Columns = FULL) -> list[PieceRun]:
+    def read(self, chosen: Chosen, limit: int, after: Cursor | None, *, columns: Columns = FULL) -> list[ChunkRun]:
         """Return the next rows behind a cursor as runs; fewer than ``limit`` only when there are no more."""
         parts = self._parts(chosen, limit, after, columns)
         if len(parts) < 2:
-            return [PieceRun(piece, places[:limit]) for piece, places in parts]
+            return [ChunkRun(piece, positions[:limit]) for piece, positions in parts]
         return OrderedRows(parts, limit).runs()
 
     def read_blocks(
@@ -119,12 +119,12 @@ class MeasurementPages:
         if not parts:
             return [], None
         if len(parts) == 1:
-            run = PieceRun(parts[0].piece, parts[0].places[:limit])
+            run = ChunkRun(parts[0].piece, parts[0].positions[:limit])
             return [run.block()], run.end
         rows = OrderedRows(parts, limit)
         return rows.blocks(), rows.end
 
-    def _parts(self, chosen: Chosen, limit: int, after: Cursor | None, columns: Columns) -> list[PieceRun]:
+    def _parts(self, chosen: Chosen, limit: int, after: Cursor | None, columns: Columns) -> list[ChunkRun]:
         """Return pieces that hold the next ``limit`` rows."""
         sealed = list(self._sealed(chosen, limit, after))
         # behind the place up to which sealed rows fill the page there may be any number of rows: they are not for it
@@ -136,9 +136,9 @@ class MeasurementPages:
             .limit(limit)
         )
         rows = self._connection.execute(query).all()
-        return [*(PieceRun(piece, np.arange(len(piece.epochs_us))) for piece in self._pieces(rows)), *sealed]
+        return [*(ChunkRun(piece, np.arange(len(piece.epochs_us))) for piece in self._pieces(rows)), *sealed]
 
-    def read_all(self, chosen: Chosen, *, columns: Columns = FULL) -> Iterator[PieceRun]:
+    def read_all(self, chosen: Chosen, *, columns: Columns = FULL) -> Iterator[ChunkRun]:
         """Yield all rows as runs."""
         after: Cursor | None = None
         while runs := self.read(chosen, PAGE_ROWS, after, columns=columns):
@@ -151,9 +151,9 @@ class MeasurementPages:
         everything = Chosen(EVER)
         found = measurements_of(self._connection.execute(self._rows(everything, FULL).where(is_next)).all())
         for head in heads_of_numbers(self._connection, self._key, after, upto):
-            piece = read_piece(self._connection, self._cache, head)
-            places = np.flatnonzero((piece.numbers > after) & (piece.numbers <= upto))
-            found += [piece.record(place) for place in places.tolist()]
+            piece = read_chunk(self._connection, self._cache, head)
+            positions = np.flatnonzero((piece.numbers > after) & (piece.numbers <= upto))
+            found += [piece.record(position) for position in positions.tolist()]
         return found
 
     def next_number(self, after: int) -> int | None:
@@ -163,7 +163,7 @@ class MeasurementPages:
         for head in heads_of_numbers(self._connection, self._key, after, MAX_NUMBER):
             if any(number is not None and number < head.first_number for number in found):
                 continue
-            numbers = read_piece(self._connection, self._cache, head).numbers
+            numbers = read_chunk(self._connection, self._cache, head).numbers
             found.append(int(numbers[numbers > after].min()))
         return min((number for number in found if number is not None), default=None)
 
@@ -171,7 +171,7 @@ class MeasurementPages:
         """Return the row of a source at an epoch."""
         window = Window(epoch_us, epoch_us + 1)
         runs = self.read(Chosen(window, self._names[source_key]), 1, None)
-        return runs[0].piece.record(int(runs[0].places[0])) if runs else None
+        return runs[0].piece.record(int(runs[0].positions[0])) if runs else None
 
     def newest(self, chosen: Chosen) -> tuple[int, int, int] | None:
         """Return epoch, number and time of receipt of the row with the greatest (epoch, number)."""
@@ -182,10 +182,10 @@ class MeasurementPages:
         for head in newest_heads(self._connection, self._key, start_us, *self._of_segments(chosen)):
             if best is not None and head.day < day_of(best[0]):
                 break
-            piece = read_piece(self._connection, self._cache, head)
-            places = _places(piece, chosen, None, chosen.window.stop_us)
-            if len(places):
-                last = places[-1]
+            piece = read_chunk(self._connection, self._cache, head)
+            positions = _positions(piece, chosen, None, chosen.window.stop_us)
+            if len(positions):
+                last = positions[-1]
                 found = int(piece.epochs_us[last]), int(piece.numbers[last]), int(piece.received_at_us[last])
                 best = found if best is None else max(best, found)
         return best
@@ -204,21 +204,21 @@ class MeasurementPages:
         return found
 
     def _has_rows(self, head: SegmentHead, window: Window) -> bool:
-        piece = read_piece(self._connection, self._cache, head)
-        return len(_places(piece, Chosen(window), None, window.stop_us)) > 0
+        piece = read_chunk(self._connection, self._cache, head)
+        return len(_positions(piece, Chosen(window), None, window.stop_us)) > 0
 
-    def _sealed(self, chosen: Chosen, limit: int, after: Cursor | None) -> Iterator[PieceRun]:
+    def _sealed(self, chosen: Chosen, limit: int, after: Cursor | None) -> Iterator[ChunkRun]:
         """Yield parts of segments until they hold the next ``limit`` rows of their own."""
         start_us = chosen.window.start_us if after is None else max(chosen.window.start_us, after[0])
-        parts: list[PieceRun] = []
+        parts: list[ChunkRun] = []
         for head in heads(self._connection, self._key, start_us, chosen.window.stop_us, *self._of_segments(chosen)):
             reached_us = end_us(parts, limit)
             if reached_us is not None and head.first_epoch_us >= reached_us:
                 return
-            piece = read_piece(self._connection, self._cache, head)
-            places = _places(piece, chosen, after, chosen.window.stop_us)
-            if len(places):
-                parts.append(PieceRun(piece, places))
+            piece = read_chunk(self._connection, self._cache, head)
+            positions = _positions(piece, chosen, after, chosen.window.stop_us)
+            if len(positions):
+                parts.append(ChunkRun(piece, positions))
                 yield parts[-1]
 
     def _rows(self, chosen: Chosen, columns: Columns) -> Select[Any]:
@@ -267,18 +267,18 @@ class MeasurementPages:
         """Return the key of a source, 0, which no source has, for an unknown one."""
         return next((key for key, known in self._names.items() if known == name), 0)
 
-    def _pieces(self, rows: Sequence[Row[Any]]) -> list[RowPiece]:
+    def _pieces(self, rows: Sequence[Row[Any]]) -> list[RowChunk]:
         """Return rows piece by piece."""
         if not rows:
             return []
         columns = _columns(rows)
         kinds = set(zip(columns["source_key"], columns["plan_id"], strict=True))
         if len(kinds) == 1:
-            return [RowPiece(self._names[columns["source_key"][0]], rows, columns)]
+            return [RowChunk(self._names[columns["source_key"][0]], rows, columns)]
         found = []
         for kind in kinds:
             held = [row for row in rows if (row.source_key, row.plan_id) == kind]
-            found.append(RowPiece(self._names[kind[0]], held, _columns(held)))
+            found.append(RowChunk(self._names[kind[0]], held, _columns(held)))
         return found
 
 
@@ -287,16 +287,16 @@ def _columns(rows: Sequence[Row[Any]]) -> dict[str, tuple[Any, ...]]:
     return dict(zip(rows[0]._fields, zip(*rows, strict=True), strict=True))
 
 
-def _places(piece: SegmentPiece, chosen: Chosen, after: Cursor | None, stop_us: int) -> IntArray:
+def _positions(piece: SegmentChunk, chosen: Chosen, after: Cursor | None, stop_us: int) -> IntArray:
     """Return the places of the chosen rows of a segment behind a cursor."""
     first, last = np.searchsorted(piece.epochs_us, (chosen.window.start_us, stop_us))
-    places: IntArray = np.arange(first, last)
+    positions: IntArray = np.arange(first, last)
     if chosen.feeds_only:
-        places = places[piece.feeds[places]]
+        positions = positions[piece.feeds[positions]]
     if chosen.before_number is not None:
-        places = places[piece.numbers[places] < chosen.before_number]
+        positions = positions[piece.numbers[positions] < chosen.before_number]
     if after is None:
-        return places
-    epochs_us, numbers = piece.epochs_us[places], piece.numbers[places]
+        return positions
+    epochs_us, numbers = piece.epochs_us[positions], piece.numbers[positions]
     is_beyond: BoolArray = (epochs_us > after[0]) | ((epochs_us == after[0]) & (numbers > after[1]))
-    return places[is_beyond]
+    return positions[is_beyond]

@@ -29,12 +29,12 @@ class PreparedBatch:
     #: None when no row states any
     details: PreparedDetails | None = None
 
-    def content(self, place: int) -> RowContent:
+    def content(self, position: int) -> RowContent:
         """Return what a row holds, to be compared with what is stored."""
-        batch, flags = self.batch, self.batch.flags[place]
-        details = None if batch.details is None else batch.details.row(place)
+        batch, flags = self.batch, self.batch.flags[position]
+        details = None if batch.details is None else batch.details.row(position)
         masks = None if flags is None else np.array(flags, dtype="<i4")
-        return row_content(batch.plan_id, batch.power_dbm[place], masks, details)
+        return row_content(batch.plan_id, batch.power_dbm[position], masks, details)
 
 
 def prepare(spacecraft_key: int, batch: MeasurementBatch) -> PreparedBatch:

@@ -51,7 +51,7 @@ class _StoredRows:
     newest_us: int | None
     contents: dict[int, RowContent] = field(default_factory=dict)
 
-    def look_up(self, epochs_us: Sequence[int]) -> None:
+    def fetch(self, epochs_us: Sequence[int]) -> None:
         """Read the contents of those epochs that are stored."""
         newest_us = self.newest_us
         wanted_us = [] if newest_us is None else [each for each in epochs_us if each <= newest_us]
@@ -99,35 +99,35 @@ def sort_rows(
     if prepared.is_ascending and (newest_us is None or prepared.epochs_us[0] > newest_us):
         return SortedRows(prepared, np.arange(len(prepared.epochs_us)))
     stored = _StoredRows(connection, cache, prepared.spacecraft_key, source_key, newest_us)
-    stored.look_up(prepared.epochs_us)
+    stored.fetch(prepared.epochs_us)
     accepted: list[int] = []
     duplicates: list[int] = []
     refused: list[RowRefusal] = []
     moved: list[int] = []
-    for place, epoch_us in enumerate(prepared.epochs_us):
-        content = prepared.content(place)
+    for position, epoch_us in enumerate(prepared.epochs_us):
+        content = prepared.content(position)
         earlier = stored.contents.setdefault(epoch_us, content)
         if earlier != content and (earlier.is_leap or content.is_leap):
             content = content.in_leap_second(prepared.batch.power_dbm.shape[1])
             if epoch_us + 1 not in stored.contents:
-                stored.look_up([epoch_us + 1])
+                stored.fetch([epoch_us + 1])
             earlier = stored.contents.setdefault(epoch_us + 1, content)
             if earlier is content:
-                moved.append(place)
+                moved.append(position)
         if earlier is content:
-            accepted.append(place)
+            accepted.append(position)
         elif earlier == content:
-            duplicates.append(place)
+            duplicates.append(position)
         else:
-            refused.append(_conflict(prepared.batch, place))
-    flagged = tuple(_moved_remark(prepared.batch, place) for place in moved)
+            refused.append(_conflict(prepared.batch, position))
+    flagged = tuple(_moved_notice(prepared.batch, position) for position in moved)
     batch = _with_moved(prepared, moved) if moved else prepared
     return SortedRows(batch, np.array(accepted, dtype=np.int64), tuple(duplicates), tuple(refused), flagged)
 
 
-def seq_at(batch: MeasurementBatch, place: int) -> int | None:
+def seq_at(batch: MeasurementBatch, position: int) -> int | None:
     """Return the sequence number of a row."""
-    return None if batch.first_seq is None else batch.first_seq + int(batch.index[place])
+    return None if batch.first_seq is None else batch.first_seq + int(batch.index[position])
 
 
 def _with_moved(prepared: PreparedBatch, moved: Sequence[int]) -> PreparedBatch:
@@ -135,31 +135,31 @@ def _with_moved(prepared: PreparedBatch, moved: Sequence[int]) -> PreparedBatch:
     batch = prepared.batch
     epochs_us, flags = batch.epochs_us.copy(), list(batch.flags)
     epochs_us[list(moved)] += 1
-    for place in moved:
-        masks = flags[place] or (0,) * batch.power_dbm.shape[1]
-        flags[place] = tuple(mask | QualityFlag.LEAP_SECOND for mask in masks)
+    for position in moved:
+        masks = flags[position] or (0,) * batch.power_dbm.shape[1]
+        flags[position] = tuple(mask | QualityFlag.LEAP_SECOND for mask in masks)
     return prepare(prepared.spacecraft_key, replace(batch, epochs_us=epochs_us, flags=tuple(flags)))
 
 
 def _contents(rows: Sequence[Row[Any]]) -> Iterator[tuple[int, RowContent]]:
     """Yield what stored rows of (epoch, plan, powers, flags, details) hold."""
-    for places, power_dbm in unpack_parts([row.powers for row in rows]):
-        for place, powers in zip(places, power_dbm, strict=True):
-            epoch_us, plan_id, _, flags, figures = tuple(rows[place])
+    for positions, power_dbm in unpack_parts([row.powers for row in rows]):
+        for position, powers in zip(positions, power_dbm, strict=True):
+            epoch_us, plan_id, _, flags, figures = tuple(rows[position])
             masks = None if flags is None else unpack_flags(flags, len(powers))
             details = None if figures is None else details_of(figures, len(powers)).row(...)
             yield epoch_us, row_content(plan_id, powers, masks, details)
 
 
-def _moved_remark(batch: MeasurementBatch, place: int) -> RowNotice:
-    epoch = format_epoch(int(batch.epochs_us[place]) + 1)
+def _moved_notice(batch: MeasurementBatch, position: int) -> RowNotice:
+    epoch = format_epoch(int(batch.epochs_us[position]) + 1)
     detail = f"a row of the leap second stands at this epoch, or this is one: stored at {epoch}"
-    return RowNotice(int(batch.index[place]), seq_at(batch, place), "time.leap_second", detail)
+    return RowNotice(int(batch.index[position]), seq_at(batch, position), "time.leap_second", detail)
 
 
-def _conflict(batch: MeasurementBatch, place: int) -> RowRefusal:
+def _conflict(batch: MeasurementBatch, position: int) -> RowRefusal:
     detail = (
         f"Source {batch.source!r} has sent other content for this epoch before (plan, powers, flags or figures beside "
         "the powers); the first row stays. Send a corrected row under its own epoch or from another source."
     )
-    return RowRefusal(int(batch.index[place]), seq_at(batch, place), "measurement.conflict", detail)
+    return RowRefusal(int(batch.index[position]), seq_at(batch, position), "measurement.conflict", detail)

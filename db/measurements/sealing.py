@@ -17,7 +17,7 @@ from sqlalchemy import ColumnElement, Connection, Row, and_, delete, func, selec
 from db.database import Database, lock_head
 from db.encoding.row_mapping import MEASUREMENT_COLUMNS, RECEIVED_AT_US, measurements_of
 from db.encoding.segment_codec import CODEC, Blobs, SealedRows, pack
-from db.encoding.segments import DAY_US, HEAD_COLUMNS, SegmentHead, SegmentPiece, crc32_of, day_of, heads, read_piece
+from db.encoding.segments import DAY_US, HEAD_COLUMNS, SegmentChunk, SegmentHead, crc32_of, day_of, heads, read_chunk
 from db.measurements.checksum_check import agrees
 from db.schema.row_checksum import measurement_checksums
 from db.schema.tables import head as head_table
@@ -93,7 +93,7 @@ def seal(database: Database, key: int, before_us: int, received_before_us: int) 
                 break
             if not database.write(partial(_carry_out, key=key, change=change)):
                 break
-            yield _told(name, change)
+            yield _reported(name, change)
 
 
 def _groups(database: Database, key: int, before_us: int, received_before_us: int) -> Iterator[_Group]:
@@ -145,7 +145,7 @@ def _prepared(connection: Connection, key: int, group: _Group) -> tuple[str, _Ch
         rows = [row for row in rows if row.epoch_us < stop_us]
     merged = _sealed_rows(rows)
     if target is not None:
-        merged = _merged(merged, _rows_of(read_piece(connection, None, target)))
+        merged = _merged(merged, _rows_of(read_chunk(connection, None, target)))
     written = tuple(_segment(key, group, part) for part in _parts(merged))
     details = sum(row.details is not None for row in rows)
     replaced = () if target is None else (target.segment_id,)
@@ -182,19 +182,19 @@ def _rows(connection: Connection, key: int, group: _Group) -> tuple[list[Measure
 def _checksum(key: int, row: Row[Any]) -> bytes:
     """Return the checksum of a row from what was read of it."""
     shared = (key, row.source_key, row.plan_id, row.is_late, row.feeds)
-    place = (row.epoch_us, row.number, row.seq, row.received_at_us - row.epoch_us)
-    return measurement_checksums(shared, [(*place, row.powers, row.flags, row.figures)])
+    position = (row.epoch_us, row.number, row.seq, row.received_at_us - row.epoch_us)
+    return measurement_checksums(shared, [(*position, row.powers, row.flags, row.figures)])
 
 
 def _target(sealed: Sequence[SegmentHead], rows: Sequence[Measurement]) -> tuple[SegmentHead | None, int | None]:
     """Return the segment that takes rows in, None for a new one, and the epoch from which rows belong elsewhere."""
     first_us = rows[0].epoch_us
-    place = max(sum(found.first_epoch_us <= first_us for found in sealed) - 1, 0)
-    following = sealed[place + 1 :]
+    position = max(sum(found.first_epoch_us <= first_us for found in sealed) - 1, 0)
+    following = sealed[position + 1 :]
     stop_us = following[0].first_epoch_us if following else None
     if not sealed:
         return None, None
-    target = sealed[place]
+    target = sealed[position]
     is_behind = first_us > target.last_epoch_us
     is_full = target.row_count + len(rows) > SEGMENT_ROWS
     return (None if is_behind and is_full else target), stop_us
@@ -205,11 +205,11 @@ def _sealed_rows(rows: Sequence[Measurement]) -> SealedRows:
     carriers, count = len(rows[0].power_dbm), len(rows)
     flags = np.zeros((count, carriers), dtype=np.int32)
     details = np.full((count, len(DETAIL_NAMES), carriers), np.nan, dtype=np.float32)
-    for place, row in enumerate(rows):
+    for position, row in enumerate(rows):
         if row.flags is not None:
-            flags[place] = row.flags
+            flags[position] = row.flags
         if row.details is not None:
-            details[place] = [getattr(row.details, name) for name in DETAIL_NAMES]
+            details[position] = [getattr(row.details, name) for name in DETAIL_NAMES]
     integers = np.array([(r.epoch_us, r.number, r.received_at_us, r.seq or 0) for r in rows], dtype=np.int64).T
     claims = [
         (row.seq is not None, row.is_late, row.feeds_estimator, row.flags is not None, row.details is not None)
@@ -219,7 +219,7 @@ def _sealed_rows(rows: Sequence[Measurement]) -> SealedRows:
     return SealedRows._make((*integers, *np.array(claims, dtype=np.bool_).T, powers, flags, details))
 
 
-def _rows_of(piece: SegmentPiece) -> SealedRows:
+def _rows_of(piece: SegmentChunk) -> SealedRows:
     """Return the rows of a segment as columns."""
     columns, extras, power_dbm = piece.columns, piece.extras(), piece.power_dbm()
     flags = np.zeros(power_dbm.shape, dtype=np.int32)
@@ -301,7 +301,7 @@ def _values(made: SegmentHead, blobs: Blobs) -> dict[str, Any]:
     return values
 
 
-def _told(name: str, change: _Change) -> SealedPart:
+def _reported(name: str, change: _Change) -> SealedPart:
     of_segments = [made for made, _ in change.written]
     first_us = min(made.first_epoch_us for made in of_segments)
     rows_of_segments = sum(made.row_count for made in of_segments)
@@ -333,7 +333,7 @@ def states(database: Database, key: int) -> Iterator[SegmentState]:
 def _fault(connection: Connection, found: SegmentHead) -> str | None:
     """Return why a segment cannot be read."""
     try:
-        read_piece(connection, None, found).extras()
+        read_chunk(connection, None, found).extras()
     except StorageError as fault:
         if fault.code != "storage.corrupt":
             raise

@@ -50,7 +50,7 @@ def store_inputs(connection: Connection, key: int, records: Sequence[SlowInput])
     known = _stored(connection, key, records)
     accepted: list[tuple[SlowInput, EpochSpan | None]] = []
     refused: list[RowRefusal] = []
-    for place, record in enumerate(map(_keyed, records)):
+    for position, record in enumerate(map(_keyed, records)):
         name, document = (kind_of(record), record.key), encode(record)
         stored = known.get(name)
         if stored is None:
@@ -58,7 +58,7 @@ def store_inputs(connection: Connection, key: int, records: Sequence[SlowInput])
             accepted.append((record, span_of(record)))
         elif not is_same_input(name[0], stored, document):
             detail = f"Another {name[0]} with the key {name[1]!r} is stored already; the first one stays."
-            refused.append(RowRefusal(place, None, "input.conflict", detail))
+            refused.append(RowRefusal(position, None, "input.conflict", detail))
     add_entries(connection, key, accepted)
     return InputReceipt(len(accepted), len(records) - len(accepted) - len(refused), tuple(refused))
 

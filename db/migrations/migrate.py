@@ -25,11 +25,11 @@ def downgrade(engine: Engine, revision: str = "base") -> None:
 
 def _run(engine: Engine, revision: str, *, is_up: bool) -> None:
     with translated_faults(), engine.begin() as connection:
-        wait_for_turn(connection)
+        wait_for_lock(connection)
         change_schema(connection, revision, is_up=is_up)
 
 
-def wait_for_turn(connection: Connection) -> None:
+def wait_for_lock(connection: Connection) -> None:
     """Keep every other process from changing the schema until the transaction ends."""
     if connection.dialect.name == "postgresql":
         # one process migrates, and it does not wait for ever behind a reader

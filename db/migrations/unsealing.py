@@ -22,7 +22,7 @@ from sqlalchemy import (
 
 from db.encoding.measurement_details import insert_details, prepare_details
 from db.encoding.power_codec import unpack_flags, unpack_parts
-from db.encoding.segments import HEAD_COLUMNS, SegmentHead, read_piece
+from db.encoding.segments import HEAD_COLUMNS, SegmentHead, read_chunk
 from db.schema.tables import measurement_segment
 from service.records.levels.measurement import DETAIL_NAMES, CarrierDetails
 
@@ -52,20 +52,20 @@ _SET_PLAIN = (
 
 def unpack_everything(connection: Connection) -> None:
     """Write powers and flags of all rows of the table of rows as float32 and int32, four bytes a carrier."""
-    place = tuple_(*_KEY)
+    position = tuple_(*_KEY)
     query: Select[Any] = select(*_KEY, _plain.c.powers, _plain.c.flags).order_by(*_KEY).limit(_ROWS)
     rows = connection.execute(query).all()
     while rows:
         connection.execute(_SET_PLAIN, _as_plain(rows))
-        rows = connection.execute(query.where(place > tuple(rows[-1][:3]))).all()
+        rows = connection.execute(query.where(position > tuple(rows[-1][:3]))).all()
 
 
 def _as_plain(rows: Sequence[Row[Any]]) -> list[dict[str, Any]]:
     """Return what rows are to hold."""
     changed = []
-    for places, power_dbm in unpack_parts([row.powers for row in rows]):
-        for place, powers in zip(places, power_dbm, strict=True):
-            row = rows[place]
+    for positions, power_dbm in unpack_parts([row.powers for row in rows]):
+        for position, powers in zip(positions, power_dbm, strict=True):
+            row = rows[position]
             flags = None if row.flags is None else unpack_flags(row.flags, len(powers)).astype("<i4").tobytes()
             key = {f"of_{part.name}": value for part, value in zip(_KEY, row, strict=False)}
             changed.append({**key, "to_powers": powers.tobytes(), "to_flags": flags})
@@ -80,11 +80,11 @@ def unseal_everything(connection: Connection) -> None:
 
 
 def _unseal(connection: Connection, head: SegmentHead) -> None:
-    piece = read_piece(connection, None, head)
+    piece = read_chunk(connection, None, head)
     rows = []
-    for place in range(head.row_count):
-        row = piece.record(place)
-        flags = piece.flags(place)
+    for position in range(head.row_count):
+        row = piece.record(position)
+        flags = piece.flags(position)
         rows.append(
             {
                 "spacecraft_key": head.spacecraft_key,
@@ -96,7 +96,7 @@ def _unseal(connection: Connection, head: SegmentHead) -> None:
                 "received_at_us": row.received_at_us,
                 "is_late": row.is_late,
                 "feeds": row.feeds_estimator,
-                "powers": piece.power_dbm()[place].tobytes(),
+                "powers": piece.power_dbm()[position].tobytes(),
                 "flags": None if flags is None else flags.astype("<i4").tobytes(),
             }
         )

@@ -169,30 +169,30 @@ class SqlAlarms:
 
 def _store(connection: Connection, change: AlarmChange, fresh: dict[_Instance, int]) -> AlarmChange:
     """Store one change; the later changes of an alarm that is new with it get its id."""
-    told = change.alarm
-    instance = (told.spacecraft_id, *told.key, told.raised_at_us)
+    reported = change.alarm
+    instance = (reported.spacecraft_id, *reported.key, reported.raised_at_us)
     values = {
-        "spacecraft_id": told.spacecraft_id,
-        "state": told.state,
-        "is_open": told.is_open,
-        "raised_at_us": told.raised_at_us,
-        "document": encode(told),
+        "spacecraft_id": reported.spacecraft_id,
+        "state": reported.state,
+        "is_open": reported.is_open,
+        "raised_at_us": reported.raised_at_us,
+        "document": encode(reported),
     }
-    alarm_id = told.id or fresh.get(instance, 0)
+    alarm_id = reported.id or fresh.get(instance, 0)
     if alarm_id:
         connection.execute(update(alarm_table).where(alarm_table.c.alarm_id == alarm_id).values(values))
     else:
         raised = alarm_table.insert().values(values).returning(alarm_table.c.alarm_id)
         alarm_id = fresh[instance] = int(connection.execute(raised).scalar_one())
-    numbered = replace(change, alarm=_with_id(told, alarm_id))
-    values = {"alarm_id": alarm_id, "spacecraft_id": told.spacecraft_id, "document": encode(numbered)}
+    numbered = replace(change, alarm=_with_id(reported, alarm_id))
+    values = {"alarm_id": alarm_id, "spacecraft_id": reported.spacecraft_id, "document": encode(numbered)}
     added = alarm_change.insert().values(values).returning(alarm_change.c.sequence)
     sequence = connection.execute(added).scalar_one()
     return replace(numbered, sequence=int(sequence))
 
 
-def _with_id(told: Alarm, alarm_id: int) -> Alarm:
-    return replace(told, id=int(alarm_id))
+def _with_id(reported: Alarm, alarm_id: int) -> Alarm:
+    return replace(reported, id=int(alarm_id))
 
 
 def _concerns(column: ColumnElement[str | None], spacecraft_id: str) -> ColumnElement[bool]:

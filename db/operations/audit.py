@@ -13,7 +13,7 @@ from service.records.operations.audit import GENESIS, AuditEntry, AuditEvent, Au
 
 #: entries held at once while a chain is walked
 _WALK = 2000
-_DEED_FIELDS = tuple(field.name for field in fields(AuditEvent))
+_EVENT_FIELDS = tuple(field.name for field in fields(AuditEvent))
 
 
 class SqlAudit:
@@ -28,9 +28,9 @@ class SqlAudit:
     def __init__(self, database: Database) -> None:
         self._database = database
 
-    def append(self, deed: AuditEvent) -> AuditEntry:
+    def append(self, audit_event: AuditEvent) -> AuditEntry:
         """Add a deed and wait for its commit."""
-        return self._database.submit(lambda connection: append_entry(connection, deed)).result()
+        return self._database.submit(lambda connection: append_entry(connection, audit_event)).result()
 
     def entries(self, wanted: AuditFilter, limit: int, after: int | None) -> list[AuditEntry]:
         """Return entries with numbers above ``after``, in order."""
@@ -71,5 +71,5 @@ def _conditions(wanted: AuditFilter) -> list[ColumnElement[bool]]:
 
 
 def _entry_of(row: Row[Any]) -> AuditEntry:
-    deed = AuditEvent(**{name: getattr(row, name) for name in _DEED_FIELDS})
-    return AuditEntry(row.number, deed, row.previous_hash, row.hash)
+    audit_event = AuditEvent(**{name: getattr(row, name) for name in _EVENT_FIELDS})
+    return AuditEntry(row.number, audit_event, row.previous_hash, row.hash)

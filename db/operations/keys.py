@@ -69,17 +69,17 @@ class SqlKeys:
 
         self._database.submit(write).result()
 
-    def add_first_administrator(self, stored: StoredKey, deed: AuditEvent) -> bool:
+    def add_first_administrator(self, stored: StoredKey, audit_event: AuditEvent) -> bool:
         """Store an administrator's key with its audit entry unless one is in force; return whether it was stored."""
 
         def write(connection: Connection) -> bool:
             # two first starts at once: the second one waits here and then finds the key of the first
             lock_audit_head(connection)
             admins = connection.execute(select(access_key).where(access_key.c.role == Role.ADMIN.value)).all()
-            if any(_stored_of(row).key.is_valid(deed.at_us) for row in admins):
+            if any(_stored_of(row).key.is_valid(audit_event.at_us) for row in admins):
                 return False
             _insert(connection, stored)
-            append_entry(connection, deed)
+            append_entry(connection, audit_event)
             return True
 
         return self._database.submit(write).result()

@@ -88,9 +88,9 @@ def _store(connection: Connection, report: LinkReport, at_us: int) -> LinkState:
         return fresh
     interval_s = max(at_us - stored.reported_at_us, 0) / US_PER_S
     period_s = learn_period(stored.learned_period_s, interval_s)
-    told = replace(stored, report=report, reported_at_us=at_us, learned_period_s=period_s)
-    connection.execute(_replacement(told))
-    return told
+    reported = replace(stored, report=report, reported_at_us=at_us, learned_period_s=period_s)
+    connection.execute(_replacement(reported))
+    return reported
 
 
 def _locked(connection: Connection, link_id: str) -> LinkState | None:

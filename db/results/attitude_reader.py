@@ -13,7 +13,7 @@ from sqlalchemy import Connection, Select, select
 
 from db.database import beyond, within
 from db.encoding.json_documents import decode
-from db.encoding.measurement_runs import PieceRun
+from db.encoding.measurement_runs import ChunkRun
 from db.encoding.row_mapping import attitude_of
 from db.encoding.segments import SegmentCache
 from db.measurements.measurement_pages import EVER, LIGHT, Chosen, MeasurementPages
@@ -94,15 +94,15 @@ class AttitudeReader:
         window = Window(measurements[0].epoch_us, measurements[-1].epoch_us + 1)
         query = self._stored().where(within(attitude.c.epoch_us, window))
         stored = {(row.epoch_us, row.number): row for row in self._connection.execute(query)}
-        places = [(measurement.epoch_us, measurement.number) for measurement in measurements]
-        if all(place in stored for place in places):
-            return [attitude_of(stored[place]) for place in places]
+        positions = [(measurement.epoch_us, measurement.number) for measurement in measurements]
+        if all(position in stored for position in positions):
+            return [attitude_of(stored[position]) for position in positions]
         calibrated_number = self._calibrated_number()
         return [
             self._without_attitude(measurement, calibrated_number)
-            if place not in stored
-            else attitude_of(stored[place])
-            for place, measurement in zip(places, measurements, strict=True)
+            if position not in stored
+            else attitude_of(stored[position])
+            for position, measurement in zip(positions, measurements, strict=True)
         ]
 
     def _without_attitude(self, measurement: _Consumed, calibrated_number: int | None) -> AttitudeRow:
@@ -131,6 +131,6 @@ class AttitudeReader:
         return None
 
 
-def _of_run(run: PieceRun) -> Iterator[_Consumed]:
+def _of_run(run: ChunkRun) -> Iterator[_Consumed]:
     columns = (run.piece.epochs_us, run.piece.numbers, run.piece.received_at_us)
-    return starmap(_Consumed, zip(*(column[run.places].tolist() for column in columns), strict=True))
+    return starmap(_Consumed, zip(*(column[run.positions].tolist() for column in columns), strict=True))

@@ -54,8 +54,8 @@ def _results(outcomes: Sequence[Outcome]) -> Iterator[Result]:
 
 
 def _key_of(result: Result) -> ResultKey:
-    place = (result.epoch_us, result.number)
-    return (result.method.value, *place) if isinstance(result, AttitudeRow) else place
+    position = (result.epoch_us, result.number)
+    return (result.method.value, *position) if isinstance(result, AttitudeRow) else position
 
 
 def _are_new(results: list[Result], consumed_number: int) -> bool:

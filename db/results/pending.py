@@ -11,7 +11,7 @@ from sqlalchemy import Connection, func, not_, or_, select
 from sqlalchemy.sql.elements import ColumnElement
 
 from db.database import within
-from db.encoding.segments import SegmentCache, heads_of_numbers, read_piece
+from db.encoding.segments import SegmentCache, heads_of_numbers, read_chunk
 from db.measurements.measurement_pages import MAX_NUMBER
 from db.measurements.retention import kept_from_us
 from db.schema.tables import alignment, attitude, head, measurement
@@ -75,7 +75,7 @@ def _lacking_sealed(
     for found in heads_of_numbers(connection, key, complete, MAX_NUMBER):
         if found.last_epoch_us <= epoch_us or not found.feeding_count:
             continue
-        piece = read_piece(connection, cache, found)
+        piece = read_chunk(connection, cache, found)
         numbers = piece.numbers[piece.feeds & (piece.epochs_us > epoch_us) & (piece.numbers > complete)]
         is_whole = np.ones(len(numbers), dtype=np.bool_)
         for name in names:

@@ -15,7 +15,7 @@ from typing import Any
 from sqlalchemy import Boolean, Column, Float, Integer, LargeBinary, Table, Text, TypeDecorator
 
 CHECKSUM_BYTES = 4
-_SHARED, _PLACE = struct.Struct("<7q"), struct.Struct("<4q")
+_SHARED, _POSITION = struct.Struct("<7q"), struct.Struct("<4q")
 #: for what is absent
 _NONE = -1
 
@@ -36,7 +36,7 @@ def measurement_checksums(shared: tuple[int, int, int, bool, bool], rows: Iterab
     rows : iterable
         The rest; powers and flags of all rows are of one length.
     """
-    crc32, pack, start = zlib.crc32, _PLACE.pack, 0
+    crc32, pack, start = zlib.crc32, _POSITION.pack, 0
     found: list[int] = []
     for epoch_us, number, seq, delay_us, powers, flags, figures in rows:
         if not found:

@@ -30,7 +30,7 @@ from service.api.limits.rate_limits import RateLimits
 from service.api.monitoring.access_log import RequestLog
 from service.api.monitoring.metrics import Metrics
 from service.api.monitoring.readiness import SharedReadiness
-from service.api.monitoring.request_metrics import RequestFigures
+from service.api.monitoring.request_metrics import RequestMetrics
 from service.api.problems.handlers import add_handlers
 from service.api.protocol import openapi
 from service.api.protocol.request_ids import RequestIds
@@ -53,21 +53,21 @@ def create_app(context: ApiContext) -> FastAPI:
     context : ApiContext
         Ports, limits, key and hooks. ``on_startup`` and ``on_shutdown`` run inside the server's event loop.
     """
-    figures = RequestFigures()
-    app = _bare_app(context.limits, figures, context.observation)
+    statistics = RequestMetrics()
+    app = _bare_app(context.limits, statistics, context.monitoring)
     app.state.context = context
     app.state.plan_widths = PlanWidths(context.storage.catalogue)
     app.state.carrier_names = CarrierNameCache(context.storage.catalogue)
     app.state.epoch_limits = EpochLimits(context.clock, context.limits, context.storage.archive)
-    app.state.landings = CommitWaiter()
+    app.state.waiter = CommitWaiter()
     app.state.automatic_release = AutomaticRelease(context.storage.catalogue)
     app.state.open_streams = streams = OpenStreams(context.limits.max_streams)
     app.state.stream_parts = StreamParts(context, app.state.carrier_names, streams)
-    app.state.request_figures = figures
+    app.state.request_statistics = statistics
     app.state.connections = connections = Connections(
         context.limits.max_connections, context.limits.max_connections_per_address, context.limits.trusted_proxies
     )
-    app.state.metrics = Metrics(context, figures, streams, connections)
+    app.state.metrics = Metrics(context, statistics, streams, connections)
     keys = StoredKeys(context.storage.keys, context.bootstrap_key, context.clock.system_us)
     app.state.key_ring = app.state.stored_keys = keys
     app.state.readiness = SharedReadiness(context)
@@ -79,7 +79,7 @@ def create_app(context: ApiContext) -> FastAPI:
 
 def render_openapi() -> str:
     """Return the OpenAPI document as it is committed in docs/reference/openapi.json."""
-    document: dict[str, Any] = _bare_app(Limits(), RequestFigures(), MonitoringSettings()).openapi()
+    document: dict[str, Any] = _bare_app(Limits(), RequestMetrics(), MonitoringSettings()).openapi()
     return openapi.as_text(document)
 
 
@@ -110,7 +110,7 @@ class _Application(FastAPI):
         return self.openapi_schema
 
 
-def _bare_app(limits: Limits, figures: RequestFigures, observation: MonitoringSettings) -> FastAPI:
+def _bare_app(limits: Limits, statistics: RequestMetrics, monitoring: MonitoringSettings) -> FastAPI:
     """Return the application without a context."""
     app = _Application(
         title="SOO",
@@ -130,7 +130,7 @@ def _bare_app(limits: Limits, figures: RequestFigures, observation: MonitoringSe
         exclude_content_types=(*DEFAULT_EXCLUDED_CONTENT_TYPES, "application/vnd.apache.parquet"),
     )
     app.add_middleware(AccessLayer)
-    app.add_middleware(RequestLog, figures=figures, base_path=BASE_PATH, is_writing=observation.access_log)
+    app.add_middleware(RequestLog, statistics=statistics, base_path=BASE_PATH, is_writing=monitoring.access_log)
     app.add_middleware(RequestIds)
     add_handlers(app)
     # each router by itself: a router of routers would be searched on every request

@@ -316,9 +316,9 @@ class Endpoints:
     # Analyses
 
     @endpoint
-    def start_closed_loop(self, wish: Mapping[str, Any]) -> Call[Json]:
+    def start_closed_loop(self, request: Mapping[str, Any]) -> Call[Json]:
         """Start a flight in the orbital frame; the answer names its job."""
-        return Call("POST", "/analyses/closed-loop", wish)
+        return Call("POST", "/analyses/closed-loop", request)
 
     @endpoint
     def closed_loop(self, job_id: str) -> Call[Json]:

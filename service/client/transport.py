@@ -131,9 +131,9 @@ class Transport:
         """
         # None leaves the query that a path may carry
         query = {name: value for name, value in (params or {}).items() if value is not None} or None
-        told = {"Accept": "*/*", **(headers or {})}
+        reported = {"Accept": "*/*", **(headers or {})}
         try:
-            with self._http.stream("GET", BASE_PATH + path, params=query, headers=told) as response:
+            with self._http.stream("GET", BASE_PATH + path, params=query, headers=reported) as response:
                 if not response.is_success:
                     response.read()
                     raise error_of(response)

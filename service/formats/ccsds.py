@@ -81,19 +81,19 @@ def read_segments(text: str, version_keyword: str) -> list[Segment]:
         ``ccsds.malformed`` with the line.
     """
     segments: list[Segment] = []
-    place = "header"
+    position = "header"
     for number, content in _content_lines(text):
         if number == 1 and not content.startswith(version_keyword):
             raise malformed(number, f"the message must begin with {version_keyword}")
         if content in _MARKS:
-            place = _entered(place, content, number)
-            segments += [Segment()] if place == "meta" else []
-        elif place == "data":
+            position = _entered(position, content, number)
+            segments += [Segment()] if position == "meta" else []
+        elif position == "data":
             segments[-1].data.append((number, content))
         else:
             keyword, value = keyword_and_value(number, content)
-            _place_keyword(segments, place, number, (keyword, value))
-    if place != "end":
+            _parse_keyword(segments, position, number, (keyword, value))
+    if position != "end":
         raise malformed(len(text.splitlines()), "the message ends before DATA_STOP")
     return segments
 
@@ -107,19 +107,19 @@ _MARKS = {
 }
 
 
-def _entered(place: str, mark: str, number: int) -> str:
+def _entered(position: str, mark: str, number: int) -> str:
     """Return the place that a mark opens."""
     allowed, opened = _MARKS[mark]
-    if place not in allowed:
+    if position not in allowed:
         raise malformed(number, f"{mark} stands at the wrong place")
     return opened
 
 
-def _place_keyword(segments: list[Segment], place: str, number: int, pair: tuple[str, str]) -> None:
+def _parse_keyword(segments: list[Segment], position: str, number: int, pair: tuple[str, str]) -> None:
     """Keep a line of metadata; those of the header say nothing that is needed."""
-    if place == "meta":
+    if position == "meta":
         segments[-1].meta[pair[0]] = pair[1]
-    elif place != "header":
+    elif position != "header":
         raise malformed(number, f"{pair[0]} stands outside of metadata and data")
 
 

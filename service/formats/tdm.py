@@ -112,8 +112,8 @@ class TdmWriter:
     def segments(self, pages: Iterable[Sequence[Measurement]]) -> Iterator[bytes]:
         """Yield the segments of rows that come in order of epoch, one stretch of rows held at a time."""
         for block in self._blocks(pages):
-            for place in range(len(block.carriers)):
-                yield from self._segments_of(block, place)
+            for position in range(len(block.carriers)):
+                yield from self._segments_of(block, position)
 
     def _blocks(self, pages: Iterable[Sequence[Measurement]]) -> Iterator[_Block]:
         """Gather rows of one source, plan and presence of flags."""
@@ -130,34 +130,34 @@ class TdmWriter:
                     np.array([_c_n0_of(row) for row in members]),
                 )
 
-    def _segments_of(self, block: _Block, place: int) -> Iterator[bytes]:
+    def _segments_of(self, block: _Block, position: int) -> Iterator[bytes]:
         """Yield the segments of one carrier: good rows, then doubtful ones."""
-        is_present = np.isfinite(block.power_dbm[:, place])
+        is_present = np.isfinite(block.power_dbm[:, position])
         if block.flags is None:
             parts = [("RAW", is_present)]
         else:
-            is_doubtful = (block.flags[:, place] & DEGRADING) != 0
+            is_doubtful = (block.flags[:, position] & DEGRADING) != 0
             parts = [("VALIDATED", is_present & ~is_doubtful), ("DEGRADED", is_present & is_doubtful)]
         for quality, rows in parts:
             if rows.any():
-                yield self._segment(block, place, quality, np.flatnonzero(rows))
+                yield self._segment(block, position, quality, np.flatnonzero(rows))
 
-    def _segment(self, block: _Block, place: int, quality: str, rows: IntArray) -> bytes:
+    def _segment(self, block: _Block, position: int, quality: str, rows: IntArray) -> bytes:
         epochs = epoch_texts(block.epochs_us[rows])
         # the stored float32 in dBm has few digits; 30 dB less are taken from its shortest decimal, not from its bits
-        powers = [float(text) - DBM_OF_DBW for text in text_of_float32(block.power_dbm[rows, place])]
-        densities = text_of_float32(block.c_n0_db_hz[rows, place])
+        powers = [float(text) - DBM_OF_DBW for text in text_of_float32(block.power_dbm[rows, position])]
+        densities = text_of_float32(block.c_n0_db_hz[rows, position])
         data = []
         for epoch, power, density in zip(epochs, powers, densities, strict=True):
             data.append(f"CARRIER_POWER = {epoch} {_decimal(power)}")
             if density:
                 data.append(f"PC_N0 = {epoch} {density}")
         types = "CARRIER_POWER,PC_N0" if any(densities) else "CARRIER_POWER"
-        meta = self._meta(block, place, quality, (epochs[0], epochs[-1]), types)
+        meta = self._meta(block, position, quality, (epochs[0], epochs[-1]), types)
         return as_bytes([*meta, "DATA_START", *data, "DATA_STOP"])
 
-    def _meta(self, block: _Block, place: int, quality: str, span: tuple[str, str], types: str) -> list[str]:
-        carrier = block.carriers[place]
+    def _meta(self, block: _Block, position: int, quality: str, span: tuple[str, str], types: str) -> list[str]:
+        carrier = block.carriers[position]
         return [
             "META_START",
             comment(f"carrier={carrier.id} name={carrier.name or carrier.id} transponder={carrier.transponder}"),

@@ -73,7 +73,7 @@ class LinkReporter:
         try:
             wishes = self._client.report_links(self.links())
             for wish in wishes:
-                self._obey(str(wish["id"]), is_enabled=bool(wish["enabled"]), resets=int(wish["reset"]))
+                self._apply(str(wish["id"]), is_enabled=bool(wish["enabled"]), resets=int(wish["reset"]))
         except (ClientError, LookupError, TypeError, ValueError) as error:
             if not self._is_away:
                 logger.warning("links cannot be reported: %s", error)
@@ -111,11 +111,11 @@ class LinkReporter:
             "period_s": self._period_s,
         }
 
-    def _obey(self, link_id: str, *, is_enabled: bool, resets: int) -> None:
+    def _apply(self, link_id: str, *, is_enabled: bool, resets: int) -> None:
         """Do with one link what is wanted; a reset of the front end is one of all its analyzers."""
         station = self._stations.get(link_id)
         if station is not None:
-            station.acquisition.orders.obey(is_enabled=is_enabled, resets=resets)
+            station.acquisition.orders.apply(is_enabled=is_enabled, resets=resets)
         elif link_id == self._name:
             if self._resets_seen is not None and resets > self._resets_seen:
                 for each in self._stations.values():

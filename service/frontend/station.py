@@ -21,7 +21,7 @@ from service.frontend.upload.uploader import UploadCounters, Uploader, UploadSet
 logger = logging.getLogger("service.frontend.station")
 
 #: how often the station looks whether its threads live, s
-_LOOK_S = 0.2
+_POLL_S = 0.2
 
 
 class StationError(Exception):
@@ -102,14 +102,14 @@ class MeasuringStation:
         sending = _Worker(f"uploader {self.link_id}", self.uploader.run)
         for worker in (measuring, sending):
             worker.start()
-        while not self._stop.wait(_LOOK_S):
-            self.acquisition.look()
+        while not self._stop.wait(_POLL_S):
+            self.acquisition.poll()
             if not (measuring.is_alive() and sending.is_alive()):
                 break
         self._stop.set()
         while measuring.is_alive():
-            measuring.join(_LOOK_S)
-            self.acquisition.look()
+            measuring.join(_POLL_S)
+            self.acquisition.poll()
         self.uploader.finish()
         sending.join()
         for worker in (measuring, sending):

@@ -24,7 +24,7 @@ from service.pipeline.estimation.method import CommandEvidence, MethodRunner
 from service.pipeline.estimation.method_disagreement import Disagreement, compare
 from service.pipeline.estimation.paper.runner import PaperRunner
 from service.pipeline.estimation.robust.runner import RobustRunner
-from service.pipeline.inputs.knowledge import Knowledge, Lookup, learn
+from service.pipeline.inputs.knowledge import Knowledge, Lookup, update
 from service.ports import Outcome
 from service.records.calibration import Calibration
 from service.records.catalogue import CarrierPlan, Method, Release, Spacecraft
@@ -94,14 +94,14 @@ class Chain:
         """Whether the methods have told different roll or pitch angles for long."""
         return self._disagreement.is_standing
 
-    def learn(self, content: SlowInput) -> None:
+    def update(self, content: SlowInput) -> None:
         """Consume a slow input; an alignment starts the methods anew, an activation keeps their state."""
-        self._knowledge = learn(self._knowledge, content, self._lookup)
+        self._knowledge = update(self._knowledge, content, self._lookup)
         if self._override is not None:
             active = {**self._knowledge.active, self._override.request.method: self._override}
             self._knowledge = replace(self._knowledge, active=active)
         for runner in self._runners:
-            runner.hear(content, self._knowledge)
+            runner.on_input(content, self._knowledge)
         self._remember_swing(content)
         alignment = self._knowledge.alignment
         if alignment is None:
@@ -153,8 +153,8 @@ class Chain:
 
     def command_evidence(self) -> CommandEvidence | None:
         """Return what the newest row that was not late says of commands; None where no method can tell."""
-        told = (runner.command_evidence() for runner in self._runners)
-        return next((evidence for evidence in told if evidence is not None), None)
+        reported = (runner.command_evidence() for runner in self._runners)
+        return next((evidence for evidence in reported if evidence is not None), None)
 
     def facts(self, measurement: Measurement, outcome: Outcome | None) -> RowFacts:
         """Return what alarms look at in the row that was stepped last."""

@@ -135,7 +135,9 @@ def screen(rows: ReceivedRows, width: int, bounds: EpochBounds) -> tuple[Measure
             "time.future": is_ahead,
             "value.out_of_range": is_outside,
         }
-        refusals = [_refusal(rows, place, faults, width, bounds) for place in np.flatnonzero(_any(faults)).tolist()]
+        refusals = [
+            _refusal(rows, position, faults, width, bounds) for position in np.flatnonzero(_any(faults)).tolist()
+        ]
     return _batch(rows, index, power_dbm, bounds), tuple(refusals)
 
 
@@ -152,7 +154,7 @@ def _batch(rows: ReceivedRows, index: IntArray, power_dbm: FloatArray, bounds: E
         index=index,
         epochs_us=epochs_us,
         power_dbm=power_dbm[index].astype(np.float32),
-        flags=tuple(_frozen(rows.flags[place]) for place in index.tolist()),
+        flags=tuple(_frozen(rows.flags[position]) for position in index.tolist()),
         is_stale=is_stale,
         first_seq=rows.first_seq,
         details=None if rows.details is None else _details(rows.details, index, power_dbm.shape[1]),
@@ -177,7 +179,7 @@ def _has_width(rows: ReceivedRows, width: int) -> BoolArray:
 def _details(details: Details, index: IntArray, width: int) -> CarrierDetails:
     """Return what the rows at some places state beside their powers, each (T, N)."""
     blank = [None] * width
-    kept = [details[place] for place in index.tolist()]
+    kept = [details[position] for position in index.tolist()]
     return CarrierDetails(
         **{
             name: np.array([stated.get(name, blank) for stated in kept], dtype=np.float32).reshape(len(kept), width)
@@ -196,18 +198,18 @@ def _as_array(power_dbm: Powers, has_width: BoolArray, width: int) -> FloatArray
 
 
 def _refusal(
-    rows: ReceivedRows, place: int, faults: dict[str, BoolArray], width: int, bounds: EpochBounds
+    rows: ReceivedRows, position: int, faults: dict[str, BoolArray], width: int, bounds: EpochBounds
 ) -> RowRefusal:
     """Return why one row is refused."""
-    code = next(code for code, is_faulty in faults.items() if is_faulty[place])
-    seq = None if rows.first_seq is None else rows.first_seq + place
-    return RowRefusal(place, seq, code, _detail(code, rows, place, width, bounds))
+    code = next(code for code, is_faulty in faults.items() if is_faulty[position])
+    seq = None if rows.first_seq is None else rows.first_seq + position
+    return RowRefusal(position, seq, code, _detail(code, rows, position, width, bounds))
 
 
-def _detail(code: str, rows: ReceivedRows, place: int, width: int, bounds: EpochBounds) -> str:
+def _detail(code: str, rows: ReceivedRows, position: int, width: int, bounds: EpochBounds) -> str:
     """Return what is wrong with one row and what to do."""
     if code == "value.count":
-        return f"plan {rows.plan_id} has {width} carriers; the row has {_counts(rows, place)}"
+        return f"plan {rows.plan_id} has {width} carriers; the row has {_counts(rows, position)}"
     if code == "time.too_old":
         return f"nothing before {format_epoch(bounds.earliest_us)} is kept"
     if code == "time.future":
@@ -215,13 +217,13 @@ def _detail(code: str, rows: ReceivedRows, place: int, width: int, bounds: Epoch
     return f"a power lies outside {MIN_POWER_DBM:g}..{MAX_POWER_DBM:g} dBm; send null for an absent carrier"
 
 
-def _counts(rows: ReceivedRows, place: int) -> str:
+def _counts(rows: ReceivedRows, position: int) -> str:
     """Return how many values of each kind a row has."""
-    masks = rows.flags[place]
+    masks = rows.flags[position]
     flags = "no flags" if masks is None else f"{len(masks)} flags"
-    stated = {} if rows.details is None else rows.details[place]
+    stated = {} if rows.details is None else rows.details[position]
     more = "".join(f", {len(figures)} of {name}" for name, figures in stated.items())
-    return f"{len(rows.power_dbm[place])} powers and {flags}{more}"
+    return f"{len(rows.power_dbm[position])} powers and {flags}{more}"
 
 
 def _any(faults: dict[str, BoolArray]) -> BoolArray:

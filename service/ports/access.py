@@ -26,7 +26,7 @@ class Keys(Protocol):
         """Store when keys were last used, by id."""
         ...
 
-    def add_first_administrator(self, stored: StoredKey, deed: AuditEvent) -> bool:
+    def add_first_administrator(self, stored: StoredKey, audit_event: AuditEvent) -> bool:
         """Store an administrator's key with its audit entry unless one is in force; return whether it was stored."""
         ...
 
@@ -34,7 +34,7 @@ class Keys(Protocol):
 class Audit(Protocol):
     """The audit log: entries are added, never changed."""
 
-    def append(self, deed: AuditEvent) -> AuditEntry:
+    def append(self, audit_event: AuditEvent) -> AuditEntry:
         """Add a deed and wait for its commit."""
         ...
 

@@ -34,7 +34,7 @@ class GeometryFit:
     station_longitude_deg: Row
     #: azimuth and elevation of the receiving site, deg; its geodetic place, deg, deg, m
     site_deg: tuple[float, float]
-    site_place: tuple[float, float, float]
+    site_position: tuple[float, float, float]
     #: East longitude from which motion is counted, deg
     nominal_longitude_deg: float
     #: (N,) dBm at zero attitude and zero motion

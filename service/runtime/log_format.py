@@ -38,18 +38,18 @@ class JsonLogFormatter(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the line of an event."""
-        told: dict[str, Any] = {
+        reported: dict[str, Any] = {
             "time": _time_of(record),
             "level": record.levelname.lower(),
             "logger": record.name,
             "message": without_secrets(record.getMessage()),
         }
         if request_id := REQUEST_ID.get():
-            told["request_id"] = request_id
-        told |= {name: _field(value) for name, value in _fields_of(record).items()}
+            reported["request_id"] = request_id
+        reported |= {name: _field(value) for name, value in _fields_of(record).items()}
         if record.exc_info:
-            told["traceback"] = without_secrets(self.formatException(record.exc_info))
-        return json.dumps(told, ensure_ascii=False, separators=(",", ":"), default=str).translate(_CONTROLS)
+            reported["traceback"] = without_secrets(self.formatException(record.exc_info))
+        return json.dumps(reported, ensure_ascii=False, separators=(",", ":"), default=str).translate(_CONTROLS)
 
 
 class TextLines(logging.Formatter):

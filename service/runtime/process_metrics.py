@@ -14,7 +14,7 @@ _START_FIELD = 19
 _ENOUGH_DESCRIPTORS = 65_536
 
 
-class ProcessFigures(NamedTuple):
+class ProcessMetrics(NamedTuple):
     """Figures of this process."""
 
     #: memory in use, bytes; the greatest so far where the system does not tell the present
@@ -34,7 +34,7 @@ def raised_descriptor_limit() -> int:
     return wanted
 
 
-def process_figures() -> ProcessFigures:
+def process_statistics() -> ProcessMetrics:
     """Return the figures of this process."""
     used = resource.getrusage(resource.RUSAGE_SELF)
     try:
@@ -43,5 +43,5 @@ def process_figures() -> ProcessFigures:
         open_files = len(os.listdir("/proc/self/fd"))  # noqa: PTH208 - counts, paths are of no use
     except OSError:
         unit_bytes = 1 if sys.platform == "darwin" else 1024
-        return ProcessFigures(used.ru_maxrss * unit_bytes, used.ru_utime + used.ru_stime, None, None)
-    return ProcessFigures(rss_bytes, used.ru_utime + used.ru_stime, open_files, threads)
+        return ProcessMetrics(used.ru_maxrss * unit_bytes, used.ru_utime + used.ru_stime, None, None)
+    return ProcessMetrics(rss_bytes, used.ru_utime + used.ru_stime, open_files, threads)

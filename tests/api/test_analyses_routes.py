@@ -61,22 +61,24 @@ async def test_capture_boundary_without_damping(soo, pulse_s):
     body = {**SWITCHING, "damping_ratio": 0.0, "pulse_s": pulse_s}
     answer = await soo.client.post(f"{BASE}/capture-boundary", json=body)
     assert answer.status_code == 200, answer.text
-    told = answer.json()
-    assert told["p_min_rad"] == pytest.approx(told["p_cr_rad"], rel=1e-9)
-    assert (told["p_inf_rad"], told["perpetual_capture"]) == ((None, "possible") if pulse_s is None else (0.0, "none"))
+    reported = answer.json()
+    assert reported["p_min_rad"] == pytest.approx(reported["p_cr_rad"], rel=1e-9)
+    assert (reported["p_inf_rad"], reported["perpetual_capture"]) == (
+        (None, "possible") if pulse_s is None else (0.0, "none")
+    )
 
 
 @pytest.mark.parametrize(
-    ("changes", "told", "over_both"),
+    ("changes", "reported", "over_both"),
     [
         ({}, "", []),
         ({"pulse_count": 2, "line_step_rad": 1.5e-3}, "only in jumps", []),
         ({"pulse_s": 4.0}, "ends slower than it began", [[2, 1]]),
     ],
 )
-async def test_no_cycle_without_its_reason(soo, changes, told, over_both):
+async def test_no_cycle_without_its_reason(soo, changes, reported, over_both):
     answer = (await soo.client.post(f"{BASE}/limit-cycle", json={**AXIS, **changes})).json()
-    assert told in answer["reason"]
+    assert reported in answer["reason"]
     assert (answer["reason"] == "") is bool(answer["cycles"])
     assert [cycle["pulses"] for cycle in answer["cycles_over_both_lines"]] == over_both
 
@@ -84,9 +86,9 @@ async def test_no_cycle_without_its_reason(soo, changes, told, over_both):
 async def test_torque_schedule_with_and_without_a_regulator(soo):
     answer = await soo.client.post(f"{BASE}/torque-schedule", json=SCHEDULE)
     assert answer.status_code == 200, answer.text
-    told = answer.json()
-    assert (told["verdict"], told["p_cr_rad"], told["margin_rad"]) == ("accept", None, None)
-    assert told["peak_rad"] == pytest.approx(3.088803e-5, rel=1e-6)
+    reported = answer.json()
+    assert (reported["verdict"], reported["p_cr_rad"], reported["margin_rad"]) == ("accept", None, None)
+    assert reported["peak_rad"] == pytest.approx(3.088803e-5, rel=1e-6)
     resonant = [{"start_s": 10.47197551 * k, "duration_s": 1.0, "torque_n_m": 0.2} for k in range(10)]
     worse = (await soo.client.post(f"{BASE}/torque-schedule", json={**SCHEDULE, "pulses": resonant})).json()
     assert (worse["verdict"], worse["reasons"]) == ("reject", ["peak"])

@@ -21,8 +21,8 @@ def chain(soo):
     return found
 
 
-def told(soo):
-    return [(e.deed.who, e.deed.action, e.deed.target, e.deed.outcome) for e in chain(soo)]
+def reported(soo):
+    return [(e.audit_event.who, e.audit_event.action, e.audit_event.target, e.audit_event.outcome) for e in chain(soo)]
 
 
 async def key_of(soo, role, name):
@@ -36,16 +36,21 @@ async def test_every_change_is_written_down_with_what_it_made(soo, spacecraft, c
     assert (await soo.client.send(request)).status_code == 201
     await soo.client.put(f"{SC}/yamal-202/carriers", json={"carriers": carriers}, headers=operator)
     await soo.client.patch(f"{SC}/yamal-202", json={"name": "N"}, headers=operator)
-    assert told(soo) == [
+    assert reported(soo) == [
         ("bootstrap", "create_key", f"/keys/{key_id}", "done"),
         ("olga", "create_spacecraft", "/spacecraft", "done"),
         ("olga", "put_carriers", "/spacecraft/yamal-202/carriers/1", "done"),
         ("olga", "change_spacecraft", "/spacecraft/yamal-202", "done"),
     ]
-    deed = chain(soo)[1].deed
-    assert (deed.key_id, deed.role, deed.request_id, deed.at_us) == (key_id, "operator", "r-7", soo.clock.system)
-    assert deed.address == "127.0.0.1"
-    assert deed.body_sha256 == sha256(request.content).hexdigest()
+    audit_event = chain(soo)[1].audit_event
+    assert (audit_event.key_id, audit_event.role, audit_event.request_id, audit_event.at_us) == (
+        key_id,
+        "operator",
+        "r-7",
+        soo.clock.system,
+    )
+    assert audit_event.address == "127.0.0.1"
+    assert audit_event.body_sha256 == sha256(request.content).hexdigest()
 
 
 async def test_reading_sending_and_what_fails_leave_no_entry(soo, spacecraft, carriers):
@@ -79,7 +84,7 @@ async def test_a_change_without_a_write_is_written_down_before_its_answer(soo, s
     monkeypatch.setattr(soo.storage.catalogue, "replace_spacecraft", lambda _: None)
     await soo.client.post(SC, json=spacecraft)
     assert (await soo.client.patch(f"{SC}/yamal-202", json={"name": "N"})).status_code == 200
-    assert told(soo)[-1][1] == "change_spacecraft"
+    assert reported(soo)[-1][1] == "change_spacecraft"
 
     def fail(_):
         raise StorageError("storage.unavailable", "on purpose")
@@ -99,7 +104,7 @@ async def test_a_change_that_fails_after_its_first_write_says_both(soo, spacecra
 
     monkeypatch.setattr(soo.storage.catalogue, "replace_spacecraft", half)
     assert (await soo.client.patch(f"{SC}/yamal-202", json={"name": "N"})).status_code == 503
-    assert [entry[1:] for entry in told(soo)[-2:]] == [
+    assert [entry[1:] for entry in reported(soo)[-2:]] == [
         ("change_spacecraft", "/spacecraft/yamal-202", "done"),
         ("change_spacecraft", "/spacecraft/yamal-202", "503"),
     ]
@@ -109,7 +114,7 @@ async def test_refusals_are_written_down_with_who_is_known(soo, spacecraft):
     _, viewer = await key_of(soo, "viewer", "vera")
     await soo.client.post(SC, json=spacecraft, headers=viewer)
     await soo.client.get(SC, headers={"Authorization": "Bearer nobody"})
-    assert told(soo)[1:] == [
+    assert reported(soo)[1:] == [
         ("vera", "create_spacecraft", "/spacecraft", "403"),
         ("anonymous", "list_spacecraft", "/spacecraft", "401"),
     ]
@@ -123,8 +128,8 @@ async def test_a_flood_of_refusals_is_counted(soo, monkeypatch):
     assert len(chain(soo)) == 1
     assert counted.settled() == []
     now_s[0] = refusals.WINDOW_S
-    (deed,) = counted.settled()
-    assert (deed.times, deed.target, deed.outcome) == (99, "/spacecraft/s99", "401")
+    (audit_event,) = counted.settled()
+    assert (audit_event.times, audit_event.target, audit_event.outcome) == (99, "/spacecraft/s99", "401")
     await soo.client.get(SC, headers={"Authorization": "Bearer nobody"})
     assert len(chain(soo)) == 2
 
@@ -137,7 +142,7 @@ async def test_a_flood_from_everywhere_is_bounded(soo):
                 await client.get(SC)
     assert len(chain(soo)) == refusals.MAX_GROUPS + 1
     rest = soo.app.state.refusals.settled(is_last=True)
-    assert sum(deed.times for deed in rest) == 60 * 3 - len(chain(soo))
+    assert sum(audit_event.times for audit_event in rest) == 60 * 3 - len(chain(soo))
     assert len(rest) == refusals.MAX_GROUPS + 1
 
 

@@ -70,10 +70,10 @@ async def test_keys_are_listed_with_their_life(soo):
         ("first", "viewer", "valid"),
         ("second", "admin", "valid"),
     }
-    told = {row["name"]: row for row in rows}
+    reported = {row["name"]: row for row in rows}
     now = format_epoch(soo.clock.system)
-    assert (told["first"]["expires_at"], told["first"]["last_used_at"]) == (later, now)
-    assert (told["second"]["expires_at"], told["second"]["last_used_at"]) == (None, None)
+    assert (reported["first"]["expires_at"], reported["first"]["last_used_at"]) == (later, now)
+    assert (reported["second"]["expires_at"], reported["second"]["last_used_at"]) == (None, None)
     assert {row["created_by"] for row in rows} == {"bootstrap"}
     assert (await soo.client.delete(f"{KEYS}/{second['id']}")).status_code == 204
     assert [row["name"] for row in (await soo.client.get(KEYS)).json()["rows"]] == ["first"]
@@ -189,7 +189,7 @@ async def test_a_key_that_stands_in_a_path_by_mistake_is_told_nowhere(soo, caplo
             assert made["key"] not in answer.text
         await soo.client.get(f"/api/v1/{made['key']}", headers=bearer("wrong"))
     assert made["key"].split("_", 2)[2] not in caplog.text
-    assert all(made["key"] not in entry.deed.target for entry in soo.storage.audit.chain())
+    assert all(made["key"] not in entry.audit_event.target for entry in soo.storage.audit.chain())
 
 
 @pytest.mark.parametrize("name", ["Bootstrap", "anonymous ", "ol\u200bga", "\u202eolga", "   "])

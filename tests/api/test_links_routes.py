@@ -91,8 +91,8 @@ async def test_a_link_that_reports_no_more_is_silent_and_says_since_when(soo):
     soo.clock.system = NOW_US + 30 * S
     assert (await listed(soo))[0]["state"] == "MEASURE"
     soo.clock.system = NOW_US + 31 * S
-    (told,) = await listed(soo)
-    assert (told["state"], told["reported_state"], told["age_s"]) == ("SILENT", "MEASURE", 31.0)
+    (reported,) = await listed(soo)
+    assert (reported["state"], reported["reported_state"], reported["age_s"]) == ("SILENT", "MEASURE", 31.0)
     await send(soo, report(period_s=10))
     assert (await listed(soo))[0]["state"] == "MEASURE"
 
@@ -109,7 +109,9 @@ async def test_operators_enable_disable_and_reset_and_the_next_report_hears_of_i
     reset = await soo.client.post(f"{LINKS}/sa-1:reset")
     assert (disabled.status_code, disabled.json()["enabled"]) == (200, False)
     assert (reset.json()["enabled"], reset.json()["reset_pending"]) == (False, True)
-    audited = [(each.deed.who, each.deed.action, each.deed.target) for each in soo.storage.audit.chain()]
+    audited = [
+        (each.audit_event.who, each.audit_event.action, each.audit_event.target) for each in soo.storage.audit.chain()
+    ]
     assert audited == [
         ("bootstrap", "disable_link", "/links/sa-1:disable"),
         ("bootstrap", "reset_link", "/links/sa-1:reset"),
@@ -144,8 +146,8 @@ async def test_rows_missing_stand_with_the_link_until_they_come(soo, spacecraft,
     await rows(1, 10)
     await rows(21, 5)
     await send(soo, report(), report("unknown", spacecraft_id="not-there"), report("no-source", source=None))
-    told = {link["id"]: link["rows_missing"] for link in await listed(soo)}
-    assert told == {"sa-1": 10, "unknown": None, "no-source": None}
+    reported = {link["id"]: link["rows_missing"] for link in await listed(soo)}
+    assert reported == {"sa-1": 10, "unknown": None, "no-source": None}
     await rows(11, 10)
     assert (await soo.client.get(f"{LINKS}/sa-1")).json()["rows_missing"] == 0
 
@@ -213,8 +215,8 @@ async def test_numbers_that_are_none_are_refused_in_the_detail_too(soo):
 async def test_whatever_an_analyzer_answered_may_be_told(soo):
     odd = "\u0000*IDN?\x7f\ufffd\n"
     await send(soo, report(warnings=[{"code": "analyzer.fault", "detail": odd}], detail={"last": odd}))
-    (told,) = await listed(soo)
-    assert (told["warnings"][0]["detail"], told["detail"]["last"]) == (odd, odd)
+    (reported,) = await listed(soo)
+    assert (reported["warnings"][0]["detail"], reported["detail"]["last"]) == (odd, odd)
 
 
 async def test_a_bad_filter_is_a_422(soo):

@@ -225,7 +225,7 @@ async def test_a_jump_of_sequence_numbers_is_stored_and_flagged(soo, spacecraft,
 async def test_a_leap_second_is_stored_in_the_second_after_it_and_flagged(soo, spacecraft, carriers):
     plan_id = await soo.with_plan(spacecraft, carriers)
     texts = ["2016-12-31T23:59:59.5Z", "2016-12-31T23:59:60.5Z", "2017-01-01T00:00:00.5Z", "2017-01-01T00:00:01Z"]
-    rows = [{"epoch": text, "power_dbm": [-40.0 - place] * 4} for place, text in enumerate(texts)]
+    rows = [{"epoch": text, "power_dbm": [-40.0 - position] * 4} for position, text in enumerate(texts)]
     rows[0]["flags"] = rows[1]["flags"] = [0, 1, 0, 0]
     body = {"plan_id": plan_id, "measurements": rows}
     answer = (await soo.client.post(URL, json=body)).json()

@@ -62,7 +62,7 @@ async def test_public_paths_are_counted_by_address_but_not_the_sign_of_life(limi
 @pytest.mark.parametrize("is_key_needed", [False, True])
 async def test_wrong_keys_of_others_keep_health_checks_and_holders_of_a_key_in(limited, is_key_needed):
     context = limited.app.state.context
-    object.__setattr__(context, "observation", MonitoringSettings(metrics_need_key=is_key_needed))
+    object.__setattr__(context, "monitoring", MonitoringSettings(metrics_need_key=is_key_needed))
     statuses = [(await limited.client.get("/metrics", headers=WRONG)).status_code for _ in range(6)]
     assert statuses == [401 if is_key_needed else 200] * 4 + [429] * 2
     assert (await limited.client.get(SC, headers=WRONG)).status_code == 429

@@ -55,16 +55,16 @@ async def test_a_request_reaches_the_service_and_the_command_comes_back(soo, ser
     wanted = CommandRequest("roll is off", AT_US - 30 * S, AT_US + 60 * S, 600.0, 0.01)
     assert service.asked == [("prepare", SC, "Anna", wanted, False)]
     assert answer.headers["location"] == f"{URL}/torques/7"
-    told = answer.json()
-    assert (told["id"], told["counter"], told["state"], told["digest"]) == (7, 7, "PREPARED", "ab" * 32)
-    assert told["expires_at"] == "2026-11-21T03:01:00.000000Z"
-    assert told["needs_approver"] is True
-    assert told["checks"] == [{"name": "envelope", "ok": True, "detail": ""}]
-    assert told["schedule"][0]["start"] == "2026-11-21T03:01:00.000000Z"
-    assert told["schedule"][0]["roll_n_m"] == 0.002
-    assert told["impulse_n_m_s"] == {"yaw": 0.0, "roll": 0.0, "pitch": 0.0}
-    assert told["predicted"]["angle_change_deg"]["roll"] == 0.04
-    assert told["schedule_check"] is None
+    reported = answer.json()
+    assert (reported["id"], reported["counter"], reported["state"], reported["digest"]) == (7, 7, "PREPARED", "ab" * 32)
+    assert reported["expires_at"] == "2026-11-21T03:01:00.000000Z"
+    assert reported["needs_approver"] is True
+    assert reported["checks"] == [{"name": "envelope", "ok": True, "detail": ""}]
+    assert reported["schedule"][0]["start"] == "2026-11-21T03:01:00.000000Z"
+    assert reported["schedule"][0]["roll_n_m"] == 0.002
+    assert reported["impulse_n_m_s"] == {"yaw": 0.0, "roll": 0.0, "pitch": 0.0}
+    assert reported["predicted"]["angle_change_deg"]["roll"] == 0.04
+    assert reported["schedule_check"] is None
 
 
 async def test_a_dry_run_stores_nothing_and_says_so(soo, service):
@@ -165,17 +165,17 @@ class Follower:
 
 async def test_status_tells_the_interlock_and_goes_on_where_it_cannot_be_read(soo, service):
     object.__setattr__(soo.app.state.context, "supervisor", Follower())
-    told = (await soo.client.get(f"{URL}/status")).json()
-    assert told["interlock"] == {"state": "ARMED", "reasons": ["yaw_sign", "no_attitude"]}
+    reported = (await soo.client.get(f"{URL}/status")).json()
+    assert reported["interlock"] == {"state": "ARMED", "reasons": ["yaw_sign", "no_attitude"]}
     stop = (reason_of("stop", AT_US),)
     tripped = replace(service.control_view, state="TRIPPED", reasons=stop, is_withheld=True, release="automatic")
     service.control_view = tripped
-    told = (await soo.client.get(f"{URL}/status")).json()
-    assert told["interlock"] == {"state": "TRIPPED", "reasons": ["stop", "no_attitude"]}
+    reported = (await soo.client.get(f"{URL}/status")).json()
+    assert reported["interlock"] == {"state": "TRIPPED", "reasons": ["stop", "no_attitude"]}
     service.error = StorageError("storage.unavailable", "the archive is away")
-    told = await soo.client.get(f"{URL}/status")
-    assert told.status_code == 200, "what was estimated can be read all the same"
-    assert told.json()["interlock"] == {
+    reported = await soo.client.get(f"{URL}/status")
+    assert reported.status_code == 200, "what was estimated can be read all the same"
+    assert reported.json()["interlock"] == {
         "state": "INHIBITED",
         "reasons": ["release_unreadable", "no_attitude"],
     }
@@ -242,12 +242,12 @@ async def test_every_order_stands_in_the_audit_log_with_person_and_body(soo, ser
         answer = await soo.client.post(f"{URL}/{path}", json=body, headers=headers)
         assert answer.status_code in (200, 201), answer.text
     found = (await soo.client.get("/api/v1/audit")).json()["rows"]
-    told = [entry for entry in found if SC in entry["target"]]
-    assert [(entry["action"], entry["target"], entry["who"]) for entry in told] == [
+    reported = [entry for entry in found if SC in entry["target"]]
+    assert [(entry["action"], entry["target"], entry["who"]) for entry in reported] == [
         (action, f"/spacecraft/{SC}/{path}", "Anna" if headers is anna else "Boris")
         for headers, path, _, action in orders
     ]
-    assert all(entry["outcome"] == "done" and entry["body_sha256"] for entry in told)
+    assert all(entry["outcome"] == "done" and entry["body_sha256"] for entry in reported)
 
 
 @pytest.mark.parametrize(

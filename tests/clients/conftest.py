@@ -208,8 +208,8 @@ def version_of(name: str) -> str:
     program = shutil.which("lxi")
     if program is None:
         return "not installed"
-    told = subprocess.run([program, "--version"], capture_output=True, text=True, check=False, timeout=10)
-    found = re.search(r"\d[\w.]*", told.stdout)
+    reported = subprocess.run([program, "--version"], capture_output=True, text=True, check=False, timeout=10)
+    found = re.search(r"\d[\w.]*", reported.stdout)
     return found.group() if found else "?"
 
 

@@ -117,15 +117,15 @@ def test_powers(written: Written) -> None:
     for segment in message.body.segments:
         meta = segment.metadata
         source, carrier = meta.track_id.split("/")
-        told = set()
+        reported = set()
         for each in segment.data.observations:
             epoch = microseconds(each.epoch)
             kept = powers if each.keyword == "CARRIER_POWER" else ratios
             assert epoch not in kept[source, carrier], "a keyword stands twice at one epoch"
             kept[source, carrier][epoch] = each.value
             quality[source, carrier, epoch] = meta.data_quality
-            told.add(each.keyword)
-        assert set(meta.data_types.split(",")) == told
+            reported.add(each.keyword)
+        assert set(meta.data_types.split(",")) == reported
     rows = written.archive["powers"]
     assert {source for source, _ in powers} == {"sa-1", "sa-2"}
     for row in rows:

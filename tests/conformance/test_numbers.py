@@ -95,13 +95,13 @@ def slack(header):
 
 
 @pytest.mark.parametrize("header", SETTINGS)
-@pytest.mark.parametrize(("word", "place"), [("MIN", 0), ("MINimum", 0), ("max", 1), ("MAXIMUM", 1)])
-def test_minimum_and_maximum_are_told_and_taken(bench, header, word, place):
+@pytest.mark.parametrize(("word", "position"), [("MIN", 0), ("MINimum", 0), ("max", 1), ("MAXIMUM", 1)])
+def test_minimum_and_maximum_are_told_and_taken(bench, header, word, position):
     bench.ask("FREQ:SPAN 1 KHZ")
     low, high = limits(bench, header)
     assert low < high
     bench.ask(f"{header} {word}")
-    assert float(bench.ask(f"{header}?")) == pytest.approx((low, high)[place], rel=1e-6, abs=slack(header))
+    assert float(bench.ask(f"{header}?")) == pytest.approx((low, high)[position], rel=1e-6, abs=slack(header))
     assert bench.errors() == []
 
 
@@ -133,10 +133,10 @@ def test_units_are_never_returned(bench, facts):
 
 
 @pytest.mark.parametrize("header", SETTINGS)
-@pytest.mark.parametrize(("value", "place"), [("1E30", 1), ("-1E30", 0)])
-def test_value_out_of_range_is_set_to_the_limit_and_reported(bench, header, value, place):
+@pytest.mark.parametrize(("value", "position"), [("1E30", 1), ("-1E30", 0)])
+def test_value_out_of_range_is_set_to_the_limit_and_reported(bench, header, value, position):
     bench.ask("FREQ:SPAN 1 KHZ")
-    limit = limits(bench, header)[place]
+    limit = limits(bench, header)[position]
     bench.ask(f"{header} {value}")
     assert bench.errors() == [-222]
     assert float(bench.ask(f"{header}?")) == pytest.approx(limit, rel=1e-6, abs=slack(header))

@@ -191,7 +191,7 @@ def test_new_message_while_an_answer_is_unread_interrupts(hislip):
     second = hislip.write(b"*OPC?\n")
     interrupted = hislip.take()
     assert (interrupted.kind, interrupted.parameter) == (w.INTERRUPTED, second)
-    assert hislip.take_asynchronous().kind == w.ASYNC_INTERRUPTED
+    assert hislip.on_asynchronous().kind == w.ASYNC_INTERRUPTED
     assert hislip.read() == (second, b"1\n")
     assert hislip.ask("SYST:ERR?").startswith("-410,")
     assert int(hislip.ask("*ESR?")) & 4
@@ -218,7 +218,7 @@ def test_service_is_requested_once_for_each_reason(hislip, gate, facts):
     hislip.write(b"INIT;*OPC\n")
     assert hislip.status() & 0x60 == 0
     gate["is_open"] = True
-    assert hislip.take_asynchronous().kind == w.SERVICE_REQUEST
+    assert hislip.on_asynchronous().kind == w.SERVICE_REQUEST
     assert hislip.status() & 0x60 == 0x60
     assert hislip.status() & 0x60 == 0x20, "the poll has taken the request, the reason stands"
 

@@ -40,8 +40,8 @@ def filled(setting, make):
     rows = [row for row in setting.rows() if row.feeds_estimator]
     made = [make.attitude_row(row, method, common_db=0.1 + 0.2) for row in rows for method in Method]
     setting.consume([Outcome(tuple(made), make.torque_command(rows[0]))])
-    deed = {"who": "a", "key_id": "k", "role": "admin", "address": "::1", "action": "x", "target": "/y"}
-    setting.storage.audit.append(AuditEvent(at_us=1, outcome="done", request_id="r", **deed))
+    audit_event = {"who": "a", "key_id": "k", "role": "admin", "address": "::1", "action": "x", "target": "/y"}
+    setting.storage.audit.append(AuditEvent(at_us=1, outcome="done", request_id="r", **audit_event))
     return setting
 
 

@@ -36,7 +36,7 @@ def ignore(_name):
 def filled(setting, make):
     """Two sealed days, one open one, results, an audit log."""
     for day in range(3):
-        setting.append([day * DAY_US + place for place in range(1, 21)], flags=[(1, 2, 3)] + [None] * 19)
+        setting.append([day * DAY_US + position for position in range(1, 21)], flags=[(1, 2, 3)] + [None] * 19)
     setting.storage.archive.append_inputs(
         setting.id, [Correction(1, 2, make.attitude_row(setting.rows()[0]).attitude_deg)]
     )
@@ -44,9 +44,9 @@ def filled(setting, make):
     setting.consume([Outcome(tuple(make.attitude_row(row) for row in rows), make.torque_command(rows[0]))])
     sealed: list[SealedPart] = list(setting.storage.archive.seal(setting.id, 2 * DAY_US, system_now_us()))
     assert sum(part.rows for part in sealed) == 40
-    deed = {"who": "a", "key_id": "k", "role": "admin", "address": "::1", "action": "x", "target": "/y"}
+    audit_event = {"who": "a", "key_id": "k", "role": "admin", "address": "::1", "action": "x", "target": "/y"}
     for number in range(3):
-        setting.storage.audit.append(AuditEvent(at_us=number, outcome="done", request_id="r", **deed))
+        setting.storage.audit.append(AuditEvent(at_us=number, outcome="done", request_id="r", **audit_event))
     return setting
 
 

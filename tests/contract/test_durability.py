@@ -173,7 +173,7 @@ def test_two_storages_on_one_database_share_one_journal(setting, url):
     other = SqlStorage(url)
     try:
         twins = [setting.storage.archive, other.archive]
-        futures = [twins[place % 2].append_measurements(setting.batch([place // 2])) for place in range(40)]
+        futures = [twins[position % 2].append_measurements(setting.batch([position // 2])) for position in range(40)]
         receipts = [future.result(120) for future in futures]
         assert sum(receipt.accepted for receipt in receipts) == sum(receipt.duplicates for receipt in receipts) == 20
         assert [entry.number for entry in other.archive.journal(setting.id, 3, 99)] == list(range(4, 24))

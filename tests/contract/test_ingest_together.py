@@ -23,7 +23,7 @@ def a_batch(setting, dice):
     number = dice.randrange(12)
     details = CarrierDetails(*np.full((4, rows, 3), dice.random(), dtype=np.float32)) if dice.random() < 0.3 else None
     batch = setting.batch(
-        [100 * (number + place) for place in range(rows)],
+        [100 * (number + position) for position in range(rows)],
         np.full((rows, 3), dice.choice([-50.25, -50.1, np.nan, -0.0])),
         source=f"sa-{dice.randrange(4)}",
         flags=[dice.choice([None, (0, 0, 0), (0, 1 << 22, 0)]) for _ in range(rows)],
@@ -69,8 +69,8 @@ def test_batches_together_are_batches_one_by_one(new_setting, seed):
 
 
 def test_rows_of_many_front_ends_at_once_are_all_there(setting):
-    for place in range(20):
-        batches = [setting.batch([100 * place], source=f"sa-{k}", first_seq=place) for k in range(16)]
+    for position in range(20):
+        batches = [setting.batch([100 * position], source=f"sa-{k}", first_seq=position) for k in range(16)]
         waiting = [setting.storage.archive.append_measurements(batch) for batch in batches]
         assert all(future.result(120).accepted == 1 for future in waiting)
     rows = setting.rows()
@@ -83,7 +83,7 @@ def test_a_batch_that_fails_among_others_is_lost_alone(setting):
     archive, database = setting.storage.archive, setting.storage._database
     is_full = Event()
     held = database.submit(lambda _: is_full.wait(120))
-    batches = [setting.batch([100 * place], source="sa-1", first_seq=place) for place in range(6)]
+    batches = [setting.batch([100 * position], source="sa-1", first_seq=position) for position in range(6)]
     good = [archive.append_measurements(batch) for batch in batches[:3]]
     bad = database.submit(StoreBatch(prepare(1 << 20, batches[3]), SegmentCache()))
     good += [archive.append_measurements(batch) for batch in batches[3:]]

@@ -15,7 +15,7 @@ EVER = AuditFilter(start_us=-(2**62), stop_us=2**62)
 INERTIA = ((4000.0, 0.0, 0.0), (0.0, 2000.0, 0.0), (0.0, 0.0, 4000.0))
 
 
-def deed(action="create", **changes):
+def audit_event(action="create", **changes):
     known = AuditEvent(
         at_us=5,
         who="anna",
@@ -75,18 +75,20 @@ def test_a_key_is_revoked_once_and_stays_known(storage):
 
 
 def test_the_first_administrator_is_made_only_while_there_is_none(storage):
-    assert storage.keys.add_first_administrator(stored("a1", Role.ADMIN), deed("first"))
-    assert not storage.keys.add_first_administrator(stored("a2", Role.ADMIN), deed("first"))
+    assert storage.keys.add_first_administrator(stored("a1", Role.ADMIN), audit_event("first"))
+    assert not storage.keys.add_first_administrator(stored("a2", Role.ADMIN), audit_event("first"))
     storage.keys.revoke("a1", 50)
-    assert storage.keys.add_first_administrator(stored("a3", Role.ADMIN, expires_at_us=100), deed("first", at_us=60))
+    assert storage.keys.add_first_administrator(
+        stored("a3", Role.ADMIN, expires_at_us=100), audit_event("first", at_us=60)
+    )
     # that one has expired by then
-    assert storage.keys.add_first_administrator(stored("a4", Role.ADMIN), deed("first", at_us=100))
-    assert [entry.deed.action for entry in storage.audit.chain()] == ["first"] * 3
+    assert storage.keys.add_first_administrator(stored("a4", Role.ADMIN), audit_event("first", at_us=100))
+    assert [entry.audit_event.action for entry in storage.audit.chain()] == ["first"] * 3
 
 
 def test_entries_are_numbered_and_chained(storage):
     assert (storage.audit.head().number, faults(storage)) == (0, [])
-    made = [storage.audit.append(deed(f"a{k}", at_us=k)) for k in range(5)]
+    made = [storage.audit.append(audit_event(f"a{k}", at_us=k)) for k in range(5)]
     assert [entry.number for entry in made] == [1, 2, 3, 4, 5]
     assert list(storage.audit.chain()) == made
     assert storage.audit.head() == made[-1].head
@@ -96,9 +98,9 @@ def test_entries_are_numbered_and_chained(storage):
 
 
 def test_entries_are_found_by_time_person_and_thing(storage):
-    storage.audit.append(deed("select_source", at_us=10, target="/spacecraft/a/sources/x%_"))
-    storage.audit.append(deed("create_key", at_us=20, who="root", role="admin", target="/keys/k9"))
-    storage.audit.append(deed("list_keys", at_us=30, outcome="403"))
+    storage.audit.append(audit_event("select_source", at_us=10, target="/spacecraft/a/sources/x%_"))
+    storage.audit.append(audit_event("create_key", at_us=20, who="root", role="admin", target="/keys/k9"))
+    storage.audit.append(audit_event("list_keys", at_us=30, outcome="403"))
 
     def found(limit=10, after=None, **wanted):
         return [entry.number for entry in storage.audit.entries(replace(EVER, **wanted), limit, after)]
@@ -118,36 +120,36 @@ def test_entries_are_found_by_time_person_and_thing(storage):
 
 
 def test_a_change_takes_its_entry_along(storage, noted):
-    note = noted(deed("create_spacecraft"))
+    note = noted(audit_event("create_spacecraft"))
     storage.catalogue.add_spacecraft(Spacecraft("craft", "Craft", 90.0, Site(55.0, 38.0), INERTIA, 0.05))
     assert list(storage.audit.chain()) == [note.entry]
-    assert note.entry.deed.action == "create_spacecraft"
+    assert note.entry.audit_event.action == "create_spacecraft"
     # one entry a request, whatever else it writes
     storage.keys.add(stored())
     assert storage.audit.head().number == 1
 
 
 def test_an_entry_names_what_was_made(storage, noted):
-    noted(deed("create_key", target="/keys/"))
+    noted(audit_event("create_key", target="/keys/"))
     storage.keys.add(stored("k7"))
-    noted(deed("revoke_key", target="/keys/k7"))
+    noted(audit_event("revoke_key", target="/keys/k7"))
     storage.keys.revoke("k7", 9)
-    assert [entry.deed.target for entry in storage.audit.chain()] == ["/keys/k7", "/keys/k7"]
+    assert [entry.audit_event.target for entry in storage.audit.chain()] == ["/keys/k7", "/keys/k7"]
 
 
 def test_a_change_that_fails_leaves_no_entry(storage, noted):
-    note = noted(deed("revoke_key"))
+    note = noted(audit_event("revoke_key"))
     with pytest.raises(NotFoundError):
         storage.keys.revoke("nobody", 9)
     assert (note.entry, storage.audit.head().number) == (None, 0)
 
 
 def test_a_change_whose_entry_fails_is_undone(storage, noted):
-    storage.audit.append(deed())
+    storage.audit.append(audit_event())
     with storage._database.engines.write.begin() as connection:
         connection.execute(text("DELETE FROM audit_head"))
     # the chain would begin anew, but number 1 is taken
-    noted(deed("create_key"))
+    noted(audit_event("create_key"))
     with pytest.raises(StorageError):
         storage.keys.add(stored())
     assert storage.keys.all() == ()
@@ -155,7 +157,7 @@ def test_a_change_whose_entry_fails_is_undone(storage, noted):
 
 @pytest.mark.parametrize("statement", ["UPDATE audit_entry SET who = 'eve'", "DELETE FROM audit_entry"])
 def test_the_database_refuses_to_change_entries(storage, statement):
-    storage.audit.append(deed())
+    storage.audit.append(audit_event())
     with pytest.raises(Exception, match="never changed"), storage._database.engines.write.begin() as connection:
         connection.execute(text(statement))
     assert faults(storage) == []
@@ -215,12 +217,12 @@ _COPY = "SELECT {number}, at_us, who, key_id, role, address, action, target, out
 def test_whatever_is_changed_is_found(storage, statements, found):
     announced = {}
     for k in range(5):
-        entry = storage.audit.append(deed(f"a{k}", at_us=k))
+        entry = storage.audit.append(audit_event(f"a{k}", at_us=k))
         announced = {entry.number: entry.hash}
     assert faults(storage, announced) == []
     tamper(storage, *statements)
-    told = faults(storage, announced if "audit_head SET" in "".join(statements) else None)
-    assert told[: len(found)] == found
+    reported = faults(storage, announced if "audit_head SET" in "".join(statements) else None)
+    assert reported[: len(found)] == found
 
 
 def named(key_id, name, **changes):

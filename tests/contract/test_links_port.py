@@ -24,10 +24,10 @@ REPORT = LinkReport(
 
 
 def test_a_report_comes_back_as_it_was_and_a_new_link_is_enabled(storage):
-    (told,) = storage.links.report([REPORT], 10 * S)
-    assert (told.report, told.reported_at_us, told.enabled, told.resets) == (REPORT, 10 * S, True, 0)
-    assert storage.links.link("sa-1") == told
-    assert storage.links.links() == (told,)
+    (reported,) = storage.links.report([REPORT], 10 * S)
+    assert (reported.report, reported.reported_at_us, reported.enabled, reported.resets) == (REPORT, 10 * S, True, 0)
+    assert storage.links.link("sa-1") == reported
+    assert storage.links.links() == (reported,)
 
 
 def test_the_newest_report_holds_and_leaves_what_is_wanted_alone(storage):
@@ -36,8 +36,8 @@ def test_the_newest_report_holds_and_leaves_what_is_wanted_alone(storage):
     storage.links.request_reset("sa-1")
     assert storage.links.request_reset("sa-1").resets == 2
     changed = replace(REPORT, state="BACKOFF", reset_seen=2)
-    (told,) = storage.links.report([changed], 20 * S)
-    assert (told.report.state, told.enabled, told.resets) == ("BACKOFF", False, 2)
+    (reported,) = storage.links.report([changed], 20 * S)
+    assert (reported.report.state, reported.enabled, reported.resets) == ("BACKOFF", False, 2)
     assert storage.links.set_enabled("sa-1", enabled=True).enabled
 
 
@@ -64,10 +64,10 @@ def test_links_are_listed_in_order_and_by_spacecraft(storage):
 
 def test_the_period_is_learned_and_one_outage_does_not_undo_it(storage):
     for k in range(20):
-        (told,) = storage.links.report([REPORT], (100 + 10 * k) * S)
-    assert told.period_s == pytest.approx(10.0)
-    assert not told.is_silent((290 + 30) * S)
-    assert told.is_silent((290 + 31) * S)
+        (reported,) = storage.links.report([REPORT], (100 + 10 * k) * S)
+    assert reported.period_s == pytest.approx(10.0)
+    assert not reported.is_silent((290 + 30) * S)
+    assert reported.is_silent((290 + 31) * S)
     (after,) = storage.links.report([REPORT], 10_000 * S)
     assert after.period_s == pytest.approx(15.0)
     # a stated one needs no learning

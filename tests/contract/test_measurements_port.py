@@ -64,10 +64,10 @@ def test_details_come_back_as_float32_with_the_rows_that_state_any(setting):
     setting.append([10, 20, 30, 40], [-1.0, -2.0, -3.0, -4.0], details=CarrierDetails(*figures))
     rows = setting.rows()
     assert [row.details is None for row in rows] == [False, True, True, False]
-    for row, place in ((rows[0], 0), (rows[3], 3)):
-        told = np.array([getattr(row.details, name) for name in DETAIL_NAMES])
+    for row, position in ((rows[0], 0), (rows[3], 3)):
+        reported = np.array([getattr(row.details, name) for name in DETAIL_NAMES])
         # widened float32: no tolerance
-        np.testing.assert_array_equal(told.astype(np.float32), figures[:, place])
+        np.testing.assert_array_equal(reported.astype(np.float32), figures[:, position])
         with pytest.raises(ValueError, match="read-only"):
             row.details.sigma_db[0] = 0
     assert setting.storage.archive.newest_measurement(setting.id).details is not None

@@ -14,9 +14,12 @@ FLAGS = ((0, 0, 0), (0, 1 << 22, 16), None)
 
 @pytest.mark.parametrize("order", [[0, 1, 2], [2, 0, 1], [1, 2, 0]])
 def test_rows_sent_apart_are_those_sent_together(setting, make, order):
-    epochs_us = [100 * place for place in order]
-    setting.append(epochs_us, ROWS[order], flags=[FLAGS[place] for place in order])
-    alone = [setting.append([100 * place], ROWS[place : place + 1], flags=[FLAGS[place]]) for place in range(3)]
+    epochs_us = [100 * position for position in order]
+    setting.append(epochs_us, ROWS[order], flags=[FLAGS[position] for position in order])
+    alone = [
+        setting.append([100 * position], ROWS[position : position + 1], flags=[FLAGS[position]])
+        for position in range(3)
+    ]
     assert [(receipt.accepted, receipt.duplicates) for receipt in alone] == [(0, 1)] * 3
     held = setting.rows()
     np.testing.assert_array_equal(np.array([row.power_dbm for row in held]), ROWS.astype(np.float64))

@@ -130,8 +130,8 @@ def test_an_alignment_is_stored_and_journaled(setting):
 
 def test_jobs_are_followed_and_those_of_a_dead_process_fail(storage):
     results = storage.results
-    for place, state in enumerate((JobState.QUEUED, JobState.RUNNING, JobState.DONE)):
-        results.add_job(Job(f"job-{place}", "calibration", state, 0.0, 5))
+    for position, state in enumerate((JobState.QUEUED, JobState.RUNNING, JobState.DONE)):
+        results.add_job(Job(f"job-{position}", "calibration", state, 0.0, 5))
     results.update_job("job-1", JobState.RUNNING, 0.1 + 0.2)
     # the progress is stored, not computed: equal without tolerance
     assert results.job("job-1") == Job("job-1", "calibration", JobState.RUNNING, 0.1 + 0.2, 5)
@@ -139,7 +139,7 @@ def test_jobs_are_followed_and_those_of_a_dead_process_fail(storage):
         results.add_job(Job("job-1", "replay", JobState.QUEUED, 0.0, 5))
     assert caught.value.code == "job.exists"
     assert results.fail_unfinished_jobs("the service was stopped") == 2
-    assert [results.job(f"job-{place}").state.value for place in range(3)] == ["failed", "failed", "done"]
+    assert [results.job(f"job-{position}").state.value for position in range(3)] == ["failed", "failed", "done"]
     assert results.job("job-0").error == "the service was stopped"
     for call in (lambda: results.job("none"), lambda: results.update_job("none", JobState.DONE, 1.0)):
         with pytest.raises(NotFoundError) as unknown:

@@ -53,7 +53,7 @@ def filled(setting, make):
     setting.append([10, 20, 30], [-50.1, -0.0, float("nan")], flags=[(1, 2, 3), None, (0, 0, 0)], first_seq=7)
     setting.append([40, 50, 60], details=details)
     setting.append([15], source="sa-2", flags=[(0, 0, 0)])
-    together = [setting.batch([70 + place], source=source) for place in range(3) for source in ("sa-1", "sa-2")]
+    together = [setting.batch([70 + position], source=source) for position in range(3) for source in ("sa-1", "sa-2")]
     for future in [setting.storage.archive.append_measurements(batch) for batch in together]:
         assert future.result(10).accepted == 1
     rows = setting.rows()
@@ -152,8 +152,8 @@ def test_one_flipped_bit_is_told_by_doctor_and_backups(filled, url, tmp_path, co
     assert state == "fault"
     assert words.startswith("1 rows of measurement differ from their checksum:")
     assert "epoch 1970-01-01T00:00:00.000020Z" in words
-    (told,) = create_backup(url, tmp_path / "spoilt", 5, ignore).damaged
-    assert told == words
+    (reported,) = create_backup(url, tmp_path / "spoilt", 5, ignore).damaged
+    assert reported == words
     assert worst(verify_backup(tmp_path / "sound", ignore)) == "ok"
     assert words in [each.detail for each in verify_backup(tmp_path / "spoilt", ignore) if each.state == "fault"]
     # all that is sound in it can be put back, and the row as it is
@@ -174,8 +174,8 @@ def test_rows_that_the_database_refuses_to_read_are_told_by_a_backup(setting, ur
     setting.storage.notes.add(Note(0, setting.id, 5, 6, "olga", "a"))
     with write(setting) as connection:
         connection.exec_driver_sql("UPDATE note SET document = CAST(x'ff' AS TEXT)")
-    (told,) = create_backup(url, tmp_path / "b", 5, ignore).damaged
-    assert told.startswith("rows cannot be read: Could not decode")
+    (reported,) = create_backup(url, tmp_path / "b", 5, ignore).damaged
+    assert reported.startswith("rows cannot be read: Could not decode")
 
 
 def test_values_that_no_writer_stores_differ_and_stop_nothing(setting):
@@ -191,7 +191,7 @@ def test_values_that_no_writer_stores_differ_and_stop_nothing(setting):
 def test_a_damaged_row_is_not_sealed_and_not_lost(setting, url, caplog):
     for day in range(2):
         details = CarrierDetails(*np.full((4, 5, 3), 0.5, dtype=np.float32))
-        setting.append([day * DAY_US + place for place in range(1, 6)], details=details)
+        setting.append([day * DAY_US + position for position in range(1, 6)], details=details)
     flip(setting, 3)
     before = setting.rows()
     with caplog.at_level(logging.ERROR):

@@ -94,10 +94,10 @@ def answers(setting, windows, methods=tuple(Method)) -> dict[str, str]:
 def some_batch(setting, make, dice, plans):
     """Append rows of random places, some with flags, some with details, some known already."""
     count = dice.randint(1, 12)
-    places = [dice.randint(0, 8 * DAYS - 1) for _ in range(count)]
-    epochs_us = [place * STEP_US + dice.choice([0, 0, 1]) for place in places]
-    powers = [dice.choice([-50.25, -51.0, float("nan"), -0.0]) for _ in places]
-    flags = [dice.choice([None, (0, 16, 1 << 22)]) for _ in places] if dice.random() < 0.5 else None
+    positions = [dice.randint(0, 8 * DAYS - 1) for _ in range(count)]
+    epochs_us = [position * STEP_US + dice.choice([0, 0, 1]) for position in positions]
+    powers = [dice.choice([-50.25, -51.0, float("nan"), -0.0]) for _ in positions]
+    flags = [dice.choice([None, (0, 16, 1 << 22)]) for _ in positions] if dice.random() < 0.5 else None
     details = None
     if dice.random() < 0.5:
         figures = np.arange(4 * count * 3, dtype=np.float32).reshape(4, count, 3) + np.float32(0.1)
@@ -111,7 +111,7 @@ def some_batch(setting, make, dice, plans):
         source=dice.choice(["sa-1", "sa-2"]),
         flags=flags,
         details=details,
-        is_stale=[dice.random() < 0.2 for _ in places],
+        is_stale=[dice.random() < 0.2 for _ in positions],
         first_seq=dice.choice([None, dice.randrange(1000)]),
     )
 
@@ -273,9 +273,9 @@ def test_a_damaged_segment_is_told_and_touches_no_other_day(setting, make, colum
     assert len(archive.measurements(setting.id, Window(0, DAY_US), 99, None)) == 2
     assert len(archive.measurements(setting.id, Window(2 * DAY_US, 3 * DAY_US), 99, None)) == 2
     assert archive.newest_measurement(setting.id).epoch_us == 2 * DAY_US + 6
-    told = {state.day_start_us: state.fault for state in archive.segments(setting.id)}
-    assert [told[0], told[2 * DAY_US]] == [None, None]
-    assert "1970-01-02" in told[DAY_US]
+    reported = {state.day_start_us: state.fault for state in archive.segments(setting.id)}
+    assert [reported[0], reported[2 * DAY_US]] == [None, None]
+    assert "1970-01-02" in reported[DAY_US]
     # late rows of the damaged day are taken in, wait in the table of rows, and let other days be sealed
     assert setting.append([DAY_US + 9, 9]).accepted == 2
     assert [part.rows for part in seal(setting)] == [1]

@@ -146,8 +146,8 @@ def test_a_group_that_lost_a_deadlock_runs_again(server, is_alone):
         return "done"
 
     others = [] if is_alone else [server.storage.archive.append_measurements(server.batch([7]))]
-    told = server.storage._database.submit(victim)
-    assert told.result(120) == "done"
+    reported = server.storage._database.submit(victim)
+    assert reported.result(120) == "done"
     assert [other.result(120).accepted for other in others] == ([] if is_alone else [1])
     assert len(runs) == ATTEMPTS
 
@@ -162,8 +162,8 @@ def test_groups_of_two_services_in_opposite_order_do_not_stop_each_other(setting
     twins = [setting.storage, SqlStorage(url)]
     try:
         futures = []
-        for place in range(150):
-            batches = [setting.batch([place]), other.batch([place])]
+        for position in range(150):
+            batches = [setting.batch([position]), other.batch([position])]
             futures += [twins[0].archive.append_measurements(batch) for batch in batches]
             futures += [twins[1].archive.append_measurements(batch) for batch in reversed(batches)]
         receipts = [future.result(120) for future in futures]

@@ -34,8 +34,10 @@ def test_exports(service: Any, tmp_path: Path) -> None:
         plan = client.put_carriers("yamal-202", CARRIERS)["plan_id"]
         rows = [{"epoch": f"2026-11-19T00:0{k}:00Z", "power_dbm": [-42.0 - k / 10, None]} for k in range(3)]
         assert client.post_measurements("yamal-202", plan, rows, source="sa-1")["accepted"] == 3
-        told = [{"epoch": f"2026-11-19T00:0{k}:00Z", "roll_deg": 0.1, "sigma_deg": {"roll": 0.01}} for k in range(2)]
-        assert client.post_references("yamal-202", "star_tracker", told)["accepted"] == 2
+        reported = [
+            {"epoch": f"2026-11-19T00:0{k}:00Z", "roll_deg": 0.1, "sigma_deg": {"roll": 0.01}} for k in range(2)
+        ]
+        assert client.post_references("yamal-202", "star_tracker", reported)["accepted"] == 2
     run_blocks(HOW_TO / "export-the-archive.md", EXPORTED, service.environment, tmp_path)
 
 

@@ -34,8 +34,8 @@ def test_a_table_names_what_the_code_has(header: str, names: list[str]) -> None:
 
 
 def test_flags_stand_beside_their_bits() -> None:
-    told = {name: int(bit) for bit, name in re.findall(r"^\| (\d+) \| `(\w+)` \|$", PAGE, re.MULTILINE)}
-    assert told == {flag.name: flag.value for flag in QualityFlag}
+    reported = {name: int(bit) for bit, name in re.findall(r"^\| (\d+) \| `(\w+)` \|$", PAGE, re.MULTILINE)}
+    assert reported == {flag.name: flag.value for flag in QualityFlag}
 
 
 def test_reasons_of_exclusions_are_those_of_the_rows() -> None:
@@ -44,6 +44,6 @@ def test_reasons_of_exclusions_are_those_of_the_rows() -> None:
         for name in ("robust/attitude_rows.py", "paper/snapshot_fix.py")
     )
     code = "\n".join(path.read_text() for path in files)
-    told = re.findall(r"Exclusion\([^\n]*", code) + re.findall(r"return \"[^\n]*", code)
-    words = {word for line in told for word in re.findall(r"\"(\w+)\"", line)}
+    reported = re.findall(r"Exclusion\([^\n]*", code) + re.findall(r"return \"[^\n]*", code)
+    words = {word for line in reported for word in re.findall(r"\"(\w+)\"", line)}
     assert words == set(rows("reason | method | meaning"))

@@ -94,10 +94,12 @@ def test_locks_name_no_address(lock: Path) -> None:
 
 def test_no_file_names_a_place_on_a_machine() -> None:
     # written in two parts, so that this file does not find itself
-    places = re.compile("|".join(rf"(?<![\w.])/{name}/" for name in ("root", "work/main", "home/\\w+", "Users/\\w+")))
+    positions = re.compile(
+        "|".join(rf"(?<![\w.])/{name}/" for name in ("root", "work/main", "home/\\w+", "Users/\\w+"))
+    )
     found = [
         path.relative_to(ROOT).as_posix()
         for path in source_files()
-        if path.suffix not in {".png", ".lock"} and places.search(path.read_text(errors="replace"))
+        if path.suffix not in {".png", ".lock"} and positions.search(path.read_text(errors="replace"))
     ]
     assert found == []

@@ -41,14 +41,14 @@ def test_the_blocks_run_as_they_stand(service: Any, tmp_path: Path) -> None:
     assert len(blocks()) == len(WANTED)
     assert (tmp_path / "archive.db").is_file()
     head, *rest = blocks()
-    for place, (text, wanted) in enumerate(zip(rest, WANTED[1:], strict=True), start=1):
+    for position, (text, wanted) in enumerate(zip(rest, WANTED[1:], strict=True), start=1):
         script = f"set -e\n{head}{text}"
-        if place == STOPPED_FROM:
+        if position == STOPPED_FROM:
             refused = run(script, service.environment, tmp_path)
             assert refused.returncode == 1
             assert "stop the service first" in refused.stderr
             subprocess.run(["kill", str(service_pid(tmp_path))], check=True)
-        done = run(script, service.environment, tmp_path, until_free=place == STOPPED_FROM)
+        done = run(script, service.environment, tmp_path, until_free=position == STOPPED_FROM)
         # the disk of the tests' machine may have little room
         assert done.returncode in ({0, 3} if "doctor" in text else {0}), done.stderr
         assert wanted in done.stdout
@@ -58,10 +58,10 @@ def test_the_blocks_run_as_they_stand(service: Any, tmp_path: Path) -> None:
 
 def test_sizes_are_those_of_the_page(tmp_path: Path) -> None:
     url, count = f"sqlite:///{tmp_path / 'soo.db'}", 10_000
-    places, random = np.arange(count), np.random.default_rng(1)
-    level = -50 + 0.3 * np.sin(2 * np.pi * places[:, None] / 86_400 + np.arange(16))
+    positions, random = np.arange(count), np.random.default_rng(1)
+    level = -50 + 0.3 * np.sin(2 * np.pi * positions[:, None] / 86_400 + np.arange(16))
     power_dbm = (level + 0.05 * random.standard_normal((count, 16))).round(2).astype(np.float32)
-    epochs_us = 1_795_219_200_000_000 + places * 1_000_000
+    epochs_us = 1_795_219_200_000_000 + positions * 1_000_000
     with_storage = partial(in_storage, url)
     with_storage(prepared)
     sizes = [settled_size(tmp_path / "soo.db")]
@@ -74,7 +74,16 @@ def test_sizes_are_those_of_the_page(tmp_path: Path) -> None:
             received_us = int(epochs_us[some][-1])
             none = (None,) * 1000
             batch = MeasurementBatch(
-                "craft", "sa-1", 1, received_us, places[:1000], epochs_us[some], power_dbm[some], none, is_stale, start
+                "craft",
+                "sa-1",
+                1,
+                received_us,
+                positions[:1000],
+                epochs_us[some],
+                power_dbm[some],
+                none,
+                is_stale,
+                start,
             )
             storage.archive.append_measurements(batch).result(120)
 
@@ -89,8 +98,10 @@ def test_sizes_are_those_of_the_page(tmp_path: Path) -> None:
         sizes.append(settled_size(tmp_path / "soo.db"))
     open_row, attitude = (sizes[1] - sizes[0]) / count, (sizes[2] - sizes[1]) / 2000
     sealed = (sizes[3] - sizes[2]) / count + open_row
-    told = [float(text) for text in re.findall(r"^\| (?:measurement|attitude), [\w ]+ \| (\d+) \|", TEXT, re.MULTILINE)]
-    assert told == [pytest.approx(figure, rel=0.1) for figure in (open_row, sealed, attitude)]
+    reported = [
+        float(text) for text in re.findall(r"^\| (?:measurement|attitude), [\w ]+ \| (\d+) \|", TEXT, re.MULTILINE)
+    ]
+    assert reported == [pytest.approx(figure, rel=0.1) for figure in (open_row, sealed, attitude)]
 
 
 def in_storage(url: str, change: Callable[[SqlStorage], object]) -> None:
@@ -173,9 +184,9 @@ def test_limits_and_checks_are_those_of_the_code() -> None:
     files = ("maintenance/integrity_check", "maintenance/doctor", "measurements/journal_heads")
     code = "".join((root / f"db/{name}.py").read_text() for name in files)
     made = set(re.findall(r'Diagnosis\("(\w+)"', code))
-    told = {
+    reported = {
         name
         for row in re.findall(r"^\| (`\w+`(?:, `\w+`)*) \|", TEXT, re.MULTILINE)
         for name in re.findall(r"`(\w+)`", row)
     }
-    assert made == {name for name in told if not name.startswith("SOO_")}
+    assert made == {name for name in reported if not name.startswith("SOO_")}

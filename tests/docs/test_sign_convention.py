@@ -21,9 +21,11 @@ def test_each_arrow_points_where_the_station_moves():
         axis = panel.get("data-axis")
         for line in panel.iter(f"{SPACE}line"):
             x1, y1, x2, y2 = (float(line.get(name)) for name in ("x1", "y1", "x2", "y2"))
-            place = AntennaDirection(np.array([SCALE_DEG * x1]), np.array([-SCALE_DEG * y1]))
-            turned = turned_direction(place, ATTITUDE[axis])
-            moved = np.array([turned.azimuth_deg - place.azimuth_deg, turned.elevation_deg - place.elevation_deg])[:, 0]
+            position = AntennaDirection(np.array([SCALE_DEG * x1]), np.array([-SCALE_DEG * y1]))
+            turned = turned_direction(position, ATTITUDE[axis])
+            moved = np.array(
+                [turned.azimuth_deg - position.azimuth_deg, turned.elevation_deg - position.elevation_deg]
+            )[:, 0]
             drawn = np.array([x2 - x1, y1 - y2])
             assert drawn @ moved > 0.99 * np.linalg.norm(drawn) * np.linalg.norm(moved), (axis, drawn, moved)
             seen[axis] = seen.get(axis, 0) + 1

@@ -56,6 +56,6 @@ def test_rules_say_what_to_do() -> None:
 def test_page_lists_every_metric_as_it_is() -> None:
     text = re.sub(r"\n  ", " ", PAGE)
     rows = re.findall(r"^\* `(soo_\w+)`, (\w+)(?: by ([^:]+))?: (.+)$", text, re.MULTILINE)
-    told = {name: (kind, tuple(re.findall(r"`(\w+)`", labels)), meaning) for name, kind, labels, meaning in rows}
-    assert told == {name: (family.kind, family.labels, family.help) for name, family in FAMILIES.items()}
+    reported = {name: (kind, tuple(re.findall(r"`(\w+)`", labels)), meaning) for name, kind, labels, meaning in rows}
+    assert reported == {name: (family.kind, family.labels, family.help) for name, family in FAMILIES.items()}
     assert f"{MAX_SPACECRAFT}, {MAX_SOURCES}, {MAX_CARRIERS} and {MAX_LINKS} are told" in PAGE

@@ -40,7 +40,7 @@ class Story:
     """A book that lives through steps, a minute each, and what is known of its alarms."""
 
     def __init__(self):
-        self.book = AlarmEngine("craft", CONDITIONS)
+        self.engine = AlarmEngine("craft", CONDITIONS)
         self.minute = 0
         self.changes = []
 
@@ -52,46 +52,46 @@ class Story:
         self.minute += 1
         kind, what, values = step
         changes = getattr(self, f"_{kind}")(what, values)
-        changes += self.book.pass_time(self.now_us)
+        changes += self.engine.pass_time(self.now_us)
         self.changes += changes
         return changes
 
     def _observe(self, name, values):
-        return self.book.observe(Readings(name, THINGS, np.array(values)), self.now_us)
+        return self.engine.observe(Readings(name, THINGS, np.array(values)), self.now_us)
 
     def _wait(self, *_):
         self.minute += 10
         return []
 
     def _operation(self, *_):
-        return self.book.enter(QUIET, self.now_us)
+        return self.engine.enter(QUIET, self.now_us)
 
     def _operation_over(self, *_):
-        return self.book.enter(AlarmContext(), self.now_us)
+        return self.engine.enter(AlarmContext(), self.now_us)
 
     def _restart(self, *_):
-        holds = self.book.circumstances
-        memory = EngineMemory(self.book.watches())
-        self.book = AlarmEngine("craft", CONDITIONS, None, tuple(self.book.open_alarms.values()), memory)
-        return self.book.enter(holds, self.now_us)
+        holds = self.engine.context
+        memory = EngineMemory(self.engine.watches())
+        self.engine = AlarmEngine("craft", CONDITIONS, None, tuple(self.engine.open_alarms.values()), memory)
+        return self.engine.enter(holds, self.now_us)
 
-    def _operate(self, place, order):
-        keys = sorted(self.book.open_alarms)
-        return [order(keys[place % len(keys)])] if keys else []
+    def _operate(self, position, order):
+        keys = sorted(self.engine.open_alarms)
+        return [order(keys[position % len(keys)])] if keys else []
 
-    def _acknowledge(self, place, _):
-        return self._operate(place, lambda key: self.book.acknowledge(key, Handling("anna", self.now_us)))
+    def _acknowledge(self, position, _):
+        return self._operate(position, lambda key: self.engine.acknowledge(key, Handling("anna", self.now_us)))
 
-    def _clear(self, place, _):
-        return self._operate(place, lambda key: self.book.clear(key, Handling("anna", self.now_us)))
+    def _clear(self, position, _):
+        return self._operate(position, lambda key: self.engine.clear(key, Handling("anna", self.now_us)))
 
-    def _shelve(self, place, _):
+    def _shelve(self, position, _):
         until_us = self.now_us + SHELVING_S * S
-        return self._operate(place, lambda key: self.book.shelve(key, Handling("anna", self.now_us), until_us))
+        return self._operate(position, lambda key: self.engine.shelve(key, Handling("anna", self.now_us), until_us))
 
-    def _unshelve(self, place, _):
-        keys = [key for key, alarm in self.book.open_alarms.items() if alarm.cover is Cover.SHELVED]
-        return [self.book.unshelve(key, Handling("anna", self.now_us)) for key in keys[:1]]
+    def _unshelve(self, position, _):
+        keys = [key for key, alarm in self.engine.open_alarms.items() if alarm.cover is Cover.SHELVED]
+        return [self.engine.unshelve(key, Handling("anna", self.now_us)) for key in keys[:1]]
 
 
 @settings(deadline=None, max_examples=150)
@@ -107,7 +107,7 @@ def test_any_story_keeps_the_promises_of_the_states(steps):
             if change.alarm.cover is not Cover.NONE:
                 assert not change.is_told
             before[change.alarm.key] = change.alarm if change.alarm.is_open else None
-        open_alarms = dict(story.book.open_alarms)
+        open_alarms = dict(story.engine.open_alarms)
         assert {key: alarm for key, alarm in before.items() if alarm is not None} == open_alarms
         assert all(alarm.is_open and alarm.key == key for key, alarm in open_alarms.items())
     _leads_out(story)
@@ -120,13 +120,13 @@ def _leads_out(story):
         for name in CONDITIONS:
             story.do(("observe", name, (0.0, 0.0)))
         story.do(("wait", 0, None))
-    for key in sorted(story.book.open_alarms):
-        story.changes.append(story.book.acknowledge(key, Handling("anna", story.now_us)))
-    assert {alarm.process for alarm in story.book.open_alarms.values()} <= {Process.LATCHED}
-    for key in sorted(story.book.open_alarms):
-        story.book.clear(key, Handling("anna", story.now_us))
-    assert story.book.open_alarms == {}
-    assert story.book.watches() == ()
+    for key in sorted(story.engine.open_alarms):
+        story.changes.append(story.engine.acknowledge(key, Handling("anna", story.now_us)))
+    assert {alarm.process for alarm in story.engine.open_alarms.values()} <= {Process.LATCHED}
+    for key in sorted(story.engine.open_alarms):
+        story.engine.clear(key, Handling("anna", story.now_us))
+    assert story.engine.open_alarms == {}
+    assert story.engine.watches() == ()
 
 
 @settings(deadline=None, max_examples=60)
@@ -136,6 +136,6 @@ def test_a_restart_at_any_place_changes_nothing_of_what_is_told(steps):
     for step in steps:
         if step[0] == "restart":
             continue
-        told = plain.do(step)
+        reported = plain.do(step)
         restarted._restart()
-        assert restarted.do(step) == told
+        assert restarted.do(step) == reported

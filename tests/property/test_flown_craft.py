@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from analyzer_sim.world.ground.ground_bodies import INERTIA_KG_M2
-from analyzer_sim.world.spacecraft.flown_spacecraft import craft_at_rest
+from analyzer_sim.world.spacecraft.flown_spacecraft import spacecraft_at_rest
 from analyzer_sim.world.spacecraft.rigid_body import TorqueElement
 from analyzer_sim.world.spacecraft.wheels import QUANTUM_N_M, wheel_set
 
@@ -24,7 +24,7 @@ pulses = st.builds(
 
 def flown(schedule: list[TorqueElement]) -> np.ndarray:
     """Return the attitude after five minutes, deg."""
-    craft = craft_at_rest(INERTIA_KG_M2, STILL, wheel_set(1, MOMENTUM))
+    craft = spacecraft_at_rest(INERTIA_KG_M2, STILL, wheel_set(1, MOMENTUM))
     craft.fly((0, 300 * S), schedule, STILL, STILL, STILL)
     return np.array(craft.state.attitude_deg)
 
@@ -45,7 +45,7 @@ def test_mirrored_commands_mirror_the_motion(schedule):
 @settings(max_examples=20, deadline=None)
 @given(st.lists(pulses, max_size=3))
 def test_a_command_is_stored_in_the_wheels(schedule):
-    craft = craft_at_rest(INERTIA_KG_M2, STILL, wheel_set(1, STILL))
+    craft = spacecraft_at_rest(INERTIA_KG_M2, STILL, wheel_set(1, STILL))
     craft.orbital_rate_rad_s = 0.0
     craft.motion = craft.motion._replace(rate_y=0.0)
     craft.fly((0, 300 * S), schedule, STILL, STILL, STILL)

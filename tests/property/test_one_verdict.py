@@ -112,7 +112,7 @@ def answers(driver):
     """Return the verdict of every answer about the present, by name."""
     context = context_of(driver)
     control, handover = get_control(SC, context), handover_of(context, SC)
-    told = {
+    reported = {
         "attitude": get_attitude(SC, Method.ROBUST, context).control,
         "attitude of the other method": get_attitude(SC, Method.PAPER, context).control,
         "status": status_of(context, SC).control,
@@ -122,7 +122,7 @@ def answers(driver):
         "status in the hand-over": handover.status.control,
     }
     assert (control.state, control.reasons) == (control.control.state, [one.code for one in control.control.reasons])
-    return {name: verdict.model_dump(include={"allowed", "state", "reasons"}) for name, verdict in told.items()}
+    return {name: verdict.model_dump(include={"allowed", "state", "reasons"}) for name, verdict in reported.items()}
 
 
 class AnyStory(RuleBasedStateMachine):
@@ -196,9 +196,9 @@ class AnyStory(RuleBasedStateMachine):
     @invariant()
     def all_answers_agree(self):
         driver = self.driver
-        told = answers(driver)
-        (verdict, *others) = told.values()
-        assert all(other == verdict for other in others), told
+        reported = answers(driver)
+        (verdict, *others) = reported.values()
+        assert all(other == verdict for other in others), reported
         context = context_of(driver)
         metrics = SimpleNamespace(_context=context)
         samples = {name: value for name, _, value in Metrics._attitude(metrics, driver.archive.craft)}
@@ -252,8 +252,8 @@ def test_a_stop_is_told_by_every_answer(release):
     driver.rows(12)
     if release is Release.TWO_STEP:
         driver.order(OrderKind.ARM)
-    assert all(told["allowed"] for told in answers(driver).values())
+    assert all(reported["allowed"] for reported in answers(driver).values())
     driver.order(OrderKind.STOP)
-    for told in answers(driver).values():
-        assert (told["allowed"], told["state"], told["reasons"][0]["code"]) == (False, "TRIPPED", "stop")
-        assert told["reasons"][0]["since"] == format_epoch(driver.clock.now)
+    for reported in answers(driver).values():
+        assert (reported["allowed"], reported["state"], reported["reasons"][0]["code"]) == (False, "TRIPPED", "stop")
+        assert reported["reasons"][0]["since"] == format_epoch(driver.clock.now)

@@ -292,7 +292,7 @@ def _order(kind):
     return lambda driver: driver.order(kind)
 
 
-def _tell(driver):
+def _report(driver):
     driver.send(InputsChanged(driver.at, INPUTS))
 
 
@@ -306,7 +306,7 @@ def _ask(by):
 
 
 STORIES = [
-    [STOP, RESET, _tell, _good, ARM, STOP],
+    [STOP, RESET, _report, _good, ARM, STOP],
     [ARMED, _fade, _good, DISENGAGE],
     [ARMED, _ask("ann"), _ask("bob"), _fade, _good, DISENGAGE],
     [ENGAGED, _beyond, _good],

@@ -221,10 +221,10 @@ def test_replayed_confirmations_and_reports_change_nothing():
     command = driver.prepare()
     driver.confirm(command)
     driver.report(1)
-    told = list(driver.releases.told)
+    reported = list(driver.releases.reported)
     for _ in range(5):
         driver.rows(1)
         with pytest.raises(SooError, match=r"command\.state"):
             driver.confirm(command)
         driver.report(1)
-    assert driver.releases.told == told
+    assert driver.releases.reported == reported

@@ -77,19 +77,21 @@ def test_whatever_the_powers_a_row_is_a_row_and_tells_no_angle_that_is_none(rows
         minute += wait
         row = flight.row(minute)
         # None keeps the true power
-        power = np.array([own if told is None else told for own, told in zip(row.power_dbm, levels, strict=True)])
-        told = flight.robust(flight.changed(minute, power - row.power_dbm))
-        angles, sigma = np.array(told.attitude_deg), np.array(told.sigma_deg)
-        assert told.status in (Status.ACQUIRED, Status.EXPIRED)
+        power = np.array(
+            [own if reported is None else reported for own, reported in zip(row.power_dbm, levels, strict=True)]
+        )
+        reported = flight.robust(flight.changed(minute, power - row.power_dbm))
+        angles, sigma = np.array(reported.attitude_deg), np.array(reported.sigma_deg)
+        assert reported.status in (Status.ACQUIRED, Status.EXPIRED)
         assert np.isfinite(angles).all()
         assert (sigma > 0.0).all()
-        assert told.control_allowed == (not told.inhibitions)
-        assert told.carriers_used + len(told.excluded) == CARRIERS
-        assert len({item.carrier for item in told.excluded}) == len(told.excluded)
-        if told.carriers_used < 4:
-            assert told.status is Status.EXPIRED
-            assert "redundancy" in told.inhibitions
-        if told.control_allowed:
+        assert reported.control_allowed == (not reported.inhibitions)
+        assert reported.carriers_used + len(reported.excluded) == CARRIERS
+        assert len({item.carrier for item in reported.excluded}) == len(reported.excluded)
+        if reported.carriers_used < 4:
+            assert reported.status is Status.EXPIRED
+            assert "redundancy" in reported.inhibitions
+        if reported.control_allowed:
             assert sigma[1] < 0.06
             assert sigma[2] < 0.10
 
@@ -113,8 +115,8 @@ def test_late_rows_leave_the_rows_after_them_bit_for_bit(late):
             if after != minute:
                 continue
             row = disturbed.row(min(second / 60.0, float(minute)))
-            told = np.array([own if one is None else one for own, one in zip(row.power_dbm, levels, strict=True)])
-            rows = disturbed.feed(disturbed.changed(min(second / 60.0, float(minute)), told - row.power_dbm))
+            reported = np.array([own if one is None else one for own, one in zip(row.power_dbm, levels, strict=True)])
+            rows = disturbed.feed(disturbed.changed(min(second / 60.0, float(minute)), reported - row.power_dbm))
             assert all("late" in one.inhibitions and not one.control_allowed for one in rows.values())
             assert all(
                 one.status is not Status.ACQUIRED or np.isfinite(one.attitude_deg).all() for one in rows.values()

@@ -8,7 +8,7 @@ from analyzer_sim.world.orbit.geometry import antenna_angles_deg, body_from_orbi
 
 angle = st.floats(-30.0, 30.0, allow_nan=False)
 small = st.floats(-0.5, 0.5, allow_nan=False)
-place = st.floats(-8.5, 8.5, allow_nan=False)
+position = st.floats(-8.5, 8.5, allow_nan=False)
 
 
 @settings(max_examples=100, derandomize=True)
@@ -20,7 +20,7 @@ def test_every_attitude_is_a_rotation(yaw: float, roll: float, pitch: float) -> 
 
 
 @settings(max_examples=100, derandomize=True)
-@given(yaw=small, roll=small, pitch=small, az=place, el=place)
+@given(yaw=small, roll=small, pitch=small, az=position, el=position)
 def test_signs_hold_everywhere_on_the_disc(yaw: float, roll: float, pitch: float, az: float, el: float) -> None:
     direction = np.array([np.tan(np.radians(az)), -np.tan(np.radians(el)), 1.0])
     turned = body_from_orbital(np.array([[yaw, roll, pitch]]))[0] @ direction

@@ -90,10 +90,10 @@ def test_what_a_fault_of_all_adds_is_what_it_says_and_the_noise_stays(name: str,
     after = after_world.rows
     if isinstance(fault, Eclipse):
         return  # it bends the pattern as well; its own tests say how
-    told = (
+    reported = (
         (after.level_db - before.level_db)
         - (after.uplink_fade_db - before.uplink_fade_db)
         + (after.chain_db - before.chain_db)[:, None]
         - (after.downlink_fade_db - before.downlink_fade_db)[:, None] * after_world.plan.rain_share
     )
-    np.testing.assert_allclose(after.carrier_dbm - before.carrier_dbm, told, atol=1e-9)  # rounding of -43 dBm
+    np.testing.assert_allclose(after.carrier_dbm - before.carrier_dbm, reported, atol=1e-9)  # rounding of -43 dBm

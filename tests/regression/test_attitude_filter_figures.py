@@ -89,47 +89,47 @@ def test_scenarios_meet_their_bounds_over_five_seeds(robust_world, name):
     assert_bounds(name, campaign(robust_world, name, NIGHTLY_SEEDS))
 
 
-def assert_false_reports_are_survived(robust_world, deed, seed):
+def assert_false_reports_are_survived(robust_world, fault, seed):
     """No wrong torque is allowed; roll and pitch stay near the truth around both slews.
 
     The goal of 0.10 deg holds but on seed 5 of `flipped`, where pitch is 0.12 off before the doubt is sure.
     """
-    told = robust_world.RobustWorld(scenario_named(f"corrections_{deed}"), seed).drive()
-    error_deg = np.abs(told.estimate_deg - told.truth_deg)
-    doubted = np.array([row.state.command.is_doubted for row in told.steps])
+    reported = robust_world.RobustWorld(scenario_named(f"corrections_{fault}"), seed).drive()
+    error_deg = np.abs(reported.estimate_deg - reported.truth_deg)
+    doubted = np.array([row.state.command.is_doubted for row in reported.steps])
     for hour in SLEWS_H:
         slew = slice(60 * hour, 60 * hour + SLEW_MINUTES)
         found = f"after {np.argmax(doubted[slew])} min" if doubted[slew].any() else "never"
-        print(f"{deed} seed {seed} at {hour} h: largest error {error_deg[slew].max(axis=0).round(3)}, doubted {found}")
-        assert error_deg[slew, 1:].max() <= (0.13 if deed == "flipped" else 0.10)
-    assert told.judged()["wrong_roll_pitch"] == 0
+        print(f"{fault} seed {seed} at {hour} h: largest error {error_deg[slew].max(axis=0).round(3)}, doubted {found}")
+        assert error_deg[slew, 1:].max() <= (0.13 if fault == "flipped" else 0.10)
+    assert reported.judged()["wrong_roll_pitch"] == 0
     # what is not found is followed by the powers within the bound; the other sign is always found
-    assert deed != "flipped" or doubted.any()
+    assert fault != "flipped" or doubted.any()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("deed", ["flipped", "lost"])
-def test_commands_that_are_not_carried_out_do_no_harm(robust_world, deed):
-    assert_false_reports_are_survived(robust_world, deed, SEEDS[1])
+@pytest.mark.parametrize("fault", ["flipped", "lost"])
+def test_commands_that_are_not_carried_out_do_no_harm(robust_world, fault):
+    assert_false_reports_are_survived(robust_world, fault, SEEDS[1])
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("seed", NIGHTLY_SEEDS)
-@pytest.mark.parametrize("deed", FALSE_REPORTS)
-def test_commands_that_are_not_carried_out_do_no_harm_over_five_seeds(robust_world, deed, seed):
-    assert_false_reports_are_survived(robust_world, deed, seed)
+@pytest.mark.parametrize("fault", FALSE_REPORTS)
+def test_commands_that_are_not_carried_out_do_no_harm_over_five_seeds(robust_world, fault, seed):
+    assert_false_reports_are_survived(robust_world, fault, seed)
 
 
 @pytest.mark.slow
 def test_a_declared_eclipse_stops_nothing_and_turns_little(robust_world):
     """Two nights of `eclipse`: control goes on, roll and pitch move by little more than the reflector bends."""
     world = robust_world.RobustWorld(scenario_named("eclipse"), SEEDS[1])
-    told = world.drive()
-    epochs_us = np.array([row.state.epoch_us for row in told.steps])
-    error_deg = told.estimate_deg - told.truth_deg
+    reported = world.drive()
+    epochs_us = np.array([row.state.epoch_us for row in reported.steps])
+    error_deg = reported.estimate_deg - reported.truth_deg
     for operation in world.world.operations:
         begin, end = np.searchsorted(epochs_us, [operation.start_us, operation.stop_us])
-        stopped = int((~told.is_allowed[begin : end + 60, 1]).sum())
+        stopped = int((~reported.is_allowed[begin : end + 60, 1]).sum())
         moved_deg = np.abs(error_deg[begin : end + 60] - error_deg[begin]).max(axis=0)
         left_deg = np.abs(error_deg[end + 180] - error_deg[begin])
         print(f"eclipse: control off {stopped} min, moved {moved_deg.round(3)}, 3 h later {left_deg.round(3)}")
@@ -142,10 +142,10 @@ def test_a_declared_eclipse_stops_nothing_and_turns_little(robust_world):
 @pytest.mark.slow
 def test_innovations_have_the_variance_they_are_given(robust_world):
     """Normalised innovation squared of `white` inside its 95 % band."""
-    told = robust_world.RobustWorld(scenario_named("white"), SEEDS[0]).drive()
-    ratio = float(told.nis[60:].mean())
+    reported = robust_world.RobustWorld(scenario_named("white"), SEEDS[0]).drive()
+    ratio = float(reported.nis[60:].mean())
     # 2820 rows of 16 carriers: sqrt(2 / 45120) twice, and the running mean of an hour at both ends
-    band = 1.96 * np.sqrt(2.0 / (told.nis[60:].size * told.is_used.shape[1]))
+    band = 1.96 * np.sqrt(2.0 / (reported.nis[60:].size * reported.is_used.shape[1]))
     print(f"white seed {SEEDS[0]}: normalised innovation squared {ratio:.4f}, band 1 +- {band:.4f}")
     assert abs(ratio - 1.0) <= band
 
@@ -156,14 +156,14 @@ def test_downlink_rain_is_found_within_a_minute(robust_world, slope_db_min):
     """Delay after 0.3 dB, coverage of the wet rows, control back after the end."""
     seed = SEEDS[0]
     scenario = replace(downlink_rain(slope_db_min, 3.0, 60.0), operation_h=14.0)
-    told = robust_world.RobustWorld(scenario, seed).drive()
-    wet = told.fade_db > 0.3
-    begin, end = int(np.argmax(wet)), int(np.flatnonzero(told.fade_db > 0.05)[-1])
-    delay, coverage = int(np.argmax(told.is_raining[begin:])), float(told.is_raining[wet].mean())
-    back = int(np.argmin(told.is_raining[end:]))
+    reported = robust_world.RobustWorld(scenario, seed).drive()
+    wet = reported.fade_db > 0.3
+    begin, end = int(np.argmax(wet)), int(np.flatnonzero(reported.fade_db > 0.05)[-1])
+    delay, coverage = int(np.argmax(reported.is_raining[begin:])), float(reported.is_raining[wet].mean())
+    back = int(np.argmin(reported.is_raining[end:]))
     print(f"{slope_db_min} dB/min, seed {seed}: delay {delay} min, coverage {coverage:.3f}, back after {back} min")
-    assert told.is_raining[begin : begin + 2].any()
-    assert not told.is_raining[: begin - 60].any(), "no rain in the dry"
+    assert reported.is_raining[begin : begin + 2].any()
+    assert not reported.is_raining[: begin - 60].any(), "no rain in the dry"
     assert delay <= 1
     assert coverage >= 0.98
     assert back <= 15

@@ -104,5 +104,5 @@ def test_noise_is_what_the_world_has(worlds):
 def test_healthy_worlds_have_no_warning_of_the_joint_fit(worlds):
     for name, ones in worlds.items():
         for one in ones:
-            told = [text for text in one.result.warnings if not text.startswith("paper method")]
-            assert told == [], (name, one.world.seed)
+            reported = [text for text in one.result.warnings if not text.startswith("paper method")]
+            assert reported == [], (name, one.world.seed)

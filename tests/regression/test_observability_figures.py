@@ -108,10 +108,10 @@ def test_averages_of_the_published_noise(stations):
     noise = ColouredNoise(np.full(16, 0.155), np.full((16, 1), 0.09), np.full((16, 1), 1200.0))
     sensitivity = drawn(stations, 16, np.random.default_rng(SEED))
     one_row = judge_set(sensitivity, np.full(16, SIGMA_DB)).crlb_deg
-    told = averaged_crlb_deg(sensitivity, noise, span_s, 60.0) / one_row
+    reported = averaged_crlb_deg(sensitivity, noise, span_s, 60.0) / one_row
     published = np.array([[0.46, 0.021, 0.066], [0.33, 0.015, 0.047], [0.19, 0.008, 0.027], [0.11, 0.005, 0.016]])
     # the printed figures have one or two digits: 0.005 is good to ten per cent
-    assert told == pytest.approx(published / np.array([1.01, 0.044, 0.144]), rel=0.13)
+    assert reported == pytest.approx(published / np.array([1.01, 0.044, 0.144]), rel=0.13)
 
 
 def test_assumed_noise_of_links_has_the_measured_correlation():

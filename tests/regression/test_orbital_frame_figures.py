@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 from service.core.dynamics.orbital_frame_flight import (
     FlightRecord,
     Start,
-    fly_craft,
+    fly_spacecraft,
     harmonic_amplitude,
     largest_after,
     mean_over_orbits,
@@ -30,12 +30,12 @@ from service.core.dynamics.orbital_frame_model import (
     NOMINAL_INERTIA,
     ORBITAL_RATE_RAD_S,
     YAW_FIRST,
-    Craft,
     Inertia,
     Law,
     OrbitalFrameGains,
+    OrbitalFrameSpacecraft,
     RateSensor,
-    rigid_craft,
+    rigid_spacecraft,
 )
 from service.study.orbital_frame.reproduction import reproduce
 
@@ -45,7 +45,7 @@ Fly = Callable[..., FlightRecord]
 
 @pytest.fixture(scope="module")
 def fly() -> Fly:
-    return partial(fly_craft, kernel=compiled_fly())
+    return partial(fly_spacecraft, kernel=compiled_fly())
 
 
 def _at(flight: FlightRecord, time_s: float) -> tuple[float, float, float]:
@@ -92,7 +92,7 @@ def _at(flight: FlightRecord, time_s: float) -> tuple[float, float, float]:
 def test_trajectories(
     fly: Fly, gains: OrbitalFrameGains, start: Start, points: dict[int, tuple[float, float, float]]
 ) -> None:
-    flight = fly(rigid_craft(gains), start, 1000.0)
+    flight = fly(rigid_spacecraft(gains), start, 1000.0)
     for time_s, wanted in points.items():
         assert _at(flight, time_s) == pytest.approx(wanted, abs=0.002), time_s
 
@@ -100,7 +100,7 @@ def test_trajectories(
 def test_pitch_tells_which_product_is_coded(fly: Fly) -> None:
     extreme = {}
     for product in (0, AS_PRINTED, YAW_FIRST):
-        craft = rigid_craft()._replace(law=Law(product=product))
+        craft = rigid_spacecraft()._replace(law=Law(product=product))
         pitch = fly(craft, Start(roll_deg=2.0), 1000.0).pitch_deg
         extreme[product] = float(pitch[np.abs(pitch).argmax()])
     assert extreme[0] == pytest.approx(-0.284, abs=0.002)
@@ -112,7 +112,7 @@ def test_pitch_tells_which_product_is_coded(fly: Fly) -> None:
     ("gains", "wanted_s", "roll_deg", "at_s"), [(MAX_GAINS, 966.0, 0.440, 106.0), (MIN_GAINS, 700.0, 0.458, 115.0)]
 )
 def test_yaw_of_ten_degrees(fly: Fly, gains: OrbitalFrameGains, wanted_s: float, roll_deg: float, at_s: float) -> None:
-    flight = fly(rigid_craft(gains), Start(yaw_deg=10.0), 3000.0)
+    flight = fly(rigid_spacecraft(gains), Start(yaw_deg=10.0), 3000.0)
     first_s = float(flight.time_s[np.flatnonzero(np.abs(flight.yaw_deg) <= 0.1)[0]])
     assert first_s == pytest.approx(wanted_s, rel=0.01)
     assert first_s <= 1000.0  # the paper
@@ -122,14 +122,14 @@ def test_yaw_of_ten_degrees(fly: Fly, gains: OrbitalFrameGains, wanted_s: float,
 
 def test_roll_of_two_degrees(fly: Fly) -> None:
     for gains, coarse_s, fine_s, yaw_deg in ((MAX_GAINS, 456.0, 783.0, 5.38), (MIN_GAINS, 500.0, 742.0, 5.50)):
-        flight = fly(rigid_craft(gains), Start(roll_deg=2.0), 3000.0)
+        flight = fly(rigid_spacecraft(gains), Start(roll_deg=2.0), 3000.0)
         assert time_within(flight.time_s, flight.roll_deg, 0.1) == pytest.approx(coarse_s, rel=0.01)
         assert time_within(flight.time_s, flight.roll_deg, 0.02) == pytest.approx(fine_s, rel=0.01)
         assert np.abs(flight.yaw_deg).max() == pytest.approx(yaw_deg, rel=0.01)
 
 
 def test_slope_of_a_half_is_too_slow(fly: Fly) -> None:
-    craft = rigid_craft()._replace(law=Law(slope=0.5))
+    craft = rigid_spacecraft()._replace(law=Law(slope=0.5))
     flight = fly(craft, Start(yaw_deg=10.0), 3000.0)
     assert flight.time_s[np.flatnonzero(np.abs(flight.yaw_deg) <= 0.1)[0]] == pytest.approx(1509.0, abs=15.0)
 
@@ -148,7 +148,7 @@ def _closed_form_harmonic(gains: OrbitalFrameGains) -> tuple[float, float]:
 def test_products_of_inertia_move_the_craft_at_the_orbital_frequency(
     fly: Fly, gains: OrbitalFrameGains, yaw_deg: float, roll_deg: float
 ) -> None:
-    flight = fly(rigid_craft(gains, NOMINAL_INERTIA), Start(), 15_000.0)
+    flight = fly(rigid_spacecraft(gains, NOMINAL_INERTIA), Start(), 15_000.0)
     late = flight.time_s > 15_000.0 - ORBIT_S
     yaw, roll = (
         harmonic_amplitude(flight.time_s[late], each[late], ORBIT_S) for each in (flight.yaw_deg, flight.roll_deg)
@@ -169,7 +169,7 @@ def test_products_of_inertia_move_the_craft_at_the_orbital_frequency(
 def test_quantum_of_torque(
     fly: Fly, gains: OrbitalFrameGains, yaw_deg: float, yaw_by: float, roll_deg: float, roll_by: float
 ) -> None:
-    craft = rigid_craft(gains, NOMINAL_INERTIA, is_sampled=True)
+    craft = rigid_spacecraft(gains, NOMINAL_INERTIA, is_sampled=True)
     flight = fly(craft, Start(), 15_000.0)
     roll, _, yaw = largest_after(flight, 1500.0)
     assert yaw == pytest.approx(yaw_deg, abs=yaw_by)
@@ -180,7 +180,7 @@ def test_quantum_of_torque(
 
 
 def test_noise_of_the_rates_lowers_the_peaks_of_the_quantum(fly: Fly) -> None:
-    craft = rigid_craft(inertia=NOMINAL_INERTIA, is_sampled=True)._replace(
+    craft = rigid_spacecraft(inertia=NOMINAL_INERTIA, is_sampled=True)._replace(
         rate_sensor=RateSensor(null_rad_s=(0.0, 0.0, 0.0), quantum_rad_s=1e-12, delay_periods=0)
     )
     for seed in range(1, 7):
@@ -195,18 +195,18 @@ def test_null_of_the_roll_rate_turns_the_craft_by_yaw(fly: Fly) -> None:
     for sign in (1.0, -1.0):
         sensor = RateSensor(null_rad_s=(sign * 1.8e-7, 0.0, 0.0))
         flight = fly(
-            rigid_craft(inertia=NOMINAL_INERTIA, is_sampled=True)._replace(rate_sensor=sensor), Start(), 15_000.0
+            rigid_spacecraft(inertia=NOMINAL_INERTIA, is_sampled=True)._replace(rate_sensor=sensor), Start(), 15_000.0
         )
         means.append(float(flight.yaw_deg[flight.time_s > 15_000.0 - 2.0 * ORBIT_S].mean()))
     assert means == pytest.approx([-0.0100, 0.0100], abs=0.0005)
 
 
-def _corrected(craft: Craft, correction_rad_s: float) -> Craft:
+def _corrected(craft: OrbitalFrameSpacecraft, correction_rad_s: float) -> OrbitalFrameSpacecraft:
     return craft._replace(computer=craft.computer._replace(yaw_rate_correction_rad_s=correction_rad_s))
 
 
 def test_everything_at_once_with_the_smallest_gains(fly: Fly) -> None:
-    craft = Craft(law=Law(gains=MIN_GAINS))
+    craft = OrbitalFrameSpacecraft(law=Law(gains=MIN_GAINS))
     before = fly(craft, Start(), 15_000.0)
     assert mean_over_orbits(before, ORBITAL_RATE_RAD_S) == pytest.approx(-0.31, abs=0.02)
     correction = trimmed_correction_rad_s(craft, 15_000.0, compiled_fly())
@@ -224,7 +224,7 @@ def test_everything_at_once_with_the_smallest_gains(fly: Fly) -> None:
 
 
 def test_everything_at_once_with_the_largest_gains(fly: Fly) -> None:
-    craft = Craft()
+    craft = OrbitalFrameSpacecraft()
     correction = trimmed_correction_rad_s(craft, 15_000.0, compiled_fly())
     yaw = largest_after(fly(_corrected(craft, correction), Start(), 15_000.0), 1500.0)[2]
     assert 0.05 < yaw < 0.09
@@ -232,7 +232,7 @@ def test_everything_at_once_with_the_largest_gains(fly: Fly) -> None:
 
 def test_side_on_which_the_wheel_turns_is_that_of_the_product(fly: Fly) -> None:
     flipped = NOMINAL_INERTIA._replace(yz=-NOMINAL_INERTIA.yz)
-    flight = fly(Craft(law=Law(gains=MIN_GAINS), inertia=flipped), Start(), 15_000.0)
+    flight = fly(OrbitalFrameSpacecraft(law=Law(gains=MIN_GAINS), inertia=flipped), Start(), 15_000.0)
     assert mean_over_orbits(flight, ORBITAL_RATE_RAD_S) == pytest.approx(0.28, abs=0.04)
 
 
@@ -265,17 +265,19 @@ def test_rates_are_as_old_as_their_sensor_says(fly: Fly) -> None:
     """Four periods differ from one; before, every delay above zero was one period."""
     high = MAX_GAINS._replace(yaw_stiffness=40.0, yaw_damping=8000.0)
     torques = [
-        fly(Craft(law=Law(gains=high), rate_sensor=RateSensor(delay_periods=delay)), Start(), 1500.0).torque_n_m[:, 2]
+        fly(
+            OrbitalFrameSpacecraft(law=Law(gains=high), rate_sensor=RateSensor(delay_periods=delay)), Start(), 1500.0
+        ).torque_n_m[:, 2]
         for delay in (1, 4)
     ]
     assert np.abs(torques[0]).max() < 0.05
     assert np.abs(torques[1]).max() >= 0.25
     with pytest.raises(ValueError, match="delay_periods is -1"):
-        fly(Craft(rate_sensor=RateSensor(delay_periods=-1)), Start(), 10.0)
+        fly(OrbitalFrameSpacecraft(rate_sensor=RateSensor(delay_periods=-1)), Start(), 10.0)
 
 
 def test_free_libration_has_the_period_of_the_gravity_gradient(fly: Fly) -> None:
-    craft = rigid_craft(OrbitalFrameGains(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    craft = rigid_spacecraft(OrbitalFrameGains(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     rate = (0.0, ORBITAL_RATE_RAD_S, 0.0)
     flight = fly(craft, Start(pitch_deg=1.0, rate_rad_s=rate), 16_000.0)
     pitch = flight.pitch_deg
@@ -310,7 +312,7 @@ def _equations(_time_s: float, y: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def test_continuous_model_against_an_adaptive_integrator(fly: Fly) -> None:
-    flight = fly(rigid_craft(inertia=NOMINAL_INERTIA, steps=4), Start(roll_deg=2.0), 1000.0)
+    flight = fly(rigid_spacecraft(inertia=NOMINAL_INERTIA, steps=4), Start(roll_deg=2.0), 1000.0)
     half = math.radians(1.0)
     k0 = ORBITAL_RATE_RAD_S * np.array([100.0, 6000.0, 114.0])
     y0 = np.concatenate([[math.cos(half), math.sin(half), 0.0, 0.0], k0, np.zeros(3)])
@@ -346,13 +348,13 @@ def test_printed_sign_of_the_momentum_equation_breaks_conservation() -> None:
 
 
 def test_kernels_agree(fly: Fly) -> None:
-    craft = Craft()
-    one, other = fly(craft, Start(yaw_deg=3.0), 200.0), fly_craft(craft, Start(yaw_deg=3.0), 200.0)
+    craft = OrbitalFrameSpacecraft()
+    one, other = fly(craft, Start(yaw_deg=3.0), 200.0), fly_spacecraft(craft, Start(yaw_deg=3.0), 200.0)
     assert np.abs(one.yaw_deg - other.yaw_deg).max() < 1e-9
 
 
 def test_yaw_from_anywhere(fly: Fly) -> None:
     for yaw_deg in (120.0, 170.0):
-        flight = fly(rigid_craft(), Start(yaw_deg=yaw_deg, is_literal=False), 8000.0)
+        flight = fly(rigid_spacecraft(), Start(yaw_deg=yaw_deg, is_literal=False), 8000.0)
         assert abs(flight.yaw_deg[-1]) < 0.1
-    assert isinstance(rigid_craft().inertia, Inertia)
+    assert isinstance(rigid_spacecraft().inertia, Inertia)

@@ -30,7 +30,7 @@ from service.core.estimation.snapshot.snapshot import CarrierUse, solve_snapshot
 from service.core.estimation.snapshot.snapshot_start import subset_orders
 from service.core.geometry.frames import station_direction
 from service.core.geometry.line_of_sight import (
-    Places,
+    Positions,
     PredictedTrack,
     antenna_motion_deg,
     sight_motion_deg,
@@ -57,33 +57,35 @@ class Calibrated(NamedTuple):
         return gains[1:] - gains[0]
 
 
-def motion_at(file, epochs_us, places):
+def motion_at(file, epochs_us, positions):
     """Ballistics of the exported track; the receiving site comes last in `places`."""
     track = PredictedTrack(file["track_epoch_us"], file["track_latitude_deg"], file["track_longitude_deg"])
-    users = Places(*(column[:-1] for column in places))
+    users = Positions(*(column[:-1] for column in positions))
     sight = sight_motion_deg(track_position_deg(track, epochs_us), users, LONGITUDE_DEG)
-    return OrbitMotion(sight, antenna_motion_deg(track, epochs_us, places, LONGITUDE_DEG))
+    return OrbitMotion(sight, antenna_motion_deg(track, epochs_us, positions, LONGITUDE_DEG))
 
 
-def places_of(world):
+def positions_of(world):
     stations = [carrier.station for carrier in world.plan.carriers] + [world.plan.receiving_site]
     names = ("latitude_deg", "longitude_deg", "height_m")
-    return Places(*(np.array([getattr(station, name) for station in stations]) for name in names))
+    return Positions(*(np.array([getattr(station, name) for station in stations]) for name in names))
 
 
 def calibrated(name, seed):
     """Calibrate on the quiet days and the turns of a world."""
     world = World(scenario_named(name, operation_days=0.1), seed)
     file = export_arrays(world)
-    places = places_of(world)
-    azimuth, elevation = station_direction(places.longitude_deg, places.latitude_deg, places.height_m, LONGITUDE_DEG)
+    positions = positions_of(world)
+    azimuth, elevation = station_direction(
+        positions.longitude_deg, positions.latitude_deg, positions.height_m, LONGITUDE_DEG
+    )
     carriers = len(world.carrier_ids)
     site = np.array([azimuth[-1], elevation[-1]])
     geometry = CarrierGeometry(azimuth[:-1], elevation[:-1], site, np.zeros(carriers, dtype=int))
     count = int(np.searchsorted(file["epoch_us"], file["phase_stop_us"][1]))
     epochs_us = file["epoch_us"][:count]
     angles = np.column_stack([file[f"reference_{axis}_deg"] for axis in ("yaw", "roll", "pitch")])[:count]
-    motion = motion_at(file, epochs_us, places)
+    motion = motion_at(file, epochs_us, positions)
     rows = CalibrationRows((epochs_us - epochs_us[0]) / 1e6, file["power_dbm"][:count], angles, np.zeros(count), motion)
     fit = fit_geometry(rows, geometry)
     return Calibrated(world, file["white_db"], fit, geometry, response_of(fit, geometry))
@@ -268,7 +270,7 @@ def test_calibration_predicts_levels_days_later():
     one = calibrated("white", 3)
     file = export_arrays(one.world)
     epochs_us = file["epoch_us"][-140:]
-    motion = motion_at(file, epochs_us, places_of(one.world))
+    motion = motion_at(file, epochs_us, positions_of(one.world))
     level = predict_level_dbm(one.fit, one.geometry, motion, np.zeros(len(epochs_us)))
     deviation = file["power_dbm"][-140:] - level
     rows = one.world.rows

@@ -30,7 +30,7 @@ def windows(name, seed):
     return calibration_input(export_arrays(World(scenario_named(name, operation_days=0.1), seed)))
 
 
-def told(data, matrix):
+def reported(data, matrix):
     def changed(series):
         return tuple(replace(one, attitude_deg=one.attitude_deg @ matrix.T) for one in series)
 
@@ -46,7 +46,7 @@ def nominal():
 @pytest.mark.parametrize("name", MISTAKES)
 def test_a_mistake_on_a_healthy_world_is_refused_by_name(nominal, name):
     with pytest.raises(CalibrationError) as caught:
-        calibrate_geometry(told(nominal, MISTAKES[name]), CalibrationConfig())
+        calibrate_geometry(reported(nominal, MISTAKES[name]), CalibrationConfig())
     print(caught.value)
     assert f"; likely {name} (" in str(caught.value)
 

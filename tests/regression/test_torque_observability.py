@@ -110,8 +110,8 @@ def fed_forward(relative_error, axis_relative_error, phase=0.0):
     size = np.array([7.6, 12.9, 6.8]) / 0.5 * SIZE
     phases = phase + np.array([1.0, 0.0, 0.5 * np.pi])
     cosine, sine = (tuple((size * part).tolist()) for part in (np.cos(phases), -np.sin(phases)))
-    told = FedForward((0.0, 0.0, 0.0), cosine, sine, relative_error, axis_relative_error, 86_400_000_000)
-    return FilterSettings(fed_forward=told)
+    reported = FedForward((0.0, 0.0, 0.0), cosine, sine, relative_error, axis_relative_error, 86_400_000_000)
+    return FilterSettings(fed_forward=reported)
 
 
 #: where roll's wave is zero at the alignment, and where it is at its crest

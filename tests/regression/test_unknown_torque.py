@@ -14,7 +14,7 @@ from service.records.levels.measurement import Measurement
 from service.study.closed_loop import run
 from service.study.closed_loop.controllers import LEAD_S, ByTruth, ControllerOutput, Sensing
 from service.study.closed_loop.merit import UNKNOWN_TORQUE_SCENARIOS, group_merit, run_merit
-from service.study.closed_loop.plant_process import CommandReport, CraftTruth
+from service.study.closed_loop.plant_process import CommandReport, SpacecraftTruth
 
 SEED = 2
 SHORT_DAYS = 0.25
@@ -31,7 +31,7 @@ class ByCorrections:
     rates_deg_s: np.ndarray = field(default_factory=lambda: np.zeros(3))
     sent: list = field(default_factory=list)
 
-    def decide(self, measurement: Measurement, truth: CraftTruth, counter: int) -> ControllerOutput:
+    def decide(self, measurement: Measurement, truth: SpacecraftTruth, counter: int) -> ControllerOutput:
         step_s = (measurement.epoch_us - self.epoch_us) / 1e6 if self.epoch_us else 0.0
         due = [pulse for pulse in self.sent if pulse.start_us < measurement.epoch_us]
         self.sent = [pulse for pulse in self.sent if pulse not in due]
@@ -41,12 +41,12 @@ class ByCorrections:
         yaw, roll, _ = self.angles_deg * np.radians(TURN_DEG_S)
         self.angles_deg += step_s * (self.rates_deg_s + np.array([-roll, yaw, 0.0]))
         self.epoch_us = measurement.epoch_us
-        believed = CraftTruth(measurement.epoch_us, Axes(*self.angles_deg), Axes(*self.rates_deg_s), 0.0)
+        believed = SpacecraftTruth(measurement.epoch_us, Axes(*self.angles_deg), Axes(*self.rates_deg_s), 0.0)
         decision = self.law.decide(measurement, believed, counter)
         self.sent += decision.schedule
         return decision
 
-    def hear(self, reports: tuple[CommandReport, ...]) -> None:
+    def on_input(self, reports: tuple[CommandReport, ...]) -> None:
         """Take every command as carried out."""
 
 
@@ -69,8 +69,8 @@ def stating(residual_n_m):
     kept = run.flown_spacecraft
 
     def stated(craft, release):
-        told = kept(craft, release)
-        return replace(told, onboard=replace(told.onboard, residual_torque_n_m=residual_n_m))
+        reported = kept(craft, release)
+        return replace(reported, onboard=replace(reported.onboard, residual_torque_n_m=residual_n_m))
 
     return stated
 
@@ -103,11 +103,11 @@ def test_trivial_answers_miss(name, monkeypatch):
 @pytest.mark.parametrize("name", UNKNOWN_TORQUE_SCENARIOS)
 def test_twenty_seeds_of_a_day(name):
     results = [flown(name, seed, None)[0] for seed in range(1, 21)]
-    told = group_merit(results)
+    reported = group_merit(results)
     yaw_deg = [run_merit(result.flight).largest_deg[0] for result in results]
-    print(f"{name}: {told.largest_deg}, yaw within 1 deg in {sum(size < 1.0 for size in yaw_deg)} of 20")
-    assert told.longest_inhibited_h <= 0.25
-    assert max(told.largest_deg[-1][1:]) < 0.3
+    print(f"{name}: {reported.largest_deg}, yaw within 1 deg in {sum(size < 1.0 for size in yaw_deg)} of 20")
+    assert reported.longest_inhibited_h <= 0.25
+    assert max(reported.largest_deg[-1][1:]) < 0.3
     # asked are 1.0 deg in all runs; what powers tell of yaw reaches that in most (docs/evidence/closed-loop.md)
     assert max(yaw_deg) < 2.0
     assert sum(size < 1.0 for size in yaw_deg) >= 12

@@ -17,9 +17,9 @@ from analyzer_sim.instrument.instrument import Instrument
 from analyzer_sim.instrument.painter import TracePainter
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
-from service.core.dynamics.orbital_frame_flight import Start, fly_craft
+from service.core.dynamics.orbital_frame_flight import Start, fly_spacecraft
 from service.core.dynamics.orbital_frame_kernel import compiled_fly
-from service.core.dynamics.orbital_frame_model import Craft
+from service.core.dynamics.orbital_frame_model import OrbitalFrameSpacecraft
 from service.core.estimation.calibration.quadratic_response import exact_response, predict_deviation
 from service.core.estimation.paper.harmonic import fit_harmonics
 from service.core.estimation.paper.octants import solve_octants
@@ -86,9 +86,9 @@ def test_a_snapshot_costs_no_more_than_200_batches_of_60_small_systems() -> None
 
 def test_a_flight_of_15_000_s() -> None:
     kernel = compiled_fly()
-    fly_craft(Craft(), Start(), 10.0, kernel=kernel)
-    assert least_s(lambda: fly_craft(Craft(), Start(), 15_000.0, kernel=kernel), 2) < 1.0
-    assert 10.0 * least_s(lambda: fly_craft(Craft(), Start(), 1500.0), 1) < 30.0
+    fly_spacecraft(OrbitalFrameSpacecraft(), Start(), 10.0, kernel=kernel)
+    assert least_s(lambda: fly_spacecraft(OrbitalFrameSpacecraft(), Start(), 15_000.0, kernel=kernel), 2) < 1.0
+    assert 10.0 * least_s(lambda: fly_spacecraft(OrbitalFrameSpacecraft(), Start(), 1500.0), 1) < 30.0
 
 
 def test_a_day_of_seconds_as_an_attitude_message_in_a_second() -> None:

@@ -87,11 +87,11 @@ def test_the_first_administrators_key_is_a_file_and_no_key_is_ever_told(start_se
     verified = CliRunner().invoke(app, ["audit", "verify", *where])
     assert (verified.exit_code, json.loads(verified.output)["heads"]) == (0, 2), verified.output
     assert json.loads(verified.output)["number"] >= audit["head"]["number"]
-    told = [made.stderr, refused.stdout, refused.stderr, processes, json.dumps(audit), service.written()]
-    told += [answer.text + str(answer.headers) for answer in answers]
+    reported = [made.stderr, refused.stdout, refused.stderr, processes, json.dumps(audit), service.written()]
+    reported += [answer.text + str(answer.headers) for answer in answers]
     files = b"".join(path.read_bytes() for path in tmp_path.iterdir() if path.is_file())
     for secret in (key.split("_", 2)[2], wrong.split("_", 2)[2], admin.split("_", 2)[2]):
-        assert sum(text.count(secret) for text in told) == 0
+        assert sum(text.count(secret) for text in reported) == 0
         # the administrator's in its file
         assert files.count(secret.encode()) == (1 if secret in admin else 0)
     # the second start knows the administrator, and this time believes the proxy

@@ -56,7 +56,7 @@ class Hook:
         self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
         threading.Thread(target=self.server.serve_forever, args=(0.05,), daemon=True).start()
 
-    def told(self):
+    def reported(self):
         return [(notice["change"], notice["thing"]) for notice in self.notices]
 
 
@@ -77,7 +77,7 @@ def wait_for(question, timeout_s=120.0):
     return answer
 
 
-class Craft:
+class OrbitalFrameSpacecraft:
     """What front end and operator do over one client."""
 
     def __init__(self, client, story, plan_id):
@@ -114,7 +114,7 @@ def test_a_switched_off_carrier_alarms_is_acknowledged_and_closes_when_it_return
     with service.client() as client:
         assert client.post("/api/v1/spacecraft", json=spacecraft).status_code == 201
         put = client.put(f"{SC}/carriers", json={"carriers": carriers})
-        craft = Craft(client, story, put.json()["plan_id"])
+        craft = OrbitalFrameSpacecraft(client, story, put.json()["plan_id"])
         craft.send(30, off + 1)
         wait_for(lambda: len(craft.consumed()) == off + 1 - 30)
         # one row of silence, and rows of the past in which every carrier is absent, alarm nothing
@@ -126,10 +126,10 @@ def test_a_switched_off_carrier_alarms_is_acknowledged_and_closes_when_it_return
         assert parse_epoch(alarm["since"]) == epochs_us[off]
         # within its debounce of 120 s, to a row
         assert 0 <= parse_epoch(alarm["raised_at"]) - epochs_us[off] - 120_000_000 < 60_000_000
-        wait_for(lambda: hook.told() == [("raised", name)])
+        wait_for(lambda: hook.reported() == [("raised", name)])
         seen = client.post(f"/api/v1/alarms/{alarm['id']}:acknowledge", json={"comment": "its user was called"})
         assert seen.json()["state"] == "acknowledged"
-        wait_for(lambda: len(hook.told()) == 2)
+        wait_for(lambda: len(hook.reported()) == 2)
     service.end(SIGKILL)
     service = start_service(environment=environment)
     with service.client() as client:
@@ -153,8 +153,8 @@ def test_a_switched_off_carrier_alarms_is_acknowledged_and_closes_when_it_return
         assert [change for change, _ in changes] == ["raised", "acknowledged", "escalated", "acknowledged", "returned"]
         returned_us = parse_epoch(changes[-1][1])
         assert 0 <= returned_us - epochs_us[back] - 120_000_000 < 60_000_000
-    wait_for(lambda: hook.told()[-1] == ("returned", name))
-    assert hook.told()[:3] == [("raised", name), ("acknowledged", name), ("escalated", name)]
-    assert {thing for _, thing in hook.told()} == {name}
+    wait_for(lambda: hook.reported()[-1] == ("returned", name))
+    assert hook.reported()[:3] == [("raised", name), ("acknowledged", name), ("escalated", name)]
+    assert {thing for _, thing in hook.reported()} == {name}
     assert service.end()[0] == 0
     assert "Traceback" not in service.written()

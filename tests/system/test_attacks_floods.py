@@ -111,8 +111,8 @@ def flooding(name: str, url: str) -> Iterator[dict[int, int]]:
         assert process.poll() is None
         yield answered
         assert process.poll() is None, "the flood was over too soon"
-        told, _ = process.communicate(timeout=300)
-        answered.update({int(status): number for status, number in json.loads(told).items()})
+        reported, _ = process.communicate(timeout=300)
+        answered.update({int(status): number for status, number in json.loads(reported).items()})
     finally:
         if process.poll() is None:
             process.kill()

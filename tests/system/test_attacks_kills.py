@@ -118,17 +118,17 @@ def test_calibration_and_replay_of_an_ended_service_are_failed(
     with service.client() as client:
         client.timeout = 120
         worker, calibration, replay = begin_work(client, service.process.pid)
-        told = client.get(f"{SC}/calibrations/{calibration['id']}").json()
-        assert (told["state"], job_of(client, replay)["state"]) == ("draft", "queued")
+        reported = client.get(f"{SC}/calibrations/{calibration['id']}").json()
+        assert (reported["state"], job_of(client, replay)["state"]) == ("draft", "queued")
     service.end(number, timeout_s=120)
     if number == signal.SIGKILL:
         os.kill(worker, signal.SIGCONT)
     wait_until(lambda: has_ended(worker), "the worker outlives its service")
     service = start_service(*options, environment=settings)
     with service.client() as client:
-        told = client.get(f"{SC}/calibrations/{calibration['id']}").json()
-        assert (told["state"], job_of(client, calibration)["state"]) == ("failed", "failed")
-        for error in (told["error"], job_of(client, calibration)["error"]):
+        reported = client.get(f"{SC}/calibrations/{calibration['id']}").json()
+        assert (reported["state"], job_of(client, calibration)["state"]) == ("failed", "failed")
+        for error in (reported["error"], job_of(client, calibration)["error"]):
             assert "start it again" in error
         ended = job_of(client, replay)
         assert (ended["state"], "start it again" in ended["error"]) == ("failed", True)

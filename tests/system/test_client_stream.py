@@ -88,16 +88,16 @@ def test_streams_survive_kills_of_the_service_without_loss_or_doubling(start_ser
     with ServiceClient(url, KEY) as client:
         client.create_spacecraft(spacecraft)
         plan_id = client.put_carriers(SC, carriers)["plan_id"]
-    told: dict[str, list[StreamEvent]] = {"sync": [], "async": []}
+    reported: dict[str, list[StreamEvent]] = {"sync": [], "async": []}
     last, wanted = threading.Event(), set()
     readers = [
-        threading.Thread(target=follow, args=(url, told["sync"], last, wanted)),
-        threading.Thread(target=lambda: asyncio.run(follow_async(url, told["async"], last, wanted))),
+        threading.Thread(target=follow, args=(url, reported["sync"], last, wanted)),
+        threading.Thread(target=lambda: asyncio.run(follow_async(url, reported["async"], last, wanted))),
     ]
     for reader in readers:
         reader.start()
     # both have an id to go on from before the first row is sent
-    wait_for(lambda: all(told.values()))
+    wait_for(lambda: all(reported.values()))
     sender = Sender(url, plan_id)
     sender.start()
     for _ in range(KILLS):
@@ -123,7 +123,7 @@ def test_streams_survive_kills_of_the_service_without_loss_or_doubling(start_ser
     print(f"{len(wanted)} rows acknowledged, {KILLS} kills")
     assert len(wanted) > KILLS
     assert wanted <= set(stored)
-    for name, events in told.items():
+    for name, events in reported.items():
         counts = Counter(event.data["epoch"] for event in events if event.kind == "measurement")
         assert wanted <= counts.keys(), name
         assert set(counts.values()) == {1}, name

@@ -63,8 +63,8 @@ class Host:
 
     def here(self, text):
         """Return a word of a command or of the environment as it is on this host."""
-        for there, place in (("/run/secrets", self.secrets), ("////data", f"///{self.data}")):
-            text = text.replace(there, str(place))
+        for there, position in (("/run/secrets", self.secrets), ("////data", f"///{self.data}")):
+            text = text.replace(there, str(position))
         text = re.sub(r"\b(service|analyzer):(?=\d)", "127.0.0.1:", text.replace("0.0.0.0", "127.0.0.1"))  # noqa: S104
         return re.sub(r"(?<!\d)(8000|5025|5026)(?!\d)", lambda port: self.ports[port[0]], text)
 

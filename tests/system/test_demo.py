@@ -28,7 +28,7 @@ def soo(environment: dict[str, str], *arguments: str) -> subprocess.CompletedPro
     return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=240, check=False)
 
 
-def figures_of(environment: dict[str, str], *options: str) -> dict:
+def statistics_of(environment: dict[str, str], *options: str) -> dict:
     """Run a short demonstration and return its figures."""
     print(f"seed {SEED}")
     lengths = ("--days", str(DAYS), "--quiet-days", str(QUIET_DAYS))
@@ -44,7 +44,7 @@ def figures_of(environment: dict[str, str], *options: str) -> dict:
 def kept(tmp_path_factory, compiled_environment) -> tuple[Path, dict]:
     """Run the demonstration once; give the folder it kept and its figures."""
     folder = tmp_path_factory.mktemp("demo")
-    return folder, figures_of(compiled_environment, "--keep", str(folder))
+    return folder, statistics_of(compiled_environment, "--keep", str(folder))
 
 
 def require_whole(figures: dict) -> None:
@@ -62,7 +62,7 @@ def test_no_row_is_lost_and_live_equals_its_replay(kept):
 
 
 def test_no_row_is_lost_and_live_equals_its_replay_where_slews_are_followed(compiled_environment):
-    figures = figures_of(compiled_environment, "--open")
+    figures = statistics_of(compiled_environment, "--open")
     require_whole(figures)
     assert figures["closed_loop"] is None
     # the only bounds that may be missed are those of accuracy
@@ -98,8 +98,8 @@ def test_the_kept_database_serves_exports_and_replays(kept, start_service, compi
         newest = client.get(f"/api/v1/spacecraft/{known}/status").json()["newest_measurement"]
         alignment = client.get(f"/api/v1/spacecraft/{known}/alignments").json()["rows"][0]["epoch"]
     # what the craft said of its loop, and nothing besides
-    told = craft["onboard"]["fed_forward_torque"]
-    sizes = [abs(told[part][axis]) for part in ("cosine_n_m", "sine_n_m") for axis in ("yaw", "roll", "pitch")]
+    reported = craft["onboard"]["fed_forward_torque"]
+    sizes = [abs(reported[part][axis]) for part in ("cosine_n_m", "sine_n_m") for axis in ("yaw", "roll", "pitch")]
     assert 1e-6 < max(sizes) < 2e-5, "the Sun's light"
     assert craft["onboard"]["residual_torque_n_m"] == 0.0
     where = ("--service", service.url, "--spacecraft", known)

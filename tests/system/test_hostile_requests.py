@@ -218,9 +218,9 @@ def test_200_silent_connections_of_one_address_keep_nobody_out_and_are_told(targ
         assert refused >= 200 - 64
         answer = httpx.get(target.url + SC, headers={"Authorization": f"Bearer {KEY}"}, trust_env=False, timeout=120)
         assert answer.status_code == 200
-        told = httpx.get(target.url + "/metrics", trust_env=False, timeout=120).text
-        assert f'soo_connections_refused_total{{reason="address"}} {refused}.0' in told
-        assert 'soo_connections_refused_total{reason="slow"}' in told
+        reported = httpx.get(target.url + "/metrics", trust_env=False, timeout=120).text
+        assert f'soo_connections_refused_total{{reason="address"}} {refused}.0' in reported
+        assert 'soo_connections_refused_total{reason="slow"}' in reported
     finally:
         for connection in held:
             connection.close()

@@ -55,12 +55,12 @@ class Sender(threading.Thread):
             return
         assert answer.status_code == 200, answer.text
         said = answer.json()
-        told = Counter({"accepted": said["accepted"], "duplicate": said["duplicates"]})
-        told.update(refusal["code"] for refusal in said["refused"])
+        reported = Counter({"accepted": said["accepted"], "duplicate": said["duplicates"]})
+        reported.update(refusal["code"] for refusal in said["refused"])
         # without an answer nobody knows whether the rows were stored the first time
-        for counter in (told, deserved) if is_again else ():
+        for counter in (reported, deserved) if is_again else ():
             counter["stored"] = counter.pop("accepted", 0) + counter.pop("duplicate", 0)
-        assert +told == +deserved, (sent.body["plan_id"], told, deserved)
+        assert +reported == +deserved, (sent.body["plan_id"], reported, deserved)
         self.counts.update(deserved)
         self.counts["time.leap_second"] += sum(each["code"] == "time.leap_second" for each in said["flagged"])
         self.counts["seq.jump"] += sum(each["code"] == "seq.jump" for each in said["flagged"])

@@ -19,21 +19,21 @@ CRAFTS = (craft("steps"), craft("automatic", control=AUTOMATIC))
 def verdict(ground: ReleaseGround) -> Any:
     """Return the verdict, the same in every answer about the present."""
     control, handover = ground.get("/control"), ground.get("/handover")
-    told = control["control"]
+    reported = control["control"]
     answers = {path: ground.get(path)["control"] for path in ("/attitude", "/attitude?method=paper", "/status")}
     answers |= {"/torques": ground.get("/torques")["control"], "hand-over": handover["status"]["control"]}
-    answers["hand-over, control"] = {name: handover["control"][name] for name in told}
+    answers["hand-over, control"] = {name: handover["control"][name] for name in reported}
     answers["stream"] = streamed_status(ground)["control"]
     with ServiceClient(str(ground.client.base_url), KEY) as library:
         answers["client"] = library.status(ground.spacecraft_id)["control"]
-    assert answers == dict.fromkeys(answers, told)
+    assert answers == dict.fromkeys(answers, reported)
     interlock = ground.get("/status")["interlock"]
     assert interlock == {"state": control["state"], "reasons": control["reasons"]}
-    assert interlock == {"state": told["state"], "reasons": [one["code"] for one in told["reasons"]]}
+    assert interlock == {"state": reported["state"], "reasons": [one["code"] for one in reported["reasons"]]}
     metrics = ground.client.get("/metrics").text
-    assert f'soo_control_allowed{{spacecraft="{ground.spacecraft_id}"}} {float(told["allowed"])}' in metrics
-    assert all(one["text"] and one["next_step"] for one in told["reasons"])
-    return told
+    assert f'soo_control_allowed{{spacecraft="{ground.spacecraft_id}"}} {float(reported["allowed"])}' in metrics
+    assert all(one["text"] and one["next_step"] for one in reported["reasons"])
+    return reported
 
 
 def streamed_status(ground: ReleaseGround) -> Any:
@@ -44,9 +44,9 @@ def streamed_status(ground: ReleaseGround) -> Any:
         return json.loads(next(line for line in lines if line.startswith("data:"))[5:])
 
 
-def codes(told: Any) -> list[str]:
+def codes(reported: Any) -> list[str]:
     """Return the codes of its reasons."""
-    return [one["code"] for one in told["reasons"]]
+    return [one["code"] for one in reported["reasons"]]
 
 
 def test_through_stop_reset_and_arming_all_answers_agree(client: httpx.Client) -> None:
@@ -54,15 +54,15 @@ def test_through_stop_reset_and_arming_all_answers_agree(client: httpx.Client) -
     assert "not_aligned" in codes(verdict(ground))
     ground.align()
     ground.rows(15)
-    told = verdict(ground)
-    assert (told["allowed"], told["state"], codes(told)) == (False, "INHIBITED", ["yaw_sign", "not_armed"])
+    reported = verdict(ground)
+    assert (reported["allowed"], reported["state"], codes(reported)) == (False, "INHIBITED", ["yaw_sign", "not_armed"])
     ground.post("/control:arm")
-    told = verdict(ground)
-    assert (told["allowed"], told["state"], codes(told)) == (True, "ARMED", ["yaw_sign"])
+    reported = verdict(ground)
+    assert (reported["allowed"], reported["state"], codes(reported)) == (True, "ARMED", ["yaw_sign"])
     assert ground.post("/control:stop")["control"] == verdict(ground)
-    told = verdict(ground)
-    assert (told["allowed"], told["state"], codes(told)[0]) == (False, "TRIPPED", "stop")
-    assert told["reasons"][0]["since"] == ground.epoch()
+    reported = verdict(ground)
+    assert (reported["allowed"], reported["state"], codes(reported)[0]) == (False, "TRIPPED", "stop")
+    assert reported["reasons"][0]["since"] == ground.epoch()
     # the stored row keeps its own word
     newest = ground.get("/attitude")
     assert (newest["control_allowed"], newest["inhibitions"]) == (True, [])
@@ -79,25 +79,29 @@ def test_under_automatic_release_a_reset_lets_no_torque_go_before_ten_good_minut
     ground = ReleaseGround(client, "automatic")
     ground.align()
     ground.rows(15, (0.0, 0.03, 0.0))
-    told = verdict(ground)
-    assert (told["allowed"], told["state"], codes(told)) == (True, "ENGAGED", ["yaw_sign"])
+    reported = verdict(ground)
+    assert (reported["allowed"], reported["state"], codes(reported)) == (True, "ENGAGED", ["yaw_sign"])
     assert ground.get("/torques")["control_allowed"]
     ground.post("/control:stop")
     stopped = ground.epoch()
-    told = verdict(ground)
-    assert (told["allowed"], told["state"], codes(told)[0]) == (False, "TRIPPED", "stop")
+    reported = verdict(ground)
+    assert (reported["allowed"], reported["state"], codes(reported)[0]) == (False, "TRIPPED", "stop")
     torques = ground.get("/torques")
     assert (torques["roll_n_m"], torques["schedule"], torques["inhibitions"]) == (0.0, [], ["tripped"])
     ground.rows(3, (0.0, 0.03, 0.0))
     ground.post("/control:reset")
-    told = verdict(ground)
-    assert (told["allowed"], told["state"], codes(told)) == (False, "INHIBITED", ["yaw_sign", "good_minutes"])
+    reported = verdict(ground)
+    assert (reported["allowed"], reported["state"], codes(reported)) == (
+        False,
+        "INHIBITED",
+        ["yaw_sign", "good_minutes"],
+    )
     reset = ground.epoch()
     ground.rows(9, (0.0, 0.03, 0.0))
     assert not verdict(ground)["allowed"]
     ground.rows(5, (0.0, 0.03, 0.0))
-    told = verdict(ground)
-    assert (told["allowed"], told["state"], codes(told)) == (True, "ENGAGED", ["yaw_sign"])
+    reported = verdict(ground)
+    assert (reported["allowed"], reported["state"], codes(reported)) == (True, "ENGAGED", ["yaw_sign"])
     ground.rows(1, (0.0, 0.03, 0.0))
     page = ground.get(f"/torques/history?from={stopped}&to={ground.epoch(60.0)}&limit=100")["rows"]
     withheld = [row["attitude_epoch"] for row in page if "tripped" in row["inhibitions"]]

@@ -62,7 +62,7 @@ COMMON_COMMANDS: tuple[Command, ...] = (
     Command("*CLS", _clear),
     Command("*RST", _reset),
     Command("*ESE", _put_event_enable, lambda call: str(call.instrument.status.event_enable), (_MASK,)),
-    Command("*ESR", query=lambda call: str(call.instrument.status.take_event())),
+    Command("*ESR", query=lambda call: str(call.instrument.status.pop_event())),
     Command("*SRE", _put_service_enable, lambda call: str(call.instrument.status.service_enable), (_MASK,)),
     Command("*STB", query=_status_byte),
     Command("*OPC", _complete, lambda _call: "1", query_waits=True),
@@ -91,7 +91,7 @@ def register_rows(pattern: str, register_of: Callable[[StatusModel], StatusRegis
         register_of(call.instrument.status).falling = _mask_value(value, 65535) & REGISTER_MASK
 
     return (
-        Command(f"{pattern}[:EVENt]", query=lambda call: str(register_of(call.instrument.status).take_event())),
+        Command(f"{pattern}[:EVENt]", query=lambda call: str(register_of(call.instrument.status).pop_event())),
         Command(f"{pattern}:CONDition", query=lambda call: str(register_of(call.instrument.status).condition)),
         Command(
             f"{pattern}:ENABle",

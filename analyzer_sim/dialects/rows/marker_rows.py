@@ -49,7 +49,7 @@ def marker_of(call: Call) -> Marker:
     return call.instrument.functions.marker(call.suffix("MARKer"))
 
 
-def place(call: Call, trace: Trace, point: int) -> None:
+def position(call: Call, trace: Trace, point: int) -> None:
     """Put the marker on a point of the trace and switch it on."""
     marker = marker_of(call)
     marker.is_on, marker.frequency_hz = True, float(trace.grid.frequency_hz[point])
@@ -152,7 +152,7 @@ def _frequency(call: Call, style: MarkerStyle) -> str:
 
 def _to_extreme(call: Call, sign: float) -> None:
     trace = swept_trace(call)
-    place(call, trace, int((sign * trace.level_dbm).argmax()))
+    position(call, trace, int((sign * trace.level_dbm).argmax()))
 
 
 def _to_next(call: Call, search: Search, style: MarkerStyle) -> None:
@@ -163,7 +163,7 @@ def _to_next(call: Call, search: Search, style: MarkerStyle) -> None:
     found = next_peak(trace.level_dbm, excursion_db, point, search, is_nearest=style.is_nearest)
     if found is None and style.ends_at_edge and search is not Search.NEXT:
         found = 0 if search is Search.LEFT else trace.grid.points - 1
-    place(call, trace, point if found is None else found)
+    position(call, trace, point if found is None else found)
 
 
 def _all_off(call: Call) -> None:

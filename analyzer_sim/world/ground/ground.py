@@ -46,9 +46,9 @@ def chunks_of(world: World, rows_per_chunk: int = ROWS_PER_CHUNK) -> list[tuple[
     A chunk never reaches into the next phase, nor over a new plan or another analyzer; the first row of another
     analyzer is a chunk of its own, so that the ground can say who is prime once it has been heard.
     """
-    switches_us = [told_us for told_us, _source in world.source_switches]
-    cuts_us = [version.told_us for version in world.plan_versions[1:]]
-    cuts_us += [cut for told_us in switches_us for cut in (told_us, told_us + world.scenario.row_period_us)]
+    switches_us = [reported_us for reported_us, _source in world.source_switches]
+    cuts_us = [version.reported_us for version in world.plan_versions[1:]]
+    cuts_us += [cut for reported_us in switches_us for cut in (reported_us, reported_us + world.scenario.row_period_us)]
     chunks = []
     for phase in world.scenario.phases:
         inside_us = [cut for cut in cuts_us if phase.start_us < cut < phase.stop_us]
@@ -80,32 +80,32 @@ def catalogue_lines(world: World) -> Iterator[Line]:
     yield {"kind": "bound", "crlb_deg": _bound(world)}
 
 
-def news(world: World, start_us: int = -(2**63), stop_us: int = 2**63 - 1) -> Iterator[tuple[int, Line]]:
+def events(world: World, start_us: int = -(2**63), stop_us: int = 2**63 - 1) -> Iterator[tuple[int, Line]]:
     """Yield what the ground learns in [start, stop) beside references and timely corrections, with the epochs.
 
     Plans with their tasks, ephemerides, operations, the analyzer that measures from now on, telemetry, and corrections
     told too late.
     """
-    for told_us, make in _all_news(world):
-        if start_us <= told_us < stop_us:
-            yield from ((told_us, line) for line in make())
+    for reported_us, make in _all_events(world):
+        if start_us <= reported_us < stop_us:
+            yield from ((reported_us, line) for line in make())
 
 
-def _all_news(world: World) -> Iterator[tuple[int, Callable[[], Iterator[Line]]]]:
+def _all_events(world: World) -> Iterator[tuple[int, Callable[[], Iterator[Line]]]]:
     """Yield all news with what makes their lines: a track is long and wanted once."""
     for version in world.plan_versions[1:]:
-        yield version.told_us, partial(_plan_lines, world, version.carriers)
+        yield version.reported_us, partial(_plan_lines, world, version.carriers)
     for ephemeris in world.ephemerides[1:]:
-        yield ephemeris.told_us, partial(_line, "ephemeris", ephemeris_body, world, ephemeris)
+        yield ephemeris.reported_us, partial(_line, "ephemeris", ephemeris_body, world, ephemeris)
     for operation in world.operations:
-        yield operation.told_us, partial(_line, "operations", operation_body, operation)
-    for told_us, source in world.source_switches:
-        yield told_us, partial(_line, "source", dict, source=source)
+        yield operation.reported_us, partial(_line, "operations", operation_body, operation)
+    for reported_us, source in world.source_switches:
+        yield reported_us, partial(_line, "source", dict, source=source)
     for record in world.telemetry:
-        yield record.told_us, partial(_line, "telemetry", telemetry_body, record)
+        yield record.reported_us, partial(_line, "telemetry", telemetry_body, record)
     for correction in world.corrections:
         if correction.is_late:
-            yield correction.told_us, partial(_line, "corrections", corrections_body, [correction])
+            yield correction.reported_us, partial(_line, "corrections", corrections_body, [correction])
 
 
 def _line(kind: str, make_body: Callable[..., Line], *arguments: object, **fields: object) -> Iterator[Line]:
@@ -126,15 +126,15 @@ def _bound(world: World) -> dict[str, float]:
 
 def chunk_lines(world: World, first: int, last: int) -> Iterator[Line]:
     """Yield what belongs to the rows first..last, both inclusive."""
-    yield from told_lines(world, first, last)
+    yield from reported_lines(world, first, last)
     yield {"kind": "truth", "rows": truth_rows(world, first, last)}
 
 
-def told_lines(world: World, first: int, last: int) -> Iterator[Line]:
+def reported_lines(world: World, first: int, last: int) -> Iterator[Line]:
     """Yield what the ground is told with the rows first..last: all but the truth."""
     epochs_us = world.rows.epochs_us
     start_us, stop_us = int(epochs_us[first]), int(epochs_us[last]) + world.scenario.row_period_us
-    yield from _chunk_news(world, first, last)
+    yield from _chunk_events(world, first, last)
     for phase in world.scenario.phases:
         if start_us <= phase.start_us < stop_us:
             yield _phase(phase)
@@ -148,14 +148,14 @@ def told_lines(world: World, first: int, last: int) -> Iterator[Line]:
 
 def flown_lines(world: World, first: int, last: int) -> Iterator[Line]:
     """Yield what the ground is told with the rows first..last where torques are flown: all that the craft does not."""
-    yield from (line for line in told_lines(world, first, last) if line["kind"] not in _NOT_FLOWN)
+    yield from (line for line in reported_lines(world, first, last) if line["kind"] not in _NOT_FLOWN)
 
 
-def _chunk_news(world: World, first: int, last: int) -> Iterator[Line]:
+def _chunk_events(world: World, first: int, last: int) -> Iterator[Line]:
     """Yield what is known when the last row of a chunk is swept and was not when the row before the chunk was."""
     epochs_us = world.rows.epochs_us
     start_us = int(epochs_us[first - 1]) + 1 if first else world.scenario.start_us
-    yield from (line for _told_us, line in news(world, start_us, int(epochs_us[last]) + 1))
+    yield from (line for _reported_us, line in events(world, start_us, int(epochs_us[last]) + 1))
 
 
 def turn_operations(phase: Phase) -> list[Line]:

@@ -91,7 +91,7 @@ def spacecraft_body(world: World) -> Line:
         "onboard": {
             "fast_loop": True,
             "forecast_mode": True,
-            "roll_yaw_coupling": keeping.is_coupled_told,
+            "roll_yaw_coupling": keeping.is_coupling_announced,
             "residual_torque_n_m": residual_n_m,
         },
         # torques do not reach a story that is only replayed, so none may count as applied
@@ -103,7 +103,7 @@ def carrier_body(world: World, carrier: Carrier) -> Line:
     """Return one carrier of a plan; a beacon has neither station nor uplink."""
     offset_hz = carrier.center_hz - SPAN_START_HZ
     station, band, figures = carrier.station, BANDS[carrier.band], world.scenario.repeater
-    controlled = "auto" if figures.is_power_control_told else "unknown"
+    controlled = "auto" if figures.is_power_control_announced else "unknown"
     return {
         "id": carrier.id,
         "name": "beacon" if carrier.is_beacon else f"{station.name} {carrier.symbol_rate_hz / 1e3:.0f}k",
@@ -163,16 +163,16 @@ def operation_body(operation: Operation) -> Line:
 
 def reference_bodies(world: World, start_us: int, stop_us: int) -> list[Line]:
     """Return the references of [start, stop), one body a sensor; an axis that a sensor does not tell is null."""
-    told = world.references
-    first, stop = (int(row) for row in np.searchsorted(told.epochs_us, [start_us, stop_us]))
+    reported = world.references
+    first, stop = (int(row) for row in np.searchsorted(reported.epochs_us, [start_us, stop_us]))
     bodies = []
-    for source in dict.fromkeys(told.source[first:stop].tolist()):
-        rows = [row for row in range(first, stop) if told.source[row] == source]
+    for source in dict.fromkeys(reported.source[first:stop].tolist()):
+        rows = [row for row in range(first, stop) if reported.source[row] == source]
         references = [
             {
-                "epoch": rfc3339(int(told.epochs_us[row])),
-                **angles(told.attitude_deg[row].tolist()),
-                "sigma_deg": dict(zip(AXES, map(_present, told.sigma_deg[row].tolist()), strict=True)),
+                "epoch": rfc3339(int(reported.epochs_us[row])),
+                **angles(reported.attitude_deg[row].tolist()),
+                "sigma_deg": dict(zip(AXES, map(_present, reported.sigma_deg[row].tolist()), strict=True)),
             }
             for row in rows
         ]
@@ -192,7 +192,7 @@ def corrections_body(corrections: Sequence[Correction]) -> Line:
 def telemetry_body(record: TelemetryRecord) -> Line:
     """Return a batch of one record."""
     entry = {
-        "epoch": rfc3339(record.told_us),
+        "epoch": rfc3339(record.reported_us),
         "onboard_mode": record.onboard_mode,
         "wheel_momentum_n_m_s": list(record.wheel_momentum_n_m_s),
         "thrusters_active": record.thrusters_active,

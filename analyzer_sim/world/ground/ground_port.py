@@ -26,7 +26,7 @@ MAX_LINE_BYTES = 65_536
 #: larger than any epoch: nothing is held back
 NO_LIMIT_US = 2**63 - 1
 #: how often a client that waits for a row to be swept is looked after, s
-_LOOK_S = 0.2
+_POLL_S = 0.2
 
 
 class Flight(Protocol):
@@ -36,7 +36,7 @@ class Flight(Protocol):
         """Let somebody hear the epoch of each row to which the craft has flown."""
         ...
 
-    def told_after(self, first: int, last: int) -> Iterator[dict[str, Any]]:
+    def reported_after(self, first: int, last: int) -> Iterator[dict[str, Any]]:
         """Yield what the ground is told once the rows first..last have been flown."""
         ...
 
@@ -109,7 +109,7 @@ class _Session:
     #: first chunk that no client has confirmed
     next_chunk: int = 0
     #: first chunk whose rows' truth is still to be told, where it follows them
-    next_told: int = 0
+    next_reported: int = 0
     is_taken: bool = False
     #: lets pass what has been flown
     flown: Gate = field(default_factory=lambda: Gate(is_open=False))
@@ -172,7 +172,7 @@ async def _converse(session: _Session, reader: asyncio.StreamReader, writer: asy
 async def _steer(session: _Session, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
     """Send catalogue and chunks; move on with each confirmation."""
     await _send(writer, catalogue_lines(session.world))
-    await _tell_flown(session, reader, writer)
+    await _report_flown(session, reader, writer)
     while session.next_chunk < len(session.chunks):
         first, last, phase = session.chunks[session.next_chunk]
         until_us = int(session.world.rows.epochs_us[last])
@@ -182,27 +182,27 @@ async def _steer(session: _Session, reader: asyncio.StreamReader, writer: asynci
         await _await_proceed(reader, writer)
         session.gate.grant_until(until_us)
         session.next_chunk += 1
-        await _tell_flown(session, reader, writer)
+        await _report_flown(session, reader, writer)
     await _send(writer, [{"kind": "end"}])
     while await reader.read(MAX_LINE_BYTES):
         pass  # nothing is left to say; the client closes
 
 
-async def _tell_flown(session: _Session, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+async def _report_flown(session: _Session, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
     """Tell what follows the rows of a chunk that was confirmed, once they have been swept."""
-    while session.flight is not None and session.next_told < session.next_chunk:
-        first, last, _phase = session.chunks[session.next_told]
-        if session.is_flown(session.next_told):
+    while session.flight is not None and session.next_reported < session.next_chunk:
+        first, last, _phase = session.chunks[session.next_reported]
+        if session.is_flown(session.next_reported):
             await _await_flown(session, int(session.world.rows.epochs_us[last]), reader)
-            await _send(writer, session.flight.told_after(first, last))
-        session.next_told += 1
+            await _send(writer, session.flight.reported_after(first, last))
+        session.next_reported += 1
 
 
 async def _await_flown(session: _Session, epoch_us: int, reader: asyncio.StreamReader) -> None:
     """Return once a row has been swept; a client that leaves meanwhile lets go of the port."""
     while not session.flown.is_granted(epoch_us):
         with suppress(TimeoutError):
-            async with asyncio.timeout(_LOOK_S):
+            async with asyncio.timeout(_POLL_S):
                 await session.flown.wait(epoch_us)
         if reader.at_eof():
             raise ConnectionResetError

@@ -197,9 +197,9 @@ def _with_successors(plan: CarrierPlan, name: str, successors: dict[str, tuple[s
     """Add carriers that take over the places of others in the span once those have left it."""
     added = []
     for gone, (carrier_id, row) in successors.items():
-        place = plan.carriers[plan.column(gone)]
-        rate_khz = min(row[4], round(place.symbol_rate_hz / 1e3))
-        added.append(_carrier(carrier_id, (*row[:4], rate_khz, *row[5:]), place.center_hz))
+        position = plan.carriers[plan.column(gone)]
+        rate_khz = min(row[4], round(position.symbol_rate_hz / 1e3))
+        added.append(_carrier(carrier_id, (*row[:4], rate_khz, *row[5:]), position.center_hz))
     return replace(plan, name=name, carriers=(*plan.carriers, *added))
 
 

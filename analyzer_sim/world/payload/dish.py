@@ -30,5 +30,5 @@ def dish_loss_db(motion_deg: FloatArray, offset_deg: FloatArray, width_deg: floa
     >>> float(dish_loss_db(np.array([[0.05, 0.0]]), np.array([0.1, 0.0]), 1.0)[0].round(6))
     0.15
     """
-    place = np.sum((motion_deg + offset_deg) ** 2, axis=1) - np.sum(offset_deg**2)
-    return np.asarray(12.0 * place / width_deg**2)
+    position = np.sum((motion_deg + offset_deg) ** 2, axis=1) - np.sum(offset_deg**2)
+    return np.asarray(12.0 * position / width_deg**2)

@@ -50,7 +50,7 @@ class Operation:
     start_us: int
     stop_us: int
     #: epoch from which the ground knows
-    told_us: int
+    reported_us: int
     carriers: tuple[str, ...] | None = None
     transponders: tuple[str, ...] | None = None
     inhibit_control: bool = False
@@ -142,9 +142,9 @@ class Effects:
         comment: str = "",
     ) -> None:
         """Add what the ground declares, two hours before it begins."""
-        start_us, stop_us, told_us = (self.epoch_us(hours) for hours in (start_h, stop_h, start_h - NOTICE_H))
+        start_us, stop_us, reported_us = (self.epoch_us(hours) for hours in (start_h, stop_h, start_h - NOTICE_H))
         self.operations.append(
-            Operation(kind, start_us, stop_us, told_us, carriers, transponders, inhibit_control, None, comment)
+            Operation(kind, start_us, stop_us, reported_us, carriers, transponders, inhibit_control, None, comment)
         )
 
     @property

@@ -58,8 +58,8 @@ def nominal_gain_db(plan: CarrierPlan, orbit: Orbit, attitude_deg: FloatArray) -
     start = np.array([orbit.start_us])
     still = Orbit(orbit.longitude_deg, orbit.start_us, 0.0, 0.0, 0.0, 0.0, 0.0)
     body_from_earth = body_from_orbital(attitude_deg) @ still.orbital_from_earth(start)
-    place_km = np.broadcast_to(orbit.nominal_km, (len(attitude_deg), 3))
-    return pattern_gain_db(plan, *antenna_frame_deg(body_from_earth, place_km, plan_positions_km(plan)))
+    site_km = np.broadcast_to(orbit.nominal_km, (len(attitude_deg), 3))
+    return pattern_gain_db(plan, *antenna_frame_deg(body_from_earth, site_km, plan_positions_km(plan)))
 
 
 def sensitivity_db_per_deg(plan: CarrierPlan, orbit: Orbit, step_deg: float = 0.01) -> FloatArray:

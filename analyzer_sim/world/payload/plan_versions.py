@@ -13,7 +13,7 @@ class PlanVersion:
     """The carriers of one published plan."""
 
     #: epoch from which it holds
-    told_us: int
+    reported_us: int
     carriers: tuple[Carrier, ...]
 
 
@@ -26,9 +26,9 @@ def plan_versions(scenario: Scenario, plan: CarrierPlan) -> tuple[PlanVersion, .
         on_air = (on_air - set(change.gone)) | set(change.new)
         version = _version(scenario.operation_start_us + round(change.start_h * US_PER_H), plan, on_air)
         ordered = version.carriers[::-1] if change.is_order_reversed else version.carriers
-        versions.append(PlanVersion(version.told_us, ordered))
+        versions.append(PlanVersion(version.reported_us, ordered))
     return tuple(versions)
 
 
-def _version(told_us: int, plan: CarrierPlan, on_air: set[str]) -> PlanVersion:
-    return PlanVersion(told_us, tuple(carrier for carrier in plan.carriers if carrier.id in on_air))
+def _version(reported_us: int, plan: CarrierPlan, on_air: set[str]) -> PlanVersion:
+    return PlanVersion(reported_us, tuple(carrier for carrier in plan.carriers if carrier.id in on_air))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from analyzer_sim.streams import FloatArray
 from analyzer_sim.world.payload.carriers import CarrierPlan
-from analyzer_sim.world.scenario.story import RepeaterFigures
+from analyzer_sim.world.scenario.story import RepeaterSettings
 
 
 def power_control_db(change_db: FloatArray, row_period_s: float, tau_s: float, limit_db: float) -> FloatArray:
@@ -43,7 +43,11 @@ def level_control_db(
 
 
 def repeater_db(
-    figures: RepeaterFigures, plan: CarrierPlan, arriving_dbm: FloatArray, is_on: NDArray[np.bool_], row_period_s: float
+    figures: RepeaterSettings,
+    plan: CarrierPlan,
+    arriving_dbm: FloatArray,
+    is_on: NDArray[np.bool_],
+    row_period_s: float,
 ) -> tuple[FloatArray, FloatArray]:
     """Return what power control adds at the stations and what level control adds in the repeater, (T, N) each, dB.
 

@@ -17,11 +17,11 @@ from analyzer_sim.world.scenario.events import (
     SwitchOff,
     UplinkRain,
 )
-from analyzer_sim.world.scenario.story import KeepingErrors, NoiseFigures, RepeaterFigures, Scenario
+from analyzer_sim.world.scenario.story import KeepingErrors, NoiseStatistics, RepeaterSettings, Scenario
 
 #: levels of 284 real microwave links: with the default sweep's own noise these parts give their Allan deviation and
 #: autocorrelation from a minute to half a day
-FLICKER_NOISE = NoiseFigures(
+FLICKER_NOISE = NoiseStatistics(
     white_scale=0.0,
     coloured_db=(0.0, 0.0),
     chain_db=0.0,
@@ -35,7 +35,7 @@ FLICKER_NOISE = NoiseFigures(
 _EQUINOX_US = epoch_us_from_text("2026-09-18T00:00:00Z")
 _STORMS = Storm("storms", 5)
 _DAYS_BETWEEN = 30
-_NOT_COUPLED = KeepingErrors(is_coupled=False, is_coupled_told=False)
+_NOT_COUPLED = KeepingErrors(is_coupled=False, is_coupling_announced=False)
 
 HARD: tuple[Scenario, ...] = (
     Scenario(
@@ -94,7 +94,7 @@ HARD: tuple[Scenario, ...] = (
     Scenario(
         "alc",
         "One transponder holds its total power, so that its carriers move one another; rain and steps on them.",
-        repeater=RepeaterFigures(alc_transponders=("Ku3",)),
+        repeater=RepeaterSettings(alc_transponders=("Ku3",)),
         faults=(
             UplinkRain("showers", 4, ("c08", "c09", "c10", "c11"), start_h=(2.0, 44.0), depth_db=(2.0, 6.0)),
             Step("steps", 2, ("c11", "c09"), start_h=(6.0, 40.0)),
@@ -104,13 +104,13 @@ HARD: tuple[Scenario, ...] = (
     Scenario(
         "upc",
         "One station steers its power by what comes back, and the catalogue says so.",
-        repeater=RepeaterFigures(power_controlled=("c04",)),
+        repeater=RepeaterSettings(power_controlled=("c04",)),
         faults=(UplinkRain("showers", 3, ("c04",), start_h=(3.0, 40.0)),),
     ),
     Scenario(
         "upc_untold",
         "One station steers its power by what comes back, and the catalogue does not know.",
-        repeater=RepeaterFigures(power_controlled=("c04",), is_power_control_told=False),
+        repeater=RepeaterSettings(power_controlled=("c04",), is_power_control_announced=False),
         faults=(UplinkRain("showers", 3, ("c04",), start_h=(3.0, 40.0)),),
     ),
     Scenario(

@@ -15,7 +15,7 @@ from analyzer_sim.world.scenario.events import (
     Tour,
     UplinkRain,
 )
-from analyzer_sim.world.scenario.story import KeepingErrors, NoiseFigures, Scenario
+from analyzer_sim.world.scenario.story import KeepingErrors, NoiseStatistics, Scenario
 
 #: the carriers of the default plan
 ALL16 = tuple(f"c{number:02d}" for number in range(16))
@@ -88,7 +88,9 @@ PLAIN: tuple[Scenario, ...] = (
     Scenario(
         "white",
         "White noise only, of the sizes of the plan; no drift of the chain.",
-        noise=NoiseFigures(coloured_db=(0.0, 0.0), chain_db=0.0, chain_daily_db=0.0, thermal_db=0.0, wander_scale=0.0),
+        noise=NoiseStatistics(
+            coloured_db=(0.0, 0.0), chain_db=0.0, chain_daily_db=0.0, thermal_db=0.0, wander_scale=0.0
+        ),
     ),
     Scenario("gaps", "Six gaps of ten minutes to three hours.", faults=(Gap("gaps", 6),)),
     Scenario("few8", "Eight carriers, no fault.", plan="ku8"),
@@ -139,7 +141,7 @@ PLAIN: tuple[Scenario, ...] = (
     Scenario(
         "drift",
         "The receiving chain drifts by some 0.25 dB and is recalibrated four times by 0.2-0.6 dB.",
-        noise=NoiseFigures(chain_db=0.25),
+        noise=NoiseStatistics(chain_db=0.25),
         faults=(
             ChainStep("recalibration 1", (4.0, 9.0), (0.2, 0.6)),
             ChainStep("recalibration 2", (14.0, 20.0), (-0.6, -0.2)),

@@ -1,7 +1,7 @@
 """Catalogue, third part: worlds that differ from what the estimator believes, and reports that are wrong."""
 
 from analyzer_sim.world.scenario.events import FalseReport
-from analyzer_sim.world.scenario.story import KeepingErrors, NoiseFigures, Scenario
+from analyzer_sim.world.scenario.story import KeepingErrors, NoiseStatistics, Scenario
 
 _PLAIN_DRIFT_DEG_H = KeepingErrors().drift_deg_h
 _TRIPLE_DRIFT_DEG_H = (3.0 * _PLAIN_DRIFT_DEG_H[0], 3.0 * _PLAIN_DRIFT_DEG_H[1], 3.0 * _PLAIN_DRIFT_DEG_H[2])
@@ -18,12 +18,12 @@ WRONG: tuple[Scenario, ...] = (
     Scenario(
         "nominal_tau5",
         "As nominal; the coloured noise of the carriers lasts 5 min instead of 20.",
-        noise=NoiseFigures(coloured_tau_s=300.0),
+        noise=NoiseStatistics(coloured_tau_s=300.0),
     ),
     Scenario(
         "nominal_tau120",
         "As nominal; the coloured noise of the carriers lasts 120 min instead of 20.",
-        noise=NoiseFigures(coloured_tau_s=7200.0),
+        noise=NoiseStatistics(coloured_tau_s=7200.0),
     ),
     Scenario(
         "nominal_drift3",

@@ -10,8 +10,8 @@ from analyzer_sim.streams import FloatArray, stream
 from analyzer_sim.world.scenario.events import FalseReport, Hold, Manoeuvre, Range, Tour
 
 #: a slew is commanded in pieces no longer than this, a hold in pieces no longer than that, s
-SLEW_PIECE_S = 300.0
-HOLD_PIECE_S = 1800.0
+SLEW_CHUNK_S = 300.0
+HOLD_CHUNK_S = 1800.0
 
 
 def holds_of(manoeuvres: Sequence[Manoeuvre], seed: int, operation_h: float) -> tuple[Hold, ...]:
@@ -86,7 +86,7 @@ def _ramp(hours: FloatArray, start_h: float, slew_h: float) -> FloatArray:
     return np.asarray(0.5 - 0.5 * np.cos(np.pi * share))
 
 
-def piece_edges(holds: Sequence[Hold], row_count: int, row_period_s: float) -> NDArray[np.int64]:
+def chunk_edges(holds: Sequence[Hold], row_count: int, row_period_s: float) -> NDArray[np.int64]:
     """Return the rows, counted from the start of operation, at which one commanded piece ends and the next begins."""
     slews = [
         (start_h * 3600.0, (start_h + hold.slew_min / 60.0) * 3600.0)
@@ -98,6 +98,6 @@ def piece_edges(holds: Sequence[Hold], row_count: int, row_period_s: float) -> N
     for begin_s, end_s in pairwise(corners):
         middle_s = 0.5 * (begin_s + end_s)
         is_slew = any(first_s < middle_s < last_s for first_s, last_s in slews)
-        count = int(np.ceil((end_s - begin_s) / (SLEW_PIECE_S if is_slew else HOLD_PIECE_S)))
+        count = int(np.ceil((end_s - begin_s) / (SLEW_CHUNK_S if is_slew else HOLD_CHUNK_S)))
         edges.update(int(row) for row in np.round(np.linspace(begin_s, end_s, count + 1) / row_period_s))
     return np.array(sorted(edge for edge in edges if 0 <= edge <= row_count), dtype=np.int64)

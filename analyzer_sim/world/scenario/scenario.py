@@ -10,9 +10,9 @@ from analyzer_sim.world.scenario.catalogue_wrong import WRONG
 from analyzer_sim.world.scenario.story import (
     DEFAULT_START_US,
     KeepingErrors,
-    NoiseFigures,
+    NoiseStatistics,
     Phase,
-    RepeaterFigures,
+    RepeaterSettings,
     Scenario,
 )
 
@@ -21,9 +21,9 @@ __all__ = [
     "DEFAULT_START_US",
     "SCENARIOS",
     "KeepingErrors",
-    "NoiseFigures",
+    "NoiseStatistics",
     "Phase",
-    "RepeaterFigures",
+    "RepeaterSettings",
     "Scenario",
     "downlink_rain",
     "scenario_named",

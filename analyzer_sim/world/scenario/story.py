@@ -19,7 +19,7 @@ Part = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class NoiseFigures:
+class NoiseStatistics:
     """Noise beyond what each carrier's plan says; sigmas in dB."""
 
     #: scale of the carriers' white noise
@@ -75,7 +75,7 @@ class KeepingErrors:
     #: whether roll and yaw exchange with the orbital rate
     is_coupled: bool = True
     #: what the catalogue says about it, and what slews are planned with
-    is_coupled_told: bool = True
+    is_coupling_announced: bool = True
     #: size of the angles held in the alignment, deg; their signs are drawn
     alignment_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     #: time after the end of a correction at which the ground is told of it, min; none = told before it begins
@@ -85,7 +85,7 @@ class KeepingErrors:
 
 
 @dataclass(frozen=True, slots=True)
-class RepeaterFigures:
+class RepeaterSettings:
     """What else stands between a user's transmitter and the receiving site."""
 
     #: transponders whose automatic level control holds their total power
@@ -93,7 +93,7 @@ class RepeaterFigures:
     #: carriers whose station steers its power by what comes back
     power_controlled: tuple[str, ...] = ()
     #: whether the catalogue says so; otherwise it says `unknown`
-    is_power_control_told: bool = True
+    is_power_control_announced: bool = True
     #: time in which a station makes up for a change, and how far it can
     power_control_tau_s: float = 300.0
     power_control_limit_db: float = 6.0
@@ -121,11 +121,11 @@ class Scenario:
     alignment_h: float = 1.0
     operation_h: float = 48.0
     plan: str = "ku16"
-    noise: NoiseFigures = field(default_factory=NoiseFigures)
+    noise: NoiseStatistics = field(default_factory=NoiseStatistics)
     keeping: KeepingErrors = field(default_factory=KeepingErrors)
     manoeuvres: tuple[Manoeuvre, ...] = ()
     faults: tuple[Fault, ...] = ()
-    repeater: RepeaterFigures = field(default_factory=RepeaterFigures)
+    repeater: RepeaterSettings = field(default_factory=RepeaterSettings)
     burns: tuple[Burn, ...] = ()
     #: time between turns and alignment in which nothing is measured
     pause_h: float = 0.0

@@ -45,19 +45,19 @@ class AnglesLoop:
     newest: Angles | None = None
     _past: dict[int, tuple[float, ...]] = field(default_factory=dict)
 
-    def take(self, told: Angles, now_us: int) -> None:
+    def take(self, reported: Angles, now_us: int) -> None:
         """Correct the estimate by a product, or leave it out: one that came before, is over, or is too old to place."""
-        is_new = self.newest is None or told.counter > self.newest.counter
-        if not is_new or now_us >= told.valid_until_us:
+        is_new = self.newest is None or reported.counter > self.newest.counter
+        if not is_new or now_us >= reported.valid_until_us:
             return
-        before = told.attitude_deg if self.newest is None else self._past.get(told.epoch_us)
+        before = reported.attitude_deg if self.newest is None else self._past.get(reported.epoch_us)
         if before is None:
             return
         if self.newest is None:
-            self.angles_deg = list(told.attitude_deg)
-        self.newest = told
+            self.angles_deg = list(reported.attitude_deg)
+        self.newest = reported
         for k in range(_AXES):
-            missed = told.attitude_deg[k] - before[k]
+            missed = reported.attitude_deg[k] - before[k]
             self.angles_deg[k] += _ANGLE_GAIN * missed
             self.bias_deg_s[k] += _BIAS_GAIN_1_S * missed
 

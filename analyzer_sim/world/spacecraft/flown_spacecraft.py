@@ -40,7 +40,7 @@ _ZERO = (0.0, 0.0, 0.0)
 
 
 @dataclass(slots=True)
-class Craft:
+class OrbitalFrameSpacecraft:
     """A craft in flight; vectors about x roll, y pitch, z yaw unless said otherwise."""
 
     inertia_kg_m2: Vector
@@ -88,8 +88,8 @@ class Craft:
         external, unseen = _body(external_n_m), _body(unseen_n_m)
         for start_us, stop_us in _ticks(span_us, schedule):
             acting = [e.torque_n_m for e in schedule if e.start_us <= start_us and e.stop_us >= stop_us]
-            told = _body([sum(parts) for parts in zip(_ZERO, *acting, strict=True)])
-            answered = (told[0] * self.response[0], told[1] * self.response[1], told[2] * self.response[2])
+            reported = _body([sum(parts) for parts in zip(_ZERO, *acting, strict=True)])
+            answered = (reported[0] * self.response[0], reported[1] * self.response[1], reported[2] * self.response[2])
             self._tick((stop_us - start_us) / US_PER_S, answered, drift, external, unseen)
 
     def _tick(
@@ -144,12 +144,14 @@ class Craft:
         return _vector(wheel.momentum_n_m_s for wheel in self.wheels)
 
 
-def craft_at_rest(
+def spacecraft_at_rest(
     inertia_kg_m2: Vector, attitude_deg: Triple, wheels: Sequence[Wheel], *, is_coupled: bool = True
-) -> Craft:
+) -> OrbitalFrameSpacecraft:
     """Return a craft whose loop has settled at an attitude, yaw, roll, pitch."""
     yaw, roll, pitch = (math.radians(angle) for angle in attitude_deg)
-    craft = Craft(inertia_kg_m2, Motion(0.0, 0.0, 0.0, roll, pitch, yaw), wheels, is_coupled=is_coupled)
+    craft = OrbitalFrameSpacecraft(
+        inertia_kg_m2, Motion(0.0, 0.0, 0.0, roll, pitch, yaw), wheels, is_coupled=is_coupled
+    )
     craft.motion = Motion(*craft.reference_rad_s(), roll, pitch, yaw)
     return craft
 

@@ -17,7 +17,7 @@ from analyzer_sim.epochs import US_PER_S
 from analyzer_sim.streams import FloatArray, stream
 from analyzer_sim.world.noise import first_order
 from analyzer_sim.world.orbit.orbit import EARTH_RATE_RAD_S, EpochArray
-from analyzer_sim.world.scenario.manoeuvres import holds_of, piece_edges, planned_deg, unexecuted_deg
+from analyzer_sim.world.scenario.manoeuvres import chunk_edges, holds_of, planned_deg, unexecuted_deg
 from analyzer_sim.world.scenario.story import KeepingErrors, Scenario
 from analyzer_sim.world.scenario.turns import SLEW_MIN, TIMETABLE, TURNS_H
 
@@ -39,12 +39,12 @@ class Correction:
     #: yaw, roll, pitch, total over the interval
     attitude_deg: tuple[float, float, float]
     #: epoch at which the ground is told: the start, or some time after the end
-    told_us: int
+    reported_us: int
 
     @property
     def is_late(self) -> bool:
         """Whether the ground hears of it only afterwards."""
-        return self.told_us > self.start_us
+        return self.reported_us > self.start_us
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,23 +135,23 @@ def _free_flight(
     attitude = np.empty((count + 1, 3))
     attitude[0] = start_deg
     corrections = []
-    for first, last in pairwise(piece_edges(holds, count, step_s).tolist()):
+    for first, last in pairwise(chunk_edges(holds, count, step_s).tolist()):
         span_h = (last - first) * step_s / 3600.0
         known = attitude[first] + ignorance[first]
         feedback = _feedback(known - announced[first] - secret[first], span_h, figures)
         balance = _balance(balanced[first], balanced[last], figures)
-        told = _feed_forward(announced[first], announced[last], span_h, figures) + feedback + balance
+        reported = _feed_forward(announced[first], announced[last], span_h, figures) + feedback + balance
         untold = _feed_forward(secret[first], secret[last], span_h, figures) - balance
-        rates = effect * told + untold + drift[first:last]
+        rates = effect * reported + untold + drift[first:last]
         attitude[first + 1 : last + 1] = _propagate(attitude[first], rates @ gamma.T, phi)
         start_us, stop_us = (int(epochs_us[0]) + row * scenario.row_period_us for row in (first, last))
-        total = np.round(told * span_h + (lead[last] - lead[first]), 7).tolist()
-        told_us = _told_us(start_us, stop_us, figures)
-        corrections.append(Correction(start_us, stop_us, (total[0], total[1], total[2]), told_us))
+        total = np.round(reported * span_h + (lead[last] - lead[first]), 7).tolist()
+        reported_us = _reported_us(start_us, stop_us, figures)
+        corrections.append(Correction(start_us, stop_us, (total[0], total[1], total[2]), reported_us))
     return attitude[:count], tuple(corrections)
 
 
-def _told_us(start_us: int, stop_us: int, figures: KeepingErrors) -> int:
+def _reported_us(start_us: int, stop_us: int, figures: KeepingErrors) -> int:
     late_min = figures.corrections_late_min
     return start_us if late_min is None else stop_us + round(60.0 * late_min) * US_PER_S
 
@@ -163,7 +163,7 @@ def _feed_forward(begin: FloatArray, end: FloatArray, span_h: float, figures: Ke
 
 def _balance(begin: FloatArray, end: FloatArray, figures: KeepingErrors) -> FloatArray:
     """Return the rate against the coupling, as far as those who plan believe in it."""
-    rate = ORBITAL_RATE_PER_H if figures.is_coupled_told else 0.0
+    rate = ORBITAL_RATE_PER_H if figures.is_coupling_announced else 0.0
     middle = 0.5 * (begin + end)
     return -rate * np.array([-middle[1], middle[0], 0.0])
 

@@ -28,7 +28,7 @@ FORECAST_MODE = "inertial_forecast"
 class TelemetryRecord:
     """One record; the ground has it at its epoch."""
 
-    told_us: int
+    reported_us: int
     onboard_mode: str
     #: wheels along roll, pitch, yaw
     wheel_momentum_n_m_s: tuple[float, float, float]

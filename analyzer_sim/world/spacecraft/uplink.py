@@ -31,7 +31,7 @@ from analyzer_sim.world.spacecraft.wheels import MOMENTUM_LIMIT_N_M_S, QUANTUM_N
 _REMEMBERED = 16
 
 
-class UplinkFigures(NamedTuple):
+class UplinkSettings(NamedTuple):
     """What a channel does to commands."""
 
     latency_s: tuple[float, float]
@@ -40,9 +40,9 @@ class UplinkFigures(NamedTuple):
 
 
 #: channels by name
-UPLINKS: dict[str, UplinkFigures] = {
-    "ideal": UplinkFigures((0.0, 0.0), 0.0, 0.0),
-    "link": UplinkFigures((30.0, 120.0), 0.02, 0.01),
+UPLINKS: dict[str, UplinkSettings] = {
+    "ideal": UplinkSettings((0.0, 0.0), 0.0, 0.0),
+    "link": UplinkSettings((30.0, 120.0), 0.02, 0.01),
 }
 
 
@@ -76,7 +76,7 @@ class Arrival(NamedTuple):
 class Report(NamedTuple):
     """What the craft tells of a command."""
 
-    told_us: int
+    reported_us: int
     counter: int
     fate: Fate
     received_us: int
@@ -90,7 +90,7 @@ class Report(NamedTuple):
 class Uplink:
     """The channel."""
 
-    figures: UplinkFigures
+    figures: UplinkSettings
     seed: int
     _sent: int = 0
     _under_way: list[Arrival] = field(default_factory=list)
@@ -121,7 +121,7 @@ class _Accepted:
     #: where the first element begins as it was sent; None = there was none
     start_us: int | None
     #: elements whose end has been told
-    told: int = 0
+    reported: int = 0
 
     @property
     def counter(self) -> int:
@@ -174,8 +174,8 @@ class CommandStore:
                 continue
             left.append(accepted)
             is_between = all(element.start_us >= until_us for element in accepted.elements if element not in over)
-            if len(over) > accepted.told and is_between:
-                accepted.told = len(over)
+            if len(over) > accepted.reported and is_between:
+                accepted.reported = len(over)
                 reports.append(_report(accepted, over, Fate.EXECUTING))
         self._executing = left
         return reports

@@ -90,8 +90,8 @@ class AccessHousekeeping:
         """Write down what is due."""
         self._keys.write_down_used()
         try:
-            for deed in self._refusals.settled(is_last=is_last):
-                self._audit.append(deed)
+            for audit_event in self._refusals.settled(is_last=is_last):
+                self._audit.append(audit_event)
             for announcer in self._announcers:
                 announcer.announce(is_last=is_last)
         except StorageError as error:

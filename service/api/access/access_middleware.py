@@ -12,7 +12,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.api.access.audit_context import BASE_PATH, address_of, deed_of
+from service.api.access.audit_context import BASE_PATH, address_of, audit_event_of
 from service.api.access.auth import refuse_above
 from service.api.access.key_cache import StoredKeys
 from service.api.access.principals import Principal
@@ -97,13 +97,13 @@ class _Answer:
         """Bring to the audit log what is to be there when the answer leaves."""
         if status in _REFUSED:
             await self._write_refusal(status)
-        deed = self.note.deed
-        if deed is None or (status < HTTPStatus.BAD_REQUEST) == (self.note.entry is not None):
+        audit_event = self.note.audit_event
+        if audit_event is None or (status < HTTPStatus.BAD_REQUEST) == (self.note.entry is not None):
             return
         if status < HTTPStatus.BAD_REQUEST:
             # a change that no write took along: it changed nothing that is stored, or not at once
             audit = _context(self._scope).storage.audit
-            self.note.entry = await run_in_threadpool(audit.append, naming_result(deed, None))
+            self.note.entry = await run_in_threadpool(audit.append, naming_result(audit_event, None))
             return
         # a part was committed with the entry, then the request failed all the same: both stand in the log
         await self._append_or_log(status)
@@ -144,12 +144,12 @@ def _check_outside(scope: Scope) -> None:
     path = scope["path"]
     if not path.startswith(f"{BASE_PATH}/") and path not in _UNCOUNTED:
         limits: RateLimits = scope["app"].state.rate_limits
-        refuse_above(limits.take_anonymous(address_of(scope)))
+        refuse_above(limits.consume_anonymous(address_of(scope)))
 
 
 def _refusal(scope: Scope, status: int) -> AuditEvent:
     """Return the deed that was refused, or that failed."""
-    return naming_result(deed_of(scope, _context(scope).clock.system_us(), str(status)), None)
+    return naming_result(audit_event_of(scope, _context(scope).clock.system_us(), str(status)), None)
 
 
 def _context(scope: Scope) -> ApiContext:

@@ -24,18 +24,18 @@ def note_of(scope: Scope) -> AuditContext:
 def digest_body(scope: Scope, body: bytes) -> None:
     """Put the digest of a request's body into its note; called before the body is acted upon."""
     note = note_of(scope)
-    if note.deed is not None:
-        note.deed = replace(note.deed, body_sha256=sha256(body).hexdigest())
+    if note.audit_event is not None:
+        note.audit_event = replace(note.audit_event, body_sha256=sha256(body).hexdigest())
 
 
 def note_choice(scope: Scope, choice: str) -> None:
     """Put a choice that overrides a check into the target of a request's audit entry, as a query."""
     note = note_of(scope)
-    if note.deed is not None:
-        note.deed = replace(note.deed, target=f"{note.deed.target.rstrip('/')}?{choice}")
+    if note.audit_event is not None:
+        note.audit_event = replace(note.audit_event, target=f"{note.audit_event.target.rstrip('/')}?{choice}")
 
 
-def deed_of(scope: Scope, at_us: int, outcome: str = DONE) -> AuditEvent:
+def audit_event_of(scope: Scope, at_us: int, outcome: str = DONE) -> AuditEvent:
     """Return what a request does, or wanted to do.
 
     Parameters

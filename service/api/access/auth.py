@@ -10,7 +10,7 @@ from typing import Annotated, Protocol
 
 from fastapi import Depends, Request
 
-from service.api.access.audit_context import SAFE_METHODS, address_of, deed_of, note_of
+from service.api.access.audit_context import SAFE_METHODS, address_of, audit_event_of, note_of
 from service.api.access.principals import Permission, Principal
 from service.api.limits.rate_limits import Allowance, RateLimits, class_of
 from service.api.problems.problems import RequestProblemError, request_id_of
@@ -45,7 +45,7 @@ async def known_or_counted(request: Request) -> Principal | None:
     principal = await ring.principal(key.strip()) if scheme.lower() == "bearer" else None
     if principal is None:
         limits: RateLimits = request.app.state.rate_limits
-        refuse_above(limits.take_anonymous(address_of(request.scope)))
+        refuse_above(limits.consume_anonymous(address_of(request.scope)))
     return principal
 
 
@@ -101,7 +101,9 @@ class Requires:
             detail = f"a key of role {principal.role} may not {self.permission}; ask an administrator for another key"
             raise RequestProblemError(HTTPStatus.FORBIDDEN, "key.forbidden", detail)
         if self.permission in _AUDITED and request.method not in SAFE_METHODS:
-            note_of(request.scope).deed = deed_of(request.scope, request.app.state.context.clock.system_us())
+            note_of(request.scope).audit_event = audit_event_of(
+                request.scope, request.app.state.context.clock.system_us()
+            )
 
 
 MAY_READ = Depends(Requires(Permission.READ))

@@ -41,10 +41,10 @@ class Refusals:
         #: requests come on the loop, another thread takes away what was counted
         self._lock = Lock()
 
-    def admit(self, deed: AuditEvent) -> bool:
+    def admit(self, audit_event: AuditEvent) -> bool:
         """Whether a refusal is to be written now; the others are counted."""
         with self._lock:
-            return self._is_first(deed)
+            return self._is_first(audit_event)
 
     def settled(self, *, is_last: bool = False) -> list[AuditEvent]:
         """Return what was counted, when its time is over or nothing more will come, and begin anew."""
@@ -55,15 +55,15 @@ class Refusals:
             groups, self._groups, self._until_s = self._groups, {}, now_s + WINDOW_S
         return [replace(group.last, times=group.times) for group in groups.values() if group.times]
 
-    def _is_first(self, deed: AuditEvent) -> bool:
-        name = (deed.outcome, deed.key_id, deed.address)
+    def _is_first(self, audit_event: AuditEvent) -> bool:
+        name = (audit_event.outcome, audit_event.key_id, audit_event.address)
         group = self._groups.get(name)
         is_new = group is None
         if group is None:
             name = name if len(self._groups) < MAX_GROUPS else _OTHERS
             is_new = name not in self._groups
-            group = self._groups.setdefault(name, _Group(deed))
+            group = self._groups.setdefault(name, _Group(audit_event))
         if is_new:
             return True
-        group.last, group.times = deed, group.times + 1
+        group.last, group.times = audit_event, group.times + 1
         return False

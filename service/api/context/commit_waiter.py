@@ -38,9 +38,9 @@ class CommitWaiter:
             if self._is_woken or loop.is_closed():
                 return
             self._is_woken = True
-        loop.call_soon_threadsafe(self._tell)
+        loop.call_soon_threadsafe(self._report)
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         """Let all go on whose work is done."""
         with self._lock:
             landed, self._landed = self._landed, deque()

@@ -108,7 +108,7 @@ class ApiContext:
     #: administrator's key; None = every request is refused
     bootstrap_key: str | None = field(default=None, repr=False)
     limits: Limits = field(default_factory=Limits)
-    observation: MonitoringSettings = field(default_factory=MonitoringSettings)
+    monitoring: MonitoringSettings = field(default_factory=MonitoringSettings)
     #: whether the estimator runs
     is_following: Callable[[], bool] = _always
     #: who writes exported levels

@@ -15,7 +15,7 @@ from service.api.protocol.byte_ranges import UnsatisfiableRangeError, wanted_ran
 #: a file up to this size waits in memory, a greater one on the disk
 _HELD_BYTES = 8 * 1024 * 1024
 #: pieces are gathered to this size before they go out
-_PIECE_BYTES = 256 * 1024
+_CHUNK_BYTES = 256 * 1024
 
 
 def gathered(pieces: Iterable[bytes]) -> Iterator[bytes]:
@@ -25,7 +25,7 @@ def gathered(pieces: Iterable[bytes]) -> Iterator[bytes]:
     for piece in pieces:
         held.append(piece)
         size += len(piece)
-        if size >= _PIECE_BYTES:
+        if size >= _CHUNK_BYTES:
             yield b"".join(held)
             held, size = [], 0
     if held:
@@ -101,7 +101,7 @@ def _slice(file: IO[bytes], first: int, last: int) -> Iterator[bytes]:
     with file:
         file.seek(first)
         left = last - first + 1
-        while left > 0 and (piece := file.read(min(_PIECE_BYTES, left))):
+        while left > 0 and (piece := file.read(min(_CHUNK_BYTES, left))):
             left -= len(piece)
             yield piece
 

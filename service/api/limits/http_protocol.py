@@ -87,12 +87,12 @@ class BoundedProtocol(HttpToolsProtocol):
     def on_url(self, url: bytes) -> None:
         """Take a piece of the path."""
         super().on_url(url)
-        self._grow(len(url))
+        self._count(len(url))
 
     def on_header(self, name: bytes, value: bytes) -> None:
         """Take a header."""
         super().on_header(name, value)
-        self._grow(len(name) + len(value))
+        self._count(len(name) + len(value))
 
     def on_headers_complete(self) -> None:
         """Take the end of the head."""
@@ -113,7 +113,7 @@ class BoundedProtocol(HttpToolsProtocol):
         detail = "this is not HTTP/1.1 as RFC 9112 has it; check the client, or the proxy between"
         self._refuse(RequestProblemError(HTTPStatus.BAD_REQUEST, "http.malformed", detail))
 
-    def _grow(self, size: int) -> None:
+    def _count(self, size: int) -> None:
         """Count a part of the head."""
         self._head_bytes += size
         if self._head_bytes > MAX_HEAD_BYTES:

@@ -121,7 +121,7 @@ class RateLimits:
             bucket = self._keys[key_id, wanted] = Bucket(per_s, burst, now_s)
         return bucket.take(now_s)
 
-    def take_anonymous(self, address: str) -> Allowance | None:
+    def consume_anonymous(self, address: str) -> Allowance | None:
         """Count a request without a valid key; None where there is no limit."""
         per_s, burst = self._rates[RateClass.ANONYMOUS]
         if per_s <= 0:

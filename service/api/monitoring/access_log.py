@@ -10,7 +10,7 @@ from typing import Any
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.api.monitoring.request_metrics import RequestFigures
+from service.api.monitoring.request_metrics import RequestMetrics
 
 _LOG = logging.getLogger("soo.access")
 #: what is served without a route of its own
@@ -27,7 +27,7 @@ class RequestLog:
     ----------
     app : ASGIApp
         What lies inside.
-    figures : RequestFigures
+    figures : RequestMetrics
         Where requests are counted.
     base_path : str
         Stands before the templates of routes that lie below it.
@@ -35,9 +35,9 @@ class RequestLog:
         Whether lines are written; requests are counted either way.
     """
 
-    def __init__(self, app: ASGIApp, figures: RequestFigures, base_path: str, *, is_writing: bool = True) -> None:
+    def __init__(self, app: ASGIApp, statistics: RequestMetrics, base_path: str, *, is_writing: bool = True) -> None:
         self._app = app
-        self._figures = figures
+        self._statistics = statistics
         self._base_path = base_path
         self._is_writing = is_writing
 
@@ -53,20 +53,20 @@ class RequestLog:
             await send(message)
 
         began_s = time.perf_counter()
-        self._figures.in_progress += 1
+        self._statistics.in_progress += 1
         try:
             await self._app(scope, receive, send_seen)
         except Exception:
             answer.status = answer.status or 500
             raise
         finally:
-            self._figures.in_progress -= 1
-            self._tell(scope, answer, time.perf_counter() - began_s)
+            self._statistics.in_progress -= 1
+            self._report(scope, answer, time.perf_counter() - began_s)
 
-    def _tell(self, scope: Scope, answer: "_Answer", duration_s: float) -> None:
+    def _report(self, scope: Scope, answer: "_Answer", duration_s: float) -> None:
         """Count a request and write its line."""
         route, method, status = self._route(scope), scope["method"], answer.status or _CLIENT_LEFT
-        self._figures.add_request(method, route, status, duration_s, is_stream=answer.is_stream)
+        self._statistics.add_request(method, route, status, duration_s, is_stream=answer.is_stream)
         if self._is_writing and _LOG.isEnabledFor(logging.INFO):
             fields: dict[str, Any] = {
                 "method": method,

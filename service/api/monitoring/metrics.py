@@ -21,16 +21,16 @@ from service.api.monitoring.metric_families import (
     STATUS_NUMBERS,
 )
 from service.api.monitoring.readiness import parts_of
-from service.api.monitoring.request_metrics import DURATION_BOUNDS_S, RequestFigures
+from service.api.monitoring.request_metrics import DURATION_BOUNDS_S, RequestMetrics
 from service.api.stream.open_streams import OpenStreams
-from service.api.views.links import links_told
+from service.api.views.links import link_answers
 from service.api.views.newest import newest_attitude
 from service.api.views.present import present_of
 from service.errors import StorageError
 from service.records.catalogue import Method, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import AttitudeRow
-from service.runtime.process_metrics import process_figures
+from service.runtime.process_metrics import process_statistics
 
 MEDIA_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 _LOG = logging.getLogger(__name__)
@@ -45,7 +45,7 @@ class Metrics:
     ----------
     context : ApiContext
         Archive, clock and supervisor.
-    figures : RequestFigures
+    figures : RequestMetrics
         Counts of requests and rows.
     streams : OpenStreams
         Live streams.
@@ -54,10 +54,10 @@ class Metrics:
     """
 
     def __init__(
-        self, context: ApiContext, figures: RequestFigures, streams: OpenStreams, connections: Connections
+        self, context: ApiContext, statistics: RequestMetrics, streams: OpenStreams, connections: Connections
     ) -> None:
         self._context = context
-        self._figures = figures
+        self._statistics = statistics
         self._streams = streams
         self._connections = connections
 
@@ -99,23 +99,23 @@ class Metrics:
 
     def _process(self) -> Iterator[Sample]:
         """Yield what the process takes."""
-        figures = process_figures()
+        statistics = process_statistics()
         yield "soo_build_info", (_version(),), 1.0
-        yield "soo_process_resident_memory_bytes", (), float(figures.rss_bytes)
-        yield "soo_process_cpu_seconds_total", (), figures.cpu_s
-        for name, value in (("open_files", figures.open_files), ("threads", figures.threads)):
+        yield "soo_process_resident_memory_bytes", (), float(statistics.rss_bytes)
+        yield "soo_process_cpu_seconds_total", (), statistics.cpu_s
+        for name, value in (("open_files", statistics.open_files), ("threads", statistics.threads)):
             if value is not None:
                 yield f"soo_process_{name}", (), float(value)
 
     def _requests(self) -> Iterator[Sample]:
         """Yield counts of requests, rows and events; copies, for the event loop goes on counting."""
-        figures = self._figures
-        for (method, route, status), count in sorted(figures.requests.copy().items()):
+        statistics = self._statistics
+        for (method, route, status), count in sorted(statistics.requests.copy().items()):
             yield "soo_http_requests_total", (method, route, str(status)), float(count)
-        yield "soo_http_requests_in_progress", (), float(figures.in_progress)
-        for key, count in sorted(figures.rows.copy().items()):
+        yield "soo_http_requests_in_progress", (), float(statistics.in_progress)
+        for key, count in sorted(statistics.rows.copy().items()):
             yield "soo_rows_total", key, float(count)
-        for key, count in sorted(figures.refused.copy().items()):
+        for key, count in sorted(statistics.refused.copy().items()):
             yield "soo_rows_refused_total", key, float(count)
         yield "soo_connections", (), float(self._connections.count)
         for kind, count in sorted(self._connections.refused.copy().items()):
@@ -132,9 +132,9 @@ class Metrics:
         name = "soo_http_request_duration_seconds"
         family = HistogramMetricFamily(name, FAMILIES[name].help, labels=FAMILIES[name].labels)
         bounds = (*map(str, DURATION_BOUNDS_S), "+Inf")
-        for route, durations in sorted(self._figures.durations.copy().items()):
+        for route, durations in sorted(self._statistics.durations.copy().items()):
             counts = list(durations.counts)
-            buckets = [(bound, float(sum(counts[: place + 1]))) for place, bound in enumerate(bounds)]
+            buckets = [(bound, float(sum(counts[: position + 1]))) for position, bound in enumerate(bounds)]
             family.add_metric([route], buckets, durations.total_s)
         return family
 
@@ -185,7 +185,7 @@ class Metrics:
 
     def _links(self) -> Iterator[Sample]:
         """Yield the state of each link."""
-        for link in links_told(self._context, self._context.storage.links.links()[:MAX_LINKS]):
+        for link in link_answers(self._context, self._context.storage.links.links()[:MAX_LINKS]):
             yield "soo_link_state", (link.id, link.state), 1.0
             if link.last_good_age_s is not None:
                 yield "soo_link_last_good_age_seconds", (link.id,), link.last_good_age_s

@@ -37,14 +37,14 @@ class SharedReadiness:
 
     def __init__(self, context: ApiContext) -> None:
         self._context = context
-        self._look: asyncio.Task[tuple[Part, ...]] | None = None
+        self._poll: asyncio.Task[tuple[Part, ...]] | None = None
 
     async def parts(self) -> tuple[Part, ...]:
         """Return every part whose state can be known, as the look finds it that runs, or a new one."""
-        if self._look is None or self._look.done():
-            self._look = asyncio.create_task(run_in_threadpool(parts_of, self._context))
+        if self._poll is None or self._poll.done():
+            self._poll = asyncio.create_task(run_in_threadpool(parts_of, self._context))
         # a client that goes takes the look from nobody
-        return await asyncio.shield(self._look)
+        return await asyncio.shield(self._poll)
 
 
 def parts_of(context: ApiContext) -> tuple[Part, ...]:
@@ -82,7 +82,7 @@ def _disk(state: StorageState, context: ApiContext) -> Iterator[Part]:
     """Yield whether there is room beside the database, where that can be known."""
     if state.free_bytes is None:
         return
-    free_mb, least_mb = state.free_bytes // 10**6, context.observation.min_free_disk_bytes // 10**6
+    free_mb, least_mb = state.free_bytes // 10**6, context.monitoring.min_free_disk_bytes // 10**6
     if not state.is_writable:
         yield Part("disk", "disk.read_only", "the database's file or its folder cannot be written")
     elif free_mb < least_mb:
@@ -96,7 +96,7 @@ def _consumers(context: ApiContext) -> Iterator[Part]:
     if not context.is_following():
         yield Part("consumers", "consumers.stopped", "the estimator does not run; restart the service")
         return
-    archive, limit = context.storage.archive, context.observation.ready_lag
+    archive, limit = context.storage.archive, context.monitoring.ready_lag
     heads = {craft.id: archive.head(craft.id) for craft in context.storage.catalogue.all_spacecraft()}
     lags = {name: head.newest_number - head.consumed_number for name, head in heads.items()}
     behind = [f"{name} by {lag}" for name, lag in lags.items() if lag > limit]

@@ -33,7 +33,7 @@ class DurationHistogram:
 
 
 @dataclass(slots=True)
-class RequestFigures:
+class RequestMetrics:
     """Counts since the start of the process."""
 
     #: by (method, route, status)

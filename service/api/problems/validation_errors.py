@@ -43,10 +43,12 @@ def faults_of(errors: Sequence[Mapping[str, Any]], prefix: str = "") -> tuple[Fi
 
 def _is_echo(error: Mapping[str, Any], errors: Sequence[Mapping[str, Any]]) -> bool:
     """Whether a sequence is called too short only because its elements failed and were not counted."""
-    place = tuple(error["loc"])
+    position = tuple(error["loc"])
     if error["type"] != "too_short":
         return False
-    return any(len(other["loc"]) > len(place) and tuple(other["loc"])[: len(place)] == place for other in errors)
+    return any(
+        len(other["loc"]) > len(position) and tuple(other["loc"])[: len(position)] == position for other in errors
+    )
 
 
 def pointer_of(location: Sequence[str | int]) -> str:

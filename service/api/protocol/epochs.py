@@ -26,7 +26,7 @@ class ParsedEpochs(NamedTuple):
     #: (T,) microseconds UTC
     epochs_us: IntArray
     #: places of instants within a leap second
-    leap_places: tuple[int, ...]
+    leap_positions: tuple[int, ...]
 
 
 class EpochTextError(Exception):
@@ -35,7 +35,7 @@ class EpochTextError(Exception):
     Parameters
     ----------
     index : int
-        Place in the sequence.
+        Position in the sequence.
     detail : str
         What is wrong with it.
     """
@@ -64,15 +64,15 @@ def parse_epochs(texts: Sequence[str]) -> ParsedEpochs:
         # second 60 is never of the exact form
         return ParsedEpochs(fast, ())
     epochs_us = np.empty(len(texts), dtype=np.int64)
-    leap_places: list[int] = []
+    leap_positions: list[int] = []
     for index, text in enumerate(texts):
         try:
             epochs_us[index] = parse_epoch(text)
         except ValueError as error:
             raise EpochTextError(index, str(error)) from None
         if is_leap_second(text):
-            leap_places.append(index)
-    return ParsedEpochs(epochs_us, tuple(leap_places))
+            leap_positions.append(index)
+    return ParsedEpochs(epochs_us, tuple(leap_positions))
 
 
 def _parse_exact_form(texts: Sequence[str]) -> IntArray | None:

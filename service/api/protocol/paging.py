@@ -21,7 +21,7 @@ from service.records.calibration import Window
 from service.records.epoch import EARLIEST_EPOCH_US, LATEST_EPOCH_US, parse_epoch
 
 T = TypeVar("T")
-Place = tuple[int, int]
+Position = tuple[int, int]
 DEFAULT_LIMIT = 100
 MAX_LIMIT = 10_000
 #: version byte, start in microseconds, number, mark of the query
@@ -37,7 +37,7 @@ class PageQuery:
 
     window: Window
     limit: int
-    after: Place | None
+    after: Position | None
 
 
 def mark_of(request: Request) -> int:
@@ -46,7 +46,7 @@ def mark_of(request: Request) -> int:
     return zlib.crc32(repr((request.url.path, pairs)).encode())
 
 
-def encode_cursor(place: Place, mark: int = 0) -> str:
+def encode_cursor(position: Position, mark: int = 0) -> str:
     """Return the cursor that stands behind a place of a query.
 
     Examples
@@ -54,10 +54,10 @@ def encode_cursor(place: Place, mark: int = 0) -> str:
     >>> decode_cursor(encode_cursor((5, 7), 3), 3)
     (5, 7)
     """
-    return urlsafe_b64encode(_CURSOR.pack(_CURSOR_VERSION, *place, mark)).decode("ascii").rstrip("=")
+    return urlsafe_b64encode(_CURSOR.pack(_CURSOR_VERSION, *position, mark)).decode("ascii").rstrip("=")
 
 
-def decode_cursor(text: str, mark: int = 0) -> Place:
+def decode_cursor(text: str, mark: int = 0) -> Position:
     """Return the place of a cursor; problem ``cursor.invalid`` for any text that was not given for this query."""
     try:
         packed = urlsafe_b64decode(text.encode("ascii") + b"=" * (-len(text) % 4))
@@ -139,7 +139,7 @@ Page = Annotated[PageQuery, Depends(page_query)]
 
 
 def cut_page(
-    rows: Sequence[T], limit: int, place: Callable[[T], Place], request: Request, response: Response
+    rows: Sequence[T], limit: int, position: Callable[[T], Position], request: Request, response: Response
 ) -> tuple[Sequence[T], str | None]:
     """Return the rows of one page and the cursor of the next, and set the Link header.
 
@@ -156,7 +156,7 @@ def cut_page(
     """
     if len(rows) <= limit:
         return rows, None
-    cursor = encode_cursor(place(rows[limit - 1]), mark_of(request))
+    cursor = encode_cursor(position(rows[limit - 1]), mark_of(request))
     url = request.url.include_query_params(cursor=cursor)
     # relative: the host that a client reached us by is for the client to know
     response.headers["Link"] = f'<{url.path}?{url.query}>; rel="next"'

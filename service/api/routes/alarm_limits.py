@@ -45,5 +45,5 @@ def get_limits_in_force(spacecraft_id: SpacecraftId, context: Context) -> Limits
     stated = context.storage.alarms.limits(spacecraft_id)
     sets = context.alarms.sets_in_force(spacecraft_id)
     limits = limits_in_force(context.alarms.conditions, stated, sets)
-    told = {name: ConditionLimitsAnswer.of(name, each) for name, each in limits.items()}
-    return LimitsInForceAnswer(version=stated.version, sets=list(sets), conditions=told)
+    reported = {name: ConditionLimitsAnswer.of(name, each) for name, each in limits.items()}
+    return LimitsInForceAnswer(version=stated.version, sets=list(sets), conditions=reported)

@@ -7,8 +7,8 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from service.api.access.auth import MAY_OPERATE, CurrentPrincipal
 from service.api.context.dependencies import Context, SpacecraftId
 from service.api.protocol.bodies import accepts, body_of
-from service.api.protocol.paging import Page, Place, cut_page
-from service.api.routes.comments import Said, accepts_remark
+from service.api.protocol.paging import Page, Position, cut_page
+from service.api.routes.comments import Said, accepts_comment
 from service.api.schemas.alarms import (
     AlarmAnswer,
     AlarmChangeAnswer,
@@ -39,7 +39,7 @@ def list_alarms(
     context.storage.catalogue.spacecraft(spacecraft_id)
     states = state or ["open"]
     found = context.storage.alarms.alarms(spacecraft_id, states, page.window, page.limit + 1, page.after)
-    alarms, cursor = cut_page(found, page.limit, _place, request, response)
+    alarms, cursor = cut_page(found, page.limit, _position, request, response)
     rows = [AlarmAnswer.of(alarm, context.alarms.present_value(alarm)) for alarm in alarms]
     return AlarmPage(range=WindowAnswer.of(page.window), rows=rows, next=cursor)
 
@@ -52,10 +52,10 @@ def get_alarm(alarm_id: AlarmId, context: Context) -> AlarmHistoryAnswer:
     return AlarmHistoryAnswer(alarm=AlarmAnswer.of(alarm, context.alarms.present_value(alarm)), changes=changes)
 
 
-@router.post("/{alarm_id}:acknowledge", dependencies=[MAY_OPERATE], openapi_extra=accepts_remark())
+@router.post("/{alarm_id}:acknowledge", dependencies=[MAY_OPERATE], openapi_extra=accepts_comment())
 def acknowledge_alarm(alarm_id: AlarmId, body: Said, context: Context, principal: CurrentPrincipal) -> AlarmAnswer:
     """Say that the alarm was seen; it is told no more unless it becomes worse or comes back."""
-    return _told(context, context.alarms.acknowledge(alarm_id, principal.name, body.comment))
+    return _reported(context, context.alarms.acknowledge(alarm_id, principal.name, body.comment))
 
 
 @router.post("/{alarm_id}:shelve", dependencies=[MAY_OPERATE], openapi_extra=accepts(ShelveDocument))
@@ -66,26 +66,26 @@ def shelve_alarm(
     principal: CurrentPrincipal,
 ) -> AlarmAnswer:
     """Keep the alarm quiet until an instant, at most 24 h ahead."""
-    return _told(context, context.alarms.shelve(alarm_id, principal.name, body.comment, body.until))
+    return _reported(context, context.alarms.shelve(alarm_id, principal.name, body.comment, body.until))
 
 
-@router.post("/{alarm_id}:unshelve", dependencies=[MAY_OPERATE], openapi_extra=accepts_remark())
+@router.post("/{alarm_id}:unshelve", dependencies=[MAY_OPERATE], openapi_extra=accepts_comment())
 def unshelve_alarm(alarm_id: AlarmId, body: Said, context: Context, principal: CurrentPrincipal) -> AlarmAnswer:
     """End a shelving before its time."""
-    return _told(context, context.alarms.unshelve(alarm_id, principal.name, body.comment))
+    return _reported(context, context.alarms.unshelve(alarm_id, principal.name, body.comment))
 
 
-@router.post("/{alarm_id}:clear", dependencies=[MAY_OPERATE], openapi_extra=accepts_remark())
+@router.post("/{alarm_id}:clear", dependencies=[MAY_OPERATE], openapi_extra=accepts_comment())
 def clear_alarm(alarm_id: AlarmId, body: Said, context: Context, principal: CurrentPrincipal) -> AlarmAnswer:
     """Close the alarm; a condition that still stands alarms anew after its time."""
-    return _told(context, context.alarms.clear(alarm_id, principal.name, body.comment))
+    return _reported(context, context.alarms.clear(alarm_id, principal.name, body.comment))
 
 
-def _told(context: Context, alarm: Alarm) -> AlarmAnswer:
+def _reported(context: Context, alarm: Alarm) -> AlarmAnswer:
     """Return an alarm as it is told."""
     return AlarmAnswer.of(alarm, context.alarms.present_value(alarm))
 
 
-def _place(alarm: Alarm) -> Place:
+def _position(alarm: Alarm) -> Position:
     """Return where an alarm stands in its list."""
     return alarm.raised_at_us, alarm.id

@@ -18,7 +18,7 @@ from service.api.schemas.carriers import (
     PlanReceiptAnswer,
     content_digest,
 )
-from service.api.views.catalogue_findings import accepted_places
+from service.api.views.catalogue_findings import accepted_findings
 from service.formats.carrier_plan_csv import read_carrier_plan, write_carrier_plan
 from service.pipeline.inputs.catalogue_checks import check_carriers
 
@@ -46,7 +46,7 @@ def put_carriers(
     """Put a carrier plan; the same content keeps its plan_id, any change makes a new plan."""
     carriers = body.to_records()
     longitude_deg = context.storage.catalogue.spacecraft(spacecraft_id).longitude_deg
-    warnings = accepted_places(check_carriers(carriers, longitude_deg))
+    warnings = accepted_findings(check_carriers(carriers, longitude_deg))
     plan = context.storage.catalogue.put_plan(spacecraft_id, carriers, content_digest(carriers))
     context.on_accepted(spacecraft_id)
     return PlanReceiptAnswer(plan_id=plan.id, sha256=plan.sha256, carriers=len(plan.carriers), warnings=warnings)

@@ -11,7 +11,7 @@ from service.records.operations.note import Note
 TAG = "control"
 
 
-def accepts_remark() -> dict[str, Any]:
+def accepts_comment() -> dict[str, Any]:
     """Return what the OpenAPI document says about a remark that may be left out."""
     return accepts(RemarkDocument, is_required=False)
 

@@ -27,7 +27,7 @@ _CHECK_ORDER = ("roll", "pitch", "yaw")
 @router.get("/control")
 def get_control(spacecraft_id: SpacecraftId, context: Context) -> ControlAnswer:
     """Return what the interlock says, and every reason that stands."""
-    return _told(context, spacecraft_id, context.release_service.control(spacecraft_id))
+    return _reported(context, spacecraft_id, context.release_service.control(spacecraft_id))
 
 
 @router.post("/control:arm", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_ORDER)
@@ -46,7 +46,7 @@ def arm_control(
     text = "release automatic asked for" if first is None else f"release automatic set, asked for by {first} before"
     log_comment(context, spacecraft_id, principal, text, body.comment or "control:arm")
     context.on_accepted(spacecraft_id)
-    return _told(context, spacecraft_id, context.release_service.control(spacecraft_id))
+    return _reported(context, spacecraft_id, context.release_service.control(spacecraft_id))
 
 
 @router.post("/control:disengage", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_ORDER)
@@ -92,7 +92,7 @@ def engage_control(
         envelope=limits,
     )
     log_comment(context, spacecraft_id, principal, "engage", body.comment)
-    return _told(context, spacecraft_id, engaged)
+    return _reported(context, spacecraft_id, engaged)
 
 
 @router.post(
@@ -111,7 +111,7 @@ def check_sign(
         axis = next((each for each in _CHECK_ORDER if each not in proven), _CHECK_ORDER[0])
     begun = context.release_service.sign_check(spacecraft_id, axis, principal.name)
     log_comment(context, spacecraft_id, principal, f"sign check of {axis}", body.comment)
-    return _told(context, spacecraft_id, begun)
+    return _reported(context, spacecraft_id, begun)
 
 
 def _order(
@@ -120,10 +120,10 @@ def _order(
     """Return what the interlock says after an order."""
     view = context.release_service.order(spacecraft_id, kind, principal.name)
     log_comment(context, spacecraft_id, principal, kind.value, body.comment)
-    return _told(context, spacecraft_id, view)
+    return _reported(context, spacecraft_id, view)
 
 
-def _told(context: ApiContext, spacecraft_id: str, view: ControlView) -> ControlAnswer:
+def _reported(context: ApiContext, spacecraft_id: str, view: ControlView) -> ControlAnswer:
     """Return the answer that tells a view of the interlock, with the verdict."""
     present = present_of(context, context.storage.catalogue.spacecraft(spacecraft_id), view)
     return ControlAnswer.of(view, present.verdict)

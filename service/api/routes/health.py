@@ -60,7 +60,7 @@ async def get_readiness(request: Request) -> ReadinessAnswer:
 async def get_metrics(request: Request, context: Context) -> Response:
     """Return the figures of the service in the text form of Prometheus; a key is needed by setting only."""
     # the key first: wrong ones of others behind the same address keep no holder of a valid one out
-    await (authenticated if context.observation.metrics_need_key else known_or_counted)(request)
+    await (authenticated if context.monitoring.metrics_need_key else known_or_counted)(request)
     metrics: Metrics = request.app.state.metrics
     return Response(await run_in_threadpool(metrics.render), media_type=MEDIA_TYPE)
 

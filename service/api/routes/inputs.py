@@ -8,7 +8,7 @@ from fastapi import APIRouter, Request, Response
 from service.api.access.auth import MAY_SEND
 from service.api.context.dependencies import ApiContext, Context, SpacecraftId
 from service.api.protocol.bodies import accepts, body_of
-from service.api.protocol.paging import Page, PageQuery, Place, cut_page
+from service.api.protocol.paging import Page, PageQuery, Position, cut_page
 from service.api.routes.measurements_ingest import check_batch_size
 from service.api.schemas.base import WindowAnswer
 from service.api.schemas.inputs import (
@@ -89,7 +89,7 @@ def list_references(
 ) -> ReferencePage:
     """List attitude references in order of epoch."""
     entries, cursor = cut_page(
-        _entries(spacecraft_id, "reference", page, context), page.limit, _place, request, response
+        _entries(spacecraft_id, "reference", page, context), page.limit, _position, request, response
     )
     rows = [ReferenceAnswer.of(entry.content) for entry in entries if isinstance(entry.content, AttitudeReference)]
     return ReferencePage(range=WindowAnswer.of(page.window), rows=rows, next=cursor)
@@ -101,7 +101,7 @@ def list_corrections(
 ) -> CorrectionPage:
     """List corrections that overlap the range, in order of start."""
     entries, cursor = cut_page(
-        _entries(spacecraft_id, "correction", page, context), page.limit, _place, request, response
+        _entries(spacecraft_id, "correction", page, context), page.limit, _position, request, response
     )
     rows = [CorrectionAnswer.of(entry.content) for entry in entries if isinstance(entry.content, Correction)]
     return CorrectionPage(range=WindowAnswer.of(page.window), rows=rows, next=cursor)
@@ -113,7 +113,7 @@ def list_telemetry(
 ) -> TelemetryPage:
     """List telemetry in order of epoch."""
     entries, cursor = cut_page(
-        _entries(spacecraft_id, "telemetry", page, context), page.limit, _place, request, response
+        _entries(spacecraft_id, "telemetry", page, context), page.limit, _position, request, response
     )
     rows = [TelemetryAnswer.of(entry.content) for entry in entries if isinstance(entry.content, TelemetryRecord)]
     return TelemetryPage(range=WindowAnswer.of(page.window), rows=rows, next=cursor)
@@ -147,7 +147,7 @@ def _entries(spacecraft_id: str, kind: str, page: PageQuery, context: ApiContext
     return context.storage.archive.inputs(spacecraft_id, kind, page.window, page.limit + 1, page.after)
 
 
-def _place(entry: JournalEntry) -> Place:
+def _position(entry: JournalEntry) -> Position:
     """Return where an entry stands in the order of its list."""
     content = entry.content
     start_us = content.start_us if isinstance(content, Correction) else getattr(content, "epoch_us", 0)

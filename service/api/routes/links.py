@@ -11,7 +11,7 @@ from service.api.context.dependencies import SPACECRAFT_ID_PATTERN, Context
 from service.api.protocol.bodies import accepts, body_of
 from service.api.schemas.base import NAME_PATTERN
 from service.api.schemas.links import LinkAnswer, LinkListAnswer, LinkReportsDocument, LinkWishAnswer, LinkWishesAnswer
-from service.api.views.links import links_told
+from service.api.views.links import link_answers
 from service.errors import NotFoundError
 
 router = APIRouter(prefix="/links", tags=["links"])
@@ -38,7 +38,7 @@ def report_links(
 @router.get("")
 def list_links(context: Context, spacecraft_id: SpacecraftParameter = None) -> LinkListAnswer:
     """List the links that have reported."""
-    return LinkListAnswer(links=links_told(context, context.storage.links.links(spacecraft_id)))
+    return LinkListAnswer(links=link_answers(context, context.storage.links.links(spacecraft_id)))
 
 
 async def _link_id(link_id: Annotated[str, Path(description="Id of a link")]) -> str:
@@ -54,28 +54,28 @@ LinkId = Annotated[str, Depends(_link_id)]
 @router.get("/{link_id}")
 def get_link(link_id: LinkId, context: Context) -> LinkAnswer:
     """Return one link."""
-    return links_told(context, [context.storage.links.link(link_id)])[0]
+    return link_answers(context, [context.storage.links.link(link_id)])[0]
 
 
 @router.post("/{link_id}:enable", dependencies=[MAY_OPERATE])
 def enable_link(link_id: LinkId, context: Context) -> LinkAnswer:
     """Let a link work; it hears of it with its next report."""
     state = context.storage.links.set_enabled(link_id, enabled=True)
-    return links_told(context, [state])[0]
+    return link_answers(context, [state])[0]
 
 
 @router.post("/{link_id}:disable", dependencies=[MAY_OPERATE])
 def disable_link(link_id: LinkId, context: Context) -> LinkAnswer:
     """Let a link rest until it is enabled again, also beyond a restart of either side."""
     state = context.storage.links.set_enabled(link_id, enabled=False)
-    return links_told(context, [state])[0]
+    return link_answers(context, [state])[0]
 
 
 @router.post("/{link_id}:reset", dependencies=[MAY_OPERATE])
 def reset_link(link_id: LinkId, context: Context) -> LinkAnswer:
     """Ask a link to zero its counters and to begin anew."""
     state = context.storage.links.request_reset(link_id)
-    return links_told(context, [state])[0]
+    return link_answers(context, [state])[0]
 
 
 @router.delete("/{link_id}", status_code=HTTPStatus.NO_CONTENT, dependencies=[MAY_OPERATE])

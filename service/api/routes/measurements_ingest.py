@@ -17,7 +17,7 @@ from service.api.context.commit_waiter import CommitWaiter
 from service.api.context.dependencies import ApiContext, SpacecraftIdText, checked_spacecraft_id
 from service.api.context.epoch_limits import EpochLimits
 from service.api.context.plan_widths import PlanWidths
-from service.api.monitoring.request_metrics import RequestFigures
+from service.api.monitoring.request_metrics import RequestMetrics
 from service.api.problems.problems import RequestProblemError, invalid_request
 from service.api.protocol.bodies import accepts, read_body
 from service.api.protocol.epochs import EpochTextError, ParsedEpochs, parse_epochs
@@ -58,7 +58,7 @@ async def send_measurements(spacecraft_id: SpacecraftIdText, request: Request) -
         first_seq=body.first_seq,
         epochs_us=epochs.epochs_us,
         power_dbm=[row["power_dbm"] for row in body.measurements],
-        flags=_flags(body, epochs.leap_places),
+        flags=_flags(body, epochs.leap_positions),
         details=body.details(),
         sender=Sender(request.state.principal.key_id, context.limits.max_sources_per_key),
     )
@@ -68,13 +68,13 @@ async def send_measurements(spacecraft_id: SpacecraftIdText, request: Request) -
         batch, screened = screen(rows, width, await epoch_limits.present(spacecraft_id))
     receipt = _NOTHING_STORED
     if len(batch.index):
-        landings: CommitWaiter = request.app.state.landings
-        receipt = await landings.of(context.storage.archive.append_measurements(batch))
-    figures: RequestFigures = request.app.state.request_figures
-    figures.add_receipt(spacecraft_id, receipt, screened)
+        waiter: CommitWaiter = request.app.state.waiter
+        receipt = await waiter.of(context.storage.archive.append_measurements(batch))
+    statistics: RequestMetrics = request.app.state.request_statistics
+    statistics.add_receipt(spacecraft_id, receipt, screened)
     if receipt.first_number is not None:
         context.on_rows_accepted(spacecraft_id, receipt.first_number + receipt.accepted - 1)
-    return JSONResponse(_answer(body, receipt, screened, epochs.leap_places))
+    return JSONResponse(_answer(body, receipt, screened, epochs.leap_positions))
 
 
 def check_batch_size(size: int, context: ApiContext, pointer: str) -> None:
@@ -85,13 +85,13 @@ def check_batch_size(size: int, context: ApiContext, pointer: str) -> None:
         raise RequestProblemError(422, "batch.too_long", detail, [FieldError(pointer, "batch.too_long", detail)])
 
 
-def _flags(body: MeasurementBatchDocument, leap_places: Sequence[int]) -> list[Sequence[int] | None]:
+def _flags(body: MeasurementBatchDocument, leap_positions: Sequence[int]) -> list[Sequence[int] | None]:
     """Return the bit masks of each row, those of a leap second marked."""
     flags: list[Sequence[int] | None] = [row.get("flags") for row in body.measurements]
-    for place in leap_places:
-        masks = flags[place]
-        blank = [0] * len(body.measurements[place]["power_dbm"])
-        flags[place] = [mask | QualityFlag.LEAP_SECOND for mask in (blank if masks is None else masks)]
+    for position in leap_positions:
+        masks = flags[position]
+        blank = [0] * len(body.measurements[position]["power_dbm"])
+        flags[position] = [mask | QualityFlag.LEAP_SECOND for mask in (blank if masks is None else masks)]
     return flags
 
 
@@ -105,15 +105,18 @@ def _epochs(body: MeasurementBatchDocument) -> ParsedEpochs:
 
 
 def _answer(
-    body: MeasurementBatchDocument, receipt: BatchReceipt, screened: tuple[RowRefusal, ...], leap_places: Sequence[int]
+    body: MeasurementBatchDocument,
+    receipt: BatchReceipt,
+    screened: tuple[RowRefusal, ...],
+    leap_positions: Sequence[int],
 ) -> dict[str, Any]:
     """Return the receipt as it is sent."""
     received = len(body.measurements)
     refused = (*screened, *receipt.refused)
     flagged = list(receipt.flagged)
-    if leap_places:
-        told = {each.index for each in (*refused, *flagged) if each.code != "seq.jump"}
-        flagged += [_leap_remark(place, body.first_seq) for place in leap_places if place not in told]
+    if leap_positions:
+        reported = {each.index for each in (*refused, *flagged) if each.code != "seq.jump"}
+        flagged += [_leap_notice(position, body.first_seq) for position in leap_positions if position not in reported]
     return {
         "received": received,
         "accepted": receipt.accepted,
@@ -126,12 +129,12 @@ def _answer(
     }
 
 
-def _leap_remark(place: int, first_seq: int | None) -> RowNotice:
+def _leap_notice(position: int, first_seq: int | None) -> RowNotice:
     """Return what is said of a row within a leap second."""
-    seq = None if first_seq is None else first_seq + place
-    return RowNotice(place, seq, "time.leap_second", "measured within a leap second: stored in the second after it")
+    seq = None if first_seq is None else first_seq + position
+    return RowNotice(position, seq, "time.leap_second", "measured within a leap second: stored in the second after it")
 
 
-def _listed(remarks: Sequence[RowNotice]) -> list[dict[str, Any]]:
+def _listed(notices: Sequence[RowNotice]) -> list[dict[str, Any]]:
     """Return remarks in order of place."""
-    return [asdict(remark) for remark in sorted(remarks, key=lambda remark: remark.index)]
+    return [asdict(notice) for notice in sorted(notices, key=lambda notice: notice.index)]

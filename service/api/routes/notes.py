@@ -8,7 +8,7 @@ from fastapi import APIRouter, Path, Query, Request, Response
 from service.api.access.auth import MAY_OPERATE, CurrentPrincipal
 from service.api.context.dependencies import SPACECRAFT_ID_PATTERN, Context
 from service.api.protocol.bodies import accepts, body_of
-from service.api.protocol.paging import Page, Place, cut_page
+from service.api.protocol.paging import Page, Position, cut_page
 from service.api.schemas.base import WindowAnswer
 from service.api.schemas.notes import NoteAnswer, NoteDocument, NotePage
 from service.records.operations.note import Note
@@ -48,7 +48,7 @@ def list_notes(
 ) -> NotePage:
     """List notes about instants of the range."""
     found = context.storage.notes.notes(page.window, page.limit + 1, page.after, spacecraft_id)
-    notes, cursor = cut_page(found, page.limit, _place, request, response)
+    notes, cursor = cut_page(found, page.limit, _position, request, response)
     return NotePage(range=WindowAnswer.of(page.window), rows=[NoteAnswer.of(note) for note in notes], next=cursor)
 
 
@@ -58,6 +58,6 @@ def get_note(note_id: NoteId, context: Context) -> NoteAnswer:
     return NoteAnswer.of(context.storage.notes.note(note_id))
 
 
-def _place(note: Note) -> Place:
+def _position(note: Note) -> Position:
     """Return where a note stands in its list."""
     return note.epoch_us, note.id

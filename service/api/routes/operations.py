@@ -10,7 +10,7 @@ from service.api.access.auth import MAY_OPERATE
 from service.api.context.dependencies import Context, SpacecraftId
 from service.api.protocol.bodies import accepts, body_of
 from service.api.protocol.merge_patch import MergePatch, patched
-from service.api.protocol.paging import Page, Place, cut_page
+from service.api.protocol.paging import Page, Position, cut_page
 from service.api.schemas.base import WindowAnswer
 from service.api.schemas.operations import OperationAnswer, OperationDocument, OperationPage
 from service.records.inputs import Operation
@@ -41,7 +41,7 @@ def list_operations(
 ) -> OperationPage:
     """List the newest revision of operations that overlap the range."""
     found = context.storage.archive.inputs(spacecraft_id, "operation", page.window, page.limit + 1, page.after)
-    entries, cursor = cut_page(found, page.limit, _place, request, response)
+    entries, cursor = cut_page(found, page.limit, _position, request, response)
     rows = [OperationAnswer.of(entry.content) for entry in entries if isinstance(entry.content, Operation)]
     return OperationPage(range=WindowAnswer.of(page.window), rows=rows, next=cursor)
 
@@ -67,6 +67,6 @@ def change_operation(
     return OperationAnswer.of(result)
 
 
-def _place(entry: JournalEntry) -> Place:
+def _position(entry: JournalEntry) -> Position:
     """Return where an entry stands in the order of its list."""
     return (entry.content.start_us if isinstance(entry.content, Operation) else 0), entry.number

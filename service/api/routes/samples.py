@@ -77,7 +77,7 @@ def sample_measurements(
     bins = SampleBins(window.start_us, window.stop_us, count, len(wanted))
     for block in archive.measurement_blocks(spacecraft_id, window, source=source):
         bins.add(block.epochs_us, columns.values(block)[:, wanted])
-    by_carrier = {columns.carriers[k]: SampleAnswer.all_of(bins.samples(place)) for place, k in enumerate(wanted)}
+    by_carrier = {columns.carriers[k]: SampleAnswer.all_of(bins.samples(position)) for position, k in enumerate(wanted)}
     return MeasurementSamples(range=WindowAnswer.of(window), source=source, power_dbm=by_carrier)
 
 

@@ -15,9 +15,9 @@ from service.api.protocol.bodies import accepts, body_of
 from service.api.protocol.merge_patch import MergePatch, patched
 from service.api.schemas.base import Answer, CatalogueWarning
 from service.api.schemas.spacecraft import SPACECRAFT_ADAPTER, SpacecraftAnswer, SpacecraftDocument
-from service.api.views.catalogue_findings import accepted_places
+from service.api.views.catalogue_findings import accepted_findings
 from service.errors import ConflictError, FieldError
-from service.pipeline.inputs.catalogue_checks import Place, check_places
+from service.pipeline.inputs.catalogue_checks import Position, check_positions
 
 router = APIRouter(prefix="/spacecraft", tags=["catalogue"])
 
@@ -101,8 +101,8 @@ def _answer(document: SpacecraftDocument, warnings: Sequence[CatalogueWarning]) 
 def _site_warnings(document: SpacecraftDocument) -> list[CatalogueWarning]:
     """Return what is doubtful about the receiving site; 422 when it has the satellite below its horizon."""
     site = document.receiving_site
-    place = Place("/receiving_site", site.latitude_deg, site.longitude_deg, site.height_m)
-    return accepted_places(check_places([place], document.longitude_deg))
+    position = Position("/receiving_site", site.latitude_deg, site.longitude_deg, site.height_m)
+    return accepted_findings(check_positions([position], document.longitude_deg))
 
 
 def _check_release(document: SpacecraftDocument, stored: SpacecraftDocument | None) -> None:

@@ -72,7 +72,7 @@ async def stream(
     resume = cursor_of(spacecraft_id, last_event_id)
     await run_in_threadpool(context.storage.catalogue.spacecraft, spacecraft_id)
     # nothing is waited for between the look and the place: requests that come together cannot pass it
-    parts.streams.take_place()
+    parts.streams.acquire()
     response = EventStreamResponse(EventStream(parts, spacecraft_id, resume).chunks(), headers=_HEADERS)
     response.stall_s, response.streams = context.limits.stream_stall_s, parts.streams
     return response

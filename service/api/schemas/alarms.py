@@ -259,8 +259,8 @@ class ConditionLimitsAnswer(Answer):
         """Return the answer that tells the limits of a condition."""
         names = ConditionLimits.__dataclass_fields__
         condition = _CONDITIONS[name]
-        told = {field: getattr(limits, field) for field in names}
-        return cls.model_validate({"kind": condition.kind.value, "unit": condition.unit, **told})
+        reported = {field: getattr(limits, field) for field in names}
+        return cls.model_validate({"kind": condition.kind.value, "unit": condition.unit, **reported})
 
 
 class LimitsInForceAnswer(Answer):

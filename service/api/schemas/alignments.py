@@ -181,8 +181,8 @@ class AlignmentMadeAnswer(AlignmentAnswer):
     @classmethod
     def made(cls, alignment: Alignment, rows: tuple[int, int]) -> Self:
         """Return the answer that tells a new alignment; rows recomputed and kept."""
-        told = AlignmentAnswer.of(alignment).model_dump()
-        return cls.model_validate({**told, "rows_recomputed": rows[0], "rows_kept": rows[1]})
+        reported = AlignmentAnswer.of(alignment).model_dump()
+        return cls.model_validate({**reported, "rows_recomputed": rows[0], "rows_kept": rows[1]})
 
 
 class AlignmentList(Answer):

@@ -266,7 +266,7 @@ class ScheduleAnswer(Answer):
     @classmethod
     def of(cls, found: ScheduleCheck) -> Self:
         """Return what a check found."""
-        told = found._asdict()
-        phasors = [{"re": phasor.real, "im": phasor.imag} for phasor in told.pop("phasor_rad")]
+        reported = found._asdict()
+        phasors = [{"re": phasor.real, "im": phasor.imag} for phasor in reported.pop("phasor_rad")]
         suggestions = [each._asdict() for each in found.suggestions]
-        return cls.model_validate({**told, "suggestions": suggestions, "phasors": phasors})
+        return cls.model_validate({**reported, "suggestions": suggestions, "phasors": phasors})

@@ -33,21 +33,21 @@ class AuditEntryAnswer(Answer):
     @classmethod
     def of(cls, entry: AuditEntry) -> Self:
         """Return the answer that tells an entry."""
-        deed = entry.deed
+        audit_event = entry.audit_event
         return cls.model_validate(
             {
                 "number": entry.number,
-                "at": deed.at_us,
-                "who": deed.who,
-                "key_id": deed.key_id,
-                "role": deed.role,
-                "address": deed.address,
-                "action": deed.action,
-                "target": deed.target,
-                "outcome": deed.outcome,
-                "request_id": deed.request_id,
-                "body_sha256": deed.body_sha256,
-                "times": deed.times,
+                "at": audit_event.at_us,
+                "who": audit_event.who,
+                "key_id": audit_event.key_id,
+                "role": audit_event.role,
+                "address": audit_event.address,
+                "action": audit_event.action,
+                "target": audit_event.target,
+                "outcome": audit_event.outcome,
+                "request_id": audit_event.request_id,
+                "body_sha256": audit_event.body_sha256,
+                "times": audit_event.times,
                 "previous_hash": entry.previous_hash,
                 "hash": entry.hash,
             }

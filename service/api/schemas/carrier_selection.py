@@ -116,31 +116,31 @@ class CarrierSetAnswer(Answer):
     @classmethod
     def of(cls, found: CarrierSet, candidates: Candidates) -> Self:
         """Return the answer that tells a set."""
-        figures = found.figures
+        statistics = found.figures
         names = [candidates.carrier_ids[k] for k in found.chosen]
         return cls(
             selected=names,
-            condition=figures.condition,
-            dop=AnglesAnswer.of(named_axes(figures.dop_deg_per_db)),
-            dop_with_common=AnglesAnswer.of(named_axes(figures.dop_with_common_deg_per_db)),
-            angle_dop=figures.angle_dop_deg_per_db,
-            crlb_deg=AnglesAnswer.of(named_axes(figures.crlb_deg)),
-            crlb_without_common_deg=AnglesAnswer.of(named_axes(figures.crlb_without_common_deg)),
+            condition=statistics.condition,
+            dop=AnglesAnswer.of(named_axes(statistics.dop_deg_per_db)),
+            dop_with_common=AnglesAnswer.of(named_axes(statistics.dop_with_common_deg_per_db)),
+            angle_dop=statistics.angle_dop_deg_per_db,
+            crlb_deg=AnglesAnswer.of(named_axes(statistics.crlb_deg)),
+            crlb_without_common_deg=AnglesAnswer.of(named_axes(statistics.crlb_without_common_deg)),
             averaged=[
                 AveragedSigmaAnswer(span_s=span_s, sigma_deg=AnglesAnswer.of(sigma))
                 for span_s, sigma in zip(AVERAGING_SPANS_S, found.averaged_deg, strict=True)
             ],
-            common_share=figures.common_share,
-            redundancy=figures.redundancy,
+            common_share=statistics.common_share,
+            redundancy=statistics.redundancy,
             transponder_share=found.transponder_share,
             sufficient=not found.shortcomings,
             shortcomings=list(found.shortcomings),
             carriers=[
                 SetCarrierAnswer(
                     carrier=name,
-                    leverage=float(figures.leverage[k]),
-                    undetectable_fault_db=float(figures.undetectable_fault_db[k]),
-                    fault_shift_deg=AnglesAnswer.of(named_axes(figures.fault_shift_deg[k])),
+                    leverage=float(statistics.leverage[k]),
+                    undetectable_fault_db=float(statistics.undetectable_fault_db[k]),
+                    fault_shift_deg=AnglesAnswer.of(named_axes(statistics.fault_shift_deg[k])),
                 )
                 for k, name in enumerate(names)
             ],

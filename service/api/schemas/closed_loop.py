@@ -31,10 +31,10 @@ from service.core.dynamics.orbital_frame_model import (
     YAW_FIRST,
     AxisWheels,
     Computer,
-    Craft,
     Inertia,
     Law,
     OrbitalFrameGains,
+    OrbitalFrameSpacecraft,
     RateSensor,
     Tones,
     Triple,
@@ -244,10 +244,10 @@ class ClosedLoopDocument(Document):
             self.bound_deg,
         )
 
-    def _craft(self) -> Craft:
+    def _craft(self) -> OrbitalFrameSpacecraft:
         t = self.inertia_kg_m2
         sensor, rates, wheels, tones = self.vertical_sensor, self.rate_sensor, self.wheels, self.tones
-        return Craft(
+        return OrbitalFrameSpacecraft(
             inertia=Inertia(t[0][0], t[1][1], t[2][2], t[0][1], t[0][2], t[1][2]),
             law=self.law.to_law(),
             computer=self.computer.to_computer(),

@@ -169,7 +169,7 @@ class ControlAnswer(Answer):
     @classmethod
     def of(cls, view: ControlView, verdict: ControlVerdict) -> Self:
         """Return the answer that tells what the interlock says."""
-        told: dict[str, Any] = {
+        reported: dict[str, Any] = {
             "control": VerdictAnswer.of(verdict),
             "state": verdict.state,
             # before anything ever happened there is no instant
@@ -191,4 +191,4 @@ class ControlAnswer(Answer):
             "sent_impulse_n_m_s": view.sent_impulse_n_m_s,
             "sign_check": None if view.sign_check is None else SignCheckAnswer.of(view.sign_check),
         }
-        return cls.model_validate(told)
+        return cls.model_validate(reported)

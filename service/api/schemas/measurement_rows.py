@@ -16,7 +16,7 @@ from service.records.levels.measurement import DETAIL_NAMES, CarrierDetails, Mea
 from service.records.levels.quality_flag import flag_names
 
 #: the estimator has a sigma of its own, which keeps the short name
-_TOLD_AS = {"sigma_db": "measured_sigma_db"}
+_REPORTED_AS = {"sigma_db": "measured_sigma_db"}
 
 
 class MeasurementAnswer(Answer):
@@ -47,9 +47,9 @@ class MeasurementAnswer(Answer):
     @classmethod
     def of(cls, row: Measurement, carrier_ids: Sequence[str], wanted: Collection[str] | None = None) -> Self:
         """Return the answer that tells a row, of all its carriers or of those wanted."""
-        places = [k for k, name in enumerate(carrier_ids) if wanted is None or name in wanted]
+        positions = [k for k, name in enumerate(carrier_ids) if wanted is None or name in wanted]
         power_dbm = shortest_float32(row.power_dbm)
-        masks = None if row.flags is None else {carrier_ids[k]: int(row.flags[k]) for k in places}
+        masks = None if row.flags is None else {carrier_ids[k]: int(row.flags[k]) for k in positions}
         return cls.model_validate(
             {
                 "epoch": row.epoch_us,
@@ -59,12 +59,12 @@ class MeasurementAnswer(Answer):
                 "plan_id": row.plan_id,
                 "late": row.is_late,
                 "feeds_estimator": row.feeds_estimator,
-                "power_dbm": {carrier_ids[k]: power_dbm[k] for k in places},
+                "power_dbm": {carrier_ids[k]: power_dbm[k] for k in positions},
                 "flags": masks,
                 "flag_names": None
                 if masks is None
                 else {name: flag_names(mask) for name, mask in masks.items() if mask},
-                **_stated(row.details, carrier_ids, places),
+                **_stated(row.details, carrier_ids, positions),
             }
         )
 
@@ -105,7 +105,7 @@ class CarrierStateAnswer(Answer):
     """used, absent, excluded, unselected or uncalibrated."""
 
     @classmethod
-    def of(cls, row: Measurement, place: int, state: CarrierState) -> Self:
+    def of(cls, row: Measurement, position: int, state: CarrierState) -> Self:
         """Return the answer that tells the state of the carrier at one place of a row."""
         return cls.model_validate(
             {
@@ -116,7 +116,7 @@ class CarrierStateAnswer(Answer):
                 "deviation_db": state.deviation_db,
                 "residual_db": state.residual_db,
                 "sigma_db": state.sigma_db,
-                **{name: None if by is None else by[place] for name, by in _figures(row.details).items()},
+                **{name: None if by is None else by[position] for name, by in _statistics(row.details).items()},
                 "flags": state.flags,
                 "flag_names": flag_names(state.flags),
                 "state": state.state,
@@ -124,19 +124,20 @@ class CarrierStateAnswer(Answer):
         )
 
 
-def _figures(details: CarrierDetails | None) -> dict[str, list[float | None] | None]:
+def _statistics(details: CarrierDetails | None) -> dict[str, list[float | None] | None]:
     """Return what a front end stated beside the powers of a row, under the names of answers, None = no such figure."""
     stated = {name: None if details is None else getattr(details, name) for name in DETAIL_NAMES}
     return {
-        _TOLD_AS.get(name, name): None if by is None or np.isnan(by).all() else shortest_float32(by)
+        _REPORTED_AS.get(name, name): None if by is None or np.isnan(by).all() else shortest_float32(by)
         for name, by in stated.items()
     }
 
 
 def _stated(
-    details: CarrierDetails | None, carrier_ids: Sequence[str], places: Sequence[int]
+    details: CarrierDetails | None, carrier_ids: Sequence[str], positions: Sequence[int]
 ) -> dict[str, dict[str, float | None] | None]:
     """Return what a front end stated beside the powers of a row, by carrier."""
     return {
-        name: None if by is None else {carrier_ids[k]: by[k] for k in places} for name, by in _figures(details).items()
+        name: None if by is None else {carrier_ids[k]: by[k] for k in positions}
+        for name, by in _statistics(details).items()
     }

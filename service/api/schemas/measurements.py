@@ -66,7 +66,7 @@ class MeasurementBatchDocument(Document):
 def _details(row: MeasurementDocument) -> dict[str, list[float | None]]:
     """Return what a row states beside its powers, by name."""
     stated: dict[str, Any] = {name: row.get(name) for name in DETAIL_NAMES}
-    return {name: figures for name, figures in stated.items() if figures is not None}
+    return {name: statistics for name, statistics in stated.items() if statistics is not None}
 
 
 class RowRemarkAnswer(Answer):

@@ -146,9 +146,9 @@ class FedForwardDocument(Document):
     """One standard deviation of the share that each axis has wrong by itself."""
 
     @classmethod
-    def of(cls, told: FedForwardTorque) -> Self:
+    def of(cls, reported: FedForwardTorque) -> Self:
         """Return the document that tells a record."""
-        values = asdict(told)
+        values = asdict(reported)
         return cls.model_validate({"epoch": format_epoch(values.pop("epoch_us")), **values}, strict=False)
 
     def to_record(self) -> FedForwardTorque:
@@ -181,15 +181,18 @@ class OnboardDocument(Document):
     @classmethod
     def of(cls, onboard: Onboard) -> Self:
         """Return the document that tells a record."""
-        told = onboard.fed_forward_torque
-        values = {**asdict(onboard), "fed_forward_torque": None if told is None else FedForwardDocument.of(told)}
+        reported = onboard.fed_forward_torque
+        values = {
+            **asdict(onboard),
+            "fed_forward_torque": None if reported is None else FedForwardDocument.of(reported),
+        }
         return cls.model_validate(values, strict=False)
 
     def to_record(self) -> Onboard:
         """Return the record that this document states."""
-        told = self.fed_forward_torque
+        reported = self.fed_forward_torque
         values = self.model_dump(exclude={"fed_forward_torque"})
-        return Onboard(**values, fed_forward_torque=None if told is None else told.to_record())
+        return Onboard(**values, fed_forward_torque=None if reported is None else reported.to_record())
 
 
 class GyroOrbitantDocument(Document):
@@ -221,9 +224,11 @@ class ControlDocument(Document):
 
     def to_record(self) -> ControlSettings:
         """Return the record that this document states."""
-        told = self.gyro_orbitant
+        reported = self.gyro_orbitant
         values = self.model_dump(exclude={"gyro_orbitant"})
-        return ControlSettings(**values, gyro_orbitant=None if told is None else GyroOrbitantGains(**told.model_dump()))
+        return ControlSettings(
+            **values, gyro_orbitant=None if reported is None else GyroOrbitantGains(**reported.model_dump())
+        )
 
 
 class SpacecraftDocument(Document):

@@ -23,7 +23,7 @@ class Page(NamedTuple):
 
     events: list[FeedEvent]
     #: where the page ends
-    place: Cursor
+    position: Cursor
     #: what is no longer kept of what the page spans
     lost: DroppedAnswer | None
 
@@ -54,40 +54,40 @@ class ArchiveReader:
         present = Cursor(head.consumed_number, head.result_sequence, alarm)
         return present, present._replace(number=head.newest_number)
 
-    def next_page(self, place: Cursor) -> Page:
+    def next_page(self, position: Cursor) -> Page:
         """Return the next measurements, results and changes of alarms beyond a place, in this order."""
         head = self._storage.archive.head(self._spacecraft_id)
-        rows, number, lost_rows = self._rows(place)
-        results, sequence, lost_results = self._results(place._replace(number=number), head.result_sequence)
+        rows, number, lost_rows = self._rows(position)
+        results, sequence, lost_results = self._results(position._replace(number=number), head.result_sequence)
         lost = lost_to_retention(lost_rows, lost_results) if lost_rows or lost_results else None
-        changes = self._changes(place._replace(number=number, sequence=sequence))
-        reached = changes[-1].cursor if changes else place._replace(number=number, sequence=sequence)
+        changes = self._changes(position._replace(number=number, sequence=sequence))
+        reached = changes[-1].cursor if changes else position._replace(number=number, sequence=sequence)
         return Page([*rows, *results, *changes], reached, lost)
 
-    def _changes(self, place: Cursor) -> list[FeedEvent]:
+    def _changes(self, position: Cursor) -> list[FeedEvent]:
         """Return the next changes of alarms; their numbers are shared by all spacecraft, so none is missed in a gap."""
-        found = self._storage.alarms.changes_after(self._spacecraft_id, place.alarm, _AT_ONCE)
-        return [FeedEvent("alarm", place._replace(alarm=change.sequence), change) for change in found]
+        found = self._storage.alarms.changes_after(self._spacecraft_id, position.alarm, _AT_ONCE)
+        return [FeedEvent("alarm", position._replace(alarm=change.sequence), change) for change in found]
 
-    def _rows(self, place: Cursor) -> tuple[list[FeedEvent], int, int]:
+    def _rows(self, position: Cursor) -> tuple[list[FeedEvent], int, int]:
         """Return the next measurements, the number that they reach to, and how many numbers are missing."""
-        events, number, lost = [], place.number, 0
+        events, number, lost = [], position.number, 0
         for entry in self._storage.archive.journal(self._spacecraft_id, number, _AT_ONCE):
             lost += entry.number - number - 1
             number = entry.number
             if isinstance(entry.content, Measurement):
                 self._names.of(self._spacecraft_id, entry.content.plan_id)
-                events.append(FeedEvent("measurement", place._replace(number=number), entry.content))
+                events.append(FeedEvent("measurement", position._replace(number=number), entry.content))
         return events, number, lost
 
-    def _results(self, place: Cursor, newest: int) -> tuple[list[FeedEvent], int, int]:
+    def _results(self, position: Cursor, newest: int) -> tuple[list[FeedEvent], int, int]:
         """Return the next results, the sequence that they reach to, and how many sequences are missing."""
-        events, sequence, lost = [], place.sequence, 0
+        events, sequence, lost = [], position.sequence, 0
         for at, result in self._storage.results.results_after(self._spacecraft_id, sequence, self._results_at_once):
             lost += at - sequence - 1
             sequence = at
             kind = "attitude" if isinstance(result, AttitudeRow) else "torque"
-            events.append(FeedEvent(kind, place._replace(sequence=sequence), result))
+            events.append(FeedEvent(kind, position._replace(sequence=sequence), result))
         if events or sequence >= newest:
             self._results_at_once = _AT_ONCE
             return events, sequence, lost

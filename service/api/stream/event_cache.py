@@ -45,7 +45,7 @@ class EventTexts:
 
     def of(self, spacecraft_id: str, event: FeedEvent) -> bytes:
         """Return the document that the REST interface tells for the same thing."""
-        key = (spacecraft_id, event.kind, _place(event))
+        key = (spacecraft_id, event.kind, _position(event))
         text = self._texts.get(key)
         if text is None:
             text = self._texts[key] = self._answer(spacecraft_id, event).model_dump_json().encode()
@@ -94,7 +94,7 @@ class StatusTexts:
         return known[1]
 
 
-def _place(event: FeedEvent) -> int:
+def _position(event: FeedEvent) -> int:
     """Return what tells an event from all others of its kind."""
     # several results stand under one journal number, several rows under one result sequence
     return event.cursor[PART_MOVED[event.kind]]

@@ -42,9 +42,9 @@ class DroppedAnswer(Answer):
     detail: str
 
 
-def event_id(spacecraft_id: str, place: Cursor) -> str:
+def event_id(spacecraft_id: str, position: Cursor) -> str:
     """Return the id of a place."""
-    return f"{spacecraft_id}:{place.number}.{place.sequence}.{place.alarm}"
+    return f"{spacecraft_id}:{position.number}.{position.sequence}.{position.alarm}"
 
 
 def cursor_of(spacecraft_id: str, text: str | None) -> Cursor | None:
@@ -61,15 +61,15 @@ def cursor_of(spacecraft_id: str, text: str | None) -> Cursor | None:
     return Cursor(*map(int, match.groups()[1:]))
 
 
-def advanced(place: Cursor, event: FeedEvent) -> Cursor | None:
+def advanced(position: Cursor, event: FeedEvent) -> Cursor | None:
     """Return the place beyond an event, None when it lies behind the place already."""
     part = PART_MOVED.get(event.kind)
-    if part is None or event.cursor[part] <= place[part]:
+    if part is None or event.cursor[part] <= position[part]:
         return None
     if part == 1:
         # results are told with the newest row that they were computed from
-        return Cursor(max(place.number, event.cursor.number), event.cursor.sequence, place.alarm)
-    return place._replace(number=event.cursor.number) if part == 0 else place._replace(alarm=event.cursor.alarm)
+        return Cursor(max(position.number, event.cursor.number), event.cursor.sequence, position.alarm)
+    return position._replace(number=event.cursor.number) if part == 0 else position._replace(alarm=event.cursor.alarm)
 
 
 def missed_by_slowness(spacecraft_id: str, dropped: DroppedRows) -> DroppedAnswer:

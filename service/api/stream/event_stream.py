@@ -72,9 +72,9 @@ class EventStream:
         self._streams = parts.streams
         self._spacecraft_id = spacecraft_id
         self._resume = resume
-        self._place = Cursor(0, 0)
+        self._position = Cursor(0, 0)
         self._reader = ArchiveReader(parts.context.storage, parts.names, spacecraft_id)
-        self._told_status: StatusAnswer | None = None
+        self._reported_status: StatusAnswer | None = None
 
     async def chunks(self) -> AsyncIterator[bytes]:
         """Yield the stream until the client goes or the service stops."""
@@ -99,7 +99,7 @@ class EventStream:
         present, end = await run_in_threadpool(self._reader.present_and_end)
         # an id beyond the archive's end comes from before it was set back to a backup; the present is all we know
         is_known = self._resume is not None and all(at <= last for at, last in zip(self._resume, end, strict=True))
-        self._place = self._resume if self._resume is not None and is_known else present
+        self._position = self._resume if self._resume is not None and is_known else present
         yield f"retry: {_RETRY_MS}\n\n".encode() + await self._status(loop.time())
         if self._resume is not None and not is_known:
             yield self._dropped(beyond_the_archive())
@@ -124,7 +124,7 @@ class EventStream:
         if dropped or self._has_hole(events):
             async for chunk in self._missed():
                 yield chunk
-        await self._learn_plans(events)
+        await self._update_plans(events)
         async for chunk in self._sent(events):
             yield chunk
         if any(event.content is None for event in events):
@@ -132,7 +132,7 @@ class EventStream:
 
     def _has_hole(self, events: Sequence[FeedEvent]) -> bool:
         """Whether the next results do not follow what was sent, or the feed says that they are in the archive only."""
-        sequence = self._place.sequence
+        sequence = self._position.sequence
         for event in events:
             if event.cursor.sequence <= sequence or event.kind in {"measurement", "alarm"}:
                 continue
@@ -144,33 +144,33 @@ class EventStream:
     async def _missed(self) -> AsyncIterator[bytes]:
         """Yield what the archive holds beyond the place, page by page."""
         while not self._streams.is_closed:
-            page = await run_in_threadpool(self._reader.next_page, self._place)
+            page = await run_in_threadpool(self._reader.next_page, self._position)
             if page.lost is not None:
                 yield self._dropped(page.lost)
             async for chunk in self._sent(page.events):
                 yield chunk
-            if page.place == self._place and not page.events:
+            if page.position == self._position and not page.events:
                 return
-            self._place = page.place
+            self._position = page.position
 
     async def _sent(self, events: Sequence[FeedEvent]) -> AsyncIterator[bytes]:
         """Yield events as they are sent, a few at a time so that other connections get their turn."""
         for start in range(0, len(events), _EVENTS_AT_ONCE):
             if start:
                 await asyncio.sleep(0)
-            yield b"".join(self._told(event) for event in events[start : start + _EVENTS_AT_ONCE])
+            yield b"".join(self._reported(event) for event in events[start : start + _EVENTS_AT_ONCE])
 
-    def _told(self, event: FeedEvent) -> bytes:
+    def _reported(self, event: FeedEvent) -> bytes:
         """Return an event as it is sent and move the place beyond it; nothing for one that was sent already."""
-        place = advanced(self._place, event)
-        if place is None:
+        position = advanced(self._position, event)
+        if position is None:
             return b""
-        self._place = place
+        self._position = position
         return (
             b"" if event.content is None else self._event(event.kind, self._parts.texts.of(self._spacecraft_id, event))
         )
 
-    async def _learn_plans(self, events: Sequence[FeedEvent]) -> None:
+    async def _update_plans(self, events: Sequence[FeedEvent]) -> None:
         """Look up plans that rows name for the first time, outside the event loop."""
         rows = (event.content for event in events)
         names = self._parts.names
@@ -180,16 +180,16 @@ class EventStream:
 
     async def _status(self, since_s: float) -> bytes:
         """Return the status event, as the state was at an instant of the loop's clock or later."""
-        self._told_status = await self._parts.statuses.since(self._spacecraft_id, since_s)
-        return self._event("status", _json(self._told_status))
+        self._reported_status = await self._parts.statuses.since(self._spacecraft_id, since_s)
+        return self._event("status", _json(self._reported_status))
 
     async def _changed_status(self, since_s: float) -> bytes:
         """Return the status event when more than the time of day has changed, otherwise nothing."""
-        former = self._told_status
+        former = self._reported_status
         status = await self._parts.statuses.since(self._spacecraft_id, since_s)
         if former is not None and former.model_copy(update={"now": status.now}) == status:
             return b""
-        self._told_status = status
+        self._reported_status = status
         return self._event("status", _json(status))
 
     def _dropped(self, answer: DroppedAnswer) -> bytes:
@@ -199,7 +199,7 @@ class EventStream:
     def _event(self, kind: str, data: bytes) -> bytes:
         """Return one event as it is sent."""
         self._streams.sent[kind] += 1
-        head = f"id: {event_id(self._spacecraft_id, self._place)}\nevent: {kind}\ndata: "
+        head = f"id: {event_id(self._spacecraft_id, self._position)}\nevent: {kind}\ndata: "
         return b"".join((head.encode(), data, b"\n\n"))
 
 

@@ -22,7 +22,7 @@ class OpenStreams:
     def __init__(self, limit: int = 500) -> None:
         self._subscriptions: set[Subscription] = set()
         #: streams that are open or about to be
-        self._places = 0
+        self._positions = 0
         self._limit = limit
         self._is_closed = False
         #: events sent since the start of the process, by kind
@@ -38,19 +38,19 @@ class OpenStreams:
     @property
     def count(self) -> int:
         """How many streams are open."""
-        return self._places
+        return self._positions
 
-    def take_place(self) -> None:
+    def acquire(self) -> None:
         """Count a stream that is about to open, or raise the 503 that refuses one too many."""
         if self.count >= self._limit:
             detail = f"{self.count} streams are open, the service gives {self._limit}; close one, or try again later"
             headers = {"Retry-After": str(RETRY_AFTER_S)}
             raise RequestProblemError(HTTPStatus.SERVICE_UNAVAILABLE, "stream.too_many", detail, headers=headers)
-        self._places += 1
+        self._positions += 1
 
     def leave(self) -> None:
         """Give a place back."""
-        self._places -= 1
+        self._positions -= 1
 
     def add(self, subscription: Subscription) -> None:
         """Remember a subscription, to wake its stream at the end."""

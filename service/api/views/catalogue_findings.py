@@ -3,10 +3,10 @@
 from service.api.problems.problems import invalid_request
 from service.api.problems.validation_errors import MAX_FAULTS
 from service.api.schemas.base import CatalogueWarning
-from service.pipeline.inputs.catalogue_checks import PlaceFindings
+from service.pipeline.inputs.catalogue_checks import CatalogueFindings
 
 
-def accepted_places(found: PlaceFindings) -> list[CatalogueWarning]:
+def accepted_findings(found: CatalogueFindings) -> list[CatalogueWarning]:
     """Return the warnings of what was found; a 422 names the faults when there are any."""
     if found.faults:
         raise invalid_request(found.faults[:MAX_FAULTS])

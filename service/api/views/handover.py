@@ -7,7 +7,7 @@ from service.api.schemas.alarms import AlarmAnswer
 from service.api.schemas.handover import HandoverAnswer
 from service.api.schemas.notes import NoteAnswer
 from service.api.schemas.operations import OperationAnswer
-from service.api.views.links import links_told
+from service.api.views.links import link_answers
 from service.api.views.status import status_of
 from service.errors import NotFoundError
 from service.records.calibration import CalibrationState, Window
@@ -41,9 +41,9 @@ def handover_of(context: ApiContext, spacecraft_id: str) -> HandoverAnswer:
         {
             "spacecraft_id": spacecraft_id,
             "at": now_us,
-            "alarms": _told(context, alarms, Cover.NONE),
-            "shelved": _told(context, alarms, Cover.SHELVED),
-            "suppressed": _told(context, alarms, Cover.SUPPRESSED),
+            "alarms": _reported(context, alarms, Cover.NONE),
+            "shelved": _reported(context, alarms, Cover.SHELVED),
+            "suppressed": _reported(context, alarms, Cover.SUPPRESSED),
             "control": control,
             "status": status,
             **_foundations(context, spacecraft_id, now_us),
@@ -57,7 +57,7 @@ def handover_of(context: ApiContext, spacecraft_id: str) -> HandoverAnswer:
     )
 
 
-def _told(context: ApiContext, alarms: tuple[Alarm, ...], cover: Cover) -> list[AlarmAnswer]:
+def _reported(context: ApiContext, alarms: tuple[Alarm, ...], cover: Cover) -> list[AlarmAnswer]:
     """Return the alarms under a cover, worst first, then oldest first."""
     chosen = sorted((one for one in alarms if one.cover is cover), key=lambda one: (-one.severity, one.raised_at_us))
     return [AlarmAnswer.of(alarm, context.alarms.present_value(alarm)) for alarm in chosen]
@@ -68,9 +68,9 @@ def _foundations(context: ApiContext, spacecraft_id: str, now_us: int) -> dict[s
     results, catalogue = context.storage.results, context.storage.catalogue
     calibrations = []
     for one in results.calibrations(spacecraft_id, CalibrationState.ACTIVE):
-        told = {"id": one.id, "method": one.request.method, "created_at": one.created_at_us}
+        reported = {"id": one.id, "method": one.request.method, "created_at": one.created_at_us}
         until_us = one.request.data_until_us
-        calibrations.append({**told, "data_until": until_us, "age_days": (now_us - until_us) / _DAY_US})
+        calibrations.append({**reported, "data_until": until_us, "age_days": (now_us - until_us) / _DAY_US})
     alignments = results.alignments(spacecraft_id)
     alignment = None
     if alignments:
@@ -94,8 +94,8 @@ def _ending_keys(context: ApiContext) -> list[dict[str, Any]]:
         key = stored.key
         if key.expires_at_us is not None and key.is_valid(now_us) and key.expires_at_us - now_us <= _KEYS_US:
             days_left = (key.expires_at_us - now_us) / _DAY_US
-            told = {"id": key.id, "name": key.name, "role": key.role.value}
-            ending.append({**told, "expires_at": key.expires_at_us, "days_left": days_left})
+            reported = {"id": key.id, "name": key.name, "role": key.role.value}
+            ending.append({**reported, "expires_at": key.expires_at_us, "days_left": days_left})
     return sorted(ending, key=lambda one: one["days_left"])
 
 
@@ -104,7 +104,7 @@ def _links(context: ApiContext, spacecraft_id: str) -> list[Any]:
     now_us = context.clock.system_us()
     states = context.storage.links.links(spacecraft_id)
     chosen = [state for state in states if state.is_down(now_us) or not state.enabled or state.report.warnings]
-    return list(links_told(context, chosen))
+    return list(link_answers(context, chosen))
 
 
 def _sources(context: ApiContext, spacecraft_id: str) -> list[dict[str, Any]]:

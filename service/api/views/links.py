@@ -13,16 +13,16 @@ from service.records.operations.link import LinkReport, LinkState
 SILENT = "SILENT"
 
 
-def links_told(context: ApiContext, states: Iterable[LinkState]) -> list[LinkAnswer]:
+def link_answers(context: ApiContext, states: Iterable[LinkState]) -> list[LinkAnswer]:
     """Return links as they are told."""
     missing: dict[str, dict[str, int | None]] = {}
-    told = []
+    reported = []
     for state in states:
         spacecraft_id, source = state.report.spacecraft_id, state.report.source
         if spacecraft_id is not None and spacecraft_id not in missing:
             missing[spacecraft_id] = _rows_missing(context, spacecraft_id)
-        told.append(_told(context, state, missing.get(spacecraft_id or "", {}).get(source or "")))
-    return told
+        reported.append(_reported(context, state, missing.get(spacecraft_id or "", {}).get(source or "")))
+    return reported
 
 
 def _rows_missing(context: ApiContext, spacecraft_id: str) -> dict[str, int | None]:
@@ -44,10 +44,10 @@ def _last_good_age_s(context: ApiContext, report: LinkReport) -> float | None:
     return _age_s(context.clock.system_us() if now_us is None else now_us, report.last_good_us)
 
 
-def _told(context: ApiContext, state: LinkState, rows_missing: int | None) -> LinkAnswer:
+def _reported(context: ApiContext, state: LinkState, rows_missing: int | None) -> LinkAnswer:
     """Return a link as it is told."""
     report, now_us = state.report, context.clock.system_us()
-    told: dict[str, Any] = {
+    reported: dict[str, Any] = {
         "id": report.id,
         "kind": report.kind,
         "spacecraft_id": report.spacecraft_id,
@@ -66,7 +66,7 @@ def _told(context: ApiContext, state: LinkState, rows_missing: int | None) -> Li
         "reset_pending": state.resets > report.reset_seen,
         "rows_missing": rows_missing,
     }
-    return LinkAnswer.model_validate(told)
+    return LinkAnswer.model_validate(reported)
 
 
 def _age_s(now_us: int, then_us: int) -> float:

@@ -6,7 +6,7 @@ from service.api.context.dependencies import ApiContext
 from service.api.schemas.control import VerdictAnswer
 from service.api.schemas.links import LinkAnswer
 from service.api.schemas.status import StatusAnswer
-from service.api.views.links import links_told
+from service.api.views.links import link_answers
 from service.api.views.present import present_of
 from service.pipeline.estimation.robust.attitude_rows import ADVICE
 from service.records.calibration import CalibrationState
@@ -47,7 +47,7 @@ def status_of(context: ApiContext, spacecraft_id: str) -> StatusAnswer:
 
 def _links(context: ApiContext, spacecraft_id: str) -> list[dict[str, Any]]:
     """Return every source with the links that carry it, then links that have brought nothing yet."""
-    told = links_told(context, context.storage.links.links(spacecraft_id))
+    reported = link_answers(context, context.storage.links.links(spacecraft_id))
     found = []
     for source in context.storage.archive.sources(spacecraft_id):
         seen = {
@@ -57,11 +57,11 @@ def _links(context: ApiContext, spacecraft_id: str) -> list[dict[str, Any]]:
             "rows": source.rows,
             "rows_missing": source.rows_missing,
         }
-        carrying: list[LinkAnswer | None] = [link for link in told if link.source == source.id]
+        carrying: list[LinkAnswer | None] = [link for link in reported if link.source == source.id]
         found += [{**seen, **_reported(link)} for link in carrying or [None]]
     known = {entry["source"] for entry in found}
     unseen = {"role": None, "newest_epoch": None, "rows": None, "rows_missing": None}
-    found += [{"source": link.source, **unseen, **_reported(link)} for link in told if link.source not in known]
+    found += [{"source": link.source, **unseen, **_reported(link)} for link in reported if link.source not in known]
     return found
 
 

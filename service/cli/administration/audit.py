@@ -55,17 +55,17 @@ def verify(
     finally:
         storage.close()
     if as_json:
-        told = [asdict(each) for each in found]
+        reported = [asdict(each) for each in found]
         typer.echo(
-            json.dumps({"number": newest.number, "hash": newest.hash, "heads": len(announced), "findings": told})
+            json.dumps({"number": newest.number, "hash": newest.hash, "heads": len(announced), "findings": reported})
         )
     else:
-        _tell(f"{newest.number} entries, newest hash {newest.hash}, {len(announced)} heads noted elsewhere", found)
+        _report(f"{newest.number} entries, newest hash {newest.hash}, {len(announced)} heads noted elsewhere", found)
     if found:
         raise typer.Exit(EXIT_BROKEN)
 
 
-def _tell(summary: str, found: Sequence[ChainFinding]) -> None:
+def _report(summary: str, found: Sequence[ChainFinding]) -> None:
     """Print what was found."""
     for each in found:
         typer.echo(f"entry {each.number}: {each.kind}: {each.detail}")

@@ -32,14 +32,14 @@ def create(
     as_json: JsonOption = False,
 ) -> None:
     """Copy an archive into a new folder, while the service may be running."""
-    from service.bootstrap import open_keeping
+    from service.bootstrap import open_archive_tools
 
-    keeping = open_keeping(database)
+    keeping = open_archive_tools(database)
     target = folder or Path(f"soo-{keeping.stamp()}.backup")
     with _guarded() as report:
         manifest = keeping.create(target, report)
-    _tell({"folder": str(target), **asdict(manifest)}, as_json=as_json)
-    _tell_damaged(manifest)
+    _report({"folder": str(target), **asdict(manifest)}, as_json=as_json)
+    _report_damaged(manifest)
     if manifest.damaged:
         raise typer.Exit(EXIT_REFUSED)
 
@@ -47,10 +47,10 @@ def create(
 @app.command()
 def verify(folder: Folder, as_json: JsonOption = False) -> None:
     """Compare a backup with its manifest and look at everything in it."""
-    from service.bootstrap import open_keeping
+    from service.bootstrap import open_archive_tools
 
     with _guarded() as report:
-        found = open_keeping(None).verify(folder, report)
+        found = open_archive_tools(None).verify(folder, report)
     show(found, as_json=as_json)
     if worst(found) == "fault":
         raise typer.Exit(EXIT_REFUSED)
@@ -66,16 +66,16 @@ def restore(
     as_json: JsonOption = False,
 ) -> None:
     """Put a backup in the place of an archive; the service must be stopped."""
-    from service.bootstrap import open_keeping
+    from service.bootstrap import open_archive_tools
 
     with _guarded() as report:
-        restored = open_keeping(database).restore(folder, report, may_replace=replace)
+        restored = open_archive_tools(database).restore(folder, report, may_replace=replace)
     said = {"kept": restored.aside, "schema_version": restored.schema_version}
-    _tell({**said, "spacecraft": asdict(restored.manifest)["spacecraft"]}, as_json=as_json)
-    _tell_damaged(restored.manifest)
+    _report({**said, "spacecraft": asdict(restored.manifest)["spacecraft"]}, as_json=as_json)
+    _report_damaged(restored.manifest)
 
 
-def _tell_damaged(manifest: Manifest) -> None:
+def _report_damaged(manifest: Manifest) -> None:
     """Say which rows were damaged when a backup was made."""
     for words in manifest.damaged:
         typer.echo(f"damaged: {words}; they were copied as they are, an older backup may have them sound", err=True)
@@ -111,15 +111,15 @@ def _end(message: str, code: int, error: Exception) -> None:
     raise typer.Exit(code) from error
 
 
-def _tell(report: dict[str, Any], *, as_json: bool) -> None:
+def _report(report: dict[str, Any], *, as_json: bool) -> None:
     """Print what was done."""
     if as_json:
         typer.echo(json.dumps(report))
         return
-    crafts = report.pop("spacecraft")
+    spacecraft_reports = report.pop("spacecraft")
     for name in ("tables", "damaged"):
         report.pop(name, None)
     for name, value in report.items():
         typer.echo(f"{name}: {value}")
-    for name, count in crafts.items():
+    for name, count in spacecraft_reports.items():
         typer.echo(f"{name}: journal up to {count['newest_number']}, {count['rows'].get('measurement', 0)} open rows")

@@ -20,7 +20,7 @@ def upkeep(
 ) -> None:
     """Seal closed days and drop what retention no longer keeps, as the service does by itself."""
     # the database costs time that other commands need not pay
-    from service.bootstrap import build_clock, build_upkeep, open_storage
+    from service.bootstrap import build_clock, build_maintenance, open_storage
     from service.settings import Settings
 
     settings = Settings.model_validate({} if database is None else {"database_url": database})
@@ -30,17 +30,17 @@ def upkeep(
         typer.echo(str(error), err=True)
         raise typer.Exit(EXIT_USAGE) from error
     try:
-        work = build_upkeep(settings, storage, build_clock(settings, storage))
-        work.look_once()
+        work = build_maintenance(settings, storage, build_clock(settings, storage))
+        work.poll_once()
     finally:
         storage.close()
     dropped = {series: rows for series, rows in work.dropped_rows.items() if rows}
     if as_json:
-        told = {"sealed_rows": work.sealed_rows, "dropped_rows": dropped, "failed_spacecraft": work.failed_looks}
-        typer.echo(json.dumps(told))
+        reported = {"sealed_rows": work.sealed_rows, "dropped_rows": dropped, "failed_spacecraft": work.failed_polls}
+        typer.echo(json.dumps(reported))
     else:
         typer.echo(f"sealed {work.sealed_rows} rows")
         for series, rows in dropped.items():
             typer.echo(f"dropped {rows} rows of {series}")
-    if work.failed_looks:
+    if work.failed_polls:
         raise typer.Exit(EXIT_FAULT)

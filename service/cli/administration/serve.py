@@ -38,7 +38,7 @@ EXIT_USAGE = 2
 #: a database server that is away at the start is waited for so long
 _PATIENCE_S = 30.0
 #: between two looks at the database
-_LOOK_S = 1.0
+_POLL_S = 1.0
 
 
 def serve(
@@ -149,7 +149,7 @@ def _serve(settings: "Settings", listener: socket.socket) -> None:
 def _stop_when(is_due: Callable[[], bool], server: "StreamingServer", replaced: Event) -> None:
     """End a server when its archive was replaced."""
     while not server.should_exit:
-        time.sleep(_LOOK_S)
+        time.sleep(_POLL_S)
         if is_due():
             replaced.set()
             server.should_exit = True
@@ -168,7 +168,7 @@ def _opened(settings: "Settings") -> "Storage":
             if not is_away or time.monotonic() > until:
                 _refuse(f"cannot use the database: {error}")
             _LOG.warning("waiting for the database: %s", error)
-        time.sleep(_LOOK_S)
+        time.sleep(_POLL_S)
 
 
 def _server(settings: "Settings", app: "FastAPI", announced: socket.socket | None) -> "StreamingServer":

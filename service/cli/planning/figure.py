@@ -30,10 +30,10 @@ def draw_planning(planning: CarrierPlanning, path: Path) -> None:
             axes.scatter([], [], s=60.0, color=_COLOURS[number % len(_COLOURS)], label=name)
         axes.scatter([], [], s=24.0, facecolors="none", edgecolors=_UNCHOSEN, label="left out")
         for k, row in enumerate(document["carriers"]):
-            place = float(planning.direction.azimuth_deg[k]), float(planning.direction.elevation_deg[k])
-            if np.isfinite(place).all():
+            position = float(planning.direction.azimuth_deg[k]), float(planning.direction.elevation_deg[k])
+            if np.isfinite(position).all():
                 colour = _COLOURS[names.index(row["transponder"]) % len(_COLOURS)]
-                _draw_station(axes, row, place, leverage.get(row["carrier"]), colour)
+                _draw_station(axes, row, position, leverage.get(row["carrier"]), colour)
         axes.set_aspect("equal", adjustable="datalim")
         axes.margins(0.12)
         axes.set_xlabel("azimuth in the antenna frame, deg (East positive)")
@@ -54,19 +54,19 @@ def _height_in(planning: CarrierPlanning) -> float:
 
 
 def _draw_station(
-    axes: Any, row: dict[str, Any], place: tuple[float, float], leverage: float | None, colour: str
+    axes: Any, row: dict[str, Any], position: tuple[float, float], leverage: float | None, colour: str
 ) -> None:
     """Draw one station: filled where its carrier was chosen."""
     if row["selected"]:
-        axes.scatter(*place, s=20.0 + 400.0 * (leverage or 0.0), color=colour, alpha=0.75, zorder=3)
+        axes.scatter(*position, s=20.0 + 400.0 * (leverage or 0.0), color=colour, alpha=0.75, zorder=3)
     else:
-        axes.scatter(*place, s=24.0, facecolors="none", edgecolors=_UNCHOSEN, zorder=3)
+        axes.scatter(*position, s=24.0, facecolors="none", edgecolors=_UNCHOSEN, zorder=3)
     slope = row["sensitivity_db_per_deg"]
     if slope["roll"] is not None and slope["pitch"] is not None:
         # positive roll moves a station South, positive pitch moves it West
         rise = (-_ARROW_DEG * slope["pitch"], -_ARROW_DEG * slope["roll"])
         head = {"arrowstyle": "-|>", "color": colour if row["selected"] else _UNCHOSEN, "linewidth": 1.0}
-        axes.annotate("", (place[0] + rise[0], place[1] + rise[1]), place, arrowprops=head, zorder=2)
+        axes.annotate("", (position[0] + rise[0], position[1] + rise[1]), position, arrowprops=head, zorder=2)
         # an annotation does not widen the limits of the axes by itself
-        axes.update_datalim([(place[0] + rise[0], place[1] + rise[1])])
-    axes.annotate(row["carrier"], place, xytext=(5, 5), textcoords="offset points", fontsize=7)
+        axes.update_datalim([(position[0] + rise[0], position[1] + rise[1])])
+    axes.annotate(row["carrier"], position, xytext=(5, 5), textcoords="offset points", fontsize=7)

@@ -47,8 +47,8 @@ def planned_by_service(client: ServiceClient, spacecraft_id: str, request: PlanR
     stated = {name: value for name, value in wanted.items() if value is not None}
     document = client.request("GET", f"/spacecraft/{spacecraft_id}/carrier-selection", params=stated)
     stations = {carrier["id"]: carrier.get("station") for carrier in client.carriers(spacecraft_id)["carriers"]}
-    places = [stations.get(row["carrier"]) for row in document["carriers"]]
-    return CarrierPlanning(spacecraft_id, document, _directions(places, spacecraft["longitude_deg"]))
+    positions = [stations.get(row["carrier"]) for row in document["carriers"]]
+    return CarrierPlanning(spacecraft_id, document, _directions(positions, spacecraft["longitude_deg"]))
 
 
 def planned_by_assumption(
@@ -131,8 +131,11 @@ def _carriers_json(raw: bytes) -> bytes:
     return json.dumps({"carriers": read_carrier_plan(raw)}).encode()
 
 
-def _directions(places: list[Any], longitude_deg: float) -> AntennaDirection:
+def _directions(positions: list[Any], longitude_deg: float) -> AntennaDirection:
     """Return where stations are seen from the satellite; NaN where there is none."""
-    known = [(np.nan, np.nan) if place is None else (place["longitude_deg"], place["latitude_deg"]) for place in places]
+    known = [
+        (np.nan, np.nan) if position is None else (position["longitude_deg"], position["latitude_deg"])
+        for position in positions
+    ]
     longitudes, latitudes = np.array(known, dtype=np.float64).reshape(-1, 2).T
     return station_direction(longitudes, latitudes, np.zeros(len(known)), longitude_deg)

@@ -102,9 +102,9 @@ def closed_loop(
         raise typer.Exit(_EXIT_MISSED)
 
 
-def _require(kind: str, told: list[str], known: Sequence[str]) -> None:
+def _require(kind: str, reported: list[str], known: Sequence[str]) -> None:
     """Refuse a word that is not known."""
-    for word in told:
+    for word in reported:
         if word not in known:
             typer.echo(f"no {kind} {word!r}; there are {', '.join(known)}", err=True)
             raise typer.Exit(_EXIT_FAILED)

@@ -1,7 +1,7 @@
 """The pulses of one command: a slew that ends without a rate, then rare pulses against a torque that is known.
 
 A craft behind a link cannot be asked again at once, so a command holds for its whole horizon: the slew of
-`tracking.tracking_wish` within its first part, and from there on pulses that hold the craft where the slew has left
+`tracking.tracking_request` within its first part, and from there on pulses that hold the craft where the slew has left
 it. What is too much for the envelope is asked for in smaller steps: first the horizon becomes shorter, then the slew.
 Nothing is cut afterwards. Order everywhere: yaw, roll, pitch.
 """
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from service.core.control.envelope import Envelope
 from service.core.control.quaternion_law import Gains
 from service.core.control.slew_schedule import LONGEST_SHARE, AxisPulse, Drive, plan_slew
-from service.core.control.tracking import tracking_wish
+from service.core.control.tracking import tracking_request
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -94,9 +94,9 @@ def plan_command(
     When the slew ends the craft has no rate and the torque has been balanced until then; after each slice angle and
     rate are back, but for what the shortest pulse cannot express, which the next slice takes.
     """
-    wish = _wish_of(gains, situation, forecast)
+    request = _request_of(gains, situation, forecast)
     counts = np.array([abs(situation.attitude_deg[0]) > _YAW_COUNTS_DEG, True, True])
-    fitted, slices = _fitted(wish, gains.inertia_kg_m2.diagonal(), forecast, envelope, counts)
+    fitted, slices = _fitted(request, gains.inertia_kg_m2.diagonal(), forecast, envelope, counts)
     horizon_s = forecast.slew_s + slices * forecast.slice_s
     slew = plan_slew(
         np.degrees(fitted.change_rad), np.degrees(fitted.rate_rad_s), gains.inertia_kg_m2, forecast.slew_s, drive
@@ -108,13 +108,13 @@ def plan_command(
     for axis in np.flatnonzero(situation.is_allowed).tolist():
         torques = forecast.torque_n_m[1 : slices + 1, axis].tolist()
         pulses += _balancing(axis, float(left_n_m_s[axis]), torques, forecast, drive)
-    is_shortened = bool(np.abs(fitted.change_rad - wish.change_rad).max() > 1e-12)
+    is_shortened = bool(np.abs(fitted.change_rad - request.change_rad).max() > 1e-12)
     return PlannedPulses(tuple(sorted(pulses, key=lambda pulse: (pulse.start_s, pulse.axis))), horizon_s, is_shortened)
 
 
-def _wish_of(gains: Gains, situation: Situation, forecast: Forecast) -> _Request:
+def _request_of(gains: Gains, situation: Situation, forecast: Forecast) -> _Request:
     """Return what the pulses shall do: the law's slew, and what the torque would turn and leave until its end."""
-    slew = tracking_wish(gains, situation.attitude_deg, situation.rates_deg_s, forecast.slew_s)
+    slew = tracking_request(gains, situation.attitude_deg, situation.rates_deg_s, forecast.slew_s)
     pushed_rad_s2 = np.linalg.solve(gains.inertia_kg_m2, forecast.torque_n_m[0])
     change = np.radians(slew.angle_change_deg) + 0.5 * pushed_rad_s2 * forecast.slew_s**2
     rate = np.radians(slew.rate_deg_s) + pushed_rad_s2 * forecast.slew_s
@@ -122,7 +122,7 @@ def _wish_of(gains: Gains, situation: Situation, forecast: Forecast) -> _Request
 
 
 def _fitted(
-    wish: _Request, inertia: FloatArray, forecast: Forecast, envelope: Envelope, counts: BoolArray
+    request: _Request, inertia: FloatArray, forecast: Forecast, envelope: Envelope, counts: BoolArray
 ) -> tuple[_Request, int]:
     """Return a wish inside the envelope and how many slices may follow it.
 
@@ -130,13 +130,13 @@ def _fitted(
     do with what is left until it is far off: a torque of 1e-6 N m leaves nothing to it in an hour.
     """
     for slices in range(forecast.slices, 0, -1):
-        lower, upper = _bounds(wish.rate_rad_s, inertia, forecast, slices, envelope)
-        if ((lower <= wish.change_rad) & (wish.change_rad <= upper))[counts].all():
-            return _limited(wish, inertia, forecast, slices, envelope), slices
-    return _limited(wish, inertia, forecast, 0, envelope), 0
+        lower, upper = _bounds(request.rate_rad_s, inertia, forecast, slices, envelope)
+        if ((lower <= request.change_rad) & (request.change_rad <= upper))[counts].all():
+            return _limited(request, inertia, forecast, slices, envelope), slices
+    return _limited(request, inertia, forecast, 0, envelope), 0
 
 
-def _limited(wish: _Request, inertia: FloatArray, forecast: Forecast, slices: int, envelope: Envelope) -> _Request:
+def _limited(request: _Request, inertia: FloatArray, forecast: Forecast, slices: int, envelope: Envelope) -> _Request:
     """Return the part of a wish that the envelope has room for."""
     horizon_s = forecast.slew_s + slices * forecast.slice_s
     gross, turned = _balance(inertia, forecast, slices)
@@ -145,9 +145,9 @@ def _limited(wish: _Request, inertia: FloatArray, forecast: Forecast, slices: in
         np.minimum(np.radians(envelope.rate_change_deg_s), envelope.impulse_n_m_s / inertia - gross),
         (np.radians(envelope.angle_change_deg) - np.abs(turned)) / horizon_s,
     )
-    rate = np.clip(wish.rate_rad_s, -np.maximum(greatest, 0.0), np.maximum(greatest, 0.0))
+    rate = np.clip(request.rate_rad_s, -np.maximum(greatest, 0.0), np.maximum(greatest, 0.0))
     lower, upper = _bounds(rate, inertia, forecast, slices, envelope)
-    return _Request(np.clip(wish.change_rad, lower, np.maximum(lower, upper)), rate)
+    return _Request(np.clip(request.change_rad, lower, np.maximum(lower, upper)), rate)
 
 
 def _balance(inertia: FloatArray, forecast: Forecast, slices: int) -> tuple[FloatArray, FloatArray]:

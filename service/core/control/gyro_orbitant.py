@@ -57,7 +57,7 @@ def gyro_orbitant_torque(
     return np.array([-limited[2], limited[0], -limited[1]])
 
 
-def does_rate_tell_yaw(body_rate_deg_s: FloatArray, orbital_rate_rad_s: float) -> bool:
+def does_rate_show_yaw(body_rate_deg_s: FloatArray, orbital_rate_rad_s: float) -> bool:
     """Whether rates (3,) are within the law: |c| <= 1, and the craft turns with its orbit, not against it.
 
     Beyond, the guarded law takes any yaw for 45 degrees of half-angle: a craft that is not near its frame, or a sensor
@@ -65,9 +65,9 @@ def does_rate_tell_yaw(body_rate_deg_s: FloatArray, orbital_rate_rad_s: float) -
 
     Examples
     --------
-    >>> does_rate_tell_yaw(np.array([0.0, 0.002, -0.004]), 7.292e-5)
+    >>> does_rate_show_yaw(np.array([0.0, 0.002, -0.004]), 7.292e-5)
     True
-    >>> does_rate_tell_yaw(np.array([0.0, 0.005, -0.004]), 7.292e-5)
+    >>> does_rate_show_yaw(np.array([0.0, 0.005, -0.004]), 7.292e-5)
     False
     """
     _, roll_rate, pitch_rate = np.radians(np.asarray(body_rate_deg_s, dtype=np.float64)).tolist()

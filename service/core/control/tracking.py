@@ -24,7 +24,7 @@ class SlewRequest(NamedTuple):
     rate_deg_s: FloatArray
 
 
-def tracking_wish(
+def tracking_request(
     gains: Gains,
     attitude_deg: ArrayLike,
     rates_deg_s: ArrayLike,
@@ -61,7 +61,7 @@ def tracking_wish(
     >>> from service.core.control.quaternion_law import loop_gains
     >>> inertia = np.diag([2600.0, 1400.0, 2600.0])
     >>> gains = loop_gains(inertia, period_s=7200.0, damping=0.9, torque_limit_n_m=0.05, command_period_s=60.0)
-    >>> tracking_wish(gains, [0.0, 0.1, 0.0], [0.0, 0.0, 0.0], 600.0).angle_change_deg.round(4).tolist()
+    >>> tracking_request(gains, [0.0, 0.1, 0.0], [0.0, 0.0, 0.0], 600.0).angle_change_deg.round(4).tolist()
     [0.0, -0.0252, 0.0]
     """
     given = np.array([attitude_deg, rates_deg_s, target_deg, disturbance_n_m], dtype=np.float64)

@@ -13,13 +13,13 @@ from service.core.dynamics.orbital_frame_flight import (
     FlightRecord,
     FloatArray,
     Start,
-    fly_craft,
+    fly_spacecraft,
     harmonic_amplitude,
     mean_over_orbits,
     time_within,
 )
 from service.core.dynamics.orbital_frame_kernel import Fly, fly
-from service.core.dynamics.orbital_frame_model import Craft, Triple, refusals
+from service.core.dynamics.orbital_frame_model import OrbitalFrameSpacecraft, Triple, refusals
 
 #: longest flight, s: ten orbits of the model
 LONGEST_S = 60_000.0
@@ -43,7 +43,7 @@ class BeyondOrbitalRate(StrEnum):
 class SettlingRequest(NamedTuple):
     """One flight and how it is looked at."""
 
-    craft: Craft = Craft()
+    craft: OrbitalFrameSpacecraft = OrbitalFrameSpacecraft()
     start: Start = Start()
     duration_s: float = 15_000.0
     seed: int = 1
@@ -90,27 +90,27 @@ class ClosedLoop(NamedTuple):
         return self._replace(flight=self.flight._replace(**columns))
 
 
-def check_closed_loop(wish: SettlingRequest, most_steps: int = MOST_STEPS) -> None:
+def check_closed_loop(request: SettlingRequest, most_steps: int = MOST_STEPS) -> None:
     """Raise ValueError, with the values at fault, for a flight that cannot be or would take too long."""
-    craft = wish.craft
+    craft = request.craft
     found = refusals(craft)
-    if not found and not 1.0 <= wish.duration_s / craft.computer.period_s <= most_steps / craft.steps:
+    if not found and not 1.0 <= request.duration_s / craft.computer.period_s <= most_steps / craft.steps:
         longest_s = most_steps / craft.steps * craft.computer.period_s
         found.append(
-            f"duration_s is {wish.duration_s:g}: a flight lasts one period of the computer to {longest_s:g} s "
+            f"duration_s is {request.duration_s:g}: a flight lasts one period of the computer to {longest_s:g} s "
             f"({most_steps} steps)"
         )
-    if wish.duration_s > LONGEST_S:
-        found.append(f"duration_s is {wish.duration_s:g}: a flight lasts at most {LONGEST_S:g} s")
-    if not found and wish.start.rate_rad_s is not None:
-        ratio = abs(wish.start.rate_rad_s[0]) / craft.law.orbital_rate_rad_s
-        if ratio > _largest_ratio(wish):
-            found.append(_beyond_text("at the start", ratio, wish.beyond))
+    if request.duration_s > LONGEST_S:
+        found.append(f"duration_s is {request.duration_s:g}: a flight lasts at most {LONGEST_S:g} s")
+    if not found and request.start.rate_rad_s is not None:
+        ratio = abs(request.start.rate_rad_s[0]) / craft.law.orbital_rate_rad_s
+        if ratio > _largest_ratio(request):
+            found.append(_beyond_text("at the start", ratio, request.beyond))
     if found:
         raise ValueError("; ".join(found))
 
 
-def fly_closed_loop(wish: SettlingRequest, kernel: Fly = fly) -> ClosedLoop:
+def fly_closed_loop(request: SettlingRequest, kernel: Fly = fly) -> ClosedLoop:
     """Return the flight of a wish and its figures.
 
     Parameters
@@ -126,29 +126,29 @@ def fly_closed_loop(wish: SettlingRequest, kernel: Fly = fly) -> ClosedLoop:
         The roll rate exceeds the orbital rate on the way where the wish does not say what the law does then.
     """
     # where beyond is refused, the guarded law flies on to where the record shows it
-    is_guarded = wish.beyond is not BeyondOrbitalRate.AS_PRINTED
-    craft = wish.craft._replace(law=wish.craft.law._replace(is_guarded=is_guarded))
-    flight = fly_craft(craft, wish.start, wish.duration_s, wish.seed, kernel)
+    is_guarded = request.beyond is not BeyondOrbitalRate.AS_PRINTED
+    craft = request.craft._replace(law=request.craft.law._replace(is_guarded=is_guarded))
+    flight = fly_spacecraft(craft, request.start, request.duration_s, request.seed, kernel)
     if not (np.isfinite(flight.yaw_deg).all() and np.isfinite(flight.momentum_n_m_s).all()):
         raise ValueError("the motion leaves all bounds: the loop is unstable, or its steps are too long")
     beyond = np.flatnonzero(np.abs(flight.rate_ratio) > 1.0)
-    if len(beyond) and wish.beyond is BeyondOrbitalRate.REFUSE:
+    if len(beyond) and request.beyond is BeyondOrbitalRate.REFUSE:
         first = beyond[0]
         when = f"after {flight.time_s[first]:.3f} s"
-        raise ValueError(_beyond_text(when, abs(float(flight.rate_ratio[first])), wish.beyond))
-    merit = _merit(flight, wish)
+        raise ValueError(_beyond_text(when, abs(float(flight.rate_ratio[first])), request.beyond))
+    merit = _merit(flight, request)
     return ClosedLoop(flight, merit, _warnings(merit, craft))
 
 
-def _largest_ratio(wish: SettlingRequest) -> float:
+def _largest_ratio(request: SettlingRequest) -> float:
     """Return the largest roll rate over orbital rate from which a flight may start."""
-    slope = abs(wish.craft.law.slope)
+    slope = abs(request.craft.law.slope)
     printed = 1.0 / slope if slope > 0.0 else math.inf
     return {
         BeyondOrbitalRate.REFUSE: 1.0,
         BeyondOrbitalRate.SECOND_BRANCH: math.inf,
         BeyondOrbitalRate.AS_PRINTED: printed,
-    }[wish.beyond]
+    }[request.beyond]
 
 
 def _beyond_text(when: str, ratio: float, beyond: BeyondOrbitalRate) -> str:
@@ -160,11 +160,11 @@ def _beyond_text(when: str, ratio: float, beyond: BeyondOrbitalRate) -> str:
     )
 
 
-def _merit(flight: FlightRecord, wish: SettlingRequest) -> Merit:
+def _merit(flight: FlightRecord, request: SettlingRequest) -> Merit:
     """Return the figures of a flight."""
-    craft, time_s = wish.craft, flight.time_s
+    craft, time_s = request.craft, flight.time_s
     angles = np.column_stack([flight.roll_deg, flight.pitch_deg, flight.yaw_deg])
-    late = angles[time_s > wish.settled_after_s]
+    late = angles[time_s > request.settled_after_s]
     limit_n_m = craft.computer.torque_limit_n_m
     # what the computer asks for is a multiple of the quantum; wheels give a little less
     at_limit = np.abs(flight.torque_n_m[1:]) >= 0.99 * min(limit_n_m, _largest_multiple(craft))
@@ -175,7 +175,7 @@ def _merit(flight: FlightRecord, wish: SettlingRequest) -> Merit:
         peak_deg=_triple(np.abs(angles).max(axis=0)),
         settled_peak_deg=_triple(np.abs(late).max(axis=0) if len(late) else np.full(3, math.nan)),
         settled_rms_deg=_triple(np.sqrt((late**2).mean(axis=0)) if len(late) else np.full(3, math.nan)),
-        time_within_bound_s=_triple(np.array([time_within(time_s, each, wish.bound_deg) for each in angles.T])),
+        time_within_bound_s=_triple(np.array([time_within(time_s, each, request.bound_deg) for each in angles.T])),
         mean_yaw_deg=mean_over_orbits(flight, craft.law.orbital_rate_rad_s, orbits) if orbits else math.nan,
         harmonic_deg=_triple(
             np.array(
@@ -189,7 +189,7 @@ def _merit(flight: FlightRecord, wish: SettlingRequest) -> Merit:
     )
 
 
-def _largest_multiple(craft: Craft) -> float:
+def _largest_multiple(craft: OrbitalFrameSpacecraft) -> float:
     """Return the largest torque that the computer asks for, N m."""
     computer = craft.computer
     if not computer.is_sampled:
@@ -198,7 +198,7 @@ def _largest_multiple(craft: Craft) -> float:
     return max(1, quanta) * computer.torque_quantum_n_m
 
 
-def _warnings(merit: Merit, craft: Craft) -> tuple[tuple[str, str], ...]:
+def _warnings(merit: Merit, craft: OrbitalFrameSpacecraft) -> tuple[tuple[str, str], ...]:
     """Return what to beware of in a flight."""
     found = []
     shares = dict(zip(("roll", "pitch", "yaw"), merit.saturated_share, strict=True))

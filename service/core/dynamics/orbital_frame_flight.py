@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.core.dynamics.orbital_frame_kernel import NO_YAW_ESTIMATE, Fly, fly
-from service.core.dynamics.orbital_frame_model import Craft, VerticalSensor, refusals
+from service.core.dynamics.orbital_frame_model import OrbitalFrameSpacecraft, VerticalSensor, refusals
 from service.core.dynamics.orbital_frame_step import State
 
 FloatArray = NDArray[np.float64]
@@ -44,12 +44,14 @@ class FlightRecord(NamedTuple):
     end: State
 
 
-def fly_craft(craft: Craft, start: Start, duration_s: float, seed: int = 1, kernel: Fly = fly) -> FlightRecord:
+def fly_spacecraft(
+    craft: OrbitalFrameSpacecraft, start: Start, duration_s: float, seed: int = 1, kernel: Fly = fly
+) -> FlightRecord:
     """Return a flight.
 
     Parameters
     ----------
-    craft : Craft
+    craft : OrbitalFrameSpacecraft
         What flies.
     start : Start
         How it begins.
@@ -91,7 +93,7 @@ def fly_craft(craft: Craft, start: Start, duration_s: float, seed: int = 1, kern
     )
 
 
-def _state(craft: Craft, start: Start) -> State:
+def _state(craft: OrbitalFrameSpacecraft, start: Start) -> State:
     """Return quaternion, momentum and wheels at the start."""
     roll, pitch, yaw = (0.5 * math.radians(angle) for angle in start[:3])
     cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (math.cos, math.sin))
@@ -117,7 +119,7 @@ def _coloured(sensor: VerticalSensor, white: FloatArray, period_s: float) -> Flo
     return sensor.noise_rad * np.concatenate([white[:1], coloured])
 
 
-def tone_steps(craft: Craft) -> FloatArray:
+def tone_steps(craft: OrbitalFrameSpacecraft) -> FloatArray:
     """Return the exact step of each flexible tone under a constant torque, shape (6, 6).
 
     Columns: the matrix of angle and rate, row by row, and what one newton metre adds to angle and rate.
@@ -170,7 +172,9 @@ def mean_over_orbits(flight: FlightRecord, orbital_rate_rad_s: float, orbits: in
     return float(flight.yaw_deg[late].mean())
 
 
-def trimmed_correction_rad_s(craft: Craft, duration_s: float, kernel: Fly = fly, seed: int = 1) -> float:
+def trimmed_correction_rad_s(
+    craft: OrbitalFrameSpacecraft, duration_s: float, kernel: Fly = fly, seed: int = 1
+) -> float:
     """Return the correction of the measured yaw rate that brings the mean yaw to zero, by the secant rule.
 
     What an operator does over some orbits: friction of the yaw wheel turns the craft, and the yaw rate's zero is moved
@@ -179,7 +183,7 @@ def trimmed_correction_rad_s(craft: Craft, duration_s: float, kernel: Fly = fly,
     tried: list[tuple[float, float]] = []
     correction = 0.0
     for _ in range(8):
-        flown = fly_craft(_corrected(craft, correction), Start(), duration_s, seed, kernel)
+        flown = fly_spacecraft(_corrected(craft, correction), Start(), duration_s, seed, kernel)
         mean_deg = mean_over_orbits(flown, craft.law.orbital_rate_rad_s)
         tried.append((correction, mean_deg))
         if abs(mean_deg) < 5e-4:
@@ -192,5 +196,5 @@ def trimmed_correction_rad_s(craft: Craft, duration_s: float, kernel: Fly = fly,
     return min(tried, key=lambda trial: abs(trial[1]))[0]
 
 
-def _corrected(craft: Craft, correction_rad_s: float) -> Craft:
+def _corrected(craft: OrbitalFrameSpacecraft, correction_rad_s: float) -> OrbitalFrameSpacecraft:
     return craft._replace(computer=craft.computer._replace(yaw_rate_correction_rad_s=correction_rad_s))

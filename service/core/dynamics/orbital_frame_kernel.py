@@ -13,7 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from service.core.dynamics import orbital_frame_step
-from service.core.dynamics.orbital_frame_model import AxisWheels, Computer, Craft, RateSensor, VerticalSensor
+from service.core.dynamics.orbital_frame_model import (
+    AxisWheels,
+    Computer,
+    OrbitalFrameSpacecraft,
+    RateSensor,
+    VerticalSensor,
+)
 from service.core.dynamics.orbital_frame_step import (
     Inverse,
     State,
@@ -34,7 +40,7 @@ FloatArray = NDArray[np.float64]
 RECORD_COLUMNS = ("time", "roll", "pitch", "yaw", "u_roll", "u_pitch", "u_yaw", "h_roll", "h_pitch", "h_yaw", "c_yaw")
 FLOWN, NO_YAW_ESTIMATE = 0, 1
 
-Fly = Callable[[Craft, State, FloatArray, FloatArray, FloatArray, FloatArray], tuple[int, int, State]]
+Fly = Callable[[OrbitalFrameSpacecraft, State, FloatArray, FloatArray, FloatArray, FloatArray], tuple[int, int, State]]
 
 
 def clipped(value: float, limit: float) -> float:
@@ -157,7 +163,7 @@ def held_step(state: State, body: tuple[Inverse, Inverse, float, float], torque:
     return blended(state, (a, b, c, d), step_s)
 
 
-def continuous_torque(craft: Craft, state: State, inverse: Inverse) -> Triple:
+def continuous_torque(craft: OrbitalFrameSpacecraft, state: State, inverse: Inverse) -> Triple:
     """Return what ideal sensors, a continuous computer and ideal wheels give, N m."""
     roll, pitch = tilt(state)
     wanted = wanted_torque(craft.law, roll, pitch, body_rate(state, inverse))
@@ -165,7 +171,9 @@ def continuous_torque(craft: Craft, state: State, inverse: Inverse) -> Triple:
     return (clipped(wanted[0], limit), clipped(wanted[1], limit), clipped(wanted[2], limit))
 
 
-def continuous_step(craft: Craft, state: State, body: tuple[Inverse, Inverse, float, float], step_s: float) -> State:
+def continuous_step(
+    craft: OrbitalFrameSpacecraft, state: State, body: tuple[Inverse, Inverse, float, float], step_s: float
+) -> State:
     """Return the state after a step in which the law follows the state."""
     inertia, inverse, gravity, w0 = body
     a = derivative(state, inertia, inverse, gravity, continuous_torque(craft, state, inverse), w0)
@@ -188,7 +196,7 @@ def write_row(row: FloatArray, time_s: float, state: State, torque: Triple, c: f
 
 
 def fly(
-    craft: Craft,
+    craft: OrbitalFrameSpacecraft,
     state: State,
     tones: FloatArray,
     rate_noise_rad_s: FloatArray,
@@ -199,7 +207,7 @@ def fly(
 
     Parameters
     ----------
-    craft : Craft
+    craft : OrbitalFrameSpacecraft
         What flies.
     state : State
         At the start.
@@ -260,7 +268,7 @@ def fly(
 
 
 #: what ``fly`` calls, for the compiler
-_PIECES: tuple[Callable[..., Any], ...] = (
+_KERNEL_STAGES: tuple[Callable[..., Any], ...] = (
     *(orbital_frame_step.times, orbital_frame_step.vertical, orbital_frame_step.normal, orbital_frame_step.half_angles),
     *(inverse_inertia, body_rate, angles, tilt, wanted_torque, derivative, moved, blended),
     *(clipped, rounded, command, bent_tilt, bent_rate, lagged_tilt, sensed_rate, rotor_torque, given_torque, swing),
@@ -280,7 +288,7 @@ def compiled_fly(*, is_cached: bool = True) -> Fly:
     from numba import njit
     from numba.extending import register_jitable
 
-    for piece in _PIECES:
+    for piece in _KERNEL_STAGES:
         register_jitable(piece)
     flown: Fly = njit(nogil=True, error_model="numpy", cache=is_cached)(fly)
     return flown

@@ -123,7 +123,7 @@ class Tones(NamedTuple):
     gains: Triple = (0.15, 0.08, 0.04)
 
 
-class Craft(NamedTuple):
+class OrbitalFrameSpacecraft(NamedTuple):
     """Everything that flies."""
 
     inertia: Inertia = NOMINAL_INERTIA
@@ -139,7 +139,7 @@ class Craft(NamedTuple):
 
 
 #: sensors show the truth, wheels obey, no tones
-_IDEAL = Craft(
+_IDEAL = OrbitalFrameSpacecraft(
     vertical_sensor=VerticalSensor(is_real=False),
     rate_sensor=RateSensor(is_real=False),
     wheels=AxisWheels(is_real=False),
@@ -147,9 +147,9 @@ _IDEAL = Craft(
 )
 
 
-def rigid_craft(
+def rigid_spacecraft(
     gains: OrbitalFrameGains = MAX_GAINS, inertia: Inertia | None = None, *, is_sampled: bool = False, steps: int = 1
-) -> Craft:
+) -> OrbitalFrameSpacecraft:
     """Return a craft of ideal components: continuous, or with the computer's period and quantum."""
     return _IDEAL._replace(
         inertia=Inertia() if inertia is None else inertia,
@@ -159,7 +159,7 @@ def rigid_craft(
     )
 
 
-def refusals(craft: Craft) -> list[str]:
+def refusals(craft: OrbitalFrameSpacecraft) -> list[str]:
     """Return what no craft can be, each with the value at fault; an empty list when it can fly."""
     j, w = craft.inertia, craft.wheels
     minors = (

@@ -32,7 +32,7 @@ IntArray = NDArray[np.int64]
 _UNKNOWNS = 4
 
 
-class SetFigures(NamedTuple):
+class SetStatistics(NamedTuple):
     """Figures of a set of N carriers.
 
     Parameters
@@ -70,7 +70,7 @@ class SetFigures(NamedTuple):
     redundancy: int
 
 
-def judge_set(sensitivity: FloatArray, sigma_db: FloatArray, level: IntArray | None = None) -> SetFigures:
+def judge_set(sensitivity: FloatArray, sigma_db: FloatArray, level: IntArray | None = None) -> SetStatistics:
     """Return the figures of a set.
 
     Parameters
@@ -84,7 +84,7 @@ def judge_set(sensitivity: FloatArray, sigma_db: FloatArray, level: IntArray | N
 
     Returns
     -------
-    SetFigures
+    SetStatistics
 
     Examples
     --------
@@ -96,7 +96,7 @@ def judge_set(sensitivity: FloatArray, sigma_db: FloatArray, level: IntArray | N
     present = np.where(is_present[:, np.newaxis], sensitivity, math.nan)
     shared = np.zeros(len(sensitivity), dtype=np.int64) if level is None else level
     faults = _fault_bounds(present, np.where(is_present, sigma_db, math.nan), shared)
-    return SetFigures(
+    return SetStatistics(
         condition=condition_number(present),
         dop_deg_per_db=dilution_of_precision_deg_per_db(present),
         dop_with_common_deg_per_db=dilution_of_precision_deg_per_db(present, with_common=True, level=shared),

@@ -40,7 +40,7 @@ _LEAST_COMMON_DB = 0.005
 _DEFAULT_WHITE_DB = 0.155
 
 
-class LearnedNoise(NamedTuple):
+class IdentifiedNoise(NamedTuple):
     """Noise of N carriers over the ladder of C correlation times.
 
     Parameters
@@ -66,7 +66,7 @@ class LearnedNoise(NamedTuple):
         return np.asarray(np.hypot(self.sigma_db, self.common_db))
 
 
-def identify_noise(residual_db: FloatArray, epoch_s: FloatArray) -> LearnedNoise:
+def identify_noise(residual_db: FloatArray, epoch_s: FloatArray) -> IdentifiedNoise:
     """Return the noise of every carrier.
 
     Parameters
@@ -79,7 +79,7 @@ def identify_noise(residual_db: FloatArray, epoch_s: FloatArray) -> LearnedNoise
 
     Returns
     -------
-    LearnedNoise
+    IdentifiedNoise
         A carrier with fewer than a hundred rows has the noise of all. Never zero, never NaN.
 
     Notes
@@ -100,7 +100,7 @@ def identify_noise(residual_db: FloatArray, epoch_s: FloatArray) -> LearnedNoise
     own = own._replace(power=own.power / (1.0 - share).reshape(-1, 1))
     start = np.square(spread)[:, np.newaxis] * np.array([0.5, 0.125, 0.125, 0.125, 0.125])
     variance = _own_variances(own, start)
-    return LearnedNoise(
+    return IdentifiedNoise(
         np.sqrt(variance[:, 0]),
         np.sqrt(variance[:, 1:]),
         tau_s,

@@ -63,11 +63,11 @@ class FlexibleMotion(NamedTuple):
 
     def states(self, times_s: FloatArray) -> FloatArray:
         """Return states (T, 5), columns of `BodyState`, at some times (T,) within the run."""
-        places = np.clip(np.searchsorted(self.times_s, times_s, side="right") - 1, 0, len(self.legs) - 1)
+        positions = np.clip(np.searchsorted(self.times_s, times_s, side="right") - 1, 0, len(self.legs) - 1)
         states = np.empty((len(times_s), len(BodyState._fields)))
-        for place in np.unique(places):
-            chosen = places == place
-            states[chosen] = states_at(self.legs[place], times_s[chosen] - self.times_s[place])
+        for position in np.unique(positions):
+            chosen = positions == position
+            states[chosen] = states_at(self.legs[position], times_s[chosen] - self.times_s[position])
         return states
 
 

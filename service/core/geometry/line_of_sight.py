@@ -49,7 +49,7 @@ class PredictedTrack(NamedTuple):
     longitude_deg: FloatArray
 
 
-class Places(NamedTuple):
+class Positions(NamedTuple):
     """Geodetic coordinates of N stations: latitude_deg, longitude_deg in deg, height_m in m, each of shape (N,)."""
 
     latitude_deg: FloatArray
@@ -91,23 +91,23 @@ def track_position_deg(track: PredictedTrack, epoch_us: IntArray) -> FloatArray:
     nodes = first[:, np.newaxis] + np.arange(4)
     # microseconds are subtracted as integers; seconds since the first node are exact enough for a cubic
     offset = (track.epoch_us[nodes] - epoch_us[:, np.newaxis]) / 1e6
-    place = np.zeros((len(epoch_us), 2))
+    position = np.zeros((len(epoch_us), 2))
     for k in range(4):
         others = [j for j in range(4) if j != k]
         ratios = [-offset[:, j] / (offset[:, k] - offset[:, j]) for j in others]
-        place += np.prod(ratios, axis=0)[:, np.newaxis] * points[nodes[:, k]]
+        position += np.prod(ratios, axis=0)[:, np.newaxis] * points[nodes[:, k]]
     is_covered = (epoch_us >= track.epoch_us[0]) & (epoch_us <= track.epoch_us[-1])
-    return np.where(is_covered[:, np.newaxis], place, math.nan)
+    return np.where(is_covered[:, np.newaxis], position, math.nan)
 
 
-def sight_motion_deg(position_deg: FloatArray, stations: Places, nominal_longitude_deg: float) -> FloatArray:
+def sight_motion_deg(position_deg: FloatArray, stations: Positions, nominal_longitude_deg: float) -> FloatArray:
     """Return where the satellite stands in the sky of each station, counted from its nominal place.
 
     Parameters
     ----------
     position_deg : ndarray, shape (T, 2), deg
         Latitude and longitude of the sub-satellite point.
-    stations : Places
+    stations : Positions
         N stations.
     nominal_longitude_deg : float, deg
         East longitude at which the dishes were pointed.
@@ -119,24 +119,24 @@ def sight_motion_deg(position_deg: FloatArray, stations: Places, nominal_longitu
 
     Examples
     --------
-    >>> below = Places(np.zeros(1), np.array([90.0]), np.zeros(1))
+    >>> below = Positions(np.zeros(1), np.array([90.0]), np.zeros(1))
     >>> sight_motion_deg(np.array([[0.0, 90.05]]), below, 90.0).round(4)
     array([[[0.0589, 0.    ]]])
     """
-    places_m = _station_vectors(stations)
+    positions_m = _station_vectors(stations)
     nominal_m = _satellite_vectors(np.array([[0.0, nominal_longitude_deg]]))[0]
-    boresight = _unit(nominal_m - places_m)
+    boresight = _unit(nominal_m - positions_m)
     # the nominal place is on the equator, so the pole is never along a boresight
     along = _unit(np.cross(np.array([0.0, 0.0, 1.0]), boresight))
     across = np.cross(boresight, along)
-    sight = _satellite_vectors(position_deg)[:, np.newaxis] - places_m
+    sight = _satellite_vectors(position_deg)[:, np.newaxis] - positions_m
     depth = np.vecdot(sight, boresight)
     angles = [np.arctan2(np.vecdot(sight, axis), depth) for axis in (along, across)]
     return np.asarray(np.degrees(np.stack(angles, axis=-1)))
 
 
 def antenna_motion_deg(
-    track: PredictedTrack, epoch_us: IntArray, stations: Places, nominal_longitude_deg: float
+    track: PredictedTrack, epoch_us: IntArray, stations: Positions, nominal_longitude_deg: float
 ) -> FloatArray:
     """Return by how much each station moves in the antenna frame of a body held to the nadir frame.
 
@@ -146,7 +146,7 @@ def antenna_motion_deg(
         Prediction of ballistics.
     epoch_us : ndarray of int, shape (T,), microseconds UTC
         Epochs.
-    stations : Places
+    stations : Positions
         N stations.
     nominal_longitude_deg : float, deg
         East longitude of the nominal place.
@@ -164,16 +164,16 @@ def antenna_motion_deg(
     velocity = (ahead - behind) / seconds + EARTH_RATE_RAD_S * np.cross(np.array([0.0, 0.0, 1.0]), here)
     nominal = _satellite_vectors(np.array([[0.0, nominal_longitude_deg]]))
     rest = EARTH_RATE_RAD_S * np.cross(np.array([0.0, 0.0, 1.0]), nominal)
-    places_m = _station_vectors(stations)
-    return _antenna_angles_deg(here, velocity, places_m) - _antenna_angles_deg(nominal, rest, places_m)
+    positions_m = _station_vectors(stations)
+    return _antenna_angles_deg(here, velocity, positions_m) - _antenna_angles_deg(nominal, rest, positions_m)
 
 
-def _antenna_angles_deg(satellite_m: FloatArray, velocity_m_s: FloatArray, places_m: FloatArray) -> FloatArray:
+def _antenna_angles_deg(satellite_m: FloatArray, velocity_m_s: FloatArray, positions_m: FloatArray) -> FloatArray:
     """Return azimuth and elevation (T, N, 2) of places seen in the nadir frame of a moving satellite."""
     nadir = -_unit(satellite_m)
     south = -_unit(np.cross(satellite_m, velocity_m_s))
     frame = np.stack([np.cross(south, nadir), south, nadir], axis=1)
-    sight = places_m - satellite_m[:, np.newaxis]
+    sight = positions_m - satellite_m[:, np.newaxis]
     return np.asarray(np.stack(antenna_direction(np.einsum("tij,tnj->tni", frame, sight)), axis=-1))
 
 
@@ -184,7 +184,7 @@ def _satellite_vectors(position_deg: FloatArray) -> FloatArray:
     return np.asarray(GEOSTATIONARY_RADIUS_M * np.stack(directions, axis=-1))
 
 
-def _station_vectors(stations: Places) -> FloatArray:
+def _station_vectors(stations: Positions) -> FloatArray:
     """Return Earth-fixed vectors (N, 3) of geodetic places, m."""
     latitude, longitude = np.radians(stations.latitude_deg), np.radians(stations.longitude_deg)
     eccentricity_2 = EARTH_FLATTENING * (2.0 - EARTH_FLATTENING)

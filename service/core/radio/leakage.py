@@ -44,8 +44,8 @@ def leakage(bands: CarrierBands, rolloff: FloatArray, rbw_hz: float) -> FloatArr
     True
     """
     edge = np.where(bands.is_line, 0.0, (1.0 + rolloff) / 2.0)
-    places = (np.arange(NODES) + 0.5) / NODES * 2.0 - 1.0
-    relative = places[np.newaxis, :] * edge[:, np.newaxis]
+    positions = (np.arange(NODES) + 0.5) / NODES * 2.0 - 1.0
+    relative = positions[np.newaxis, :] * edge[:, np.newaxis]
     density = _raised_cosine(np.abs(relative), rolloff[:, np.newaxis])
     density = density / density.sum(axis=1, keepdims=True)
     frequency = bands.center_hz[:, np.newaxis] + relative * bands.symbol_rate_hz[:, np.newaxis]

@@ -73,6 +73,6 @@ class GapSearch:
         if self._period_us <= 0.0:
             return
         periods = np.diff(epochs_us) / self._period_us
-        for place in np.flatnonzero(periods > GAP_PERIODS).tolist():
-            start_us = int(epochs_us[place]) + round(self._period_us)
-            yield Gap(start_us, int(epochs_us[place + 1]), round(float(periods[place])) - 1)
+        for position in np.flatnonzero(periods > GAP_PERIODS).tolist():
+            start_us = int(epochs_us[position]) + round(self._period_us)
+            yield Gap(start_us, int(epochs_us[position + 1]), round(float(periods[position])) - 1)

@@ -50,7 +50,7 @@ class SampleBins:
 
     def __init__(self, start_us: int, stop_us: int, count: int, columns: int) -> None:
         # in whole numbers of any size: the products exceed 64 bits
-        begins = [start_us - (-place * (stop_us - start_us) // count) for place in range(count)]
+        begins = [start_us - (-position * (stop_us - start_us) // count) for position in range(count)]
         self._begins_us = np.array(begins, dtype=np.int64)
         shape = (count, columns)
         self._n = np.zeros(shape, dtype=np.int64)
@@ -60,11 +60,11 @@ class SampleBins:
 
     def add(self, epochs_us: IntArray, values: NDArray[np.floating]) -> None:
         """Add rows in order of epoch, values of shape (T, columns); NaN = absent."""
-        places = self._places(epochs_us)
-        bounds = [0, *(np.flatnonzero(np.diff(places)) + 1).tolist(), len(places)]
+        positions = self._positions(epochs_us)
+        bounds = [0, *(np.flatnonzero(np.diff(positions)) + 1).tolist(), len(positions)]
         for first, last in pairwise(bounds):
             if last > first:
-                self._add_to(int(places[first]), epochs_us[first:last], values[first:last])
+                self._add_to(int(positions[first]), epochs_us[first:last], values[first:last])
 
     def samples(self, column: int) -> Samples:
         """Return the intervals of a column that hold a value."""
@@ -80,22 +80,22 @@ class SampleBins:
             self._maximum_us[held, column],
         )
 
-    def _places(self, epochs_us: IntArray) -> IntArray:
+    def _positions(self, epochs_us: IntArray) -> IntArray:
         """Return the interval of each row: how many intervals have begun by then, but for the first."""
         return np.asarray(np.searchsorted(self._begins_us, epochs_us, side="right") - 1)
 
-    def _add_to(self, place: int, epochs_us: IntArray, values: NDArray[np.floating]) -> None:
+    def _add_to(self, position: int, epochs_us: IntArray, values: NDArray[np.floating]) -> None:
         """Add rows of one interval."""
         wide = values.astype(np.float64)
         is_absent = np.isnan(wide)
-        self._n[place] += np.sum(~is_absent, axis=0)
-        self._sums[place] += np.nansum(wide, axis=0)
+        self._n[position] += np.sum(~is_absent, axis=0)
+        self._sums[position] += np.nansum(wide, axis=0)
         columns = np.arange(wide.shape[1])
         low, high = np.where(is_absent, np.inf, wide), np.where(is_absent, -np.inf, wide)
         at_low, at_high = np.argmin(low, axis=0), np.argmax(high, axis=0)
-        is_lower = low[at_low, columns] < self._minima[place]
-        is_higher = high[at_high, columns] > self._maxima[place]
-        self._minima[place][is_lower] = low[at_low, columns][is_lower]
-        self._maxima[place][is_higher] = high[at_high, columns][is_higher]
-        self._minimum_us[place][is_lower] = epochs_us[at_low][is_lower]
-        self._maximum_us[place][is_higher] = epochs_us[at_high][is_higher]
+        is_lower = low[at_low, columns] < self._minima[position]
+        is_higher = high[at_high, columns] > self._maxima[position]
+        self._minima[position][is_lower] = low[at_low, columns][is_lower]
+        self._maxima[position][is_higher] = high[at_high, columns][is_higher]
+        self._minimum_us[position][is_lower] = epochs_us[at_low][is_lower]
+        self._maximum_us[position][is_higher] = epochs_us[at_high][is_higher]

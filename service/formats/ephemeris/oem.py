@@ -77,25 +77,25 @@ def _parse(text: str) -> list[_Segment]:
     if not lines or not lines[0].strip().startswith("CCSDS_OEM_VERS"):
         raise InvalidInputError("oem.malformed", "the message must begin with CCSDS_OEM_VERS")
     segments: list[_Segment] = []
-    place = "header"
+    position = "header"
     for number, line in enumerate(lines, start=1):
         content = line.strip()
         if content in _MARKS:
-            place = _MARKS[content]
+            position = _MARKS[content]
             segments += [_Segment()] if content == "META_START" else []
         elif content and not content.startswith("COMMENT"):
-            _take(place, content, number, segments)
+            _take(position, content, number, segments)
     return segments
 
 
-def _take(place: str, content: str, number: int, segments: list[_Segment]) -> None:
+def _take(position: str, content: str, number: int, segments: list[_Segment]) -> None:
     """Take in one line at its place."""
-    if place == "meta":
+    if position == "meta":
         keyword, is_assigned, value = content.partition("=")
         if not is_assigned:
             raise _malformed(number, "metadata must be written KEYWORD = value")
         segments[-1].meta[keyword.strip()] = value.strip()
-    elif place == "data":
+    elif position == "data":
         if not segments:
             raise _malformed(number, "states must follow a META_START ... META_STOP block")
         _take_state(content.split(), number, segments[-1])

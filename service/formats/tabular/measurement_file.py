@@ -37,7 +37,7 @@ class MeasurementColumns:
     def __init__(self, plans: Sequence[Sequence[str]], carriers_of: Callable[[int], Sequence[str]]) -> None:
         self.carriers = tuple(dict.fromkeys(name for plan in plans for name in plan))
         self._carriers_of = carriers_of
-        self._places: dict[int, IntArray | None] = {}
+        self._positions: dict[int, IntArray | None] = {}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -46,21 +46,23 @@ class MeasurementColumns:
 
     def values(self, block: MeasurementBlock) -> Float32Array:
         """Return the levels of a block by column, shape (T, columns); NaN = absent."""
-        places = self._places_of(block.plan_id)
-        if places is None:
+        positions = self._positions_of(block.plan_id)
+        if positions is None:
             return block.power_dbm
         values = np.full((len(block.epochs_us), len(self.carriers)), np.nan, dtype=np.float32)
-        values[:, places] = block.power_dbm
+        values[:, positions] = block.power_dbm
         return values
 
-    def _places_of(self, plan_id: int) -> IntArray | None:
+    def _positions_of(self, plan_id: int) -> IntArray | None:
         """Return the column of each level of a plan; None where the plan is the columns themselves."""
-        if plan_id not in self._places:
+        if plan_id not in self._positions:
             carriers = tuple(self._carriers_of(plan_id))
             column = {name: k for k, name in enumerate(self.carriers)}
             is_whole = carriers == self.carriers
-            self._places[plan_id] = None if is_whole else np.array([column[name] for name in carriers], dtype=np.int64)
-        return self._places[plan_id]
+            self._positions[plan_id] = (
+                None if is_whole else np.array([column[name] for name in carriers], dtype=np.int64)
+            )
+        return self._positions[plan_id]
 
 
 class MeasurementFile(Protocol):
@@ -106,7 +108,7 @@ class CsvFile:
         """Return one line a row."""
         sources = tuple(f",{csv_field(guarded(source))}".encode() for source in block.sources)
         frame = RowFrame(b"", sources, self._leads, b"", b"\r\n")
-        return self._text.rows(block.epochs_us, self._columns.values(block), frame, block.source_places)
+        return self._text.rows(block.epochs_us, self._columns.values(block), frame, block.source_positions)
 
     def end(self) -> bytes:
         """Return nothing."""
@@ -129,7 +131,7 @@ class NdjsonFile:
         """Return one line a row."""
         sources = tuple(f'","source":{json.dumps(source)}'.encode() for source in block.sources)
         frame = RowFrame(b'{"epoch":"', sources, self._leads, b"null", b"}\n")
-        return self._text.rows(block.epochs_us, self._columns.values(block), frame, block.source_places)
+        return self._text.rows(block.epochs_us, self._columns.values(block), frame, block.source_positions)
 
     def end(self) -> bytes:
         """Return nothing."""
@@ -201,12 +203,14 @@ def _numbered_sources(blocks: Sequence[MeasurementBlock]) -> tuple[NDArray[np.in
     numbers: dict[str, int] = {}
     of_rows = []
     for block in blocks:
-        places = np.zeros(len(block.epochs_us), np.int64) if block.source_places is None else block.source_places
-        found, first = np.unique(places, return_index=True)
+        positions = (
+            np.zeros(len(block.epochs_us), np.int64) if block.source_positions is None else block.source_positions
+        )
+        found, first = np.unique(positions, return_index=True)
         table = np.zeros(len(block.sources), dtype=np.int32)
-        for place in found[np.argsort(first)].tolist():
-            table[place] = numbers.setdefault(block.sources[place], len(numbers))
-        of_rows.append(table[places])
+        for position in found[np.argsort(first)].tolist():
+            table[position] = numbers.setdefault(block.sources[position], len(numbers))
+        of_rows.append(table[positions])
     return np.concatenate(of_rows), list(numbers)
 
 

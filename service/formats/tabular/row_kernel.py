@@ -22,10 +22,10 @@ VALUE_BYTES = 18
 #: instants that the calendar below is meant for: 1970 to 9999
 LAST_EPOCH_US = 253_402_300_800_000_000
 
-Places = NDArray[np.int64]
+Positions = NDArray[np.int64]
 #: out, epochs, values, before, betweens, their ends, which of them, leads, ends of the leads, absent, after
 FillRows = Callable[
-    [Bytes, Places, NDArray[np.float32], Bytes, Bytes, Places, Places, Bytes, Places, Bytes, Bytes], int
+    [Bytes, Positions, NDArray[np.float32], Bytes, Bytes, Positions, Positions, Bytes, Positions, Bytes, Bytes], int
 ]
 
 _POWERS = np.array([10**k for k in range(18)], dtype=np.int64)
@@ -37,14 +37,14 @@ _DECIMALS_BYTES = np.array([0 if k == 0 else 2 if k % 10 == 0 else 3 for k in ra
 
 def fill_rows(
     out: Bytes,
-    epochs_us: Places,
+    epochs_us: Positions,
     values: NDArray[np.float32],
     before: Bytes,
     betweens: Bytes,
-    between_ends: Places,
-    between_of: Places,
+    between_ends: Positions,
+    between_of: Positions,
     leads: Bytes,
-    lead_ends: Places,
+    lead_ends: Positions,
     absent: Bytes,
     after: Bytes,
 ) -> int:
@@ -88,9 +88,9 @@ def fill_rows(
             known_day = day
         at = _put_bytes(out, at, date)
         at = _put_time(out, at, epochs_us[row] - day * 86_400_000_000)
-        at = _put_piece(out, at, betweens, between_ends, between_of[row])
+        at = _put_text(out, at, betweens, between_ends, between_of[row])
         for column in range(values.shape[1]):
-            at = _put_piece(out, at, leads, lead_ends, column)
+            at = _put_text(out, at, leads, lead_ends, column)
             value = values[row, column]
             size = np.float64(abs(value))
             # false for what is absent; the comparison comes first, for what is too large is no number of hundredths
@@ -135,10 +135,10 @@ def _put_bytes(out: Bytes, at: int, piece: Bytes) -> int:
     return at
 
 
-def _put_piece(out: Bytes, at: int, pieces: Bytes, ends: Places, which: int | np.int64) -> int:
+def _put_text(out: Bytes, at: int, pieces: Bytes, ends: Positions, which: int | np.int64) -> int:
     """Write one of several pieces that lie one after the other; return the next place."""
-    for place in range(ends[which], ends[which + 1]):
-        out[at] = pieces[place]
+    for position in range(ends[which], ends[which + 1]):
+        out[at] = pieces[position]
         at += 1
     return at
 
@@ -180,18 +180,18 @@ def _put_decimal(out: Bytes, at: int, digits: np.int64, decimals: int) -> int:
     while length < 17 and digits >= _POWERS[length]:
         length += 1
     end = at + length + (1 if decimals > 0 else 0)
-    place = end - 1
+    position = end - 1
     for _ in range(decimals):
-        out[place] = _DIGIT + digits % 10
+        out[position] = _DIGIT + digits % 10
         digits //= 10
-        place -= 1
+        position -= 1
     if decimals > 0:
-        out[place] = 46  # point
-        place -= 1
-    while place >= at:
-        out[place] = _DIGIT + digits % 10
+        out[position] = 46  # point
+        position -= 1
+    while position >= at:
+        out[position] = _DIGIT + digits % 10
         digits //= 10
-        place -= 1
+        position -= 1
     return end
 
 
@@ -253,7 +253,7 @@ def compiled_fill_rows() -> FillRows:
     register_jitable(_put_decimal)
     register_jitable(_put_date)
     register_jitable(inline="always")(_put_pair)
-    register_jitable(_put_piece)
+    register_jitable(_put_text)
     register_jitable(_put_time)
     register_jitable(_rounded)
     register_jitable(inline="always")(_put_hundredths)

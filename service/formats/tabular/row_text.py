@@ -18,7 +18,7 @@ from service.formats.tabular.row_kernel import (
     LAST_EPOCH_US,
     VALUE_BYTES,
     FillRows,
-    Places,
+    Positions,
     compiled_fill_rows,
 )
 from service.records.epoch import format_epoch
@@ -57,7 +57,7 @@ class RowText:
         self._buffer = np.empty(0, dtype=np.uint8)
 
     def rows(
-        self, epochs_us: Places, values: NDArray[np.float32], frame: RowFrame, between_of: Places | None = None
+        self, epochs_us: Positions, values: NDArray[np.float32], frame: RowFrame, between_of: Positions | None = None
     ) -> bytes:
         """Return the text of rows.
 
@@ -70,14 +70,16 @@ class RowText:
         frame : RowFrame
             Fixed pieces.
         between_of : ndarray, shape (T,), optional
-            Place of what stands after the epoch among ``frame.betweens``; None: the first.
+            Position of what stands after the epoch among ``frame.betweens``; None: the first.
         """
         if between_of is None:
             between_of = np.zeros(len(epochs_us), dtype=np.int64)
         parts = [slice(start, start + BLOCK_ROWS) for start in range(0, len(epochs_us), BLOCK_ROWS)]
         return b"".join(self._block(epochs_us[part], values[part], frame, between_of[part]) for part in parts)
 
-    def _block(self, epochs_us: Places, values: NDArray[np.float32], frame: RowFrame, between_of: Places) -> bytes:
+    def _block(
+        self, epochs_us: Positions, values: NDArray[np.float32], frame: RowFrame, between_of: Positions
+    ) -> bytes:
         is_in_calendar = int(epochs_us.min()) >= 0 and int(epochs_us.max()) < LAST_EPOCH_US
         if self._fill is None or not is_in_calendar or np.isinf(values).any():
             return plain_rows(epochs_us, values, frame, between_of)
@@ -123,13 +125,13 @@ def _as_array(piece: bytes) -> NDArray[np.uint8]:
     return np.frombuffer(piece, dtype=np.uint8)
 
 
-def _ends(pieces: tuple[bytes, ...]) -> Places:
+def _ends(pieces: tuple[bytes, ...]) -> Positions:
     """Return where each piece begins, and where the last one ends, when they lie one after the other."""
     return np.cumsum([0, *map(len, pieces)], dtype=np.int64)
 
 
 def plain_rows(
-    epochs_us: Places, values: NDArray[np.float32], frame: RowFrame, between_of: Places | None = None
+    epochs_us: Positions, values: NDArray[np.float32], frame: RowFrame, between_of: Positions | None = None
 ) -> bytes:
     """Return the text of rows without a compiler.
 
@@ -142,8 +144,8 @@ def plain_rows(
     width = values.shape[1]
     texts = [text.removesuffix(".0").encode() or frame.absent for text in text_of_float32(values)]
     parts: list[bytes] = []
-    places = [0] * len(epochs_us) if between_of is None else between_of.tolist()
-    for row, (epoch_us, which) in enumerate(zip(epochs_us.tolist(), places, strict=True)):
+    positions = [0] * len(epochs_us) if between_of is None else between_of.tolist()
+    for row, (epoch_us, which) in enumerate(zip(epochs_us.tolist(), positions, strict=True)):
         parts += (frame.before, format_epoch(epoch_us).encode(), frame.betweens[which])
         for lead, text in zip(frame.leads, texts[row * width : (row + 1) * width], strict=True):
             parts += (lead, text)

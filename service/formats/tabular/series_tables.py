@@ -105,8 +105,8 @@ def _table(
     def values(row: Any) -> Sequence[Any]:
         found = list(plain(row))
         # the last first: a code may give more columns than one
-        for place, code in codes:
-            found[place : place + 1] = code(found[place])
+        for position, code in codes:
+            found[position : position + 1] = code(found[position])
         return found
 
     return SeriesTable(tuple(Column(name, kind) for name, kind in columns.items()), values)

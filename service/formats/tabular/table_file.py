@@ -67,7 +67,7 @@ def _ndjson(table: SeriesTable[R], pages: Iterable[Sequence[R]]) -> Iterator[byt
     for page in pages:
         lines = []
         for values in map(table.values, page):
-            row = {name: None if v is None else told(v) for (name, told), v in zip(plain, values, strict=True)}
+            row = {name: None if v is None else reported(v) for (name, reported), v in zip(plain, values, strict=True)}
             lines.append(_json(row) + "\n")
         yield "".join(lines).encode()
 

@@ -125,7 +125,7 @@ class Acquisition:
         """Whether the action in hand has taken longer than anything in it may."""
         return time.monotonic() > self._bound_s
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Notice, from another thread, an action that hangs, and cut its line; a returning thread opens a new one."""
         if self.is_stuck:
             self.counters.stuck += 1

@@ -157,7 +157,7 @@ class TaskEvaluation:
 
     def __init__(self, task: MeasurementTask) -> None:
         self._ids = tuple(carrier.id for carrier in task.carriers)
-        self._places = {
+        self._positions = {
             sweep.id: np.array([k for k, carrier in enumerate(task.carriers) if carrier.sweep == sweep.id], dtype=int)
             for sweep in task.sweeps
         }
@@ -193,15 +193,15 @@ class TaskEvaluation:
             if evaluation is None:
                 continue
             power, own_flags = evaluation.evaluate(sweep)
-            places = self._places[sweep.sweep_id]
-            measured[:, places] = (
+            positions = self._positions[sweep.sweep_id]
+            measured[:, positions] = (
                 power.power_dbm,
                 power.sigma_db,
                 power.c_n0_db_hz,
                 power.occupied_bandwidth_hz,
                 evaluation.centroid_offset_hz(power),
             )
-            flags[places] = of_all | own_flags
+            flags[positions] = of_all | own_flags
         epoch_us = (min(sweep.epoch_us for sweep in taken) + max(sweep.epoch_us for sweep in taken)) // 2
         power_dbm, sigma_db, c_n0_db_hz, width_hz, offset_hz = measured
         return MeasuredRow(epoch_us, power_dbm, flags, sigma_db, c_n0_db_hz, width_hz, offset_hz)

@@ -78,9 +78,9 @@ class MeasuringCycle:
         for sweep in sweeps.values():
             if sweep is not None:
                 self._keep_trace(sweep)
-        for remark in self._driver.remarks:
-            logger.warning("analyzer says %d %s", remark.code, remark.text)
-        self._driver.remarks.clear()
+        for message in self._driver.analyzer_messages:
+            logger.warning("analyzer says %d %s", message.code, message.text)
+        self._driver.analyzer_messages.clear()
         if self._task.task.analyzer.is_shared:
             self._driver.release()
 

@@ -9,7 +9,7 @@ import time
 from service.frontend.acquisition.states import AcquisitionEvent, AcquisitionState
 
 #: an order is noticed within this time, s
-_LOOK_S = 0.2
+_POLL_S = 0.2
 
 
 class AcquisitionOrders:
@@ -31,7 +31,7 @@ class AcquisitionOrders:
         self.resets_seen = 0
         self._has_heard = False
 
-    def obey(self, *, is_enabled: bool, resets: int) -> None:
+    def apply(self, *, is_enabled: bool, resets: int) -> None:
         """Take what the service says: whether the link may measure, and how many resets were asked for so far.
 
         Resets asked for before the first answer were meant for an earlier start and are not carried out once more.
@@ -69,4 +69,4 @@ class AcquisitionOrders:
             remaining_s = end_s - time.monotonic()
             if remaining_s <= 0.0:
                 return
-            self._stop.wait(min(remaining_s, _LOOK_S))
+            self._stop.wait(min(remaining_s, _POLL_S))

@@ -38,7 +38,7 @@ from service.records.epoch import format_epoch, is_leap_second
 #: code of a row whose cells mean nothing
 UNREADABLE = "row.unreadable"
 #: faults that a check tells one by one
-FAULTS_TOLD = 20
+MOST_FAULTS_SHOWN = 20
 
 
 class SendInterruptedError(ClientError):
@@ -121,7 +121,7 @@ def check_archive(client: ServiceClient, order: ArchiveOrder) -> dict[str, Any]:
                 foreign[each.source] = foreign.get(each.source, 0) + 1
             else:
                 unreadable += 1
-                if len(faults) < FAULTS_TOLD:
+                if len(faults) < MOST_FAULTS_SHOWN:
                     faults.append({"line": each.file_row.line, "detail": each.detail})
     return {
         "file": str(order.path),
@@ -131,7 +131,7 @@ def check_archive(client: ServiceClient, order: ArchiveOrder) -> dict[str, Any]:
         "start": None if first_us is None else format_epoch(first_us),
         "stop": None if last_us is None else format_epoch(last_us),
         "is_in_order": in_order,
-        "columns": _told(columns),
+        "columns": _reported(columns),
         "faults": faults,
     }
 
@@ -174,7 +174,7 @@ def send_archive(
         "sha256": destination.sha256,
         **asdict(state.counters),
         "resumed_at": resumed_at,
-        "columns": _told(columns),
+        "columns": _reported(columns),
         "refused_file": str(state.refused_path) if state.counters.kept_back else None,
         "state_file": str(state.path),
         "seconds": round(time.monotonic() - begun_s, 3),
@@ -239,8 +239,8 @@ class _Sender:
             counters.duplicates += receipt.duplicates
             counters.late += receipt.late
             counters.refused += len(receipt.refused)
-            for place, (code, detail) in receipt.refused.items():
-                refused.append((part[place].file_row.line, code, detail, part[place].file_row.cells))
+            for position, (code, detail) in receipt.refused.items():
+                refused.append((part[position].file_row.line, code, detail, part[position].file_row.cells))
             rest = rest[sent:]
         self._state.refuse(self._columns.header, sorted(refused, key=lambda each: each[0]))
         counters.rows += len(rows) + len(seen)
@@ -267,12 +267,12 @@ class _Sender:
 
     def _shortened(self, problem: ProblemError, rows: list[_Row]) -> list[_Row]:
         """Return the rows to be sent after a batch was refused as a whole; none when its first row is the reason."""
-        verdict, place = judge(problem, len(rows))
+        verdict, position = judge(problem, len(rows))
         if verdict is BatchAction.SHORTER:
             self._batch_rows = max(1, len(rows) // 2)
             return rows[: self._batch_rows]
         if verdict is BatchAction.PARTED:
-            return rows[:place]
+            return rows[:position]
         raise problem
 
     def _post(self, rows: list[_Row]) -> BatchReply:
@@ -322,7 +322,7 @@ def _judged(
             yield _Unreadable(file_row, str(error))
 
 
-def _told(columns: FileColumns) -> dict[str, list[str]]:
+def _reported(columns: FileColumns) -> dict[str, list[str]]:
     """Return the columns as a report tells them."""
     return {
         "sent": [each.name for each in columns.carriers],

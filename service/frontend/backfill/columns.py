@@ -38,8 +38,8 @@ class CarrierColumn(NamedTuple):
 
     name: str
     #: place among the columns of the file, and among the carriers of the plan
-    place: int
-    plan_place: int
+    position: int
+    plan_position: int
     offset_db: float
 
 
@@ -72,14 +72,16 @@ def match_columns(header: Sequence[str], plan_ids: Sequence[str]) -> FileColumns
         raise ArchiveError(f"columns stand twice: {', '.join(repeated)}")
     if "epoch" not in names:
         raise ArchiveError(f"no column 'epoch' among {', '.join(names[:8])}")
-    places = {carrier_id: place for place, carrier_id in enumerate(plan_ids)}
+    positions = {carrier_id: position for position, carrier_id in enumerate(plan_ids)}
     carriers = [
-        CarrierColumn(name, place, places[name[: -len(unit)]], offset_db)
-        for place, name in enumerate(names)
+        CarrierColumn(name, position, positions[name[: -len(unit)]], offset_db)
+        for position, name in enumerate(names)
         for unit, offset_db in _UNITS.items()
-        if name.endswith(unit) and name[: -len(unit)] in places
+        if name.endswith(unit) and name[: -len(unit)] in positions
     ]
-    twice = [plan_ids[place] for place, count in Counter(each.plan_place for each in carriers).items() if count > 1]
+    twice = [
+        plan_ids[position] for position, count in Counter(each.plan_position for each in carriers).items() if count > 1
+    ]
     if twice:
         raise ArchiveError(f"carriers stand in two columns: {', '.join(twice)}")
     if not carriers:
@@ -87,14 +89,14 @@ def match_columns(header: Sequence[str], plan_ids: Sequence[str]) -> FileColumns
             f"no column is a carrier of the plan: it has {', '.join(plan_ids[:8])}, wanted as c00_dbm or c00_dbw"
         )
     known = {"epoch", "source", *(each.name for each in carriers)}
-    found = {each.plan_place for each in carriers}
+    found = {each.plan_position for each in carriers}
     return FileColumns(
         names,
         names.index("epoch"),
         names.index("source") if "source" in names else None,
         tuple(carriers),
         tuple(name for name in names if name not in known),
-        tuple(carrier_id for place, carrier_id in enumerate(plan_ids) if place not in found),
+        tuple(carrier_id for position, carrier_id in enumerate(plan_ids) if position not in found),
         len(plan_ids),
     )
 
@@ -122,7 +124,7 @@ def read_levels(cells: Sequence[Any], columns: FileColumns) -> list[float | None
     """Return the levels of a row in the order of the plan, dBm, None = absent; CellError names the first bad cell."""
     levels: list[float | None] = [None] * columns.width
     for column in columns.carriers:
-        cell = cells[column.place]
+        cell = cells[column.position]
         if cell is None or (isinstance(cell, str) and cell.strip().lower() in _ABSENT):
             continue
         try:
@@ -133,5 +135,5 @@ def read_levels(cells: Sequence[Any], columns: FileColumns) -> list[float | None
             raise CellError(f"{column.name}: a level is not infinite")
         if not math.isnan(level):
             shift_db = column.offset_db
-            levels[column.plan_place] = round(level + shift_db, _SUM_DECIMALS) if shift_db else level
+            levels[column.plan_position] = round(level + shift_db, _SUM_DECIMALS) if shift_db else level
     return levels

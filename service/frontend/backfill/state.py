@@ -73,9 +73,9 @@ class SendState:
     """
 
     def __init__(self, path: Path, destination: Destination, folder: Path | None = None) -> None:
-        place = folder or path.parent
-        self.path = place / f"{path.name}.{destination.key}.send.json"
-        self.refused_path = place / f"{path.name}.refused.csv"
+        position = folder or path.parent
+        self.path = position / f"{path.name}.{destination.key}.send.json"
+        self.refused_path = position / f"{path.name}.refused.csv"
         self.counters = SendCounters()
         self.is_complete = False
         #: under which the rows go; None before the first

@@ -74,7 +74,7 @@ class Configuration:
         self._words = [word for word in self._words if word not in self.format.words] + [*ASCII.words]
         self.format = ASCII
         for word in ASCII.words:
-            self._dialogue.tell(f"{word.header} {word.value}")
+            self._dialogue.report(f"{word.header} {word.value}")
         self._stated = self._dialogue.ask(self.readback)
 
     def _establish(self, word: Word) -> bool:
@@ -122,7 +122,7 @@ class Configuration:
         if self.is_mismatch or is_foreign:
             self._sent = {}
             for word in self._words:
-                self._dialogue.tell(f"{word.header} {word.value}")
+                self._dialogue.report(f"{word.header} {word.value}")
             settings = self._send(sweep, path)
         self.foreign_changes += is_foreign
         self._expected[sweep, path] = self._stated
@@ -135,17 +135,17 @@ class Configuration:
         self._send_points(wanted)
         changed = [f"{header} {value}" for header, value in wanted.items() if self._sent.get(header) != value]
         if changed:
-            self._dialogue.tell(";".join(changed))
+            self._dialogue.report(";".join(changed))
             # Replaced, not merged: a sweep with coupled time forgets the time of the one before.
             self._sent = wanted
         *self._stated, newest = self._dialogue.ask([*self.readback, ":SYST:ERR?"])
         self._dialogue.raise_on_errors("settings", parse_message(newest))
         settings = self._settings(sweep)
-        told = dict(zip(self.readback, self._stated, strict=True))
+        reported = dict(zip(self.readback, self._stated, strict=True))
         self.is_mismatch = (
             self._differs(sweep, path, settings)
-            or any(not _level_stands(told[f"{header}?"], wanted[header]) for header in self._levels)
-            or any(not word.stands(told[f"{word.header}?"]) for word in self._words)
+            or any(not _level_stands(reported[f"{header}?"], wanted[header]) for header in self._levels)
+            or any(not word.stands(reported[f"{word.header}?"]) for word in self._words)
         )
         return settings
 
@@ -157,7 +157,7 @@ class Configuration:
         value = wanted.pop(header, None)
         if value is None or header in self._without or self._sent.get(header) == value:
             return
-        self._dialogue.tell(f"{header} {value}")
+        self._dialogue.report(f"{header} {value}")
         if any(entry.is_command_error or entry.is_execution_error for entry in self._dialogue.drain()):
             self._without.add(header)
         self._sent[header] = value
@@ -229,10 +229,10 @@ class Configuration:
 
     def _require_words(self) -> None:
         """Raise when a word without which levels are wrong does not stand."""
-        told = dict(zip(self.readback, self._stated, strict=True))
-        wrong = [word for word in self._words if word.is_needed and not word.stands(told[f"{word.header}?"])]
+        reported = dict(zip(self.readback, self._stated, strict=True))
+        wrong = [word for word in self._words if word.is_needed and not word.stands(reported[f"{word.header}?"])]
         if wrong:
-            said = ", ".join(f"{word.header} {told[f'{word.header}?'][:20]!r}" for word in wrong)
+            said = ", ".join(f"{word.header} {reported[f'{word.header}?'][:20]!r}" for word in wrong)
             raise SweepRefusedError(f"{self._dialogue.session.resource} stays with {said}")
 
 

@@ -26,9 +26,9 @@ class Dialogue:
     def __init__(self, session: VisaSession) -> None:
         self.session = session
         #: errors of the analyzer that did not spoil a sweep, oldest first; the caller empties it
-        self.remarks: list[AnalyzerMessage] = []
+        self.analyzer_messages: list[AnalyzerMessage] = []
 
-    def tell(self, message: str) -> None:
+    def report(self, message: str) -> None:
         """Send one message that asks for nothing."""
         self.session.write(message)
 
@@ -50,7 +50,7 @@ class Dialogue:
 
     def try_set(self, word: Word) -> bool | None:
         """Set a word and read it back: whether it stands, None when the analyzer took it but cannot be asked."""
-        self.tell(f"{word.header} {word.value}")
+        self.report(f"{word.header} {word.value}")
         if any(entry.is_command_error or entry.is_execution_error for entry in self.drain()):
             return False
         answer = self.try_ask(f"{word.header}?")
@@ -72,6 +72,6 @@ class Dialogue:
         entries = self.drain(first)
         refusals = [entry for entry in entries if entry.is_execution_error or entry.is_command_error]
         if refusals:
-            told = "; ".join(f"{entry.code} {entry.text}" for entry in refusals)
-            raise SweepRefusedError(f"{self.session.resource} refuses {what}: {told}")
-        self.remarks += entries
+            reported = "; ".join(f"{entry.code} {entry.text}" for entry in refusals)
+            raise SweepRefusedError(f"{self.session.resource} refuses {what}: {reported}")
+        self.analyzer_messages += entries

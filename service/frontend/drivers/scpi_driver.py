@@ -89,9 +89,9 @@ class ScpiDriver:
         self._previous: dict[str, tuple[bytes | str, int]] = {}
 
     @property
-    def remarks(self) -> list[AnalyzerMessage]:
+    def analyzer_messages(self) -> list[AnalyzerMessage]:
         """Errors of the analyzer that did not spoil a sweep, oldest first; the caller empties it."""
-        return self._dialogue.remarks
+        return self._dialogue.analyzer_messages
 
     @property
     def foreign_changes(self) -> int:
@@ -105,7 +105,7 @@ class ScpiDriver:
     def release(self) -> None:
         """Give the front panel back to whoever stands before it."""
         if self.dialect.local and not self._is_bound:
-            self._dialogue.tell(self.dialect.local)
+            self._dialogue.report(self.dialect.local)
             # What it does not understand must not be found after the next sweep.
             self._is_bound = any(entry.is_command_error for entry in self._dialogue.drain())
 
@@ -114,7 +114,7 @@ class ScpiDriver:
         application = self.dialect.application
         if application is not None:
             self._enter(application.header, application.value, application.stands)
-        self._dialogue.tell("*RST;*CLS")
+        self._dialogue.report("*RST;*CLS")
         self._session.query("*OPC?", max(RESET_S, self._io_timeout_s))
         self._dialogue.raise_on_errors("preset")
         self._configuration.preset()
@@ -131,7 +131,7 @@ class ScpiDriver:
         """Change to the spectrum analyzer of an instrument that can be several things."""
         answer = self._dialogue.try_ask(f"{header}?")
         if answer and not stands(answer):
-            self._dialogue.tell(f"{header} {value}")
+            self._dialogue.report(f"{header} {value}")
             self._session.query("*OPC?", max(RESET_S, self._io_timeout_s))
 
     def _knows(self, query: str) -> bool:

@@ -79,7 +79,7 @@ class SpoolDisk:
             waiting = self.file.waiting if self.file else None
             self._drop_file()
             try:
-                self._take(self._begin_anew(str(error), waiting))
+                self._take(self._start_over(str(error), waiting))
             except DISK_FAULTS as further:
                 error = further
             else:
@@ -112,17 +112,17 @@ class SpoolDisk:
         except (SpoolDamagedError, sqlite3.Error) as error:
             if not _is_spoiled(error):
                 raise
-            return self._begin_anew(str(error), None)
+            return self._start_over(str(error), None)
 
-    def _begin_anew(self, reason: str, waiting: int | None) -> SpoolFile:
+    def _start_over(self, reason: str, waiting: int | None) -> SpoolFile:
         """Set the spoiled file aside and begin a new one with what can be read of it."""
         aside = set_aside(self._path, self._now_us())
         file = SpoolFile(self._path, self._owner)
         with closing(sqlite3.connect(aside)) as connection:
-            wreck = DamagedSpool(connection)
+            damaged = DamagedSpool(connection)
             marked = self.last_seq or (self._lock.numbers_to if self._lock is not None else 0)
-            said = wreck.last_seq()
-            file.restore(wreck.rows(), marked if said is None else max(said, self.last_seq), 0)
+            said = damaged.last_seq()
+            file.restore(damaged.rows(), marked if said is None else max(said, self.last_seq), 0)
         carried, lost = file.waiting, None if waiting is None else waiting - file.waiting
         file.restore((), 0, lost or 0)
         words = "an unknown number" if lost is None else str(lost)

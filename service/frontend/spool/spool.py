@@ -206,11 +206,13 @@ class Spool:
         """Let rows go that the service has accounted for; places, codes and words of refused ones are kept."""
         refused = tuple(
             RefusedRow(
-                rows[place].seq,
-                WaitingRow(rows[place].row.epoch_us, rows[place].task, self._now_us(), encode_row(rows[place].row)),
+                rows[position].seq,
+                WaitingRow(
+                    rows[position].row.epoch_us, rows[position].task, self._now_us(), encode_row(rows[position].row)
+                ),
                 *said,
             )
-            for place, said in (refusals or {}).items()
+            for position, said in (refusals or {}).items()
         )
         with self._changed:
             self._in_flight = frozenset()
@@ -220,7 +222,7 @@ class Spool:
                 if self._attempt(self._write) is None and self._disk.file is not None:
                     self._read(lambda file: file.hide(kept), None)
             if not self.waiting:
-                self._board.take_down(codes.FULL, codes.AGED)
+                self._board.withdraw(codes.FULL, codes.AGED)
                 self._read(lambda file: file.shrink(_IDLE_BYTES), None)
 
     def traces(self, limit: int) -> list[SpooledTrace]:
@@ -369,7 +371,7 @@ class Spool:
             self._given_up = 0
             self._disk.last_seq = file.last_seq
             self._warn_of(dropped)
-        self._board.take_down(codes.DISK_FULL, codes.UNWRITABLE)
+        self._board.withdraw(codes.DISK_FULL, codes.UNWRITABLE)
         return True
 
     def _warn_of(self, dropped: Mapping[str, int]) -> None:

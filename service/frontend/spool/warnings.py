@@ -45,7 +45,7 @@ class WarningBoard:
             logger.error("%s: %s", code, detail)
         self._standing[code] = SpoolWarning(code, detail, now_us if before is None else before.since_us)
 
-    def take_down(self, *codes: str) -> None:
+    def withdraw(self, *codes: str) -> None:
         """End warnings."""
         for code in codes:
             if self._standing.pop(code, None) is not None:

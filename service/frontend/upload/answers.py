@@ -48,7 +48,7 @@ def read_receipt(reply: Any, rows: int) -> BatchReply | None:
         refused = {int(each["index"]): (str(each["code"]), str(each["detail"])) for each in reply["refused"]}
     except (AttributeError, KeyError, TypeError, ValueError):
         return None
-    is_complete = accepted + duplicates + len(refused) == rows and all(0 <= place < rows for place in refused)
+    is_complete = accepted + duplicates + len(refused) == rows and all(0 <= position < rows for position in refused)
     return BatchReply(accepted, duplicates, late, refused) if is_complete else None
 
 
@@ -64,5 +64,5 @@ def judge(problem: ProblemError, rows: int) -> tuple[BatchAction, int]:
     at_rows = [parts for _, parts in faults if len(parts) > 2 and parts[1] == "measurements" and parts[2].isdigit()]
     if any(code == "field.unknown" and parts[-1] in DETAIL_DECIMALS for code, parts in faults):
         return BatchAction.WITHOUT_DETAILS, 0
-    places = [int(parts[2]) for parts in at_rows if int(parts[2]) < rows]
-    return (BatchAction.PARTED, min(places)) if places else (BatchAction.WAIT, 0)
+    positions = [int(parts[2]) for parts in at_rows if int(parts[2]) < rows]
+    return (BatchAction.PARTED, min(positions)) if positions else (BatchAction.WAIT, 0)

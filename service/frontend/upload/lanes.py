@@ -23,7 +23,7 @@ class LaneRotation:
     >>> turns = LaneRotation()
     >>> [lane.name for lane in turns.order()]
     ['LIVE', 'BACKFILL']
-    >>> turns.took(UploadLane.LIVE)
+    >>> turns.served(UploadLane.LIVE)
     >>> [lane.name for lane in turns.order()]
     ['BACKFILL', 'LIVE']
     """
@@ -35,6 +35,6 @@ class LaneRotation:
         """Return the lanes in the order in which they are looked into for rows."""
         return self._next, _OTHER[self._next]
 
-    def took(self, lane: UploadLane) -> None:
+    def served(self, lane: UploadLane) -> None:
         """Note that a request of a lane has been answered for good."""
         self._next = _OTHER[lane]

@@ -38,7 +38,7 @@ class PlanBinding:
 
     plan_id: int
     #: (N,) place in the task, -1 = not measured
-    places: NDArray[np.int64]
+    positions: NDArray[np.int64]
     #: task carriers that the plan does not know
     unknown: tuple[str, ...]
     #: plan carriers that the task does not measure
@@ -46,8 +46,8 @@ class PlanBinding:
 
     def as_json(self, row: MeasuredRow, *, with_details: bool = True) -> dict[str, Any]:
         """Return a row as the contract has it; figures beside the powers that no carrier has are left out."""
-        flags = np.append(row.flags, int(QualityFlag.NOT_MEASURED))[self.places]
-        told: dict[str, Any] = {
+        flags = np.append(row.flags, int(QualityFlag.NOT_MEASURED))[self.positions]
+        reported: dict[str, Any] = {
             "epoch": format_epoch(row.epoch_us),
             "power_dbm": self._listed(row.power_dbm, LEVEL_DECIMALS),
             "flags": flags.tolist(),
@@ -55,12 +55,12 @@ class PlanBinding:
         for name, decimals in DETAIL_DECIMALS.items() if with_details else ():
             figures = self._listed(getattr(row, name), decimals)
             if any(figure is not None for figure in figures):
-                told[name] = figures
-        return told
+                reported[name] = figures
+        return reported
 
     def _listed(self, values: FloatArray, decimals: int) -> list[float | None]:
         """Return figures of the task in the order of the plan; null where there is none."""
-        figures = np.round(np.append(values, np.nan)[self.places], decimals).tolist()
+        figures = np.round(np.append(values, np.nan)[self.positions], decimals).tolist()
         return [figure if isfinite(figure) else None for figure in figures]
 
 
@@ -76,12 +76,12 @@ def bind_plan(plan: Mapping[str, Any], task_ids: Sequence[str]) -> PlanBinding:
     if not isinstance(plan_id, int) or not isinstance(carriers, list):
         raise PlanMismatchError("the spacecraft has no carrier plan yet")
     plan_ids = [str(carrier["id"]) for carrier in carriers]
-    places = {carrier_id: place for place, carrier_id in enumerate(task_ids)}
+    positions = {carrier_id: position for position, carrier_id in enumerate(task_ids)}
     binding = PlanBinding(
         plan_id,
-        np.array([places.get(carrier_id, -1) for carrier_id in plan_ids], dtype=np.int64),
+        np.array([positions.get(carrier_id, -1) for carrier_id in plan_ids], dtype=np.int64),
         tuple(carrier_id for carrier_id in task_ids if carrier_id not in set(plan_ids)),
-        tuple(carrier_id for carrier_id in plan_ids if carrier_id not in places),
+        tuple(carrier_id for carrier_id in plan_ids if carrier_id not in positions),
     )
     if len(binding.unknown) == len(task_ids):
         raise PlanMismatchError(f"no carrier of the task stands in plan {plan_id}: {', '.join(task_ids[:5])} ...")

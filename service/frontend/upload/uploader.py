@@ -31,7 +31,7 @@ logger = logging.getLogger("service.frontend.upload.uploader")
 #: a service that did not know the figures beside the powers is asked again after this time, s
 _DETAILS_AGAIN_S = 600.0
 #: longest wait between two looks at an empty spool, s
-_LOOK_S = 5.0
+_POLL_S = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +157,7 @@ class Uploader:
                 return False
             if not self._traces.is_due():
                 # bounded: a disk that failed shows its rows when it is looked at again
-                spool.await_rows(1, min(self._traces.patience_s(), _LOOK_S))
+                spool.await_rows(1, min(self._traces.patience_s(), _POLL_S))
         due_s = self._sent_at_s + self._settings.batch_s
         remaining_s = due_s - time.monotonic()
         if remaining_s > 0.0 and not self._finishing.is_set():
@@ -182,7 +182,7 @@ class Uploader:
         except ServiceUnavailableError as error:
             self._fail(f"service does not answer: {error}", error.retry_after_s)
         except PlanMismatchError as error:
-            self._turns.took(lane)  # rows of another task may wait in the other lane
+            self._turns.served(lane)  # rows of another task may wait in the other lane
             self._fail(f"no carrier plan of {self._settings.spacecraft_id}: {error}", None)
         except ProblemError as problem:
             self._face(problem, lane, rows)
@@ -218,29 +218,29 @@ class Uploader:
 
     def _let_go(self, lane: UploadLane, rows: list[SpooledRow], refused: dict[int, tuple[str, str]]) -> None:
         """Take settled rows off the spool; the refused ones are logged and kept apart."""
-        for place, (code, detail) in refused.items():
+        for position, (code, detail) in refused.items():
             self.counters.refused += 1
-            logger.error("row %s of %s refused: %s: %s", rows[place].seq, _at(rows[place]), code, detail)
+            logger.error("row %s of %s refused: %s: %s", rows[position].seq, _at(rows[position]), code, detail)
         self.counters.last_good_us = self._now_us()
         self._spool.settle(rows, refused)
         self._bare.difference_update(each.row.epoch_us for each in rows)
         if self._is_resuming and not self._spool.waiting:
             self._is_resuming = False
             self._bindings.clear()
-        self._turns.took(lane)
+        self._turns.served(lane)
         self._part = None
 
     def _face(self, problem: ProblemError, lane: UploadLane, rows: list[SpooledRow]) -> None:
         """Act on a batch that was refused as a whole."""
-        verdict, place = judge(problem, len(rows))
+        verdict, position = judge(problem, len(rows))
         if verdict is BatchAction.SHORTER:
             self._batch_rows = max(1, len(rows) // 2)
             logger.warning("service finds %d rows too long, %d from now on", len(rows), self._batch_rows)
         elif verdict is BatchAction.WITHOUT_DETAILS and self._sent_at_s >= self._details_from_s:
             self._details_from_s = self._sent_at_s + _DETAILS_AGAIN_S
             logger.warning("service does not take figures beside the powers (%s): they are left out", problem)
-        elif verdict is BatchAction.PARTED and place > 0:
-            self._part = place  # a batch has one first_seq and no holes
+        elif verdict is BatchAction.PARTED and position > 0:
+            self._part = position  # a batch has one first_seq and no holes
         elif verdict is BatchAction.PARTED:
             self._let_go(lane, rows[:1], {0: (problem.code, problem.detail)})
         else:
@@ -295,7 +295,7 @@ class Uploader:
 
 def _log_binding(binding: PlanBinding) -> None:
     """Say which plan is in use and what is missing on either side."""
-    logger.info("plan %d with %d carriers", binding.plan_id, binding.places.size)
+    logger.info("plan %d with %d carriers", binding.plan_id, binding.positions.size)
     if binding.unknown:
         logger.warning("not in the plan, not sent: %s", ", ".join(binding.unknown))
     if binding.unmeasured:

@@ -11,7 +11,7 @@ import numpy as np
 
 from service.pipeline.alarms import transitions as steps
 from service.pipeline.alarms.condition import AlarmCondition, Kind
-from service.pipeline.alarms.debounce import ConditionChange, look, outermost
+from service.pipeline.alarms.debounce import ConditionChange, outermost, poll
 from service.pipeline.alarms.limit_sets import AlarmContext, limits_in_force
 from service.pipeline.alarms.states import AlarmEvent, CoverEvent
 from service.records.epoch import US_PER_S
@@ -59,8 +59,8 @@ class _InForce:
 
     def suspects(self, values: Sequence[float] | FloatArray) -> list[int]:
         """Return the places of values that have passed a limit."""
-        told = values.tolist() if isinstance(values, np.ndarray) else values
-        return [k for k, value in enumerate(told) if self.is_beyond(value)]
+        reported = values.tolist() if isinstance(values, np.ndarray) else values
+        return [k for k, value in enumerate(reported) if self.is_beyond(value)]
 
 
 class AlarmEngine:
@@ -91,7 +91,7 @@ class AlarmEngine:
         self._spacecraft_id = spacecraft_id
         self._conditions = conditions
         self._stated = stated or AlarmLimits()
-        self._circumstances = AlarmContext()
+        self._context = AlarmContext()
         self._open: dict[Key, Alarm] = {alarm.key: alarm for alarm in alarms if alarm.is_open}
         self._watches: dict[str, dict[str, ValueMemory]] = {name: {} for name in conditions}
         self._in_force = self._limits()
@@ -103,9 +103,9 @@ class AlarmEngine:
         return self._open
 
     @property
-    def circumstances(self) -> AlarmContext:
+    def context(self) -> AlarmContext:
         """What holds for alarms now."""
-        return self._circumstances
+        return self._context
 
     def watches(self) -> tuple[WatchMemory, ...]:
         """Return what is watched, for the next start; newest values are told anew by the next row."""
@@ -132,12 +132,12 @@ class AlarmEngine:
         self._stated = stated
         self._in_force = self._limits()
 
-    def enter(self, circumstances: AlarmContext, at_us: int) -> list[AlarmChange]:
+    def enter(self, context: AlarmContext, at_us: int) -> list[AlarmChange]:
         """Take over what holds now; alarms are suppressed and released by it."""
-        if circumstances.sets != self._circumstances.sets:
-            self._circumstances = circumstances
+        if context.sets != self._context.sets:
+            self._context = context
             self._in_force = self._limits()
-        self._circumstances = circumstances
+        self._context = context
         changes = []
         for key, alarm in list(self._open.items()):
             is_quiet = self._is_quiet(key)
@@ -154,20 +154,20 @@ class AlarmEngine:
     def observe(self, readings: Readings, at_us: int) -> list[AlarmChange]:
         """Hold values against the limits in force and return what changes."""
         in_force, watched = self._in_force[readings.condition], self._watches[readings.condition]
-        places = in_force.suspects(readings.values)
-        if not places and not watched:
+        positions = in_force.suspects(readings.values)
+        if not positions and not watched:
             return []
-        places_of = {thing: k for k, thing in enumerate(readings.things)}
-        suspected = [readings.things[k] for k in places]
+        positions_of = {thing: k for k, thing in enumerate(readings.things)}
+        suspected = [readings.things[k] for k in positions]
         concerned = dict.fromkeys([*suspected, *(readings.things if readings.is_partial else watched)])
         changes = []
         for thing in concerned:
             watch = watched.setdefault(thing, ValueMemory())
-            place = places_of.get(thing)
-            if place is None or not in_force.limits.enabled:
+            position = positions_of.get(thing)
+            if position is None or not in_force.limits.enabled:
                 changes += self._over(watch, (readings.condition, thing), at_us)
             else:
-                verdict = look(watch, in_force.condition.kind, float(readings.values[place]), at_us, in_force.limits)
+                verdict = poll(watch, in_force.condition.kind, float(readings.values[position]), at_us, in_force.limits)
                 if verdict is not None:
                     changes += self._judged(verdict, in_force, thing, at_us, readings.notes.get(thing, ""))
             if watch.is_idle:
@@ -218,7 +218,7 @@ class AlarmEngine:
         else:
             event = AlarmEvent.RAISE if verdict is ConditionChange.RAISE else AlarmEvent.ESCALATE
             after = steps.again(before, watch, limits, event, at_us)
-        after = steps.told_in_words(after, condition, note)
+        after = steps.described(after, condition, note)
         if self._is_quiet(after.key) and after.cover is Cover.NONE:
             after = steps.covered(after, CoverEvent.SUPPRESS, at_us)
         kind = ChangeKind.ESCALATED if verdict is ConditionChange.ESCALATE else ChangeKind.RAISED
@@ -260,18 +260,18 @@ class AlarmEngine:
 
     def _is_quiet(self, key: Key) -> bool:
         """Whether an operation keeps an alarm quiet."""
-        return self._in_force[key[0]].limits.suppressed or self._circumstances.is_quiet(*key)
+        return self._in_force[key[0]].limits.suppressed or self._context.is_quiet(*key)
 
     def _is_to_repeat(self, alarm: Alarm, at_us: int) -> bool:
         """Whether nobody has acted on an alarm for too long."""
         repeat_s = self._in_force[alarm.condition].limits.repeat_s
         is_unattended = alarm.process is Process.UNACKNOWLEDGED and alarm.cover is Cover.NONE
-        told_us = alarm.announced_at_us or alarm.raised_at_us
-        return repeat_s is not None and is_unattended and at_us - told_us >= repeat_s * US_PER_S
+        reported_us = alarm.announced_at_us or alarm.raised_at_us
+        return repeat_s is not None and is_unattended and at_us - reported_us >= repeat_s * US_PER_S
 
     def _limits(self) -> dict[str, _InForce]:
         """Return the limits in force."""
-        limits = limits_in_force(self._conditions, self._stated, self._circumstances.sets)
+        limits = limits_in_force(self._conditions, self._stated, self._context.sets)
         return {name: _InForce(condition, limits[name]) for name, condition in self._conditions.items()}
 
     def _recall(self, memory: EngineMemory) -> None:

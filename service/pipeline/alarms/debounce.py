@@ -44,7 +44,9 @@ def severity_level(kind: Kind, value: float, limits: ConditionLimits) -> int:
     return passed
 
 
-def look(watch: ValueMemory, kind: Kind, told: float, epoch_us: int, limits: ConditionLimits) -> ConditionChange | None:
+def poll(
+    watch: ValueMemory, kind: Kind, reported: float, epoch_us: int, limits: ConditionLimits
+) -> ConditionChange | None:
     """Take in a value and return what it leads to.
 
     Parameters
@@ -63,22 +65,22 @@ def look(watch: ValueMemory, kind: Kind, told: float, epoch_us: int, limits: Con
     if epoch_us < watch.newest_us:
         return None
     watch.newest_us = epoch_us
-    if math.isnan(told):
+    if math.isnan(reported):
         watch.pending_us, watch.gone_us = None, None
         return None
-    is_gone = _is_gone(kind, told, limits)
-    watch.value = _value(watch, kind, told, epoch_us)
+    is_gone = _is_gone(kind, reported, limits)
+    watch.value = _value(watch, kind, reported, epoch_us)
     verdict = _worse(watch, severity_level(kind, watch.value, limits), epoch_us, limits)
     if verdict is not None:
         return verdict
     return _better(watch, epoch_us, limits, is_gone=is_gone)
 
 
-def _value(watch: ValueMemory, kind: Kind, told: float, epoch_us: int) -> float:
+def _value(watch: ValueMemory, kind: Kind, reported: float, epoch_us: int) -> float:
     """Return the value that is held against the limits; of what lasts, the time since it began, s."""
     if kind is not Kind.LASTING:
-        return told
-    if told <= 0.0:
+        return reported
+    if reported <= 0.0:
         if watch.level == 0:
             watch.since_us = None
         return -1.0
@@ -119,17 +121,17 @@ def _better(watch: ValueMemory, epoch_us: int, limits: ConditionLimits, *, is_go
     return ConditionChange.RETURN
 
 
-def _is_gone(kind: Kind, told: float, limits: ConditionLimits) -> bool:
+def _is_gone(kind: Kind, reported: float, limits: ConditionLimits) -> bool:
     """Whether a value lies inside every limit by the deadband."""
     bound = outermost(kind, limits)
     if bound is None:
         return True
     if kind is Kind.LASTING:
-        return told <= 0.0
+        return reported <= 0.0
     if kind is Kind.BELOW:
-        return told >= bound + limits.deadband
+        return reported >= bound + limits.deadband
     # values above limits are sizes: a deadband wider than the limit still lets nothing at all count as gone
-    return told <= (max(bound - limits.deadband, 0.0) if bound >= 0.0 else bound - limits.deadband)
+    return reported <= (max(bound - limits.deadband, 0.0) if bound >= 0.0 else bound - limits.deadband)
 
 
 def _is_beyond(kind: Kind, value: float, threshold: float) -> bool:

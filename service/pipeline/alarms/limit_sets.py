@@ -72,7 +72,7 @@ class AlarmContext(NamedTuple):
         return condition in _CARRIER_CONDITIONS and thing in self.quiet_carriers
 
 
-def circumstances(
+def context(
     operations: Iterable[Operation], plan: CarrierPlan | None, epoch_us: int, *, is_raining: bool
 ) -> AlarmContext:
     """Return what holds at an epoch, and for how long if no operation changes."""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.pipeline.alarms.alarm_engine import AlarmEngine, Readings
-from service.pipeline.alarms.limit_sets import AlarmContext, circumstances
+from service.pipeline.alarms.limit_sets import AlarmContext, context
 from service.pipeline.estimation.method import CarrierLevels
 from service.records.catalogue import CarrierPlan, Method
 from service.records.epoch import US_PER_S
@@ -62,13 +62,13 @@ class RowReader:
         Where the former run stood.
     """
 
-    def __init__(self, book: AlarmEngine, memory: EngineMemory) -> None:
-        self._book = book
+    def __init__(self, engine: AlarmEngine, memory: EngineMemory) -> None:
+        self._engine = engine
         self._newest_us = memory.newest_row_us
         self._recent_us: deque[int] = deque(maxlen=_PERIOD_ROWS)
         self._kept_period_s = memory.row_period_s
         self._nominal_dbm: Mapping[str, float] = {}
-        self._told: deque[AttitudeRow] = deque(maxlen=_KEPT_ROWS)
+        self._reported: deque[AttitudeRow] = deque(maxlen=_KEPT_ROWS)
         self._holds = AlarmContext()
         self._holds_for: tuple[object, object, object] = (None, None, None)
         self._plan: CarrierPlan | None = None
@@ -99,42 +99,42 @@ class RowReader:
         self._newest_us = epoch_us
         self._recent_us.append(epoch_us)
         driving = next((row for row in facts.rows if row.method is facts.method), None)
-        changes = self._circumstances(facts, epoch_us, is_raining=driving is not None and driving.downlink_fade)
+        changes = self._context(facts, epoch_us, is_raining=driving is not None and driving.downlink_fade)
         for readings in self._of_carriers(facts):
-            changes += self._book.observe(readings, epoch_us)
+            changes += self._engine.observe(readings, epoch_us)
         if driving is not None:
             for readings in self._of_attitude(facts, driving):
-                changes += self._book.observe(readings, epoch_us)
+                changes += self._engine.observe(readings, epoch_us)
         if driving is not None and driving.status is Status.ACQUIRED:
-            self._told.append(driving)
-        return changes + self._book.pass_time(epoch_us)
+            self._reported.append(driving)
+        return changes + self._engine.pass_time(epoch_us)
 
     def read_reference(self, reference: AttitudeReference) -> list[AlarmChange]:
         """Compare a reference with the row nearest in time; one without a row near the newest says nothing."""
-        if not self._told or abs(reference.epoch_us - self._told[-1].epoch_us) > _REACH_US:
+        if not self._reported or abs(reference.epoch_us - self._reported[-1].epoch_us) > _REACH_US:
             return []
-        row = min(reversed(self._told), key=lambda one: abs(one.epoch_us - reference.epoch_us))
+        row = min(reversed(self._reported), key=lambda one: abs(one.epoch_us - reference.epoch_us))
         apart_deg = _apart_deg(reference, row)
         if apart_deg is None:
             return []
         readings = Readings("sensor_disagreement", (reference.source,), (apart_deg,), is_partial=True)
-        return self._book.observe(readings, reference.epoch_us)
+        return self._engine.observe(readings, reference.epoch_us)
 
-    def _circumstances(self, facts: RowFacts, epoch_us: int, *, is_raining: bool) -> list[AlarmChange]:
+    def _context(self, facts: RowFacts, epoch_us: int, *, is_raining: bool) -> list[AlarmChange]:
         """Find out what holds, where it can have changed."""
         holds, former = self._holds, self._holds_for
         is_same = former[0] is facts.operations and former[1] is facts.plan and former[2] is is_raining
         if is_same and holds.since_us <= epoch_us < holds.until_us:
             return []
         self._holds_for = (facts.operations, facts.plan, is_raining)
-        self._holds = circumstances(facts.operations.values(), facts.plan, epoch_us, is_raining=is_raining)
-        return self._book.enter(self._holds, epoch_us)
+        self._holds = context(facts.operations.values(), facts.plan, epoch_us, is_raining=is_raining)
+        return self._engine.enter(self._holds, epoch_us)
 
     def _of_carriers(self, facts: RowFacts) -> Iterator[Readings]:
         """Yield what is to be looked at carrier by carrier: rows as they should be cost a few extremes of arrays."""
         if facts.plan is not self._plan:
             self._use_plan(facts.plan)
-        measurement, is_settled = facts.measurement, self._book.is_settled
+        measurement, is_settled = facts.measurement, self._engine.is_settled
         # the sum is NaN where one of them is
         if math.isnan(measurement.power_dbm.sum()) or not is_settled("carrier_absent", 0.0):
             yield self._absence(measurement)
@@ -152,12 +152,12 @@ class RowReader:
     def _extremes(self, condition: str, levels: CarrierLevels, values_db: FloatArray) -> Iterator[Readings]:
         """Yield the sizes of what carriers differ by, where one of them wants a look."""
         away_db = np.abs(values_db)
-        if not self._book.is_settled(condition, float(np.fmax.reduce(away_db))):
+        if not self._engine.is_settled(condition, float(np.fmax.reduce(away_db))):
             yield Readings(condition, levels.carrier_ids, away_db)
 
     def _of_attitude(self, facts: RowFacts, driving: AttitudeRow) -> Iterator[Readings]:
         """Yield what is to be looked at in the rows of the methods."""
-        is_settled, is_told = self._book.is_settled, driving.status is Status.ACQUIRED
+        is_settled, is_told = self._engine.is_settled, driving.status is Status.ACQUIRED
         angles_deg = tuple(map(abs, driving.attitude_deg)) if is_told else (math.nan,) * 3
         if not is_settled("attitude_angle", max(angles_deg)):
             yield Readings("attitude_angle", _AXES, angles_deg)
@@ -201,8 +201,8 @@ class RowReader:
 def _apart_deg(reference: AttitudeReference, row: AttitudeRow) -> float | None:
     """Return the greatest difference that the sigmas of both do not explain, 0 when they do; None without angles."""
     worst_deg, is_any = 0.0, False
-    for angle, sensed_deg, told_deg in zip(_AXES, reference.attitude_deg, row.attitude_deg, strict=True):
-        apart_deg = abs(sensed_deg - told_deg)
+    for angle, sensed_deg, reported_deg in zip(_AXES, reference.attitude_deg, row.attitude_deg, strict=True):
+        apart_deg = abs(sensed_deg - reported_deg)
         if math.isnan(apart_deg):
             continue
         is_any = True

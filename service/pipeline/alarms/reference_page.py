@@ -43,7 +43,7 @@ _CHANGES = """## Changes
 Every change is stored, told on the stream as an event `alarm`, and kept with the alarm (`GET /api/v1/alarms/{id}`).
 Webhook and mail tell those that are marked, and never one of an alarm that is shelved or suppressed."""
 
-_TOLD = {
+_REPORTED = {
     ChangeKind.RAISED: "yes",
     ChangeKind.ESCALATED: "yes",
     ChangeKind.RETURNED: "yes",
@@ -60,7 +60,7 @@ _TOLD = {
 def reference_page() -> str:
     """Return the page (Markdown)."""
     conditions = condition_table(AlarmConfig(), RobustConfig())
-    changes = [f"| {kind.value} | {told} |" for kind, told in _TOLD.items()]
+    changes = [f"| {kind.value} | {reported} |" for kind, reported in _REPORTED.items()]
     parts = [
         _HEAD,
         _CONDITIONS,

@@ -50,7 +50,7 @@ def raised(
     )
 
 
-def told_in_words(alarm: Alarm, condition: AlarmCondition, note: str) -> Alarm:
+def described(alarm: Alarm, condition: AlarmCondition, note: str) -> Alarm:
     """Return the alarm with what happened in words."""
     limit = _figure(alarm.limit, 4)
     # as few digits as tell the value from its limit

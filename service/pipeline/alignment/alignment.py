@@ -66,8 +66,8 @@ def align_methods(
     return AlignedPowers(
         calibration,
         powers.references,
-        {method.value: told.references for method, (_calibration, told) in found.items()},
-        {method.value: used.id for method, (used, _told) in found.items()},
+        {method.value: reported.references for method, (_calibration, reported) in found.items()},
+        {method.value: used.id for method, (used, _reported) in found.items()},
         powers.consistency,
         powers.changed,
     )
@@ -76,7 +76,7 @@ def align_methods(
 def columns_of(series: MeasurementSeries, calibration: Calibration) -> MeasurementSeries:
     """Return a series in the order of a calibration's carriers; NaN for one that the series does not have."""
     wanted = tuple(carrier.id for carrier in calibration.result.carriers) if calibration.result else ()
-    place = {carrier: k for k, carrier in enumerate(series.carrier_ids)}
-    columns = np.array([place.get(carrier, -1) for carrier in wanted], dtype=np.int64)
+    position = {carrier: k for k, carrier in enumerate(series.carrier_ids)}
+    columns = np.array([position.get(carrier, -1) for carrier in wanted], dtype=np.int64)
     blank = np.full((len(series.epochs_us), 1), np.nan)
     return MeasurementSeries(wanted, series.epochs_us, np.hstack([series.power_dbm, blank])[:, columns])

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from service.pipeline.calibration.geometry_fit import JointFit, fit_rows
-from service.pipeline.calibration.geometry_quality import quality_figures
+from service.pipeline.calibration.geometry_quality import quality_metrics
 from service.pipeline.calibration.geometry_rows import GeometryRows, geometry_rows
 from service.pipeline.calibration.geometry_warnings import calibration_warnings
 from service.pipeline.calibration.paper_calibration import observe, paper_part
@@ -50,21 +50,21 @@ def calibrate_geometry(data: CalibrationInput, config: CalibrationConfig) -> Cal
     joint = fit_rows(data, rows, config)
     refusals = _refusals(data, rows, joint)
     is_used = np.array([reason is None for reason in refusals])
-    is_seeing = is_used & ~rows.places.is_beacon
-    if np.count_nonzero(is_seeing) < MIN_CARRIERS:
-        raise CalibrationError(_too_few(data, refusals, int(np.count_nonzero(is_seeing))))
+    is_user_carrier = is_used & ~rows.positions.is_beacon
+    if np.count_nonzero(is_user_carrier) < MIN_CARRIERS:
+        raise CalibrationError(_too_few(data, refusals, int(np.count_nonzero(is_user_carrier))))
     paper = paper_part(data, config, is_every_axis_needed=False)
     slope = joint.response.slope
     carriers = tuple(_carrier(one, k, joint, refusals[k]) for k, one in enumerate(paper.carriers))
-    quality = quality_figures(rows, joint, is_used)
-    is_free = is_seeing & (joint.group < 0)
-    report = report_signs(data, config, rows.places, joint.fit.free, is_free, quality["yaw_turn_reach_deg"])
+    quality = quality_metrics(rows, joint, is_used)
+    is_free = is_user_carrier & (joint.group < 0)
+    report = report_signs(data, config, rows.positions, joint.fit.free, is_free, quality["yaw_turn_reach_deg"])
     sigma_db = np.hypot(joint.noise.white_db, np.sqrt(np.square(joint.noise.sigma_db).sum(axis=1)))
     record = geometry_record(data, rows, joint, is_used)
     error_db = daily_error_db(geometry_model(record, carriers), record, data.ephemeris, data.request.quiet.start_us)
     return CalibrationResult(
         carriers,
-        observe(slope[is_seeing], sigma_db[is_seeing]),
+        observe(slope[is_user_carrier], sigma_db[is_user_carrier]),
         {**paper.quality, **quality, **report.quality},
         calibration_warnings(data, rows, joint, is_used, config) + report.warnings + _of_paper(paper.warnings),
         replace(record, daily_error_db=_row(error_db)),
@@ -75,13 +75,13 @@ def calibrate_geometry(data: CalibrationInput, config: CalibrationConfig) -> Cal
 def geometry_record(data: CalibrationInput, rows: GeometryRows, joint: JointFit, is_used: BoolArray) -> GeometryFit:
     """Return the fit as the archive keeps it."""
     fit = joint.fit
-    geometry, stations, carriers = rows.places.geometry, rows.places.stations, data.plan.carriers
+    geometry, stations, carriers = rows.positions.geometry, rows.positions.stations, data.plan.carriers
     transponders = tuple(sorted({carrier.transponder for carrier in carriers}))
     return GeometryFit(
         is_dish_law=fit.is_dish_law,
-        bands=rows.places.bands,
+        bands=rows.positions.bands,
         band=tuple(geometry.band.tolist()),
-        rain_share=tuple(_rain_share(band, carriers) for band in rows.places.bands),
+        rain_share=tuple(_rain_share(band, carriers) for band in rows.positions.bands),
         transponders=transponders,
         transponder=tuple(transponders.index(carrier.transponder) for carrier in carriers),
         station_azimuth_deg=_row(geometry.azimuth_deg),
@@ -89,7 +89,11 @@ def geometry_record(data: CalibrationInput, rows: GeometryRows, joint: JointFit,
         station_latitude_deg=_row(stations.latitude_deg[:-1]),
         station_longitude_deg=_row(stations.longitude_deg[:-1]),
         site_deg=(float(geometry.site_deg[0]), float(geometry.site_deg[1])),
-        site_place=(float(stations.latitude_deg[-1]), float(stations.longitude_deg[-1]), float(stations.height_m[-1])),
+        site_position=(
+            float(stations.latitude_deg[-1]),
+            float(stations.longitude_deg[-1]),
+            float(stations.height_m[-1]),
+        ),
         nominal_longitude_deg=data.spacecraft.longitude_deg if data.spacecraft else float("nan"),
         level_dbm=_row(fit.level_dbm),
         daily=_table(fit.daily),
@@ -135,7 +139,7 @@ def _rain_share(band: str, carriers: tuple[Carrier, ...]) -> float:
 def _refusals(data: CalibrationInput, rows: GeometryRows, joint: JointFit) -> tuple[str | None, ...]:
     """Return for each carrier why the robust method must not use it, None if it may."""
     is_unseen = np.isnan(joint.fit.level_dbm)
-    is_hidden = np.isnan(rows.places.geometry.azimuth_deg) & ~rows.places.is_beacon
+    is_hidden = np.isnan(rows.positions.geometry.azimuth_deg) & ~rows.positions.is_beacon
     is_lonely = small_groups(joint.group)
     return tuple(
         _refusal(carrier, is_unseen=bool(is_unseen[k]), is_hidden=bool(is_hidden[k]), is_lonely=bool(is_lonely[k]))

@@ -9,7 +9,7 @@ from service.core.estimation.calibration.geometry_prediction import response_of
 from service.core.estimation.calibration.level_drift import LevelDrift, level_drift
 from service.core.estimation.calibration.quadratic_response import QuadraticResponse
 from service.core.estimation.noise.quantisation import quantisation_step_db
-from service.core.estimation.noise_identification import LearnedNoise, identify_noise
+from service.core.estimation.noise_identification import IdentifiedNoise, identify_noise
 from service.pipeline.calibration.geometry_rows import GeometryRows
 from service.pipeline.calibration.windows import CalibrationInput
 from service.pipeline.config import CalibrationConfig
@@ -26,7 +26,7 @@ class JointFit:
 
     fit: GeometryCalibration
     response: QuadraticResponse
-    noise: LearnedNoise
+    noise: IdentifiedNoise
     drift: LevelDrift
     #: (N,) number of each carrier's group under level control, -1 = none
     group: IntArray
@@ -37,9 +37,9 @@ class JointFit:
 def fit_rows(data: CalibrationInput, rows: GeometryRows, config: CalibrationConfig) -> JointFit:
     """Return the fit of the rows, groups under level control by their differences."""
     group = alc_groups(data.plan)
-    geometry = rows.places.geometry
+    geometry = rows.positions.geometry
     is_asked = np.array([carrier.enabled and carrier.uplink_power_control != "auto" for carrier in data.plan.carriers])
-    is_asked &= ~(np.isnan(geometry.azimuth_deg) & ~rows.places.is_beacon) & ~small_groups(group)
+    is_asked &= ~(np.isnan(geometry.azimuth_deg) & ~rows.positions.is_beacon) & ~small_groups(group)
     # what is not to be used must not bend the downlink that all share either
     power_dbm = np.where(is_asked, rows.rows.power_dbm, np.nan)
     if (group < 0).all():
@@ -51,7 +51,7 @@ def fit_rows(data: CalibrationInput, rows: GeometryRows, config: CalibrationConf
         fit = fit_geometry(rows.rows._replace(power_dbm=taken_dbm), geometry)
     quiet = np.flatnonzero(rows.is_quiet)
     residual_db = np.where(fit.weight > _GOOD_WEIGHT, fit.residual_db, np.nan)[quiet]
-    noise = fit.learned or identify_noise(residual_db, rows.rows.epoch_s[quiet])
+    noise = fit.identified or identify_noise(residual_db, rows.rows.epoch_s[quiet])
     return JointFit(
         fit,
         response_of(fit, geometry),

@@ -26,7 +26,7 @@ def slope_shrink(rows: GeometryRows) -> FloatArray:
     return np.asarray(left / np.maximum(variance, 1e-12))
 
 
-def quality_figures(rows: GeometryRows, joint: JointFit, is_used: BoolArray) -> dict[str, float]:
+def quality_metrics(rows: GeometryRows, joint: JointFit, is_used: BoolArray) -> dict[str, float]:
     """Return the figures of the joint fit."""
     fit = joint.fit
     known = np.isfinite(rows.angles.attitude_deg).all(axis=1)

@@ -14,7 +14,7 @@ from service.core.estimation.calibration.geometry_columns import CarrierGeometry
 from service.core.estimation.calibration.sensor_smoothing import SmoothedAngles, smoothed_angles
 from service.core.geometry.frames import station_direction
 from service.core.geometry.line_of_sight import (
-    Places,
+    Positions,
     PredictedTrack,
     antenna_motion_deg,
     sight_motion_deg,
@@ -46,14 +46,14 @@ DISTURBING = frozenset(
 )
 
 
-class PlanPlaces(NamedTuple):
+class PlanPositions(NamedTuple):
     """Where the stations of a plan stand; NaN for a beacon.
 
     Parameters
     ----------
     geometry : CarrierGeometry
         Antenna angles and bands.
-    stations : Places
+    stations : Positions
         Stations and, last, the receiving site.
     bands : tuple of str
         Names of the bands.
@@ -62,7 +62,7 @@ class PlanPlaces(NamedTuple):
     """
 
     geometry: CarrierGeometry
-    stations: Places
+    stations: Positions
     bands: tuple[str, ...]
     is_beacon: BoolArray
 
@@ -73,7 +73,7 @@ class GeometryRows:
 
     epochs_us: IntArray
     rows: CalibrationRows
-    places: PlanPlaces
+    positions: PlanPositions
     angles: SmoothedAngles
     #: (T,) whether the row belongs to the quiet window alone
     is_quiet: BoolArray
@@ -102,8 +102,8 @@ def geometry_rows(data: CalibrationInput, config: CalibrationConfig) -> Geometry
     )
     _require_rows(data, angles.attitude_deg, is_turn, config)
     _require_turns(angles.attitude_deg[is_turn], config)
-    places = plan_places(data.plan, data.spacecraft)
-    motion = orbit_motion(data, epochs_us, places)
+    positions = plan_positions(data.plan, data.spacecraft)
+    motion = orbit_motion(data, epochs_us, positions)
     rows = CalibrationRows(
         (epochs_us - epochs_us[0]) / US_PER_S,
         _undisturbed(power_dbm, epochs_us, data.plan, data.operations),
@@ -116,10 +116,10 @@ def geometry_rows(data: CalibrationInput, config: CalibrationConfig) -> Geometry
     is_tracked = np.zeros(len(epochs_us), dtype=np.bool_)
     if motion is not None and is_known_orbit(motion):
         is_tracked = np.asarray(np.isfinite(motion.sight_deg).all(axis=(1, 2)))
-    return GeometryRows(epochs_us, rows, places, angles, ~is_turn, is_tracked)
+    return GeometryRows(epochs_us, rows, positions, angles, ~is_turn, is_tracked)
 
 
-def plan_places(plan: CarrierPlan, spacecraft: Spacecraft) -> PlanPlaces:
+def plan_positions(plan: CarrierPlan, spacecraft: Spacecraft) -> PlanPositions:
     """Return where stations and receiving site stand, on the ground and in the antenna frame."""
     site = spacecraft.receiving_site
     stations = [carrier.station for carrier in plan.carriers]
@@ -135,21 +135,21 @@ def plan_places(plan: CarrierPlan, spacecraft: Spacecraft) -> PlanPlaces:
         message = f"the receiving site does not see a satellite at {spacecraft.longitude_deg:g} degrees East"
         raise CalibrationError(message)
     geometry = CarrierGeometry(azimuth_deg[:-1], elevation_deg[:-1], site_deg, band)
-    return PlanPlaces(geometry, Places(latitude_deg, longitude_deg, height_m), bands, is_beacon)
+    return PlanPositions(geometry, Positions(latitude_deg, longitude_deg, height_m), bands, is_beacon)
 
 
-def orbit_motion(data: CalibrationInput, epochs_us: IntArray, places: PlanPlaces) -> OrbitMotion | None:
+def orbit_motion(data: CalibrationInput, epochs_us: IntArray, positions: PlanPositions) -> OrbitMotion | None:
     """Return what ballistics says at some epochs; None without a track."""
-    told, spacecraft = data.ephemeris.track, data.spacecraft
-    if told is None or spacecraft is None or len(told.epochs_us) < 4:
+    reported, spacecraft = data.ephemeris.track, data.spacecraft
+    if reported is None or spacecraft is None or len(reported.epochs_us) < 4:
         return None
     track = PredictedTrack(
-        np.array(told.epochs_us, dtype=np.int64), np.array(told.latitude_deg), np.array(told.longitude_deg)
+        np.array(reported.epochs_us, dtype=np.int64), np.array(reported.latitude_deg), np.array(reported.longitude_deg)
     )
-    stations = Places(*(values[:-1] for values in places.stations))
-    is_placeless = np.isnan(places.geometry.azimuth_deg)
+    stations = Positions(*(values[:-1] for values in positions.stations))
+    is_placeless = np.isnan(positions.geometry.azimuth_deg)
     sight = sight_motion_deg(track_position_deg(track, epochs_us), stations, spacecraft.longitude_deg)
-    antenna = antenna_motion_deg(track, epochs_us, places.stations, spacecraft.longitude_deg)
+    antenna = antenna_motion_deg(track, epochs_us, positions.stations, spacecraft.longitude_deg)
     # a beacon has no dish and no beam of its own to move in; it is as little known as the rest outside the track
     still = (0.0 * antenna[:, -1:]).sum(axis=-1, keepdims=True)
     sight[:, is_placeless] = still

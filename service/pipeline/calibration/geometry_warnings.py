@@ -125,7 +125,7 @@ def _about_carriers(
             continue
         if carrier.uplink_power_control == "auto":
             yield f"{names[k]} has automatic uplink power control and is not used"
-        elif carrier.station is not None and np.isnan(rows.places.geometry.azimuth_deg[k]):
+        elif carrier.station is not None and np.isnan(rows.positions.geometry.azimuth_deg[k]):
             yield f"check the coordinates of {names[k]}: its station does not see the satellite"
         elif np.isnan(joint.fit.level_dbm[k]) and not is_lonely[k]:
             yield f"{names[k]} was silent or hardly seen in the windows and is not calibrated"
@@ -136,9 +136,9 @@ def _about_carriers(
                 f"{', '.join(names[k] for k in members)}: a transponder under level control needs {MIN_GROUP} carriers "
                 "of the plan; these are not used"
             )
-    yield from _about_flat(rows, joint, names, is_used & ~rows.places.is_beacon, config)
+    yield from _about_flat(rows, joint, names, is_used & ~rows.positions.is_beacon, config)
     yield from _about_drift(joint, names, is_used, config)
-    yield from _about_places(joint, names, is_used & ~rows.places.is_beacon, config)
+    yield from _position_warnings(joint, names, is_used & ~rows.positions.is_beacon, config)
 
 
 def _about_flat(
@@ -169,7 +169,7 @@ def _about_drift(
         yield f"{names[k]} drifts: {slope[k]:+.2f} dB a day over the quiet window, noise explains {typical:.2f}"
 
 
-def _about_places(
+def _position_warnings(
     joint: JointFit, names: tuple[str, ...], is_asked: BoolArray, config: CalibrationConfig
 ) -> Iterator[str]:
     """Yield the carrier whose station the data want elsewhere most."""

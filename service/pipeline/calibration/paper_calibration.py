@@ -15,7 +15,7 @@ from service.core.estimation.paper.criteria import CarrierVerdicts, judge_carrie
 from service.core.estimation.paper.harmonic import HarmonicFits, evaluate_harmonic, fit_harmonics
 from service.core.estimation.paper.sensitivity import TurnSensitivity, fit_turn_sensitivity, level_knots
 from service.core.geometry.node_phase import latest_node_us
-from service.pipeline.calibration.geometry_rows import plan_places
+from service.pipeline.calibration.geometry_rows import plan_positions
 from service.pipeline.calibration.sensor_signs import report_signs
 from service.pipeline.calibration.windows import CalibrationError, CalibrationInput, phase_rad, turn_rows
 from service.pipeline.config import CalibrationConfig, CriteriaConfig
@@ -60,11 +60,11 @@ def calibrate_paper(data: CalibrationInput, config: CalibrationConfig) -> Calibr
     result = paper_part(data, config, is_every_axis_needed=True)
     if data.spacecraft is None:
         return result
-    places = plan_places(data.plan, data.spacecraft)
+    positions = plan_positions(data.plan, data.spacecraft)
     free = _free_response(result)
     is_fixed_gain = np.array([carrier.transponder_mode != "alc" for carrier in data.plan.carriers])
-    is_free = is_fixed_gain & np.isfinite(free.slope).all(axis=1) & np.isfinite(places.geometry.azimuth_deg)
-    report = report_signs(data, config, places, free, is_free, result.quality["yaw_turn_reach_deg"])
+    is_free = is_fixed_gain & np.isfinite(free.slope).all(axis=1) & np.isfinite(positions.geometry.azimuth_deg)
+    report = report_signs(data, config, positions, free, is_free, result.quality["yaw_turn_reach_deg"])
     return replace(
         result,
         quality={**result.quality, **report.quality},

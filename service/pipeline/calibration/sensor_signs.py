@@ -10,7 +10,7 @@ import numpy as np
 
 from service.core.estimation.calibration.checks.free_response import FreeResponse
 from service.core.estimation.calibration.checks.sensor_axes import DECISIVE, MAPPINGS, AxesVerdict, judge_axes
-from service.pipeline.calibration.geometry_rows import PlanPlaces
+from service.pipeline.calibration.geometry_rows import PlanPositions
 from service.pipeline.calibration.windows import CalibrationError, CalibrationInput
 from service.pipeline.config import CalibrationConfig
 from service.pipeline.inputs.sensor_angles import angles_at
@@ -34,7 +34,7 @@ class SignReport(NamedTuple):
 def report_signs(
     data: CalibrationInput,
     config: CalibrationConfig,
-    places: PlanPlaces,
+    positions: PlanPositions,
     free: FreeResponse | None,
     is_used: BoolArray,
     yaw_reach_deg: float,
@@ -47,7 +47,7 @@ def report_signs(
         Plan, references and corrections.
     config : CalibrationConfig
         Limits.
-    places : PlanPlaces
+    places : PlanPositions
         Where the stations stand.
     free : FreeResponse or None
         Slopes of each carrier about each axis of the sensors.
@@ -64,7 +64,7 @@ def report_signs(
     transponders = [carrier.transponder for carrier in data.plan.carriers]
     beam = np.unique(transponders, return_inverse=True)[1]
     turned = _turned(data, config)
-    verdict = None if free is None else judge_axes(free, places.geometry, beam, is_used, turned)
+    verdict = None if free is None else judge_axes(free, positions.geometry, beam, is_used, turned)
     if verdict is None:
         signs = SensorSigns(is_yaw_proven=False, is_common_proven=False)
         return SignReport(signs, {}, (_unproven("too few carriers with a station tell it"),))

@@ -14,7 +14,7 @@ import numpy as np
 from service.core.estimation.calibration.daily_fit import DailyFits, fit_daily
 from service.core.estimation.calibration.geometry_columns import OrbitMotion, daily_columns
 from service.core.estimation.paper.harmonic import HarmonicFits, fit_harmonics
-from service.core.geometry.line_of_sight import Places, PredictedTrack, sight_motion_deg, track_position_deg
+from service.core.geometry.line_of_sight import Positions, PredictedTrack, sight_motion_deg, track_position_deg
 from service.core.geometry.node_phase import latest_node_us, node_phase_rad
 from service.pipeline.config import CalibrationConfig
 from service.records.calibration import Harmonic
@@ -95,15 +95,15 @@ def robust_harmonics(
     is_dish = np.isfinite(sight).all(axis=2).sum(axis=0) > _MIN_COVERED * len(sight)
     dish = daily_columns(OrbitMotion(sight, sight), phase_rad, len(carriers))
     node_us = _node_us(series, ephemeris, stop_us)
-    told: dict[int, CarrierHarmonic] = {}
+    reported: dict[int, CarrierHarmonic] = {}
     for columns, chosen in ((waves, np.flatnonzero(~is_dish)), (dish, np.flatnonzero(is_dish))):
         fits = fit_daily(columns[:, chosen], series.power_dbm[:, chosen].astype(np.float64))
-        for place, k in enumerate(chosen.tolist()):
-            harmonic = _as_waves(fits, columns[:, k], waves[:, k], place)
-            law = _dish_law(fits, place) if is_dish[k] else None
+        for position, k in enumerate(chosen.tolist()):
+            harmonic = _as_waves(fits, columns[:, k], waves[:, k], position)
+            law = _dish_law(fits, position) if is_dish[k] else None
             name, period_s = carriers[k].id, ephemeris.nodal_period_s
-            told[k] = _robust_carrier(name, harmonic, fits, law, place, period_s, node_us)
-    return tuple(told[k] for k in range(len(carriers)))
+            reported[k] = _robust_carrier(name, harmonic, fits, law, position, period_s, node_us)
+    return tuple(reported[k] for k in range(len(carriers)))
 
 
 def _phase_rad(series: MeasurementSeries, ephemeris: Ephemeris) -> FloatArray:
@@ -123,19 +123,19 @@ def _sight_deg(
     epochs_us: IntArray, ephemeris: Ephemeris, carriers: Sequence[Carrier], longitude_deg: float
 ) -> FloatArray:
     """Return the satellite's motion in the sky of each carrier's station (T, N, 2); NaN where it is not known."""
-    told = ephemeris.track
-    if told is None:
+    reported = ephemeris.track
+    if reported is None:
         return np.full((len(epochs_us), len(carriers), 2), np.nan)
     track = PredictedTrack(
-        np.array(told.epochs_us, dtype=np.int64), np.array(told.latitude_deg), np.array(told.longitude_deg)
+        np.array(reported.epochs_us, dtype=np.int64), np.array(reported.latitude_deg), np.array(reported.longitude_deg)
     )
     placed = [
         (np.nan, np.nan) if carrier.station is None else (carrier.station.latitude_deg, carrier.station.longitude_deg)
         for carrier in carriers
     ]
     latitudes, longitudes = np.array(placed, dtype=np.float64).reshape(-1, 2).T
-    places = Places(latitudes, longitudes, np.zeros(len(carriers)))
-    return sight_motion_deg(track_position_deg(track, epochs_us), places, longitude_deg)
+    positions = Positions(latitudes, longitudes, np.zeros(len(carriers)))
+    return sight_motion_deg(track_position_deg(track, epochs_us), positions, longitude_deg)
 
 
 def _as_waves(fits: DailyFits, columns: FloatArray, waves: FloatArray, k: int) -> _Waves:

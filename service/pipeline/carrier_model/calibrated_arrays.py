@@ -14,7 +14,7 @@ from service.core.estimation.calibration.geometry_columns import BEAM_SIZE, Carr
 from service.core.estimation.calibration.geometry_prediction import response_of
 from service.core.estimation.calibration.quadratic_response import QuadraticResponse
 from service.core.estimation.filtering.model.filter_model import CarrierModel
-from service.core.geometry.line_of_sight import Places
+from service.core.geometry.line_of_sight import Positions
 from service.pipeline.config import RobustConfig
 from service.records.calibration import CarrierCalibration
 from service.records.geometry import GeometryFit
@@ -33,7 +33,7 @@ class GeometryModel(NamedTuple):
     calibration: GeometryCalibration
     geometry: CarrierGeometry
     #: stations and, last, the receiving site
-    places: Places
+    positions: Positions
     response: QuadraticResponse
 
 
@@ -47,13 +47,13 @@ def geometry_model(fit: GeometryFit, carriers: tuple[CarrierCalibration, ...]) -
         np.where(is_beacon, site_deg[0], azimuth_deg), np.where(is_beacon, site_deg[1], elevation_deg), site_deg, band
     )
     calibration = _core_calibration(fit, carriers, is_beacon)
-    latitude_deg, longitude_deg, height_m = fit.site_place
-    places = Places(
+    latitude_deg, longitude_deg, height_m = fit.site_position
+    positions = Positions(
         np.append(np.where(is_beacon, latitude_deg, np.array(fit.station_latitude_deg)), latitude_deg),
         np.append(np.where(is_beacon, longitude_deg, np.array(fit.station_longitude_deg)), longitude_deg),
         np.append(np.where(is_beacon, height_m, 0.0), height_m),
     )
-    return GeometryModel(calibration, geometry, places, response_of(calibration, geometry))
+    return GeometryModel(calibration, geometry, positions, response_of(calibration, geometry))
 
 
 def _core_calibration(

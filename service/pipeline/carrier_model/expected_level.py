@@ -12,7 +12,7 @@ import numpy as np
 from service.core.estimation.calibration.geometry_columns import OrbitMotion, daily_columns
 from service.core.estimation.calibration.geometry_prediction import predict_level_dbm
 from service.core.geometry.line_of_sight import (
-    Places,
+    Positions,
     PredictedTrack,
     antenna_motion_deg,
     sight_motion_deg,
@@ -54,13 +54,13 @@ def _motion(model: GeometryModel, fit: GeometryFit, ephemeris: Ephemeris, epochs
     """Return what the track says at some epochs, None without a track."""
     if ephemeris.track is None:
         return None
-    told = ephemeris.track
+    reported = ephemeris.track
     track = PredictedTrack(
-        np.array(told.epochs_us, dtype=np.int64), np.array(told.latitude_deg), np.array(told.longitude_deg)
+        np.array(reported.epochs_us, dtype=np.int64), np.array(reported.latitude_deg), np.array(reported.longitude_deg)
     )
-    stations = Places(*(values[:-1] for values in model.places))
+    stations = Positions(*(values[:-1] for values in model.positions))
     sight = sight_motion_deg(track_position_deg(track, epochs_us), stations, fit.nominal_longitude_deg)
-    return OrbitMotion(sight, antenna_motion_deg(track, epochs_us, model.places, fit.nominal_longitude_deg))
+    return OrbitMotion(sight, antenna_motion_deg(track, epochs_us, model.positions, fit.nominal_longitude_deg))
 
 
 def daily_error_db(model: GeometryModel, fit: GeometryFit, ephemeris: Ephemeris, start_us: int) -> FloatArray:

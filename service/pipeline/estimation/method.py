@@ -49,7 +49,7 @@ class MethodRunner(Protocol):
         """Whether rows lead to angles."""
         ...
 
-    def hear(self, content: SlowInput, knowledge: Knowledge) -> None:
+    def on_input(self, content: SlowInput, knowledge: Knowledge) -> None:
         """Take in a slow input that concerns the motion of the craft."""
         ...
 
@@ -117,12 +117,12 @@ class CalibratedColumns:
 
     def _of(self, plan: CarrierPlan) -> IntArray:
         if plan.id not in self._columns:
-            place = {
+            position = {
                 carrier.id: k
                 for k, carrier in enumerate(plan.carriers)
                 if _is_same_signal(carrier, self._calibrated.get(carrier.id))
             }
-            self._columns[plan.id] = np.array([place.get(c, -1) for c in self._carrier_ids], dtype=np.int64)
+            self._columns[plan.id] = np.array([position.get(c, -1) for c in self._carrier_ids], dtype=np.int64)
         return self._columns[plan.id]
 
 

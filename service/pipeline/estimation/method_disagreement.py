@@ -25,13 +25,13 @@ class Disagreement:
 
 def compare(watch: Disagreement, rows: tuple[AttitudeRow, ...], config: RobustConfig) -> Disagreement:
     """Return the watch after the rows of one measurement; a row without angles says nothing."""
-    told = [row for row in rows if row.status is Status.ACQUIRED]
-    if len(told) < 2:
+    reported = [row for row in rows if row.status is Status.ACQUIRED]
+    if len(reported) < 2:
         return replace(watch, apart_deg=math.nan)
-    one, other = told[0].attitude_deg, told[1].attitude_deg
+    one, other = reported[0].attitude_deg, reported[1].attitude_deg
     apart_deg = max(abs(one.roll - other.roll), abs(one.pitch - other.pitch))
     if not apart_deg > config.disagreement_deg:
         return Disagreement(apart_deg=0.0)
-    since_us = told[0].epoch_us if watch.since_us is None else watch.since_us
-    is_standing = told[0].epoch_us - since_us >= config.disagreement_s * US_PER_S
+    since_us = reported[0].epoch_us if watch.since_us is None else watch.since_us
+    is_standing = reported[0].epoch_us - since_us >= config.disagreement_s * US_PER_S
     return Disagreement(since_us, is_standing, apart_deg if is_standing else 0.0)

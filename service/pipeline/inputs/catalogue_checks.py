@@ -38,7 +38,7 @@ _DAY_US = 86_400_000_000
 _SAMPLES = 145
 
 
-class Place(NamedTuple):
+class Position(NamedTuple):
     """An earth station and where it stands in a document."""
 
     pointer: str
@@ -47,52 +47,52 @@ class Place(NamedTuple):
     height_m: float = 0.0
 
 
-class PlaceFindings(NamedTuple):
+class CatalogueFindings(NamedTuple):
     """What is wrong with places, and what is doubtful."""
 
     faults: list[FieldError]
     warnings: list[FieldError]
 
 
-def check_places(places: Sequence[Place], satellite_longitude_deg: float) -> PlaceFindings:
+def check_positions(positions: Sequence[Position], satellite_longitude_deg: float) -> CatalogueFindings:
     """Return the stations that have the satellite below their horizon, and those that have it low.
 
     Parameters
     ----------
-    places : sequence of Place
+    places : sequence of Position
         Earth stations.
     satellite_longitude_deg : float
         Nominal sub-satellite longitude, deg East.
     """
     faults: list[FieldError] = []
     warnings: list[FieldError] = []
-    if not places:
-        return PlaceFindings(faults, warnings)
-    latitude_deg, longitude_deg, height_m = np.array([place[1:] for place in places], dtype=np.float64).T
+    if not positions:
+        return CatalogueFindings(faults, warnings)
+    latitude_deg, longitude_deg, height_m = np.array([position[1:] for position in positions], dtype=np.float64).T
     elevation_deg = satellite_elevation_deg(longitude_deg, latitude_deg, height_m, satellite_longitude_deg)
     exchanged_deg = satellite_elevation_deg(latitude_deg, longitude_deg, height_m, satellite_longitude_deg)
     is_below = elevation_deg < HORIZON_DEG
     is_cured = (exchanged_deg > 0.0) & (np.abs(longitude_deg) <= 90.0)
     is_exchange_likely = 2 * np.count_nonzero(is_cured & is_below) > np.count_nonzero(is_below)
-    for place, elevation in zip(places, elevation_deg.tolist(), strict=True):
+    for position, elevation in zip(positions, elevation_deg.tolist(), strict=True):
         seen = f"the satellite at {satellite_longitude_deg:g} deg East stands at {elevation:.1f} deg elevation"
         if elevation < HORIZON_DEG:
-            where = f" from latitude {place.latitude_deg:g}, longitude {place.longitude_deg:g} deg"
+            where = f" from latitude {position.latitude_deg:g}, longitude {position.longitude_deg:g} deg"
             hint = "; latitude and longitude look exchanged" if is_exchange_likely else "; check place and satellite"
-            faults.append(FieldError(place.pointer, "station.below_horizon", seen + where + hint))
+            faults.append(FieldError(position.pointer, "station.below_horizon", seen + where + hint))
         elif elevation < LOW_DEG:
-            warnings.append(FieldError(place.pointer, "station.low", f"{seen}: its levels scatter"))
-    return PlaceFindings(faults, warnings)
+            warnings.append(FieldError(position.pointer, "station.low", f"{seen}: its levels scatter"))
+    return CatalogueFindings(faults, warnings)
 
 
-def check_carriers(carriers: Sequence[Carrier], satellite_longitude_deg: float) -> PlaceFindings:
+def check_carriers(carriers: Sequence[Carrier], satellite_longitude_deg: float) -> CatalogueFindings:
     """Return what is wrong with the stations and frequencies of a carrier plan, and what is doubtful."""
     stations = [
-        Place(f"/carriers/{k}/station", carrier.station.latitude_deg, carrier.station.longitude_deg)
+        Position(f"/carriers/{k}/station", carrier.station.latitude_deg, carrier.station.longitude_deg)
         for k, carrier in enumerate(carriers)
         if carrier.station is not None
     ]
-    found = check_places(stations, satellite_longitude_deg)
+    found = check_positions(stations, satellite_longitude_deg)
     found.faults.extend(_frequency_faults(carriers))
     return found
 

@@ -44,20 +44,20 @@ def is_torque_unknown(spacecraft: Spacecraft | None) -> bool:
 
 def fed_forward(spacecraft: Spacecraft | None) -> FedForward | None:
     """Return the profile that the loop on board takes away, its phase counted from the beginning of 1970."""
-    told = None if spacecraft is None else spacecraft.onboard.fed_forward_torque
-    if spacecraft is None or told is None:
+    reported = None if spacecraft is None else spacecraft.onboard.fed_forward_torque
+    if spacecraft is None or reported is None:
         return None
-    period_us = round(told.period_s * US_PER_S)
-    phase = 2.0 * math.pi * (told.epoch_us % period_us) / period_us
+    period_us = round(reported.period_s * US_PER_S)
+    phase = 2.0 * math.pi * (reported.epoch_us % period_us) / period_us
     constant, cosine, sine = (
-        _accelerations(part, spacecraft) for part in (told.constant_n_m, told.cosine_n_m, told.sine_n_m)
+        _accelerations(part, spacecraft) for part in (reported.constant_n_m, reported.cosine_n_m, reported.sine_n_m)
     )
     return FedForward(
         _triple(constant),
         _triple(math.cos(phase) * cosine - math.sin(phase) * sine),
         _triple(math.sin(phase) * cosine + math.cos(phase) * sine),
-        told.relative_error,
-        told.axis_relative_error,
+        reported.relative_error,
+        reported.axis_relative_error,
         period_us,
     )
 

@@ -71,17 +71,17 @@ class Knowledge:
 
     def momentum_n_m_s(self, epoch_us: int, age_s: float) -> tuple[float, ...] | None:
         """Return the momentum of each wheel as it was told within an age before an epoch; None where it was not."""
-        told = self.telemetry
-        if told is None or not 0 <= epoch_us - told.epoch_us <= age_s * US_PER_S:
+        reported = self.telemetry
+        if reported is None or not 0 <= epoch_us - reported.epoch_us <= age_s * US_PER_S:
             return None
-        return told.wheel_momentum_n_m_s
+        return reported.wheel_momentum_n_m_s
 
     def body_rate_deg_s(self, epoch_us: int, age_s: float) -> Axes | None:
         """Return the rate of the body as it was told within an age before or after an epoch; None where it was not."""
-        told = self.rated
-        if told is None or abs(epoch_us - told.epoch_us) > age_s * US_PER_S:
+        reported = self.rated
+        if reported is None or abs(epoch_us - reported.epoch_us) > age_s * US_PER_S:
             return None
-        return told.body_rate_deg_s
+        return reported.body_rate_deg_s
 
     def calibration_for(self, method: Method) -> Calibration | None:
         """Return the calibration of a method; a ``geometry`` one serves ``paper`` while no ``paper`` one is active."""
@@ -109,7 +109,7 @@ class Knowledge:
         )
 
 
-def learn(knowledge: Knowledge, content: SlowInput, lookup: Lookup) -> Knowledge:
+def update(knowledge: Knowledge, content: SlowInput, lookup: Lookup) -> Knowledge:
     """Return the knowledge after one slow input; kinds that the present methods do not use leave it as it is."""
     match content:
         case SpacecraftChange():
@@ -131,21 +131,21 @@ def learn(knowledge: Knowledge, content: SlowInput, lookup: Lookup) -> Knowledge
             return knowledge
 
 
-def _with_word(knowledge: Knowledge, told: TelemetryRecord | InterlockHold) -> Knowledge:
+def _with_word(knowledge: Knowledge, reported: TelemetryRecord | InterlockHold) -> Knowledge:
     """Return the knowledge with a word of the interlock, or the newest of the wheels' momentum and the body's rate."""
-    if isinstance(told, InterlockHold):
-        return replace(knowledge, hold=told)
-    if told.wheel_momentum_n_m_s is not None and _is_newest(told, knowledge.telemetry):
-        knowledge = replace(knowledge, telemetry=told)
-    if has_body_rate(told) and _is_newest(told, knowledge.rated):
-        knowledge = replace(knowledge, rated=told)
+    if isinstance(reported, InterlockHold):
+        return replace(knowledge, hold=reported)
+    if reported.wheel_momentum_n_m_s is not None and _is_newest(reported, knowledge.telemetry):
+        knowledge = replace(knowledge, telemetry=reported)
+    if has_body_rate(reported) and _is_newest(reported, knowledge.rated):
+        knowledge = replace(knowledge, rated=reported)
     return knowledge
 
 
-def has_body_rate(told: TelemetryRecord) -> bool:
+def has_body_rate(reported: TelemetryRecord) -> bool:
     """Whether a record tells the rate of the body about every axis."""
-    return told.body_rate_deg_s is not None and all(map(math.isfinite, told.body_rate_deg_s))
+    return reported.body_rate_deg_s is not None and all(map(math.isfinite, reported.body_rate_deg_s))
 
 
-def _is_newest(told: TelemetryRecord, before: TelemetryRecord | None) -> bool:
-    return before is None or told.epoch_us >= before.epoch_us
+def _is_newest(reported: TelemetryRecord, before: TelemetryRecord | None) -> bool:
+    return before is None or reported.epoch_us >= before.epoch_us

@@ -148,15 +148,15 @@ def _rest(motion: _Motion, from_us: int) -> _Motion | None:
 
 
 def _with(
-    commanded: CommandedMotion, told: tuple[_Motion, ...], newest_us: int, *, are_kept: bool = True
+    commanded: CommandedMotion, reported: tuple[_Motion, ...], newest_us: int, *, are_kept: bool = True
 ) -> CommandedMotion:
     """Return the changes with some more; only their past counts where they are not kept."""
     late_deg, late_rate = np.array(commanded.late_deg), np.array(commanded.late_rate_deg_h)
-    for motion in told:
+    for motion in reported:
         change_deg, rate_deg_h, lag_deg = _between(motion, commanded.since_us, newest_us)
         late_deg = late_deg + change_deg + lag_deg
         late_rate = late_rate + rate_deg_h
-    motions = (*commanded.motions, *told) if are_kept else commanded.motions
+    motions = (*commanded.motions, *reported) if are_kept else commanded.motions
     kept = tuple(motion for motion in motions if motion.stop_us > newest_us)
     return replace(commanded, motions=kept, late_deg=_triple(late_deg), late_rate_deg_h=_triple(late_rate))
 

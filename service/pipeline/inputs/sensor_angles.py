@@ -20,9 +20,9 @@ def angles_at(
     """Return yaw, roll, pitch (T, 3) in deg at some epochs; series of one sensor are taken together."""
     columns = []
     for axis, sensor in enumerate(sensors):
-        told = [series for series in references if series.source == sensor]
-        at_us = np.concatenate([series.epochs_us for series in told] or [np.zeros(0, dtype=np.int64)])
-        angle_deg = np.concatenate([series.attitude_deg[:, axis] for series in told] or [np.zeros(0)])
+        reported = [series for series in references if series.source == sensor]
+        at_us = np.concatenate([series.epochs_us for series in reported] or [np.zeros(0, dtype=np.int64)])
+        angle_deg = np.concatenate([series.attitude_deg[:, axis] for series in reported] or [np.zeros(0)])
         columns.append(_interpolate(at_us, angle_deg, epochs_us, config))
     return np.column_stack(columns)
 

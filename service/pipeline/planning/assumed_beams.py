@@ -90,8 +90,8 @@ def assume_payload(
     chosen, assumptions = _beams_of(carriers, direction, beams or {})
     per_carrier = [chosen.get(carrier.transponder) for carrier in carriers]
     gradient = np.array([_gradient(beam, direction, k) for k, beam in enumerate(per_carrier)]).reshape(-1, 1, 2)
-    places = displacement_matrix(direction.azimuth_deg, direction.elevation_deg)
-    sensitivity = (gradient @ places)[:, 0]
+    positions = displacement_matrix(direction.azimuth_deg, direction.elevation_deg)
+    sensitivity = (gradient @ positions)[:, 0]
     count = len(carriers)
     parts = np.array(noise.parts).reshape(-1, 2)
     unknown = np.full(count, np.nan)
@@ -112,21 +112,21 @@ def assume_payload(
     held = sorted({carrier.transponder for carrier, one in zip(carriers, level, strict=True) if one >= 0})
     if held:
         assumptions += (f"{', '.join(held)} under level control: only differences between their carriers count",)
-    told = (
+    reported = (
         *assumptions,
         f"noise: {noise.meaning}",
         "every carrier counts as stable and linear; the downlink to the receiving site is left to the common level",
     )
-    return AssumedPayload(candidates, direction, chosen, told)
+    return AssumedPayload(candidates, direction, chosen, reported)
 
 
 def _directions(carriers: tuple[Carrier, ...], longitude_deg: float) -> AntennaDirection:
     """Return where stations are seen from the satellite; NaN for a beacon or below its horizon."""
-    places = [
+    positions = [
         (np.nan, np.nan) if carrier.station is None else (carrier.station.longitude_deg, carrier.station.latitude_deg)
         for carrier in carriers
     ]
-    longitudes, latitudes = np.array(places, dtype=np.float64).reshape(-1, 2).T
+    longitudes, latitudes = np.array(positions, dtype=np.float64).reshape(-1, 2).T
     return station_direction(longitudes, latitudes, np.zeros(len(carriers)), longitude_deg)
 
 
@@ -135,7 +135,7 @@ def _beams_of(
 ) -> tuple[dict[str, AssumedBeam], tuple[str, ...]]:
     """Return the beam of each transponder that has a visible station, and in words where it came from."""
     beams: dict[str, AssumedBeam] = {}
-    told = []
+    reported = []
     for name in sorted({carrier.transponder for carrier in carriers}):
         held = np.array([carrier.transponder == name for carrier in carriers]) & np.isfinite(direction.azimuth_deg)
         if not held.any():
@@ -145,18 +145,18 @@ def _beams_of(
         origin = "as stated" if beam is not None else "assumed on the middle of its stations"
         beams[name] = beam or AssumedBeam(*middle, *DEFAULT_WIDTHS_DEG)
         centre_az, centre_el, width_az, width_el = beams[name]
-        told.append(
+        reported.append(
             f"beam of {name}: centre az {centre_az:+.2f}, el {centre_el:+.2f} deg, half-power width {width_az:.1f} x "
             f"{width_el:.1f} deg, {origin}; parabolic"
         )
     if len(set(beams.values())) == 1:
         beam = next(iter(beams.values()))
-        told.append(
+        reported.append(
             "one round parabolic beam shows no yaw, whatever the carriers: turned about nadir it looks shifted"
             if beam.width_azimuth_deg == beam.width_elevation_deg
             else "one parabolic beam shows yaw by its ellipticity only; a shaped one shows more"
         )
-    return beams, tuple(told)
+    return beams, tuple(reported)
 
 
 def _gradient(beam: AssumedBeam | None, direction: AntennaDirection, k: int) -> tuple[float, float]:

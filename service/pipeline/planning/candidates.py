@@ -63,7 +63,7 @@ def candidates_of(result: CalibrationResult, plan: CarrierPlan) -> Candidates:
     known = {carrier.id: carrier for carrier in plan.carriers}
     carriers = result.carriers
     sensitivity = np.array([carrier.sensitivity_db_per_deg for carrier in carriers], dtype=np.float64).reshape(-1, 3)
-    noise = _learned_noise(carriers)
+    noise = _identified_noise(carriers)
     is_kept = result.geometry.is_used if result.geometry is not None else (True,) * len(carriers)
     refusals = []
     for k, carrier in enumerate(carriers):
@@ -95,15 +95,15 @@ def _levels(result: CalibrationResult) -> IntArray:
     return np.array(groups or (-1,) * len(result.carriers), dtype=np.int64)
 
 
-def _learned_noise(carriers: Sequence[CarrierCalibration]) -> ColouredNoise:
+def _identified_noise(carriers: Sequence[CarrierCalibration]) -> ColouredNoise:
     """Return the noise of calibrated carriers; where it was not split, all of the residual counts as white."""
     size = max([1, *(len(carrier.noise) for carrier in carriers)])
     sigma, tau = np.zeros((len(carriers), size)), np.ones((len(carriers), size))
     white = np.array([carrier.sigma_white_db for carrier in carriers], dtype=np.float64)
     for k, carrier in enumerate(carriers):
-        for place, part in enumerate(carrier.noise):
+        for position, part in enumerate(carrier.noise):
             if math.isfinite(part.sigma_db) and part.correlation_time_s > 0.0:
-                sigma[k, place], tau[k, place] = part.sigma_db, part.correlation_time_s
+                sigma[k, position], tau[k, position] = part.sigma_db, part.correlation_time_s
     rms = np.array([carrier.harmonic.rms_db for carrier in carriers], dtype=np.float64)
     return ColouredNoise(np.where(np.isfinite(white), white, rms), sigma, tau)
 

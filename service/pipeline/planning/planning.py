@@ -15,7 +15,7 @@ import numpy as np
 
 from service.core.estimation.calibration.coloured_rows import ColouredNoise
 from service.core.estimation.calibration_turns import recommended_turns
-from service.core.estimation.carrier_sets import SetFigures, averaged_crlb_deg, judge_set
+from service.core.estimation.carrier_sets import SetStatistics, averaged_crlb_deg, judge_set
 from service.core.estimation.design import (
     AXIS_WEIGHTS,
     MAX_TRANSPONDER_SHARE,
@@ -50,7 +50,7 @@ class CarrierSet:
 
     #: in the order of choice
     chosen: IntArray
-    figures: SetFigures
+    figures: SetStatistics
     transponder_share: float
     #: what the set lacks for the robust method; empty = sufficient
     shortcomings: tuple[str, ...]
@@ -132,7 +132,7 @@ def judged_set(candidates: Candidates, chosen: IntArray) -> CarrierSet:
     )
 
 
-def _shortcomings(figures: SetFigures, transponders: list[str], share: float) -> tuple[str, ...]:
+def _shortcomings(figures: SetStatistics, transponders: list[str], share: float) -> tuple[str, ...]:
     """Return what a set lacks, with its figures and what is asked for."""
     count = len(transponders)
     fullest = max(sorted(set(transponders)), key=transponders.count, default="")
@@ -178,10 +178,10 @@ def _optimal_word(k: int, candidates: Candidates, chosen: IntArray, yaw_scale: f
     dominance = float(dominance_of.max())
     if candidates.refusals[k]:
         return CarrierWord(None, name, dominance, candidates.refusals[k])
-    place = np.flatnonzero(chosen == k)
-    if place.size:
+    position = np.flatnonzero(chosen == k)
+    if position.size:
         ratio = _bound_deg(candidates, chosen[chosen != k]) / _bound_deg(candidates, chosen)
-        return CarrierWord(int(place[0]), name, dominance, (f"chosen: without it {_changes(ratio)}",))
+        return CarrierWord(int(position[0]), name, dominance, (f"chosen: without it {_changes(ratio)}",))
     ratio = _bound_deg(candidates, np.append(chosen, k)) / _bound_deg(candidates, chosen)
     reason = f"as one more it would give {_changes(ratio)}; the {len(chosen)} chosen do more"
     return CarrierWord(None, name, dominance, (reason,))
@@ -202,11 +202,11 @@ def _paper_word(k: int, candidates: Candidates, by_axis: AxisSelection) -> Carri
     name = _AXIS_NAMES[axis] if axis >= 0 else None
     dominance = float(by_axis.dominance[k])
     rank = int(by_axis.rank[k]) if by_axis.rank[k] >= 0 else None
-    told = f"answers {dominance:.2f} times more to {name} than to any other axis"
+    reported = f"answers {dominance:.2f} times more to {name} than to any other axis"
     if reason is SelectionReason.CHOSEN:
-        reasons: tuple[str, ...] = (f"chosen for {name}: {told}",)
+        reasons: tuple[str, ...] = (f"chosen for {name}: {reported}",)
     elif reason is SelectionReason.NOT_NEEDED:
-        reasons = (f"{told}; {len(by_axis.chosen)} carriers before it do more",)
+        reasons = (f"{reported}; {len(by_axis.chosen)} carriers before it do more",)
     elif reason is SelectionReason.NOT_MEASURED:
         reasons = (NOT_MEASURED,)
     else:

@@ -28,9 +28,9 @@ class CarrierDetails:
     #: centre of the power above the nominal frequency, Hz
     centroid_offset_hz: FloatArray | Float32Array
 
-    def row(self, place: int | EllipsisType) -> Float32Array:
+    def row(self, position: int | EllipsisType) -> Float32Array:
         """Return the figures of the row at a place, or with ``...`` of the only row, as (K, N) float32."""
-        return np.array([getattr(self, name)[place] for name in DETAIL_NAMES], dtype=np.float32)
+        return np.array([getattr(self, name)[position] for name in DETAIL_NAMES], dtype=np.float32)
 
 
 #: what may be stated beside powers, in the order in which it is stored

@@ -55,7 +55,7 @@ class AuditEntry:
     """One link of the chain."""
 
     number: int
-    deed: AuditEvent
+    audit_event: AuditEvent
     previous_hash: str
     hash: str
 
@@ -100,13 +100,13 @@ class AuditContext:
         The entry, once it is committed.
     """
 
-    deed: AuditEvent | None = None
+    audit_event: AuditEvent | None = None
     entry: AuditEntry | None = None
 
     @property
     def due(self) -> AuditEvent | None:
         """Return the deed that the next write has to take along."""
-        return self.deed if self.entry is None else None
+        return self.audit_event if self.entry is None else None
 
 
 #: note of the request in progress; empty outside of requests and in requests that change nothing
@@ -123,24 +123,24 @@ def apart_from_request() -> Iterator[None]:
         CURRENT_NOTE.reset(token)
 
 
-def next_entry(head: AuditHead, deed: AuditEvent) -> AuditEntry:
+def next_entry(head: AuditHead, audit_event: AuditEvent) -> AuditEntry:
     """Return the entry that follows a head."""
     number = head.number + 1
-    return AuditEntry(number, deed, head.hash, entry_hash(number, deed, head.hash))
+    return AuditEntry(number, audit_event, head.hash, entry_hash(number, audit_event, head.hash))
 
 
-def entry_hash(number: int, deed: AuditEvent, previous_hash: str) -> str:
+def entry_hash(number: int, audit_event: AuditEvent, previous_hash: str) -> str:
     """Return the hash of an entry: SHA-256 over the JSON list of previous hash, number and all fields in order."""
-    content = json.dumps([previous_hash, number, *astuple(deed)], separators=(",", ":"), ensure_ascii=True)
+    content = json.dumps([previous_hash, number, *astuple(audit_event)], separators=(",", ":"), ensure_ascii=True)
     return sha256(content.encode("ascii")).hexdigest()
 
 
-def naming_result(deed: AuditEvent, result: object) -> AuditEvent:
+def naming_result(audit_event: AuditEvent, result: object) -> AuditEvent:
     """Return the deed with the id of what it made, when its target is a collection."""
     made = getattr(result, "id", None)
-    if not deed.target.endswith("/") or not isinstance(made, int | str):
-        return replace(deed, target=deed.target.rstrip("/"))
-    return replace(deed, target=f"{deed.target}{made}")
+    if not audit_event.target.endswith("/") or not isinstance(made, int | str):
+        return replace(audit_event, target=audit_event.target.rstrip("/"))
+    return replace(audit_event, target=f"{audit_event.target}{made}")
 
 
 def findings(
@@ -187,5 +187,5 @@ def _against_former(entry: AuditEntry, former: AuditHead) -> Iterator[ChainFindi
         yield ChainFinding(former.number + 1, "missing", f"after number {former.number} comes {entry.number}")
     elif entry.previous_hash != former.hash:
         yield ChainFinding(entry.number, "changed", "the entry does not follow the one before it")
-    if entry_hash(entry.number, entry.deed, entry.previous_hash) != entry.hash:
+    if entry_hash(entry.number, entry.audit_event, entry.previous_hash) != entry.hash:
         yield ChainFinding(entry.number, "changed", "the fields do not give the hash")

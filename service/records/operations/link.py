@@ -14,7 +14,7 @@ STOPPED = "STOPPED"
 #: states in which a link brings nothing and should
 DOWN_STATES = frozenset({"BACKOFF", "FAULT", "FAILED", "STUCK", "SERVICE_AWAY", "UNAVAIL"})
 #: how fast a learned period follows the times between reports, and the least and greatest it can become, s
-_LEARNING_RATE = 0.25
+_PERIOD_UPDATE_RATE = 0.25
 _SHORTEST_PERIOD_S = 1.0
 _LONGEST_PERIOD_S = 3600.0
 
@@ -91,4 +91,4 @@ def learn_period(before_s: float | None, interval_s: float) -> float:
     """
     known_s = interval_s if before_s is None else before_s
     change_s = min(interval_s, SILENT_PERIODS * known_s) - known_s
-    return min(max(known_s + _LEARNING_RATE * change_s, _SHORTEST_PERIOD_S), _LONGEST_PERIOD_S)
+    return min(max(known_s + _PERIOD_UPDATE_RATE * change_s, _SHORTEST_PERIOD_S), _LONGEST_PERIOD_S)

@@ -23,7 +23,7 @@ from service.records.operations.alarm_limits import AlarmLimits
 from service.runtime.alarms.clock_checks import ClockChecks
 from service.runtime.alarms.notifications import NoticeChannels
 from service.runtime.alarms.persisted_alarms import PersistedAlarms
-from service.runtime.live.leadership import Turn, always, elsewhere
+from service.runtime.live.leadership import Term, always, elsewhere
 from service.runtime.live.live_feed import Cursor, FeedEvent, LiveFeed
 from service.runtime.live.row_watchers import Seen
 
@@ -34,7 +34,7 @@ _CAPACITY = 5000
 #: longest shelving
 SHELVE_LIMIT_US = 24 * 3600 * US_PER_S
 #: ages of what the estimate rests on are looked at once in so many checks
-_CHECKS_A_LOOK = 15
+_CHECKS_A_POLL = 15
 
 
 class AlarmService:
@@ -56,7 +56,7 @@ class AlarmService:
         Time between looks at the clock.
     stale_periods : float
         Row periods that are waited for after a start before rows are missed.
-    turn : Turn
+    turn : Term
         Tells whether this service leads: one that does not alarms nobody.
     """
 
@@ -70,7 +70,7 @@ class AlarmService:
         *,
         check_period_s: float = 2.0,
         stale_periods: float = 3.0,
-        turn: Turn = always,
+        turn: Term = always,
     ) -> None:
         self._turn = turn
         #: turn from which on the cases are what the archive holds
@@ -82,8 +82,8 @@ class AlarmService:
         self.conditions = conditions
         self._check_period_s = check_period_s
         self._checks = ClockChecks(storage, clock, stale_periods)
-        self._looks = 0
-        self._cases: dict[str | None, PersistedAlarms] = {}
+        self._polls = 0
+        self._persisted_by_id: dict[str | None, PersistedAlarms] = {}
         self._lock = threading.RLock()
         self._queue: deque[tuple[str, Seen]] = deque()
         self._arrived = threading.Event()
@@ -132,22 +132,22 @@ class AlarmService:
     def shelve(self, alarm_id: int, by: str, comment: str, until_us: int) -> Alarm:
         """Keep an alarm quiet until an instant; InvalidInputError ``alarm.shelve_until``."""
 
-        def shelve(book: AlarmEngine, key: Key, handling: Handling) -> AlarmChange:
+        def shelve(engine: AlarmEngine, key: Key, handling: Handling) -> AlarmChange:
             if not handling.at_us < until_us <= handling.at_us + SHELVE_LIMIT_US:
                 detail = "until must lie ahead of the spacecraft's clock by at most 24 h"
                 field = FieldError("/until", "alarm.shelve_until", detail)
                 raise InvalidInputError("alarm.shelve_until", detail, (field,))
-            return book.shelve(key, handling, until_us)
+            return engine.shelve(key, handling, until_us)
 
         return self._order(alarm_id, by, comment, shelve)
 
     def unshelve(self, alarm_id: int, by: str, comment: str) -> Alarm:
         """End a shelving before its time; ConflictError ``alarm.not_shelved``."""
 
-        def unshelve(book: AlarmEngine, key: Key, handling: Handling) -> AlarmChange:
-            if book.open_alarms[key].state != "shelved":
+        def unshelve(engine: AlarmEngine, key: Key, handling: Handling) -> AlarmChange:
+            if engine.open_alarms[key].state != "shelved":
                 raise ConflictError("alarm.not_shelved", f"alarm {alarm_id} is not shelved")
-            return book.unshelve(key, handling)
+            return engine.unshelve(key, handling)
 
         return self._order(alarm_id, by, comment, unshelve)
 
@@ -158,19 +158,19 @@ class AlarmService:
             if not self._is_on_duty():
                 return stored
             with self._guarded(spacecraft_id):
-                self._tell(self._case(spacecraft_id).use_limits(stored, self._now_us(spacecraft_id)))
+                self._report(self._persisted(spacecraft_id).use_limits(stored, self._now_us(spacecraft_id)))
         return stored
 
     def sets_in_force(self, spacecraft_id: str) -> tuple[str, ...]:
         """Return the limit sets in force, as the newest row found them."""
         with self._lock:
             self._is_on_duty()
-            return self._case(spacecraft_id).book.circumstances.sets
+            return self._persisted(spacecraft_id).engine.context.sets
 
     def present_value(self, alarm: Alarm) -> float:
         """Return the newest value behind an open alarm, NaN where none is known."""
-        case = self._cases.get(alarm.spacecraft_id)
-        return float("nan") if case is None else case.book.present_value(alarm.key)
+        persisted = self._persisted_by_id.get(alarm.spacecraft_id)
+        return float("nan") if persisted is None else persisted.engine.present_value(alarm.key)
 
     def _order(
         self, alarm_id: int, by: str, comment: str, carry_out: Callable[[AlarmEngine, Key, Handling], AlarmChange]
@@ -180,20 +180,20 @@ class AlarmService:
             stored = self._storage.alarms.alarm(alarm_id)
             if not self._is_on_duty():
                 raise elsewhere()
-            case = self._case(stored.spacecraft_id)
+            persisted = self._persisted(stored.spacecraft_id)
             # what could not be stored before goes first; where it still cannot, nothing has been touched
-            self._tell(case.store(()))
-            present = case.book.open_alarms.get(stored.key)
+            self._report(persisted.store(()))
+            present = persisted.engine.open_alarms.get(stored.key)
             if present is None or present.id != alarm_id:
                 raise ConflictError("alarm.closed", f"alarm {alarm_id} is closed; nothing is left to do about it")
-            change = carry_out(case.book, stored.key, Handling(by, self._now_us(stored.spacecraft_id), comment))
+            change = carry_out(persisted.engine, stored.key, Handling(by, self._now_us(stored.spacecraft_id), comment))
             try:
-                saved = case.store((change,))
+                saved = persisted.store((change,))
             except StorageError:
                 # the archive knows best what holds
-                self._cases.pop(stored.spacecraft_id, None)
+                self._persisted_by_id.pop(stored.spacecraft_id, None)
                 raise
-            self._tell(saved)
+            self._report(saved)
             return saved[-1].alarm
 
     def _run(self) -> None:
@@ -202,14 +202,14 @@ class AlarmService:
         while not self._is_stopping:
             self._arrived.wait(max(0.0, next_check_s - time.monotonic()))
             self._arrived.clear()
-            self._look_at_rows()
+            self._check_rows()
             if time.monotonic() >= next_check_s:
-                self._look_at_clock()
+                self._check_clock()
                 next_check_s = time.monotonic() + self._check_period_s
-        self._look_at_rows()
-        self._look_at_clock()
+        self._check_rows()
+        self._check_clock()
 
-    def _look_at_rows(self) -> None:
+    def _check_rows(self) -> None:
         """Look at everything that was handed over."""
         with self._lock:
             if not self._is_on_duty():
@@ -217,18 +217,18 @@ class AlarmService:
             while self._queue:
                 spacecraft_id, seen = self._queue.popleft()
                 with self._guarded(spacecraft_id):
-                    case = self._case(spacecraft_id)
+                    persisted = self._persisted(spacecraft_id)
                     if isinstance(seen, RowFacts):
-                        changes = case.reader.read_row(seen)
+                        changes = persisted.reader.read_row(seen)
                     else:
-                        changes = case.reader.read_reference(seen)
+                        changes = persisted.reader.read_reference(seen)
                     if changes:
-                        self._tell(case.store(changes))
+                        self._report(persisted.store(changes))
 
-    def _look_at_clock(self) -> None:
+    def _check_clock(self) -> None:
         """Look at what time makes true, and keep what is about to happen."""
-        is_thorough = self._looks % _CHECKS_A_LOOK == 0
-        self._looks += 1
+        is_thorough = self._polls % _CHECKS_A_POLL == 0
+        self._polls += 1
         with self._lock:
             if not self._is_on_duty():
                 return
@@ -238,37 +238,39 @@ class AlarmService:
                         self._check_spacecraft(spacecraft.id, is_thorough=is_thorough)
             with self._guarded(None):
                 readings = self._checks.of_service(self._clock.system_us()) if is_thorough else iter(())
-                self._check(self._case(None), readings, self._clock.system_us())
+                self._check(self._persisted(None), readings, self._clock.system_us())
 
     def _check_spacecraft(self, spacecraft_id: str, *, is_thorough: bool) -> None:
         """Look at one spacecraft; one that has no present yet has nothing to look at."""
         now_us = self._clock.now_us(spacecraft_id)
         if now_us is None:
             return
-        case = self._case(spacecraft_id)
-        readings = list(self._checks.of_inputs(spacecraft_id, case.reader, now_us))
+        persisted = self._persisted(spacecraft_id)
+        readings = list(self._checks.of_inputs(spacecraft_id, persisted.reader, now_us))
         readings += self._checks.of_release(spacecraft_id, now_us)
         if is_thorough:
             readings += self._checks.of_foundations(spacecraft_id, now_us)
-        self._check(case, readings, now_us)
+        self._check(persisted, readings, now_us)
 
-    def _check(self, case: PersistedAlarms, readings: Iterable[Readings], now_us: int) -> None:
+    def _check(self, persisted: PersistedAlarms, readings: Iterable[Readings], now_us: int) -> None:
         """Hold readings of the clock against the limits, let time pass, and keep what is about to happen."""
         changes: list[AlarmChange] = []
         for each in readings:
-            changes += case.book.observe(each, now_us)
-        changes += case.book.pass_time(now_us)
-        self._tell(case.store(changes))
-        case.keep_memory()
+            changes += persisted.engine.observe(each, now_us)
+        changes += persisted.engine.pass_time(now_us)
+        self._report(persisted.store(changes))
+        persisted.keep_memory()
 
-    def _tell(self, changes: Sequence[AlarmChange]) -> None:
+    def _report(self, changes: Sequence[AlarmChange]) -> None:
         """Publish stored changes and tell them outside."""
         if changes:
             self._is_failing = False
         for change in changes:
             event = FeedEvent("alarm", Cursor(0, 0, change.sequence), change)
             about = change.alarm.spacecraft_id
-            for spacecraft_id in [name for name in self._cases if name is not None] if about is None else [about]:
+            for spacecraft_id in (
+                [name for name in self._persisted_by_id if name is not None] if about is None else [about]
+            ):
                 self._feed.publish(spacecraft_id, (event,))
             self._notices.offer(change)
 
@@ -276,16 +278,18 @@ class AlarmService:
         """Return whether this service leads; what another one may have changed meanwhile is read anew."""
         turn = self._turn()
         if turn == 0 or turn != self._served_turn:
-            self._cases.clear()
+            self._persisted_by_id.clear()
             self._served_turn = turn
         return turn > 0
 
-    def _case(self, spacecraft_id: str | None) -> PersistedAlarms:
+    def _persisted(self, spacecraft_id: str | None) -> PersistedAlarms:
         """Return the alarms of a spacecraft, from the archive where they are not at hand."""
-        case = self._cases.get(spacecraft_id)
-        if case is None:
-            case = self._cases[spacecraft_id] = PersistedAlarms(self._storage.alarms, spacecraft_id, self.conditions)
-        return case
+        persisted = self._persisted_by_id.get(spacecraft_id)
+        if persisted is None:
+            persisted = self._persisted_by_id[spacecraft_id] = PersistedAlarms(
+                self._storage.alarms, spacecraft_id, self.conditions
+            )
+        return persisted
 
     def _now_us(self, spacecraft_id: str | None) -> int:
         """Return the present of a spacecraft, that of the system where it has none."""
@@ -303,4 +307,4 @@ class AlarmService:
             self._is_failing = True
         except Exception:  # noqa: BLE001 the desk outlives every fault; what holds is in the archive
             _LOG.exception("looking at %s failed; its alarms are read anew", spacecraft_id or "the service")
-            self._cases.pop(spacecraft_id, None)
+            self._persisted_by_id.pop(spacecraft_id, None)

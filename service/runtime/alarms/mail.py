@@ -9,7 +9,7 @@ from typing import Any
 from service.runtime.alarms.notifications import DeliveryError
 
 #: what is worth a letter; who acknowledges an alarm knows of it
-_TOLD = frozenset({"raised", "escalated", "repeated", "returned", "unshelved", "released"})
+_REPORTED = frozenset({"raised", "escalated", "repeated", "returned", "unshelved", "released"})
 _FINAL_CODES = range(500, 600)
 
 
@@ -42,7 +42,7 @@ class Mail:
 
     def deliver(self, notice: dict[str, Any]) -> None:
         """Deliver one notice; DeliveryError is final where the server refuses for good."""
-        if notice["change"] not in _TOLD:
+        if notice["change"] not in _REPORTED:
             return
         try:
             with self._connection() as connection:

@@ -35,15 +35,15 @@ class PersistedAlarms:
         self._unsaved: list[AlarmChange] = []
         self._kept = alarms.memory(spacecraft_id)
         limits = AlarmLimits() if spacecraft_id is None else alarms.limits(spacecraft_id)
-        self.book = AlarmEngine(spacecraft_id, conditions, limits, alarms.open_alarms(spacecraft_id), self._kept)
-        self.reader = RowReader(self.book, self._kept)
+        self.engine = AlarmEngine(spacecraft_id, conditions, limits, alarms.open_alarms(spacecraft_id), self._kept)
+        self.reader = RowReader(self.engine, self._kept)
         self.reader.use_nominal(limits.nominal_dbm)
 
     def use_limits(self, limits: AlarmLimits, at_us: int) -> tuple[AlarmChange, ...]:
         """Hold values against other limits from now on; return what that changes, stored."""
-        self.book.use_limits(limits)
+        self.engine.use_limits(limits)
         self.reader.use_nominal(limits.nominal_dbm)
-        return self.store(self.book.enter(self.book.circumstances, at_us))
+        return self.store(self.engine.enter(self.engine.context, at_us))
 
     def store(self, changes: Sequence[AlarmChange]) -> tuple[AlarmChange, ...]:
         """Store changes, and those that could not be stored before; return them with their numbers.
@@ -59,12 +59,12 @@ class PersistedAlarms:
         saved = self._alarms.save(self._unsaved)
         self._unsaved.clear()
         for change in saved:
-            self.book.adopt(change.alarm)
+            self.engine.adopt(change.alarm)
         return saved
 
     def keep_memory(self) -> None:
         """Store what is about to happen, where it has changed."""
-        memory = EngineMemory(self.book.watches(), self.reader.newest_row_us, self.reader.row_period_s)
+        memory = EngineMemory(self.engine.watches(), self.reader.newest_row_us, self.reader.row_period_s)
         # rows alone are no reason to write, nor is the jitter of their period
         if memory.watches != self._kept.watches or _is_other(memory, self._kept):
             self._alarms.save_memory(self._spacecraft_id, memory)

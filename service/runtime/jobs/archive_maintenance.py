@@ -21,7 +21,7 @@ from service.records.storage.archive_maintenance import (
     SealedPart,
     SealingConfig,
 )
-from service.runtime.live.leadership import Turn, always
+from service.runtime.live.leadership import Term, always
 
 _LOG = logging.getLogger("soo.upkeep")
 _DAY_US = 86_400 * US_PER_S
@@ -43,7 +43,7 @@ class ArchiveMaintenance:
         When days are packed.
     retention : RetentionConfig
         How long series are kept.
-    turn : Turn, optional
+    turn : Term, optional
         Tells whether this service leads: another one's archive is its own to look after.
     """
 
@@ -53,7 +53,7 @@ class ArchiveMaintenance:
         clock: Clock,
         sealing: SealingConfig,
         retention: RetentionConfig,
-        turn: Turn = always,
+        turn: Term = always,
     ) -> None:
         self._turn = turn
         self._storage = storage
@@ -70,7 +70,7 @@ class ArchiveMaintenance:
         #: rows of older versions that were given a checksum, since the start
         self.completed_rows = 0
         #: looks at a spacecraft that failed, since the start
-        self.failed_looks = 0
+        self.failed_polls = 0
 
     def start(self) -> None:
         """Look after the archive until stopped."""
@@ -83,7 +83,7 @@ class ArchiveMaintenance:
         if self._thread is not None:
             self._thread.join()
 
-    def look_once(self) -> None:
+    def poll_once(self) -> None:
         """Do all that is due now; a spacecraft whose archive fails does not keep the others from it."""
         for spacecraft in self._storage.catalogue.all_spacecraft():
             if self._stopping.is_set():
@@ -103,14 +103,14 @@ class ArchiveMaintenance:
         try:
             yield
         except Exception:  # noqa: BLE001 as the docstring says
-            self.failed_looks += 1
+            self.failed_polls += 1
             _LOG.exception("upkeep of the archive of %s failed; it is tried again", whose)
 
     def _run(self) -> None:
         while not self._stopping.wait(self._sealing.period_s):
             try:
                 if self._turn():
-                    self.look_once()
+                    self.poll_once()
             except Exception:  # noqa: BLE001 as above
                 _LOG.exception("upkeep of the archive failed; it is tried again")
 

@@ -52,7 +52,7 @@ class FlightAnalyses:
         self._waiting = 0
         self._results: OrderedDict[str, ClosedLoop] = OrderedDict()
 
-    def start(self, wish: SettlingRequest, points: int) -> Job:
+    def start(self, request: SettlingRequest, points: int) -> Job:
         """Queue a flight whose record is thinned to so many points.
 
         Raises
@@ -62,14 +62,14 @@ class FlightAnalyses:
         BusyError
             ``analysis.busy``: too many wait already.
         """
-        check_closed_loop(wish, self._most_steps)
+        check_closed_loop(request, self._most_steps)
         with self._lock:
             if self._waiting >= MOST_WAITING:
                 raise BusyError("analysis.busy", f"{MOST_WAITING} analyses wait or fly already; try again later")
             self._waiting += 1
         try:
             job = self._jobs.add(KIND)
-            self._jobs.run(job, lambda report: self._fly(job.id, wish, points, report))
+            self._jobs.run(job, lambda report: self._fly(job.id, request, points, report))
         except BaseException:
             self._leave()
             raise
@@ -80,11 +80,11 @@ class FlightAnalyses:
         with self._lock:
             return self._results.get(job_id)
 
-    def _fly(self, job_id: str, wish: SettlingRequest, points: int, report: Progress) -> None:
+    def _fly(self, job_id: str, request: SettlingRequest, points: int, report: Progress) -> None:
         """Fly and keep the result."""
         try:
             report(0.1)
-            flown = self._flown(wish, points)
+            flown = self._flown(request, points)
         except (ValueError, ArithmeticError) as error:
             raise JobFailedError(str(error)) from error
         finally:
@@ -99,6 +99,6 @@ class FlightAnalyses:
             self._waiting -= 1
 
 
-def fly_thinned(wish: SettlingRequest, points: int, kernels: Literal["numba", "numpy"]) -> ClosedLoop:
+def fly_thinned(request: SettlingRequest, points: int, kernels: Literal["numba", "numpy"]) -> ClosedLoop:
     """Return a flight with so many rows of its record at most; for a worker process, whose kernel stays compiled."""
-    return fly_closed_loop(wish, flight_kernel() if kernels == "numba" else fly).thinned(points)
+    return fly_closed_loop(request, flight_kernel() if kernels == "numba" else fly).thinned(points)

@@ -127,7 +127,7 @@ class Replayer:
         """Yield progress and outcomes in order of epoch; what is known now holds from the alignment on."""
         archive = self._storage.archive
         prepare(chain, archive, plan.spacecraft_id, newest_number + 1, plan.alignment.epoch_us)
-        chain.learn(AlignmentSet(plan.alignment.id))
+        chain.update(AlignmentSet(plan.alignment.id))
         rows = archive.measurements_after(plan.spacecraft_id, plan.alignment.epoch_us, newest_number + 1)
         for k, measurement in enumerate(rows):
             entry = JournalEntry(measurement.number, replace(measurement, is_late=False))

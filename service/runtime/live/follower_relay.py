@@ -26,39 +26,39 @@ class Relay:
     def __init__(self, storage: Storage, feed: LiveFeed) -> None:
         self._storage = storage
         self._feed = feed
-        self._places: dict[str, Cursor] = {}
+        self._positions: dict[str, Cursor] = {}
 
     def forget(self) -> None:
         """Begin with the present when it is needed again."""
-        self._places.clear()
+        self._positions.clear()
 
-    def look(self, spacecraft_id: str) -> None:
+    def poll(self, spacecraft_id: str) -> None:
         """Tell what has come since the last look."""
         present = self._present(spacecraft_id)
-        place = self._places.setdefault(spacecraft_id, present)
+        position = self._positions.setdefault(spacecraft_id, present)
         # who subscribes from here on finds in the archive what was stored up to this present
         if not self._feed.has_subscribers(spacecraft_id):
-            self._places[spacecraft_id] = present
+            self._positions[spacecraft_id] = present
             return
-        while events := self._events(spacecraft_id, place):
-            place = self._places[spacecraft_id] = events[-1].cursor
+        while events := self._events(spacecraft_id, position):
+            position = self._positions[spacecraft_id] = events[-1].cursor
             self._feed.publish(spacecraft_id, tuple(events))
 
     def _present(self, spacecraft_id: str) -> Cursor:
         head = self._storage.archive.head(spacecraft_id)
         return Cursor(head.newest_number, head.result_sequence, self._storage.alarms.newest_sequence())
 
-    def _events(self, spacecraft_id: str, place: Cursor) -> list[FeedEvent]:
+    def _events(self, spacecraft_id: str, position: Cursor) -> list[FeedEvent]:
         """Return the next events; the last one stands where all that was read ends."""
-        entries = self._storage.archive.journal(spacecraft_id, place.number, _AT_ONCE)
+        entries = self._storage.archive.journal(spacecraft_id, position.number, _AT_ONCE)
         rows = [entry.content for entry in entries if isinstance(entry.content, Measurement)]
-        events = [FeedEvent("measurement", place._replace(number=row.number), row) for row in rows]
-        changes = self._storage.alarms.changes_after(spacecraft_id, place.alarm, _AT_ONCE)
-        events += [FeedEvent("alarm", place._replace(alarm=change.sequence), change) for change in changes]
+        events = [FeedEvent("measurement", position._replace(number=row.number), row) for row in rows]
+        changes = self._storage.alarms.changes_after(spacecraft_id, position.alarm, _AT_ONCE)
+        events += [FeedEvent("alarm", position._replace(alarm=change.sequence), change) for change in changes]
         sequence = self._storage.archive.head(spacecraft_id).result_sequence
         end = Cursor(
-            entries[-1].number if entries else place.number,
+            entries[-1].number if entries else position.number,
             sequence,
-            changes[-1].sequence if changes else place.alarm,
+            changes[-1].sequence if changes else position.alarm,
         )
-        return [] if end == place else [*events, FeedEvent("status", end, None)]
+        return [] if end == position else [*events, FeedEvent("status", end, None)]

@@ -101,7 +101,7 @@ def consume(chain: Chain, entry: JournalEntry, archive: Archive, spacecraft_id: 
     if isinstance(content, Measurement):
         yield from _step(chain, content, is_catch_up=False)
         return
-    chain.learn(content)
+    chain.update(content)
     if isinstance(content, AlignmentSet) and chain.knowledge.alignment is not None:
         after_us = chain.knowledge.alignment.epoch_us
         for measurement in archive.measurements_after(spacecraft_id, after_us, entry.number):
@@ -129,7 +129,7 @@ def prepare(chain: Chain, archive: Archive, spacecraft_id: str, before_number: i
             entries += [e for e in _inputs(archive, spacecraft_id, kind, of_kind) if e.number < before_number]
     for entry in sorted(entries, key=lambda entry: entry.number):
         if not isinstance(entry.content, Measurement):
-            chain.learn(entry.content)
+            chain.update(entry.content)
 
 
 def _inputs(archive: Archive, spacecraft_id: str, kind: str, window: Window) -> Iterator[JournalEntry]:

@@ -14,10 +14,10 @@ from service.ports import Lease
 
 _LOG = logging.getLogger("soo.leading")
 #: between two looks at the lease, s
-LOOK_S = 1.0
+POLL_S = 1.0
 
 #: turn in which this service leads, 0 when it does not
-Turn = Callable[[], int]
+Term = Callable[[], int]
 
 
 def always() -> int:
@@ -60,7 +60,7 @@ class Leading:
             Called at the begin of each turn.
         """
         self._taking_over = tuple(taking_over)
-        self._look()
+        self._poll()
         if not self._is_leading:
             _LOG.info("another service leads; this one takes rows and answers, and takes over when the other ends")
         self._thread = threading.Thread(target=self._run, name="soo-leading", daemon=True)
@@ -75,13 +75,13 @@ class Leading:
         self._lease.give_back()
 
     def _run(self) -> None:
-        while not self._stopping.wait(LOOK_S):
+        while not self._stopping.wait(POLL_S):
             try:
-                self._look()
+                self._poll()
             except Exception:  # noqa: BLE001 the thread outlives every fault; it is asked again
                 _LOG.exception("the lease could not be looked at")
 
-    def _look(self) -> None:
+    def _poll(self) -> None:
         """Ask whether the lease is ours; begin a turn when it has become so."""
         if self._is_leading:
             if not self._lease.is_held():

@@ -40,7 +40,7 @@ class _Kept:
         while self.rows > _KEPT_ROWS:
             self.drop_first()
 
-    def take_next(self, number: int) -> _Stored | None:
+    def pop_next(self, number: int) -> _Stored | None:
         """Give away the batch with the row behind a number, if it is here; what lies before it is let go of."""
         while self.batches and self.batches[0].last <= number:
             self.drop_first()
@@ -79,7 +79,7 @@ class FreshRows:
         reached = number
         with self._lock:
             kept = self._kept.setdefault(spacecraft_id, _Kept())
-            while reached < number + limit and (stored := kept.take_next(reached)) is not None:
+            while reached < number + limit and (stored := kept.pop_next(reached)) is not None:
                 taken.append(stored)
                 reached = stored.last
         rows = (row for each in taken for row in stored_rows(each.batch, each.receipt))

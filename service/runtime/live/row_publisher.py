@@ -31,20 +31,20 @@ class RowPublisher:
         self._feed = feed
         self._lock = Lock()
         #: journal number up to which all is told, or was in the archive before anybody could listen
-        self._told: dict[str, int] = {}
+        self._reported: dict[str, int] = {}
 
     def begin(self, spacecraft_id: str, number: int) -> None:
         """Say that a journal is followed from behind a number."""
         with self._lock:
-            self._told[spacecraft_id] = max(number, self._told.get(spacecraft_id, 0))
+            self._reported[spacecraft_id] = max(number, self._reported.get(spacecraft_id, 0))
 
     def stored(self, batch: MeasurementBatch, receipt: BatchReceipt) -> None:
         """Tell of a batch that was committed just now, if it comes next; called in the order of commits."""
         if receipt.first_number is None or receipt.accepted > _ROWS_AT_ONCE or not is_whole(batch, receipt):
             return
         with self._lock:
-            if self._told.get(batch.spacecraft_id) == receipt.first_number - 1:
-                self._told[batch.spacecraft_id] = receipt.first_number + receipt.accepted - 1
+            if self._reported.get(batch.spacecraft_id) == receipt.first_number - 1:
+                self._reported[batch.spacecraft_id] = receipt.first_number + receipt.accepted - 1
                 # who subscribes from here on finds the rows in the archive
                 if self._feed.has_subscribers(batch.spacecraft_id):
                     self._publish(batch.spacecraft_id, tuple(stored_rows(batch, receipt)))
@@ -52,10 +52,10 @@ class RowPublisher:
     def followed(self, spacecraft_id: str, entries: Sequence[JournalEntry]) -> None:
         """Tell of those rows among the next entries of a journal that were not told yet."""
         with self._lock:
-            told = self._told.get(spacecraft_id, 0)
-            self._told[spacecraft_id] = max(told, entries[-1].number)
+            reported = self._reported.get(spacecraft_id, 0)
+            self._reported[spacecraft_id] = max(reported, entries[-1].number)
             if self._feed.has_subscribers(spacecraft_id):
-                rows = (entry.content for entry in entries if entry.number > told)
+                rows = (entry.content for entry in entries if entry.number > reported)
                 self._publish(spacecraft_id, tuple(row for row in rows if isinstance(row, Measurement)))
 
     def _publish(self, spacecraft_id: str, rows: Sequence[Measurement]) -> None:
@@ -75,30 +75,30 @@ def stored_rows(batch: MeasurementBatch, receipt: BatchReceipt) -> Iterator[Meas
     power_dbm = batch.power_dbm.astype(np.float32).astype(np.float64)
     power_dbm.setflags(write=False)
     is_late = [receipt.late > 0] * len(batch.index) if receipt.is_late is None else receipt.is_late.tolist()
-    for place in range(len(batch.index)):
-        given = batch.flags[place]
+    for position in range(len(batch.index)):
+        given = batch.flags[position]
         flags = None if given is None else np.array(given, dtype=np.int64)
         if flags is not None:
             flags.setflags(write=False)
         yield Measurement(
-            epoch_us=int(batch.epochs_us[place]),
+            epoch_us=int(batch.epochs_us[position]),
             received_at_us=batch.received_at_us,
-            number=(receipt.first_number or 0) + place,
+            number=(receipt.first_number or 0) + position,
             source=batch.source,
             plan_id=batch.plan_id,
-            power_dbm=power_dbm[place],
+            power_dbm=power_dbm[position],
             flags=flags,
-            is_late=is_late[place],
+            is_late=is_late[position],
             feeds_estimator=receipt.feeds_estimator,
-            seq=None if batch.first_seq is None else batch.first_seq + int(batch.index[place]),
-            details=_details(batch.details, place),
+            seq=None if batch.first_seq is None else batch.first_seq + int(batch.index[position]),
+            details=_details(batch.details, position),
         )
 
 
-def _details(details: CarrierDetails | None, place: int) -> CarrierDetails | None:
+def _details(details: CarrierDetails | None, position: int) -> CarrierDetails | None:
     """Return what a row states beside its powers, None where it states nothing."""
     if details is None:
         return None
-    figures = details.row(place).astype(np.float64)
-    figures.setflags(write=False)
-    return None if np.isnan(figures).all() else CarrierDetails(*figures)
+    statistics = details.row(position).astype(np.float64)
+    statistics.setflags(write=False)
+    return None if np.isnan(statistics).all() else CarrierDetails(*statistics)

@@ -23,7 +23,7 @@ from service.records.epoch import US_PER_S
 from service.records.levels.attitude import AttitudeRow, Axes, FloatArray, Status
 from service.records.levels.command import AppliedCommand, Pulse, TorqueCommand
 from service.records.levels.measurement import Measurement
-from service.study.closed_loop.plant_process import CommandReport, CraftTruth
+from service.study.closed_loop.plant_process import CommandReport, SpacecraftTruth
 from service.study.closed_loop.released import Releaser
 
 #: the slowest way to the craft takes two minutes
@@ -52,11 +52,11 @@ class ControllerOutput:
 class Controller(Protocol):
     """Decides, row by row, what is sent."""
 
-    def decide(self, measurement: Measurement, truth: CraftTruth, counter: int) -> ControllerOutput:
+    def decide(self, measurement: Measurement, truth: SpacecraftTruth, counter: int) -> ControllerOutput:
         """Return what is to be sent under a counter; only a controller with perfect sensing may read the truth."""
         ...
 
-    def hear(self, reports: tuple[CommandReport, ...]) -> None:
+    def on_input(self, reports: tuple[CommandReport, ...]) -> None:
         """Take what the craft has told of commands."""
         ...
 
@@ -65,11 +65,11 @@ class Controller(Protocol):
 class Idle:
     """Nobody controls."""
 
-    def decide(self, measurement: Measurement, truth: CraftTruth, counter: int) -> ControllerOutput:  # noqa: ARG002
+    def decide(self, measurement: Measurement, truth: SpacecraftTruth, counter: int) -> ControllerOutput:  # noqa: ARG002
         """Return nothing to send."""
         return ControllerOutput()
 
-    def hear(self, reports: tuple[CommandReport, ...]) -> None:
+    def on_input(self, reports: tuple[CommandReport, ...]) -> None:
         """Hear nothing: nothing was sent."""
 
 
@@ -81,7 +81,7 @@ class ByChain:
     #: None = an ideal uplink: what the chain computes counts as applied from its epoch
     release: Releaser | None = None
 
-    def decide(self, measurement: Measurement, truth: CraftTruth, counter: int) -> ControllerOutput:  # noqa: ARG002
+    def decide(self, measurement: Measurement, truth: SpacecraftTruth, counter: int) -> ControllerOutput:  # noqa: ARG002
         """Return what the chain computes from the powers of the row, or what is released of it."""
         outcome = self.chain.step(measurement)
         if outcome is None or outcome.command is None:
@@ -92,13 +92,13 @@ class ByChain:
         if self.release is not None and driving is not None:
             schedule = self.release.wanted(outcome, driving, measurement, counter)
         elif outcome.applied is not None:
-            self.chain.learn(outcome.applied)
+            self.chain.update(outcome.applied)
         return ControllerOutput(schedule, not command.control_allowed, angles)
 
-    def hear(self, reports: tuple[CommandReport, ...]) -> None:
+    def on_input(self, reports: tuple[CommandReport, ...]) -> None:
         """Take what the craft has told of released commands."""
         if self.release is not None:
-            self.release.hear(reports)
+            self.release.on_input(reports)
 
 
 @dataclass
@@ -108,7 +108,7 @@ class ByAngles:
     chain: Chain
     _command: TorqueCommand | None = None
 
-    def decide(self, measurement: Measurement, truth: CraftTruth, counter: int) -> ControllerOutput:  # noqa: ARG002
+    def decide(self, measurement: Measurement, truth: SpacecraftTruth, counter: int) -> ControllerOutput:  # noqa: ARG002
         """Return the angles of the row, inhibited where they are not fit for use."""
         outcome = self.chain.step(measurement)
         driving = None if outcome is None else next((r for r in outcome.rows if r.method is Method.ROBUST), None)
@@ -117,7 +117,7 @@ class ByAngles:
         self._command = outcome.command or self._command
         return ControllerOutput((), not driving.control_allowed, driving.attitude_deg)
 
-    def hear(self, reports: tuple[CommandReport, ...]) -> None:
+    def on_input(self, reports: tuple[CommandReport, ...]) -> None:
         """Tell the chain the mean torque of the pulses that were executed."""
         for report in reports:
             start_us, stop_us = report.executed_from_us, report.executed_until_us
@@ -125,7 +125,7 @@ class ByAngles:
                 continue
             seconds = (stop_us - start_us) / US_PER_S
             pulse = Pulse(start_us, seconds, Axes(*(impulse / seconds for impulse in report.impulse_n_m_s)))
-            self.chain.learn(AppliedCommand(replace(self._command, schedule=(pulse,))))
+            self.chain.update(AppliedCommand(replace(self._command, schedule=(pulse,))))
 
 
 @dataclass
@@ -137,15 +137,15 @@ class ByTruth:
     period_s: float
     _carry_n_m_s: FloatArray = field(default_factory=lambda: np.array(NO_CARRY))
 
-    def decide(self, measurement: Measurement, truth: CraftTruth, counter: int) -> ControllerOutput:  # noqa: ARG002
+    def decide(self, measurement: Measurement, truth: SpacecraftTruth, counter: int) -> ControllerOutput:  # noqa: ARG002
         """Return what the law wants of the truth."""
         row = _row_of_truth(measurement, truth)
-        told = compute_command(row, self.spacecraft, self._carry_n_m_s, self.period_s, TorqueConfig())
-        self._carry_n_m_s = told.carry_n_m_s
-        command = postponed(told.command, self.lead_s)
+        announced = compute_command(row, self.spacecraft, self._carry_n_m_s, self.period_s, TorqueConfig())
+        self._carry_n_m_s = announced.carry_n_m_s
+        command = postponed(announced.command, self.lead_s)
         return ControllerOutput(command.schedule, attitude_deg=truth.attitude_deg)
 
-    def hear(self, reports: tuple[CommandReport, ...]) -> None:
+    def on_input(self, reports: tuple[CommandReport, ...]) -> None:
         """Hear nothing: the truth tells it all."""
 
 
@@ -155,7 +155,7 @@ def postponed(command: TorqueCommand, lead_s: float) -> TorqueCommand:
     return replace(command, schedule=schedule)
 
 
-def _row_of_truth(measurement: Measurement, truth: CraftTruth) -> AttitudeRow:
+def _row_of_truth(measurement: Measurement, truth: SpacecraftTruth) -> AttitudeRow:
     """Return the row that perfect sensing would have led to."""
     return AttitudeRow(
         epoch_us=measurement.epoch_us,
@@ -180,7 +180,7 @@ def _row_of_truth(measurement: Measurement, truth: CraftTruth) -> AttitudeRow:
     )
 
 
-def _rates_of_angles(truth: CraftTruth) -> Axes:
+def _rates_of_angles(truth: SpacecraftTruth) -> Axes:
     """Return how the angles turn: what torques have given, and the exchange of roll and yaw."""
     rates, exchange = truth.rates_deg_s, GEOSTATIONARY_RATE_RAD_S
     yaw_deg, roll_deg, _ = truth.attitude_deg

@@ -43,14 +43,14 @@ def kept(folder: Path, unit: LoopUnit) -> LoopResult | None:
             return None
         flight = None
         if head["flight"] is not None:
-            told = {**head["flight"], "impulse_n_m_s": tuple(head["flight"]["impulse_n_m_s"])}
-            flight = FlownRun(**{name: stored[name] for name in _ARRAYS}, **told)
+            announced = {**head["flight"], "impulse_n_m_s": tuple(head["flight"]["impulse_n_m_s"])}
+            flight = FlownRun(**{name: stored[name] for name in _ARRAYS}, **announced)
     return LoopResult(unit, head["seconds"], head["refusal"], flight)
 
 
-def _unit(told: dict[str, object]) -> LoopUnit:
+def _unit(announced: dict[str, object]) -> LoopUnit:
     """Return the unit of a file."""
-    named = {name: tuple(value) if isinstance(value, list) else value for name, value in told.items()}
+    named = {name: tuple(value) if isinstance(value, list) else value for name, value in announced.items()}
     return LoopUnit(**{**named, "sensing": Sensing(named["sensing"])})  # type: ignore[arg-type]
 
 

@@ -42,7 +42,7 @@ def ground_of(opening: Opening) -> Ground:
         spacecraft=_spacecraft(bodies["spacecraft"], opening.fed_forward),
         carriers=read_carriers(bodies["carriers"]),
         ephemeris=read_ephemeris(bodies["ephemeris"]),
-        news=(),
+        events=(),
         corrections=(),
         phases=windows,
         carrier_ids=opening.carrier_ids,
@@ -60,7 +60,7 @@ def _spacecraft(body: Line, fed_forward: Line | None) -> Spacecraft:
     craft = read_spacecraft(body)
     if fed_forward is None:
         return craft
-    told = FedForwardTorque(
+    announced = FedForwardTorque(
         epoch_us=parse_epoch(fed_forward["epoch"]),
         period_s=fed_forward["period_s"],
         constant_n_m=AxisTorques(**fed_forward["constant_n_m"]),
@@ -69,24 +69,24 @@ def _spacecraft(body: Line, fed_forward: Line | None) -> Spacecraft:
         relative_error=RELATIVE_ERROR,
         axis_relative_error=AXIS_RELATIVE_ERROR,
     )
-    return replace(craft, onboard=replace(craft.onboard, fed_forward_torque=told))
+    return replace(craft, onboard=replace(craft.onboard, fed_forward_torque=announced))
 
 
 def slow_inputs(lines: tuple[Line, ...], documents: JournalDocuments, number: int) -> Iterator[SlowInput]:
     """Yield what some lines of the ground tell the chain; operations are numbered from ``number`` on."""
-    for place, line in enumerate(lines):
+    for position, line in enumerate(lines):
         kind, body = line["kind"], line.get("body", {})
         if kind == "carriers":
             yield documents.add_plan(read_carriers(body))
         elif kind == "ephemeris":
             yield documents.add_ephemeris(read_ephemeris(body))
         elif kind == "operations":
-            yield read_operation(body, number + place)
+            yield read_operation(body, number + position)
         elif kind == "telemetry":
             # numbers of the wheels' speed and of the body's rate are not read by the chain
             yield from read_telemetry(body)
         elif kind == "source":
-            yield SourceSelection(body["source"], number + place)
+            yield SourceSelection(body["source"], number + position)
 
 
 def _is_measured(opening: Opening) -> BoolArray:
@@ -99,10 +99,10 @@ def _one_source(count: int) -> IntArray:
 
 def _references(opening: Opening) -> tuple[ReferenceSeries, ...]:
     """Return the angles of every sensor."""
-    told: dict[str, list[Line]] = {}
+    announced: dict[str, list[Line]] = {}
     for line in opening.ground:
         if line["kind"] == "references":
-            told.setdefault(line["body"]["source"], []).extend(line["body"]["references"])
+            announced.setdefault(line["body"]["source"], []).extend(line["body"]["references"])
     return tuple(
         ReferenceSeries(
             source,
@@ -110,7 +110,7 @@ def _references(opening: Opening) -> tuple[ReferenceSeries, ...]:
             np.array([[_number(one[f"{axis}_deg"]) for axis in AXES] for one in entries]),
             np.array([[_number(one["sigma_deg"][axis]) for axis in AXES] for one in entries]),
         )
-        for source, entries in told.items()
+        for source, entries in announced.items()
     )
 
 

@@ -27,7 +27,7 @@ class PlantFailedError(Exception):
     """The plant ended by itself or refused a schedule; the text is its own."""
 
 
-class CraftTruth(NamedTuple):
+class SpacecraftTruth(NamedTuple):
     """State of the craft at one row; for the judge and for control with perfect sensing."""
 
     epoch_us: int
@@ -47,7 +47,7 @@ class CommandReport(NamedTuple):
     state: str
     #: N m s, of what was executed
     impulse_n_m_s: Axes
-    told_us: int = 0
+    reported_us: int = 0
     #: end of what was executed; None = nothing was
     executed_until_us: int | None = None
     executed_from_us: int | None = None
@@ -57,7 +57,7 @@ class CommandReport(NamedTuple):
 class PlantRow:
     """One row of the operation phase."""
 
-    truth: CraftTruth
+    truth: SpacecraftTruth
     #: (N,) dBm as the archive keeps them; None = a gap, and no schedule is taken
     power_dbm: FloatArray | None
     #: lines of the ground since the row before
@@ -156,8 +156,8 @@ class PlantProcess:
                 epochs_us.append(parse_epoch(line["epoch"]))
                 powers.append(_powers(line))
         carrier_ids = tuple(start["carriers"])
-        told = start.get("fed_forward_torque")
-        return Opening(carrier_ids, start["closed_rows"], tuple(ground), tuple(epochs_us), np.array(powers), told)
+        announced = start.get("fed_forward_torque")
+        return Opening(carrier_ids, start["closed_rows"], tuple(ground), tuple(epochs_us), np.array(powers), announced)
 
     def rows(self) -> Iterator[PlantRow]:
         """Yield the rows of operation; after each one with powers a schedule must be sent."""
@@ -195,8 +195,8 @@ class PlantProcess:
         """Return the next line."""
         text = "" if self._process.stdout is None else self._process.stdout.readline()
         if not text:
-            told = "" if self._process.stderr is None else self._process.stderr.read().strip()
-            last = told.splitlines()[-1] if told else "no reason given"
+            announced = "" if self._process.stderr is None else self._process.stderr.read().strip()
+            last = announced.splitlines()[-1] if announced else "no reason given"
             raise PlantFailedError(f"the plant ended early: {last}")
         line: Line = json.loads(text)
         return line
@@ -205,7 +205,7 @@ class PlantProcess:
 def _row(here: _Gathered, power_dbm: FloatArray | None) -> PlantRow:
     """Return what was gathered as a row."""
     line = here.truth or {}
-    truth = CraftTruth(
+    truth = SpacecraftTruth(
         parse_epoch(line["epoch"]),
         Axes(*(float(line[f"{axis}_deg"]) for axis in _AXES)),
         Axes(**line["rates_deg_s"]),
@@ -224,8 +224,8 @@ def _report(line: Line) -> CommandReport:
 
 def _powers(line: Line) -> FloatArray:
     """Return powers as the archive keeps them: float32, NaN = absent."""
-    told = [np.nan if level is None else level for level in line["power_dbm"]]
-    return np.array(told, dtype=np.float32).astype(np.float64)
+    announced = [np.nan if level is None else level for level in line["power_dbm"]]
+    return np.array(announced, dtype=np.float32).astype(np.float64)
 
 
 def _element(pulse: Pulse) -> Line:

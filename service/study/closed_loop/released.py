@@ -38,7 +38,7 @@ class Released:
     slew_stop_us: int
     is_reported: bool = False
     #: pulses that the chain has heard of as executed
-    told: int = 0
+    announced: int = 0
 
     def executed(self, until_us: int) -> tuple[Pulse, ...]:
         """Return what has begun by an epoch."""
@@ -96,10 +96,10 @@ class Releaser:
         slew_s = self.config.slew_share * self.spacecraft.control.command_period_s
         self._flying.append(Released(counter, command, command.epoch_us + round(slew_s * US_PER_S)))
         self._due_us = now_us + round(self.spacecraft.control.command_period_s * US_PER_S)
-        self.chain.learn(ReleasedCommand(counter, now_us, command.schedule))
+        self.chain.update(ReleasedCommand(counter, now_us, command.schedule))
         return command.schedule
 
-    def hear(self, reports: Sequence[CommandReport]) -> None:
+    def on_input(self, reports: Sequence[CommandReport]) -> None:
         """Tell the chain what the craft has told."""
         for report in reports:
             for flying in self._flying:
@@ -109,25 +109,25 @@ class Releaser:
     def _take(self, flying: Released, report: CommandReport) -> None:
         """Take one report of one command."""
         if report.state not in _EXECUTED or report.executed_until_us is None:
-            self._report(flying, (), report.told_us)
+            self._report(flying, (), report.reported_us)
             self._flying.remove(flying)
             return
         executed = flying.executed(report.executed_until_us)
         if flying.is_reported:
-            later = executed[flying.told :]
-            flying.told = len(executed)
+            later = executed[flying.announced :]
+            flying.announced = len(executed)
             if later:
-                self.chain.learn(AppliedCommand(replace(flying.command, schedule=later)))
+                self.chain.update(AppliedCommand(replace(flying.command, schedule=later)))
         elif report.state == "executed" or report.executed_until_us >= flying.slew_end_us:
-            self._report(flying, executed, report.told_us)
+            self._report(flying, executed, report.reported_us)
         if report.state == "executed":
             self._flying.remove(flying)
 
-    def _report(self, flying: Released, executed: tuple[Pulse, ...], told_us: int) -> None:
+    def _report(self, flying: Released, executed: tuple[Pulse, ...], reported_us: int) -> None:
         """Report a command to the chain, once."""
         if not flying.is_reported:
-            flying.is_reported, flying.told = True, len(executed)
-            self.chain.learn(ReportedCommand(flying.counter, told_us, executed))
+            flying.is_reported, flying.announced = True, len(executed)
+            self.chain.update(ReportedCommand(flying.counter, reported_us, executed))
 
     def _give_up(self, now_us: int) -> None:
         """Report what the craft should have told and has not: nothing of it was executed."""

@@ -85,5 +85,5 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _triple(values: tuple[float, float, float], places: int) -> str:
-    return "/".join(f"{value:.{places}f}" for value in values)
+def _triple(values: tuple[float, float, float], positions: int) -> str:
+    return "/".join(f"{value:.{positions}f}" for value in values)

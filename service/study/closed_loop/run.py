@@ -24,7 +24,7 @@ from service.study.closed_loop.controllers import (
     Sensing,
 )
 from service.study.closed_loop.ground_knowledge import ground_of, slow_inputs
-from service.study.closed_loop.plant_process import CraftTruth, PlantProcess, PlantRow
+from service.study.closed_loop.plant_process import PlantProcess, PlantRow, SpacecraftTruth
 from service.study.closed_loop.released import Releaser
 from service.study.estimation.flight.drive import UndrivenError, align, calibrate
 from service.study.estimation.flight.journal import JournalDocuments
@@ -130,7 +130,7 @@ def controller_of(unit: LoopUnit, ground: Ground, documents: JournalDocuments, p
     config = _config(unit)
     chain = Chain(documents, config, methods=(Method.ROBUST,))
     for content in (*opening, CalibrationActivation(1, 1), AlignmentSet(1)):
-        chain.learn(content)
+        chain.update(content)
     if unit.mode == "onboard":
         return ByAngles(chain)
     return ByChain(chain, None if is_ideal else Releaser(chain, spacecraft, LEAD_S, config.torque))
@@ -168,13 +168,13 @@ class GroundJournal:
     plan_id: int
     number: int = 0
 
-    def learn(self, row: PlantRow, controller: Controller) -> None:
+    def update(self, row: PlantRow, controller: Controller) -> None:
         """Take what the ground was told."""
         for content in slow_inputs(row.ground, self.documents, 1000 * self.number):
             if isinstance(content, PlanChange):
                 self.plan_id = content.plan_id
             if isinstance(controller, ByChain | ByAngles):
-                controller.chain.learn(content)
+                controller.chain.update(content)
 
     def measurement(self, row: PlantRow) -> Measurement:
         """Return the powers of a row in the order of the plan."""
@@ -196,13 +196,13 @@ def _product(epoch_us: int, counter: int, decision: ControllerOutput) -> dict[st
 
 def _fly(plant: PlantProcess, controller: Controller, journal: GroundJournal, unit: LoopUnit) -> FlownRun:
     """Fly to the end of the story."""
-    truth: list[CraftTruth] = []
+    truth: list[SpacecraftTruth] = []
     estimates, inhibited, faded = [], [], []
     impulse, reported, sent = np.zeros(3), dict.fromkeys(STATES, 0), 0
     nothing = (np.nan,) * 3
     for row in plant.rows():
-        journal.learn(row, controller)
-        controller.hear(row.reports)
+        journal.update(row, controller)
+        controller.on_input(row.reports)
         for report in row.reports:
             reported[report.state] += 1
             if report.state == "executed":
@@ -214,9 +214,11 @@ def _fly(plant: PlantProcess, controller: Controller, journal: GroundJournal, un
             if unit.mode == "onboard":
                 first_us = truth[0].epoch_us if truth else row.truth.epoch_us
                 silent_h = (row.truth.epoch_us - first_us) / 3.6e9 - unit.silence_h[0]
-                told = None if 0.0 <= silent_h < unit.silence_h[1] else _product(row.truth.epoch_us, sent + 1, decision)
-                sent += told is not None
-                plant.send((), None, told)
+                announced = (
+                    None if 0.0 <= silent_h < unit.silence_h[1] else _product(row.truth.epoch_us, sent + 1, decision)
+                )
+                sent += announced is not None
+                plant.send((), None, announced)
                 is_inhibited = row.truth.is_holding
             else:
                 sent += bool(decision.schedule)

@@ -51,11 +51,11 @@ def check_replay(
     }
 
 
-def missed_promises(figures: Mapping[str, Any]) -> list[str]:
+def missed_promises(statistics: Mapping[str, Any]) -> list[str]:
     """Return which promises of the archive the figures break, in words."""
     missed = [
-        f"{name} is {figures[name]}, not 0"
+        f"{name} is {statistics[name]}, not 0"
         for name in ("rows_lost", "rows_not_measured", "replay_rows_different")
-        if figures[name] != 0
+        if statistics[name] != 0
     ]
-    return missed if figures["replay_rows"] else [*missed, "the replay has no rows"]
+    return missed if statistics["replay_rows"] else [*missed, "the replay has no rows"]

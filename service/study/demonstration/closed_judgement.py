@@ -26,7 +26,7 @@ class FlightAlone(NamedTuple):
     #: (T, 3) deg, yaw, roll, pitch
     flown_deg: FloatArray
 
-    def figures(self) -> dict[str, Any]:
+    def statistics(self) -> dict[str, Any]:
         """Return its figures, and how long it kept all bounds."""
         is_beyond = (np.abs(self.flown_deg) >= list(TRUTH_BOUNDS_DEG.values())).any(axis=1)
         return {
@@ -60,7 +60,7 @@ def judge_control(story: Story, log: ControlLog, alone: FlightAlone) -> dict[str
         "inhibited_share": round(log.inhibited_rows / max(log.rows, 1), 4),
         "inhibited_rows": dict(log.inhibitions),
         "missed": missed_truth(flown),
-        "control_off": alone.figures(),
+        "control_off": alone.statistics(),
     }
 
 

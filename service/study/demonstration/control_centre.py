@@ -11,7 +11,7 @@ from service.client.documents import Json
 from service.client.service_client import ServiceClient
 from service.records.epoch import US_PER_S, parse_epoch
 from service.study.demonstration.merit import AXES
-from service.study.demonstration.spacecraft_line import CraftLine, CraftReport
+from service.study.demonstration.spacecraft_line import SpacecraftLine, SpacecraftReport
 
 _COMMAND_TIMEOUT_S = 120.0
 #: a command of which nothing was heard so long after its end is lost
@@ -49,7 +49,7 @@ class ControlLog:
     impulse_n_m_s: dict[str, float] = field(default_factory=lambda: dict.fromkeys(AXES, 0.0))
     newest_us: int = 0
 
-    def hear(self, report: CraftReport) -> None:
+    def on_input(self, report: SpacecraftReport) -> None:
         """Take what the craft tells of a command."""
         command = self.sent[report.counter]
         if report.state == "repeated":
@@ -64,12 +64,12 @@ class ControlLog:
     def counts(self) -> dict[str, int]:
         """Return how many commands went up and what became of them."""
         states = Counter(command.state for command in self.sent.values())
-        told = {name: states[name] for name in ("executed", "executing", "replaced", "late", "refused")}
+        reported = {name: states[name] for name in ("executed", "executing", "replaced", "late", "refused")}
         overdue_us = self.newest_us - _OVERDUE_S * US_PER_S
         silent = [command for command in self.sent.values() if not command.state]
         lost = sum(command.stop_us <= overdue_us for command in silent)
         twice = sum(command.is_twice for command in self.sent.values())
-        return {"sent": len(self.sent), **told, "lost": lost, "under_way": len(silent) - lost, "twice": twice}
+        return {"sent": len(self.sent), **reported, "lost": lost, "under_way": len(silent) - lost, "twice": twice}
 
 
 @dataclass
@@ -80,12 +80,12 @@ class ControlCentre:
     ----------
     client : ServiceClient
         Of the service.
-    line : CraftLine
+    line : SpacecraftLine
         Way to the craft.
     """
 
     client: ServiceClient
-    line: CraftLine
+    line: SpacecraftLine
     log: ControlLog = field(default_factory=ControlLog)
     #: time that a command usually takes, s
     _usual_s: float = 0.02
@@ -95,13 +95,13 @@ class ControlCentre:
 
         Raises
         ------
-        CraftLineError
+        SpacecraftLineError
             The schedule was refused.
         TimeoutError
             The service computed no command of this row.
         """
         for report in self.line.await_flown(epoch):
-            self.log.hear(report)
+            self.log.on_input(report)
         command = self._await_command(spacecraft_id, epoch)
         self.log.newest_us = parse_epoch(epoch)
         self.log.rows += 1

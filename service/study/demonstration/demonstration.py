@@ -24,7 +24,7 @@ from service.study.demonstration.control_centre import ControlCentre
 from service.study.demonstration.ground_link import GroundLink
 from service.study.demonstration.merit import AXES
 from service.study.demonstration.processes import ChildProcess, FrontEnd
-from service.study.demonstration.spacecraft_line import CraftLine
+from service.study.demonstration.spacecraft_line import SpacecraftLine
 
 #: wait for rows that are on their way, s
 _ARRIVAL_TIMEOUT_S = 120.0
@@ -137,7 +137,7 @@ def run_story(directory: Path, endpoints: Endpoints, client: ServiceClient, show
     with ExitStack() as stack:
         link = stack.enter_context(GroundLink(*endpoints.ground))
         if endpoints.uplink is not None:
-            story.centre = ControlCentre(client, stack.enter_context(CraftLine(*endpoints.uplink)))
+            story.centre = ControlCentre(client, stack.enter_context(SpacecraftLine(*endpoints.uplink)))
         station: FrontEnd | None = None
         for message in link.messages():
             if message["kind"] in _ENDS_A_TASK and station is not None and station.is_running:
@@ -146,7 +146,7 @@ def run_story(directory: Path, endpoints: Endpoints, client: ServiceClient, show
                 if message["kind"] == "carriers" and "calibration" not in story.catalogue and _is_turned(story):
                     # what the turns taught belongs to the plan under which they were flown
                     _calibrate(story, client, show)
-            _learn(story, client, message)
+            _update(story, client, message)
             if message["kind"] != "hold":
                 continue
             station = station or stack.enter_context(front_end(directory, endpoints, story.spacecraft_id))
@@ -205,7 +205,7 @@ def _select_source(story: Story, client: ServiceClient) -> None:
     story.catalogue["prime"] = story.source
 
 
-def _learn(story: Story, client: ServiceClient, message: dict[str, Any]) -> None:
+def _update(story: Story, client: ServiceClient, message: dict[str, Any]) -> None:
     """Forward one line to the service; the truth is kept for the judge, the task for the front end."""
     kind = message["kind"]
     if kind in _KEEP:

@@ -46,7 +46,7 @@ def tracked_angles(story: Story, client: ServiceClient, method: str) -> TrackedA
     )
 
 
-class MethodFigures(NamedTuple):
+class MethodStatistics(NamedTuple):
     """What one method made of the operation phase."""
 
     rows: int
@@ -56,13 +56,13 @@ class MethodFigures(NamedTuple):
     zeros: dict[str, AxisMerit]
 
 
-def judge_method(story: Story, client: ServiceClient, method: str) -> MethodFigures:
+def judge_method(story: Story, client: ServiceClient, method: str) -> MethodStatistics:
     """Return the figures of one method after settling, and those of the answer that never moves."""
     tracked = tracked_angles(story, client, method)
     is_judged = tracked.epochs_us >= parse_epoch(story.phases["operation"][0]) + _SETTLING_US
     estimate, truth = tracked.estimate_deg[is_judged], tracked.truth_deg[is_judged]
     allowed = tracked.is_control_allowed[is_judged]
-    return MethodFigures(
+    return MethodStatistics(
         len(tracked.epochs_us),
         len(truth),
         round(float(allowed.mean()), 4) if len(allowed) else 0.0,

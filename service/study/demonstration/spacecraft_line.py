@@ -10,17 +10,17 @@ from service.client.documents import Json
 _AXES = ("yaw", "roll", "pitch")
 
 
-class CraftLineError(Exception):
+class SpacecraftLineError(Exception):
     """The line to the craft broke, or a schedule was refused on the way to it; the text says why."""
 
 
-class CraftReport(NamedTuple):
+class SpacecraftReport(NamedTuple):
     """What the craft tells of a command."""
 
     counter: int
     #: executed, executing, replaced, repeated, late or refused
     state: str
-    told: str
+    reported: str
     #: of the elements that were executed; None = nothing was
     executed_from: str | None
     executed_until: str | None
@@ -28,7 +28,7 @@ class CraftReport(NamedTuple):
     impulse_n_m_s: dict[str, float]
 
 
-class CraftLine:
+class SpacecraftLine:
     """Client of the uplink port.
 
     Parameters
@@ -42,7 +42,7 @@ class CraftLine:
     def __init__(self, host: str, port: int, timeout_s: float = 120.0) -> None:
         self._socket = socket.create_connection((host, port), timeout=timeout_s)
         self._lines = self._socket.makefile("rb")
-        self._reports: list[CraftReport] = []
+        self._reports: list[SpacecraftReport] = []
         self._flown = ""
         try:
             #: torque that the loop on board feeds forward, as the catalogue states one; None = nothing was said of it
@@ -67,29 +67,29 @@ class CraftLine:
 
         Raises
         ------
-        CraftLineError
+        SpacecraftLineError
             It was refused.
         """
         line = json.dumps({"schedule": list(schedule), "counter": counter})
         self._socket.sendall(line.encode() + b"\n")
         self._take("taken")
 
-    def await_flown(self, epoch: str) -> list[CraftReport]:
+    def await_flown(self, epoch: str) -> list[SpacecraftReport]:
         """Wait until the craft has come to the row of an epoch and return what it has told since the last call."""
         while self._flown < epoch:
             self._flown = self._take("flown")["epoch"]
-        told, self._reports = self._reports, []
-        return told
+        reported, self._reports = self._reports, []
+        return reported
 
     def _take(self, wanted: str) -> Json:
         """Return the next line of a type; reports before it are kept."""
         while True:
             text = self._lines.readline()
             if not text:
-                raise CraftLineError("the craft has closed its line")
+                raise SpacecraftLineError("the craft has closed its line")
             line: Json = json.loads(text)
             if line["type"] == "error":
-                raise CraftLineError(f"the craft's line refused: {line['detail']}")
+                raise SpacecraftLineError(f"the craft's line refused: {line['detail']}")
             if line["type"] == "report":
                 self._reports.append(_report(line))
             if line["type"] == "flown":
@@ -98,9 +98,9 @@ class CraftLine:
                 return line
 
 
-def _report(line: Json) -> CraftReport:
+def _report(line: Json) -> SpacecraftReport:
     nothing = dict.fromkeys(_AXES, 0.0)
-    return CraftReport(
+    return SpacecraftReport(
         line["counter"],
         line["state"],
         line["told"],

@@ -18,7 +18,7 @@ AXES = ("yaw", "roll", "pitch")
 MIN_ANSWERED = 0.9
 
 #: figures by name, ``quantity.axis`` where there is one for each axis
-Figures = dict[str, float]
+Statistics = dict[str, float]
 
 
 class Accuracy(NamedTuple):
@@ -66,7 +66,7 @@ def measure_accuracy(estimate_deg: FloatArray, sigma_deg: FloatArray, truth_deg:
     )
 
 
-def accuracy_figures(seeds: Sequence[Accuracy]) -> Figures:
+def accuracy_statistics(seeds: Sequence[Accuracy]) -> Statistics:
     """Return the figures of one answer over the seeds of a scenario; NaN where any seed has none."""
     square = np.mean([seed.mean_square_error for seed in seeds], axis=0)
     truth = np.mean([seed.mean_square_truth for seed in seeds], axis=0)
@@ -84,5 +84,5 @@ def accuracy_figures(seeds: Sequence[Accuracy]) -> Figures:
             "slope": covariance / variance,
             "rms_over_sigma": np.sqrt(square / sigma),
         }
-    figures = {f"{name}.{axis}": float(values[k]) for name, values in by_axis.items() for k, axis in enumerate(AXES)}
-    return {**figures, "answered": float(np.mean([seed.answered for seed in seeds]))}
+    statistics = {f"{name}.{axis}": float(values[k]) for name, values in by_axis.items() for k, axis in enumerate(AXES)}
+    return {**statistics, "answered": float(np.mean([seed.answered for seed in seeds]))}

@@ -7,7 +7,7 @@ earlier trial of the method reached and is to be beaten.
 
 from collections.abc import Sequence
 
-from service.study.estimation.bounds import Bound, Limit, around, at_least, at_most
+from service.study.estimation.bounds import Bound, Limit, at_least, at_most, within
 
 METHOD, ASKED, PROTOTYPE = "goals of the method", "asked of this version", "study prototype"
 _AXES = ("yaw", "roll", "pitch")
@@ -74,7 +74,7 @@ def _skill() -> list[Bound]:
     return [
         *_angles("nominal", "skill", _skills((0.0, 0.80, 0.75)), _skills((0.3, 0.90, 0.88))),
         *_angles("octants", "skill", _skills((0.70, 0.97, 0.97)), _skills((0.85, 0.99, 0.99)), is_goal_asked=True),
-        *_angles("octants", "slope", [around(1.0, 0.15)] * 3, [around(1.0, 0.05)] * 3),
+        *_angles("octants", "slope", [within(1.0, 0.15)] * 3, [within(1.0, 0.05)] * 3),
         *_angles("yaw_hold", "skill", _skills((0.50, 0.85, 0.70)), _skills((0.75, 0.95, 0.90)), is_goal_asked=True),
         Bound("octants", "rms_deg.roll", at_most(0.08), None, METHOD, "paper"),
         Bound("octants", "rms_deg.pitch", at_most(0.10), None, METHOD, "paper"),
@@ -160,7 +160,7 @@ def _snapshot() -> list[Bound]:
     return [
         *_angles("snapshot", "over_bound_true", (1.05,) * 3, (1.02,) * 3, is_goal_asked=True),
         *_angles("snapshot", "over_bound_fitted", (1.25,) * 3, (1.10,) * 3),
-        Bound("snapshot", "yaw_scale", around(1.0, 0.10), around(1.0, 0.03), METHOD, is_goal_asked=True),
+        Bound("snapshot", "yaw_scale", within(1.0, 0.10), within(1.0, 0.03), METHOD, is_goal_asked=True),
         Bound("snapshot", "breakdown", at_least(5.0), at_least(6.0), METHOD, is_goal_asked=True),
         Bound("snapshot", "level_day1_db", at_most(0.05), at_most(0.02), METHOD),
         Bound("snapshot", "level_day7_db", at_most(0.12), at_most(0.05), METHOD),

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
-from service.study.estimation.accuracy import Figures
+from service.study.estimation.accuracy import Statistics
 
 #: figures of an answer's errors: those that an answer without any powers can be held to as well
 _ACCURACY = ("rms_deg", "p95_deg", "max_deg", "skill", "slope")
@@ -54,7 +54,7 @@ def at_least(low: float) -> Limit:
     return Limit(low, math.inf)
 
 
-def around(centre: float, reach: float) -> Limit:
+def within(centre: float, reach: float) -> Limit:
     """Return the limit to both sides."""
     return Limit(round(centre - reach, 9), round(centre + reach, 9))
 
@@ -99,11 +99,11 @@ class Judged(NamedTuple):
 
 
 #: figures by scenario and method or baseline
-FiguresOf = Mapping[tuple[str, str], Figures]
+StatisticsOf = Mapping[tuple[str, str], Statistics]
 
 
 #: figures of what an operation phase that is cut short may not hold, or that need another scenario beside their own
-OPTIONAL_FIGURES = (
+OPTIONAL_STATISTICS = (
     "shift_deg",
     "left_deg",
     "alarm_delay",
@@ -119,24 +119,24 @@ OPTIONAL_FIGURES = (
 )
 
 
-def judge(bounds: Iterable[Bound], figures: FiguresOf) -> tuple[Judged, ...]:
+def judge(bounds: Iterable[Bound], statistics: StatisticsOf) -> tuple[Judged, ...]:
     """Return every bound with its value and mark, in the order of the bounds.
 
     A scenario that was run and lacks a figure that is bounded has missed it: a method that did not answer, a rain that
     did not come.
     """
-    run = {scenario for scenario, _method in figures}
+    run = {scenario for scenario, _method in statistics}
     judged = []
     for bound in bounds:
-        value = figures.get((bound.scenario, bound.method), {}).get(bound.figure)
-        if value is None and bound.scenario in run and not bound.figure.startswith(OPTIONAL_FIGURES):
+        value = statistics.get((bound.scenario, bound.method), {}).get(bound.figure)
+        if value is None and bound.scenario in run and not bound.figure.startswith(OPTIONAL_STATISTICS):
             value = math.nan
         judged.append(Judged(bound, value, bound.mark(value)))
     return tuple(judged)
 
 
 def idle_baselines(
-    bounds: Sequence[Bound], figures: FiguresOf, baselines: Iterable[str]
+    bounds: Sequence[Bound], statistics: StatisticsOf, baselines: Iterable[str]
 ) -> tuple[tuple[str, str], ...]:
     """Return scenario and baseline wherever an answer without powers keeps every bound of accuracy.
 
@@ -150,8 +150,8 @@ def idle_baselines(
         (scenario, baseline)
         for scenario, own in needed.items()
         for baseline in baselines
-        if (scenario, baseline) in figures
-        and all(_keeps(bound, figures[scenario, baseline].get(bound.figure)) for bound in own)
+        if (scenario, baseline) in statistics
+        and all(_keeps(bound, statistics[scenario, baseline].get(bound.figure)) for bound in own)
     )
 
 

@@ -19,19 +19,19 @@ from importlib.metadata import version
 from types import FrameType
 from typing import NamedTuple, NoReturn, TypeVar
 
-from service.study.estimation.accuracy import Figures, accuracy_figures
+from service.study.estimation.accuracy import Statistics, accuracy_statistics
 from service.study.estimation.baselines import BASELINES
 from service.study.estimation.bound_table import BOUNDS
 from service.study.estimation.bounds import Bound, Judged, Mark, idle_baselines, judge
 from service.study.estimation.flight.drive import UndrivenError
-from service.study.estimation.measures import figures_of
-from service.study.estimation.nights import night_figures
+from service.study.estimation.measures import statistics_of
+from service.study.estimation.nights import night_statistics
 from service.study.estimation.scenarios import SNAPSHOT
-from service.study.estimation.trials.snapshot_trials import SnapshotTrials, run_trials, trial_figures
+from service.study.estimation.trials.snapshot_trials import SnapshotTrials, run_trials, trial_statistics
 from service.study.estimation.unit import Course, Unit, UnitResult, run_unit
 
 _Asked = TypeVar("_Asked")
-_Told = TypeVar("_Told")
+_Message = TypeVar("_Message")
 
 METHODS = ("robust", "paper")
 #: the slope of yaw scatters by 0.1 from calibration to calibration; its mean is to be judged to 0.03
@@ -58,7 +58,7 @@ class Campaign:
     #: of every unit, in the order of scenarios and seeds
     results: tuple[UnitResult, ...]
     #: by scenario and method or baseline
-    figures: dict[tuple[str, str], Figures]
+    statistics: dict[tuple[str, str], Statistics]
     judged: tuple[Judged, ...]
     #: scenario and baseline that keeps all its bounds of accuracy
     idle: tuple[tuple[str, str], ...]
@@ -93,63 +93,63 @@ def run_campaign(plan: CampaignPlan, show: Show) -> Campaign:
     units = [Unit(name, seed, plan.operation_days) for name in plan.scenarios if name != SNAPSHOT for seed in seeds]
     trials = range(1, max(plan.seeds, _SNAPSHOT_SEEDS) + 1) if SNAPSHOT in plan.scenarios else range(0)
     with process_pool(plan.workers) as pool:
-        told: dict[Future[UnitResult], Unit] = {
+        reported: dict[Future[UnitResult], Unit] = {
             pool.submit(do_work, run_unit, unit): unit for unit in _longest_first(units)
         }
         tried = [pool.submit(do_work, _trials, seed) for seed in trials]
-        everything: list[Future[UnitResult] | Future[SnapshotTrials | None]] = [*told, *tried]
+        everything: list[Future[UnitResult] | Future[SnapshotTrials | None]] = [*reported, *tried]
         for number, done in enumerate(as_completed(everything), start=1):
             done.result()
             show(number, len(everything))
-    by_unit = {unit: future.result() for future, unit in told.items()}
+    by_unit = {unit: future.result() for future, unit in reported.items()}
     results = tuple(by_unit[unit] for unit in units)
-    figures = collect_figures(results)
+    statistics = collect_metrics(results)
     if tried:
-        told_trials = [trial for future in tried if (trial := future.result()) is not None]
+        reported_trials = [trial for future in tried if (trial := future.result()) is not None]
         # a calibration that was refused misses every bound
-        figures[SNAPSHOT, "robust"] = trial_figures(told_trials) if len(told_trials) == len(tried) else {}
-    return assess(plan, time.monotonic() - began_s, results, figures)
+        statistics[SNAPSHOT, "robust"] = trial_statistics(reported_trials) if len(reported_trials) == len(tried) else {}
+    return assess(plan, time.monotonic() - began_s, results, statistics)
 
 
 def assess(
     plan: CampaignPlan,
     seconds: float,
     results: tuple[UnitResult, ...],
-    figures: dict[tuple[str, str], Figures],
+    statistics: dict[tuple[str, str], Statistics],
     bounds: Sequence[Bound] = BOUNDS,
 ) -> Campaign:
     """Return a campaign with its figures held against the bounds; what was not run is left out."""
-    run = {scenario for scenario, _method in figures} | {result.unit.scenario for result in results}
+    run = {scenario for scenario, _method in statistics} | {result.unit.scenario for result in results}
     own = [bound for bound in bounds if bound.scenario in run]
-    silent = {(scenario, method): Figures() for scenario in run for method in METHODS}
-    judged = judge(own, {**silent, **figures})
-    return Campaign(plan, seconds, results, figures, judged, idle_baselines(own, figures, BASELINES))
+    silent = {(scenario, method): Statistics() for scenario in run for method in METHODS}
+    judged = judge(own, {**silent, **statistics})
+    return Campaign(plan, seconds, results, statistics, judged, idle_baselines(own, statistics, BASELINES))
 
 
-def collect_figures(results: Sequence[UnitResult]) -> dict[tuple[str, str], Figures]:
+def collect_metrics(results: Sequence[UnitResult]) -> dict[tuple[str, str], Statistics]:
     """Return the figures of every method and baseline over the seeds of each scenario.
 
     A method that did not answer in one of the seeds has no figures of the scenario.
     """
-    figures: dict[tuple[str, str], Figures] = {}
+    statistics: dict[tuple[str, str], Statistics] = {}
     by_scenario: dict[str, list[UnitResult]] = {}
     for result in results:
         by_scenario.setdefault(result.unit.scenario, []).append(result)
     for scenario, seeds in by_scenario.items():
-        figures |= {(scenario, name): told for name, told in _figures_by_answer(seeds).items()}
+        statistics |= {(scenario, name): reported for name, reported in _statistics_by_answer(seeds).items()}
     for method in METHODS:
-        if ("eclipse", method) in figures:
-            figures["eclipse", method] |= night_figures(_courses(by_scenario, "eclipse", "nominal"), method)
-    return figures
+        if ("eclipse", method) in statistics:
+            statistics["eclipse", method] |= night_statistics(_courses(by_scenario, "eclipse", "nominal"), method)
+    return statistics
 
 
-def _figures_by_answer(seeds: Sequence[UnitResult]) -> dict[str, Figures]:
+def _statistics_by_answer(seeds: Sequence[UnitResult]) -> dict[str, Statistics]:
     """Return the figures of one scenario by method or baseline."""
     methods = [method for method in METHODS if all(method in seed.methods for seed in seeds)]
     baselines = [baseline for baseline in BASELINES if all(baseline in seed.baselines for seed in seeds)]
     return {
-        **{method: figures_of([seed.methods[method] for seed in seeds]) for method in methods},
-        **{baseline: accuracy_figures([seed.baselines[baseline] for seed in seeds]) for baseline in baselines},
+        **{method: statistics_of([seed.methods[method] for seed in seeds]) for method in methods},
+        **{baseline: accuracy_statistics([seed.baselines[baseline] for seed in seeds]) for baseline in baselines},
     }
 
 
@@ -222,7 +222,7 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def do_work(run: Callable[[_Asked], _Told], asked: _Asked) -> _Told:
+def do_work(run: Callable[[_Asked], _Message], asked: _Asked) -> _Message:
     """Do one piece of work in a process of the pool, which would take its end for a result and go on."""
     try:
         return run(asked)

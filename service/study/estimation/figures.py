@@ -31,7 +31,7 @@ def draw_campaign(campaign: Campaign, folder: Path) -> list[Path]:
             if result.course is not None:
                 paths.append(folder / f"{scenario}.png")
                 _draw_errors(result.course, f"{scenario}, seed {result.unit.seed}", paths[-1])
-        scenarios = [name for name in first if (name, "zero") in campaign.figures]
+        scenarios = [name for name in first if (name, "zero") in campaign.statistics]
         if scenarios:
             paths.append(folder / "overview.png")
             _draw_overview(campaign, scenarios, paths[-1])
@@ -67,16 +67,18 @@ def _draw_overview(campaign: Campaign, scenarios: Sequence[str], path: Path) -> 
     height = 1.6 + 0.22 * len(scenarios)
     figure = Figure(figsize=(11.0, max(3.0, height)), layout="constrained")
     plots: Sequence[Axes] = figure.subplots(1, 3, sharey=True)
-    places = np.arange(len(scenarios))
+    positions = np.arange(len(scenarios))
     for axis, plot in zip(AXES, plots, strict=True):
         for answer in (*METHODS, *BASELINES):
-            told = [campaign.figures.get((name, answer), {}).get(f"rms_deg.{axis}", np.nan) for name in scenarios]
+            reported = [
+                campaign.statistics.get((name, answer), {}).get(f"rms_deg.{axis}", np.nan) for name in scenarios
+            ]
             marker = _MARKERS.get(answer, "o")
             label = "zero (size of the truth)" if answer == "zero" else answer
-            plot.plot(told, places, marker, color=_COLORS[answer], markersize=5, linestyle="none", label=label)
+            plot.plot(reported, positions, marker, color=_COLORS[answer], markersize=5, linestyle="none", label=label)
         plot.set_xscale("log")
         plot.set_xlabel(f"{axis} rms, deg")
-    plots[0].set_yticks(places, scenarios)
+    plots[0].set_yticks(positions, scenarios)
     plots[0].set_ylim(len(scenarios) - 0.5, -0.5)
     seeds = campaign.plan.seeds
     figure.suptitle("rms error of one seed" if seeds == 1 else f"rms error, mean of {seeds} seeds")

@@ -11,13 +11,13 @@ from typing import NamedTuple
 import numpy as np
 
 from service.records.levels.attitude import BoolArray, FloatArray
-from service.study.estimation.accuracy import AXES, Accuracy, Figures, accuracy_figures, measure_accuracy
+from service.study.estimation.accuracy import AXES, Accuracy, Statistics, accuracy_statistics, measure_accuracy
 from service.study.estimation.flight.drive import Driven, MethodSeries
 from service.study.estimation.flight.episodes import (
     FOUND_WITHIN_MIN,
-    DarkFigures,
-    FaultFigures,
-    RainFigures,
+    DarkStatistics,
+    FaultStatistics,
+    RainStatistics,
     measure_alarms,
     measure_dark,
     measure_faults,
@@ -60,11 +60,11 @@ class Measures(NamedTuple):
 
     accuracy: Accuracy
     control: ControlOutcome
-    rain: RainFigures
-    faults: FaultFigures
+    rain: RainStatistics
+    faults: FaultStatistics
     #: (E, 3) deg, change of the error over each step of a transponder
     group_shift_deg: FloatArray
-    dark: DarkFigures
+    dark: DarkStatistics
     #: (E,) min, and how many begin a day
     alarm_delay_min: FloatArray
     alarms_per_day: float
@@ -139,11 +139,11 @@ def _share(is_so: BoolArray, among: BoolArray) -> float:
     return float(is_so[among].mean()) if among.any() else float("nan")
 
 
-def figures_of(seeds: Sequence[Measures]) -> Figures:
+def statistics_of(seeds: Sequence[Measures]) -> Statistics:
     """Return the figures of one method over the seeds of a scenario."""
-    figures = accuracy_figures([seed.accuracy for seed in seeds])
+    statistics = accuracy_statistics([seed.accuracy for seed in seeds])
     controls = [seed.control for seed in seeds]
-    figures |= {
+    statistics |= {
         "wrong_min": _mean([control.wrong_min for control in controls]),
         "wrong_min.roll_pitch": _mean([control.wrong_roll_pitch_min for control in controls]),
         "wrong_min.yaw": _mean([control.wrong_yaw_min for control in controls]),
@@ -151,12 +151,12 @@ def figures_of(seeds: Sequence[Measures]) -> Figures:
         "yaw_available_dry": _mean([control.yaw_available_dry for control in controls]),
         "alarms_per_day": _mean([seed.alarms_per_day for seed in seeds]),
     }
-    figures |= _worst("alarm_delay_min", [seed.alarm_delay_min for seed in seeds])
-    figures |= _worst("night_off_min", [control.night_off_min for control in controls])
+    statistics |= _worst("alarm_delay_min", [seed.alarm_delay_min for seed in seeds])
+    statistics |= _worst("night_off_min", [control.night_off_min for control in controls])
     shifts = np.concatenate([seed.group_shift_deg for seed in seeds])
     if len(shifts):
-        figures |= {f"group_shift_deg.{axis}": float(shifts[:, k].max()) for k, axis in enumerate(AXES)}
-    return {**figures, **_rain_figures(seeds), **_fault_figures(seeds), **_dark_figures(seeds)}
+        statistics |= {f"group_shift_deg.{axis}": float(shifts[:, k].max()) for k, axis in enumerate(AXES)}
+    return {**statistics, **_rain_statistics(seeds), **_fault_statistics(seeds), **_dark_statistics(seeds)}
 
 
 def _mean(values: Sequence[float]) -> float:
@@ -164,45 +164,45 @@ def _mean(values: Sequence[float]) -> float:
     return float(np.mean(values))
 
 
-def _worst(name: str, seeds: Sequence[FloatArray]) -> Figures:
+def _worst(name: str, seeds: Sequence[FloatArray]) -> Statistics:
     """Return the worst case of all seeds, nothing where there was none."""
     together = np.concatenate(seeds)
     return {name: float(together.max())} if len(together) else {}
 
 
-def _rain_figures(seeds: Sequence[Measures]) -> Figures:
+def _rain_statistics(seeds: Sequence[Measures]) -> Statistics:
     """Return the figures of rain over the receiving site; the false share counts where it is dry throughout, too."""
     rains = [seed.rain for seed in seeds]
     dry = sum(rain.dry_rows for rain in rains)
-    figures = {"rain_false_share": sum(rain.false_rows for rain in rains) / dry} if dry else {}
+    statistics = {"rain_false_share": sum(rain.false_rows for rain in rains) / dry} if dry else {}
     delay_min = np.concatenate([rain.delay_min for rain in rains])
     if len(delay_min):
-        figures |= {
+        statistics |= {
             "rain_delay_median_min": float(np.median(delay_min)),
             "rain_delay_min": float(delay_min.max()),
             "rain_coverage": float(np.mean(np.concatenate([rain.coverage for rain in rains]))),
             "rain_wrong_min": float(np.concatenate([rain.wrong_min for rain in rains]).max()),
         }
-    return figures
+    return statistics
 
 
-def _fault_figures(seeds: Sequence[Measures]) -> Figures:
+def _fault_statistics(seeds: Sequence[Measures]) -> Statistics:
     """Return the figures of faults of single carriers."""
     faults = [seed.faults for seed in seeds]
     clean = sum(fault.clean_pairs for fault in faults)
-    figures = {"false_exclusion_share": sum(fault.false_pairs for fault in faults) / clean} if clean else {}
+    statistics = {"false_exclusion_share": sum(fault.false_pairs for fault in faults) / clean} if clean else {}
     delay_min = np.concatenate([fault.delay_min for fault in faults])
     if len(delay_min):
         found = delay_min <= FOUND_WITHIN_MIN
-        figures |= {
+        statistics |= {
             "faults": float(len(delay_min)),
             "faults_found_share": float(found.mean()),
             "fault_delay_median_min": float(np.median(delay_min)),
         }
-    return figures
+    return statistics
 
 
-def _dark_figures(seeds: Sequence[Measures]) -> Figures:
+def _dark_statistics(seeds: Sequence[Measures]) -> Statistics:
     """Return the figures of times without any carrier."""
     darks = [seed.dark for seed in seeds]
     rows = sum(dark.rows for dark in darks)

@@ -11,7 +11,7 @@ import numpy as np
 
 from service.records.levels.attitude import FloatArray
 from service.records.levels.measurement import Float32Array
-from service.study.estimation.accuracy import AXES, Figures
+from service.study.estimation.accuracy import AXES, Statistics
 from service.study.estimation.flight.episodes import stretches
 from service.study.estimation.unit import Course
 
@@ -22,7 +22,7 @@ AFTER_H = 3.0
 _MEAN_H = 0.5
 
 
-def night_figures(pairs: Sequence[tuple[Course, Course]], method: str) -> Figures:
+def night_statistics(pairs: Sequence[tuple[Course, Course]], method: str) -> Statistics:
     """Return the largest shift during the nights and what is left of it afterwards, over all seeds.
 
     Parameters

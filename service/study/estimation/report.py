@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from itertools import groupby
 from typing import Any, NamedTuple
 
-from service.study.estimation.accuracy import AXES, Figures
+from service.study.estimation.accuracy import AXES, Statistics
 from service.study.estimation.bounds import Judged, Limit, Mark
 from service.study.estimation.campaign import METHODS, Campaign, versions
 
@@ -60,16 +60,16 @@ def verdict_lines(campaign: Campaign) -> list[str]:
 def as_document(campaign: Campaign, command: str) -> dict[str, Any]:
     """Return everything a program may want, fit for JSON."""
     plan = campaign.plan
-    figures: dict[str, dict[str, dict[str, float | None]]] = {}
-    for (scenario, answer), told in campaign.figures.items():
-        figures.setdefault(scenario, {})[answer] = {name: _finite(value) for name, value in told.items()}
+    statistics: dict[str, dict[str, dict[str, float | None]]] = {}
+    for (scenario, answer), reported in campaign.statistics.items():
+        statistics.setdefault(scenario, {})[answer] = {name: _finite(value) for name, value in reported.items()}
     return {
         "command": command,
         "versions": versions(),
         "seeds": list(range(1, plan.seeds + 1)),
         "operation_days": plan.operation_days,
         "seconds": round(campaign.seconds, 1),
-        "figures": figures,
+        "figures": statistics,
         "bounds": [_bound_document(judged) for judged in campaign.judged],
         "missed": len(campaign.missed),
         "refusals": [
@@ -90,8 +90,8 @@ def markdown(campaign: Campaign, command: str) -> str:
     for table in tables(campaign):
         lines += [f"### {table.title}", "", _line(table.columns), _line(["---"] * len(table.columns))]
         lines += [*(_line(row) for row in table.rows), ""]
-    told = [part for line in verdict_lines(campaign) for part in _paragraph(line, bullet="* ")]
-    return "\n".join([*lines, *told, "", MARKER_END, ""])
+    reported = [part for line in verdict_lines(campaign) for part in _paragraph(line, bullet="* ")]
+    return "\n".join([*lines, *reported, "", MARKER_END, ""])
 
 
 def _paragraph(text: str, bullet: str = "") -> list[str]:
@@ -138,11 +138,11 @@ def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _answers(campaign: Campaign) -> Iterator[tuple[str, str, Figures]]:
+def _answers(campaign: Campaign) -> Iterator[tuple[str, str, Statistics]]:
     """Yield scenario, method and figures of everything driven."""
-    for (scenario, answer), figures in campaign.figures.items():
-        if answer in METHODS and "answered" in figures:
-            yield scenario, answer, figures
+    for (scenario, answer), statistics in campaign.statistics.items():
+        if answer in METHODS and "answered" in statistics:
+            yield scenario, answer, statistics
 
 
 def _accuracy(campaign: Campaign) -> ReportTable:
@@ -151,13 +151,13 @@ def _accuracy(campaign: Campaign) -> ReportTable:
         (
             scenario,
             method,
-            _angles(figures, "rms_deg", 3),
-            _angles(figures, "p95_deg", 2),
-            _angles(figures, "skill", 2),
-            _angles(figures, "slope", 2),
-            _angles(figures, "rms_over_sigma", 2),
+            _angles(statistics, "rms_deg", 3),
+            _angles(statistics, "p95_deg", 2),
+            _angles(statistics, "skill", 2),
+            _angles(statistics, "slope", 2),
+            _angles(statistics, "rms_over_sigma", 2),
         )
-        for scenario, method, figures in _answers(campaign)
+        for scenario, method, statistics in _answers(campaign)
     )
     return ReportTable("Errors", ("scenario", "method", "rms", "p95", "skill", "slope", "rms/sigma"), rows)
 
@@ -165,11 +165,11 @@ def _accuracy(campaign: Campaign) -> ReportTable:
 def _baselines(campaign: Campaign) -> ReportTable:
     """Return the errors of the answers that need no powers; that of zero is the truth's own size."""
     rows = []
-    for (scenario, answer), figures in campaign.figures.items():
+    for (scenario, answer), statistics in campaign.statistics.items():
         if answer == "zero":
-            others = [campaign.figures.get((scenario, name), {}) for name in ("robust", "corrections", "coupling")]
+            others = [campaign.statistics.get((scenario, name), {}) for name in ("robust", "corrections", "coupling")]
             robust, corrections, coupling = (_angles(other, "rms_deg", 3) for other in others)
-            rows.append((scenario, _angles(figures, "rms_deg", 3), corrections, coupling, robust))
+            rows.append((scenario, _angles(statistics, "rms_deg", 3), corrections, coupling, robust))
     columns = ("scenario", "zero = truth", "corrections only", "coupling only", "robust")
     return ReportTable("Rms of answers without powers", columns, tuple(rows))
 
@@ -180,14 +180,14 @@ def _control(campaign: Campaign) -> ReportTable:
         (
             scenario,
             method,
-            _number(figures.get("wrong_min.roll_pitch"), 0),
-            _number(figures.get("wrong_min.yaw"), 0),
-            _number(figures.get("available_dry"), 4),
-            _number(figures.get("yaw_available_dry"), 3),
-            _number(figures.get("alarms_per_day"), 2),
-            _number(figures.get("alarm_delay_min"), 0),
+            _number(statistics.get("wrong_min.roll_pitch"), 0),
+            _number(statistics.get("wrong_min.yaw"), 0),
+            _number(statistics.get("available_dry"), 4),
+            _number(statistics.get("yaw_available_dry"), 3),
+            _number(statistics.get("alarms_per_day"), 2),
+            _number(statistics.get("alarm_delay_min"), 0),
         )
-        for scenario, method, figures in _answers(campaign)
+        for scenario, method, statistics in _answers(campaign)
     )
     columns = (
         "scenario",
@@ -208,16 +208,16 @@ def _events(campaign: Campaign) -> ReportTable:
         (
             scenario,
             method,
-            _joined([_number(figures.get(name), 0) for name in ("rain_delay_median_min", "rain_delay_min")]),
-            _number(figures.get("rain_coverage"), 3),
-            _number(figures.get("rain_false_share"), 4),
-            _number(figures.get("faults"), 0),
-            _number(figures.get("faults_found_share"), 3),
-            _number(figures.get("fault_delay_median_min"), 0),
-            _number(figures.get("false_exclusion_share"), 4),
+            _joined([_number(statistics.get(name), 0) for name in ("rain_delay_median_min", "rain_delay_min")]),
+            _number(statistics.get("rain_coverage"), 3),
+            _number(statistics.get("rain_false_share"), 4),
+            _number(statistics.get("faults"), 0),
+            _number(statistics.get("faults_found_share"), 3),
+            _number(statistics.get("fault_delay_median_min"), 0),
+            _number(statistics.get("false_exclusion_share"), 4),
         )
-        for scenario, method, figures in _answers(campaign)
-        if "rain_delay_min" in figures or "faults" in figures
+        for scenario, method, statistics in _answers(campaign)
+        if "rain_delay_min" in statistics or "faults" in statistics
     )
     columns = (
         "scenario",
@@ -274,9 +274,9 @@ def _joined(parts: Sequence[str]) -> str:
     return "/".join(parts)
 
 
-def _angles(figures: Figures, name: str, digits: int) -> str:
+def _angles(statistics: Statistics, name: str, digits: int) -> str:
     """Return a figure of the three axes."""
-    return "/".join(_number(figures.get(f"{name}.{axis}"), digits) for axis in AXES)
+    return "/".join(_number(statistics.get(f"{name}.{axis}"), digits) for axis in AXES)
 
 
 def _number(value: float | None, digits: int | None = None) -> str:

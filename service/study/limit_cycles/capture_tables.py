@@ -137,11 +137,15 @@ def perpetual_table() -> ComparedTable:
         rows.append(Compared(name, "firings a period", case.firings_per_period, lock.firings_per_period, 0.02))
         if case.is_captured:
             rows.append(Compared(name, "amplitude, rad", case.final_amplitude_rad, lock.amplitude_rad, 1e-2))
-        rows.append(holds(name, "locked" if case.is_captured else "not locked", is_true=is_as_told(case, lock, limit)))
+        rows.append(
+            holds(
+                name, "locked" if case.is_captured else "not locked", is_true=agrees_with_published(case, lock, limit)
+            )
+        )
     return ComparedTable("T5", "Perpetual capture", tuple(rows))
 
 
-def is_as_told(case: PerpetualCase, lock: Lock, limit_rad: float) -> bool:
+def agrees_with_published(case: PerpetualCase, lock: Lock, limit_rad: float) -> bool:
     """Whether a run locked where it was to, at the amplitude of the energy balance, or stayed free."""
     if not case.is_captured:
         return lock.firings_per_period < _FREE_FIRINGS

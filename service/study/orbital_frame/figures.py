@@ -5,9 +5,9 @@ from pathlib import Path
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from service.core.dynamics.orbital_frame_flight import FlightRecord, Start, fly_craft
+from service.core.dynamics.orbital_frame_flight import FlightRecord, Start, fly_spacecraft
 from service.core.dynamics.orbital_frame_kernel import Fly
-from service.study.orbital_frame.reproduction import STABILISATION_S, full_craft, transient_flights
+from service.study.orbital_frame.reproduction import STABILISATION_S, full_spacecraft, transient_flights
 
 _COLOURS = {"yaw": "#d62728", "roll": "#1f77b4", "pitch": "#2ca02c"}
 #: rows of a long flight that are drawn; an angle moves little in a second
@@ -17,7 +17,7 @@ _EVERY = 8
 def draw_reproduction(kernel: Fly, folder: Path, suffix: str = "png") -> list[Path]:
     """Draw the three figures into a folder; return their paths."""
     yaw, roll = transient_flights(kernel)
-    steady = fly_craft(full_craft(kernel), Start(), STABILISATION_S, kernel=kernel)
+    steady = fly_spacecraft(full_spacecraft(kernel), Start(), STABILISATION_S, kernel=kernel)
     named = {
         "orbital-frame-figure-2": (yaw, "Figure 2: yaw of 10 deg at the start"),
         "orbital-frame-figure-3": (roll, "Figure 3: roll of 2 deg at the start"),

@@ -8,7 +8,7 @@ import numpy as np
 from service.core.dynamics.orbital_frame_flight import (
     FlightRecord,
     Start,
-    fly_craft,
+    fly_spacecraft,
     harmonic_amplitude,
     largest_after,
     mean_over_orbits,
@@ -22,13 +22,13 @@ from service.core.dynamics.orbital_frame_model import (
     NOMINAL_INERTIA,
     ORBITAL_RATE_RAD_S,
     AxisWheels,
-    Craft,
     Law,
     OrbitalFrameGains,
+    OrbitalFrameSpacecraft,
     RateSensor,
     Tones,
     VerticalSensor,
-    rigid_craft,
+    rigid_spacecraft,
 )
 from service.study.published import Row, row, statement_row
 
@@ -38,10 +38,10 @@ STABILISATION_S = 15_000.0
 #: s, after which the start is forgotten
 SETTLED_S = 1500.0
 #: every disturbance, smallest yaw gains
-_UNCORRECTED = Craft(law=Law(gains=MIN_GAINS))
+_UNCORRECTED = OrbitalFrameSpacecraft(law=Law(gains=MIN_GAINS))
 
 
-def reproduce(kernel: Fly, tell: Callable[[str], None] = lambda _what: None) -> tuple[Row, ...]:
+def reproduce(kernel: Fly, report: Callable[[str], None] = lambda _what: None) -> tuple[Row, ...]:
     """Return every row of the table.
 
     Parameters
@@ -63,17 +63,17 @@ def reproduce(kernel: Fly, tell: Callable[[str], None] = lambda _what: None) -> 
         ("friction of the wheels", _friction),
         ("flexible tones", _tones),
     ):
-        tell(what)
+        report(what)
         rows += part(kernel)
     return tuple(rows)
 
 
 def transient_flights(kernel: Fly, gains: OrbitalFrameGains = MAX_GAINS) -> tuple[FlightRecord, FlightRecord]:
     """Return the flights of figures 2 and 3: yaw of 10 and roll of 2 degrees at the start."""
-    craft = rigid_craft(gains)
+    craft = rigid_spacecraft(gains)
     return (
-        fly_craft(craft, Start(yaw_deg=10.0), 2000.0, kernel=kernel),
-        fly_craft(craft, Start(roll_deg=2.0), 2000.0, kernel=kernel),
+        fly_spacecraft(craft, Start(yaw_deg=10.0), 2000.0, kernel=kernel),
+        fly_spacecraft(craft, Start(roll_deg=2.0), 2000.0, kernel=kernel),
     )
 
 
@@ -105,7 +105,7 @@ def _transient_rows(
 
 
 def _products(kernel: Fly) -> list[Row]:
-    flight = fly_craft(rigid_craft(MAX_GAINS, NOMINAL_INERTIA), Start(), STABILISATION_S, kernel=kernel)
+    flight = fly_spacecraft(rigid_spacecraft(MAX_GAINS, NOMINAL_INERTIA), Start(), STABILISATION_S, kernel=kernel)
     late = flight.time_s > STABILISATION_S - ORBIT_S
     yaw, roll = (
         harmonic_amplitude(flight.time_s[late], each[late], ORBIT_S) for each in (flight.yaw_deg, flight.roll_deg)
@@ -120,13 +120,13 @@ def _products(kernel: Fly) -> list[Row]:
 
 def _quantum(kernel: Fly) -> list[Row]:
     rows = []
-    craft = rigid_craft(MAX_GAINS, NOMINAL_INERTIA, is_sampled=True)
+    craft = rigid_spacecraft(MAX_GAINS, NOMINAL_INERTIA, is_sampled=True)
     noisy = craft._replace(rate_sensor=RateSensor(null_rad_s=(0.0, 0.0, 0.0)))
     for flown, parameters, has_noise in (
         (craft, "quantum of torque, no noise, largest gains", False),
         (noisy, "quantum of torque, rate noise 2e-7 rad/s, largest gains", True),
     ):
-        roll, _, yaw = largest_after(fly_craft(flown, Start(), STABILISATION_S, kernel=kernel), SETTLED_S)
+        roll, _, yaw = largest_after(fly_spacecraft(flown, Start(), STABILISATION_S, kernel=kernel), SETTLED_S)
         yaw_figure, roll_figure = ("peak of yaw", parameters, 0.034, yaw), ("peak of roll", parameters, 0.0035, roll)
         rows.append(row(*yaw_figure, "deg", within=0.001, is_fitted=has_noise, is_known_miss=not has_noise))
         rows.append(row(*roll_figure, "deg", within=0.0003, is_known_miss=not has_noise))
@@ -137,8 +137,8 @@ def _null(kernel: Fly) -> list[Row]:
     rows = []
     for sign in (-1.0, 1.0):
         sensor = RateSensor(null_rad_s=(sign * 1.8e-7, 0.0, 0.0))
-        craft = rigid_craft(MAX_GAINS, NOMINAL_INERTIA, is_sampled=True)._replace(rate_sensor=sensor)
-        mean_deg = mean_over_orbits(fly_craft(craft, Start(), STABILISATION_S, kernel=kernel), ORBITAL_RATE_RAD_S)
+        craft = rigid_spacecraft(MAX_GAINS, NOMINAL_INERTIA, is_sampled=True)._replace(rate_sensor=sensor)
+        mean_deg = mean_over_orbits(fly_spacecraft(craft, Start(), STABILISATION_S, kernel=kernel), ORBITAL_RATE_RAD_S)
         rows.append(
             row(
                 f"constant yaw, null {sign * 1.8e-7:+.1e} rad/s",
@@ -153,7 +153,7 @@ def _null(kernel: Fly) -> list[Row]:
     return rows
 
 
-def full_craft(kernel: Fly) -> Craft:
+def full_spacecraft(kernel: Fly) -> OrbitalFrameSpacecraft:
     """Return the craft of figure 4: every disturbance, smallest yaw gains, the yaw rate's zero corrected."""
     craft = _UNCORRECTED
     correction = trimmed_correction_rad_s(craft, STABILISATION_S, kernel)
@@ -161,17 +161,20 @@ def full_craft(kernel: Fly) -> Craft:
 
 
 def _everything(kernel: Fly) -> list[Row]:
-    smallest = full_craft(kernel)
+    smallest = full_spacecraft(kernel)
     peaks = [
-        largest_after(fly_craft(smallest, Start(), STABILISATION_S, seed, kernel), SETTLED_S) for seed in range(1, 6)
+        largest_after(fly_spacecraft(smallest, Start(), STABILISATION_S, seed, kernel), SETTLED_S)
+        for seed in range(1, 6)
     ]
     roll, pitch, yaw = np.max(peaks, axis=0).tolist()
     everything = "every disturbance, smallest yaw gains, corrected, worst of 5 seeds"
-    largest = trimmed_correction_rad_s(Craft(), STABILISATION_S, kernel)
-    steeper = Craft(computer=Craft().computer._replace(yaw_rate_correction_rad_s=largest))
-    _, _, better = largest_after(fly_craft(steeper, Start(), STABILISATION_S, kernel=kernel), SETTLED_S)
+    largest = trimmed_correction_rad_s(OrbitalFrameSpacecraft(), STABILISATION_S, kernel)
+    steeper = OrbitalFrameSpacecraft(
+        computer=OrbitalFrameSpacecraft().computer._replace(yaw_rate_correction_rad_s=largest)
+    )
+    _, _, better = largest_after(fly_spacecraft(steeper, Start(), STABILISATION_S, kernel=kernel), SETTLED_S)
     before_deg, after_deg = (
-        mean_over_orbits(fly_craft(each, Start(), STABILISATION_S, kernel=kernel), ORBITAL_RATE_RAD_S)
+        mean_over_orbits(fly_spacecraft(each, Start(), STABILISATION_S, kernel=kernel), ORBITAL_RATE_RAD_S)
         for each in (_UNCORRECTED, smallest)
     )
     mean = "mean of yaw over two orbits"
@@ -194,8 +197,8 @@ def _everything(kernel: Fly) -> list[Row]:
 
 def _noise(kernel: Fly) -> list[Row]:
     """Return what noise of the vertical sensor alone makes of yaw: long waves, although its own time is a second."""
-    craft = rigid_craft(MAX_GAINS, is_sampled=True)._replace(vertical_sensor=VerticalSensor())
-    flight = fly_craft(craft, Start(), STABILISATION_S, kernel=kernel)
+    craft = rigid_spacecraft(MAX_GAINS, is_sampled=True)._replace(vertical_sensor=VerticalSensor())
+    flight = fly_spacecraft(craft, Start(), STABILISATION_S, kernel=kernel)
     yaw_deg = flight.yaw_deg[flight.time_s > SETTLED_S]
     power = np.cumsum(np.abs(np.fft.rfft(yaw_deg - yaw_deg.mean())) ** 2)
     half = int(np.searchsorted(power, 0.5 * power[-1]))
@@ -212,7 +215,7 @@ def _noise(kernel: Fly) -> list[Row]:
 
 def _friction(kernel: Fly) -> list[Row]:
     """Return what each part of the wheels' model alone does to the mean of yaw."""
-    rigid = rigid_craft(MIN_GAINS, NOMINAL_INERTIA, is_sampled=True)
+    rigid = rigid_spacecraft(MIN_GAINS, NOMINAL_INERTIA, is_sampled=True)
     none = AxisWheels(dry_friction_n_m=0.0, viscous_friction_n_m_s=0.0, cogging_n_m=0.0, no_load_rad_s=1e9)
     parts = {
         name: getattr(AxisWheels(), name) for name in none._fields if getattr(none, name) != getattr(AxisWheels(), name)
@@ -220,7 +223,7 @@ def _friction(kernel: Fly) -> list[Row]:
     means = {}
     for name, value in parts.items():
         craft = rigid._replace(wheels=none._replace(**{name: value}))
-        flight = fly_craft(craft, Start(), STABILISATION_S, kernel=kernel)
+        flight = fly_spacecraft(craft, Start(), STABILISATION_S, kernel=kernel)
         means[name] = abs(mean_over_orbits(flight, ORBITAL_RATE_RAD_S))
     dry_deg = means.pop("dry_friction_n_m")
     share = max(means.values()) / dry_deg
@@ -230,16 +233,18 @@ def _friction(kernel: Fly) -> list[Row]:
 
 def _tones(kernel: Fly) -> list[Row]:
     """Return what flexible tones do: nothing with these gains, a resonance with higher ones and an older rate."""
-    flown = (full_craft(kernel), full_craft(kernel)._replace(tones=Tones(is_real=False)))
-    peaks = [largest_after(fly_craft(craft, Start(), STABILISATION_S, kernel=kernel), SETTLED_S)[2] for craft in flown]
+    flown = (full_spacecraft(kernel), full_spacecraft(kernel)._replace(tones=Tones(is_real=False)))
+    peaks = [
+        largest_after(fly_spacecraft(craft, Start(), STABILISATION_S, kernel=kernel), SETTLED_S)[2] for craft in flown
+    ]
     no_change = "every disturbance, smallest yaw gains, corrected"
     rows = [row("peak of yaw with tones over that without", no_change, 1.0, peaks[0] / peaks[1], "", within=0.02)]
     for factor, which, said in ((16.0, "16 times the largest", "resonance"), (1.0, "the largest", "avoided")):
         gains = MAX_GAINS._replace(
             yaw_stiffness=factor * MAX_GAINS.yaw_stiffness, yaw_damping=factor * MAX_GAINS.yaw_damping
         )
-        craft = Craft(law=Law(gains=gains), rate_sensor=RateSensor(delay_periods=4))
-        torque = fly_craft(craft, Start(), 2.0 * SETTLED_S, kernel=kernel).torque_n_m[-8000:, 2]
+        craft = OrbitalFrameSpacecraft(law=Law(gains=gains), rate_sensor=RateSensor(delay_periods=4))
+        torque = fly_spacecraft(craft, Start(), 2.0 * SETTLED_S, kernel=kernel).torque_n_m[-8000:, 2]
         limit, quantum = craft.computer.torque_limit_n_m, craft.computer.torque_quantum_n_m
         rms = float(torque.std())
         rows.append(

@@ -51,10 +51,10 @@ class Session(NamedTuple):
 
     def differences_deg(self, method: str, axis: int) -> tuple[IntArray, FloatArray, FloatArray]:
         """Return epochs (W,), a sensor's angle (W,), and estimate less sensor (W,) where both are known."""
-        told = next(one for one in self.world.truth.witnesses if np.isfinite(one.attitude_deg[:, axis]).any())
+        reported = next(one for one in self.world.truth.witnesses if np.isfinite(one.attitude_deg[:, axis]).any())
         epochs_us = self.world.ground.epochs_us[self.driven.rows]
-        both_us, here, there = np.intersect1d(epochs_us, told.epochs_us, return_indices=True)
-        sensed = told.attitude_deg[there, axis]
+        both_us, here, there = np.intersect1d(epochs_us, reported.epochs_us, return_indices=True)
+        sensed = reported.attitude_deg[there, axis]
         return both_us, sensed, self.driven.methods[method].estimate_deg[here, axis] - sensed
 
     def means_deg(self, method: str, axis: int) -> FloatArray:
@@ -102,13 +102,13 @@ def fly_session(seed: int) -> Session:
     return Session(world, drive(world.ground))
 
 
-def reproduce(seeds: int, tell: Callable[[str], None] = lambda _what: None) -> tuple[list[Row], list[Session]]:
+def reproduce(seeds: int, report: Callable[[str], None] = lambda _what: None) -> tuple[list[Row], list[Session]]:
     """Return every row of the table and the sessions behind it."""
-    tell("daily curve")
+    report("daily curve")
     rows = _curve_rows()
     sessions = []
     for seed in range(1, seeds + 1):
-        tell(f"sessions of seed {seed}")
+        report(f"sessions of seed {seed}")
         sessions.append(fly_session(seed))
     return [*rows, _turn_row(sessions), *_session_rows(sessions)], sessions
 

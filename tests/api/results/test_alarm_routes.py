@@ -25,15 +25,15 @@ def absent(bench, make):
     """Let carriers be absent for some minutes and the desk look at it."""
     minutes = iter(range(1, 1000))
 
-    def tell(*names, rows=4):
+    def report(*names, rows=4):
         for minute in [next(minutes) for _ in range(rows)]:
             epoch_us = make.now_us - 1000 * MINUTE + minute * MINUTE
             powers = np.array([np.nan if name in names else -40.0 for name in PLAN.carrier_ids])
             measurement = Measurement(epoch_us, epoch_us, minute, "sa", 9, powers, None)
             bench.context.alarms.see(make.sc, [RowFacts(measurement, PLAN, (), Method.PAPER, None, {})])
-        bench.context.alarms._look_at_rows()
+        bench.context.alarms._check_rows()
 
-    return tell
+    return report
 
 
 async def test_an_alarm_is_listed_with_all_that_an_operator_needs(bench, absent):
@@ -171,10 +171,14 @@ async def test_a_stream_resumes_changes_of_alarms_without_loss(bench, absent, ma
     assert present.alarm == returned.sequence
     assert reader.next_page(present).events == []
     page = reader.next_page(present._replace(alarm=raised.sequence))
-    assert ([event.content for event in page.events], page.place.alarm) == ([returned], returned.sequence)
-    told = json.loads(EventTexts(names).of(make.sc, page.events[0]))
-    assert (told["change"], told["sequence"], told["alarm"]["thing"]) == ("returned", returned.sequence, "c00")
-    assert told["alarm"]["next_step"]
+    assert ([event.content for event in page.events], page.position.alarm) == ([returned], returned.sequence)
+    reported = json.loads(EventTexts(names).of(make.sc, page.events[0]))
+    assert (reported["change"], reported["sequence"], reported["alarm"]["thing"]) == (
+        "returned",
+        returned.sequence,
+        "c00",
+    )
+    assert reported["alarm"]["next_step"]
 
 
 async def test_the_audit_log_tells_who_did_what(bench, absent):
@@ -182,8 +186,8 @@ async def test_the_audit_log_tells_who_did_what(bench, absent):
     alarm_id = (await bench.client.get(ALARMS)).json()["rows"][0]["id"]
     await bench.client.post(f"/api/v1/alarms/{alarm_id}:acknowledge")
     await bench.client.put(LIMITS, json={})
-    entries = [entry.deed for entry in bench.storage.audit.chain()]
-    assert [(deed.who, deed.action, deed.target) for deed in entries] == [
+    entries = [entry.audit_event for entry in bench.storage.audit.chain()]
+    assert [(audit_event.who, audit_event.action, audit_event.target) for audit_event in entries] == [
         ("bootstrap", "acknowledge_alarm", f"/alarms/{alarm_id}:acknowledge"),
         ("bootstrap", "put_alarm_limits", "/spacecraft/yamal-202/alarm-limits"),
     ]

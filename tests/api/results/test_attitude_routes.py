@@ -58,7 +58,7 @@ async def test_row_is_told_field_by_field(bench, make):
 async def test_row_of_the_robust_method_tells_levels_reasons_and_advice(bench, make):
     (row,) = bench.append([make.now_us - 30 * make.s])
     words = ("uplink_fade", "step", "absent", "interference", "group", "manual")
-    told = make.row(
+    reported = make.row(
         row,
         method=Method.ROBUST,
         excluded=tuple(Exclusion(f"c{k:02d}", word) for k, word in enumerate(words)),
@@ -71,7 +71,7 @@ async def test_row_of_the_robust_method_tells_levels_reasons_and_advice(bench, m
         control_allowed_axes=(False, False, False),
         advice=("realign", "disagreement"),
     )
-    bench.consume([Outcome((make.row(row), told), None)])
+    bench.consume([Outcome((make.row(row), reported), None)])
     newest = await bench.get("/attitude", method="robust")
     assert [item["reason"] for item in newest["excluded"]] == list(words)
     assert (newest["downlink_fade"], newest["downlink_fade_db"], newest["common_db"]) == (True, 1.75, -0.125)

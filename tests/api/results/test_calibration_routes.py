@@ -43,8 +43,8 @@ async def test_figures_of_a_calibration_are_told_by_name(bench, make):
         selected=False,
     )
     bench.calibrate([carrier])
-    told = await bench.get("/calibrations/1")
-    assert told == {
+    reported = await bench.get("/calibrations/1")
+    assert reported == {
         "id": 1,
         "plan_id": 1,
         "ephemeris_id": 1,
@@ -98,7 +98,7 @@ async def test_figures_of_a_calibration_are_told_by_name(bench, make):
             }
         ],
     }
-    assert (await bench.get("/calibrations"))["rows"] == [told]
+    assert (await bench.get("/calibrations"))["rows"] == [reported]
 
 
 async def test_calibration_without_data_fails_with_a_reason(bench):
@@ -148,8 +148,8 @@ async def test_activation_supersedes_the_one_before(bench, make):
 async def test_alignment_is_told_field_by_field(bench, make):
     bench.calibrate([make.carrier_calibration(0, Axes(0.1, 1.0, 0.2))])
     bench.align(make.now_us)
-    told = await bench.get("/alignments/1")
-    assert told == {
+    reported = await bench.get("/alignments/1")
+    assert reported == {
         "id": 1,
         "epoch": format_epoch(make.now_us),
         "yaw_deg": 0.1,

@@ -31,20 +31,20 @@ async def flown(bench: Any, body: dict[str, Any]) -> tuple[dict[str, Any], Any]:
     """Fly to the end; return the job and the answer under its result's path."""
     started = await bench.client.post(URL, json=body)
     assert started.status_code == 202, started.text
-    told = started.json()
-    assert started.headers["location"] == f"/api/v1/jobs/{told['job']}"
+    reported = started.json()
+    assert started.headers["location"] == f"/api/v1/jobs/{reported['job']}"
     queue_is_empty(bench)
     job = (await bench.client.get(started.headers["location"])).json()
-    return job, await bench.client.get(told["result"])
+    return job, await bench.client.get(reported["result"])
 
 
 async def test_a_flight_gives_series_and_the_published_figures(bench):
     job, answer = await flown(bench, {**IDEAL, "start": {"yaw_deg": 10.0}, "duration_s": 500.0, "points": 101})
     assert (job["state"], job["kind"], job["progress"]) == ("done", "closed-loop", 1.0)
     assert answer.status_code == 200, answer.text
-    told = answer.json()
-    assert job["result"] == f"{URL}/{told['job']}"
-    series, merit = told["series"], told["merit"]
+    reported = answer.json()
+    assert job["result"] == f"{URL}/{reported['job']}"
+    series, merit = reported["series"], reported["merit"]
     assert len(series["time_s"]) == len(series["yaw_deg"]) == len(series["torque_n_m"]["pitch"]) <= 101
     at_100_s = min(range(len(series["time_s"])), key=lambda k: abs(series["time_s"][k] - 100.0))
     # section 8.5 of the specification, tolerance .002 where the row falls on the second
@@ -53,7 +53,7 @@ async def test_a_flight_gives_series_and_the_published_figures(bench):
     assert merit["peak_deg"]["yaw"] == pytest.approx(10.0, abs=1e-9)
     assert merit["time_within_bound_s"]["yaw"] is None
     assert merit["mean_yaw_deg"] is None
-    assert [warning["code"] for warning in told["warnings"]] == ["flight.short"]
+    assert [warning["code"] for warning in reported["warnings"]] == ["flight.short"]
 
 
 async def test_the_same_seed_gives_the_same_flight_and_another_one_another(bench):
@@ -65,11 +65,11 @@ async def test_the_same_seed_gives_the_same_flight_and_another_one_another(bench
 
 async def test_gains_that_saturate_are_told(bench):
     _, answer = await flown(bench, {**IDEAL, "start": {"roll_deg": 2.0}, "duration_s": 50.0})
-    told = answer.json()
-    assert "torque.saturated" in [warning["code"] for warning in told["warnings"]]
-    assert 0.0 < told["merit"]["saturated_share"]["roll"] < 1.0
-    assert told["merit"]["saturated_share"]["pitch"] == 0.0
-    assert told["merit"]["largest_torque_n_m"]["roll"] == pytest.approx(0.25)
+    reported = answer.json()
+    assert "torque.saturated" in [warning["code"] for warning in reported["warnings"]]
+    assert 0.0 < reported["merit"]["saturated_share"]["roll"] < 1.0
+    assert reported["merit"]["saturated_share"]["pitch"] == 0.0
+    assert reported["merit"]["largest_torque_n_m"]["roll"] == pytest.approx(0.25)
 
 
 @pytest.mark.parametrize(

@@ -130,21 +130,21 @@ async def test_formats_of_a_table_tell_the_same(bench, make):
         for line, each, row in zip(lines, objects, table.to_pylist(), strict=True):
             for name, cell in line.items():
                 assert cell == as_cell(each[name]), name
-                told = row[name]
+                reported = row[name]
                 if isinstance(each[name], list | dict):
-                    assert json.loads(told) == each[name]
-                elif hasattr(told, "isoformat"):
-                    assert told.strftime("%Y-%m-%dT%H:%M:%S.%fZ") == each[name]
+                    assert json.loads(reported) == each[name]
+                elif hasattr(reported, "isoformat"):
+                    assert reported.strftime("%Y-%m-%dT%H:%M:%S.%fZ") == each[name]
                 else:
-                    assert told == each[name]
+                    assert reported == each[name]
 
 
 async def test_torques_carry_the_verdict_of_the_flexible_modes(bench, make):
     epochs = [make.now_us - k * 3_600_000_000 for k in (2, 1)]
     checked, unchecked = bench.append(epochs, np.full((2, 6), -50.0))
     verdict = ScheduleVerdict("warn", 0.00431, 0.002, 0.138, 0, None)
-    told = replace(make.command(checked), schedule_check=verdict)
-    bench.consume([Outcome((make.row(checked),), told), Outcome((make.row(unchecked),), make.command(unchecked))])
+    reported = replace(make.command(checked), schedule_check=verdict)
+    bench.consume([Outcome((make.row(checked),), reported), Outcome((make.row(unchecked),), make.command(unchecked))])
     names = ("schedule_verdict", "schedule_peak_deg", "schedule_margin")
     lines = table_of((await file_of(bench, "torques")).text)
     assert [[line[name] for name in names] for line in lines] == [["warn", "0.00431", "0.138"], ["", "", ""]]

@@ -44,11 +44,11 @@ def payload(bench, make):
             np.zeros(rows, dtype=bool),
         )
         assert archive.append_measurements(batch).result(timeout=120).accepted == rows
-    for told in (*data.quiet_references, *data.references):
-        columns = zip(told.epochs_us, told.attitude_deg, told.sigma_deg, strict=True)
+    for reported in (*data.quiet_references, *data.references):
+        columns = zip(reported.epochs_us, reported.attitude_deg, reported.sigma_deg, strict=True)
         archive.append_inputs(
             make.sc,
-            [AttitudeReference(told.source, int(at), Axes(*angle), Axes(*sigma)) for at, angle, sigma in columns],
+            [AttitudeReference(reported.source, int(at), Axes(*angle), Axes(*sigma)) for at, angle, sigma in columns],
         )
     return payload
 
@@ -66,25 +66,25 @@ async def calibrated(bench, payload, **changes) -> dict:
 
 
 async def test_a_calibration_by_geometry_is_told_by_name_and_activated(bench, payload):
-    told = await calibrated(bench, payload)
-    assert told["job"]["state"] == "done", told["job"]
-    assert (told["method"], told["state"], len(told["carriers"])) == ("geometry", "draft", 8)
+    reported = await calibrated(bench, payload)
+    assert reported["job"]["state"] == "done", reported["job"]
+    assert (reported["method"], reported["state"], len(reported["carriers"])) == ("geometry", "draft", 8)
     found = np.array(
-        [[c["sensitivity_db_per_deg"][axis] for axis in ("yaw", "roll", "pitch")] for c in told["carriers"]]
+        [[c["sensitivity_db_per_deg"][axis] for axis in ("yaw", "roll", "pitch")] for c in reported["carriers"]]
     )
     # 0.05 dB on eight plateaus an axis: one sigma of yaw 0.003, of roll and pitch 0.013 dB/deg; five of them
     assert (np.abs(found - payload.slopes()).max(axis=0) < [0.03, 0.07, 0.07]).all()
-    for carrier in told["carriers"]:
+    for carrier in reported["carriers"]:
         assert [part["correlation_time_s"] for part in carrier["noise"]] == list(LADDER_S)
         assert carrier["sigma_white_db"] == pytest.approx(0.05, rel=0.1)
         assert carrier["rejected_because"] is not None
-    seen = told["observability"]
+    seen = reported["observability"]
     assert all(figure is not None for figure in (seen["condition"], *seen["dop"].values(), *seen["crlb_deg"].values()))
     assert seen["crlb_deg"]["roll"] < seen["crlb_deg"]["yaw"]
-    assert told["quality"]["carriers_used"] == 8.0
-    assert (told["quality"]["yaw_sign"], told["quality"]["common_sign"]) == ("proven", "unproven")
-    assert any(text.startswith("quiet window of 36.0 h is shorter") for text in told["quality"]["warnings"])
-    active = await bench.client.post(f"{bench.url}/calibrations/{told['id']}:activate")
+    assert reported["quality"]["carriers_used"] == 8.0
+    assert (reported["quality"]["yaw_sign"], reported["quality"]["common_sign"]) == ("proven", "unproven")
+    assert any(text.startswith("quiet window of 36.0 h is shorter") for text in reported["quality"]["warnings"])
+    active = await bench.client.post(f"{bench.url}/calibrations/{reported['id']}:activate")
     assert (active.status_code, active.json()["state"]) == (200, "active")
 
 
@@ -96,8 +96,8 @@ async def test_an_operation_inside_is_named(bench, payload):
         "stop": format_epoch(request.quiet.start_us + 5400_000_000),
     }
     assert (await bench.client.post(f"/api/v1{SC}/operations", json=burn)).status_code in {200, 201}
-    told = await calibrated(bench, payload)
-    assert any("(station_keeping," in text for text in told["quality"]["warnings"])
+    reported = await calibrated(bench, payload)
+    assert any("(station_keeping," in text for text in reported["quality"]["warnings"])
 
 
 async def test_a_window_without_turns_fails_in_words(bench, payload):
@@ -106,17 +106,17 @@ async def test_a_window_without_turns_fails_in_words(bench, payload):
         "start": format_epoch(request.quiet.stop_us - 7200_000_000),
         "stop": format_epoch(request.quiet.stop_us),
     }
-    told = await calibrated(bench, payload, turns=late)
-    assert told["job"]["state"] == told["state"] == "failed"
-    assert told["error"] == told["job"]["error"]
-    assert "no turn of at least 0.1 deg in roll or pitch" in told["error"]
-    assert (await bench.refused("POST", f"{SC}/calibrations/{told['id']}:activate"))[0] == 409
+    reported = await calibrated(bench, payload, turns=late)
+    assert reported["job"]["state"] == reported["state"] == "failed"
+    assert reported["error"] == reported["job"]["error"]
+    assert "no turn of at least 0.1 deg in roll or pitch" in reported["error"]
+    assert (await bench.refused("POST", f"{SC}/calibrations/{reported['id']}:activate"))[0] == 409
 
 
 async def test_a_sensor_that_never_spoke_fails_in_words(bench, payload):
-    told = await calibrated(bench, payload, source="earth_sensor")
-    assert told["state"] == "failed"
-    assert "have angles of earth_sensor" in told["error"]
+    reported = await calibrated(bench, payload, source="earth_sensor")
+    assert reported["state"] == "failed"
+    assert "have angles of earth_sensor" in reported["error"]
 
 
 async def test_announced_turns_prove_the_sign_of_all_axes(bench, payload):

@@ -20,14 +20,14 @@ pytestmark = pytest.mark.anyio
 
 def samples(text: str) -> dict[tuple[str, ...], float]:
     """Return values by name and values of labels, in the order in which they are declared."""
-    told = {}
+    reported = {}
     for family in text_string_to_metric_families(text):
         for sample in family.samples:
             known = FAMILIES.get(sample.name) or FAMILIES[re.sub(r"_(bucket|count|sum)$", "", sample.name)]
             names = [*known.labels, *(["le"] if sample.name.endswith("_bucket") else [])]
             assert sorted(names) == sorted(sample.labels)
-            told[sample.name, *(sample.labels[name] for name in names)] = sample.value
-    return told
+            reported[sample.name, *(sample.labels[name] for name in names)] = sample.value
+    return reported
 
 
 def change(bench, **changes) -> None:
@@ -96,32 +96,32 @@ async def test_metrics_tell_the_archive_and_the_interface(bench, make, monkeypat
     answer = await bench.client.get("/metrics", headers={"Authorization": ""})
     assert answer.status_code == 200
     assert answer.headers["content-type"].startswith("text/plain; version=0.0.4")
-    told, sc = samples(answer.text), make.sc
-    assert told["soo_sample_age_seconds", sc, "sa-1"] == 90.0
-    assert [told["soo_series_status", sc, f"c{k:02d}"] for k in range(3)] == [1.0, 0.0, 2.0]
-    assert told["soo_attitude_deg", sc, "paper", "roll"] == -0.02
-    assert told["soo_attitude_sigma_deg", sc, "paper", "pitch"] == 0.02
-    assert told["soo_attitude_status", sc, "paper"] == 1.0
-    assert told["soo_control_allowed", sc] == 0.0, "the row may be used, and the interlock has seen none"
-    assert told["soo_rows_refused_total", sc, "time.future"] == 1.0
-    assert told["soo_link_state", "link-1", "MEASURING"] == 1.0
-    assert told["soo_link_last_good_age_seconds", "link-1"] == 5.0
-    assert told["soo_journal_lag", sc] == 0.0
+    reported, sc = samples(answer.text), make.sc
+    assert reported["soo_sample_age_seconds", sc, "sa-1"] == 90.0
+    assert [reported["soo_series_status", sc, f"c{k:02d}"] for k in range(3)] == [1.0, 0.0, 2.0]
+    assert reported["soo_attitude_deg", sc, "paper", "roll"] == -0.02
+    assert reported["soo_attitude_sigma_deg", sc, "paper", "pitch"] == 0.02
+    assert reported["soo_attitude_status", sc, "paper"] == 1.0
+    assert reported["soo_control_allowed", sc] == 0.0, "the row may be used, and the interlock has seen none"
+    assert reported["soo_rows_refused_total", sc, "time.future"] == 1.0
+    assert reported["soo_link_state", "link-1", "MEASURING"] == 1.0
+    assert reported["soo_link_last_good_age_seconds", "link-1"] == 5.0
+    assert reported["soo_journal_lag", sc] == 0.0
     route = "/api/v1/spacecraft/{spacecraft_id}/measurements:batch"
-    assert told["soo_http_requests_total", "POST", route, "200"] == 1.0
-    assert told["soo_http_requests_total", "GET", "unmatched", "404"] == 1.0
-    assert told["soo_http_request_duration_seconds_count", route] == 1.0
-    assert told["soo_http_request_duration_seconds_bucket", route, "+Inf"] == 1.0
-    assert told["soo_ready", "database"] == 1.0
-    assert told["soo_process_resident_memory_bytes",] > 10e6
+    assert reported["soo_http_requests_total", "POST", route, "200"] == 1.0
+    assert reported["soo_http_requests_total", "GET", "unmatched", "404"] == 1.0
+    assert reported["soo_http_request_duration_seconds_count", route] == 1.0
+    assert reported["soo_http_request_duration_seconds_bucket", route, "+Inf"] == 1.0
+    assert reported["soo_ready", "database"] == 1.0
+    assert reported["soo_process_resident_memory_bytes",] > 10e6
 
 
 async def test_an_angle_that_is_not_known_is_left_out(bench, make):
     (row,) = bench.append([make.now_us])
     bench.consume([Outcome((make.row(row, attitude_deg=Axes(make.nan, 0.1, make.nan)),), None)])
-    told = samples((await bench.client.get("/metrics")).text)
-    assert ("soo_attitude_deg", make.sc, "paper", "yaw") not in told
-    assert told["soo_attitude_deg", make.sc, "paper", "roll"] == 0.1
+    reported = samples((await bench.client.get("/metrics")).text)
+    assert ("soo_attitude_deg", make.sc, "paper", "yaw") not in reported
+    assert reported["soo_attitude_deg", make.sc, "paper", "roll"] == 0.1
 
 
 async def test_metrics_without_the_database_tell_the_rest(bench, monkeypatch):
@@ -132,10 +132,10 @@ async def test_metrics_without_the_database_tell_the_rest(bench, monkeypatch):
     monkeypatch.setattr(bench.storage, "state", fail)
     answer = await bench.client.get("/metrics")
     assert answer.status_code == 200
-    told = samples(answer.text)
-    assert told["soo_ready", "database"] == 0.0
-    assert ("soo_writer_queue",) not in told
-    assert ("soo_process_threads",) in told
+    reported = samples(answer.text)
+    assert reported["soo_ready", "database"] == 0.0
+    assert ("soo_writer_queue",) not in reported
+    assert ("soo_process_threads",) in reported
 
 
 async def test_metrics_may_need_a_key(bench):
@@ -149,11 +149,11 @@ async def test_label_sets_do_not_grow_with_what_is_asked(bench, make):
         await bench.client.get(f"/api/v1/spacecraft/craft-{k}/status")
         await bench.client.get(f"/made-up-{k}")
         await bench.client.request(f"VERB{k}", "/healthz")
-    told = samples((await bench.client.get("/metrics")).text)
-    routes = {key[2] for key in told if key[0] == "soo_http_requests_total"}
+    reported = samples((await bench.client.get("/metrics")).text)
+    routes = {key[2] for key in reported if key[0] == "soo_http_requests_total"}
     assert len(routes) <= 4, routes
-    assert {key[1] for key in told if key[0] == "soo_http_requests_total"} <= {"GET", "other"}
-    names = {re.sub(r"_(total|bucket|count|sum)$", "", key[0]) for key in told}
+    assert {key[1] for key in reported if key[0] == "soo_http_requests_total"} <= {"GET", "other"}
+    names = {re.sub(r"_(total|bucket|count|sum)$", "", key[0]) for key in reported}
     assert names <= {re.sub(r"_total$", "", name) for name in FAMILIES}
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.core.geometry.line_of_sight import Places, sight_motion_deg, track_position_deg
+from service.core.geometry.line_of_sight import Positions, sight_motion_deg, track_position_deg
 from service.core.geometry.line_of_sight import PredictedTrack as CoreTrack
 from service.records.calibration import CalibrationMethod
 from service.records.catalogue import PredictedTrack
@@ -31,10 +31,10 @@ async def test_harmonic_of_a_window_is_found(bench, make):
     power_dbm[:, 5] = math.nan
     bench.append([int(epoch_us) for epoch_us in epochs_us], power_dbm)
     window = {"start": format_epoch(make.now_us - 86_400 * make.s), "stop": format_epoch(make.now_us)}
-    told = await bench.get("/harmonics", **window)
-    assert (told["range"], told["method"], told["rows"]) == (window, "paper", 288)
-    assert (told["plan_id"], told["ephemeris_id"]) == (1, 1)
-    for k, fit in enumerate(told["carriers"][:5]):
+    reported = await bench.get("/harmonics", **window)
+    assert (reported["range"], reported["method"], reported["rows"]) == (window, "paper", 288)
+    assert (reported["plan_id"], reported["ephemeris_id"]) == (1, 1)
+    for k, fit in enumerate(reported["carriers"][:5]):
         assert fit["carrier"] == f"c{k:02d}"
         # five standard errors of 288 samples: sigma sqrt(2 / 288) = 0.0017 dB
         assert fit["amplitude_db"] == pytest.approx(amplitude_db[k], abs=0.0085)
@@ -48,18 +48,18 @@ async def test_harmonic_of_a_window_is_found(bench, make):
         assert fit["converged"] is True
         assert fit["samples_used"] + fit["samples_rejected"] == 288
         assert fit["node_epoch"] == format_epoch(make.now_us - 86_328 * make.s)
-    absent = told["carriers"][5]
+    absent = reported["carriers"][5]
     assert (absent["amplitude_db"], absent["phase_sigma_rad"], absent["samples_used"]) == (None, None, 0)
     (one,) = (await bench.get("/harmonics", **window, carrier="c02"))["carriers"]
-    assert (one["carrier"], one["samples_used"]) == ("c02", told["carriers"][2]["samples_used"])
+    assert (one["carrier"], one["samples_used"]) == ("c02", reported["carriers"][2]["samples_used"])
     # sums over one column and over six are taken in another order
-    assert one["amplitude_db"] == pytest.approx(told["carriers"][2]["amplitude_db"], rel=1e-12)
+    assert one["amplitude_db"] == pytest.approx(reported["carriers"][2]["amplitude_db"], rel=1e-12)
 
 
 async def test_window_without_rows_has_no_harmonic(bench):
-    told = await bench.get("/harmonics", start="2026-11-01T00:00:00Z", stop="2026-11-02T00:00:00Z")
-    assert told["rows"] == 0
-    assert [fit["amplitude_db"] for fit in told["carriers"]] == [None] * 6
+    reported = await bench.get("/harmonics", start="2026-11-01T00:00:00Z", stop="2026-11-02T00:00:00Z")
+    assert reported["rows"] == 0
+    assert [fit["amplitude_db"] for fit in reported["carriers"]] == [None] * 6
 
 
 async def test_robust_fit_survives_what_spoils_the_published_one(bench, make):
@@ -74,9 +74,9 @@ async def test_robust_fit_survives_what_spoils_the_published_one(bench, make):
     power_dbm[100:330, 1] -= 3.0
     bench.append([int(epoch_us) for epoch_us in epochs_us], power_dbm)
     window = {"start": format_epoch(make.now_us - 2 * 86_400 * make.s), "stop": format_epoch(make.now_us)}
-    told = await bench.get("/harmonics", **window, method="robust")
-    assert (told["method"], told["rows"]) == ("robust", 576)
-    for fit in told["carriers"]:
+    reported = await bench.get("/harmonics", **window, method="robust")
+    assert (reported["method"], reported["rows"]) == ("robust", 576)
+    for fit in reported["carriers"]:
         # five standard errors of 346 good samples: 0.02 sqrt(2 / 346) = 0.0015 dB, one third more for the holes
         assert fit["amplitude_db"] == pytest.approx(0.35, abs=0.010)
         assert fit["phase_rad"] == pytest.approx(-0.6, abs=0.010 / 0.35)
@@ -86,7 +86,7 @@ async def test_robust_fit_survives_what_spoils_the_published_one(bench, make):
         # a standard deviation of 346 samples is good to 4 %
         assert fit["rms_db"] == pytest.approx(0.02, rel=0.15)
         assert (fit["law"], fit["dish_law"], fit["converged"]) == ("two_harmonics", None, True)
-    spoiled, clean = told["carriers"][1], told["carriers"][0]
+    spoiled, clean = reported["carriers"][1], reported["carriers"][0]
     # all 230 faded samples and at most 1 % of the good ones
     assert 230 <= spoiled["samples_rejected"] <= 236
     assert clean["samples_rejected"] <= 6
@@ -109,22 +109,22 @@ async def test_robust_fit_takes_the_dish_law_where_ballistics_has_a_track(bench,
     known = storage.catalogue.ephemeris(make.sc)
     storage.catalogue.put_ephemeris(make.sc, replace(known, form="nodes", track=track))
     carriers = storage.catalogue.plan(make.sc).carriers
-    places = Places(
+    positions = Positions(
         np.array([c.station.latitude_deg for c in carriers]),
         np.array([c.station.longitude_deg for c in carriers]),
         np.zeros(len(carriers)),
     )
     core_track = CoreTrack(track_us, np.array(track.latitude_deg), np.array(track.longitude_deg))
-    motion = sight_motion_deg(track_position_deg(core_track, epochs_us), places, 90.0)
+    motion = sight_motion_deg(track_position_deg(core_track, epochs_us), positions, 90.0)
     power_dbm = -45.0 + 3.0 * motion[..., 0] - 2.0 * motion[..., 1] - 60.0 * np.square(motion).sum(axis=-1)
     bench.append([int(epoch_us) for epoch_us in epochs_us], power_dbm)
-    told = await bench.get(
+    reported = await bench.get(
         "/harmonics",
         start=format_epoch(make.now_us - 86_400 * make.s),
         stop=format_epoch(make.now_us),
         method="robust",
     )
-    for fit in told["carriers"]:
+    for fit in reported["carriers"]:
         assert fit["law"] == "dish_law"
         # float32 of 45 dBm has steps of 4e-6 dB; motion is 0.05 deg, its square 0.0025: gains of 20 and 400
         assert fit["dish_law"]["b1_db_per_deg"] == pytest.approx(3.0, abs=1e-3)
@@ -145,31 +145,31 @@ async def test_recommended_carriers_with_their_reasons(bench, make):
         make.carrier_calibration(5, Axes(make.nan, make.nan, make.nan), criteria_met=()),
     ]
     bench.calibrate(carriers, is_active=False)
-    told = await bench.get("/carrier-selection", count=5)
-    assert told["selected"] == ["c00", "c01", "c02", "c03"], "roll, pitch and yaw take turns, and there are no more"
-    assert (told["rule"], told["count"], told["calibration_id"]) == ("paper", 5, 1)
-    assert [row["axis"] for row in told["carriers"]] == ["roll", "pitch", "yaw", "roll", "roll", None]
-    assert [row["rank"] for row in told["carriers"]] == [0, 1, 2, 3, None, None]
-    assert [row["selected"] for row in told["carriers"]] == [True, True, True, True, False, False]
-    assert told["carriers"][0]["dominance"] == 10.0
-    assert told["carriers"][0]["reasons"] == [
+    reported = await bench.get("/carrier-selection", count=5)
+    assert reported["selected"] == ["c00", "c01", "c02", "c03"], "roll, pitch and yaw take turns, and there are no more"
+    assert (reported["rule"], reported["count"], reported["calibration_id"]) == ("paper", 5, 1)
+    assert [row["axis"] for row in reported["carriers"]] == ["roll", "pitch", "yaw", "roll", "roll", None]
+    assert [row["rank"] for row in reported["carriers"]] == [0, 1, 2, 3, None, None]
+    assert [row["selected"] for row in reported["carriers"]] == [True, True, True, True, False, False]
+    assert reported["carriers"][0]["dominance"] == 10.0
+    assert reported["carriers"][0]["reasons"] == [
         "chosen for roll: answers 10.00 times more to roll than to any other axis"
     ]
-    assert told["carriers"][4]["reasons"] == ["not stable: rms 0.090 dB"]
-    assert told["carriers"][5]["reasons"] == ["the calibration has no sensitivity of it for every axis"]
-    assert told["carriers"][5]["sensitivity_db_per_deg"] == {"yaw": None, "roll": None, "pitch": None}
-    assert told["carriers"][0]["sigma_db"] == pytest.approx(math.hypot(0.03, 0.04), rel=1e-12)
+    assert reported["carriers"][4]["reasons"] == ["not stable: rms 0.090 dB"]
+    assert reported["carriers"][5]["reasons"] == ["the calibration has no sensitivity of it for every axis"]
+    assert reported["carriers"][5]["sensitivity_db_per_deg"] == {"yaw": None, "roll": None, "pitch": None}
+    assert reported["carriers"][0]["sigma_db"] == pytest.approx(math.hypot(0.03, 0.04), rel=1e-12)
     sensitivity = np.array([[0.0, 2.0, 0.2], [0.02, 0.3, 1.8], [0.25, 0.3, 0.2], [0.0, 1.0, 0.9]])
     dop = np.sqrt(np.diag(np.linalg.inv(sensitivity.T @ sensitivity)))
     # the oracle inverts the normal matrix, the service goes by QR; both are good to 1e-9 at a condition of 10
-    assert list(told["dop"].values()) == pytest.approx(dop.tolist(), rel=1e-9)
-    assert told["condition"] == pytest.approx(np.linalg.cond(sensitivity), rel=1e-9)
+    assert list(reported["dop"].values()) == pytest.approx(dop.tolist(), rel=1e-9)
+    assert reported["condition"] == pytest.approx(np.linalg.cond(sensitivity), rel=1e-9)
     design = np.column_stack([sensitivity, np.ones(4)])
     bound = 0.05 * np.sqrt(np.diag(np.linalg.inv(design.T @ design)))[:3]
-    assert list(told["crlb_deg"].values()) == pytest.approx(bound.tolist(), rel=1e-9)
-    assert not told["sufficient"]
-    assert any("at least 12" in text for text in told["shortcomings"])
-    assert any("yaw look better than it is" in text for text in told["notes"])
+    assert list(reported["crlb_deg"].values()) == pytest.approx(bound.tolist(), rel=1e-9)
+    assert not reported["sufficient"]
+    assert any("at least 12" in text for text in reported["shortcomings"])
+    assert any("yaw look better than it is" in text for text in reported["notes"])
     everything = (await bench.get("/carrier-selection"))["sets"]["all"]["selected"]
     assert everything == ["c00", "c01", "c02", "c03", "c04"], "the unstable one is usable, only not by the paper's rule"
 
@@ -189,13 +189,13 @@ async def test_optimal_carriers_beside_the_other_sets(bench, make):
         plan_id=plan.id,
         method=CalibrationMethod.GEOMETRY,
     )
-    told = await bench.get("/carrier-selection", count=12, rule="optimal", turns="far_yaw")
-    assert (told["rule"], told["calibration_method"], told["notes"]) == ("optimal", "geometry", [])
-    assert (told["sufficient"], told["shortcomings"], len(told["selected"])) == (True, [], 12)
-    ranked = sorted((row["rank"], row["carrier"]) for row in told["carriers"] if row["selected"])
-    assert [name for _, name in ranked] == told["selected"]
+    reported = await bench.get("/carrier-selection", count=12, rule="optimal", turns="far_yaw")
+    assert (reported["rule"], reported["calibration_method"], reported["notes"]) == ("optimal", "geometry", [])
+    assert (reported["sufficient"], reported["shortcomings"], len(reported["selected"])) == (True, [], 12)
+    ranked = sorted((row["rank"], row["carrier"]) for row in reported["carriers"] if row["selected"])
+    assert [name for _, name in ranked] == reported["selected"]
     for name, count in (("optimal", 12), ("paper", 12), ("all", 20)):
-        found = told["sets"][name]
+        found = reported["sets"][name]
         chosen = [int(carrier.removeprefix("c")) for carrier in found["selected"]]
         assert len(chosen) == count
         design = np.column_stack([sensitivity[chosen], np.ones(count)])
@@ -214,21 +214,22 @@ async def test_optimal_carriers_beside_the_other_sets(bench, make):
         assert 0.0 < found["common_share"] < 1.0
         assert found["transponder_share"] <= 0.35 + 0.1 * (name == "paper")
     # what the rule minimises
-    assert told["sets"]["optimal"]["transponder_share"] <= 0.35
+    assert reported["sets"]["optimal"]["transponder_share"] <= 0.35
     cost = {
         name: sum(
-            (w * told["sets"][name]["crlb_deg"][axis]) ** 2 for w, axis in ((0.05, "yaw"), (1, "roll"), (1, "pitch"))
+            (w * reported["sets"][name]["crlb_deg"][axis]) ** 2
+            for w, axis in ((0.05, "yaw"), (1, "roll"), (1, "pitch"))
         )
         for name in ("optimal", "paper", "all")
     }
     assert cost["all"] < cost["optimal"] < cost["paper"]
-    first = next(row for row in told["carriers"] if row["rank"] == 0)
+    first = next(row for row in reported["carriers"] if row["rank"] == 0)
     assert first["reasons"][0].startswith("chosen: without it bounds of yaw +")
-    left = next(row for row in told["carriers"] if not row["selected"])
+    left = next(row for row in reported["carriers"] if not row["selected"])
     assert left["reasons"][0].startswith("as one more it would give bounds of yaw -")
-    assert told["turns"]["total_s"] == 8.5 * 3600
-    assert max(step["yaw_deg"] for step in told["turns"]["steps"]) == 1.0
-    assert told["turns"]["steps"][1]["offset_s"] == 900.0
+    assert reported["turns"]["total_s"] == 8.5 * 3600
+    assert max(step["yaw_deg"] for step in reported["turns"]["steps"]) == 1.0
+    assert reported["turns"]["steps"][1]["offset_s"] == 900.0
 
 
 async def test_active_calibration_by_geometry_judges_before_a_newer_draft(bench, make):
@@ -263,9 +264,9 @@ async def test_carrier_that_the_plan_excludes_is_not_recommended(bench, make):
     carriers = [make.carrier_calibration(k, Axes(0.1 * k * k, 1.0, 0.5 * k)) for k in range(6)]
     bench.calibrate(carriers, is_active=False, plan_id=plan.id)
     for rule in ("paper", "optimal"):
-        told = await bench.get("/carrier-selection", rule=rule)
-        assert sorted(told["selected"]) == ["c01", "c02", "c03", "c04", "c05"]
-        assert told["carriers"][0]["reasons"] == [
+        reported = await bench.get("/carrier-selection", rule=rule)
+        assert sorted(reported["selected"]) == ["c01", "c02", "c03", "c04", "c05"]
+        assert reported["carriers"][0]["reasons"] == [
             "not usable for attitude: disabled, a beacon, or under uplink power control"
         ]
 
@@ -274,17 +275,17 @@ async def test_the_newest_plan_says_who_is_still_there(bench, make):
     """A plan changed since the calibration: one user gone, one disabled, one new."""
     bench.calibrate([make.carrier_calibration(k, Axes(0.1 * k * k, 1.0 - 0.1 * k, 0.5 * k)) for k in range(6)])
     bench.storage.catalogue.put_plan(make.sc, [make.carrier(k, enabled=k != 2) for k in range(1, 7)], "changed")
-    told = await bench.get("/carrier-selection", rule="optimal")
-    assert sorted(told["selected"]) == ["c01", "c03", "c04", "c05"]
-    assert told["carriers"][0]["reasons"] == ["no longer in the carrier plan"]
-    assert "disabled" in told["carriers"][2]["reasons"][0]
-    assert "c06 came with plan 2 after the calibration: nothing is known of them yet" in told["notes"]
+    reported = await bench.get("/carrier-selection", rule="optimal")
+    assert sorted(reported["selected"]) == ["c01", "c03", "c04", "c05"]
+    assert reported["carriers"][0]["reasons"] == ["no longer in the carrier plan"]
+    assert "disabled" in reported["carriers"][2]["reasons"][0]
+    assert "c06 came with plan 2 after the calibration: nothing is known of them yet" in reported["notes"]
 
 
 async def test_carriers_that_do_not_determine_the_attitude(bench, make):
     """Six carriers that answer to one mixture: nothing but the reason is told."""
     bench.calibrate([make.carrier_calibration(k, Axes(0.1, 1.0, 0.5)) for k in range(6)], is_active=False)
-    told = await bench.get("/carrier-selection", rule="optimal")
-    assert told["crlb_deg"] == told["dop"] == {"yaw": None, "roll": None, "pitch": None}
-    assert told["shortcomings"][0] == "the carriers do not determine three angles and a level common to all of them"
-    assert told["carriers"][0]["reasons"] == ["chosen: without it the attitude is not determined"]
+    reported = await bench.get("/carrier-selection", rule="optimal")
+    assert reported["crlb_deg"] == reported["dop"] == {"yaw": None, "roll": None, "pitch": None}
+    assert reported["shortcomings"][0] == "the carriers do not determine three angles and a level common to all of them"
+    assert reported["carriers"][0]["reasons"] == ["chosen: without it the attitude is not determined"]

@@ -85,9 +85,9 @@ async def test_told_powers_round_to_the_stored_float32(bench, make):
     sent = np.random.default_rng(seed).uniform(-120.0, 10.0, (20, 6)).astype(np.float32)
     bench.append([make.now_us + k for k in range(20)], sent)
     rows = (await bench.get("/measurements/history"))["rows"]
-    told = np.array([list(row["power_dbm"].values()) for row in rows])
+    reported = np.array([list(row["power_dbm"].values()) for row in rows])
     # exact: the fewest digits that name a float32 read back to it
-    assert np.array_equal(told.astype(np.float32), sent)
+    assert np.array_equal(reported.astype(np.float32), sent)
 
 
 async def test_history_pages(bench, make):
@@ -96,6 +96,6 @@ async def test_history_pages(bench, make):
     first = await bench.get("/measurements/history", limit=2)
     second = await bench.get("/measurements/history", limit=2, cursor=first["next"])
     third = await bench.get("/measurements/history", limit=2, cursor=second["next"])
-    told = [row["epoch"] for page in (first, second, third) for row in page["rows"]]
-    assert told == [format_epoch(epoch_us) for epoch_us in epochs_us]
+    reported = [row["epoch"] for page in (first, second, third) for row in page["rows"]]
+    assert reported == [format_epoch(epoch_us) for epoch_us in epochs_us]
     assert third["next"] is None

@@ -143,10 +143,10 @@ async def test_from_powers_to_torques(bench, make):
     assert all(abs(row["deviation_db"]) < 1.0 and row["epoch"] == newest["epoch"] for row in used)
 
     await replay_equals_live(bench, live_us)
-    told = await bench.get("/carrier-selection", count=5)
-    assert len(told["selected"]) == 5
+    reported = await bench.get("/carrier-selection", count=5)
+    assert len(reported["selected"]) == 5
     # each step stands in the audit log once, with the number of what it made
-    assert [(entry.deed.action, entry.deed.target) for entry in bench.storage.audit.chain()] == [
+    assert [(entry.audit_event.action, entry.audit_event.target) for entry in bench.storage.audit.chain()] == [
         ("start_calibration", f"{SC}/calibrations/{started['id']}"),
         ("activate_calibration", f"{SC}/calibrations/{started['id']}:activate"),
         ("align", f"{SC}/alignments/{aligned['id']}"),

@@ -155,7 +155,10 @@ QUERIES = {
 
 async def test_bad_query(bench):
     assert (
-        await wrong(bench, {name: ("GET", SC + path, {}, tuple(told)) for name, (path, *told) in QUERIES.items()}) == {}
+        await wrong(
+            bench, {name: ("GET", SC + path, {}, tuple(reported)) for name, (path, *reported) in QUERIES.items()}
+        )
+        == {}
     )
 
 

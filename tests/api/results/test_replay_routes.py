@@ -26,8 +26,8 @@ async def test_replay_of_a_method_is_started_and_told(bench, make, method):
     }:
         await asyncio.sleep(0.01)
     assert state == state | {"state": "done", "error": None}
-    told = await bench.get(f"/replays/{started['id']}")
-    assert (told["method"], told["version"], told["alignment_id"]) == (method, started["version"], 1)
+    reported = await bench.get(f"/replays/{started['id']}")
+    assert (reported["method"], reported["version"], reported["alignment_id"]) == (method, started["version"], 1)
     history = await bench.get("/attitude/history", **span, version=started["version"], method=method or "paper")
     assert history["method"] == (method or "paper")
     assert {row["version"] for row in history["rows"]} <= {started["version"]}

@@ -63,13 +63,13 @@ async def test_bad_notes_are_refused(bench):
 
 
 async def test_an_empty_hand_over_says_so(bench):
-    told = (await bench.client.get(HANDOVER)).json()
+    reported = (await bench.client.get(HANDOVER)).json()
     for name in ("alarms", "shelved", "suppressed", "calibrations", "keys", "links", "sources", "operations", "notes"):
-        assert told[name] == [], name
-    assert told["alignment"] is None
-    assert told["ephemeris"]["hours_left"] == 0.0
-    assert (told["control"]["mode"], told["control"]["state"]) == ("ground", "INHIBITED")
-    assert told["at"] == "2026-11-21T03:00:00.000000Z"
+        assert reported[name] == [], name
+    assert reported["alignment"] is None
+    assert reported["ephemeris"]["hours_left"] == 0.0
+    assert (reported["control"]["mode"], reported["control"]["state"]) == ("ground", "INHIBITED")
+    assert reported["at"] == "2026-11-21T03:00:00.000000Z"
     assert (await bench.client.get("/api/v1/spacecraft/nobody/handover")).status_code == 404
 
 
@@ -82,7 +82,7 @@ def raise_alarms(bench, make):
         powers = np.where(gone, np.nan, -40.0)
         measurement = Measurement(epoch_us, epoch_us, minute, "sa", 9, powers, None)
         bench.context.alarms.see(make.sc, [RowFacts(measurement, plan, (), Method.PAPER, None, {})])
-    bench.context.alarms._look_at_rows()
+    bench.context.alarms._check_rows()
 
 
 async def test_the_hand_over_tells_what_the_next_shift_must_know(bench, make):
@@ -106,10 +106,12 @@ async def test_the_hand_over_tells_what_the_next_shift_must_know(bench, make):
         )
         bench.storage.keys.add(StoredKey(key, name.encode()))
     await bench.client.post(NOTES, json={"text": "rain over the site", "spacecraft_id": make.sc})
-    told = (await bench.client.get(HANDOVER)).json()
-    assert [(row["id"], row["severity"]) for row in told["alarms"]] == [(worst.id, "distress")]
-    assert [(row["id"], row["shelved_until"]) for row in told["shelved"]] == [(other.id, "2026-11-21T04:00:00.000000Z")]
-    assert [row["id"] for row in told["links"]] == ["sa-1"]
-    assert [row["kind"] for row in told["operations"]] == ["carrier_work"]
-    assert [(row["name"], row["days_left"]) for row in told["keys"]] == [("soon", 3.0)]
-    assert [row["text"] for row in told["notes"]] == ["rain over the site"]
+    reported = (await bench.client.get(HANDOVER)).json()
+    assert [(row["id"], row["severity"]) for row in reported["alarms"]] == [(worst.id, "distress")]
+    assert [(row["id"], row["shelved_until"]) for row in reported["shelved"]] == [
+        (other.id, "2026-11-21T04:00:00.000000Z")
+    ]
+    assert [row["id"] for row in reported["links"]] == ["sa-1"]
+    assert [row["kind"] for row in reported["operations"]] == ["carrier_work"]
+    assert [(row["name"], row["days_left"]) for row in reported["keys"]] == [("soon", 3.0)]
+    assert [row["text"] for row in reported["notes"]] == ["rain over the site"]

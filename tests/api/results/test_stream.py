@@ -91,8 +91,8 @@ async def test_resume_anywhere_loses_and_doubles_nothing(served, source, cut):
         seen += reader.take(18 - cut)
     for kind in ("measurement", "attitude", "torque"):
         epochs = [event.data["epoch"] for event in seen if event.kind == kind]
-        told = [format_epoch(e.content.epoch_us) for e in (*events, *missed, *fresh) if e.kind == kind]
-        assert epochs == told, kind
+        reported = [format_epoch(e.content.epoch_us) for e in (*events, *missed, *fresh) if e.kind == kind]
+        assert epochs == reported, kind
 
 
 async def test_hole_in_the_feed_is_filled_from_the_archive(served, source):
@@ -104,9 +104,9 @@ async def test_hole_in_the_feed_is_filled_from_the_archive(served, source):
         lost = source.store(2)
         fresh = source.store(1)
         source.publish(fresh)
-        told = named(reader.take(9))
+        reported = named(reader.take(9))
     assert len(before) == 3
-    assert sorted(told) == sorted((e.kind, format_epoch(e.content.epoch_us)) for e in (*lost, *fresh))
+    assert sorted(reported) == sorted((e.kind, format_epoch(e.content.epoch_us)) for e in (*lost, *fresh))
 
 
 async def test_event_without_content_sends_streams_to_the_archive(served, source):
@@ -144,8 +144,8 @@ async def test_slow_client_is_told_and_gets_everything(served, source, bench):
             assert page.json()["rows"], path
     for kind in ("measurement", "attitude", "torque"):
         epochs = [event.data["epoch"] for event in events if event.kind == kind]
-        told = [format_epoch(e.content.epoch_us) for batch in batches for e in batch if e.kind == kind]
-        assert epochs == told, kind
+        reported = [format_epoch(e.content.epoch_us) for batch in batches for e in batch if e.kind == kind]
+        assert epochs == reported, kind
 
 
 @pytest.mark.parametrize("beyond", ["900.2.0", "1.900.0"])
@@ -192,9 +192,9 @@ async def test_many_clients_get_the_same(served, source):
             reader.take(1, "status")
         events = source.store(4)
         source.publish(events)
-        told = [reader.take(12) for reader in readers]
-    assert all(seen == told[0] for seen in told)
-    assert named(told[0]) == [(e.kind, format_epoch(e.content.epoch_us)) for e in events]
+        reported = [reader.take(12) for reader in readers]
+    assert all(seen == reported[0] for seen in reported)
+    assert named(reported[0]) == [(e.kind, format_epoch(e.content.epoch_us)) for e in events]
     wait_until(lambda: source.subscribers() == 0)
 
 
@@ -225,8 +225,10 @@ async def test_an_id_older_than_retention_goes_on_with_what_is_kept(served, sour
         (dropped,) = reader.take(1, "dropped")
         assert (dropped.data["reason"], dropped.data["follows"]) == ("retention", False)
         assert dropped.data["counts"] == {"measurement": 2, "result": 4}
-        told = named(reader.take(6))
-    assert sorted(told) == sorted((e.kind, format_epoch(e.content.epoch_us)) for e in published[2:4] + published[8:])
+        reported = named(reader.take(6))
+    assert sorted(reported) == sorted(
+        (e.kind, format_epoch(e.content.epoch_us)) for e in published[2:4] + published[8:]
+    )
 
 
 async def test_one_stream_too_many_is_refused_and_room_comes_back(served, source, bench):
@@ -294,9 +296,9 @@ async def test_alarms_are_told_and_resumed(served, bench, make):
         assert event.id.endswith(f".{change.sequence}")
     second = alarm("second")
     with served.open(status.id) as response:
-        told = Reader(response).take(2, "alarm")
-    assert [event.data["alarm"]["condition"] for event in told] == ["first", "second"]
-    assert told[-1].id.endswith(f".{second.sequence}")
+        reported = Reader(response).take(2, "alarm")
+    assert [event.data["alarm"]["condition"] for event in reported] == ["first", "second"]
+    assert reported[-1].id.endswith(f".{second.sequence}")
 
 
 async def test_a_client_that_takes_nothing_is_let_go(served, source, bench):

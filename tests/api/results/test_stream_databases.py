@@ -32,7 +32,7 @@ def served(bench, make) -> Iterator[Served]:
         yield served
 
 
-def told(events: list[Event]) -> list[tuple[str, object]]:
+def reported(events: list[Event]) -> list[tuple[str, object]]:
     """Return kinds and contents, without places."""
     return [(event.kind, event.data) for event in events]
 
@@ -56,7 +56,7 @@ async def test_resume_into_a_day_that_was_sealed_meanwhile_is_as_if_it_was_not(s
             again = Reader(response).take(11 - cut) if cut < 11 else []
         for kind in ("measurement", "attitude", "torque"):
             wanted = [event for event in whole[cut + 1 :] if event.kind == kind]
-            assert told([event for event in again if event.kind == kind]) == told(wanted), (cut, kind)
+            assert reported([event for event in again if event.kind == kind]) == reported(wanted), (cut, kind)
 
 
 async def test_rows_stored_after_the_sealing_follow_those_of_the_sealed_day(served, bench, make):
@@ -95,8 +95,8 @@ async def test_rows_that_are_posted_come_once_and_in_order(served, bench, make):
             seen += reader.take(1)
     history = (await bench.get("/measurements/history"))["rows"]
     assert [event.data for event in seen] == history
-    places = [place for event in seen if (place := cursor_of(make.sc, event.id))]
-    assert [place.number - places[0].number for place in places] == [0, 1, 2]
+    positions = [position for event in seen if (position := cursor_of(make.sc, event.id))]
+    assert [position.number - positions[0].number for position in positions] == [0, 1, 2]
     # told by the writer and by the journal, sent once
     with served.open(seen[0].id) as response:
         assert Reader(response).take(2) == seen[1:]

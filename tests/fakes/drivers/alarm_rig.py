@@ -47,10 +47,10 @@ class Notices(NoticeChannels):
 
     def __init__(self):
         super().__init__()
-        self.told = []
+        self.reported = []
 
     def offer(self, change):
-        self.told.append((change.kind.value, change.is_told, change.alarm.condition, change.alarm.thing))
+        self.reported.append((change.kind.value, change.is_told, change.alarm.condition, change.alarm.thing))
 
 
 class Rig:
@@ -74,22 +74,22 @@ class Rig:
         measurement = Measurement(epoch_us, epoch_us, minute, "sa", 1, np.array(power_dbm), None, is_late)
         facts = RowFacts(measurement, self.plan, (), Method.ROBUST, None, {})
         self.desk.see("craft", [facts])
-        self.desk._look_at_rows()
+        self.desk._check_rows()
 
     def rows(self, minutes, *power_dbm):
         for minute in minutes:
             self.row(minute, *power_dbm)
 
-    def look(self, *, is_thorough=False):
-        self.desk._looks = 0 if is_thorough else 1
-        self.desk._look_at_clock()
+    def poll(self, *, is_thorough=False):
+        self.desk._polls = 0 if is_thorough else 1
+        self.desk._check_clock()
 
     def open_alarms(self, spacecraft_id="craft"):
         return {alarm.key: alarm for alarm in self.storage.alarms.open_alarms(spacecraft_id)}
 
-    def told(self):
-        told, self.notices.told = self.notices.told, []
-        return told
+    def reported(self):
+        reported, self.notices.reported = self.notices.reported, []
+        return reported
 
 
 def append(rig, minute, source="sa", seqs=None):

@@ -63,7 +63,7 @@ class ChaosClient(threading.Thread):
         self.slowest_s = 0.0
         #: where rows that come late belong: places left out before
         self._left_out: list[int] = []
-        self._place = 0
+        self._position = 0
 
     def stop(self) -> None:
         """Ask for the end after the batch in hand."""
@@ -73,7 +73,7 @@ class ChaosClient(threading.Thread):
         headers = {"Authorization": f"Bearer {self._key}"}
         with httpx.Client(base_url=self._url, headers=headers, timeout=120.0, trust_env=False) as client:
             while not self._leave.is_set() and not self.faults:
-                kind = self._random.choice(KINDS) if self._place else "plain"
+                kind = self._random.choice(KINDS) if self._position else "plain"
                 rows, wanted = self._batch(kind)
                 self._deliver(client, kind, rows, wanted)
 
@@ -93,17 +93,17 @@ class ChaosClient(threading.Thread):
             rows[epoch_us] = powers if kind == "repeated" else [power - 3.0 for power in powers]
             wanted["stored" if kind == "repeated" else "measurement.conflict"] += 1
         elif kind == "future":
-            rows[START_US + FUTURE_US + self._place] = self._powers()
+            rows[START_US + FUTURE_US + self._position] = self._powers()
             wanted["time.future"] += 1
         return rows, wanted
 
     def _next_us(self) -> int:
         """Return the next epoch of this source; now and then one is left out, to be sent late."""
         if self._random.random() < 0.1:
-            self._left_out.append(START_US + (self._clients * self._place + self._number) * STEP_US)
-            self._place += 1
-        self._place += 1
-        return START_US + (self._clients * (self._place - 1) + self._number) * STEP_US
+            self._left_out.append(START_US + (self._clients * self._position + self._number) * STEP_US)
+            self._position += 1
+        self._position += 1
+        return START_US + (self._clients * (self._position - 1) + self._number) * STEP_US
 
     def _powers(self) -> list[float]:
         return [round(self._random.uniform(-60, -40), 3) for _ in range(CARRIERS)]
@@ -123,7 +123,7 @@ class ChaosClient(threading.Thread):
         if answer.status_code != 200:
             self.faults.append(f"{answer.status_code} {answer.text}")
             return
-        self._book(kind, rows, wanted, answer.json())
+        self._engine(kind, rows, wanted, answer.json())
 
     def _refused_whole(self, client: httpx.Client, body: dict[str, Any]) -> None:
         """Send the batch with NaN in its last row: none of it may be stored."""
@@ -152,14 +152,14 @@ class ChaosClient(threading.Thread):
             self.counts["repetitions"] += 1
             time.sleep(0.05)
 
-    def _book(self, kind: str, rows: dict[int, list[float]], wanted: Counter[str], receipt: dict[str, Any]) -> None:
+    def _engine(self, kind: str, rows: dict[int, list[float]], wanted: Counter[str], receipt: dict[str, Any]) -> None:
         """Compare a receipt with what its rows deserve."""
         said: Counter[str] = Counter(refusal["code"] for refusal in receipt["refused"])
         said["stored"] = receipt["accepted"] + receipt["duplicates"]
         if said != wanted or receipt["received"] != len(rows) or receipt["durable"] is not True:
             self.faults.append(f"{kind}: {receipt} where {dict(wanted)} was deserved")
         refused = {refusal["index"] for refusal in receipt["refused"]}
-        kept = {epoch_us: powers for place, (epoch_us, powers) in enumerate(rows.items()) if place not in refused}
+        kept = {epoch_us: powers for position, (epoch_us, powers) in enumerate(rows.items()) if position not in refused}
         with self.lock:
             self.acknowledged.update(kept)
         self.counts.update(
@@ -240,25 +240,25 @@ def await_consumed(client: httpx.Client, wanted: dict[tuple[str, int], list[floa
 def compare(client: httpx.Client, wanted: dict[tuple[str, int], list[float]]) -> dict[str, int]:
     """Demand that history, samples and export tell exactly the wanted rows; return the counts of each."""
     rows = history(client)
-    told = Counter((row["source"], row["epoch"]) for row in rows)
-    assert told == Counter((source, text_of(epoch_us)) for source, epoch_us in wanted), difference(told, wanted)
+    reported = Counter((row["source"], row["epoch"]) for row in rows)
+    assert reported == Counter((source, text_of(epoch_us)) for source, epoch_us in wanted), difference(reported, wanted)
     table = client.get(
         f"{BASE}/sim-1/archive/measurements:export", params={"format": "csv", **WINDOW}, timeout=120
     ).text
     lines = list(csv.DictReader(line for line in table.splitlines() if not line.startswith("#")))
     exported = Counter((line["source"], line["epoch"]) for line in lines)
-    assert exported == told
+    assert exported == reported
     samples = client.get(f"{BASE}/sim-1/measurements/samples", params={**WINDOW, "count": 50}, timeout=120).json()
     sampled = {name: sum(each["n"] for each in bins) for name, bins in samples["power_dbm"].items()}
     assert set(sampled.values()) == {len(wanted)}, sampled
     return {"history": len(rows), "export": len(lines), "samples": len(wanted)}
 
 
-def difference(told: Counter[tuple[str, str]], wanted: dict[tuple[str, int], list[float]]) -> str:
+def difference(reported: Counter[tuple[str, str]], wanted: dict[tuple[str, int], list[float]]) -> str:
     """Return in words how what is told differs from what was promised."""
     names = {(source, text_of(epoch_us)) for source, epoch_us in wanted}
-    doubled = [name for name, times in told.items() if times > 1]
-    return f"missing {len(names - set(told))}, beyond {len(set(told) - names)}, doubled {len(doubled)}"
+    doubled = [name for name, times in reported.items() if times > 1]
+    return f"missing {len(names - set(reported))}, beyond {len(set(reported) - names)}, doubled {len(doubled)}"
 
 
 def kill_server(cluster: Any) -> None:

@@ -49,7 +49,7 @@ class Wire:
     def say(self, kind: int, control: int = 0, parameter: int = 0, payload: bytes = b"") -> None:
         self.line.sendall(struct.pack("!2sBBIQ", b"HS", kind, control, parameter, len(payload)) + payload)
 
-    def hear(self) -> Heard:
+    def on_input(self) -> Heard:
         prologue, kind, control, parameter, length = struct.unpack("!2sBBIQ", self._exactly(16))
         assert prologue == b"HS"
         return Heard(kind, control, parameter, self._exactly(length))
@@ -85,10 +85,10 @@ class Client:
     def __init__(self, port: int, version: int = 0x0100) -> None:
         self.sync, self.side = Wire(port), Wire(port)
         self.sync.say(INITIALIZE, 0, version << 16 | 0x7878, b"hislip0")
-        self.opened = self.sync.hear()
+        self.opened = self.sync.on_input()
         assert self.opened.kind == INITIALIZED
         self.side.say(ASYNC_INITIALIZE, 0, self.opened.parameter & 0xFFFF)
-        assert self.side.hear()[:2] == (ASYNC_INITIALIZED, 0)
+        assert self.side.on_input()[:2] == (ASYNC_INITIALIZED, 0)
         self.next_id, self.last_id, self.delivered = FIRST_ID, FIRST_ID - 2, 0
 
     def __enter__(self) -> "Client":
@@ -107,7 +107,7 @@ class Client:
     def read(self) -> bytes:
         answer = b""
         while True:
-            heard = self.sync.hear()
+            heard = self.sync.on_input()
             assert heard.kind in {DATA, DATA_END}, heard
             assert heard.parameter == self.last_id
             answer += heard.payload
@@ -121,7 +121,7 @@ class Client:
 
     def status(self) -> int:
         self.side.say(STATUS, self.delivered, self.last_id)
-        heard = self.side.hear()
+        heard = self.side.on_input()
         assert heard.kind == STATUS_TOLD, heard
         return heard.control
 
@@ -134,15 +134,15 @@ class Client:
         return self.lock_answer()
 
     def lock_answer(self) -> int:
-        heard = self.side.hear()
+        heard = self.side.on_input()
         assert heard.kind == LOCKED, heard
         return heard.control
 
     def clear(self) -> None:
         self.side.say(CLEAR)
-        assert self.side.hear()[:3] == (CLEAR_ACKNOWLEDGED, 0, 0)
+        assert self.side.on_input()[:3] == (CLEAR_ACKNOWLEDGED, 0, 0)
         self.sync.say(CLEAR_COMPLETE)
-        while self.sync.hear().kind != CLEAR_DONE:
+        while self.sync.on_input().kind != CLEAR_DONE:
             pass
         self.next_id, self.last_id, self.delivered = FIRST_ID, FIRST_ID - 2, 0
 

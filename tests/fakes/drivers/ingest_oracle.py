@@ -45,8 +45,8 @@ class Oracle:
             return []
         first = sent.body.get("first_seq")
         return [
-            self._one(row, sent.body["plan_id"], *epoch, None if first is None else first + place)
-            for place, (row, epoch) in enumerate(zip(sent.body["measurements"], sent.epochs, strict=True))
+            self._one(row, sent.body["plan_id"], *epoch, None if first is None else first + position)
+            for position, (row, epoch) in enumerate(zip(sent.body["measurements"], sent.epochs, strict=True))
         ]
 
     def _one(self, row: dict[str, Any], plan_id: int, epoch_us: int, is_leap: bool, seq: int | None) -> str:
@@ -61,12 +61,12 @@ class Oracle:
         if any(power is not None and not -250 <= power <= 50 for power in row["power_dbm"]):
             return "value.out_of_range"
         content = content_of(row, plan_id, is_leap=is_leap)
-        for place_us, told in ((epoch_us, content), (epoch_us + 1, marked(content, width))):
+        for place_us, reported in ((epoch_us, content), (epoch_us + 1, marked(content, width))):
             known = self.rows.get(place_us)
             if known is None:
-                self.rows[place_us], self.seqs[place_us] = told, seq
+                self.rows[place_us], self.seqs[place_us] = reported, seq
                 return "accepted"
-            if known == told:
+            if known == reported:
                 return "duplicate"
             if not (has_leap(known) or has_leap(content)):
                 break

@@ -190,7 +190,7 @@ class ReleaseDriver:
             self.pass_time(60.0)
             self.send(RowSeen(self.at, replace(row, epoch_us=self.now_us - round(lag_s * US))))
 
-    def tell(self, **changes: object) -> Step:
+    def report(self, **changes: object) -> Step:
         return self.send(InputsChanged(self.at, replace(self.inputs, **changes)))
 
     def order(self, kind: OrderKind, by: str = "ann") -> Step:

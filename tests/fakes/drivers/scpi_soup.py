@@ -42,13 +42,13 @@ def spellings(name: str) -> tuple[str, ...]:
 class Edit:
     """One change of a text: what is at a place is replaced by something."""
 
-    place: float
+    position: float
     width: int
     text: str
 
     def apply(self, text: str) -> str:
         """Return the text with the change."""
-        at = int(self.place * len(text))
+        at = int(self.position * len(text))
         return text[:at] + self.text + text[at + self.width :]
 
 

@@ -71,8 +71,8 @@ class Trial:
         counts = self.chaos.finish(self.clients)
         promised = self.chaos.promised(self.clients)
         self.chaos.await_consumed(self.client, promised)
-        told = self.chaos.compare(self.client, promised)
-        print(told, dict(counts))
+        reported = self.chaos.compare(self.client, promised)
+        print(reported, dict(counts))
         found = diagnose(url or f"sqlite:///{self.file}", system_now_us(), lambda _: None)
         # the disk of the tests' machine may be small
         assert [each for each in found if each.state != "ok" and each.check != "disk"] == []

@@ -99,9 +99,9 @@ class HislipLine:
         self.number = opened.parameter & 0xFFFF
         self.asynchronous = connected(port)
         self.put_asynchronous(ASYNC_INITIALIZE, 0, self.number)
-        self.take_asynchronous(ASYNC_INITIALIZE_RESPONSE)
+        self.on_asynchronous(ASYNC_INITIALIZE_RESPONSE)
         self.put_asynchronous(MAX_SIZE, 0, 0, struct.pack("!Q", client_bytes))
-        self.server_bytes = struct.unpack("!Q", self.take_asynchronous(MAX_SIZE_RESPONSE).payload)[0]
+        self.server_bytes = struct.unpack("!Q", self.on_asynchronous(MAX_SIZE_RESPONSE).payload)[0]
         self.message_id = 0xFFFFFF00
         self.is_delivered = False
 
@@ -123,7 +123,7 @@ class HislipLine:
         """Return the next message of the synchronous channel."""
         return self._packet(self.synchronous)
 
-    def take_asynchronous(self, kind: int | None = None) -> Packet:
+    def on_asynchronous(self, kind: int | None = None) -> Packet:
         """Return the next message of the asynchronous channel; with a kind, the next of that kind."""
         while True:
             packet = self._packet(self.asynchronous)
@@ -158,12 +158,12 @@ class HislipLine:
         """Return the status byte as a serial poll does."""
         self.put_asynchronous(STATUS_QUERY, int(self.is_delivered), (self.message_id - 2) & 0xFFFFFFFF)
         self.is_delivered = False
-        return self.take_asynchronous(STATUS_RESPONSE).control
+        return self.on_asynchronous(STATUS_RESPONSE).control
 
     def clear(self) -> None:
         """Clear the device: both channels, then start anew."""
         self.put_asynchronous(ASYNC_CLEAR)
-        self.take_asynchronous(ASYNC_CLEAR_ACKNOWLEDGE)
+        self.on_asynchronous(ASYNC_CLEAR_ACKNOWLEDGE)
         self.put(CLEAR_COMPLETE)
         while self.take().kind != CLEAR_ACKNOWLEDGE:
             pass

@@ -83,7 +83,7 @@ class ScriptedSession:
 
     def __init__(self, family: str = "rs", identity: str = "Rohde&Schwarz,FSW-26,1,5") -> None:
         self.identity = identity
-        self.told: list[str] = []
+        self.reported: list[str] = []
         self.queue: list[str] = []
         self.family = family
         self.values = BASE | FAMILIES[family]
@@ -104,7 +104,7 @@ class ScriptedSession:
         self.is_closed = True
 
     def write(self, message: str) -> None:
-        self.told.append(message)
+        self.reported.append(message)
         for unit in message.split(";"):
             self._set(unit)
 
@@ -118,7 +118,7 @@ class ScriptedSession:
             self.values[header] = self.stuck.get(header, {"ON": "1", "OFF": "0"}.get(value, value))
 
     def query(self, message: str, timeout_s: float | None = None) -> str:
-        self.told.append(message)
+        self.reported.append(message)
         self.timeouts.append(timeout_s)
         if message == "*IDN?":
             return self.identity
@@ -131,7 +131,7 @@ class ScriptedSession:
         return answer
 
     def query_block(self, message: str, timeout_s: float | None = None) -> tuple[bytes | None, str]:
-        self.told.append(message)
+        self.reported.append(message)
         _, _, further = message.partition(";")
         rest = "".join(f";{answer}" for answer in self._answers(further)) if further else ""
         text = ",".join(f"{level:.6E}" for level in self.levels)

@@ -99,10 +99,10 @@ def calibrated_world(name: str, seed: int) -> CalibratedWorld:
 
 def calibration_input(arrays: dict[str, Any]) -> CalibrationInput:
     """Return what the archive would hold of an exported world's quiet days and turns."""
-    told = {line["kind"]: line["body"] for line in json.loads(arrays["catalogue_json"]) if "body" in line}
+    reported = {line["kind"]: line["body"] for line in json.loads(arrays["catalogue_json"]) if "body" in line}
     carriers = tuple(
         Carrier(**{**one, "station": Station(**one["station"]) if one.get("station") else None})
-        for one in told["carriers"]["carriers"]
+        for one in reported["carriers"]["carriers"]
     )
     names = [str(name) for name in arrays["phase_name"]]
     stretches = zip(arrays["phase_start_us"], arrays["phase_stop_us"], strict=True)
@@ -111,27 +111,29 @@ def calibration_input(arrays: dict[str, Any]) -> CalibrationInput:
     return CalibrationInput(
         CalibrationRequest(quiet, turns, CalibrationMethod.GEOMETRY),
         CarrierPlan(1, "exported", carriers),
-        _ephemeris(told["ephemeris"]),
+        _ephemeris(reported["ephemeris"]),
         _series(arrays, quiet),
         _series(arrays, turns),
         _references(arrays, turns),
         _references(arrays, quiet),
-        _spacecraft(told["spacecraft"]),
+        _spacecraft(reported["spacecraft"]),
     )
 
 
-def _ephemeris(told: dict[str, Any]) -> Ephemeris:
-    track = told["track"]
+def _ephemeris(reported: dict[str, Any]) -> Ephemeris:
+    track = reported["track"]
     at_us = tuple(parse_epoch(epoch) for epoch in track["epochs"])
-    nodes_us = tuple(parse_epoch(epoch) for epoch in told["ascending_nodes"])
+    nodes_us = tuple(parse_epoch(epoch) for epoch in reported["ascending_nodes"])
     kept = Track(at_us, tuple(track["latitude_deg"]), tuple(track["longitude_deg"]))
-    return Ephemeris(1, nodes_us, told["nodal_period_s"], at_us[0], at_us[-1], "track", kept)
+    return Ephemeris(1, nodes_us, reported["nodal_period_s"], at_us[0], at_us[-1], "track", kept)
 
 
-def _spacecraft(told: dict[str, Any]) -> Spacecraft:
-    inertia = tuple(tuple(row) for row in told["inertia_kg_m2"])
-    site = Site(**told["receiving_site"])
-    return Spacecraft(told["id"], told["name"], told["longitude_deg"], site, inertia, told["torque_limit_n_m"])
+def _spacecraft(reported: dict[str, Any]) -> Spacecraft:
+    inertia = tuple(tuple(row) for row in reported["inertia_kg_m2"])
+    site = Site(**reported["receiving_site"])
+    return Spacecraft(
+        reported["id"], reported["name"], reported["longitude_deg"], site, inertia, reported["torque_limit_n_m"]
+    )
 
 
 def _series(arrays: dict[str, Any], window: Window) -> MeasurementSeries:

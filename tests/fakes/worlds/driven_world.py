@@ -124,7 +124,7 @@ class DrivenWorld:
         self.simulated = World(scenario, seed)
         path = directory / f"{scenario.name}-{seed}.npz"
         export_npz(self.simulated, path, sweep_noise)
-        ground, self.truth = (told := read_world(path)).ground, told.truth
+        ground, self.truth = (reported := read_world(path)).ground, reported.truth
         if order is not None:
             ground = replace(ground, carriers=tuple(ground.carriers[k] for k in order))
         self.adopt(ground)
@@ -189,10 +189,10 @@ class DrivenWorld:
     def aligned_chain(self, documents: JournalDocuments, number: int = 1, methods: Any = ROBUST_ONLY) -> Chain:
         """Return a chain that has heard everything up to an alignment."""
         chain = Chain(documents, ChainConfig(), methods=methods)
-        told = [entry.content for entry in slow_entries(self.ground, documents) if entry.epoch_us < self.start_us]
+        reported = [entry.content for entry in slow_entries(self.ground, documents) if entry.epoch_us < self.start_us]
         opening = (SpacecraftChange(self.ground.spacecraft, 1), PlanChange(1), EphemerisChange(1))
-        for content in (*opening, CalibrationActivation(1, 1), *told, AlignmentSet(number)):
-            chain.learn(content)
+        for content in (*opening, CalibrationActivation(1, 1), *reported, AlignmentSet(number)):
+            chain.update(content)
         return chain
 
     def fly(
@@ -213,10 +213,10 @@ class DrivenWorld:
         entries = [entry for entry in slow_entries(ground, documents) if entry.epoch_us >= self.start_us]
         rows = np.flatnonzero(ground.is_measured & (self.hours >= 0.0) & (self.hours < until_h))
         outcomes = [chain.step(row) for row in measurements(chain, ground, documents, entries, rows)]
-        told = [row for outcome in outcomes if outcome is not None for row in outcome.rows]
-        assert len(told) == len(rows), "one method says one thing about every row"
-        assert all(row.status is not Status.ACQUIRED or np.isfinite(row.attitude_deg).all() for row in told)
-        return Flown(told, self.hours[rows], self.truth.attitude_deg[rows])
+        reported = [row for outcome in outcomes if outcome is not None for row in outcome.rows]
+        assert len(reported) == len(rows), "one method says one thing about every row"
+        assert all(row.status is not Status.ACQUIRED or np.isfinite(row.attitude_deg).all() for row in reported)
+        return Flown(reported, self.hours[rows], self.truth.attitude_deg[rows])
 
     def snapshot(
         self, number: int, epoch_us: int, power_dbm: FloatArray, method: Method = Method.ROBUST

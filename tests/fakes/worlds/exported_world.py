@@ -133,7 +133,7 @@ class ExportedWorld:
             CalibrationActivation(1, 1),
             AlignmentSet(1),
         ):
-            chain.learn(content)
+            chain.update(content)
         in_operation = np.flatnonzero(self.epochs_us >= self.phases["operation"].start_us)
         outcomes = [chain.step(self._measurement(k)) for k in in_operation]
         rows = [row for outcome in outcomes for row in outcome.rows]

@@ -49,7 +49,7 @@ _EARTH_RATE = 7.292115e-5
 NODE_US = START_US - 3 * HOUR
 
 
-def places_m(latitude_deg: FloatArray, longitude_deg: FloatArray) -> FloatArray:
+def positions_m(latitude_deg: FloatArray, longitude_deg: FloatArray) -> FloatArray:
     """Return Earth-fixed vectors of places on the ellipsoid, by their parametric latitude."""
     longitude, polar_m = np.radians(longitude_deg), _EQUATOR_M * (1.0 - _FLATTENING)
     reduced = np.arctan(polar_m / _EQUATOR_M * np.tan(np.radians(latitude_deg)))
@@ -97,9 +97,9 @@ def body_axes(here_m: FloatArray, velocity_m_s: FloatArray, angles_deg: FloatArr
     return np.asarray(np.array(turns).reshape(-1, 3, 3) @ frame)
 
 
-def antenna_deg(here_m: FloatArray, axes: FloatArray, places_m: FloatArray) -> FloatArray:
+def antenna_deg(here_m: FloatArray, axes: FloatArray, positions_m: FloatArray) -> FloatArray:
     """Return azimuth and elevation (T, N, 2) of places in the body frame."""
-    sight = np.einsum("tij,tnj->tni", axes, places_m - here_m[:, None])
+    sight = np.einsum("tij,tnj->tni", axes, positions_m - here_m[:, None])
     angles = [np.arctan(sight[..., 0] / sight[..., 2]), np.arctan(-sight[..., 1] / sight[..., 2])]
     return np.asarray(np.degrees(np.stack(angles, axis=-1)))
 

@@ -23,7 +23,7 @@ from flight_geometry import (
     antenna_deg,
     body_axes,
     orbit_deg,
-    places_m,
+    positions_m,
     satellite_m,
     turn_rad,
 )
@@ -124,16 +124,16 @@ class FlightPayload:
         """Return latitude and longitude (N, 2)."""
         return np.array([CITIES[name] for name in self.cities])
 
-    def places_m(self) -> FloatArray:
+    def positions_m(self) -> FloatArray:
         """Return the stations and, last, the receiving site (N + 1, 3)."""
         latitude, longitude = np.vstack([self.stations_deg(), [SITE.latitude_deg, SITE.longitude_deg]]).T
-        return places_m(latitude, longitude)
+        return positions_m(latitude, longitude)
 
     def nominal_deg(self) -> FloatArray:
         """Return azimuth and elevation (N + 1, 2) of the places from the nominal longitude."""
         here_m = satellite_m(np.array([[0.0, LONGITUDE_DEG]]))
         still = np.zeros((1, 3))
-        return np.asarray(antenna_deg(here_m, body_axes(here_m, still, still), self.places_m())[0])
+        return np.asarray(antenna_deg(here_m, body_axes(here_m, still, still), self.positions_m())[0])
 
     def daily_db(self, epochs_us: Any) -> FloatArray:
         """Return what dish and solar day add (T, N)."""
@@ -150,12 +150,12 @@ class FlightPayload:
 
     def _sight_deg(self, epochs_us: FloatArray) -> FloatArray:
         """Return where the satellite stands beside the axis of each dish (T, N, 2), East and up."""
-        places = self.places_m()[:-1]
-        axis = satellite_m(np.array([0.0, LONGITUDE_DEG])) - places
+        positions = self.positions_m()[:-1]
+        axis = satellite_m(np.array([0.0, LONGITUDE_DEG])) - positions
         axis = axis / np.linalg.norm(axis, axis=-1, keepdims=True)
         east = np.stack([-axis[:, 1], axis[:, 0], np.zeros(len(axis))], axis=-1)
         east = east / np.linalg.norm(east, axis=-1, keepdims=True)
-        sight = satellite_m(orbit_deg(epochs_us))[:, None] - places
+        sight = satellite_m(orbit_deg(epochs_us))[:, None] - positions
         ahead = np.einsum("tnj,nj->tn", sight, axis)
         sides = (east, np.cross(axis, east))
         angles = [np.arctan(np.einsum("tnj,nj->tn", sight, side) / ahead) for side in sides]
@@ -172,7 +172,7 @@ class FlightPayload:
         else:
             here_m = np.tile(satellite_m(np.array([[0.0, LONGITUDE_DEG]])), (len(epochs), 1))
             axes = body_axes(here_m, np.zeros((1, 3)), angles)
-        moved = antenna_deg(here_m, axes, self.places_m()) - self.nominal_deg()
+        moved = antenna_deg(here_m, axes, self.positions_m()) - self.nominal_deg()
         d, site, bend = moved[:, :-1], moved[:, -1:], self.hessian
         beam = (
             (d * self.gradient).sum(axis=-1)
@@ -257,7 +257,7 @@ class FlightPayload:
             station_latitude_deg=tuple(stations[:, 0].tolist()),
             station_longitude_deg=tuple(stations[:, 1].tolist()),
             site_deg=(float(nominal[-1, 0]), float(nominal[-1, 1])),
-            site_place=(SITE.latitude_deg, SITE.longitude_deg, 0.0),
+            site_position=(SITE.latitude_deg, SITE.longitude_deg, 0.0),
             nominal_longitude_deg=LONGITUDE_DEG,
             level_dbm=tuple(self.level_dbm.tolist()),
             daily=_table(self.daily),
@@ -334,7 +334,7 @@ class FlightPayload:
     ) -> Alignment:
         """Return an alignment whose references are the true levels of either method."""
         offsets = np.array([self.permuted([k]).harmonic().offset_dbm for k in range(len(self.ids))])
-        told = {"robust": self._references(self.level_dbm), "paper": self._references(offsets)}
+        reported = {"robust": self._references(self.level_dbm), "paper": self._references(offsets)}
         made = Alignment(
             alignment_id,
             epoch_us,
@@ -344,10 +344,10 @@ class FlightPayload:
             "star_tracker",
             epoch_us,
             "me",
-            told["robust"],
+            reported["robust"],
             Window(epoch_us - 900 * S, epoch_us + 1),
-            references_by_method=told,
-            calibration_by_method=dict.fromkeys(told, calibration_id),
+            references_by_method=reported,
+            calibration_by_method=dict.fromkeys(reported, calibration_id),
         )
         return replace(made, **changes)
 

@@ -96,7 +96,7 @@ class Flight:
         self.spacecraft = spacecraft or payload.spacecraft()
         if is_opened:
             for content in self.opening():
-                self.chain.learn(content)
+                self.chain.update(content)
 
     def opening(self) -> tuple[Any, ...]:
         """Return the slow inputs with which the journal opens."""

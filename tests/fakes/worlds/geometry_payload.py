@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from service.core.estimation.calibration.geometry_columns import beam_columns, daily_columns
-from service.pipeline.calibration.geometry_rows import orbit_motion, plan_places
+from service.pipeline.calibration.geometry_rows import orbit_motion, plan_positions
 from service.pipeline.calibration.windows import CalibrationInput
 from service.records.calibration import CalibrationMethod, CalibrationRequest, Window
 from service.records.catalogue import Carrier, CarrierPlan, Ephemeris, Site, Spacecraft, Station, Track
@@ -120,17 +120,17 @@ class GeometryPayload:
     def power_dbm(self, epochs_us: np.ndarray, angles_deg: np.ndarray) -> np.ndarray:
         """Return powers (T, N) without noise."""
         known = self.data(noise_db=None)
-        places = plan_places(CarrierPlan(1, "x", self.carriers), self.spacecraft)
-        motion = orbit_motion(known, epochs_us, places)
-        own, shared = beam_columns(angles_deg, places.geometry, motion)
+        positions = plan_positions(CarrierPlan(1, "x", self.carriers), self.spacecraft)
+        motion = orbit_motion(known, epochs_us, positions)
+        own, shared = beam_columns(angles_deg, positions.geometry, motion)
         daily = daily_columns(motion, np.zeros(len(epochs_us)), len(self.carriers))
-        is_beacon = places.is_beacon[:, None]
+        is_beacon = positions.is_beacon[:, None]
         dish, beam = np.where(is_beacon, 0.0, self.daily), np.where(is_beacon, 0.0, self.beam)
         return (
             self.level_dbm
             + (daily * dish).sum(-1)
             + (own * beam).sum(-1)
-            + shared @ np.tile(self.downlink, (len(places.bands), 1)).ravel()
+            + shared @ np.tile(self.downlink, (len(positions.bands), 1)).ravel()
         )
 
     def data(
@@ -148,8 +148,8 @@ class GeometryPayload:
             if noise_db is not None:
                 power = self.power_dbm(epochs_us, angles) + noise_db * rng.normal(size=power.shape)
             series.append(MeasurementSeries(tuple(c.id for c in self.carriers), epochs_us, power))
-            told = angles + sensor_deg * rng.normal(size=angles.shape)
-            references.append(ReferenceSeries("star_tracker", epochs_us, told, np.full(told.shape, sensor_deg)))
+            reported = angles + sensor_deg * rng.normal(size=angles.shape)
+            references.append(ReferenceSeries("star_tracker", epochs_us, reported, np.full(reported.shape, sensor_deg)))
         return CalibrationInput(
             request,
             CarrierPlan(1, "geometry", self.carriers),
@@ -163,7 +163,7 @@ class GeometryPayload:
 
     def slopes(self) -> np.ndarray:
         """Return the true slopes (N, 3) at zero attitude, dB/deg."""
-        places = plan_places(CarrierPlan(1, "x", self.carriers), self.spacecraft)
-        matrix = places.geometry.displacement()
-        own = np.einsum("nij,ni->nj", matrix[:-1], np.where(places.is_beacon[:, None], 0.0, self.beam[:, :2]))
+        positions = plan_positions(CarrierPlan(1, "x", self.carriers), self.spacecraft)
+        matrix = positions.geometry.displacement()
+        own = np.einsum("nij,ni->nj", matrix[:-1], np.where(positions.is_beacon[:, None], 0.0, self.beam[:, :2]))
         return own + np.einsum("nij,i->nj", matrix[-1] - matrix[:-1], self.downlink[0])

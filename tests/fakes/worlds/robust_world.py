@@ -232,23 +232,23 @@ class RobustWorld:
                 continue
             epoch_us = int(rows.epochs_us[k])
             declared = self.declared(state.epoch_us, epoch_us) if self.world.operations else None
-            told = step(model, settings, state, epoch_us, self.deviation_db[k], pending, declared=declared)
-            state, pending = told.state, no_motion()
-            steps.append(told)
+            reported = step(model, settings, state, epoch_us, self.deviation_db[k], pending, declared=declared)
+            state, pending = reported.state, no_motion()
+            steps.append(reported)
             written.append(k)
         used = np.zeros((len(steps), model.carriers), dtype=bool)
-        for number, told in enumerate(steps):
-            used[number, told.used] = True
+        for number, reported in enumerate(steps):
+            used[number, reported.used] = True
         return Filtered(
             rows.attitude_deg[written],
-            np.array([told.attitude_deg for told in steps]),
-            np.array([np.sqrt(np.diagonal(told.covariance_deg2)) for told in steps]),
-            np.array([told.integrity.is_axis_allowed for told in steps]),
-            np.array([told.state.rain.is_raining for told in steps]),
+            np.array([reported.attitude_deg for reported in steps]),
+            np.array([np.sqrt(np.diagonal(reported.covariance_deg2)) for reported in steps]),
+            np.array([reported.integrity.is_axis_allowed for reported in steps]),
+            np.array([reported.state.rain.is_raining for reported in steps]),
             rows.downlink_fade_db[written],
             used,
             rows.flags[written],
-            np.array([told.state.noise.nis_ratio for told in steps]),
-            [told.cause for told in steps],
+            np.array([reported.state.noise.nis_ratio for reported in steps]),
+            [reported.cause for reported in steps],
             steps,
         )

@@ -28,11 +28,11 @@ def world():
 
 def with_references(ground, change):
     """Return a ground whose sensors told something else; `change` gets one sensor's epochs and angles."""
-    told = tuple(
+    reported = tuple(
         ReferenceSeries(one.source, one.epochs_us, change(one.epochs_us, one.attitude_deg.copy()), one.sigma_deg)
         for one in ground.references
     )
-    return replace(ground, references=told)
+    return replace(ground, references=reported)
 
 
 def recalibrated(world, ground):
@@ -62,10 +62,10 @@ def test_a_star_tracker_gone_mad_after_the_alignment_changes_no_row(world):
         is_measured=world.ground.is_measured[:short],
         source=world.ground.source[:short],
     )
-    told, poisoned = drive(ground), drive(replace(ground, references=(mad,)))
-    assert told.alignment_deg.tolist() == poisoned.alignment_deg.tolist()
-    assert told.methods.keys() == {method.value for method in METHODS}
-    for name, one in told.methods.items():
+    reported, poisoned = drive(ground), drive(replace(ground, references=(mad,)))
+    assert reported.alignment_deg.tolist() == poisoned.alignment_deg.tolist()
+    assert reported.methods.keys() == {method.value for method in METHODS}
+    for name, one in reported.methods.items():
         np.testing.assert_array_equal(poisoned.methods[name].estimate_deg, one.estimate_deg)
         np.testing.assert_array_equal(poisoned.methods[name].sigma_deg, one.sigma_deg)
 
@@ -74,11 +74,11 @@ def test_a_star_tracker_gone_mad_after_the_alignment_changes_no_row(world):
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("present", [0, 3])
 def test_hours_of_next_to_nothing_are_no_fix_and_no_control(world, method, present):
-    told = world.fly(world.changed(1.0, 3.0, np.nan, slice(present, None)), until_h=4.0, method=method)
-    dark = told.between(1.5, 3.0)
-    assert all(row.status is not Status.ACQUIRED for row, is_dark in zip(told.rows, dark, strict=True) if is_dark)
-    assert not told.is_allowed[dark].any()
-    assert told.rows[-1].status is Status.ACQUIRED
+    reported = world.fly(world.changed(1.0, 3.0, np.nan, slice(present, None)), until_h=4.0, method=method)
+    dark = reported.between(1.5, 3.0)
+    assert all(row.status is not Status.ACQUIRED for row, is_dark in zip(reported.rows, dark, strict=True) if is_dark)
+    assert not reported.is_allowed[dark].any()
+    assert reported.rows[-1].status is Status.ACQUIRED
 
 
 @pytest.mark.slow
@@ -90,10 +90,10 @@ def test_a_silent_star_tracker_is_refused_in_words(world, phase):
         angles[(epochs_us >= window.start_us) & (epochs_us < window.stop_us)] = np.nan
         return angles
 
-    with pytest.raises(UndrivenError, match="refused") as told:
+    with pytest.raises(UndrivenError, match="refused") as reported:
         drive(with_references(world.ground, silent))
-    print(told.value)
-    assert len(str(told.value)) > 30, "words, not a code"
+    print(reported.value)
+    assert len(str(reported.value)) > 30, "words, not a code"
 
 
 @pytest.mark.slow
@@ -116,11 +116,11 @@ def test_stations_given_twice_are_flown_all_the_same(tmp_path):
         power_dbm[:, copy] = power_dbm[:, original] + 2.0
     twin = DrivenWorld(world.simulated.scenario, SEED, tmp_path)
     twin.adopt(replace(world.ground, carriers=tuple(carriers), power_dbm=power_dbm))
-    told = twin.fly(until_h=6.0)
-    print(f"seed {SEED}: rms {told.rms_deg(1.0).round(4)}")
-    assert all(row.status is Status.ACQUIRED for row in told.rows)
+    reported = twin.fly(until_h=6.0)
+    print(f"seed {SEED}: rms {reported.rms_deg(1.0).round(4)}")
+    assert all(row.status is Status.ACQUIRED for row in reported.rows)
     # the must of nominal, roll and pitch
-    assert (told.rms_deg(1.0)[1:] <= [0.025, 0.030]).all()
+    assert (reported.rms_deg(1.0)[1:] <= [0.025, 0.030]).all()
 
 
 def daily_levels(world, result):
@@ -161,8 +161,8 @@ def test_a_manoeuvre_inside_the_quiet_days_moves_no_level(world):
     moved = world.noise_free_dbm(epochs_us, np.repeat(at, len(epochs_us), axis=0))
     power_dbm[turned] += moved - world.noise_free_dbm(epochs_us, np.zeros((len(epochs_us), 3)))
 
-    def seen(told_us, angles):
-        angles[(told_us >= begin_us) & (told_us < begin_us + 4 * HOUR_US)] += at
+    def seen(reported_us, angles):
+        angles[(reported_us >= begin_us) & (reported_us < begin_us + 4 * HOUR_US)] += at
         return angles
 
     result = recalibrated(world, with_references(replace(world.ground, power_dbm=power_dbm), seen))

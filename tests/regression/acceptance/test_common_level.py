@@ -19,26 +19,26 @@ HELD_ROWS = 10
 
 def stepped(world, step_db, until_h=6.0):
     """Return the flight with a step of all carriers, and say what it did."""
-    told = world.fly(world.changed(STEP_H, np.inf, step_db), until_h=until_h)
-    shift = told.shift_deg(world.plain, STEP_H, until_h)
-    off = int((~told.is_allowed[told.between(STEP_H)]).sum())
+    reported = world.fly(world.changed(STEP_H, np.inf, step_db), until_h=until_h)
+    shift = reported.shift_deg(world.plain, STEP_H, until_h)
+    off = int((~reported.is_allowed[reported.between(STEP_H)]).sum())
     print(f"step {step_db:+} dB for {until_h - STEP_H} h: shift {shift.round(4)}, control off for {off} rows")
-    return told, shift, off
+    return reported, shift, off
 
 
-def assert_control(told, step_db, off):
+def assert_control(reported, step_db, off):
     """Up: control is held for ten rows; a little down: it is back in 2.5 h; far down: it stays off."""
-    assert told.is_allowed[told.between(1.0, STEP_H)].all(), "control before the step"
+    assert reported.is_allowed[reported.between(1.0, STEP_H)].all(), "control before the step"
     if step_db > 0.0:
         assert off == HELD_ROWS
-        assert told.says("chain_step")[told.between(STEP_H)][:HELD_ROWS].all()
+        assert reported.says("chain_step")[reported.between(STEP_H)][:HELD_ROWS].all()
     elif step_db > -1.0:
         # a small fall that stands still is a step of the chain after an hour and a half
-        assert not told.is_allowed[told.between(STEP_H)][5]
-        assert told.is_allowed[told.between(STEP_H + 2.5)].all()
+        assert not reported.is_allowed[reported.between(STEP_H)][5]
+        assert reported.is_allowed[reported.between(STEP_H + 2.5)].all()
     else:
-        assert off == told.between(STEP_H).sum()
-        assert told.is_fade[told.between(STEP_H)].all()
+        assert off == reported.between(STEP_H).sum()
+        assert reported.is_fade[reported.between(STEP_H)].all()
 
 
 @pytest.mark.slow
@@ -46,8 +46,8 @@ def assert_control(told, step_db, off):
 @pytest.mark.parametrize("name", WORLDS)
 def test_a_step_of_all_carriers_turns_little(name, step_db):
     """Four hours after it, in one band and in two (there the rain of the scenario comes later than the flight ends)."""
-    told, shift, off = stepped(shared_world(name, SEEDS[name]), step_db)
-    assert_control(told, step_db, off)
+    reported, shift, off = stepped(shared_world(name, SEEDS[name]), step_db)
+    assert_control(reported, step_db, off)
     assert (shift <= SHIFT_DEG).all()
 
 
@@ -58,8 +58,8 @@ def test_a_step_of_all_carriers_turns_little_over_seeds(name, step_db):
     """Mean of six seeds, as all figures of the method are stated."""
     shifts = []
     for seed in NIGHTLY_SEEDS:
-        told, shift, off = stepped(shared_world(name, seed), step_db)
-        assert_control(told, step_db, off)
+        reported, shift, off = stepped(shared_world(name, seed), step_db)
+        assert_control(reported, step_db, off)
         shifts.append(shift)
     print(f"{name}, seeds {NIGHTLY_SEEDS}: mean shift {np.mean(shifts, axis=0).round(4)}")
     assert (np.mean(shifts, axis=0) <= SHIFT_DEG).all()
@@ -79,8 +79,8 @@ def test_the_worst_small_fall_of_two_bands():
 @pytest.mark.slow
 def test_a_fall_that_stands_for_ten_hours_turns_no_more():
     """Control stays off, and the attitude goes on as if nothing had happened."""
-    told, shift, off = stepped(shared_world("nominal", LONG_SEED), -3.0, until_h=12.0)
-    assert off == told.between(STEP_H).sum()
+    reported, shift, off = stepped(shared_world("nominal", LONG_SEED), -3.0, until_h=12.0)
+    assert off == reported.between(STEP_H).sum()
     assert (shift <= SHIFT_DEG).all()
-    assert not told.says("innovations").any()
-    assert not told.says("unannounced_motion").any()
+    assert not reported.says("innovations").any()
+    assert not reported.says("unannounced_motion").any()

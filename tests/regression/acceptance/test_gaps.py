@@ -26,9 +26,9 @@ def judged(world):
     """Return the errors (T, 3) in three gaps and those (3, 3) an hour after each."""
     inside, after = [], []
     for begin_h in STARTS_H:
-        told = coasted(world, begin_h)
-        inside.append(told.error_deg[told.between(begin_h, begin_h + GAP_H)])
-        after.append(told.error_deg[told.between(begin_h + GAP_H + 1.0)][0])
+        reported = coasted(world, begin_h)
+        inside.append(reported.error_deg[reported.between(begin_h, begin_h + GAP_H)])
+        after.append(reported.error_deg[reported.between(begin_h + GAP_H + 1.0)][0])
     return np.concatenate(inside), np.array(after)
 
 
@@ -47,8 +47,8 @@ def test_errors_in_three_dark_hours_and_one_hour_after():
 @cache
 def judged_over_seeds():
     """Return what `judged` does, of all gaps of all seeds; one gap scatters much, so they are pooled."""
-    told = [judged(shared_world("nominal", seed)) for seed in NIGHTLY_SEEDS]
-    inside, after = (np.concatenate([one[k] for one in told]) for k in range(2))
+    reported = [judged(shared_world("nominal", seed)) for seed in NIGHTLY_SEEDS]
+    inside, after = (np.concatenate([one[k] for one in reported]) for k in range(2))
     print(f"{len(after)} gaps: inside {rms(inside).round(4)}, an hour after rms {rms(after).round(4)}")
     return inside, after
 
@@ -72,23 +72,23 @@ def test_roll_in_three_dark_hours_over_seeds():
 def test_with_fewer_than_four_carriers_the_product_coasts(present):
     """Angles go on with a growing sigma, the row says that it is no fix, and control waits; then all comes back."""
     world, begin_h = shared_world("nominal", SEED), 4.5
-    told = coasted(world, begin_h, slice(present, None))
-    dark = told.between(begin_h, begin_h + GAP_H)
+    reported = coasted(world, begin_h, slice(present, None))
+    dark = reported.between(begin_h, begin_h + GAP_H)
     before = int(np.argmax(dark)) - 1
-    assert all(row.status is Status.EXPIRED for row, is_dark in zip(told.rows, dark, strict=True) if is_dark)
-    assert all(row.status is Status.ACQUIRED for row, is_dark in zip(told.rows, dark, strict=True) if not is_dark)
-    assert np.isfinite(told.estimate_deg).all()
-    sigma = told.sigma_deg[dark]
+    assert all(row.status is Status.EXPIRED for row, is_dark in zip(reported.rows, dark, strict=True) if is_dark)
+    assert all(row.status is Status.ACQUIRED for row, is_dark in zip(reported.rows, dark, strict=True) if not is_dark)
+    assert np.isfinite(reported.estimate_deg).all()
+    sigma = reported.sigma_deg[dark]
     assert (np.diff(sigma, axis=0) > 0.0).all(), "sigma grows with every row"
-    assert (sigma[-1, 1:] > 2.0 * told.sigma_deg[before, 1:]).all()
-    assert not told.is_allowed[dark].any()
-    beyond = (told.sigma_deg[:, 1:] > SIGMA_LIMITS_DEG).any(axis=1)
+    assert (sigma[-1, 1:] > 2.0 * reported.sigma_deg[before, 1:]).all()
+    assert not reported.is_allowed[dark].any()
+    beyond = (reported.sigma_deg[:, 1:] > SIGMA_LIMITS_DEG).any(axis=1)
     assert beyond.any()
-    assert not told.is_allowed[beyond].any()
-    ratio = np.abs(told.error_deg[dark]) / sigma
+    assert not reported.is_allowed[beyond].any()
+    ratio = np.abs(reported.error_deg[dark]) / sigma
     print(f"{present} present: last sigma {sigma[-1].round(3)}, error over sigma at most {ratio.max(axis=0).round(2)}")
     assert (ratio <= 4.0).all(), "sigma is honest in the dark"
-    assert told.is_allowed[-5:].all(), "an hour later control is back"
+    assert reported.is_allowed[-5:].all(), "an hour later control is back"
     if present:
         nothing = coasted(world, begin_h)
-        np.testing.assert_array_equal(told.estimate_deg[dark], nothing.estimate_deg[dark])
+        np.testing.assert_array_equal(reported.estimate_deg[dark], nothing.estimate_deg[dark])

@@ -14,13 +14,15 @@ METHODS = (Method.ROBUST, Method.PAPER)
 @pytest.mark.slow
 def test_the_paper_method_goes_through_octants():
     """Bounds of the paper method on `octants`; an answer on every settled row, so no row cycles; no rain is told."""
-    told = shared_world("octants", SEED).fly(method=Method.PAPER)
-    settled = told.between(1.0)
-    rms = told.rms_deg(1.0)
-    slope = np.polyfit(told.truth_deg[settled, 0], told.estimate_deg[settled, 0], 1)[0]
+    reported = shared_world("octants", SEED).fly(method=Method.PAPER)
+    settled = reported.between(1.0)
+    rms = reported.rms_deg(1.0)
+    slope = np.polyfit(reported.truth_deg[settled, 0], reported.estimate_deg[settled, 0], 1)[0]
     print(f"octants seed {SEED}: paper rms {rms.round(3)}, yaw slope {slope:.2f}")
-    assert all(row.status is Status.ACQUIRED for row, is_settled in zip(told.rows, settled, strict=True) if is_settled)
-    assert not told.is_fade.any()
+    assert all(
+        row.status is Status.ACQUIRED for row, is_settled in zip(reported.rows, settled, strict=True) if is_settled
+    )
+    assert not reported.is_fade.any()
     assert rms[1] <= 0.08
     assert rms[2] <= 0.10
 

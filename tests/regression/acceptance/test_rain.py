@@ -15,20 +15,22 @@ LONG_RAIN_SHIFT_DEG = np.array([0.05, 0.02, 0.03])
 
 def rained(world, slope_db_min, depth_db, full_h):
     """Return the flight through a rain, its fade row by row, and the rows at which it counts and is over."""
-    told = world.fly(world.ground.power_dbm - rain_db(world.hours, START_H, depth_db, slope_db_min, full_h)[:, None])
-    fade_db = rain_db(told.hours, START_H, depth_db, slope_db_min, full_h)
+    reported = world.fly(
+        world.ground.power_dbm - rain_db(world.hours, START_H, depth_db, slope_db_min, full_h)[:, None]
+    )
+    fade_db = rain_db(reported.hours, START_H, depth_db, slope_db_min, full_h)
     begin, over = int(np.argmax(fade_db > WET_DB)), int(np.flatnonzero(fade_db > OVER_DB)[-1]) + 1
-    return told, fade_db, begin, over
+    return reported, fade_db, begin, over
 
 
 def assert_rain_is_found(world, slope_db_min, depth_db):
-    told, fade_db, begin, _ = rained(world, slope_db_min, depth_db, 1.0)
+    reported, fade_db, begin, _ = rained(world, slope_db_min, depth_db, 1.0)
     wet = fade_db > WET_DB
-    delay = int(np.argmax(told.is_fade[begin:])) if told.is_fade[begin:].any() else len(wet)
-    coverage = float(told.is_fade[wet].mean())
-    wrong = wet & told.is_allowed & (np.abs(told.error_deg[:, 1:]).max(axis=1) > 0.15)
+    delay = int(np.argmax(reported.is_fade[begin:])) if reported.is_fade[begin:].any() else len(wet)
+    coverage = float(reported.is_fade[wet].mean())
+    wrong = wet & reported.is_allowed & (np.abs(reported.error_deg[:, 1:]).max(axis=1) > 0.15)
     print(f"{slope_db_min} dB/min: delay {delay} min, coverage {coverage:.3f}, wrong {wrong.sum()} min")
-    assert not told.is_fade[fade_db == 0.0][: int(60 * START_H)].any(), "no rain before the rain"
+    assert not reported.is_fade[fade_db == 0.0][: int(60 * START_H)].any(), "no rain before the rain"
     assert delay <= 1
     assert coverage >= 0.95
     assert wrong.sum() == 0
@@ -49,11 +51,11 @@ def test_rain_is_found_within_a_minute_over_seeds(slope_db_min, depth_db, seed):
 
 
 def assert_no_rain_in_octants(world):
-    told = world.plain
-    reached = np.abs(told.truth_deg).max(axis=0)
-    print(f"largest excursions {reached.round(3)} deg, rain told {told.is_fade.sum()} times")
+    reported = world.plain
+    reached = np.abs(reported.truth_deg).max(axis=0)
+    print(f"largest excursions {reached.round(3)} deg, rain told {reported.is_fade.sum()} times")
     assert (reached[1:] > 0.2).all(), "the craft must move for the claim to mean anything"
-    assert not told.is_fade.any()
+    assert not reported.is_fade.any()
 
 
 @pytest.mark.slow
@@ -69,13 +71,13 @@ def test_excursions_are_no_rain_over_seeds(seed):
 
 
 def assert_long_rain(world, slope_db_min):
-    told, fade_db, _, over = rained(world, slope_db_min, 2.0, 3.3)
-    coverage = float(told.is_fade[fade_db > WET_DB].mean())
-    shift = told.shift_deg(world.plain, START_H)
+    reported, fade_db, _, over = rained(world, slope_db_min, 2.0, 3.3)
+    coverage = float(reported.is_fade[fade_db > WET_DB].mean())
+    shift = reported.shift_deg(world.plain, START_H)
     print(f"2 dB for 3.3 h, {slope_db_min} dB/min: coverage {coverage:.3f}, shift {shift.round(4)}")
     assert coverage >= 0.98
     assert (shift <= LONG_RAIN_SHIFT_DEG).all()
-    return int(np.argmax(told.is_allowed[over:])) if told.is_allowed[over:].any() else len(told.rows)
+    return int(np.argmax(reported.is_allowed[over:])) if reported.is_allowed[over:].any() else len(reported.rows)
 
 
 @pytest.mark.slow

@@ -17,17 +17,20 @@ def assert_return_turns_little(world):
     power_dbm = world.changed(AWAY_H, BACK_H, np.nan, GONE)
     back = world.hours >= BACK_H
     power_dbm[np.ix_(back, GONE)] = power_dbm[np.ix_(back, GONE)] + CHANGE_DB
-    told = world.fly(power_dbm)
-    apart = (told.estimate_deg - world.plain.estimate_deg)[told.hours >= BACK_H - 0.02]
+    reported = world.fly(power_dbm)
+    apart = (reported.estimate_deg - world.plain.estimate_deg)[reported.hours >= BACK_H - 0.02]
     step, shift = np.abs(np.diff(apart, axis=0)).max(axis=0), np.abs(apart - apart[0]).max(axis=0)
     print(f"return at {CHANGE_DB} dB: largest step of a row {step.round(4)}, shift {shift.round(4)}")
     assert (step <= STEP_DEG).all()
     assert (shift <= SHIFT_DEG).all()
     out = {
-        item.carrier for row, hour in zip(told.rows, told.hours, strict=True) if hour > 11.0 for item in row.excluded
+        item.carrier
+        for row, hour in zip(reported.rows, reported.hours, strict=True)
+        if hour > 11.0
+        for item in row.excluded
     }
     assert out.isdisjoint({world.ground.carrier_ids[k] for k in GONE}), "they count again three hours later"
-    assert not told.advises("realign").any()
+    assert not reported.advises("realign").any()
 
 
 @pytest.mark.slow
@@ -48,14 +51,14 @@ def test_when_references_are_learned_anew_an_alignment_is_advised():
     rng = np.random.default_rng(SEED)
     starts_h = 1.0 + 0.6 * np.arange(16)
     sizes_db = rng.uniform(0.8, 3.0, 16) * rng.choice([-1.0, 1.0], 16)
-    told = world.fly(world.ground.power_dbm + np.where(world.hours[:, None] >= starts_h, sizes_db, 0.0))
-    is_advised = told.advises("realign")
-    first_h = float(told.hours[np.argmax(is_advised)])
-    print(f"seed {SEED}: advice after {first_h:.2f} h, rms {told.rms_deg(1.0).round(4)}")
+    reported = world.fly(world.ground.power_dbm + np.where(world.hours[:, None] >= starts_h, sizes_db, 0.0))
+    is_advised = reported.advises("realign")
+    first_h = float(reported.hours[np.argmax(is_advised)])
+    print(f"seed {SEED}: advice after {first_h:.2f} h, rms {reported.rms_deg(1.0).round(4)}")
     assert is_advised.any()
     # a third of sixteen are 5.3; a reference is learned half an hour and twenty quiet rows after the flag or later
     assert starts_h[5] <= first_h <= starts_h[5] + 1.5
-    assert is_advised[told.hours >= first_h].all()
+    assert is_advised[reported.hours >= first_h].all()
     # the must of `steps_heavy`: no torque from a wrong angle
-    wrong = told.is_allowed & (np.abs(told.error_deg[:, 1:]).max(axis=1) > 0.15)
+    wrong = reported.is_allowed & (np.abs(reported.error_deg[:, 1:]).max(axis=1) > 0.15)
     assert not wrong.any()

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from driven_world import HOUR_US, DrivenWorld, shared_world
 
-from analyzer_sim.world.scenario.scenario import NoiseFigures, scenario_named
+from analyzer_sim.world.scenario.scenario import NoiseStatistics, scenario_named
 from analyzer_sim.world.sensors import Sensor
 from service.records.calibration import Window
 from service.records.levels.attitude import Status
 
 SEED = 5
-SILENT = NoiseFigures(
+SILENT = NoiseStatistics(
     white_scale=0.0, coloured_db=(0.0, 0.0), chain_db=0.0, chain_daily_db=0.0, thermal_db=0.0, wander_scale=0.0
 )
 EXACT_SENSOR = Sensor("star_tracker", (1e-6, 1e-6, 1e-6))
@@ -31,12 +31,12 @@ def spread_over_phases(seed, directory):
     world = DrivenWorld(scenario, seed, directory, sweep_noise=0.0)
     stop_us, at_us = world.ground.phases["quiet"].stop_us, world.start_us + HOUR_US // 2
     power_dbm = world.noise_free_dbm(np.array([at_us]), np.array([[0.1, -0.2, 0.15]]))[0]
-    told = []
+    reported = []
     for number in range(PHASES):
         until_us = stop_us - 3 * number * HOUR_US
         world.align(Window(until_us - HOUR_US, until_us), 2 + number)
-        told.append(world.snapshot(2 + number, at_us, power_dbm).attitude_deg)
-    spread = np.ptp(np.array(told), axis=0)
+        reported.append(world.snapshot(2 + number, at_us, power_dbm).attitude_deg)
+    spread = np.ptp(np.array(reported), axis=0)
     print(f"seed {seed}, {PHASES} phases: spread {spread.round(5)} deg")
     return spread
 
@@ -108,14 +108,14 @@ def wrong_uplinks(world, wrong, seed, onset_h=1.0 / 3.0):
 
 def assert_as_good_as_an_oracle(world, is_wrong, change_db):
     """Roll and pitch while uplinks are wrong: at most 1.4 of the flight that knows them and takes them off the air."""
-    told = world.fly(world.ground.power_dbm + change_db)
+    reported = world.fly(world.ground.power_dbm + change_db)
     oracle = world.fly(np.where(is_wrong, np.nan, world.ground.power_dbm))
     judged = is_wrong[world.hours >= 0.0].any(axis=1)
-    found, known = rms(told.error_deg[judged]), rms(oracle.error_deg[judged])
+    found, known = rms(reported.error_deg[judged]), rms(oracle.error_deg[judged])
     print(f"{int(is_wrong.sum(axis=1).max())} wrong: rms {found.round(4)}, oracle {known.round(4)}")
     assert judged.sum() > 200, "events must happen for the claim to mean anything"
     assert (found[1:] <= 1.4 * known[1:]).all()
-    wrong_torque = told.is_allowed & (np.abs(told.error_deg[:, 1:]).max(axis=1) > 0.15)
+    wrong_torque = reported.is_allowed & (np.abs(reported.error_deg[:, 1:]).max(axis=1) > 0.15)
     assert not wrong_torque.any()
 
 
@@ -170,10 +170,10 @@ def test_yaw_is_told_in_its_own_scale(tmp_path):
     scenario = replace(scenario_named("white", operation_days=0.5), keeping=tour.keeping, manoeuvres=tour.manoeuvres)
     truth, error = [], []
     for seed in range(1, 9):
-        told = DrivenWorld(scenario, seed, tmp_path).fly()
-        settled = told.between(1.0)
-        truth.append(told.truth_deg[settled])
-        error.append(told.error_deg[settled])
+        reported = DrivenWorld(scenario, seed, tmp_path).fly()
+        settled = reported.between(1.0)
+        truth.append(reported.truth_deg[settled])
+        error.append(reported.error_deg[settled])
     truth, error = np.concatenate(truth), np.concatenate(error)
     slope = 1.0 + np.array([np.polyfit(truth[:, k], error[:, k], 1)[0] for k in range(3)])
     print(f"seeds 1..8: slope {slope.round(3)}, rms {rms(error).round(4)}; goal of yaw 1 +- 0.03")

@@ -288,11 +288,11 @@ def judge_levels(rows: list[dict[str, Any]], truth: Truth) -> None:
     off, misplaced = [], 0
     for row in rows:
         for carrier, level in sweeps[row["epoch"]].items():
-            told, sigma = row["power_dbm"][carrier], (row["measured_sigma_db"] or {}).get(carrier)
-            if level is None or told is None or sigma is None:
-                misplaced += (level is None) != (told is None)
+            reported, sigma = row["power_dbm"][carrier], (row["measured_sigma_db"] or {}).get(carrier)
+            if level is None or reported is None or sigma is None:
+                misplaced += (level is None) != (reported is None)
             else:
-                off.append((told - level) / sigma)
+                off.append((reported - level) / sigma)
     normalised = np.array(off)
     # sampling of a sweep costs up to .03 dB (analyzer tests), and a tenth of a million draws reach five sigma
     assert np.abs(normalised).max() < 7.0

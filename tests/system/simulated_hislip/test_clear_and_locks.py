@@ -42,12 +42,12 @@ def test_device_clear_in_mid_sweep(held: Held, client: Client) -> None:
 def test_device_clear_drops_what_was_sent_before_it(client: Client) -> None:
     client.write(b"*ESE?")
     client.side.say(CLEAR)
-    assert client.side.hear().kind == CLEAR_ACKNOWLEDGED
+    assert client.side.on_input().kind == CLEAR_ACKNOWLEDGED
     client.write(b"*ESE 77;*IDN?")
     client.sync.say(CLEAR_COMPLETE)
-    heard = [client.sync.hear()]
+    heard = [client.sync.on_input()]
     while heard[-1].kind != CLEAR_DONE:
-        heard.append(client.sync.hear())
+        heard.append(client.sync.on_input())
     assert IDENTITY + b"\n" not in {message.payload for message in heard}
     client.next_id, client.delivered = FIRST_ID, 0
     assert client.ask(b"*ESE?;:SYST:ERR:COUN?") == b"0;0"
@@ -78,7 +78,7 @@ def test_exclusive_lock_holds_the_others_back_until_it_is_given_back(analyzer: A
         assert other.sync.hears_nothing()
         assert other.status() & 16 == 0, "status is told to everybody"
         other.side.say(LOCK_INFO)
-        assert other.side.hear()[:3] == (LOCK_TOLD, 1, 1)
+        assert other.side.on_input()[:3] == (LOCK_TOLD, 1, 1)
         assert client.ask(b"*ESE?") == b"0"
         client.write(b"*ESE 3")
         assert client.unlock() == 1, "released after the message sent under it"
@@ -108,7 +108,7 @@ def test_shared_locks_and_a_lock_on_top(analyzer: AnalyzerThread, client: Client
         assert stranger.sync.hears_nothing(0.05)
         assert second.lock() == 1
         client.side.say(LOCK_INFO)
-        assert client.side.hear()[:3] == (LOCK_TOLD, 1, 2)
+        assert client.side.on_input()[:3] == (LOCK_TOLD, 1, 2)
         assert (second.unlock(), second.unlock(), client.unlock()) == (1, 2, 2)
         assert stranger.read() == b"1"
 

@@ -49,15 +49,15 @@ def test_the_raw_socket_is_the_same_instrument(analyzer: AnalyzerThread, client:
 
 def test_a_trace_is_cut_to_what_the_client_takes(client: Client) -> None:
     client.side.say(SIZE, 0, 0, struct.pack("!Q", 1016))
-    told = client.side.hear()
-    assert told.kind == SIZE_TOLD
-    assert struct.unpack("!Q", told.payload)[0] >= 1 << 20
+    reported = client.side.on_input()
+    assert reported.kind == SIZE_TOLD
+    assert struct.unpack("!Q", reported.payload)[0] >= 1 << 20
     client.write(SETUP + b";:INIT")
     client.write(b"TRAC? TRACE1")
     block = b""
     kinds = []
     while not kinds or kinds[-1] == DATA:
-        heard = client.sync.hear()
+        heard = client.sync.on_input()
         kinds.append(heard.kind)
         block += heard.payload
         assert len(heard.payload) <= 1000
@@ -83,11 +83,11 @@ def test_messages_are_executed_strictly_in_order(client: Client) -> None:
 
 def test_a_question_while_an_answer_is_unread_interrupts(client: Client) -> None:
     client.write(b"*IDN?")
-    first = client.sync.hear()
+    first = client.sync.on_input()
     assert first.payload == IDENTITY + b"\n"
     second_id = client.write(b"*OPC?")  # RMT-delivered is not set: the client says it never read the answer
-    assert client.sync.hear() == Heard(INTERRUPTED, 0, second_id, b"")
-    assert client.side.hear() == Heard(ASYNC_INTERRUPTED, 0, second_id, b"")
+    assert client.sync.on_input() == Heard(INTERRUPTED, 0, second_id, b"")
+    assert client.side.on_input() == Heard(ASYNC_INTERRUPTED, 0, second_id, b"")
     assert client.read() == b"1"
     assert client.ask(b"SYST:ERR?").startswith(b'-410,"Query INTERRUPTED')
     assert client.ask(b"SYST:ERR?").startswith(b"0,")
@@ -100,8 +100,8 @@ def test_an_answer_not_yet_given_is_never_given_once_interrupted(held: Held, cli
     second_id = client.write(b"*ESE?")
     assert client.sync.hears_nothing()
     held.allowed.set()
-    assert client.sync.hear() == Heard(INTERRUPTED, 0, second_id, b"")
-    assert client.side.hear().kind == ASYNC_INTERRUPTED
+    assert client.sync.on_input() == Heard(INTERRUPTED, 0, second_id, b"")
+    assert client.side.on_input().kind == ASYNC_INTERRUPTED
     assert client.read() == b"0"
 
 
@@ -122,7 +122,7 @@ def test_status_query_tells_delivery_too(client: Client) -> None:
 
 def test_status_byte_tells_that_an_answer_waits(client: Client) -> None:
     client.write(b"*CLS;*ESE?")
-    heard = client.sync.hear()
+    heard = client.sync.on_input()
     assert heard.kind == DATA_END
     assert client.status() & 16 == 16
     client.delivered = 1
@@ -144,7 +144,7 @@ def test_service_is_requested_when_the_sweep_is_over(held: Held, client: Client)
     client.write(SETUP + b";*ESE 1;*SRE 32;:INIT;*OPC")
     assert client.side.hears_nothing()
     held.allowed.set()
-    heard = client.side.hear()
+    heard = client.side.on_input()
     assert (heard.kind, heard.control & 0x60, heard.parameter) == (SERVICE, 0x60, 0)
     assert client.status() & 0x60 == 0x60
     assert client.status() & 0x60 == 0x20, "the request is spent by the first poll"
@@ -156,6 +156,6 @@ def test_an_error_of_another_session_requests_service_of_all(analyzer: AnalyzerT
     client.write(b"*CLS;*SRE 4")
     with Client(analyzer.hislip_port) as other:
         other.write(b"NONE")
-        assert other.side.hear().kind == SERVICE
-    heard = client.side.hear()
+        assert other.side.on_input().kind == SERVICE
+    heard = client.side.on_input()
     assert (heard.kind, heard.control & 0x44) == (SERVICE, 0x44)

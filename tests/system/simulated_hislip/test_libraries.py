@@ -33,7 +33,7 @@ def test_the_sixty_fifth_session_is_refused(analyzer: AnalyzerThread) -> None:
     clients = [Client(analyzer.hislip_port) for _ in range(64)]
     with Wire(analyzer.hislip_port) as wire:
         wire.say(INITIALIZE, 0, 0x0100 << 16, b"hislip0")
-        assert wire.hear()[:2] == (FATAL, 4)
+        assert wire.on_input()[:2] == (FATAL, 4)
     assert all(client.ask(b"*OPC?") == b"1" for client in clients)
     for client in clients:
         client.__exit__()

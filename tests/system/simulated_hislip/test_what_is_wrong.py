@@ -40,27 +40,27 @@ pytestmark = pytest.mark.system
 
 def test_unknown_messages_are_refused_and_the_session_goes_on(client: Client) -> None:
     client.sync.say(26, 0, 0, b"descriptors")
-    assert client.sync.hear()[:2] == (ERROR, 1)
+    assert client.sync.on_input()[:2] == (ERROR, 1)
     client.sync.say(200, 0, 0, b"vendor")
-    assert client.sync.hear()[:2] == (ERROR, 3)
+    assert client.sync.on_input()[:2] == (ERROR, 3)
     client.side.say(DATA_END, 0, FIRST_ID, b"*IDN?")
-    assert client.side.hear()[:2] == (ERROR, 1), "data has no business on this channel"
+    assert client.side.on_input()[:2] == (ERROR, 1), "data has no business on this channel"
     client.side.say(REMOTE, 9)
-    assert client.side.hear()[:2] == (ERROR, 2)
+    assert client.side.on_input()[:2] == (ERROR, 2)
     client.side.say(LOCK, 2)
-    assert client.side.hear()[:2] == (ERROR, 2)
+    assert client.side.on_input()[:2] == (ERROR, 2)
     client.side.say(SIZE, 0, 0, b"12")
-    assert client.side.hear()[:2] == (ERROR, 0)
+    assert client.side.on_input()[:2] == (ERROR, 0)
     for control in range(7):
         client.side.say(REMOTE, control, client.last_id)
-        assert client.side.hear()[:2] == (REMOTE_DONE, 0)
+        assert client.side.on_input()[:2] == (REMOTE_DONE, 0)
     client.sync.say(ERROR, 0, 0, b"the client complains")
     assert client.ask(b"*IDN?") == IDENTITY
 
 
 def test_oversize_payload_is_refused_and_skipped(client: Client) -> None:
     client.write(b"*ESE 5;" + b" " * 3_000_000)
-    assert client.sync.hear()[:2] == (ERROR, 4)
+    assert client.sync.on_input()[:2] == (ERROR, 4)
     assert client.ask(b"*ESE?") == b"0"
 
 
@@ -78,12 +78,12 @@ def test_message_of_many_parts_beyond_the_limit_is_too_much_data(client: Client)
 def test_garbage_ends_its_own_session_only(analyzer: AnalyzerThread, client: Client, garbage: bytes) -> None:
     with Client(analyzer.hislip_port) as other:
         other.sync.line.sendall(garbage)
-        assert other.sync.hear()[:2] == (FATAL, 1)
+        assert other.sync.on_input()[:2] == (FATAL, 1)
         assert other.sync.is_closed()
         assert other.side.is_closed()
     with Wire(analyzer.hislip_port) as fresh:
         fresh.line.sendall(garbage)
-        assert fresh.hear().kind == FATAL
+        assert fresh.on_input().kind == FATAL
         assert fresh.is_closed()
     assert client.ask(b"*IDN?") == IDENTITY
 
@@ -92,7 +92,7 @@ def test_wrong_beginnings_are_fatal(analyzer: AnalyzerThread, client: Client) ->
     def fate(kind: int, parameter: int = 0, payload: bytes = b"") -> int:
         with Wire(analyzer.hislip_port) as wire:
             wire.say(kind, 0, parameter, payload)
-            heard = wire.hear()
+            heard = wire.on_input()
             assert heard.kind == FATAL
             assert wire.is_closed()
             return heard.control
@@ -103,11 +103,11 @@ def test_wrong_beginnings_are_fatal(analyzer: AnalyzerThread, client: Client) ->
     assert fate(INITIALIZE, 0x0100 << 16, b"hislip7") == 3
     with Wire(analyzer.hislip_port) as half:
         half.say(INITIALIZE, 0, 0x0100 << 16, b"hislip0")
-        assert half.hear().kind == INITIALIZED
+        assert half.on_input().kind == INITIALIZED
         half.say(DATA_END, 0, FIRST_ID, b"*IDN?")
-        assert half.hear()[:2] == (FATAL, 2)
+        assert half.on_input()[:2] == (FATAL, 2)
     client.sync.say(INITIALIZE, 0, 0x0100 << 16, b"hislip0")
-    assert client.sync.hear()[:2] == (FATAL, 3)
+    assert client.sync.on_input()[:2] == (FATAL, 3)
     assert client.side.is_closed()
 
 
@@ -147,7 +147,7 @@ def test_a_stale_answer_has_the_old_identifier(analyzer: AnalyzerThread, client:
     first_id = client.write(b"*ESE?")
     assert client.sync.hears_nothing(0.05)
     second_id = client.write(b"*IDN?")
-    heard = [client.sync.hear() for _ in range(3)]
+    heard = [client.sync.on_input() for _ in range(3)]
     assert [(message.kind, message.parameter) for message in heard] == [
         (INTERRUPTED, second_id),
         (DATA_END, first_id),
@@ -187,9 +187,9 @@ def test_any_messages_in_any_order_leave_the_instrument_to_others(analyzer: Anal
     client.write(b"ABOR;*CLS;:INIT:CONT OFF")
     assert client.ask(b"*IDN?") == IDENTITY
     client.side.say(LOCK_INFO)
-    heard = client.side.hear()
+    heard = client.side.on_input()
     while heard.kind == SERVICE:
-        heard = client.side.hear()
+        heard = client.side.on_input()
     assert heard[:3] == (LOCK_TOLD, 0, 0), "those who left hold no lock"
 
 
@@ -201,10 +201,10 @@ def test_a_client_that_reads_nothing_is_cleared_or_leaves(analyzer: AnalyzerThre
             deaf.write(b"*CLS")
         assert client.ask(b"*IDN?") == IDENTITY
         deaf.side.say(CLEAR)
-        while deaf.side.hear().kind != CLEAR_ACKNOWLEDGED:
+        while deaf.side.on_input().kind != CLEAR_ACKNOWLEDGED:
             pass
         deaf.sync.say(CLEAR_COMPLETE)
-        while deaf.sync.hear().kind != CLEAR_DONE:
+        while deaf.sync.on_input().kind != CLEAR_DONE:
             pass
         deaf.next_id, deaf.delivered = FIRST_ID, 0
         assert deaf.ask(b"*ESE?") == b"0"

@@ -30,13 +30,13 @@ class Line:
     def read(self) -> bytes:
         return self._lines.readline()
 
-    def hear(self) -> dict:
+    def on_input(self) -> dict:
         return json.loads(self.read())
 
     def until(self, name: str, wanted: str) -> list[dict]:
-        lines = [self.hear()]
+        lines = [self.on_input()]
         while lines[-1].get(name) != wanted:
-            lines.append(self.hear())
+            lines.append(self.on_input())
         return lines
 
     def close(self) -> None:
@@ -72,21 +72,21 @@ def sweep_to_operation(scpi: Line, ground: Line) -> str:
 def test_schedules_turn_the_craft_and_reports_come_back(ports) -> None:
     print(f"seed {SEED}")
     scpi, ground, uplink = (Line(ports[f"{name}_port"]) for name in ("scpi", "ground", "uplink"))
-    assert uplink.hear()["type"] == "start"
+    assert uplink.on_input()["type"] == "start"
     uplink.say(b'{"schedule":[]}')
-    assert uplink.hear()["type"] == "error", "the craft is under its sensors"
+    assert uplink.on_input()["type"] == "error", "the craft is under its sensors"
     epoch = sweep_to_operation(scpi, ground)
-    assert uplink.hear() == {"type": "flown", "epoch": epoch}
+    assert uplink.on_input() == {"type": "flown", "epoch": epoch}
     for data in (b"\xff\x00", b"", b'{"schedule":[{}]}', b"x" * 1_100_000):
         uplink.say(data)
-        assert uplink.hear()["type"] == "error"
+        assert uplink.on_input()["type"] == "error"
     second = Line(ports["uplink_port"])
-    assert (second.hear()["type"], second.read()) == ("error", b"")
+    assert (second.on_input()["type"], second.read()) == ("error", b"")
     second.close()
     # as hard as it goes for a minute: 3 N m s, the craft turns over and over
     element = {"start": epoch, "duration_s": 60.0, "roll_n_m": 0.05, "pitch_n_m": 0.05, "yaw_n_m": -0.05}
     uplink.say(json.dumps({"schedule": [element], "counter": 5}).encode())
-    assert uplink.hear() == {"type": "taken", "counter": 5, "sent": epoch}
+    assert uplink.on_input() == {"type": "taken", "counter": 5, "sent": epoch}
     truth = ground.until("kind", "truth")[-1]["rows"]
     for _ in range(10):
         ground.until("kind", "hold")
@@ -97,13 +97,13 @@ def test_schedules_turn_the_craft_and_reports_come_back(ports) -> None:
     assert [row["epoch"] for row in truth] == sorted({row["epoch"] for row in truth})
     assert truth[0]["epoch"] == epoch
     assert abs(truth[-1]["pitch_deg"] - truth[0]["pitch_deg"]) > 20.0
-    told = uplink.until("epoch", truth[-1]["epoch"])
-    assert [(line["counter"], line["state"]) for line in told if line["type"] == "report"] == [(5, "executed")]
+    reported = uplink.until("epoch", truth[-1]["epoch"])
+    assert [(line["counter"], line["state"]) for line in reported if line["type"] == "report"] == [(5, "executed")]
     # no carrier reaches the analyzer any more; what is left is noise, and the instrument still answers
     scpi.say(b"FORM ASC;:TRAC? TRACE1")
     assert all(-200.0 < float(level) < 0.0 for level in scpi.read().split(b","))
     uplink.close()
     back = Line(ports["uplink_port"])
-    assert back.hear()["type"] == "start", "a client that comes back is served"
+    assert back.on_input()["type"] == "start", "a client that comes back is served"
     for line in (scpi, ground, back):
         line.close()

@@ -63,10 +63,10 @@ def test_a_backup_under_load_holds_what_was_acknowledged_before_it_began(
     assert restore_backup(tmp_path / "b", url, "x", ignore, may_replace=True).aside is not None
     again = start_service(*options, url)
     with again.client() as client:
-        told = {(row["source"], row["epoch"]) for row in chaos.history(client)}
-        assert len(told) == manifest["tables"]["measurement"]
-        assert told >= {(source, chaos.text_of(epoch_us)) for source, epoch_us in before}
-        in_backup = {row: powers for row, powers in after.items() if (row[0], chaos.text_of(row[1])) in told}
+        reported = {(row["source"], row["epoch"]) for row in chaos.history(client)}
+        assert len(reported) == manifest["tables"]["measurement"]
+        assert reported >= {(source, chaos.text_of(epoch_us)) for source, epoch_us in before}
+        in_backup = {row: powers for row, powers in after.items() if (row[0], chaos.text_of(row[1])) in reported}
         chaos.await_consumed(client, in_backup)
         chaos.compare(client, in_backup)
     assert again.end()[0] == 0

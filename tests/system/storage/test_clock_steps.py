@@ -26,7 +26,7 @@ class Bench:
 
     def __init__(self, client, plan_id, offset, chaos):
         self.client, self._plan_id, self._offset, self._chaos = client, plan_id, offset, chaos
-        self._place = 0
+        self._position = 0
 
     def step(self, hours):
         """Set the clock so many hours off."""
@@ -37,12 +37,12 @@ class Bench:
     def send(self, hours=0):
         """Send five rows of the last second, on a clock so many hours off; return what was said of them."""
         now_us = time.time_ns() // 1000 + hours * HOUR_US
-        self._place += 10
-        return self.post([self._chaos.text_of(now_us - 1_000_000 + 10 * k + self._place) for k in range(5)])
+        self._position += 10
+        return self.post([self._chaos.text_of(now_us - 1_000_000 + 10 * k + self._position) for k in range(5)])
 
     def post(self, epochs):
         """Send rows that differ from one another; return accepted, late and codes of refusals."""
-        rows = [{"epoch": epoch, "power_dbm": [-50.0 - place] * 16} for place, epoch in enumerate(epochs)]
+        rows = [{"epoch": epoch, "power_dbm": [-50.0 - position] * 16} for position, epoch in enumerate(epochs)]
         body = {"plan_id": self._plan_id, "source": "sa-1", "measurements": rows}
         answer = self.client.post(f"{BASE}/sim-1/measurements:batch", json=body)
         assert answer.status_code == 200, answer.text
@@ -97,7 +97,7 @@ def test_steps_of_an_hour_and_a_leap_second_cost_no_row(bench):
     # 23:59:60.x stands at 00:00:00.x and gives way by 1 us, for a single row and in a batch of the fast form alike
     second = [f"2016-12-31T23:59:{text}Z" for text in ("59.500000", "60.000000", "60.500000")]
     minute = [f"2017-01-01T00:00:{text}Z" for text in ("00.000000", "00.500000")]
-    others = [f"2017-01-01T00:00:{place:02d}.000000Z" for place in range(1, 8)]
+    others = [f"2017-01-01T00:00:{position:02d}.000000Z" for position in range(1, 8)]
     assert bench.post([*second, *minute]) == (5, 5, [])
     assert bench.post([*second[1:2], *others])[0] == 7
     window = {"start": "2016-12-31T23:59:59Z", "stop": "2017-01-01T00:00:08Z"}

@@ -65,8 +65,8 @@ def test_kills_of_the_service_lose_and_double_nothing(start_service, spacecraft,
     promised = chaos.promised(clients)
     with service.client() as client:
         chaos.await_consumed(client, promised)
-        told = chaos.compare(client, promised)
-    print(f"{kills} kills of the service: missing 0, doubled 0; {told}; {dict(counts)}")
+        reported = chaos.compare(client, promised)
+    print(f"{kills} kills of the service: missing 0, doubled 0; {reported}; {dict(counts)}")
     assert counts["repetitions"] >= kills
     assert service.end()[0] == 0
     stored = stored_rows(database, tmp_path / "copy")

@@ -80,8 +80,8 @@ def test_kills_lose_and_double_nothing(
     promised = chaos.promised(clients)
     with service.client() as client:
         chaos.await_consumed(client, promised)
-        told = chaos.compare(client, promised)
-    print(f"{kills} kills of {', '.join(victims)}: missing 0, doubled 0; {told}; {dict(counts)}")
+        reported = chaos.compare(client, promised)
+    print(f"{kills} kills of {', '.join(victims)}: missing 0, doubled 0; {reported}; {dict(counts)}")
     assert counts["repetitions"] >= kills // 2
     assert [each for each in diagnose(url, system_now_us(), lambda _: None) if each.state != "ok"] == []
     assert service.end()[0] == 0

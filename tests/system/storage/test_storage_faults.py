@@ -74,8 +74,8 @@ def test_an_archive_that_is_put_in_the_place_of_the_open_one_is_opened(trial, ch
             status = one.read()[0]
         except OSError:
             status = 0
-    told = {(row["source"], row["epoch"]) for row in chaos.history(one.client)}
-    assert told >= {(source, chaos.text_of(epoch_us)) for source, epoch_us in in_backup}
+    reported = {(row["source"], row["epoch"]) for row in chaos.history(one.client)}
+    assert reported >= {(source, chaos.text_of(epoch_us)) for source, epoch_us in in_backup}
     row = {"epoch": "2026-11-22T00:00:00Z", "power_dbm": [-50.0] * 16}
     body = {"plan_id": one.plan_id, "source": "sa-0", "measurements": [row]}
     assert one.client.post(f"{BASE}/measurements:batch", json=body).json()["accepted"] == 1

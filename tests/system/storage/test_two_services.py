@@ -53,11 +53,11 @@ def test_nothing_is_lost_or_doubled_when_the_leading_one_is_killed(start_service
     for service, answers in zip(services, ({404, 503}, {404, 200}), strict=True):
         with service.client() as client:
             chaos.await_consumed(client, promised)
-            told = chaos.compare(client, promised)
+            reported = chaos.compare(client, promised)
             # the alarm may not have been raised yet; where it stands, only the leading service takes orders
             said = client.post("/api/v1/alarms/1:acknowledge", json={"comment": "seen"})
             assert said.status_code in answers
             assert said.status_code != 503 or said.json()["code"] == "lease.elsewhere"
-    print(told, dict(counts))
+    print(reported, dict(counts))
     assert [each for each in diagnose(url, system_now_us(), lambda _: None) if each.state == "fault"] == []
     assert [service.end()[0] for service in services] == [0, 0]

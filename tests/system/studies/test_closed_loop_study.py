@@ -73,15 +73,15 @@ def test_a_loop_on_board_holds_on_angles_and_stops_without_them():
 
 
 def test_a_silence_is_for_the_loop_on_board():
-    told = CliRunner().invoke(app, ["study", "closed-loop", "--runs", "1", "--silence-h", "1", "2"])
-    assert (told.exit_code, "--mode onboard" in told.output) == (2, True)
-    told = CliRunner().invoke(app, ["study", "closed-loop", "--mode", "pigeon"])
-    assert (told.exit_code, "no mode 'pigeon'" in told.output) == (2, True)
+    announced = CliRunner().invoke(app, ["study", "closed-loop", "--runs", "1", "--silence-h", "1", "2"])
+    assert (announced.exit_code, "--mode onboard" in announced.output) == (2, True)
+    announced = CliRunner().invoke(app, ["study", "closed-loop", "--mode", "pigeon"])
+    assert (announced.exit_code, "no mode 'pigeon'" in announced.output) == (2, True)
 
 
 def test_an_unknown_scenario_is_the_plants_to_refuse():
     with pytest.raises(PlantFailedError, match="invalid choice"):
         fly_unit(LoopUnit("unheard", SEED, Sensing.OFF))
-    told = CliRunner().invoke(app, ["study", "closed-loop", "--runs", "1", "--uplink", "pigeon"])
-    assert told.exit_code == 2
-    assert "no uplink 'pigeon'" in told.output
+    announced = CliRunner().invoke(app, ["study", "closed-loop", "--runs", "1", "--uplink", "pigeon"])
+    assert announced.exit_code == 2
+    assert "no uplink 'pigeon'" in announced.output

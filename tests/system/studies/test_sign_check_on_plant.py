@@ -44,7 +44,7 @@ class CheckedCraft:
 
     def take(self, row: PlantRow) -> SignState:
         """Take a row and send the next leg when it is due; return what the powers say."""
-        self.journal.learn(row, self.controller)
+        self.journal.update(row, self.controller)
         self.controller.chain.step(self.journal.measurement(row))
         runner = self.controller.chain._runners[0]
         epoch_us = row.truth.epoch_us
@@ -80,12 +80,12 @@ class CheckedCraft:
     ],
 )
 def test_a_wrong_wheel_sign_is_found_before_a_tenth_of_a_degree_is_lost(axis, response, expected):
-    place = ("yaw", "roll", "pitch").index(axis)
+    position = ("yaw", "roll", "pitch").index(axis)
     with PlantProcess("nominal", SEED, "link", 0.05, ("--response", response)) as plant:
         craft = CheckedCraft(plant, axis)
         angles, verdict = [], SignState.OPEN
         for row in plant.rows():
-            angles.append(row.truth.attitude_deg[place])
+            angles.append(row.truth.attitude_deg[position])
             verdict = craft.take(row)
             if verdict is not SignState.OPEN:
                 break

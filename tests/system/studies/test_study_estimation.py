@@ -13,7 +13,7 @@ import pytest
 from service.study.estimation.bounds import Mark
 from service.study.estimation.flight.catalogue_lines import read_carriers
 from service.study.estimation.flight.world import ExportFailedError, export_world, read_world
-from service.study.estimation.trials.snapshot_trials import run_trials, trial_figures
+from service.study.estimation.trials.snapshot_trials import run_trials, trial_statistics
 
 pytestmark = pytest.mark.system
 
@@ -117,10 +117,14 @@ def test_a_world_is_read_as_it_was_written(tmp_path):
     assert ground.sensors == ("star_tracker",) * 3
     lines = {line["kind"]: line["body"] for line in json.loads(str(written["catalogue_json"])) if "body" in line}
     assert ground.carriers == read_carriers(lines["carriers"])
-    plans = [news.content for news in ground.news if isinstance(news.content, tuple)]
+    plans = [events.content for events in ground.events if isinstance(events.content, tuple)]
     assert {carrier.id for carrier in plans[0]} - {carrier.id for carrier in ground.carriers} == {"c16", "c17"}
     # told no later than they begin
-    assert all(news.told_us <= news.content.start_us for news in ground.news if news.content in ground.corrections)
+    assert all(
+        events.reported_us <= events.content.start_us
+        for events in ground.events
+        if events.content in ground.corrections
+    )
 
 
 def test_a_world_that_cannot_be_made_says_why(tmp_path):
@@ -130,7 +134,7 @@ def test_a_world_that_cannot_be_made_says_why(tmp_path):
 
 @pytest.mark.slow
 def test_trials_of_the_snapshot_reach_their_bounds_with_one_seed():
-    figures = trial_figures([run_trials(1)])
+    figures = trial_statistics([run_trials(1)])
     print(f"seed 1: {figures}")
     for axis in ("yaw", "roll", "pitch"):
         # 2500 fixes: one sigma of a ratio is 1 / sqrt(5000) = 0.014

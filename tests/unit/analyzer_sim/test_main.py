@@ -74,10 +74,10 @@ def test_port_in_use_is_told_without_a_traceback(option: str, capsys: pytest.Cap
         port = str(taken.getsockname()[1])
         free = [word for name in ("--port", "--ground-port") if name != option for word in (name, "0")]
         assert main(["--operation-days", "0.05", *free, option, port]) == 1
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert told.err.startswith("soo-analyzer: ")
-    assert told.err.endswith(f" port {port} of 127.0.0.1: address already in use\n")
+    reported = capsys.readouterr()
+    assert reported.out == ""
+    assert reported.err.startswith("soo-analyzer: ")
+    assert reported.err.endswith(f" port {port} of 127.0.0.1: address already in use\n")
 
 
 def test_truth_log_that_cannot_be_written_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

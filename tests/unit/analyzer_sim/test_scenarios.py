@@ -16,7 +16,7 @@ from analyzer_sim.world.payload.payload import sensitivity_db_per_deg
 from analyzer_sim.world.payload.user_noise import sweep_sigma_db, world_white_db
 from analyzer_sim.world.scenario.events import SwitchOff
 from analyzer_sim.world.scenario.scenario import SCENARIOS, scenario_named
-from analyzer_sim.world.scenario_table import markdown_page, told
+from analyzer_sim.world.scenario_table import markdown_page, reported
 from analyzer_sim.world.spacecraft.spacecraft import attitude_history
 from analyzer_sim.world.structure import crlb_deg
 from analyzer_sim.world.world import World, row_epochs_us
@@ -132,11 +132,11 @@ def test_the_command_prints_page_and_list(capsys: pytest.CaptureFixture[str]) ->
 
 
 def test_the_table_says_what_the_ground_is_told() -> None:
-    assert told(SCENARIOS["nominal"]) == "-"
-    assert told(SCENARIOS["burn"]) == "station_keeping, new ephemeris 6 h after the burn"
-    assert told(SCENARIOS["works"]) == "carrier_work, gain_change, receive_chain_work"
-    assert told(SCENARIOS["replan"]) == "new plan"
-    assert told(SCENARIOS["prime_backup"]) == "which analyzer measures"
-    assert told(SCENARIOS["corrections_late"]) == "corrections 30 min after their end"
+    assert reported(SCENARIOS["nominal"]) == "-"
+    assert reported(SCENARIOS["burn"]) == "station_keeping, new ephemeris 6 h after the burn"
+    assert reported(SCENARIOS["works"]) == "carrier_work, gain_change, receive_chain_work"
+    assert reported(SCENARIOS["replan"]) == "new plan"
+    assert reported(SCENARIOS["prime_backup"]) == "which analyzer measures"
+    assert reported(SCENARIOS["corrections_late"]) == "corrections 30 min after their end"
     silent = replace(SCENARIOS["works"], faults=(SwitchOff("off"),))
-    assert told(silent) == "-"
+    assert reported(silent) == "-"

@@ -84,9 +84,9 @@ def test_a_beacon_drifts_by_a_twentieth_of_a_db_from_day_to_day() -> None:
 
 
 def test_a_beacon_has_no_station_and_no_uplink() -> None:
-    told = [carrier for carrier in bodies("beacons", "carriers")[0]["carriers"] if carrier["kind"] == "beacon"]
-    assert [carrier["id"] for carrier in told] == ["b00", "b01"]
-    assert all(carrier["station"] is None and carrier["uplink_hz"] is None for carrier in told)
+    reported = [carrier for carrier in bodies("beacons", "carriers")[0]["carriers"] if carrier["kind"] == "beacon"]
+    assert [carrier["id"] for carrier in reported] == ["b00", "b01"]
+    assert all(carrier["station"] is None and carrier["uplink_hz"] is None for carrier in reported)
     entries = [entry for entry in bodies("beacons", "task")[0]["carriers"] if entry["kind"] == "beacon"]
     assert [(entry["id"], entry["symbol_rate"], entry["integ_bw_hz"]) for entry in entries] == [
         ("b00", None, 100e3),
@@ -97,33 +97,33 @@ def test_a_beacon_has_no_station_and_no_uplink() -> None:
 
 
 def test_each_sensor_tells_its_axes_and_no_others() -> None:
-    told = {body["source"]: [] for body in bodies("sensors", "references")}
+    reported = {body["source"]: [] for body in bodies("sensors", "references")}
     for body in bodies("sensors", "references"):
-        told[body["source"]] += body["references"]
-    assert set(told) == {"earth_sensor", "radio_beacon"}
-    assert all(row["yaw_deg"] is None and row["sigma_deg"]["yaw"] is None for row in told["earth_sensor"])
-    assert all(row["roll_deg"] is None and row["pitch_deg"] is None for row in told["radio_beacon"])
-    assert told["earth_sensor"][0]["sigma_deg"] == {"yaw": None, "roll": 0.03, "pitch": 0.03}
-    assert told["radio_beacon"][0]["sigma_deg"]["yaw"] == 0.1
+        reported[body["source"]] += body["references"]
+    assert set(reported) == {"earth_sensor", "radio_beacon"}
+    assert all(row["yaw_deg"] is None and row["sigma_deg"]["yaw"] is None for row in reported["earth_sensor"])
+    assert all(row["roll_deg"] is None and row["pitch_deg"] is None for row in reported["radio_beacon"])
+    assert reported["earth_sensor"][0]["sigma_deg"] == {"yaw": None, "roll": 0.03, "pitch": 0.03}
+    assert reported["radio_beacon"][0]["sigma_deg"]["yaw"] == 0.1
     rows = np.sum(world("sensors").rows.epochs_us < world("sensors").scenario.operation_start_us)
-    assert len(told["earth_sensor"]) == rows
+    assert len(reported["earth_sensor"]) == rows
     # twenty minutes of each hour
-    assert len(told["radio_beacon"]) == pytest.approx(rows / 3, abs=20)
+    assert len(reported["radio_beacon"]) == pytest.approx(rows / 3, abs=20)
 
 
 def test_sensors_have_their_noise_and_a_wandering_bias() -> None:
     story = world("sensors")
-    told = story.references
-    is_earth = told.source == "earth_sensor"
-    truth = story.rows.attitude_deg[np.searchsorted(story.rows.epochs_us, told.epochs_us)]
-    error = (told.attitude_deg - truth)[is_earth, 1:]
+    reported = story.references
+    is_earth = reported.source == "earth_sensor"
+    truth = story.rows.attitude_deg[np.searchsorted(story.rows.epochs_us, reported.epochs_us)]
+    error = (reported.attitude_deg - truth)[is_earth, 1:]
     # 4890 rows: 1 %, five sigmas
     np.testing.assert_allclose(np.diff(error, axis=0).std(axis=0) / np.sqrt(2.0), 0.03, rtol=0.05)
     # 81 hourly means: the white part leaves 0.0039, the bias wanders by 0.01 with a correlation time of 6 h
     hourly = error[: len(error) // 60 * 60].reshape(-1, 60, 2).mean(axis=1)
     print(f"seed {SEED}: hourly error {hourly.std(axis=0)} deg")
     assert np.all((hourly.std(axis=0) > 0.005) & (hourly.std(axis=0) < 0.02))
-    yaw_error = (told.attitude_deg - truth)[~is_earth, 0]
+    yaw_error = (reported.attitude_deg - truth)[~is_earth, 0]
     assert yaw_error.std() == pytest.approx(0.1, rel=0.08)  # 1620 rows: 1.8 %, four sigmas
 
 
@@ -199,8 +199,8 @@ def test_late_corrections_come_half_an_hour_after_their_end() -> None:
     story = world("corrections_late")
     found = export_arrays(story)
     np.testing.assert_array_equal(found["correction_told_us"], found["correction_stop_us"] + 1_800_000_000)
-    told = [line for line in json.loads(found["news_json"]) if line["kind"] == "corrections"]
-    assert len(told) == len(found["correction_told_us"])
+    reported = [line for line in json.loads(found["news_json"]) if line["kind"] == "corrections"]
+    assert len(reported) == len(found["correction_told_us"])
     plain = export_arrays(world("nominal"))
     np.testing.assert_array_equal(plain["correction_told_us"], plain["correction_start_us"])
     assert not [line for line in json.loads(plain["news_json"]) if line["kind"] == "corrections"]
@@ -216,7 +216,7 @@ def test_late_corrections_come_half_an_hour_after_their_end() -> None:
         if line["kind"] == "truth":
             swept_us = epoch_us_from_text(line["rows"][-1]["epoch"])
     end_us = story.scenario.stop_us
-    assert seen == sum(correction.told_us < end_us for correction in story.corrections)
+    assert seen == sum(correction.reported_us < end_us for correction in story.corrections)
 
 
 @pytest.mark.parametrize("name", ["nominal", "stale_calibration", "burn"])

@@ -229,8 +229,8 @@ def test_real_spacecraft_under_release_automatic_become_two_step(url):
     engine = storage._database.engines.write
     downgrade(engine, "0010")
     upgrade(engine)
-    told = {craft.id: craft.control.release for craft in storage.catalogue.all_spacecraft()}
-    assert told == {"real": Release.TWO_STEP, "toy": Release.AUTOMATIC, "other": Release.TWO_STEP}
+    reported = {craft.id: craft.control.release for craft in storage.catalogue.all_spacecraft()}
+    assert reported == {"real": Release.TWO_STEP, "toy": Release.AUTOMATIC, "other": Release.TWO_STEP}
     made_us = {name: storage.releases.made_two_step_us(name) for name, *_ in crafts}
     assert [name for name, at_us in made_us.items() if at_us is not None] == ["real"]
     # a second upgrade finds nothing more to do

@@ -5,7 +5,7 @@ from sqlalchemy import select
 from sqlalchemy.dialects.postgresql import psycopg
 from sqlalchemy.schema import CreateTable
 
-from db.connection.prepared_statements import CompiledStatement
+from db.connection.prepared_statements import PreparedStatement
 from db.measurements.ingest import _MOVE_SOURCE, _READ_STATE
 from db.measurements.ingest_grouped import _READ_STATES
 from db.schema.tables import attitude, head, measurement
@@ -39,7 +39,7 @@ def test_a_wrong_number_of_values_is_an_error():
 def test_the_head_is_locked_where_others_write_too():
     lock = select(head).with_for_update()
     recorder = Recorder()
-    CompiledStatement(lock).run(recorder)
+    PreparedStatement(lock).run(recorder)
     assert recorder.said[0].endswith("FOR UPDATE")
 
 

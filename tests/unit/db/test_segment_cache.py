@@ -2,7 +2,7 @@
 
 from typing import Any, cast
 
-from db.encoding.segments import SegmentCache, SegmentHead, SegmentPiece
+from db.encoding.segments import SegmentCache, SegmentChunk, SegmentHead
 
 CARRIERS = 16
 ROWS = 100
@@ -12,8 +12,8 @@ def head(number: int) -> SegmentHead:
     return SegmentHead(number, 1, 1, 1, number, ROWS, ROWS, 0, 1, 1, ROWS, 1, 7)
 
 
-def piece(number: int) -> SegmentPiece:
-    return cast("SegmentPiece", ("piece", number))
+def piece(number: int) -> SegmentChunk:
+    return cast("SegmentChunk", ("piece", number))
 
 
 def held(cache: SegmentCache) -> list[int]:

@@ -91,10 +91,10 @@ def still_stretches(epoch_s: FloatArray, attitude_deg: FloatArray, stretch_s: fl
            [4, 4]])
     """
     known = np.flatnonzero(np.isfinite(attitude_deg).all(axis=1))
-    place = np.concatenate([epoch_s[known, np.newaxis], attitude_deg[known] / STILL_LIMIT_DEG], axis=1)
+    position = np.concatenate([epoch_s[known, np.newaxis], attitude_deg[known] / STILL_LIMIT_DEG], axis=1)
     starts: list[int] = []
     first = [-math.inf] * 4
-    for row, (time, yaw, roll, pitch) in enumerate(place.tolist()):
+    for row, (time, yaw, roll, pitch) in enumerate(position.tolist()):
         moved = max(abs(yaw - first[1]), abs(roll - first[2]), abs(pitch - first[3]))
         if time - first[0] >= stretch_s or moved > 1.0:
             starts.append(row)

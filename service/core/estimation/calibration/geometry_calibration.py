@@ -32,7 +32,7 @@ from service.core.estimation.calibration.joint_tukey import JointProblem, fit_jo
 from service.core.estimation.calibration.quadratic_response import response_monomials
 from service.core.estimation.calibration.separable_fit import SeparableFit
 from service.core.estimation.calibration.whitened_fit import coloured_noise, whitened_fit
-from service.core.estimation.noise_identification import LearnedNoise, identify_noise
+from service.core.estimation.noise_identification import IdentifiedNoise, identify_noise
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -111,7 +111,7 @@ class GeometryCalibration(NamedTuple):
         Stretches with a weight above one half.
     is_dish_law : bool
         Whether ``daily`` is the dish law.
-    learned : LearnedNoise or None
+    learned : IdentifiedNoise or None
         Noise of the quiet rows with its common part; None when the figures come from an archive.
     solar_db : ndarray, shape (N, 2), dB, or None
         Cosine and sine of the solar day; None when the figures come from an archive.
@@ -135,7 +135,7 @@ class GeometryCalibration(NamedTuple):
     weight: FloatArray
     stretches_used: IntArray
     is_dish_law: bool
-    learned: LearnedNoise | None = None
+    identified: IdentifiedNoise | None = None
     solar_db: FloatArray | None = None
     offsets: StationOffsets | None = None
     free: FreeResponse | None = None
@@ -190,10 +190,10 @@ def fit_geometry(rows: CalibrationRows, geometry: CarrierGeometry) -> GeometryCa
     fit, weight = fit_jointly(problem, prior, means.white_db)
     residual = _row_residuals(rows.power_dbm - rough_dbm, columns, fit)
     is_good = means.is_kept & (_row_weights(residual.shape, stretches, weight) > _NOISE_WEIGHT)
-    learned = _learned(residual, is_good, rows)
-    fit = whitened_fit(problem, prior, learned, weight, is_dish_law=is_dish_law)
-    result = _result(rows, columns, (stretches, means), (fit, weight, learned), (rough_dbm, is_seen, is_dish_law))
-    attitude, noise = _stretch_attitude(rows.attitude_deg, stretches), coloured_noise(learned)
+    identified = _identified_noise(residual, is_good, rows)
+    fit = whitened_fit(problem, prior, identified, weight, is_dish_law=is_dish_law)
+    result = _result(rows, columns, (stretches, means), (fit, weight, identified), (rough_dbm, is_seen, is_dish_law))
+    attitude, noise = _stretch_attitude(rows.attitude_deg, stretches), coloured_noise(identified)
     return result._replace(
         offsets=station_offsets(problem, attitude, geometry, (fit, prior), noise),
         free=fit_free_response(problem, turned, prior, means.white_db, noise),
@@ -253,14 +253,14 @@ def _row_weights(shape: tuple[int, ...], stretches: Stretches, weight: FloatArra
     return out
 
 
-def _learned(residual: FloatArray, is_good: BoolArray, rows: CalibrationRows) -> LearnedNoise:
+def _identified_noise(residual: FloatArray, is_good: BoolArray, rows: CalibrationRows) -> IdentifiedNoise:
     """Return the noise of each carrier from the residuals of the quiet rows that count."""
     is_near = np.asarray((np.abs(rows.attitude_deg) < _NEAR_ZERO_DEG).all(axis=1))
     quiet = np.flatnonzero(is_near if rows.is_quiet is None else rows.is_quiet)
     return identify_noise(np.where(is_good, residual, math.nan)[quiet], rows.epoch_s[quiet])
 
 
-def _kept_places(own_size: int) -> IntArray:
+def _kept_positions(own_size: int) -> IntArray:
     """Return the places of level, daily, gradient and Hessian among the own coefficients."""
     solar = own_size - BEAM_SIZE - SOLAR_SIZE
     return np.delete(np.arange(own_size), [solar, solar + 1])
@@ -270,16 +270,16 @@ def _result(
     rows: CalibrationRows,
     columns: FloatArray,
     thinned: tuple[Stretches, Means],
-    fitted: tuple[SeparableFit, FloatArray, LearnedNoise],
+    fitted: tuple[SeparableFit, FloatArray, IdentifiedNoise],
     facts: tuple[FloatArray, BoolArray, bool],
 ) -> GeometryCalibration:
     """Return the calibration, carriers seen too little as NaN."""
-    (stretches, means), (fit, weight, learned), (rough_dbm, is_seen, is_dish_law) = thinned, fitted, facts
+    (stretches, means), (fit, weight, identified), (rough_dbm, is_seen, is_dish_law) = thinned, fitted, facts
     residual = _row_residuals(rows.power_dbm - rough_dbm, columns, fit)
     misfit = means.power_db - (means.columns @ _all_coefficients(fit)[..., np.newaxis])[..., 0]
     rms = np.sqrt((weight * misfit**2).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9))
     own = np.where(is_seen[:, np.newaxis], fit.own, math.nan)
-    kept = _kept_places(own.shape[1])
+    kept = _kept_positions(own.shape[1])
     return GeometryCalibration(
         level_dbm=own[:, 0] + rough_dbm,
         daily=own[:, 1 : -BEAM_SIZE - SOLAR_SIZE],
@@ -290,11 +290,11 @@ def _result(
         covariance=np.where(is_seen[:, np.newaxis, np.newaxis], fit.own_covariance[:, kept][:, :, kept], math.nan),
         downlink_covariance=fit.shared_covariance,
         downlink_gain=fit.gain[:, kept],
-        noise=coloured_noise(learned),
+        noise=coloured_noise(identified),
         residual_rms_db=np.where(is_seen, rms, math.nan),
         residual_db=residual,
         weight=_row_weights(residual.shape, stretches, weight) * means.is_kept,
         stretches_used=(weight > 0.5).sum(axis=1).astype(np.int64),
         is_dish_law=is_dish_law,
-        learned=learned,
+        identified=identified,
     )

@@ -135,14 +135,14 @@ def beam_columns(
     downlink : ndarray, shape (T, N, 2 R)
         Of the gradients of the R bands.
     """
-    place = np.einsum("nij,tj->tni", geometry.displacement(), attitude_deg)
+    position = np.einsum("nij,tj->tni", geometry.displacement(), attitude_deg)
     if motion is not None:
-        place = place + motion.antenna_deg
-    d = place[:, :-1]
+        position = position + motion.antenna_deg
+    d = position[:, :-1]
     products = np.stack([0.5 * d[..., 0] ** 2, d[..., 0] * d[..., 1], 0.5 * d[..., 1] ** 2], axis=-1)
     carriers = d.shape[1]
     downlink = np.zeros((len(d), carriers, geometry.bands, 2))
-    downlink[:, np.arange(carriers), geometry.band] = place[:, -1:] - d
+    downlink[:, np.arange(carriers), geometry.band] = position[:, -1:] - d
     return np.concatenate([d, products], axis=-1), downlink.reshape(len(d), carriers, -1)
 
 

@@ -41,8 +41,8 @@ def response_of(calibration: GeometryCalibration, geometry: CarrierGeometry) -> 
     -------
     QuadraticResponse
     """
-    place = geometry.displacement()
-    own_map, downlink_map = response_transform(place[:-1], place[-1])
+    position = geometry.displacement()
+    own_map, downlink_map = response_transform(position[:-1], position[-1])
     carriers = len(own_map)
     per_band = np.zeros((carriers, 9, geometry.bands, 2))
     per_band[np.arange(carriers), :, geometry.band] = downlink_map

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from service.core.estimation.noise_identification import LearnedNoise
+from service.core.estimation.noise_identification import IdentifiedNoise
 
 FloatArray = NDArray[np.float64]
 
@@ -52,7 +52,7 @@ def without_common(residual_db: FloatArray) -> FloatArray:
     return np.asarray(residual_db - np.where(count >= _MIN_COMMON, middle, 0.0)[:, np.newaxis])
 
 
-def level_drift(residual_db: FloatArray, epoch_s: FloatArray, noise: LearnedNoise, floor_db: float) -> LevelDrift:
+def level_drift(residual_db: FloatArray, epoch_s: FloatArray, noise: IdentifiedNoise, floor_db: float) -> LevelDrift:
     """Return slopes and random walks.
 
     Parameters
@@ -61,7 +61,7 @@ def level_drift(residual_db: FloatArray, epoch_s: FloatArray, noise: LearnedNois
         Of quiet rows; NaN = absent.
     epoch_s : ndarray, shape (T,), s
         Ascending.
-    noise : LearnedNoise
+    noise : IdentifiedNoise
         Of the same rows.
     floor_db : float, dB per square root of hour
         Least walk.

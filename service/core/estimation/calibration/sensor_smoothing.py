@@ -20,7 +20,7 @@ IntArray = NDArray[np.int64]
 #: deg, noise that the averages of a calibration take care of by themselves.
 QUIET_SIGMA_DEG = 0.02
 #: What a piece costs: a change is believed when it explains this much of a sum of squares over sigma^2.
-PIECE_PENALTY = 14.0
+SEGMENT_PENALTY = 14.0
 #: Longest piece, rows and s: slow motion is followed in steps smaller than the noise of their means.
 _LONGEST_ROWS = 120
 _LONGEST_S = 7200.0
@@ -87,12 +87,12 @@ def reading_sigma_deg(angle_deg: FloatArray) -> float:
     return float(_MAD_TO_SIGMA * np.median(bend) / math.sqrt(6.0))
 
 
-def piece_starts(epoch_s: FloatArray, scaled: FloatArray) -> IntArray:
+def segment_starts(epoch_s: FloatArray, scaled: FloatArray) -> IntArray:
     """Return where the pieces of readings (T,) of unit noise begin, ascending, the first at 0.
 
     Examples
     --------
-    >>> piece_starts(np.arange(8) * 60.0, np.array([0.0, 0, 0, 0, 9, 9, 9, 9]))
+    >>> segment_starts(np.arange(8) * 60.0, np.array([0.0, 0, 0, 0, 9, 9, 9, 9]))
     array([0, 4])
     """
     count = len(scaled)
@@ -109,7 +109,7 @@ def piece_starts(epoch_s: FloatArray, scaled: FloatArray) -> IntArray:
         total = sums[stop] - sums[start:stop]
         cost = least[start:stop] + (squares[stop] - squares[start:stop]) - total * total / rows
         best = int(np.argmin(cost))
-        least[stop] = cost[best] + PIECE_PENALTY
+        least[stop] = cost[best] + SEGMENT_PENALTY
         begins[stop] = start + best
     starts = [count]
     while starts[-1] > 0:
@@ -124,7 +124,7 @@ def _smoothed(epoch_s: FloatArray, angle_deg: FloatArray) -> tuple[FloatArray, f
         return angle_deg, sigma, sigma
     known = np.flatnonzero(np.isfinite(angle_deg))
     values = angle_deg[known]
-    starts = piece_starts(epoch_s[known], values / sigma)
+    starts = segment_starts(epoch_s[known], values / sigma)
     rows = np.diff(np.append(starts, len(values)))
     mean = np.add.reduceat(values, starts) / rows
     out = angle_deg.copy()

@@ -21,16 +21,16 @@ from service.core.estimation.calibration.coloured_rows import (
 from service.core.estimation.calibration.geometry_columns import BEAM_SIZE, DOWNLINK_PRIOR_DB_PER_DEG
 from service.core.estimation.calibration.joint_tukey import JointProblem
 from service.core.estimation.calibration.separable_fit import SeparableFit, fit_separable
-from service.core.estimation.noise_identification import LearnedNoise
+from service.core.estimation.noise_identification import IdentifiedNoise
 
 FloatArray = NDArray[np.float64]
 
-#: Place of k among the own coefficients of a dish law.
-_K_PLACE = 3
+#: Position of k among the own coefficients of a dish law.
+_K_POSITION = 3
 
 
 def whitened_fit(
-    problem: JointProblem, prior: FloatArray, learned: LearnedNoise, weight: FloatArray, *, is_dish_law: bool
+    problem: JointProblem, prior: FloatArray, identified: IdentifiedNoise, weight: FloatArray, *, is_dish_law: bool
 ) -> SeparableFit:
     """Return the fit of rows whitened by the noise.
 
@@ -40,7 +40,7 @@ def whitened_fit(
         Thinned rows of N carriers in B stretches.
     prior : ndarray, shape (N, K)
         One sigma of each own coefficient before the data.
-    learned : LearnedNoise
+    learned : IdentifiedNoise
         Noise of the carriers.
     weight : ndarray, shape (N, B)
         Robust weights.
@@ -52,10 +52,10 @@ def whitened_fit(
     SeparableFit
         Errors of level and daily change without the part that all carriers share.
     """
-    fit = _fit(problem, prior, _noise(learned, learned.whole_db), weight, is_dish_law=is_dish_law)
-    if not learned.common_db.any():
+    fit = _fit(problem, prior, _noise(identified, identified.whole_db), weight, is_dish_law=is_dish_law)
+    if not identified.common_db.any():
         return fit
-    own = _fit(problem, prior, coloured_noise(learned), weight, is_dish_law=is_dish_law)
+    own = _fit(problem, prior, coloured_noise(identified), weight, is_dish_law=is_dish_law)
     scale = np.sqrt(_variances(own) / np.maximum(_variances(fit), 1e-300))
     scale[:, -BEAM_SIZE:] = 1.0
     return fit._replace(
@@ -64,15 +64,15 @@ def whitened_fit(
     )
 
 
-def coloured_noise(learned: LearnedNoise) -> ColouredNoise:
+def coloured_noise(identified: IdentifiedNoise) -> ColouredNoise:
     """Return the carriers' own noise in the form that the whitening takes."""
-    return _noise(learned, learned.sigma_db)
+    return _noise(identified, identified.sigma_db)
 
 
-def _noise(learned: LearnedNoise, sigma_db: FloatArray) -> ColouredNoise:
+def _noise(identified: IdentifiedNoise, sigma_db: FloatArray) -> ColouredNoise:
     """Return the noise of the rows with some sizes of the correlated parts."""
-    tau_s = np.tile(learned.tau_s, (len(sigma_db), 1))
-    return ColouredNoise(np.maximum(learned.white_db, MIN_SIGMA_DB), sigma_db, tau_s)
+    tau_s = np.tile(identified.tau_s, (len(sigma_db), 1))
+    return ColouredNoise(np.maximum(identified.white_db, MIN_SIGMA_DB), sigma_db, tau_s)
 
 
 def _variances(fit: SeparableFit) -> FloatArray:
@@ -93,8 +93,8 @@ def _fit(
         return fit_separable(white[..., :size], white[..., size:-1], white[..., -1], chosen, DOWNLINK_PRIOR_DB_PER_DEG)
 
     fit = fit_with(prior)
-    if is_dish_law and (fit.own[:, _K_PLACE] < 0.0).any():
+    if is_dish_law and (fit.own[:, _K_POSITION] < 0.0).any():
         held = prior.copy()
-        held[fit.own[:, _K_PLACE] < 0.0, _K_PLACE] = 0.0
+        held[fit.own[:, _K_POSITION] < 0.0, _K_POSITION] = 0.0
         fit = fit_with(held)
     return fit

@@ -35,7 +35,7 @@ from service.core.estimation.filtering.model.filter_model import (
 from service.core.estimation.filtering.model.filter_state import ATTITUDE, CHAIN, RAIN, hidden_count
 from service.core.estimation.filtering.model.hidden_motion import with_doubted_torque
 from service.core.estimation.filtering.model.torque_prior import is_pushed
-from service.core.estimation.filtering.row_stages import common_first, is_shared, moved, trusted, watched
+from service.core.estimation.filtering.row_stages import common_first, is_shared, minute_update, moved, trusted
 from service.core.estimation.filtering.watches.command_watch import (
     believed_motion,
     doubting_settings,
@@ -111,13 +111,13 @@ def step(
     limits = limits or IntegrityLimits()
     nothing = np.full(model.carriers, np.nan)
     if epoch_us <= state.epoch_us:
-        return _told(model, state, nothing, np.empty(0, dtype=np.int64), None, limits)
+        return _reported(model, state, nothing, np.empty(0, dtype=np.int64), None, limits)
     step_us = epoch_us - state.epoch_us
     minutes = min(step_us / 60e6, 1.0)
     ahead = _ahead(model, settings, state, step_us, known, declared, kernels)
     row = _row(ahead, deviation_db, minutes, declared)
     if len(row.present) < MIN_CARRIERS:
-        return _told(model, ahead, nothing, row.present[:0], None, limits)
+        return _reported(model, ahead, nothing, row.present[:0], None, limits)
     return _judged(model, settings, ahead, row, limits, chooser, kernels)
 
 
@@ -211,7 +211,7 @@ def _judged(
     gaussian, watch = flag_failed(model, after.gaussian, watch, ahead.gaussian)
     after = after._replace(gaussian=gaussian, carriers=watch)
     is_noise_declared = None if row.declared is None else row.declared.white_db > 0.0
-    after = watched(model, after, row.deviation_db, values, updated, is_noise_declared)
+    after = minute_update(model, after, row.deviation_db, values, updated, is_noise_declared)
     gaussian, rain = pass_minutes(after.gaussian, after.rain, row.minutes)
     if row.declared is not None and row.declared.chain_step_db > SAME_LEVEL_DB:
         # a fall that begins now is counted from where the chain stands now
@@ -220,10 +220,10 @@ def _judged(
     after = after._replace(gaussian=gaussian, rain=rain, drift=drift)
     innovation_db = np.full(model.carriers, np.nan)
     innovation_db[row.present] = first.innovation_db
-    return _told(model, after, innovation_db, kept.carriers, choice.cause if choice else None, limits)
+    return _reported(model, after, innovation_db, kept.carriers, choice.cause if choice else None, limits)
 
 
-def _told(
+def _reported(
     model: CarrierModel,
     state: FilterState,
     innovation_db: FloatArray,

@@ -20,14 +20,14 @@ from service.core.estimation.filtering.model.filter_state import (
     core_size,
     hidden_count,
 )
-from service.core.estimation.filtering.watches.command_watch import obeyed_commands
+from service.core.estimation.filtering.watches.command_watch import executed_commands
 
 
 def carry_over(
     old: CarrierModel,
     new: CarrierModel,
     state: FilterState,
-    place: IntArray,
+    position: IntArray,
     reference_db: FloatArray,
     reference_sigma_db: FloatArray,
     is_unknown: BoolArray,
@@ -60,8 +60,8 @@ def carry_over(
     Coloured parts of a staying carrier go on where both plans have the same number of correlation times, and common
     parts likewise; else they begin at zero with stationary variance.
     """
-    is_kept = (place >= 0) & ~is_unknown
-    source = np.where(is_kept, place, -1)
+    is_kept = (position >= 0) & ~is_unknown
+    source = np.where(is_kept, position, -1)
     watch = _carried_watch(state.carriers, source, reference_db, is_unknown)
     noise = state.noise._replace(
         white_scale=_picked(state.noise.white_scale, source, 1.0),
@@ -80,7 +80,7 @@ def carry_over(
         minute=minute,
         model_variance_db2=_picked(state.model_variance_db2, source, 0.0),
         # sums over carriers that are gone mean nothing; what was found of the commands stands
-        command=obeyed_commands()._replace(share=state.command.share, minutes_left=state.command.minutes_left),
+        command=executed_commands()._replace(share=state.command.share, minutes_left=state.command.minutes_left),
     )
 
 

@@ -31,13 +31,13 @@ def with_declared(model: CarrierModel, state: FilterState, declared: Declared) -
     declared : Declared
         Effect of the declared operations on the step.
     """
-    told = state._replace(carriers=_levels_declared(model, state.carriers, declared))
+    reported = state._replace(carriers=_levels_declared(model, state.carriers, declared))
     if declared.chain_step_db > SAME_LEVEL_DB:
         rain = state.rain._replace(hold_minutes=HOLD_MINUTES, cusum=quiet_cusum(1))
-        told = told._replace(rain=rain)
+        reported = reported._replace(rain=rain)
     if np.any(declared.attitude_step_deg > _STEP_DEG):
-        told = told._replace(motion=forget_shifts(state.motion, state.epoch_us))
-    return told
+        reported = reported._replace(motion=forget_shifts(state.motion, state.epoch_us))
+    return reported
 
 
 def is_chain_worked(declared: Declared | None) -> bool:

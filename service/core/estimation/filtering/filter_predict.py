@@ -176,7 +176,7 @@ def predict(
     first_hidden = core_size(model)
     kernels.turn(mean, covariance, transition, motion.noise, _push(hours, known), first_hidden)
     variance = kernels.model_variance(model.coefficient_covariance, mean[ATTITUDE])
-    kernels.grow(
+    kernels.add_process_noise(
         covariance,
         factor,
         np.array(_core_variance(settings, hours, known, weather)),
@@ -241,5 +241,5 @@ def _move_together(model: CarrierModel, covariance: FloatArray, group_step_db: F
     """Add to a covariance, in place, that the references of each transponder moved by one and the same amount."""
     hidden = hidden_count(model, len(covariance))
     for transponder in np.flatnonzero(group_step_db).tolist():
-        places = reference_states(model, np.flatnonzero(model.transponder == transponder), hidden)
-        covariance[np.ix_(places, places)] += group_step_db[transponder] ** 2
+        positions = reference_states(model, np.flatnonzero(model.transponder == transponder), hidden)
+        covariance[np.ix_(positions, positions)] += group_step_db[transponder] ** 2

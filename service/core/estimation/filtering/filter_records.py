@@ -12,7 +12,7 @@ from service.core.estimation.filtering.causes.fault_hypotheses import Cause
 from service.core.estimation.filtering.causes.rain_state import RainWatch, dry_watch
 from service.core.estimation.filtering.model.filter_model import CarrierModel, FloatArray, IntArray
 from service.core.estimation.filtering.model.filter_state import Gaussian
-from service.core.estimation.filtering.watches.command_watch import CommandWatch, obeyed_commands
+from service.core.estimation.filtering.watches.command_watch import CommandWatch, executed_commands
 from service.core.estimation.filtering.watches.drift_watch import DriftWatch, usual_drift
 from service.core.estimation.filtering.watches.integrity import Integrity
 from service.core.estimation.filtering.watches.minute_sums import MinuteSums, empty_minute
@@ -33,7 +33,7 @@ class FilterState(NamedTuple):
     motion: MotionWatch
     model_variance_db2: FloatArray
     drift: DriftWatch = usual_drift()
-    command: CommandWatch = obeyed_commands()
+    command: CommandWatch = executed_commands()
 
 
 class FilterStep(NamedTuple):

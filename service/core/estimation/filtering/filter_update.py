@@ -159,7 +159,7 @@ def update(
         New state. Rain below zero is put to zero along its correlations.
     """
     carriers, white = innovation.carriers, innovation.white_db2
-    mean, whitened, residual = _absorbed(state, innovation, kernels)
+    mean, whitened, residual = _updated(state, innovation, kernels)
     own = whitened[:, ATTITUDE]
     shift, nis = (residual @ own) / np.sqrt(np.einsum("ij,ij->j", own, own)), float(residual @ residual)
     at_deg = state.mean[ATTITUDE]
@@ -170,15 +170,15 @@ def update(
         all_white = np.zeros(model.carriers)
         all_white[carriers] = white
         again = innovate(model, state, deviation_db, carriers, all_white, at_deg, kernels)
-        mean, whitened, residual = _absorbed(state, again, kernels)
+        mean, whitened, residual = _updated(state, again, kernels)
     covariance = kernels.reduce(state.covariance, whitened)
     return Updated(_with_rain_above_zero(mean, covariance), shift, nis, len(carriers))
 
 
-def _absorbed(state: Gaussian, innovation: Innovation, kernels: Kernels) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _updated(state: Gaussian, innovation: Innovation, kernels: Kernels) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the mean after the innovations, W and w."""
     _, nu, predicted, white, _, cross = innovation
-    return kernels.absorb(state.mean, nu, predicted, white, cross)
+    return kernels.update_state(state.mean, nu, predicted, white, cross)
 
 
 def _with_rain_above_zero(mean: FloatArray, covariance: FloatArray) -> Gaussian:

@@ -17,26 +17,26 @@ from service.core.estimation.filtering.model.hidden_motion import (
     with_wider_torque,
 )
 from service.core.estimation.filtering.model.torque_prior import is_pushed, torque_covariance, torque_prior_deg_h2
-from service.core.estimation.filtering.watches.command_watch import obeyed_commands
+from service.core.estimation.filtering.watches.command_watch import executed_commands
 
 
 def with_share(model: CarrierModel, state: FilterState, shares: int) -> FilterState:
     """Return the state with one share more, of which nothing is known, behind those it has."""
-    place = core_size(model, shares)
-    gaussian = inserted(state.gaussian, place, np.array([[SHARE_SIGMA**2]]))
+    position = core_size(model, shares)
+    gaussian = inserted(state.gaussian, position, np.array([[SHARE_SIGMA**2]]))
     command = state.command
     if len(command.sensitivity):
-        command = command._replace(sensitivity=np.insert(command.sensitivity, place, 0.0, axis=0))
+        command = command._replace(sensitivity=np.insert(command.sensitivity, position, 0.0, axis=0))
     return state._replace(gaussian=gaussian, command=command)
 
 
 def without_shares(model: CarrierModel, state: FilterState, shares: int) -> FilterState:
     """Return the state without its shares."""
-    places = slice(core_size(model), core_size(model, shares))
+    positions = slice(core_size(model), core_size(model, shares))
     command = state.command
     if len(command.sensitivity):
-        command = command._replace(sensitivity=np.delete(command.sensitivity, places, axis=0))
-    return state._replace(gaussian=dropped(state.gaussian, places), command=command)
+        command = command._replace(sensitivity=np.delete(command.sensitivity, positions, axis=0))
+    return state._replace(gaussian=dropped(state.gaussian, positions), command=command)
 
 
 def with_torque(model: CarrierModel, gaussian: Gaussian, settings: FilterSettings) -> Gaussian:
@@ -52,13 +52,13 @@ def with_stated_torque(
     Where it states one for the first time its states come, where it states none they go; a greater one is known less.
     What was learned under another profile is learned again: its shares and its wave are not those of the new one.
     """
-    gaussian, places = state.gaussian, torque_states(model, state.gaussian, shares)
-    if places is not None and (before.fed_forward != after.fed_forward or not is_pushed(after)):
-        gaussian, places = dropped(gaussian, places), None
-    if places is not None:
+    gaussian, positions = state.gaussian, torque_states(model, state.gaussian, shares)
+    if positions is not None and (before.fed_forward != after.fed_forward or not is_pushed(after)):
+        gaussian, positions = dropped(gaussian, positions), None
+    if positions is not None:
         grown = torque_prior_deg_h2(after) ** 2 - torque_prior_deg_h2(before) ** 2
-        gaussian = with_wider_torque(gaussian, places, np.maximum(0.0, grown))
+        gaussian = with_wider_torque(gaussian, positions, np.maximum(0.0, grown))
     elif is_pushed(after):
         gaussian = inserted(gaussian, core_size(model, shares), torque_covariance(after))
-    command = obeyed_commands()._replace(share=state.command.share, minutes_left=state.command.minutes_left)
+    command = executed_commands()._replace(share=state.command.share, minutes_left=state.command.minutes_left)
     return state._replace(gaussian=gaussian, command=command)

@@ -99,7 +99,7 @@ def trusted(innovation: Innovation, excess: FloatArray) -> Innovation:
     )
 
 
-def watched(
+def minute_update(
     model: CarrierModel,
     state: FilterState,
     deviation_db: FloatArray,

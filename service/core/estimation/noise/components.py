@@ -43,11 +43,11 @@ def fitted_variances(
     for _ in range(_PASSES):
         total = np.einsum("nc,ncf->nf", variance, spectra.expected)
         weight = spectra.weight / total
-        told = np.einsum("ncf,nf->nc", spectra.expected, weight * spectra.power / total)
+        reported = np.einsum("ncf,nf->nc", spectra.expected, weight * spectra.power / total)
         owed = np.einsum("ncf,nf->nc", spectra.expected, weight)
-        told = told + prior_weight * prior_db2 / variance**2
+        reported = reported + prior_weight * prior_db2 / variance**2
         owed = owed + prior_weight / variance
-        variance = np.maximum(variance * np.sqrt(told / np.maximum(owed, 1e-300)), _LEAST_DB2)
+        variance = np.maximum(variance * np.sqrt(reported / np.maximum(owed, 1e-300)), _LEAST_DB2)
     return variance
 
 
@@ -74,10 +74,10 @@ def pooled_variances(spectra: Spectra, start_db2: FloatArray) -> tuple[FloatArra
     for _ in range(_PASSES):
         total = _total(spectra, white, shared)
         weight = spectra.weight / total
-        told = np.einsum("ncf,nf->nc", spectra.expected, weight * spectra.power / total)
+        reported = np.einsum("ncf,nf->nc", spectra.expected, weight * spectra.power / total)
         owed = np.maximum(np.einsum("ncf,nf->nc", spectra.expected, weight), 1e-300)
-        white = np.maximum(white * np.sqrt(told[:, :1] / owed[:, :1]), _LEAST_DB2)
-        shared = np.maximum(shared * np.sqrt(told[:, 1:].sum(axis=0) / owed[:, 1:].sum(axis=0)), _LEAST_DB2)
+        white = np.maximum(white * np.sqrt(reported[:, :1] / owed[:, :1]), _LEAST_DB2)
+        shared = np.maximum(shared * np.sqrt(reported[:, 1:].sum(axis=0) / owed[:, 1:].sum(axis=0)), _LEAST_DB2)
     relative = spectra.expected / _total(spectra, white, shared)[:, np.newaxis]
     information = np.einsum("nf,ncf,ndf->cd", spectra.weight, relative, relative)
     scale = np.sqrt(np.maximum(np.diagonal(information), 1e-300))

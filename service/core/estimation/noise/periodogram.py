@@ -34,12 +34,12 @@ class Grid(NamedTuple):
     row : ndarray of int, shape (K,)
         Its number among the rows.
     length : int
-        Places of the grid.
+        Positions of the grid.
     step_s : float, s
         Spacing.
     """
 
-    place: IntArray
+    position: IntArray
     row: IntArray
     length: int
     step_s: float
@@ -68,16 +68,16 @@ def regular_grid(epoch_s: FloatArray) -> Grid:
 
     Examples
     --------
-    >>> regular_grid(np.array([0.0, 60.0, 121.0, 300.0])).place
+    >>> regular_grid(np.array([0.0, 60.0, 121.0, 300.0])).position
     array([0, 1, 2, 5])
     """
     if len(epoch_s) < 2:  # a grid of two empty places keeps every shape downstream
         return Grid(np.zeros(len(epoch_s), dtype=np.int64), np.arange(len(epoch_s)), 2, 1.0)
     step_s = float(np.median(np.diff(epoch_s)))
     step_s = max(step_s, (epoch_s[-1] - epoch_s[0]) / _MAX_ROWS, 1e-6)
-    place = np.floor((epoch_s - epoch_s[0]) / step_s + 0.5).astype(np.int64)
-    place, row = np.unique(place, return_index=True)
-    return Grid(place, row.astype(np.int64), int(place[-1]) + 1, step_s)
+    position = np.floor((epoch_s - epoch_s[0]) / step_s + 0.5).astype(np.int64)
+    position, row = np.unique(position, return_index=True)
+    return Grid(position, row.astype(np.int64), int(position[-1]) + 1, step_s)
 
 
 def grouped_spectra(residual_db: FloatArray, grid: Grid, tau_s: FloatArray, min_rows: int) -> Spectra:
@@ -99,7 +99,7 @@ def grouped_spectra(residual_db: FloatArray, grid: Grid, tau_s: FloatArray, min_
     Spectra
     """
     values = np.full((residual_db.shape[1], grid.length), np.nan)
-    values[:, grid.place] = residual_db[grid.row].T
+    values[:, grid.position] = residual_db[grid.row].T
     is_there = np.isfinite(values)
     rows = is_there.sum(axis=1)
     centred = np.where(is_there, values, 0.0)

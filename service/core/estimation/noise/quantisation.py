@@ -51,9 +51,9 @@ def quantisation_step_db(power_dbm: FloatArray) -> float:
         return 0.0
     # relative to a whole number of bins, so that a grid keeps its place
     centre = round(float(np.median(known)) / _BIN_DB)
-    place = np.round(known / _BIN_DB).astype(np.int64) - centre + round(_REACH_DB / _BIN_DB)
+    position = np.round(known / _BIN_DB).astype(np.int64) - centre + round(_REACH_DB / _BIN_DB)
     bins = 2 * round(_REACH_DB / _BIN_DB) + 1
-    near = place[(place >= 0) & (place < bins)]
+    near = position[(position >= 0) & (position < bins)]
     histogram = np.bincount(near, minlength=bins) / max(len(near), 1)
     found = np.abs(np.fft.rfft(histogram, n=_PADDED))
     frequency = np.arange(len(found)) / (_PADDED * _BIN_DB)

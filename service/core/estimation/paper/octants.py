@@ -168,10 +168,10 @@ def solve_octants_rows(
     """
     system = _normal_system(np.concatenate([plus, minus], axis=1), deviation_db, sigma_db)
     choice = choose_candidate(system.normal, system.moment)
-    place = np.arange(len(system.normal))[:, np.newaxis], choice.columns
-    scale = system.length[place]
+    position = np.arange(len(system.normal))[:, np.newaxis], choice.columns
+    scale = system.length[position]
     angles = np.zeros_like(system.length)
-    angles[place] = attitude = choice.solution / scale
+    angles[position] = attitude = choice.solution / scale
     residual = system.measured - angles @ system.design.T
     cost = np.vecdot(system.weights * residual, residual)
     is_present = system.weights > 0.0

@@ -184,8 +184,8 @@ def level_knots(time_s: FloatArray, spacing_s: float) -> FloatArray:
     """
     start_s, span_s = float(time_s.min()), float(np.ptp(time_s))
     pieces = max(1, int(span_s / spacing_s))
-    place = (time_s - start_s) / max(span_s, 1e-9) * pieces
-    return np.clip(1.0 - np.abs(place[:, np.newaxis] - np.arange(pieces + 1)), 0.0, None)
+    position = (time_s - start_s) / max(span_s, 1e-9) * pieces
+    return np.clip(1.0 - np.abs(position[:, np.newaxis] - np.arange(pieces + 1)), 0.0, None)
 
 
 def _fit_carrier(

@@ -8,12 +8,12 @@ from typing import NamedTuple
 from service.core.flexible.schedule.schedule_metrics import (
     WARNED_SHARE,
     OnboardRegulator,
-    ScheduleFigures,
     ScheduleLimits,
+    ScheduleMetrics,
     reasons_of,
     regulator_boundary_rad,
     require_limits,
-    schedule_figures,
+    schedule_metrics,
 )
 from service.core.flexible.schedule.schedule_response import TorquePulse, ordered_schedule
 from service.core.flexible.spacecraft import HubMode
@@ -146,7 +146,7 @@ def check_schedule(
         raise ValueError(f"carried_rad must hold one finite number for each of {len(limits.modes)} modes")
     ordered = ordered_schedule(pulses)
     boundary_rad = regulator_boundary_rad(limits)
-    figures = schedule_figures(ordered, limits, carried_rad)
+    figures = schedule_metrics(ordered, limits, carried_rad)
     verdict, reasons = _judge(figures, limits, boundary_rad)
     suggestions = () if verdict == "accept" else _suggestions(ordered, limits, carried_rad, figures, boundary_rad)
     return ScheduleCheck(
@@ -169,7 +169,7 @@ def check_schedule(
 
 
 def _judge(
-    figures: ScheduleFigures, limits: ScheduleLimits, boundary_rad: tuple[float, float]
+    figures: ScheduleMetrics, limits: ScheduleLimits, boundary_rad: tuple[float, float]
 ) -> tuple[str, tuple[str, ...]]:
     """Return verdict and reasons."""
     rejected, warned = reasons_of(figures, limits, boundary_rad)
@@ -180,14 +180,14 @@ def _suggestions(
     pulses: tuple[TorquePulse, ...],
     limits: ScheduleLimits,
     carried_rad: tuple[complex, ...],
-    figures: ScheduleFigures,
+    figures: ScheduleMetrics,
     boundary_rad: tuple[float, float],
 ) -> tuple[Suggestion, ...]:
     """Return changes that help, judged like the schedule itself, best first."""
     mode = limits.modes[figures.worst_mode]
     made = []
     for kind, value_s, changed in (*_splits(pulses, mode), *_widths(pulses, mode), *_intervals(pulses, mode)):
-        tried = schedule_figures(changed, limits, carried_rad)
+        tried = schedule_metrics(changed, limits, carried_rad)
         verdict, _ = _judge(tried, limits, boundary_rad)
         if tried.peak_rad < _WORTH * figures.peak_rad or tried.swing_rad < _WORTH * figures.swing_rad:
             made.append(Suggestion(kind, value_s, verdict, tried.peak_rad, tried.residual_rad))
@@ -237,7 +237,7 @@ def _waits(
     boundary_rad: tuple[float, float],
 ) -> list[Suggestion]:
     """Return the time after which what was carried has decayed enough, where that is what stands in the way."""
-    own = schedule_figures(pulses, limits, (0j,) * len(carried_rad))
+    own = schedule_metrics(pulses, limits, (0j,) * len(carried_rad))
     carried = sum(abs(one) for one in carried_rad)
     left_rad = min(WARNED_SHARE * boundary_rad[0] - own.swing_rad, limits.peak_allowed_rad - own.peak_rad)
     # a hair below the level itself
@@ -247,7 +247,7 @@ def _waits(
     slowest_1_s = min(mode.damping_ratio * mode.omega_rad_s for mode in limits.modes)
     wait_s = math.log(carried / left_rad) / slowest_1_s
     faded = tuple(one * left_rad / carried for one in carried_rad)
-    tried = schedule_figures(pulses, limits, faded)
+    tried = schedule_metrics(pulses, limits, faded)
     verdict, _ = _judge(tried, limits, boundary_rad)
     return [Suggestion("wait", wait_s, verdict, tried.peak_rad, tried.residual_rad)]
 

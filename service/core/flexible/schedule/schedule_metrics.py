@@ -58,7 +58,7 @@ class ScheduleLimits(NamedTuple):
     momentum_limit_n_m_s: float = math.inf
 
 
-class ScheduleFigures(NamedTuple):
+class ScheduleMetrics(NamedTuple):
     """What a schedule does, worst case over frequencies, sum over modes."""
 
     peak_rad: float
@@ -74,9 +74,9 @@ class ScheduleFigures(NamedTuple):
     momentum_n_m_s: tuple[float, float]
 
 
-def schedule_figures(
+def schedule_metrics(
     pulses: tuple[TorquePulse, ...], limits: ScheduleLimits, carried_rad: tuple[complex, ...]
-) -> ScheduleFigures:
+) -> ScheduleMetrics:
     """Return what a schedule does; ``carried_rad`` holds Z of each mode at time zero."""
     spread = np.linspace(1.0 - FREQUENCY_REACH, 1.0 + FREQUENCY_REACH, FREQUENCY_COUNT)
     peaks, residuals, swings, omegas, nominal = [], [], [], [], []
@@ -91,7 +91,7 @@ def schedule_figures(
         omegas.append(float(tried.omega_rad_s[worst]))
     worst_mode = int(np.argmax(peaks))
     momentum = limits.momentum_n_m_s + np.cumsum([0.0, *(pulse.torque_n_m * pulse.duration_s for pulse in pulses)])
-    return ScheduleFigures(
+    return ScheduleMetrics(
         peak_rad=sum(peaks),
         residual_rad=sum(residuals),
         swing_rad=sum(swings),
@@ -126,7 +126,7 @@ def switch_ons_of(regulator: OnboardRegulator, inertia_kg_m2: float) -> tuple[Sw
 
 
 def reasons_of(
-    figures: ScheduleFigures, limits: ScheduleLimits, boundary_rad: tuple[float, float]
+    figures: ScheduleMetrics, limits: ScheduleLimits, boundary_rad: tuple[float, float]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return why a schedule is rejected and what is warned of, each in words of one."""
     critical, perpetual = boundary_rad

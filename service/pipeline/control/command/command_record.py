@@ -111,5 +111,5 @@ def predicted(pulses: Sequence[AxisPulse], inertia_kg_m2: FloatArray, period_s: 
 
 
 def _pulse(epoch_us: int, pulse: AxisPulse) -> Pulse:
-    torque = Axes(*(pulse.torque_n_m if place == pulse.axis else 0.0 for place in range(3)))
+    torque = Axes(*(pulse.torque_n_m if position == pulse.axis else 0.0 for position in range(3)))
     return Pulse(epoch_us + round(pulse.start_s * US_PER_S), pulse.duration_s, torque)

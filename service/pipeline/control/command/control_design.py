@@ -83,16 +83,16 @@ def gyro_design(spacecraft: Spacecraft, config: TorqueConfig, period_s: float | 
 
 @lru_cache(maxsize=64)
 def _gyro_design(spacecraft: Spacecraft, period_s: int) -> Law:
-    told = spacecraft.control.gyro_orbitant
-    if told is None:
+    reported = spacecraft.control.gyro_orbitant
+    if reported is None:
         raise ValueError("the law gyro_orbitant has no gains: state control.gyro_orbitant")
     gains = OrbitalFrameGains(
-        roll_stiffness=told.roll_stiffness_n_m,
-        roll_damping=told.roll_damping_n_m_s,
-        pitch_stiffness=told.pitch_stiffness_n_m,
-        pitch_damping=told.pitch_damping_n_m_s,
-        yaw_stiffness=told.yaw_stiffness_n_m,
-        yaw_damping=told.yaw_damping_n_m_s,
+        roll_stiffness=reported.roll_stiffness_n_m,
+        roll_damping=reported.roll_damping_n_m_s,
+        pitch_stiffness=reported.pitch_stiffness_n_m,
+        pitch_damping=reported.pitch_damping_n_m_s,
+        yaw_stiffness=reported.yaw_stiffness_n_m,
+        yaw_damping=reported.yaw_damping_n_m_s,
     )
     axes = np.array(spacecraft.wheels.axes, dtype=np.float64)
     limit_n_m = min(spacecraft.torque_limit_n_m, body_torque_limit_n_m(axes, spacecraft.wheels.torque_limit_n_m))

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from service.core.control.envelope import Envelope
-from service.core.control.gyro_orbitant import does_rate_tell_yaw, gyro_orbitant_torque
+from service.core.control.gyro_orbitant import does_rate_show_yaw, gyro_orbitant_torque
 from service.core.control.pulses import shape_pulses
 from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S, feedback_torque
 from service.core.control.slew_schedule import AxisPulse
@@ -43,7 +43,7 @@ def rate_inhibition(body_rate_deg_s: Axes | None) -> str | None:
     """Return why the gyro-orbitant law has no torque at these rates; None where it has one."""
     if body_rate_deg_s is None or not np.isfinite(body_rate_deg_s).all():
         return "no_body_rate"
-    return None if does_rate_tell_yaw(np.array(body_rate_deg_s), GEOSTATIONARY_RATE_RAD_S) else "law_beyond"
+    return None if does_rate_show_yaw(np.array(body_rate_deg_s), GEOSTATIONARY_RATE_RAD_S) else "law_beyond"
 
 
 def mean_pulses(
@@ -88,8 +88,8 @@ def mean_pulses(
         min_pulse_s=config.min_pulse_s,
         time_step_s=config.time_step_s,
     )
-    told = enumerate(zip(train.duration_s.tolist(), train.torque_n_m.tolist(), strict=True))
-    pulses = tuple(AxisPulse(axis, 0.0, duration_s, torque) for axis, (duration_s, torque) in told if duration_s)
+    reported = enumerate(zip(train.duration_s.tolist(), train.torque_n_m.tolist(), strict=True))
+    pulses = tuple(AxisPulse(axis, 0.0, duration_s, torque) for axis, (duration_s, torque) in reported if duration_s)
     return MeanPulses(pulses, train.carry_n_m_s, share < 1.0 or bool(train.is_saturated.any()))
 
 

@@ -26,7 +26,7 @@ from service.records.epoch import US_PER_S
 from service.records.levels.command import Pulse, ScheduleVerdict
 
 #: places of the axes in the order yaw, roll, pitch, and of each among the body axes
-_PLACES = {"yaw": 0, "roll": 1, "pitch": 2}
+_POSITIONS = {"yaw": 0, "roll": 1, "pitch": 2}
 _BODY = {"yaw": 2, "roll": 0, "pitch": 1}
 #: every panel damps; a catalogue that says nothing of it is given this
 _LEAST_DAMPING = 1e-4
@@ -73,19 +73,19 @@ def schedule_verdict(
         return None
     start_us = min(pulse.start_us for pulse in schedule)
     found = [
-        (check, places)
-        for axis, places in _modes_by_axis(spacecraft).items()
-        if (check := _checked(schedule, axis, places, spacecraft, config, swing, start_us)) is not None
+        (check, positions)
+        for axis, positions in _modes_by_axis(spacecraft).items()
+        if (check := _checked(schedule, axis, positions, spacecraft, config, swing, start_us)) is not None
     ]
     if not found:
         return None
-    worst, places = max(found, key=lambda one: (_RANK.index(one[0].verdict), one[0].peak_rad))
+    worst, positions = max(found, key=lambda one: (_RANK.index(one[0].verdict), one[0].peak_rad))
     return ScheduleVerdict(
         verdict=worst.verdict,
         peak_deg=math.degrees(worst.peak_rad),
         residual_deg=math.degrees(worst.residual_rad),
         margin=1.0 - math.degrees(worst.peak_rad) / config.panel_peak_limit_deg,
-        worst_mode=places[worst.worst_mode],
+        worst_mode=positions[worst.worst_mode],
         suggestion=_in_words(worst.suggestions),
     )
 
@@ -99,8 +99,8 @@ def swing_after(swing: PanelSwing | None, schedule: Sequence[Pulse], spacecraft:
     start_us = min(pulse.start_us for pulse in schedule)
     stop_us = max(pulse.start_us + round(pulse.duration_s * US_PER_S) for pulse in schedule)
     left = []
-    for place, mode in enumerate(spacecraft.modes):
-        tone, carried = _tone(mode), _carried(swing, spacecraft, place, start_us)
+    for position, mode in enumerate(spacecraft.modes):
+        tone, carried = _tone(mode), _carried(swing, spacecraft, position, start_us)
         pulses = _pulses(schedule, mode.axis, start_us)
         response = schedule_response(pulses, tone, _inertia(spacecraft, mode.axis), carried_rad=carried)
         rest_s = (stop_us - start_us) / US_PER_S - response.end_s
@@ -111,7 +111,7 @@ def swing_after(swing: PanelSwing | None, schedule: Sequence[Pulse], spacecraft:
 def _checked(
     schedule: Sequence[Pulse],
     axis: str,
-    places: list[int],
+    positions: list[int],
     spacecraft: Spacecraft,
     config: TorqueConfig,
     swing: PanelSwing | None,
@@ -123,39 +123,39 @@ def _checked(
         return None
     limits = ScheduleLimits(
         _inertia(spacecraft, axis),
-        tuple(_tone(spacecraft.modes[place]) for place in places),
+        tuple(_tone(spacecraft.modes[position]) for position in positions),
         math.radians(config.panel_peak_limit_deg),
     )
-    carried = tuple(_carried(swing, spacecraft, place, start_us) for place in places)
+    carried = tuple(_carried(swing, spacecraft, position, start_us) for position in positions)
     return check_schedule(pulses, limits, carried)
 
 
 def _modes_by_axis(spacecraft: Spacecraft) -> dict[str, list[int]]:
     """Return the places of the modes of each axis that has one."""
-    places: dict[str, list[int]] = {}
-    for place, mode in enumerate(spacecraft.modes):
-        places.setdefault(mode.axis, []).append(place)
-    return places
+    positions: dict[str, list[int]] = {}
+    for position, mode in enumerate(spacecraft.modes):
+        positions.setdefault(mode.axis, []).append(position)
+    return positions
 
 
 def _pulses(schedule: Sequence[Pulse], axis: str, start_us: int) -> tuple[TorquePulse, ...]:
     """Return what acts about one axis."""
-    place = _PLACES[axis]
+    position = _POSITIONS[axis]
     return ordered_schedule(
         tuple(
-            TorquePulse((pulse.start_us - start_us) / US_PER_S, pulse.duration_s, pulse.torque_n_m[place])
+            TorquePulse((pulse.start_us - start_us) / US_PER_S, pulse.duration_s, pulse.torque_n_m[position])
             for pulse in schedule
-            if pulse.torque_n_m[place] and pulse.duration_s > 0.0
+            if pulse.torque_n_m[position] and pulse.duration_s > 0.0
         )
     )
 
 
-def _carried(swing: PanelSwing | None, spacecraft: Spacecraft, place: int, at_us: int) -> complex:
+def _carried(swing: PanelSwing | None, spacecraft: Spacecraft, position: int, at_us: int) -> complex:
     """Return what one mode still swings; a catalogue with other modes begins anew, a schedule within another too."""
     if swing is None or len(swing.phasor_rad) != len(spacecraft.modes):
         return 0j
     elapsed_s = max(0.0, (at_us - swing.at_us) / US_PER_S)
-    return carry_phasor(swing.phasor_rad[place], _tone(spacecraft.modes[place]), elapsed_s)
+    return carry_phasor(swing.phasor_rad[position], _tone(spacecraft.modes[position]), elapsed_s)
 
 
 def _tone(mode: "catalogue.FlexibleMode") -> HubMode:

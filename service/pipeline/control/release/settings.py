@@ -66,11 +66,11 @@ class ReleaseSettings:
     @property
     def figures(self) -> dict[str, float | str]:
         """Return every setting by name, with long times in minutes and hours too, for texts."""
-        told = asdict(self)
-        times = {name[:-1]: value for name, value in told.items() if name.endswith("_s")}
+        reported = asdict(self)
+        times = {name[:-1]: value for name, value in reported.items() if name.endswith("_s")}
         minutes = {f"{name}min": value / 60.0 for name, value in times.items()}
         hours = {f"{name}h": value / 3600.0 for name, value in times.items()}
-        return {**told, **minutes, **hours, "momentum_percent": 100.0 * self.momentum_share_limit}
+        return {**reported, **minutes, **hours, "momentum_percent": 100.0 * self.momentum_share_limit}
 
     @property
     def allowed_modes(self) -> tuple[str, ...]:

@@ -35,7 +35,7 @@ class PaperRunner:
         """Whether rows lead to angles."""
         return self._model is not None
 
-    def hear(self, content: SlowInput, knowledge: Knowledge) -> None:
+    def on_input(self, content: SlowInput, knowledge: Knowledge) -> None:
         """Commanded motion does not enter this method."""
 
     def start(self, knowledge: Knowledge) -> None:

@@ -39,8 +39,8 @@ def sensitivity_model(calibration: Calibration) -> SensitivityModel:
     most = max((len(carrier.noise) for carrier in carriers), default=0)
     sigma_db, time_s = np.zeros((len(carriers), most)), np.zeros((len(carriers), most))
     for k, carrier in enumerate(carriers):
-        for place, part in enumerate(carrier.noise):
-            sigma_db[k, place], time_s[k, place] = part.sigma_db, part.correlation_time_s
+        for position, part in enumerate(carrier.noise):
+            sigma_db[k, position], time_s[k, position] = part.sigma_db, part.correlation_time_s
     return SensitivityModel(
         tuple(carrier.id for carrier in carriers),
         np.array([carrier.sensitivity_plus_db_per_deg for carrier in carriers], dtype=np.float64).reshape(-1, 3),
@@ -95,8 +95,8 @@ def _variance_ratio(fix: OctantFix, sigma_db: FloatArray) -> float:
     """
     scatter_db2 = fix.cost / max(fix.carriers_used - 3, 1)
     known_db = sigma_db[np.isfinite(sigma_db)]
-    learned_db2 = float(np.mean(known_db**2)) if len(known_db) else 0.0
-    return max(1.0, learned_db2 / scatter_db2) if scatter_db2 > 0.0 else 1.0
+    known_mean_db2 = float(np.mean(known_db**2)) if len(known_db) else 0.0
+    return max(1.0, known_mean_db2 / scatter_db2) if scatter_db2 > 0.0 else 1.0
 
 
 def _exclusions(model: SensitivityModel, reason: IntArray) -> tuple[Exclusion, ...]:

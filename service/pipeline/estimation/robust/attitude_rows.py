@@ -24,14 +24,14 @@ ADVICE: dict[str, str] = {
     "board feeds forward",
 }
 #: fewest rows of a flagged carrier from which its kind of fault is told
-_TELLING_ROWS = QUIET_ROWS // 2
+_INFORMATIVE_ROWS = QUIET_ROWS // 2
 _MIN_GROUP = 3
 
 
 class Fixed(NamedTuple):
     """A filtered row before it is put into words."""
 
-    told: FilterStep
+    announced: FilterStep
     #: (N,) dB
     deviation_db: FloatArray
     #: (3,) deg/s
@@ -42,7 +42,7 @@ class Fixed(NamedTuple):
 
     def residual_db(self, model: RobustModel) -> FloatArray:
         """Return what attitude and common level do not explain (N,), dB."""
-        return np.asarray(self.deviation_db - site_db(model.filter, self.told.state.gaussian.mean))
+        return np.asarray(self.deviation_db - site_db(model.filter, self.announced.state.gaussian.mean))
 
 
 def filtered_row(
@@ -57,40 +57,40 @@ def filtered_row(
     is_torque_to_be_stated: bool = False,
 ) -> AttitudeRow:
     """Return the archive's row of one step of the filter."""
-    told = fixed.told
-    attitude = told.attitude_deg
+    announced = fixed.announced
+    attitude = announced.attitude_deg
     conditions = {
         "catch_up": is_catch_up,
         "operation": has_inhibiting_operation,
         "no_ephemeris": fixed.is_without_ephemeris,
         "beyond_validity": bool(np.abs(attitude[1:]).max() > validity_limit_deg),
     }
-    standing = {reason for reason, stands in conditions.items() if stands} | set(told.integrity.reasons)
+    standing = {reason for reason, stands in conditions.items() if stands} | set(announced.integrity.reasons)
     # whatever the filter holds against control stands, in the usual order where it has one
-    inhibitions = tuple(dict.fromkeys(one for one in (*INHIBITIONS, *told.integrity.reasons) if one in standing))
-    advice = {"realign": told.integrity.is_realignment_advised, "state_torque": is_torque_to_be_stated}
-    residual_db = fixed.residual_db(model)[told.used]
-    is_raining = told.state.rain.is_raining
-    common = told.state.gaussian.mean[common_states(model.filter)]
+    inhibitions = tuple(dict.fromkeys(one for one in (*INHIBITIONS, *announced.integrity.reasons) if one in standing))
+    advice = {"realign": announced.integrity.is_realignment_advised, "state_torque": is_torque_to_be_stated}
+    residual_db = fixed.residual_db(model)[announced.used]
+    is_raining = announced.state.rain.is_raining
+    common = announced.state.gaussian.mean[common_states(model.filter)]
     return AttitudeRow(
         epoch_us=measurement.epoch_us,
         received_at_us=measurement.received_at_us,
         number=measurement.number,
         method=Method.ROBUST,
         attitude_deg=named_axes(attitude),
-        sigma_deg=named_axes(np.sqrt(np.diag(told.covariance_deg2))),
+        sigma_deg=named_axes(np.sqrt(np.diag(announced.covariance_deg2))),
         rates_deg_s=named_axes(fixed.rates_deg_s),
-        status=Status.ACQUIRED if len(told.used) >= MIN_CARRIERS else Status.EXPIRED,
+        status=Status.ACQUIRED if len(announced.used) >= MIN_CARRIERS else Status.EXPIRED,
         control_allowed=not inhibitions,
         control_allowed_axes=_allowed_axes(
-            told, inhibitions, yaw_validity_limit_deg, is_yaw_controllable=model.is_yaw_controllable
+            announced, inhibitions, yaw_validity_limit_deg, is_yaw_controllable=model.is_yaw_controllable
         ),
         inhibitions=inhibitions,
-        carriers_used=len(told.used),
+        carriers_used=len(announced.used),
         excluded=_exclusions(model, fixed),
         downlink_fade=is_raining,
-        downlink_fade_db=float(told.rain_db) if is_raining else 0.0,
-        common_db=float(told.common_db + common.sum()),
+        downlink_fade_db=float(announced.rain_db) if is_raining else 0.0,
+        common_db=float(announced.common_db + common.sum()),
         residual_rms_db=_rms(residual_db),
         calibration_id=model.calibration_id,
         alignment_id=model.alignment_id,
@@ -99,13 +99,13 @@ def filtered_row(
 
 
 def _allowed_axes(
-    told: FilterStep, inhibitions: tuple[str, ...], limit_deg: float, *, is_yaw_controllable: bool
+    announced: FilterStep, inhibitions: tuple[str, ...], limit_deg: float, *, is_yaw_controllable: bool
 ) -> tuple[bool, bool, bool]:
     """Return which axes may be controlled: none under an inhibition, yaw of a proven sign within the model's range."""
     if inhibitions:
         return False, False, False
-    yaw, roll, pitch = told.integrity.is_axis_allowed
-    return is_yaw_controllable and yaw and bool(abs(float(told.attitude_deg[0])) <= limit_deg), roll, pitch
+    yaw, roll, pitch = announced.integrity.is_axis_allowed
+    return is_yaw_controllable and yaw and bool(abs(float(announced.attitude_deg[0])) <= limit_deg), roll, pitch
 
 
 def late_row(measurement: Measurement, model: RobustModel, fixes: Snapshots, *, is_absent: BoolArray) -> AttitudeRow:
@@ -144,7 +144,7 @@ def late_row(measurement: Measurement, model: RobustModel, fixes: Snapshots, *, 
 def _exclusions(model: RobustModel, fixed: Fixed) -> tuple[Exclusion, ...]:
     """Return the carriers of the method that did not enter, each with its reason."""
     is_out = model.is_used.copy()
-    is_out[fixed.told.used] = False
+    is_out[fixed.announced.used] = False
     if not is_out.any():
         return ()
     residual_db = fixed.residual_db(model)
@@ -157,7 +157,7 @@ def _exclusions(model: RobustModel, fixed: Fixed) -> tuple[Exclusion, ...]:
 
 def _reason(model: RobustModel, fixed: Fixed, residual_db: FloatArray, moved: set[int], k: int) -> str:
     """Return why one carrier is out."""
-    watch = fixed.told.state.carriers
+    watch = fixed.announced.state.carriers
     if fixed.declared is not None and fixed.declared.is_masked[k]:
         return "manual"
     if np.isnan(fixed.deviation_db[k]):
@@ -166,7 +166,7 @@ def _reason(model: RobustModel, fixed: Fixed, residual_db: FloatArray, moved: se
         return "group"
     seen_db = watch.residuals_db[:, k]
     seen_db = seen_db[np.isfinite(seen_db)]
-    if watch.is_flagged[k] and len(seen_db) >= _TELLING_ROWS:
+    if watch.is_flagged[k] and len(seen_db) >= _INFORMATIVE_ROWS:
         if float(seen_db.std()) < QUIET_STD_DB:
             return "step"
         return "uplink_fade" if float(seen_db.mean()) < 0.0 else "interference"
@@ -175,7 +175,7 @@ def _reason(model: RobustModel, fixed: Fixed, residual_db: FloatArray, moved: se
 
 def _moved_groups(model: RobustModel, fixed: Fixed) -> set[int]:
     """Return the transponders all of whose carriers are flagged."""
-    flagged, labels = fixed.told.state.carriers.is_flagged, model.filter.transponder
+    flagged, labels = fixed.announced.state.carriers.is_flagged, model.filter.transponder
     return {
         int(label)
         for label in np.unique(labels[flagged])

@@ -95,14 +95,14 @@ def carried_state(state: RobustState, old: RobustModel, new: RobustModel) -> Rob
         state = replace(state, filter=pushed)
     if old.carrier_ids == new.carrier_ids and old.calibration_id == new.calibration_id:
         return state
-    place_of = {signal: k for k, signal in enumerate(signals(old.carrier_ids, old.fit))}
-    place = np.array([place_of.get(signal, -1) for signal in signals(new.carrier_ids, new.fit)], dtype=np.int64)
+    position_of = {signal: k for k, signal in enumerate(signals(old.carrier_ids, old.fit))}
+    position = np.array([position_of.get(signal, -1) for signal in signals(new.carrier_ids, new.fit)], dtype=np.int64)
     carried = carry_over(
         old.filter,
         new.filter,
         state.filter,
-        place,
-        np.zeros(len(place)),
+        position,
+        np.zeros(len(position)),
         np.where(new.is_referenced, new.reference_sigma_db, np.sqrt(FREE_REFERENCE_DB2)),
         ~new.is_referenced,
     )
@@ -136,7 +136,7 @@ def step_robust(
     known, commanded = take(state.commanded, from_us, measurement.epoch_us)
     unreported, released = _unreported(state.released, from_us, measurement.epoch_us)
     declared = _declared(state, model, knowledge, measurement, config)
-    told = step(
+    filtered = step(
         model.filter,
         model.settings,
         state.filter,
@@ -147,10 +147,12 @@ def step_robust(
         declared=declared,
         kernels=kernels_named(config.kernels),
     )
-    if not (np.isfinite(told.attitude_deg).all() and np.isfinite(told.covariance_deg2).all()):
+    if not (np.isfinite(filtered.attitude_deg).all() and np.isfinite(filtered.covariance_deg2).all()):
         message = "the filter lost its numbers; the state before this row is kept"
         raise ArithmeticError(message)
-    fixed = Fixed(told, deviation_db, rates_deg_s(model, told), declared, not bool(np.isfinite(expected_dbm).any()))
+    fixed = Fixed(
+        filtered, deviation_db, rates_deg_s(model, filtered), declared, not bool(np.isfinite(expected_dbm).any())
+    )
     row = filtered_row(
         measurement,
         model,
@@ -159,25 +161,25 @@ def step_robust(
         has_inhibiting_operation=bool(knowledge.inhibiting_operations(measurement.epoch_us)),
         validity_limit_deg=config.interlock.validity_limit_deg,
         yaw_validity_limit_deg=config.robust.yaw_validity_limit_deg,
-        is_torque_to_be_stated=model.is_torque_unknown and _is_torque_seen(told, model, len(released)),
+        is_torque_to_be_stated=model.is_torque_unknown and _is_torque_seen(filtered, model, len(released)),
     )
-    after = RobustState(told.state, commanded, released, measurement.source)
+    after = RobustState(filtered.state, commanded, released, measurement.source)
     return RobustStep(row, expected_dbm, deviation_db, fixed.residual_db(model), after)
 
 
-def rates_deg_s(model: RobustModel, told: FilterStep) -> FloatArray:
+def rates_deg_s(model: RobustModel, filtered: FilterStep) -> FloatArray:
     """Return the rates (3,) of yaw, roll and pitch that the state implies, deg/s."""
-    mean, turn = told.state.gaussian.mean, model.settings.coupling_per_h
+    mean, turn = filtered.state.gaussian.mean, model.settings.coupling_per_h
     yaw, roll, _pitch = mean[ATTITUDE].tolist()
     exchanged = np.array([-turn * roll, turn * yaw, 0.0])
     return np.asarray((exchanged + mean[DRIFT] + mean[RATE]) / 3600.0)
 
 
-def _is_torque_seen(told: FilterStep, model: RobustModel, shares: int) -> bool:
+def _is_torque_seen(filtered: FilterStep, model: RobustModel, shares: int) -> bool:
     """Return whether the torque that nobody stated has shown itself, in the state or as motion."""
-    gaussian = told.state.gaussian
-    places = torque_states(model.filter, gaussian, shares)
-    return any(told.state.motion.is_followed) or (places is not None and is_torque_seen(gaussian, places))
+    gaussian = filtered.state.gaussian
+    positions = torque_states(model.filter, gaussian, shares)
+    return any(filtered.state.motion.is_followed) or (positions is not None and is_torque_seen(gaussian, positions))
 
 
 def _unreported(
@@ -186,10 +188,10 @@ def _unreported(
     """Return what each unreported command would do between two epochs (n, 2, 3), deg and deg/h, and what is left."""
     effects, left = np.zeros((len(released), 2, 3)), []
     half_h = 0.5 * (to_us - from_us) / US_PER_S / 3600.0
-    for place, (counter, motion) in enumerate(released):
+    for position, (counter, motion) in enumerate(released):
         known, rest = take(motion, from_us, to_us)
         rate = known.rate_change_deg_h
-        effects[place] = known.correction_deg + known.late_correction_deg + half_h * rate, rate
+        effects[position] = known.correction_deg + known.late_correction_deg + half_h * rate, rate
         left.append((counter, rest))
     return effects, tuple(left)
 
@@ -197,8 +199,8 @@ def _unreported(
 def known_disturbance(state: RobustState, model: RobustModel) -> Disturbance | None:
     """Return the torque that acts without being fed forward, its phase zero at the newest row; None = there is none."""
     gaussian, epoch_us = state.filter.gaussian, state.filter.epoch_us
-    places = torque_states(model.filter, gaussian, len(state.released))
-    if places is None or model.inertia_kg_m2 is None:
+    positions = torque_states(model.filter, gaussian, len(state.released))
+    if positions is None or model.inertia_kg_m2 is None:
         return None
     period_us = wave_period_us(model.settings)
     phase = 2.0 * math.pi * (epoch_us % period_us) / period_us
@@ -206,8 +208,8 @@ def known_disturbance(state: RobustState, model: RobustModel) -> Disturbance | N
     # what was a cosine since phase zero is a cosine and a sine since the row
     turn = np.kron(np.array([[1.0, 0.0, 0.0], [0.0, cos, sin], [0.0, -sin, cos]]), np.eye(3))
     unit = np.array(model.inertia_kg_m2) * DEG_H2_N_M
-    constant, cosine, sine = (turn @ gaussian.mean[places]).reshape(3, 3) * unit
-    covariance = turn @ gaussian.covariance[places, places] @ turn.T
+    constant, cosine, sine = (turn @ gaussian.mean[positions]).reshape(3, 3) * unit
+    covariance = turn @ gaussian.covariance[positions, positions] @ turn.T
     now = np.kron(np.array([1.0, 1.0, 0.0]), np.eye(3))
     # the covariance of a profile has no full rank: rounding may leave less than nothing of a variance
     sigma = np.sqrt(np.maximum(0.0, np.diag(now @ covariance @ now.T))) * unit

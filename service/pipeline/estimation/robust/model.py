@@ -174,28 +174,28 @@ def _references(
     window stays what it was: by the difference of the two expected levels there, and of what the two say the attitude
     did. Both are taken under the ephemeris of the alignment.
     """
-    told = {item.carrier: item for item in alignment.references_by_method.get(Method.ROBUST.value, ())}
+    announced = {item.carrier: item for item in alignment.references_by_method.get(Method.ROBUST.value, ())}
     ids = [carrier.id for carrier in result.carriers]
     level_dbm = np.array(arrays.calibration.level_dbm)
-    reference_dbm = np.array([told[c].reference_dbm if c in told else np.nan for c in ids])
-    sigma_db = np.array([told[c].sigma_db if c in told else np.nan for c in ids])
+    reference_dbm = np.array([announced[c].reference_dbm if c in announced else np.nan for c in ids])
+    sigma_db = np.array([announced[c].sigma_db if c in announced else np.nan for c in ids])
     offset_db = reference_dbm - level_dbm
     if aligned_with is not None and aligned_with.result is not None:
         former = _at_alignment(aligned_with.result, alignment, ephemeris)
         unknown = (np.nan, np.nan)
-        told_of = np.array([former.get(signal, unknown) for signal in signals(ids, fit)]).reshape(-1, 2)
+        state_of = np.array([former.get(signal, unknown) for signal in signals(ids, fit)]).reshape(-1, 2)
         now_dbm = _window_levels(arrays, ExpectedLevel(arrays, fit, ephemeris), alignment)
-        offset_db = reference_dbm - told_of[:, 0] + told_of[:, 1] - now_dbm
+        offset_db = reference_dbm - state_of[:, 0] + state_of[:, 1] - now_dbm
     return offset_db, np.where(np.isfinite(sigma_db), sigma_db, 1.0)
 
 
 def signals(carrier_ids: Sequence[str], fit: GeometryFit) -> list[Signal]:
     """Return what tells the signals of a calibration apart: an id may be given to another station's carrier later."""
-    places = zip(fit.station_latitude_deg, fit.station_longitude_deg, fit.transponder, strict=True)
+    positions = zip(fit.station_latitude_deg, fit.station_longitude_deg, fit.transponder, strict=True)
     # a beacon has no place, and NaN is not equal to itself
     return [
         (name, f"{latitude_deg}/{longitude_deg}", fit.transponders[number])
-        for name, (latitude_deg, longitude_deg, number) in zip(carrier_ids, places, strict=True)
+        for name, (latitude_deg, longitude_deg, number) in zip(carrier_ids, positions, strict=True)
     ]
 
 

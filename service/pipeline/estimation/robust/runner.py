@@ -25,11 +25,11 @@ from service.pipeline.estimation.robust.unreported_commands import (
     Motion,
     ReportedMotion,
     Step,
+    apply_report,
     closed,
     open_branch,
     reported,
     stepped,
-    told_to,
 )
 from service.pipeline.inputs.knowledge import Knowledge, Lookup
 from service.pipeline.inputs.known_motion import CommandedMotion, end_us, heard
@@ -72,7 +72,7 @@ class RobustRunner:
         self._state: RobustState | None = None
         self._columns: CalibratedColumns | None = None
         self._last: tuple[RobustStep, RobustModel] | None = None
-        self._told: list[tuple[Motion, Spacecraft | None]] = []
+        self._reported: list[tuple[Motion, Spacecraft | None]] = []
         #: released and not reported, by counter
         self._open: dict[int, tuple[ReleasedCommand, Spacecraft | None]] = {}
         self._branch: Branch | None = None
@@ -84,7 +84,7 @@ class RobustRunner:
         """Whether rows lead to angles."""
         return self._model is not None
 
-    def hear(self, content: SlowInput, knowledge: Knowledge) -> None:
+    def on_input(self, content: SlowInput, knowledge: Knowledge) -> None:
         """Take in a correction, a command that counts as applied, a release or a report."""
         craft = knowledge.spacecraft
         match content:
@@ -92,11 +92,11 @@ class RobustRunner:
                 self._open[content.counter] = content, craft
                 self._uncertain(content, craft)
             case ReportedCommand() if content.counter in self._open:
-                self._told.append((content, self._open.pop(content.counter)[1]))
+                self._reported.append((content, self._open.pop(content.counter)[1]))
                 if self._branch is not None:
                     self._state, self._branch = reported(self._branch, content)
             case Correction() | AppliedCommand():
-                self._told.append((content, craft))
+                self._reported.append((content, craft))
                 self._known(content, craft)
             case _:
                 pass
@@ -105,19 +105,19 @@ class RobustRunner:
         """Let the filter know of a motion."""
         if self._state is None or self._model is None:
             return
-        told = ReportedMotion(content, craft, self._model)
-        self._state = told_to(self._state, told)
+        announced = ReportedMotion(content, craft, self._model)
+        self._state = apply_report(self._state, announced)
         if self._branch is not None:
-            self._branch = open_branch(self._branch, self._state, told)
+            self._branch = open_branch(self._branch, self._state, announced)
         self._forget(self._state.filter.epoch_us - _KEPT_US)
 
     def _uncertain(self, content: ReleasedCommand, craft: Spacecraft | None) -> None:
         """Let the effect of a released command be uncertain from now on."""
         if self._state is None or self._model is None:
             return
-        told = ReportedMotion(content, craft, self._model)
-        self._branch = open_branch(self._branch, self._state, told)
-        self._state = told_to(self._state, told)
+        announced = ReportedMotion(content, craft, self._model)
+        self._branch = open_branch(self._branch, self._state, announced)
+        self._state = apply_report(self._state, announced)
 
     def _took(self, taken: Step) -> None:
         """Keep what is to be done again when a report comes; after too many rows powers have told it."""
@@ -207,10 +207,10 @@ class RobustRunner:
         if self._last is None or self._state is None:
             return None
         outcome, model = self._last
-        gaussian, place = self._state.filter.gaussian, core_size(model.filter)
+        gaussian, position = self._state.filter.gaussian, core_size(model.filter)
         unreported = None
         if self._state.released:
-            mean, variance = float(gaussian.mean[place]), float(gaussian.covariance[place, place])
+            mean, variance = float(gaussian.mean[position]), float(gaussian.covariance[position, position])
             unreported = share_log_ratio(mean, variance, SHARE_SIGMA)
         return CommandEvidence(
             model.filter,
@@ -228,22 +228,22 @@ class RobustRunner:
     def _forget(self, before_us: int) -> None:
         """Let go of the oldest motions; torques come with every row, and an alignment may be months away."""
         self._open = {n: kept for n, kept in self._open.items() if kept[0].stop_us > before_us}
-        while self._told and end_us(self._told[0][0]) <= before_us:
-            del self._told[0]
+        while self._reported and end_us(self._reported[0][0]) <= before_us:
+            del self._reported[0]
 
     def _initial(self, model: RobustModel, alignment: Alignment) -> RobustState:
         """Return the state at an alignment, with what was commanded after its epoch."""
         since_us = alignment.epoch_us
-        self._told = [told for told in self._told if end_us(told[0]) > since_us - _KEPT_US]
+        self._reported = [announced for announced in self._reported if end_us(announced[0]) > since_us - _KEPT_US]
         commanded = CommandedMotion(since_us)
-        for content, craft in _as_released(self._told):
+        for content, craft in _as_released(self._reported):
             commanded = heard(commanded, content, craft, since_us)
         state = initial_state(model, alignment, commanded, self._config)
         for released, craft in self._open.values():
             if released.stop_us > since_us:
-                told = ReportedMotion(released, craft, model)
-                self._branch = open_branch(self._branch, state, told)
-                state = told_to(state, told)
+                announced = ReportedMotion(released, craft, model)
+                self._branch = open_branch(self._branch, state, announced)
+                state = apply_report(state, announced)
         return state
 
     def _model_of(self, knowledge: Knowledge) -> tuple[RobustModel | None, CalibratedColumns | None]:
@@ -262,11 +262,11 @@ class RobustRunner:
         return self._lookup.calibration(alignment.calibration_by_method[Method.ROBUST.value])
 
 
-def _as_released(told: Sequence[tuple[Motion, Spacecraft | None]]) -> list[tuple[Motion, Spacecraft | None]]:
+def _as_released(announced: Sequence[tuple[Motion, Spacecraft | None]]) -> list[tuple[Motion, Spacecraft | None]]:
     """Return motions with reports in the order of their releases: a later command ends an earlier one."""
-    reports = [(content, craft) for content, craft in told if isinstance(content, ReportedCommand)]
+    reports = [(content, craft) for content, craft in announced if isinstance(content, ReportedCommand)]
     in_order = iter(sorted(reports, key=lambda each: each[0].counter))
-    return [next(in_order) if isinstance(each[0], ReportedCommand) else each for each in told]
+    return [next(in_order) if isinstance(each[0], ReportedCommand) else each for each in announced]
 
 
 def _again(take: Callable[[RobustState], RobustStep], state: RobustState) -> RobustState:

@@ -45,10 +45,10 @@ class Branch:
     rows: int = 0
 
 
-def open_branch(branch: Branch | None, state: RobustState, told: ReportedMotion) -> Branch:
+def open_branch(branch: Branch | None, state: RobustState, announced: ReportedMotion) -> Branch:
     """Return the branch with a release, begun at the state before it where there was none."""
     branch = branch or Branch(state)
-    return replace(branch, entries=(*branch.entries, told))
+    return replace(branch, entries=(*branch.entries, announced))
 
 
 def stepped(branch: Branch, taken: Step) -> Branch:
@@ -56,16 +56,16 @@ def stepped(branch: Branch, taken: Step) -> Branch:
     return replace(branch, entries=(*branch.entries, taken), rows=branch.rows + 1)
 
 
-def told_to(state: RobustState, told: ReportedMotion) -> RobustState:
+def apply_report(state: RobustState, announced: ReportedMotion) -> RobustState:
     """Return the state that has heard of a motion, or of a release whose effect is uncertain."""
-    content, newest_us = told.content, state.filter.epoch_us
+    content, newest_us = announced.content, state.filter.epoch_us
     if isinstance(content, ReportedCommand):
         state = _with_replaced(state, content.counter, content.executed)
     if not isinstance(content, ReleasedCommand):
-        return replace(state, commanded=heard(state.commanded, content, told.craft, newest_us))
+        return replace(state, commanded=heard(state.commanded, content, announced.craft, newest_us))
     state = _with_replaced(state, content.counter, content.schedule)
-    motion = motions_of_released(state.commanded, content, told.craft, newest_us)
-    widened = with_share(told.model.filter, state.filter, len(state.released))
+    motion = motions_of_released(state.commanded, content, announced.craft, newest_us)
+    widened = with_share(announced.model.filter, state.filter, len(state.released))
     return replace(state, filter=widened, released=(*state.released, (content.counter, motion)))
 
 
@@ -84,7 +84,7 @@ def reported(branch: Branch, report: ReportedCommand) -> tuple[RobustState, Bran
             entries.append(entry)
         elif isinstance(entry, ReportedMotion) and report.executed:
             entries.append(replace(entry, content=report))
-    first = next((place for place, entry in enumerate(entries) if _is_release(entry)), len(entries))
+    first = next((position for position, entry in enumerate(entries) if _is_release(entry)), len(entries))
     base = _taken(branch.base, entries[:first])
     if first == len(entries):
         return base, None
@@ -99,7 +99,7 @@ def closed(state: RobustState, model: RobustModel) -> RobustState:
 
 def _taken(state: RobustState, entries: Sequence[ReportedMotion | Step]) -> RobustState:
     for entry in entries:
-        state = told_to(state, entry) if isinstance(entry, ReportedMotion) else entry(state)
+        state = apply_report(state, entry) if isinstance(entry, ReportedMotion) else entry(state)
     return state
 
 

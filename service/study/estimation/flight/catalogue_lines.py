@@ -61,11 +61,11 @@ def read_carriers(body: Body) -> tuple[Carrier, ...]:
 
 def read_ephemeris(body: Body) -> Ephemeris:
     """Return the ephemeris of an ``ephemeris`` line."""
-    told = body["track"]
+    reported = body["track"]
     track = Track(
-        tuple(parse_epoch(epoch) for epoch in told["epochs"]),
-        tuple(told["latitude_deg"]),
-        tuple(told["longitude_deg"]),
+        tuple(parse_epoch(epoch) for epoch in reported["epochs"]),
+        tuple(reported["latitude_deg"]),
+        tuple(reported["longitude_deg"]),
     )
     nodes_us = [parse_epoch(epoch) for epoch in body["ascending_nodes"]]
     return ephemeris_from_nodes(nodes_us, body["nodal_period_s"], track)

@@ -100,7 +100,7 @@ def drive(ground: Ground, config: ChainConfig | None = None) -> Driven:
     documents.alignments[1] = align(ground, documents)
     chain = Chain(documents, config or ChainConfig())
     for content in (*opening, CalibrationActivation(1, 1), *before, AlignmentSet(1)):
-        chain.learn(content)
+        chain.update(content)
     return _operate(chain, ground, documents, entries[len(before) :])
 
 
@@ -169,12 +169,12 @@ def align(ground: Ground, documents: JournalDocuments) -> Alignment:
 def _operate(chain: Chain, ground: Ground, documents: JournalDocuments, entries: list[Entry]) -> Driven:
     """Run the chain over the rows of operation and keep what every method says."""
     rows = np.flatnonzero(ground.is_measured & (ground.epochs_us >= ground.phases["operation"].start_us))
-    told: list[tuple[AttitudeRow, ...]] = []
+    reported: list[tuple[AttitudeRow, ...]] = []
     for measurement in measurements(chain, ground, documents, entries, rows):
         outcome = chain.step(measurement)
-        told.append(() if outcome is None else outcome.rows)
-    names = sorted({row.method.value for some in told for row in some})
-    by_method = {name: [next((row for row in some if row.method == name), None) for some in told] for name in names}
+        reported.append(() if outcome is None else outcome.rows)
+    names = sorted({row.method.value for some in reported for row in some})
+    by_method = {name: [next((row for row in some if row.method == name), None) for some in reported] for name in names}
     alignment, calibrated = documents.alignments[1], documents.calibrations[1].result
     used = {name: _used(documents.calibrations[1], Method(name), ground.carrier_ids) for name in names}
     return Driven(
@@ -200,15 +200,15 @@ def _used(calibration: Calibration, method: Method, carrier_ids: tuple[str, ...]
 
 def _series(rows: list[AttitudeRow | None], carrier_ids: tuple[str, ...], is_carrier_used: BoolArray) -> MethodSeries:
     """Return the rows of one method as arrays; where it said nothing, nothing is allowed."""
-    place = {name: k for k, name in enumerate(carrier_ids)}
+    position = {name: k for k, name in enumerate(carrier_ids)}
     nothing, count = (float("nan"),) * 3, len(rows)
     is_excluded = np.zeros((count, len(carrier_ids)), dtype=np.bool_)
     for k, row in enumerate(rows):
         for carrier, reason in () if row is None else row.excluded:
-            is_excluded[k, place[carrier]] = reason != "absent"
+            is_excluded[k, position[carrier]] = reason != "absent"
 
-    def claims(told: list[bool]) -> BoolArray:
-        return np.array(told, dtype=np.bool_)
+    def claims(reported: list[bool]) -> BoolArray:
+        return np.array(reported, dtype=np.bool_)
 
     return MethodSeries(
         np.array([nothing if row is None else row.attitude_deg for row in rows]).reshape(-1, 3),

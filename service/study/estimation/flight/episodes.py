@@ -35,7 +35,7 @@ _LASTING_FAULTS = (("step",),)
 _SHIFT_MEAN_MIN = 10.0
 
 
-class RainFigures(NamedTuple):
+class RainStatistics(NamedTuple):
     """Rains over the receiving site; arrays (E,), one element a rain."""
 
     #: minutes from the row that passed ``WET_DB`` to the first row flagged
@@ -49,7 +49,7 @@ class RainFigures(NamedTuple):
     false_rows: int
 
 
-class FaultFigures(NamedTuple):
+class FaultStatistics(NamedTuple):
     """Faults of single carriers."""
 
     #: (E,) minutes from the row that passed ``FAULT_DB`` to the carrier's exclusion
@@ -59,7 +59,7 @@ class FaultFigures(NamedTuple):
     false_pairs: int
 
 
-class DarkFigures(NamedTuple):
+class DarkStatistics(NamedTuple):
     """Times in which no carrier was on the air; deg, yaw, roll, pitch."""
 
     #: rows, and the sums (3,) of their squared errors
@@ -83,7 +83,7 @@ def stretches(is_so: BoolArray) -> list[tuple[int, int]]:
 
 def measure_rain(
     epochs_us: IntArray, fade_db: FloatArray, is_flagged: BoolArray, is_wrong: BoolArray, row_min: float
-) -> RainFigures:
+) -> RainStatistics:
     """Return how the rains (T,) over the receiving site were noticed.
 
     Parameters
@@ -107,14 +107,14 @@ def measure_rain(
         coverage.append(float(is_flagged[wet].mean()))
         wrong.append(row_min * np.count_nonzero(is_wrong[first:last]))
     is_dry = fade_db == 0.0
-    return RainFigures(
+    return RainStatistics(
         np.array(delays), np.array(coverage), np.array(wrong), int(is_dry.sum()), int((is_dry & is_flagged).sum())
     )
 
 
 def measure_faults(
     epochs_us: IntArray, truth: Truth, rows: IntArray, is_excluded: BoolArray, is_judged: BoolArray
-) -> FaultFigures:
+) -> FaultStatistics:
     """Return how the faults of the carriers were noticed.
 
     Parameters
@@ -138,7 +138,7 @@ def measure_faults(
             found = found[found >= onset.first]
             delays.append((epochs_us[found[0]] - epochs_us[onset.large]) / _MINUTE_US if len(found) else np.inf)
     is_clean = _is_clean(epochs_us, truth.flags[rows]) & is_judged
-    return FaultFigures(np.array(delays), int(is_clean.sum()), int((is_clean & is_excluded).sum()))
+    return FaultStatistics(np.array(delays), int(is_clean.sum()), int((is_clean & is_excluded).sum()))
 
 
 class _Onset(NamedTuple):
@@ -203,7 +203,7 @@ def measure_group_steps(epochs_us: IntArray, is_moved: BoolArray, error_deg: Flo
     return np.array(shifts).reshape(-1, 3)
 
 
-def measure_dark(epochs_us: IntArray, is_dark: BoolArray, error_deg: FloatArray) -> DarkFigures:
+def measure_dark(epochs_us: IntArray, is_dark: BoolArray, error_deg: FloatArray) -> DarkStatistics:
     """Return the errors (T, 3) while there was nothing to measure and when it had come back for an hour."""
     inside = is_dark & np.isfinite(error_deg).all(axis=1)
     after = []
@@ -212,7 +212,7 @@ def measure_dark(epochs_us: IntArray, is_dark: BoolArray, error_deg: FloatArray)
         rows = (since_min >= _BACK_MIN) & (since_min < _BACK_MIN + _BACK_SPAN_MIN)
         if rows.any():
             after.append(np.max(error_deg[rows], axis=0))
-    return DarkFigures(int(inside.sum()), np.sum(error_deg[inside] ** 2, axis=0), np.array(after).reshape(-1, 3))
+    return DarkStatistics(int(inside.sum()), np.sum(error_deg[inside] ** 2, axis=0), np.array(after).reshape(-1, 3))
 
 
 def measure_alarms(

@@ -66,13 +66,13 @@ class Entry(NamedTuple):
 def slow_entries(ground: Ground, documents: JournalDocuments) -> list[Entry]:
     """Return the slow inputs in the order in which the ground hands them over."""
     entries = []
-    for told_us, content in ground.news:
+    for reported_us, content in ground.events:
         if isinstance(content, tuple):
-            entries.append(Entry(told_us, documents.add_plan(content)))
+            entries.append(Entry(reported_us, documents.add_plan(content)))
         elif isinstance(content, Ephemeris):
-            entries.append(Entry(told_us, documents.add_ephemeris(content)))
+            entries.append(Entry(reported_us, documents.add_ephemeris(content)))
         else:
-            entries.append(Entry(told_us, content))
+            entries.append(Entry(reported_us, content))
     return sorted(entries, key=lambda entry: entry.epoch_us)
 
 
@@ -88,7 +88,7 @@ def measurements(
         epoch_us, source = int(ground.epochs_us[row]), ground.source_names[ground.source[row]]
         while waiting and waiting[-1].epoch_us <= epoch_us:
             content = waiting.pop().content
-            chain.learn(content)
+            chain.update(content)
             if isinstance(content, PlanChange):
                 plan_id, columns = content.plan_id, _columns(ground, documents.plans[content.plan_id])
             elif isinstance(content, SourceSelection):

@@ -40,7 +40,7 @@ class ExportFailedError(Exception):
 class GroundEvent(NamedTuple):
     """Something of which the ground learns after the start."""
 
-    told_us: int
+    reported_us: int
     content: tuple[Carrier, ...] | Ephemeris | Operation | TelemetryRecord | SourceSelection | Correction
 
 
@@ -53,7 +53,7 @@ class Ground:
     carriers: tuple[Carrier, ...]
     ephemeris: Ephemeris
     #: corrections among them
-    news: tuple[GroundEvent, ...]
+    events: tuple[GroundEvent, ...]
     corrections: tuple[Correction, ...]
     phases: dict[str, Window]
     #: names of the columns of ``power_dbm``: carriers of every plan
@@ -73,7 +73,7 @@ class Ground:
     def sensors(self) -> tuple[str, str, str]:
         """Sensor that tells yaw, roll, pitch: the first one that does."""
         yaw, roll, pitch = (
-            next(told.source for told in self.references if np.isfinite(told.attitude_deg[:, axis]).any())
+            next(reported.source for reported in self.references if np.isfinite(reported.attitude_deg[:, axis]).any())
             for axis in range(3)
         )
         return yaw, roll, pitch
@@ -86,10 +86,12 @@ class Ground:
 
     def references_in(self, window: Window) -> tuple[ReferenceSeries, ...]:
         """Return the sensors' angles of a window."""
-        inside = [(told, _within(told.epochs_us, window)) for told in self.references]
+        inside = [(reported, _within(reported.epochs_us, window)) for reported in self.references]
         return tuple(
-            ReferenceSeries(told.source, told.epochs_us[rows], told.attitude_deg[rows], told.sigma_deg[rows])
-            for told, rows in inside
+            ReferenceSeries(
+                reported.source, reported.epochs_us[rows], reported.attitude_deg[rows], reported.sigma_deg[rows]
+            )
+            for reported, rows in inside
         )
 
 
@@ -171,8 +173,8 @@ def _ground(arrays: Arrays) -> Ground:
         spacecraft=read_spacecraft(lines["spacecraft"]),
         carriers=read_carriers(lines["carriers"]),
         ephemeris=read_ephemeris(lines["ephemeris"]),
-        news=(*corrections, *_news(arrays)),
-        corrections=tuple(news.content for news in corrections if isinstance(news.content, Correction)),
+        events=(*corrections, *_ground_events(arrays)),
+        corrections=tuple(events.content for events in corrections if isinstance(events.content, Correction)),
         phases={str(name): Window(int(start), int(stop)) for name, start, stop in spans},
         carrier_ids=tuple(str(name) for name in arrays["carrier_id"]),
         epochs_us=arrays["epoch_us"],
@@ -198,21 +200,21 @@ def _references(arrays: Arrays, kind: str) -> tuple[ReferenceSeries, ...]:
     return tuple(ReferenceSeries(name, epochs_us[k], angles[k], sigmas[k]) for name, k in chosen.items())
 
 
-def _news(arrays: Arrays) -> Iterator[GroundEvent]:
+def _ground_events(arrays: Arrays) -> Iterator[GroundEvent]:
     """Yield what the ground learns later; tasks are for the front end, late corrections stand among the others."""
     lines = json.loads(str(arrays["news_json"]))
-    for number, (told_us, line) in enumerate(zip(arrays["news_us"].tolist(), lines, strict=True), start=1):
+    for number, (reported_us, line) in enumerate(zip(arrays["news_us"].tolist(), lines, strict=True), start=1):
         body, kind = line["body"], line["kind"]
         if kind == "carriers":
-            yield GroundEvent(told_us, read_carriers(body))
+            yield GroundEvent(reported_us, read_carriers(body))
         elif kind == "ephemeris":
-            yield GroundEvent(told_us, read_ephemeris(body))
+            yield GroundEvent(reported_us, read_ephemeris(body))
         elif kind == "operations":
-            yield GroundEvent(told_us, read_operation(body, number))
+            yield GroundEvent(reported_us, read_operation(body, number))
         elif kind == "telemetry":
-            yield from (GroundEvent(told_us, record) for record in read_telemetry(body))
+            yield from (GroundEvent(reported_us, record) for record in read_telemetry(body))
         elif kind == "source":
-            yield GroundEvent(told_us, SourceSelection(body["source"], number))
+            yield GroundEvent(reported_us, SourceSelection(body["source"], number))
 
 
 def _corrections(arrays: Arrays) -> tuple[GroundEvent, ...]:
@@ -220,8 +222,8 @@ def _corrections(arrays: Arrays) -> tuple[GroundEvent, ...]:
     spans = zip(arrays["correction_start_us"].tolist(), arrays["correction_stop_us"].tolist(), strict=True)
     changes = _by_axis(arrays, "correction_").tolist()
     records = [Correction(*span, Axes(*change)) for span, change in zip(spans, changes, strict=True)]
-    told_us = arrays["correction_told_us"].tolist()
-    return tuple(GroundEvent(told, record) for told, record in zip(told_us, records, strict=True))
+    reported_us = arrays["correction_told_us"].tolist()
+    return tuple(GroundEvent(reported, record) for reported, record in zip(reported_us, records, strict=True))
 
 
 def _truth(arrays: Arrays) -> Truth:

@@ -30,7 +30,7 @@ from service.core.estimation.snapshot.snapshot_start import subset_orders
 from service.pipeline.carrier_model.calibrated_arrays import geometry_model
 from service.records.catalogue import CarrierPlan
 from service.records.levels.attitude import BoolArray, FloatArray
-from service.study.estimation.accuracy import AXES, Figures
+from service.study.estimation.accuracy import AXES, Statistics
 from service.study.estimation.flight.drive import UndrivenError, calibrate
 from service.study.estimation.flight.world import World, export_world, read_world
 from service.study.estimation.trials.level_trials import DAYS, level_error_db2
@@ -100,7 +100,7 @@ def run_trials(seed: int) -> SnapshotTrials:
     )
 
 
-def trial_figures(seeds: Sequence[SnapshotTrials]) -> Figures:
+def trial_statistics(seeds: Sequence[SnapshotTrials]) -> Statistics:
     """Return the figures over all seeds."""
     exact = np.sqrt(np.mean([seed.exact_ratio_square for seed in seeds], axis=0))
     fitted = np.sqrt(np.mean([seed.fitted_ratio_square for seed in seeds], axis=0))

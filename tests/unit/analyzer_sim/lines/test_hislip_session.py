@@ -121,16 +121,16 @@ def test_device_clear_drops_everything_until_it_is_complete(session: HislipSessi
 
 def test_interruption_is_told_once_and_never_after_delivery(session: HislipSession) -> None:
     asked = session.gather(message(M.DATA_END, b"*CLS"))
-    told = session.gather(message(M.TRIGGER, control=1))
+    reported = session.gather(message(M.TRIGGER, control=1))
     assert asked is not None
-    assert told is not None
+    assert reported is not None
     session.is_unread = True
     assert session.is_interrupted_by(asked)
     assert not session.is_interrupted_by(asked)
     session.is_unread = True
-    assert not session.is_interrupted_by(told)
+    assert not session.is_interrupted_by(reported)
     session.is_unread = True
-    session.take_delivery(message(M.ASYNC_STATUS_QUERY, control=1))
+    session.on_delivery(message(M.ASYNC_STATUS_QUERY, control=1))
     assert not session.is_interrupted_by(asked)
 
 

@@ -40,12 +40,12 @@ def in_operation(rows: int = 1, scenario: Scenario = SHORT, uplink: str = "ideal
 def line(flown: FlownWorld, counter: int | None = None, pitch_n_m: float = 0.04, minutes: int = 0) -> str:
     start_us = flown.epoch_us + minutes * MINUTE_US
     element = {"start": rfc3339(start_us), "duration_s": 30.0, "roll_n_m": 0.0, "pitch_n_m": pitch_n_m, "yaw_n_m": 0.0}
-    told = {"schedule": [element]}
-    return json.dumps(told if counter is None else {**told, "counter": counter})
+    reported = {"schedule": [element]}
+    return json.dumps(reported if counter is None else {**reported, "counter": counter})
 
 
 def truth(flown: FlownWorld, row: int) -> dict:
-    return next(one["rows"][0] for one in flown.told_after(row, row) if one["kind"] == "truth")
+    return next(one["rows"][0] for one in flown.reported_after(row, row) if one["kind"] == "truth")
 
 
 def test_before_operation_it_is_the_story() -> None:
@@ -68,8 +68,8 @@ def test_it_flies_as_the_plant_does_and_shows_the_powers_of_what_was_flown() -> 
         emission = flown.advance()
         assert emission == flown.current()
         assert emission.epoch_us == flown.epoch_us == plant.epoch_us
-        told = truth(flown, plant.row)
-        angles_deg = [told[f"{axis}_deg"] for axis in ("yaw", "roll", "pitch")]
+        reported = truth(flown, plant.row)
+        angles_deg = [reported[f"{axis}_deg"] for axis in ("yaw", "roll", "pitch")]
         assert angles_deg == pytest.approx(plant.state.attitude_deg, abs=1e-7)
         shown = {signal.carrier: signal.power_dbm for signal in emission.signals}
         wanted = dict(zip(plant.world.carrier_ids, plant.power_dbm().tolist(), strict=True))
@@ -161,8 +161,8 @@ def test_it_flies_on_through_a_gap_and_tells_its_truth() -> None:
 def test_telemetry_of_the_craft_goes_with_the_rows_of_its_hours() -> None:
     flown = in_operation(30)
     row = flown.world.row_index
-    kinds = [told["kind"] for told in flown.told_after(row, row)]
-    hour = [told["kind"] for told in flown.told_after(row - 59, row)]
+    kinds = [reported["kind"] for reported in flown.reported_after(row, row)]
+    hour = [reported["kind"] for reported in flown.reported_after(row - 59, row)]
     assert (kinds, hour) == (["truth"], ["telemetry", "truth"])
 
 

@@ -18,7 +18,7 @@ from analyzer_sim.plant.schedule_lines import Schedule, ScheduleError, parse_sch
 from analyzer_sim.world.ground.ground_bodies import INERTIA_KG_M2
 from analyzer_sim.world.scenario.events import Gap, SwitchOff
 from analyzer_sim.world.scenario.scenario import Scenario, scenario_named
-from analyzer_sim.world.scenario.story import KeepingErrors, RepeaterFigures
+from analyzer_sim.world.scenario.story import KeepingErrors, RepeaterSettings
 from analyzer_sim.world.spacecraft.rigid_body import TorqueElement
 from analyzer_sim.world.world import World
 
@@ -87,8 +87,8 @@ def test_open_rows_are_those_of_the_export() -> None:
     lines = quiet_play()
     exported = export_arrays(World(SHORT, 1))["power_dbm"]
     rows = [line for line in lines if line["type"] == "row"][: lines[0]["open_rows"]]
-    told = np.array([[math.nan if level is None else level for level in row["power_dbm"]] for row in rows])
-    np.testing.assert_allclose(told, exported[: len(rows)], atol=5.1e-6)  # told to 1e-5 dB
+    reported = np.array([[math.nan if level is None else level for level in row["power_dbm"]] for row in rows])
+    np.testing.assert_allclose(reported, exported[: len(rows)], atol=5.1e-6)  # told to 1e-5 dB
 
 
 @pytest.mark.parametrize("name", ["mixed", "alc", "upc", "flicker", "eclipse"])
@@ -305,6 +305,6 @@ def test_the_fade_comes_twenty_minutes_into_the_slew() -> None:
 
 
 def test_a_story_with_power_control_can_be_flown() -> None:
-    scenario = replace(SHORT, repeater=RepeaterFigures(power_controlled=("c04",), alc_transponders=("Ku3",)))
+    scenario = replace(SHORT, repeater=RepeaterSettings(power_controlled=("c04",), alc_transponders=("Ku3",)))
     rows = [line for line in played('{"schedule":[]}\n' * 40, scenario) if line["type"] == "row"]
     assert all(row["power_dbm"][4] is not None for row in rows)

@@ -166,14 +166,14 @@ async def test_a_client_that_does_not_read_is_dropped(monkeypatch: pytest.Monkey
         await deaf.line()
         # more than the buffers of both systems take
         lines: list[dict[str, Any]] = [{"filler": "x" * 1_000_000} for _ in range(20)]
-        craft._tell(lines)
+        craft._report(lines)
         await asyncio.sleep(0.05)
         async with connected(port) as client:
             assert (await client.line())["type"] == "start"
 
 
 def test_the_ground_port_tells_truth_and_telemetry_after_the_row() -> None:
-    async def told() -> None:
+    async def reported() -> None:
         craft, gate = FlownWorld(STORY, SEED, PlantOptions()), Gate()
         server = await serve_ground(craft.world, gate, await_ground=True, flight=craft)
         async with server, connected(server.sockets[0].getsockname()[1]) as client:
@@ -193,11 +193,11 @@ def test_the_ground_port_tells_truth_and_telemetry_after_the_row() -> None:
             assert telemetry["body"]["records"][0]["epoch"] == truth["rows"][0]["epoch"]
             assert hold["until"] == rfc3339(STORY.operation_start_us + 60_000_000)
 
-    asyncio.run(told())
+    asyncio.run(reported())
 
 
 def test_a_ground_client_that_leaves_while_a_row_is_due_hears_its_truth_later() -> None:
-    async def told() -> None:
+    async def reported() -> None:
         craft, gate = FlownWorld(STORY, SEED, PlantOptions()), Gate()
         server = await serve_ground(craft.world, gate, await_ground=True, flight=craft)
         port = server.sockets[0].getsockname()[1]
@@ -215,4 +215,4 @@ def test_a_ground_client_that_leaves_while_a_row_is_due_hears_its_truth_later() 
                 assert [line["kind"] for line in lines][-3:] == ["telemetry", "truth", "hold"]
                 assert "error" not in {line["kind"] for line in lines}
 
-    asyncio.run(told())
+    asyncio.run(reported())

@@ -9,9 +9,9 @@ from analyzer_sim.scpi.status import StatusModel, StatusRegister
 @pytest.mark.parametrize(("code", "bit"), [(-113, 5), (-222, 4), (-350, 3), (-410, 2)])
 def test_class_of_an_error_sets_its_event_bit(code: int, bit: int) -> None:
     status = StatusModel()
-    status.take_event()
+    status.pop_event()
     status.push_error(code)
-    assert status.take_event() == 1 << bit
+    assert status.pop_event() == 1 << bit
 
 
 def test_every_error_belongs_to_a_class() -> None:
@@ -34,7 +34,7 @@ def test_overflow_replaces_the_last_entry() -> None:
     answers = status.pop_all_errors().split('",')
     assert answers[-1] == '-350,"Queue overflow"'
     assert all(answer.startswith("-113") for answer in answers[:-1])
-    assert status.take_event() & 1 << 3
+    assert status.pop_event() & 1 << 3
 
 
 def test_all_of_an_empty_queue_is_no_error() -> None:
@@ -47,13 +47,13 @@ def test_detail_is_one_printable_string() -> None:
 
 def test_power_on_is_set_once() -> None:
     status = StatusModel()
-    assert status.take_event() == 128
-    assert status.take_event() == 0
+    assert status.pop_event() == 128
+    assert status.pop_event() == 0
 
 
 def test_status_byte_sums_every_source() -> None:
     status = StatusModel()
-    status.take_event()
+    status.pop_event()
     assert status.status_byte(has_response=False) == 0
     assert status.status_byte(has_response=True) == 16
     status.push_error(-113)
@@ -85,11 +85,11 @@ def test_clear_empties_events_and_errors_but_not_enables() -> None:
 def test_register_latches_rising_edges_only() -> None:
     register = StatusRegister()
     register.put_bit(4, is_set=True)
-    assert register.take_event() == 4
+    assert register.pop_event() == 4
     register.put_bit(4, is_set=True)
-    assert register.take_event() == 0
+    assert register.pop_event() == 0
     register.put_bit(4, is_set=False)
-    assert (register.condition, register.take_event()) == (0, 0)
+    assert (register.condition, register.pop_event()) == (0, 0)
     register.put_enable(0xFFFF)
     assert register.enable == 0x7FFF
 
@@ -98,9 +98,9 @@ def test_filters_of_edges_decide_what_is_latched() -> None:
     register = StatusRegister()
     register.rising, register.falling = 2, 4
     register.put_condition(7)
-    assert register.take_event() == 2
+    assert register.pop_event() == 2
     register.put_condition(0)
-    assert register.take_event() == 4
+    assert register.pop_event() == 4
     register.preset()
     register.put_condition(7)
-    assert register.take_event() == 7
+    assert register.pop_event() == 7

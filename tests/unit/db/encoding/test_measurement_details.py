@@ -25,10 +25,10 @@ def test_figures_come_back_and_only_what_is_stated_takes_bytes(kinds):
     assert prepared.width == 1 + 4 * 5 * len(kinds)
     assert prepared.is_stated.tolist() == [True, False, True]
     for row in range(3):
-        told = details_of(prepared.figures[row * prepared.width : (row + 1) * prepared.width], 5)
+        reported = details_of(prepared.figures[row * prepared.width : (row + 1) * prepared.width], 5)
         for name in DETAIL_NAMES:
             # float32 widened: no tolerance
-            np.testing.assert_array_equal(getattr(told, name), getattr(sent, name)[row].astype(np.float64))
+            np.testing.assert_array_equal(getattr(reported, name), getattr(sent, name)[row].astype(np.float64))
 
 
 def test_what_states_nothing_is_nothing():

@@ -25,7 +25,7 @@ LEVELS = np.linspace(-70, -50, 32)
 
 
 def rows_of(stored, count):
-    return [stored.part(place, place + 1).rows for place in range(count)]
+    return [stored.part(position, position + 1).rows for position in range(count)]
 
 
 def assert_comes_back(power_dbm):
@@ -95,11 +95,11 @@ def test_rows_of_any_form_and_plan_are_read_together():
     plain = many + np.float32(np.pi) * np.float32(1e-30)
     of_rows = [wide, narrow, wide + np.float32(1), many, plain, wide.astype(np.float16).astype(np.float32)]
     found = {}
-    for places, part in unpack_parts([pack_powers(row).rows for row in of_rows]):
-        found.update(zip(places, part, strict=True))
-    for place, row in enumerate(of_rows):
-        np.testing.assert_array_equal(found[place], row[0])
-    same_plan = [of_rows[place] for place in (0, 2, 5, 0)]
+    for positions, part in unpack_parts([pack_powers(row).rows for row in of_rows]):
+        found.update(zip(positions, part, strict=True))
+    for position, row in enumerate(of_rows):
+        np.testing.assert_array_equal(found[position], row[0])
+    same_plan = [of_rows[position] for position in (0, 2, 5, 0)]
     np.testing.assert_array_equal(unpack_powers([pack_powers(row).rows for row in same_plan]), np.vstack(same_plan))
 
 

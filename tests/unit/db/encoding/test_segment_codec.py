@@ -18,7 +18,7 @@ from db.encoding.segment_codec import (
     unpack_extras,
     unpack_powers,
 )
-from db.encoding.segments import SegmentCache, SegmentHead, SegmentPiece, crc32_of
+from db.encoding.segments import SegmentCache, SegmentChunk, SegmentHead, crc32_of
 
 INT64 = st.integers(-(1 << 63), (1 << 63) - 1)
 KINDS = 4
@@ -88,10 +88,10 @@ def test_any_wrong_bit_changes_the_checksum(part):
     blobs, head = pack(rows), head_of(rows)
     right = crc32_of(head, blobs)
     blob = getattr(blobs, part)
-    for place in range(8 * len(blob)):
+    for position in range(8 * len(blob)):
         wrong = bytearray(blob)
-        wrong[place // 8] ^= 1 << place % 8
-        assert crc32_of(head, blobs._replace(**{part: bytes(wrong)})) != right, place
+        wrong[position // 8] ^= 1 << position % 8
+        assert crc32_of(head, blobs._replace(**{part: bytes(wrong)})) != right, position
 
 
 def test_every_figure_of_the_head_is_under_the_checksum():
@@ -115,16 +115,16 @@ def test_the_cache_holds_what_fits_and_tells_contents_of_one_id_apart():
     rows = steady(100, 4)
     blobs: Blobs = pack(rows)
     cache, head = SegmentCache(size_bytes=20_000), head_of(rows)
-    pieces = [SimpleNamespace(place=place) for place in range(4)]
-    for place, piece in enumerate(pieces):
-        cache.put(head._replace(segment_id=place), piece, 4)
+    pieces = [SimpleNamespace(position=position) for position in range(4)]
+    for position, piece in enumerate(pieces):
+        cache.put(head._replace(segment_id=position), piece, 4)
     # 6400 bytes each: three fit, what was not asked for longest is gone
-    assert [cache.get(head._replace(segment_id=place)) for place in range(4)] == [None, *pieces[1:]]
+    assert [cache.get(head._replace(segment_id=position)) for position in range(4)] == [None, *pieces[1:]]
     assert cache.get(head._replace(segment_id=1)) is pieces[1]
     cache.put(head._replace(segment_id=9), pieces[0], 4)
     assert cache.get(head._replace(segment_id=2)) is None
     assert cache.get(head._replace(segment_id=1, crc32=7)) is None, "an id that came again after a roll-back"
-    cache.put(head._replace(segment_id=10), SegmentPiece(head, "sa-1", blobs), 4000)
+    cache.put(head._replace(segment_id=10), SegmentChunk(head, "sa-1", blobs), 4000)
     assert cache.get(head._replace(segment_id=10)) is not None, "one is held whatever it takes"
     cache.clear()
     assert cache.get(head._replace(segment_id=10)) is None

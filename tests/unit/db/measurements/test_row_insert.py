@@ -60,14 +60,14 @@ def rows_of(run):
             "delay_us": run.received_at_us - epoch_us,
             "feeds": run.feeds,
             "is_late": run.is_late,
-            "number": run.first_number + place,
-            "seq": None if run.first_seq is None else run.first_seq + place,
+            "number": run.first_number + position,
+            "seq": None if run.first_seq is None else run.first_seq + position,
             "epoch_us": epoch_us,
-            "powers": run.powers.part(place, place + 1).rows,
-            "flags": None if run.flags is None else run.flags.part(place, place + 1).rows,
-            "checksum": run.checksums()[4 * place : 4 * place + 4],
+            "powers": run.powers.part(position, position + 1).rows,
+            "flags": None if run.flags is None else run.flags.part(position, position + 1).rows,
+            "checksum": run.checksums()[4 * position : 4 * position + 4],
         }
-        for place, epoch_us in enumerate(run.epochs_us)
+        for position, epoch_us in enumerate(run.epochs_us)
     ]
 
 
@@ -97,6 +97,6 @@ def test_details_are_stored_row_by_row(engine, epochs_us, width, noise):
         insert_details(connection, 3, 7, epochs_us, width, figures)
         stored = {row.epoch_us: row for row in connection.execute(select(measurement_detail))}
     assert [bytes(stored[epoch_us].figures) for epoch_us in epochs_us] == [
-        figures[place * width : (place + 1) * width] for place in range(len(epochs_us))
+        figures[position * width : (position + 1) * width] for position in range(len(epochs_us))
     ]
     assert {(row.spacecraft_key, row.source_key) for row in stored.values()} == {(3, 7)}

@@ -57,8 +57,8 @@ def test_a_whole_chain(archive, monkeypatch):
         f"whole: 4 entries, newest hash {head.hash}, 1 heads noted elsewhere\n",
     )
     monkeypatch.setenv("SOO_DATABASE_URL", f"sqlite:///{file}")
-    told = json.loads(verify("--json").output)
-    assert told == {"number": 4, "hash": head.hash, "heads": 0, "findings": []}
+    reported = json.loads(verify("--json").output)
+    assert reported == {"number": 4, "hash": head.hash, "heads": 0, "findings": []}
 
 
 def test_a_changed_entry(archive):

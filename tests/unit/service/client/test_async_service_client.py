@@ -35,10 +35,10 @@ def test_both_have_the_same_methods_and_parameters():
 
 @pytest.mark.parametrize("name", sorted(methods(ServiceClient).keys() - OTHERS))
 async def test_both_send_the_same(name):
-    told: list[tuple[str, str, bytes]] = []
+    reported: list[tuple[str, str, bytes]] = []
 
     def answer(request: httpx.Request) -> httpx.Response:
-        told.append((request.method, str(request.url), request.content))
+        reported.append((request.method, str(request.url), request.content))
         return httpx.Response(200, json={"rows": [{"a": 1}], "links": [], "next": None})
 
     parameters = [p for p in inspect.signature(getattr(ServiceClient, name)).parameters if p != "self"]
@@ -53,7 +53,7 @@ async def test_both_send_the_same(name):
         awaited = getattr(client, name)(**given)
         awaited = [row async for row in awaited] if inspect.isasyncgen(awaited) else await awaited
     assert plain == awaited
-    assert told[0] == told[1]
+    assert reported[0] == reported[1]
 
 
 async def test_a_busy_service_is_asked_again_and_a_refusal_is_not():

@@ -19,7 +19,7 @@ EVENTS = [
 @pytest.mark.parametrize("size", [1, 2, 3, 7, 50, 1000])
 def test_chunks_may_be_cut_anywhere(size):
     follower = Follower()
-    chunks = [BODY[place : place + size] for place in range(0, len(BODY), size)]
+    chunks = [BODY[position : position + size] for position in range(0, len(BODY), size)]
     assert [event for chunk in chunks for event in follower.take(chunk)] == EVENTS
     assert follower.last_event_id == "a:2.0.0"
 

@@ -66,9 +66,9 @@ def test_powers_come_back_bit_for_bit() -> None:
     rows = [_row(k, [*level]) for k, level in enumerate(levels.tolist())]
     tracks = read_tdm(_written(rows))
     assert [track.track_id for track in tracks] == ["sa-1/c0", "sa-1/c1"]
-    for place, track in enumerate(tracks):
+    for position, track in enumerate(tracks):
         assert track.epochs_us.tolist() == [row.epoch_us for row in rows]
-        stored = np.array([row.power_dbm[place] for row in rows], dtype=np.float32)
+        stored = np.array([row.power_dbm[position] for row in rows], dtype=np.float32)
         assert track.power_dbm.astype(np.float32).tobytes() == stored.tobytes()
 
 
@@ -76,8 +76,8 @@ def test_doubtful_rows_stand_apart() -> None:
     overrange = int(QualityFlag.OVERRANGE)
     simulated = int(QualityFlag.SIMULATED)
     rows = [_row(0, [-40, -50], [0, simulated]), _row(1, [-41, -51], [overrange, 0]), _row(2, [-42, np.nan], [0, 16])]
-    told = [(track.track_id, track.quality, track.power_dbm.tolist()) for track in read_tdm(_written(rows))]
-    assert told == [
+    reported = [(track.track_id, track.quality, track.power_dbm.tolist()) for track in read_tdm(_written(rows))]
+    assert reported == [
         ("sa-1/c0", "VALIDATED", [-40.0, -42.0]),
         ("sa-1/c0", "DEGRADED", [-41.0]),
         ("sa-1/c1", "VALIDATED", [-50.0, -51.0]),

@@ -32,7 +32,7 @@ class Flight:
         self.chain = Chain(self.documents, CONFIG, calibration)
         if opening:
             for content in synthetic.opening(spacecraft or payload.spacecraft()):
-                self.chain.learn(content)
+                self.chain.update(content)
 
     def at(self, minute):
         return self.aligned_us + minute * self.synthetic.MINUTE
@@ -58,13 +58,13 @@ def test_before_an_alignment_rows_lead_to_nothing(payload, synthetic):
     assert flight.chain.carrier_states() is None
     assert flight.step(1) is None
     for content in synthetic.opening(payload.spacecraft())[:-1]:
-        flight.chain.learn(content)
+        flight.chain.update(content)
     assert flight.step(2) is None
     assert not flight.chain.is_running
     measurement, states = flight.chain.carrier_states()
     assert measurement.epoch_us == flight.at(2)
     assert {state.state for state in states} == {"uncalibrated"}
-    flight.chain.learn(AlignmentSet(1))
+    flight.chain.update(AlignmentSet(1))
     assert flight.chain.is_running
     assert flight.chain.knowledge.alignment.id == 1
     assert flight.step(3) is not None
@@ -104,7 +104,7 @@ def test_released_by_itself_a_command_counts_as_applied_in_two_steps_it_does_not
 def test_a_spacecraft_that_is_not_known_gets_angles_but_no_command(payload, synthetic):
     flight = Flight(payload, synthetic, opening=False)
     for content in synthetic.opening(payload.spacecraft())[1:]:
-        flight.chain.learn(content)
+        flight.chain.update(content)
     outcome = flight.run(range(1, 20))[-1]
     assert outcome.command is None
     assert outcome.rows[0].control_allowed
@@ -181,7 +181,7 @@ def test_after_a_long_gap_the_means_start_anew(flight):
 def test_an_alignment_starts_anew(flight):
     flight.run(range(1, 40))
     flight.documents.alignments[2] = flight.payload.alignment(flight.at(40), alignment_id=2)
-    flight.chain.learn(AlignmentSet(2))
+    flight.chain.update(AlignmentSet(2))
     assert flight.step(41).rows[0].inhibitions == ("settling", "no_fix")
     assert flight.step(39).rows[0].inhibitions == ("late",)
 
@@ -194,11 +194,11 @@ def test_a_new_plan_keeps_the_references_of_the_carriers_that_stay(flight, paylo
     carriers = payload.carriers()
     newcomer = replace(carriers[0], id="new")
     flight.documents.plans[2] = CarrierPlan(2, "sha-2", (newcomer, *carriers[:4:-1], *carriers[1:4]))
-    flight.chain.learn(PlanChange(2))
-    places = [None, *range(11, 4, -1), 1, 2, 3]
+    flight.chain.update(PlanChange(2))
+    positions = [None, *range(11, 4, -1), 1, 2, 3]
     for minute in range(40, 70):
         row = flight.row(minute)
-        power = np.array([-30.0 if k is None else row.power_dbm[k] for k in places])
+        power = np.array([-30.0 if k is None else row.power_dbm[k] for k in positions])
         outcome = flight.chain.step(replace(row, plan_id=2, power_dbm=power))
     found = outcome.rows[0]
     np.testing.assert_allclose(found.attitude_deg, TRUTH, atol=1e-9)
@@ -214,7 +214,7 @@ def test_an_activation_re_derives_references_and_keeps_the_state(flight, payload
     amplitude = payload.amplitude_db.copy()
     wrong = replace(payload, amplitude_db=0.9 * amplitude)
     flight.documents.calibrations[2] = wrong.calibration(2)
-    flight.chain.learn(CalibrationActivation(2, 2))
+    flight.chain.update(CalibrationActivation(2, 2))
     found = flight.step(40).rows[0]
     assert (found.calibration_id, found.inhibitions) == (2, ())
     # one of fifteen rows with a harmonic that differs by 10 % since an alignment 40 minutes ago
@@ -225,7 +225,7 @@ def test_states_of_carriers_survive_an_activation_with_other_carriers(flight, pa
     flight.run(range(1, 20))
     wider = synthetic.SyntheticPayload.make(14)
     flight.documents.calibrations[2] = wider.calibration(2)
-    flight.chain.learn(CalibrationActivation(2, 2))
+    flight.chain.update(CalibrationActivation(2, 2))
     _, states = flight.chain.carrier_states()
     assert {state.state for state in states} == {"used"}
     assert flight.step(20).rows[0].inhibitions[0] == "settling"
@@ -235,7 +235,7 @@ def test_an_ephemeris_with_other_nodes_moves_the_harmonic(flight, payload, synth
     flight.run(range(1, 40))
     nodes_us = tuple(node + 6 * synthetic.HOUR for node in payload.ephemeris().ascending_nodes_us)
     flight.documents.ephemerides[2] = replace(payload.ephemeris(), id=2, ascending_nodes_us=nodes_us)
-    flight.chain.learn(EphemerisChange(2))
+    flight.chain.update(EphemerisChange(2))
     flight.run(range(40, 60))
     moved = flight.chain.carrier_states()[1]
     assert max(abs(state.deviation_db) for state in moved) > 0.1
@@ -243,11 +243,11 @@ def test_an_ephemeris_with_other_nodes_moves_the_harmonic(flight, payload, synth
 
 def test_an_ephemeris_after_an_alignment_without_calibration_changes_nothing(payload, synthetic):
     flight = Flight(payload, synthetic, opening=False)
-    flight.chain.learn(SpacecraftChange(payload.spacecraft(), 1))
-    flight.chain.learn(AlignmentSet(1))
-    flight.chain.learn(EphemerisChange(1))
+    flight.chain.update(SpacecraftChange(payload.spacecraft(), 1))
+    flight.chain.update(AlignmentSet(1))
+    flight.chain.update(EphemerisChange(1))
     assert not flight.chain.is_running
-    flight.chain.learn(CalibrationActivation(1, 1))
+    flight.chain.update(CalibrationActivation(1, 1))
     assert flight.chain.is_running
     assert flight.step(1).rows[0].inhibitions == ("settling", "no_fix")
 
@@ -268,7 +268,7 @@ def test_a_star_tracker_gone_mad_after_the_alignment_changes_nothing(payload, sy
     plain, poisoned = Flight(payload, synthetic), Flight(payload, synthetic)
     mad = Axes(1e9, -1e9, 1e9)
     for minute in range(1, 50):
-        poisoned.chain.learn(AttitudeReference("star_tracker", poisoned.at(minute), mad, Axes(1e-9, 1e-9, 1e-9)))
+        poisoned.chain.update(AttitudeReference("star_tracker", poisoned.at(minute), mad, Axes(1e-9, 1e-9, 1e-9)))
         assert same(poisoned.step(minute), plain.step(minute))
 
 
@@ -294,7 +294,7 @@ def test_states_of_carriers_tell_what_became_of_each(flight, payload):
         flight.documents.calibrations[1].result, carriers=(replace(carriers[0], selected=False), *carriers[1:])
     )
     flight.documents.calibrations[1] = replace(flight.documents.calibrations[1], result=result)
-    flight.chain.learn(CalibrationActivation(1, 2))
+    flight.chain.update(CalibrationActivation(1, 2))
     for minute in range(1, 30):
         row = flight.row(minute)
         power = row.power_dbm.copy()

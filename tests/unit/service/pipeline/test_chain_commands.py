@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 from geometry_flight import Flight, FlightPayload
 
-from service.pipeline.inputs.knowledge import Knowledge, learn
+from service.pipeline.inputs.knowledge import Knowledge, update
 from service.records.catalogue import FlexibleMode, Release
 from service.records.inputs import SpacecraftChange, TelemetryRecord
 from service.records.levels.attitude import Axes
@@ -30,13 +30,13 @@ def flight():
 
 def test_while_the_interlock_withholds_every_command_is_zero_and_says_so(flight):
     assert flight.chain.step(flight.row(30)).command.control_allowed
-    flight.chain.learn(hold(is_withheld=True))
+    flight.chain.update(hold(is_withheld=True))
     for minute in (31, 32):
         outcome = flight.chain.step(flight.row(minute))
         assert outcome.command.inhibitions == ("tripped",)
         assert (outcome.command.schedule, outcome.applied) == ((), None)
         assert all(row.control_allowed for row in outcome.rows if row.method.value == "robust")
-    flight.chain.learn(hold(is_withheld=False, version=2))
+    flight.chain.update(hold(is_withheld=False, version=2))
     assert flight.chain.step(flight.row(33)).command.control_allowed
 
 
@@ -44,7 +44,7 @@ def test_the_period_is_that_of_the_rows_or_that_of_the_catalogue(flight):
     assert flight.chain.step(flight.row(30)).command.command_period_s == 60.0
     craft = PAYLOAD.spacecraft(release=Release.TWO_STEP)
     control = replace(craft.control, command_period_s=1200.0)
-    flight.chain.learn(SpacecraftChange(replace(craft, control=control), 2))
+    flight.chain.update(SpacecraftChange(replace(craft, control=control), 2))
     command = flight.chain.step(flight.row(31)).command
     assert command.command_period_s == 1200.0
     assert command.valid_until_us == command.epoch_us + 1200 * S
@@ -52,24 +52,26 @@ def test_the_period_is_that_of_the_rows_or_that_of_the_catalogue(flight):
 
 def test_what_was_sent_is_carried_to_the_next_verdict(flight):
     craft = replace(PAYLOAD.spacecraft(release=Release.TWO_STEP), modes=(FlexibleMode("roll", 0.6, 1e-4, 0.4),))
-    flight.chain.learn(SpacecraftChange(craft, 2))
+    flight.chain.update(SpacecraftChange(craft, 2))
     calm = flight.chain.step(flight.row(30)).command
     strong = Pulse(flight.at(30), 2.0, Axes(0.0, 0.05, 0.0))
-    flight.chain.learn(ReleasedCommand(1, flight.at(30), (strong,)))
+    flight.chain.update(ReleasedCommand(1, flight.at(30), (strong,)))
     swung = flight.chain.step(flight.row(31)).command
-    flight.chain.learn(AppliedCommand(replace(calm, schedule=(replace(strong, start_us=flight.at(31)),))))
+    flight.chain.update(AppliedCommand(replace(calm, schedule=(replace(strong, start_us=flight.at(31)),))))
     again = flight.chain.step(flight.row(32)).command
-    peaks = [told.schedule_check.peak_deg for told in (calm, swung, again) if told.schedule_check is not None]
+    peaks = [
+        reported.schedule_check.peak_deg for reported in (calm, swung, again) if reported.schedule_check is not None
+    ]
     assert len(peaks) == 3
     assert peaks[0] < 0.2 * peaks[1]
     assert peaks[2] != peaks[1]
 
 
 def test_momentum_is_known_while_it_is_fresh():
-    told = TelemetryRecord(1000 * S, wheel_momentum_n_m_s=(1.0, 2.0, 3.0))
-    known = learn(Knowledge(), told, None)
+    reported = TelemetryRecord(1000 * S, wheel_momentum_n_m_s=(1.0, 2.0, 3.0))
+    known = update(Knowledge(), reported, None)
     for content in (TelemetryRecord(900 * S, wheel_momentum_n_m_s=(0.0,) * 3), TelemetryRecord(1100 * S)):
-        known = learn(known, content, None)
+        known = update(known, content, None)
     assert known.momentum_n_m_s(1000 * S, 60.0) == (1.0, 2.0, 3.0)
     assert known.momentum_n_m_s(1060 * S, 60.0) == (1.0, 2.0, 3.0)
     assert known.momentum_n_m_s(1061 * S, 60.0) is None

@@ -59,17 +59,17 @@ def test_every_row_has_one_of_each_method_robust_first(flight):
 def test_each_method_alone_says_what_it_says_beside_the_other(flight):
     alone = {method: Flight(PAYLOAD, methods=(method,)) for method in BOTH}
     for minute in range(1, 60):
-        told = flight.feed(noisy(flight, minute))
+        reported = flight.feed(noisy(flight, minute))
         for method, one in alone.items():
             # the text of a record holds every digit of every float, and tells NaN
-            assert repr(one.feed(noisy(one, minute))) == repr({method: told[method]})
+            assert repr(one.feed(noisy(one, minute))) == repr({method: reported[method]})
 
 
 def test_the_method_that_drives_control_makes_the_command(flight):
     flight.run(range(1, 30))
     robust = flight.chain.step(flight.row(30)).command
     craft = PAYLOAD.spacecraft(method=Method.PAPER)
-    flight.chain.learn(SpacecraftChange(craft, 2))
+    flight.chain.update(SpacecraftChange(craft, 2))
     outcome = flight.chain.step(flight.row(31))
     paper = outcome.command
     assert robust.control_allowed
@@ -95,7 +95,7 @@ def test_released_by_itself_the_robust_command_counts_as_applied_and_two_steps_d
 def test_without_a_craft_there_is_no_command(flight):
     bare = Flight(PAYLOAD, is_opened=False)
     for content in bare.opening()[1:]:
-        bare.chain.learn(content)
+        bare.chain.update(content)
     outcome = bare.chain.step(bare.row(1))
     assert outcome.command is None
     assert len(outcome.rows) == 2
@@ -107,18 +107,21 @@ def test_without_a_craft_there_is_no_command(flight):
 def test_without_a_calibration_by_geometry_the_robust_method_is_silent_and_its_command_zero(flight):
     bare = Flight(PAYLOAD, is_opened=False)
     bare.documents.calibrations[1] = by_paper(PAYLOAD, 1)
-    told = PAYLOAD.alignment(bare.aligned_us).references_by_method["paper"]
+    reported = PAYLOAD.alignment(bare.aligned_us).references_by_method["paper"]
     bare.documents.alignments[1] = PAYLOAD.alignment(
-        bare.aligned_us, references=told, references_by_method={"paper": told}, calibration_by_method={"paper": 1}
+        bare.aligned_us,
+        references=reported,
+        references_by_method={"paper": reported},
+        calibration_by_method={"paper": 1},
     )
     for content in bare.opening():
-        bare.chain.learn(content)
+        bare.chain.update(content)
     outcome = bare.chain.step(bare.row(1))
     assert [row.method for row in outcome.rows] == [Method.PAPER]
     assert outcome.command.inhibitions == ("no_calibration",)
     # activated after the alignment it still has no references: only a new alignment starts it
     bare.documents.calibrations[2] = PAYLOAD.calibration(2)
-    bare.chain.learn(CalibrationActivation(2, 2))
+    bare.chain.update(CalibrationActivation(2, 2))
     outcome = bare.chain.step(bare.row(2))
     assert [row.method for row in outcome.rows] == [Method.PAPER]
     assert outcome.command.inhibitions == ("not_aligned",)
@@ -126,7 +129,7 @@ def test_without_a_calibration_by_geometry_the_robust_method_is_silent_and_its_c
     bare.documents.alignments[2] = PAYLOAD.alignment(
         bare.at(2), 2, 2, bare.truth_deg.tolist(), calibration_by_method={"robust": 2, "paper": 1}
     )
-    bare.chain.learn(AlignmentSet(2))
+    bare.chain.update(AlignmentSet(2))
     assert tuple(row.method for row in bare.chain.step(bare.row(3)).rows) == BOTH
 
 
@@ -144,10 +147,10 @@ def test_a_method_that_fails_says_so_in_its_row_and_the_other_goes_on(flight, mo
         return real(self, measurement, *args, **options)
 
     monkeypatch.setattr(type(runner), "step", broken)
-    told, wanted = flight.feed(noisy(flight, 20)), plain.feed(noisy(plain, 20))
+    reported, wanted = flight.feed(noisy(flight, 20)), plain.feed(noisy(plain, 20))
     other = next(method for method in BOTH if method is not failing)
-    assert repr(told[other]) == repr(wanted[other])
-    row = told[failing]
+    assert repr(reported[other]) == repr(wanted[other])
+    row = reported[failing]
     assert (row.status, row.inhibitions, row.control_allowed) == (Status.INVALID, ("internal_error",), False)
     assert np.isnan(row.attitude_deg).all()
     assert f"method {failing} failed on the row at journal number" in caplog.text
@@ -212,7 +215,7 @@ def test_a_late_row_leaves_everything_after_it_bit_for_bit(flight, minute, chang
 def test_a_star_tracker_gone_mad_changes_nothing(flight):
     plain, mad = Flight(PAYLOAD), Axes(1e9, -1e9, 1e9)
     for minute in range(1, 30):
-        flight.chain.learn(AttitudeReference("star_tracker", flight.at(minute), mad, Axes(1e-9, 1e-9, 1e-9)))
+        flight.chain.update(AttitudeReference("star_tracker", flight.at(minute), mad, Axes(1e-9, 1e-9, 1e-9)))
         assert repr(flight.chain.step(noisy(flight, minute))) == repr(plain.chain.step(noisy(plain, minute)))
 
 
@@ -233,16 +236,16 @@ def test_a_plan_that_changes_in_operation_keeps_the_references_of_those_that_sta
     new = [replace(carriers[0], id=name, transponder="Ku9") for name in ("n1", "n2")]
     order = [k for k in range(15, -1, -1) if k not in (6, 11)]
     flight.documents.plans[2] = CarrierPlan(2, "sha-2", (new[0], *(carriers[k] for k in order), new[1]))
-    flight.chain.learn(PlanChange(2))
+    flight.chain.update(PlanChange(2))
     gone = np.where(np.isin(np.arange(16), (3, 6, 11)), NAN, 0.0)
     for minute in range(30, 100):
         row = flight.row(minute)
         power = np.array([-20.0, *(row.power_dbm[k] + 9.0 * (k == 3) for k in order), NAN])
-        told = flight.feed(replace(row, plan_id=2, power_dbm=power))
+        reported = flight.feed(replace(row, plan_id=2, power_dbm=power))
         # the same as if the three had fallen silent
         wanted = plain.feed(plain.changed(minute, gone))
-        assert repr(told[Method.ROBUST]) == repr(wanted[Method.ROBUST])
-    row = told[Method.ROBUST]
+        assert repr(reported[Method.ROBUST]) == repr(wanted[Method.ROBUST])
+    row = reported[Method.ROBUST]
     assert {(item.carrier, item.reason) for item in row.excluded} == {(f"c{k:02d}", "absent") for k in (3, 6, 11)}
     np.testing.assert_allclose(flight.error_deg(row), 0.0, atol=0.01)
     states = {state.carrier: state.state for state in flight.chain.carrier_states()[1]}
@@ -255,8 +258,8 @@ def test_a_calibration_of_the_new_plan_goes_on_where_the_old_one_stood(flight):
     fewer = PAYLOAD.permuted(order)
     flight.documents.plans[2] = fewer.plan(2)
     flight.documents.calibrations[2] = fewer.calibration(2, plan_id=2)
-    flight.chain.learn(PlanChange(2))
-    flight.chain.learn(CalibrationActivation(2, 2))
+    flight.chain.update(PlanChange(2))
+    flight.chain.update(CalibrationActivation(2, 2))
     for minute in range(60, 90):
         row = flight.robust(replace(flight.row(minute), plan_id=2, power_dbm=flight.row(minute).power_dbm[order]))
         np.testing.assert_allclose(flight.error_deg(row), 0.0, atol=0.01)
@@ -267,15 +270,15 @@ def test_a_calibration_of_the_new_plan_goes_on_where_the_old_one_stood(flight):
 
 
 def test_methods_that_are_apart_for_long_disagree(flight):
-    told = PAYLOAD.alignment(flight.aligned_us, angles_deg=flight.truth_deg.tolist())
+    reported = PAYLOAD.alignment(flight.aligned_us, angles_deg=flight.truth_deg.tolist())
     slope = np.array([one.sensitivity_db_per_deg.roll for one in flight.documents.calibrations[1].result.carriers])
     wrong = tuple(
         replace(one, reference_dbm=one.reference_dbm + 0.25 * by)
-        for one, by in zip(told.references_by_method["paper"], slope, strict=True)
+        for one, by in zip(reported.references_by_method["paper"], slope, strict=True)
     )
-    references = {**told.references_by_method, "paper": wrong}
-    flight.documents.alignments[1] = replace(told, references_by_method=references)
-    flight.chain.learn(AlignmentSet(1))
+    references = {**reported.references_by_method, "paper": wrong}
+    flight.documents.alignments[1] = replace(reported, references_by_method=references)
+    flight.chain.update(AlignmentSet(1))
     assert not flight.chain.is_disagreeing
     apart = []
     for minute in range(1, 40):
@@ -285,7 +288,7 @@ def test_methods_that_are_apart_for_long_disagree(flight):
     assert not any(apart[:21])
     assert all(apart[23:])
     flight.documents.alignments[2] = PAYLOAD.alignment(flight.at(40), 2, angles_deg=flight.truth_deg.tolist())
-    flight.chain.learn(AlignmentSet(2))
+    flight.chain.update(AlignmentSet(2))
     assert not flight.chain.is_disagreeing
 
 
@@ -300,7 +303,7 @@ def test_a_replay_may_bring_its_own_calibration(flight):
     doubled = replace(PAYLOAD, gradient=2.0 * PAYLOAD.gradient, hessian=4.0 * PAYLOAD.hessian)
     chain = Chain(flight.documents, ChainConfig(), doubled.calibration(9), (Method.ROBUST,))
     for content in flight.opening():
-        chain.learn(content)
+        chain.update(content)
     row = chain.step(flight.row(1)).rows[0]
     assert (row.calibration_id, row.alignment_id) == (9, 1)
     np.testing.assert_allclose(flight.error_deg(row), 0.0, atol=0.02)
@@ -308,6 +311,6 @@ def test_a_replay_may_bring_its_own_calibration(flight):
 
 def test_a_row_after_a_gap_catches_up_with_what_was_commanded_meanwhile(flight):
     flight.run(range(1, 10))
-    flight.chain.learn(Correction(flight.at(30), flight.at(50), Axes(0.0, 0.1, 0.0)))
+    flight.chain.update(Correction(flight.at(30), flight.at(50), Axes(0.0, 0.1, 0.0)))
     row = flight.robust(flight.row(90, flight.truth_deg + np.array([0.0, 0.1, 0.0])))
     np.testing.assert_allclose(flight.error_deg(row), [0.0, 0.1, 0.0], atol=0.01)

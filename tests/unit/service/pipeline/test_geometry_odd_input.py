@@ -33,17 +33,17 @@ def thinned(data, step):
 
 
 def angles(data, change):
-    told = [
+    reported = [
         tuple(replace(one, attitude_deg=change(one.attitude_deg.copy())) for one in series)
         for series in (data.references, data.quiet_references)
     ]
-    return replace(data, references=told[0], quiet_references=told[1])
+    return replace(data, references=reported[0], quiet_references=reported[1])
 
 
 def tracked(data, start, stop):
-    told = data.ephemeris.track
+    reported = data.ephemeris.track
     cut = slice(start, stop)
-    track = Track(told.epochs_us[cut], told.latitude_deg[cut], told.longitude_deg[cut])
+    track = Track(reported.epochs_us[cut], reported.latitude_deg[cut], reported.longitude_deg[cut])
     return replace(data, ephemeris=replace(data.ephemeris, track=track))
 
 
@@ -68,7 +68,7 @@ CASES = {
     "rows of five minutes": (lambda data: thinned(data, 5), "the quiet window holds 144 measurements"),
     "angles that never change": (lambda data: angles(data, np.zeros_like), "no turn of at least 0.1 deg in roll"),
     "a yaw that nobody tells": (
-        lambda data: angles(data, lambda told: np.where([True, False, False], np.nan, told)),
+        lambda data: angles(data, lambda reported: np.where([True, False, False], np.nan, reported)),
         "only 0 rows of the quiet window have angles",
     ),
     "a track of three points": (lambda data: tracked(data, 0, 3), None),

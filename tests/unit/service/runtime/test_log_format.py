@@ -70,9 +70,9 @@ def test_a_traceback_stays_on_the_line_in_json_and_follows_it_in_text():
     ],
 )
 def test_secrets_are_left_out(form, text):
-    told = form().format(record("%s", text, fields={"note": text}))
-    assert "swordfish" not in told
-    assert "[hidden]" in told
+    reported = form().format(record("%s", text, fields={"note": text}))
+    assert "swordfish" not in reported
+    assert "[hidden]" in reported
     assert "abc" not in form().format(record("failed", exc_info=fault())).replace("Traceback", "")
 
 

@@ -26,7 +26,7 @@ def driver() -> ReleaseServiceDriver:
     return driven
 
 
-def told(driver: ReleaseServiceDriver, rate: Axes | None = RATE) -> None:
+def reported(driver: ReleaseServiceDriver, rate: Axes | None = RATE) -> None:
     """Let telemetry of this instant come."""
     wheels = (0.0, 0.0, 0.0)
     driver.archive.telemetry.append(
@@ -38,7 +38,7 @@ def told(driver: ReleaseServiceDriver, rate: Axes | None = RATE) -> None:
 def test_a_command_of_the_law_is_prepared_confirmed_and_released(driver: ReleaseServiceDriver) -> None:
     driver.armed()
     driver.prove("yaw")
-    told(driver)
+    reported(driver)
     command = driver.prepare()
     assert all(check.is_ok for check in command.checks)
     assert command.stop_us - command.start_us <= 900_000_000
@@ -54,10 +54,10 @@ def test_without_a_fresh_body_rate_there_is_nothing_to_prepare(driver: ReleaseSe
     driver.armed()
     with pytest.raises(ConflictError, match=r"command\.empty"):
         driver.prepare()
-    told(driver)
+    reported(driver)
     driver.rows(2)
     # a record without rates is newer, and does not hide the one that has them
-    told(driver, None)
+    reported(driver, None)
     dry = driver.service.prepare(SC, "ann", CommandRequest("look"), dry_run=True)
     assert dry.computed is not None
     assert dry.computed.inhibitions == ()
@@ -69,7 +69,7 @@ def test_without_a_fresh_body_rate_there_is_nothing_to_prepare(driver: ReleaseSe
 
 def test_a_standing_authorisation_is_never_asked_for_more_than_the_envelope(driver: ReleaseServiceDriver) -> None:
     driver.engaged()
-    told(driver, Axes(2e-3, 3e-3, -W0_DEG_S + 2e-3))
+    reported(driver, Axes(2e-3, 3e-3, -W0_DEG_S + 2e-3))
     driver.rows(1)
     assert driver.state == "ENGAGED"
     assert len(driver.released) == 1

@@ -54,10 +54,10 @@ def test_the_service_tells_what_was_flown_before_the_later_command_began() -> No
     driver, first, second = replaced()
     assert driver.service.command(SC, 1).executed == first.schedule  # until it is known that the second was flown
     assert driver.report(2).executed == second.schedule
-    told = driver.service.command(SC, 1)
-    assert told.executed == before(first.schedule, second.start_us)
-    assert 0 < len(told.executed) < len(first.schedule)
-    assert (told.state, told.schedule) == ("EXECUTED", first.schedule)
+    reported = driver.service.command(SC, 1)
+    assert reported.executed == before(first.schedule, second.start_us)
+    assert 0 < len(reported.executed) < len(first.schedule)
+    assert (reported.state, reported.schedule) == ("EXECUTED", first.schedule)
 
 
 def test_a_later_command_that_failed_leaves_the_earlier_one_whole() -> None:
@@ -91,7 +91,7 @@ def test_a_sign_check_cuts_no_command_short() -> None:
 def test_the_filter_that_reads_the_journal_of_the_service_follows_the_craft(is_flown) -> None:
     driver, first, second = replaced()
     driver.report(2, "executed" if is_flown else "failed")
-    entries = [entry for entry in driver.releases.told if not isinstance(entry, InterlockHold)]
+    entries = [entry for entry in driver.releases.reported if not isinstance(entry, InterlockHold)]
     assert [type(entry) for entry in entries] == [ReleasedCommand, ReportedCommand] * 2
     flown = (*before(first.schedule, second.start_us), *second.schedule) if is_flown else first.schedule
     flight = Flight(PAYLOAD, methods=(Method.ROBUST,))
@@ -99,7 +99,7 @@ def test_the_filter_that_reads_the_journal_of_the_service_follows_the_craft(is_f
     end = 60
     for minute in range(1, end + 1):
         while entries and _known_us(entries[0]) + offset_us <= flight.at(minute):
-            flight.chain.learn(_shifted(entries.pop(0), offset_us))
+            flight.chain.update(_shifted(entries.pop(0), offset_us))
         # no power tells the filter anything: what it knows of the angles it knows from the journal
         row = flight.robust(flight.changed(minute, np.nan))
     assert not entries

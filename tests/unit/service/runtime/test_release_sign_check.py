@@ -47,8 +47,10 @@ class AnsweringCraft:
         for pulse in (pulse for schedule in self.schedules for pulse in schedule):
             since_s = np.clip((self.driver.clock.now - pulse.start_us) / US, 0.0, pulse.duration_s)
             impulse -= self.sign * np.array(pulse.torque_n_m) * since_s
-        told = 1.0 + impulse[BODY] + 0.0005 * self.rng.normal(size=3)
-        self.driver.archive.telemetry.append(TelemetryRecord(self.driver.clock.now, wheel_momentum_n_m_s=tuple(told)))
+        reported = 1.0 + impulse[BODY] + 0.0005 * self.rng.normal(size=3)
+        self.driver.archive.telemetry.append(
+            TelemetryRecord(self.driver.clock.now, wheel_momentum_n_m_s=tuple(reported))
+        )
 
     def minute(self, *, confirms: bool = True) -> None:
         """Pass a minute: persons confirm what waits, the centre reports what is over."""

@@ -90,8 +90,8 @@ class Station:
 
     def refer(self, minutes):
         sigma = Axes(0.01, 0.005, 0.005)
-        told = [AttitudeReference("st", at(k), Axes(*angles([k])[0]), sigma) for k in minutes]
-        self.storage.archive.append_inputs(SC, told)
+        reported = [AttitudeReference("st", at(k), Axes(*angles([k])[0]), sigma) for k in minutes]
+        self.storage.archive.append_inputs(SC, reported)
 
     def align(self, start, stop):
         request = AlignmentRequest(Window(at(start), at(stop) + 1), ("st",) * 3, None, None, "operator")

@@ -22,14 +22,14 @@ def row(number: int) -> AttitudeRow:
     return row_without_attitude(number, number, number, Method.PAPER, ("late",))
 
 
-def told(*batch: object) -> list[tuple[str, Cursor]]:
+def reported(*batch: object) -> list[tuple[str, Cursor]]:
     """Return kind and cursor of each event of a batch."""
     return [(event.kind, event.cursor) for event in _result_events(*batch)]  # type: ignore[arg-type]
 
 
 def test_results_stand_under_their_sequences_and_the_newest_row():
     outcomes = [Outcome((row(5),), None), Outcome((row(6),), None)]
-    assert told([entry(5), entry(6)], outcomes, 10, 12) == [
+    assert reported([entry(5), entry(6)], outcomes, 10, 12) == [
         ("attitude", Cursor(6, 11)),
         ("attitude", Cursor(6, 12)),
     ]
@@ -39,12 +39,12 @@ def test_results_stored_before_are_not_published_under_sequences_of_others():
     alignment = JournalEntry(6, AlignmentSet(2))
     # two rows run again were stored by an earlier alignment; of three results only one is new
     outcomes = [Outcome((row(number),), None) for number in (5, 3, 4)]
-    assert told([entry(5), alignment], outcomes, 10, 11) == [("status", Cursor(6, 11))]
+    assert reported([entry(5), alignment], outcomes, 10, 11) == [("status", Cursor(6, 11))]
 
 
 def test_alignment_is_news_of_its_own():
-    assert told([JournalEntry(6, AlignmentSet(2))], [], 10, 10) == [("status", Cursor(6, 10))]
+    assert reported([JournalEntry(6, AlignmentSet(2))], [], 10, 10) == [("status", Cursor(6, 10))]
 
 
 def test_other_slow_inputs_are_silent():
-    assert told([JournalEntry(6, SpacecraftChange(None, 2))], [], 10, 10) == []  # type: ignore[arg-type]
+    assert reported([JournalEntry(6, SpacecraftChange(None, 2))], [], 10, 10) == []  # type: ignore[arg-type]

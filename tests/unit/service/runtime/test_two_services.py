@@ -19,7 +19,7 @@ from service.runtime.live.supervisor import Supervisor
 @pytest.fixture(autouse=True)
 def _often():
     """Look often, so that tests need not wait."""
-    with patch.object(leading_module, "LOOK_S", 0.02), patch.object(supervisor_module, "_POLL_S", 0.02):
+    with patch.object(leading_module, "POLL_S", 0.02), patch.object(supervisor_module, "_POLL_S", 0.02):
         yield
 
 
@@ -122,7 +122,7 @@ def test_alarms_are_the_business_of_the_service_that_leads(new_ground):
     with patch.object(ground.storage, "alarms", alarms), pytest.raises(StorageError) as caught:
         desk.acknowledge(1, "anna", "")
     assert caught.value.code == "lease.elsewhere"
-    desk._look_at_clock()
+    desk._check_clock()
     assert not alarms.save.called
     assert not alarms.save_memory.called
     with pytest.raises(StorageError, match=r"lease\.elsewhere"):

@@ -156,14 +156,14 @@ class _Relation(NamedTuple):
 
 def _relation(geometry: CarrierGeometry, used: IntArray) -> _Relation:
     """Return the relation of some carriers."""
-    place = geometry.displacement()
-    by_yaw, count = place[used, :, 0], np.arange(len(used))
+    position = geometry.displacement()
+    by_yaw, count = position[used, :, 0], np.arange(len(used))
     nuisance = np.zeros((len(used), 1 + 2 * geometry.bands))
     nuisance[:, 0] = _COMMON_PRIOR_DB_PER_DEG
     for axis in range(2):
-        moved = place[-1, axis, 0] - by_yaw[:, axis]
+        moved = position[-1, axis, 0] - by_yaw[:, axis]
         nuisance[count, 1 + 2 * geometry.band[used] + axis] = DOWNLINK_PRIOR_DB_PER_DEG * moved
-    inverse = np.linalg.inv(np.swapaxes(place[used][:, :, 1:], 1, 2))
+    inverse = np.linalg.inv(np.swapaxes(position[used][:, :, 1:], 1, 2))
     row = np.concatenate([np.ones((len(used), 1)), -np.einsum("nj,njk->nk", by_yaw, inverse)], axis=1)
     return _Relation(np.asarray(inverse, dtype=np.float64), by_yaw, row, nuisance)
 
@@ -172,23 +172,23 @@ def _of_beams(
     gradient: FloatArray, curvature: FloatArray, geometry: CarrierGeometry, beam: IntArray, used: IntArray
 ) -> tuple[float, float]:
     """Return the scores of pitch and roll by the gradients (U, 2) of the stations of each beam."""
-    place = np.column_stack([geometry.azimuth_deg, geometry.elevation_deg])[used]
+    position = np.column_stack([geometry.azimuth_deg, geometry.elevation_deg])[used]
     expected, found = np.zeros_like(gradient), np.zeros_like(gradient)
     beams = np.unique(beam[used])
     for one in beams:
         members = beam[used] == one
-        apart = place[members] - place[members].mean(axis=0)
+        apart = position[members] - position[members].mean(axis=0)
         expected[members] = apart @ curvature[members].mean(axis=0)
         found[members] = gradient[members] - gradient[members].mean(axis=0)
     free = len(used) - len(beams) - 1
     return _score(expected[:, 0], found[:, 0], free), _score(expected[:, 1], found[:, 1], free)
 
 
-def _of_turns(told_deg: FloatArray, announced_deg: FloatArray) -> tuple[float, ...]:
+def _of_turns(reported_deg: FloatArray, announced_deg: FloatArray) -> tuple[float, ...]:
     """Return the scores of yaw, roll and pitch by the changes (C, 3) that sensor and announcement tell."""
-    known = np.isfinite(told_deg).all(axis=1) & np.isfinite(announced_deg).all(axis=1)
-    told, announced = told_deg[known], announced_deg[known]
-    return tuple(_score(announced[:, k], told[:, k], len(told) - 1, _TURN_SIGMA_DEG) for k in range(3))
+    known = np.isfinite(reported_deg).all(axis=1) & np.isfinite(announced_deg).all(axis=1)
+    reported, announced = reported_deg[known], announced_deg[known]
+    return tuple(_score(announced[:, k], reported[:, k], len(reported) - 1, _TURN_SIGMA_DEG) for k in range(3))
 
 
 def _score(expected: FloatArray, found: FloatArray, free: int, least_sigma: float = 0.0) -> float:

@@ -92,19 +92,19 @@ def station_offsets(
         return whitened_rows(np.concatenate(columns, axis=2), problem.centre_s, variance, noise, weight)
 
     value = problem.value[..., np.newaxis]
-    own, shared, shared_sigma = _told_by_others(whitened(problem.own, problem.shared, value), prior)
+    own, shared, shared_sigma = _reported_by_others(whitened(problem.own, problem.shared, value), prior)
     slopes = np.stack([_derivative(attitude_deg, geometry, own, shared, axis) for axis in range(2)], axis=-1)
     model = np.einsum("nbk,nk->nb", problem.own, own) + np.einsum("nbr,nr->nb", problem.shared, shared)
     white = whitened(problem.own, problem.shared, slopes, value - model[..., np.newaxis])
-    places = np.full((len(prior), 2), _PRIOR_DEG)
+    positions = np.full((len(prior), 2), _PRIOR_DEG)
     # the downlink may move by what the others leave open
-    open_prior = np.concatenate([prior, shared_sigma, places], axis=1)
+    open_prior = np.concatenate([prior, shared_sigma, positions], axis=1)
     nothing = np.zeros((*misfit.shape, 1))
     found = fit_separable(white[..., :-1], nothing, white[..., -1], open_prior, 1.0)
     return StationOffsets(found.own[:, -2:], found.own_covariance[:, -2:, -2:])
 
 
-def _told_by_others(white: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _reported_by_others(white: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return each carrier's own coefficients (N, K) under the downlink (N, R) that the others tell, and its sigmas."""
     count, own_size = prior.shape
     shared_size = white.shape[2] - own_size - 1

@@ -156,9 +156,9 @@ def flag_failed(
     if not is_failed.any():
         return state, watch
     failed = np.flatnonzero(is_failed)
-    places = reference_states(model, failed, hidden_count(model, len(state.mean)))
+    positions = reference_states(model, failed, hidden_count(model, len(state.mean)))
     saved, variance = watch.saved_reference_db.copy(), watch.saved_variance_db2.copy()
-    saved[failed], variance[failed] = before.mean[places], before.covariance[places, places]
+    saved[failed], variance[failed] = before.mean[positions], before.covariance[positions, positions]
     return (
         reset_carriers(model, state, failed, np.zeros(len(failed)), np.full(len(failed), FREE_REFERENCE_DB2)),
         watch._replace(

@@ -126,8 +126,8 @@ def widen(
     calm = carriers._replace(cusum=quiet_cusum(model.carriers))
     if choice.cause is Cause.GROUP:
         members = np.flatnonzero((model.transponder == choice.transponder) & ~carriers.is_flagged)
-        places = reference_states(model, members, hidden_count(model, len(gaussian.mean)))
-        return Widened(freed(gaussian, places, GROUP_STEP_DB**2), calm, rain)
+        positions = reference_states(model, members, hidden_count(model, len(gaussian.mean)))
+        return Widened(freed(gaussian, positions, GROUP_STEP_DB**2), calm, rain)
     if choice.cause is Cause.ATTITUDE:
         for axis in range(ATTITUDE.start, ATTITUDE.stop):
             gaussian = freed(gaussian, np.array([axis]), JUMP_DEG**2)

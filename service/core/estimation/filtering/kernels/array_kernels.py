@@ -48,16 +48,16 @@ def turn(
 
     T (9, 9 + E) takes the first nine states and the E hidden ones, which stand from `first_hidden` on and stay.
     """
-    places: IntArray | slice = slice(_MOVING)
+    positions: IntArray | slice = slice(_MOVING)
     if transition.shape[1] > _MOVING:
         hidden = first_hidden + np.arange(transition.shape[1] - _MOVING)
-        places = np.concatenate([np.arange(_MOVING), hidden])
-    moved = transition @ covariance[places]
-    own = moved[:, places] @ transition.T
+        positions = np.concatenate([np.arange(_MOVING), hidden])
+    moved = transition @ covariance[positions]
+    own = moved[:, positions] @ transition.T
     moved[:, :_MOVING] = 0.5 * (own + own.T) + drift_noise
     # one product serves both sides: symmetric to the last bit
     covariance[:_MOVING], covariance[:, :_MOVING] = moved, moved.T
-    mean[:_MOVING] = transition @ mean[places] + push
+    mean[:_MOVING] = transition @ mean[positions] + push
 
 
 def model_variance(coefficient_covariance: FloatArray, attitude_deg: FloatArray) -> FloatArray:
@@ -65,7 +65,7 @@ def model_variance(coefficient_covariance: FloatArray, attitude_deg: FloatArray)
     return model_variance_db2(coefficient_covariance, attitude_deg)
 
 
-def grow(
+def add_process_noise(
     covariance: FloatArray,
     factor: FloatArray,
     core_added: FloatArray,
@@ -136,7 +136,7 @@ def spread(cross: FloatArray, jacobian: FloatArray, carriers: IntArray, count: i
     return np.asarray(0.5 * (product + product.T))
 
 
-def absorb(
+def update_state(
     mean: FloatArray, innovation_db: FloatArray, spread_db2: FloatArray, white_db2: FloatArray, cross: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return mean, ``L^-1 H P`` (n, D) and ``L^-1 nu`` (n,), L the Cholesky factor of the innovations' covariance.

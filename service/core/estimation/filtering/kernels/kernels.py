@@ -24,7 +24,7 @@ class Kernels(NamedTuple):
     ]
     turn: Callable[[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, int], None]
     model_variance: Callable[[FloatArray, FloatArray], FloatArray]
-    grow: Callable[
+    add_process_noise: Callable[
         [
             FloatArray,
             FloatArray,
@@ -46,7 +46,7 @@ class Kernels(NamedTuple):
     ]
     project: Callable[[FloatArray, FloatArray, IntArray, int], FloatArray]
     spread: Callable[[FloatArray, FloatArray, IntArray, int], FloatArray]
-    absorb: Callable[
+    update_state: Callable[
         [FloatArray, FloatArray, FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray, FloatArray]
     ]
     reduce: Callable[[FloatArray, FloatArray], FloatArray]

@@ -31,8 +31,8 @@ def fade(
     first = _FIRST_COMMON + len(common_tau_s)
     factor = np.ones(len(mean))
     factor[_RAIN] = rain_factor
-    for place in range(len(common_tau_s)):
-        factor[_FIRST_COMMON + place] = math.exp(-seconds / common_tau_s[place])
+    for position in range(len(common_tau_s)):
+        factor[_FIRST_COMMON + position] = math.exp(-seconds / common_tau_s[position])
     for carrier in range(carriers):
         for part in range(components):
             factor[first + part * carriers + carrier] = math.exp(-seconds / coloured_tau_s[carrier, part])
@@ -59,10 +59,10 @@ def turn(
     for row in range(_MOVING):
         moved[row, size] = push[row]
         for inner in range(moving):
-            place = inner if inner < _MOVING else first_hidden + inner - _MOVING
-            moved[row, size] += transition[row, inner] * mean[place]
+            position = inner if inner < _MOVING else first_hidden + inner - _MOVING
+            moved[row, size] += transition[row, inner] * mean[position]
             for column in range(size):
-                moved[row, column] += transition[row, inner] * covariance[place, column]
+                moved[row, column] += transition[row, inner] * covariance[position, column]
     for row in range(_MOVING):
         mean[row] = moved[row, size]
         for column in range(_MOVING, size):
@@ -71,8 +71,8 @@ def turn(
         for column in range(row + 1):
             total = drift_noise[row, column]
             for inner in range(moving):
-                place = inner if inner < _MOVING else first_hidden + inner - _MOVING
-                total += moved[row, place] * transition[column, inner]
+                position = inner if inner < _MOVING else first_hidden + inner - _MOVING
+                total += moved[row, position] * transition[column, inner]
             covariance[row, column] = total
             covariance[column, row] = total
 
@@ -94,7 +94,7 @@ def model_variance(coefficient_covariance: FloatArray, attitude_deg: FloatArray)
     return variance
 
 
-def grow(
+def add_process_noise(
     covariance: FloatArray,
     factor: FloatArray,
     core_added: FloatArray,
@@ -110,10 +110,10 @@ def grow(
     """Add to the diagonal, in place, what a step brings."""
     carriers, components = coloured_sigma_db.shape
     first = _FIRST_COMMON + len(common_sigma_db)
-    for place in range(_FIRST_COMMON):
-        covariance[place, place] += core_added[place]
-    for place in range(_FIRST_COMMON, first):
-        covariance[place, place] += common_sigma_db[place - _FIRST_COMMON] ** 2 * (1.0 - factor[place] ** 2)
+    for position in range(_FIRST_COMMON):
+        covariance[position, position] += core_added[position]
+    for position in range(_FIRST_COMMON, first):
+        covariance[position, position] += common_sigma_db[position - _FIRST_COMMON] ** 2 * (1.0 - factor[position] ** 2)
     for carrier in range(carriers):
         carrying = 0
         for part in range(components):
@@ -121,15 +121,15 @@ def grow(
             if distance < abs(math.log(coloured_tau_s[carrier, carrying] / MODEL_ERROR_TAU_S)):
                 carrying = part
         for part in range(components):
-            place = first + part * carriers + carrier
-            lost = 1.0 - factor[place] ** 2
-            covariance[place, place] += scale2 * coloured_sigma_db[carrier, part] ** 2 * lost
-        place = first + carrying * carriers + carrier
-        lost = 1.0 - factor[place] ** 2
+            position = first + part * carriers + carrier
+            lost = 1.0 - factor[position] ** 2
+            covariance[position, position] += scale2 * coloured_sigma_db[carrier, part] ** 2 * lost
+        position = first + carrying * carriers + carrier
+        lost = 1.0 - factor[position] ** 2
         grown = variance[carrier] - (1.0 - lost) * held_variance[carrier]
-        covariance[place, place] += max(grown, lost * variance[carrier])
-        place = first + components * carriers + carrier
-        covariance[place, place] += scale2 * hours * reference_walk_db[carrier] ** 2
+        covariance[position, position] += max(grown, lost * variance[carrier])
+        position = first + components * carriers + carrier
+        covariance[position, position] += scale2 * hours * reference_walk_db[carrier] ** 2
 
 
 def linearise(
@@ -149,8 +149,8 @@ def linearise(
     innovation_db = np.empty(len(carriers))
     jacobian = np.zeros((len(carriers), core))
     level_db = mean[_CHAIN]
-    for place in range(_FIRST_COMMON, seen):
-        level_db += mean[place]
+    for position in range(_FIRST_COMMON, seen):
+        level_db += mean[position]
     for row in range(len(carriers)):
         carrier = carriers[row]
         expected_db = level_db - rain_share[carrier] * mean[_RAIN]
@@ -160,11 +160,11 @@ def linearise(
                 bend += hessian_db_deg2[carrier, axis, other] * at_deg[other]
             jacobian[row, axis] = gradient_db_deg[carrier, axis] + bend
             expected_db += jacobian[row, axis] * mean[axis] - 0.5 * bend * at_deg[axis]
-        for place in range(_CHAIN, seen):
-            jacobian[row, place] = 1.0
+        for position in range(_CHAIN, seen):
+            jacobian[row, position] = 1.0
         jacobian[row, _RAIN] = -rain_share[carrier]
-        for place in range(core + carrier, len(mean), count):
-            expected_db += mean[place]
+        for position in range(core + carrier, len(mean), count):
+            expected_db += mean[position]
         innovation_db[row] = deviation_db[carrier] - expected_db
     return innovation_db, jacobian
 
@@ -174,14 +174,14 @@ def project(covariance: FloatArray, jacobian: FloatArray, carriers: IntArray, co
     used, core = jacobian.shape
     cross = np.zeros((used, len(covariance)))
     for row in range(used):
-        for place in range(core):
-            share = jacobian[row, place]
+        for position in range(core):
+            share = jacobian[row, position]
             if share != 0.0:
                 for column in range(len(covariance)):
-                    cross[row, column] += share * covariance[place, column]
-        for place in range(core + carriers[row], len(covariance), count):
+                    cross[row, column] += share * covariance[position, column]
+        for position in range(core + carriers[row], len(covariance), count):
             for column in range(len(covariance)):
-                cross[row, column] += covariance[place, column]
+                cross[row, column] += covariance[position, column]
     return cross
 
 
@@ -192,16 +192,16 @@ def spread(cross: FloatArray, jacobian: FloatArray, carriers: IntArray, count: i
     for row in range(used):
         for column in range(row + 1):
             total = 0.0
-            for place in range(core):
-                total += cross[row, place] * jacobian[column, place]
-            for place in range(core + carriers[column], cross.shape[1], count):
-                total += cross[row, place]
+            for position in range(core):
+                total += cross[row, position] * jacobian[column, position]
+            for position in range(core + carriers[column], cross.shape[1], count):
+                total += cross[row, position]
             lower[row, column] = total
             lower[column, row] = total
     return lower
 
 
-def absorb(
+def update_state(
     mean: FloatArray, innovation_db: FloatArray, spread_db2: FloatArray, white_db2: FloatArray, cross: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return mean, L^-1 H P and L^-1 nu."""

@@ -108,7 +108,7 @@ def initial_gaussian(
     return Gaussian(mean, np.diag(variance))
 
 
-def freed(state: Gaussian, places: IntArray, variance: float) -> Gaussian:
+def freed(state: Gaussian, positions: IntArray, variance: float) -> Gaussian:
     """Return the state in which some places have moved together by an unknown amount.
 
     Parameters
@@ -121,7 +121,7 @@ def freed(state: Gaussian, places: IntArray, variance: float) -> Gaussian:
         Variance of the amount, in the unit of the states squared.
     """
     covariance = state.covariance.copy()
-    covariance[np.ix_(places, places)] += variance
+    covariance[np.ix_(positions, positions)] += variance
     return Gaussian(state.mean, covariance)
 
 
@@ -146,12 +146,12 @@ def reset_carriers(
     Gaussian
         Coloured parts of these carriers at zero with stationary variance, correlated with nothing.
     """
-    places = carrier_states(model, carriers, hidden_count(model, len(state.mean)))
+    positions = carrier_states(model, carriers, hidden_count(model, len(state.mean)))
     mean, covariance = state.mean.copy(), state.covariance.copy()
-    flat = places.ravel()
+    flat = positions.ravel()
     mean[flat] = 0.0
     covariance[flat, :] = 0.0
     covariance[:, flat] = 0.0
     covariance[flat, flat] = np.concatenate([(model.coloured_sigma_db[carriers].T ** 2).ravel(), variance_db2])
-    mean[places[-1]] = reference_db
+    mean[positions[-1]] = reference_db
     return Gaussian(mean, covariance)

@@ -64,24 +64,26 @@ class Response(NamedTuple):
 def response_over(step_us: int, coupling_per_h: float, period_us: int) -> Response:
     """Return what accelerations of one do over a step, us, under an exchange of roll and yaw, 1/h."""
     hours, period_h = step_us / _US_PER_H, period_us / _US_PER_H
-    around = 2.0 * math.pi / period_h
+    angular_rate_per_h = 2.0 * math.pi / period_h
     panels = max(1, math.ceil(hours / min(_PANEL_H, _PANEL_TURN * period_h)))
     edge = hours / panels
     turned, pitch = np.zeros(3, dtype=np.complex128), np.zeros(3)
     for panel in range(panels):
         for node, weight in zip(_GAUSS_NODES.tolist(), _GAUSS_WEIGHTS.tolist(), strict=True):
             elapsed = edge * (panel + 0.5 * (1.0 + node))
-            gained = 0.5 * edge * weight * _gained_h(elapsed, around)
+            gained = 0.5 * edge * weight * _gained_h(elapsed, angular_rate_per_h)
             turned += cmath.exp(complex(0.0, coupling_per_h * (hours - elapsed))) * gained
             pitch += gained
     constant, cosine, sine = turned.tolist()
-    return Response(_gained_h(hours, around), (constant, cosine, sine), pitch)
+    return Response(_gained_h(hours, angular_rate_per_h), (constant, cosine, sine), pitch)
 
 
-def _gained_h(hours: float, around_per_h: float) -> FloatArray:
+def _gained_h(hours: float, angular_rate_per_h: float) -> FloatArray:
     """Return the rate (3,) that a constant, a cosine and a sine of one have left after some hours."""
-    angle = around_per_h * hours
-    return np.array([hours, math.sin(angle) / around_per_h, 2.0 * math.sin(0.5 * angle) ** 2 / around_per_h])
+    angle = angular_rate_per_h * hours
+    return np.array(
+        [hours, math.sin(angle) / angular_rate_per_h, 2.0 * math.sin(0.5 * angle) ** 2 / angular_rate_per_h]
+    )
 
 
 def hidden_transition(
@@ -148,29 +150,29 @@ def torque_states(model: CarrierModel, state: Gaussian, shares: int) -> slice | 
     return slice(first, first + TORQUES) if hidden > shares else None
 
 
-def inserted(state: Gaussian, place: int, new_covariance: FloatArray) -> Gaussian:
+def inserted(state: Gaussian, position: int, new_covariance: FloatArray) -> Gaussian:
     """Return the state with new ones of a covariance (n, n) at a place, zero and correlated with nothing before."""
     added = len(new_covariance)
     size = len(state.mean) + added
-    kept = np.concatenate([np.arange(place), np.arange(place + added, size)])
+    kept = np.concatenate([np.arange(position), np.arange(position + added, size)])
     mean, covariance = np.zeros(size), np.zeros((size, size))
     mean[kept] = state.mean
     covariance[np.ix_(kept, kept)] = state.covariance
-    new = np.arange(place, place + added)
+    new = np.arange(position, position + added)
     covariance[np.ix_(new, new)] = new_covariance
     return Gaussian(mean, covariance)
 
 
-def dropped(state: Gaussian, places: slice) -> Gaussian:
+def dropped(state: Gaussian, positions: slice) -> Gaussian:
     """Return the state without some: what the others owe to them stays their uncertainty."""
-    covariance = np.delete(np.delete(state.covariance, places, axis=0), places, axis=1)
-    return Gaussian(np.delete(state.mean, places), covariance)
+    covariance = np.delete(np.delete(state.covariance, positions, axis=0), positions, axis=1)
+    return Gaussian(np.delete(state.mean, positions), covariance)
 
 
-def with_wider_torque(gaussian: Gaussian, places: slice, variance: FloatArray) -> Gaussian:
+def with_wider_torque(gaussian: Gaussian, positions: slice, variance: FloatArray) -> Gaussian:
     """Return the state whose torques are known less by a variance (9,), (deg/h^2)^2."""
     covariance = gaussian.covariance.copy()
-    at = np.arange(places.start, places.start + TORQUES)
+    at = np.arange(positions.start, positions.start + TORQUES)
     covariance[at, at] += variance
     return Gaussian(gaussian.mean, covariance)
 
@@ -178,21 +180,21 @@ def with_wider_torque(gaussian: Gaussian, places: slice, variance: FloatArray) -
 def with_doubted_torque(model: CarrierModel, gaussian: Gaussian, settings: FilterSettings, axes: BoolArray) -> Gaussian:
     """Return the state whose torque about some axes (3,) may for a while have been some times what was stated."""
     # shares stand before the torques
-    places = torque_states(model, gaussian, max(0, hidden_count(model, len(gaussian.mean)) - TORQUES))
-    if places is None:
+    positions = torque_states(model, gaussian, max(0, hidden_count(model, len(gaussian.mean)) - TORQUES))
+    if positions is None:
         return gaussian
     covariance, size = gaussian.covariance.copy(), torque_size_deg_h2(settings)
     for axis in np.flatnonzero(axes).tolist():
-        together = np.array([RATE.start + axis, places.start + axis])
+        together = np.array([RATE.start + axis, positions.start + axis])
         gained = _DOUBT * size[axis] * np.array([_DOUBTED_H, 1.0])
         covariance[np.ix_(together, together)] += np.multiply.outer(gained, gained)
     return Gaussian(gaussian.mean, covariance)
 
 
-def is_torque_seen(gaussian: Gaussian, places: slice) -> bool:
+def is_torque_seen(gaussian: Gaussian, positions: slice) -> bool:
     """Return whether the torque about any axis, constant and wave together, differs from none beyond chance."""
     for axis in range(3):
-        own = np.arange(places.start + axis, places.stop, 3)
+        own = np.arange(positions.start + axis, positions.stop, 3)
         mean = gaussian.mean[own]
         if float(mean @ np.linalg.solve(gaussian.covariance[np.ix_(own, own)], mean)) > _SEEN_CHI_SQUARE:
             return True

@@ -39,10 +39,10 @@ def torque_prior_deg_h2(settings: FilterSettings) -> FloatArray:
     return np.concatenate([constant * size, wave * size, wave * size])
 
 
-def scale_covariance(told: FedForward) -> FloatArray:
+def scale_covariance(reported: FedForward) -> FloatArray:
     """Return the covariance (9, 9) of what is wrong with a profile, (deg/h^2)^2; its rank is three."""
-    profile = np.vstack([np.diag(part) for part in told[:3]])
-    shares = np.full((3, 3), told.relative_error**2) + told.axis_relative_error**2 * np.eye(3)
+    profile = np.vstack([np.diag(part) for part in reported[:3]])
+    shares = np.full((3, 3), reported.relative_error**2) + reported.axis_relative_error**2 * np.eye(3)
     return np.asarray(profile @ shares @ profile.T)
 
 
@@ -55,11 +55,11 @@ def torque_covariance(settings: FilterSettings) -> FloatArray:
 def torque_size_deg_h2(settings: FilterSettings) -> FloatArray:
     """Return how large (3,) the torque is thought to be at the most, one sigma, deg/h^2."""
     size = np.array(settings.torque_deg_h2)
-    told = settings.fed_forward
-    if told is None:
+    reported = settings.fed_forward
+    if reported is None:
         return size
-    constant, cosine, sine = np.abs(np.array(told[:3]))
-    share = math.hypot(told.relative_error, told.axis_relative_error)
+    constant, cosine, sine = np.abs(np.array(reported[:3]))
+    share = math.hypot(reported.relative_error, reported.axis_relative_error)
     return np.asarray(np.hypot(size, share * (constant + np.hypot(cosine, sine))))
 
 

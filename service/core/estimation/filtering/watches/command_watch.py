@@ -64,7 +64,7 @@ class CommandWatch(NamedTuple):
         return self.minutes_left > 0.0
 
 
-def obeyed_commands() -> CommandWatch:
+def executed_commands() -> CommandWatch:
     """Return the watch of a craft that does what it is told."""
     return CommandWatch(np.empty((0, 2)), np.zeros(2), np.zeros((2, 2)), 1.0, 0.0)
 
@@ -249,7 +249,7 @@ def judge_commands(watch: CommandWatch, state: Gaussian) -> tuple[CommandWatch, 
     if share is None:
         return watch, state
     change = watch.sensitivity[:, 0]
-    nothing = obeyed_commands()._replace(sensitivity=np.zeros_like(watch.sensitivity))
+    nothing = executed_commands()._replace(sensitivity=np.zeros_like(watch.sensitivity))
     if abs(share - watch.share) * float(np.abs(change[ATTITUDE]).max()) > _MOST_DEG:
         return nothing._replace(share=watch.share, minutes_left=DOUBTED_MINUTES), state
     moved = state.mean + (share - watch.share) * change

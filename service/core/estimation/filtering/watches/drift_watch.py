@@ -82,6 +82,6 @@ def push_drift(
         return pushed, state
     covariance = state.covariance.copy()
     growth = (pushed.scale / watch.scale) ** 2 - 1.0
-    places = np.arange(DRIFT.start, DRIFT.stop)
-    covariance[places, places] += growth * (watch.scale * np.array(settings.drift_deg_h)) ** 2
+    positions = np.arange(DRIFT.start, DRIFT.stop)
+    covariance[positions, positions] += growth * (watch.scale * np.array(settings.drift_deg_h)) ** 2
     return pushed, Gaussian(state.mean, covariance)

@@ -77,8 +77,8 @@ def test_neighbours_come_lower_first_and_pair_by_pair() -> None:
     names = ("main", "lower", "upper", "lower 2")
     places_hz = (972e6, 967e6, 977e6, 962e6)
     signals = [
-        Signal(name, place, 1e6, 0.2, -40.0 - 3 * k)
-        for k, (name, place) in enumerate(zip(names, places_hz, strict=True))
+        Signal(name, position, 1e6, 0.2, -40.0 - 3 * k)
+        for k, (name, position) in enumerate(zip(names, places_hz, strict=True))
     ]
     powers_mw = adjacent_powers_mw(trace_dbm(*signals), GRID, Band(972e6, 1.5e6), ((5e6, 1.5e6), (10e6, 1.5e6)))
     levels_dbm = [decibels(power_mw) for power_mw in powers_mw]

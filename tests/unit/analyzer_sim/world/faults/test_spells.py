@@ -35,8 +35,8 @@ def test_a_cell_takes_neighbouring_stations_one_after_another() -> None:
     hit = np.flatnonzero(fade.max(axis=0) > 0.0)
     assert len(hit) == 4
     order = np.argsort([carrier.station.longitude_deg for carrier in world.plan.carriers])
-    places = sorted(int(np.flatnonzero(order == carrier)[0]) for carrier in hit)
-    assert places == list(range(places[0], places[0] + 4))  # neighbours in longitude
+    positions = sorted(int(np.flatnonzero(order == carrier)[0]) for carrier in hit)
+    assert positions == list(range(positions[0], positions[0] + 4))  # neighbours in longitude
     onsets_min = np.sort([60.0 * hours(world)[np.argmax(fade[:, carrier] > 0.0)] for carrier in hit])
     assert np.all((np.diff(onsets_min) >= 9.0) & (np.diff(onsets_min) <= 41.0))  # drawn from 10..40, rows of a minute
 
@@ -123,7 +123,7 @@ def test_declared_work_is_told_with_its_carriers() -> None:
     ]
     start_us = world.scenario.operation_start_us
     assert [(o.start_us - start_us) / 3.6e9 for o in world.operations] == [2.0, 6.0, 8.875]  # a quarter of an hour
-    assert all(o.start_us - o.told_us == 7_200_000_000 for o in world.operations)  # two hours of notice
+    assert all(o.start_us - o.reported_us == 7_200_000_000 for o in world.operations)  # two hours of notice
 
 
 def test_undeclared_work_is_not_told() -> None:

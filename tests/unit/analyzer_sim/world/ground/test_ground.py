@@ -86,26 +86,26 @@ def test_the_ephemeris_covers_the_story_with_margin() -> None:
 
 
 def test_each_tracked_row_has_one_reference_and_no_other_has() -> None:
-    told = [reference for body in bodies("references") for reference in body["references"]]
-    epochs = [epoch_us_from_text(reference["epoch"]) for reference in told]
+    reported = [reference for body in bodies("references") for reference in body["references"]]
+    epochs = [epoch_us_from_text(reference["epoch"]) for reference in reported]
     rows = world().rows.epochs_us
     assert epochs == rows[rows < world().scenario.operation_start_us].tolist()
     assert all(body["source"] == "star_tracker" for body in bodies("references"))
-    assert told[0]["sigma_deg"] == {"yaw": 0.015, "roll": 0.008, "pitch": 0.008}
+    assert reported[0]["sigma_deg"] == {"yaw": 0.015, "roll": 0.008, "pitch": 0.008}
 
 
 def test_all_corrections_are_told_before_their_interval_is_swept() -> None:
-    told: list[tuple[int, int]] = []
+    reported: list[tuple[int, int]] = []
     horizon_us = 0
     for line in lines():
         if line["kind"] == "corrections":
             for correction in line["body"]["corrections"]:
                 start_us, stop_us = (epoch_us_from_text(correction[key]) for key in ("start", "stop"))
                 assert start_us > horizon_us
-                told.append((start_us, stop_us))
+                reported.append((start_us, stop_us))
         if line["kind"] == "truth":
             horizon_us = epoch_us_from_text(line["rows"][-1]["epoch"])
-    assert told == [(c.start_us, c.stop_us) for c in world().corrections]
+    assert reported == [(c.start_us, c.stop_us) for c in world().corrections]
 
 
 def test_the_timetable_of_the_turns_is_told_at_their_start() -> None:

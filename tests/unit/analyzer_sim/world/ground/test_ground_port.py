@@ -196,12 +196,12 @@ async def test_with_await_ground_the_gate_stays_closed_when_the_client_leaves() 
 def test_stopping_the_simulator_with_a_client_connected_is_silent(caplog: pytest.LogCaptureFixture) -> None:
     with socket.socket() as raw:
 
-        async def told() -> None:
+        async def reported() -> None:
             gate = Gate()
             server = await serve_ground(world(), gate, port=0)
             async with server:
                 raw.connect(server.sockets[0].getsockname())
                 await settled(lambda: not gate.is_granted(10**18))
 
-        asyncio.run(told())
+        asyncio.run(reported())
     assert not caplog.records

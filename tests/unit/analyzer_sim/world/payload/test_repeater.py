@@ -9,18 +9,18 @@ import pytest
 from analyzer_sim.world.payload.effects import FaultFlag
 from analyzer_sim.world.payload.repeater import level_control_db, power_control_db
 from analyzer_sim.world.scenario.events import DownlinkRain, Step, SwitchOff, UplinkRain
-from analyzer_sim.world.scenario.scenario import RepeaterFigures, Scenario
+from analyzer_sim.world.scenario.scenario import RepeaterSettings, Scenario
 from analyzer_sim.world.world import World
 
 SHORT = Scenario("short", "for tests", quiet_h=1.0, alignment_h=0.75, operation_h=8.0)
-ALC = RepeaterFigures(alc_transponders=("Ku3",))
-UPC = RepeaterFigures(power_controlled=("c04",))
+ALC = RepeaterSettings(alc_transponders=("Ku3",))
+UPC = RepeaterSettings(power_controlled=("c04",))
 MEMBERS = [8, 9, 10, 11]
 OTHERS = [k for k in range(16) if k not in MEMBERS]
 
 
 @cache
-def built(figures: RepeaterFigures, *faults: object, plan: str = "ku16") -> World:
+def built(figures: RepeaterSettings, *faults: object, plan: str = "ku16") -> World:
     return World(replace(SHORT, repeater=figures, faults=faults, plan=plan), 1)
 
 
@@ -76,14 +76,14 @@ def test_power_control_ends_at_its_limit() -> None:
 
 
 def test_power_control_also_hides_the_attitude() -> None:
-    free, steered = built(RepeaterFigures()).rows, built(UPC).rows
+    free, steered = built(RepeaterSettings()).rows, built(UPC).rows
     rows = slice(at(built(UPC), -8.6), at(built(UPC), -1.0))  # the turns
     assert steered.carrier_dbm[rows, 4].std() < 0.6 * free.carrier_dbm[rows, 4].std()
 
 
 def test_rain_over_the_site_fades_the_c_band_by_a_tenth() -> None:
     rain = DownlinkRain("rain", (2.0, 2.0), (3.0, 3.0), (0.3, 0.3), (60.0, 60.0))
-    wet, dry = built(RepeaterFigures(), rain, plan="kuc16"), built(RepeaterFigures(), plan="kuc16")
+    wet, dry = built(RepeaterSettings(), rain, plan="kuc16"), built(RepeaterSettings(), plan="kuc16")
     row = at(wet, 2.5)
     fade_db = (dry.rows.carrier_dbm - wet.rows.carrier_dbm)[row] / wet.rows.downlink_fade_db[row]
     bands = [carrier.band for carrier in wet.plan.carriers]
@@ -93,5 +93,5 @@ def test_rain_over_the_site_fades_the_c_band_by_a_tenth() -> None:
 
 def test_a_shower_over_a_c_band_station_is_a_tenth_too() -> None:
     rain = UplinkRain("rain", 1, ("c12",), (2.0, 2.0), (3.0, 3.0), (0.3, 0.3), (60.0, 60.0))
-    fade_db = built(RepeaterFigures(), rain, plan="kuc16").rows.uplink_fade_db[:, 12]
+    fade_db = built(RepeaterSettings(), rain, plan="kuc16").rows.uplink_fade_db[:, 12]
     assert 0.25 < fade_db.max() < 0.4  # 3 dB in Ku, breath of 6 %

@@ -15,13 +15,13 @@ STORY = scenario_named("nominal")
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_profile_is_the_share_that_is_fed_forward_of_the_torque_that_acts(seed: int) -> None:
-    told = fed_forward(STORY, seed)
+    reported = fed_forward(STORY, seed)
     epochs_us = STORY.operation_start_us + 3_600_000_000 * np.arange(48)
     acts = disturbance(STORY, seed, epochs_us).external_n_m
     # the torque of a row is that of the middle of the step after it
-    turns = (epochs_us + 0.5 * STORY.row_period_us - told.epoch_us) / (told.period_s * 1e6)
+    turns = (epochs_us + 0.5 * STORY.row_period_us - reported.epoch_us) / (reported.period_s * 1e6)
     phase = 2.0 * np.pi * turns[:, None]
-    profile = np.cos(phase) * told.cosine_n_m + np.sin(phase) * told.sine_n_m
+    profile = np.cos(phase) * reported.cosine_n_m + np.sin(phase) * reported.sine_n_m
     np.testing.assert_allclose(profile, FED_FORWARD_SHARE * acts, atol=1e-16)
 
 

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from analyzer_sim.world.ground.ground_bodies import INERTIA_KG_M2
 from analyzer_sim.world.orbit.orbit import EARTH_RATE_RAD_S
 from analyzer_sim.world.spacecraft.body_dynamics import Motion, Torques, orbit_normal_in_body, stepped
-from analyzer_sim.world.spacecraft.flown_spacecraft import Craft, craft_at_rest
+from analyzer_sim.world.spacecraft.flown_spacecraft import OrbitalFrameSpacecraft, spacecraft_at_rest
 from analyzer_sim.world.spacecraft.hub_tones import HubTone, parse_tone
 from analyzer_sim.world.spacecraft.rigid_body import TorqueElement
 from analyzer_sim.world.spacecraft.wheels import MOMENTUM_LIMIT_N_M_S, QUANTUM_N_M, Wheel, friction_n_m, wheel_set
@@ -28,7 +28,7 @@ def body_from_orbit(motion: Motion) -> np.ndarray:
     return np.asarray(about_x @ about_y @ about_z)
 
 
-def inertial_momentum(craft: Craft, elapsed_s: float) -> np.ndarray:
+def inertial_momentum(craft: OrbitalFrameSpacecraft, elapsed_s: float) -> np.ndarray:
     """Return the momentum of body and wheels in a frame that does not turn."""
     stored = np.array([wheel.momentum_n_m_s for wheel in craft.wheels])
     in_orbit = body_from_orbit(craft.motion).T @ (INERTIA * craft.motion.rate_rad_s + stored)
@@ -38,8 +38,8 @@ def inertial_momentum(craft: Craft, elapsed_s: float) -> np.ndarray:
     return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ in_orbit
 
 
-def flying(momentum: tuple[float, float, float], *, has_fast_loop: bool = True) -> Craft:
-    craft = craft_at_rest(INERTIA_KG_M2, STILL, wheel_set(1, momentum))
+def flying(momentum: tuple[float, float, float], *, has_fast_loop: bool = True) -> OrbitalFrameSpacecraft:
+    craft = spacecraft_at_rest(INERTIA_KG_M2, STILL, wheel_set(1, momentum))
     craft.has_fast_loop = has_fast_loop
     return craft
 
@@ -115,7 +115,9 @@ def test_without_the_fast_loop_one_newton_metre_second_turns_the_craft_by_a_thir
 def test_a_mode_that_follows_the_orbit_does_not_exchange_roll_and_yaw():
     moved = []
     for is_coupled in (True, False):
-        craft = craft_at_rest(INERTIA_KG_M2, (0.4, 0.0, 0.0), wheel_set(1, (0.5, -8.0, 0.5)), is_coupled=is_coupled)
+        craft = spacecraft_at_rest(
+            INERTIA_KG_M2, (0.4, 0.0, 0.0), wheel_set(1, (0.5, -8.0, 0.5)), is_coupled=is_coupled
+        )
         craft.fly((0, 600 * S), [], STILL, STILL, STILL)
         moved.append(craft.state.attitude_deg[1])
     assert moved[0] == pytest.approx(0.4 * EARTH_RATE_RAD_S * 600.0, rel=0.02)

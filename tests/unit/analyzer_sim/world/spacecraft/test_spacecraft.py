@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from analyzer_sim.world.scenario.events import Hold
-from analyzer_sim.world.scenario.manoeuvres import holds_of, piece_edges, planned_deg
+from analyzer_sim.world.scenario.manoeuvres import chunk_edges, holds_of, planned_deg
 from analyzer_sim.world.scenario.scenario import KeepingFigures, Scenario, scenario_named
 from analyzer_sim.world.scenario.turns import TIMETABLE, TURNS_H
 from analyzer_sim.world.spacecraft.spacecraft import (
@@ -150,8 +150,10 @@ def test_an_unannounced_hold_turns_the_craft_and_tells_nobody() -> None:
     assert history.attitude_deg[rows][:120, 0].mean() == pytest.approx(
         0.4, abs=0.03
     )  # decay of the start, one loop time
-    told = np.array([c.attitude_deg for c in history.corrections if c.start_us > QUIET.operation_start_us + 2 * 3.6e9])
-    assert np.abs(told).max() < 0.03  # feedback on that decay only
+    reported = np.array(
+        [c.attitude_deg for c in history.corrections if c.start_us > QUIET.operation_start_us + 2 * 3.6e9]
+    )
+    assert np.abs(reported).max() < 0.03  # feedback on that decay only
 
 
 def test_plan_ramps_and_holds() -> None:
@@ -161,7 +163,7 @@ def test_plan_ramps_and_holds() -> None:
 
 
 def test_pieces_are_short_in_slews_and_reach_the_end() -> None:
-    edges = piece_edges([HOLD], 720, 60.0)
+    edges = chunk_edges([HOLD], 720, 60.0)
     assert edges[0] == 0
     assert edges[-1] == 720
     assert np.diff(edges[(edges >= 60) & (edges <= 80)]).max() <= 5  # rows of a minute
@@ -191,13 +193,13 @@ def test_false_reports_tell_the_whole_slew_and_the_craft_does_its_share(name: st
     end_us = begin_us + 2 * 3_600_000_000
     rows = [int(np.searchsorted(epochs_of(scenario), epoch)) for epoch in (begin_us, end_us)]
     done = np.diff(flown(scenario).attitude_deg[rows] - flown(honest).attitude_deg[rows], axis=0)[0]
-    told = np.sum(
+    reported = np.sum(
         [c.attitude_deg for c in flown(scenario).corrections if begin_us <= c.start_us < end_us], axis=0
     ) - np.sum([c.attitude_deg for c in flown(honest).corrections if begin_us <= c.start_us < end_us], axis=0)
-    print(f"{name}: told {told.round(3)} done {done.round(3)} deg")
+    print(f"{name}: told {reported.round(3)} done {done.round(3)} deg")
     # both worlds feed back what they know of their own attitude at other instants: a tenth of a degree of yaw
-    np.testing.assert_allclose(np.abs(told), 0.15, atol=0.09)
-    np.testing.assert_allclose(done, share * 0.15 * np.sign(told), atol=0.09)
+    np.testing.assert_allclose(np.abs(reported), 0.15, atol=0.09)
+    np.testing.assert_allclose(done, share * 0.15 * np.sign(reported), atol=0.09)
 
 
 def test_false_reports_end_with_an_honest_slew_back() -> None:

@@ -36,8 +36,8 @@ class Log:
     def __init__(self) -> None:
         self.entries = []
 
-    def append(self, deed):
-        self.entries.append(next_entry(self.head(), deed))
+    def append(self, audit_event):
+        self.entries.append(next_entry(self.head(), audit_event))
 
     def head(self):
         return self.entries[-1].head if self.entries else AuditHead(0, "0" * 64)
@@ -85,7 +85,7 @@ def test_counted_refusals_are_written_at_the_end(log):
     kept.keep()
     assert log.entries == []
     kept.keep(is_last=True)
-    assert [entry.deed.times for entry in log.entries] == [4]
+    assert [entry.audit_event.times for entry in log.entries] == [4]
     kept.keep(is_last=True)
     assert len(log.entries) == 1
 
@@ -94,7 +94,7 @@ def test_no_refusal_is_lost_in_the_count_and_memory_is_bounded():
     refusals = Refusals(lambda: 0.0)
     written = sum(refusals.admit(refused(f"192.0.{k // 256}.{k % 256}")) for k in range(5000))
     assert written == MAX_GROUPS + 1
-    assert sum(deed.times for deed in refusals.settled(is_last=True)) == 5000 - written
+    assert sum(audit_event.times for audit_event in refusals.settled(is_last=True)) == 5000 - written
 
 
 async def test_it_lives_on_after_a_fault_and_ends_in_good_order(log, caplog, monkeypatch):

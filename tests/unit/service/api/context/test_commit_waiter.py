@@ -11,11 +11,11 @@ from service.api.context.commit_waiter import CommitWaiter
 
 def test_results_and_faults_arrive_with_one_wake_of_the_loop():
     async def run() -> tuple[list[object], int]:
-        landings, loop, wakes = CommitWaiter(), asyncio.get_running_loop(), []
+        waiter, loop, wakes = CommitWaiter(), asyncio.get_running_loop(), []
         original = loop.call_soon_threadsafe
         loop.call_soon_threadsafe = lambda *call: wakes.append(1) or original(*call)  # type: ignore[method-assign]
         futures: list[Future[int]] = [Future() for _ in range(5)]
-        waiting = asyncio.gather(*map(landings.of, futures), return_exceptions=True)
+        waiting = asyncio.gather(*map(waiter.of, futures), return_exceptions=True)
         await asyncio.sleep(0)
 
         def settle() -> None:
@@ -37,10 +37,10 @@ def test_results_and_faults_arrive_with_one_wake_of_the_loop():
 
 def test_many_landings_at_any_moment_lose_none():
     async def run() -> list[int]:
-        landings = CommitWaiter()
+        waiter = CommitWaiter()
         futures: list[Future[int]] = [Future() for _ in range(400)]
         thread = threading.Thread(target=lambda: [future.set_result(k) for k, future in enumerate(futures)])
-        waiting = asyncio.gather(*map(landings.of, futures))
+        waiting = asyncio.gather(*map(waiter.of, futures))
         await asyncio.sleep(0)
         thread.start()
         found = await asyncio.wait_for(waiting, 120.0)
@@ -52,10 +52,10 @@ def test_many_landings_at_any_moment_lose_none():
 
 def test_who_gives_up_does_not_cancel_what_is_under_way():
     async def run() -> Future[int]:
-        landings, future = CommitWaiter(), Future[int]()
+        waiter, future = CommitWaiter(), Future[int]()
         with pytest.raises(TimeoutError):
-            await asyncio.wait_for(landings.of(future), 0.01)
-        other = asyncio.ensure_future(landings.of(future))
+            await asyncio.wait_for(waiter.of(future), 0.01)
+        other = asyncio.ensure_future(waiter.of(future))
         await asyncio.sleep(0)
         assert not future.cancelled()
         future.set_result(3)

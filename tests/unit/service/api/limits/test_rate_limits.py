@@ -56,18 +56,18 @@ def test_keys_and_classes_do_not_take_from_each_other(time):
 
 def test_zero_is_no_limit(time):
     found = limits(time, ingest_per_s=0.0, anonymous_per_s=0.0)
-    assert (found.take("a", RateClass.INGEST), found.take_anonymous("192.0.2.1")) == (None, None)
+    assert (found.take("a", RateClass.INGEST), found.consume_anonymous("192.0.2.1")) == (None, None)
 
 
 def test_addresses_are_counted_apart_and_forgotten_in_time(time):
     found = limits(time, anonymous_per_s=0.001, anonymous_burst=1)
-    assert found.take_anonymous("192.0.2.1").is_allowed
-    assert not found.take_anonymous("192.0.2.1").is_allowed
-    assert found.take_anonymous("192.0.2.2").is_allowed
+    assert found.consume_anonymous("192.0.2.1").is_allowed
+    assert not found.consume_anonymous("192.0.2.1").is_allowed
+    assert found.consume_anonymous("192.0.2.2").is_allowed
     for k in range(MAX_ADDRESSES + 5):
-        found.take_anonymous(f"10.{k >> 16}.{k >> 8 & 255}.{k & 255}")
+        found.consume_anonymous(f"10.{k >> 16}.{k >> 8 & 255}.{k & 255}")
     assert len(found._addresses) == MAX_ADDRESSES
-    assert found.take_anonymous("192.0.2.1").is_allowed
+    assert found.consume_anonymous("192.0.2.1").is_allowed
 
 
 @pytest.mark.parametrize(

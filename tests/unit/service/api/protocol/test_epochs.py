@@ -71,6 +71,6 @@ def test_what_is_no_instant_is_named_by_its_place(text, before):
 
 def test_instants_of_a_leap_second_are_named_by_their_places():
     texts = ["2016-12-31T23:59:59.500000Z", "2016-12-31T23:59:60.500000Z", "2017-01-01T05:29:60+05:30"]
-    assert parse_epochs(texts).leap_places == (1, 2)
-    assert parse_epochs(texts * 10).leap_places[-1] == 29
-    assert parse_epochs(texts[:1] * 30).leap_places == ()
+    assert parse_epochs(texts).leap_positions == (1, 2)
+    assert parse_epochs(texts * 10).leap_positions[-1] == 29
+    assert parse_epochs(texts[:1] * 30).leap_positions == ()

@@ -9,10 +9,10 @@ from service.api.protocol.paging import EVERYTHING, decode_cursor, encode_cursor
 from service.records.calibration import Window
 
 
-@pytest.mark.parametrize("place", [(0, 0), (1, 2), (-(2**63), 2**63 - 1), (4_102_444_800_000_000, 10**12)])
-def test_a_cursor_gives_its_place_back_and_fits_into_a_url(place):
-    cursor = encode_cursor(place, 7)
-    assert decode_cursor(cursor, 7) == place
+@pytest.mark.parametrize("position", [(0, 0), (1, 2), (-(2**63), 2**63 - 1), (4_102_444_800_000_000, 10**12)])
+def test_a_cursor_gives_its_place_back_and_fits_into_a_url(position):
+    cursor = encode_cursor(position, 7)
+    assert decode_cursor(cursor, 7) == position
     assert cursor.replace("-", "").replace("_", "").isalnum()
 
 

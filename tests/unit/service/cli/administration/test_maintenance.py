@@ -35,7 +35,7 @@ def url(tmp_path):
     return made
 
 
-def told(url, *options):
+def reported(url, *options):
     answer = CliRunner().invoke(app, ["upkeep", "--database", url, *options])
     assert answer.exit_code == 0, answer.output
     return answer.output
@@ -43,13 +43,13 @@ def told(url, *options):
 
 def test_days_are_sealed_once(url):
     expected = {"sealed_rows": 3, "dropped_rows": {}, "failed_spacecraft": 0}
-    assert json.loads(told(url, "--json")) == expected
-    assert json.loads(told(url, "--json")) == expected | {"sealed_rows": 0}
+    assert json.loads(reported(url, "--json")) == expected
+    assert json.loads(reported(url, "--json")) == expected | {"sealed_rows": 0}
 
 
 def test_what_is_too_old_goes(url, monkeypatch):
     monkeypatch.setenv("SOO_RETENTION__MEASUREMENTS_DAYS", "1")
-    assert told(url) == "sealed 0 rows\ndropped 3 rows of measurements\n"
+    assert reported(url) == "sealed 0 rows\ndropped 3 rows of measurements\n"
 
 
 def test_without_an_archive_the_option_is_wrong(tmp_path):

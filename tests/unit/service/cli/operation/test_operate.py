@@ -88,9 +88,9 @@ def test_an_alignment_says_which_rows_it_computes_and_names_the_replay_of_those_
     made |= dict.fromkeys(("yaw_deg", "roll_deg", "pitch_deg"), 0.0)
     asked = ["align", "--spacecraft", "yamal-202", "--start", TURNS[1], "--stop", "2026-11-04T09:30:00Z"]
     service.align = lambda _spacecraft, _body: {**made, "rows_recomputed": 0, "rows_kept": 90}  # type: ignore[attr-defined]
-    told = CliRunner().invoke(app, asked).stdout
-    assert "stored rows after it: 0 computed, 90 kept" in told
+    reported = CliRunner().invoke(app, asked).stdout
+    assert "stored rows after it: 0 computed, 90 kept" in reported
     span = "--start 2026-11-04T09:29:00.000000Z --stop 2026-11-04T11:00:00.000000Z"
-    assert f"soo replay --spacecraft yamal-202 {span} --alignment 3 --order epoch" in told
+    assert f"soo replay --spacecraft yamal-202 {span} --alignment 3 --order epoch" in reported
     service.align = lambda _spacecraft, _body: {**made, "rows_recomputed": 4, "rows_kept": 0}  # type: ignore[attr-defined]
     assert "soo replay" not in CliRunner().invoke(app, asked).stdout

@@ -58,7 +58,7 @@ def run(*options: str, key: str = "secret") -> Any:
     return CliRunner().invoke(app, list(options), env={"SOO_KEY": key})
 
 
-def told(*options: str) -> dict[str, Any]:
+def reported(*options: str) -> dict[str, Any]:
     result = run(*options, "--json")
     assert result.exit_code == 0, result.output
     document: dict[str, Any] = json.loads(result.stdout)
@@ -66,7 +66,7 @@ def told(*options: str) -> dict[str, Any]:
 
 
 def test_files_and_nothing_else_give_a_choice(files: list[str]) -> None:
-    document = told(*files, "--count", "12")
+    document = reported(*files, "--count", "12")
     assert (document["rule"], document["calibration_id"], len(document["selected"])) == ("optimal", None, 12)
     assert document["sufficient"] is True
     reasons = {row["carrier"]: row["reasons"] for row in document["carriers"]}
@@ -87,7 +87,7 @@ def test_files_and_nothing_else_give_a_choice(files: list[str]) -> None:
 
 
 def test_quiet_noise_averages_well(files: list[str]) -> None:
-    figures = told(*files, "--noise", "quiet")["sets"]["all"]
+    figures = reported(*files, "--noise", "quiet")["sets"]["all"]
     # 0.155 dB white and 0.09 dB of 20 min: in 12 h 720 rows and 36 correlation times
     kept_db = math.sqrt(0.155**2 / 720 + 0.09**2 * 2 * (36 - 1 + math.exp(-36)) / 36**2)
     expected = kept_db / math.hypot(0.155, 0.09) * figures["crlb_deg"]["roll"]
@@ -117,26 +117,26 @@ def test_report_for_people(files: list[str], tmp_path: Path) -> None:
 
 
 def test_stated_beams_replace_assumed_ones(files: list[str]) -> None:
-    document = told(*files, "--beam", "Ku0=-2,7,5", "--beam", "1,8,4,3")
+    document = reported(*files, "--beam", "Ku0=-2,7,5", "--beam", "1,8,4,3")
     notes = "\n".join(document["notes"])
     assert "beam of Ku0: centre az -2.00, el +7.00 deg, half-power width 5.0 x 5.0 deg, as stated" in notes
     assert "beam of Ku1: centre az +1.00, el +8.00 deg, half-power width 4.0 x 3.0 deg, as stated" in notes
     first = document["carriers"][0]["sensitivity_db_per_deg"]
-    place = station_direction([30.0], [45.0], [0.0], 90.0)
-    azimuth_deg, elevation_deg = float(place.azimuth_deg[0]), float(place.elevation_deg[0])
+    position = station_direction([30.0], [45.0], [0.0], 90.0)
+    azimuth_deg, elevation_deg = float(position.azimuth_deg[0]), float(position.elevation_deg[0])
     # slope 24 / 25 dB/deg^2; through the tangents of 6 deg each axis takes one per cent of the other slope
     assert first["pitch"] == pytest.approx(24 / 25 * (azimuth_deg + 2.0), abs=0.05)
     assert first["roll"] == pytest.approx(24 / 25 * (elevation_deg - 7.0), abs=0.05)
 
 
 def test_one_round_beam_shows_no_yaw_and_says_so(files: list[str]) -> None:
-    document = told(*files, "--beam", "0,7.5,6")
+    document = reported(*files, "--beam", "0,7.5,6")
     assert any("shows no yaw" in note for note in document["notes"])
     for name in ("crlb_deg", "crlb_without_common_deg"):
         yaw = document["sets"]["all"][name]["yaw"]
         # the tangents of the exact rotation leave a little of it
         assert yaw is None or yaw > 10.0
-    oval = told(*files, "--beam", "0,7.5,6,3")
+    oval = reported(*files, "--beam", "0,7.5,6,3")
     assert any("by its ellipticity only" in note for note in oval["notes"])
     assert oval["sets"]["all"]["crlb_deg"]["yaw"] < 10.0
 
@@ -156,7 +156,7 @@ def test_plan_of_json_is_read_too(files: list[str], tmp_path: Path) -> None:
     ]
     path = tmp_path / "carriers.json"
     path.write_text(json.dumps({"carriers": carriers}))
-    document = told(*files[:3], str(path))
+    document = reported(*files[:3], str(path))
     assert document["count"] == 8, "sixteen are wanted by default, or all when there are fewer"
     assert document["shortcomings"][0] == "8 carriers; the robust method wants at least 12"
 
@@ -233,7 +233,7 @@ class FakeClient:
 def test_a_service_is_asked_for_its_calibration(
     files: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    document = told(*files, "--far-yaw") | {"calibration_id": 7, "calibration_method": "geometry", "notes": []}
+    document = reported(*files, "--far-yaw") | {"calibration_id": 7, "calibration_method": "geometry", "notes": []}
     client = FakeClient(document)
 
     @contextmanager

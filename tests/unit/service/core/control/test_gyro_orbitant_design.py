@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from service.core.control.gyro_orbitant import does_rate_tell_yaw, gyro_orbitant_torque
+from service.core.control.gyro_orbitant import does_rate_show_yaw, gyro_orbitant_torque
 from service.core.control.gyro_orbitant_design import gyro_orbitant_law, sampled_growth
 from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S, inertia_about_angles
 from service.core.dynamics.orbital_frame_model import OrbitalFrameGains
@@ -34,8 +34,8 @@ def flown_deg(gains: OrbitalFrameGains, period_s: float, delay: int, commands: i
     seen, greatest = [(angles, rates)] * (delay + 1), []
     for _ in range(commands):
         of, against = seen[-1 - delay]
-        told = np.degrees(against + np.array([0.0, 0.0, -W0]))
-        torque = gyro_orbitant_torque(math.degrees(of[1]), math.degrees(of[2]), told, law, math.inf)
+        reported = np.degrees(against + np.array([0.0, 0.0, -W0]))
+        torque = gyro_orbitant_torque(math.degrees(of[1]), math.degrees(of[2]), reported, law, math.inf)
         for _ in range(20):
             step = period_s / 20.0
             rates = rates + step * np.linalg.solve(TENSOR, torque)
@@ -59,10 +59,10 @@ def test_gains_that_are_taken_settle_and_those_that_are_refused_do_not(period_s:
 
 def test_growth_is_what_a_flight_shows() -> None:
     gains = gains_of(2400.0)
-    told = sampled_growth(TENSOR, gains, W0, 60.0)
+    reported = sampled_growth(TENSOR, gains, W0, 60.0)
     late = flown_deg(gains, 60.0, 1, 220)
     # a mode that oscillates shows its envelope, from one hour to the next; two modes are nearly as slow
-    assert told**60 == pytest.approx(max(late[160:220]) / max(late[100:160]), rel=0.2)
+    assert reported**60 == pytest.approx(max(late[160:220]) / max(late[100:160]), rel=0.2)
 
 
 @pytest.mark.parametrize(
@@ -95,5 +95,5 @@ def test_inertia_and_period_must_be_possible() -> None:
 )
 def test_the_roll_rate_tells_yaw_up_to_the_orbital_rate(roll: float, pitch: float, is_told: bool) -> None:
     rate = np.degrees(W0) * np.array([0.0, roll, pitch])
-    assert does_rate_tell_yaw(rate, np.radians(np.degrees(W0)) * (1.0 + 1e-12)) is is_told
-    assert not does_rate_tell_yaw(np.array([math.nan, roll, pitch]), W0)
+    assert does_rate_show_yaw(rate, np.radians(np.degrees(W0)) * (1.0 + 1e-12)) is is_told
+    assert not does_rate_show_yaw(np.array([math.nan, roll, pitch]), W0)

@@ -6,7 +6,7 @@ import pytest
 from service.core.control.envelope import Envelope, envelope_excesses
 from service.core.control.quaternion_law import GEOSTATIONARY_RATE_RAD_S, inertia_about_angles, loop_gains
 from service.core.control.slew_schedule import Drive, plan_slew, predicted_effect
-from service.core.control.tracking import tracking_wish
+from service.core.control.tracking import tracking_request
 
 INERTIA = np.diag([2600.0, 1400.0, 2600.0])
 DRIVE = Drive(0.05, 0.002, 0.1, 0.001)
@@ -26,8 +26,8 @@ def fly(start_deg, horizon_s, periods, sigma_deg, told_n_m=(0.0, 0.0, 0.0)):
         track.append(np.degrees(angle))
         seen_deg = np.degrees(angle) + rng.normal(size=3) * sigma_deg
         rate_deg_s = np.degrees(COUPLING @ angle + inertial)
-        wish = tracking_wish(GAINS, seen_deg, rate_deg_s, horizon_s, disturbance_n_m=told_n_m)
-        pulses = plan_slew(wish.angle_change_deg, wish.rate_deg_s, tensor, horizon_s, DRIVE)
+        request = tracking_request(GAINS, seen_deg, rate_deg_s, horizon_s, disturbance_n_m=told_n_m)
+        pulses = plan_slew(request.angle_change_deg, request.rate_deg_s, tensor, horizon_s, DRIVE)
         effect = predicted_effect(pulses, tensor, np.eye(3), horizon_s)
         sent.append(effect.gross_impulse_n_m_s)
         assert envelope_excesses(effect, (0.0, 0.0, 0.0), Envelope()) == ()
@@ -63,13 +63,13 @@ def test_without_noise_the_error_shrinks_by_its_share_each_period():
 
 
 def test_small_errors_are_left_alone_but_not_their_rate():
-    wish = tracking_wish(GAINS, [0.0, 0.004, 0.05], [0.0, 1e-5, 0.0], 1800.0, least_deg=0.01)
-    assert wish.angle_change_deg[1] == 0.0
-    assert wish.angle_change_deg[2] < 0.0
-    assert wish.rate_deg_s[1] == 1e-5
+    request = tracking_request(GAINS, [0.0, 0.004, 0.05], [0.0, 1e-5, 0.0], 1800.0, least_deg=0.01)
+    assert request.angle_change_deg[1] == 0.0
+    assert request.angle_change_deg[2] < 0.0
+    assert request.rate_deg_s[1] == 1e-5
 
 
 @pytest.mark.parametrize(("angles", "horizon_s"), [([0.0, float("nan"), 0.0], 600.0), ([0.0] * 3, 0.0)])
 def test_numbers_that_make_no_sense_are_refused(angles, horizon_s):
     with pytest.raises(ValueError, match="finite"):
-        tracking_wish(GAINS, angles, [0.0] * 3, horizon_s)
+        tracking_request(GAINS, angles, [0.0] * 3, horizon_s)

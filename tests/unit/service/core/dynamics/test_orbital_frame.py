@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from service.core.dynamics.orbital_frame_flight import (
     Start,
-    fly_craft,
+    fly_spacecraft,
     harmonic_amplitude,
     largest_after,
     time_within,
@@ -28,13 +28,13 @@ from service.core.dynamics.orbital_frame_model import (
     YAW_FIRST,
     AxisWheels,
     Computer,
-    Craft,
     Inertia,
     Law,
     OrbitalFrameGains,
+    OrbitalFrameSpacecraft,
     Tones,
     refusals,
-    rigid_craft,
+    rigid_spacecraft,
 )
 from service.core.dynamics.orbital_frame_step import body_rate, half_angles, inverse_inertia, times, wanted_torque
 
@@ -74,9 +74,9 @@ def test_tensor_and_its_inverse() -> None:
 
 
 def test_tumbling_without_gravity_keeps_the_inertial_momentum() -> None:
-    craft = rigid_craft(FREE, NOMINAL_INERTIA)._replace(has_gravity_torque=False)
+    craft = rigid_spacecraft(FREE, NOMINAL_INERTIA)._replace(has_gravity_torque=False)
     start = Start(20.0, -30.0, 40.0, rate_rad_s=(0.01, 0.02, -0.015))
-    short, long = fly_craft(craft, start, 0.125), fly_craft(craft, start, 3000.0)
+    short, long = fly_spacecraft(craft, start, 0.125), fly_spacecraft(craft, start, 3000.0)
     norm = [math.sqrt(sum(k**2 for k in flight.end[4:7])) for flight in (short, long)]
     assert norm[1] == pytest.approx(norm[0], rel=1e-10)
     # the printed equation dk/dt = w x k is the same motion with the rate reversed: it keeps the length, not the energy
@@ -92,7 +92,7 @@ def _tensor(j: Inertia) -> tuple[float, float, float, float, float, float]:
 
 
 def test_quaternion_stays_at_unit_length() -> None:
-    end = fly_craft(rigid_craft(), Start(yaw_deg=10.0), 100.0).end
+    end = fly_spacecraft(rigid_spacecraft(), Start(yaw_deg=10.0), 100.0).end
     assert math.fsum(part**2 for part in end[:4]) == pytest.approx(1.0, abs=1e-12)
 
 
@@ -134,7 +134,7 @@ def test_cogging_over_whole_turns_is_nothing() -> None:
 
 
 def test_tones_step_exactly() -> None:
-    craft = Craft(tones=Tones())
+    craft = OrbitalFrameSpacecraft(tones=Tones())
     steps = tone_steps(craft)
     omega = 2.0 * math.pi * craft.tones.yaw_hz[1]
     # against the differential equation in small steps
@@ -153,35 +153,35 @@ def test_tones_step_exactly() -> None:
 @pytest.mark.parametrize(
     ("craft", "named"),
     [
-        (rigid_craft(inertia=Inertia(xx=-1.0)), "inertia"),
-        (rigid_craft(inertia=Inertia(xy=7000.0)), "positive definite"),
-        (rigid_craft(inertia=Inertia(xx=20_000.0)), "triangle"),
-        (rigid_craft()._replace(law=Law(orbital_rate_rad_s=0.0)), "orbital_rate"),
-        (rigid_craft()._replace(computer=Computer(period_s=0.0)), "period_s"),
-        (rigid_craft()._replace(computer=Computer(torque_quantum_n_m=-1.0)), "torque_quantum"),
-        (rigid_craft()._replace(wheels=AxisWheels(inertia_kg_m2=0.0)), "wheels.inertia"),
-        (rigid_craft()._replace(tones=Tones(damping_ratio=0.0)), "damping_ratio"),
-        (rigid_craft(steps=0), "steps"),
+        (rigid_spacecraft(inertia=Inertia(xx=-1.0)), "inertia"),
+        (rigid_spacecraft(inertia=Inertia(xy=7000.0)), "positive definite"),
+        (rigid_spacecraft(inertia=Inertia(xx=20_000.0)), "triangle"),
+        (rigid_spacecraft()._replace(law=Law(orbital_rate_rad_s=0.0)), "orbital_rate"),
+        (rigid_spacecraft()._replace(computer=Computer(period_s=0.0)), "period_s"),
+        (rigid_spacecraft()._replace(computer=Computer(torque_quantum_n_m=-1.0)), "torque_quantum"),
+        (rigid_spacecraft()._replace(wheels=AxisWheels(inertia_kg_m2=0.0)), "wheels.inertia"),
+        (rigid_spacecraft()._replace(tones=Tones(damping_ratio=0.0)), "damping_ratio"),
+        (rigid_spacecraft(steps=0), "steps"),
     ],
 )
-def test_what_cannot_be_is_refused_by_name(craft: Craft, named: str) -> None:
+def test_what_cannot_be_is_refused_by_name(craft: OrbitalFrameSpacecraft, named: str) -> None:
     assert any(named in text for text in refusals(craft))
     with pytest.raises(ValueError, match=named):
-        fly_craft(craft, Start(), 10.0)
+        fly_spacecraft(craft, Start(), 10.0)
 
 
 @pytest.mark.parametrize("duration_s", [0.0, -1.0, math.nan, math.inf, 1e9])
 def test_durations_that_are_none(duration_s: float) -> None:
     with pytest.raises(ValueError, match="duration"):
-        fly_craft(rigid_craft(), Start(), duration_s)
+        fly_spacecraft(rigid_spacecraft(), Start(), duration_s)
 
 
 def test_printed_condition_is_refused_with_a_message_at_a_fast_roll() -> None:
     fast = Start(rate_rad_s=(2.0 * ORBITAL_RATE_RAD_S, ORBITAL_RATE_RAD_S, 0.0))
-    printed = rigid_craft()._replace(law=Law(is_guarded=False))
+    printed = rigid_spacecraft()._replace(law=Law(is_guarded=False))
     with pytest.raises(ValueError, match="nu0 of the printed law is imaginary"):
-        fly_craft(printed, fast, 100.0)
-    assert np.isfinite(fly_craft(rigid_craft(), fast, 100.0).yaw_deg).all()
+        fly_spacecraft(printed, fast, 100.0)
+    assert np.isfinite(fly_spacecraft(rigid_spacecraft(), fast, 100.0).yaw_deg).all()
 
 
 def test_figures_of_merit() -> None:
@@ -190,13 +190,13 @@ def test_figures_of_merit() -> None:
     assert time_within(time_s, np.zeros_like(time_s), 0.5) == 0.0
     wave = 0.3 * np.sin(2.0 * math.pi * time_s / 20.0) + 5.0 + 0.01 * time_s
     assert harmonic_amplitude(time_s, wave, 20.0) == pytest.approx(0.3, rel=1e-9)
-    flight = fly_craft(rigid_craft(), Start(yaw_deg=10.0), 20.0)
+    flight = fly_spacecraft(rigid_spacecraft(), Start(yaw_deg=10.0), 20.0)
     assert largest_after(flight, 0.0)[2] == pytest.approx(10.0, abs=0.05)
 
 
 def test_same_seed_same_flight() -> None:
-    craft = Craft()
-    one, same, other = (fly_craft(craft, Start(), 30.0, seed) for seed in (3, 3, 4))
+    craft = OrbitalFrameSpacecraft()
+    one, same, other = (fly_spacecraft(craft, Start(), 30.0, seed) for seed in (3, 3, 4))
     assert one.yaw_deg.tobytes() == same.yaw_deg.tobytes()
     assert one.yaw_deg.tobytes() != other.yaw_deg.tobytes()
     assert all(later > earlier for earlier, later in pairwise(one.time_s.tolist()))

@@ -114,9 +114,9 @@ def test_averages_follow_the_closed_form():
     noise = ColouredNoise(
         np.full(count, 0.155), np.tile([0.09, 0.05], (count, 1)), np.tile([1200.0, 36_000.0], (count, 1))
     )
-    told = averaged_crlb_deg(SENSITIVITY, noise, span_s, 60.0)
+    reported = averaged_crlb_deg(SENSITIVITY, noise, span_s, 60.0)
     dop = judge_set(SENSITIVITY, np.ones(count)).crlb_deg
-    for row, span in zip(told, span_s, strict=True):
+    for row, span in zip(reported, span_s, strict=True):
         variance = 0.155**2 / (span / 60.0)
         for sigma, tau in ((0.09, 1200.0), (0.05, 36_000.0)):
             x = span / tau
@@ -136,7 +136,7 @@ def test_an_average_of_drawn_noise_has_the_spread_told():
     design = np.column_stack([SENSITIVITY, np.ones(16)])
     solved = mean @ np.linalg.pinv(design).T
     noise = ColouredNoise(np.full(16, 0.155), np.full((16, 1), 0.09), np.full((16, 1), 1200.0))
-    told = averaged_crlb_deg(SENSITIVITY, noise, np.array([3600.0]), 60.0)[0]
-    print(f"seed {SEED}: {solved[:, :3].std(axis=0)} against {told}")
+    reported = averaged_crlb_deg(SENSITIVITY, noise, np.array([3600.0]), 60.0)[0]
+    print(f"seed {SEED}: {solved[:, :3].std(axis=0)} against {reported}")
     # a standard deviation of 4000 draws is good to 1.1 %; sixty samples against the continuous form differ by 1 %
-    assert solved[:, :3].std(axis=0) == pytest.approx(told, rel=0.05)
+    assert solved[:, :3].std(axis=0) == pytest.approx(reported, rel=0.05)

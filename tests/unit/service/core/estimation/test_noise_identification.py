@@ -25,7 +25,7 @@ def residuals(seed, rows, carriers, white, parts, *, common=NONE, step_s=60.0):
     return total - daily @ np.linalg.lstsq(daily, total, rcond=None)[0]
 
 
-def learn(seed, rows=4320, carriers=16, white=0.155, parts=NONE, step_s=60.0, **options):
+def update(seed, rows=4320, carriers=16, white=0.155, parts=NONE, step_s=60.0, **options):
     values = residuals(seed, rows, carriers, white, parts, step_s=step_s, **options)
     return identify_noise(values, np.arange(rows) * step_s)
 
@@ -33,7 +33,7 @@ def learn(seed, rows=4320, carriers=16, white=0.155, parts=NONE, step_s=60.0, **
 def test_sizes_come_back_from_three_days():
     """The four parts together look like flicker noise."""
     parts = np.array([0.06, 0.07, 0.08, 0.12])
-    found = [learn(seed, white=0.08, parts=parts) for seed in SEEDS]
+    found = [update(seed, white=0.08, parts=parts) for seed in SEEDS]
     mean = np.mean([noise.sigma_db.mean(axis=0) for noise in found], axis=0)
     each = np.mean([noise.sigma_db.std(axis=0) for noise in found], axis=0)
     print(f"seeds 0..9: sizes {mean}, scatter of carriers {each}")
@@ -45,7 +45,7 @@ def test_sizes_come_back_from_three_days():
 
 @pytest.mark.parametrize("carriers", [4, 16])
 def test_of_white_noise_no_part_comes_out(carriers):
-    found = [learn(seed, carriers=carriers) for seed in SEEDS]
+    found = [update(seed, carriers=carriers) for seed in SEEDS]
     largest = np.max([noise.sigma_db.max(axis=0) for noise in found], axis=0)
     print(f"seeds 0..9, {carriers} carriers: largest parts {largest}")
     # over 15 min white noise leaves 0.04 dB: none of these shows
@@ -56,7 +56,7 @@ def test_of_white_noise_no_part_comes_out(carriers):
 
 def test_what_carriers_share_is_told_apart():
     own, common = np.array([0.0, 0.09, 0.0, 0.0]), np.array([0.0, 0.0, 0.06, 0.06])
-    found = [learn(seed, parts=own, common=common) for seed in SEEDS]
+    found = [update(seed, parts=own, common=common) for seed in SEEDS]
     together = np.sqrt(np.mean([np.square(noise.common_db).sum() for noise in found]))
     mean = np.mean([noise.sigma_db.mean(axis=0) for noise in found], axis=0)
     print(f"seeds 0..9: common {together:.3f} of {np.sqrt((common**2).sum()):.3f}, own {mean}")
@@ -67,11 +67,11 @@ def test_what_carriers_share_is_told_apart():
 
 
 def test_what_six_hours_cannot_see_is_believed_in():
-    noise = learn(1, rows=360)
+    noise = update(1, rows=360)
     assert (noise.sigma_db[:, 2:] > 0.5 * UNSEEN_DB).all()
     assert (noise.sigma_db <= 1.2 * UNSEEN_DB).all()
     # three days exclude it
-    assert (learn(1).sigma_db[:, 2:] < 0.2 * UNSEEN_DB).all()
+    assert (update(1).sigma_db[:, 2:] < 0.2 * UNSEEN_DB).all()
 
 
 def test_a_carrier_seen_little_borrows_from_all():
@@ -102,7 +102,7 @@ def test_gaps_do_not_bias():
 
 
 def test_rows_of_five_minutes_tell_what_they_can():
-    noise = learn(2, rows=864, parts=(0.0, 0.09, 0.0, 0.1), step_s=300.0)
+    noise = update(2, rows=864, parts=(0.0, 0.09, 0.0, 0.1), step_s=300.0)
     slow = np.sqrt(np.square(noise.sigma_db[:, 1:]).sum(axis=1))
     assert slow.mean() == pytest.approx(np.hypot(0.09, 0.1), rel=0.2)
     # a part of 300 s looks nearly white to such rows

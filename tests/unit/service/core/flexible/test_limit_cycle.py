@@ -54,7 +54,7 @@ def test_a_wheel_near_its_limit_is_told():
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "reported"),
     [
         ({"inertia_kg_m2": 0.0}, "inertia_kg_m2"),
         ({"pulse_s": -1.0}, "pulse_s is -1"),
@@ -65,8 +65,8 @@ def test_a_wheel_near_its_limit_is_told():
         ({"external_torque_n_m": 1e-3}, "external_torque_n_m is 0.001"),
     ],
 )
-def test_what_is_not_physical_is_refused(changes, told):
-    with pytest.raises(ValueError, match=told):
+def test_what_is_not_physical_is_refused(changes, reported):
+    with pytest.raises(ValueError, match=reported):
         analyse_limit_cycle(**PLAIN | changes)
 
 

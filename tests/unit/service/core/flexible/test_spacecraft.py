@@ -21,7 +21,7 @@ def test_the_sense_of_the_rotor_does_not_change_magnitudes():
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "reported"),
     [
         ({"inertia_kg_m2": 0.0}, "inertia_kg_m2 is 0, it must be a finite number above 0"),
         ({"inertia_kg_m2": -5.0}, "inertia_kg_m2 is -5"),
@@ -33,8 +33,8 @@ def test_the_sense_of_the_rotor_does_not_change_magnitudes():
         ({"momentum_n_m_s": 21.0}, "momentum_n_m_s is 21, beyond momentum_limit_n_m_s 20; unload the wheel"),
     ],
 )
-def test_a_drive_that_cannot_exist_is_refused(changes, told):
-    with pytest.raises(ValueError, match=told):
+def test_a_drive_that_cannot_exist_is_refused(changes, reported):
+    with pytest.raises(ValueError, match=reported):
         require_drive(DRIVE._replace(**changes))
 
 
@@ -56,12 +56,12 @@ def test_a_question_may_allow_a_mode_without_damping():
 
 
 @pytest.mark.parametrize(
-    ("mode", "told"),
+    ("mode", "reported"),
     [
         (HubMode(0.0, 0.01, 0.4), "omega_rad_s is 0"),
         (HubMode(0.5, 0.01, -0.4), "coupling is -0.4"),
     ],
 )
-def test_a_mode_that_cannot_swing_is_refused(mode, told):
-    with pytest.raises(ValueError, match=told):
+def test_a_mode_that_cannot_swing_is_refused(mode, reported):
+    with pytest.raises(ValueError, match=reported):
         require_mode(mode)

@@ -15,7 +15,7 @@ LAW = SwitchingLaw(0.0175, 0.0349, 1.0, 3, 3e-3)
 
 
 @pytest.mark.parametrize(
-    ("drive", "law", "told"),
+    ("drive", "law", "reported"),
     [
         (DRIVE._replace(external_torque_n_m=1e-5), LAW, "external_torque_n_m is 1e-05: momentum drifts"),
         (DRIVE._replace(dry_friction_n_m=0.0, viscous_loss_n_m=0.0), LAW, "neither dry nor viscous friction"),
@@ -23,8 +23,8 @@ LAW = SwitchingLaw(0.0175, 0.0349, 1.0, 3, 3e-3)
         (DRIVE, LAW._replace(alpha_rad=0.05), "alpha_rad 0.05 is not at or below"),
     ],
 )
-def test_what_has_no_one_sided_cycle_is_refused(drive, law, told):
-    with pytest.raises(ValueError, match=told):
+def test_what_has_no_one_sided_cycle_is_refused(drive, law, reported):
+    with pytest.raises(ValueError, match=reported):
         one_sided_motion(drive, law)
 
 

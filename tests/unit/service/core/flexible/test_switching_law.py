@@ -61,7 +61,7 @@ def test_after_a_pulse(counter, arm):
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "reported"),
     [
         ({"alpha_rad": 0.04}, "alpha_rad 0.04 is not at or below beta_rad 0.0349"),
         ({"alpha_rad": 0.0}, "alpha_rad is 0"),
@@ -73,8 +73,8 @@ def test_after_a_pulse(counter, arm):
         ({"line_step_rad": -1e-3}, "line_step_rad is -0.001"),
     ],
 )
-def test_a_law_that_cannot_switch_is_refused(changes, told):
-    with pytest.raises(ValueError, match=told):
+def test_a_law_that_cannot_switch_is_refused(changes, reported):
+    with pytest.raises(ValueError, match=reported):
         require_law(LAW._replace(**changes))
 
 

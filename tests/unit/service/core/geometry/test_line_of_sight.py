@@ -8,7 +8,7 @@ from analyzer_sim.world.orbit.orbit import Orbit
 from analyzer_sim.world.payload.carriers import PLANS
 from analyzer_sim.world.payload.payload import plan_positions_km
 from service.core.geometry.line_of_sight import (
-    Places,
+    Positions,
     PredictedTrack,
     antenna_motion_deg,
     sight_motion_deg,
@@ -38,21 +38,23 @@ def topocentric_deg(latitude_deg, longitude_deg, height_m, satellite_deg):
 @pytest.mark.parametrize(("latitude_deg", "longitude_deg"), [(55.75, 37.6), (46.96, 142.7), (-33.0, 80.0)])
 def test_length_of_the_motion_is_that_of_the_topocentric_angles(latitude_deg, longitude_deg):
     """The arc between two places in the sky does not depend on the axes that measure it."""
-    station = Places(np.array([latitude_deg]), np.array([longitude_deg]), np.array([120.0]))
+    station = Positions(np.array([latitude_deg]), np.array([longitude_deg]), np.array([120.0]))
     nominal = topocentric_deg(latitude_deg, longitude_deg, 120.0, np.array([0.0, 90.0]))
-    for place in ([0.05, 90.03], [-0.04, 90.0], [0.0, 89.95]):
-        azimuth, elevation = topocentric_deg(latitude_deg, longitude_deg, 120.0, np.array(place))
+    for position in ([0.05, 90.03], [-0.04, 90.0], [0.0, 89.95]):
+        azimuth, elevation = topocentric_deg(latitude_deg, longitude_deg, 120.0, np.array(position))
         across = (azimuth - nominal[0]) * np.cos(np.radians(nominal[1]))
         arc = np.hypot(across, elevation - nominal[1])
-        motion = sight_motion_deg(np.array([place]), station, 90.0)[0, 0]
+        motion = sight_motion_deg(np.array([position]), station, 90.0)[0, 0]
         # plane against sphere: second order in 0.06 deg times the tangent of the elevation
         assert np.hypot(*motion) == pytest.approx(arc, rel=2e-3)
 
 
 def test_moving_east_is_positive_and_moving_north_is_up_or_tilted():
     """Below the satellite East is along and North is across."""
-    below = Places(np.zeros(1), np.array([90.0]), np.zeros(1))
-    east, north = (sight_motion_deg(np.array([place]), below, 90.0)[0, 0] for place in ([0.0, 90.01], [0.01, 90.0]))
+    below = Positions(np.zeros(1), np.array([90.0]), np.zeros(1))
+    east, north = (
+        sight_motion_deg(np.array([position]), below, 90.0)[0, 0] for position in ([0.0, 90.01], [0.01, 90.0])
+    )
     # 42164 / 35786 is the ratio of the distances from the centre and from the station
     assert east == pytest.approx([0.01 * 42164.172 / 35786.035, 0.0], abs=1e-6)
     assert north == pytest.approx([0.0, 0.01 * 42164.172 / 35786.035], abs=1e-6)
@@ -89,7 +91,7 @@ def test_antenna_motion_is_that_of_the_simulated_satellite():
     epochs_us = np.arange(0, 2 * 86_400_000_000, 3_600_000_000, dtype=np.int64)
     plan = PLANS["ku16"]
     stations = [carrier.station for carrier in plan.carriers] + [plan.receiving_site]
-    places = Places(
+    positions = Positions(
         *(np.array([getattr(s, name) for s in stations]) for name in ("latitude_deg", "longitude_deg", "height_m"))
     )
     still = Orbit(90.0, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -99,7 +101,7 @@ def test_antenna_motion_is_that_of_the_simulated_satellite():
         )
         for o in (orbit, still)
     ]
-    motion = antenna_motion_deg(track, epochs_us, places, 90.0)
+    motion = antenna_motion_deg(track, epochs_us, positions, 90.0)
     print(f"seed {SEED}: largest antenna motion {np.abs(motion).max():.4f} deg")
     assert np.abs(motion).max() > 0.005, "the orbit must move for the claim to mean anything"
     # distance: eccentricity 2.2e-4 times elevation 8.6 deg

@@ -54,10 +54,10 @@ def test_attitude_there_and_back(yaw: float, roll: float, pitch: float) -> None:
     assert attitude_of_quaternion(quaternion) == pytest.approx(attitude_deg, abs=1e-11)
 
 
-@pytest.mark.parametrize(("axis", "place"), [(0, 1), (1, 2), (2, 0)], ids=["roll", "pitch", "yaw"])
-def test_small_angles_stand_at_the_place_of_their_axis(axis: int, place: int) -> None:
+@pytest.mark.parametrize(("axis", "position"), [(0, 1), (1, 2), (2, 0)], ids=["roll", "pitch", "yaw"])
+def test_small_angles_stand_at_the_place_of_their_axis(axis: int, position: int) -> None:
     attitude_deg = np.zeros(3)
-    attitude_deg[place] = 0.4
+    attitude_deg[position] = 0.4
     quaternion = quaternion_of_attitude(attitude_deg)
     assert quaternion[axis] == pytest.approx(np.sin(np.radians(0.2)), abs=1e-15)
     assert np.delete(quaternion, axis) == pytest.approx([0.0, 0.0, np.cos(np.radians(0.2))], abs=1e-15)

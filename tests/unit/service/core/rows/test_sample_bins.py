@@ -20,21 +20,21 @@ def test_every_row_is_counted_once_in_its_interval(seed: int, count: int, rows: 
     cut = rng.integers(0, rows + 1)
     bins.add(epochs_us[:cut], values[:cut])
     bins.add(epochs_us[cut:], values[cut:])
-    places = np.array([(each - start_us) * count // span_us for each in epochs_us.tolist()])
+    positions = np.array([(each - start_us) * count // span_us for each in epochs_us.tolist()])
     for column in range(2):
         samples = bins.samples(column)
-        told = zip(samples.starts_us.tolist(), samples.counts.tolist(), strict=True)
+        reported = zip(samples.starts_us.tolist(), samples.counts.tolist(), strict=True)
         held = values[:, column]
         wanted = []
-        for place in range(count):
-            inside = (places == place) & np.isfinite(held)
+        for position in range(count):
+            inside = (positions == position) & np.isfinite(held)
             if inside.any():
-                begin = start_us + -(-place * span_us // count)
+                begin = start_us + -(-position * span_us // count)
                 wanted.append((begin, int(inside.sum())))
-        assert list(told) == wanted
+        assert list(reported) == wanted
         for k, begin_us in enumerate(samples.starts_us.tolist()):
-            place = (begin_us - start_us) * count // span_us
-            inside = (places == place) & np.isfinite(held)
+            position = (begin_us - start_us) * count // span_us
+            inside = (positions == position) & np.isfinite(held)
             # float64 sums of float32: the order of adding changes the last digits
             assert samples.means[k] == pytest.approx(held[inside].astype(float).mean(), rel=1e-12, abs=1e-12)
             assert samples.minima[k] == held[inside].min()

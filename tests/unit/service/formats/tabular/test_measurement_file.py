@@ -128,7 +128,7 @@ def test_two_sources_that_take_turns_make_the_same_file_however_rows_come(
     whole = _block(1, 1500)
     rows = [replace(whole.part(k, k + 1), sources=(f"sa-{k % 2}",)) for k in range(1500)]
     written = _written(measurement_file(_columns(1), file_format), rows)
-    together = replace(whole, sources=("sa-1", "sa-0"), source_places=1 - np.arange(1500) % 2)
+    together = replace(whole, sources=("sa-1", "sa-0"), source_positions=1 - np.arange(1500) % 2)
     assert _written(measurement_file(_columns(1), file_format), [together.part(0, 700), together.part(700, 1500)]) == (
         written
     )

@@ -76,13 +76,13 @@ def test_lines_of_json_hold_null_for_what_is_absent() -> None:
 def test_what_stands_after_the_epoch_is_chosen_row_by_row() -> None:
     values = np.array([[-42.1], [np.nan], [1e-30]], dtype=np.float32)
     frame = RowFrame(b"", (b",a", b",longer", b""), (b",",), b"", b";")
-    places = np.array([1, 0, 2])
+    positions = np.array([1, 0, 2])
     text = "1970-01-01T00:00:00.000000Z,longer,-42.1;1970-01-01T00:00:00.000001Z,a,;"
-    assert COMPILED.rows(np.arange(2), values[:2], frame, places[:2]).decode() == text
-    assert plain_rows(np.arange(2), values[:2], frame, places[:2]).decode() == text
+    assert COMPILED.rows(np.arange(2), values[:2], frame, positions[:2]).decode() == text
+    assert plain_rows(np.arange(2), values[:2], frame, positions[:2]).decode() == text
     # the last value is for the way without a compiler alone
     whole = f"{text}1970-01-01T00:00:00.000002Z,1e-30;"
-    assert COMPILED.rows(np.arange(3), values, frame, places).decode() == whole
+    assert COMPILED.rows(np.arange(3), values, frame, positions).decode() == whole
 
 
 def test_nothing_gives_nothing() -> None:

@@ -51,7 +51,7 @@ class Script:
         self.closed = 0
         self.configured: list[str] = []
         self.taken = 0
-        self.remarks: list[AnalyzerMessage] = []
+        self.analyzer_messages: list[AnalyzerMessage] = []
         self.released = 0
         self.abandoned = 0
         self.level_part = 1.0
@@ -81,7 +81,7 @@ class ScriptedDriver:
     def __init__(self, script: Script) -> None:
         self._script = script
         self.features = Features(has_status=True, has_dwell_epoch=True, has_clock=True)
-        self.remarks = script.remarks
+        self.analyzer_messages = script.analyzer_messages
 
     def preset(self) -> None:
         pass
@@ -256,12 +256,12 @@ def test_an_overrun_is_counted_and_not_caught_up(monkeypatch: pytest.MonkeyPatch
 
 def test_what_the_analyzer_remarks_is_logged(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
     script = Script()
-    script.remarks.append(AnalyzerMessage(-222, "Data out of range"))
+    script.analyzer_messages.append(AnalyzerMessage(-222, "Data out of range"))
     made, rows, _ = acquisition(monkeypatch, script)
     while not rows:
         made.step()
     assert "analyzer says -222 Data out of range" in caplog.text
-    assert script.remarks == []
+    assert script.analyzer_messages == []
 
 
 def test_a_shared_analyzer_is_given_back_after_every_cycle_and_configured_before_every_sweep(
@@ -305,11 +305,11 @@ def test_an_order_to_rest_and_to_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(made.orders, "wait", lambda *_: None)
     while not rows:
         made.step()
-    made.orders.obey(is_enabled=False, resets=0)
+    made.orders.apply(is_enabled=False, resets=0)
     assert [made.step() for _ in range(3)] == [AcquisitionState.DISABLED] * 3
     assert script.closed == 1
     assert len(rows) == 1
-    made.orders.obey(is_enabled=True, resets=0)
+    made.orders.apply(is_enabled=True, resets=0)
     assert made.step() is AcquisitionState.CONNECT
     while len(rows) < 2:
         made.step()
@@ -321,12 +321,12 @@ def test_a_reset_closes_the_session_clears_the_waits_and_keeps_the_counters(monk
     made, rows, _ = acquisition(monkeypatch, script)
     while not rows:
         made.step()
-    made.orders.obey(is_enabled=True, resets=0)
-    made.orders.obey(is_enabled=True, resets=3)
+    made.orders.apply(is_enabled=True, resets=0)
+    made.orders.apply(is_enabled=True, resets=3)
     assert made.step() is AcquisitionState.CONNECT
     assert script.closed == 1
     assert made.orders.resets_seen == 3
-    made.orders.obey(is_enabled=True, resets=3)
+    made.orders.apply(is_enabled=True, resets=3)
     while len(rows) < 3:
         made.step()
     assert (made.counters.resets, made.counters.sessions, made.counters.rows) == (1, 2, 3)
@@ -341,9 +341,9 @@ def test_an_order_ends_a_long_wait(monkeypatch: pytest.MonkeyPatch) -> None:
     thread.start()
     while made.counters.faults < 1:
         thread.join(0.005)
-    made.orders.obey(is_enabled=True, resets=0)
+    made.orders.apply(is_enabled=True, resets=0)
     for resets in (1, 2):
-        made.orders.obey(is_enabled=True, resets=resets)
+        made.orders.apply(is_enabled=True, resets=resets)
         while made.counters.resets < resets:
             thread.join(0.005)
     while not rows:
@@ -359,14 +359,14 @@ def test_an_action_that_hangs_is_noticed_shown_and_its_line_cut(monkeypatch: pyt
     while not rows:
         made.step()
     now_s = module.time.monotonic()
-    made.look()
+    made.poll()
     assert (made.is_stuck, made.counters.stuck) == (False, 0)
     made._allow(100.0)
     monkeypatch.setattr(module.time, "monotonic", lambda: now_s + 200.0)
     assert made.is_stuck
     assert [each["code"] for each in made.warnings] == ["analyzer.stuck"]
-    made.look()
-    made.look()
+    made.poll()
+    made.poll()
     assert (script.abandoned, made.counters.stuck) == (1, 1)
 
 

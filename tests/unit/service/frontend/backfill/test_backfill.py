@@ -48,9 +48,9 @@ class Archive:
         if callable(failure) and (answer := failure(body)) is not None:
             return answer
         refused, duplicates = [], 0
-        for place, each in enumerate(body["measurements"]):
+        for position, each in enumerate(body["measurements"]):
             if each["power_dbm"][0] == 99.0:
-                refused.append({"index": place, "code": "value.out_of_range", "detail": "99 dBm"})
+                refused.append({"index": position, "code": "value.out_of_range", "detail": "99 dBm"})
             elif each["epoch"] in self.rows:
                 duplicates += 1
             else:
@@ -157,9 +157,9 @@ def test_bodies_that_are_too_long_are_halved_and_rows_at_fault_refused_alone(tmp
     def judge(body: dict[str, Any]) -> httpx.Response | None:
         if len(body["measurements"]) > 2:
             return httpx.Response(413, json={"code": "body.too_large"})
-        for place, each in enumerate(body["measurements"]):
+        for position, each in enumerate(body["measurements"]):
             if each["power_dbm"][0] == -41.0:
-                errors = [{"pointer": f"/measurements/{place}/power_dbm/0", "code": "x", "detail": "y"}]
+                errors = [{"pointer": f"/measurements/{position}/power_dbm/0", "code": "x", "detail": "y"}]
                 return httpx.Response(422, json={"code": "value.type", "detail": "bad", "errors": errors})
         return None
 

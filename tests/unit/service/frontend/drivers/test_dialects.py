@@ -56,7 +56,7 @@ def test_a_trace_of_every_family_is_read_in_dbm(name: str) -> None:
 def test_nothing_that_makes_a_level_is_left_to_chance(name: str, sent: list[str]) -> None:
     session = ScriptedSession(name)
     driver(session, name)
-    assert [each for each in sent if each not in session.told] == []
+    assert [each for each in sent if each not in session.reported] == []
     for each in sent:
         header, _, value = each.partition(" ")
         assert session.values[header] == value
@@ -74,7 +74,7 @@ def test_nothing_that_makes_a_level_is_left_to_chance(name: str, sent: list[str]
 def test_settings_of_the_input(name: str, sent: str) -> None:
     session = ScriptedSession(name)
     driver(session, name).configure(SWEEP, PATH)
-    assert any(told.endswith(sent) for told in session.told)
+    assert any(reported.endswith(sent) for reported in session.reported)
 
 
 @pytest.mark.parametrize("header", [":UNIT:POW", ":DET:TRAC", ":AVER:TYPE", ":TRAC:TYPE"])
@@ -106,11 +106,11 @@ def test_only_changed_settings_are_sent_again() -> None:
     session = ScriptedSession()
     made = driver(session, "rs")
     made.configure(SWEEP, InputPart())
-    session.told.clear()
+    session.reported.clear()
     made.configure(SWEEP, InputPart())
-    assert not any("FREQ:STAR " in told for told in session.told)
+    assert not any("FREQ:STAR " in reported for reported in session.reported)
     made.configure(SWEEP.model_copy(update={"rbw_hz": 30e3}), InputPart(ref_level_dbm=-30.0, attenuation_db=10.0))
-    assert ":BAND 30000;:BAND:VID 300000;:DISP:TRAC:Y:RLEV -30;:INP:ATT 10" in session.told
+    assert ":BAND 30000;:BAND:VID 300000;:DISP:TRAC:Y:RLEV -30;:INP:ATT 10" in session.reported
 
 
 def test_coupled_time_is_not_taken_for_a_time_sent_before() -> None:
@@ -118,9 +118,9 @@ def test_coupled_time_is_not_taken_for_a_time_sent_before() -> None:
     made = driver(session, "rs")
     made.configure(SWEEP, InputPart())
     made.configure(SWEEP.model_copy(update={"time_s": None}), InputPart())
-    session.told.clear()
+    session.reported.clear()
     made.configure(SWEEP, InputPart())
-    assert any(":SWE:TIME 2" in told for told in session.told)
+    assert any(":SWE:TIME 2" in reported for reported in session.reported)
 
 
 def test_other_points_than_asked_for_are_used_and_flagged() -> None:
@@ -152,14 +152,14 @@ def test_a_siglent_is_asked_for_the_end_of_its_sweep() -> None:
     made = driver(session, "siglent")
     made.configure(SWEEP, InputPart())
     made.take(SWEEP)
-    assert not any("SWE:STAT" in told for told in session.told[-2:])
+    assert not any("SWE:STAT" in reported for reported in session.reported[-2:])
     answers = iter(["1", "0", "0", "1", "1"])
     session.answer = lambda header: next(answers) if header.startswith(":TRAC:SWE:STAT") else None
     made.preset()
     made.configure(SWEEP, InputPart())
-    session.told.clear()
+    session.reported.clear()
     made.take(SWEEP)
-    assert [told for told in session.told if "SWE:STAT" in told] == [":TRAC:SWE:STAT? 1"] * 3
+    assert [reported for reported in session.reported if "SWE:STAT" in reported] == [":TRAC:SWE:STAT? 1"] * 3
 
 
 def test_an_anritsu_without_a_trace_yet_says_so() -> None:

@@ -33,8 +33,8 @@ def driver(session: ScriptedSession, dialect: Dialect = RS, *, use_analyzer_cloc
     return made
 
 
-def level_dbm(power_mw: np.ndarray, place: int = 0) -> float:
-    return float(10 * np.log10(power_mw[place]))
+def level_dbm(power_mw: np.ndarray, position: int = 0) -> float:
+    return float(10 * np.log10(power_mw[position]))
 
 
 def test_a_sweep_gives_milliwatts_and_the_analyzers_own_settings() -> None:
@@ -66,10 +66,10 @@ def test_a_refused_sweep_gives_no_trace() -> None:
 def test_a_clamped_setting_is_a_remark() -> None:
     session = ScriptedSession()
     made = driver(session)
-    made.remarks.clear()
+    made.analyzer_messages.clear()
     session.queue.append('-222,"Data out of range"')
     made.take(SWEEP)
-    assert [remark.code for remark in made.remarks] == [-222]
+    assert [remark.code for remark in made.analyzer_messages] == [-222]
 
 
 def test_status_bits() -> None:
@@ -122,7 +122,7 @@ def test_real_format_refused_means_text() -> None:
     session = ScriptedSession()
     session.stuck[":FORM"] = "ASC,0"
     assert level_dbm(driver(session).take(SWEEP).power_mw) == pytest.approx(-90.0, abs=1e-5)
-    assert ":FORM ASC" in session.told
+    assert ":FORM ASC" in session.reported
 
 
 def test_a_block_of_doubles_falls_back_to_text() -> None:
@@ -131,7 +131,7 @@ def test_a_block_of_doubles_falls_back_to_text() -> None:
     made = driver(session)
     assert level_dbm(made.take(SWEEP).power_mw) == pytest.approx(-90.0, abs=1e-5)
     assert level_dbm(made.take(SWEEP).power_mw) == pytest.approx(-90.0, abs=1e-5)
-    assert session.told.count(":FORM ASC") == 1
+    assert session.reported.count(":FORM ASC") == 1
 
 
 def test_a_missing_answer_is_a_broken_session() -> None:

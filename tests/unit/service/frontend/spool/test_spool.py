@@ -157,7 +157,7 @@ def test_refused_rows_are_kept_apart_bounded_and_counted(tmp_path: Path) -> None
         for number in range(6):
             made.append(row(number))
         rows = made.batch(UploadLane.LIVE, 0, 10)
-        made.settle(rows, {place: ("time.future", f"row {place}") for place in range(1, 6)})
+        made.settle(rows, {position: ("time.future", f"row {position}") for position in range(1, 6)})
         assert made.state.refused == 5
         assert made.waiting == 0
         kept = made._disk.file.connection.execute("SELECT seq, epoch_us, code, detail FROM refused").fetchall()

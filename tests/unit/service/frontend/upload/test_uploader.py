@@ -24,10 +24,10 @@ def test_rows_go_in_order_with_their_first_number(rows: Spool) -> None:
     assert seqs(service) == [(1, 3), (4, 3), (7, 1)]
     assert made.counters.accepted == 7
     assert (service.posts[0]["source"], service.posts[0]["plan_id"]) == ("sa-1", 3)
-    told = service.posts[0]["measurements"][0]
-    assert told["power_dbm"] == [-40.0, None]
-    assert told["flags"] == [0, 16]
-    assert told["sigma_db"] == told["c_n0_db_hz"] == [0.5, 0.5]
+    reported = service.posts[0]["measurements"][0]
+    assert reported["power_dbm"] == [-40.0, None]
+    assert reported["flags"] == [0, 16]
+    assert reported["sigma_db"] == reported["c_n0_db_hz"] == [0.5, 0.5]
 
 
 def test_a_new_plan_is_fetched_when_the_old_one_is_unknown(rows: Spool) -> None:

@@ -75,9 +75,9 @@ def test_refused_rows_are_named_counted_and_kept(rows: Spool, caplog: pytest.Log
 
 def test_a_row_that_cannot_be_read_does_not_block_the_others(rows: Spool) -> None:
     def judge(body: dict[str, Any]) -> httpx.Response:
-        for place, each in enumerate(body["measurements"]):
+        for position, each in enumerate(body["measurements"]):
             if each["epoch"].endswith("03Z"):
-                return problem(422, "value.type", f"/measurements/{place}/power_dbm/0")
+                return problem(422, "value.type", f"/measurements/{position}/power_dbm/0")
         return accept(body)
 
     service = Service(*[judge] * 10)

@@ -9,7 +9,7 @@ from service.pipeline.alarms.alarm_engine import AlarmEngine, Readings
 from service.pipeline.alarms.condition import AlarmCondition, Kind, Origin
 from service.pipeline.alarms.conditions import condition_table
 from service.pipeline.alarms.limit_sets import AlarmContext
-from service.pipeline.alarms.transitions import told_in_words
+from service.pipeline.alarms.transitions import described
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.records.operations.alarm import ChangeKind, Cover, Handling, Process, Severity
 from service.records.operations.alarm_limits import AlarmLimits, ConditionLimits
@@ -31,10 +31,10 @@ THINGS = ("c0", "c1")
 KEY = ("carrier_level", "c0")
 
 
-def tell(book, minute, *values, things=THINGS, **more):
+def report(engine, minute, *values, things=THINGS, **more):
     """Tell values of a minute and return what changes."""
     readings = Readings("carrier_level", things, np.array(values), **more)
-    return book.observe(readings, minute * 60 * S)
+    return engine.observe(readings, minute * 60 * S)
 
 
 def kinds(changes):
@@ -46,17 +46,17 @@ def by(name="anna", minute=10):
 
 
 @pytest.fixture
-def book():
+def engine():
     return AlarmEngine("craft", CONDITIONS)
 
 
 @pytest.fixture
-def raised(book):
+def raised(engine):
     """A book with an alarm about the first carrier, raised at minute 1."""
-    assert tell(book, 0, 4.0, 0.0) == []
-    (change,) = tell(book, 1, 4.25, 0.0, notes={"c0": "rain"})
+    assert report(engine, 0, 4.0, 0.0) == []
+    (change,) = report(engine, 1, 4.25, 0.0, notes={"c0": "rain"})
     assert change.is_told
-    return book
+    return engine
 
 
 def test_an_alarm_says_what_happened_to_which_thing_since_when_and_by_how_much(raised):
@@ -91,7 +91,7 @@ def test_an_alarm_says_what_happened_to_which_thing_since_when_and_by_how_much(r
 def test_an_alarm_is_a_plain_sentence_with_value_and_limit(raised, name, thing, value, limit, words):
     condition = condition_table(AlarmConfig(), RobustConfig())[name]
     alarm = replace(raised.open_alarms[KEY], thing=thing, value=value, limit=limit, unit=condition.unit)
-    assert told_in_words(alarm, condition, "").detail == words
+    assert described(alarm, condition, "").detail == words
 
 
 def test_every_text_names_the_thing_and_the_value_once():
@@ -101,9 +101,9 @@ def test_every_text_names_the_thing_and_the_value_once():
         assert (condition.says.count("{thing}"), condition.says.count("{value}")) == (1, values), condition.name
 
 
-def test_each_thing_has_an_alarm_of_its_own(book):
-    tell(book, 0, 4.0, 7.0)
-    changes = tell(book, 1, 4.0, 7.0)
+def test_each_thing_has_an_alarm_of_its_own(engine):
+    report(engine, 0, 4.0, 7.0)
+    changes = report(engine, 1, 4.0, 7.0)
     assert [(change.alarm.thing, change.alarm.severity.word) for change in changes] == [
         ("c0", "warning"),
         ("c1", "critical"),
@@ -112,8 +112,8 @@ def test_each_thing_has_an_alarm_of_its_own(book):
 
 def test_a_worse_alarm_must_be_acknowledged_again(raised):
     raised.acknowledge(KEY, by())
-    tell(raised, 11, 7.0, 0.0)
-    (change,) = tell(raised, 12, 7.0, 0.0)
+    report(raised, 11, 7.0, 0.0)
+    (change,) = report(raised, 12, 7.0, 0.0)
     assert (change.kind, change.is_told) == (ChangeKind.ESCALATED, True)
     assert (change.alarm.process, change.alarm.severity) == (Process.UNACKNOWLEDGED, Severity.CRITICAL)
     assert (change.alarm.value, change.alarm.limit, change.alarm.since_us) == (7.0, 6.0, 0)
@@ -121,23 +121,23 @@ def test_a_worse_alarm_must_be_acknowledged_again(raised):
 
 
 def test_what_returns_unseen_waits_for_its_acknowledgement_and_the_same_alarm_comes_back(raised):
-    tell(raised, 2, 0.0, 0.0)
-    (change,) = tell(raised, 3, 0.0, 0.0)
+    report(raised, 2, 0.0, 0.0)
+    (change,) = report(raised, 3, 0.0, 0.0)
     assert (change.kind, change.alarm.process, change.alarm.returned_at_us) == (
         ChangeKind.RETURNED,
         Process.RETURNED,
         180 * S,
     )
-    tell(raised, 4, 4.0, 0.0)
-    (back,) = tell(raised, 5, 4.0, 0.0)
+    report(raised, 4, 4.0, 0.0)
+    (back,) = report(raised, 5, 4.0, 0.0)
     assert (back.kind, back.alarm.process, back.alarm.count) == (ChangeKind.RAISED, Process.UNACKNOWLEDGED, 2)
     assert (back.alarm.since_us, back.alarm.raised_at_us, back.alarm.returned_at_us) == (240 * S, 60 * S, None)
 
 
 def test_an_acknowledged_alarm_closes_when_the_condition_is_gone(raised):
     raised.acknowledge(KEY, by())
-    tell(raised, 11, 0.0, 0.0)
-    (change,) = tell(raised, 12, 0.0, 0.0)
+    report(raised, 11, 0.0, 0.0)
+    (change,) = report(raised, 12, 0.0, 0.0)
     assert (change.alarm.process, change.alarm.is_open) == (Process.NORMAL, False)
     assert KEY not in raised.open_alarms
     assert raised.watches() == ()
@@ -146,8 +146,8 @@ def test_an_acknowledged_alarm_closes_when_the_condition_is_gone(raised):
 def test_nobody_is_told_of_a_shelved_alarm_until_its_time_is_over(raised):
     shelved = raised.shelve(KEY, by(), 60 * 60 * S)
     assert (shelved.alarm.state, shelved.is_told) == ("shelved", False)
-    tell(raised, 11, 7.0, 0.0)
-    (worse,) = tell(raised, 12, 7.0, 0.0)
+    report(raised, 11, 7.0, 0.0)
+    (worse,) = report(raised, 12, 7.0, 0.0)
     assert (worse.kind, worse.is_told, worse.alarm.state) == (ChangeKind.ESCALATED, False, "shelved")
     assert raised.pass_time(59 * 60 * S) == []
     (back,) = raised.pass_time(60 * 60 * S)
@@ -157,14 +157,14 @@ def test_nobody_is_told_of_a_shelved_alarm_until_its_time_is_over(raised):
 
 def test_a_shelved_alarm_that_is_gone_stays_shelved_and_closes_with_its_time(raised):
     raised.shelve(KEY, by(), 60 * 60 * S)
-    tell(raised, 11, 0.0, 0.0)
-    (gone,) = tell(raised, 12, 0.0, 0.0)
+    report(raised, 11, 0.0, 0.0)
+    (gone,) = report(raised, 12, 0.0, 0.0)
     assert (gone.alarm.process, gone.alarm.state, gone.is_told) == (Process.NORMAL, "shelved", False)
-    tell(raised, 13, 4.0, 0.0)
-    (again,) = tell(raised, 14, 4.0, 0.0)
+    report(raised, 13, 4.0, 0.0)
+    (again,) = report(raised, 14, 4.0, 0.0)
     assert (again.is_told, again.alarm.count) == (False, 2)
-    tell(raised, 15, 0.0, 0.0)
-    tell(raised, 16, 0.0, 0.0)
+    report(raised, 15, 0.0, 0.0)
+    report(raised, 16, 0.0, 0.0)
     (closed,) = raised.pass_time(60 * 60 * S)
     assert (closed.alarm.is_open, closed.is_told) == (False, False)
 
@@ -185,8 +185,8 @@ def test_an_operator_ends_a_shelving(raised):
 def test_what_is_cleared_while_it_stands_alarms_anew_after_its_time(raised):
     change = raised.clear(KEY, by())
     assert (change.alarm.is_open, change.alarm.cleared) == (False, by())
-    assert tell(raised, 11, 4.0, 0.0) == []
-    (new,) = tell(raised, 12, 4.0, 0.0)
+    assert report(raised, 11, 4.0, 0.0) == []
+    (new,) = report(raised, 12, 4.0, 0.0)
     assert (new.kind, new.alarm.count, new.alarm.raised_at_us) == (ChangeKind.RAISED, 1, 720 * S)
 
 
@@ -209,8 +209,8 @@ def test_a_declared_operation_suppresses_what_stands_and_what_comes(raised):
     quiet = AlarmContext(quiet_carriers=frozenset(THINGS))
     (change,) = raised.enter(quiet, 120 * S)
     assert (change.kind, change.alarm.state, change.is_told) == (ChangeKind.SUPPRESSED, "suppressed", False)
-    tell(raised, 3, 4.0, 4.0)
-    (new,) = tell(raised, 4, 4.0, 4.0)
+    report(raised, 3, 4.0, 4.0)
+    (new,) = report(raised, 4, 4.0, 4.0)
     assert (new.alarm.thing, new.alarm.state, new.is_told) == ("c1", "suppressed", False)
     assert raised.pass_time(1000 * 60 * S) == []
     released = raised.enter(AlarmContext(), 1001 * 60 * S)
@@ -222,8 +222,8 @@ def test_a_declared_operation_suppresses_what_stands_and_what_comes(raised):
 
 def test_what_is_gone_while_it_was_suppressed_is_closed(raised):
     raised.enter(AlarmContext(quiet_carriers=frozenset(THINGS)), 120 * S)
-    tell(raised, 3, 0.0, 0.0)
-    (gone,) = tell(raised, 4, 0.0, 0.0)
+    report(raised, 3, 0.0, 0.0)
+    (gone,) = report(raised, 4, 0.0, 0.0)
     assert (gone.alarm.is_open, gone.is_told) == (False, False)
 
 
@@ -235,50 +235,50 @@ def test_a_shelving_that_ends_during_an_operation_leaves_the_alarm_quiet(raised)
 
 
 def test_a_thing_that_is_gone_ends_its_alarm_and_one_of_which_nothing_is_said_does_not(raised):
-    assert tell(raised, 2, 0.0, things=("c1",), is_partial=True) == []
-    (change,) = tell(raised, 2, 0.0, things=("c1",))
+    assert report(raised, 2, 0.0, things=("c1",), is_partial=True) == []
+    (change,) = report(raised, 2, 0.0, things=("c1",))
     assert (change.kind, change.alarm.process) == (ChangeKind.RETURNED, Process.RETURNED)
 
 
-def test_stated_limits_and_sets_change_what_alarms(book):
+def test_stated_limits_and_sets_change_what_alarms(engine):
     stated = AlarmLimits(1, sets={"normal": {"carrier_level": {"warning": 1.0, "on_s": 0.0}}})
-    book.use_limits(stated)
-    assert kinds(tell(book, 0, 1.5, 0.0)) == [ChangeKind.RAISED]
+    engine.use_limits(stated)
+    assert kinds(report(engine, 0, 1.5, 0.0)) == [ChangeKind.RAISED]
     rain = replace(stated, sets={"rain": {"carrier_level": {"warning": None, "critical": None}}})
-    book.use_limits(rain)
-    book.enter(AlarmContext(("normal", "rain")), 60 * S)
-    tell(book, 1, 0.0, 14.0)
-    assert kinds(tell(book, 2, 0.0, 14.0)) == [ChangeKind.RETURNED]
+    engine.use_limits(rain)
+    engine.enter(AlarmContext(("normal", "rain")), 60 * S)
+    report(engine, 1, 0.0, 14.0)
+    assert kinds(report(engine, 2, 0.0, 14.0)) == [ChangeKind.RETURNED]
 
 
 def test_a_condition_that_is_switched_off_ends_its_alarms(raised):
     raised.use_limits(AlarmLimits(1, sets={"normal": {"carrier_level": {"enabled": False}}}))
-    assert kinds(tell(raised, 2, 9.0, 9.0)) == [ChangeKind.RETURNED]
-    assert tell(raised, 9, 9.0, 9.0) == []
+    assert kinds(report(raised, 2, 9.0, 9.0)) == [ChangeKind.RETURNED]
+    assert report(raised, 9, 9.0, 9.0) == []
 
 
 def test_a_restart_forgets_nothing_and_repeats_nothing(raised):
-    tell(raised, 2, 4.0, 4.0)
+    report(raised, 2, 4.0, 4.0)
     memory = EngineMemory(raised.watches())
     after = AlarmEngine("craft", CONDITIONS, None, tuple(raised.open_alarms.values()), memory)
     assert after.pass_time(180 * S) == []
     # what was about to alarm does so after its time, what was alarmed not again
-    (change,) = tell(after, 3, 4.0, 4.0)
+    (change,) = report(after, 3, 4.0, 4.0)
     assert change.alarm.thing == "c1"
-    tell(after, 4, 0.0, 4.0)
-    assert kinds(tell(after, 5, 0.0, 4.0)) == [ChangeKind.RETURNED]
+    report(after, 4, 0.0, 4.0)
+    assert kinds(report(after, 5, 0.0, 4.0)) == [ChangeKind.RETURNED]
 
 
 def test_a_memory_that_was_lost_is_found_again_in_the_open_alarms(raised):
     after = AlarmEngine("craft", CONDITIONS, None, tuple(raised.open_alarms.values()))
-    assert tell(after, 2, 4.0, 0.0) == []
-    tell(after, 3, 0.0, 0.0)
-    assert kinds(tell(after, 4, 0.0, 0.0)) == [ChangeKind.RETURNED]
+    assert report(after, 2, 4.0, 0.0) == []
+    report(after, 3, 0.0, 0.0)
+    assert kinds(report(after, 4, 0.0, 0.0)) == [ChangeKind.RETURNED]
     # and one that was cleared meanwhile is not taken for alarmed
     stale = EngineMemory(raised.watches())
     fresh = AlarmEngine("craft", CONDITIONS, None, (), stale)
-    tell(fresh, 5, 4.0, 0.0)
-    assert kinds(tell(fresh, 6, 4.0, 0.0)) == [ChangeKind.RAISED]
+    report(fresh, 5, 4.0, 0.0)
+    assert kinds(report(fresh, 6, 4.0, 0.0)) == [ChangeKind.RAISED]
 
 
 def test_ids_are_taken_over_from_the_archive(raised):

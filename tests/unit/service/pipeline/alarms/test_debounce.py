@@ -5,7 +5,7 @@ import math
 import pytest
 
 from service.pipeline.alarms.condition import Kind
-from service.pipeline.alarms.debounce import ConditionChange, limit_of, look, outermost, severity_level
+from service.pipeline.alarms.debounce import ConditionChange, limit_of, outermost, poll, severity_level
 from service.records.operations.alarm_limits import ConditionLimits
 from service.records.operations.alarm_memory import ValueMemory
 
@@ -17,8 +17,8 @@ NAN = math.nan
 def run(values, limits=LIMITS, kind=Kind.ABOVE, step_s=60, watch=None):
     """Return the verdicts on values, one a minute, as (place, verdict)."""
     watch = watch or ValueMemory()
-    told = [(k, look(watch, kind, value, k * step_s * S, limits)) for k, value in enumerate(values)]
-    return [(k, verdict) for k, verdict in told if verdict is not None]
+    reported = [(k, poll(watch, kind, value, k * step_s * S, limits)) for k, value in enumerate(values)]
+    return [(k, verdict) for k, verdict in reported if verdict is not None]
 
 
 def test_a_value_alarms_when_it_has_stood_for_its_time_and_not_before():
@@ -63,8 +63,8 @@ def test_what_is_not_known_begins_anew_and_ends_nothing():
 
 def test_values_of_the_past_change_nothing():
     watch = ValueMemory()
-    look(watch, Kind.ABOVE, 4, 600 * S, LIMITS)
-    assert look(watch, Kind.ABOVE, 4, 0, LIMITS) is None
+    poll(watch, Kind.ABOVE, 4, 600 * S, LIMITS)
+    assert poll(watch, Kind.ABOVE, 4, 0, LIMITS) is None
     assert watch.pending_us == 600 * S
 
 

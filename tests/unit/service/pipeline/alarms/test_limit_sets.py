@@ -7,7 +7,7 @@ from service.pipeline.alarms.limit_sets import (
     DEFAULT_SETS,
     SETS,
     AlarmContext,
-    circumstances,
+    context,
     faults_of,
     limits_in_force,
 )
@@ -21,7 +21,7 @@ PLAN = CarrierPlan(1, "sha", tuple(Carrier(f"c{k}", "Ku", f"t{k // 2}", 11e9, 1e
 
 
 def at(epoch_us, *operations, is_raining=False):
-    return circumstances(operations, PLAN, epoch_us, is_raining=is_raining)
+    return context(operations, PLAN, epoch_us, is_raining=is_raining)
 
 
 def test_nothing_declared_is_the_normal_set():

@@ -35,8 +35,8 @@ class Rig:
 
     def __init__(self, **changes):
         limits = AlarmLimits(1, sets={"normal": {**AT_ONCE, **changes}})
-        self.book = AlarmEngine("craft", CONDITIONS, limits)
-        self.reader = RowReader(self.book, EngineMemory())
+        self.engine = AlarmEngine("craft", CONDITIONS, limits)
+        self.reader = RowReader(self.engine, EngineMemory())
         self.operations = {}
 
     def row(self, minute, *, power_dbm=(-40.0,) * 3, flags=None, c_n0_db_hz=None, is_late=False, **more):
@@ -68,7 +68,7 @@ def levels(deviation_db=(0.0,) * 3, residual_db=(0.0,) * 3):
 def test_a_row_as_it_should_be_alarms_nothing():
     rig = Rig()
     assert rig.row(1, rows=(attitude(1), attitude(1, Method.PAPER)), levels=levels(), c_n0_db_hz=(80.0,) * 3) == []
-    assert rig.book.watches() == ()
+    assert rig.engine.watches() == ()
 
 
 @pytest.mark.parametrize(
@@ -148,17 +148,17 @@ def test_the_period_is_the_median_distance_of_rows():
 def test_a_declared_operation_suppresses_the_alarms_of_its_carriers_while_it_lasts():
     rig = Rig()
     rig.operations = {1: Operation(1, "carrier_work", 2 * 60 * S, 4 * 60 * S, carriers=("c0",))}
-    told = []
+    reported = []
     for minute in range(1, 6):
-        told += [(minute, c.kind.value, c.is_told) for c in rig.row(minute, power_dbm=(NAN, -40.0, -40.0))]
-    assert told == [(1, "raised", True), (2, "suppressed", False), (4, "released", True)]
+        reported += [(minute, c.kind.value, c.is_told) for c in rig.row(minute, power_dbm=(NAN, -40.0, -40.0))]
+    assert reported == [(1, "raised", True), (2, "suppressed", False), (4, "released", True)]
 
 
 def test_rain_widens_the_limits():
     rig = Rig()
     wet = attitude(1, downlink_fade=True, downlink_fade_db=5.0)
     assert ("carrier_level", "c0") not in rig.alarms(1, rows=(wet,), levels=levels(deviation_db=(-5.0,) * 3))
-    assert rig.book.circumstances.sets == ("normal", "rain")
+    assert rig.engine.context.sets == ("normal", "rain")
 
 
 def reference(minute, roll=0.0, sigma=0.01, **changes):

@@ -167,8 +167,8 @@ def test_an_attitude_that_moves_over_the_window_is_removed_along_its_line(payloa
     rate = np.array([2e-5, -1e-5, 5e-5])
     moving = np.array([0.2, -0.15, 0.2]) + np.outer((epochs_us - epochs_us[-1]) / S, rate)
     series = replace(payload.series(of), power_dbm=payload.power_dbm(epochs_us, moving))
-    told = stated(int(epochs_us[-1]), tuple(moving[-1]))._replace(rate_deg_s=Axes(*rate))
-    found = reference_powers(series, told, payload.calibration(), payload.ephemeris(), CONFIG)
+    reported = stated(int(epochs_us[-1]), tuple(moving[-1]))._replace(rate_deg_s=Axes(*rate))
+    found = reference_powers(series, reported, payload.calibration(), payload.ephemeris(), CONFIG)
     np.testing.assert_allclose([item.reference_dbm for item in found.references], payload.level_dbm, atol=1e-9)
 
 

@@ -29,9 +29,9 @@ def stated(angles=ZERO, rates=ZERO, sigma=(0.01, 0.005, 0.005)):
     return StatedAngles(ALIGNED_US, Axes(*angles), Axes(*sigma), Axes(*rates))
 
 
-def align(payload, series, told=None, calibration=None):
+def align(payload, series, reported=None, calibration=None):
     return robust_references(
-        series, told or stated(), calibration or payload.calibration(), payload.ephemeris(), CONFIG
+        series, reported or stated(), calibration or payload.calibration(), payload.ephemeris(), CONFIG
     )
 
 

@@ -83,7 +83,7 @@ def test_the_record_holds_places_bands_and_noise(data, result):
     assert fit.is_dish_law
     assert (fit.bands, fit.band, fit.rain_share) == (("Ku",), (0,) * 8, (1.0,))
     assert (fit.transponders, fit.transponder) == (("K1", "K2"), (0, 0, 0, 0, 1, 1, 1, 1))
-    assert fit.site_place == (55.9, 38.0, 160.0)
+    assert fit.site_position == (55.9, 38.0, 160.0)
     assert fit.nominal_longitude_deg == 90.0
     assert fit.station_latitude_deg == tuple(c.station.latitude_deg for c in data.plan.carriers)
     assert np.array(fit.covariance).shape == (8, 9, 9)
@@ -265,12 +265,12 @@ def test_a_manoeuvre_inside_is_named_and_survived(payload, data):
 
 def test_work_on_one_carrier_leaves_the_others_alone(data, result):
     work = Operation(8, "carrier_work", START_US + DAY, START_US + DAY + 6 * HOUR, carriers=("c03",))
-    told = calibrate_geometry(replace(data, operations=(work,)), CONFIG)
-    assert any(text.startswith("operation 8 (carrier_work") for text in told.warnings)
-    assert all(told.geometry.is_used)
+    reported = calibrate_geometry(replace(data, operations=(work,)), CONFIG)
+    assert any(text.startswith("operation 8 (carrier_work") for text in reported.warnings)
+    assert all(reported.geometry.is_used)
     others = [k for k in range(8) if k != 3]
     # they share the downlink with it, nothing else
-    assert slopes(told)[others] == pytest.approx(slopes(result)[others], abs=0.01)
+    assert slopes(reported)[others] == pytest.approx(slopes(result)[others], abs=0.01)
 
 
 # ---- several sensors ------------------------------------------------------------------------------------------------

@@ -30,9 +30,9 @@ KINDS = (
 
 def kinds(data):
     """Return which kinds of warning a calibration has; the paper part's advice on numbers is not of the joint fit."""
-    told = [text for text in calibrate_geometry(data, CONFIG).warnings if not text.startswith("paper method")]
-    found = {kind for kind in KINDS if any(text.startswith(kind) for text in told)}
-    assert len(found) == len(told), told
+    reported = [text for text in calibrate_geometry(data, CONFIG).warnings if not text.startswith("paper method")]
+    found = {kind for kind in KINDS if any(text.startswith(kind) for text in reported)}
+    assert len(found) == len(reported), reported
     return found
 
 
@@ -103,9 +103,9 @@ def test_a_track_that_the_daily_change_contradicts(rows, east_deg):
 
 def test_a_track_that_ends_too_early():
     data = GeometryPayload.make(8).data()
-    told = data.ephemeris.track
-    stop = int(np.searchsorted(told.epochs_us, data.request.turns.start_us - 86_400_000_000))
-    track = Track(told.epochs_us[48:stop], told.latitude_deg[48:stop], told.longitude_deg[48:stop])
+    reported = data.ephemeris.track
+    stop = int(np.searchsorted(reported.epochs_us, data.request.turns.start_us - 86_400_000_000))
+    track = Track(reported.epochs_us[48:stop], reported.latitude_deg[48:stop], reported.longitude_deg[48:stop])
     result = calibrate_geometry(replace(data, ephemeris=replace(data.ephemeris, track=track)), CONFIG)
     assert any(text.startswith("the track covers only") for text in result.warnings)
 
@@ -143,7 +143,7 @@ def test_a_station_in_another_country():
     beam[0, :2] = (-1.5, 1.5)
     data = replace(payload, beam=beam).data()
     carriers = list(data.plan.carriers)
-    place = carriers[0].station
-    carriers[0] = replace(carriers[0], station=Station(place.latitude_deg, place.longitude_deg - 60.0))
+    position = carriers[0].station
+    carriers[0] = replace(carriers[0], station=Station(position.latitude_deg, position.longitude_deg - 60.0))
     wrong = replace(data, plan=replace(data.plan, carriers=tuple(carriers)))
     assert kinds(wrong) == {"check the coordinates of c00"}

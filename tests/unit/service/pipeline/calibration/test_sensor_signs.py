@@ -30,7 +30,7 @@ def data():
     return GeometryPayload.make(16, quiet_days=1.0).data(noise_db=0.03)
 
 
-def told(data, matrix):
+def reported(data, matrix):
     """Return the input with sensors that tell ``matrix @ angles``."""
 
     def changed(series):
@@ -55,7 +55,7 @@ def refusal(data, calibrate=calibrate_geometry):
     ],
 )
 def test_a_flipped_axis_is_refused_by_name(data, calibrate, matrix, names):
-    text = refusal(told(data, matrix), calibrate)
+    text = refusal(reported(data, matrix), calibrate)
     assert text.startswith("the powers contradict the axes of star_tracker by ")
     assert names in text
     assert "roll > 0 moves stations South, pitch > 0 West" in text
@@ -63,7 +63,7 @@ def test_a_flipped_axis_is_refused_by_name(data, calibrate, matrix, names):
 
 @pytest.mark.parametrize("name", EXCHANGED)
 def test_exchanged_axes_are_refused_by_name(data, name):
-    assert f"likely {name}" in refusal(told(data, EXCHANGED[name]))
+    assert f"likely {name}" in refusal(reported(data, EXCHANGED[name]))
 
 
 def test_a_healthy_sensor_is_proven_and_silent(data):
@@ -92,14 +92,14 @@ def test_the_common_sign_is_unproven_without_and_proven_with_announced_turns(dat
 
 
 def test_a_sensor_with_all_axes_flipped_contradicts_the_announced_turns(data):
-    flipped = told(data, -np.eye(3))
+    flipped = reported(data, -np.eye(3))
     assert not calibrate_geometry(flipped, CONFIG).signs.is_common_proven
     text = refusal(replace(flipped, corrections=announced(data, 1.0)))
     assert "likely flipped yaw, roll, pitch" in text
 
 
 def test_announced_turns_tell_one_flip_from_its_twin(data):
-    text = refusal(told(replace(data, corrections=announced(data, 1.0)), YAW))
+    text = refusal(reported(replace(data, corrections=announced(data, 1.0)), YAW))
     assert "likely flipped yaw (" in text
 
 
@@ -117,12 +117,12 @@ def test_yaw_turns_that_are_too_small_prove_nothing(data):
 def test_a_scale_that_is_off_is_warned_of(data, axis, name):
     scale = np.ones(3)
     scale[axis] = 1.9
-    result = calibrate_geometry(told(data, np.diag(scale)), CONFIG)
+    result = calibrate_geometry(reported(data, np.diag(scale)), CONFIG)
     assert [text for text in result.warnings if text.startswith(f"the scale of the {name} sensor differs")]
 
 
 def test_a_scale_below_a_tenth_is_silent(data):
-    result = calibrate_geometry(told(data, np.diag([1.05, 1.0, 1.0])), CONFIG)
+    result = calibrate_geometry(reported(data, np.diag([1.05, 1.0, 1.0])), CONFIG)
     assert not any("scale" in text for text in result.warnings)
 
 

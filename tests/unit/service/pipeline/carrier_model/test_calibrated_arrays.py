@@ -44,8 +44,8 @@ def test_a_beacon_stands_at_the_receiving_site_and_tells_its_downlink():
     payload = FlightPayload.make()
     result, fit = with_beacon(payload)
     model = geometry_model(fit, result.carriers)
-    assert model.places.latitude_deg[2] == SITE.latitude_deg
-    assert model.places.longitude_deg[2] == SITE.longitude_deg
+    assert model.positions.latitude_deg[2] == SITE.latitude_deg
+    assert model.positions.longitude_deg[2] == SITE.longitude_deg
     np.testing.assert_array_equal(model.calibration.hessian[2], 0.0)
     np.testing.assert_array_equal(model.calibration.gradient[2], payload.downlink[payload.band()[2]])
     # the downlink's gradient alone: turned by the displacement of the site

@@ -28,10 +28,10 @@ def test_levels_are_those_of_an_independent_geometry(has_track, tolerance_db):
     payload = FlightPayload.make(has_track=has_track)
     level = level_of(payload)
     epochs_us = START_US + np.arange(0, DAY_US, 1777 * S)
-    told = np.array([level(int(epoch_us)) for epoch_us in epochs_us])
+    reported = np.array([level(int(epoch_us)) for epoch_us in epochs_us])
     truth = payload.power_dbm(epochs_us, np.zeros(3))
     assert np.ptp(truth, axis=0).max() > 0.2
-    np.testing.assert_allclose(told, truth, atol=tolerance_db)
+    np.testing.assert_allclose(reported, truth, atol=tolerance_db)
     np.testing.assert_allclose(level.mean_dbm(epochs_us), truth.mean(axis=0), atol=tolerance_db)
 
 
@@ -72,10 +72,10 @@ def test_a_long_replay_keeps_only_some_days(monkeypatch):
     payload = FlightPayload.make(4)
     level, all_days = level_of(payload), level_of(payload)
     epochs_us = [START_US + day * DAY_US for day in (0, 1, 2, 3, 0)]
-    told = [level(epoch_us) for epoch_us in epochs_us]
+    reported = [level(epoch_us) for epoch_us in epochs_us]
     assert len(level._days) <= 2
     monkeypatch.undo()
-    np.testing.assert_array_equal(told, [all_days(epoch_us) for epoch_us in epochs_us])
+    np.testing.assert_array_equal(reported, [all_days(epoch_us) for epoch_us in epochs_us])
 
 
 # ---- what the daily change may have wrong ----------------------------------------------------------------------------
@@ -96,17 +96,17 @@ def spread(payload, sigma):
 
 def test_errors_of_two_harmonics_are_waves():
     payload = FlightPayload.make(4, has_track=False)
-    told = error_of(payload, payload.ephemeris(), covariance=spread(payload, 0.1))
+    reported = error_of(payload, payload.ephemeris(), covariance=spread(payload, 0.1))
     # four waves of amplitude 0.1, half the square each; one day is not quite one period
-    np.testing.assert_allclose(told, 0.1 * np.sqrt(2.0), rtol=0.01)
+    np.testing.assert_allclose(reported, 0.1 * np.sqrt(2.0), rtol=0.01)
 
 
 def test_errors_of_the_dish_law_grow_with_the_orbit():
     payload = FlightPayload.make(6)
-    told = error_of(payload, payload.ephemeris(), covariance=spread(payload, 2.0))
+    reported = error_of(payload, payload.ephemeris(), covariance=spread(payload, 2.0))
     # 0.05 deg up and down and 0.015 along, seen from below a seventh nearer: 2 dB/deg times about 0.04 deg rms
-    assert (told > 0.05).all()
-    assert (told < 0.15).all()
+    assert (reported > 0.05).all()
+    assert (reported < 0.15).all()
     np.testing.assert_allclose(error_of(payload, payload.ephemeris()), 0.0, atol=1e-5)
 
 

@@ -31,8 +31,8 @@ def test_carriers_are_found_by_id_whatever_their_place():
     plan = CarrierPlan(2, "sha-2", (carriers[3], newcomer, carriers[1], carriers[0]))
     columns = CalibratedColumns(PAYLOAD.ids, PLAN)
     np.testing.assert_array_equal(columns.power_dbm(row([30, 99, 10, 0]), plan), [0, 10, np.nan, 30, np.nan])
-    told = columns.flags(row([0] * 4, np.array([8, 64, 2, 1])), plan)
-    np.testing.assert_array_equal(told, [1, 2, 0, 8, 0])
+    reported = columns.flags(row([0] * 4, np.array([8, 64, 2, 1])), plan)
+    np.testing.assert_array_equal(reported, [1, 2, 0, 8, 0])
     # what was found for one plan is not taken for another
     np.testing.assert_array_equal(columns.power_dbm(row([1, 2, 3, 4, 5]), PLAN), [1, 2, 3, 4, 5])
 
@@ -52,11 +52,11 @@ def test_an_id_that_was_given_to_another_signal_is_not_the_calibrated_carrier(ch
     carriers = list(PAYLOAD.carriers())
     carriers[2] = replace(carriers[2], **change)
     columns = CalibratedColumns(PAYLOAD.ids, PLAN)
-    told = columns.power_dbm(row([1, 2, 3, 4, 5]), CarrierPlan(2, "sha-2", tuple(carriers)))
-    np.testing.assert_array_equal(told, [1, 2, np.nan, 4, 5])
+    reported = columns.power_dbm(row([1, 2, 3, 4, 5]), CarrierPlan(2, "sha-2", tuple(carriers)))
+    np.testing.assert_array_equal(reported, [1, 2, np.nan, 4, 5])
 
 
 def test_a_new_name_or_bandwidth_leaves_a_carrier_itself():
     carriers = tuple(replace(one, name="other", bandwidth_hz=2e6, enabled=False) for one in PAYLOAD.carriers())
-    told = CalibratedColumns(PAYLOAD.ids, PLAN).power_dbm(row([1, 2, 3, 4, 5]), CarrierPlan(2, "sha-2", carriers))
-    np.testing.assert_array_equal(told, [1, 2, 3, 4, 5])
+    reported = CalibratedColumns(PAYLOAD.ids, PLAN).power_dbm(row([1, 2, 3, 4, 5]), CarrierPlan(2, "sha-2", carriers))
+    np.testing.assert_array_equal(reported, [1, 2, 3, 4, 5])

@@ -47,8 +47,8 @@ def test_roll_and_pitch_are_compared(other, is_apart):
 def test_a_row_without_angles_says_nothing():
     apart = Disagreement(5, True, 0.2)
     for rows in (pair(1, (0, 0, 0), (0, 0, 0), Status.INVALID), pair(1, (0, 0, 0), (0, 0, 0))[:1], ()):
-        told = compare(apart, rows, CONFIG)
-        assert (told.since_us, told.is_standing, math.isnan(told.apart_deg)) == (5, True, True)
+        reported = compare(apart, rows, CONFIG)
+        assert (reported.since_us, reported.is_standing, math.isnan(reported.apart_deg)) == (5, True, True)
 
 
 def test_time_without_angles_does_not_make_it_stand():

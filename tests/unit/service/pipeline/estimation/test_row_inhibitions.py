@@ -39,9 +39,9 @@ ELSEWHERE = {"no_calibration", "not_aligned", "internal_error"}
 ELSEWHERE |= {"chain_step", "innovations", "unannounced_motion", "no_ephemeris"}
 
 
-@pytest.mark.parametrize(("reason", "of_fix", "circumstances"), CAUSES)
-def test_each_cause_stands_alone_as_the_reason(reason, of_fix, circumstances):
-    verdict = judge(of_fix, circumstances, CONFIG)
+@pytest.mark.parametrize(("reason", "of_fix", "context"), CAUSES)
+def test_each_cause_stands_alone_as_the_reason(reason, of_fix, context):
+    verdict = judge(of_fix, context, CONFIG)
     assert verdict.inhibitions == (reason,)
     assert not verdict.is_allowed
     assert verdict.allowed_axes == (False, False, False)

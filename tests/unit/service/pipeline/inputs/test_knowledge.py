@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from service.pipeline.inputs.knowledge import Knowledge, learn
+from service.pipeline.inputs.knowledge import Knowledge, update
 from service.records.calibration import CalibrationMethod
 from service.records.catalogue import Method
 from service.records.inputs import CalibrationActivation, Correction, Operation, SourceSelection
@@ -25,7 +25,7 @@ def knowledge(payload, synthetic, documents):
     """What the opening of a journal tells."""
     known = Knowledge()
     for content in synthetic.opening(payload.spacecraft()):
-        known = learn(known, content, documents)
+        known = update(known, content, documents)
     return known
 
 
@@ -39,15 +39,15 @@ def test_the_opening_tells_everything(knowledge, payload):
 
 
 def test_knowledge_before_is_not_changed_by_what_comes_after(knowledge, documents):
-    later = learn(knowledge, CalibrationActivation(2, 2), documents)
+    later = update(knowledge, CalibrationActivation(2, 2), documents)
     assert knowledge.calibration_for(Method.ROBUST) is None
     assert later.calibration_for(Method.ROBUST).id == 2
 
 
 def test_geometry_serves_paper_only_while_no_paper_one_is_active(documents, knowledge):
-    alone = learn(Knowledge(), CalibrationActivation(2, 1), documents)
+    alone = update(Knowledge(), CalibrationActivation(2, 1), documents)
     assert alone.calibration_for(Method.PAPER).id == 2
-    both = learn(knowledge, CalibrationActivation(2, 2), documents)
+    both = update(knowledge, CalibrationActivation(2, 2), documents)
     assert both.calibration_for(Method.PAPER).id == 1
 
 
@@ -57,7 +57,7 @@ def test_nothing_is_known_before_the_first_input():
 
 @pytest.mark.parametrize("content", [Correction(1, 2, Axes(0.1, 0.1, 0.1)), SourceSelection("sa-2", 1)])
 def test_inputs_that_no_method_uses_yet_change_nothing(knowledge, documents, content):
-    assert learn(knowledge, content, documents) is knowledge
+    assert update(knowledge, content, documents) is knowledge
 
 
 @pytest.mark.parametrize(
@@ -73,13 +73,13 @@ def test_inputs_that_no_method_uses_yet_change_nothing(knowledge, documents, con
 )
 def test_an_operation_forbids_control_from_start_to_stop(documents, changes, at_us, stands):
     operation = replace(Operation(4, "eclipse", 100, 200, inhibit_control=True), **changes)
-    known = learn(Knowledge(), operation, documents)
+    known = update(Knowledge(), operation, documents)
     assert bool(known.inhibiting_operations(at_us)) == stands
 
 
 def test_the_newest_revision_of_an_operation_holds(documents):
     first = Operation(4, "eclipse", 100, 200, inhibit_control=True)
-    known = learn(Knowledge(), first, documents)
-    known = learn(known, replace(first, stop_us=120, revision=2), documents)
-    known = learn(known, Operation(5, "other", 140, 160, inhibit_control=True), documents)
+    known = update(Knowledge(), first, documents)
+    known = update(known, replace(first, stop_us=120, revision=2), documents)
+    known = update(known, Operation(5, "other", 140, 160, inhibit_control=True), documents)
     assert [known.inhibiting_operations(t) != () for t in (110, 130, 150)] == [True, False, True]

@@ -64,18 +64,18 @@ def walked(commanded: CommandedMotion, epochs_us: list[int]) -> tuple[np.ndarray
 
 
 def test_a_correction_is_spread_evenly_over_its_interval():
-    told = heard(CommandedMotion(0), Correction(2 * MINUTE, 6 * MINUTE, Axes(0.4, -0.2, NAN)), None, 0)
-    angles, rates = walked(told, [0, 1 * MINUTE, 3 * MINUTE, 5 * MINUTE, 7 * MINUTE, 9 * MINUTE])
+    reported = heard(CommandedMotion(0), Correction(2 * MINUTE, 6 * MINUTE, Axes(0.4, -0.2, NAN)), None, 0)
+    angles, rates = walked(reported, [0, 1 * MINUTE, 3 * MINUTE, 5 * MINUTE, 7 * MINUTE, 9 * MINUTE])
     share = np.array([0.0, 0.25, 0.75, 1.0, 1.0])
     np.testing.assert_allclose(angles, share[:, None] * np.array([0.4, -0.2, 0.0]), atol=EXACT)
     np.testing.assert_array_equal(rates, 0.0)
 
 
 def test_what_was_commanded_before_the_alignment_belongs_to_it():
-    told = heard(CommandedMotion(4 * MINUTE), Correction(0, 8 * MINUTE, Axes(0.0, 0.8, 0.0)), None, 4 * MINUTE)
-    assert told.late_deg == (0.0, 0.0, 0.0)
+    reported = heard(CommandedMotion(4 * MINUTE), Correction(0, 8 * MINUTE, Axes(0.0, 0.8, 0.0)), None, 4 * MINUTE)
+    assert reported.late_deg == (0.0, 0.0, 0.0)
     # a step that begins before the alignment takes only what comes after it
-    known, left = take(told, 2 * MINUTE, 6 * MINUTE)
+    known, left = take(reported, 2 * MINUTE, 6 * MINUTE)
     np.testing.assert_allclose(known.correction_deg, [0.0, 0.2, 0.0], atol=EXACT)
     known, left = take(left, 6 * MINUTE, 20 * MINUTE)
     np.testing.assert_allclose(known.correction_deg, [0.0, 0.2, 0.0], atol=EXACT)
@@ -83,14 +83,14 @@ def test_what_was_commanded_before_the_alignment_belongs_to_it():
 
 
 def test_a_correction_that_ended_before_the_alignment_is_nothing():
-    told = heard(CommandedMotion(4 * MINUTE), Correction(0, 4 * MINUTE, Axes(0.0, 0.8, 0.0)), None, 9 * MINUTE)
-    assert told == CommandedMotion(4 * MINUTE)
+    reported = heard(CommandedMotion(4 * MINUTE), Correction(0, 4 * MINUTE, Axes(0.0, 0.8, 0.0)), None, 9 * MINUTE)
+    assert reported == CommandedMotion(4 * MINUTE)
 
 
 def test_a_late_correction_is_applied_at_once_and_nothing_of_it_twice():
-    told = heard(CommandedMotion(0), Correction(0, 10 * MINUTE, Axes(0.1, 0.0, -1.0)), None, 4 * MINUTE)
-    np.testing.assert_allclose(told.late_deg, [0.04, 0.0, -0.4], atol=EXACT)
-    known, left = take(told, 4 * MINUTE, 7 * MINUTE)
+    reported = heard(CommandedMotion(0), Correction(0, 10 * MINUTE, Axes(0.1, 0.0, -1.0)), None, 4 * MINUTE)
+    np.testing.assert_allclose(reported.late_deg, [0.04, 0.0, -0.4], atol=EXACT)
+    known, left = take(reported, 4 * MINUTE, 7 * MINUTE)
     np.testing.assert_allclose(known.late_correction_deg, [0.04, 0.0, -0.4], atol=EXACT)
     np.testing.assert_allclose(known.correction_deg, [0.03, 0.0, -0.3], atol=EXACT)
     assert left.late_deg == (0.0, 0.0, 0.0)
@@ -100,23 +100,23 @@ def test_a_late_correction_is_applied_at_once_and_nothing_of_it_twice():
 
 
 def test_a_correction_that_is_over_when_it_becomes_known_is_late_as_a_whole():
-    told = heard(CommandedMotion(0), Correction(0, 4 * MINUTE, Axes(0.0, 0.5, 0.0)), None, 4 * MINUTE)
-    assert told.motions == ()
-    np.testing.assert_allclose(told.late_deg, [0.0, 0.5, 0.0], atol=EXACT)
+    reported = heard(CommandedMotion(0), Correction(0, 4 * MINUTE, Axes(0.0, 0.5, 0.0)), None, 4 * MINUTE)
+    assert reported.motions == ()
+    np.testing.assert_allclose(reported.late_deg, [0.0, 0.5, 0.0], atol=EXACT)
 
 
 @pytest.mark.parametrize("newest_us", [0, 5 * MINUTE, 20 * MINUTE])
 def test_a_correction_of_an_instant_counts_once_whenever_it_becomes_known(newest_us):
-    told = heard(CommandedMotion(0), Correction(5 * MINUTE, 5 * MINUTE, Axes(0.0, 0.5, 0.0)), None, newest_us)
-    angles, _ = walked(told, [newest_us, newest_us + 10 * MINUTE, newest_us + 30 * MINUTE])
+    reported = heard(CommandedMotion(0), Correction(5 * MINUTE, 5 * MINUTE, Axes(0.0, 0.5, 0.0)), None, newest_us)
+    angles, _ = walked(reported, [newest_us, newest_us + 10 * MINUTE, newest_us + 30 * MINUTE])
     np.testing.assert_allclose(angles[-1], [0.0, 0.5, 0.0], atol=EXACT)
 
 
 def test_two_corrections_add():
-    told = CommandedMotion(0)
+    reported = CommandedMotion(0)
     for start in (0, 2):
-        told = heard(told, Correction(start * MINUTE, 4 * MINUTE, Axes(0.1, 0.0, 0.0)), None, 0)
-    angles, _ = walked(told, [0, 2 * MINUTE, 4 * MINUTE])
+        reported = heard(reported, Correction(start * MINUTE, 4 * MINUTE, Axes(0.1, 0.0, 0.0)), None, 0)
+    angles, _ = walked(reported, [0, 2 * MINUTE, 4 * MINUTE])
     np.testing.assert_allclose(angles[:, 0], [0.05, 0.2], atol=EXACT)
 
 
@@ -125,9 +125,9 @@ def test_pulses_change_the_rate_by_torque_times_duration_over_inertia_and_the_an
         Pulse(90 * S, 20.0, Axes(0.0, 0.01, 0.0)),
         Pulse(110 * S, 40.0, Axes(0.002, 0.0, -0.004)),
     )
-    told = heard(CommandedMotion(0), command(*pulses), CRAFT, 0)
+    reported = heard(CommandedMotion(0), command(*pulses), CRAFT, 0)
     epochs_us = [0, 60 * S, 95 * S, 100 * S, 180 * S, 240 * S, 3600 * S]
-    angles, rates = walked(told, epochs_us)
+    angles, rates = walked(reported, epochs_us)
     # roll 2600, pitch 1400, yaw 2600 kg m2; each pulse is a constant acceleration between its ends
     gained = np.array(
         [[0.0, gained_deg_h(0.01, 20, 2600), 0.0], [gained_deg_h(0.002, 40, 2600), 0.0, gained_deg_h(-0.004, 40, 1400)]]

@@ -14,8 +14,8 @@ NAN = float("nan")
 
 def series(source, epochs_us, angles, sigma=0.02):
     epochs = np.asarray(epochs_us, dtype=np.int64)
-    told = np.broadcast_to(np.asarray(angles, dtype=np.float64), (len(epochs), 3)).copy()
-    return ReferenceSeries(source, epochs, told, np.full((len(epochs), 3), sigma))
+    reported = np.broadcast_to(np.asarray(angles, dtype=np.float64), (len(epochs), 3)).copy()
+    return ReferenceSeries(source, epochs, reported, np.full((len(epochs), 3), sigma))
 
 
 def test_a_line_is_read_at_the_newest_reference_with_its_sigma_and_slope():
@@ -66,5 +66,5 @@ def test_without_a_line_the_mean_is_taken(epochs_us):
 
 
 def test_a_sigma_that_is_not_stated_is_the_usual_one():
-    told = stated_sigma_deg(StatedAngles(START_US, Axes(0, 0, 0), Axes(NAN, 0.01, NAN)))
-    np.testing.assert_array_equal(told, [0.05, 0.01, 0.05])
+    reported = stated_sigma_deg(StatedAngles(START_US, Axes(0, 0, 0), Axes(NAN, 0.01, NAN)))
+    np.testing.assert_array_equal(reported, [0.05, 0.01, 0.05])

@@ -28,8 +28,8 @@ def row(**change):
     return lambda driver: driver.rows(1, replace(GOOD, **change))
 
 
-def told(**change):
-    return lambda driver: driver.tell(**change)
+def reported(**change):
+    return lambda driver: driver.report(**change)
 
 
 def after_a_gap(driver):
@@ -43,7 +43,7 @@ def bad_innovations(driver):
 
 def another_mode(driver):
     driver.settings = replace(driver.settings, entry_modes="FORECAST, EARTH")
-    driver.tell(onboard_mode="SAFE")
+    driver.report(onboard_mode="SAFE")
 
 
 def late_report(driver):
@@ -69,7 +69,7 @@ def two_unreported(driver):
 
 
 def long_disagreement(driver):
-    driver.tell(is_disagreeing=True)
+    driver.report(is_disagreeing=True)
     driver.rows(16)
 
 
@@ -81,24 +81,24 @@ def engage(driver):
 CASES = {
     Condition.ESTIMATE_OLD: [lambda driver: driver.tick(201.0)],
     Condition.ESTIMATOR: [row(inhibitions=("chain_step",))],
-    Condition.NOT_ALIGNED: [told(is_aligned=False)],
+    Condition.NOT_ALIGNED: [reported(is_aligned=False)],
     Condition.SIGMA_ROLL: [row(sigma_deg=Axes(0.1, 0.061, 0.03)), row(sigma_deg=Axes(0.1, NAN, 0.03))],
     Condition.SIGMA_PITCH: [row(sigma_deg=Axes(0.1, 0.02, 0.101)), row(sigma_deg=Axes(0.1, 0.02, NAN))],
     Condition.FADE: [row(is_fading=True)],
     Condition.REDUNDANCY: [row(redundancy=1)],
     Condition.GAP: [after_a_gap],
-    Condition.OPERATION: [told(has_inhibiting_operation=True)],
+    Condition.OPERATION: [reported(has_inhibiting_operation=True)],
     Condition.EPHEMERIS: [
-        told(ephemeris_stop_us=None),
-        told(ephemeris_stop_us=START_US + 6 * 3600 * US),
-        told(burn_stop_us=START_US),
+        reported(ephemeris_stop_us=None),
+        reported(ephemeris_stop_us=START_US + 6 * 3600 * US),
+        reported(burn_stop_us=START_US),
     ],
     Condition.INNOVATION: [bad_innovations],
     Condition.ONBOARD_MODE: [another_mode],
     Condition.REPORT_LATE: [late_report],
     Condition.HAND_OVER: [row(attitude_deg=Axes(0.0, 0.0, -0.61)), row(attitude_deg=Axes(0.0, NAN, 0.0))],
     Condition.CLOCK_JUMP: [clock_jump],
-    Condition.MOMENTUM: [told(momentum_share=0.81), told(momentum_share=NAN)],
+    Condition.MOMENTUM: [reported(momentum_share=0.81), reported(momentum_share=NAN)],
     Condition.RESPONSE_MISSED: [
         lambda driver: driver.send(ResponseJudged(driver.at, 9.1)),
         lambda driver: driver.send(ResponseJudged(driver.at, NAN)),
@@ -106,9 +106,9 @@ CASES = {
         lambda driver: driver.send(SignJudged(driver.at, "pitch", SignState.NOTHING)),
     ],
     Condition.ENVELOPE: [lambda driver: [engage(driver), too_much(driver)]],
-    Condition.CONFIGURATION: [told(calibration_id=8), told(plan_id=4), told(spacecraft_version=2)],
+    Condition.CONFIGURATION: [reported(calibration_id=8), reported(plan_id=4), reported(spacecraft_version=2)],
     Condition.UNREPORTED: [two_unreported],
-    Condition.LEASE: [told(lease_holders=2)],
+    Condition.LEASE: [reported(lease_holders=2)],
     Condition.STOP: [lambda driver: driver.order(OrderKind.STOP)],
     Condition.SIGMA_YAW: [row(sigma_deg=Axes(0.21, 0.02, 0.03)), row(sigma_deg=Axes(NAN, 0.02, 0.03))],
     Condition.YAW_SIGN: [lambda driver: driver.forget("yaw")],
@@ -174,8 +174,8 @@ def test_innovations_may_be_outside_their_band_for_less_than_half_an_hour():
 
 def test_trips_are_latched_until_reset_and_the_way_back_is_the_whole_one():
     driver = ReleaseDriver().engaged()
-    driver.tell(momentum_share=0.9)
-    driver.tell(momentum_share=0.2)
+    driver.report(momentum_share=0.9)
+    driver.report(momentum_share=0.2)
     driver.rows(120)
     assert driver.name == "TRIPPED"
     assert driver.order(OrderKind.ARM).refusal.code == "interlock.tripped"
@@ -189,7 +189,7 @@ def test_trips_are_latched_until_reset_and_the_way_back_is_the_whole_one():
 
 def test_a_trip_that_stands_cannot_be_reset():
     driver = ReleaseDriver().armed()
-    driver.tell(momentum_share=0.9)
+    driver.report(momentum_share=0.9)
     assert driver.order(OrderKind.RESET).refusal.code == "interlock.trip_stands"
 
 
@@ -241,7 +241,7 @@ def test_beyond_the_range_while_inhibited_takes_the_authorisation_too():
 
 def test_a_new_spacecraft_version_forgets_the_signs():
     driver = ReleaseDriver().armed()
-    driver.tell(spacecraft_version=2)
+    driver.report(spacecraft_version=2)
     assert driver.state.interlock.proven_axes == ()
 
 

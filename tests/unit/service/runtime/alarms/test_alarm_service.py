@@ -38,30 +38,30 @@ def test_an_alarm_is_stored_then_published_then_told(rig):
     assert (alarm.since_us, alarm.raised_at_us) == (START + 3 * MINUTE, START + 5 * MINUTE)
     (event,) = rig.events
     assert (event.kind, event.cursor.alarm, event.content.alarm) == ("alarm", 1, alarm)
-    assert rig.told() == [RAISED]
+    assert rig.reported() == [RAISED]
 
 
 def test_late_rows_raise_none(rig):
     for minute in range(1, 50):
         rig.row(minute, NAN, NAN, is_late=True)
-    rig.look()
-    assert (rig.open_alarms(), rig.told()) == ({}, [])
+    rig.poll()
+    assert (rig.open_alarms(), rig.reported()) == ({}, [])
 
 
 def test_a_restart_forgets_nothing_and_repeats_nothing(rig):
     rig.rows(range(1, 4), -40.0, NAN)
     rig.row(4, NAN, NAN)
-    rig.look()
-    rig.told()
+    rig.poll()
+    rig.reported()
     rig.restart()
-    rig.look()
+    rig.poll()
     rig.row(5, NAN, NAN)
-    assert rig.told() == []
+    assert rig.reported() == []
     # what was about to alarm before the restart does so in its time: absent since minute 4
     rig.row(6, NAN, NAN)
-    assert rig.told() == [("raised", True, "carrier_absent", "c0")]
+    assert rig.reported() == [("raised", True, "carrier_absent", "c0")]
     rig.rows(range(7, 10), -40.0, -40.0)
-    assert [told[0] for told in rig.told()] == ["returned", "returned"]
+    assert [reported[0] for reported in rig.reported()] == ["returned", "returned"]
 
 
 def test_operators_acknowledge_shelve_and_clear_what_stands(rig):
@@ -91,10 +91,10 @@ def test_a_shelving_ends_by_the_clock_also_over_a_restart(rig):
     alarm_id = rig.open_alarms()[ABSENT].id
     rig.desk.shelve(alarm_id, "anna", "", rig.clock.us + HOUR)
     rig.restart()
-    rig.told()
+    rig.reported()
     rig.clock.us += HOUR
-    rig.look()
-    assert rig.told() == [("unshelved", True, *ABSENT)]
+    rig.poll()
+    assert rig.reported() == [("unshelved", True, *ABSENT)]
 
 
 def test_limits_that_are_put_hold_at_once(rig):
@@ -102,58 +102,58 @@ def test_limits_that_are_put_hold_at_once(rig):
     stated = AlarmLimits(0, 5, "anna", sets={"normal": {"carrier_absent": {"warning": 0.0}}})
     assert rig.desk.put_limits("craft", stated).version == 1
     rig.row(2, -40.0, NAN)
-    assert rig.told() == [RAISED]
+    assert rig.reported() == [RAISED]
     rig.desk.put_limits("craft", AlarmLimits(0, 6, "anna", sets={"normal": {"carrier_absent": {"suppressed": True}}}))
-    assert rig.told() == [("suppressed", False, *ABSENT)]
+    assert rig.reported() == [("suppressed", False, *ABSENT)]
 
 
 def test_changes_wait_in_order_while_the_archive_is_away(rig, monkeypatch, caplog):
     with archive_away(rig, monkeypatch), caplog.at_level(logging.ERROR):
         rig.rows(range(1, 4), NAN, NAN)
         rig.rows(range(4, 8), -40.0, NAN)
-    assert rig.told() == []
+    assert rig.reported() == []
     assert len(caplog.records) == 1
-    rig.look()
-    told = [(kind, thing) for kind, _, _, thing in rig.told()]
-    assert told == [("raised", "c0"), ("raised", "c1"), ("returned", "c0")]
+    rig.poll()
+    reported = [(kind, thing) for kind, _, _, thing in rig.reported()]
+    assert reported == [("raised", "c0"), ("raised", "c1"), ("returned", "c0")]
     assert rig.open_alarms()["carrier_absent", "c0"].state == "returned"
 
 
 def test_an_order_that_cannot_be_stored_is_not_carried_out(rig, monkeypatch):
     rig.rows(range(1, 4), -40.0, NAN)
     alarm_id = rig.open_alarms()[ABSENT].id
-    rig.look()
-    rig.told()
+    rig.poll()
+    rig.reported()
     with archive_away(rig, monkeypatch), pytest.raises(StorageError):
         rig.desk.clear(alarm_id, "anna", "")
     rig.row(4, -40.0, NAN)
-    assert rig.told() == []
+    assert rig.reported() == []
     assert rig.desk.acknowledge(alarm_id, "anna", "").state == "acknowledged"
 
 
 def test_a_fault_in_one_look_is_logged_and_the_next_one_goes_on(rig, monkeypatch, caplog):
     rig.rows(range(1, 4), -40.0, NAN)
-    rig.look()
+    rig.poll()
     with monkeypatch.context() as patch:
         patch.setattr(rig.desk._case("craft").reader, "read_row", lambda _: 1 / 0)
         rig.row(4, -40.0, NAN)
     assert "alarms are read anew" in caplog.text
-    rig.told()
+    rig.reported()
     rig.rows(range(5, 8), -40.0, -40.0)
-    assert rig.told() == [("returned", True, *ABSENT)]
+    assert rig.reported() == [("returned", True, *ABSENT)]
 
 
 def test_an_alarm_that_stands_is_not_written_down_again_and_again(rig, monkeypatch):
     rig.rows(range(1, 6), -40.0, NAN)
-    rig.look()
+    rig.poll()
     written = []
     monkeypatch.setattr(rig.storage.alarms, "save_memory", lambda *memory: written.append(memory))
     for minute in range(6, 15):
         rig.row(minute + 0.001 * (minute % 2), -40.0, NAN)
-        rig.look()
+        rig.poll()
     assert written == []
     rig.row(40, -40.0, NAN)
-    rig.look()
+    rig.poll()
     assert len(written) == 1
 
 
@@ -174,7 +174,7 @@ def test_the_thread_looks_by_itself_and_a_stop_looks_a_last_time(rig):
         measurement = Measurement(epoch_us, epoch_us, minute, "sa", 1, np.array([-40.0, NAN]), None)
         rig.desk.see("craft", [RowFacts(measurement, rig.plan, (), Method.ROBUST, None, {})])
     rig.desk.stop()
-    assert rig.told() == [RAISED]
+    assert rig.reported() == [RAISED]
     assert rig.storage.alarms.memory("craft").newest_row_us == epoch_us
 
 

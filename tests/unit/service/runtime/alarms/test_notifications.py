@@ -152,17 +152,17 @@ def test_what_cannot_be_delivered_is_given_up_and_counted():
 
 
 def test_a_fault_of_one_notice_does_not_keep_the_next():
-    told = []
+    reported = []
 
     def deliver(notice):
         if notice["sequence"] == 1:
             raise RuntimeError("on purpose")
-        told.append(notice["sequence"])
+        reported.append(notice["sequence"])
 
     with running(channel_to(deliver)) as channel:
         channel.offer(change(1))
         channel.offer(change(2))
-        wait_for(lambda: told == [2])
+        wait_for(lambda: reported == [2])
 
 
 def test_a_receiver_that_hangs_makes_nobody_wait_and_the_oldest_notices_are_dropped():

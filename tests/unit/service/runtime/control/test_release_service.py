@@ -59,9 +59,9 @@ def test_ten_good_minutes_arm_and_two_persons_release(driver):
 def test_a_dry_run_tells_failing_checks_and_stores_nothing(driver):
     driver.rows(2)
     saves = driver.releases.saves
-    told = driver.service.prepare(SC, "ann", CommandRequest("look"), dry_run=True)
-    assert (told.is_dry_run, told.counter, driver.releases.views) == (True, 1, {})
-    assert [check.name for check in told.checks if not check.is_ok] == ["interlock"]
+    reported = driver.service.prepare(SC, "ann", CommandRequest("look"), dry_run=True)
+    assert (reported.is_dry_run, reported.counter, driver.releases.views) == (True, 1, {})
+    assert [check.name for check in reported.checks if not check.is_ok] == ["interlock"]
     assert driver.releases.saves == saves
 
 
@@ -73,12 +73,12 @@ def test_a_report_makes_it_known_and_the_next_command_may_go(driver):
         driver.prepare()
     assert driver.report(1, "sent").state == "SENT"
     assert driver.report(1, executed_from_us=sent.start_us).state == "EXECUTED"
-    assert driver.releases.told[-1] == ReportedCommand(1, driver.clock.now, sent.schedule)
-    told = len(driver.releases.told)
+    assert driver.releases.reported[-1] == ReportedCommand(1, driver.clock.now, sent.schedule)
+    reported = len(driver.releases.reported)
     driver.report(1, executed_from_us=sent.start_us)
     with pytest.raises(ConflictError, match=r"command\.state"):
         driver.report(1, "failed")
-    assert len(driver.releases.told) == told
+    assert len(driver.releases.reported) == reported
     assert driver.prepare().counter == 2
 
 
@@ -201,7 +201,7 @@ def test_killed_while_a_release_is_stored_it_is_sent_once_or_never(driver, momen
     if moment == "after":
         assert driver.view.unreported_commands == (1,)
         assert driver.report(1).state == "EXECUTED"
-        assert isinstance(driver.releases.told[-1], ReportedCommand)
+        assert isinstance(driver.releases.reported[-1], ReportedCommand)
     assert len(driver.releases.released) == (1 if moment == "after" else 0)
     driver.rows(12)
     assert driver.state == "ARMED"
@@ -257,14 +257,14 @@ def test_a_trip_is_told_to_the_journal_and_its_reset_as_well(driver):
     driver.momentum(17.0)
     driver.rows(1)
     assert driver.service.command(SC, 1).state == "REJECTED"
-    hold = driver.releases.told[-1]
+    hold = driver.releases.reported[-1]
     assert isinstance(hold, InterlockHold)
     assert (hold.state, hold.is_withheld, "momentum" in hold.reasons) == ("TRIPPED", True, True)
     driver.momentum(1.0)
     driver.order(OrderKind.RESET)
     assert driver.view.is_withheld
     driver.rows(12)
-    assert driver.releases.told[-1].is_withheld is False
+    assert driver.releases.reported[-1].is_withheld is False
     assert [event.action for event in driver.archive.audit_events] == [
         "interlock_armed",
         "interlock_tripped",
@@ -282,10 +282,10 @@ def test_under_automatic_release_the_interlock_watches_and_a_trip_withholds():
             order()
     view = driver.order(OrderKind.STOP)
     assert (view.state, view.is_withheld, view.trips) == ("TRIPPED", True, ("stop",))
-    assert driver.releases.told[-1].is_withheld
+    assert driver.releases.reported[-1].is_withheld
     assert driver.order(OrderKind.RESET).is_withheld
     driver.rows(12)
-    assert driver.releases.told[-1].is_withheld is False
+    assert driver.releases.reported[-1].is_withheld is False
 
 
 @pytest.mark.parametrize(

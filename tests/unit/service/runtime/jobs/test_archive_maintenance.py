@@ -57,15 +57,15 @@ def archive():
     return Archive()
 
 
-def upkeep(archive, retention=None, clock=None, names=("a",)):
+def maintainer(archive, retention=None, clock=None, names=("a",)):
     catalogue = SimpleNamespace(all_spacecraft=lambda: [SimpleNamespace(id=name) for name in names])
     storage = SimpleNamespace(catalogue=catalogue, archive=archive)
     return ArchiveMaintenance(storage, clock or Clock(), FAST, retention or RetentionConfig())
 
 
 def test_days_are_sealed_after_the_quiet_time_and_nothing_is_dropped_by_default(archive):
-    made = upkeep(archive)
-    made.look_once()
+    made = maintainer(archive)
+    made.poll_once()
     quiet_us = 900_000_000
     assert archive.asked == [("seal", "a", NOW_US - quiet_us, NOW_US + 5 - quiet_us)]
     assert (made.sealed_rows, made.completed_rows) == (10, 5)
@@ -74,8 +74,8 @@ def test_days_are_sealed_after_the_quiet_time_and_nothing_is_dropped_by_default(
 
 def test_series_are_dropped_by_age_and_by_size(archive, monkeypatch):
     archive.fitting = NOW_US - 3 * DAY_US
-    made = upkeep(archive, RetentionConfig(measurements_days=30.0, attitude_bytes=1000))
-    made.look_once()
+    made = maintainer(archive, RetentionConfig(measurements_days=30.0, attitude_bytes=1000))
+    made.poll_once()
     assert archive.asked[:3] == [
         ("drop", "measurements", NOW_US - 30 * DAY_US),
         ("fit", "attitude", 1000),
@@ -83,45 +83,45 @@ def test_series_are_dropped_by_age_and_by_size(archive, monkeypatch):
     ]
     assert {name: rows for name, rows in made.dropped_rows.items() if rows} == {"measurements": 2, "attitude": 2}
     archive.asked.clear()
-    made.look_once()
+    made.poll_once()
     assert ("fit", "attitude", 1000) not in archive.asked, "sizes are looked at once an hour"
     monkeypatch.setattr("service.runtime.jobs.archive_maintenance.SIZING_S", 0.0)
     archive.fitting = None
-    made.look_once()
+    made.poll_once()
     assert ("fit", "attitude", 1000) in archive.asked
     assert not [asked for asked in archive.asked if asked[:2] == ("drop", "attitude")]
 
 
 @pytest.mark.parametrize("series", SERIES)
 def test_every_series_has_its_age(archive, series):
-    upkeep(archive, RetentionConfig(**{f"{series}_days": 1.5})).look_once()
+    maintainer(archive, RetentionConfig(**{f"{series}_days": 1.5})).poll_once()
     assert archive.asked[0] == ("drop", series, NOW_US - 3 * DAY_US // 2)
 
 
 def test_a_clock_that_knows_no_time_yet_seals_nothing(archive):
-    upkeep(archive, clock=Clock(None)).look_once()
+    maintainer(archive, clock=Clock(None)).poll_once()
     assert archive.asked == []
 
 
 def test_a_fault_of_one_spacecraft_is_logged_and_keeps_no_other_from_its_turn(archive, caplog):
     archive.faults["a"] = StorageError("storage.unavailable", "the disk is full")
-    made = upkeep(archive, names=("a", "b"))
-    made.look_once()
+    made = maintainer(archive, names=("a", "b"))
+    made.poll_once()
     assert [asked[1] for asked in archive.asked] == ["a", "b"]
     assert "the disk is full" in caplog.text
-    made.look_once()
+    made.poll_once()
     assert made.sealed_rows == 30
 
 
 def test_the_thread_looks_again_and_again_until_it_is_stopped(archive):
-    made = upkeep(archive)
+    made = maintainer(archive)
     made.start()
     assert archive.sealed.wait(120)
     archive.sealed.clear()
     assert archive.sealed.wait(120)
     made.stop()
     count = len(archive.asked)
-    made.look_once()
+    made.poll_once()
     assert len(archive.asked) == count
 
 
@@ -135,9 +135,9 @@ def test_alarms_and_notes_are_dropped_by_age_of_each_spacecraft_and_of_the_servi
 
         return SimpleNamespace(drop_before=drop_before)
 
-    work = upkeep(archive, RetentionConfig(alarms_days=2.0, notes_days=1.0))
+    work = maintainer(archive, RetentionConfig(alarms_days=2.0, notes_days=1.0))
     work._storage.alarms, work._storage.notes = log("alarms"), log("notes")
-    work.look_once()
+    work.poll_once()
     of_service = [("alarms", None, NOW_US + 5 - 2 * DAY_US), ("notes", None, NOW_US + 5 - DAY_US)]
     assert asked == [("alarms", "a", NOW_US - 2 * DAY_US), ("notes", "a", NOW_US - DAY_US), *of_service]
     assert (work.dropped_rows["alarms"], work.dropped_rows["notes"]) == (6, 6)

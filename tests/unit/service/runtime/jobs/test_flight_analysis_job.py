@@ -7,7 +7,7 @@ import pytest
 
 from service.core.dynamics.orbital_frame_analysis import SettlingRequest
 from service.core.dynamics.orbital_frame_flight import Start
-from service.core.dynamics.orbital_frame_model import rigid_craft
+from service.core.dynamics.orbital_frame_model import rigid_spacecraft
 from service.errors import BusyError
 from service.records.operations.job import JobState
 from service.runtime.jobs.flight_analysis_job import MOST_WAITING, FlightAnalyses, fly_thinned
@@ -20,7 +20,7 @@ def ground(new_ground):
 
 
 FLOWN = partial(fly_thinned, kernels="numpy")
-SHORT = SettlingRequest(rigid_craft(), Start(yaw_deg=1.0), 1.0)
+SHORT = SettlingRequest(rigid_spacecraft(), Start(yaw_deg=1.0), 1.0)
 
 
 def test_a_flight_is_kept_thinned(ground):

@@ -56,15 +56,19 @@ def test_commanded_motion_is_told_as_far_as_it_reaches_beyond_the_alignment_in_t
     payload, synthetic
 ):
     chain, archive = Mock(), Mock()
-    plan, correction, told = PlanChange(1), Correction(100, 200, Axes(0.1, 0.0, 0.0)), TelemetryRecord(140, "FORECAST")
+    plan, correction, reported = (
+        PlanChange(1),
+        Correction(100, 200, Axes(0.1, 0.0, 0.0)),
+        TelemetryRecord(140, "FORECAST"),
+    )
     archive.slow_inputs_before.return_value = [JournalEntry(7, plan)]
     pages = {
         "correction": [JournalEntry(5, correction), JournalEntry(60, correction)],
-        "telemetry": [JournalEntry(6, told), JournalEntry(61, told)],
+        "telemetry": [JournalEntry(6, reported), JournalEntry(61, reported)],
     }
     archive.inputs.side_effect = lambda _craft, kind, _window, _limit, _after: pages.get(kind, [])
     prepare(chain, archive, "y", 50, 150)
-    assert [call.args[0] for call in chain.learn.call_args_list] == [correction, told, plan]
+    assert [call.args[0] for call in chain.update.call_args_list] == [correction, reported, plan]
     starts_us = {call.args[1]: call.args[2].start_us for call in archive.inputs.call_args_list}
     # what telemetry told in the hours before may still hold
     assert starts_us == {**dict.fromkeys(MOTION_KINDS, 150), "telemetry": 150 - 6 * 3600 * 1_000_000}

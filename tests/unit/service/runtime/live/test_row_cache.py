@@ -18,8 +18,10 @@ def fresh():
 def store(fresh: FreshRows, first: int | None, rows: int, *, accepted: int | None = None, sc: str = "sc") -> None:
     """Keep a batch that was stored under the numbers from ``first`` on."""
     powers = np.zeros((rows, 2), dtype=np.float32)
-    places = np.arange(rows)
-    batch = MeasurementBatch(sc, "sa-1", 1, 5, places, 1000 * places, powers, (None,) * rows, np.zeros(rows, bool))
+    positions = np.arange(rows)
+    batch = MeasurementBatch(
+        sc, "sa-1", 1, 5, positions, 1000 * positions, powers, (None,) * rows, np.zeros(rows, bool)
+    )
     fresh.stored(batch, BatchReceipt(rows if accepted is None else accepted, 0, 0, (), first_number=first))
 
 
@@ -80,8 +82,8 @@ def test_the_chain_is_fed_with_the_rows_that_were_just_written(ground, monkeypat
     archive = ground.storage.archive
     original = archive.journal
 
-    def journal(*place: object) -> list[JournalEntry]:
-        entries: list[JournalEntry] = original(*place)
+    def journal(*position: object) -> list[JournalEntry]:
+        entries: list[JournalEntry] = original(*position)
         read.extend(entry.content for entry in entries)
         return entries
 

@@ -36,11 +36,11 @@ def listener():
 
 
 @pytest.fixture
-def news(listener):
+def events(listener):
     """Return news of a journal that is followed from behind number 10."""
-    news = RowPublisher(listener)
-    news.begin("sc", 10)
-    return news
+    events = RowPublisher(listener)
+    events.begin("sc", 10)
+    return events
 
 
 def batch(rows: int) -> MeasurementBatch:
@@ -52,53 +52,53 @@ def batch(rows: int) -> MeasurementBatch:
     )
 
 
-def stored(news: RowPublisher, first: int, rows: int = 1, **changes: int) -> None:
+def stored(events: RowPublisher, first: int, rows: int = 1, **changes: int) -> None:
     """Tell of a batch that was stored under the numbers from ``first`` on."""
     receipt = BatchReceipt(rows, 0, 0, (), first_number=first, feeds_estimator=True)
-    news.stored(batch(rows), replace(receipt, **changes))  # type: ignore[arg-type]
+    events.stored(batch(rows), replace(receipt, **changes))  # type: ignore[arg-type]
 
 
-def followed(news: RowPublisher, *numbers: int) -> None:
+def followed(events: RowPublisher, *numbers: int) -> None:
     """Come to entries of the journal."""
     (row,) = stored_rows(batch(1), BatchReceipt(1, 0, 0, (), first_number=1))
-    news.followed("sc", [JournalEntry(number, replace(row, number=number)) for number in numbers])
+    events.followed("sc", [JournalEntry(number, replace(row, number=number)) for number in numbers])
 
 
-def test_what_the_writer_told_is_not_told_again(news, listener):
-    stored(news, 11, rows=2)
-    stored(news, 13)
-    followed(news, 11, 12, 13, 14)
-    stored(news, 15)
+def test_what_the_writer_told_is_not_told_again(events, listener):
+    stored(events, 11, rows=2)
+    stored(events, 13)
+    followed(events, 11, 12, 13, 14)
+    stored(events, 15)
     assert listener.numbers == [11, 12, 13, 14, 15]
 
 
-def test_rows_behind_something_else_are_left_to_who_follows_the_journal(news, listener):
+def test_rows_behind_something_else_are_left_to_who_follows_the_journal(events, listener):
     # 11 is of another service, or no row: telling 12 now would hide it for good
-    stored(news, 12)
-    stored(news, 13)
+    stored(events, 12)
+    stored(events, 13)
     assert listener.numbers == []
-    followed(news, 11, 12)
-    news.followed("sc", [JournalEntry(13, AlignmentSet(1))])
-    stored(news, 14)
+    followed(events, 11, 12)
+    events.followed("sc", [JournalEntry(13, AlignmentSet(1))])
+    stored(events, 14)
     assert listener.numbers == [11, 12, 14]
 
 
-def test_who_follows_comes_first(news, listener):
-    followed(news, 11)
-    stored(news, 11)
+def test_who_follows_comes_first(events, listener):
+    followed(events, 11)
+    stored(events, 11)
     assert listener.numbers == [11]
 
 
-def test_a_journal_that_nobody_follows_yet_is_not_told(news, listener):
+def test_a_journal_that_nobody_follows_yet_is_not_told(events, listener):
     fresh = RowPublisher(listener)
     stored(fresh, 1)
     assert listener.numbers == []
 
 
-def test_following_anew_from_further_back_tells_nothing_twice(news, listener):
-    stored(news, 11)
-    news.begin("sc", 10)
-    followed(news, 11, 12)
+def test_following_anew_from_further_back_tells_nothing_twice(events, listener):
+    stored(events, 11)
+    events.begin("sc", 10)
+    followed(events, 11, 12)
     assert listener.numbers == [11, 12]
 
 
@@ -107,22 +107,22 @@ def test_following_anew_from_further_back_tells_nothing_twice(news, listener):
     [{"accepted": 1, "duplicates": 1}, {"accepted": 0, "first_number": None}],
     ids=["a duplicate among them", "nothing stored"],
 )
-def test_batches_in_part_are_left_to_who_follows_the_journal(news, listener, changes):
-    stored(news, 11, rows=2, **changes)
+def test_batches_in_part_are_left_to_who_follows_the_journal(events, listener, changes):
+    stored(events, 11, rows=2, **changes)
     assert listener.numbers == []
 
 
-def test_a_backlog_is_left_to_who_follows_the_journal(news, listener):
-    stored(news, 11, rows=17)
+def test_a_backlog_is_left_to_who_follows_the_journal(events, listener):
+    stored(events, 11, rows=17)
     assert listener.numbers == []
 
 
 def test_rows_without_a_listener_count_as_told(listener):
-    news = RowPublisher(LiveFeed())
-    news.begin("sc", 10)
-    stored(news, 11)
-    news._feed = listener
-    stored(news, 12)
+    events = RowPublisher(LiveFeed())
+    events.begin("sc", 10)
+    stored(events, 11)
+    events._feed = listener
+    stored(events, 12)
     assert listener.numbers == [12]
 
 
@@ -134,8 +134,8 @@ def test_rows_are_those_that_the_archive_gives(ground):
     details = rng.normal(50.0, 3.0, (4, 3, 12)).astype(np.float32)
     details[1:3] = nan
     details[:, 2] = nan
-    told = []
-    ground.storage.archive.listen(lambda *stored: told.extend(stored_rows(*stored)))
+    reported = []
+    ground.storage.archive.listen(lambda *stored: reported.extend(stored_rows(*stored)))
     ground.append_rows(
         [ground.at(k) for k in (1, 2, 3)],
         powers,
@@ -147,9 +147,9 @@ def test_rows_are_those_that_the_archive_gives(ground):
     ground.append_rows([ground.at(6), ground.at(7)], powers[:2], source="sa-2", is_stale=np.array([True, False]))
     ground.storage.archive.listen(None)
     ground.append_rows([ground.at(5)], powers[:1])
-    entries = ground.storage.archive.journal(ground.id, told[0].number - 1, 6)
-    assert repr(told) == repr([entry.content for entry in entries])
-    assert [(row.is_late, row.feeds_estimator) for row in told] == [(False, True)] * 3 + [(True, False)] * 2 + [
+    entries = ground.storage.archive.journal(ground.id, reported[0].number - 1, 6)
+    assert repr(reported) == repr([entry.content for entry in entries])
+    assert [(row.is_late, row.feeds_estimator) for row in reported] == [(False, True)] * 3 + [(True, False)] * 2 + [
         (False, False)
     ]
 

@@ -11,7 +11,7 @@ from service.records.levels.attitude import Axes
 from service.records.levels.command import AppliedCommand, Pulse, TorqueCommand
 from service.records.levels.measurement import Measurement
 from service.study.closed_loop.controllers import LEAD_S, ByAngles, ByChain, ByTruth, Idle, postponed
-from service.study.closed_loop.plant_process import CommandReport, CraftTruth
+from service.study.closed_loop.plant_process import CommandReport, SpacecraftTruth
 
 NOTHING = Axes(0.0, 0.0, 0.0)
 MEASUREMENT = Measurement(0, 0, 1, "sa-1", 1, np.zeros(0), None, feeds_estimator=True)
@@ -28,13 +28,13 @@ CRAFT = Spacecraft(
 )
 
 
-def truth(roll_deg: float) -> CraftTruth:
-    return CraftTruth(0, Axes(0.0, roll_deg, 0.0), NOTHING, 0.0)
+def truth(roll_deg: float) -> SpacecraftTruth:
+    return SpacecraftTruth(0, Axes(0.0, roll_deg, 0.0), NOTHING, 0.0)
 
 
 def command() -> TorqueCommand:
-    told = ByTruth(CRAFT, 0.0, 60.0)
-    decision = told.decide(MEASUREMENT, truth(0.5), 1)
+    announced = ByTruth(CRAFT, 0.0, 60.0)
+    decision = announced.decide(MEASUREMENT, truth(0.5), 1)
     assert decision.schedule
     return TorqueCommand(
         *(0, 1, 0, "ground", NOTHING, (0.0,) * 3, False, 60.0, 60_000_000, decision.schedule),
@@ -47,24 +47,24 @@ class RecordedChain:
     """A chain that gives one command again and again and remembers what it was told."""
 
     command: TorqueCommand
-    learned: list[AppliedCommand] = field(default_factory=list)
+    identified: list[AppliedCommand] = field(default_factory=list)
 
     def step(self, measurement: Measurement) -> SimpleNamespace:
         applied = AppliedCommand(self.command) if self.command.control_allowed else None
         return SimpleNamespace(rows=(), command=self.command, applied=applied)
 
-    def learn(self, content: AppliedCommand) -> None:
-        self.learned.append(content)
+    def update(self, content: AppliedCommand) -> None:
+        self.identified.append(content)
 
 
 def test_the_chain_hears_the_mean_torque_of_what_a_loop_on_board_has_done():
-    told = command()
-    chain = RecordedChain(told)
-    controller = ByAngles(chain, told)
+    announced = command()
+    chain = RecordedChain(announced)
+    controller = ByAngles(chain, announced)
     impulse = Axes(0.0, 0.012, -0.006)
     executed = CommandReport(4, "executed", impulse, 120_000_000, 66_000_000, 60_000_000)
-    controller.hear((executed, CommandReport(5, "refused", NOTHING), replace_state(executed, "repeated")))
-    (applied,) = chain.learned
+    controller.on_input((executed, CommandReport(5, "refused", NOTHING), replace_state(executed, "repeated")))
+    (applied,) = chain.identified
     (pulse,) = applied.command.schedule
     assert (pulse.start_us, pulse.duration_s) == (60_000_000, 6.0)
     assert pulse.torque_n_m == pytest.approx((0.0, 0.002, -0.001))
@@ -112,12 +112,12 @@ def test_over_an_ideal_uplink_a_command_counts_from_its_epoch():
     chain = RecordedChain(command())
     decision = ByChain(chain).decide(MEASUREMENT, truth(0.0), 1)
     assert decision.schedule == command().schedule
-    assert chain.learned == [AppliedCommand(command())]
+    assert chain.identified == [AppliedCommand(command())]
 
 
 def test_a_row_without_a_command_is_inhibited():
     chain = RecordedChain(replace(command(), control_allowed=False, schedule=()))
     controller = ByChain(chain)
     assert controller.decide(MEASUREMENT, truth(0.0), 1).is_inhibited
-    controller.hear((CommandReport(1, "executed", NOTHING),))
-    assert chain.learned == []
+    controller.on_input((CommandReport(1, "executed", NOTHING),))
+    assert chain.identified == []

@@ -106,14 +106,14 @@ def test_a_group_is_met_by_95_percent_within_the_narrow_and_all_within_the_wide_
 
 
 def test_percentiles_are_runs_that_were_flown():
-    told = group_merit(results([flight((size, 0.0, 0.0)) for size in (0.1, 0.2, 0.4)]))
-    assert [triple[0] for triple in told.largest_deg] == [0.2, 0.4, 0.4]
+    announced = group_merit(results([flight((size, 0.0, 0.0)) for size in (0.1, 0.2, 0.4)]))
+    assert [triple[0] for triple in announced.largest_deg] == [0.2, 0.4, 0.4]
 
 
 def test_a_group_without_any_flight_is_missed():
-    told = group_merit(results([None]))
-    assert not told.is_met
-    assert math.isnan(told.largest_deg[0][0])
+    announced = group_merit(results([None]))
+    assert not announced.is_met
+    assert math.isnan(announced.largest_deg[0][0])
 
 
 def test_no_control_that_does_not_fail_is_a_finding():
@@ -126,9 +126,9 @@ def test_no_control_that_does_not_fail_is_a_finding():
 
 
 def test_table_document_and_figure_hold_every_group(tmp_path):
-    told = [*results([flight()]), *results([None], sensing=Sensing.TRUTH)]
-    groups = tuple(group_merit([result]) for result in told)
-    campaign = LoopCampaign(LoopPlan(("nominal",), 1), 1.0, tuple(told), groups)
+    announced = [*results([flight()]), *results([None], sensing=Sensing.TRUTH)]
+    groups = tuple(group_merit([result]) for result in announced)
+    campaign = LoopCampaign(LoopPlan(("nominal",), 1), 1.0, tuple(announced), groups)
     assert all(len(cells(group)) == len(COLUMNS) for group in groups)
     assert markdown(campaign).count("\n") == 4
     document = json.loads(json.dumps(as_document(campaign, "command"), allow_nan=False))

@@ -37,10 +37,10 @@ PUSHED = Disturbance(0, 86_400.0, Axes(0.0, 4e-7, 0.0), ZERO, ZERO, ZERO)
 class Journal:
     """Stands for the chain: remembers what it was told."""
 
-    told: list[object] = field(default_factory=list)
+    announced: list[object] = field(default_factory=list)
 
-    def learn(self, content: object) -> None:
-        self.told.append(content)
+    def update(self, content: object) -> None:
+        self.announced.append(content)
 
 
 class Link:
@@ -60,8 +60,8 @@ class Link:
         self.sent += bool(given)
         return given
 
-    def hear(self, state: str, until_us: int | None = None, counter: int = 1) -> None:
-        self.releaser.hear([CommandReport(counter, state, ZERO, until_us or 0, until_us)])
+    def on_input(self, state: str, until_us: int | None = None, counter: int = 1) -> None:
+        self.releaser.on_input([CommandReport(counter, state, ZERO, until_us or 0, until_us)])
 
 
 @pytest.fixture
@@ -81,44 +81,44 @@ def test_a_command_goes_out_ahead_of_its_pulses_and_is_uncertain_until_it_is_tol
     sent = link.row(0.0)
     assert min(pulse.start_us for pulse in sent) == LEAD_S * S
     assert len(slew(sent)) < len(sent)
-    assert link.journal.told == [ReleasedCommand(1, 0, sent)]
+    assert link.journal.announced == [ReleasedCommand(1, 0, sent)]
     # waits for its report, and for the end of its period
     assert link.row(60.0) == ()
     first, last = slew(sent)[0], slew(sent)[-1]
-    link.hear("executing", stop_us(first))
-    assert len(link.journal.told) == 1
-    link.hear("executing", stop_us(last))
-    assert link.journal.told[1:] == [ReportedCommand(1, stop_us(last), slew(sent))]
+    link.on_input("executing", stop_us(first))
+    assert len(link.journal.announced) == 1
+    link.on_input("executing", stop_us(last))
+    assert link.journal.announced[1:] == [ReportedCommand(1, stop_us(last), slew(sent))]
     assert link.row(540.0) == ()
     assert link.row(600.0) != ()
 
 
 def test_what_is_executed_after_the_report_is_told_as_it_comes_and_once(link):
     sent = link.row(0.0)
-    link.hear("executing", stop_us(slew(sent)[-1]))
-    link.hear("executing", stop_us(sent[-2]))
-    link.hear("executed", stop_us(sent[-1]))
-    link.hear("executed", stop_us(sent[-1]))
-    later = [content for content in link.journal.told[2:] if isinstance(content, AppliedCommand)]
+    link.on_input("executing", stop_us(slew(sent)[-1]))
+    link.on_input("executing", stop_us(sent[-2]))
+    link.on_input("executed", stop_us(sent[-1]))
+    link.on_input("executed", stop_us(sent[-1]))
+    later = [content for content in link.journal.announced[2:] if isinstance(content, AppliedCommand)]
     assert [pulse for content in later for pulse in content.command.schedule] == list(sent[len(slew(sent)) :])
 
 
 @pytest.mark.parametrize("state", ["late", "refused", "replaced"])
 def test_what_the_craft_does_not_execute_is_reported_as_nothing(link, state):
     link.row(0.0)
-    link.hear(state)
-    assert link.journal.told[1:] == [ReportedCommand(1, 0, ())]
+    link.on_input(state)
+    assert link.journal.announced[1:] == [ReportedCommand(1, 0, ())]
     assert link.row(600.0) != ()
 
 
 def test_what_is_lost_is_given_up_and_a_repetition_says_nothing(link):
     link.row(0.0)
-    link.hear("repeated")
-    assert len(link.journal.told) == 1
+    link.on_input("repeated")
+    assert len(link.journal.announced) == 1
     over_s = LEAD_S + 0.75 * PERIOD_S + 60.0
     assert link.row(over_s - 1.0) == ()
     assert link.row(over_s) != ()
-    assert link.journal.told[1] == ReportedCommand(1, round(over_s * S), ())
+    assert link.journal.announced[1] == ReportedCommand(1, round(over_s * S), ())
 
 
 def test_nothing_goes_out_under_an_inhibition_and_a_person_leads_back_from_afar(link):

@@ -4,7 +4,7 @@ import pytest
 
 from service.study.demonstration import control_centre
 from service.study.demonstration.control_centre import ControlCentre
-from service.study.demonstration.spacecraft_line import CraftReport
+from service.study.demonstration.spacecraft_line import SpacecraftReport
 
 
 def epoch(minute: int, second: int = 0) -> str:
@@ -20,20 +20,20 @@ def command(minute: int, *schedule: dict, inhibitions: tuple = ()) -> dict:
     return {"attitude_epoch": epoch(minute), "schedule": list(schedule), "control": control}
 
 
-def report(counter: int, state: str = "executed", until: str | None = epoch(59)) -> CraftReport:
+def report(counter: int, state: str = "executed", until: str | None = epoch(59)) -> SpacecraftReport:
     impulse = dict.fromkeys(("yaw", "roll", "pitch"), 0.0)
-    return CraftReport(counter, state, epoch(0), None, until if state == "executed" else None, impulse)
+    return SpacecraftReport(counter, state, epoch(0), None, until if state == "executed" else None, impulse)
 
 
 class Service:
     """Tells a script of commands, one a request."""
 
-    def __init__(self, *told: dict) -> None:
-        self.told, self.asked = list(told), 0
+    def __init__(self, *reported: dict) -> None:
+        self.reported, self.asked = list(reported), 0
 
     def torques(self, _spacecraft_id):
         self.asked += 1
-        return self.told.pop(0) if len(self.told) > 1 else self.told[0]
+        return self.reported.pop(0) if len(self.reported) > 1 else self.reported[0]
 
 
 class Line:
@@ -85,9 +85,9 @@ def test_what_became_of_each_command_is_counted():
         [report(4, "replaced")],
     ]
     log = steered(service, Line(*reports), *minutes).log
-    told = {"executed": 2, "executing": 0, "replaced": 1, "late": 1, "refused": 0}
+    reported = {"executed": 2, "executing": 0, "replaced": 1, "late": 1, "refused": 0}
     # the fifth ended more than five minutes before nothing; two more are on their way
-    assert log.counts() == {"sent": 7, **told, "lost": 0, "under_way": 3, "twice": 1}
+    assert log.counts() == {"sent": 7, **reported, "lost": 0, "under_way": 3, "twice": 1}
     log.newest_us += 4 * 60_000_000
     assert (log.counts()["lost"], log.counts()["under_way"]) == (1, 2)
     assert log.impulse_n_m_s == pytest.approx({"yaw": 0.0, "roll": 0.02, "pitch": 0.0})

@@ -24,7 +24,7 @@ class Stage:
     def __init__(self) -> None:
         self.log: list[tuple] = []
         self.newest: str | None = None
-        self.told: str | None = None
+        self.reported: str | None = None
 
 
 class Link:
@@ -43,12 +43,12 @@ class Link:
         for message in self._script:
             if message["kind"] == "truth":
                 measured = [row["epoch"] for row in message["rows"] if not row.get("is_gap")]
-                self._stage.told = measured[-1] if measured else self._stage.told
+                self._stage.reported = measured[-1] if measured else self._stage.reported
             yield message
 
     def proceed(self):
         self._stage.log.append(("proceed",))
-        self._stage.newest = self._stage.told
+        self._stage.newest = self._stage.reported
 
 
 class Station:
@@ -141,7 +141,7 @@ OPERATION = [phase("operation", 30, 60), rows(30, 39), hold(39, "operation")]
 END = [{"kind": "end"}]
 
 
-def told(script: list[dict], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[tuple]:
+def reported(script: list[dict], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[tuple]:
     stage = Stage()
     monkeypatch.setattr(demonstration, "GroundLink", lambda *_: Link(stage, script))
     monkeypatch.setattr(demonstration, "front_end", lambda *_: Station(stage))
@@ -150,22 +150,22 @@ def told(script: list[dict], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) ->
     return stage.log
 
 
-def places(log: list[tuple], *names: str) -> list[int]:
+def positions(log: list[tuple], *names: str) -> list[int]:
     return [next(k for k, entry in enumerate(log) if entry[0] == name) for name in names]
 
 
 def test_an_ordinary_story_needs_one_front_end(monkeypatch, tmp_path):
-    log = told([*BEFORE, *ALIGNMENT, *OPERATION, *END], monkeypatch, tmp_path)
+    log = reported([*BEFORE, *ALIGNMENT, *OPERATION, *END], monkeypatch, tmp_path)
     assert [entry for entry in log if entry[0] in {"start", "stop"}] == [("start", "task 1", "sa-1")]
     calibrate = next(entry[1] for entry in log if entry[0] == "calibrate")
     assert calibrate["source"] == "star_tracker"
     assert calibrate["turns"] == {"start": epoch(10), "stop": epoch(20)}
-    assert places(log, "calibrate", "align") == sorted(places(log, "calibrate", "align"))
+    assert positions(log, "calibrate", "align") == sorted(positions(log, "calibrate", "align"))
 
 
 def test_a_new_plan_in_operation_replaces_the_front_end_once_its_rows_are_there(monkeypatch, tmp_path):
     script = [*BEFORE, *ALIGNMENT, *OPERATION, *plan(2), rows(40, 49), hold(49, "operation"), *END]
-    log = told(script, monkeypatch, tmp_path)
+    log = reported(script, monkeypatch, tmp_path)
     changes = [entry for entry in log if entry[0] in {"start", "stop", "put_carriers"}]
     assert changes == [
         ("put_carriers", "sc", [{"id": "plan 1"}]),
@@ -177,9 +177,9 @@ def test_a_new_plan_in_operation_replaces_the_front_end_once_its_rows_are_there(
 
 
 def test_a_new_plan_before_the_alignment_finds_the_calibration_made(monkeypatch, tmp_path):
-    log = told([*BEFORE, *plan(2), *ALIGNMENT, *OPERATION, *END], monkeypatch, tmp_path)
+    log = reported([*BEFORE, *plan(2), *ALIGNMENT, *OPERATION, *END], monkeypatch, tmp_path)
     second = [k for k, entry in enumerate(log) if entry[0] == "put_carriers"][1]
-    calibrate, align = places(log, "calibrate", "align")
+    calibrate, align = positions(log, "calibrate", "align")
     assert calibrate < second < align
     assert [entry[0] for entry in log].count("calibrate") == 1
 
@@ -188,7 +188,7 @@ def test_another_analyzer_is_made_prime_after_its_first_row_and_the_old_one_befo
     switch = [{"kind": "source", "body": {"source": "sa-2"}}, rows(40, 40), hold(40, "operation")]
     between = [rows(41, 49), hold(49, "operation")]
     back = [{"kind": "source", "body": {"source": "sa-1"}}, rows(50, 50), hold(50, "operation")]
-    log = told([*BEFORE, *ALIGNMENT, *OPERATION, *switch, *between, *back, *END], monkeypatch, tmp_path)
+    log = reported([*BEFORE, *ALIGNMENT, *OPERATION, *switch, *between, *back, *END], monkeypatch, tmp_path)
     seen = [entry for entry in log if entry[0] in {"start", "stop", "POST", "proceed"}][5:]
     assert seen == [
         ("stop", epoch(39)),
@@ -206,7 +206,7 @@ def test_another_analyzer_is_made_prime_after_its_first_row_and_the_old_one_befo
 def test_each_axis_is_calibrated_with_the_sensor_that_tells_it(monkeypatch, tmp_path):
     sensors = [reference("earth_sensor", roll_deg=0.0, pitch_deg=0.0), reference("radio_beacon", yaw_deg=0.0)]
     script = [line for line in BEFORE if line is not STAR_TRACKER]
-    log = told([*script[:4], *sensors, *script[4:], *ALIGNMENT, *OPERATION, *END], monkeypatch, tmp_path)
+    log = reported([*script[:4], *sensors, *script[4:], *ALIGNMENT, *OPERATION, *END], monkeypatch, tmp_path)
     expected = {"yaw": "radio_beacon", "roll": "earth_sensor", "pitch": "earth_sensor"}
     assert next(entry[1] for entry in log if entry[0] == "calibrate")["sources"] == expected
     assert next(entry[1] for entry in log if entry[0] == "align")["sources"] == expected
@@ -216,7 +216,7 @@ def test_each_axis_is_calibrated_with_the_sensor_that_tells_it(monkeypatch, tmp_
 def test_telemetry_is_forwarded_and_a_gap_is_not_waited_for(monkeypatch, tmp_path):
     body = {"records": [{"epoch": epoch(40), "onboard_mode": "inertial_forecast"}]}
     gap = [{"kind": "telemetry", "body": body}, rows(40, 49, is_gap=True), hold(49, "operation")]
-    log = told([*BEFORE, *ALIGNMENT, *OPERATION, *gap, *END], monkeypatch, tmp_path)
+    log = reported([*BEFORE, *ALIGNMENT, *OPERATION, *gap, *END], monkeypatch, tmp_path)
     assert ("POST", "/spacecraft/sc/telemetry:batch", body) in log
     assert [entry[0] for entry in log].count("proceed") == 5
 
@@ -230,7 +230,7 @@ ANNOUNCED = {
 }
 
 
-class Craft:
+class OrbitalFrameSpacecraft:
     """A craft line that hands on nothing."""
 
     fed_forward: dict | None = ANNOUNCED
@@ -267,13 +267,13 @@ class Computing(Client):
 CATALOGUE = {"id": "sc", "onboard": {"fast_loop": True}, "control": {"mode": "ground", "release": "two_step"}}
 
 
-def flown(craft: Craft, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> tuple[Stage, Story, list]:
+def flown(craft: OrbitalFrameSpacecraft, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> tuple[Stage, Story, list]:
     """Fly three rows of operation; the truth of each follows it."""
     stage, scenes = Stage(), []
     operation = [line for row in range(30, 33) for line in (hold(row, "operation"), rows(row, row))]
     script = [{"kind": "spacecraft", "body": CATALOGUE}, *BEFORE[1:], *ALIGNMENT, *operation, *END]
     monkeypatch.setattr(demonstration, "GroundLink", lambda *_: Link(stage, script))
-    monkeypatch.setattr(demonstration, "CraftLine", lambda *_: craft)
+    monkeypatch.setattr(demonstration, "SpacecraftLine", lambda *_: craft)
     monkeypatch.setattr(demonstration, "front_end", lambda *_: Station(stage))
     endpoints = Endpoints("url", "key", ("host", 1), "resource", uplink=("host", 2))
     return stage, run_story(tmp_path, endpoints, Computing(stage), scenes.append), scenes
@@ -284,7 +284,7 @@ def created(stage: Stage) -> dict:
 
 
 def test_the_catalogue_states_what_the_craft_says_its_loop_feeds_forward(monkeypatch, tmp_path):
-    stage, _, _ = flown(Craft(), monkeypatch, tmp_path)
+    stage, _, _ = flown(OrbitalFrameSpacecraft(), monkeypatch, tmp_path)
     assert created(stage)["control"] == {"mode": "ground", "release": "automatic"}
     onboard = created(stage)["onboard"]
     assert onboard == {
@@ -300,14 +300,14 @@ def test_the_catalogue_states_what_the_craft_says_its_loop_feeds_forward(monkeyp
 
 
 def test_of_a_craft_that_says_nothing_nothing_is_stated(monkeypatch, tmp_path):
-    craft = Craft()
+    craft = OrbitalFrameSpacecraft()
     craft.fed_forward = None
     stage, _, _ = flown(craft, monkeypatch, tmp_path)
     assert created(stage)["onboard"] == CATALOGUE["onboard"]
 
 
 def test_where_the_craft_is_flown_each_row_waits_for_the_command_of_the_one_before(monkeypatch, tmp_path):
-    craft = Craft()
+    craft = OrbitalFrameSpacecraft()
     stage, story, scenes = flown(craft, monkeypatch, tmp_path)
     seen = [entry for entry in stage.log if entry[0] in {"proceed", "torques"}][3:]
     assert seen == [entry for row in range(30, 33) for entry in (("proceed",), ("torques", epoch(row)))]

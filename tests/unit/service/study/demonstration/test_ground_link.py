@@ -15,7 +15,7 @@ def simulator():
         yield listener
 
 
-def tell(listener, lines, heard):
+def report(listener, lines, heard):
     """Accept one client, send lines, wait for one answer."""
 
     def serve():
@@ -32,7 +32,7 @@ def tell(listener, lines, heard):
 def test_messages_come_in_order_until_the_end_and_a_hold_is_answered(simulator):
     heard = []
     lines = b'{"kind":"phase","name":"quiet"}\n{"kind":"hold"}\n{"kind":"end"}\n{"kind":"after"}\n'
-    thread = tell(simulator, lines, heard)
+    thread = report(simulator, lines, heard)
     kinds = []
     with GroundLink(*simulator.getsockname(), timeout_s=120.0) as link:
         for message in link.messages():

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from service.study.demonstration.spacecraft_line import CraftLine, CraftLineError
+from service.study.demonstration.spacecraft_line import SpacecraftLine, SpacecraftLineError
 
 FED_FORWARD = {"epoch": "2026-11-05T10:00:00.000000Z", "period_s": 86400.0}
 START = {"type": "start", "scenario": "demo", "fed_forward_torque": FED_FORWARD}
@@ -22,7 +22,7 @@ def report(counter: int, state: str, **fields) -> dict:
     return {"type": "report", "counter": counter, "state": state, "told": epoch(1), "received": epoch(0), **fields}
 
 
-class Craft:
+class OrbitalFrameSpacecraft:
     """A listening socket that says a script and keeps the lines it hears."""
 
     def __init__(self, script: list[dict]) -> None:
@@ -48,8 +48,8 @@ class Craft:
 def craft() -> Iterator:
     crafts = []
 
-    def start(*script: dict) -> Craft:
-        crafts.append(Craft(list(script)))
+    def start(*script: dict) -> OrbitalFrameSpacecraft:
+        crafts.append(OrbitalFrameSpacecraft(list(script)))
         return crafts[-1]
 
     yield start
@@ -61,7 +61,7 @@ def test_reports_are_kept_until_the_row_they_belong_to_is_asked_for(craft):
     executed = report(
         1, "executed", executed_from=epoch(0), executed_until=epoch(1), impulse_n_m_s={**NOTHING, "roll": 0.02}
     )
-    told = craft(
+    reported = craft(
         {"type": "flown", "epoch": epoch(0)},
         {"type": "taken", "counter": 1, "sent": epoch(0)},
         executed,
@@ -69,24 +69,24 @@ def test_reports_are_kept_until_the_row_they_belong_to_is_asked_for(craft):
         report(1, "repeated"),
         {"type": "flown", "epoch": epoch(2)},
     )
-    with CraftLine(*told.address, timeout_s=120.0) as line:
+    with SpacecraftLine(*reported.address, timeout_s=120.0) as line:
         assert line.fed_forward == FED_FORWARD
         assert line.await_flown(epoch(0)) == []
         line.send([{"start": epoch(0)}], 1)
         (first,) = line.await_flown(epoch(1))
         (second,) = line.await_flown(epoch(2))
         assert line.await_flown(epoch(2)) == [], "a row that was flown is not waited for"
-    told.end()
-    assert told.heard == [{"schedule": [{"start": epoch(0)}], "counter": 1}]
+    reported.end()
+    assert reported.heard == [{"schedule": [{"start": epoch(0)}], "counter": 1}]
     assert (first.state, first.executed_until, first.impulse_n_m_s["roll"]) == ("executed", epoch(1), 0.02)
     assert (second.state, second.executed_until, second.impulse_n_m_s) == ("repeated", None, NOTHING)
 
 
 def test_a_refused_schedule_is_told_with_its_reason(craft):
-    told = craft({"type": "error", "detail": "element 0: a torque exceeds 0.05 N m"})
+    reported = craft({"type": "error", "detail": "element 0: a torque exceeds 0.05 N m"})
     with (
-        CraftLine(*told.address, timeout_s=120.0) as line,
-        pytest.raises(CraftLineError, match=r"refused: element 0: a torque exceeds 0\.05 N m"),
+        SpacecraftLine(*reported.address, timeout_s=120.0) as line,
+        pytest.raises(SpacecraftLineError, match=r"refused: element 0: a torque exceeds 0\.05 N m"),
     ):
         line.send([{}], 1)
 
@@ -102,12 +102,15 @@ def test_a_line_that_another_client_holds_is_told(craft):
 
         thread = threading.Thread(target=turn_away, daemon=True)
         thread.start()
-        with pytest.raises(CraftLineError, match="another client"):
-            CraftLine(*address, timeout_s=120.0)
+        with pytest.raises(SpacecraftLineError, match="another client"):
+            SpacecraftLine(*address, timeout_s=120.0)
         thread.join(120)
 
 
 def test_a_craft_that_leaves_ends_the_wait(craft):
-    told = craft({"type": "flown", "epoch": epoch(0)})
-    with CraftLine(*told.address, timeout_s=120.0) as line, pytest.raises(CraftLineError, match="closed its line"):
+    reported = craft({"type": "flown", "epoch": epoch(0)})
+    with (
+        SpacecraftLine(*reported.address, timeout_s=120.0) as line,
+        pytest.raises(SpacecraftLineError, match="closed its line"),
+    ):
         line.await_flown(epoch(1))

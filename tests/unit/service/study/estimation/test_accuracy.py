@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.study.estimation.accuracy import AXES, accuracy_figures, measure_accuracy
+from service.study.estimation.accuracy import AXES, accuracy_statistics, measure_accuracy
 
 TIME = np.linspace(0.0, 12.0 * np.pi, 2000)
 TRUTH = np.column_stack([0.3 * np.sin(TIME), 0.2 * np.cos(TIME), 0.1 * np.sin(2.0 * TIME)])
@@ -11,7 +11,7 @@ SIGMA = np.full_like(TRUTH, 0.02)
 
 
 def figures(estimate, truth=TRUTH, sigma=SIGMA):
-    return accuracy_figures([measure_accuracy(estimate, sigma, truth)])
+    return accuracy_statistics([measure_accuracy(estimate, sigma, truth)])
 
 
 def test_the_truth_itself_is_perfect():
@@ -43,7 +43,7 @@ def test_a_scaled_answer_has_its_slope_and_a_sigma_that_fits_is_honest():
 
 def test_rms_is_the_mean_of_seeds_and_skill_is_pooled():
     small, large = measure_accuracy(0.9 * TRUTH, SIGMA, TRUTH), measure_accuracy(np.zeros((9, 3)), SIGMA[:9], TRUTH[:9])
-    found = accuracy_figures([small, large])
+    found = accuracy_statistics([small, large])
     own = [np.sqrt(seed.mean_square_error[1]) for seed in (small, large)]
     assert found["rms_deg.roll"] == pytest.approx(np.mean(own), rel=1e-12)
     error = small.mean_square_error[1] + large.mean_square_error[1]
@@ -71,7 +71,7 @@ def test_silence_has_no_accuracy(share):
 def test_one_silent_seed_takes_the_figures_of_all():
     good = measure_accuracy(TRUTH, SIGMA, TRUTH)
     silent = measure_accuracy(np.full_like(TRUTH, np.nan), SIGMA, TRUTH)
-    assert np.isnan(accuracy_figures([good, silent])["rms_deg.roll"])
+    assert np.isnan(accuracy_statistics([good, silent])["rms_deg.roll"])
 
 
 def test_no_rows_at_all_are_no_answer():

@@ -32,9 +32,9 @@ def test_without_corrections_a_quarter_of_a_day_turns_yaw_into_roll():
 
 def test_a_correction_is_spread_evenly_over_its_interval():
     correction = Correction(START_US + HOUR_US, START_US + 3 * HOUR_US, Axes(0.4, 0.0, -0.2))
-    told = commanded_deg(epochs([0.5, 1.0, 2.0, 3.0, 9.0]), (correction,))
-    assert told[:, 0] == pytest.approx([0.0, 0.0, 0.2, 0.4, 0.4], abs=1e-12)
-    assert told[:, 2] == pytest.approx([0.0, 0.0, -0.1, -0.2, -0.2], abs=1e-12)
+    reported = commanded_deg(epochs([0.5, 1.0, 2.0, 3.0, 9.0]), (correction,))
+    assert reported[:, 0] == pytest.approx([0.0, 0.0, 0.2, 0.4, 0.4], abs=1e-12)
+    assert reported[:, 2] == pytest.approx([0.0, 0.0, -0.1, -0.2, -0.2], abs=1e-12)
 
 
 def test_what_was_commanded_before_the_alignment_is_in_its_attitude():

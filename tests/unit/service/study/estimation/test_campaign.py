@@ -5,13 +5,13 @@ import pytest
 
 from service.study.estimation.baselines import BASELINES
 from service.study.estimation.bounds import Bound, Mark, at_least, at_most
-from service.study.estimation.campaign import CampaignPlan, assess, collect_figures, versions
+from service.study.estimation.campaign import CampaignPlan, assess, collect_metrics, versions
 
 PLAN = CampaignPlan(("octants",), 2)
 
 
 def assessed(results, **options):
-    return assess(PLAN, 1.0, tuple(results), collect_figures(results), **options)
+    return assess(PLAN, 1.0, tuple(results), collect_metrics(results), **options)
 
 
 def test_a_right_answer_misses_nothing_and_no_baseline_keeps_the_bounds(judged_unit):
@@ -23,7 +23,7 @@ def test_a_right_answer_misses_nothing_and_no_baseline_keeps_the_bounds(judged_u
 
 
 def test_figures_stand_for_both_methods_and_every_baseline(judged_unit):
-    figures = collect_figures([judged_unit()])
+    figures = collect_metrics([judged_unit()])
     assert set(figures) == {("octants", answer) for answer in ("robust", "paper", *BASELINES)}
     assert figures["octants", "zero"]["skill.roll"] == 0.0
     assert figures["octants", "robust"]["rms_deg.roll"] == 0.0
@@ -53,9 +53,9 @@ def test_an_eclipse_is_held_against_the_same_craft_without_one(judged_unit):
     assert dark.course is not None
     dark.course.is_night[1000:1100] = True
     dark.course.methods["robust"].estimate_deg[1000:1100, 1] += 0.03
-    figures = collect_figures([dark, bright])
+    figures = collect_metrics([dark, bright])
     assert figures["eclipse", "robust"]["shift_deg.roll"] == pytest.approx(0.03, abs=1e-6)  # float32
-    assert "shift_deg.roll" not in collect_figures([dark])["eclipse", "robust"]
+    assert "shift_deg.roll" not in collect_metrics([dark])["eclipse", "robust"]
 
 
 def test_what_made_the_figures_is_told():

@@ -7,7 +7,7 @@ import pytest
 
 from service.study.estimation.bound_table import BOUNDS
 from service.study.estimation.bounds import Mark, judge
-from service.study.estimation.measures import figures_of, measure_method
+from service.study.estimation.measures import measure_method, statistics_of
 
 HOUR = 60
 
@@ -17,18 +17,18 @@ def measured(world, driven_world, series):
 
 
 def figures(world, driven_world, series):
-    return figures_of([measured(world, driven_world, series)])
+    return statistics_of([measured(world, driven_world, series)])
 
 
-def marks(scenario, told):
+def marks(scenario, reported):
     """Return the marks of the robust method by figure."""
     own = [bound for bound in BOUNDS if (bound.scenario, bound.method) == (scenario, "robust")]
-    return {judged.bound.figure: judged.mark for judged in judge(own, {(scenario, "robust"): told})}
+    return {judged.bound.figure: judged.mark for judged in judge(own, {(scenario, "robust"): reported})}
 
 
 def test_a_perfect_answer_meets_every_goal(toured_world, said, driven_world):
-    told = figures(toured_world, driven_world, said(toured_world.truth.attitude_deg))
-    earned = marks("octants", told)
+    reported = figures(toured_world, driven_world, said(toured_world.truth.attitude_deg))
+    earned = marks("octants", reported)
     assert len(earned) == 9
     # no goal was set for the false rain
     assert {figure for figure, mark in earned.items() if mark is not Mark.GOAL} == {"rain_false_share"}
@@ -36,17 +36,17 @@ def test_a_perfect_answer_meets_every_goal(toured_world, said, driven_world):
 
 
 def test_the_answer_that_never_moves_misses_every_bound_of_accuracy(toured_world, said, driven_world):
-    told = figures(toured_world, driven_world, said(np.zeros((3000, 3))))
-    earned = marks("octants", told)
+    reported = figures(toured_world, driven_world, said(np.zeros((3000, 3))))
+    earned = marks("octants", reported)
     assert {figure for figure, mark in earned.items() if mark is not Mark.MISSED} == {"rain_false_share"}
 
 
 def test_the_first_hour_is_not_judged(toured_world, said, driven_world):
     estimate = toured_world.truth.attitude_deg.copy()
     estimate[:HOUR] += 1.0
-    told = figures(toured_world, driven_world, said(estimate))
-    assert told["max_deg.roll"] == 0.0
-    assert told["wrong_min"] == 0.0
+    reported = figures(toured_world, driven_world, said(estimate))
+    assert reported["max_deg.roll"] == 0.0
+    assert reported["wrong_min"] == 0.0
 
 
 @pytest.mark.parametrize(
@@ -61,8 +61,12 @@ def test_the_first_hour_is_not_judged(toured_world, said, driven_world):
 def test_a_torque_is_wrong_beyond_the_limit_of_its_axis(toured_world, said, driven_world, error_deg, roll_pitch, yaw):
     estimate = toured_world.truth.attitude_deg.copy()
     estimate[100:110] += error_deg
-    told = figures(toured_world, driven_world, said(estimate))
-    assert (told["wrong_min.roll_pitch"], told["wrong_min.yaw"], told["wrong_min"]) == (roll_pitch, yaw, 10.0)
+    reported = figures(toured_world, driven_world, said(estimate))
+    assert (reported["wrong_min.roll_pitch"], reported["wrong_min.yaw"], reported["wrong_min"]) == (
+        roll_pitch,
+        yaw,
+        10.0,
+    )
 
 
 def test_what_is_not_allowed_is_no_wrong_torque(toured_world, said, driven_world):
@@ -71,15 +75,15 @@ def test_what_is_not_allowed_is_no_wrong_torque(toured_world, said, driven_world
     allowed = np.ones((3000, 3), dtype=bool)
     allowed[:, 0] = False
     allowed[105:110, 1] = False
-    told = figures(toured_world, driven_world, said(estimate, is_axis_allowed=allowed))
-    assert (told["wrong_min.roll_pitch"], told["wrong_min.yaw"]) == (5.0, 0.0)
+    reported = figures(toured_world, driven_world, said(estimate, is_axis_allowed=allowed))
+    assert (reported["wrong_min.roll_pitch"], reported["wrong_min.yaw"]) == (5.0, 0.0)
 
 
 def test_minutes_follow_the_period_of_the_rows(toured_world, said, driven_world):
     estimate = toured_world.truth.attitude_deg.copy()
     estimate[100:110, 1] += 0.2
-    told = figures(toured_world._replace(row_period_s=10.0), driven_world, said(estimate))
-    assert told["wrong_min"] == pytest.approx(10.0 / 6.0)
+    reported = figures(toured_world._replace(row_period_s=10.0), driven_world, said(estimate))
+    assert reported["wrong_min"] == pytest.approx(10.0 / 6.0)
 
 
 def test_availability_counts_in_the_dry_only(toured_world, said, driven_world):
@@ -89,8 +93,8 @@ def test_availability_counts_in_the_dry_only(toured_world, said, driven_world):
     allowed = np.ones(3000, dtype=bool)
     allowed[1000:1500] = False
     allowed[2000:2100] = False
-    told = figures(world, driven_world, said(world.truth.attitude_deg, is_control_allowed=allowed))
-    assert told["available_dry"] == pytest.approx(1.0 - 100 / (3000 - HOUR - 500))
+    reported = figures(world, driven_world, said(world.truth.attitude_deg, is_control_allowed=allowed))
+    assert reported["available_dry"] == pytest.approx(1.0 - 100 / (3000 - HOUR - 500))
 
 
 def test_a_night_counts_the_minutes_without_control(toured_world, said, driven_world):
@@ -99,16 +103,16 @@ def test_a_night_counts_the_minutes_without_control(toured_world, said, driven_w
     world = toured_world._replace(truth=replace(toured_world.truth, flags=flags))
     allowed = np.ones(3000, dtype=bool)
     allowed[1010:1030] = False
-    told = figures(world, driven_world, said(world.truth.attitude_deg, is_control_allowed=allowed))
-    assert told["night_off_min"] == 20.0
+    reported = figures(world, driven_world, said(world.truth.attitude_deg, is_control_allowed=allowed))
+    assert reported["night_off_min"] == 20.0
 
 
 def test_a_lost_correction_is_alarmed_after_some_minutes(toured_world, said, driven_world):
     alarm = np.zeros(3000, dtype=bool)
     alarm[9 * HOUR + 12], alarm[30 * HOUR + 25] = True, True
     world = toured_world._replace(scenario="corrections_lost")
-    told = figures(world, driven_world, said(world.truth.attitude_deg, is_alarm=alarm))
-    assert told["alarm_delay_min"] == 25.0
+    reported = figures(world, driven_world, said(world.truth.attitude_deg, is_alarm=alarm))
+    assert reported["alarm_delay_min"] == 25.0
 
 
 def test_shares_are_pooled_and_minutes_are_means_of_the_seeds(toured_world, said, driven_world):
@@ -116,12 +120,12 @@ def test_shares_are_pooled_and_minutes_are_means_of_the_seeds(toured_world, said
     estimate[100:110, 1] += 0.2
     good = measured(toured_world, driven_world, said(toured_world.truth.attitude_deg))
     bad = measured(toured_world, driven_world, said(estimate, is_fade=np.arange(3000) >= 2970))
-    told = figures_of([good, bad])
-    assert told["wrong_min"] == 5.0
-    assert told["rain_false_share"] == pytest.approx(30 / (2 * (3000 - HOUR)))
+    reported = statistics_of([good, bad])
+    assert reported["wrong_min"] == 5.0
+    assert reported["rain_false_share"] == pytest.approx(30 / (2 * (3000 - HOUR)))
 
 
 def test_what_did_not_happen_has_no_figure(toured_world, said, driven_world):
-    told = figures(toured_world, driven_world, said(toured_world.truth.attitude_deg))
+    reported = figures(toured_world, driven_world, said(toured_world.truth.attitude_deg))
     absent = {"rain_delay_min", "faults", "night_off_min", "alarm_delay_min", "dark_rms_deg.yaw"}
-    assert absent.isdisjoint(told)
+    assert absent.isdisjoint(reported)

@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from service.study.estimation.campaign import CampaignPlan, assess, collect_figures
+from service.study.estimation.campaign import CampaignPlan, assess, collect_metrics
 from service.study.estimation.report import (
     MARKER_BEGIN,
     MARKER_END,
@@ -22,7 +22,7 @@ COMMAND = "soo study estimation --scenario octants --seeds 1"
 @pytest.fixture
 def campaign(judged_unit):
     results = (judged_unit(), judged_unit("corrections_lost"))
-    return assess(CampaignPlan(("octants", "corrections_lost"), 1), 12.34, results, collect_figures(results))
+    return assess(CampaignPlan(("octants", "corrections_lost"), 1), 12.34, results, collect_metrics(results))
 
 
 @pytest.mark.parametrize(
@@ -46,15 +46,15 @@ def test_numbers_stand_without_needless_characters(value, digits, text):
 
 
 def test_tables_have_a_row_for_each_method_and_none_for_what_did_not_happen(campaign):
-    told = {table.title: table for table in tables(campaign)}
-    assert list(told) == ["Errors", "Rms of answers without powers", "Control", "Bounds"]
-    assert [row[:2] for row in told["Errors"].rows] == [
+    reported = {table.title: table for table in tables(campaign)}
+    assert list(reported) == ["Errors", "Rms of answers without powers", "Control", "Bounds"]
+    assert [row[:2] for row in reported["Errors"].rows] == [
         ("octants", "robust"),
         ("octants", "paper"),
         ("corrections_lost", "robust"),
         ("corrections_lost", "paper"),
     ]
-    assert all(len(row) == len(table.columns) for table in told.values() for row in table.rows)
+    assert all(len(row) == len(table.columns) for table in reported.values() for row in table.rows)
 
 
 def test_the_axes_of_a_bound_stand_in_one_row(campaign):
@@ -85,7 +85,7 @@ def test_every_miss_is_named_in_words(campaign):
 
 def test_a_refusal_is_told(judged_unit):
     results = (judged_unit(is_silent=True),)
-    campaign = assess(CampaignPlan(("octants",), 1), 1.0, results, collect_figures(results))
+    campaign = assess(CampaignPlan(("octants",), 1), 1.0, results, collect_metrics(results))
     assert "refused: octants, seed 1: calibration refused: no rows" in verdict_lines(campaign)
     assert [table.title for table in tables(campaign)] == ["Bounds"]
 

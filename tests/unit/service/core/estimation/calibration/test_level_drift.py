@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from service.core.estimation.calibration.level_drift import level_drift, without_common
-from service.core.estimation.noise_identification import LADDER_S, LearnedNoise
+from service.core.estimation.noise_identification import LADDER_S, IdentifiedNoise
 
 FLOOR = 0.006
 EPOCH_S = np.arange(4320) * 60.0
@@ -12,7 +12,7 @@ EPOCH_S = np.arange(4320) * 60.0
 
 def white_noise(carriers, sigma_db=0.1):
     nothing = np.zeros((carriers, len(LADDER_S)))
-    return LearnedNoise(np.full(carriers, sigma_db), nothing, np.array(LADDER_S), nothing[0])
+    return IdentifiedNoise(np.full(carriers, sigma_db), nothing, np.array(LADDER_S), nothing[0])
 
 
 def walks(seed, walk_db, carriers=16):

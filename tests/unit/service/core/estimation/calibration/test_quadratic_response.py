@@ -91,14 +91,14 @@ def test_errors_are_those_of_the_coefficients():
 def test_transform_gives_what_the_beam_would():
     """Gradient, Hessian and downlink act on displacements; the collected quadratic gives the same."""
     rng = np.random.default_rng(SEED)
-    place = displacement_matrix(*STATIONS)
+    position = displacement_matrix(*STATIONS)
     site = displacement_matrix(np.array([-3.6]), np.array([7.1]))[0]
-    own, downlink = response_transform(place, site)
+    own, downlink = response_transform(position, site)
     beam, gradient = rng.normal(size=(3, 5)), rng.normal(size=2)
     nine = np.einsum("nij,nj->ni", own, beam) + downlink @ gradient
     model = exact_response(nine[:, :3], symmetric_matrix(nine[:, 3:]))
     attitude = rng.uniform(-0.5, 0.5, 3)
-    moved = place @ attitude
+    moved = position @ attitude
     az, el = moved.T
     direct = beam[:, 0] * az + beam[:, 1] * el + 0.5 * beam[:, 2] * az**2 + beam[:, 3] * az * el
     direct = direct + 0.5 * beam[:, 4] * el**2 + (site @ attitude - moved) @ gradient

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from service.core.estimation.calibration.sensor_smoothing import (
-    PIECE_PENALTY,
-    piece_starts,
+    SEGMENT_PENALTY,
     reading_sigma_deg,
+    segment_starts,
     smoothed_angles,
 )
 
@@ -24,8 +24,8 @@ def turned(seed, sigma_deg):
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("sigma_deg", [0.03, 0.06, 0.1])
 def test_noise_falls_and_edges_stay(seed, sigma_deg):
-    epoch_s, truth, told = turned(seed, sigma_deg)
-    smoothed = smoothed_angles(epoch_s, told)
+    epoch_s, truth, reported = turned(seed, sigma_deg)
+    smoothed = smoothed_angles(epoch_s, reported)
     error = smoothed.attitude_deg - truth
     quiet = np.sqrt((error[:1400] ** 2).mean(axis=0))
     # pieces of an hour or two: noise of their means and the steps in which slow motion is followed
@@ -37,15 +37,15 @@ def test_noise_falls_and_edges_stay(seed, sigma_deg):
 
 
 def test_a_star_tracker_is_left_as_it_is():
-    epoch_s, _, told = turned(1, 0.01)
-    assert (smoothed_angles(epoch_s, told).attitude_deg == told).all()
+    epoch_s, _, reported = turned(1, 0.01)
+    assert (smoothed_angles(epoch_s, reported).attitude_deg == reported).all()
 
 
 def test_axes_without_readings_stay_absent():
-    epoch_s, _, told = turned(1, 0.06)
-    told[:, 0] = np.nan
-    told[100:200, 2] = np.nan
-    smoothed = smoothed_angles(epoch_s, told)
+    epoch_s, _, reported = turned(1, 0.06)
+    reported[:, 0] = np.nan
+    reported[100:200, 2] = np.nan
+    smoothed = smoothed_angles(epoch_s, reported)
     assert np.isnan(smoothed.attitude_deg[:, 0]).all()
     assert np.isnan(smoothed.sensor_sigma_deg[0])
     assert np.isnan(smoothed.attitude_deg[100:200, 2]).all()
@@ -58,17 +58,17 @@ def test_pieces_are_the_cheapest_of_all():
 
     def cost(starts):
         pieces = np.split(values, starts[1:])
-        return sum(((piece - piece.mean()) ** 2).sum() for piece in pieces) + PIECE_PENALTY * len(pieces)
+        return sum(((piece - piece.mean()) ** 2).sum() for piece in pieces) + SEGMENT_PENALTY * len(pieces)
 
     ways = [[0, *(k + 1 for k in range(8) if number >> k & 1)] for number in range(256)]
     best = min(ways, key=cost)
-    assert piece_starts(np.arange(9) * 60.0, values).tolist() == best == [0, 3, 7]
+    assert segment_starts(np.arange(9) * 60.0, values).tolist() == best == [0, 3, 7]
 
 
 def test_no_piece_is_longer_than_two_hours():
-    starts = piece_starts(np.arange(400) * 60.0, np.zeros(400))
+    starts = segment_starts(np.arange(400) * 60.0, np.zeros(400))
     assert np.diff([*starts, 400]).max() <= 120
-    sparse = piece_starts(np.arange(100) * 600.0, np.zeros(100))
+    sparse = segment_starts(np.arange(100) * 600.0, np.zeros(100))
     assert np.diff([*sparse, 100]).max() <= 13
 
 

@@ -26,16 +26,16 @@ class Run:
     def __init__(self, filter_models, model, seed=1, period_us=MINUTE_US):
         self.model, self.rng, self.period_us = model, np.random.default_rng(seed), period_us
         self.state = start(model, 0, filter_models.aligned(model))
-        self.told = []
+        self.reported = []
 
     def rows(self, count, change_db=0.0, known=None, **options):
         """Feed rows of white noise and a change (N,) or (), return what the last told."""
         for _ in range(count):
             row = change_db + self.model.white_sigma_db * self.rng.standard_normal(CARRIERS)
             epoch_us = self.state.epoch_us + self.period_us
-            self.told.append(step(self.model, SETTINGS, self.state, epoch_us, row, known or no_motion(), **options))
-            self.state = self.told[-1].state
-        return self.told[-1]
+            self.reported.append(step(self.model, SETTINGS, self.state, epoch_us, row, known or no_motion(), **options))
+            self.state = self.reported[-1].state
+        return self.reported[-1]
 
 
 @pytest.fixture
@@ -48,20 +48,20 @@ def absent(*carriers):
 
 
 def test_a_still_craft_is_tracked_and_allowed(run):
-    told = run.rows(300)
-    assert (np.abs(told.attitude_deg) < 4.0 * np.sqrt(np.diagonal(told.covariance_deg2))).all()
-    assert told.integrity.is_control_allowed
-    assert all(row.cause is None for row in run.told)
-    assert len(told.used) == CARRIERS
+    reported = run.rows(300)
+    assert (np.abs(reported.attitude_deg) < 4.0 * np.sqrt(np.diagonal(reported.covariance_deg2))).all()
+    assert reported.integrity.is_control_allowed
+    assert all(row.cause is None for row in run.reported)
+    assert len(reported.used) == CARRIERS
 
 
 def test_late_and_duplicate_rows_leave_the_state_as_it_is(run):
     run.rows(5)
     for epoch_us in (run.state.epoch_us, run.state.epoch_us - 1, 0):
-        told = step(run.model, SETTINGS, run.state, epoch_us, np.full(CARRIERS, 9.0), no_motion())
-        assert told.state is run.state
-        assert len(told.used) == 0
-        assert not told.integrity.is_control_allowed
+        reported = step(run.model, SETTINGS, run.state, epoch_us, np.full(CARRIERS, 9.0), no_motion())
+        assert reported.state is run.state
+        assert len(reported.used) == 0
+        assert not reported.integrity.is_control_allowed
 
 
 def test_the_same_rows_give_the_same_bits(filter_models, model):
@@ -84,23 +84,23 @@ def test_a_step_does_not_change_the_state_it_is_given(run):
 
 def test_fewer_than_four_carriers_coast_and_sigma_grows(run):
     run.rows(60)
-    sigma = np.diagonal(run.told[-1].covariance_deg2)
-    told = run.rows(180, absent(*range(3, CARRIERS)))
-    assert len(told.used) == 0
-    assert (np.diagonal(told.covariance_deg2) > sigma).all()
-    assert "redundancy" in told.integrity.reasons
-    assert np.isfinite(told.attitude_deg).all()
+    sigma = np.diagonal(run.reported[-1].covariance_deg2)
+    reported = run.rows(180, absent(*range(3, CARRIERS)))
+    assert len(reported.used) == 0
+    assert (np.diagonal(reported.covariance_deg2) > sigma).all()
+    assert "redundancy" in reported.integrity.reasons
+    assert np.isfinite(reported.attitude_deg).all()
     run.rows(1, absent(*EVERYONE))
 
 
 def test_rain_over_the_site_stops_control_and_not_the_estimate(run):
     run.rows(60)
-    told = run.rows(60, -3.0 * run.model.rain_share)
-    assert told.state.rain.is_raining
-    assert "downlink_fade" in told.integrity.reasons
-    assert abs(told.rain_db - 3.0) < 0.3  # the median row is good to 0.06 dB, what else is common to some 0.1
-    assert np.abs(told.attitude_deg).max() < 0.1
-    assert {row.cause for row in run.told[60:]} <= {Cause.COMMON, None}
+    reported = run.rows(60, -3.0 * run.model.rain_share)
+    assert reported.state.rain.is_raining
+    assert "downlink_fade" in reported.integrity.reasons
+    assert abs(reported.rain_db - 3.0) < 0.3  # the median row is good to 0.06 dB, what else is common to some 0.1
+    assert np.abs(reported.attitude_deg).max() < 0.1
+    assert {row.cause for row in run.reported[60:]} <= {Cause.COMMON, None}
     assert not run.rows(30).state.rain.is_raining
 
 
@@ -108,10 +108,10 @@ def test_rain_over_the_site_stops_control_and_not_the_estimate(run):
 def test_a_step_up_of_the_chain_holds_control_for_ten_minutes(run, size_db):
     before = run.rows(60).attitude_deg
     run.rows(20, size_db)
-    reasons = ["chain_step" in row.integrity.reasons for row in run.told[60:]]
+    reasons = ["chain_step" in row.integrity.reasons for row in run.reported[60:]]
     assert sum(reasons) == 10
     assert np.argmax(reasons) <= 8
-    assert (np.abs(run.told[-1].attitude_deg - before) < [0.08, 0.02, 0.03]).all()
+    assert (np.abs(run.reported[-1].attitude_deg - before) < [0.08, 0.02, 0.03]).all()
     assert abs(run.state.gaussian.mean[CHAIN] - size_db) < 0.25
 
 
@@ -120,18 +120,18 @@ def test_a_carrier_that_steps_is_left_out_and_learned_anew(run):
     change_db = np.where(EVERYONE == 5, 1.5, 0.0)
     run.rows(4, change_db)
     assert run.state.carriers.is_flagged[5]
-    told = run.rows(75, change_db)
-    assert not told.state.carriers.is_flagged.any()
-    assert told.state.carriers.is_relearned[5]
-    assert 5 in told.used
+    reported = run.rows(75, change_db)
+    assert not reported.state.carriers.is_flagged.any()
+    assert reported.state.carriers.is_relearned[5]
+    assert 5 in reported.used
 
 
 def test_a_group_step_keeps_all_carriers_and_the_attitude(run):
     before = run.rows(60).attitude_deg
-    told = run.rows(30, np.where(run.model.transponder == 1, -1.5, 0.0))
-    assert Cause.GROUP in {row.cause for row in run.told[60:]}
-    assert len(told.used) == CARRIERS
-    assert (np.abs(told.attitude_deg - before) < [0.1, 0.03, 0.04]).all()
+    reported = run.rows(30, np.where(run.model.transponder == 1, -1.5, 0.0))
+    assert Cause.GROUP in {row.cause for row in run.reported[60:]}
+    assert len(reported.used) == CARRIERS
+    assert (np.abs(reported.attitude_deg - before) < [0.1, 0.03, 0.04]).all()
 
 
 def test_a_jump_of_the_attitude_is_followed_and_told(run):
@@ -139,10 +139,10 @@ def test_a_jump_of_the_attitude_is_followed_and_told(run):
     truth = np.array([0.0, 0.4, -0.4])
     change_db = pattern_change(run.model, truth).deviation_db
     run.rows(1, change_db)
-    assert run.told[-1].cause is Cause.ATTITUDE
-    assert "unannounced_motion" in run.told[-1].integrity.reasons
-    told = run.rows(60, change_db)
-    assert np.abs(told.attitude_deg - truth)[1:].max() < 0.06
+    assert run.reported[-1].cause is Cause.ATTITUDE
+    assert "unannounced_motion" in run.reported[-1].integrity.reasons
+    reported = run.rows(60, change_db)
+    assert np.abs(reported.attitude_deg - truth)[1:].max() < 0.06
 
 
 def test_a_correction_that_was_lost_is_alarmed_and_followed(run):
@@ -150,11 +150,11 @@ def test_a_correction_that_was_lost_is_alarmed_and_followed(run):
     lost = KnownMotion(np.array([0.0, 0.15 / 30.0, 0.0]), zeros, zeros)
     run.rows(60)
     run.rows(30, known=lost)
-    told = run.rows(10)
-    alarmed = ["unannounced_motion" in row.integrity.reasons for row in run.told[60:]]
+    reported = run.rows(10)
+    alarmed = ["unannounced_motion" in row.integrity.reasons for row in run.reported[60:]]
     assert any(alarmed)
     assert np.argmax(alarmed) <= 30  # minutes
-    assert abs(told.attitude_deg[1]) < 0.06
+    assert abs(reported.attitude_deg[1]) < 0.06
 
 
 def test_the_chooser_is_the_callers(run):
@@ -167,22 +167,26 @@ def test_the_chooser_is_the_callers(run):
     run.rows(20)
     run.rows(1, np.where(EVERYONE < 8, -4.0, 0.0), chooser=chooser, limits=IntegrityLimits())
     assert seen == [CARRIERS]
-    assert run.told[-1].cause is Cause.INDEPENDENT
-    assert sorted(run.told[-1].used) == list(range(8, CARRIERS))
+    assert run.reported[-1].cause is Cause.INDEPENDENT
+    assert sorted(run.reported[-1].used) == list(range(8, CARRIERS))
 
 
 def test_a_row_that_nobody_survives_is_a_row_without_an_update(run):
     run.rows(20)
-    told = run.rows(1, 50.0 * (-1.0) ** EVERYONE, chooser=lambda _model, _innovation: LikeliestCause(Cause.INDEPENDENT))
-    assert len(told.used) == 0
-    assert np.abs(told.attitude_deg).max() < 0.2
+    reported = run.rows(
+        1, 50.0 * (-1.0) ** EVERYONE, chooser=lambda _model, _innovation: LikeliestCause(Cause.INDEPENDENT)
+    )
+    assert len(reported.used) == 0
+    assert np.abs(reported.attitude_deg).max() < 0.2
 
 
 def test_too_few_carriers_of_the_full_band_leave_the_common_test_out(run):
     run.rows(20)
-    told = run.rows(30, absent(*range(2, 12)) - 2.0 * run.model.rain_share)  # two of the full band, four of the other
-    assert told.cause is None
-    assert not told.state.rain.is_raining
+    reported = run.rows(
+        30, absent(*range(2, 12)) - 2.0 * run.model.rain_share
+    )  # two of the full band, four of the other
+    assert reported.cause is None
+    assert not reported.state.rain.is_raining
 
 
 def test_ten_second_rows_are_flagged_by_the_minute(filter_models, model):
@@ -199,14 +203,14 @@ def test_a_carrier_that_was_off_shows_its_level_first(run):
     run.rows(60)
     run.rows(40, absent(5))
     assert run.state.carriers.is_flagged[5]
-    before = run.told[-1].attitude_deg
+    before = run.reported[-1].attitude_deg
     change_db = np.where(EVERYONE == 5, 0.45, 0.0)  # 2.5 sigma
     run.rows(1, change_db)
-    assert 5 not in run.told[-1].used
-    assert (np.abs(run.told[-1].attitude_deg - before) < [0.02, 0.005, 0.005]).all()
-    told = run.rows(75, change_db)
-    assert 5 in told.used
-    assert told.state.carriers.is_relearned[5]
+    assert 5 not in run.reported[-1].used
+    assert (np.abs(run.reported[-1].attitude_deg - before) < [0.02, 0.005, 0.005]).all()
+    reported = run.rows(75, change_db)
+    assert 5 in reported.used
+    assert reported.state.carriers.is_relearned[5]
 
 
 def test_a_gap_of_all_carriers_flags_nobody(run):

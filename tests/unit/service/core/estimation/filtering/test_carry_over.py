@@ -15,9 +15,9 @@ PLACE = np.array([11, 10, 9, 8, 6, 5, 4, 2, 1, 0, -1, -1])
 STAYING = PLACE >= 0
 
 
-def picked(model: CarrierModel, place: np.ndarray) -> CarrierModel:
+def picked(model: CarrierModel, position: np.ndarray) -> CarrierModel:
     """Return the model of a plan made of another's carriers; new ones are copies of carrier 3."""
-    rows = np.where(place >= 0, place, 3)
+    rows = np.where(position >= 0, position, 3)
     shared = ("common_sigma_db", "common_tau_s")
     return CarrierModel(*[v if n in shared else v[rows] for n, v in model._asdict().items()])
 
@@ -26,9 +26,9 @@ def driven(model, state, count, rng, change_db=0.0):
     """Return what the last of some rows told."""
     for _ in range(count):
         row = change_db + model.white_sigma_db * rng.standard_normal(model.carriers)
-        told = step(model, SETTINGS, state, state.epoch_us + MINUTE_US, row, no_motion())
-        state = told.state
-    return told
+        reported = step(model, SETTINGS, state, state.epoch_us + MINUTE_US, row, no_motion())
+        state = reported.state
+    return reported
 
 
 @pytest.fixture
@@ -42,10 +42,10 @@ def state(filter_models, old):
     return driven(old, start(old, 0, filter_models.aligned(old)), 90, np.random.default_rng(2), steps_db).state
 
 
-def changed(old, state, place=PLACE, reference_db=0.0, is_unknown=False):
-    count = len(place)
+def changed(old, state, position=PLACE, reference_db=0.0, is_unknown=False):
+    count = len(position)
     args = np.full(count, reference_db), np.full(count, 0.5), np.broadcast_to(np.asarray(is_unknown), count)
-    return carry_over(old, picked(old, place), state, place, *args)
+    return carry_over(old, picked(old, position), state, position, *args)
 
 
 def test_the_same_plan_is_the_same_state(old, state):
@@ -74,10 +74,10 @@ def test_staying_carriers_keep_what_they_share_with_the_attitude(old, state):
 def test_new_carriers_begin_with_the_sigma_they_are_given(old, state):
     new = picked(old, PLACE)
     after = changed(old, state).gaussian
-    places = carrier_states(new, np.flatnonzero(~STAYING))
-    np.testing.assert_array_equal(after.mean[places], 0.0)
-    np.testing.assert_array_equal(after.covariance[places[-1], places[-1]], 0.5**2)
-    assert np.count_nonzero(after.covariance[places[-1, 0]]) == 1
+    positions = carrier_states(new, np.flatnonzero(~STAYING))
+    np.testing.assert_array_equal(after.mean[positions], 0.0)
+    np.testing.assert_array_equal(after.covariance[positions[-1], positions[-1]], 0.5**2)
+    assert np.count_nonzero(after.covariance[positions[-1, 0]]) == 1
 
 
 def test_a_reference_that_moved_leaves_the_innovations_as_they_are(old, state):
@@ -99,23 +99,23 @@ def test_flags_go_with_their_carriers(old, state):
 def test_unknown_carriers_show_their_level_first(old, state):
     new = picked(old, PLACE)
     after = changed(old, state, is_unknown=~STAYING)
-    places = carrier_states(new, np.flatnonzero(~STAYING))
-    np.testing.assert_array_equal(after.gaussian.covariance[places[-1], places[-1]], FREE_REFERENCE_DB2)
+    positions = carrier_states(new, np.flatnonzero(~STAYING))
+    np.testing.assert_array_equal(after.gaussian.covariance[positions[-1], positions[-1]], FREE_REFERENCE_DB2)
     rng, level_db = np.random.default_rng(9), np.where(STAYING, 0.0, 4.0)
     level_db[5] = 2.0  # carrier 5 of the old plan, which had stepped before
-    told = driven(new, after, 10, rng, level_db)
-    assert not np.isin(told.used, np.flatnonzero(~STAYING)).any()
-    told = driven(new, told.state, 40, rng, level_db)
-    assert len(told.used) == new.carriers
-    assert told.state.carriers.is_relearned[~STAYING].all()
-    assert (np.abs(told.attitude_deg) < 4.0 * np.sqrt(np.diagonal(told.covariance_deg2))).all()
+    reported = driven(new, after, 10, rng, level_db)
+    assert not np.isin(reported.used, np.flatnonzero(~STAYING)).any()
+    reported = driven(new, reported.state, 40, rng, level_db)
+    assert len(reported.used) == new.carriers
+    assert reported.state.carriers.is_relearned[~STAYING].all()
+    assert (np.abs(reported.attitude_deg) < 4.0 * np.sqrt(np.diagonal(reported.covariance_deg2))).all()
 
 
 def test_a_staying_carrier_whose_level_is_void_begins_anew(old, state):
     unknown = np.arange(len(PLACE)) == 2
     after = changed(old, state, is_unknown=unknown)
-    places = carrier_states(picked(old, PLACE), np.array([2]))[:, 0]
-    np.testing.assert_array_equal(after.gaussian.mean[places], 0.0)
+    positions = carrier_states(picked(old, PLACE), np.array([2]))[:, 0]
+    np.testing.assert_array_equal(after.gaussian.mean[positions], 0.0)
     assert after.carriers.is_flagged[2]
 
 

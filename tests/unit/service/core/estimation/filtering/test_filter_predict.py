@@ -129,13 +129,13 @@ def test_rain_walks_widely_only_in_rain_mode(filter_models):
 def test_stationary_parts_stay_stationary_and_scale_with_what_was_learned(filter_models):
     model = filter_models.carrier_model(common=2)
     aligned, settings = filter_models.aligned(model), FilterSettings()
-    places = carrier_states(model, np.arange(model.carriers))
+    positions = carrier_states(model, np.arange(model.carriers))
     for step_us in (1_000_000, 60_000_000, 6 * HOUR_US):
         after = variances(model, aligned, settings, step_us, no_motion(), quiet_weather(model))
-        np.testing.assert_allclose(after[places[0]], 0.07**2, rtol=1e-9)
+        np.testing.assert_allclose(after[positions[0]], 0.07**2, rtol=1e-9)
         np.testing.assert_allclose(after[11:13], 0.05**2, rtol=1e-9)
         louder = variances(model, aligned, settings, step_us, no_motion(), quiet_weather(model, slow_scale=2.0))
-        assert (louder[places[0]] > after[places[0]]).all()
+        assert (louder[positions[0]] > after[positions[0]]).all()
 
 
 def test_the_calibrations_error_grows_with_the_attitude_at_once(filter_models):
@@ -143,14 +143,14 @@ def test_the_calibrations_error_grows_with_the_attitude_at_once(filter_models):
     aligned = filter_models.aligned(model)
     turned = aligned._replace(mean=np.concatenate([[0.0, 0.4, 0.0], aligned.mean[3:]]))
     settings = FilterSettings(coupling_per_h=0.0)
-    places = carrier_states(model, np.arange(model.carriers))
+    positions = carrier_states(model, np.arange(model.carriers))
     state, variance = predict(model, settings, turned, 60_000_000, no_motion(), quiet_weather(model))
     own = np.diagonal(state.covariance)
-    np.testing.assert_allclose(own[places[1]] - 0.03**2, variance, rtol=1e-9)
+    np.testing.assert_allclose(own[positions[1]] - 0.03**2, variance, rtol=1e-9)
     again, _ = predict(
         model, settings, state, 60_000_000, no_motion(), quiet_weather(model, model_variance_db2=variance)
     )
-    np.testing.assert_allclose(np.diagonal(again.covariance)[places[1]], own[places[1]], rtol=1e-9)
+    np.testing.assert_allclose(np.diagonal(again.covariance)[positions[1]], own[positions[1]], rtol=1e-9)
 
 
 def test_suspected_motion_is_followed_with_a_wide_drift(filter_models):

@@ -32,8 +32,8 @@ def dense_jacobian(model, mean, carriers):
     matrix[:, ATTITUDE] = pattern_change(model, mean[ATTITUDE]).gradient_db_deg[carriers]
     matrix[:, CHAIN : core_size(model)] = 1.0
     matrix[:, RAIN] = -model.rain_share[carriers]
-    for number, places in enumerate(carrier_states(model, carriers).T):
-        matrix[number, places] = 1.0
+    for number, positions in enumerate(carrier_states(model, carriers).T):
+        matrix[number, positions] = 1.0
     return matrix
 
 
@@ -50,17 +50,19 @@ def test_the_blocks_make_the_update_of_the_textbook(filter_models):
     spread = jacobian @ state.covariance @ jacobian.T + white
     gain = state.covariance @ jacobian.T @ np.linalg.inv(spread)
     kept = np.eye(len(state.mean)) - gain @ jacobian
-    told = update(model, state, row, innovation)
+    reported = update(model, state, row, innovation)
     # products of some hundred terms near one
     np.testing.assert_allclose(innovation.covariance_db2, spread, rtol=1e-10, atol=1e-14)
     np.testing.assert_allclose(
-        told.state.covariance, kept @ state.covariance @ kept.T + gain @ white @ gain.T, rtol=1e-8, atol=1e-13
+        reported.state.covariance, kept @ state.covariance @ kept.T + gain @ white @ gain.T, rtol=1e-8, atol=1e-13
     )
-    np.testing.assert_allclose(told.state.mean, state.mean + gain @ innovation.innovation_db, rtol=1e-8, atol=1e-12)
-    np.testing.assert_allclose(told.nis, innovation.innovation_db @ np.linalg.solve(spread, innovation.innovation_db))
+    np.testing.assert_allclose(reported.state.mean, state.mean + gain @ innovation.innovation_db, rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(
+        reported.nis, innovation.innovation_db @ np.linalg.solve(spread, innovation.innovation_db)
+    )
     shift = (gain @ innovation.innovation_db)[ATTITUDE] / np.sqrt(np.diagonal(gain @ spread @ gain.T)[ATTITUDE])
-    np.testing.assert_allclose(told.attitude_shift, shift, rtol=1e-9)
-    assert told.degrees == 5
+    np.testing.assert_allclose(reported.attitude_shift, shift, rtol=1e-9)
+    assert reported.degrees == 5
 
 
 def test_expected_levels_are_the_sum_of_all_parts(filter_models):
@@ -82,10 +84,10 @@ def test_a_large_jump_is_linearised_where_it_leads(filter_models):
     jumped = Gaussian(state.mean, wide)
     innovation = innovate(model, jumped, row, np.arange(24), model.white_sigma_db**2)
     once = (np.linalg.solve(innovation.covariance_db2, innovation.cross).T @ innovation.innovation_db)[ATTITUDE]
-    told = update(model, jumped, row, innovation)
-    error = told.state.mean[ATTITUDE] - truth
+    reported = update(model, jumped, row, innovation)
+    error = reported.state.mean[ATTITUDE] - truth
     # noise-free levels; what remains is the pull of the prior, well inside the sigma that is told
-    assert (np.abs(error) < told.state.attitude_sigma_deg).all()
+    assert (np.abs(error) < reported.state.attitude_sigma_deg).all()
     assert np.abs(error[1:]).max() < 0.03
     assert np.abs(once - truth)[1:].max() > np.abs(error[1:]).max()
 
@@ -94,8 +96,10 @@ def test_rain_never_falls_below_zero(filter_models):
     model = filter_models.carrier_model()
     state = walked(model, filter_models.aligned(model))
     row = expected_db(model, state.mean, np.arange(model.carriers)) + 1.0
-    told = update(model, state, row, innovate(model, state, row, np.arange(model.carriers), model.white_sigma_db**2))
-    assert told.state.mean[RAIN] == 0.0
+    reported = update(
+        model, state, row, innovate(model, state, row, np.arange(model.carriers), model.white_sigma_db**2)
+    )
+    assert reported.state.mean[RAIN] == 0.0
 
 
 def test_passes_of_linearisation_are_limited(filter_models):
@@ -105,6 +109,6 @@ def test_passes_of_linearisation_are_limited(filter_models):
     wide[ATTITUDE, ATTITUDE] += 4.0 * np.eye(3)
     row = 20.0 * (-1.0) ** np.arange(24)  # no attitude makes these
     lost = Gaussian(state.mean, wide)
-    told = update(model, lost, row, innovate(model, lost, row, np.arange(24), model.white_sigma_db**2))
-    assert np.isfinite(told.state.mean).all()
-    assert np.linalg.eigvalsh(told.state.covariance).min() > 0.0
+    reported = update(model, lost, row, innovate(model, lost, row, np.arange(24), model.white_sigma_db**2))
+    assert np.isfinite(reported.state.mean).all()
+    assert np.linalg.eigvalsh(reported.state.covariance).min() > 0.0

@@ -9,7 +9,7 @@ from service.core.estimation.noise.periodogram import grouped_spectra, regular_g
 
 def test_rows_find_their_places_on_the_grid():
     grid = regular_grid(np.array([0.0, 59.8, 120.3, 300.0, 300.1]))
-    assert grid.place.tolist() == [0, 1, 2, 5]
+    assert grid.position.tolist() == [0, 1, 2, 5]
     assert grid.row.tolist() == [0, 1, 2, 3]
     assert grid.length == 6
 
@@ -32,11 +32,11 @@ def test_expectation_is_the_mean_of_many(has_gaps):
         values.append(lfilter([1.0], [1.0, -keep], shocks, axis=0))
     values.append(rng.normal(size=(rows, series)))
     grid = regular_grid(np.arange(rows) * 60.0)
-    for place, one in enumerate(values):
+    for position, one in enumerate(values):
         if has_gaps:
             one[300:500] = np.nan
         spectra = grouped_spectra(one, grid, tau_s, 100)
-        ratio = spectra.power.mean(axis=0) / spectra.expected[0, (place + 1) % 3]
+        ratio = spectra.power.mean(axis=0) / spectra.expected[0, (position + 1) % 3]
         # 400 series: one sigma 5 % of a single frequency; taking the mean away costs what leaks out of zero
         assert ratio[1:] == pytest.approx(np.ones(len(ratio) - 1), abs=0.25)
         # with a gap a part of the mean leaks to all frequencies, and is gone with the mean

@@ -87,7 +87,7 @@ def test_a_body_at_rest_has_no_band():
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "reported"),
     [
         ({"damping_ratio": -0.001}, "damping_ratio is -0.001"),
         ({"omega_rad_s": -1.0}, "omega_rad_s is -1"),
@@ -100,6 +100,6 @@ def test_a_body_at_rest_has_no_band():
         ({"pulse_s": 0.0}, "pulse_s is 0"),
     ],
 )
-def test_what_is_not_physical_is_refused(changes, told):
-    with pytest.raises(ValueError, match=told):
+def test_what_is_not_physical_is_refused(changes, reported):
+    with pytest.raises(ValueError, match=reported):
         analyse_capture(**PLAIN | changes)

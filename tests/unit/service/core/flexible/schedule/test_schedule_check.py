@@ -127,7 +127,7 @@ def test_without_a_regulator_only_peak_and_momentum_count():
 
 
 @pytest.mark.parametrize(
-    ("changes", "told"),
+    ("changes", "reported"),
     [
         ({"pulses": ((0.0, 2.0, 0.1), (1.5, 1.0, 0.1))}, r"the pulse at 1.5 s begins before the one at 0 s has ended"),
         ({"pulses": ((0.0, 0.0, 0.1),)}, r"pulses\[0\].duration_s is 0"),
@@ -148,8 +148,8 @@ def test_without_a_regulator_only_peak_and_momentum_count():
         ({"carried_rad": (complex(math.nan, 0.0),)}, "carried_rad must hold one finite number"),
     ],
 )
-def test_what_is_not_physical_is_refused(changes, told):
-    with pytest.raises(ValueError, match=told):
+def test_what_is_not_physical_is_refused(changes, reported):
+    with pytest.raises(ValueError, match=reported):
         analyse_schedule(**{"pulses": repeated(1, 1.0)} | PLAIN | changes)
 
 

@@ -202,11 +202,11 @@ def test_a_spacecraft_without_a_law_gives_no_torque_and_says_so(craft):
 
 def test_a_wheel_at_its_limit_of_momentum_takes_no_more(craft):
     def momentum_of(roll_n_m_s: float) -> tuple[float, ...]:
-        told = compute_command(
+        reported = compute_command(
             row(attitude=(0.0, 0.4, 0.0)), craft, NO_CARRY, PERIOD_S, TorqueConfig(), None, (roll_n_m_s, 0.0, 0.0)
         ).command
-        assert told.saturated is (roll_n_m_s == 20.0)
-        return told.predicted_wheel_momentum_n_m_s
+        assert reported.saturated is (roll_n_m_s == 20.0)
+        return reported.predicted_wheel_momentum_n_m_s
 
     # roll is pushed back, so its wheel gains momentum
     assert momentum_of(0.0)[0] > 1e-4
@@ -217,12 +217,12 @@ def test_a_wheel_at_its_limit_of_momentum_takes_no_more(craft):
 def test_a_fourth_wheel_is_kept_away_from_zero_speed(craft):
     wheels = WheelSet(axes=((1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0), (0.577, 0.577, 0.577)))
     momentum = (1.0, 1.0, 1.0, 0.05)
-    told = compute_command(
+    reported = compute_command(
         row(**STILL), replace(craft, wheels=wheels), NO_CARRY, PERIOD_S, TorqueConfig(), None, momentum
     ).command
-    ending = np.array(momentum) + told.predicted_wheel_momentum_n_m_s
+    ending = np.array(momentum) + reported.predicted_wheel_momentum_n_m_s
     assert np.abs(ending).min() >= 0.2 * (1.0 - 1e-9)
-    np.testing.assert_allclose(np.array(told.wheels_n_m) @ np.array(wheels.axes), 0.0, atol=1e-6)
+    np.testing.assert_allclose(np.array(reported.wheels_n_m) @ np.array(wheels.axes), 0.0, atol=1e-6)
 
 
 def test_released_in_two_steps_a_command_lies_in_its_period_and_is_its_mean(craft):

@@ -27,7 +27,7 @@ def craft(payload):
 
 
 def test_the_verdict_is_that_of_the_analysis_of_the_axis(craft):
-    told = schedule_verdict((roll(10.0), roll(40.0)), craft, TorqueConfig())
+    reported = schedule_verdict((roll(10.0), roll(40.0)), craft, TorqueConfig())
     (inertia,) = {craft.inertia_kg_m2[0][0]}
     own = analyse_schedule(
         pulses=((0.0, 1.0, 0.02), (30.0, 1.0, 0.02)),
@@ -35,10 +35,10 @@ def test_the_verdict_is_that_of_the_analysis_of_the_axis(craft):
         modes=((0.6, 0.003, 0.4),),
         peak_allowed_rad=np.radians(TorqueConfig().panel_peak_limit_deg),
     )
-    assert told is not None
-    assert (told.verdict, told.worst_mode) == (own.verdict, 1)
-    assert told.peak_deg == pytest.approx(np.degrees(own.peak_rad), rel=1e-12)
-    assert told.residual_deg == pytest.approx(np.degrees(own.residual_rad), rel=1e-12)
+    assert reported is not None
+    assert (reported.verdict, reported.worst_mode) == (own.verdict, 1)
+    assert reported.peak_deg == pytest.approx(np.degrees(own.peak_rad), rel=1e-12)
+    assert reported.residual_deg == pytest.approx(np.degrees(own.residual_rad), rel=1e-12)
 
 
 def test_without_modes_or_pulses_there_is_none(craft):
@@ -74,16 +74,16 @@ def test_a_rejected_schedule_comes_with_what_helps(craft):
     strict = replace(TorqueConfig(), panel_peak_limit_deg=1.5e-4)
     period_s = 2.0 * np.pi / 0.6
     resonant = tuple(roll(k * period_s) for k in range(8))
-    told = schedule_verdict(resonant, craft, strict)
-    assert told is not None
-    assert told.verdict == "reject"
-    assert told.suggestion is not None
-    print(told)
+    reported = schedule_verdict(resonant, craft, strict)
+    assert reported is not None
+    assert reported.verdict == "reject"
+    assert reported.suggestion is not None
+    print(reported)
 
 
 def test_swings_of_other_modes_are_forgotten_and_a_mode_without_damping_is_given_a_little(craft):
     swing = PanelSwing(EPOCH, (1.0 + 0j,))
-    told = schedule_verdict((roll(0.0),), craft, TorqueConfig(), swing)
-    assert told == schedule_verdict((roll(0.0),), craft, TorqueConfig())
+    reported = schedule_verdict((roll(0.0),), craft, TorqueConfig(), swing)
+    assert reported == schedule_verdict((roll(0.0),), craft, TorqueConfig())
     undamped = replace(craft, modes=(replace(MODES[1], damping_ratio=0.0),))
     assert schedule_verdict((roll(0.0),), undamped, TorqueConfig()) is not None

@@ -120,11 +120,11 @@ def test_after_a_reset_automatic_control_waits_for_ten_good_minutes_also_over_a_
     driver.rows(1, downlink_fade=True)
     driver.rows(10)
     assert not driver.verdict.is_allowed
-    assert driver.releases.told[-1].is_withheld
+    assert driver.releases.reported[-1].is_withheld
     driver.rows(2)
     assert (driver.verdict.state, driver.verdict.is_allowed, driver.view.is_withheld) == ("ENGAGED", True, False)
-    assert driver.releases.told[-1].is_withheld is False
-    assert driver.releases.told[-1].at_us == driver.clock.now - 60 * US
+    assert driver.releases.reported[-1].is_withheld is False
+    assert driver.releases.reported[-1].at_us == driver.clock.now - 60 * US
 
 
 def test_the_estimators_own_reasons_are_told_in_place_of_one_for_all():

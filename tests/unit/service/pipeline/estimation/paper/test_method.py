@@ -7,7 +7,7 @@ import pytest
 
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.paper.method import initial_state, paper_model, step_paper
-from service.pipeline.inputs.knowledge import Knowledge, learn
+from service.pipeline.inputs.knowledge import Knowledge, update
 from service.records.inputs import Operation
 from service.records.levels.attitude import Status
 
@@ -23,7 +23,7 @@ class Bench:
         self.documents = synthetic.FixedDocuments(payload, self.start_us)
         self.knowledge = Knowledge()
         for content in synthetic.opening(payload.spacecraft()):
-            self.knowledge = learn(self.knowledge, content, self.documents)
+            self.knowledge = update(self.knowledge, content, self.documents)
         self.model = paper_model(self.knowledge, self.documents.calibration(1))
         self.state = initial_state(len(payload.ids), CONFIG)
 
@@ -164,6 +164,6 @@ def test_a_declared_operation_forbids_control_while_it_lasts(bench):
     bench.run(range(1, 20))
     start_us = bench.start_us + 25 * bench.minute
     operation = Operation(1, "eclipse", start_us, start_us + 2 * bench.minute, inhibit_control=True)
-    bench.knowledge = learn(bench.knowledge, operation, bench.documents)
+    bench.knowledge = update(bench.knowledge, operation, bench.documents)
     reasons = [step.row.inhibitions for step in bench.run(range(24, 29))]
     assert reasons == [(), ("operation",), ("operation",), (), ()]

@@ -98,8 +98,8 @@ def test_the_sigma_is_never_better_than_the_learned_noise_allows(payload, model,
     rng = np.random.default_rng(11)
     fix = solve(model, deviation + 1e-4 * rng.normal(size=12))
     slopes = np.where(ANGLES >= 0.0, payload.plus, payload.minus)
-    learned = np.sqrt(np.mean(fix.sigma_db**2) * np.diag(np.linalg.inv(slopes.T @ slopes)))
-    np.testing.assert_allclose(np.sqrt(np.diag(fix.covariance_deg2)), learned, rtol=1e-9)  # the same products
+    identified = np.sqrt(np.mean(fix.sigma_db**2) * np.diag(np.linalg.inv(slopes.T @ slopes)))
+    np.testing.assert_allclose(np.sqrt(np.diag(fix.covariance_deg2)), identified, rtol=1e-9)  # the same products
     rough = solve(model, deviation + 0.3 * rng.normal(size=12))
     assert (np.diag(rough.covariance_deg2) > 4.0 * np.diag(fix.covariance_deg2)).all()
 

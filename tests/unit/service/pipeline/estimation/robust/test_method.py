@@ -38,8 +38,8 @@ def replace_axes(axes, **changes):
 
 def test_a_carrier_without_reference_shows_its_level_first_and_comes_back_to_none():
     alignment = PAYLOAD.alignment(ALIGNED_US)
-    told = {name: own[1:] for name, own in alignment.references_by_method.items()}
-    stepped = Stepped(alignment=replace(alignment, references_by_method=told))
+    announced = {name: own[1:] for name, own in alignment.references_by_method.items()}
+    stepped = Stepped(alignment=replace(alignment, references_by_method=announced))
     watch = stepped.state.filter.carriers
     assert np.flatnonzero(watch.is_flagged).tolist() == [0]
     # level 0.0 would be that of the calibration, which the receiving chain may have moved since
@@ -153,7 +153,7 @@ def test_where_the_ephemeris_ends_the_filter_coasts_and_a_new_one_brings_it_back
     flight = Flight(PAYLOAD)
     flight.documents.ephemerides[1] = PAYLOAD.ephemeris(stop_us=flight.at(60))
     for content in flight.opening():
-        flight.chain.learn(content)
+        flight.chain.update(content)
     # the cubic wants two knots ahead, and the rate of the orbit five minutes more
     known = flight.run(range(1, 35))
     assert known[-1].control_allowed
@@ -163,7 +163,7 @@ def test_where_the_ephemeris_ends_the_filter_coasts_and_a_new_one_brings_it_back
     assert np.isfinite([row.attitude_deg for row in blind]).all()
     assert {item.reason for item in blind[0].excluded} == {"absent"}
     flight.documents.ephemerides[2] = PAYLOAD.ephemeris(2, flight.at(100))
-    flight.chain.learn(EphemerisChange(2))
+    flight.chain.update(EphemerisChange(2))
     back = flight.run(range(130, 200))
     assert back[0].status is Status.ACQUIRED
     np.testing.assert_allclose(flight.error_deg(back[-1]), 0.0, atol=0.01)
@@ -178,8 +178,8 @@ def test_numbers_that_break_the_filter_leave_the_state_before_them(monkeypatch):
     real = __import__("service.pipeline.estimation.robust.method", fromlist=["step"]).step
 
     def broken(*args, **options):
-        told = real(*args, **options)
-        return told._replace(attitude_deg=told.attitude_deg * NAN)
+        announced = real(*args, **options)
+        return announced._replace(attitude_deg=announced.attitude_deg * NAN)
 
     monkeypatch.setattr("service.pipeline.estimation.robust.method.step", broken)
     with pytest.raises(ArithmeticError, match="lost its numbers"):
@@ -222,10 +222,10 @@ def test_rates_are_those_of_the_state():
     gaussian = outcome.state.filter.gaussian
     mean = gaussian.mean.copy()
     mean[:9] = [0.4, -0.3, 0.2, 0.01, 0.02, 0.03, 0.1, 0.2, 0.3]
-    told = type("Told", (), {"state": outcome.state.filter._replace(gaussian=gaussian._replace(mean=mean))})
+    announced = type("Told", (), {"state": outcome.state.filter._replace(gaussian=gaussian._replace(mean=mean))})
     turn = stepped.model.settings.coupling_per_h
     wanted = np.array([0.3 * turn + 0.11, 0.4 * turn + 0.22, 0.33]) / 3600.0
-    np.testing.assert_allclose(rates_deg_s(stepped.model, told), wanted, rtol=1e-12)
+    np.testing.assert_allclose(rates_deg_s(stepped.model, announced), wanted, rtol=1e-12)
 
 
 # ---- another calibration --------------------------------------------------------------------------------------------
@@ -274,7 +274,7 @@ def test_activation_of_another_calibration_moves_no_angle(renewed_first):
     flight.documents.ephemerides[2] = PAYLOAD.ephemeris(2, flight.at(30))
     changes = [CalibrationActivation(2, 2), EphemerisChange(2)]
     for content in reversed(changes) if renewed_first else changes:
-        flight.chain.learn(content)
+        flight.chain.update(content)
         after = flight.robust(flight.row(90 + len(flight.chain.knowledge.active) + changes.index(content)))
         np.testing.assert_allclose(after.attitude_deg, before.attitude_deg, atol=0.01)
     rows = flight.run(range(95, 200))
@@ -287,7 +287,7 @@ def test_a_new_alignment_starts_from_its_angles():
     flight = Flight(PAYLOAD)
     flight.run(range(1, 30))
     flight.documents.alignments[2] = PAYLOAD.alignment(flight.at(30), 2, angles_deg=(0.2, -0.1, 0.15))
-    flight.chain.learn(AlignmentSet(2))
+    flight.chain.update(AlignmentSet(2))
     row = flight.robust(flight.row(31, (0.2, -0.1, 0.15)))
     np.testing.assert_allclose(row.attitude_deg, (0.2, -0.1, 0.15), atol=0.01)
     assert row.alignment_id == 2

@@ -47,8 +47,8 @@ def test_a_calibration_without_geometry_or_an_alignment_of_the_paper_method_alon
     plain = replace(calibration, result=replace(calibration.result, geometry=None))
     assert robust_model(knows(payload, plain), None, CONFIG) is None
     assert robust_model(knows(payload, replace(calibration, result=None)), None, CONFIG) is None
-    told = payload.alignment(ALIGNED_US).references_by_method
-    by_paper = payload.alignment(ALIGNED_US, references_by_method={"paper": told["paper"]})
+    announced = payload.alignment(ALIGNED_US).references_by_method
+    by_paper = payload.alignment(ALIGNED_US, references_by_method={"paper": announced["paper"]})
     assert robust_model(knows(payload, alignment=by_paper), calibration, CONFIG) is None
 
 
@@ -113,7 +113,7 @@ def test_without_a_statement_roll_tells_nothing_of_yaw_and_either_may_drift_by_t
 
 
 def test_what_is_fed_forward_is_counted_from_1970_whatever_epoch_states_it(payload):
-    told = FedForwardTorque(
+    announced = FedForwardTorque(
         epoch_us=ALIGNED_US + 5 * HOUR,
         period_s=80_000.0,
         constant_n_m=AxisTorques(pitch=1e-6),
@@ -121,13 +121,13 @@ def test_what_is_fed_forward_is_counted_from_1970_whatever_epoch_states_it(paylo
         sine_n_m=AxisTorques(0.0, 1.3e-5, 7e-6),
     )
     craft = payload.spacecraft()
-    fed = replace(craft, onboard=replace(craft.onboard, fed_forward_torque=told))
+    fed = replace(craft, onboard=replace(craft.onboard, fed_forward_torque=announced))
     model = robust_model(knows(payload, spacecraft=fed), None, CONFIG)
     profile = model.settings.fed_forward
     assert (profile.period_us, profile.relative_error, profile.axis_relative_error) == (80_000_000_000, 0.06, 0.01)
     unit = 3600.0**2 * np.degrees(1.0 / np.array([INERTIA[2][2], INERTIA[0][0], INERTIA[1][1]]))
-    for at_us in (told.epoch_us, ALIGNED_US + 31 * HOUR):
-        since, phase = (2.0 * np.pi * (us / 8e10) for us in (at_us - told.epoch_us, at_us))
+    for at_us in (announced.epoch_us, ALIGNED_US + 31 * HOUR):
+        since, phase = (2.0 * np.pi * (us / 8e10) for us in (at_us - announced.epoch_us, at_us))
         stated = np.array([0.0, 0.0, 1e-6]) + np.cos(since) * np.array([8e-6, 0.0, 2e-6])
         stated = unit * (stated + np.sin(since) * np.array([0.0, 1.3e-5, 7e-6]))
         constant, cosine, sine = np.array(profile[:3])
@@ -137,8 +137,8 @@ def test_what_is_fed_forward_is_counted_from_1970_whatever_epoch_states_it(paylo
 
 
 def test_expected_levels_are_references_and_day(payload):
-    told = payload.alignment(ALIGNED_US).references_by_method
-    moved = tuple(replace(one, reference_dbm=one.reference_dbm + k) for k, one in enumerate(told["robust"]))
+    announced = payload.alignment(ALIGNED_US).references_by_method
+    moved = tuple(replace(one, reference_dbm=one.reference_dbm + k) for k, one in enumerate(announced["robust"]))
     alignment = payload.alignment(ALIGNED_US, references_by_method={"robust": moved[:-1]})
     model = robust_model(knows(payload, alignment=alignment), payload.calibration(), CONFIG)
     epoch_us = ALIGNED_US + 5 * HOUR
@@ -262,10 +262,10 @@ def test_a_window_is_compared_over_its_length_and_not_at_its_end(payload):
     alignment = payload.alignment(ALIGNED_US, window=long)
     model = robust_model(knows(payload, other(payload), alignment=alignment), payload.calibration(), CONFIG)
     instants = np.arange(long.start_us, long.stop_us, 60 * S)
-    told = np.mean([model.expected_dbm(int(epoch_us)) for epoch_us in instants[::5]], axis=0)
+    announced = np.mean([model.expected_dbm(int(epoch_us)) for epoch_us in instants[::5]], axis=0)
     truth = payload.power_dbm(instants[::5], np.zeros(3)).mean(axis=0)
     # sixty instants of the comparison against seventy-two here, of a difference of a tenth of a day's wave
-    np.testing.assert_allclose(told, truth, atol=2e-3)
+    np.testing.assert_allclose(announced, truth, atol=2e-3)
 
 
 def test_the_daily_change_is_doubted_only_beyond_what_it_was_over_the_quiet_days(payload):

@@ -104,7 +104,7 @@ CHANGE = (0.0, 0.12, -0.1)
 
 
 def test_an_announced_correction_is_followed_without_lag(flight):
-    flight.chain.learn(Correction(flight.at(20.5), flight.at(40.25), Axes(*CHANGE)))
+    flight.chain.update(Correction(flight.at(20.5), flight.at(40.25), Axes(*CHANGE)))
     for minute in range(1, 80):
         angles = flight.truth_deg + moved_at(minute, 20.5, 40.25, CHANGE)
         row = flight.robust(flight.row(minute, angles))
@@ -117,7 +117,7 @@ def test_a_correction_astride_the_alignment_counts_from_the_alignment_on():
     flight = Flight(PAYLOAD, is_opened=False)
     opening = flight.opening()
     for content in (*opening[:-1], Correction(flight.at(-30), flight.at(30), Axes(*CHANGE)), opening[-1]):
-        flight.chain.learn(content)
+        flight.chain.update(content)
     for minute in range(1, 60):
         angles = flight.truth_deg + moved_at(minute, -30, 30, CHANGE) - moved_at(0, -30, 30, CHANGE)
         np.testing.assert_allclose(flight.robust(flight.row(minute, angles)).attitude_deg, angles, atol=0.01)
@@ -127,7 +127,7 @@ def test_a_correction_that_became_known_late_is_applied_at_once_and_widens_sigma
     plain = Flight(PAYLOAD)
     plain.run(range(1, 31))
     flight.run(range(1, 31))
-    flight.chain.learn(Correction(flight.at(20), flight.at(28), Axes(0.0, 0.05, 0.0)))
+    flight.chain.update(Correction(flight.at(20), flight.at(28), Axes(0.0, 0.05, 0.0)))
     row = flight.robust(flight.changed(31, NAN))
     before = plain.robust(plain.changed(31, NAN))
     assert row.attitude_deg.roll - before.attitude_deg.roll == pytest.approx(0.05, abs=1e-9)
@@ -139,21 +139,21 @@ def test_a_correction_that_became_known_late_is_applied_at_once_and_widens_sigma
 
 def test_a_correction_counts_once_across_a_new_alignment(flight):
     flight.run(range(1, 11))
-    flight.chain.learn(Correction(flight.at(5), flight.at(45), Axes(*CHANGE)))
+    flight.chain.update(Correction(flight.at(5), flight.at(45), Axes(*CHANGE)))
     flight.run(range(11, 20))
     start = flight.truth_deg + moved_at(20, 5, 45, CHANGE)
     flight.documents.alignments[2] = PAYLOAD.alignment(flight.at(20), 2, angles_deg=start.tolist())
-    flight.chain.learn(AlignmentSet(2))
+    flight.chain.update(AlignmentSet(2))
     for minute in range(21, 80):
         angles = flight.truth_deg + moved_at(minute, 5, 45, CHANGE)
         np.testing.assert_allclose(flight.robust(flight.row(minute, angles)).attitude_deg, angles, atol=0.01)
 
 
 def test_an_alignment_that_reaches_back_takes_corrections_it_had_been_told_of(flight):
-    flight.chain.learn(Correction(flight.at(10), flight.at(20), Axes(*CHANGE)))
+    flight.chain.update(Correction(flight.at(10), flight.at(20), Axes(*CHANGE)))
     flight.run(range(1, 40))
     flight.documents.alignments[2] = PAYLOAD.alignment(flight.at(5), 2, angles_deg=flight.truth_deg.tolist())
-    flight.chain.learn(AlignmentSet(2))
+    flight.chain.update(AlignmentSet(2))
     for minute in range(6, 40):
         angles = flight.truth_deg + moved_at(minute, 10, 20, CHANGE)
         row = flight.robust(flight.row(minute, angles), is_catch_up=True)
@@ -164,21 +164,21 @@ def test_motion_of_more_than_a_week_before_an_alignment_is_forgotten(flight):
     runner = flight.chain._runners[0]
     for day in range(12):
         start_us = flight.at(0) + day * 24 * HOUR
-        flight.chain.learn(Correction(start_us, start_us + MINUTE, ZERO))
+        flight.chain.update(Correction(start_us, start_us + MINUTE, ZERO))
     ephemeris = PAYLOAD.ephemeris(2, flight.at(0) + 10 * 24 * HOUR, flight.at(0) + 12 * 24 * HOUR)
     flight.documents.ephemerides[2] = ephemeris
-    flight.chain.learn(EphemerisChange(2))
+    flight.chain.update(EphemerisChange(2))
     flight.documents.alignments[2] = PAYLOAD.alignment(flight.at(0) + 11 * 24 * HOUR, 2)
-    flight.chain.learn(AlignmentSet(2))
-    assert len(runner._told) == 8
+    flight.chain.update(AlignmentSet(2))
+    assert len(runner._reported) == 8
 
 
 def test_motion_of_more_than_a_week_before_the_newest_row_is_forgotten_without_an_alignment(flight):
     runner = flight.chain._runners[0]
     for day in range(20):
         flight.robust(flight.changed(1 + day * 1440, NAN))
-        flight.chain.learn(Correction(flight.at(day * 1440), flight.at(day * 1440 + 1), ZERO))
-    assert len(runner._told) == 7
+        flight.chain.update(Correction(flight.at(day * 1440), flight.at(day * 1440 + 1), ZERO))
+    assert len(runner._reported) == 7
     assert runner._state.commanded.motions == ()
 
 
@@ -193,7 +193,7 @@ def test_an_applied_pulse_turns_the_craft_as_a_body_turns(known_at):
     pulses = ((20.3, 25.0, (0.0, 0.04, 0.0)), (21.0, 130.0, (0.0, 0.0, -0.02)))
     for minute in range(1, 60):
         if minute == known_at + 1:
-            flight.chain.learn(applied(flight, 20, pulses))
+            flight.chain.update(applied(flight, 20, pulses))
         row, before = (one.robust(one.changed(minute, NAN)) for one in (flight, plain))
         if minute <= known_at:
             continue
@@ -202,8 +202,8 @@ def test_an_applied_pulse_turns_the_craft_as_a_body_turns(known_at):
         acted_s = np.clip(elapsed_s, 0.0, duration_s)
         rate_rad_s = np.array([0.04 / INERTIA[0][0], -0.02 / INERTIA[1][1]]) * acted_s
         turned_rad = rate_rad_s * (0.5 * acted_s + np.maximum(elapsed_s - duration_s, 0.0))
-        told = np.array(row.attitude_deg) - np.array(before.attitude_deg)
-        np.testing.assert_allclose(told, [0.0, *np.degrees(turned_rad)], atol=1e-9)
+        announced = np.array(row.attitude_deg) - np.array(before.attitude_deg)
+        np.testing.assert_allclose(announced, [0.0, *np.degrees(turned_rad)], atol=1e-9)
         rates = np.array(row.rates_deg_s) - np.array(before.rates_deg_s)
         np.testing.assert_allclose(rates, [0.0, *np.degrees(rate_rad_s)], atol=1e-11)
         if minute > 21:
@@ -214,7 +214,7 @@ def test_a_slew_by_pulses_is_followed(flight):
     # 0.1 deg about roll in 30 minutes: started and stopped
     rate_deg_s = 0.1 / 1800.0
     torque = np.radians(rate_deg_s) * INERTIA[0][0] / 20.0
-    flight.chain.learn(applied(flight, 10, ((10.0, 20.0, (0.0, torque, 0.0)), (40.0, 20.0, (0.0, -torque, 0.0)))))
+    flight.chain.update(applied(flight, 10, ((10.0, 20.0, (0.0, torque, 0.0)), (40.0, 20.0, (0.0, -torque, 0.0)))))
     for minute in range(1, 70):
         elapsed_s = 60.0 * (np.clip(minute, 10, 40) - 10.0) + 10.0 * (int(minute > 40) - int(minute > 10))
         angles = flight.truth_deg + np.array([0.0, rate_deg_s * elapsed_s, 0.0])
@@ -226,8 +226,8 @@ def test_a_slew_by_pulses_is_followed(flight):
 def test_only_commanded_motion_is_heard(flight):
     runner = flight.chain._runners[0]
     mad = Axes(1e9, 1e9, 1e9)
-    flight.chain.learn(AttitudeReference("star_tracker", flight.at(3), mad, mad))
-    assert runner._told == []
+    flight.chain.update(AttitudeReference("star_tracker", flight.at(3), mad, mad))
+    assert runner._reported == []
     assert flight.run([1])[0].control_allowed
 
 
@@ -249,11 +249,11 @@ def test_an_ephemeris_that_comes_after_the_alignment_lets_it_begin():
     flight = Flight(PAYLOAD, is_opened=False)
     craft, plan, ephemeris, activation, alignment = flight.opening()
     for content in (craft, plan, activation, alignment):
-        flight.chain.learn(content)
+        flight.chain.update(content)
     runner = flight.chain._runners[0]
     assert not runner.is_running
-    flight.chain.learn(Correction(flight.at(2), flight.at(6), Axes(*CHANGE)))
-    flight.chain.learn(ephemeris)
+    flight.chain.update(Correction(flight.at(2), flight.at(6), Axes(*CHANGE)))
+    flight.chain.update(ephemeris)
     assert runner.is_running
     row = flight.robust(flight.row(8, flight.truth_deg + np.array(CHANGE)))
     np.testing.assert_allclose(row.attitude_deg, flight.truth_deg + np.array(CHANGE), atol=0.01)
@@ -264,7 +264,7 @@ def test_an_alignment_without_references_of_the_method_silences_it(flight):
     alignment = PAYLOAD.alignment(flight.at(5), 2)
     paper = {"paper": alignment.references_by_method["paper"]}
     flight.documents.alignments[2] = replace(alignment, references_by_method=paper, calibration_by_method={"paper": 1})
-    flight.chain.learn(AlignmentSet(2))
+    flight.chain.update(AlignmentSet(2))
     runner = flight.chain._runners[0]
     assert (runner.is_running, runner.carrier_states()) == (False, {})
 
@@ -273,7 +273,7 @@ def test_a_change_of_the_craft_keeps_the_state_and_takes_the_new_coupling(flight
     flight.run(range(1, 20))
     runner = flight.chain._runners[0]
     state = runner._state
-    flight.chain.learn(SpacecraftChange(PAYLOAD.spacecraft(coupling=True), 2))
+    flight.chain.update(SpacecraftChange(PAYLOAD.spacecraft(coupling=True), 2))
     assert runner._state is state
     assert runner._model.settings.coupling_per_h > 0.2
 
@@ -284,8 +284,8 @@ def test_a_change_of_the_craft_keeps_the_state_and_takes_the_new_coupling(flight
 def test_what_is_known_of_each_carrier_is_that_of_the_newest_row_in_order(flight):
     used = (True,) * 15 + (False,)
     flight.documents.calibrations[1] = PAYLOAD.calibration(is_used=used)
-    flight.chain.learn(CalibrationActivation(1, 2))
-    flight.chain.learn(AlignmentSet(1))
+    flight.chain.update(CalibrationActivation(1, 2))
+    flight.chain.update(AlignmentSet(1))
     flight.run(range(1, 10), np.where(np.arange(16) == 3, -5.0, 0.0))
     runner = flight.chain._runners[0]
     known = runner.carrier_states()

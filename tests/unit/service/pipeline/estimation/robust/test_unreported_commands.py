@@ -26,19 +26,19 @@ def chain_of(**options):
     return Flight(PAYLOAD, methods=(Method.ROBUST,), **options)
 
 
-def pulses(flight, told=SLEW):
-    return tuple(Pulse(flight.at(start), duration_s, Axes(*torque)) for start, duration_s, torque in told)
+def pulses(flight, announced=SLEW):
+    return tuple(Pulse(flight.at(start), duration_s, Axes(*torque)) for start, duration_s, torque in announced)
 
 
-def released(flight, counter=1, told=SLEW, minute=5):
-    return ReleasedCommand(counter, flight.at(minute), pulses(flight, told))
+def released(flight, counter=1, announced=SLEW, minute=5):
+    return ReleasedCommand(counter, flight.at(minute), pulses(flight, announced))
 
 
-def reported(flight, counter=1, told=SLEW, minute=20):
-    return ReportedCommand(counter, flight.at(minute), pulses(flight, told))
+def reported(flight, counter=1, announced=SLEW, minute=20):
+    return ReportedCommand(counter, flight.at(minute), pulses(flight, announced))
 
 
-def applied(flight, told=SLEW, minute=5):
+def applied(flight, announced=SLEW, minute=5):
     nothing = (0.0, 0.0, 0.0)
     return AppliedCommand(
         TorqueCommand(
@@ -51,7 +51,7 @@ def applied(flight, told=SLEW, minute=5):
             saturated=False,
             command_period_s=3600.0,
             valid_until_us=flight.at(minute + 60),
-            schedule=pulses(flight, told),
+            schedule=pulses(flight, announced),
             impulse_n_m_s=ZERO,
             predicted_angle_change_deg=ZERO,
             predicted_rate_change_deg_s=ZERO,
@@ -62,22 +62,24 @@ def applied(flight, told=SLEW, minute=5):
     )
 
 
-def turned_deg(minute, told=SLEW):
+def turned_deg(minute, announced=SLEW):
     """Return what the pulses have turned by a minute; roll and yaw are not coupled here."""
     turned = np.zeros(3)
-    for start, duration_s, torque in told:
+    for start, duration_s, torque in announced:
         rate = np.degrees(np.array(torque) * duration_s / [INERTIA[2][2], INERTIA[0][0], INERTIA[1][1]])
         turned += rate * max(0.0, 60.0 * (minute - start) - 0.5 * duration_s)
     return turned
 
 
-def flown(flight, inputs, last=LAST, told=SLEW):
+def flown(flight, inputs, last=LAST, announced=SLEW):
     """Fly rows with inputs of minutes; the craft does what ``told`` says."""
     noise, rows = np.random.default_rng(6).normal(0.0, 0.05, (last + 1, 16)), []
     for minute in range(1, last + 1):
         for content in inputs.get(minute, ()):
-            flight.chain.learn(content)
-        rows.append(flight.robust(flight.changed(minute, noise[minute], flight.truth_deg + turned_deg(minute, told))))
+            flight.chain.update(content)
+        rows.append(
+            flight.robust(flight.changed(minute, noise[minute], flight.truth_deg + turned_deg(minute, announced)))
+        )
     return rows
 
 
@@ -116,8 +118,8 @@ def test_reported_executed_is_known_from_the_release_on(flight, after):
 @pytest.mark.parametrize("after", [6, 18, 30])
 def test_reported_failed_was_never_released(flight, after):
     never = chain_of()
-    flown(flight, {5: (released(flight),), after: (reported(flight, told=()),)}, told=())
-    flown(never, {}, told=())
+    flown(flight, {5: (released(flight),), after: (reported(flight, announced=()),)}, announced=())
+    flown(never, {}, announced=())
     assert_same(flight, never)
 
 
@@ -126,8 +128,8 @@ def test_reported_failed_was_never_released(flight, after):
 )
 def test_what_was_executed_in_part_is_known_in_part(flight, executed):
     known = chain_of()
-    rows = flown(flight, {5: (released(flight),), 15: (reported(flight, told=executed),)}, told=executed)
-    flown(known, {5: (applied(known, executed),)}, told=executed)
+    rows = flown(flight, {5: (released(flight),), 15: (reported(flight, announced=executed),)}, announced=executed)
+    flown(known, {5: (applied(known, executed),)}, announced=executed)
     assert_same(flight, known)
     angles = flight.truth_deg + turned_deg(LAST, executed)
     np.testing.assert_allclose(np.array(rows[-1].attitude_deg)[1:], angles[1:], atol=0.02)
@@ -135,8 +137,8 @@ def test_what_was_executed_in_part_is_known_in_part(flight, executed):
 
 def test_between_release_and_report_the_effect_is_uncertain(flight):
     never = chain_of()
-    flown(flight, {5: (released(flight),)}, last=9, told=())
-    flown(never, {}, last=9, told=())
+    flown(flight, {5: (released(flight),)}, last=9, announced=())
+    flown(never, {}, last=9, announced=())
     # nothing has acted yet: the filter knows what it knew
     one, other = (state_of(chain).filter.gaussian.mean[:9] for chain in (flight, never))
     np.testing.assert_allclose(one, other, rtol=1e-12)
@@ -151,14 +153,14 @@ def test_between_release_and_report_the_effect_is_uncertain(flight):
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
 def test_powers_tell_of_a_command_that_nobody_reports(flight, share):
-    told = tuple((start, duration_s, tuple(share * np.array(torque))) for start, duration_s, torque in SLEW)
-    rows = flown(flight, {5: (released(flight),)}, told=told)
-    place = 11
+    announced = tuple((start, duration_s, tuple(share * np.array(torque))) for start, duration_s, torque in SLEW)
+    rows = flown(flight, {5: (released(flight),)}, announced=announced)
+    position = 11
     gaussian = state_of(flight).filter.gaussian
-    assert gaussian.mean[place] == pytest.approx(share, abs=0.1)
-    assert np.sqrt(gaussian.covariance[place, place]) < 0.1
+    assert gaussian.mean[position] == pytest.approx(share, abs=0.1)
+    assert np.sqrt(gaussian.covariance[position, position]) < 0.1
     np.testing.assert_allclose(
-        np.array(rows[-1].attitude_deg)[1:], (flight.truth_deg + turned_deg(LAST, told))[1:], atol=0.02
+        np.array(rows[-1].attitude_deg)[1:], (flight.truth_deg + turned_deg(LAST, announced))[1:], atol=0.02
     )
     assert not any("unannounced_motion" in row.inhibitions for row in rows)
 
@@ -167,7 +169,7 @@ def test_reports_of_unknown_and_finished_commands_do_nothing(flight):
     once = chain_of()
     flown(once, {5: (released(once),), 20: (reported(once),)})
     inputs = {5: (reported(flight, 9), released(flight)), 20: (reported(flight), reported(flight)), 28: ()}
-    flown(flight, {**inputs, 30: (reported(flight, told=()), reported(flight, 7))})
+    flown(flight, {**inputs, 30: (reported(flight, announced=()), reported(flight, 7))})
     assert_same(flight, once)
 
 
@@ -181,7 +183,7 @@ def test_a_release_that_is_told_twice_counts_once(flight):
 def test_the_same_journal_gives_the_same_bits(flight):
     again = chain_of()
     for one in (flight, again):
-        flown(one, {5: (released(one),), 30: (reported(one, told=SLEW[:2]),)}, told=SLEW[:2])
+        flown(one, {5: (released(one),), 30: (reported(one, announced=SLEW[:2]),)}, announced=SLEW[:2])
     assert_same(flight, again)
 
 
@@ -193,18 +195,18 @@ LATER = ((28.0, 10.0, (0.0, 0.0, 2e-4)),)
 @pytest.mark.parametrize("order", [(1, 2), (2, 1)])
 def test_reports_of_two_commands_may_come_in_any_order(flight, order):
     known = chain_of()
-    contents = {1: reported(flight, told=SLEW[:2]), 2: reported(flight, 2, LATER)}
+    contents = {1: reported(flight, announced=SLEW[:2]), 2: reported(flight, 2, LATER)}
     both = (*SLEW[:2], *LATER)
     first, second = (contents[counter] for counter in order)
     inputs = {5: (released(flight),), 22: (released(flight, 2, LATER),), 30: (first,), 32: (second,)}
-    flown(flight, inputs, told=both)
-    flown(known, {5: (reported_at_once(known, SLEW[:2]),), 22: (reported_at_once(known, LATER),)}, told=both)
+    flown(flight, inputs, announced=both)
+    flown(known, {5: (reported_at_once(known, SLEW[:2]),), 22: (reported_at_once(known, LATER),)}, announced=both)
     assert_same(flight, known)
 
 
-def reported_at_once(flight, told):
+def reported_at_once(flight, announced):
     """Return a command that counts as applied and that the next one does not end."""
-    return AppliedCommand(replace(applied(flight, told).command, number=0))
+    return AppliedCommand(replace(applied(flight, announced).command, number=0))
 
 
 #: begins before the last pulse of the slew, and in the middle of one that lasts
@@ -219,12 +221,12 @@ def test_a_later_command_takes_the_place_of_what_an_earlier_one_has_left(flight,
     """The report says that all of the first was executed, also where its tail still lay ahead."""
     known = chain_of()
     both = (*flown_of_it, *NEXT)
-    inputs = {5: (released(flight, told=first),), 16: (released(flight, 2, NEXT),)}
+    inputs = {5: (released(flight, announced=first),), 16: (released(flight, 2, NEXT),)}
     for minute, counter in reports.items():
         inputs[minute] = (*inputs.get(minute, ()), reported(flight, counter, first if counter == 1 else NEXT))
-    rows = flown(flight, inputs, told=both)
-    told = {5: (reported_at_once(known, flown_of_it),), 16: (reported_at_once(known, NEXT),)}
-    same = flown(known, told, told=both)
+    rows = flown(flight, inputs, announced=both)
+    announced = {5: (reported_at_once(known, flown_of_it),), 16: (reported_at_once(known, NEXT),)}
+    same = flown(known, announced, announced=both)
     assert state_of(flight).released == ()
     for one, other in zip(state_of(flight).filter.gaussian[:2], state_of(known).filter.gaussian[:2], strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)  # sums in another order
@@ -244,12 +246,12 @@ def test_a_tail_whose_successor_failed_is_flown(flight):
 
 @pytest.mark.parametrize("is_taken", [True, False])
 def test_until_its_report_a_successor_may_or_may_not_have_taken_the_place(flight, is_taken):
-    told = (*SLEW[:2], *NEXT) if is_taken else SLEW
+    announced = (*SLEW[:2], *NEXT) if is_taken else SLEW
     inputs = {5: (released(flight),), 15: (reported(flight),), 16: (released(flight, 2, NEXT),)}
-    rows = flown(flight, inputs, told=told)
-    place = 11
-    assert state_of(flight).filter.gaussian.mean[place] == pytest.approx(float(is_taken), abs=0.15)
-    turned = (flight.truth_deg + turned_deg(LAST, told))[1:]
+    rows = flown(flight, inputs, announced=announced)
+    position = 11
+    assert state_of(flight).filter.gaussian.mean[position] == pytest.approx(float(is_taken), abs=0.15)
+    turned = (flight.truth_deg + turned_deg(LAST, announced))[1:]
     np.testing.assert_allclose(np.array(rows[-1].attitude_deg)[1:], turned, atol=0.02)
     assert not any("unannounced_motion" in row.inhibitions for row in rows)
 
@@ -261,9 +263,9 @@ def test_an_alignment_after_both_reports_knows_what_was_left_out(flight):
     both = (*SLEW[:2], *NEXT)
     inputs = {5: (released(flight),), 16: (released(flight, 2, NEXT),)}
     reports = (reported(flight, 2, NEXT), reported(flight))
-    flown(flight, {**inputs, 18: (*reports, AlignmentSet(2))}, told=both)
+    flown(flight, {**inputs, 18: (*reports, AlignmentSet(2))}, announced=both)
     at_once = (reported_at_once(known, SLEW[:2]), reported_at_once(known, NEXT))
-    flown(known, {5: at_once[:1], 16: at_once[1:], 18: (AlignmentSet(2),)}, told=both)
+    flown(known, {5: at_once[:1], 16: at_once[1:], 18: (AlignmentSet(2),)}, announced=both)
     for one, other in zip(state_of(flight).filter.gaussian[:2], state_of(known).filter.gaussian[:2], strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
 
@@ -276,7 +278,7 @@ def test_corrections_and_late_rows_between_release_and_report_are_kept(flight):
         one.robust(one.row(13.5))
         for minute in range(16, 32):
             if minute == 25 and second is not None:
-                one.chain.learn(second)
+                one.chain.update(second)
             one.robust(one.row(minute, one.truth_deg + turned_deg(minute)))
     assert_same(flight, known)
 
@@ -306,8 +308,8 @@ def test_a_command_that_is_over_at_the_alignment_is_part_of_it(flight):
     aligned = chain_of()
     for one in (flight, aligned):
         one.documents.alignments[2] = PAYLOAD.alignment(one.at(30), 2)
-    flown(flight, {5: (released(flight),), 31: (AlignmentSet(2),), 33: (reported(flight),)}, told=())
-    flown(aligned, {31: (AlignmentSet(2),)}, told=())
+    flown(flight, {5: (released(flight),), 31: (AlignmentSet(2),), 33: (reported(flight),)}, announced=())
+    flown(aligned, {31: (AlignmentSet(2),)}, announced=())
     assert_same(flight, aligned)
 
 
@@ -315,7 +317,7 @@ def test_before_the_alignment_a_release_waits_for_it():
     flight, known = (chain_of(is_opened=False) for _ in range(2))
     for one, first in ((flight, released(flight)), (known, applied(known))):
         for content in (*one.opening()[:-1], first, one.opening()[-1]):
-            one.chain.learn(content)
+            one.chain.update(content)
     flown(flight, {20: (reported(flight),)})
     flown(known, {})
     assert_same(flight, known)
@@ -336,7 +338,7 @@ def test_a_command_of_more_than_a_week_ago_is_forgotten(flight):
     flown(flight, {5: (released(flight),)}, last=10)
     start_us = flight.at(0) + 9 * 24 * HOUR
     flight.robust(flight.payload.measurement(start_us, power_dbm=np.full(16, np.nan)))
-    flight.chain.learn(Correction(start_us, start_us + 1, ZERO))
+    flight.chain.update(Correction(start_us, start_us + 1, ZERO))
     assert runner._open == {}
 
 
@@ -347,17 +349,17 @@ def test_the_disturbance_is_told_as_a_torque_with_its_sigma():
     pushed = PAYLOAD.spacecraft()
     flight = chain_of(spacecraft=replace(pushed, onboard=replace(pushed.onboard, residual_torque_n_m=5e-7)))
     robust = flight.chain._runners[0]
-    flown(flight, {}, last=1, told=())
-    told = robust.disturbance()
-    assert (told.epoch_us, told.period_s) == (flight.at(1), 86_400.0)
-    np.testing.assert_allclose(told.sigma_n_m, 5e-7, rtol=1e-3)
+    flown(flight, {}, last=1, announced=())
+    announced = robust.disturbance()
+    assert (announced.epoch_us, announced.period_s) == (flight.at(1), 86_400.0)
+    np.testing.assert_allclose(announced.sigma_n_m, 5e-7, rtol=1e-3)
     # 2e-7 N m of roll, most of it learned in three hours
     for minute in range(2, 181, 2):
         angles = np.array([0.0, 0.5 * np.degrees(2e-7 / INERTIA[0][0]) * (60.0 * minute) ** 2, 0.0])
         flight.robust(flight.row(minute, flight.truth_deg + angles))
-    told = robust.disturbance()
-    assert told.torque_n_m(told.epoch_us).roll == pytest.approx(2e-7, abs=3.0 * told.sigma_n_m.roll)
-    assert told.sigma_n_m.roll < 2e-7
+    announced = robust.disturbance()
+    assert announced.torque_n_m(announced.epoch_us).roll == pytest.approx(2e-7, abs=3.0 * announced.sigma_n_m.roll)
+    assert announced.sigma_n_m.roll < 2e-7
 
 
 def test_a_twentieth_too_little_fed_forward_is_learned_about_pitch_and_known_about_roll():
@@ -372,17 +374,17 @@ def test_a_twentieth_too_little_fed_forward_is_learned_about_pitch_and_known_abo
         turned = np.degrees(0.05 * np.array([0.0, 1e-5, 7e-6]) / np.array([1.0, INERTIA[0][0], INERTIA[1][1]]))
         swept = (1.0 - np.cos(around * 60.0 * minute)) / around**2
         flight.robust(flight.row(minute, flight.truth_deg + np.array([0.0, 1.0, 1.0]) * turned * swept))
-    told = robust.disturbance()
-    torque = told.torque_n_m(told.epoch_us)
+    announced = robust.disturbance()
+    torque = announced.torque_n_m(announced.epoch_us)
     expected = 0.05 * np.cos(around * 60.0 * 180.0)
-    assert torque.pitch / 7e-6 == pytest.approx(expected, abs=3.0 * told.sigma_n_m.pitch / 7e-6)
+    assert torque.pitch / 7e-6 == pytest.approx(expected, abs=3.0 * announced.sigma_n_m.pitch / 7e-6)
     assert torque.roll / 1e-5 == pytest.approx(torque.pitch / 7e-6, abs=0.02)
-    assert told.sigma_n_m.pitch < 0.02 * 7e-6
-    assert told.sigma_n_m.roll < 0.02 * 1e-5
+    assert announced.sigma_n_m.pitch < 0.02 * 7e-6
+    assert announced.sigma_n_m.roll < 0.02 * 1e-5
     # of a torque of unknown shape less is known
     unshaped = chain_of(spacecraft=replace(craft, onboard=replace(craft.onboard, residual_torque_n_m=5e-7)))
-    flown(unshaped, {}, last=1, told=())
-    assert unshaped.chain._runners[0].disturbance().sigma_n_m.yaw > told.sigma_n_m.yaw
+    flown(unshaped, {}, last=1, announced=())
+    assert unshaped.chain._runners[0].disturbance().sigma_n_m.yaw > announced.sigma_n_m.yaw
 
 
 def test_without_a_statement_no_disturbance_is_told(flight):

@@ -66,10 +66,10 @@ def test_carriers_keep_their_order_and_a_beacon_has_no_station():
 
 def test_an_ephemeris_is_valid_as_far_as_its_track():
     track = {"epochs": [START, STOP], "latitude_deg": [0.0, 0.01], "longitude_deg": [90.0, 90.01]}
-    told = read_ephemeris({"ascending_nodes": [START], "nodal_period_s": 86_164.0, "track": track})
-    assert (told.valid_start_us, told.valid_stop_us) == (parse_epoch(START), parse_epoch(STOP))
-    assert told.track is not None
-    assert told.track.latitude_deg == (0.0, 0.01)
+    reported = read_ephemeris({"ascending_nodes": [START], "nodal_period_s": 86_164.0, "track": track})
+    assert (reported.valid_start_us, reported.valid_stop_us) == (parse_epoch(START), parse_epoch(STOP))
+    assert reported.track is not None
+    assert reported.track.latitude_deg == (0.0, 0.01)
 
 
 def test_an_operation_keeps_its_uncertainty_by_axis():
@@ -83,9 +83,9 @@ def test_an_operation_keeps_its_uncertainty_by_axis():
         "comment": "",
         "attitude_uncertainty_deg": {"yaw": 0.2, "roll": 0.1, "pitch": 0.05},
     }
-    told = read_operation(body, 7)
-    assert (told.id, told.transponders, told.carriers) == (7, ("Ku1",), None)
-    assert told.attitude_uncertainty_deg == Axes(0.2, 0.1, 0.05)
+    reported = read_operation(body, 7)
+    assert (reported.id, reported.transponders, reported.carriers) == (7, ("Ku1",), None)
+    assert reported.attitude_uncertainty_deg == Axes(0.2, 0.1, 0.05)
     del body["attitude_uncertainty_deg"]
     assert read_operation(body, 8).attitude_uncertainty_deg is None
 
@@ -97,7 +97,7 @@ def test_telemetry_keeps_wheels_and_thrusters():
         "wheel_momentum_n_m_s": [1.0, -8.0, 0.5],
         "thrusters_active": False,
     }
-    (told,) = read_telemetry({"records": [record]})
-    assert told.epoch_us == parse_epoch(START)
-    assert told.wheel_momentum_n_m_s == (1.0, -8.0, 0.5)
-    assert told.thrusters_active is False
+    (reported,) = read_telemetry({"records": [record]})
+    assert reported.epoch_us == parse_epoch(START)
+    assert reported.wheel_momentum_n_m_s == (1.0, -8.0, 0.5)
+    assert reported.thrusters_active is False

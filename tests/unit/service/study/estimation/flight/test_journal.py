@@ -18,7 +18,7 @@ class Listener:
     def __init__(self):
         self.taught = []
 
-    def learn(self, content):
+    def update(self, content):
         self.taught.append(content)
 
 
@@ -41,9 +41,9 @@ def ground(toured_world):
     )
 
 
-def told(ground, *news):
+def reported(ground, *events):
     """Return what a chain hears of the ten rows: the rows and, of each slow input, how many rows came before it."""
-    ground = replace(ground, news=news)
+    ground = replace(ground, events=events)
     documents, listener = JournalDocuments(), Listener()
     documents.add_plan(ground.carriers)
     entries = slow_entries(ground, documents)
@@ -55,7 +55,7 @@ def told(ground, *news):
 
 
 def test_powers_stand_in_the_order_of_the_plan(ground):
-    rows, _, _ = told(ground)
+    rows, _, _ = reported(ground)
     assert rows[3].power_dbm.tolist() == [14.0, 12.0]
     assert [row.number for row in rows] == list(range(1, 11))
 
@@ -65,7 +65,7 @@ def test_an_input_comes_before_the_first_row_that_is_not_older(ground):
         GroundEvent(int(ground.epochs_us[row]) + late_us, Correction(1, 2, Axes(0.0, 0.0, float(row))))
         for row, late_us in ((7, 0), (2, 1))
     ]
-    _, taught, before = told(ground, *corrections)
+    _, taught, before = reported(ground, *corrections)
     # told in the order of time; what comes a microsecond after a row is heard before the next
     assert [(content.change_deg.pitch, count) for content, count in zip(taught, before, strict=True)] == [
         (2.0, 3),
@@ -74,15 +74,15 @@ def test_an_input_comes_before_the_first_row_that_is_not_older(ground):
 
 
 def test_a_new_plan_gives_another_order_from_its_row_on(ground):
-    rows, taught, _ = told(ground, GroundEvent(int(ground.epochs_us[4]), carriers("c0", "c1", "c3")))
+    rows, taught, _ = reported(ground, GroundEvent(int(ground.epochs_us[4]), carriers("c0", "c1", "c3")))
     assert taught == [PlanChange(2)]
     assert [row.plan_id for row in rows] == [1] * 4 + [2] * 6
     assert rows[4].power_dbm.tolist() == [16.0, 17.0, 19.0]
 
 
 def test_only_the_prime_analyzer_feeds_the_estimator(ground):
-    rows, _, _ = told(ground)
+    rows, _, _ = reported(ground)
     assert [row.feeds_estimator for row in rows] == [True] * 5 + [False] * 5
-    rows, _, _ = told(ground, GroundEvent(int(ground.epochs_us[6]), SourceSelection("sa-2", 1)))
+    rows, _, _ = reported(ground, GroundEvent(int(ground.epochs_us[6]), SourceSelection("sa-2", 1)))
     assert [row.feeds_estimator for row in rows] == [True] * 5 + [False] + [True] * 4
     assert rows[9].source == "sa-2"

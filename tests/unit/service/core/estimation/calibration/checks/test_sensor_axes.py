@@ -21,10 +21,10 @@ def payload(seed, carriers=16, *, has_beams=True, noise=SIGMA):
         np.zeros(carriers, int),
     )
     beam = np.arange(carriers) % 4
-    place = np.column_stack([geometry.azimuth_deg, geometry.elevation_deg])
+    position = np.column_stack([geometry.azimuth_deg, geometry.elevation_deg])
     hessian = np.array([[-1.3, 0.1], [0.1, -2.4]])
     centre = np.array([[-3.0, 6.8], [-2.4, 8.0], [0.0, 8.0], [3.7, 6.9]])[beam]
-    gradient = (place - centre) @ hessian + rng.normal(0.0, 0.15, (carriers, 2))
+    gradient = (position - centre) @ hessian + rng.normal(0.0, 0.15, (carriers, 2))
     if not has_beams:
         gradient = rng.normal(0.0, 1.4, (carriers, 2))
     matrix = geometry.displacement()
@@ -107,16 +107,16 @@ def test_without_beams_and_announcements_the_common_sign_is_open():
 def test_announced_corrections_tell_the_common_sign(sign):
     free, geometry, beam = payload(14, has_beams=False)
     announced = np.array([[0.0, 0.25, 0.0], [0.0, -0.25, 0.0], [0.0, 0.0, 0.3], [np.nan, 0.0, 0.0]])
-    told = sign * announced + np.random.default_rng(1).normal(0.0, 0.01, announced.shape)
-    found = verdict(told_by(free, sign * np.eye(3)), geometry, beam, (announced, told))
+    reported = sign * announced + np.random.default_rng(1).normal(0.0, 0.01, announced.shape)
+    found = verdict(told_by(free, sign * np.eye(3)), geometry, beam, (announced, reported))
     assert sign * found.margin(-1, -1, -1) > DECISIVE
 
 
 def test_announcements_that_the_sensor_does_not_follow_say_nothing():
     free, geometry, beam = payload(14, has_beams=False)
     announced = np.array([[0.0, 0.25, 0.0], [0.0, -0.25, 0.0], [0.0, 0.25, 0.0]])
-    told = np.array([[0.0, 0.25, 0.0], [0.0, 0.25, 0.0], [0.0, 0.0, 0.0]])
-    assert verdict(free, geometry, beam, (announced, told)).margin(-1, -1, -1) == pytest.approx(0.0, abs=1e-9)
+    reported = np.array([[0.0, 0.25, 0.0], [0.0, 0.25, 0.0], [0.0, 0.0, 0.0]])
+    assert verdict(free, geometry, beam, (announced, reported)).margin(-1, -1, -1) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_too_few_carriers_give_no_verdict():

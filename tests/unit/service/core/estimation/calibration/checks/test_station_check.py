@@ -12,7 +12,7 @@ from service.pipeline.config import CalibrationConfig
 def offsets(payload, east_deg=0.0, north_deg=0.0):
     """Return what is found where the first station is entered so far from its place in the antenna frame."""
     rows = geometry_rows(payload.data(), CalibrationConfig())
-    geometry = rows.places.geometry
+    geometry = rows.positions.geometry
     shift = np.zeros(len(payload.carriers))
     shift[0] = 1.0
     moved = geometry._replace(

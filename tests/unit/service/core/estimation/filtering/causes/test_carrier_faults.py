@@ -47,10 +47,10 @@ def test_four_minutes_of_skips_flag_and_a_good_row_forgives(model, state):
     for row in range(4):
         assert flag_failed(model, state, watch, state)[1] is watch
         watch = count_skips(watch, EVERYONE, excess if row != 2 else excess * [1, 1, 1, 1, 0, 1], 1.0)
-    after, told = flag_failed(model, state, watch, state)
-    assert np.flatnonzero(told.is_flagged).tolist() == [2]
-    place = reference_states(model, np.array([2]))
-    assert after.covariance[place, place] == 9.0
+    after, reported = flag_failed(model, state, watch, state)
+    assert np.flatnonzero(reported.is_flagged).tolist() == [2]
+    position = reference_states(model, np.array([2]))
+    assert after.covariance[position, position] == 9.0
     # absent carriers keep their count
     assert count_skips(watch, np.array([0]), np.zeros(1), 1.0).skip_minutes[2] == 4.0
 
@@ -89,9 +89,9 @@ def test_a_flagged_carrier_at_another_level_returns_when_it_has_stood_for_an_hou
         after, watch = release_quiet(model, state, watch)
         minute += 1
     assert minute == STANDING_ROWS
-    place = reference_states(model, np.array([2]))
-    assert after.mean[place] == 1.5
-    assert after.covariance[place, place] == 9.0
+    position = reference_states(model, np.array([2]))
+    assert after.mean[position] == 1.5
+    assert after.covariance[position, position] == 9.0
     assert watch.is_relearned.tolist() == [False, False, True, False, False, False]
 
 
@@ -121,9 +121,9 @@ def test_a_carrier_without_a_reference_is_not_kept_waiting_for_one(model, state)
 
 
 def test_a_carrier_that_comes_back_to_its_level_gets_its_old_reference(model, state):
-    place = reference_states(model, np.array([2]))[0]
+    position = reference_states(model, np.array([2]))[0]
     mean = state.mean.copy()
-    mean[place] = 0.05
+    mean[position] = 0.05
     before = state._replace(mean=mean)
     gaussian, watch = flagged(model, before)
     assert watch.saved_reference_db[2] == 0.05
@@ -135,8 +135,8 @@ def test_a_carrier_that_comes_back_to_its_level_gets_its_old_reference(model, st
     assert minute == MIN_BACK_MINUTES
     assert not watch.is_flagged.any()
     assert not watch.is_relearned.any()
-    assert after.mean[place] == 0.05
-    np.testing.assert_allclose(after.covariance[place, place], 0.03**2 + 0.1**2, rtol=1e-9)
+    assert after.mean[position] == 0.05
+    np.testing.assert_allclose(after.covariance[position, position], 0.03**2 + 0.1**2, rtol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -152,6 +152,6 @@ def test_a_restless_carrier_stays_out(model, state, rows):
     _, watch = flagged(model, state)
     for value in rows:
         watch = watch_flagged(watch, np.full(6, value), 3.0)
-    after, told = release_quiet(model, state, watch)
-    assert told.is_flagged[2]
+    after, reported = release_quiet(model, state, watch)
+    assert reported.is_flagged[2]
     assert after is state

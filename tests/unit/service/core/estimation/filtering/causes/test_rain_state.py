@@ -44,18 +44,18 @@ def test_rain_takes_back_what_the_chain_swallowed_before_the_alarm(state):
     for chain_db in (0.0, -0.1, -0.2):
         watch = push_common(watch, -4.0, chain_db)
     fallen = with_levels(state, -0.25, 0.0)
-    after, told = common_fell(fallen, watch, -0.3)
-    assert told.is_raining
+    after, reported = common_fell(fallen, watch, -0.3)
+    assert reported.is_raining
     np.testing.assert_allclose(after.mean[[CHAIN, RAIN]], [0.02, 0.27])
     np.testing.assert_allclose(after.covariance[RAIN, RAIN] - state.covariance[RAIN, RAIN], 0.25)
-    assert not is_down(told)
+    assert not is_down(reported)
 
 
 def test_a_further_fall_in_rain_only_frees_the_rain(state):
     raining = dry_watch()._replace(is_raining=True, wet_minutes=7.0)
-    after, told = common_fell(with_levels(state, 0.0, 1.0), raining, -3.0)
+    after, reported = common_fell(with_levels(state, 0.0, 1.0), raining, -3.0)
     assert after.mean[RAIN] == 1.0
-    assert told.wet_minutes == 7.0
+    assert reported.wet_minutes == 7.0
     np.testing.assert_allclose(after.covariance[RAIN, RAIN], 9.0, rtol=1e-3)
 
 

@@ -120,7 +120,9 @@ def test_a_precise_row_on_free_references_leaves_a_positive_covariance(filter_mo
 def test_innovations_without_a_covariance_are_refused(compiled, name):
     kernels = {"arrays": ARRAYS, "compiled": compiled, "uncompiled": UNCOMPILED}[name]
     with pytest.raises(np.linalg.LinAlgError):
-        kernels.absorb(np.zeros(2), np.zeros(2), np.array([[1.0, 2.0], [2.0, 1.0]]), np.zeros(2), np.zeros((2, 2)))
+        kernels.update_state(
+            np.zeros(2), np.zeros(2), np.array([[1.0, 2.0], [2.0, 1.0]]), np.zeros(2), np.zeros((2, 2))
+        )
 
 
 def test_the_error_of_the_calibration_is_that_of_the_model(filter_models):

@@ -87,21 +87,21 @@ def test_a_constant_roll_torque_shows_in_yaw_too(model):
 @pytest.mark.parametrize("hour", [0.0, 5.0, 13.3])
 def test_the_torque_has_the_stated_size_at_every_hour(model, hour):
     state = aligned(model)
-    places = torque_states(model, state, 0)
+    positions = torque_states(model, state, 0)
     phase = 2.0 * np.pi * hour / 24.0
     now = np.kron([1.0, np.cos(phase), np.sin(phase)], np.eye(3))
-    variance = np.diag(now @ state.covariance[places, places] @ now.T)
+    variance = np.diag(now @ state.covariance[positions, positions] @ now.T)
     np.testing.assert_allclose(np.sqrt(variance), PUSHED.torque_deg_h2, rtol=1e-12)
 
 
 def test_what_is_learned_holds_for_weeks(model):
     state = aligned(model)
-    places = torque_states(model, state, 0)
-    state.mean[places] = 0.1
-    state.covariance[places, places] *= 1e-6
+    positions = torque_states(model, state, 0)
+    state.mean[positions] = 0.1
+    state.covariance[positions, positions] *= 1e-6
     later, _ = predict(model, PUSHED, state, 14 * DAY_US, no_motion(), weather(model))
-    np.testing.assert_allclose(later.mean[places], 0.1, rtol=0.02)
-    sigma = np.sqrt(np.diag(later.covariance)[places]) / torque_prior_deg_h2(PUSHED)
+    np.testing.assert_allclose(later.mean[positions], 0.1, rtol=0.02)
+    sigma = np.sqrt(np.diag(later.covariance)[positions]) / torque_prior_deg_h2(PUSHED)
     # sqrt(2 * 14 / 1000) of what was stated
     np.testing.assert_allclose(sigma, 0.166, atol=0.002)
 
@@ -128,15 +128,15 @@ def test_states_come_and_go_without_a_trace(model):
 
 def test_a_share_stands_before_the_torques_and_goes_again(model):
     state = start(model, 0, aligned(model))
-    watched = state._replace(command=state.command._replace(sensitivity=np.ones((len(state.gaussian.mean), 2))))
-    shared = with_share(model, watched, 0)
-    place = core_size(model)
-    assert shared.gaussian.covariance[place, place] == 1.0
-    assert torque_states(model, shared.gaussian, 1).start == place + 1
-    assert not shared.command.sensitivity[place].any()
+    minute_update = state._replace(command=state.command._replace(sensitivity=np.ones((len(state.gaussian.mean), 2))))
+    shared = with_share(model, minute_update, 0)
+    position = core_size(model)
+    assert shared.gaussian.covariance[position, position] == 1.0
+    assert torque_states(model, shared.gaussian, 1).start == position + 1
+    assert not shared.command.sensitivity[position].any()
     gone = without_shares(model, shared, 1)
     np.testing.assert_array_equal(gone.gaussian.covariance, state.gaussian.covariance)
-    np.testing.assert_array_equal(gone.command.sensitivity, watched.command.sensitivity)
+    np.testing.assert_array_equal(gone.command.sensitivity, minute_update.command.sensitivity)
 
 
 def test_another_statement_of_the_catalogue_brings_widens_and_ends_the_torque(model):
@@ -145,8 +145,8 @@ def test_another_statement_of_the_catalogue_brings_widens_and_ends_the_torque(mo
     np.testing.assert_array_equal(pushed.gaussian.covariance, aligned(model).covariance)
     twice = PUSHED._replace(torque_deg_h2=tuple(2.0 * np.array(PUSHED.torque_deg_h2)))
     wider = with_stated_torque(model, pushed, 0, PUSHED, twice)
-    places = torque_states(model, wider.gaussian, 0)
-    np.testing.assert_allclose(np.sqrt(np.diag(wider.gaussian.covariance)[places]), torque_prior_deg_h2(twice))
+    positions = torque_states(model, wider.gaussian, 0)
+    np.testing.assert_allclose(np.sqrt(np.diag(wider.gaussian.covariance)[positions]), torque_prior_deg_h2(twice))
     ended = with_stated_torque(model, pushed, 0, PUSHED, CALM)
     np.testing.assert_array_equal(ended.gaussian.mean, calm.gaussian.mean)
 
@@ -154,105 +154,105 @@ def test_another_statement_of_the_catalogue_brings_widens_and_ends_the_torque(mo
 # ---- a craft under a torque -----------------------------------------------------------------------------------------
 
 
-class Craft:
+class OrbitalFrameSpacecraft:
     """A craft that a torque turns about pitch, kept near zero by commands; pitch is not coupled."""
 
     def __init__(self, model, settings, torque_deg_h2, seed=5):
         self.model, self.settings, self.rng = model, settings, np.random.default_rng(seed)
         self.state = start(model, 0, aligned(model, settings))
         self.attitude_deg, self.rate_deg_h, self.torque_deg_h2 = np.zeros(3), 0.0, torque_deg_h2
-        self.told = []
+        self.reported = []
 
     def fly(self, minutes, share=1.0, jump_deg=0.0):
         """Fly on; every ten minutes half of the attitude is taken away by a command that a share is carried out of."""
         self.attitude_deg[2] += jump_deg
         for minute in range(minutes):
             command = np.zeros(3)
-            if minute % 10 == 0 and self.told:
-                command[2] = -0.5 * self.told[-1].attitude_deg[2] - 0.15 * self.state.gaussian.mean[8]
+            if minute % 10 == 0 and self.reported:
+                command[2] = -0.5 * self.reported[-1].attitude_deg[2] - 0.15 * self.state.gaussian.mean[8]
             self.attitude_deg[2] += self.rate_deg_h / 60.0 + share * command[2]
             self.rate_deg_h += self.torque_deg_h2 / 60.0
             level_db = pattern_change(self.model, self.attitude_deg).deviation_db
             row = level_db + self.model.white_sigma_db * self.rng.standard_normal(CARRIERS)
             known = KnownMotion(command, ZEROS, ZEROS)
             epoch_us = self.state.epoch_us + MINUTE_US
-            self.told.append(step(self.model, self.settings, self.state, epoch_us, row, known))
-            self.state = self.told[-1].state
-        return self.told[-1]
+            self.reported.append(step(self.model, self.settings, self.state, epoch_us, row, known))
+            self.state = self.reported[-1].state
+        return self.reported[-1]
 
     @property
     def reasons(self):
-        return {reason for told in self.told for reason in told.integrity.reasons}
+        return {reason for reported in self.reported for reason in reported.integrity.reasons}
 
 
 def test_a_torque_is_learned_and_is_no_unannounced_motion(model):
-    craft = Craft(model, PUSHED, 0.2)
+    craft = OrbitalFrameSpacecraft(model, PUSHED, 0.2)
     craft.fly(240)
     assert "unannounced_motion" not in craft.reasons
-    places = torque_states(model, craft.state.gaussian, 0)
+    positions = torque_states(model, craft.state.gaussian, 0)
     phase = 2.0 * np.pi * 4.0 / 24.0
     now = np.array([1.0, np.cos(phase), np.sin(phase)])
-    block = np.arange(places.start + 2, places.stop, 3)
-    learned = now @ craft.state.gaussian.mean[block]
+    block = np.arange(positions.start + 2, positions.stop, 3)
+    identified = now @ craft.state.gaussian.mean[block]
     sigma = np.sqrt(now @ craft.state.gaussian.covariance[np.ix_(block, block)] @ now)
     assert sigma < 0.3 * PUSHED.torque_deg_h2[2]
-    assert abs(learned - 0.2) < 3.0 * sigma
+    assert abs(identified - 0.2) < 3.0 * sigma
 
 
 def test_without_the_state_the_same_torque_stops_control(model):
     """The negative control: what the state is for."""
-    craft = Craft(model, CALM, 0.2)
+    craft = OrbitalFrameSpacecraft(model, CALM, 0.2)
     craft.fly(240)
     assert "unannounced_motion" in craft.reasons
 
 
 def test_a_torque_five_times_as_great_as_stated_is_followed_and_control_goes_on(model):
     settings = PUSHED._replace(torque_deg_h2=(0.03, 0.03, 0.05))
-    craft = Craft(model, settings, 0.25)
+    craft = OrbitalFrameSpacecraft(model, settings, 0.25)
     craft.fly(300)
     assert "unannounced_motion" not in craft.reasons
-    assert np.abs([told.attitude_deg[2] for told in craft.told]).max() < 0.2
+    assert np.abs([reported.attitude_deg[2] for reported in craft.reported]).max() < 0.2
 
 
 def test_an_alarm_about_motion_makes_the_torque_doubtful_and_the_rate_with_it(model):
     state = aligned(model)
     doubted = with_doubted_torque(model, state, PUSHED, np.array([False, True, False]))
     grown = np.sqrt(np.diag(doubted.covariance) - np.diag(state.covariance))
-    place = core_size(model) + 1
-    np.testing.assert_array_equal(np.flatnonzero(grown), [7, place])
+    position = core_size(model) + 1
+    np.testing.assert_array_equal(np.flatnonzero(grown), [7, position])
     # five times what was stated, for two hours
-    np.testing.assert_allclose(grown[[7, place]], [10.0 * 0.143, 5.0 * 0.143])
+    np.testing.assert_allclose(grown[[7, position]], [10.0 * 0.143, 5.0 * 0.143])
     calm = aligned(model, CALM)
     assert with_doubted_torque(model, calm, CALM, np.ones(3, dtype=bool)) is calm
 
 
 def test_a_torque_that_nobody_stated_so_great_is_followed_an_alarm_later(model):
     """Twelve times: commands are doubted for an hour first; then the torque is widened and control goes on."""
-    craft = Craft(model, PUSHED._replace(torque_deg_h2=(0.01, 0.01, 0.02)), 0.25)
+    craft = OrbitalFrameSpacecraft(model, PUSHED._replace(torque_deg_h2=(0.01, 0.01, 0.02)), 0.25)
     craft.fly(300)
-    assert any(told.state.motion.alarms[2] > 0.0 for told in craft.told)
-    assert not any("unannounced_motion" in told.integrity.reasons for told in craft.told[150:])
+    assert any(reported.state.motion.alarms[2] > 0.0 for reported in craft.reported)
+    assert not any("unannounced_motion" in reported.integrity.reasons for reported in craft.reported[150:])
     assert abs(craft.attitude_deg[2]) < 0.3
 
 
 def test_a_forged_jump_of_two_degrees_stops_control_in_spite_of_the_torque(model):
-    craft = Craft(model, PUSHED, 0.1)
+    craft = OrbitalFrameSpacecraft(model, PUSHED, 0.1)
     craft.fly(60)
-    craft.told.clear()
-    told = craft.fly(5, jump_deg=2.0)
+    craft.reported.clear()
+    reported = craft.fly(5, jump_deg=2.0)
     assert "unannounced_motion" in craft.reasons
-    assert not told.integrity.is_control_allowed
+    assert not reported.integrity.is_control_allowed
 
 
 def test_reversed_commands_are_found_in_spite_of_the_torque(model):
-    craft = Craft(model, PUSHED, 0.1)
+    craft = OrbitalFrameSpacecraft(model, PUSHED, 0.1)
     craft.fly(60)
-    craft.told.clear()
+    craft.reported.clear()
     for _ in range(4):
         craft.fly(11, share=-1.0)
         if craft.state.command.is_doubted:
             break
     assert craft.state.command.share == -1.0
-    assert "unannounced_motion" in craft.told[-1].integrity.reasons
+    assert "unannounced_motion" in craft.reported[-1].integrity.reasons
     # found after half an hour, before the craft is lost
     assert abs(craft.attitude_deg[2]) < 0.4

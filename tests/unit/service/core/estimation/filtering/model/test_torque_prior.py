@@ -25,11 +25,11 @@ PROFILE = FedForward((0.0, 0.0, 0.5), (1.6, 3.9, 0.0), (1.6, 0.0, 3.8), 0.06, 0.
 TOLD = FilterSettings(fed_forward=PROFILE)
 
 
-def profile_at(hour, told=PROFILE):
-    phase = 2.0 * np.pi * hour * HOUR_US / told.period_us
-    return np.array([np.array(told[0]), np.cos(phase) * np.array(told[1]), np.sin(phase) * np.array(told[2])]).sum(
-        axis=0
-    )
+def profile_at(hour, reported=PROFILE):
+    phase = 2.0 * np.pi * hour * HOUR_US / reported.period_us
+    return np.array(
+        [np.array(reported[0]), np.cos(phase) * np.array(reported[1]), np.sin(phase) * np.array(reported[2])]
+    ).sum(axis=0)
 
 
 def aligned(model, settings):
@@ -77,16 +77,16 @@ def test_a_profile_without_errors_pushes_nothing(model):
 @pytest.mark.parametrize("step_us", [60_000_000, HOUR_US, 31 * HOUR_US])
 def test_a_wave_of_another_period_moves_the_craft_as_fine_steps_do(step_us):
     """Pitch is not coupled: its rate is the integral of the profile, its angle that of the rate."""
-    told = PROFILE._replace(period_us=5 * HOUR_US)
-    settings = FilterSettings(fed_forward=told)
+    reported = PROFILE._replace(period_us=5 * HOUR_US)
+    settings = FilterSettings(fed_forward=reported)
     assert wave_period_us(settings) == 5 * HOUR_US
     from_us = 1_700_000_000 * 1_000_000
     added = hidden_transition(TORQUES, from_us, step_us, settings, no_motion())
-    torque = np.concatenate(told[:3])
+    torque = np.concatenate(reported[:3])
     nodes = 20_000
     hours = (np.arange(nodes) + 0.5) / nodes * step_us / HOUR_US
-    phase = 2.0 * np.pi * (from_us % told.period_us / HOUR_US + hours) / 5.0
-    push = told.constant_deg_h2[2] + told.sine_deg_h2[2] * np.sin(phase)
+    phase = 2.0 * np.pi * (from_us % reported.period_us / HOUR_US + hours) / 5.0
+    push = reported.constant_deg_h2[2] + reported.sine_deg_h2[2] * np.sin(phase)
     rate = push.mean() * step_us / HOUR_US
     angle = ((hours[-1] + hours[0] - hours) * push).mean() * step_us / HOUR_US
     assert (added @ torque)[8] == pytest.approx(rate, rel=1e-6, abs=1e-7)
@@ -95,13 +95,13 @@ def test_a_wave_of_another_period_moves_the_craft_as_fine_steps_do(step_us):
 
 def test_what_is_learned_of_a_share_is_forgotten_with_its_shape(model):
     state = aligned(model, TOLD)
-    places = torque_states(model, state, 0)
-    state.covariance[places, places] *= 1e-6
+    positions = torque_states(model, state, 0)
+    state.covariance[positions, positions] *= 1e-6
     weather = Weather(False, (False, False, False), 1.0, np.zeros(8))
     later, _ = predict(model, TOLD, state, 14 * DAY_US, no_motion(), weather)
     # 2 * 14 / 1000 of what was stated
     expected = -np.expm1(-0.028) * scale_covariance(PROFILE)
-    np.testing.assert_allclose(later.covariance[places, places], expected, atol=1e-6)
+    np.testing.assert_allclose(later.covariance[positions, positions], expected, atol=1e-6)
 
 
 def test_another_profile_is_learned_anew_and_none_ends_it(model):

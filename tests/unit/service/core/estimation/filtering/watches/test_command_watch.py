@@ -9,9 +9,9 @@ from service.core.estimation.filtering.model.filter_model import FilterSettings,
 from service.core.estimation.filtering.watches.command_watch import (
     CommandWatch,
     believed_motion,
+    executed_commands,
     judge_commands,
     likelier_share,
-    obeyed_commands,
     pass_commands,
     push_row,
 )
@@ -22,14 +22,14 @@ SETTINGS = FilterSettings()
 ZEROS = np.zeros(3)
 
 
-class Craft:
+class OrbitalFrameSpacecraft:
     """A craft without drift that carries out a share of what is commanded."""
 
     def __init__(self, filter_models):
         self.model, self.rng = filter_models.carrier_model(carriers=CARRIERS), np.random.default_rng(8)
         self.state = start(self.model, 0, filter_models.aligned(self.model))
         self.attitude_deg = ZEROS
-        self.told = []
+        self.announced = []
 
     def turn(self, minutes, rate_deg_min, share):
         """Command a rate about pitch (no coupling) for some minutes, return what the last row told."""
@@ -39,18 +39,18 @@ class Craft:
             level_db = pattern_change(self.model, self.attitude_deg).deviation_db
             row = level_db + self.model.white_sigma_db * self.rng.standard_normal(CARRIERS)
             known = KnownMotion(moved, ZEROS, ZEROS)
-            self.told.append(step(self.model, SETTINGS, self.state, self.state.epoch_us + MINUTE_US, row, known))
-            self.state = self.told[-1].state
-        return self.told[-1]
+            self.announced.append(step(self.model, SETTINGS, self.state, self.state.epoch_us + MINUTE_US, row, known))
+            self.state = self.announced[-1].state
+        return self.announced[-1]
 
     @property
     def doubted(self):
-        return [row.state.command.is_doubted for row in self.told]
+        return [row.state.command.is_doubted for row in self.announced]
 
 
 @pytest.fixture
 def craft(filter_models):
-    return Craft(filter_models)
+    return OrbitalFrameSpacecraft(filter_models)
 
 
 def test_commands_that_are_obeyed_are_never_doubted(craft):
@@ -67,32 +67,32 @@ def test_commands_that_are_not_obeyed_are_found_and_the_share_is_believed(craft,
     assert np.argmax(craft.doubted) - 30 <= 30  # minutes, when 0.12 deg were commanded; the powers tell pitch to 0.03
     assert craft.state.command.share == share
     # the share found is applied: the error stays what noise leaves
-    assert abs(craft.told[-1].attitude_deg[2] - craft.attitude_deg[2]) < 0.05
-    assert "unannounced_motion" in craft.told[-1].integrity.reasons
+    assert abs(craft.announced[-1].attitude_deg[2] - craft.attitude_deg[2]) < 0.05
+    assert "unannounced_motion" in craft.announced[-1].integrity.reasons
 
 
 def test_a_doubt_ends_after_an_hour(craft):
     craft.turn(30, 0.0, 1.0)
     craft.turn(45, 0.004, -1.0)
-    told = craft.turn(75, 0.0, 1.0)
-    assert not told.state.command.is_doubted
-    assert told.state.command.share == 1.0
+    announced = craft.turn(75, 0.0, 1.0)
+    assert not announced.state.command.is_doubted
+    assert announced.state.command.share == 1.0
 
 
 def test_a_row_that_something_else_moved_says_nothing_about_commands(craft, filter_models):
     model, gaussian = craft.model, craft.state.gaussian
     known = KnownMotion(np.array([0.0, 0.1, 0.1]), ZEROS, ZEROS)
     nobody = np.zeros(CARRIERS, dtype=bool)
-    watch = pass_commands(model, SETTINGS, obeyed_commands(), MINUTE_US, known, nobody, is_raining=False)
+    watch = pass_commands(model, SETTINGS, executed_commands(), MINUTE_US, known, nobody, is_raining=False)
     everyone = np.arange(CARRIERS)
     used = innovate(model, gaussian, np.full(CARRIERS, 0.3), everyone, model.white_sigma_db**2)
     covariance = update(model, gaussian, np.full(CARRIERS, 0.3), used).state.covariance
     shared = push_row(model, watch, used, covariance, is_shared=True)
     assert not shared.score.any()
     assert not shared.information.any()
-    told = push_row(model, watch, used, covariance, is_shared=False)
-    assert told.information[0, 0] > 0.0
-    np.testing.assert_array_equal(told.sensitivity, shared.sensitivity)
+    announced = push_row(model, watch, used, covariance, is_shared=False)
+    assert announced.information[0, 0] > 0.0
+    np.testing.assert_array_equal(announced.sensitivity, shared.sensitivity)
 
 
 def test_sums_are_those_of_the_innovations_covariance(craft):
@@ -100,7 +100,7 @@ def test_sums_are_those_of_the_innovations_covariance(craft):
     model, gaussian = craft.model, craft.state.gaussian
     known = KnownMotion(np.array([0.05, 0.1, -0.1]), ZEROS, ZEROS)
     nobody = np.zeros(CARRIERS, dtype=bool)
-    watch = pass_commands(model, SETTINGS, obeyed_commands(), MINUTE_US, known, nobody, is_raining=False)
+    watch = pass_commands(model, SETTINGS, executed_commands(), MINUTE_US, known, nobody, is_raining=False)
     row = craft.rng.normal(0.0, 0.05, CARRIERS)
     used = innovate(model, gaussian, row, np.arange(CARRIERS), model.white_sigma_db**2)
     after = push_row(model, watch, used, update(model, gaussian, row, used).state.covariance, is_shared=False)
@@ -143,13 +143,13 @@ def test_a_share_moves_the_attitude_by_half_a_degree_at_most(craft, reach_deg, i
 
 def test_a_believed_share_scales_the_commands():
     known = KnownMotion(np.array([0.1, 0.2, 0.3]), ZEROS, ZEROS)
-    assert believed_motion(obeyed_commands(), known) is known
-    half = believed_motion(obeyed_commands()._replace(share=0.5, minutes_left=9.0), known)
+    assert believed_motion(executed_commands(), known) is known
+    half = believed_motion(executed_commands()._replace(share=0.5, minutes_left=9.0), known)
     np.testing.assert_array_equal(half.correction_deg, [0.05, 0.1, 0.15])
 
 
 def test_nothing_commanded_costs_nothing(craft):
     nobody = np.zeros(CARRIERS, dtype=bool)
-    watch = pass_commands(craft.model, SETTINGS, obeyed_commands(), MINUTE_US, no_motion(), nobody, is_raining=False)
+    watch = pass_commands(craft.model, SETTINGS, executed_commands(), MINUTE_US, no_motion(), nobody, is_raining=False)
     assert not watch.sensitivity.any()
     assert not watch.is_doubted

@@ -31,21 +31,21 @@ def test_shifts_of_one_sign_raise_their_axis_for_an_hour():
 
 def reported_minutes(minutes, **settings):
     """Return for each minute of a steady shift of roll whether it is followed, reported, and newly explained."""
-    watch, told = still_watch(0), []
+    watch, announced = still_watch(0), []
     for minute in range(1, minutes):
         before = watch
         watch = push_shift(pass_motion(watch, 1.0), minute * MINUTE_US, np.array([0.0, 1.6, 0.0]), **settings)
-        told.append((watch.is_followed[1], watch.is_unannounced[1], bool(newly_explained(before, watch)[1])))
+        announced.append((watch.is_followed[1], watch.is_unannounced[1], bool(newly_explained(before, watch)[1])))
     assert not any(watch.is_unannounced[axis] for axis in (0, 2))
-    return told
+    return announced
 
 
 def test_where_a_torque_acts_the_first_alarm_follows_and_the_second_is_reported():
-    told = reported_minutes(30, is_pushed=True)
+    announced = reported_minutes(30, is_pushed=True)
     # ten minutes to an alarm: followed, and widened; ten more to the next one, which is reported, and widens again
-    assert told.index((True, False, True)) == 9
-    assert [minute for minute, one in enumerate(told) if one[2]] == [9, 19]
-    assert [one[1] for one in told].index(True) == 19
+    assert announced.index((True, False, True)) == 9
+    assert [minute for minute, one in enumerate(announced) if one[2]] == [9, 19]
+    assert [one[1] for one in announced].index(True) == 19
 
 
 def test_what_a_torque_may_explain_is_reported_for_a_quarter_of_an_hour():
@@ -60,8 +60,8 @@ def test_what_a_torque_may_explain_is_reported_for_a_quarter_of_an_hour():
 
 
 def test_what_no_torque_explains_is_reported_for_an_hour():
-    told = reported_minutes(60, is_pushed=True)
-    assert all(one[1] for one in told[19:])
+    announced = reported_minutes(60, is_pushed=True)
+    assert all(one[1] for one in announced[19:])
     jumped = push_shift(follow_all(still_watch(0)), MINUTE_US, np.zeros(3), is_pushed=True)
     left = pass_motion(jumped, FOLLOWED_MINUTES - 1.0)
     assert left.is_unannounced == (True, True, True)

@@ -5,7 +5,7 @@ import numpy as np
 from service.core.estimation.filtering.watches.noise_watch import SLOW_LIMITS, calm_watch, push_values
 
 
-def watched(values):
+def minute_update(values):
     """Return the watch of a filter whose test values follow the factors: a wider sigma makes them smaller."""
     watch = calm_watch(values.shape[1])
     for row in values:
@@ -15,7 +15,7 @@ def watched(values):
 
 
 def test_what_the_model_says_keeps_the_factors_at_one():
-    watch = watched(np.random.default_rng(1).standard_normal((3000, 16)))
+    watch = minute_update(np.random.default_rng(1).standard_normal((3000, 16)))
     assert abs(watch.slow_scale - 1.0) < 0.15  # six hours of memory over sixteen carriers
     assert np.abs(watch.white_scale - 1.0).max() < 0.2
     assert abs(watch.nis_ratio - 1.0) < 0.1
@@ -24,7 +24,7 @@ def test_what_the_model_says_keeps_the_factors_at_one():
 def test_louder_white_noise_raises_its_own_carrier_only():
     values = np.random.default_rng(2).standard_normal((1500, 8))
     values[:, 3] *= 1.8
-    watch = watched(values)
+    watch = minute_update(values)
     assert abs(watch.white_scale[3] - 1.8) < 0.25  # four hours of memory, outliers cut
     assert np.delete(watch.white_scale, 3).max() < 1.25
 
@@ -35,9 +35,9 @@ def test_slow_noise_that_the_model_does_not_know_raises_the_slow_factor():
     for row in range(1500):
         slow = 0.98 * slow + 0.1 * rng.standard_normal(8)
         values[row] += slow
-    watch = watched(values)
+    watch = minute_update(values)
     assert watch.slow_scale > 1.5
-    assert watched(values * 9.0).slow_scale <= SLOW_LIMITS[1]
+    assert minute_update(values * 9.0).slow_scale <= SLOW_LIMITS[1]
 
 
 def test_absent_carriers_teach_nothing():
