@@ -159,10 +159,10 @@ def _add_serve(parser: argparse.ArgumentParser) -> None:
         metavar="NAME[:TIMES]",
         help="fault of the next answers or traces, for tests of clients; may repeat",
     )
-    _add_craft(parser)
+    _add_spacecraft(parser)
 
 
-def _add_craft(parser: argparse.ArgumentParser) -> None:
+def _add_spacecraft(parser: argparse.ArgumentParser) -> None:
     """Add the options of a craft that is flown."""
     parser.add_argument(
         "--uplink",
@@ -204,7 +204,7 @@ def build_parser() -> argparse.ArgumentParser:
     export.add_argument("--out", type=Path, required=True, help="file to write, .npz")
     plant = commands.add_parser("plant", help="close a loop: powers to standard output, torque schedules from input")
     _add_story(plant, _closed_scenarios)
-    _add_craft(plant)
+    _add_spacecraft(plant)
     plant.add_argument(
         "--age-limit",
         type=float,

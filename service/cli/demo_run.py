@@ -13,12 +13,12 @@ from service.study.demonstration.demonstration import Endpoints, Story, run_stor
 from service.study.demonstration.judgement import judge_story, tracked_angles
 from service.study.demonstration.processes import ProcessFailedError
 from service.study.demonstration.replay_check import METHODS
-from service.study.demonstration.spacecraft_line import CraftLineError
+from service.study.demonstration.spacecraft_line import SpacecraftLineError
 
 #: an answer may take so long on a machine that has much else to do, s
 _PATIENCE_S = 60.0
 #: what ends a demonstration with a message in place of a trace
-FAILURES = (ProcessFailedError, PlantFailedError, CraftLineError, ClientError, TimeoutError, OSError)
+FAILURES = (ProcessFailedError, PlantFailedError, SpacecraftLineError, ClientError, TimeoutError, OSError)
 
 
 def external(service: str, analyzer: str, ground: str, uplink: str | None) -> Endpoints:

@@ -176,9 +176,9 @@ def _print_loop(console: Console, loop: dict[str, Any]) -> None:
         names = ("size_95_deg", "bounds_deg", "usual_bounds_deg", "impulse_n_m_s")
         values = (largest_deg, *(loop[name][axis] for name in names), alone["largest_deg"][axis])
         table.add_row(axis, *(f"{value:.3f}" for value in values))
-    told = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in loop["commands"].items() if count)
+    reported = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in loop["commands"].items() if count)
     table.caption = (
-        f"commands: {told}; control inhibited {loop['inhibited_share']:.1%} of the rows\n"
+        f"commands: {reported}; control inhibited {loop['inhibited_share']:.1%} of the rows\n"
         f"without control within the bounds for {alone['hours_within_bounds']} of {alone['hours']} h"
     )
     console.print(table)

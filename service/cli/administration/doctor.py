@@ -32,7 +32,7 @@ def doctor(
     from rich.console import Console
 
     # the database costs time that other commands need not pay
-    from service.bootstrap import open_keeping
+    from service.bootstrap import open_archive_tools
     from service.records.journal import JournalHead
 
     announced = [JournalHead(name, int(number), digest) for name, number, digest in logged(_LOGGED, log or [])]
@@ -41,7 +41,7 @@ def doctor(
         raise typer.Exit(EXIT_USAGE)
     try:
         with Console(stderr=True).status("opening") as status:
-            found = open_keeping(database).diagnose(status.update, announced)
+            found = open_archive_tools(database).diagnose(status.update, announced)
     except ValueError as error:
         typer.echo(str(error), err=True)
         raise typer.Exit(EXIT_USAGE) from error

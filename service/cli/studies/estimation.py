@@ -78,11 +78,11 @@ def _console(*, is_report_elsewhere: bool) -> "Console":
     return console if console.is_terminal else Console(stderr=is_report_elsewhere, width=_FILE_WIDTH)
 
 
-def _print(told: "Sequence[report.ReportTable]", lines: list[str], console: "Console") -> None:
+def _print(reported: "Sequence[report.ReportTable]", lines: list[str], console: "Console") -> None:
     """Print tables and what was missed."""
     from rich.table import Table
 
-    for one in told:
+    for one in reported:
         table = Table(title=one.title, title_justify="left")
         for column in one.columns:
             table.add_column(column, overflow="fold")

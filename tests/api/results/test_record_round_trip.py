@@ -31,25 +31,25 @@ NOT_EXPORTED = {
 }
 
 
-def distinct(field: RecordField, place: int, epoch_us: int) -> Any:
+def distinct(field: RecordField, position: int, epoch_us: int) -> Any:
     """Return a value that no other field has."""
-    axes = Axes(place + 0.125, -place - 0.25, place + 0.375)
+    axes = Axes(position + 0.125, -position - 0.25, position + 0.375)
     values = {
-        FieldKind.EPOCH: epoch_us + place,
-        FieldKind.COUNT: 100 + place,
-        FieldKind.NUMBER: place + 0.5,
+        FieldKind.EPOCH: epoch_us + position,
+        FieldKind.COUNT: 100 + position,
+        FieldKind.NUMBER: position + 0.5,
         FieldKind.TRUTH: True,
         FieldKind.TEXT: field.name,
         FieldKind.CHOICE: list(field.content)[-1] if field.kind is FieldKind.CHOICE else None,
-        FieldKind.TEXTS: (field.name, str(place)),
+        FieldKind.TEXTS: (field.name, str(position)),
         FieldKind.AXES: axes,
         FieldKind.AXIS_TRUTHS: (True, False, True),
-        FieldKind.RECORD: ScheduleVerdict("warn", place + 0.1, place + 0.2, place + 0.3, place, field.name),
+        FieldKind.RECORD: ScheduleVerdict("warn", position + 0.1, position + 0.2, position + 0.3, position, field.name),
     }
     elements = {
-        float: place + 0.625,
+        float: position + 0.625,
         Exclusion: Exclusion(field.name, "step"),
-        Pulse: Pulse(epoch_us, place + 0.5, axes),
+        Pulse: Pulse(epoch_us, position + 0.5, axes),
     }
     return (elements[field.content],) * 2 if field.kind is FieldKind.RECORDS else values[field.kind]
 
@@ -57,8 +57,8 @@ def distinct(field: RecordField, place: int, epoch_us: int) -> Any:
 def filled(record: Any) -> Any:
     """Return a record with a value of its own in every field."""
     fields = record_fields(type(record))
-    places = enumerate(name for name in fields if name not in OF_THE_ROW)
-    return replace(record, **{name: distinct(fields[name], place, record.epoch_us) for place, name in places})
+    positions = enumerate(name for name in fields if name not in OF_THE_ROW)
+    return replace(record, **{name: distinct(fields[name], position, record.epoch_us) for position, name in positions})
 
 
 def members(record: Any) -> Iterator[tuple[str, Any]]:

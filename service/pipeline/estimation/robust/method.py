@@ -136,7 +136,7 @@ def step_robust(
     known, commanded = take(state.commanded, from_us, measurement.epoch_us)
     unreported, released = _unreported(state.released, from_us, measurement.epoch_us)
     declared = _declared(state, model, knowledge, measurement, config)
-    filtered = step(
+    found = step(
         model.filter,
         model.settings,
         state.filter,
@@ -147,12 +147,10 @@ def step_robust(
         declared=declared,
         kernels=kernels_named(config.kernels),
     )
-    if not (np.isfinite(filtered.attitude_deg).all() and np.isfinite(filtered.covariance_deg2).all()):
+    if not (np.isfinite(found.attitude_deg).all() and np.isfinite(found.covariance_deg2).all()):
         message = "the filter lost its numbers; the state before this row is kept"
         raise ArithmeticError(message)
-    fixed = Fixed(
-        filtered, deviation_db, rates_deg_s(model, filtered), declared, not bool(np.isfinite(expected_dbm).any())
-    )
+    fixed = Fixed(found, deviation_db, rates_deg_s(model, found), declared, not bool(np.isfinite(expected_dbm).any()))
     row = filtered_row(
         measurement,
         model,
@@ -161,25 +159,25 @@ def step_robust(
         has_inhibiting_operation=bool(knowledge.inhibiting_operations(measurement.epoch_us)),
         validity_limit_deg=config.interlock.validity_limit_deg,
         yaw_validity_limit_deg=config.robust.yaw_validity_limit_deg,
-        is_torque_to_be_stated=model.is_torque_unknown and _is_torque_seen(filtered, model, len(released)),
+        is_torque_to_be_stated=model.is_torque_unknown and _is_torque_seen(found, model, len(released)),
     )
-    after = RobustState(filtered.state, commanded, released, measurement.source)
+    after = RobustState(found.state, commanded, released, measurement.source)
     return RobustStep(row, expected_dbm, deviation_db, fixed.residual_db(model), after)
 
 
-def rates_deg_s(model: RobustModel, filtered: FilterStep) -> FloatArray:
+def rates_deg_s(model: RobustModel, found: FilterStep) -> FloatArray:
     """Return the rates (3,) of yaw, roll and pitch that the state implies, deg/s."""
-    mean, turn = filtered.state.gaussian.mean, model.settings.coupling_per_h
+    mean, turn = found.state.gaussian.mean, model.settings.coupling_per_h
     yaw, roll, _pitch = mean[ATTITUDE].tolist()
     exchanged = np.array([-turn * roll, turn * yaw, 0.0])
     return np.asarray((exchanged + mean[DRIFT] + mean[RATE]) / 3600.0)
 
 
-def _is_torque_seen(filtered: FilterStep, model: RobustModel, shares: int) -> bool:
+def _is_torque_seen(found: FilterStep, model: RobustModel, shares: int) -> bool:
     """Return whether the torque that nobody stated has shown itself, in the state or as motion."""
-    gaussian = filtered.state.gaussian
+    gaussian = found.state.gaussian
     positions = torque_states(model.filter, gaussian, shares)
-    return any(filtered.state.motion.is_followed) or (positions is not None and is_torque_seen(gaussian, positions))
+    return any(found.state.motion.is_followed) or (positions is not None and is_torque_seen(gaussian, positions))
 
 
 def _unreported(
@@ -236,12 +234,12 @@ def _declared(
 
 def _snapshot(model: RobustModel, deviation_db: FloatArray) -> Snapshots:
     """Return the fix of a row alone."""
-    filtered = model.filter
-    variance = filtered.white_sigma_db**2 + (filtered.coloured_sigma_db**2).sum(axis=1) + model.reference_sigma_db**2
+    found = model.filter
+    variance = found.white_sigma_db**2 + (found.coloured_sigma_db**2).sum(axis=1) + model.reference_sigma_db**2
     return solve_snapshots(
         model.response,
         deviation_db[None, :],
         np.sqrt(variance),
         model.orders,
-        group=filtered.transponder,
+        group=found.transponder,
     )
