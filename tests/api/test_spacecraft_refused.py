@@ -114,8 +114,8 @@ BAD: list[tuple[str, dict[str, Any], str, str]] = [
         "/onboard/residual_torque_n_m",
     ),
     *(
-        (f"fed forward: {name}", {"onboard": {"fed_forward_torque": FED_FORWARD | change}}, code, f"{_FED}{place}")
-        for name, change, code, place in (
+        (f"fed forward: {name}", {"onboard": {"fed_forward_torque": FED_FORWARD | change}}, code, f"{_FED}{position}")
+        for name, change, code, position in (
             ("period of nothing", {"period_s": 0.0}, "value.range", "/period_s"),
             ("torque of a thruster", {"sine_n_m": {"yaw": 0.1}}, "value.range", "/sine_n_m/yaw"),
             ("error above all of it", {"relative_error": 1.5}, "value.range", "/relative_error"),

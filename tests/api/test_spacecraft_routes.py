@@ -188,13 +188,13 @@ async def test_a_fed_forward_torque_is_changed_field_by_field_and_taken_back(soo
     await soo.client.post(URL, json=spacecraft | {"onboard": {"fast_loop": True, "forecast_mode": True}})
     stated = {"epoch": "2026-11-21T06:00:00Z", "cosine_n_m": {"roll": 1e-5}}
     document = (await soo.client.patch(f"{URL}/yamal-202", json={"onboard": {"fed_forward_torque": stated}})).json()
-    told = document["onboard"]["fed_forward_torque"]
-    assert told["epoch"] == "2026-11-21T06:00:00.000000Z"
-    assert told["cosine_n_m"] == {"yaw": 0.0, "roll": 1e-5, "pitch": 0.0}
-    assert (told["period_s"], told["relative_error"], told["axis_relative_error"]) == (86_400.0, 0.06, 0.01)
+    reported = document["onboard"]["fed_forward_torque"]
+    assert reported["epoch"] == "2026-11-21T06:00:00.000000Z"
+    assert reported["cosine_n_m"] == {"yaw": 0.0, "roll": 1e-5, "pitch": 0.0}
+    assert (reported["period_s"], reported["relative_error"], reported["axis_relative_error"]) == (86_400.0, 0.06, 0.01)
     change = {"onboard": {"fed_forward_torque": {"sine_n_m": {"pitch": 2e-6}}}}
     changed = (await soo.client.patch(f"{URL}/yamal-202", json=change)).json()["onboard"]["fed_forward_torque"]
-    assert changed == told | {"sine_n_m": {"yaw": 0.0, "roll": 0.0, "pitch": 2e-6}}
+    assert changed == reported | {"sine_n_m": {"yaw": 0.0, "roll": 0.0, "pitch": 2e-6}}
     ended = await soo.client.patch(f"{URL}/yamal-202", json={"onboard": {"fed_forward_torque": None}})
     assert ended.json()["onboard"]["fed_forward_torque"] is None
 
@@ -207,9 +207,13 @@ async def test_what_post_accepts_patch_accepts_field_by_field(soo, spacecraft):
     for name, value in stored.items():
         answer = await soo.client.patch(f"{URL}/yamal-202", json={name: value})
         assert answer.status_code == 200, (name, answer.text)
-    for place, onboard in enumerate(({"fast_loop": True}, {"residual_torque_n_m": 1e-7}, {"roll_yaw_coupling": False})):
+    for position, onboard in enumerate(
+        ({"fast_loop": True}, {"residual_torque_n_m": 1e-7}, {"roll_yaw_coupling": False})
+    ):
         assert (await soo.client.patch(f"{URL}/yamal-202", json={"onboard": onboard})).status_code == 200
-        assert (await soo.client.post(URL, json=minimal | {"id": f"x{place}", "onboard": onboard})).status_code == 201
+        assert (
+            await soo.client.post(URL, json=minimal | {"id": f"x{position}", "onboard": onboard})
+        ).status_code == 201
 
 
 async def test_ground_control_that_has_a_fast_loop_cannot_lose_it(soo, spacecraft):

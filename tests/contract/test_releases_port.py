@@ -73,9 +73,9 @@ def test_who_does_not_know_the_newest_version_changes_nothing(setting, version):
     releases = setting.storage.releases
     releases.save(setting.id, 0, change("first"))
     number = setting.storage.archive.head(setting.id).newest_number
-    told = (InterlockHold(1, "TRIPPED", ("stop",), is_withheld=True, version=9),)
+    reported = (InterlockHold(1, "TRIPPED", ("stop",), is_withheld=True, version=9),)
     with pytest.raises(ConflictError, match=r"release\.changed"):
-        releases.save(setting.id, version, change("second", commands=(COMMAND,), products=(PRODUCT,), entries=told))
+        releases.save(setting.id, version, change("second", commands=(COMMAND,), products=(PRODUCT,), entries=reported))
     assert releases.stored(setting.id).document == "first"
     assert releases.newest_product(setting.id, ProductForm.TORQUES) is None
     assert setting.storage.archive.head(setting.id).newest_number == number
@@ -142,20 +142,20 @@ def test_commands_are_listed_in_order_of_preparation_beyond_a_cursor(setting, ne
 def test_release_and_report_enter_the_journal_with_the_state(setting):
     releases, archive = setting.storage.releases, setting.storage.archive
     before = archive.head(setting.id).newest_number
-    told = (
+    reported = (
         ReleasedCommand(1, 800 * S, PULSES),
         ReportedCommand(1, 1000 * S, PULSES[:1]),
         InterlockHold(1000 * S, "TRIPPED", ("stop",), is_withheld=True, version=1),
     )
-    releases.save(setting.id, 0, change(entries=told))
-    assert tuple(entry.content for entry in archive.journal(setting.id, before, 9)) == told
+    releases.save(setting.id, 0, change(entries=reported))
+    assert tuple(entry.content for entry in archive.journal(setting.id, before, 9)) == reported
     again = InterlockHold(1000 * S, "INHIBITED", (), is_withheld=False, version=2)
     releases.save(setting.id, 1, change(entries=(again,)))
     holds = archive.inputs(setting.id, "interlock", Window(0, 1 << 60), 9, None)
     assert [entry.content.version for entry in holds] == [1, 2]
     # a version that is told again would be lost without a word
     with pytest.raises(ConflictError, match=r"release\.changed"):
-        releases.save(setting.id, 2, change("third", entries=told[:1]))
+        releases.save(setting.id, 2, change("third", entries=reported[:1]))
     assert releases.stored(setting.id).version == 2
 
 

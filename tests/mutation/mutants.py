@@ -208,8 +208,8 @@ def main() -> None:
         for number, one in chosen.items():
             killer = judge.killer(one)
             killed += bool(killer)
-            place = f"{one.path}:{one.line}"
-            print(f"{number:2} {one.kind} {place} {one.was} -> {one.becomes}: {killer or 'SURVIVED'}", flush=True)
+            position = f"{one.path}:{one.line}"
+            print(f"{number:2} {one.kind} {position} {one.was} -> {one.becomes}: {killer or 'SURVIVED'}", flush=True)
     print(f"killed {killed} of {len(chosen)}")
 
 

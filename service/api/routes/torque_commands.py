@@ -9,8 +9,8 @@ from service.api.access.auth import MAY_APPROVE, MAY_OPERATE, CurrentPrincipal
 from service.api.access.principals import Permission
 from service.api.context.dependencies import Context, SpacecraftId
 from service.api.protocol.bodies import accepts, body_of, optional_body
-from service.api.protocol.paging import Page, Place, cut_page
-from service.api.routes.comments import Said, accepts_remark, log_comment
+from service.api.protocol.paging import Page, Position, cut_page
+from service.api.routes.comments import Said, accepts_comment, log_comment
 from service.api.schemas.base import WindowAnswer
 from service.api.schemas.torque_commands import (
     CommandAnswer,
@@ -25,7 +25,7 @@ from service.records.operations.release import Command
 router = APIRouter(prefix="/spacecraft/{spacecraft_id}", tags=["release of torques"])
 #: its counter
 CommandId = Annotated[int, Path(ge=1, le=2**53)]
-Told = Annotated[ReportDocument, optional_body(ReportDocument)]
+ReportBody = Annotated[ReportDocument, optional_body(ReportDocument)]
 _ACCEPTS_REPORT = accepts(ReportDocument, is_required=False)
 
 
@@ -59,7 +59,7 @@ def list_commands(
     """List commands that were prepared in the range, in order of their preparation."""
     context.storage.catalogue.spacecraft(spacecraft_id)
     found = context.release_service.commands(spacecraft_id, page.window, page.limit + 1, page.after)
-    commands, cursor = cut_page(found, page.limit, _place, request, response)
+    commands, cursor = cut_page(found, page.limit, _position, request, response)
     rows = [CommandAnswer.of(command) for command in commands]
     return CommandPage(range=WindowAnswer.of(page.window), rows=rows, next=cursor)
 
@@ -96,7 +96,7 @@ def confirm_torques(
     return CommandAnswer.of(command)
 
 
-@router.post("/torques/{command_id}:cancel", dependencies=[MAY_OPERATE], openapi_extra=accepts_remark())
+@router.post("/torques/{command_id}:cancel", dependencies=[MAY_OPERATE], openapi_extra=accepts_comment())
 def cancel_torques(
     spacecraft_id: SpacecraftId, command_id: CommandId, body: Said, context: Context, principal: CurrentPrincipal
 ) -> CommandAnswer:
@@ -108,7 +108,7 @@ def cancel_torques(
 
 @router.post("/torques/{command_id}:sent", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_REPORT)
 def report_sent(
-    spacecraft_id: SpacecraftId, command_id: CommandId, body: Told, context: Context, principal: CurrentPrincipal
+    spacecraft_id: SpacecraftId, command_id: CommandId, body: ReportBody, context: Context, principal: CurrentPrincipal
 ) -> CommandAnswer:
     """Report that a released command was uplinked."""
     return CommandAnswer.of(_reported(context, spacecraft_id, command_id, "sent", body, principal.name))
@@ -116,7 +116,7 @@ def report_sent(
 
 @router.post("/torques/{command_id}:executed", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_REPORT)
 def report_executed(
-    spacecraft_id: SpacecraftId, command_id: CommandId, body: Told, context: Context, principal: CurrentPrincipal
+    spacecraft_id: SpacecraftId, command_id: CommandId, body: ReportBody, context: Context, principal: CurrentPrincipal
 ) -> CommandAnswer:
     """Report that a command was executed, whole or between two instants; it becomes known input of the filter."""
     return CommandAnswer.of(_reported(context, spacecraft_id, command_id, "executed", body, principal.name))
@@ -124,7 +124,7 @@ def report_executed(
 
 @router.post("/torques/{command_id}:failed", dependencies=[MAY_OPERATE], openapi_extra=_ACCEPTS_REPORT)
 def report_failed(
-    spacecraft_id: SpacecraftId, command_id: CommandId, body: Told, context: Context, principal: CurrentPrincipal
+    spacecraft_id: SpacecraftId, command_id: CommandId, body: ReportBody, context: Context, principal: CurrentPrincipal
 ) -> CommandAnswer:
     """Report that a command was not executed, or only between two instants."""
     return CommandAnswer.of(_reported(context, spacecraft_id, command_id, "failed", body, principal.name))
@@ -145,6 +145,6 @@ def _reported(
     )
 
 
-def _place(command: Command) -> Place:
+def _position(command: Command) -> Position:
     """Return where a command stands in its list."""
     return command.prepared_us, command.counter

@@ -26,7 +26,7 @@ from service.runtime.control.release_inputs import interlock_inputs, read_facts
 from service.runtime.control.release_publisher import ReleasePublisher
 from service.runtime.control.row_handler import RowHandler
 from service.runtime.control.spacecraft_release import SpacecraftRelease
-from service.runtime.live.leadership import Turn, always, elsewhere
+from service.runtime.live.leadership import Term, always, elsewhere
 
 _LOG = logging.getLogger("soo.release")
 
@@ -53,7 +53,7 @@ class ReleaseLoop:
         Gets the effects of stored steps.
     is_data_service : bool
         Whether the service runs under the data clock: then only simulated spacecraft get commands.
-    turn : Turn, optional
+    turn : Term, optional
         Tells whether this service leads.
     steady : callable, optional
         A clock that nobody sets, microseconds.
@@ -68,7 +68,7 @@ class ReleaseLoop:
         publisher: ReleasePublisher,
         *,
         is_data_service: bool = False,
-        turn: Turn = always,
+        turn: Term = always,
         steady: Callable[[], int] = _steady_us,
     ) -> None:
         self._storage = storage

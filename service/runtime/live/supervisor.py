@@ -32,7 +32,7 @@ from service.runtime.live.journal_consumer import (
     trips_after,
     without_torque_after,
 )
-from service.runtime.live.leadership import Turn, always
+from service.runtime.live.leadership import Term, always
 from service.runtime.live.live_feed import Cursor, FeedEvent, LiveFeed
 from service.runtime.live.row_cache import FreshRows
 from service.runtime.live.row_publisher import RowPublisher
@@ -51,7 +51,7 @@ _PAUSE_S = 0.005
 #: rows that stream in are consumed so long before what came of them is stored, in one go
 _STEP_S = 0.02
 #: what makes results of another kind than those before
-_ANEW = (AlignmentSet, CalibrationActivation)
+_RESTARTING = (AlignmentSet, CalibrationActivation)
 #: a journal may have grown by anything
 _UNKNOWN = math.inf
 
@@ -103,7 +103,7 @@ class Supervisor:
         Configuration of every chain.
     watcher : Watcher, optional
         Who looks at the rows.
-    turn : Turn, optional
+    turn : Term, optional
         Tells whether this service leads; while another one does, the feed is told what that one has stored.
     release : ReleaseWatcher, optional
         Who releases torques.
@@ -115,14 +115,14 @@ class Supervisor:
         feed: LiveFeed,
         config: ChainConfig,
         watcher: Watcher | None = None,
-        turn: Turn = always,
+        turn: Term = always,
         release: ReleaseWatcher | None = None,
     ) -> None:
         self._storage = storage
         self._release = release
         self._turn = turn
         self._relay = Relay(storage, feed)
-        self._news = RowPublisher(feed)
+        self._publisher = RowPublisher(feed)
         self._fresh = FreshRows()
         self._watcher = watcher
         self._feed = feed
@@ -193,7 +193,7 @@ class Supervisor:
     def _stored(self, batch: MeasurementBatch, receipt: BatchReceipt) -> None:
         """Take over a batch that was committed just now, on the writer's thread."""
         self._fresh.stored(batch, receipt)
-        self._news.stored(batch, receipt)
+        self._publisher.stored(batch, receipt)
 
     def _grown(self) -> tuple[str, ...]:
         """Return the spacecraft of which another service may have taken something in."""
@@ -231,20 +231,20 @@ class Supervisor:
         turn = self._turn()
         if turn == 0:
             self._followers.pop(spacecraft_id, None)
-            self._relay.look(spacecraft_id)
+            self._relay.poll(spacecraft_id)
             return
         self._relay.forget()
         follower = self._followers.get(spacecraft_id)
         if follower is None or follower.turn != turn:
             follower = self._rebuild(spacecraft_id, turn)
         while not self._is_stopping and self._turn() == turn and follower.consumed_number < up_to:
-            place = (spacecraft_id, follower.consumed_number, _ENTRIES_AT_ONCE)
-            fresh = self._fresh.after(*place)
-            entries = fresh or self._storage.archive.journal(*place)
+            index = (spacecraft_id, follower.consumed_number, _ENTRIES_AT_ONCE)
+            fresh = self._fresh.after(*index)
+            entries = fresh or self._storage.archive.journal(*index)
             if not entries:
                 return
             # rows were stored before they were accepted: listeners need not wait for what is computed from them
-            self._news.followed(spacecraft_id, entries)
+            self._publisher.followed(spacecraft_id, entries)
             self._take(follower, entries)
             if not fresh and len(entries) < _ENTRIES_AT_ONCE:
                 # nothing unconsumed is ever dropped, so this was all; what came since has notified
@@ -268,7 +268,7 @@ class Supervisor:
                 more = self._fresh.after(spacecraft_id, entries[-1].number, _ENTRIES_AT_ONCE)
                 if not more:
                     break
-                self._news.followed(spacecraft_id, more)
+                self._publisher.followed(spacecraft_id, more)
                 left = self._consume(follower, more, step)
                 entries += more
         entries = entries[: len(entries) - len(left)]
@@ -287,15 +287,15 @@ class Supervisor:
     def _consume(self, follower: _Follower, entries: list[JournalEntry], step: "_Step") -> list[JournalEntry]:
         """Feed entries to the chain and note what came of them; return those behind the first applied command."""
         chain, archive = follower.chain, self._storage.archive
-        for place, entry in enumerate(entries, start=1):
-            told = tuple(consume(chain, entry, archive, follower.spacecraft_id))
-            step.outcomes += told
+        for index, entry in enumerate(entries, start=1):
+            reported = tuple(consume(chain, entry, archive, follower.spacecraft_id))
+            step.outcomes += reported
             if self._watcher is not None:
-                step.seen += _seen(chain, entry, told)
-            if told and isinstance(entry.content, Measurement):
-                step.released += (StoredRow(outcome, chain.command_evidence()) for outcome in told)
+                step.seen += _seen(chain, entry, reported)
+            if reported and isinstance(entry.content, Measurement):
+                step.released += (StoredRow(outcome, chain.command_evidence()) for outcome in reported)
             if step.has_applied:
-                return entries[place:]
+                return entries[index:]
         return []
 
     def _store_and_publish(self, follower: _Follower, entries: list[JournalEntry], outcomes: list[Outcome]) -> None:
@@ -337,7 +337,7 @@ class Supervisor:
         stood = (head.consumed_number, head.consumed_epoch_us, head.result_sequence)
         follower = _Follower(spacecraft_id, chain, turn, *stood)
         self._followers[spacecraft_id] = follower
-        self._news.begin(spacecraft_id, follower.consumed_number)
+        self._publisher.begin(spacecraft_id, follower.consumed_number)
         return follower
 
     def _last_alignment(self, spacecraft_id: str, consumed_number: int) -> tuple[int | None, int | None]:
@@ -378,7 +378,7 @@ def _result_events(
             FeedEvent(_kind(result), Cursor(number, sequence), result)
             for sequence, result in enumerate(results, start=first + 1)
         ]
-    if not is_whole or any(isinstance(entry.content, _ANEW) for entry in entries):
+    if not is_whole or any(isinstance(entry.content, _RESTARTING) for entry in entries):
         events.append(FeedEvent("status", Cursor(number, last), None))
     return tuple(events)
 

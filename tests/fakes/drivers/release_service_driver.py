@@ -161,8 +161,8 @@ class ReleaseServiceDriver:
         finally:
             self.judge()
 
-    def report(self, counter: int, turn: str = "executed", **told: object) -> Command:
-        return self.service.report(SC, counter, turn, by="centre", **told)
+    def report(self, counter: int, turn: str = "executed", **reported: object) -> Command:
+        return self.service.report(SC, counter, turn, by="centre", **reported)
 
     def engage(self, by: str, hours: float = 6.0, *, is_approver: bool = True) -> ControlView:
         until_us = self.clock.now + round(hours * 3600 * US)
@@ -207,8 +207,8 @@ class ReleaseServiceDriver:
         row, archive = self.row, self.archive
         if row is None or not archive.is_aligned or archive.operations:
             return True
-        told = archive.telemetry[-1] if archive.telemetry else None
-        is_full = told is not None and abs(told.wheel_momentum_n_m_s[0]) > 16.0
+        reported = archive.telemetry[-1] if archive.telemetry else None
+        is_full = reported is not None and abs(reported.wheel_momentum_n_m_s[0]) > 16.0
         age_s = (self.clock.now - row.epoch_us) / US
         return (
             abs(age_s) > 3.0 * 60.0 + 30.0

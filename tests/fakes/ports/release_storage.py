@@ -29,7 +29,7 @@ class FakeReleases:
     views: dict = field(default_factory=dict)
     products: dict = field(default_factory=dict)
     #: what entered the journal
-    told: list = field(default_factory=list)
+    reported: list = field(default_factory=list)
     saves: int = 0
     is_away: bool = False
     #: whether the answer of the next change that is stored is lost
@@ -56,7 +56,7 @@ class FakeReleases:
             key = product.form, product.counter
             assert key not in self.products, "an uplink product was made twice"
             self.products[key] = product
-        self.told += change.entries
+        self.reported += change.entries
         self.stored_release = StoredRelease(version + 1, change.document, change.holder)
         self.saves += 1
         if kill == "after":
@@ -86,7 +86,7 @@ class FakeReleases:
 
     @property
     def released(self):
-        return [entry for entry in self.told if isinstance(entry, ReleasedCommand)]
+        return [entry for entry in self.reported if isinstance(entry, ReleasedCommand)]
 
 
 class FakeArchive:
@@ -133,8 +133,8 @@ class FakeArchive:
 
     def _inputs(self, spacecraft_id, kind, window, limit, after):
         records = self.operations if kind == "operation" else self.telemetry
-        told = [each for each in records if getattr(each, "epoch_us", window.stop_us) >= window.start_us]
-        return [JournalEntry(k, each) for k, each in enumerate(told, start=1)]
+        reported = [each for each in records if getattr(each, "epoch_us", window.stop_us) >= window.start_us]
+        return [JournalEntry(k, each) for k, each in enumerate(reported, start=1)]
 
     def _ephemerides(self, *_):
         return [JournalEntry(1, EphemerisChange(1), self.ephemeris_received_us)]

@@ -123,8 +123,8 @@ class ScriptedReleaseService:
         self._answer("cancel", spacecraft_id, counter, by)
         return replace(self.command_view, state=CommandState.CANCELLED)
 
-    def report(self, spacecraft_id: str, counter: int, turn: str, **told: Any) -> Command:
-        self._answer("report", spacecraft_id, counter, turn, told)
+    def report(self, spacecraft_id: str, counter: int, turn: str, **reported: Any) -> Command:
+        self._answer("report", spacecraft_id, counter, turn, reported)
         return replace(self.command_view, state=CommandState[turn.upper()])
 
     def command(self, spacecraft_id: str, counter: int) -> Command:
@@ -134,10 +134,10 @@ class ScriptedReleaseService:
     def commands(self, spacecraft_id: str, *page: Any) -> list[Command]:
         self._answer("commands", spacecraft_id, *page)
         later = replace(self.command_view, counter=8, prepared_us=AT_US + S)
-        places = [(each.prepared_us, each.counter) for each in (self.command_view, later)]
+        positions = [(each.prepared_us, each.counter) for each in (self.command_view, later)]
         after = page[2] or (0, 0)
         views = (self.command_view, later)
-        return [view for view, place in zip(views, places, strict=True) if place > after][: page[1]]
+        return [view for view, position in zip(views, positions, strict=True) if position > after][: page[1]]
 
     def uplink(self, spacecraft_id: str, counter: int) -> UplinkProduct:
         self._answer("uplink", spacecraft_id, counter)

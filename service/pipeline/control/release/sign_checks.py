@@ -80,12 +80,12 @@ def judge(state: ReleaseState, event: SignJudged, settings: ReleaseSettings) -> 
     if check is None or check.state != RUNNING or check.axis != event.axis:
         return Step(moved)
     ratio = check.log_ratio if event.log_ratio is None else event.log_ratio
-    told = replace(check, log_ratio=ratio, wheels=event.wheels)
+    reported = replace(check, log_ratio=ratio, wheels=event.wheels)
     if event.verdict is not SignState.OPEN:
-        return Step(_ended(moved, replace(told, state=event.verdict.value, detail="")))
+        return Step(_ended(moved, replace(reported, state=event.verdict.value, detail="")))
     if event.at.now_us >= check.until_us:
-        return Step(_ended(moved, replace(told, state=event.verdict.value, detail="its time is over")))
-    return Step(replace(moved, sign_check=told))
+        return Step(_ended(moved, replace(reported, state=event.verdict.value, detail="its time is over")))
+    return Step(replace(moved, sign_check=reported))
 
 
 def followed(state: ReleaseState, settings: ReleaseSettings) -> ReleaseState:

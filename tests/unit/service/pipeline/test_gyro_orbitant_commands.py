@@ -39,8 +39,8 @@ def gains_of(period_s: float) -> GyroOrbitantGains:
 
 
 def craft_of(release=Release.AUTOMATIC, period_s=1200.0, **changes):
-    told = {"law": ControlLaw.GYRO_ORBITANT, "gyro_orbitant": gains_of(period_s), **changes}
-    return PAYLOAD.spacecraft(release=release, **told)
+    reported = {"law": ControlLaw.GYRO_ORBITANT, "gyro_orbitant": gains_of(period_s), **changes}
+    return PAYLOAD.spacecraft(release=release, **reported)
 
 
 def row(attitude=(0.3, 0.1, -0.1), allowed=(True, True, True), epoch_us=EPOCH, **changes):
@@ -57,22 +57,26 @@ def command(of, craft, rate=AT_REST, period_s=60.0, carry=NO_CARRY):
 
 
 def test_roll_and_pitch_are_pushed_back_and_the_yaw_of_the_row_is_not_looked_at():
-    told = [command(row((yaw, 0.1, -0.1)), craft_of()).command for yaw in (0.3, -0.3)]
-    assert told[0] == told[1]
-    assert told[0].control_allowed
-    assert told[0].torque_n_m.yaw == 0.0
+    reported = [command(row((yaw, 0.1, -0.1)), craft_of()).command for yaw in (0.3, -0.3)]
+    assert reported[0] == reported[1]
+    assert reported[0].control_allowed
+    assert reported[0].torque_n_m.yaw == 0.0
     stiffness = gains_of(1200.0)
     # within the impulse of the shortest pulse, which is carried
-    assert told[0].torque_n_m.roll == pytest.approx(-0.5 * stiffness.roll_stiffness_n_m * math.radians(0.1), abs=4e-6)
-    assert told[0].torque_n_m.pitch == pytest.approx(0.5 * stiffness.pitch_stiffness_n_m * math.radians(0.1), abs=4e-6)
+    assert reported[0].torque_n_m.roll == pytest.approx(
+        -0.5 * stiffness.roll_stiffness_n_m * math.radians(0.1), abs=4e-6
+    )
+    assert reported[0].torque_n_m.pitch == pytest.approx(
+        0.5 * stiffness.pitch_stiffness_n_m * math.radians(0.1), abs=4e-6
+    )
 
 
 @pytest.mark.parametrize("yaw_deg", [0.3, -0.3])
 def test_the_roll_rate_tells_yaw_and_its_torque_brings_it_back(yaw_deg):
     rate = Axes(0.0, -W0_DEG_S * math.radians(yaw_deg), -W0_DEG_S)
-    told = command(row((0.0, 0.0, 0.0)), craft_of(), rate, period_s=60.0, carry=np.zeros(3)).command
+    reported = command(row((0.0, 0.0, 0.0)), craft_of(), rate, period_s=60.0, carry=np.zeros(3)).command
     wanted = -gains_of(1200.0).yaw_stiffness_n_m / math.sqrt(2.0) * math.radians(yaw_deg)
-    assert told.torque_n_m.yaw == pytest.approx(wanted, abs=4e-6)
+    assert reported.torque_n_m.yaw == pytest.approx(wanted, abs=4e-6)
 
 
 REFUSED = {
@@ -90,8 +94,8 @@ def test_beyond_the_law_the_command_is_zero_and_says_why(case, release):
     rate, word = REFUSED[case]
     outcome = command(row(), craft_of(release, 14_400.0), rate, 900.0, np.ones(3))
     asked = command_for(row(), craft_of(release, 14_400.0), EPOCH, 900.0, None, TorqueConfig(), body_rate_deg_s=rate)
-    for told in (outcome.command, asked):
-        assert (told.inhibitions, told.schedule, told.control_allowed) == ((word,), (), False)
+    for reported in (outcome.command, asked):
+        assert (reported.inhibitions, reported.schedule, reported.control_allowed) == ((word,), (), False)
     assert not outcome.carry_n_m_s.any()
 
 
@@ -108,22 +112,22 @@ def test_commands_that_come_too_rarely_for_the_gains_are_zero():
 
 def test_what_is_withheld_about_an_axis_stays_withheld():
     rate = Axes(0.0, -W0_DEG_S * 0.01, -W0_DEG_S)
-    told = command(row(allowed=(False, True, True)), craft_of(), rate).command
-    assert told.torque_n_m.yaw == 0.0
-    assert told.torque_n_m.roll != 0.0
+    reported = command(row(allowed=(False, True, True)), craft_of(), rate).command
+    assert reported.torque_n_m.yaw == 0.0
+    assert reported.torque_n_m.roll != 0.0
 
 
 @pytest.mark.parametrize("rate_deg_h", [0.1, 10.0])
 def test_released_in_two_steps_a_command_stays_within_the_envelope_and_its_period(rate_deg_h):
     craft = replace(craft_of(Release.TWO_STEP, 14_400.0), modes=(FlexibleMode("roll", 0.6, 0.003, 0.4),))
     rate = Axes(rate_deg_h * DEG_H, rate_deg_h * DEG_H, -W0_DEG_S - rate_deg_h * DEG_H)
-    told = command_for(row(), craft, EPOCH, 3600.0, None, TorqueConfig(), body_rate_deg_s=rate)
-    assert told.command_period_s == 900.0
-    assert told.schedule
-    assert told.schedule_check is not None
-    assert all(pulse.start_us + pulse.duration_s * S <= told.valid_until_us for pulse in told.schedule)
-    assert envelope_excesses(effect_of_law(told, craft), (0.0, 0.0, 0.0), Envelope()) == ()
-    assert told.saturated is (rate_deg_h == 10.0)
+    reported = command_for(row(), craft, EPOCH, 3600.0, None, TorqueConfig(), body_rate_deg_s=rate)
+    assert reported.command_period_s == 900.0
+    assert reported.schedule
+    assert reported.schedule_check is not None
+    assert all(pulse.start_us + pulse.duration_s * S <= reported.valid_until_us for pulse in reported.schedule)
+    assert envelope_excesses(effect_of_law(reported, craft), (0.0, 0.0, 0.0), Envelope()) == ()
+    assert reported.saturated is (rate_deg_h == 10.0)
     weak = command_for(row(), craft, EPOCH, 3600.0, 0.002, TorqueConfig(), body_rate_deg_s=rate)
     assert max(abs(part) for pulse in weak.schedule for part in pulse.torque_n_m) == pytest.approx(0.002)
 
@@ -146,7 +150,7 @@ class Body:
         m = self.matrix
         return np.degrees([math.atan2(m[0, 1], m[0, 0]), math.atan2(m[1, 2], m[2, 2]), -math.asin(m[0, 2])])
 
-    def told(self):
+    def reported(self):
         x, y, z = np.degrees(self.rate).tolist()
         return Axes(z, x, y)
 
@@ -172,7 +176,7 @@ def flown(body, craft, hours):
         if craft is not None:
             # the estimator's yaw is wrong on purpose
             of = row((0.35, seen[1], seen[2]), epoch_us=EPOCH + 60 * minute * S)
-            outcome = command(of, craft, body.told(), carry=carry)
+            outcome = command(of, craft, body.reported(), carry=carry)
             carry, impulse = outcome.carry_n_m_s, np.array(outcome.command.impulse_n_m_s)
             assert outcome.command.control_allowed
         body.fly(impulse, 60.0)
@@ -209,23 +213,23 @@ def telemetry(flight, minute, rate=AT_REST):
 
 def commands(flight):
     """Return the commands of forty minutes in which telemetry comes, stops, exceeds the law and comes again."""
-    told = {minute: telemetry(flight, minute) for minute in (*range(5, 15), *range(25, 41))}
-    told[30] = telemetry(flight, 30, Axes(0.0, 2.0 * W0_DEG_S, -W0_DEG_S))
+    reported = {minute: telemetry(flight, minute) for minute in (*range(5, 15), *range(25, 41))}
+    reported[30] = telemetry(flight, 30, Axes(0.0, 2.0 * W0_DEG_S, -W0_DEG_S))
     found = {}
     for minute in range(1, 41):
-        if minute in told:
-            flight.chain.learn(told[minute])
+        if minute in reported:
+            flight.chain.update(reported[minute])
         if minute % 2:
             # momentum alone, and a rate of one axis, are no word of the body's rate
-            flight.chain.learn(TelemetryRecord(flight.at(minute) + S, wheel_momentum_n_m_s=(0.1, 0.0, 0.0)))
-            flight.chain.learn(telemetry(flight, minute + 0.1, Axes(math.nan, 0.0, 0.0)))
+            flight.chain.update(TelemetryRecord(flight.at(minute) + S, wheel_momentum_n_m_s=(0.1, 0.0, 0.0)))
+            flight.chain.update(telemetry(flight, minute + 0.1, Axes(math.nan, 0.0, 0.0)))
         found[minute] = flight.chain.step(flight.row(minute)).command
     return found
 
 
 def test_the_chain_uses_the_newest_body_rate_while_it_is_fresh():
     found = commands(Flight(PAYLOAD, spacecraft=craft_of()))
-    reasons = {minute: told.inhibitions for minute, told in found.items()}
+    reasons = {minute: reported.inhibitions for minute, reported in found.items()}
     assert {reasons[minute] for minute in range(1, 5)} == {("no_body_rate",)}
     # fourteen and three and a half minutes
     assert {reasons[minute] for minute in range(5, 18)} == {()}
