@@ -90,10 +90,10 @@ def routed(arrows: Edges, level: dict[str, int]) -> Edges:
 def rows_of(legs: Edges, level: dict[str, int]) -> list[list[str]]:
     """Return the nodes in rows, importers above; each row in the order of what it leads to."""
     rows = [[name for name in sorted(legs) if level[name] == number] for number in range(1 + max(level.values()))]
-    place: dict[str, float] = {}
+    position: dict[str, float] = {}
     for row in rows:
-        row.sort(key=lambda name: (mean([place[target] for target in legs[name]]), name))
-        place |= {name: (number + 1) / (len(row) + 1) for number, name in enumerate(row)}
+        row.sort(key=lambda name: (mean([position[target] for target in legs[name]]), name))
+        position |= {name: (number + 1) / (len(row) + 1) for number, name in enumerate(row)}
     return rows[::-1]
 
 

@@ -8,7 +8,7 @@ from service.errors import NotFoundError
 from service.records.calibration import Window
 
 
-def told(setting, window, **options):
+def reported(setting, window, **options):
     """Return (source, plan, epoch, powers as bytes) of the rows of all blocks, in order."""
     found = []
     for block in setting.storage.archive.measurement_blocks(setting.id, window, **options):
@@ -30,11 +30,11 @@ def test_blocks_hold_the_rows_in_order_of_epoch(setting, make, monkeypatch):
     setting.append([20, 30, 15], [-2.5, -3.5, -1.5], source="sa-2")
     setting.plan_id = setting.storage.catalogue.put_plan(setting.id, make.carriers[::-1], "turned").id
     setting.append([50, 5], [-5.0, -0.5])
-    assert told(setting, make.ever) == expected(setting.rows())
-    assert [row[2] for row in told(setting, Window(10, 40))] == [10, 15, 20, 20, 30]
-    assert [row[2] for row in told(setting, make.ever, source="sa-2")] == [15, 20, 30]
-    assert [row[2] for row in told(setting, make.ever, feeds_estimator_only=True)] == [5, 10, 20, 40, 50]
-    assert told(setting, Window(60, 70)) == []
+    assert reported(setting, make.ever) == expected(setting.rows())
+    assert [row[2] for row in reported(setting, Window(10, 40))] == [10, 15, 20, 20, 30]
+    assert [row[2] for row in reported(setting, make.ever, source="sa-2")] == [15, 20, 30]
+    assert [row[2] for row in reported(setting, make.ever, feeds_estimator_only=True)] == [5, 10, 20, 40, 50]
+    assert reported(setting, Window(60, 70)) == []
 
 
 def test_rows_of_one_source_under_one_plan_make_one_block(setting, make):
@@ -51,7 +51,7 @@ def test_sources_that_take_turns_row_by_row_make_few_blocks(setting, make):
         setting.append(range(first, 600, 3), source=source)
     blocks = list(setting.storage.archive.measurement_blocks(setting.id, make.ever))
     assert len(blocks) == 1
-    assert told(setting, make.ever) == expected(setting.rows())
+    assert reported(setting, make.ever) == expected(setting.rows())
     assert row_sources(blocks[0])[:4] == ["sa-1", "sa-2", "sa-3", "sa-1"]
     assert row_sources(blocks[0].part(100, 102)) == ["sa-2", "sa-3"]
 

@@ -96,7 +96,7 @@ def weigh(
     epochs_s: FloatArray,
     deviation_db: FloatArray,
     profile_deg: FloatArray,
-    circumstances: SignContext,
+    context: SignContext,
 ) -> SignLikelihoods:
     """Return how likely each hypothesis is after each row.
 
@@ -124,9 +124,9 @@ def weigh(
     """
     _require_rows(model, epochs_s, deviation_db, profile_deg)
     is_there = np.isfinite(deviation_db)
-    signatures = [_signature(model, circumstances.attitude_deg, sign.value * profile_deg) for sign in _SIGNS]
+    signatures = [_signature(model, context.attitude_deg, sign.value * profile_deg) for sign in _SIGNS]
     residuals = np.stack([np.where(is_there, deviation_db, 0.0) - each for each in signatures], axis=-1)
-    white = _whitened(_covariance(model, epochs_s, circumstances, is_there), residuals[is_there])
+    white = _whitened(_covariance(model, epochs_s, context, is_there), residuals[is_there])
     squares = np.zeros((*is_there.shape, 3))
     squares[is_there] = white**2
     sums = squares.sum(axis=1).cumsum(axis=0)
@@ -187,7 +187,7 @@ def _signature(model: CarrierModel, attitude_deg: FloatArray, turn_deg: FloatArr
 
 
 def _covariance(
-    model: CarrierModel, epochs_s: FloatArray, circumstances: SignContext, is_there: NDArray[np.bool_]
+    model: CarrierModel, epochs_s: FloatArray, context: SignContext, is_there: NDArray[np.bool_]
 ) -> FloatArray:
     """Return the covariance of the present values, row by row, dB^2."""
     rows, carriers = np.nonzero(is_there)
@@ -195,11 +195,11 @@ def _covariance(
     hours = epochs_s / 3600.0
     both = np.minimum(hours[:, None], hours[None, :])
     drift = hours[:, None] * hours[None, :]
-    shared = _FREE_DB**2 + circumstances.chain_walk_db**2 * both
+    shared = _FREE_DB**2 + context.chain_walk_db**2 * both
     for sigma_db, tau_s in zip(model.common_sigma_db.tolist(), model.common_tau_s.tolist(), strict=True):
         shared = shared + sigma_db**2 * np.exp(-apart_s / tau_s)
-    gradient = pattern_change(model, circumstances.attitude_deg).gradient_db_deg
-    turned = (gradient * np.square(circumstances.drift_deg_h)) @ gradient.T
+    gradient = pattern_change(model, context.attitude_deg).gradient_db_deg
+    turned = (gradient * np.square(context.drift_deg_h)) @ gradient.T
     total = shared[np.ix_(rows, rows)] + drift[np.ix_(rows, rows)] * turned[np.ix_(carriers, carriers)]
     for k in range(model.carriers):
         own = np.flatnonzero(carriers == k)

@@ -18,11 +18,11 @@ class MeasurementBlock:
     #: (T, N) dBm as stored, in the order of the plan; NaN = absent
     power_dbm: Float32Array
     #: (T,) place of each row's source in ``sources``; None = every row is of the first
-    source_places: IntArray | None = None
+    source_positions: IntArray | None = None
 
     def part(self, first: int, last: int) -> "MeasurementBlock":
         """Return the rows at the places ``first`` to ``last - 1``."""
-        places = None if self.source_places is None else self.source_places[first:last]
+        positions = None if self.source_positions is None else self.source_positions[first:last]
         return MeasurementBlock(
-            self.sources, self.plan_id, self.epochs_us[first:last], self.power_dbm[first:last], places
+            self.sources, self.plan_id, self.epochs_us[first:last], self.power_dbm[first:last], positions
         )

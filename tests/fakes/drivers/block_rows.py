@@ -5,6 +5,6 @@ from service.records.levels.measurement_block import MeasurementBlock
 
 def row_sources(block: MeasurementBlock) -> list[str]:
     """Return the source of each row."""
-    if block.source_places is None:
+    if block.source_positions is None:
         return [block.sources[0]] * len(block.epochs_us)
-    return [block.sources[place] for place in block.source_places.tolist()]
+    return [block.sources[position] for position in block.source_positions.tolist()]

@@ -85,16 +85,16 @@ def decisions(model: CarrierModel, epochs_s: np.ndarray, profile: Profile, power
 
 
 def expected_ratio(
-    model: CarrierModel, epochs_s: FloatArray, profile_deg: FloatArray, circumstances: SignContext
+    model: CarrierModel, epochs_s: FloatArray, profile_deg: FloatArray, context: SignContext
 ) -> FloatArray:
     """Return the mean log-likelihood ratio (T,) of the true PLUS against NOTHING, for the choice of a profile.
 
     Its standard deviation is the square root of twice the mean; against MINUS both are about four and two times that.
     """
-    still = sign_check._signature(model, circumstances.attitude_deg, 0.0 * profile_deg)
-    moved = sign_check._signature(model, circumstances.attitude_deg, profile_deg) - still
+    still = sign_check._signature(model, context.attitude_deg, 0.0 * profile_deg)
+    moved = sign_check._signature(model, context.attitude_deg, profile_deg) - still
     everywhere = np.ones(moved.shape, dtype=np.bool_)
-    covariance = sign_check._covariance(model, epochs_s, circumstances, everywhere)
+    covariance = sign_check._covariance(model, epochs_s, context, everywhere)
     white = sign_check._whitened(covariance, moved.reshape(-1, 1)).reshape(moved.shape)
     return np.asarray(0.5 * (white**2).sum(axis=1).cumsum())
 

@@ -11,7 +11,7 @@ from ground_story import ground_lines
 
 from analyzer_sim.epochs import epoch_us_from_text
 from analyzer_sim.export import export_arrays
-from analyzer_sim.world.ground.ground import news
+from analyzer_sim.world.ground.ground import events
 from analyzer_sim.world.scenario.scenario import scenario_named
 from analyzer_sim.world.world import World
 
@@ -47,7 +47,7 @@ def test_the_old_ephemeris_is_void_after_a_burn_and_the_new_one_is_not() -> None
         np.abs(before.orbit.sub_satellite_deg(later_us)[0] - truth).max() > 0.015
     )  # deg, of 0.02-0.035 that it turned
     np.testing.assert_array_equal(after.orbit.sub_satellite_deg(later_us)[0], truth)
-    assert after.told_us - burnt_us == 6 * 3_600_000_000
+    assert after.reported_us - burnt_us == 6 * 3_600_000_000
     assert 23.5 * 3600.0 < after.nodal_period_s < 24.3 * 3600.0  # between nodes after the burn
 
 
@@ -62,7 +62,7 @@ def test_a_burn_is_declared_before_it_begins() -> None:
     assert operation.kind == "station_keeping"
     assert operation.inhibit_control
     assert operation.attitude_uncertainty_deg == (0.2, 0.1, 0.1)
-    assert operation.told_us < operation.start_us < world("burn").orbit.impulses[0].epoch_us < operation.stop_us
+    assert operation.reported_us < operation.start_us < world("burn").orbit.impulses[0].epoch_us < operation.stop_us
 
 
 def test_a_burn_disturbs_the_attitude_and_a_planned_one_does_not() -> None:
@@ -98,7 +98,7 @@ def test_the_ground_port_and_the_export_tell_the_same_news_once(name: str) -> No
 
 @pytest.mark.parametrize("name", ["burn", "eclipse", "sun_outage", "works"])
 def test_operations_have_the_fields_of_the_interface(name: str) -> None:
-    bodies = [line["body"] for _told_us, line in news(world(name)) if line["kind"] == "operations"]
+    bodies = [line["body"] for _reported_us, line in events(world(name)) if line["kind"] == "operations"]
     fields = {"kind", "start", "stop", "carriers", "transponders", "inhibit_control", "comment"}
     assert bodies
     for body in bodies:
@@ -107,14 +107,14 @@ def test_operations_have_the_fields_of_the_interface(name: str) -> None:
 
 
 def test_operations_are_told_before_they_begin() -> None:
-    horizon_us, told = 0, 0
+    horizon_us, reported = 0, 0
     for line in ground_lines(world("works")):
         if line["kind"] == "truth":
             horizon_us = epoch_us_from_text(line["rows"][-1]["epoch"])
         if line["kind"] == "operations" and line["body"]["kind"] != "calibration_turn":
             assert epoch_us_from_text(line["body"]["start"]) > horizon_us
-            told += 1
-    assert told == 3
+            reported += 1
+    assert reported == 3
 
 
 def test_a_new_plan_has_its_task_and_begins_with_the_alignment() -> None:
@@ -122,11 +122,11 @@ def test_a_new_plan_has_its_task_and_begins_with_the_alignment() -> None:
     kinds = [line["kind"] for line in ground_lines(story)]
     assert (kinds.count("carriers"), kinds.count("task"), kinds.count("ephemeris")) == (2, 2, 2)
     lines = list(ground_lines(story))
-    place = max(number for number, kind in enumerate(kinds) if kind == "carriers")
-    following = next(line for line in lines[place:] if line["kind"] == "phase")
+    position = max(number for number, kind in enumerate(kinds) if kind == "carriers")
+    following = next(line for line in lines[position:] if line["kind"] == "phase")
     assert following["name"] == "alignment"
-    ids = [carrier["id"] for carrier in lines[place]["body"]["carriers"]]
-    assert ids == [carrier["id"] for carrier in lines[place + 1]["body"]["carriers"]]
+    ids = [carrier["id"] for carrier in lines[position]["body"]["carriers"]]
+    assert ids == [carrier["id"] for carrier in lines[position + 1]["body"]["carriers"]]
     assert {"c16", "c17"} <= set(ids)
     assert not {"c06", "c13"} & set(ids)
 
