@@ -12,8 +12,8 @@ from service.records.calibration import Window
 from service.records.levels.attitude import Axes
 from service.records.levels.command import Pulse, ReleasedCommand, ReportedCommand
 from service.records.operations.release import (
-    CheckView,
     Command,
+    CommandCheck,
     CommandState,
     InterlockHold,
     ProductForm,
@@ -48,7 +48,7 @@ COMMAND = Command(
     peak_angle_deg=AXES,
     peak_rate_deg_s=AXES,
     wheel_momentum_n_m_s=(0.1, -0.2),
-    checks=(CheckView("envelope", True, ""),),
+    checks=(CommandCheck("envelope", True, ""),),
 )
 PRODUCT = UplinkProduct(ProductForm.TORQUES, 1, 800 * S, 900 * S, 993 * S, 690 * S, True, "ab", PULSES)
 ANGLES = UplinkProduct(ProductForm.ATTITUDE, 1, 5 * S, 5 * S, 8 * S, 4 * S, True, attitude_deg=AXES, sigma_deg=AXES)

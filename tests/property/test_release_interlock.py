@@ -20,7 +20,7 @@ from service.pipeline.control.release.events import (
     Confirm,
     Engage,
     InputsChanged,
-    Journal,
+    JournalEffect,
     OrderKind,
     Report,
     ResponseJudged,
@@ -384,7 +384,7 @@ def test_killed_between_release_and_report_nothing_goes_out_again_and_the_report
     assert driver.name == "INHIBITED"
     assert driver.alarms.count("report_late") == 1
     step = driver.send(Report(driver.at, 1, CommandTransition.EXECUTED))
-    assert step.effects[0] == Journal(ReportedCommand(1, driver.now_us, driver.command(1).schedule))
+    assert step.effects[0] == JournalEffect(ReportedCommand(1, driver.now_us, driver.command(1).schedule))
     assert [counter for counter, _, _ in driver.released] == [1]
     driver.rows(11)
     assert driver.name == "ARMED"

@@ -143,12 +143,15 @@ class CommandRequest:
 
 
 @dataclass(frozen=True, slots=True)
-class CheckView:
+class CommandCheck:
     """One check of a command."""
 
     name: str
     is_ok: bool
-    detail: str
+    #: why it fails
+    detail: str = ""
+    #: by which it refuses
+    code: str = ""
 
 
 class Purpose(StrEnum):
@@ -212,7 +215,7 @@ class Command:
     #: (W,) N m s, change of stored momentum of each wheel
     wheel_momentum_n_m_s: tuple[float, ...]
     #: as they were when it was prepared
-    checks: tuple[CheckView, ...] = ()
+    checks: tuple[CommandCheck, ...] = ()
     #: the computed command that it is, with its schedule check
     computed: TorqueCommand | None = None
     confirmed_by: str | None = None

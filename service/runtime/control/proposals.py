@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 from service.errors import ConflictError, InvalidInputError
-from service.pipeline.config import TorqueConfig
 from service.pipeline.control.command.compute_command import command_for
 from service.pipeline.control.command.schedule_check import PanelSwing, swing_after
 from service.pipeline.control.release.advance import settled_at
@@ -20,74 +19,56 @@ from service.records.levels.attitude import AttitudeRow
 from service.records.levels.command import TorqueCommand
 from service.records.operations.release import Command, CommandRequest
 from service.runtime.control.release_context import ReleaseContext
-from service.runtime.control.views import check_views
 
 #: what was sent longer ago has left nothing in the flexible modes
 _SWING_US = 3 * 3600 * US_PER_S
 _COMMANDS_AT_ONCE = 500
 
 
-class Proposals:
-    """Commands that may be proposed for release.
+def requested(context: ReleaseContext, request: CommandRequest, at: Instant) -> Command:
+    """Return what a person requests as a proposal, with every check as it stands.
 
-    Parameters
-    ----------
-    releases : Releases
-        Commands that were released before.
-    settings : ReleaseSettings
-        Lead of the uplink, time for persons, limits.
-    torque : TorqueConfig
-        Of the control law.
+    ConflictError ``command.no_estimate``, ``command.estimate_stale``; InvalidInputError ``command.wish``.
     """
+    row, settings, spacecraft = context.row, context.settings, context.spacecraft
+    epoch_us = request.attitude_epoch_us
+    if epoch_us is not None and not 0 <= row.epoch_us - epoch_us <= context.stale_us:
+        raise ConflictError("command.estimate_stale", "attitude_epoch is not that of a recent estimate")
+    start_us = request.start_us or soonest_start_us(at.now_us, settings, settings.confirm_s)
+    duration_s = request.duration_s or spacecraft.control.forecast_horizon_s
+    if not 0.0 < duration_s <= settings.latest_stop_s:
+        raise InvalidInputError("command.wish", f"duration_s must lie between 0 and {settings.latest_stop_s:g} s")
+    if not -US_PER_S <= start_us - at.now_us <= microseconds(settings.latest_stop_s):
+        detail = f"start must lie ahead of the spacecraft's clock by at most {settings.latest_stop_s:g} s"
+        raise InvalidInputError("command.wish", detail)
+    computed = computed_command(context, start_us, duration_s, request.max_torque_n_m)
+    try:
+        command = proposal_of(computed, spacecraft, request.reason)
+    except ValueError as error:
+        raise InvalidInputError("command.wish", str(error)) from error
+    settled, envelope = settled_at(context.state, at, settings), settings.envelope
+    checks = release_checks(settled, command, at, settings, envelope=envelope, waiting_s=settings.prepared_s)
+    return replace(command, checks=checks)
 
-    def __init__(self, releases: Releases, settings: ReleaseSettings, torque: TorqueConfig) -> None:
-        self._releases = releases
-        self._settings = settings
-        self._torque = torque
 
-    def requested(self, context: ReleaseContext, request: CommandRequest, at: Instant) -> Command:
-        """Return what a person requests as a proposal, with every check as it stands.
-
-        ConflictError ``command.no_estimate``, ``command.estimate_stale``; InvalidInputError ``command.wish``.
-        """
-        row, settings, spacecraft = context.row, self._settings, context.spacecraft
-        epoch_us = request.attitude_epoch_us
-        if epoch_us is not None and not 0 <= row.epoch_us - epoch_us <= context.stale_us(settings):
-            raise ConflictError("command.estimate_stale", "attitude_epoch is not that of a recent estimate")
-        start_us = request.start_us or soonest_start_us(at.now_us, settings, settings.confirm_s)
-        duration_s = request.duration_s or spacecraft.control.forecast_horizon_s
-        if not 0.0 < duration_s <= settings.latest_stop_s:
-            raise InvalidInputError("command.wish", f"duration_s must lie between 0 and {settings.latest_stop_s:g} s")
-        if not -US_PER_S <= start_us - at.now_us <= microseconds(settings.latest_stop_s):
-            detail = f"start must lie ahead of the spacecraft's clock by at most {settings.latest_stop_s:g} s"
-            raise InvalidInputError("command.wish", detail)
-        computed = self.computed(context, start_us, duration_s, request.max_torque_n_m)
-        try:
-            command = proposal_of(computed, spacecraft, request.reason)
-        except ValueError as error:
-            raise InvalidInputError("command.wish", str(error)) from error
-        settled, envelope = settled_at(context.state, at, settings), settings.envelope
-        checks = release_checks(settled, command, at, settings, envelope=envelope, waiting_s=settings.prepared_s)
-        return replace(command, checks=check_views(checks))
-
-    def computed(
-        self, context: ReleaseContext, start_us: int, duration_s: float, max_torque_n_m: float | None = None
-    ) -> TorqueCommand:
-        """Return the command of the law from an instant on, without what the interlock withholds."""
-        row, facts = context.row, context.facts
-        rate_age_s = self._torque.rate_stale_periods * context.period_s + self._torque.rate_stale_margin_s
-        return command_for(
-            allowed_row(row, context.state.interlock),
-            context.spacecraft,
-            start_us,
-            duration_s,
-            max_torque_n_m,
-            self._torque,
-            None if context.stored is None else context.stored.outcome.disturbance,
-            facts.momentum_n_m_s(row.epoch_us),
-            swing=swing_left(self._releases, context.spacecraft, start_us),
-            body_rate_deg_s=facts.body_rate_deg_s(row.epoch_us, rate_age_s),
-        )
+def computed_command(
+    context: ReleaseContext, start_us: int, duration_s: float, max_torque_n_m: float | None = None
+) -> TorqueCommand:
+    """Return the command of the law from an instant on, without what the interlock withholds."""
+    row, facts = context.row, context.facts
+    rate_age_s = context.torque.rate_stale_periods * context.period_s + context.torque.rate_stale_margin_s
+    return command_for(
+        allowed_row(row, context.state.interlock),
+        context.spacecraft,
+        start_us,
+        duration_s,
+        max_torque_n_m,
+        context.torque,
+        None if context.stored is None else context.stored.outcome.disturbance,
+        facts.momentum_n_m_s(row.epoch_us),
+        swing=swing_left(context.storage.releases, context.spacecraft, start_us),
+        body_rate_deg_s=facts.body_rate_deg_s(row.epoch_us, rate_age_s),
+    )
 
 
 def allowed_row(row: AttitudeRow, interlock: Interlock) -> AttitudeRow:

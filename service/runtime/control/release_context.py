@@ -8,9 +8,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from service.errors import ConflictError
+from service.pipeline.config import TorqueConfig
 from service.pipeline.control.release.events import ReleaseState, StoredRow
-from service.pipeline.control.release.interlock_conditions import RowFacts, facts_of_row
+from service.pipeline.control.release.interlock_conditions import InterlockRow, interlock_row
 from service.pipeline.control.release.settings import ReleaseSettings, microseconds
+from service.pipeline.control.release.sign_checks import is_running
+from service.ports import Storage
 from service.records.catalogue import Method, Spacecraft
 from service.records.epoch import US_PER_S
 from service.records.levels.attitude import AttitudeRow
@@ -36,6 +39,10 @@ class ReleaseContext:
     """Release of one spacecraft with all that its events are built from."""
 
     release: SpacecraftRelease
+    storage: Storage
+    settings: ReleaseSettings
+    #: of the control law
+    torque: TorqueConfig
     #: of the service as the one that leads
     turn: int = 1
     known: KnownFacts | None = None
@@ -88,9 +95,10 @@ class ReleaseContext:
         """Whether the archive should be asked again."""
         return self.known is None or time.monotonic() - self.read_s > _FACTS_S
 
-    def stale_us(self, settings: ReleaseSettings) -> int:
-        """Return the age at which an estimate is too old."""
-        return microseconds(settings.stale_periods * self.period_s + settings.stale_margin_s)
+    @property
+    def stale_us(self) -> int:
+        """Age at which an estimate is too old."""
+        return microseconds(self.settings.stale_periods * self.period_s + self.settings.stale_margin_s)
 
     def update(self, stored: StoredRow, method: Method) -> AttitudeRow | None:
         """Update with a row; return that of the method that drives control, None where it is not of the present."""
@@ -105,9 +113,9 @@ class ReleaseContext:
             self.is_disagreeing = stored.outcome.disagreement_deg > 0.0
         return row
 
-    def row_facts(self, row: AttitudeRow, *, is_checking: bool) -> RowFacts:
+    def row_facts(self, row: AttitudeRow) -> InterlockRow:
         """Return the facts of a row for the interlock."""
-        facts = facts_of_row(row, self.period_s, is_innovation_in_band=_OUT_OF_BAND not in row.inhibitions)
-        if not is_checking:
+        facts = interlock_row(row, self.period_s, is_innovation_in_band=_OUT_OF_BAND not in row.inhibitions)
+        if not is_running(self.state.sign_check):
             return facts
         return replace(facts, inhibitions=tuple(reason for reason in facts.inhibitions if reason != _OWN_TURN))

@@ -20,11 +20,11 @@ from service.pipeline.control.release.settings import ReleaseSettings
 from service.ports import Clock, Storage
 from service.records.catalogue import Spacecraft
 from service.records.epoch import US_PER_S
-from service.runtime.control.proposals import Proposals
 from service.runtime.control.release_context import ReleaseContext
 from service.runtime.control.release_inputs import interlock_inputs, read_facts
 from service.runtime.control.release_publisher import ReleasePublisher
-from service.runtime.control.row_handler import RowHandler
+from service.runtime.control.row_handler import handle_row
+from service.runtime.control.sign_checks import continue_sign_check
 from service.runtime.control.spacecraft_release import SpacecraftRelease
 from service.runtime.live.leadership import Term, always, elsewhere
 
@@ -74,6 +74,7 @@ class ReleaseLoop:
         self._storage = storage
         self._clock = clock
         self._settings = settings
+        self._torque = torque
         self._publisher = publisher
         self._is_data_service = is_data_service
         self._turn = turn
@@ -81,8 +82,6 @@ class ReleaseLoop:
         self._holder = uuid4().hex
         self._contexts: dict[str, ReleaseContext] = {}
         self._making = threading.Lock()
-        self._proposals = Proposals(storage.releases, settings, torque)
-        self._rows = RowHandler(storage, settings, torque, self._proposals)
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="soo-release", daemon=True)
 
@@ -134,7 +133,7 @@ class ReleaseLoop:
                 continue
             with self._present(spacecraft.id) as (context, at):
                 context.release.handle(Tick(at))
-                self._rows.sign_checks.go_on(context, at)
+                continue_sign_check(context, at)
 
     def _run(self) -> None:
         """Let time pass until stopped."""
@@ -158,7 +157,8 @@ class ReleaseLoop:
                 holder = f"{self._holder}/{turn}"
                 releases, settings = self._storage.releases, self._settings
                 release = SpacecraftRelease(spacecraft_id, releases, self._publisher, settings, holder)
-                context = ReleaseContext(release, turn, newest_us=self._newest_us(spacecraft_id, release))
+                newest_us = self._newest_us(spacecraft_id, release)
+                context = ReleaseContext(release, self._storage, settings, self._torque, turn, newest_us=newest_us)
                 self._contexts[spacecraft_id] = context
             return context
 
@@ -208,7 +208,7 @@ class ReleaseLoop:
         row = context.update(stored, context.spacecraft.control.method)
         if row is not None:
             self._update_inputs(context, spacecraft_id, at)
-            self._rows.on_row(context, stored, row, at, may_send=self._may_send(context.spacecraft))
+            handle_row(context, stored, row, at, may_send=self._may_send(context.spacecraft))
 
     def _may_send(self, spacecraft: Spacecraft) -> bool:
         """Whether a spacecraft gets commands at all under the clock of this service."""

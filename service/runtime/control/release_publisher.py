@@ -4,8 +4,7 @@ import logging
 from collections.abc import Callable, Iterable
 
 from service.errors import SooError
-from service.pipeline.control.release.events import Audit as AuditEffect
-from service.pipeline.control.release.events import Journal, Publish, ReleaseEffect
+from service.pipeline.control.release.events import AuditEffect, JournalEffect, PublishEffect, ReleaseEffect
 from service.pipeline.control.release.interlock import Instant
 from service.ports import Audit
 from service.records.operations.audit import CURRENT_NOTE, DONE, AuditEvent
@@ -38,14 +37,14 @@ class ReleasePublisher:
     def publish(self, spacecraft_id: str, effects: Iterable[ReleaseEffect], at: Instant) -> None:
         """Apply the effects of a step; products and journal entries have been stored with it."""
         kinds = {type(effect) for effect in effects}
-        if Journal in kinds:
+        if JournalEffect in kinds:
             self._on_journal(spacecraft_id)
         for effect in effects:
             if isinstance(effect, AuditEffect):
                 self._append(effect.action, f"/spacecraft/{spacecraft_id}/{effect.target}", at)
-            elif isinstance(effect, Publish) and effect.warning:
+            elif isinstance(effect, PublishEffect) and effect.warning:
                 _LOG.warning("release of %s: %s", spacecraft_id, effect.warning)
-        if Publish in kinds and self._feed.has_subscribers(spacecraft_id):
+        if PublishEffect in kinds and self._feed.has_subscribers(spacecraft_id):
             self._feed.publish(spacecraft_id, (FeedEvent("status", Cursor(0, 0), None),))
 
     def _append(self, action: str, target: str, at: Instant) -> None:

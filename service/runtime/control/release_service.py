@@ -39,9 +39,11 @@ from service.records.operations.release import (
     ProductForm,
     UplinkProduct,
 )
+from service.runtime.control.proposals import requested
 from service.runtime.control.refusal_errors import error_of, require_release
 from service.runtime.control.release_context import ReleaseContext
 from service.runtime.control.release_loop import ReleaseLoop
+from service.runtime.control.sign_checks import begin_sign_check, continue_sign_check
 from service.runtime.control.views import control_view, envelope_of, is_repeated
 
 _REPORTS = {each.name.lower(): each for each in CommandTransition}
@@ -99,7 +101,7 @@ class ReleaseService(ReleaseLoop):
         """
         with self._present(spacecraft_id) as (context, at):
             self._require_possible(context.spacecraft)
-            command = self._proposals.requested(context, request, at)
+            command = requested(context, request, at)
             counter = context.state.next_counter
             if dry_run:
                 digest, now_us = digest_of(counter, command), at.now_us
@@ -152,7 +154,7 @@ class ReleaseService(ReleaseLoop):
                 _require_time(command, at_us, at, is_data=self._clock.is_data(spacecraft_id))
             self._handle(context, event)
             self._hold_against_powers(context, event)
-            self._rows.sign_checks.go_on(context, at)
+            continue_sign_check(context, at)
             return context.release.command(counter)
 
     def command(self, spacecraft_id: str, counter: int) -> Command:
@@ -196,7 +198,7 @@ class ReleaseService(ReleaseLoop):
         """
         with self._present(spacecraft_id) as (context, at):
             self._require_possible(context.spacecraft)
-            self._rows.sign_checks.begin(context, axis, by, at)
+            begin_sign_check(context, axis, by, at)
             return self._view(context, at)
 
     def _handle(self, context: ReleaseContext, event: Event) -> None:

@@ -4,7 +4,6 @@ import logging
 import math
 
 from service.core.control.slew_schedule import Effect
-from service.pipeline.config import TorqueConfig
 from service.pipeline.control.release.command_states import OPEN, UNREPORTED
 from service.pipeline.control.release.events import (
     AnglesFit,
@@ -17,16 +16,15 @@ from service.pipeline.control.release.events import (
 from service.pipeline.control.release.interlock import Instant
 from service.pipeline.control.release.interlock_states import State
 from service.pipeline.control.release.proposals import effect_of_law, proposal_of
-from service.pipeline.control.release.settings import ReleaseSettings, microseconds
+from service.pipeline.control.release.settings import microseconds
 from service.pipeline.control.release.sign_checks import is_running
-from service.ports import Storage
 from service.records.catalogue import ControlMode, Release, Spacecraft
 from service.records.levels.attitude import AttitudeRow
 from service.records.levels.command import TorqueCommand
 from service.records.operations.release import ProductForm
-from service.runtime.control.proposals import Proposals, soonest_start_us
+from service.runtime.control.proposals import computed_command, soonest_start_us
 from service.runtime.control.release_context import ReleaseContext
-from service.runtime.control.sign_checks import SignChecks
+from service.runtime.control.sign_checks import continue_sign_check
 from service.runtime.control.views import attitude_product
 
 _LOG = logging.getLogger("soo.release")
@@ -37,76 +35,54 @@ _BOUNDLESS = Effect(_UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN, 
 _REASON = "standing authorisation"
 
 
-class RowHandler:
-    """Events that rows bring about.
+def handle_row(context: ReleaseContext, stored: StoredRow, row: AttitudeRow, at: Instant, *, may_send: bool) -> None:
+    """Handle what follows from a row of the method that drives control."""
+    release, spacecraft = context.release, context.spacecraft
+    release.handle(RowSeen(at, context.row_facts(row)))
+    if stored.outcome.applied is not None:
+        release.handle(Applied(at, _effect(stored.outcome.applied.command, spacecraft)))
+    evidence = stored.evidence
+    if evidence is not None and not evidence.missed_log_ratio <= context.settings.missed_log_ratio:
+        release.handle(ResponseJudged(at, evidence.missed_log_ratio))
+    if evidence is not None and context.sign_rows is not None:
+        context.sign_rows.append(row.epoch_us, evidence.model, evidence.deviation_db)
+    continue_sign_check(context, at)
+    if may_send:
+        _send(context, at)
+        _give_angles(context, row, at)
 
-    Parameters
-    ----------
-    storage : Storage
-        Of products and telemetry.
-    settings : ReleaseSettings
-        Limits and times.
-    torque : TorqueConfig
-        Of the control law.
-    proposals : Proposals
-        Asks the law.
-    """
 
-    def __init__(self, storage: Storage, settings: ReleaseSettings, torque: TorqueConfig, proposals: Proposals) -> None:
-        self._storage = storage
-        self._settings = settings
-        self._proposals = proposals
-        self.sign_checks = SignChecks(storage, settings, torque)
+def _send(context: ReleaseContext, at: Instant) -> None:
+    """Offer the law's command to a standing authorisation, once a command period, while nothing else is out."""
+    spacecraft, state = context.spacecraft, context.state
+    is_checking = is_running(state.sign_check)
+    if state.interlock.state is not State.ENGAGED or not _is_for_release(spacecraft) or is_checking:
+        return
+    period_s = spacecraft.control.command_period_s
+    newest_us = max([context.asked_us, *(each.released_us or 0 for each in state.commands)])
+    is_busy = any(each.state in OPEN or each.state in UNREPORTED for each in state.commands)
+    if is_busy or at.now_us - newest_us < microseconds(period_s):
+        return
+    context.asked_us = at.now_us
+    computed = computed_command(context, soonest_start_us(at.now_us, context.settings), period_s)
+    if not computed.schedule:
+        return
+    step = context.release.handle(Automatic(at, proposal_of(computed, spacecraft, _REASON)))
+    if step.refusal is not None:
+        _LOG.warning("release of %s: %s (%s)", spacecraft.id, step.refusal.detail, step.refusal.code)
 
-    def on_row(
-        self, context: ReleaseContext, stored: StoredRow, row: AttitudeRow, at: Instant, *, may_send: bool
-    ) -> None:
-        """Handle what follows from a row of the method that drives control."""
-        release, spacecraft = context.release, context.spacecraft
-        is_checking = is_running(context.state.sign_check)
-        release.handle(RowSeen(at, context.row_facts(row, is_checking=is_checking)))
-        if stored.outcome.applied is not None:
-            release.handle(Applied(at, _effect(stored.outcome.applied.command, spacecraft)))
-        evidence = stored.evidence
-        if evidence is not None and not evidence.missed_log_ratio <= self._settings.missed_log_ratio:
-            release.handle(ResponseJudged(at, evidence.missed_log_ratio))
-        if evidence is not None and context.sign_rows is not None:
-            context.sign_rows.append(row.epoch_us, evidence.model, evidence.deviation_db)
-        self.sign_checks.go_on(context, at)
-        if may_send:
-            self._send(context, at)
-            self._give_angles(context, row, at)
 
-    def _send(self, context: ReleaseContext, at: Instant) -> None:
-        """Offer the law's command to a standing authorisation, once a command period, while nothing else is out."""
-        spacecraft, state = context.spacecraft, context.state
-        is_checking = is_running(state.sign_check)
-        if state.interlock.state is not State.ENGAGED or not _is_for_release(spacecraft) or is_checking:
-            return
-        period_s = spacecraft.control.command_period_s
-        newest_us = max([context.asked_us, *(each.released_us or 0 for each in state.commands)])
-        is_busy = any(each.state in OPEN or each.state in UNREPORTED for each in state.commands)
-        if is_busy or at.now_us - newest_us < microseconds(period_s):
-            return
-        context.asked_us = at.now_us
-        computed = self._proposals.computed(context, soonest_start_us(at.now_us, self._settings), period_s)
-        if not computed.schedule:
-            return
-        step = context.release.handle(Automatic(at, proposal_of(computed, spacecraft, _REASON)))
-        if step.refusal is not None:
-            _LOG.warning("release of %s: %s (%s)", spacecraft.id, step.refusal.detail, step.refusal.code)
-
-    def _give_angles(self, context: ReleaseContext, row: AttitudeRow, at: Instant) -> None:
-        """Store angles for a spacecraft that computes its torques itself, while nothing stands against them."""
-        spacecraft, interlock = context.spacecraft, context.state.interlock
-        is_fit = row.control_allowed and not interlock.inhibiting and interlock.state is not State.TRIPPED
-        if spacecraft.control.mode is not ControlMode.ONBOARD or not is_fit:
-            return
-        newest = self._storage.releases.newest_product(spacecraft.id, ProductForm.ATTITUDE)
-        counter = 1 if newest is None else newest.counter + 1
-        until_us = row.epoch_us + context.stale_us(self._settings)
-        product = attitude_product(row, counter, at.now_us, until_us, is_simulated=spacecraft.simulated)
-        context.release.handle(AnglesFit(at, product))
+def _give_angles(context: ReleaseContext, row: AttitudeRow, at: Instant) -> None:
+    """Store angles for a spacecraft that computes its torques itself, while nothing stands against them."""
+    spacecraft, interlock = context.spacecraft, context.state.interlock
+    is_fit = row.control_allowed and not interlock.inhibiting and interlock.state is not State.TRIPPED
+    if spacecraft.control.mode is not ControlMode.ONBOARD or not is_fit:
+        return
+    newest = context.storage.releases.newest_product(spacecraft.id, ProductForm.ATTITUDE)
+    counter = 1 if newest is None else newest.counter + 1
+    until_us = row.epoch_us + context.stale_us
+    product = attitude_product(row, counter, at.now_us, until_us, is_simulated=spacecraft.simulated)
+    context.release.handle(AnglesFit(at, product))
 
 
 def _is_for_release(spacecraft: Spacecraft) -> bool:

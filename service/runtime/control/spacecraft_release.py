@@ -18,11 +18,11 @@ from service.pipeline.control.release.events import (
     PERSONAL,
     Event,
     InputsChanged,
-    Journal,
+    JournalEffect,
     ReleaseEffect,
     ReleaseState,
     Step,
-    Uplink,
+    UplinkEffect,
 )
 from service.pipeline.control.release.interlock import Instant
 from service.pipeline.control.release.settings import ReleaseSettings
@@ -133,8 +133,8 @@ class SpacecraftRelease:
         """Store what a step must not lose, in one transaction; only then does the state hold."""
         known = {command.counter: command for command in self.state.commands}
         commands = tuple(each for each in step.state.commands if known.get(each.counter) != each)
-        entries = tuple(self._numbered(each.entry, at) for each in step.effects if isinstance(each, Journal))
-        products = tuple(each.product for each in step.effects if isinstance(each, Uplink))
+        entries = tuple(self._numbered(each.entry, at) for each in step.effects if isinstance(each, JournalEffect))
+        products = tuple(each.product for each in step.effects if isinstance(each, UplinkEffect))
         is_same = essence(self.state) == essence(step.state)
         if not is_same or products or entries or self._is_due(step.state):
             change = ReleaseChange(document_of(step.state), self._holder, commands, products, entries)

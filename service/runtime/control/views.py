@@ -6,12 +6,11 @@ from service.core.control.envelope import Envelope
 from service.pipeline.control.release.command_states import OPEN, UNREPORTED, CommandTransition
 from service.pipeline.control.release.control_verdict import reason_of
 from service.pipeline.control.release.events import ReleaseState, Report
-from service.pipeline.control.release.release_checks import Check, sent_within_an_hour
+from service.pipeline.control.release.release_checks import sent_within_an_hour
 from service.pipeline.control.release.settings import ReleaseSettings, microseconds
 from service.records.catalogue import Spacecraft
 from service.records.levels.attitude import AttitudeRow, Axes
 from service.records.operations.release import (
-    CheckView,
     Command,
     CommandState,
     ControlView,
@@ -19,11 +18,6 @@ from service.records.operations.release import (
     ProductForm,
     UplinkProduct,
 )
-
-
-def check_views(checks: tuple[Check, ...]) -> tuple[CheckView, ...]:
-    """Return checks as they are told: a detail only where one fails."""
-    return tuple(CheckView(check.name, check.is_ok, "" if check.is_ok else check.detail) for check in checks)
 
 
 def attitude_product(

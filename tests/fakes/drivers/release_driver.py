@@ -20,7 +20,7 @@ from service.pipeline.control.release.events import (
     Order,
     OrderKind,
     Prepare,
-    Publish,
+    PublishEffect,
     ReleaseState,
     Report,
     ResponseJudged,
@@ -28,10 +28,10 @@ from service.pipeline.control.release.events import (
     SignJudged,
     Step,
     Tick,
-    Uplink,
+    UplinkEffect,
 )
 from service.pipeline.control.release.interlock import Instant
-from service.pipeline.control.release.interlock_conditions import InterlockInputs, RowFacts
+from service.pipeline.control.release.interlock_conditions import InterlockInputs, InterlockRow
 from service.pipeline.control.release.proposals import proposed
 from service.pipeline.control.release.settings import ReleaseSettings
 from service.records.levels.attitude import Axes
@@ -52,7 +52,7 @@ INPUTS = InterlockInputs(
     spacecraft_version=1,
     momentum_share=0.2,
 )
-GOOD = RowFacts(
+GOOD = InterlockRow(
     epoch_us=START_US,
     period_s=60.0,
     attitude_deg=Axes(0.05, 0.02, -0.03),
@@ -75,7 +75,7 @@ class ReleaseDriver:
         self.settings = settings
         self.state = ReleaseState()
         self.now_us, self.steady_us = START_US, 5 * US
-        self.row: RowFacts | None = None
+        self.row: InterlockRow | None = None
         self.inputs = InterlockInputs()
         #: counter, instant, effect
         self.released: list[tuple[int, int, object]] = []
@@ -114,7 +114,7 @@ class ReleaseDriver:
             assert step.effects == tick.effects, "an illegal event did something"
             if self.is_bad():
                 self.last_bad_us = self.steady_us
-            self.alarms += [each.warning for each in step.effects if isinstance(each, Publish) and each.warning]
+            self.alarms += [each.warning for each in step.effects if isinstance(each, PublishEffect) and each.warning]
             self.state = step.state
             assert step.refusal.code
             assert step.refusal.detail
@@ -134,9 +134,9 @@ class ReleaseDriver:
         if self.is_bad():
             self.last_bad_us = self.steady_us
         for effect in step.effects:
-            if isinstance(effect, Uplink):
+            if isinstance(effect, UplinkEffect):
                 self._judge_release(step.state, effect.product.counter)
-            if isinstance(effect, Publish) and effect.warning:
+            if isinstance(effect, PublishEffect) and effect.warning:
                 self.alarms.append(effect.warning)
         self.state = step.state
         return step
@@ -184,7 +184,7 @@ class ReleaseDriver:
         epoch_us = self.row.epoch_us if self.row else self.now_us
         return proposed(CRAFT, epoch_us, self.now_us + 660 * US, pulses, effect, None, reason="test")
 
-    def rows(self, count: int, row: RowFacts = GOOD, lag_s: float = 10.0) -> None:
+    def rows(self, count: int, row: InterlockRow = GOOD, lag_s: float = 10.0) -> None:
         """Let rows come, one a minute."""
         for _ in range(count):
             self.pass_time(60.0)
@@ -210,7 +210,7 @@ class ReleaseDriver:
     def automatic(self, *, is_reported: bool = True, **request: float) -> Step:
         """Let the law send; the centre reports at once."""
         step = self.send(Automatic(self.at, self.proposal(**request)))
-        if is_reported and any(isinstance(effect, Uplink) for effect in step.effects):
+        if is_reported and any(isinstance(effect, UplinkEffect) for effect in step.effects):
             self.send(Report(self.at, self.state.commands[-1].counter, CommandTransition.EXECUTED))
         return step
 

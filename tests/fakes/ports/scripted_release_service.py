@@ -8,8 +8,8 @@ from service.pipeline.control.release.control_verdict import reason_of
 from service.records.levels.attitude import Axes
 from service.records.levels.command import Pulse
 from service.records.operations.release import (
-    CheckView,
     Command,
+    CommandCheck,
     CommandRequest,
     CommandState,
     ControlView,
@@ -69,7 +69,7 @@ COMMAND = Command(
     peak_angle_deg=Axes(0.0, 0.04, 0.0),
     peak_rate_deg_s=Axes(0.0, 1.7e-4, 0.0),
     wheel_momentum_n_m_s=(0.0, 0.0, 0.0),
-    checks=(CheckView("envelope", True, ""),),
+    checks=(CommandCheck("envelope", True, ""),),
 )
 PRODUCT = UplinkProduct(ProductForm.TORQUES, 7, AT_US, AT_US, AT_US + 60 * S, AT_US - 30 * S, True, "ab" * 32, PULSES)
 ANGLES = UplinkProduct(

@@ -23,7 +23,7 @@ from service.pipeline.control.release.command_transitions import (
 from service.pipeline.control.release.events import (
     AnglesFit,
     Applied,
-    Audit,
+    AuditEffect,
     Automatic,
     BeginSignCheck,
     Cancel,
@@ -31,12 +31,12 @@ from service.pipeline.control.release.events import (
     Engage,
     Event,
     InputsChanged,
-    Journal,
+    JournalEffect,
     Order,
     OrderKind,
     Prepare,
     PrepareLeg,
-    Publish,
+    PublishEffect,
     ReleaseEffect,
     ReleaseState,
     Report,
@@ -44,10 +44,10 @@ from service.pipeline.control.release.events import (
     RowSeen,
     SignJudged,
     Step,
-    Uplink,
+    UplinkEffect,
 )
 from service.pipeline.control.release.interlock import Instant, Interlock, Request, Terms, fire, settle, tripped
-from service.pipeline.control.release.interlock_conditions import ALARMED, Condition, RowFacts
+from service.pipeline.control.release.interlock_conditions import ALARMED, Condition, InterlockRow
 from service.pipeline.control.release.interlock_states import REFUSALS, State, Trigger, rows_of
 from service.pipeline.control.release.release_checks import unreported_of
 from service.pipeline.control.release.settings import ReleaseSettings, microseconds
@@ -128,7 +128,7 @@ def _informed(state: ReleaseState, event: RowSeen | InputsChanged | ResponseJudg
 
 def _given(state: ReleaseState, event: AnglesFit, _settings: ReleaseSettings) -> Step:
     """Return the step that gives angles out; the state stays."""
-    return Step(state, (Uplink(event.product),))
+    return Step(state, (UplinkEffect(event.product),))
 
 
 def _with_news(
@@ -220,7 +220,7 @@ def _is_kept(command: Command, at: Instant) -> bool:
     return at.now_us - newest_us < _HOUR_US
 
 
-def _stale_us(row: RowFacts, settings: ReleaseSettings) -> int:
+def _stale_us(row: InterlockRow, settings: ReleaseSettings) -> int:
     return microseconds(settings.stale_periods * row.period_s + settings.stale_margin_s)
 
 
@@ -238,14 +238,14 @@ def effects_of(before: ReleaseState, after: ReleaseState, at: Instant) -> Iterat
         yield from command_effects(known.get(command.counter), command)
     old, new = before.interlock, after.interlock
     if new.is_withholding is not old.is_withholding:
-        yield Journal(InterlockHold(at.now_us, new.state.name, new.reasons, new.is_withholding, 0))
+        yield JournalEffect(InterlockHold(at.now_us, new.state.name, new.reasons, new.is_withholding, 0))
     if new.state is not old.state:
-        yield Audit(f"interlock_{new.state.name.lower()}", "control")
+        yield AuditEffect(f"interlock_{new.state.name.lower()}", "control")
     alarms = [condition for condition in new.standing if condition in ALARMED and condition not in old.standing]
     alarms += [condition for condition in new.trips if condition not in old.trips]
-    yield from (Publish(condition.word) for condition in alarms)
+    yield from (PublishEffect(condition.word) for condition in alarms)
     if _shown(before) != _shown(after):
-        yield Publish()
+        yield PublishEffect()
 
 
 def _shown(state: ReleaseState) -> tuple[object, ...]:

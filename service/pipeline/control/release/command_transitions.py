@@ -12,20 +12,20 @@ from service.core.control.slew_schedule import Triple
 from service.pipeline.control.release.command_states import OPEN, REPORTS, CommandTransition, next_state
 from service.pipeline.control.release.events import (
     Applied,
-    Audit,
+    AuditEffect,
     Automatic,
     Cancel,
     Confirm,
-    Journal,
+    JournalEffect,
     Prepare,
-    Publish,
+    PublishEffect,
     Refusal,
     ReleaseEffect,
     ReleaseState,
     Report,
     SentImpulse,
     Step,
-    Uplink,
+    UplinkEffect,
     digest_of,
 )
 from service.pipeline.control.release.interlock import Instant, tripped
@@ -78,7 +78,7 @@ def automatic(state: ReleaseState, event: Automatic, settings: ReleaseSettings) 
     failure = first_failure(checks)
     if failure is not None and failure.code == "envelope.exceeded":
         stopped = tripped(interlock, Condition.ENVELOPE, event.at, settings)
-        return Step(replace(state, interlock=stopped), (Publish(f"envelope: {failure.detail}"),))
+        return Step(replace(state, interlock=stopped), (PublishEffect(f"envelope: {failure.detail}"),))
     allowed = interlock.authorisation.terms.envelope
     checks = release_checks(state, wanted, event.at, settings, envelope=allowed, waiting_s=0.0)
     failure = failure or first_failure(checks)
@@ -99,7 +99,7 @@ def applied(state: ReleaseState, event: Applied, settings: ReleaseSettings) -> S
         return Step(counted)
     stopped = tripped(state.interlock, Condition.ENVELOPE, event.at, settings)
     detail = f"envelope: {'; '.join(map(str, excesses))}"
-    return Step(replace(counted, interlock=stopped), (Publish(detail),))
+    return Step(replace(counted, interlock=stopped), (PublishEffect(detail),))
 
 
 def cancel(state: ReleaseState, event: Cancel, _settings: ReleaseSettings) -> Step:
@@ -142,13 +142,13 @@ def command_effects(before: Command | None, after: Command) -> Iterator[ReleaseE
     """Yield the effects of a command's release and report; the filter does not get the torque of a sign check."""
     if after.released_us is not None and (before is None or before.released_us is None):
         if not after.is_sign_check:
-            yield Journal(ReleasedCommand(after.counter, after.released_us, after.schedule))
-        yield Uplink(_torque_product(after, after.released_us))
+            yield JournalEffect(ReleasedCommand(after.counter, after.released_us, after.schedule))
+        yield UplinkEffect(_torque_product(after, after.released_us))
         if after.is_automatic:
-            yield Audit("release_torque", f"torques/{after.counter}")
+            yield AuditEffect("release_torque", f"torques/{after.counter}")
     is_reported = after.reported_us is not None and (before is None or before.reported_us is None)
     if is_reported and not after.is_sign_check:
-        yield Journal(ReportedCommand(after.counter, after.reported_us or 0, after.executed))
+        yield JournalEffect(ReportedCommand(after.counter, after.reported_us or 0, after.executed))
 
 
 def pulses_between(pulses: tuple[Pulse, ...], from_us: int, until_us: int) -> tuple[Pulse, ...]:

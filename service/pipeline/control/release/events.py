@@ -10,7 +10,7 @@ from service.core.control.sign_check import SignState
 from service.core.control.slew_schedule import Effect, Triple
 from service.pipeline.control.release.command_states import CommandTransition
 from service.pipeline.control.release.interlock import Instant, Interlock
-from service.pipeline.control.release.interlock_conditions import InterlockInputs, RowFacts
+from service.pipeline.control.release.interlock_conditions import InterlockInputs, InterlockRow
 from service.pipeline.estimation.method import CommandEvidence
 from service.ports import Outcome
 from service.records.levels.command import ReleasedCommand, ReportedCommand
@@ -68,7 +68,7 @@ class RowSeen:
     """A row of the method that drives control."""
 
     at: Instant
-    row: RowFacts
+    row: InterlockRow
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,21 +242,21 @@ PERSONAL = (Order, Engage, Prepare, BeginSignCheck, Confirm, Cancel, Report)
 
 
 @dataclass(frozen=True, slots=True)
-class Journal:
+class JournalEffect:
     """Effect: an entry of the journal, known to the filter from then on."""
 
     entry: ReleasedCommand | ReportedCommand | InterlockHold
 
 
 @dataclass(frozen=True, slots=True)
-class Uplink:
+class UplinkEffect:
     """Effect: a product is given out for uplink, once."""
 
     product: UplinkProduct
 
 
 @dataclass(frozen=True, slots=True)
-class Audit:
+class AuditEffect:
     """Effect: an audit event that no person caused."""
 
     action: str
@@ -265,13 +265,13 @@ class Audit:
 
 
 @dataclass(frozen=True, slots=True)
-class Publish:
+class PublishEffect:
     """Effect: listeners are notified of the new state; a warning goes to the log as well."""
 
     warning: str = ""
 
 
-ReleaseEffect = Journal | Uplink | Audit | Publish
+ReleaseEffect = JournalEffect | UplinkEffect | AuditEffect | PublishEffect
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from service.pipeline.control.release.interlock_conditions import (
     Consequence,
     Durations,
     InterlockInputs,
-    RowFacts,
+    InterlockRow,
     Unreported,
     input_conditions,
     lasting_conditions,
@@ -61,7 +61,7 @@ class Interlock:
 
     state: State = State.INHIBITED
     since_us: int = 0
-    row: RowFacts | None = None
+    row: InterlockRow | None = None
     inputs: InterlockInputs = field(default_factory=InterlockInputs)
     durations: Durations = field(default_factory=Durations)
     clock: Instant | None = None
@@ -166,7 +166,7 @@ def tripped(interlock: Interlock, condition: Condition, at: Instant, settings: R
     return replace(moved, trips=latched)
 
 
-def is_beyond(row: RowFacts | None, settings: ReleaseSettings) -> bool:
+def is_beyond(row: InterlockRow | None, settings: ReleaseSettings) -> bool:
     """Whether roll or pitch is known to be beyond the range of automatic release; what is not known inhibits."""
     if row is None:
         return False

@@ -84,7 +84,7 @@ ALARMED = frozenset({Condition.REPORT_LATE, Condition.HAND_OVER, Condition.DISAG
 
 
 @dataclass(frozen=True, slots=True)
-class RowFacts:
+class InterlockRow:
     """What the interlock must know of the newest attitude row of the method that drives control."""
 
     epoch_us: int
@@ -102,7 +102,7 @@ class RowFacts:
     is_after_gap: bool = False
 
 
-def facts_of_row(row: AttitudeRow, period_s: float, *, is_innovation_in_band: bool) -> RowFacts:
+def interlock_row(row: AttitudeRow, period_s: float, *, is_innovation_in_band: bool) -> InterlockRow:
     """Return the facts of a row of the method that drives control.
 
     Parameters
@@ -115,7 +115,7 @@ def facts_of_row(row: AttitudeRow, period_s: float, *, is_innovation_in_band: bo
         By the estimator; a method without the statistic says True.
     """
     not_acquired = () if row.status is Status.ACQUIRED else (row.status.value.lower(),)
-    return RowFacts(
+    return InterlockRow(
         epoch_us=row.epoch_us,
         period_s=period_s,
         attitude_deg=row.attitude_deg,
@@ -169,7 +169,7 @@ class Durations:
     innovation_since_us: int | None = None
 
 
-def row_conditions(row: RowFacts | None, now_us: int, settings: ReleaseSettings) -> frozenset[Condition]:
+def row_conditions(row: InterlockRow | None, now_us: int, settings: ReleaseSettings) -> frozenset[Condition]:
     """Return the conditions that lie in the newest row."""
     if row is None:
         return frozenset({Condition.ESTIMATE_OLD})

@@ -1,7 +1,5 @@
 """What must hold at the moment of a release: each check by name, with the code by which it refuses."""
 
-from typing import NamedTuple
-
 from service.core.control.envelope import Envelope, envelope_excesses
 from service.core.control.slew_schedule import Effect, Triple
 from service.pipeline.control.release.command_states import UNREPORTED
@@ -11,21 +9,11 @@ from service.pipeline.control.release.interlock_conditions import Condition, Con
 from service.pipeline.control.release.interlock_states import State
 from service.pipeline.control.release.settings import ReleaseSettings, microseconds
 from service.records.epoch import US_PER_S
-from service.records.operations.release import Command
+from service.records.operations.release import Command, CommandCheck
 
 _HOUR_US = 3600 * US_PER_S
 #: states in which a command may go
 _MAY_RELEASE = frozenset({State.ARMED, State.ENGAGED, State.RECOVERY})
-
-
-class Check(NamedTuple):
-    """One check of a command."""
-
-    name: str
-    is_ok: bool
-    #: by which it refuses
-    code: str
-    detail: str
 
 
 def release_checks(
@@ -36,7 +24,7 @@ def release_checks(
     *,
     envelope: Envelope,
     waiting_s: float,
-) -> tuple[Check, ...]:
+) -> tuple[CommandCheck, ...]:
     """Return every check of a command against a settled state, those that fail and those that hold.
 
     Parameters
@@ -58,20 +46,20 @@ def release_checks(
     waiting = [each.counter for each in state.commands if each.state in UNREPORTED]
     return (
         _interlock_check(state),
-        Check("envelope", not excesses, "envelope.exceeded", "; ".join(map(str, excesses))),
-        Check(
+        _check("envelope", not excesses, "envelope.exceeded", "; ".join(map(str, excesses))),
+        _check(
             "yaw",
             yaw == 0.0 or not _is_yaw_withheld(interlock, command),
             "interlock.yaw_withheld",
             "the yaw torque is withheld: leave it out",
         ),
-        Check(
+        _check(
             "reports",
             not waiting,
             "command.unreported",
             f"what became of command {', '.join(map(str, waiting))} is not reported: report it first",
         ),
-        Check(
+        _check(
             "estimate",
             0 < command.attitude_epoch_us <= newest_us and newest_us - command.attitude_epoch_us <= stale_us,
             "command.estimate_stale",
@@ -82,7 +70,7 @@ def release_checks(
     )
 
 
-def _tail_checks(state: ReleaseState, command: Command) -> tuple[Check, ...]:
+def _tail_checks(state: ReleaseState, command: Command) -> tuple[CommandCheck, ...]:
     """Return the check that a sign check cuts no command short: the filter would not be told."""
     if not command.is_sign_check:
         return ()
@@ -92,36 +80,36 @@ def _tail_checks(state: ReleaseState, command: Command) -> tuple[Check, ...]:
         if not each.is_sign_check and max((pulse.stop_us for pulse in each.executed), default=0) > command.start_us
     ]
     detail = f"command {', '.join(map(str, flying))} is still flown when it would begin: wait for its end"
-    return (Check("earlier commands", not flying, "sign_check.flying", detail),)
+    return (_check("earlier commands", not flying, "sign_check.flying", detail),)
 
 
-def _schedule_checks(command: Command, at: Instant, settings: ReleaseSettings) -> tuple[Check, ...]:
+def _schedule_checks(command: Command, at: Instant, settings: ReleaseSettings) -> tuple[CommandCheck, ...]:
     """Return the checks of the schedule itself."""
     latest_us = at.now_us + microseconds(settings.latest_stop_s)
     return (
-        Check(
+        _check(
             "flexible response",
             command.schedule_verdict in ("accept", "warn"),
             "schedule.rejected",
             f"the flexible-response check says {command.schedule_verdict}",
         ),
-        Check(
+        _check(
             "start",
             command.start_us >= at.now_us + microseconds(settings.uplink_lead_s),
             "command.start_passed",
             f"the uplink needs {settings.uplink_lead_s:g} s: the schedule begins before it can be there",
         ),
-        Check(
+        _check(
             "end",
             max(command.start_us, command.stop_us, *(pulse.stop_us for pulse in command.schedule)) <= latest_us,
             "command.too_long",
             f"the schedule must be over within {settings.latest_stop_s:g} s: what has gone out no trip can stop",
         ),
-        Check("pulses", bool(command.schedule), "command.empty", "a command without a pulse does nothing"),
+        _check("pulses", bool(command.schedule), "command.empty", "a command without a pulse does nothing"),
     )
 
 
-def first_failure(checks: tuple[Check, ...]) -> Refusal | None:
+def first_failure(checks: tuple[CommandCheck, ...]) -> Refusal | None:
     """Return the refusal of the first check that fails."""
     return next((Refusal(check.code, check.detail) for check in checks if not check.is_ok), None)
 
@@ -151,15 +139,20 @@ def _is_yaw_withheld(interlock: Interlock, command: Command) -> bool:
     return bool(standing - {Condition.YAW_SIGN} if command.is_sign_check else standing)
 
 
-def _interlock_check(state: ReleaseState) -> Check:
+def _check(name: str, is_ok: bool, code: str, detail: str) -> CommandCheck:  # noqa: FBT001 - one row of a table
+    """Return a check; code and detail stand only where it fails."""
+    return CommandCheck(name, is_ok) if is_ok else CommandCheck(name, is_ok, detail, code)
+
+
+def _interlock_check(state: ReleaseState) -> CommandCheck:
     """Return the check that the interlock lets commands go at all."""
     interlock = state.interlock
     reasons = ", ".join(interlock.reasons)
     if interlock.state is State.TRIPPED:
-        return Check(
+        return _check(
             "interlock", False, "interlock.tripped", f"control tripped ({reasons}): find the cause, reset, arm"
         )
     if interlock.state is State.INHIBITED and not interlock.inhibiting and not interlock.is_armed:
-        return Check("interlock", False, "interlock.not_armed", "control is not armed")
+        return _check("interlock", False, "interlock.not_armed", "control is not armed")
     is_ok = interlock.state in _MAY_RELEASE and not interlock.inhibiting
-    return Check("interlock", is_ok, "interlock.inhibited", f"control is inhibited: {reasons}")
+    return _check("interlock", is_ok, "interlock.inhibited", f"control is inhibited: {reasons}")

@@ -16,7 +16,15 @@ from service.pipeline.control.release.command_states import (
     next_state,
 )
 from service.pipeline.control.release.command_transitions import pulses_between
-from service.pipeline.control.release.events import Cancel, Confirm, Journal, Prepare, Report, Uplink, digest_of
+from service.pipeline.control.release.events import (
+    Cancel,
+    Confirm,
+    JournalEffect,
+    Prepare,
+    Report,
+    UplinkEffect,
+    digest_of,
+)
 from service.pipeline.control.release.release_checks import release_checks, sent_within_an_hour
 from service.records.levels.attitude import Axes
 from service.records.levels.command import Pulse, ReleasedCommand, ReportedCommand
@@ -49,13 +57,13 @@ def test_a_command_is_prepared_confirmed_released_sent_and_executed(driver):
     step = driver.confirm("bob")
     command = driver.command(1)
     journal, uplink, _ = step.effects
-    assert journal == Journal(ReleasedCommand(1, driver.now_us, command.schedule))
-    assert isinstance(uplink, Uplink)
+    assert journal == JournalEffect(ReleasedCommand(1, driver.now_us, command.schedule))
+    assert isinstance(uplink, UplinkEffect)
     assert (uplink.product.counter, uplink.product.schedule) == (1, command.schedule)
     assert (command.state, command.prepared_by, command.confirmed_by) == (CommandState.RELEASED, "ann", "bob")
     report(driver, CommandTransition.SENT)
     step = report(driver, CommandTransition.EXECUTED)
-    assert step.effects[0] == Journal(ReportedCommand(1, driver.now_us, command.schedule))
+    assert step.effects[0] == JournalEffect(ReportedCommand(1, driver.now_us, command.schedule))
     assert driver.command(1).executed == command.schedule
 
 
@@ -125,7 +133,7 @@ def test_a_command_that_failed_half_way_is_known_input_as_far_as_it_went(driver)
     command = driver.command(1)
     middle_us = command.start_us + 100 * US
     step = report(driver, CommandTransition.FAILED, executed_from_us=command.start_us, executed_until_us=middle_us)
-    assert step.effects[0] == Journal(ReportedCommand(1, driver.now_us, command.schedule[:1]))
+    assert step.effects[0] == JournalEffect(ReportedCommand(1, driver.now_us, command.schedule[:1]))
     # the first pulse went, the one that nulls the rate did not: the craft is turning
     assert driver.command(1).executed == command.schedule[:1]
 

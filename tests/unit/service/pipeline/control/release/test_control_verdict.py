@@ -9,7 +9,7 @@ from scripted_release_service import CONTROL
 
 from service.pipeline.control.release.control_verdict import _NEXT_STEPS, CODES, control_verdict, reason_of
 from service.pipeline.control.release.events import OrderKind
-from service.pipeline.control.release.interlock_conditions import facts_of_row
+from service.pipeline.control.release.interlock_conditions import interlock_row
 from service.pipeline.control.release.settings import ReleaseSettings
 from service.records.catalogue import Release
 from service.records.levels.attitude import Axes, Status
@@ -31,7 +31,7 @@ def test_every_reason_has_one_text_and_one_next_step():
 
 def test_rows_of_every_status_have_reasons_in_words():
     for status in Status:
-        facts = facts_of_row(replace(GOOD, status=status), 60.0, is_innovation_in_band=True)
+        facts = interlock_row(replace(GOOD, status=status), 60.0, is_innovation_in_band=True)
         assert set(facts.inhibitions) <= CODES | {"not_received"}, "rows are received"
     # a row without angles, told by the service
     driver = ReleaseServiceDriver()

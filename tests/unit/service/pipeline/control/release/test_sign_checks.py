@@ -10,13 +10,13 @@ from service.pipeline.control.release.advance import restored
 from service.pipeline.control.release.command_states import CommandTransition
 from service.pipeline.control.release.events import (
     BeginSignCheck,
-    Journal,
+    JournalEffect,
     OrderKind,
     PrepareLeg,
     Refusal,
     Report,
     SignJudged,
-    Uplink,
+    UplinkEffect,
 )
 from service.records.operations.release import CommandState, Purpose
 
@@ -46,9 +46,9 @@ def test_the_first_leg_is_a_command_that_two_persons_release_and_the_filter_does
     check = begun(driver)
     assert (check.state, check.leg, check.legs, check.started_by) == ("running", 1, 4, "ann")
     effects = [type(effect) for effect in driver.confirm("bob").effects]
-    assert Uplink in effects
+    assert UplinkEffect in effects
     effects += [type(effect) for effect in driver.send(Report(driver.at, 1, CommandTransition.EXECUTED)).effects]
-    assert Journal not in effects
+    assert JournalEffect not in effects
     check = driver.state.sign_check
     assert (check.legs_done, check.leg, check.flown) == (1, None, (driver.command(1).schedule,))
     assert check.until_us == driver.command(1).start_us + 2700 * US
