@@ -24,7 +24,7 @@ pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(900)]
 
 KEY = "a-key-for-tests-only"
 SC = "/api/v1/spacecraft/sim-1"
-FLOODS = Path(__file__).parents[1] / "fakes" / "floods.py"
+FLOODS = Path(__file__).parents[1] / "fakes" / "drivers" / "floods.py"
 REQUESTS = 200
 #: longest flood; one ends as soon as the probe has what it needs
 FLOOD_S = 240

@@ -167,7 +167,7 @@ def test_one_process_owns_a_spool(tmp_path: Path) -> None:
 
 def test_a_kill_gives_the_spool_free_and_keeps_every_row(tmp_path: Path) -> None:
     program = (
-        "import os, sys, pathlib; sys.path.insert(0, 'tests/fakes'); import spooled_rows as s\n"
+        "import os, sys, pathlib; sys.path.insert(0, 'tests/fakes/drivers'); import spooled_rows as s\n"
         f"made = s.spool(pathlib.Path({str(tmp_path)!r}))\n"
         "assert all(made.append(s.row(k)) for k in range(20))\n"
         "os.kill(os.getpid(), 9)\n"
