@@ -4,6 +4,7 @@ A failed epoch is a value: its angles are NaN, its status is not ACQUIRED, its r
 records are read-only.
 """
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Annotated, NamedTuple
@@ -31,7 +32,7 @@ def named_axes(values: FloatArray) -> Axes:
     return Axes(float(values[0]), float(values[1]), float(values[2]))
 
 
-NO_ANGLES = Axes(float("nan"), float("nan"), float("nan"))
+NO_ANGLES = Axes(math.nan, math.nan, math.nan)
 
 
 class Status(StrEnum):
@@ -84,7 +85,8 @@ class AttitudeRow:
     """L4: what one method says about one measurement.
 
     Tables, exports and answers derive from these fields (`service.records.record_fields`); a text beside a type is the
-    description in the interface. A new field stands at the end, with the default that older rows have.
+    description in the interface. A new field stands at the end, with the default that older rows have
+    (a number: ``math.nan``).
     """
 
     epoch_us: int
@@ -119,7 +121,6 @@ def row_without_attitude(
     epoch_us: int, received_at_us: int, number: int, method: Method, inhibitions: tuple[str, ...]
 ) -> AttitudeRow:
     """Return the row of a measurement from which a method could compute nothing, and why."""
-    nan = float("nan")
     return AttitudeRow(
         epoch_us=epoch_us,
         received_at_us=received_at_us,
@@ -135,9 +136,9 @@ def row_without_attitude(
         carriers_used=0,
         excluded=(),
         downlink_fade=False,
-        downlink_fade_db=nan,
-        common_db=nan,
-        residual_rms_db=nan,
+        downlink_fade_db=math.nan,
+        common_db=math.nan,
+        residual_rms_db=math.nan,
         calibration_id=None,
         alignment_id=None,
     )

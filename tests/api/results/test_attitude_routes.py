@@ -29,7 +29,7 @@ async def test_row_is_told_field_by_field(bench, make):
     bench.consume([Outcome((make.row(row, common_db=make.nan),), None)])
     newest = await bench.get("/attitude")
     assert newest.pop("control") == (await bench.get("/control"))["control"]
-    assert newest == {
+    told = {
         "epoch": "2026-11-21T02:59:30.000000Z",
         "received_at": "2026-11-21T02:59:32.000000Z",
         "method": "paper",
@@ -53,6 +53,7 @@ async def test_row_is_told_field_by_field(bench, make):
         "advice": [],
         "version": "live",
     }
+    assert {name: newest[name] for name in told} == told
 
 
 async def test_row_of_the_robust_method_tells_levels_reasons_and_advice(bench, make):
