@@ -28,7 +28,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
-from bench.http_load import Load, Rate, Shape
+from bench.load.http_load import Load, Rate, Shape
 from service.client.service_client import ServiceClient
 from tests.fakes.drivers.postgresql_cluster import NoServerError, PostgresqlCluster
 
@@ -178,7 +178,7 @@ def _judge(name: str, figure: float, goal: float, *, is_most: bool = False) -> b
 def _served(kind: str, url_of_database: str, shape: Shape, sync_ms: float) -> Iterator[Load]:
     """Start a server with a carrier plan, give the load on it, and end it."""
     key = secrets.token_urlsafe(16)
-    command = [sys.executable, "-m", "bench.ingest_server", "--archive", kind, "--database", url_of_database]
+    command = [sys.executable, "-m", "bench.load.ingest_server", "--archive", kind, "--database", url_of_database]
     command += ["--sync-ms", str(sync_ms)]
     environment = {**os.environ, "SOO_BOOTSTRAP_KEY": key, "OPENBLAS_NUM_THREADS": "1"}
     with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment) as process:

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.server_process import ServedProcess, running
+from bench.load.server_process import ServedProcess, running
 from db.storage import SqlStorage
 from service.ports import LIVE
 from service.records.levels.measurement import MeasurementBatch
@@ -56,8 +56,8 @@ def main() -> bool:
         none = min(started(empty) for _ in range(options.repeats))
         fill(full, options.rows)
         filled = min(started(full) for _ in range(options.repeats))
-        warm = started(full, "numba", module="bench.warm_server")
-        lean = started(full, "numpy", module="bench.warm_server")
+        warm = started(full, "numba", module="bench.load.warm_server")
+        lean = started(full, "numpy", module="bench.load.warm_server")
     is_met = [
         _show_start("first start, database made", first, GOAL_EMPTY_S),
         _show_start("start, empty database", none, GOAL_EMPTY_S),

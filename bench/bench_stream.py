@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.server_process import served
+from bench.load.server_process import served
 from db.storage import SqlStorage
 from service.client.async_service_client import AsyncServiceClient
 from service.records.calibration import CalibrationState
@@ -193,7 +193,7 @@ class _Crowd:
 @contextmanager
 def _crowd(url: str, key: str, clients: int) -> Iterator[_Crowd]:
     """Start many clients and give them when all are connected."""
-    command = [sys.executable, "-m", "bench.stream_clients", url, key, SC, str(clients)]
+    command = [sys.executable, "-m", "bench.load.stream_clients", url, key, SC, str(clients)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None

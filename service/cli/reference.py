@@ -31,7 +31,7 @@ def settings(
 ) -> None:
     """Print the settings in force, or the reference of all settings."""
     from service.cli.settings_reference import settings_markdown, settings_text
-    from service.settings import Settings
+    from service.composition.settings import Settings
 
     _deliver(settings_markdown() if markdown else settings_text(Settings.model_validate({})) + "\n", output)
 

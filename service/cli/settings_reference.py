@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from pydantic import SecretStr
 
-from service.settings import Settings
+from service.composition.settings import Settings
 
 PUBLISHED = "publication"
 TUNED = "simulated truth"

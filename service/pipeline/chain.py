@@ -16,7 +16,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from service.pipeline.alarms.readings import RowFacts
 from service.pipeline.config import ChainConfig
 from service.pipeline.control.command.compute_command import NO_CARRY, compute_command
 from service.pipeline.control.command.schedule_check import PanelSwing, swing_after
@@ -24,6 +23,7 @@ from service.pipeline.estimation.method import CommandEvidence, MethodRunner
 from service.pipeline.estimation.method_disagreement import Disagreement, compare
 from service.pipeline.estimation.paper.runner import PaperRunner
 from service.pipeline.estimation.robust.runner import RobustRunner
+from service.pipeline.estimation.row_evidence import RowEvidence
 from service.pipeline.inputs.knowledge import Knowledge, Lookup, update
 from service.ports import Outcome
 from service.records.calibration import Calibration
@@ -156,11 +156,11 @@ class Chain:
         reported = (runner.command_evidence() for runner in self._runners)
         return next((evidence for evidence in reported if evidence is not None), None)
 
-    def facts(self, measurement: Measurement, outcome: Outcome | None) -> RowFacts:
+    def facts(self, measurement: Measurement, outcome: Outcome | None) -> RowEvidence:
         """Return what alarms look at in the row that was stepped last."""
         running = next((runner for runner in self._runners if runner.is_running), None)
         spacecraft = self._knowledge.spacecraft
-        return RowFacts(
+        return RowEvidence(
             measurement=measurement,
             plan=self._lookup.plan(measurement.plan_id),
             rows=() if outcome is None else outcome.rows,

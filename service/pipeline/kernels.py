@@ -1,21 +1,33 @@
-"""Kernels of the robust filter by the name that the settings give them.
+"""Compiled kernels: of the robust filter by the name that the settings give them, and of the orbital-frame model.
 
 Nothing is compiled before the first row asks: a program that filters nothing does not wait for a compiler.
 """
 
+from collections.abc import Callable
 from functools import lru_cache
-from typing import Literal
+from typing import Literal, TypeVar
 
+from service.core.dynamics.orbital_frame_kernel import Fly, compiled_fly
 from service.core.estimation.filtering.kernels.kernels import ARRAYS, Kernels, compiled_kernels
+
+_Compiled = TypeVar("_Compiled")
 
 
 @lru_cache(maxsize=2)
 def kernels_named(name: Literal["numba", "numpy"]) -> Kernels:
-    """Return a set of kernels; where machine code cannot be kept, every process compiles its own."""
-    if name == "numpy":
-        return ARRAYS
+    """Return a set of kernels."""
+    return ARRAYS if name == "numpy" else _compiled(compiled_kernels)
+
+
+def flight_kernel() -> Fly:
+    """Return the compiled kernel that flies the orbital-frame model."""
+    return _compiled(compiled_fly)
+
+
+def _compiled(compile_: Callable[..., _Compiled]) -> _Compiled:
+    """Return compiled kernels; where machine code cannot be kept, every process compiles its own."""
     try:
-        return compiled_kernels()
+        return compile_()
     except RuntimeError:
         # a container whose file system is read only: numba finds no place for its cache
-        return compiled_kernels(is_cached=False)
+        return compile_(is_cached=False)

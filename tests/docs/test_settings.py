@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from service.cli.app import app
 from service.cli.settings_reference import ORIGINS, setting_entries, settings_markdown
-from service.settings import Settings
+from service.composition.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[2]
 DEFAULTS = list(setting_entries(Settings.model_construct()))

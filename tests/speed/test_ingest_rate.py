@@ -6,7 +6,7 @@ import statistics
 import pytest
 
 from bench.bench_ingest import measure
-from bench.http_load import Shape
+from bench.load.http_load import Shape
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
 

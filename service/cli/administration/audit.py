@@ -39,8 +39,8 @@ def verify(
 ) -> None:
     """Tell whether entries were changed, removed, put in or cut off."""
     # imported here so that other commands start without the database
-    from service.bootstrap import open_storage
-    from service.settings import Settings
+    from service.composition.bootstrap import open_storage
+    from service.composition.settings import Settings
 
     announced = _noted(head or []) | _logged(log or [])
     try:

@@ -32,7 +32,7 @@ def create(
     as_json: JsonOption = False,
 ) -> None:
     """Copy an archive into a new folder, while the service may be running."""
-    from service.bootstrap import open_archive_tools
+    from service.composition.bootstrap import open_archive_tools
 
     keeping = open_archive_tools(database)
     target = folder or Path(f"soo-{keeping.stamp()}.backup")
@@ -47,7 +47,7 @@ def create(
 @app.command()
 def verify(folder: Folder, as_json: JsonOption = False) -> None:
     """Compare a backup with its manifest and look at everything in it."""
-    from service.bootstrap import open_archive_tools
+    from service.composition.bootstrap import open_archive_tools
 
     with _guarded() as report:
         found = open_archive_tools(None).verify(folder, report)
@@ -66,7 +66,7 @@ def restore(
     as_json: JsonOption = False,
 ) -> None:
     """Put a backup in the place of an archive; the service must be stopped."""
-    from service.bootstrap import open_archive_tools
+    from service.composition.bootstrap import open_archive_tools
 
     with _guarded() as report:
         restored = open_archive_tools(database).restore(folder, report, may_replace=replace)

@@ -32,7 +32,7 @@ def doctor(
     from rich.console import Console
 
     # the database costs time that other commands need not pay
-    from service.bootstrap import open_archive_tools
+    from service.composition.bootstrap import open_archive_tools
     from service.records.journal import JournalHead
 
     announced = [JournalHead(name, int(number), digest) for name, number, digest in logged(_LOGGED, log or [])]

@@ -20,8 +20,8 @@ def upkeep(
 ) -> None:
     """Seal closed days and drop what retention no longer keeps, as the service does by itself."""
     # the database costs time that other commands need not pay
-    from service.bootstrap import build_clock, build_maintenance, open_storage
-    from service.settings import Settings
+    from service.composition.bootstrap import build_clock, build_maintenance, open_storage
+    from service.composition.settings import Settings
 
     settings = Settings.model_validate({} if database is None else {"database_url": database})
     try:

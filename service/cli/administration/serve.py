@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from fastapi import FastAPI
 
     from service.api.server_process import StreamingServer
+    from service.composition.settings import Settings
     from service.ports import Storage
-    from service.settings import Settings
 
 _LOG = logging.getLogger("soo.serve")
 
@@ -72,7 +72,7 @@ def _settings(given: dict[str, str | int | None]) -> "Settings":
     from pydantic import ValidationError
     from pydantic_settings import SettingsError
 
-    from service.settings import Settings
+    from service.composition.settings import Settings
 
     try:
         return Settings(**{name: value for name, value in given.items() if value is not None})  # type: ignore[arg-type] # pydantic validates
@@ -118,7 +118,7 @@ def _serve(settings: "Settings", listener: socket.socket) -> None:
     """Listen, say where, and run until told to stop; begin anew on an archive that was put in the place of ours."""
     # imported here so that other commands start without the web framework and the database
     from service.api.server_process import calm_collector
-    from service.bootstrap import build_app, first_administrator, watch_file
+    from service.composition.bootstrap import build_app, first_administrator, watch_file
 
     is_announced = False
     while True:
@@ -157,7 +157,7 @@ def _stop_when(is_due: Callable[[], bool], server: "StreamingServer", replaced: 
 
 def _opened(settings: "Settings") -> "Storage":
     """Return the archive; one behind a server is waited for, because both may have been started together."""
-    from service.bootstrap import build_storage
+    from service.composition.bootstrap import build_storage
 
     until = time.monotonic() + _PATIENCE_S
     while True:

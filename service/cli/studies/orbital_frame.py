@@ -25,7 +25,7 @@ def orbital_frame(
     from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     from service.core.dynamics.orbital_frame_kernel import fly
-    from service.pipeline.dynamics_kernels import flight_kernel
+    from service.pipeline.kernels import flight_kernel
     from service.study.orbital_frame.reproduction import reproduce
 
     console = Console(stderr=True)

@@ -5,16 +5,16 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from itertools import pairwise
 from statistics import median
-from typing import NamedTuple
 
 import numpy as np
 
 from service.pipeline.alarms.alarm_engine import AlarmEngine, Readings
 from service.pipeline.alarms.limit_sets import AlarmContext, context
 from service.pipeline.estimation.method import CarrierLevels
-from service.records.catalogue import CarrierPlan, Method
+from service.pipeline.estimation.row_evidence import RowEvidence
+from service.records.catalogue import CarrierPlan
 from service.records.epoch import US_PER_S
-from service.records.inputs import AttitudeReference, Operation
+from service.records.inputs import AttitudeReference
 from service.records.levels.attitude import AttitudeRow, FloatArray, Status
 from service.records.levels.measurement import Measurement
 from service.records.levels.quality_flag import QualityFlag
@@ -33,22 +33,6 @@ _SOME_FADE_DB = 1e-3
 _AXES = ("yaw", "roll", "pitch")
 #: inhibition of a row whose method has only begun
 _SETTLING = "settling"
-
-
-class RowFacts(NamedTuple):
-    """One row as the chain leaves it: neither late nor caught up with."""
-
-    measurement: Measurement
-    plan: CarrierPlan
-    #: what the methods say; empty while none runs
-    rows: tuple[AttitudeRow, ...]
-    #: the one that drives control
-    method: Method
-    levels: CarrierLevels | None
-    #: newest revision of each declared operation
-    operations: Mapping[int, Operation]
-    #: by how much the methods differ while they disagree, 0 while they agree; NaN: not compared
-    disagreement_deg: float = math.nan
 
 
 class RowReader:
@@ -91,7 +75,7 @@ class RowReader:
         """Take over the levels of carriers of which nothing better is expected."""
         self._nominal_dbm = nominal_dbm
 
-    def read_row(self, facts: RowFacts) -> list[AlarmChange]:
+    def read_row(self, facts: RowEvidence) -> list[AlarmChange]:
         """Look at a row; one that is late or out of order changes nothing."""
         epoch_us = facts.measurement.epoch_us
         if facts.measurement.is_late or epoch_us <= (self._newest_us or 0):
@@ -120,7 +104,7 @@ class RowReader:
         readings = Readings("sensor_disagreement", (reference.source,), (apart_deg,), is_partial=True)
         return self._engine.observe(readings, reference.epoch_us)
 
-    def _context(self, facts: RowFacts, epoch_us: int, *, is_raining: bool) -> list[AlarmChange]:
+    def _context(self, facts: RowEvidence, epoch_us: int, *, is_raining: bool) -> list[AlarmChange]:
         """Find out what holds, where it can have changed."""
         holds, former = self._holds, self._holds_for
         is_same = former[0] is facts.operations and former[1] is facts.plan and former[2] is is_raining
@@ -130,7 +114,7 @@ class RowReader:
         self._holds = context(facts.operations.values(), facts.plan, epoch_us, is_raining=is_raining)
         return self._engine.enter(self._holds, epoch_us)
 
-    def _of_carriers(self, facts: RowFacts) -> Iterator[Readings]:
+    def _of_carriers(self, facts: RowEvidence) -> Iterator[Readings]:
         """Yield what is to be looked at carrier by carrier: rows as they should be cost a few extremes of arrays."""
         if facts.plan is not self._plan:
             self._use_plan(facts.plan)
@@ -155,7 +139,7 @@ class RowReader:
         if not self._engine.is_settled(condition, float(np.fmax.reduce(away_db))):
             yield Readings(condition, levels.carrier_ids, away_db)
 
-    def _of_attitude(self, facts: RowFacts, driving: AttitudeRow) -> Iterator[Readings]:
+    def _of_attitude(self, facts: RowEvidence, driving: AttitudeRow) -> Iterator[Readings]:
         """Yield what is to be looked at in the rows of the methods."""
         is_settled, is_told = self._engine.is_settled, driving.status is Status.ACQUIRED
         angles_deg = tuple(map(abs, driving.attitude_deg)) if is_told else (math.nan,) * 3
@@ -181,7 +165,7 @@ class RowReader:
             is_absent[(measurement.flags & QualityFlag.NOT_MEASURED) != 0] = math.nan
         return Readings("carrier_absent", self._carrier_ids, is_absent)
 
-    def _level_by_name(self, facts: RowFacts) -> Readings:
+    def _level_by_name(self, facts: RowEvidence) -> Readings:
         """Return the deviations, from the nominal level where nothing is expected of a carrier."""
         away_db = {}
         for name, power_dbm in zip(self._carrier_ids, facts.measurement.power_dbm.tolist(), strict=True):

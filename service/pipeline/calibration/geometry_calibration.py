@@ -19,8 +19,8 @@ from service.pipeline.calibration.sensor_signs import report_signs
 from service.pipeline.calibration.windows import CalibrationError, CalibrationInput
 from service.pipeline.carrier_model.calibrated_arrays import geometry_model
 from service.pipeline.carrier_model.expected_level import daily_error_db
+from service.pipeline.carrier_model.level_control import MIN_GROUP, small_groups
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.group_deviations import MIN_GROUP, small_groups
 from service.records.calibration import CalibrationResult, CarrierCalibration
 from service.records.catalogue import Carrier
 from service.records.geometry import GeometryFit, Row, Table

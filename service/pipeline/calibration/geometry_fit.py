@@ -12,8 +12,8 @@ from service.core.estimation.noise.quantisation import quantisation_step_db
 from service.core.estimation.noise_identification import IdentifiedNoise, identify_noise
 from service.pipeline.calibration.geometry_rows import GeometryRows
 from service.pipeline.calibration.windows import CalibrationInput
+from service.pipeline.carrier_model.level_control import alc_groups, first_model_dbm, small_groups, without_group_means
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.group_deviations import alc_groups, first_model_dbm, small_groups, without_group_means
 from service.records.levels.attitude import FloatArray, IntArray
 
 #: rows of stretches below this weight say nothing about levels

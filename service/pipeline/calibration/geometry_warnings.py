@@ -13,8 +13,8 @@ from service.pipeline.calibration.geometry_fit import JointFit
 from service.pipeline.calibration.geometry_quality import slope_shrink
 from service.pipeline.calibration.geometry_rows import DISTURBING, GeometryRows
 from service.pipeline.calibration.windows import CalibrationInput, unturned_sides
+from service.pipeline.carrier_model.level_control import MIN_GROUP, small_groups
 from service.pipeline.config import CalibrationConfig
-from service.pipeline.group_deviations import MIN_GROUP, small_groups
 from service.records.epoch import format_epoch
 from service.records.levels.attitude import BoolArray
 

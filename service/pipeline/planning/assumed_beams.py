@@ -18,7 +18,7 @@ import numpy as np
 from service.core.estimation.calibration.coloured_rows import ColouredNoise
 from service.core.estimation.calibration.quadratic_response import displacement_matrix
 from service.core.geometry.frames import AntennaDirection, station_direction
-from service.pipeline.group_deviations import MIN_GROUP, alc_groups
+from service.pipeline.carrier_model.level_control import MIN_GROUP, alc_groups
 from service.pipeline.planning.candidates import NOT_USABLE, Candidates
 from service.records.catalogue import Carrier, CarrierPlan
 from service.records.levels.attitude import FloatArray, IntArray

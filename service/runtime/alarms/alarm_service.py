@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from service.errors import ConflictError, FieldError, InvalidInputError, StorageError
 from service.pipeline.alarms.alarm_engine import AlarmEngine, Key, Readings
 from service.pipeline.alarms.condition import AlarmCondition
-from service.pipeline.alarms.readings import RowFacts
+from service.pipeline.estimation.row_evidence import RowEvidence
 from service.ports import Clock, Storage
 from service.records.epoch import US_PER_S
 from service.records.operations.alarm import Alarm, AlarmChange, Handling
@@ -218,7 +218,7 @@ class AlarmService:
                 spacecraft_id, seen = self._queue.popleft()
                 with self._guarded(spacecraft_id):
                     persisted = self._persisted(spacecraft_id)
-                    if isinstance(seen, RowFacts):
+                    if isinstance(seen, RowEvidence):
                         changes = persisted.reader.read_row(seen)
                     else:
                         changes = persisted.reader.read_reference(seen)

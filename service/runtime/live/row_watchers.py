@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from typing import Protocol
 
-from service.pipeline.alarms.readings import RowFacts
 from service.pipeline.control.release.events import StoredRow
+from service.pipeline.estimation.row_evidence import RowEvidence
 from service.records.inputs import AttitudeReference
 
 #: what alarms look at
-Seen = RowFacts | AttitudeReference
+Seen = RowEvidence | AttitudeReference
 
 
 class Watcher(Protocol):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from service.pipeline.alarms.readings import RowFacts
+from service.pipeline.estimation.row_evidence import RowEvidence
 from service.records.catalogue import Carrier, CarrierPlan, Method
 from service.records.inputs import Operation
 from service.records.levels.measurement import Measurement
@@ -81,7 +81,7 @@ def raise_alarms(bench, make):
         gone = (False, minute > 0, minute > 80)
         powers = np.where(gone, np.nan, -40.0)
         measurement = Measurement(epoch_us, epoch_us, minute, "sa", 9, powers, None)
-        bench.context.alarms.see(make.sc, [RowFacts(measurement, plan, (), Method.PAPER, None, {})])
+        bench.context.alarms.see(make.sc, [RowEvidence(measurement, plan, (), Method.PAPER, None, {})])
     bench.context.alarms._check_rows()
 
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from db.storage import SqlStorage
 from service.pipeline.alarms.conditions import condition_table
-from service.pipeline.alarms.readings import RowFacts
 from service.pipeline.config import AlarmConfig, RobustConfig
+from service.pipeline.estimation.row_evidence import RowEvidence
 from service.records.catalogue import Carrier, CarrierPlan, Method
 from service.records.levels.measurement import Measurement, MeasurementBatch
 from service.records.operations.link import LinkReport
@@ -72,7 +72,7 @@ class Rig:
         epoch_us = START + round(minute * MINUTE)
         self.clock.us = max(self.clock.us, epoch_us)
         measurement = Measurement(epoch_us, epoch_us, minute, "sa", 1, np.array(power_dbm), None, is_late)
-        facts = RowFacts(measurement, self.plan, (), Method.ROBUST, None, {})
+        facts = RowEvidence(measurement, self.plan, (), Method.ROBUST, None, {})
         self.desk.see("craft", [facts])
         self.desk._check_rows()
 

@@ -8,9 +8,10 @@ import pytest
 
 from service.pipeline.alarms.alarm_engine import AlarmEngine
 from service.pipeline.alarms.conditions import condition_table
-from service.pipeline.alarms.readings import RowFacts, RowReader
+from service.pipeline.alarms.readings import RowReader
 from service.pipeline.config import AlarmConfig, RobustConfig
 from service.pipeline.estimation.method import CarrierLevels
+from service.pipeline.estimation.row_evidence import RowEvidence
 from service.records.catalogue import Carrier, CarrierPlan, Method
 from service.records.inputs import AttitudeReference, Operation
 from service.records.levels.attitude import NO_ANGLES, Axes, Status, row_without_attitude
@@ -49,7 +50,7 @@ class Rig:
         powers = np.array(power_dbm)
         measurement = Measurement(epoch_us, epoch_us, minute, "sa", 1, powers, masks, is_late, details=details)
         facts = {"rows": (), "method": Method.ROBUST, "levels": None, **more}
-        return self.reader.read_row(RowFacts(measurement, PLAN, operations=self.operations, **facts))
+        return self.reader.read_row(RowEvidence(measurement, PLAN, operations=self.operations, **facts))
 
     def alarms(self, *args, **more):
         return {(change.alarm.condition, change.alarm.thing) for change in self.row(*args, **more)}

@@ -15,7 +15,7 @@ from alarm_rig import (
 )
 
 from service.errors import ConflictError, InvalidInputError, NotFoundError, StorageError
-from service.pipeline.alarms.readings import RowFacts
+from service.pipeline.estimation.row_evidence import RowEvidence
 from service.records.catalogue import Method
 from service.records.levels.measurement import Measurement
 from service.records.operations.alarm_limits import AlarmLimits
@@ -172,7 +172,7 @@ def test_the_thread_looks_by_itself_and_a_stop_looks_a_last_time(rig):
     for minute in range(1, 4):
         epoch_us = START + minute * MINUTE
         measurement = Measurement(epoch_us, epoch_us, minute, "sa", 1, np.array([-40.0, NAN]), None)
-        rig.desk.see("craft", [RowFacts(measurement, rig.plan, (), Method.ROBUST, None, {})])
+        rig.desk.see("craft", [RowEvidence(measurement, rig.plan, (), Method.ROBUST, None, {})])
     rig.desk.stop()
     assert rig.reported() == [RAISED]
     assert rig.storage.alarms.memory("craft").newest_row_us == epoch_us

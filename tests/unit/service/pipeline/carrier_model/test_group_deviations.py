@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from geometry_payload import GeometryPayload, replace
 
-from service.pipeline.group_deviations import alc_groups, first_model_dbm, small_groups, without_group_means
+from service.pipeline.carrier_model.level_control import alc_groups, first_model_dbm, small_groups, without_group_means
 from service.records.catalogue import CarrierPlan
 
 GROUP = np.array([-1, 0, 0, 0, 1, 1, 1, 1])

@@ -1,13 +1,13 @@
 """``soo serve`` whose filter kernels have worked already, as in a service that has been up for a while.
 
-Run ``python -m bench.warm_server serve ...`` with the options of ``soo serve``; the kernels are those of the setting
-``SOO_KERNELS``.
+Run ``python -m bench.load.warm_server serve ...`` with the options of ``soo serve``; the kernels are those of the
+setting ``SOO_KERNELS``.
 """
 
 from bench.bench_chain import measure_arithmetic
 from service.__main__ import main
+from service.composition.settings import Settings
 from service.pipeline.kernels import kernels_named
-from service.settings import Settings
 
 if __name__ == "__main__":
     measure_arithmetic(16, 5, kernels_named(Settings.model_validate({}).kernels))

@@ -5,7 +5,7 @@ from dataclasses import fields, is_dataclass
 import pytest
 from pydantic import ValidationError
 
-from service.settings import Settings
+from service.composition.settings import Settings
 
 PLAIN = {
     "SOO_DATABASE_URL": ("database_url", "sqlite:///elsewhere.db", "sqlite:///elsewhere.db"),

@@ -1,6 +1,6 @@
 """The service of the ingest benchmark: the real application and server, over the real archive or over another.
 
-Run ``python -m bench.ingest_server --archive durable --database sqlite:///file.db``. It announces its address as
+Run ``python -m bench.load.ingest_server --archive durable --database sqlite:///file.db``. It announces its address as
 ``soo serve`` does. The endpoint is always the same. With ``--archive none`` rows count as stored the moment they come,
 with ``--archive each`` every request is committed by a thread of its own, with ``--archive single`` by the product's
 one writer, which takes nothing along.
@@ -16,11 +16,11 @@ from typing import Any
 import uvicorn
 
 import db.connection.writer
-from bench.commit_per_request import CommitPerRequest, slow_down
+from bench.load.commit_per_request import CommitPerRequest, slow_down
 from service.api.server_process import StreamingServer, calm_collector
-from service.bootstrap import build_app, build_storage
+from service.composition.bootstrap import build_app, build_storage
+from service.composition.settings import Settings
 from service.records.levels.measurement import BatchReceipt, MeasurementBatch
-from service.settings import Settings
 
 
 class NoArchive:

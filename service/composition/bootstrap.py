@@ -13,6 +13,7 @@ from db.storage import SqlStorage
 from service.api.app import create_app
 from service.api.context.dependencies import ApiContext, Limits
 from service.api.context.monitoring_settings import MonitoringSettings
+from service.composition.settings import Settings
 from service.core.dynamics.orbital_frame_analysis import MOST_STEPS, MOST_STEPS_PLAIN
 from service.pipeline.alarms.conditions import condition_table
 from service.ports import Clock, Storage
@@ -35,7 +36,6 @@ from service.runtime.live.leadership import Leading, Term, always
 from service.runtime.live.live_feed import LiveFeed
 from service.runtime.live.supervisor import Supervisor
 from service.runtime.process_metrics import raised_descriptor_limit
-from service.settings import Settings
 
 if TYPE_CHECKING:
     from db.connection.file_identity import FileWatch

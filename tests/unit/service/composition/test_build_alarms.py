@@ -2,10 +2,10 @@
 
 import pytest
 
-from service.bootstrap import build_alarms
+from service.composition.bootstrap import build_alarms
+from service.composition.settings import Settings
 from service.runtime.clock import SystemClock
 from service.runtime.live.live_feed import LiveFeed
-from service.settings import Settings
 
 MAIL = {"alarm_mail_host": "mail.test", "alarm_mail_to": "a@x.test, b@x.test,"}
 HOOK = {"alarm_webhook_url": "http://hook.test/"}

@@ -1,7 +1,7 @@
 """Clients of the stream benchmark as a process of its own: many connections, each counts what it gets.
 
-Run ``python -m bench.stream_clients URL KEY SPACECRAFT CLIENTS``. It prints ``ready`` when all have their first event,
-counts until its input ends and prints the counts of measurements by client as JSON.
+Run ``python -m bench.load.stream_clients URL KEY SPACECRAFT CLIENTS``. It prints ``ready`` when all have their first
+event, counts until its input ends and prints the counts of measurements by client as JSON.
 """
 
 import asyncio

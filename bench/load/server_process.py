@@ -37,7 +37,15 @@ class ServedProcess(NamedTuple):
 @contextmanager
 def served(archive: str, database: Path, key: str) -> Iterator[ServedProcess]:
     """Start the server of the ingest benchmark over an archive, durable or none, and end it."""
-    command = [sys.executable, "-m", "bench.ingest_server", "--archive", archive, "--database", f"sqlite:///{database}"]
+    command = [
+        sys.executable,
+        "-m",
+        "bench.load.ingest_server",
+        "--archive",
+        archive,
+        "--database",
+        f"sqlite:///{database}",
+    ]
     with running(command, key) as process:
         yield process
 

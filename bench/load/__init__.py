@@ -1,0 +1,1 @@
+"""Load drivers: servers and clients that benchmarks run as processes of their own."""
