@@ -41,6 +41,7 @@ def test_exports(service: Any, tmp_path: Path) -> None:
     run_blocks(HOW_TO / "export-the-archive.md", EXPORTED, service.environment, tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.system
 def test_sent_archives(service: Any, tmp_path: Path) -> None:
     with ServiceClient(service.url, service.environment["SOO_KEY"], retries=6) as client:

@@ -28,6 +28,7 @@ def tables(study: str) -> tuple[list[list[str]], list[list[str]]]:
     return written[2:], printed[2:]
 
 
+@pytest.mark.slow
 def test_orbital_frame() -> None:
     for written, printed in zip(*tables("orbital-frame"), strict=True):
         if printed[4] == "-":

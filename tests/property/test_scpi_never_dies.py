@@ -8,6 +8,7 @@ import itertools
 
 import pytest
 from dialect_facts import FACTS
+from example_counts import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scpi_bench import Bench
@@ -16,7 +17,7 @@ from scpi_soup import KINDS
 from analyzer_sim.dialects.dialects import DIALECTS
 from analyzer_sim.scpi.framing import MessageFramer
 
-EXAMPLES = 250
+EXAMPLES = examples(250)
 NIGHTLY_EXAMPLES = 6_400
 CASES = [
     pytest.param(name, kind, id=f"{name}-{kind}") for name, kind in itertools.product(sorted(DIALECTS), sorted(KINDS))

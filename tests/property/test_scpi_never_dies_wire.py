@@ -6,6 +6,7 @@ from contextlib import closing
 
 import pytest
 from analyzer_thread import AnalyzerThread, start_in_thread
+from example_counts import examples
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scpi_bench import standing_instrument
@@ -17,7 +18,7 @@ from analyzer_sim.scpi.framing import MessageFramer
 
 pytestmark = pytest.mark.system
 
-EXAMPLES = 150
+EXAMPLES = examples(150)
 NIGHTLY_EXAMPLES = 1000
 _NONCES = itertools.cycle(range(1, 128))
 

@@ -55,12 +55,11 @@ def test_a_mistake_on_a_healthy_world_is_refused_by_name(nominal, name):
     ("name", "seed"),
     [
         ("nominal", 1),
-        ("octants", 4),
-        ("flicker", 12),
-        ("few8", 11),
-        ("many32", 11),
         ("dual_band", 11),
-        ("alc", 11),
+        *(
+            pytest.param(name, seed, marks=pytest.mark.slow)
+            for name, seed in (("octants", 4), ("flicker", 12), ("few8", 11), ("many32", 11), ("alc", 11))
+        ),
     ],
 )
 def test_a_healthy_world_is_proven_and_silent(name, seed):

@@ -9,7 +9,7 @@ import pytest
 from service.core.geometry.line_of_sight import Positions, sight_motion_deg, track_position_deg
 from service.core.geometry.line_of_sight import PredictedTrack as CoreTrack
 from service.records.calibration import CalibrationMethod
-from service.records.catalogue import PredictedTrack
+from service.records.catalogue import Track
 from service.records.epoch import format_epoch
 from service.records.levels.attitude import Axes
 
@@ -100,7 +100,7 @@ async def test_robust_fit_takes_the_dish_law_where_ballistics_has_a_track(bench,
     epochs_us = make.now_us - np.arange(1, 289) * 300 * make.s
     track_us = make.now_us + np.arange(-60, 3) * 1800 * make.s
     angle = 2 * np.pi * (track_us - make.now_us) / (PERIOD_S * make.s)
-    track = PredictedTrack(
+    track = Track(
         tuple(track_us.tolist()),
         tuple((0.05 * np.sin(angle)).tolist()),
         tuple((90.0 + 0.02 * np.cos(angle)).tolist()),

@@ -233,7 +233,12 @@ def await_consumed(client: httpx.Client, wanted: dict[tuple[str, int], list[floa
         table = client.get(f"{BASE}/sim-1/archive/attitude:export", params=params, timeout=120).text
         lines = csv.DictReader(line for line in table.splitlines() if not line.startswith("#"))
         made = Counter(line["epoch"] for line in lines)
-    assert made == epochs, f"{sum(made.values())} results of {sum(epochs.values())} rows"
+    if made != epochs:
+        stored = {row["epoch"] for row in history(client) if row["source"] == prime}
+        missing = sorted((epochs - made).keys())
+        lost = [epoch for epoch in missing if epoch not in stored]
+        message = f"{made.total()} results of {epochs.total()} rows, beyond {made - epochs}; without result: {missing}"
+        raise AssertionError(f"{message}; of these not in the archive: {lost}")
     assert client.get("/readyz").status_code == 200
 
 

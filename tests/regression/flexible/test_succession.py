@@ -56,6 +56,7 @@ def test_a_law_without_further_lines_loses_the_body() -> None:
     assert np.isnan(speeds[-1])
 
 
+@pytest.mark.slow
 def test_basins_and_the_compiled_map() -> None:
     compiled = compiled_follow()
     starts = np.array([2e-5, 1.2e-4, 5e-4])

@@ -2,6 +2,8 @@
 
 from itertools import product
 
+import pytest
+
 from service.core.flexible.motion import follow_motion
 from service.core.flexible.propagation import BodyState
 from service.core.flexible.spacecraft import HubMode
@@ -18,6 +20,7 @@ def firings(mode: HubMode, amplitude_rad: float) -> int:
     return len(follow_motion(start, drive, mode, law, 4.0 * cycle.period_s).firing_times_s)
 
 
+@pytest.mark.slow
 def test_sixty_starts_fire_as_often_as_a_rigid_body_give_or_take_one() -> None:
     grid = product((0.3, 0.6, 1.0, 2.0, 4.0), (0.1, 0.5, 1.0, 2.0), (0.0, 2e-3, 5e-3))
     counts = [firings(HubMode(omega, 0.005, coupling), swing) for omega, coupling, swing in grid]

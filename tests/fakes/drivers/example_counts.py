@@ -1,0 +1,8 @@
+"""Numbers of examples of tests that search: all in continuous integration, a quarter at every run."""
+
+import os
+
+
+def examples(full: int) -> int:
+    """Return how many of so many examples the profile of this run asks for."""
+    return full if os.environ.get("SOO_TEST_PROFILE") == "ci" else full // 4
