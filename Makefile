@@ -93,7 +93,7 @@ docs: $(DOCS_STAMP) ## build the documents as a searchable offline site, build/s
 	NO_MKDOCS_2_WARNING=1 $(DOCS_VENV)/bin/mkdocs build
 
 map: $(DEV_STAMP) ## draw the packages and their imports into the documents
-	$(BIN)/python docs/package_map.py docs
+	$(BIN)/python -m docs.package_map docs
 
 hooks: $(DEV_STAMP) ## check every commit before it is made (.pre-commit-config.yaml)
 	$(BIN)/pre-commit install
