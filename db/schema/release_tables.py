@@ -5,7 +5,7 @@ from sqlalchemy import BigInteger, Column, Index, Integer, Table, Text
 from db.schema.row_checksum import checksum_column
 from db.schema.tables import metadata
 
-#: one document a spacecraft; whoever changes it must know the version that he changes
+#: one document a spacecraft; a writer must name the version that it changes
 release_state = Table(
     "release_state",
     metadata,

@@ -124,6 +124,6 @@ def _order(
 
 
 def _reported(context: ApiContext, spacecraft_id: str, view: ControlView) -> ControlAnswer:
-    """Return the answer that tells a view of the interlock, with the verdict."""
+    """Return the answer of a view of the interlock, with the verdict."""
     present = present_of(context, context.storage.catalogue.spacecraft(spacecraft_id), view)
     return ControlAnswer.of(view, present.verdict)

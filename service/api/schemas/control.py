@@ -78,7 +78,7 @@ class VerdictAnswer(Answer):
 
     @classmethod
     def of(cls, verdict: ControlVerdict) -> Self:
-        """Return the answer that tells a verdict."""
+        """Return the answer of a verdict."""
         reasons = [
             {"code": each.code, "text": each.text, "since": each.since_us, "next_step": each.next_step}
             for each in verdict.reasons
@@ -117,7 +117,7 @@ class SignCheckAnswer(Answer):
 
     @classmethod
     def of(cls, check: SignCheck) -> Self:
-        """Return the answer that tells a sign check."""
+        """Return the answer of a sign check."""
         return cls.model_validate(
             {
                 "axis": check.axis,
@@ -168,7 +168,7 @@ class ControlAnswer(Answer):
 
     @classmethod
     def of(cls, view: ControlView, verdict: ControlVerdict) -> Self:
-        """Return the answer that tells what the interlock says."""
+        """Return the answer of a view of the interlock."""
         reported: dict[str, Any] = {
             "control": VerdictAnswer.of(verdict),
             "state": verdict.state,

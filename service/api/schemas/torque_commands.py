@@ -120,7 +120,7 @@ class CommandAnswer(Answer):
 
     @classmethod
     def of(cls, command: Command) -> Self:
-        """Return the answer that tells a command."""
+        """Return the answer of a command."""
         computed = command.computed
         return cls.model_validate(
             {
@@ -192,7 +192,7 @@ class UplinkAnswer(Answer):
 
     @classmethod
     def of(cls, product: UplinkProduct) -> Self:
-        """Return the answer that tells an uplink product."""
+        """Return the answer of an uplink product."""
         return cls.model_validate(
             {
                 "form": product.form,

@@ -1,4 +1,4 @@
-"""Release of torques as it is stored and told: interlock, commands, uplink products. Triples by yaw, roll, pitch."""
+"""Release of torques as stored and answered: interlock, commands, uplink products. Triples by yaw, roll, pitch."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -10,7 +10,7 @@ from service.records.levels.command import Pulse, ReleasedCommand, ReportedComma
 
 @dataclass(frozen=True, slots=True)
 class EnvelopeLimits:
-    """What a command may change at most, about each axis."""
+    """Limits of a command about each axis."""
 
     angle_change_deg: float = 0.1
     rate_change_deg_s: float = 3e-4
@@ -39,7 +39,7 @@ class InterlockHold:
 
 
 class SignRatios(NamedTuple):
-    """Log-likelihood of each answer of a craft against the best of them."""
+    """Log-likelihood of each answer of a spacecraft against the best of them."""
 
     plus: float
     nothing: float
@@ -97,7 +97,7 @@ class ControlVerdict:
 
 @dataclass(frozen=True, slots=True)
 class ControlView:
-    """What the interlock of one spacecraft says."""
+    """View of the interlock of one spacecraft."""
 
     #: INHIBITED, ARMED, ENGAGED, RECOVERY or TRIPPED
     state: str
@@ -155,10 +155,10 @@ class CommandCheck:
 
 
 class Purpose(StrEnum):
-    """What a command is for."""
+    """Purpose of a command."""
 
     CONTROL = "control"
-    #: a turn whose torque the filter is not told of
+    #: a turn whose torque the filter does not get
     SIGN_CHECK = "sign_check"
 
 
@@ -238,7 +238,7 @@ class Command:
 
 
 class ProductForm(StrEnum):
-    """What an uplink product carries."""
+    """Content of an uplink product."""
 
     #: mode ground: a released schedule
     TORQUES = "torques"
@@ -248,7 +248,7 @@ class ProductForm(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class UplinkProduct:
-    """What goes up through the centre's own channels; never changed once it is stored."""
+    """Product for uplink through the centre's own channels; never changed once it is stored."""
 
     form: ProductForm
     #: torques: that of the command; attitude: rises by one with each product
@@ -280,7 +280,7 @@ class StoredRelease:
 
 @dataclass(frozen=True, slots=True)
 class ReleaseChange:
-    """What is stored together, in one transaction."""
+    """Records that are stored in one transaction."""
 
     document: str
     holder: str

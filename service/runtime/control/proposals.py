@@ -74,7 +74,7 @@ def computed_command(
 def allowed_row(row: AttitudeRow, interlock: Interlock) -> AttitudeRow:
     """Return a row with the reasons and axes that hold for the release.
 
-    The interlock judges range and sigma itself, by limits that let an approver bring a craft back from beyond the
+    The interlock judges range and sigma itself, by limits that let an approver bring a spacecraft back from beyond the
     range of automatic control.
     """
     reasons = tuple(reason for reason in row.inhibitions if reason not in OWN_AFFAIR)

@@ -1,4 +1,4 @@
-"""Refusals of the interlock as errors: each code of the release with the kind of error that tells it."""
+"""Refusals of the interlock as errors: each code of the release with its kind of error."""
 
 from service.errors import ConflictError, ForbiddenError, GoneError, InvalidInputError, NotFoundError, SooError
 from service.pipeline.control.release.events import Refusal
@@ -17,12 +17,12 @@ _KINDS: dict[str, type[SooError]] = {
 
 
 def error_of(refusal: Refusal) -> SooError:
-    """Return the error that tells a refusal.
+    """Return the error of a refusal.
 
     Examples
     --------
-    >>> error_of(Refusal("command.expired", "prepare anew"))
-    GoneError('command.expired: prepare anew')
+    >>> error_of(Refusal("command.expired", "prepare it again"))
+    GoneError('command.expired: prepare it again')
     """
     return _KINDS.get(refusal.code, ConflictError)(refusal.code, refusal.detail)
 

@@ -1,4 +1,4 @@
-"""What the interlock must know beside the rows, asked of the archive."""
+"""Inputs of the interlock other than the rows, read from the archive."""
 
 import math
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from service.records.levels.attitude import Axes
 
 #: operations are looked for so far back: a burn of then without a new ephemeris still counts
 _OPERATIONS_BACK_US = 60 * 86_400 * US_PER_S
-#: telemetry that is older tells nothing of the present
+#: older telemetry says nothing of the present
 _TELEMETRY_US = 600 * US_PER_S
 _AHEAD_US = 86_400 * US_PER_S
 _AT_ONCE = 1000
@@ -28,7 +28,7 @@ _BURN = "station_keeping"
 
 @dataclass(frozen=True, slots=True)
 class KnownFacts:
-    """What holds for a spacecraft until somebody says otherwise."""
+    """Facts of the archive about a spacecraft."""
 
     spacecraft: Spacecraft
     #: of what a torque's effect depends on, and of the control settings
@@ -42,22 +42,22 @@ class KnownFacts:
     operations: tuple[Operation, ...]
     #: newest
     telemetry: TelemetryRecord | None
-    #: newest that told the rate of the body about every axis
+    #: newest with the rate of the body about every axis
     rated: TelemetryRecord | None = None
 
     def body_rate_deg_s(self, epoch_us: int, age_s: float) -> Axes | None:
-        """Return the rate of the body as it was told within an age before or after an epoch; None where it was not."""
+        """Return the rate of the body from telemetry within an age of an epoch; None without."""
         if self.rated is None or abs(epoch_us - self.rated.epoch_us) > age_s * US_PER_S:
             return None
         return self.rated.body_rate_deg_s
 
     def momentum_n_m_s(self, now_us: int) -> tuple[float, ...] | None:
-        """Return the momentum of each wheel, None where none was told lately."""
+        """Return the momentum of each wheel, None without recent telemetry."""
         telemetry = self.telemetry_at(now_us)
         return None if telemetry is None else telemetry.wheel_momentum_n_m_s
 
     def telemetry_at(self, now_us: int) -> TelemetryRecord | None:
-        """Return the newest telemetry unless it is too old to tell anything."""
+        """Return the newest telemetry unless it is too old."""
         if self.telemetry is None or now_us - self.telemetry.epoch_us > _TELEMETRY_US:
             return None
         return self.telemetry
@@ -123,8 +123,8 @@ def interlock_inputs(facts: KnownFacts, now_us: int, *, lease_holders: int, is_d
 
 def _mechanics(spacecraft: Spacecraft) -> tuple[object, ...]:
     """Return all that a torque's effect depends on: a sign is proven for these."""
-    craft = spacecraft
-    return craft.inertia_kg_m2, craft.torque_limit_n_m, craft.wheels, craft.modes, craft.onboard
+    limits = spacecraft.inertia_kg_m2, spacecraft.torque_limit_n_m, spacecraft.wheels
+    return *limits, spacecraft.modes, spacecraft.onboard
 
 
 def version_of(*parts: object) -> int:

@@ -22,7 +22,7 @@ class ReleasePublisher:
     Parameters
     ----------
     audit : Audit
-        Gets what happened by itself; what a person did, the request's own event tells.
+        Gets what happened by itself; an order has the event of its request.
     feed : LiveFeed
         Streams read the state again.
     on_journal : callable

@@ -164,7 +164,7 @@ def _averaged(epochs_us: FloatArray, deviation_db: FloatArray, size: int) -> tup
 
 
 def _sailing_change(schedule: tuple[Pulse, ...], telemetry: tuple[TelemetryRecord, ...]) -> FloatArray | None:
-    """Return by how much the wheels' momentum changed with the first pulse of a leg; None where nobody told."""
+    """Return by how much the wheels' momentum changed with the first pulse of a leg; None without telemetry."""
     if len(schedule) < 2:
         return None
     first, last = schedule[0], schedule[-1]

@@ -71,12 +71,12 @@ def control_view(
 
 
 def limits_of(envelope: Envelope) -> EnvelopeLimits:
-    """Return an envelope as it is told."""
+    """Return the limits of an envelope."""
     return EnvelopeLimits(**envelope._asdict())
 
 
 def envelope_of(limits: EnvelopeLimits) -> Envelope:
-    """Return an envelope as the interlock takes it."""
+    """Return the envelope of some limits."""
     return Envelope(
         limits.angle_change_deg, limits.rate_change_deg_s, limits.impulse_n_m_s, limits.impulse_an_hour_n_m_s
     )

@@ -122,8 +122,8 @@ def _handled(state: ReleaseState, event: Event, settings: ReleaseSettings) -> St
 
 
 def _informed(state: ReleaseState, event: RowSeen | InputsChanged | ResponseJudged, settings: ReleaseSettings) -> Step:
-    """Return the state whose interlock has the news of an event."""
-    return Step(replace(state, interlock=_with_news(state.interlock, event, settings)))
+    """Return the state whose interlock is updated by an event."""
+    return Step(replace(state, interlock=_updated(state.interlock, event, settings)))
 
 
 def _given(state: ReleaseState, event: AnglesFit, _settings: ReleaseSettings) -> Step:
@@ -131,10 +131,10 @@ def _given(state: ReleaseState, event: AnglesFit, _settings: ReleaseSettings) ->
     return Step(state, (UplinkEffect(event.product),))
 
 
-def _with_news(
+def _updated(
     interlock: Interlock, event: RowSeen | InputsChanged | ResponseJudged, settings: ReleaseSettings
 ) -> Interlock:
-    """Return the interlock with the news of an event."""
+    """Return the interlock updated by an event."""
     match event:
         case RowSeen():
             return _with_row(interlock, event, settings)
@@ -148,7 +148,7 @@ def _with_news(
 
 
 def _with_row(interlock: Interlock, event: RowSeen, settings: ReleaseSettings) -> Interlock:
-    """Return the interlock with a row; one that is older than the newest is no news."""
+    """Return the interlock with a row; one that is not newer changes nothing."""
     row, before = event.row, interlock.row
     if before is not None and row.epoch_us <= before.epoch_us:
         return interlock
@@ -210,7 +210,7 @@ def _aged(command: Command, at: Instant, *, is_tripped: bool) -> Command:
 
 
 def _is_kept(command: Command, at: Instant) -> bool:
-    """Whether a command may still be asked for: it is alive, or ended less than an hour ago."""
+    """Return whether a command stays in the state: it has not ended, or ended less than an hour ago."""
     if command.state in OPEN or command.state in UNREPORTED:
         return True
     newest_us = max(command.prepared_us, command.released_us or 0, command.reported_us or 0)

@@ -21,7 +21,7 @@ MEANINGS = {
 
 
 class CommandTransition(Enum):
-    """What moves a command."""
+    """Transition of a command."""
 
     CONFIRM = "another person confirms the same digest in time"
     RELEASE = "every check holds at the moment of release"
@@ -66,7 +66,7 @@ COMMAND_TRANSITIONS: dict[CommandState, dict[CommandTransition, CommandState]] =
 REPORTS = frozenset({CommandTransition.SENT, CommandTransition.EXECUTED, CommandTransition.FAILED})
 #: waiting for a release
 OPEN = frozenset({CommandState.PREPARED, CommandState.CONFIRMED})
-#: gone out, nobody has told what became of it
+#: released, not reported
 UNREPORTED = frozenset({CommandState.RELEASED, CommandState.SENT})
 
 

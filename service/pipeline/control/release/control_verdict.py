@@ -67,7 +67,7 @@ CODES = frozenset((*_CONDITIONS, *INHIBITIONS, *CONTROL_INHIBITIONS, *_OTHERS))
 def reason_of(code: str, since_us: int | None = None, settings: ReleaseSettings | None = None) -> ControlReason:
     """Return a reason in words; figures are those of the settings, by default those of the reference.
 
-    A code that another version has stored is told as it is.
+    A code that another version has stored is its own text.
 
     Examples
     --------
@@ -99,7 +99,7 @@ def control_verdict(view: ControlView | None, newest: TorqueCommand | AttitudeRo
     found = {} if view is None else {reason.code: reason for reason in view.reasons}
     if view is None:
         found["release_unreadable"] = reason_of("release_unreadable")
-    # the interlock itself tells by what it has tripped
+    # the interlock itself names the condition that tripped
     inhibitions = ("no_attitude",) if newest is None else tuple(one for one in newest.inhibitions if one != "tripped")
     for code in inhibitions:
         found.setdefault(code, reason_of(code))

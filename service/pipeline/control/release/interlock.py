@@ -32,7 +32,7 @@ class Instant:
 
 @dataclass(frozen=True, slots=True)
 class Terms:
-    """What a standing authorisation allows."""
+    """Terms of a standing authorisation."""
 
     until_us: int
     envelope: Envelope
@@ -40,7 +40,7 @@ class Terms:
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What a first person asked for."""
+    """Request of a first person."""
 
     by: str
     at_us: int
@@ -112,13 +112,13 @@ class Interlock:
 
     @property
     def configuration(self) -> tuple[int | None, ...]:
-        """What must not change while control is armed."""
+        """Versions that must not change while control is armed."""
         inputs = self.inputs
         return inputs.calibration_id, inputs.plan_id, inputs.spacecraft_version, inputs.control_version
 
 
 def settle(interlock: Interlock, at: Instant, unreported: Unreported, settings: ReleaseSettings) -> Interlock:
-    """Return the interlock at an instant: conditions judged anew, and every change of state that follows."""
+    """Return the interlock at an instant: conditions judged, and every change of state that follows."""
     standing = conditions_at(interlock, at, unreported, settings)
     is_good = not any(c.consequence in (Consequence.INHIBIT, Consequence.TRIP) for c in standing)
     good_since_us = _good_since(interlock, at) if is_good else None
@@ -242,7 +242,7 @@ def _is_second(open_request: Request | None, asked: Request | None, settings: Re
 
 
 def _is_first(open_request: Request | None, asked: Request | None, settings: ReleaseSettings) -> bool:
-    """Whether a request begins anew: none is open, it is too old, or the same person asks again."""
+    """Whether a request is a first one: none is open, it is too old, or the same person asks again."""
     if asked is None:
         return False
     if open_request is None or open_request.by == asked.by:
@@ -284,7 +284,7 @@ def _engaged(interlock: Interlock, row: Transition, asked: Request | None) -> In
 
 
 def _has_jumped(before: Instant | None, at: Instant, settings: ReleaseSettings) -> bool:
-    """Whether the clock moved otherwise than the steady one; after a restart only a step back can be told."""
+    """Whether the clock moved otherwise than the steady one; after a restart only a step back is seen."""
     if before is None:
         return False
     allowed_us = microseconds(settings.clock_jump_s)
@@ -293,7 +293,7 @@ def _has_jumped(before: Instant | None, at: Instant, settings: ReleaseSettings) 
 
 
 def _shift_us(before: Instant, at: Instant) -> int | None:
-    """Return by how much the clock was set between two instants, None where the steady one cannot tell."""
+    """Return by how much the clock was set between two instants, None where the steady one is not known."""
     if before.steady_us is None or at.steady_us is None:
         return None
     return (at.now_us - before.now_us) - (at.steady_us - before.steady_us)

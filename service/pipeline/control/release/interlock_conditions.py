@@ -11,7 +11,7 @@ from service.records.levels.attitude import AttitudeRow, Axes, Status
 
 
 class Consequence(Enum):
-    """What a condition does."""
+    """Consequence of a condition."""
 
     #: no torque; clears itself
     INHIBIT = "INHIBITED until 10 good minutes have passed"
@@ -85,7 +85,7 @@ ALARMED = frozenset({Condition.REPORT_LATE, Condition.HAND_OVER, Condition.DISAG
 
 @dataclass(frozen=True, slots=True)
 class InterlockRow:
-    """What the interlock must know of the newest attitude row of the method that drives control."""
+    """Newest attitude row of the method that drives control, as the interlock judges it."""
 
     epoch_us: int
     #: expected time to the next row
@@ -129,7 +129,7 @@ def interlock_row(row: AttitudeRow, period_s: float, *, is_innovation_in_band: b
 
 @dataclass(frozen=True, slots=True)
 class InterlockInputs:
-    """What the interlock must know beside the row; told anew whenever one of them changes."""
+    """Inputs of the interlock other than the row."""
 
     is_aligned: bool = False
     onboard_mode: str | None = None
@@ -155,7 +155,7 @@ class InterlockInputs:
 
 @dataclass(frozen=True, slots=True)
 class Unreported:
-    """Released commands of which nobody has told what became of them."""
+    """Released commands without a report."""
 
     count: int = 0
     #: when the oldest of them ended
@@ -194,7 +194,7 @@ def row_conditions(row: InterlockRow | None, now_us: int, settings: ReleaseSetti
 
 
 def input_conditions(inputs: InterlockInputs, now_us: int, settings: ReleaseSettings) -> frozenset[Condition]:
-    """Return the conditions that lie beside the row."""
+    """Return the conditions that lie in the other inputs."""
     modes = settings.allowed_modes
     has_mode = not modes or inputs.onboard_mode in modes
     stands = {
@@ -202,7 +202,7 @@ def input_conditions(inputs: InterlockInputs, now_us: int, settings: ReleaseSett
         Condition.OPERATION: inputs.has_inhibiting_operation,
         Condition.EPHEMERIS: _is_ephemeris_stale(inputs, now_us, settings),
         Condition.ONBOARD_MODE: not has_mode,
-        # a momentum that is not told trips nothing; one that is not a number does
+        # a momentum without telemetry trips nothing; one that is not a number does
         Condition.MOMENTUM: inputs.momentum_share is not None
         and not inputs.momentum_share <= settings.momentum_share_limit,
         Condition.LEASE: inputs.lease_holders > 1,

@@ -20,7 +20,7 @@ class State(Enum):
 
 
 class Trigger(Enum):
-    """What moves the interlock."""
+    """Trigger of a transition of the interlock."""
 
     TRIP = "a condition that trips"
     INHIBIT = "a condition that inhibits"
@@ -35,7 +35,7 @@ class Trigger(Enum):
 
 
 class Guard(Enum):
-    """What must be so for a transition, and what it means where it is not."""
+    """Guard of a transition."""
 
     ALWAYS = ""
     BEYOND_AND_ARMED = "armed, beyond 0.4 deg"

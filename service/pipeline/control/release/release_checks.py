@@ -1,4 +1,4 @@
-"""What must hold at the moment of a release: each check by name, with the code by which it refuses."""
+"""Checks at the moment of a release, each by name, with the code by which it refuses."""
 
 from service.core.control.envelope import Envelope, envelope_excesses
 from service.core.control.slew_schedule import Effect, Triple
@@ -71,7 +71,7 @@ def release_checks(
 
 
 def _tail_checks(state: ReleaseState, command: Command) -> tuple[CommandCheck, ...]:
-    """Return the check that a sign check cuts no command short: the filter would not be told."""
+    """Return the check that a sign check cuts no command short: the filter does not get its torque."""
     if not command.is_sign_check:
         return ()
     flying = [

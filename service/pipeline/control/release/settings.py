@@ -8,9 +8,9 @@ from service.records.epoch import US_PER_S
 
 @dataclass(frozen=True, slots=True)
 class ReleaseSettings:
-    """What inhibits, what trips, and how long things last."""
+    """Limits and times of the release."""
 
-    #: envelope about each axis: beyond it no command goes, whoever confirms it
+    #: envelope about each axis: beyond it no command goes, also a confirmed one
     angle_change_deg: float = 0.1
     rate_change_deg_s: float = 3e-4
     impulse_n_m_s: float = 0.02
