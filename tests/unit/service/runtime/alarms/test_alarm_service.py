@@ -135,7 +135,7 @@ def test_a_fault_in_one_look_is_logged_and_the_next_one_goes_on(rig, monkeypatch
     rig.rows(range(1, 4), -40.0, NAN)
     rig.poll()
     with monkeypatch.context() as patch:
-        patch.setattr(rig.desk._case("craft").reader, "read_row", lambda _: 1 / 0)
+        patch.setattr(rig.desk._persisted("craft").reader, "read_row", lambda _: 1 / 0)
         rig.row(4, -40.0, NAN)
     assert "alarms are read anew" in caplog.text
     rig.reported()
