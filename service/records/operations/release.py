@@ -155,7 +155,7 @@ class CommandCheck:
 
 
 class Purpose(StrEnum):
-    """Purpose of a command."""
+    """What a command is for."""
 
     CONTROL = "control"
     #: a turn whose torque the filter does not get
@@ -238,7 +238,7 @@ class Command:
 
 
 class ProductForm(StrEnum):
-    """Content of an uplink product."""
+    """What an uplink product carries."""
 
     #: mode ground: a released schedule
     TORQUES = "torques"
