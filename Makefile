@@ -37,7 +37,7 @@ $(DOCS_STAMP): requirements-docs.lock
 	$(DOCS_VENV)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-docs.lock
 	touch $@
 
-install: $(STAMP) ## install what the service needs
+install: $(STAMP) ## install the service with all extras
 
 install-dev: $(DEV_STAMP) ## install the tools too
 
@@ -103,7 +103,7 @@ schema: $(STAMP) ## write the OpenAPI document and the client's types of its ans
 	$(BIN)/soo openapi --types --output service/client/documents.py
 
 lock: $(DEV_STAMP) ## resolve and pin again
-	$(BIN)/uv pip compile pyproject.toml $(LOCK_OPTIONS) -o requirements.lock
+	$(BIN)/uv pip compile pyproject.toml --all-extras $(LOCK_OPTIONS) -o requirements.lock
 	$(BIN)/uv pip compile --group dev -c requirements.lock $(LOCK_OPTIONS) -o requirements-dev.lock
 	$(BIN)/uv pip compile --group build -c requirements-dev.lock $(LOCK_OPTIONS) -o requirements-build.lock
 	$(BIN)/uv pip compile --group clients $(LOCK_OPTIONS) -o requirements-clients.lock

@@ -3,9 +3,6 @@
 import gc
 import sys
 
-#: third-party packages of an extra, by the name under which they are imported
-_EXTRA_OF = {"matplotlib": "study", "pyvisa": "station", "pyvisa_py": "station"}
-
 
 def main() -> None:
     """Run the command line; end with 2 and the name of the extra where a package of one is missing."""
@@ -17,12 +14,12 @@ def main() -> None:
     try:
         app()
     except ModuleNotFoundError as error:
-        extra = _EXTRA_OF.get((error.name or "").partition(".")[0])
+        from service.cli.extras import EXTRA_OF
+
+        extra = EXTRA_OF.get((error.name or "").partition(".")[0])
         if extra is None:
             raise
-        sys.stderr.write(
-            f"{error.name} is not installed; install it with the extra {extra}: pip install 'soo[{extra}]'\n"
-        )
+        sys.stderr.write(f"{error.name} is not installed; install the extra {extra}: pip install 'soo[{extra}]'\n")
         sys.exit(2)
 
 

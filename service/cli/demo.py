@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from service.cli.extras import require
 from service.cli.studies.exit_code import ended_by_signals
 
 #: operation that the endless demonstration can show, days
@@ -33,6 +34,8 @@ def demo(
     """Show the whole chain: SCPI analyzer to angles to torques that keep the craft, on a virtual clock."""
     from rich.console import Console
 
+    # its front end measures by it, in a process of its own
+    require("pyvisa")
     # the story costs half a second that a wrong option need not pay
     from service.cli.demo_run import FAILURES, Alone, external, play
     from service.cli.demo_screen import Presenter, print_figures

@@ -1,6 +1,7 @@
 """HTTP connections with bounds: their number, the size of a head, the time for a head and for a whole request.
 
-uvicorn bounds none of them. What it cannot read is answered here as a problem, like every other refusal.
+uvicorn bounds none of them. What it cannot read is answered here as a problem, like every other refusal. The class
+leans on names that uvicorn does not promise: its version is bounded, and ``test_uvicorn_names.py`` names each of them.
 """
 
 import asyncio
@@ -8,7 +9,7 @@ from http import HTTPStatus
 from typing import Any
 
 from starlette.requests import HTTPConnection
-from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from service.api.limits.connections import Connections
 from service.api.problems.problems import RETRY_AFTER_S, RequestProblemError, render
@@ -148,8 +149,9 @@ class BoundedProtocol(HttpToolsProtocol):
         """Answer with a problem outside of the application and close the connection."""
         self._disarm()
         answer = render(HTTPConnection({"type": "http", "headers": [], "state": {}}), problem)
-        head = b"".join(b"%b: %b\r\n" % header for header in answer.raw_headers)
-        self.transport.write(STATUS_LINE[problem.status] + head + b"connection: close\r\n\r\n" + bytes(answer.body))
+        head = b"HTTP/1.1 %d %b\r\n" % (problem.status, HTTPStatus(problem.status).phrase.encode())
+        head += b"".join(b"%b: %b\r\n" % header for header in answer.raw_headers)
+        self.transport.write(head + b"connection: close\r\n\r\n" + bytes(answer.body))
         self.transport.close()
 
 
