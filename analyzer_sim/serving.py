@@ -67,13 +67,13 @@ async def serve(options: argparse.Namespace, scenario: Scenario, flown: PlantOpt
     OSError
         A port is taken, or the truth log cannot be written; the text says which.
     """
-    craft = None if options.uplink_port is None else FlownWorld(scenario, options.seed, flown)
-    world = World(scenario, options.seed) if craft is None else craft.world
+    subject = None if options.uplink_port is None else FlownWorld(scenario, options.seed, flown)
+    world = World(scenario, options.seed) if subject is None else subject.world
     gate = Gate()
     dialect = DIALECTS[options.dialect]
     with _truth_log(options, world) as truth:
         instrument = Instrument(
-            craft or world,
+            subject or world,
             _painter(options, dialect),
             may_advance=lambda: _may_advance(world, gate),
             model=dialect.model,
@@ -90,7 +90,7 @@ async def serve(options: argparse.Namespace, scenario: Scenario, flown: PlantOpt
             hislip_port=options.hislip_port,
         )
         arm(options.fault, analyzer.faults, instrument.trace_faults)
-        await _serve_all(options, _Station(world, gate, craft, analyzer))
+        await _serve_all(options, _Station(world, gate, subject, analyzer))
 
 
 class _Station(NamedTuple):
@@ -99,7 +99,7 @@ class _Station(NamedTuple):
     world: World
     gate: Gate
     #: None = the story is only replayed
-    craft: FlownWorld | None
+    subject: FlownWorld | None
     analyzer: SimulatedAnalyzer
 
 
@@ -128,11 +128,11 @@ async def _control_servers(options: argparse.Namespace, station: _Station) -> di
             host=options.host,
             port=options.ground_port,
             await_ground=options.await_ground,
-            flight=station.craft,
+            flight=station.subject,
         )
     }
-    if station.craft is not None:
-        uplink = UplinkPort(station.craft)
+    if station.subject is not None:
+        uplink = UplinkPort(station.subject)
         opening["uplink"] = lambda: uplink.serve(options.host, options.uplink_port)
     servers: dict[str, asyncio.Server] = {}
     for name, serve_port in opening.items():

@@ -292,9 +292,9 @@ class Works:
         levels = self._rows.levels[:PART_ROWS].astype(np.float64).round(2).tolist()
         return zip(self._rows.epochs_us[:PART_ROWS].tolist(), levels, strict=True)
 
-    def _write(self, pieces: Iterable[bytes]) -> float:
+    def _write(self, chunks: Iterable[bytes]) -> float:
         with self._sink.open("wb") as file:
-            file.writelines(pieces)
+            file.writelines(chunks)
         return 1.0
 
 

@@ -13,23 +13,23 @@ from service.records.operations.audit import GENESIS, AuditEntry, AuditEvent, Au
 Result = TypeVar("Result")
 
 
-def append_entry(connection: Connection, deed: AuditEvent) -> AuditEntry:
+def append_entry(connection: Connection, event: AuditEvent) -> AuditEntry:
     """Add a deed to the chain in the transaction of a connection."""
-    entry = next_entry(lock_audit_head(connection), deed)
-    values = {"number": entry.number, **asdict(deed), "previous_hash": entry.previous_hash, "hash": entry.hash}
+    entry = next_entry(lock_audit_head(connection), event)
+    values = {"number": entry.number, **asdict(event), "previous_hash": entry.previous_hash, "hash": entry.hash}
     connection.execute(audit_entry.insert().values(values))
     connection.execute(update(audit_head).values(number=entry.number, hash=entry.hash))
     return entry
 
 
 def accompanied(
-    work: Callable[[Connection], Result], deed: AuditEvent
+    work: Callable[[Connection], Result], event: AuditEvent
 ) -> Callable[[Connection], tuple[Result, AuditEntry]]:
     """Return a write that leaves its deed in the audit log: both are committed, or neither."""
 
     def write(connection: Connection) -> tuple[Result, AuditEntry]:
         result = work(connection)
-        return result, append_entry(connection, naming_result(deed, result))
+        return result, append_entry(connection, naming_result(event, result))
 
     return write
 

@@ -116,7 +116,7 @@ def _queue_owner(model: AnalyzerModel) -> str:
     return "one a session" if model.is_error_queue_per_session else "shared by all sessions"
 
 
-def _takes(parameter: Parameter) -> str:
+def _parameter_text(parameter: Parameter) -> str:
     """Return how a parameter is written."""
     if isinstance(parameter, Numeric):
         return f"number [{'|'.join(parameter.units)}]" if parameter.units else "number"
@@ -130,7 +130,7 @@ def _takes(parameter: Parameter) -> str:
 
 
 def _parameters(parameters: tuple[Parameter, ...], optional: int) -> str:
-    texts = [_takes(parameter) for parameter in parameters[:_MOST_PARAMETERS]]
+    texts = [_parameter_text(parameter) for parameter in parameters[:_MOST_PARAMETERS]]
     required = len(parameters) - optional
     shown = [text if number < required else f"({text})" for number, text in enumerate(texts)]
     return ", ".join(shown) + (", ..." if len(parameters) > _MOST_PARAMETERS else "")
@@ -152,12 +152,12 @@ def _line(row: Command) -> str:
     )
     asked = row.query_parameters[: row.query_required]
     query = "-" if row.query is None else (_code(_parameters(asked, 0)) if asked else "yes")
-    remarks = (
+    notes = (
         (row.query_starts is not None, "the query sweeps first"),
         (row.query_waits or row.write_waits, "waits for the sweep"),
         (row.is_inert, "changes nothing"),
     )
-    return f"| {_code(row.pattern)} | {command} | {query} | {', '.join(text for holds, text in remarks if holds)} |"
+    return f"| {_code(row.pattern)} | {command} | {query} | {', '.join(text for holds, text in notes if holds)} |"
 
 
 def _table(rows: Iterable[Command]) -> list[str]:

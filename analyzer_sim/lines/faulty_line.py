@@ -45,7 +45,7 @@ class FaultyLine:
         LineEndedError
             A fault has ended the connection.
         """
-        fault = self._faults.take(answer)
+        fault = self._faults.consume(answer)
         if fault is None:
             await self._write([self._withheld, *parts] if self._withheld else parts)
             self._withheld = b""

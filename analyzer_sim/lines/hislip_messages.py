@@ -170,11 +170,11 @@ class Decoder:
             yield message
 
     def _next(self) -> Message | None:
-        if self._header is None and not self._take_header():
+        if self._header is None and not self._read_header():
             return None
-        return self._take_payload()
+        return self._read_payload()
 
-    def _take_header(self) -> bool:
+    def _read_header(self) -> bool:
         """Read the next header; return whether there was one."""
         if not _PROLOGUE.startswith(self._buffer[:2]) and self._buffer[:2] != _PROLOGUE:
             raise FatalProtocolError(FatalCode.POORLY_FORMED_HEADER, "a message begins with HS")
@@ -188,7 +188,7 @@ class Decoder:
         self._missing = length
         return True
 
-    def _take_payload(self) -> Message | None:
+    def _read_payload(self) -> Message | None:
         """Complete the message whose header has been read; ``None`` when bytes are missing."""
         header = self._header
         if header is None or (len(self._buffer) < self._missing and not header.is_oversize):

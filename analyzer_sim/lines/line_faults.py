@@ -53,7 +53,7 @@ class LineFaults:
     --------
     >>> faults = LineFaults()
     >>> faults.arm(LineFault.SILENT)
-    >>> faults.take(b"1"), faults.take(b"1")
+    >>> faults.consume(b"1"), faults.consume(b"1")
     (<LineFault.SILENT: 'silent'>, None)
     """
 
@@ -80,7 +80,7 @@ class LineFaults:
         with self._lock:
             return len(self._armed)
 
-    def take(self, answer: bytes) -> LineFault | None:
+    def consume(self, answer: bytes) -> LineFault | None:
         """Spend the next fault on this answer, if it applies to it."""
         if self.is_silent_peer:
             return LineFault.SILENT

@@ -87,11 +87,11 @@ class Plant:
         self._store = CommandStore(0.0 if is_perfect else QUANTUM_N_M)
         self._acting: list[TorqueElement] = []
         self._counter = 0
-        self.craft: OrbitalFrameSpacecraft = self._craft(options)
+        self.flown: OrbitalFrameSpacecraft = self._spacecraft(options)
         roll, pitch, yaw = INERTIA_KG_M2
         coupling = EARTH_RATE_RAD_S if scenario.keeping.is_coupled else 0.0
         self._perfect = RigidBody((yaw, roll, pitch), coupling) if is_perfect else None
-        self.state: BodyState = self.craft.state
+        self.state: BodyState = self.flown.state
         limit_s = options.age_limit_s
         self.loop = None if limit_s is None else AnglesLoop((yaw, roll, pitch), coupling, limit_s)
 
@@ -113,7 +113,7 @@ class Plant:
     @property
     def momentum_n_m_s(self) -> Vector:
         """Momentum of the wheels along roll, pitch, yaw."""
-        roll, pitch, yaw = (wheel.momentum_n_m_s for wheel in self.craft.wheels)
+        roll, pitch, yaw = (wheel.momentum_n_m_s for wheel in self.flown.wheels)
         return roll, pitch, yaw
 
     def power_dbm(self) -> FloatArray:
@@ -156,7 +156,7 @@ class Plant:
         if self.loop is not None:
             for angles, received_us in ((a.angles, a.received_us) for a in arrivals):
                 if angles is not None:
-                    self.loop.take(angles, received_us)
+                    self.loop.consume(angles, received_us)
             arrivals = [arrival for arrival in arrivals if arrival.angles is None]
             elements = self.loop.command((begin_us, end_us), self._given_deg_s())
             if elements:
@@ -171,7 +171,7 @@ class Plant:
         """Return the rate that torques have given as the inertial model has it: without what it does not see."""
         if self._perfect is not None:
             return self.state.rate_deg_s
-        x, y, z = (math.degrees(rate) for rate in self.craft.commanded_rad_s)
+        x, y, z = (math.degrees(rate) for rate in self.flown.commanded_rad_s)
         return z, x, y
 
     def _fly(self, begin_us: int, end_us: int) -> None:
@@ -179,19 +179,19 @@ class Plant:
         step = self.row - self.first_row
         drift_deg_s, external_n_m, unseen_n_m = (_triple(series[step]) for series in self._disturbance)
         if self._perfect is None:
-            self.craft.fly((begin_us, end_us), self._acting, drift_deg_s, external_n_m, unseen_n_m)
-            self.state = self.craft.state
+            self.flown.fly((begin_us, end_us), self._acting, drift_deg_s, external_n_m, unseen_n_m)
+            self.state = self.flown.state
         else:
             self.state = self._perfect.fly(self.state, (begin_us, end_us), self._acting, drift_deg_s, unseen_n_m)
 
-    def _craft(self, options: PlantOptions) -> OrbitalFrameSpacecraft:
+    def _spacecraft(self, options: PlantOptions) -> OrbitalFrameSpacecraft:
         """Return the craft as it stands when operation begins."""
         keeping, seed = self.world.scenario.keeping, self.world.seed
         wheels = wheel_set(seed, self.reported_telemetry().wheel_momentum_n_m_s)
         attitude_deg = _triple(self._attitude_deg[self.first_row])
-        craft = spacecraft_at_rest(INERTIA_KG_M2, attitude_deg, wheels, is_coupled=keeping.is_coupled)
-        craft.response, craft.tones = options.response, options.tones
-        return craft
+        flown = spacecraft_at_rest(INERTIA_KG_M2, attitude_deg, wheels, is_coupled=keeping.is_coupled)
+        flown.response, flown.tones = options.response, options.tones
+        return flown
 
     def reported_telemetry(self) -> TelemetryRecord:
         """Return the story's newest record at the present row."""

@@ -121,7 +121,7 @@ def _present(plant: Plant) -> Iterator[Line]:
 def telemetry_of(plant: Plant) -> Line:
     """Return what the craft says of itself; its inertial model does not see the drift of its rate."""
     momentum, reported = plant.momentum_n_m_s, plant.reported_telemetry()
-    x, y, z = (math.degrees(rate) for rate in plant.craft.commanded_rad_s)
+    x, y, z = (math.degrees(rate) for rate in plant.flown.commanded_rad_s)
     return {
         "epoch": rfc3339(plant.epoch_us),
         "onboard_mode": reported.onboard_mode,

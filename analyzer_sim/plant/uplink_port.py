@@ -44,11 +44,11 @@ class UplinkPort:
         What is talked to.
     """
 
-    def __init__(self, craft: FlownWorld) -> None:
-        self._craft = craft
+    def __init__(self, flown: FlownWorld) -> None:
+        self._spacecraft = flown
         self._client: asyncio.StreamWriter | None = None
         self._unheard: deque[Line] = deque(maxlen=MAX_WAITING_REPORTS)
-        craft.listen(self._on_flown)
+        flown.listen(self._on_flown)
 
     async def serve(self, host: str, port: int) -> asyncio.Server:
         """Open the port; 0 takes a free one.
@@ -84,25 +84,25 @@ class UplinkPort:
             writer.close()
 
     def _opening(self) -> Line:
-        options, scenario = self._craft.options, self._craft.world.scenario
+        options, scenario = self._spacecraft.options, self._spacecraft.world.scenario
         return {
             "type": "start",
             "scenario": scenario.name,
-            "seed": self._craft.world.seed,
+            "seed": self._spacecraft.world.seed,
             "uplink": options.uplink,
             "onboard": options.onboard,
             "operation_start": rfc3339(scenario.operation_start_us),
-            "fed_forward_torque": fed_forward_line(self._craft.world),
+            "fed_forward_torque": fed_forward_line(self._spacecraft.world),
         }
 
     def _answer(self, line: bytes) -> Line:
         """Hand a line to the craft and return the answer."""
         try:
             # bytes that are no text must reach the parser of lines, which answers them
-            counter = self._craft.send(line.decode("utf-8", errors="replace"))
+            counter = self._spacecraft.send(line.decode("utf-8", errors="replace"))
         except ScheduleError as error:
             return {"type": "error", "detail": str(error)}
-        epoch_us = self._craft.epoch_us
+        epoch_us = self._spacecraft.epoch_us
         return {"type": "taken", "counter": counter, "sent": None if epoch_us is None else rfc3339(epoch_us)}
 
     def _on_flown(self, epoch_us: int, reports: list[Line]) -> None:

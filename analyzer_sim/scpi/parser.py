@@ -103,20 +103,20 @@ def split_outside(text: str, separator: str) -> list[str]:
     ["A 'x;y'", 'B #13;;;', 'C']
     """
     if "'" not in text and '"' not in text and "#" not in text:
-        return [piece.strip(_WHITE) for piece in text.split(separator)]
-    pieces = []
+        return [chunk.strip(_WHITE) for chunk in text.split(separator)]
+    chunks = []
     start = solid = at = 0
     while (found := _SEPARATOR.search(text, at)) is not None:
         at = found.end()
         if found.group() == separator:
-            pieces.append(_trimmed(text, start, solid, found.start()))
+            chunks.append(_trimmed(text, start, solid, found.start()))
             start = solid = at
         elif found.group() == "#":
             solid = at = _block_end(text, found.start())
         elif found.group() in "'\"":
             closing = text.find(found.group(), at)
             at = closing + 1 if closing >= 0 else len(text)
-    return [*pieces, _trimmed(text, start, solid, len(text))]
+    return [*chunks, _trimmed(text, start, solid, len(text))]
 
 
 def _trimmed(text: str, start: int, solid: int, end: int) -> str:

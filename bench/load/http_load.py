@@ -79,14 +79,14 @@ class Load:
         """Post batches on one connection and return how long each answer took."""
         address = urlsplit(self.url)
         reader, writer = await asyncio.open_connection(address.hostname, address.port)
-        opening, *pieces = self._pieces(number)
+        opening, *chunks = self._chunks(number)
         accepted = f'"accepted":{self.shape.rows},'.encode()
         delays = []
         try:
             while (began := time.perf_counter()) < until:
                 second = time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(_START_S + self.sent[number])).encode()
                 first_seq = str(_FIRST_SEQ + self.shape.rows * self.sent[number]).encode()
-                writer.write(second.join((opening.replace(_SEQ_MARK.encode(), first_seq), *pieces)))
+                writer.write(second.join((opening.replace(_SEQ_MARK.encode(), first_seq), *chunks)))
                 answer = await _answer(reader)
                 if accepted not in answer:
                     raise RuntimeError(f"the server answered {answer[:300]!r}")
@@ -96,7 +96,7 @@ class Load:
             writer.close()
         return delays
 
-    def _pieces(self, number: int) -> list[bytes]:
+    def _chunks(self, number: int) -> list[bytes]:
         """Return the parts of a request between the seconds of its epochs."""
         shape = self.shape
         measurements = [

@@ -40,7 +40,7 @@ _IS_OURS = text(
 class _Hold(Protocol):
     """A lock that can be had once."""
 
-    def take(self) -> bool: ...
+    def acquire(self) -> bool: ...
 
     def is_held(self) -> bool: ...
 
@@ -72,11 +72,11 @@ class SqlLease:
         #: programs that only look at an archive, or repair it, ask for no lease and need none
         self._is_wanted = False
 
-    def take(self) -> bool:
+    def acquire(self) -> bool:
         """Take the lease unless another service has it; return whether it is ours."""
         with self._lock:
             self._is_wanted = True
-            if not self._hold.take():
+            if not self._hold.acquire():
                 return False
             try:
                 self._writer.submit(lambda _: None).result()
@@ -119,7 +119,7 @@ class _FileHold:
         self._path = path.with_name(f"{path.name}-lease")
         self._file: int | None = None
 
-    def take(self) -> bool:
+    def acquire(self) -> bool:
         if self.is_held():
             return True
         try:
@@ -168,7 +168,7 @@ class _ServerHold:
         self._connection: Connection | None = None
         self._pid = 0
 
-    def take(self) -> bool:
+    def acquire(self) -> bool:
         if self._connection is not None and self.is_held():
             return True
         # the driver costs time and memory that a file does not need

@@ -44,29 +44,29 @@ class Chunk(Protocol):
 class ChunkRun(NamedTuple):
     """Rows of one piece that follow each other in the order of epochs."""
 
-    piece: Chunk
+    chunk: Chunk
     #: (n,) places within the piece
     positions: IntArray
 
     @property
     def end(self) -> Cursor:
         """Return the cursor behind the last row."""
-        return int(self.piece.epochs_us[self.positions[-1]]), int(self.piece.numbers[self.positions[-1]])
+        return int(self.chunk.epochs_us[self.positions[-1]]), int(self.chunk.numbers[self.positions[-1]])
 
     def records(self) -> Iterator[Measurement]:
         """Yield the rows."""
-        return map(self.piece.record, self.positions.tolist())
+        return map(self.chunk.record, self.positions.tolist())
 
     def power_dbm(self) -> Float32Array:
         """Return the powers of the rows, (n, N) dBm."""
         first, last = int(self.positions[0]), int(self.positions[-1])
-        held = self.piece.power_dbm()
+        held = self.chunk.power_dbm()
         # nearly always the rows lie side by side: nothing is copied
         return held[first : last + 1] if last - first + 1 == len(self.positions) else held[self.positions]
 
     def block(self) -> MeasurementBlock:
         """Return the rows as arrays."""
-        return _block((self.piece.source,), self.piece, self.piece.epochs_us[self.positions], self.power_dbm(), None)
+        return _block((self.chunk.source,), self.chunk, self.chunk.epochs_us[self.positions], self.power_dbm(), None)
 
 
 class OrderedRows:
@@ -82,8 +82,8 @@ class OrderedRows:
 
     def __init__(self, parts: Sequence[ChunkRun], limit: int) -> None:
         self._parts = parts
-        epochs_us = np.concatenate([piece.epochs_us[positions] for piece, positions in parts])
-        numbers = np.concatenate([piece.numbers[positions] for piece, positions in parts])
+        epochs_us = np.concatenate([chunk.epochs_us[positions] for chunk, positions in parts])
+        numbers = np.concatenate([chunk.numbers[positions] for chunk, positions in parts])
         order = np.lexsort((numbers, epochs_us))[:limit]
         self._owners = np.repeat(np.arange(len(parts)), [len(positions) for _, positions in parts])[order]
         self._positions: IntArray = np.concatenate([positions for _, positions in parts])[order]
@@ -98,7 +98,7 @@ class OrderedRows:
         """Return the rows as blocks."""
         if len(self._breaks) * _LONG_RUN <= len(self._owners):
             return [run.block() for run in self.runs()]
-        plans = np.array([piece.plan_id for piece, _ in self._parts])[self._owners]
+        plans = np.array([chunk.plan_id for chunk, _ in self._parts])[self._owners]
         bounds = [0, *(np.flatnonzero(np.diff(plans)) + 1).tolist(), len(plans)]
         return [self._mixed(start, stop) for start, stop in pairwise(bounds)]
 
@@ -108,36 +108,36 @@ class OrderedRows:
         return self._run(len(self._owners) - 1, len(self._owners)).end
 
     def _run(self, start: int, stop: int) -> ChunkRun:
-        return ChunkRun(self._parts[self._owners[start]].piece, self._positions[start:stop])
+        return ChunkRun(self._parts[self._owners[start]].chunk, self._positions[start:stop])
 
     def _mixed(self, start: int, stop: int) -> MeasurementBlock:
         """Return rows of several pieces under one plan."""
         owners, positions = self._owners[start:stop], self._positions[start:stop]
-        pieces = {owner: self._parts[owner].piece for owner in np.unique(owners).tolist()}
-        sources = tuple(dict.fromkeys(piece.source for piece in pieces.values()))
-        first = self._parts[owners[0]].piece
+        chunks = {owner: self._parts[owner].chunk for owner in np.unique(owners).tolist()}
+        sources = tuple(dict.fromkeys(chunk.source for chunk in chunks.values()))
+        first = self._parts[owners[0]].chunk
         epochs_us, source_positions = np.empty((2, stop - start), dtype=np.int64)
         power_dbm = np.empty((stop - start, first.power_dbm().shape[1]), dtype=np.float32)
-        for owner, piece in pieces.items():
+        for owner, chunk in chunks.items():
             is_its = owners == owner
-            epochs_us[is_its] = piece.epochs_us[positions[is_its]]
-            power_dbm[is_its] = piece.power_dbm()[positions[is_its]]
-            source_positions[is_its] = sources.index(piece.source)
+            epochs_us[is_its] = chunk.epochs_us[positions[is_its]]
+            power_dbm[is_its] = chunk.power_dbm()[positions[is_its]]
+            source_positions[is_its] = sources.index(chunk.source)
         return _block(sources, first, epochs_us, power_dbm, source_positions)
 
 
 def _block(
-    sources: tuple[str, ...], piece: Chunk, epochs_us: IntArray, power_dbm: Float32Array, positions: IntArray | None
+    sources: tuple[str, ...], chunk: Chunk, epochs_us: IntArray, power_dbm: Float32Array, positions: IntArray | None
 ) -> MeasurementBlock:
     """Return a block that nobody can change."""
     for array in (epochs_us, power_dbm):
         array.setflags(write=False)
-    return MeasurementBlock(sources, piece.plan_id, epochs_us, power_dbm, positions)
+    return MeasurementBlock(sources, chunk.plan_id, epochs_us, power_dbm, positions)
 
 
 def end_us(parts: Sequence[ChunkRun], limit: int) -> int | None:
     """Return the epoch right behind the first ``limit`` rows of parts, None when they hold fewer."""
     if sum(len(positions) for _, positions in parts) < limit:
         return None
-    epochs_us = np.concatenate([piece.epochs_us[positions] for piece, positions in parts])
+    epochs_us = np.concatenate([chunk.epochs_us[positions] for chunk, positions in parts])
     return int(np.partition(epochs_us, limit - 1)[limit - 1]) + 1

@@ -144,12 +144,12 @@ class SegmentCache:
             self._held.move_to_end(name)
             return held[1]
 
-    def put(self, head: SegmentHead, piece: SegmentChunk, carriers: int) -> None:
+    def put(self, head: SegmentHead, chunk: SegmentChunk, carriers: int) -> None:
         """Hold a piece; what was not read for longest goes."""
         size = head.row_count * (4 * carriers + _ROW_BYTES)
         with self._lock:
             if (head.segment_id, head.crc32) not in self._held:
-                self._held[head.segment_id, head.crc32] = size, piece
+                self._held[head.segment_id, head.crc32] = size, chunk
                 self._bytes += size
             while self._bytes > self._size_bytes and len(self._held) > 1:
                 self._bytes -= self._held.popitem(last=False)[1][0]
@@ -240,13 +240,13 @@ def read_chunk(connection: Connection, cache: SegmentCache | None, head: Segment
     )
     *blobs, name = connection.execute(query).one()
     try:
-        piece = _opened(head, name, Blobs(*blobs))
-        carriers = piece.power_dbm().shape[1]
+        chunk = _opened(head, name, Blobs(*blobs))
+        carriers = chunk.power_dbm().shape[1]
     except ValueError as fault:
         raise corrupt(connection, head, str(fault)) from fault
     if cache is not None:
-        cache.put(head, piece, carriers)
-    return piece
+        cache.put(head, chunk, carriers)
+    return chunk
 
 
 def sealed_contents(
@@ -262,19 +262,19 @@ def sealed_contents(
         inside = wanted_us[(wanted_us >= head.first_epoch_us) & (wanted_us <= head.last_epoch_us)]
         if not len(inside):
             continue
-        piece = read_chunk(connection, cache, head)
-        positions = np.searchsorted(piece.epochs_us, inside)
-        for position in positions[piece.epochs_us[positions] == inside].tolist():
-            found[int(piece.epochs_us[position])] = piece.content(position)
+        chunk = read_chunk(connection, cache, head)
+        positions = np.searchsorted(chunk.epochs_us, inside)
+        for position in positions[chunk.epochs_us[positions] == inside].tolist():
+            found[int(chunk.epochs_us[position])] = chunk.content(position)
     return found
 
 
 def corrupt(connection: Connection, head: SegmentHead, reason: str) -> StorageError:
     """Return the error for a segment that cannot be read."""
     is_it = spacecraft.c.spacecraft_key == head.spacecraft_key
-    craft, day = connection.scalar(select(spacecraft.c.id).where(is_it)), format_epoch(head.day * DAY_US)[:10]
+    owner, day = connection.scalar(select(spacecraft.c.id).where(is_it)), format_epoch(head.day * DAY_US)[:10]
     detail = (
-        f"The sealed rows of {craft!r} of {day} (segment {head.segment_id}) cannot be read: {reason}. Other days are "
+        f"The sealed rows of {owner!r} of {day} (segment {head.segment_id}) cannot be read: {reason}. Other days are "
         "not touched; `soo doctor` lists what is damaged, a backup holds the day."
     )
     return StorageError("storage.corrupt", detail)

@@ -52,7 +52,7 @@ class Ledger:
     segments: int = 0
     damaged: list[str] = field(default_factory=list)
 
-    def take(self, numbers: IntArray) -> None:
+    def count(self, numbers: IntArray) -> None:
         """Count numbers in."""
         known = numbers[(numbers >= 1) & (numbers < len(self.times_held))]
         self.beyond += len(numbers) - len(known)
@@ -78,14 +78,14 @@ def read_ledger(connection: Connection, state: Row[Any]) -> Ledger:
     ledger = Ledger(np.zeros(int(state.newest_number) + 1, dtype=np.uint8))
     for table in (journal, measurement):
         for numbers in _numbers(connection, table, table.c.spacecraft_key == key):
-            ledger.take(numbers)
+            ledger.count(numbers)
     counted = select(measurement.c.source_key, func.count()).where(measurement.c.spacecraft_key == key)
     ledger.rows_of_source = {row[0]: row[1] for row in connection.execute(counted.group_by(measurement.c.source_key))}
     for mark in connection.execute(select(retention_mark).where(retention_mark.c.spacecraft_key == key)):
         ledger.rows_dropped[mark.series] = mark.rows_dropped
         if mark.series == "measurements":
             ledger.kept_from_us = mark.kept_from_us
-    _take_segments(connection, key, ledger)
+    _add_segments(connection, key, ledger)
     return ledger
 
 
@@ -122,7 +122,7 @@ def heads_of_all(connection: Connection) -> list[Row[Any]]:
     return list(connection.execute(select(head).order_by(head.c.spacecraft_key)))
 
 
-def _take_segments(connection: Connection, key: int, ledger: Ledger) -> None:
+def _add_segments(connection: Connection, key: int, ledger: Ledger) -> None:
     """Count the numbers of sealed days in, and note which days are damaged."""
     for segment in heads(connection, key, 0, _FOR_EVER_US):
         ledger.segments += 1
@@ -131,18 +131,18 @@ def _take_segments(connection: Connection, key: int, ledger: Ledger) -> None:
         ledger.rows_of_source[segment.source_key] = held + segment.row_count
         numbers = _numbers_of(connection, segment, ledger)
         if numbers is not None:
-            ledger.take(numbers)
+            ledger.count(numbers)
 
 
 def _numbers_of(connection: Connection, segment: SegmentHead, ledger: Ledger) -> IntArray | None:
     """Return the numbers of a sealed day; None, and a note, when it cannot be read."""
     try:
-        piece = read_chunk(connection, None, segment)
-        piece.extras()
+        chunk = read_chunk(connection, None, segment)
+        chunk.extras()
     except StorageError as error:
         ledger.damaged.append(error.detail)
         return None
-    return piece.numbers
+    return chunk.numbers
 
 
 def _numbers(connection: Connection, table: Table, condition: ColumnElement[bool]) -> Iterator[IntArray]:

@@ -87,7 +87,7 @@ class StoreBatch:
             if of_spacecraft[key] > 1 and len(work.prepared.epochs_us) == 1:
                 if key not in waiting:
                     waiting[key] = _Together(connection, key)
-                receipt = waiting[key].take(work.prepared)
+                receipt = waiting[key].consume(work.prepared)
             if receipt is None:
                 if key in waiting:
                     waiting.pop(key).flush()
@@ -137,7 +137,7 @@ class _Together:
         self._details: list[tuple[Any, ...]] = []
         self._figures = _Blobs()
 
-    def take(self, prepared: PreparedBatch) -> BatchReceipt | None:
+    def consume(self, prepared: PreparedBatch) -> BatchReceipt | None:
         """Take a batch of one row along and tell what will be committed of it; None when it is none for here."""
         batch, epoch_us = prepared.batch, prepared.epochs_us[0]
         state = self._states.get(batch.source)

@@ -108,7 +108,7 @@ class MeasurementPages:
         """Return the next rows behind a cursor as runs; fewer than ``limit`` only when there are no more."""
         parts = self._parts(chosen, limit, after, columns)
         if len(parts) < 2:
-            return [ChunkRun(piece, positions[:limit]) for piece, positions in parts]
+            return [ChunkRun(chunk, positions[:limit]) for chunk, positions in parts]
         return OrderedRows(parts, limit).runs()
 
     def read_blocks(
@@ -119,7 +119,7 @@ class MeasurementPages:
         if not parts:
             return [], None
         if len(parts) == 1:
-            run = ChunkRun(parts[0].piece, parts[0].positions[:limit])
+            run = ChunkRun(parts[0].chunk, parts[0].positions[:limit])
             return [run.block()], run.end
         rows = OrderedRows(parts, limit)
         return rows.blocks(), rows.end
@@ -136,7 +136,7 @@ class MeasurementPages:
             .limit(limit)
         )
         rows = self._connection.execute(query).all()
-        return [*(ChunkRun(piece, np.arange(len(piece.epochs_us))) for piece in self._pieces(rows)), *sealed]
+        return [*(ChunkRun(chunk, np.arange(len(chunk.epochs_us))) for chunk in self._chunks(rows)), *sealed]
 
     def read_all(self, chosen: Chosen, *, columns: Columns = FULL) -> Iterator[ChunkRun]:
         """Yield all rows as runs."""
@@ -151,9 +151,9 @@ class MeasurementPages:
         everything = Chosen(EVER)
         found = measurements_of(self._connection.execute(self._rows(everything, FULL).where(is_next)).all())
         for head in heads_of_numbers(self._connection, self._key, after, upto):
-            piece = read_chunk(self._connection, self._cache, head)
-            positions = np.flatnonzero((piece.numbers > after) & (piece.numbers <= upto))
-            found += [piece.record(position) for position in positions.tolist()]
+            chunk = read_chunk(self._connection, self._cache, head)
+            positions = np.flatnonzero((chunk.numbers > after) & (chunk.numbers <= upto))
+            found += [chunk.record(position) for position in positions.tolist()]
         return found
 
     def next_number(self, after: int) -> int | None:
@@ -171,7 +171,7 @@ class MeasurementPages:
         """Return the row of a source at an epoch."""
         window = Window(epoch_us, epoch_us + 1)
         runs = self.read(Chosen(window, self._names[source_key]), 1, None)
-        return runs[0].piece.record(int(runs[0].positions[0])) if runs else None
+        return runs[0].chunk.record(int(runs[0].positions[0])) if runs else None
 
     def newest(self, chosen: Chosen) -> tuple[int, int, int] | None:
         """Return epoch, number and time of receipt of the row with the greatest (epoch, number)."""
@@ -182,11 +182,11 @@ class MeasurementPages:
         for head in newest_heads(self._connection, self._key, start_us, *self._of_segments(chosen)):
             if best is not None and head.day < day_of(best[0]):
                 break
-            piece = read_chunk(self._connection, self._cache, head)
-            positions = _positions(piece, chosen, None, chosen.window.stop_us)
+            chunk = read_chunk(self._connection, self._cache, head)
+            positions = _positions(chunk, chosen, None, chosen.window.stop_us)
             if len(positions):
                 last = positions[-1]
-                found = int(piece.epochs_us[last]), int(piece.numbers[last]), int(piece.received_at_us[last])
+                found = int(chunk.epochs_us[last]), int(chunk.numbers[last]), int(chunk.received_at_us[last])
                 best = found if best is None else max(best, found)
         return best
 
@@ -204,8 +204,8 @@ class MeasurementPages:
         return found
 
     def _has_rows(self, head: SegmentHead, window: Window) -> bool:
-        piece = read_chunk(self._connection, self._cache, head)
-        return len(_positions(piece, Chosen(window), None, window.stop_us)) > 0
+        chunk = read_chunk(self._connection, self._cache, head)
+        return len(_positions(chunk, Chosen(window), None, window.stop_us)) > 0
 
     def _sealed(self, chosen: Chosen, limit: int, after: Cursor | None) -> Iterator[ChunkRun]:
         """Yield parts of segments until they hold the next ``limit`` rows of their own."""
@@ -215,10 +215,10 @@ class MeasurementPages:
             reached_us = end_us(parts, limit)
             if reached_us is not None and head.first_epoch_us >= reached_us:
                 return
-            piece = read_chunk(self._connection, self._cache, head)
-            positions = _positions(piece, chosen, after, chosen.window.stop_us)
+            chunk = read_chunk(self._connection, self._cache, head)
+            positions = _positions(chunk, chosen, after, chosen.window.stop_us)
             if len(positions):
-                parts.append(ChunkRun(piece, positions))
+                parts.append(ChunkRun(chunk, positions))
                 yield parts[-1]
 
     def _rows(self, chosen: Chosen, columns: Columns) -> Select[Any]:
@@ -267,7 +267,7 @@ class MeasurementPages:
         """Return the key of a source, 0, which no source has, for an unknown one."""
         return next((key for key, known in self._names.items() if known == name), 0)
 
-    def _pieces(self, rows: Sequence[Row[Any]]) -> list[RowChunk]:
+    def _chunks(self, rows: Sequence[Row[Any]]) -> list[RowChunk]:
         """Return rows piece by piece."""
         if not rows:
             return []
@@ -287,16 +287,16 @@ def _columns(rows: Sequence[Row[Any]]) -> dict[str, tuple[Any, ...]]:
     return dict(zip(rows[0]._fields, zip(*rows, strict=True), strict=True))
 
 
-def _positions(piece: SegmentChunk, chosen: Chosen, after: Cursor | None, stop_us: int) -> IntArray:
+def _positions(chunk: SegmentChunk, chosen: Chosen, after: Cursor | None, stop_us: int) -> IntArray:
     """Return the places of the chosen rows of a segment behind a cursor."""
-    first, last = np.searchsorted(piece.epochs_us, (chosen.window.start_us, stop_us))
+    first, last = np.searchsorted(chunk.epochs_us, (chosen.window.start_us, stop_us))
     positions: IntArray = np.arange(first, last)
     if chosen.feeds_only:
-        positions = positions[piece.feeds[positions]]
+        positions = positions[chunk.feeds[positions]]
     if chosen.before_number is not None:
-        positions = positions[piece.numbers[positions] < chosen.before_number]
+        positions = positions[chunk.numbers[positions] < chosen.before_number]
     if after is None:
         return positions
-    epochs_us, numbers = piece.epochs_us[positions], piece.numbers[positions]
+    epochs_us, numbers = chunk.epochs_us[positions], chunk.numbers[positions]
     is_beyond: BoolArray = (epochs_us > after[0]) | ((epochs_us == after[0]) & (numbers > after[1]))
     return positions[is_beyond]

@@ -219,9 +219,9 @@ def _sealed_rows(rows: Sequence[Measurement]) -> SealedRows:
     return SealedRows._make((*integers, *np.array(claims, dtype=np.bool_).T, powers, flags, details))
 
 
-def _rows_of(piece: SegmentChunk) -> SealedRows:
+def _rows_of(chunk: SegmentChunk) -> SealedRows:
     """Return the rows of a segment as columns."""
-    columns, extras, power_dbm = piece.columns, piece.extras(), piece.power_dbm()
+    columns, extras, power_dbm = chunk.columns, chunk.extras(), chunk.power_dbm()
     flags = np.zeros(power_dbm.shape, dtype=np.int32)
     details = np.full((len(power_dbm), len(DETAIL_NAMES), power_dbm.shape[1]), np.nan, dtype=np.float32)
     if extras is not None:

@@ -80,11 +80,11 @@ def unseal_everything(connection: Connection) -> None:
 
 
 def _unseal(connection: Connection, head: SegmentHead) -> None:
-    piece = read_chunk(connection, None, head)
+    chunk = read_chunk(connection, None, head)
     rows = []
     for position in range(head.row_count):
-        row = piece.record(position)
-        flags = piece.flags(position)
+        row = chunk.record(position)
+        flags = chunk.flags(position)
         rows.append(
             {
                 "spacecraft_key": head.spacecraft_key,
@@ -96,7 +96,7 @@ def _unseal(connection: Connection, head: SegmentHead) -> None:
                 "received_at_us": row.received_at_us,
                 "is_late": row.is_late,
                 "feeds": row.feeds_estimator,
-                "powers": piece.power_dbm()[position].tobytes(),
+                "powers": chunk.power_dbm()[position].tobytes(),
                 "flags": None if flags is None else flags.astype("<i4").tobytes(),
             }
         )

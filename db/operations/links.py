@@ -11,7 +11,7 @@ from db.encoding.json_documents import decode, encode
 from db.schema.tables import link as link_table
 from service.errors import ConflictError, NotFoundError
 from service.records.epoch import US_PER_S
-from service.records.operations.link import LinkReport, LinkState, learn_period
+from service.records.operations.link import LinkReport, LinkState, update_period
 
 #: no ground station has more; a key that invents ids ends here
 MAX_LINKS = 1000
@@ -87,7 +87,7 @@ def _store(connection: Connection, report: LinkReport, at_us: int) -> LinkState:
         connection.execute(link_table.insert().values(link_id=report.id, **_values(fresh)))
         return fresh
     interval_s = max(at_us - stored.reported_at_us, 0) / US_PER_S
-    period_s = learn_period(stored.learned_period_s, interval_s)
+    period_s = update_period(stored.learned_period_s, interval_s)
     reported = replace(stored, report=report, reported_at_us=at_us, learned_period_s=period_s)
     connection.execute(_replacement(reported))
     return reported

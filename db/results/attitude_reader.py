@@ -132,5 +132,5 @@ class AttitudeReader:
 
 
 def _of_run(run: ChunkRun) -> Iterator[_Consumed]:
-    columns = (run.piece.epochs_us, run.piece.numbers, run.piece.received_at_us)
+    columns = (run.chunk.epochs_us, run.chunk.numbers, run.chunk.received_at_us)
     return starmap(_Consumed, zip(*(column[run.positions].tolist() for column in columns), strict=True))

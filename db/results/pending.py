@@ -75,8 +75,8 @@ def _lacking_sealed(
     for found in heads_of_numbers(connection, key, complete, MAX_NUMBER):
         if found.last_epoch_us <= epoch_us or not found.feeding_count:
             continue
-        piece = read_chunk(connection, cache, found)
-        numbers = piece.numbers[piece.feeds & (piece.epochs_us > epoch_us) & (piece.numbers > complete)]
+        chunk = read_chunk(connection, cache, found)
+        numbers = chunk.numbers[chunk.feeds & (chunk.epochs_us > epoch_us) & (chunk.numbers > complete)]
         is_whole = np.ones(len(numbers), dtype=np.bool_)
         for name in names:
             query = select(attitude.c.number).where(

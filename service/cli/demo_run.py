@@ -25,8 +25,8 @@ def external(service: str, analyzer: str, ground: str, uplink: str | None) -> En
     """Return the addresses of processes that run already."""
     key = key_of(DEFAULT_KEY_ENVIRONMENT)
     host, port = _address(analyzer)
-    craft = _address(uplink) if uplink else None
-    return Endpoints(service, key, _address(ground), f"TCPIP::{host}::{port}::SOCKET", uplink=craft)
+    spacecraft = _address(uplink) if uplink else None
+    return Endpoints(service, key, _address(ground), f"TCPIP::{host}::{port}::SOCKET", uplink=spacecraft)
 
 
 def _address(text: str) -> tuple[str, int]:

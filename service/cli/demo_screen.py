@@ -111,7 +111,7 @@ class Presenter:
 def tracking_table(scene: Scene) -> Table:
     """Return the newest angles beside the truth, the torques and who is left out."""
     # angles are looked up by names that are put together
-    attitude, beside = (Json(scene.client.attitude(scene.story.spacecraft_id, method)) for method in METHODS)
+    attitude, paper = (Json(scene.client.attitude(scene.story.spacecraft_id, method)) for method in METHODS)
     torques = scene.client.torques(scene.story.spacecraft_id)
     truth = scene.story.truth_deg.get(parse_epoch(attitude["epoch"]))
     columns = ("axis", f"{METHODS[0]}, deg", "sigma, deg", "truth, deg", f"{METHODS[1]}, deg", "torque, N m")
@@ -122,7 +122,7 @@ def tracking_table(scene: Scene) -> Table:
             _signed(attitude[f"{axis}_deg"]),
             _signed(attitude["sigma_deg"][axis], sign=""),
             _signed(truth[k] if truth else None),
-            _signed(beside[f"{axis}_deg"]),
+            _signed(paper[f"{axis}_deg"]),
             "-" if torques[f"{axis}_n_m"] is None else f"{torques[f'{axis}_n_m']:+.1e}",
         )
     control = attitude["control"]

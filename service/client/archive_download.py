@@ -141,8 +141,8 @@ def sha256_of(path: Path) -> str:
     """Return the SHA-256 of a file, hexadecimal."""
     digest = hashlib.sha256()
     with path.open("rb") as file:
-        while piece := file.read(_HASHED_BYTES):
-            digest.update(piece)
+        while chunk := file.read(_HASHED_BYTES):
+            digest.update(chunk)
     return digest.hexdigest()
 
 

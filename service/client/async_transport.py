@@ -106,7 +106,7 @@ class AsyncTransport:
             try:
                 async with aclosing(self._chunks(path, follower)) as chunks:
                     async for chunk in chunks:
-                        for event in follower.take(chunk):
+                        for event in follower.consume(chunk):
                             yield event
                 fault = ServiceUnavailableError(f"the stream {path} ended")
             except ServiceUnavailableError as error:

@@ -65,21 +65,21 @@ class Follower:
         """Return the time-outs of a connection: silence is longer than for other answers."""
         return httpx.Timeout(connect=usual.connect, write=usual.write, pool=usual.pool, read=SILENCE_S)
 
-    def take(self, chunk: bytes) -> Iterator[StreamEvent]:
+    def consume(self, chunk: bytes) -> Iterator[StreamEvent]:
         """Take what came and yield the events that it completes.
 
         Lines end with a line feed only: texts may hold other characters that some call ends of lines.
         """
         *lines, self._rest = (self._rest + chunk).split(b"\n")
         for line in lines:
-            event = self._take_line(line.removesuffix(b"\r").decode())
+            event = self._read_line(line.removesuffix(b"\r").decode())
             if event is not None:
                 yield event
 
-    def _take_line(self, line: str) -> StreamEvent | None:
+    def _read_line(self, line: str) -> StreamEvent | None:
         """Take one line without its end and return the event that it completes, if any."""
         if line:
-            self._take_field(line)
+            self._read_field(line)
             return None
         fields, data = self._fields, self._data
         self._fields, self._data = {}, []
@@ -100,7 +100,7 @@ class Follower:
             raise fault
         return min(fault.retry_after_s or self._backoff.next_s(), LONGEST_WAIT_S)
 
-    def _take_field(self, line: str) -> None:
+    def _read_field(self, line: str) -> None:
         """Keep one field; comments keep the connection alive and say nothing."""
         name, _, value = line.partition(":")
         value = value.removeprefix(" ")

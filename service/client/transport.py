@@ -166,7 +166,7 @@ class Transport:
             try:
                 with closing(self._chunks(path, follower)) as chunks:
                     for chunk in chunks:
-                        yield from follower.take(chunk)
+                        yield from follower.consume(chunk)
                 fault = ServiceUnavailableError(f"the stream {path} ended")
             except ServiceUnavailableError as error:
                 fault = error

@@ -71,9 +71,9 @@ class LinkReporter:
     def report(self) -> None:
         """Report once and obey the answer."""
         try:
-            wishes = self._client.report_links(self.links())
-            for wish in wishes:
-                self._apply(str(wish["id"]), is_enabled=bool(wish["enabled"]), resets=int(wish["reset"]))
+            requests = self._client.report_links(self.links())
+            for request in requests:
+                self._apply(str(request["id"]), is_enabled=bool(request["enabled"]), resets=int(request["reset"]))
         except (ClientError, LookupError, TypeError, ValueError) as error:
             if not self._is_away:
                 logger.warning("links cannot be reported: %s", error)

@@ -10,7 +10,7 @@ class Lease(Protocol):
     is another's: StorageError ``lease.lost``.
     """
 
-    def take(self) -> bool:
+    def acquire(self) -> bool:
         """Take the lease unless another service has it; return whether it is ours. What its last holder began is over.
 
         Waits for nobody.

@@ -107,10 +107,10 @@ async def test_unknown_paths_and_methods_are_problems(soo, method, path, status,
     assert ("allow" in answer.headers) == (status == 405)
 
 
-async def chunks(size: int, piece: bytes = b" " * 4096):
+async def chunks(size: int, part: bytes = b" " * 4096):
     """A body without a length."""
-    for _ in range(size // len(piece)):
-        yield piece
+    for _ in range(size // len(part)):
+        yield part
 
 
 @pytest.mark.parametrize(
@@ -153,12 +153,12 @@ async def test_packed_bodies_are_read_whole_or_in_pieces(soo, spacecraft):
     answer = await soo.client.post(SC, content=packed, headers={"Content-Encoding": "gzip"})
     assert answer.status_code == 201, answer.text
 
-    async def pieces():
+    async def parts():
         half = len(packed) // 2
-        for piece in (packed[:1], packed[1:half], b"", packed[half:]):
-            yield piece
+        for part in (packed[:1], packed[1:half], b"", packed[half:]):
+            yield part
 
-    answer = await soo.client.post(SC, content=pieces(), headers={"Content-Encoding": "GZIP"})
+    answer = await soo.client.post(SC, content=parts(), headers={"Content-Encoding": "GZIP"})
     assert_problem(answer, 409, "spacecraft.exists")
     members = gzip.compress(b'{"name":') + gzip.compress(b'"N"}')
     answer = await soo.client.patch(f"{SC}/yamal-202", content=members, headers={"Content-Encoding": "gzip"})

@@ -36,21 +36,21 @@ async def send(soo, *traces: dict[str, Any], source: str = "sa-1") -> dict[str, 
 
 
 @pytest.fixture
-async def craft(soo, spacecraft, carriers):
+async def record(soo, spacecraft, carriers):
     await soo.with_plan(spacecraft, carriers)
     return soo
 
 
-async def test_a_trace_is_kept_once_listed_and_read(craft):
-    assert await send(craft, trace(-2)) == {
+async def test_a_trace_is_kept_once_listed_and_read(record):
+    assert await send(record, trace(-2)) == {
         "received": 1,
         "accepted": 1,
         "duplicates": 0,
         "dropped": 0,
         "refused": [],
     }
-    assert (await send(craft, trace(-2), trace(-1)))["duplicates"] == 1
-    page = (await craft.client.get(URL)).json()
+    assert (await send(record, trace(-2), trace(-1)))["duplicates"] == 1
+    page = (await record.client.get(URL)).json()
     assert [row["epoch"] for row in page["rows"]] == [format_epoch(NOW_US - s * 1_000_000) for s in (2, 1)]
     head = page["rows"][0]
     assert {name: head[name] for name in ("source", "sweep", "points", "start_hz", "step_hz", "enbw_hz")} == {
@@ -62,14 +62,14 @@ async def test_a_trace_is_kept_once_listed_and_read(craft):
         "enbw_hz": 31.5e3,
     }
     assert "power_dbm" not in head
-    read = await craft.client.get(f"{URL}/{head['epoch']}")
+    read = await record.client.get(f"{URL}/{head['epoch']}")
     assert read.json() == {**head, "power_dbm": [-91.25, None, -60.1]}
 
 
-async def test_a_trace_as_csv(craft):
-    await send(craft, trace(-2))
+async def test_a_trace_as_csv(record):
+    await send(record, trace(-2))
     path = f"{URL}/{format_epoch(NOW_US - 2_000_000)}"
-    answer = await craft.client.get(path, headers={"Accept": "text/csv"})
+    answer = await record.client.get(path, headers={"Accept": "text/csv"})
     assert answer.headers["content-type"].startswith("text/csv")
     assert answer.headers["content-disposition"].startswith('attachment; filename="yamal-202-sa-1-tp1-')
     assert answer.text.split("\r\n") == [
@@ -79,59 +79,59 @@ async def test_a_trace_as_csv(craft):
         "954030000.0,-60.1",
         "",
     ]
-    assert (await craft.client.get(path, params={"format": "csv"})).text == answer.text
+    assert (await record.client.get(path, params={"format": "csv"})).text == answer.text
 
 
-async def test_pages_and_filters(craft):
-    await send(craft, *(trace(-k) for k in range(5, 0, -1)))
-    await send(craft, trace(-3, sweep="tp2"), source="sa-2")
-    first = await craft.client.get(URL, params={"limit": 4})
+async def test_pages_and_filters(record):
+    await send(record, *(trace(-k) for k in range(5, 0, -1)))
+    await send(record, trace(-3, sweep="tp2"), source="sa-2")
+    first = await record.client.get(URL, params={"limit": 4})
     assert 'rel="next"' in first.headers["link"]
-    second = (await craft.client.get(URL, params={"limit": 4, "cursor": first.json()["next"]})).json()
+    second = (await record.client.get(URL, params={"limit": 4, "cursor": first.json()["next"]})).json()
     assert (len(first.json()["rows"]), len(second["rows"]), second["next"]) == (4, 2, None)
 
     async def count(**params: Any) -> int:
-        return len((await craft.client.get(URL, params=params)).json()["rows"])
+        return len((await record.client.get(URL, params=params)).json()["rows"])
 
     assert await count(source="sa-2") == 1
     assert await count(sweep="tp1") == 5
     assert await count(start=format_epoch(NOW_US - 2_000_000), stop=format_epoch(NOW_US)) == 2
     shared = f"{URL}/{format_epoch(NOW_US - 3_000_000)}"
-    ambiguous = await craft.client.get(shared)
+    ambiguous = await record.client.get(shared)
     assert (ambiguous.status_code, ambiguous.json()["code"]) == (409, "trace.ambiguous")
-    assert (await craft.client.get(shared, params={"sweep": "tp2"})).json()["source"] == "sa-2"
+    assert (await record.client.get(shared, params={"sweep": "tp2"})).json()["source"] == "sa-2"
 
 
-async def test_a_trace_from_the_future_cannot_push_the_others_out(craft):
-    receipt = await send(craft, trace(-1), trace(6), trace(epoch="1999-12-31T23:59:59.000000Z"))
+async def test_a_trace_from_the_future_cannot_push_the_others_out(record):
+    receipt = await send(record, trace(-1), trace(6), trace(epoch="1999-12-31T23:59:59.000000Z"))
     assert (receipt["received"], receipt["accepted"]) == (3, 1)
     assert [(r["index"], r["code"]) for r in receipt["refused"]] == [(1, "time.future"), (2, "time.too_old")]
-    craft.clock.data["yamal-202"] = None
+    record.clock.data["yamal-202"] = None
     # nothing has moved the data clock yet: the end of the calendar is the bound
-    late = await send(craft, trace(50 * 365 * 86_400), trace(epoch="2101-01-01T00:00:00.000000Z"))
+    late = await send(record, trace(50 * 365 * 86_400), trace(epoch="2101-01-01T00:00:00.000000Z"))
     assert [r["code"] for r in late["refused"]] == ["time.future"]
 
 
-async def test_unknown_ones_are_404_and_a_bad_epoch_is_422(craft):
+async def test_unknown_ones_are_404_and_a_bad_epoch_is_422(record):
     for path, status, code in (
         (f"{URL}/{format_epoch(NOW_US)}", 404, "trace.unknown"),
         (f"{URL}/yesterday", 422, "epoch.malformed"),
         (URL.replace("yamal-202", "yamal-300"), 404, "spacecraft.unknown"),
     ):
-        answer = await craft.client.get(path)
+        answer = await record.client.get(path)
         assert (answer.status_code, answer.json()["code"]) == (status, code)
     body = {"source": "sa-1", "traces": [trace(-1)]}
-    answer = await craft.client.post(URL.replace("yamal-202", "yamal-300"), json=body)
+    answer = await record.client.post(URL.replace("yamal-202", "yamal-300"), json=body)
     assert (answer.status_code, answer.json()["code"]) == (404, "spacecraft.unknown")
 
 
-async def test_roles(craft):
-    craft.app.state.key_ring = RoleKeys()
+async def test_roles(record):
+    record.app.state.key_ring = RoleKeys()
     body = {"source": "sa-1", "traces": [trace(-1)]}
     for role, status in (("viewer", 403), ("station", 200)):
-        answer = await craft.client.post(URL, json=body, headers={"Authorization": f"Bearer {role}"})
+        answer = await record.client.post(URL, json=body, headers={"Authorization": f"Bearer {role}"})
         assert answer.status_code == status
-    assert (await craft.client.get(URL, headers={"Authorization": "Bearer viewer"})).status_code == 200
+    assert (await record.client.get(URL, headers={"Authorization": "Bearer viewer"})).status_code == 200
 
 
 POWER = "/traces/0/power_dbm"
@@ -149,16 +149,16 @@ BAD = [
 
 
 @pytest.mark.parametrize(("body", "code", "pointer"), [c[1:] for c in BAD], ids=[c[0] for c in BAD])
-async def test_bad_traces_are_refused_whole(craft, body, code, pointer):
-    answer = await craft.client.post(URL, content=json.dumps(body))
+async def test_bad_traces_are_refused_whole(record, body, code, pointer):
+    answer = await record.client.post(URL, content=json.dumps(body))
     problem = answer.json()
     assert problem["code"] == code, problem
     if pointer is not None:
         assert (answer.status_code, problem["errors"][0]["pointer"]) == (422, pointer)
-    assert (await craft.client.get(URL)).json()["rows"] == []
+    assert (await record.client.get(URL)).json()["rows"] == []
 
 
-async def test_nan_tokens_are_refused(craft):
+async def test_nan_tokens_are_refused(record):
     text = json.dumps({"source": "s", "traces": [trace(power_dbm=["@"])]}).replace('"@"', "NaN")
-    answer = await craft.client.post(URL, content=text)
+    answer = await record.client.post(URL, content=text)
     assert (answer.status_code, answer.json()["errors"][0]["code"]) == (422, "value.not_finite")

@@ -167,9 +167,9 @@ def test_answer_is_cut_to_the_size_the_client_takes(analyzer, facts):
     with closing(HislipLine(analyzer.hislip_port or 0, client_bytes=256)) as line:
         line.write(f"{SETUP};:FORM ASC;:INIT;*WAI\n".encode())
         sent = line.write(facts.trace_query.encode() + b"\n")
-        packets = [line.take()]
+        packets = [line.consume()]
         while packets[-1].kind != w.DATA_END:
-            packets.append(line.take())
+            packets.append(line.consume())
         assert len(packets) > 20
         assert {packet.kind for packet in packets[:-1]} == {w.DATA}
         assert {packet.parameter for packet in packets} == {sent}
@@ -178,18 +178,18 @@ def test_answer_is_cut_to_the_size_the_client_takes(analyzer, facts):
 
 
 def test_message_in_pieces_is_one_message(hislip):
-    for piece in (b"*ES", b"E 9;", b"*ESE"):
-        hislip.put(w.DATA, 0, hislip.message_id, piece)
+    for chunk in (b"*ES", b"E 9;", b"*ESE"):
+        hislip.put(w.DATA, 0, hislip.message_id, chunk)
     hislip.write(b"?\n")
     assert hislip.read()[1] == b"9\n"
 
 
 def test_new_message_while_an_answer_is_unread_interrupts(hislip):
     hislip.write(b"*IDN?\n")
-    assert hislip.take().kind == w.DATA_END
+    assert hislip.consume().kind == w.DATA_END
     # the answer came, but the client's program has not read it: its next message says so
     second = hislip.write(b"*OPC?\n")
-    interrupted = hislip.take()
+    interrupted = hislip.consume()
     assert (interrupted.kind, interrupted.parameter) == (w.INTERRUPTED, second)
     assert hislip.on_asynchronous().kind == w.ASYNC_INTERRUPTED
     assert hislip.read() == (second, b"1\n")
@@ -206,7 +206,7 @@ def test_answer_that_was_read_interrupts_nothing(hislip, facts):
 def test_message_available_while_an_answer_is_unread(hislip):
     assert hislip.status() & 16 == 0
     hislip.write(b"*IDN?\n")
-    assert hislip.take().kind == w.DATA_END
+    assert hislip.consume().kind == w.DATA_END
     assert hislip.status() & 16
     hislip.is_delivered = True
     assert hislip.status() & 16 == 0
@@ -255,7 +255,7 @@ def test_trigger_starts_a_sweep(hislip, analyzer, facts):
 
 def test_unknown_type_is_an_error_and_no_end(hislip):
     hislip.put(99, 0, 0, b"nonsense")
-    refused = hislip.take()
+    refused = hislip.consume()
     assert (refused.kind, refused.control) == (3, 1)
     assert hislip.ask("*OPC?") == "1"
 

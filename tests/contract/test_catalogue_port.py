@@ -48,7 +48,7 @@ def test_a_spacecraft_comes_back_equal(storage):
 def test_all_spacecraft_come_in_order_of_id(storage):
     for name in ("b", "c", "a"):
         storage.catalogue.add_spacecraft(replace(CRAFT, id=name))
-    assert [craft.id for craft in storage.catalogue.all_spacecraft()] == ["a", "b", "c"]
+    assert [record.id for record in storage.catalogue.all_spacecraft()] == ["a", "b", "c"]
 
 
 def test_a_second_spacecraft_of_the_same_id_is_a_conflict_and_changes_nothing(storage):
@@ -116,7 +116,7 @@ def test_what_is_not_there_is_named(storage, call, code):
 
 def test_a_spacecraft_without_rows_is_deleted_and_its_id_is_not_given_again(setting, make):
     catalogue = setting.storage.catalogue
-    craft = catalogue.spacecraft(setting.id)
+    record = catalogue.spacecraft(setting.id)
     catalogue.delete_spacecraft(setting.id)
     for ask in (catalogue.spacecraft, catalogue.plan, setting.storage.archive.head, catalogue.delete_spacecraft):
         with pytest.raises(NotFoundError) as caught:
@@ -124,7 +124,7 @@ def test_a_spacecraft_without_rows_is_deleted_and_its_id_is_not_given_again(sett
         assert caught.value.code == "spacecraft.unknown"
     assert setting.id not in {each.id for each in catalogue.all_spacecraft()}
     with pytest.raises(ConflictError) as caught:
-        catalogue.add_spacecraft(craft)
+        catalogue.add_spacecraft(record)
     assert caught.value.code == "spacecraft.exists"
 
 

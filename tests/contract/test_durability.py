@@ -191,8 +191,8 @@ def test_check_passes_on_a_database_with_a_schema_and_fails_without(storage, url
 
 def test_a_database_that_cannot_be_opened_is_a_storage_error(tmp_path):
     storage = SqlStorage(f"sqlite:///{tmp_path / 'no' / 'such' / 'folder' / 'soo.db'}")
-    craft = Spacecraft("a", "A", 90.0, Site(0.0, 0.0), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), 0.05)
-    for call in (storage.check, storage.migrate, lambda: storage.catalogue.add_spacecraft(craft)):
+    record = Spacecraft("a", "A", 90.0, Site(0.0, 0.0), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), 0.05)
+    for call in (storage.check, storage.migrate, lambda: storage.catalogue.add_spacecraft(record)):
         with pytest.raises(StorageError) as caught:
             call()
         assert caught.value.code == "storage.unavailable"

@@ -56,9 +56,9 @@ def test_batches_together_are_batches_one_by_one(new_setting, seed):
     keys = [[database.key(setting.id) for setting in settings] for settings in zip(*pairs, strict=True)]
     for _ in range(8):
         crafts = [dice.choice([0, 0, 0, 1]) for _ in range(dice.randrange(1, 9))]
-        sent = [(craft, a_batch(pairs[craft][0], dice)) for craft in crafts]
-        alone = [StoreBatch(prepare(keys[0][craft], batch), cache) for craft, batch in sent]
-        joint = [StoreBatch(prepare(keys[1][craft], batch), cache) for craft, batch in sent]
+        sent = [(record, a_batch(pairs[record][0], dice)) for record in crafts]
+        alone = [StoreBatch(prepare(keys[0][record], batch), cache) for record, batch in sent]
+        joint = [StoreBatch(prepare(keys[1][record], batch), cache) for record, batch in sent]
         with database.engines.write.begin() as connection:
             one_by_one = [work(connection) for work in alone]
         with database.engines.write.begin() as connection:

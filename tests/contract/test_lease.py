@@ -36,33 +36,33 @@ def lose(storage):
 
 def test_one_has_it_until_it_gives_it_back(setting, twin):
     first = setting.storage
-    assert first.lease.take()
-    assert first.lease.take(), "who has it has it"
-    assert not twin.lease.take()
+    assert first.lease.acquire()
+    assert first.lease.acquire(), "who has it has it"
+    assert not twin.lease.acquire()
     assert first.lease.is_held()
     assert not twin.lease.is_held()
     first.lease.give_back()
     assert not first.lease.is_held()
-    assert twin.lease.take()
-    assert not first.lease.take()
+    assert twin.lease.acquire()
+    assert not first.lease.acquire()
 
 
 def test_a_closed_storage_holds_nothing(setting, twin, url):
     third = SqlStorage(url)
-    assert third.lease.take()
-    assert not twin.lease.take()
+    assert third.lease.acquire()
+    assert not twin.lease.acquire()
     third.close()
-    assert twin.lease.take()
+    assert twin.lease.acquire()
 
 
 def test_what_is_written_under_a_lost_lease_is_refused(setting, twin, make):
     first = setting.storage
     setting.append([10])
     row = setting.rows()[0]
-    assert first.lease.take()
+    assert first.lease.acquire()
     assert setting.consume([outcome_of(row, make)]) == 2
     lose(first)
-    assert twin.lease.take()
+    assert twin.lease.acquire()
     setting.append([20])
     later = outcome_of(setting.rows()[1], make)
     for write in (lambda: setting.consume([later]), lambda: first.alarms.save_memory(setting.id, EngineMemory())):
@@ -78,7 +78,7 @@ def test_what_is_written_under_a_lost_lease_is_refused(setting, twin, make):
 
 
 def test_who_never_asked_for_it_writes_as_before(setting, twin, make):
-    assert twin.lease.take()
+    assert twin.lease.acquire()
     setting.append([10])
     row = setting.rows()[0]
     assert setting.consume([outcome_of(row, make)]) == 2
@@ -88,17 +88,17 @@ def test_a_lock_on_a_file_that_was_taken_away_is_none(setting, twin, url):
     if not url.startswith("sqlite"):
         pytest.skip("a server keeps its locks itself")
     first = setting.storage
-    assert first.lease.take()
+    assert first.lease.acquire()
     Path(f"{url.removeprefix('sqlite:///')}-lease").unlink()
-    assert twin.lease.take()
+    assert twin.lease.acquire()
     assert not first.lease.is_held()
     with pytest.raises(StorageError, match=r"lease\.lost"):
         first.alarms.save_memory(setting.id, EngineMemory())
-    assert not first.lease.take()
+    assert not first.lease.acquire()
 
 
 def test_an_archive_that_is_away_gives_no_lease(tmp_path):
     storage = SqlStorage(f"sqlite:///{tmp_path / 'no' / 'folder' / 'soo.db'}")
-    assert not storage.lease.take()
+    assert not storage.lease.acquire()
     assert not storage.lease.is_held()
     storage.close()

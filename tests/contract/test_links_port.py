@@ -55,7 +55,7 @@ def test_what_is_wanted_outlives_the_service(url):
 
 
 def test_links_are_listed_in_order_and_by_spacecraft(storage):
-    others = [replace(REPORT, id=name, spacecraft_id=craft) for name, craft in (("z", "b"), ("a", None), ("m", "b"))]
+    others = [replace(REPORT, id=name, spacecraft_id=record) for name, record in (("z", "b"), ("a", None), ("m", "b"))]
     storage.links.report(others, S)
     assert [state.report.id for state in storage.links.links()] == ["a", "m", "z"]
     assert [state.report.id for state in storage.links.links("b")] == ["m", "z"]

@@ -63,9 +63,9 @@ def test_unknown_traces_and_spacecraft_are_told(setting):
         with pytest.raises(NotFoundError) as caught:
             setting.storage.traces.trace(setting.id, **options)
         assert caught.value.code == "trace.unknown"
-    with pytest.raises(NotFoundError) as craft:
+    with pytest.raises(NotFoundError) as record:
         setting.storage.traces.append("nobody", "sa-1", [trace(1)], 1, WIDE)
-    assert craft.value.code == "spacecraft.unknown"
+    assert record.value.code == "spacecraft.unknown"
 
 
 def test_the_ring_keeps_the_newest_epochs_of_each_source(setting):

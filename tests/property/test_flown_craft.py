@@ -24,9 +24,9 @@ pulses = st.builds(
 
 def flown(schedule: list[TorqueElement]) -> np.ndarray:
     """Return the attitude after five minutes, deg."""
-    craft = spacecraft_at_rest(INERTIA_KG_M2, STILL, wheel_set(1, MOMENTUM))
-    craft.fly((0, 300 * S), schedule, STILL, STILL, STILL)
-    return np.array(craft.state.attitude_deg)
+    subject = spacecraft_at_rest(INERTIA_KG_M2, STILL, wheel_set(1, MOMENTUM))
+    subject.fly((0, 300 * S), schedule, STILL, STILL, STILL)
+    return np.array(subject.state.attitude_deg)
 
 
 @settings(max_examples=20, deadline=None)
@@ -45,12 +45,12 @@ def test_mirrored_commands_mirror_the_motion(schedule):
 @settings(max_examples=20, deadline=None)
 @given(st.lists(pulses, max_size=3))
 def test_a_command_is_stored_in_the_wheels(schedule):
-    craft = spacecraft_at_rest(INERTIA_KG_M2, STILL, wheel_set(1, STILL))
-    craft.orbital_rate_rad_s = 0.0
-    craft.motion = craft.motion._replace(rate_y=0.0)
-    craft.fly((0, 300 * S), schedule, STILL, STILL, STILL)
-    stored = np.array([wheel.momentum_n_m_s for wheel in craft.wheels])
-    body = np.array(INERTIA_KG_M2) * craft.motion.rate_rad_s
+    subject = spacecraft_at_rest(INERTIA_KG_M2, STILL, wheel_set(1, STILL))
+    subject.orbital_rate_rad_s = 0.0
+    subject.motion = subject.motion._replace(rate_y=0.0)
+    subject.fly((0, 300 * S), schedule, STILL, STILL, STILL)
+    stored = np.array([wheel.momentum_n_m_s for wheel in subject.wheels])
+    body = np.array(INERTIA_KG_M2) * subject.motion.rate_rad_s
     # from rest without a torque from outside the whole is zero, to the product of momentum and angle
     size = float(np.abs(stored).max())
     np.testing.assert_allclose(body + stored, 0.0, atol=1e-9 + 0.02 * size)

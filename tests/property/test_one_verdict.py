@@ -71,7 +71,7 @@ def context_of(driver):
     def newest_command(*_):
         if driver.row is None:
             return None
-        return compute_command(driver.row, driver.archive.craft, NO_CARRY, 60.0, TorqueConfig()).command
+        return compute_command(driver.row, driver.archive.owner, NO_CARRY, 60.0, TorqueConfig()).command
 
     archive = driver.archive
     head = SimpleNamespace(consumed_epoch_us=None, newest_epoch_us=None, newest_number=0, consumed_number=0)
@@ -201,7 +201,7 @@ class AnyStory(RuleBasedStateMachine):
         assert all(other == verdict for other in others), reported
         context = context_of(driver)
         metrics = SimpleNamespace(_context=context)
-        samples = {name: value for name, _, value in Metrics._attitude(metrics, driver.archive.craft)}
+        samples = {name: value for name, _, value in Metrics._attitude(metrics, driver.archive.owner)}
         assert samples["soo_control_allowed"] == verdict["allowed"]
         self._judge(verdict)
         if driver.row is not None:
@@ -216,7 +216,7 @@ class AnyStory(RuleBasedStateMachine):
             assert verdict["state"] in ("ARMED", "ENGAGED", "RECOVERY")
             assert not driver.is_bad()
             assert not driver.row.inhibitions
-            assert driver.archive.craft.control.mode is ControlMode.GROUND
+            assert driver.archive.owner.control.mode is ControlMode.GROUND
             assert self.reset_us is None or driver.clock.now - self.reset_us >= 600 * US
             assert {one["code"] for one in verdict["reasons"]} <= {"sigma_yaw", "yaw_sign", "yaw_beyond"}
         else:

@@ -8,7 +8,7 @@ from geometry_flight import Flight, FlightPayload
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from service.pipeline.inputs.known_motion import CommandedMotion, heard, take
+from service.pipeline.inputs.known_motion import CommandedMotion, consume, heard
 from service.records.catalogue import Method
 from service.records.inputs import Correction
 from service.records.levels.attitude import Axes, Status
@@ -145,7 +145,7 @@ def test_a_correction_counts_once_however_rows_cut_it_and_whenever_it_becomes_kn
     epochs_us = [newest_us, *sorted(cut * s for cut in cuts if cut * s > newest_us), 8000 * s]
     total = 0.0
     for before_us, now_us in pairwise(epochs_us):
-        known, commanded = take(commanded, before_us, now_us)
+        known, commanded = consume(commanded, before_us, now_us)
         total += known.correction_deg[1] + known.late_correction_deg[1]
     # an instant lasts a microsecond; before the alignment it is part of it
     stop_us = max(correction.stop_us, correction.start_us + 1)

@@ -100,8 +100,8 @@ def test_trajectories(
 def test_pitch_tells_which_product_is_coded(fly: Fly) -> None:
     extreme = {}
     for product in (0, AS_PRINTED, YAW_FIRST):
-        craft = rigid_spacecraft()._replace(law=Law(product=product))
-        pitch = fly(craft, Start(roll_deg=2.0), 1000.0).pitch_deg
+        spacecraft = rigid_spacecraft()._replace(law=Law(product=product))
+        pitch = fly(spacecraft, Start(roll_deg=2.0), 1000.0).pitch_deg
         extreme[product] = float(pitch[np.abs(pitch).argmax()])
     assert extreme[0] == pytest.approx(-0.284, abs=0.002)
     assert extreme[AS_PRINTED] == pytest.approx(0.191, abs=0.002)
@@ -129,8 +129,8 @@ def test_roll_of_two_degrees(fly: Fly) -> None:
 
 
 def test_slope_of_a_half_is_too_slow(fly: Fly) -> None:
-    craft = rigid_spacecraft()._replace(law=Law(slope=0.5))
-    flight = fly(craft, Start(yaw_deg=10.0), 3000.0)
+    spacecraft = rigid_spacecraft()._replace(law=Law(slope=0.5))
+    flight = fly(spacecraft, Start(yaw_deg=10.0), 3000.0)
     assert flight.time_s[np.flatnonzero(np.abs(flight.yaw_deg) <= 0.1)[0]] == pytest.approx(1509.0, abs=15.0)
 
 
@@ -169,22 +169,22 @@ def test_products_of_inertia_move_the_craft_at_the_orbital_frequency(
 def test_quantum_of_torque(
     fly: Fly, gains: OrbitalFrameGains, yaw_deg: float, yaw_by: float, roll_deg: float, roll_by: float
 ) -> None:
-    craft = rigid_spacecraft(gains, NOMINAL_INERTIA, is_sampled=True)
-    flight = fly(craft, Start(), 15_000.0)
+    spacecraft = rigid_spacecraft(gains, NOMINAL_INERTIA, is_sampled=True)
+    flight = fly(spacecraft, Start(), 15_000.0)
     roll, _, yaw = largest_after(flight, 1500.0)
     assert yaw == pytest.approx(yaw_deg, abs=yaw_by)
     assert roll == pytest.approx(roll_deg, abs=roll_by)
-    codes = flight.torque_n_m / craft.computer.torque_quantum_n_m
+    codes = flight.torque_n_m / spacecraft.computer.torque_quantum_n_m
     assert np.abs(codes - codes.round()).max() < 1e-9
     assert np.abs(codes).max() <= 127.0
 
 
 def test_noise_of_the_rates_lowers_the_peaks_of_the_quantum(fly: Fly) -> None:
-    craft = rigid_spacecraft(inertia=NOMINAL_INERTIA, is_sampled=True)._replace(
+    spacecraft = rigid_spacecraft(inertia=NOMINAL_INERTIA, is_sampled=True)._replace(
         rate_sensor=RateSensor(null_rad_s=(0.0, 0.0, 0.0), quantum_rad_s=1e-12, delay_periods=0)
     )
     for seed in range(1, 7):
-        roll, _, yaw = largest_after(fly(craft, Start(), 15_000.0, seed), 1500.0)
+        roll, _, yaw = largest_after(fly(spacecraft, Start(), 15_000.0, seed), 1500.0)
         print(f"seed {seed}: yaw {yaw:.4f} roll {roll:.4f}")
         assert 0.032 < yaw < 0.036
         assert 0.0034 < roll < 0.0039
@@ -201,32 +201,32 @@ def test_null_of_the_roll_rate_turns_the_craft_by_yaw(fly: Fly) -> None:
     assert means == pytest.approx([-0.0100, 0.0100], abs=0.0005)
 
 
-def _corrected(craft: OrbitalFrameSpacecraft, correction_rad_s: float) -> OrbitalFrameSpacecraft:
-    return craft._replace(computer=craft.computer._replace(yaw_rate_correction_rad_s=correction_rad_s))
+def _corrected(spacecraft: OrbitalFrameSpacecraft, correction_rad_s: float) -> OrbitalFrameSpacecraft:
+    return spacecraft._replace(computer=spacecraft.computer._replace(yaw_rate_correction_rad_s=correction_rad_s))
 
 
 def test_everything_at_once_with_the_smallest_gains(fly: Fly) -> None:
-    craft = OrbitalFrameSpacecraft(law=Law(gains=MIN_GAINS))
-    before = fly(craft, Start(), 15_000.0)
+    spacecraft = OrbitalFrameSpacecraft(law=Law(gains=MIN_GAINS))
+    before = fly(spacecraft, Start(), 15_000.0)
     assert mean_over_orbits(before, ORBITAL_RATE_RAD_S) == pytest.approx(-0.31, abs=0.02)
-    correction = trimmed_correction_rad_s(craft, 15_000.0, compiled_fly())
+    correction = trimmed_correction_rad_s(spacecraft, 15_000.0, compiled_fly())
     assert correction == pytest.approx(-1.92e-5, rel=0.03)  # -4.0 deg/h
     for seed in range(1, 6):
-        roll, pitch, yaw = largest_after(fly(_corrected(craft, correction), Start(), 15_000.0, seed), 1500.0)
+        roll, pitch, yaw = largest_after(fly(_corrected(spacecraft, correction), Start(), 15_000.0, seed), 1500.0)
         print(f"seed {seed}: yaw {yaw:.4f} roll {roll:.4f} pitch {pitch:.4f}, paper .14 .02 .01")
         assert yaw <= 0.145
         assert roll <= 0.021
         assert pitch <= 0.0105
-    halved = fly(_corrected(craft, correction)._replace(steps=2), Start(), 15_000.0)
+    halved = fly(_corrected(spacecraft, correction)._replace(steps=2), Start(), 15_000.0)
     assert largest_after(halved, 1500.0)[2] == pytest.approx(
-        largest_after(fly(_corrected(craft, correction), Start(), 15_000.0), 1500.0)[2], rel=0.02
+        largest_after(fly(_corrected(spacecraft, correction), Start(), 15_000.0), 1500.0)[2], rel=0.02
     )
 
 
 def test_everything_at_once_with_the_largest_gains(fly: Fly) -> None:
-    craft = OrbitalFrameSpacecraft()
-    correction = trimmed_correction_rad_s(craft, 15_000.0, compiled_fly())
-    yaw = largest_after(fly(_corrected(craft, correction), Start(), 15_000.0), 1500.0)[2]
+    spacecraft = OrbitalFrameSpacecraft()
+    correction = trimmed_correction_rad_s(spacecraft, 15_000.0, compiled_fly())
+    yaw = largest_after(fly(_corrected(spacecraft, correction), Start(), 15_000.0), 1500.0)[2]
     assert 0.05 < yaw < 0.09
 
 
@@ -277,9 +277,9 @@ def test_rates_are_as_old_as_their_sensor_says(fly: Fly) -> None:
 
 
 def test_free_libration_has_the_period_of_the_gravity_gradient(fly: Fly) -> None:
-    craft = rigid_spacecraft(OrbitalFrameGains(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    spacecraft = rigid_spacecraft(OrbitalFrameGains(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     rate = (0.0, ORBITAL_RATE_RAD_S, 0.0)
-    flight = fly(craft, Start(pitch_deg=1.0, rate_rad_s=rate), 16_000.0)
+    flight = fly(spacecraft, Start(pitch_deg=1.0, rate_rad_s=rate), 16_000.0)
     pitch = flight.pitch_deg
     falls = np.flatnonzero((pitch[:-1] > 0.0) & (pitch[1:] <= 0.0))
     crossing_s = flight.time_s[falls] + 0.125 * pitch[falls] / (pitch[falls] - pitch[falls + 1])
@@ -348,8 +348,8 @@ def test_printed_sign_of_the_momentum_equation_breaks_conservation() -> None:
 
 
 def test_kernels_agree(fly: Fly) -> None:
-    craft = OrbitalFrameSpacecraft()
-    one, other = fly(craft, Start(yaw_deg=3.0), 200.0), fly_spacecraft(craft, Start(yaw_deg=3.0), 200.0)
+    spacecraft = OrbitalFrameSpacecraft()
+    one, other = fly(spacecraft, Start(yaw_deg=3.0), 200.0), fly_spacecraft(spacecraft, Start(yaw_deg=3.0), 200.0)
     assert np.abs(one.yaw_deg - other.yaw_deg).max() < 1e-9
 
 

@@ -70,8 +70,8 @@ def stating(residual_n_m):
     """Return how a spacecraft is flown whose catalogue states a torque."""
     kept = run.flown_spacecraft
 
-    def stated(craft, release):
-        reported = kept(craft, release)
+    def stated(record, release):
+        reported = kept(record, release)
         return replace(reported, onboard=replace(reported.onboard, residual_torque_n_m=residual_n_m))
 
     return stated

@@ -72,7 +72,7 @@ class Measured:
         self.acquisition = Acquisition(
             task,
             AcquisitionSettings(resource, period_s, io_timeout_s=io_timeout_s),
-            self._take,
+            self._consume,
             lambda: time.monotonic_ns() // 1000,
             self.stop,
             Backoff(first_s=0.2),
@@ -80,7 +80,7 @@ class Measured:
         self.thread = threading.Thread(target=self.acquisition.run)
         self.thread.start()
 
-    def _take(self, _: MeasuredRow) -> bool:
+    def _consume(self, _: MeasuredRow) -> bool:
         self.times_s.append(time.monotonic())
         return True
 

@@ -114,14 +114,14 @@ def test_a_switched_off_carrier_alarms_is_acknowledged_and_closes_when_it_return
     with service.client() as client:
         assert client.post("/api/v1/spacecraft", json=spacecraft).status_code == 201
         put = client.put(f"{SC}/carriers", json={"carriers": carriers})
-        craft = OrbitalFrameSpacecraft(client, story, put.json()["plan_id"])
-        craft.send(30, off + 1)
-        wait_for(lambda: len(craft.consumed()) == off + 1 - 30)
+        record = OrbitalFrameSpacecraft(client, story, put.json()["plan_id"])
+        record.send(30, off + 1)
+        wait_for(lambda: len(record.consumed()) == off + 1 - 30)
         # one row of silence, and rows of the past in which every carrier is absent, alarm nothing
-        assert craft.send(0, 30, absent=range(16)) == 30
-        assert craft.alarms() == []
-        craft.send(off + 1, off + 30)
-        (alarm,) = wait_for(craft.alarms)
+        assert record.send(0, 30, absent=range(16)) == 30
+        assert record.alarms() == []
+        record.send(off + 1, off + 30)
+        (alarm,) = wait_for(record.alarms)
         assert (alarm["condition"], alarm["thing"], alarm["state"]) == ("carrier_absent", name, "unacknowledged")
         assert parse_epoch(alarm["since"]) == epochs_us[off]
         # within its debounce of 120 s, to a row
@@ -133,21 +133,21 @@ def test_a_switched_off_carrier_alarms_is_acknowledged_and_closes_when_it_return
     service.end(SIGKILL)
     service = start_service(environment=environment)
     with service.client() as client:
-        craft.client = client
+        record.client = client
         # a restart forgets nothing and repeats nothing
-        (kept,) = craft.alarms()
+        (kept,) = record.alarms()
         assert (kept["id"], kept["state"], kept["acknowledged"]["comment"]) == (
             alarm["id"],
             "acknowledged",
             "its user was called",
         )
         # an hour of silence is worse than what was acknowledged
-        craft.send(off + 30, off + 100)
-        wait_for(lambda: craft.alarms("unacknowledged"))
+        record.send(off + 30, off + 100)
+        wait_for(lambda: record.alarms("unacknowledged"))
         worse = client.post(f"/api/v1/alarms/{alarm['id']}:acknowledge").json()
         assert (worse["severity"], worse["state"]) == ("distress", "acknowledged")
-        craft.send(off + 100, back + AFTER)
-        wait_for(lambda: not craft.alarms())
+        record.send(off + 100, back + AFTER)
+        wait_for(lambda: not record.alarms())
         history = client.get(f"/api/v1/alarms/{alarm['id']}").json()
         changes = [(change["change"], change["at"]) for change in history["changes"] if change["change"] != "repeated"]
         assert [change for change, _ in changes] == ["raised", "acknowledged", "escalated", "acknowledged", "returned"]

@@ -92,16 +92,16 @@ def test_the_kept_database_serves_exports_and_replays(kept, start_service, compi
     service = start_service(database=folder / "soo.db")
     environment = {**compiled_environment, "SOO_KEY": KEY}
     with service.client() as client:
-        (craft,) = client.get("/api/v1/spacecraft").json()["rows"]
-        known = craft["id"]
+        (record,) = client.get("/api/v1/spacecraft").json()["rows"]
+        known = record["id"]
         carriers = client.get(f"/api/v1/spacecraft/{known}/carriers").json()["carriers"]
         newest = client.get(f"/api/v1/spacecraft/{known}/status").json()["newest_measurement"]
         alignment = client.get(f"/api/v1/spacecraft/{known}/alignments").json()["rows"][0]["epoch"]
     # what the craft said of its loop, and nothing besides
-    reported = craft["onboard"]["fed_forward_torque"]
+    reported = record["onboard"]["fed_forward_torque"]
     sizes = [abs(reported[part][axis]) for part in ("cosine_n_m", "sine_n_m") for axis in ("yaw", "roll", "pitch")]
     assert 1e-6 < max(sizes) < 2e-5, "the Sun's light"
-    assert craft["onboard"]["residual_torque_n_m"] == 0.0
+    assert record["onboard"]["residual_torque_n_m"] == 0.0
     where = ("--service", service.url, "--spacecraft", known)
     wide = ("--start", "2020-01-01T00:00:00Z", "--stop", "2040-01-01T00:00:00Z")
     table = tmp_path / "measurements.csv"

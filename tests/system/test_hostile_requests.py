@@ -42,12 +42,12 @@ class Target:
         """Return a connection."""
         return socket.create_connection(self.address, timeout=120)
 
-    def answer(self, *pieces: bytes, pause_s: float = 0.0) -> tuple[int, dict[str, Any]]:
+    def answer(self, *parts: bytes, pause_s: float = 0.0) -> tuple[int, dict[str, Any]]:
         """Send pieces and return status and problem of what comes back."""
         with closing(self.connect()) as connection:
             try:
-                for piece in pieces:
-                    connection.sendall(piece)
+                for part in parts:
+                    connection.sendall(part)
                     time.sleep(pause_s)
             except (BrokenPipeError, ConnectionResetError):
                 # it was refused before all was sent, as it should be
@@ -59,9 +59,9 @@ def read_answer(connection: socket.socket) -> tuple[int, dict[str, Any]]:
     """Return status and JSON of an answer."""
     received = b""
     while b"\r\n\r\n" not in received:
-        piece = connection.recv(65536)
-        assert piece, f"the connection was closed after {received[:200]!r}"
-        received += piece
+        part = connection.recv(65536)
+        assert part, f"the connection was closed after {received[:200]!r}"
+        received += part
     head, _, body = received.partition(b"\r\n\r\n")
     names = dict(line.lower().split(b": ", 1) for line in head.split(b"\r\n")[1:])
     assert names[b"content-type"] == b"application/problem+json", head
@@ -165,13 +165,13 @@ def test_what_cannot_be_meant_is_refused(target, request_of, status, code):
 
 
 @pytest.mark.parametrize(
-    "piece",
+    "part",
     [b"GET /api/v1/spacecraft HTTP/1.1\r\nX-Slow: ", head("POST", SC, "Content-Length: 1000"), b"G"],
     ids=["a head", "a body", "a letter"],
 )
-def test_what_stops_in_the_middle_is_ended(target, piece):
+def test_what_stops_in_the_middle_is_ended(target, part):
     began = time.monotonic()
-    status, problem = target.answer(piece)
+    status, problem = target.answer(part)
     assert (status, problem["code"]) == (408, "request.too_slow")
     assert time.monotonic() - began > REQUEST_TIMEOUT_S * 0.9
 

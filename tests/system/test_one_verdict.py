@@ -5,7 +5,7 @@ from typing import Any
 
 import httpx
 import pytest
-from release_ground import ReleaseGround, craft
+from release_ground import ReleaseGround, record
 
 from service.client.service_client import ServiceClient
 from service.records.catalogue import ControlMode, ControlSettings, Method, Release
@@ -13,7 +13,7 @@ from service.records.catalogue import ControlMode, ControlSettings, Method, Rele
 pytestmark = [pytest.mark.system, pytest.mark.timeout(600)]
 KEY = "a-key-for-tests-only"
 AUTOMATIC = ControlSettings(Method.ROBUST, ControlMode.GROUND, Release.AUTOMATIC)
-CRAFTS = (craft("steps"), craft("automatic", control=AUTOMATIC))
+CRAFTS = (record("steps"), record("automatic", control=AUTOMATIC))
 
 
 def verdict(ground: ReleaseGround) -> Any:

@@ -10,10 +10,10 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from release_ground import ReleaseGround, craft, seed_archive
+from release_ground import ReleaseGround, record, seed_archive
 
 pytestmark = pytest.mark.system
-CRAFTS = (*map(craft, ("whole", "expired", "crowd", "forged", "impulse")), craft("real", simulated=False))
+CRAFTS = (*map(record, ("whole", "expired", "crowd", "forged", "impulse")), record("real", simulated=False))
 GOOD_ROWS = 15
 IMPULSE_N_M_S = 0.02
 WHY = {"reason": "roll is off"}
@@ -207,7 +207,7 @@ def test_a_spacecraft_that_is_not_simulated_gets_nothing_under_the_clock_of_data
 
 def test_a_service_killed_between_release_and_report_never_releases_twice(serving, tmp_path):
     path = tmp_path / "soo.db"
-    seed_archive(f"sqlite:///{path}", craft("killed"))
+    seed_archive(f"sqlite:///{path}", record("killed"))
     with serving(path) as first, first.client() as client:
         ground = armed(client, "killed")
         boris = ground.key("Boris", "approver")

@@ -45,7 +45,7 @@ class AnglesLoop:
     newest: Angles | None = None
     _past: dict[int, tuple[float, ...]] = field(default_factory=dict)
 
-    def take(self, reported: Angles, now_us: int) -> None:
+    def consume(self, reported: Angles, now_us: int) -> None:
         """Correct the estimate by a product, or leave it out: one that came before, is over, or is too old to place."""
         is_new = self.newest is None or reported.counter > self.newest.counter
         if not is_new or now_us >= reported.valid_until_us:

@@ -149,11 +149,11 @@ def spacecraft_at_rest(
 ) -> OrbitalFrameSpacecraft:
     """Return a craft whose loop has settled at an attitude, yaw, roll, pitch."""
     yaw, roll, pitch = (math.radians(angle) for angle in attitude_deg)
-    craft = OrbitalFrameSpacecraft(
+    flown = OrbitalFrameSpacecraft(
         inertia_kg_m2, Motion(0.0, 0.0, 0.0, roll, pitch, yaw), wheels, is_coupled=is_coupled
     )
-    craft.motion = Motion(*craft.reference_rad_s(), roll, pitch, yaw)
-    return craft
+    flown.motion = Motion(*flown.reference_rad_s(), roll, pitch, yaw)
+    return flown
 
 
 def _ticks(span_us: tuple[int, int], schedule: Sequence[TorqueElement]) -> Iterator[tuple[int, int]]:

@@ -64,7 +64,7 @@ async def _holder(request: Request) -> Principal:
 def _count(request: Request, principal: Principal) -> None:
     """Count a request of a key; problem 429 when there were too many."""
     limits: RateLimits = request.app.state.rate_limits
-    allowance = limits.take(principal.key_id, class_of(request.method, request.url.path))
+    allowance = limits.consume(principal.key_id, class_of(request.method, request.url.path))
     request.state.allowance = allowance
     refuse_above(allowance)
 

@@ -70,8 +70,8 @@ def by_day(chunks: Iterable[Chunk]) -> Iterator[tuple[int, Iterator[Chunk]]]:
     chunks : iterable
         In order of epoch.
     """
-    pieces = (piece for chunk in chunks for piece in _cut_by_day(chunk))
-    return groupby(pieces, key=lambda piece: int(piece.epochs_us[0]) // DAY_US * DAY_US)
+    parts = (part for chunk in chunks for part in _cut_by_day(chunk))
+    return groupby(parts, key=lambda part: int(part.epochs_us[0]) // DAY_US * DAY_US)
 
 
 def _cut_by_day(chunk: Chunk) -> Iterator[Chunk]:

@@ -18,13 +18,13 @@ _HELD_BYTES = 8 * 1024 * 1024
 _CHUNK_BYTES = 256 * 1024
 
 
-def gathered(pieces: Iterable[bytes]) -> Iterator[bytes]:
+def gathered(chunks: Iterable[bytes]) -> Iterator[bytes]:
     """Yield the same bytes in pieces that are worth sending."""
     held: list[bytes] = []
     size = 0
-    for piece in pieces:
-        held.append(piece)
-        size += len(piece)
+    for chunk in chunks:
+        held.append(chunk)
+        size += len(chunk)
         if size >= _CHUNK_BYTES:
             yield b"".join(held)
             held, size = [], 0
@@ -32,9 +32,9 @@ def gathered(pieces: Iterable[bytes]) -> Iterator[bytes]:
         yield b"".join(held)
 
 
-def stream_answer(pieces: Iterable[bytes], media_type: str, name: str) -> Response:
+def stream_answer(chunks: Iterable[bytes], media_type: str, name: str) -> Response:
     """Return an answer without a length; its first piece is made before it starts, so that faults are problems."""
-    rest = gathered(pieces)
+    rest = gathered(chunks)
     first = next(rest, b"")
 
     def body() -> Iterator[bytes]:
@@ -45,7 +45,7 @@ def stream_answer(pieces: Iterable[bytes], media_type: str, name: str) -> Respon
     return StreamingResponse(body(), media_type=media_type, headers=headers)
 
 
-def whole_answer(pieces: Iterable[bytes], media_type: str, name: str, request: Request) -> Response:
+def whole_answer(chunks: Iterable[bytes], media_type: str, name: str, request: Request) -> Response:
     """Return an answer of known length with an entity tag, or the range of it that is wanted.
 
     Raises
@@ -55,9 +55,9 @@ def whole_answer(pieces: Iterable[bytes], media_type: str, name: str, request: R
     """
     file: IO[bytes] = SpooledTemporaryFile(max_size=_HELD_BYTES)  # noqa: SIM115 closed when it has been sent
     digest = sha256()
-    for piece in pieces:
-        digest.update(piece)
-        file.write(piece)
+    for chunk in chunks:
+        digest.update(chunk)
+        file.write(chunk)
     size, tag = file.tell(), f'"{digest.hexdigest()}"'
     try:
         part = _wanted_part(request, tag, size)
@@ -101,9 +101,9 @@ def _slice(file: IO[bytes], first: int, last: int) -> Iterator[bytes]:
     with file:
         file.seek(first)
         left = last - first + 1
-        while left > 0 and (piece := file.read(min(_CHUNK_BYTES, left))):
-            left -= len(piece)
-            yield piece
+        while left > 0 and (chunk := file.read(min(_CHUNK_BYTES, left))):
+            left -= len(chunk)
+            yield chunk
 
 
 def _disposition(name: str) -> str:

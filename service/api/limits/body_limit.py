@@ -106,26 +106,26 @@ class _Unpacker:
 
     def unpack(self, packed: bytes, *, is_last: bool) -> bytes:
         """Return what a piece unpacks to."""
-        pieces, is_pending = [], False
+        chunks, is_pending = [], False
         while packed or is_pending:
             if self._member.eof:
                 self._member = zlib.decompressobj(_GZIP_WBITS)
             self._is_started = True
-            piece = self._next(packed)
-            pieces.append(piece)
+            chunk = self._next(packed)
+            chunks.append(chunk)
             rest = self._member.unconsumed_tail or self._member.unused_data
-            self._left -= len(piece)
-            self._allowed += MAX_RATIO * (len(packed) - len(rest)) - len(piece)
+            self._left -= len(chunk)
+            self._allowed += MAX_RATIO * (len(packed) - len(rest)) - len(chunk)
             if self._left < 0:
                 raise too_large(self._max_body_bytes)
             if self._allowed < 0:
                 detail = f"the body unpacks to more than {MAX_RATIO} times its size; send it plain"
                 raise RequestProblemError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "body.gzip_ratio", detail)
             # what was read may hold more than a step
-            packed, is_pending = rest, len(piece) == _STEP_BYTES and not self._member.eof
+            packed, is_pending = rest, len(chunk) == _STEP_BYTES and not self._member.eof
         if is_last and self._is_started and not self._member.eof:
             raise _broken_gzip()
-        return b"".join(pieces)
+        return b"".join(chunks)
 
     def _next(self, packed: bytes) -> bytes:
         """Return some more, at most one byte beyond the limit: what packs too far is found out soon."""

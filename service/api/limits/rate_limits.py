@@ -79,7 +79,7 @@ class Bucket:
         self._tokens = float(self._burst)
         self._touched_s = now_s
 
-    def take(self, now_s: float) -> Allowance:
+    def consume(self, now_s: float) -> Allowance:
         """Take a token when there is one."""
         gained = (now_s - self._touched_s) * self._per_s
         self._tokens = min(self._tokens + gained, self._burst)
@@ -110,7 +110,7 @@ class RateLimits:
         self._keys: dict[tuple[str, RateClass], Bucket] = {}
         self._addresses: OrderedDict[str, Bucket] = OrderedDict()
 
-    def take(self, key_id: str, wanted: RateClass) -> Allowance | None:
+    def consume(self, key_id: str, wanted: RateClass) -> Allowance | None:
         """Count a request of a key; None where there is no limit."""
         per_s, burst = self._rates[wanted]
         if per_s <= 0:
@@ -119,7 +119,7 @@ class RateLimits:
         bucket = self._keys.get((key_id, wanted))
         if bucket is None:
             bucket = self._keys[key_id, wanted] = Bucket(per_s, burst, now_s)
-        return bucket.take(now_s)
+        return bucket.consume(now_s)
 
     def consume_anonymous(self, address: str) -> Allowance | None:
         """Count a request without a valid key; None where there is no limit."""
@@ -132,7 +132,7 @@ class RateLimits:
         self._addresses[name] = bucket
         if len(self._addresses) > MAX_ADDRESSES:
             self._addresses.popitem(last=False)
-        return bucket.take(now_s)
+        return bucket.consume(now_s)
 
 
 def class_of(method: str, path: str) -> RateClass:

@@ -49,7 +49,7 @@ class RequestLog:
         answer = _Answer()
 
         async def send_seen(message: Message) -> None:
-            answer.see(message)
+            answer.on_message(message)
             await send(message)
 
         began_s = time.perf_counter()
@@ -97,7 +97,7 @@ class _Answer:
         self.is_stream = False
         self.size_bytes = 0
 
-    def see(self, message: Message) -> None:
+    def on_message(self, message: Message) -> None:
         """Look at one message."""
         if message["type"] == "http.response.start":
             self.status = message["status"]

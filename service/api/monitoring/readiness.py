@@ -97,7 +97,7 @@ def _consumers(context: ApiContext) -> Iterator[Part]:
         yield Part("consumers", "consumers.stopped", "the estimator does not run; restart the service")
         return
     archive, limit = context.storage.archive, context.monitoring.ready_lag
-    heads = {craft.id: archive.head(craft.id) for craft in context.storage.catalogue.all_spacecraft()}
+    heads = {spacecraft.id: archive.head(spacecraft.id) for spacecraft in context.storage.catalogue.all_spacecraft()}
     lags = {name: head.newest_number - head.consumed_number for name, head in heads.items()}
     behind = [f"{name} by {lag}" for name, lag in lags.items() if lag > limit]
     if behind:

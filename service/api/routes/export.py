@@ -63,11 +63,11 @@ def export(
     """Download a stretch of the archive: a day or less takes byte ranges, more is streamed."""
     window = window_of(start, stop, EVERYTHING)
     file = archive_file(context, names.of, wanted.order(spacecraft_id, series, window))
-    pieces = file.write(file.read(window), window)
+    parts = file.write(file.read(window), window)
     media_type, name = MEDIA_TYPES[wanted.format], f"{spacecraft_id}_{file.label}.{wanted.format}"
     if window.stop_us - window.start_us <= DAY_US:
-        return whole_answer(pieces, media_type, name, request)
-    return stream_answer(pieces, media_type, name)
+        return whole_answer(parts, media_type, name, request)
+    return stream_answer(parts, media_type, name)
 
 
 @router.get("/{series}:manifest")
@@ -133,9 +133,9 @@ def _part_of(file: ArchiveFile, window: Window, chunks: Iterable[Chunk]) -> _Par
             yield chunk
 
     digest, size = sha256(), 0
-    for piece in file.write(counted(), window):
-        digest.update(piece)
-        size += len(piece)
+    for part in file.write(counted(), window):
+        digest.update(part)
+        size += len(part)
     return _Part(window, rows, size, digest.hexdigest())
 
 

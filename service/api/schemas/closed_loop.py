@@ -235,7 +235,7 @@ class ClosedLoopDocument(Document):
     def to_request(self) -> SettlingRequest:
         """Return what is to be flown."""
         return SettlingRequest(
-            self._craft(),
+            self._spacecraft(),
             self.start.to_start(),
             self.duration_s,
             self.seed,
@@ -244,7 +244,7 @@ class ClosedLoopDocument(Document):
             self.bound_deg,
         )
 
-    def _craft(self) -> OrbitalFrameSpacecraft:
+    def _spacecraft(self) -> OrbitalFrameSpacecraft:
         t = self.inertia_kg_m2
         sensor, rates, wheels, tones = self.vertical_sensor, self.rate_sensor, self.wheels, self.tones
         return OrbitalFrameSpacecraft(

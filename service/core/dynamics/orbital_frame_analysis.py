@@ -43,7 +43,7 @@ class BeyondOrbitalRate(StrEnum):
 class SettlingRequest(NamedTuple):
     """One flight and how it is looked at."""
 
-    craft: OrbitalFrameSpacecraft = OrbitalFrameSpacecraft()
+    spacecraft: OrbitalFrameSpacecraft = OrbitalFrameSpacecraft()
     start: Start = Start()
     duration_s: float = 15_000.0
     seed: int = 1
@@ -92,10 +92,10 @@ class ClosedLoop(NamedTuple):
 
 def check_closed_loop(request: SettlingRequest, most_steps: int = MOST_STEPS) -> None:
     """Raise ValueError, with the values at fault, for a flight that cannot be or would take too long."""
-    craft = request.craft
-    found = refusals(craft)
-    if not found and not 1.0 <= request.duration_s / craft.computer.period_s <= most_steps / craft.steps:
-        longest_s = most_steps / craft.steps * craft.computer.period_s
+    spacecraft = request.spacecraft
+    found = refusals(spacecraft)
+    if not found and not 1.0 <= request.duration_s / spacecraft.computer.period_s <= most_steps / spacecraft.steps:
+        longest_s = most_steps / spacecraft.steps * spacecraft.computer.period_s
         found.append(
             f"duration_s is {request.duration_s:g}: a flight lasts one period of the computer to {longest_s:g} s "
             f"({most_steps} steps)"
@@ -103,7 +103,7 @@ def check_closed_loop(request: SettlingRequest, most_steps: int = MOST_STEPS) ->
     if request.duration_s > LONGEST_S:
         found.append(f"duration_s is {request.duration_s:g}: a flight lasts at most {LONGEST_S:g} s")
     if not found and request.start.rate_rad_s is not None:
-        ratio = abs(request.start.rate_rad_s[0]) / craft.law.orbital_rate_rad_s
+        ratio = abs(request.start.rate_rad_s[0]) / spacecraft.law.orbital_rate_rad_s
         if ratio > _largest_ratio(request):
             found.append(_beyond_text("at the start", ratio, request.beyond))
     if found:
@@ -127,8 +127,8 @@ def fly_closed_loop(request: SettlingRequest, kernel: Fly = fly) -> ClosedLoop:
     """
     # where beyond is refused, the guarded law flies on to where the record shows it
     is_guarded = request.beyond is not BeyondOrbitalRate.AS_PRINTED
-    craft = request.craft._replace(law=request.craft.law._replace(is_guarded=is_guarded))
-    flight = fly_spacecraft(craft, request.start, request.duration_s, request.seed, kernel)
+    spacecraft = request.spacecraft._replace(law=request.spacecraft.law._replace(is_guarded=is_guarded))
+    flight = fly_spacecraft(spacecraft, request.start, request.duration_s, request.seed, kernel)
     if not (np.isfinite(flight.yaw_deg).all() and np.isfinite(flight.momentum_n_m_s).all()):
         raise ValueError("the motion leaves all bounds: the loop is unstable, or its steps are too long")
     beyond = np.flatnonzero(np.abs(flight.rate_ratio) > 1.0)
@@ -137,12 +137,12 @@ def fly_closed_loop(request: SettlingRequest, kernel: Fly = fly) -> ClosedLoop:
         when = f"after {flight.time_s[first]:.3f} s"
         raise ValueError(_beyond_text(when, abs(float(flight.rate_ratio[first])), request.beyond))
     merit = _merit(flight, request)
-    return ClosedLoop(flight, merit, _warnings(merit, craft))
+    return ClosedLoop(flight, merit, _warnings(merit, spacecraft))
 
 
 def _largest_ratio(request: SettlingRequest) -> float:
     """Return the largest roll rate over orbital rate from which a flight may start."""
-    slope = abs(request.craft.law.slope)
+    slope = abs(request.spacecraft.law.slope)
     printed = 1.0 / slope if slope > 0.0 else math.inf
     return {
         BeyondOrbitalRate.REFUSE: 1.0,
@@ -162,13 +162,13 @@ def _beyond_text(when: str, ratio: float, beyond: BeyondOrbitalRate) -> str:
 
 def _merit(flight: FlightRecord, request: SettlingRequest) -> Merit:
     """Return the figures of a flight."""
-    craft, time_s = request.craft, flight.time_s
+    spacecraft, time_s = request.spacecraft, flight.time_s
     angles = np.column_stack([flight.roll_deg, flight.pitch_deg, flight.yaw_deg])
     late = angles[time_s > request.settled_after_s]
-    limit_n_m = craft.computer.torque_limit_n_m
+    limit_n_m = spacecraft.computer.torque_limit_n_m
     # what the computer asks for is a multiple of the quantum; wheels give a little less
-    at_limit = np.abs(flight.torque_n_m[1:]) >= 0.99 * min(limit_n_m, _largest_multiple(craft))
-    orbit_s = 2.0 * math.pi / craft.law.orbital_rate_rad_s
+    at_limit = np.abs(flight.torque_n_m[1:]) >= 0.99 * min(limit_n_m, _largest_multiple(spacecraft))
+    orbit_s = 2.0 * math.pi / spacecraft.law.orbital_rate_rad_s
     orbits = min(2, int(time_s[-1] / orbit_s))
     last = time_s > time_s[-1] - orbit_s
     return Merit(
@@ -176,7 +176,7 @@ def _merit(flight: FlightRecord, request: SettlingRequest) -> Merit:
         settled_peak_deg=_triple(np.abs(late).max(axis=0) if len(late) else np.full(3, math.nan)),
         settled_rms_deg=_triple(np.sqrt((late**2).mean(axis=0)) if len(late) else np.full(3, math.nan)),
         time_within_bound_s=_triple(np.array([time_within(time_s, each, request.bound_deg) for each in angles.T])),
-        mean_yaw_deg=mean_over_orbits(flight, craft.law.orbital_rate_rad_s, orbits) if orbits else math.nan,
+        mean_yaw_deg=mean_over_orbits(flight, spacecraft.law.orbital_rate_rad_s, orbits) if orbits else math.nan,
         harmonic_deg=_triple(
             np.array(
                 [harmonic_amplitude(time_s[last], each[last], orbit_s) if orbits else math.nan for each in angles.T]
@@ -189,23 +189,26 @@ def _merit(flight: FlightRecord, request: SettlingRequest) -> Merit:
     )
 
 
-def _largest_multiple(craft: OrbitalFrameSpacecraft) -> float:
+def _largest_multiple(spacecraft: OrbitalFrameSpacecraft) -> float:
     """Return the largest torque that the computer asks for, N m."""
-    computer = craft.computer
+    computer = spacecraft.computer
     if not computer.is_sampled:
         return computer.torque_limit_n_m
     quanta = math.floor(computer.torque_limit_n_m / computer.torque_quantum_n_m + 1e-9)
     return max(1, quanta) * computer.torque_quantum_n_m
 
 
-def _warnings(merit: Merit, craft: OrbitalFrameSpacecraft) -> tuple[tuple[str, str], ...]:
+def _warnings(merit: Merit, spacecraft: OrbitalFrameSpacecraft) -> tuple[tuple[str, str], ...]:
     """Return what to beware of in a flight."""
     found = []
     shares = dict(zip(("roll", "pitch", "yaw"), merit.saturated_share, strict=True))
     full = [f"{axis} {share:.2%}" for axis, share in shares.items() if share > 0.0]
     if full:
         found.append(("torque.saturated", f"the torque is at its limit for a share of the flight: {', '.join(full)}"))
-    if craft.wheels.is_real and max(merit.largest_momentum_n_m_s) >= 0.999 * craft.wheels.momentum_limit_n_m_s:
+    if (
+        spacecraft.wheels.is_real
+        and max(merit.largest_momentum_n_m_s) >= 0.999 * spacecraft.wheels.momentum_limit_n_m_s
+    ):
         found.append(("wheels.saturated", "a wheel reached its momentum limit and gave no torque from then on"))
     if math.isnan(merit.mean_yaw_deg):
         found.append(("flight.short", "shorter than an orbit: no mean yaw and no harmonics"))

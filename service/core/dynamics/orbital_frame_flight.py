@@ -45,7 +45,7 @@ class FlightRecord(NamedTuple):
 
 
 def fly_spacecraft(
-    craft: OrbitalFrameSpacecraft, start: Start, duration_s: float, seed: int = 1, kernel: Fly = fly
+    spacecraft: OrbitalFrameSpacecraft, start: Start, duration_s: float, seed: int = 1, kernel: Fly = fly
 ) -> FlightRecord:
     """Return a flight.
 
@@ -72,20 +72,22 @@ def fly_spacecraft(
         The craft cannot be, the duration is none, or a roll rate above sqrt(2) of the orbital one left the printed
         law without a yaw (its nu0 is imaginary); the text says which and what to do.
     """
-    wrong = refusals(craft)
-    periods = round(duration_s / craft.computer.period_s) if not wrong and math.isfinite(duration_s) else 0
+    wrong = refusals(spacecraft)
+    periods = round(duration_s / spacecraft.computer.period_s) if not wrong and math.isfinite(duration_s) else 0
     if wrong or not 1 <= periods <= MAX_PERIODS:
         raise ValueError("; ".join(wrong) or f"a duration of {duration_s:g} s is not 1 to {MAX_PERIODS} periods")
     rng = np.random.default_rng(seed)
-    rate_noise = craft.rate_sensor.noise_rad_s * rng.standard_normal((periods, 3))
-    tilt_noise = _coloured(craft.vertical_sensor, rng.standard_normal((periods, 2)), craft.computer.period_s)
+    rate_noise = spacecraft.rate_sensor.noise_rad_s * rng.standard_normal((periods, 3))
+    tilt_noise = _coloured(spacecraft.vertical_sensor, rng.standard_normal((periods, 2)), spacecraft.computer.period_s)
     record = np.zeros((periods + 1, 11))
-    status, flown, end = kernel(craft, _state(craft, start), tone_steps(craft), rate_noise, tilt_noise, record)
+    status, flown, end = kernel(
+        spacecraft, _state(spacecraft, start), tone_steps(spacecraft), rate_noise, tilt_noise, record
+    )
     if status == NO_YAW_ESTIMATE:
         ratio = record[flown, 10]
         raise ValueError(
-            f"after {flown * craft.computer.period_s:.3f} s the roll rate is {ratio:.2f} orbital rates or more and "
-            "nu0 of the printed law is imaginary; take the guarded law, or stop the roll first"
+            f"after {flown * spacecraft.computer.period_s:.3f} s the roll rate is {ratio:.2f} orbital rates or more "
+            "and nu0 of the printed law is imaginary; take the guarded law, or stop the roll first"
         )
     degrees = np.degrees(record[:, 1:4])
     return FlightRecord(
@@ -93,18 +95,18 @@ def fly_spacecraft(
     )
 
 
-def _state(craft: OrbitalFrameSpacecraft, start: Start) -> State:
+def _state(spacecraft: OrbitalFrameSpacecraft, start: Start) -> State:
     """Return quaternion, momentum and wheels at the start."""
     roll, pitch, yaw = (0.5 * math.radians(angle) for angle in start[:3])
     cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (math.cos, math.sin))
     q0, q1 = cy * cp * cr + sy * sp * sr, cy * cp * sr - sy * sp * cr
     q2, q3 = cy * sp * cr + sy * cp * sr, sy * cp * cr - cy * sp * sr
-    w0 = craft.law.orbital_rate_rad_s
+    w0 = spacecraft.law.orbital_rate_rad_s
     along = (0.0, 1.0, 0.0)
     if not start.is_literal:
         along = (2.0 * (q1 * q2 + q0 * q3), q0**2 - q1**2 + q2**2 - q3**2, 2.0 * (q2 * q3 - q0 * q1))
     rate = np.array(start.rate_rad_s or [w0 * each for each in along])
-    j = craft.inertia
+    j = spacecraft.inertia
     momentum = np.array([[j.xx, j.xy, j.xz], [j.xy, j.yy, j.yz], [j.xz, j.yz, j.zz]]) @ rate
     return (q0, q1, q2, q3, float(momentum[0]), float(momentum[1]), float(momentum[2]), 0.0, 0.0, 0.0)
 
@@ -119,16 +121,16 @@ def _coloured(sensor: VerticalSensor, white: FloatArray, period_s: float) -> Flo
     return sensor.noise_rad * np.concatenate([white[:1], coloured])
 
 
-def tone_steps(craft: OrbitalFrameSpacecraft) -> FloatArray:
+def tone_steps(spacecraft: OrbitalFrameSpacecraft) -> FloatArray:
     """Return the exact step of each flexible tone under a constant torque, shape (6, 6).
 
     Columns: the matrix of angle and rate, row by row, and what one newton metre adds to angle and rate.
     """
-    tones, h = craft.tones, craft.computer.period_s / craft.steps
+    tones, h = spacecraft.tones, spacecraft.computer.period_s / spacecraft.steps
     steps = np.zeros((6, 6))
     for k in range(6):
         omega = 2.0 * math.pi * (*tones.roll_hz, *tones.yaw_hz)[k]
-        inertia = craft.inertia.xx if k < 3 else craft.inertia.zz
+        inertia = spacecraft.inertia.xx if k < 3 else spacecraft.inertia.zz
         zeta, static = tones.damping_ratio, tones.gains[k % 3] / inertia / omega**2
         damped = omega * math.sqrt(1.0 - zeta**2)
         fade, c, s = math.exp(-zeta * omega * h), math.cos(damped * h), math.sin(damped * h)
@@ -173,7 +175,7 @@ def mean_over_orbits(flight: FlightRecord, orbital_rate_rad_s: float, orbits: in
 
 
 def trimmed_correction_rad_s(
-    craft: OrbitalFrameSpacecraft, duration_s: float, kernel: Fly = fly, seed: int = 1
+    spacecraft: OrbitalFrameSpacecraft, duration_s: float, kernel: Fly = fly, seed: int = 1
 ) -> float:
     """Return the correction of the measured yaw rate that brings the mean yaw to zero, by the secant rule.
 
@@ -183,18 +185,18 @@ def trimmed_correction_rad_s(
     tried: list[tuple[float, float]] = []
     correction = 0.0
     for _ in range(8):
-        flown = fly_spacecraft(_corrected(craft, correction), Start(), duration_s, seed, kernel)
-        mean_deg = mean_over_orbits(flown, craft.law.orbital_rate_rad_s)
+        flown = fly_spacecraft(_corrected(spacecraft, correction), Start(), duration_s, seed, kernel)
+        mean_deg = mean_over_orbits(flown, spacecraft.law.orbital_rate_rad_s)
         tried.append((correction, mean_deg))
         if abs(mean_deg) < 5e-4:
             break
         # a rate offset turns yaw by k2 sqrt(2) / k1 for each unit; measured slopes take over from the second trial on
-        slope = -math.degrees(craft.law.gains.yaw_damping * math.sqrt(2.0) / craft.law.gains.yaw_stiffness)
+        slope = -math.degrees(spacecraft.law.gains.yaw_damping * math.sqrt(2.0) / spacecraft.law.gains.yaw_stiffness)
         if len(tried) > 1 and tried[-1][0] != tried[-2][0]:
             slope = (tried[-1][1] - tried[-2][1]) / (tried[-1][0] - tried[-2][0])
         correction -= mean_deg / slope
     return min(tried, key=lambda trial: abs(trial[1]))[0]
 
 
-def _corrected(craft: OrbitalFrameSpacecraft, correction_rad_s: float) -> OrbitalFrameSpacecraft:
-    return craft._replace(computer=craft.computer._replace(yaw_rate_correction_rad_s=correction_rad_s))
+def _corrected(spacecraft: OrbitalFrameSpacecraft, correction_rad_s: float) -> OrbitalFrameSpacecraft:
+    return spacecraft._replace(computer=spacecraft.computer._replace(yaw_rate_correction_rad_s=correction_rad_s))

@@ -163,26 +163,26 @@ def held_step(state: State, body: tuple[Inverse, Inverse, float, float], torque:
     return blended(state, (a, b, c, d), step_s)
 
 
-def continuous_torque(craft: OrbitalFrameSpacecraft, state: State, inverse: Inverse) -> Triple:
+def continuous_torque(spacecraft: OrbitalFrameSpacecraft, state: State, inverse: Inverse) -> Triple:
     """Return what ideal sensors, a continuous computer and ideal wheels give, N m."""
     roll, pitch = tilt(state)
-    wanted = wanted_torque(craft.law, roll, pitch, body_rate(state, inverse))
-    limit = craft.computer.torque_limit_n_m
+    wanted = wanted_torque(spacecraft.law, roll, pitch, body_rate(state, inverse))
+    limit = spacecraft.computer.torque_limit_n_m
     return (clipped(wanted[0], limit), clipped(wanted[1], limit), clipped(wanted[2], limit))
 
 
 def continuous_step(
-    craft: OrbitalFrameSpacecraft, state: State, body: tuple[Inverse, Inverse, float, float], step_s: float
+    spacecraft: OrbitalFrameSpacecraft, state: State, body: tuple[Inverse, Inverse, float, float], step_s: float
 ) -> State:
     """Return the state after a step in which the law follows the state."""
     inertia, inverse, gravity, w0 = body
-    a = derivative(state, inertia, inverse, gravity, continuous_torque(craft, state, inverse), w0)
+    a = derivative(state, inertia, inverse, gravity, continuous_torque(spacecraft, state, inverse), w0)
     s = moved(state, a, 0.5 * step_s)
-    b = derivative(s, inertia, inverse, gravity, continuous_torque(craft, s, inverse), w0)
+    b = derivative(s, inertia, inverse, gravity, continuous_torque(spacecraft, s, inverse), w0)
     s = moved(state, b, 0.5 * step_s)
-    c = derivative(s, inertia, inverse, gravity, continuous_torque(craft, s, inverse), w0)
+    c = derivative(s, inertia, inverse, gravity, continuous_torque(spacecraft, s, inverse), w0)
     s = moved(state, c, step_s)
-    d = derivative(s, inertia, inverse, gravity, continuous_torque(craft, s, inverse), w0)
+    d = derivative(s, inertia, inverse, gravity, continuous_torque(spacecraft, s, inverse), w0)
     return blended(state, (a, b, c, d), step_s)
 
 
@@ -196,7 +196,7 @@ def write_row(row: FloatArray, time_s: float, state: State, torque: Triple, c: f
 
 
 def fly(
-    craft: OrbitalFrameSpacecraft,
+    spacecraft: OrbitalFrameSpacecraft,
     state: State,
     tones: FloatArray,
     rate_noise_rad_s: FloatArray,
@@ -223,46 +223,46 @@ def fly(
     status, periods, state
         ``NO_YAW_ESTIMATE`` when the roll rate leaves the law without a yaw; what was flown until then, and the end.
     """
-    j, computer, w0 = craft.inertia, craft.computer, craft.law.orbital_rate_rad_s
+    j, computer, w0 = spacecraft.inertia, spacecraft.computer, spacecraft.law.orbital_rate_rad_s
     inertia = (j.xx, j.yy, j.zz, j.xy, j.xz, j.yz)
     inverse = inverse_inertia(j.xx, j.yy, j.zz, j.xy, j.xz, j.yz)
-    body = (inertia, inverse, 3.0 * w0 * w0 if craft.has_gravity_torque else 0.0, w0)
-    step_s = computer.period_s / craft.steps
+    body = (inertia, inverse, 3.0 * w0 * w0 if spacecraft.has_gravity_torque else 0.0, w0)
+    step_s = computer.period_s / spacecraft.steps
     flexible = np.zeros((6, 2))
     turns = np.zeros(3)
     shown = tilt(state)
-    delay = craft.rate_sensor.delay_periods
+    delay = spacecraft.rate_sensor.delay_periods
     sensed = np.zeros((delay + 1, 3))
     torque = (0.0, 0.0, 0.0)
     write_row(record[0], 0.0, state, torque, body_rate(state, inverse)[0] / w0)
     for period in range(len(rate_noise_rad_s)):
         rate = body_rate(state, inverse)
         measured = tilt(state)
-        if craft.vertical_sensor.is_real:
-            sensor = craft.vertical_sensor
+        if spacecraft.vertical_sensor.is_real:
+            sensor = spacecraft.vertical_sensor
             seen = bent_tilt(sensor, state, flexible, tilt_noise_rad[period])
             shown = lagged_tilt(sensor, shown, seen, computer.period_s)
             measured = (rounded(shown[0], sensor.quantum_rad, 0), rounded(shown[1], sensor.quantum_rad, 0))
         used = rate
-        if craft.rate_sensor.is_real:
-            fresh = sensed_rate(craft.rate_sensor, bent_rate(rate, flexible), rate_noise_rad_s[period])
+        if spacecraft.rate_sensor.is_real:
+            fresh = sensed_rate(spacecraft.rate_sensor, bent_rate(rate, flexible), rate_noise_rad_s[period])
             sensed[period % (delay + 1)] = fresh
             old = sensed[max(period - delay, 0) % (delay + 1)]
             used = (old[0], old[1], old[2])
         used = (used[0], used[1], used[2] + computer.yaw_rate_correction_rad_s)
-        wanted = wanted_torque(craft.law, measured[0], measured[1], used)
+        wanted = wanted_torque(spacecraft.law, measured[0], measured[1], used)
         if math.isnan(wanted[0]) or math.isnan(wanted[1]) or math.isnan(wanted[2]):
             return NO_YAW_ESTIMATE, period, state
         asked = command(computer, wanted)
-        for _ in range(craft.steps):
+        for _ in range(spacecraft.steps):
             if computer.is_sampled:
-                torque = given_torque(craft.wheels, asked, state, turns, step_s)
+                torque = given_torque(spacecraft.wheels, asked, state, turns, step_s)
                 state = held_step(state, body, torque, step_s)
-                if craft.tones.is_real:
+                if spacecraft.tones.is_real:
                     swing(tones, flexible, torque)
             else:
-                torque = continuous_torque(craft, state, inverse)
-                state = continuous_step(craft, state, body, step_s)
+                torque = continuous_torque(spacecraft, state, inverse)
+                state = continuous_step(spacecraft, state, body, step_s)
         write_row(record[period + 1], (period + 1) * computer.period_s, state, torque, used[0] / w0)
     return FLOWN, len(rate_noise_rad_s), state
 
@@ -288,7 +288,7 @@ def compiled_fly(*, is_cached: bool = True) -> Fly:
     from numba import njit
     from numba.extending import register_jitable
 
-    for piece in _KERNEL_STAGES:
-        register_jitable(piece)
+    for chunk in _KERNEL_STAGES:
+        register_jitable(chunk)
     flown: Fly = njit(nogil=True, error_model="numpy", cache=is_cached)(fly)
     return flown

@@ -159,31 +159,31 @@ def rigid_spacecraft(
     )
 
 
-def refusals(craft: OrbitalFrameSpacecraft) -> list[str]:
+def refusals(spacecraft: OrbitalFrameSpacecraft) -> list[str]:
     """Return what no craft can be, each with the value at fault; an empty list when it can fly."""
-    j, w = craft.inertia, craft.wheels
+    j, w = spacecraft.inertia, spacecraft.wheels
     minors = (
         j.xx,
         j.xx * j.yy - j.xy**2,
         j.xx * (j.yy * j.zz - j.yz**2) - j.xy * (j.xy * j.zz - j.yz * j.xz) + j.xz * (j.xy * j.yz - j.yy * j.xz),
     )
     positive = {
-        "law.orbital_rate_rad_s": craft.law.orbital_rate_rad_s,
-        "computer.period_s": craft.computer.period_s,
-        "computer.torque_limit_n_m": craft.computer.torque_limit_n_m,
-        "computer.torque_quantum_n_m": craft.computer.torque_quantum_n_m,
-        "vertical_sensor.lag_s": craft.vertical_sensor.lag_s,
-        "vertical_sensor.noise_time_s": craft.vertical_sensor.noise_time_s,
-        "vertical_sensor.quantum_rad": craft.vertical_sensor.quantum_rad,
-        "rate_sensor.quantum_rad_s": craft.rate_sensor.quantum_rad_s,
+        "law.orbital_rate_rad_s": spacecraft.law.orbital_rate_rad_s,
+        "computer.period_s": spacecraft.computer.period_s,
+        "computer.torque_limit_n_m": spacecraft.computer.torque_limit_n_m,
+        "computer.torque_quantum_n_m": spacecraft.computer.torque_quantum_n_m,
+        "vertical_sensor.lag_s": spacecraft.vertical_sensor.lag_s,
+        "vertical_sensor.noise_time_s": spacecraft.vertical_sensor.noise_time_s,
+        "vertical_sensor.quantum_rad": spacecraft.vertical_sensor.quantum_rad,
+        "rate_sensor.quantum_rad_s": spacecraft.rate_sensor.quantum_rad_s,
         "wheels.inertia_kg_m2": w.inertia_kg_m2,
         "wheels.no_load_rad_s": w.no_load_rad_s,
-        "tones.damping_ratio": craft.tones.damping_ratio,
-        "steps": float(craft.steps),
+        "tones.damping_ratio": spacecraft.tones.damping_ratio,
+        "steps": float(spacecraft.steps),
     }
     found = [f"{name} is {value:g}; it must be above zero" for name, value in positive.items() if not value > 0.0]
-    if craft.rate_sensor.delay_periods < 0:
-        found.append(f"rate_sensor.delay_periods is {craft.rate_sensor.delay_periods}; it must not be negative")
+    if spacecraft.rate_sensor.delay_periods < 0:
+        found.append(f"rate_sensor.delay_periods is {spacecraft.rate_sensor.delay_periods}; it must not be negative")
     if not all(minor > 0.0 for minor in minors):
         found.append("the inertia tensor is not positive definite; products are tensor elements, not integrals")
     elif not (j.xx + j.yy > j.zz and j.yy + j.zz > j.xx and j.zz + j.xx > j.yy):

@@ -84,11 +84,11 @@ def _parse(text: str) -> list[_Segment]:
             position = _MARKS[content]
             segments += [_Segment()] if content == "META_START" else []
         elif content and not content.startswith("COMMENT"):
-            _take(position, content, number, segments)
+            _consume(position, content, number, segments)
     return segments
 
 
-def _take(position: str, content: str, number: int, segments: list[_Segment]) -> None:
+def _consume(position: str, content: str, number: int, segments: list[_Segment]) -> None:
     """Take in one line at its place."""
     if position == "meta":
         keyword, is_assigned, value = content.partition("=")
@@ -98,10 +98,10 @@ def _take(position: str, content: str, number: int, segments: list[_Segment]) ->
     elif position == "data":
         if not segments:
             raise _malformed(number, "states must follow a META_START ... META_STOP block")
-        _take_state(content.split(), number, segments[-1])
+        _read_state(content.split(), number, segments[-1])
 
 
-def _take_state(cells: list[str], number: int, segment: _Segment) -> None:
+def _read_state(cells: list[str], number: int, segment: _Segment) -> None:
     """Take in one state."""
     if len(cells) not in _STATE_COLUMNS:
         raise _malformed(number, "a state is an epoch, three coordinates in km and three rates in km/s")

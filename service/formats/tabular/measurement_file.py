@@ -86,8 +86,8 @@ def file_bytes(file: MeasurementFile, blocks: Iterable[MeasurementBlock]) -> Ite
     if start := file.begin():
         yield start
     for block in blocks:
-        if piece := file.rows(block):
-            yield piece
+        if chunk := file.rows(block):
+            yield chunk
     if end := file.end():
         yield end
 

@@ -127,18 +127,18 @@ def _put_hundredths(out: Bytes, at: int, hundredths: np.uint32, is_negative: boo
     return at + 1 + int(_DECIMALS_BYTES[rest])
 
 
-def _put_bytes(out: Bytes, at: int, piece: Bytes) -> int:
+def _put_bytes(out: Bytes, at: int, chunk: Bytes) -> int:
     """Write a fixed piece at a place; return the next place."""
-    for byte in piece:
+    for byte in chunk:
         out[at] = byte
         at += 1
     return at
 
 
-def _put_text(out: Bytes, at: int, pieces: Bytes, ends: Positions, which: int | np.int64) -> int:
+def _put_text(out: Bytes, at: int, chunks: Bytes, ends: Positions, which: int | np.int64) -> int:
     """Write one of several pieces that lie one after the other; return the next place."""
     for position in range(ends[which], ends[which + 1]):
-        out[at] = pieces[position]
+        out[at] = chunks[position]
         at += 1
     return at
 

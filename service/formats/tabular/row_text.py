@@ -121,13 +121,13 @@ def _compile() -> None:
     _compiled.set()
 
 
-def _as_array(piece: bytes) -> NDArray[np.uint8]:
-    return np.frombuffer(piece, dtype=np.uint8)
+def _as_array(chunk: bytes) -> NDArray[np.uint8]:
+    return np.frombuffer(chunk, dtype=np.uint8)
 
 
-def _ends(pieces: tuple[bytes, ...]) -> Positions:
+def _ends(chunks: tuple[bytes, ...]) -> Positions:
     """Return where each piece begins, and where the last one ends, when they lie one after the other."""
-    return np.cumsum([0, *map(len, pieces)], dtype=np.int64)
+    return np.cumsum([0, *map(len, chunks)], dtype=np.int64)
 
 
 def plain_rows(

@@ -95,8 +95,8 @@ def _parquet(table: SeriesTable[R], pages: Iterable[Sequence[R]]) -> Iterator[by
             pa.array([_arrow_value(column.kind, value) for value in values], type=types[column.kind])
             for column, values in zip(table.columns, columns, strict=True)
         ]
-        if arrays and (piece := stream.add(pa.RecordBatch.from_arrays(arrays, schema=schema))):
-            yield piece
+        if arrays and (chunk := stream.add(pa.RecordBatch.from_arrays(arrays, schema=schema))):
+            yield chunk
     yield stream.end()
 
 

@@ -62,7 +62,7 @@ class MeasuringCycle:
         for sweep in self._sweeps:
             try:
                 self._prepare(sweep)
-                sweeps[sweep.id] = self._driver.take(sweep)
+                sweeps[sweep.id] = self._driver.measure(sweep)
             except SweepRefusedError as error:
                 logger.warning("%s", error)
                 self._configured = ""

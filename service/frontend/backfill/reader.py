@@ -55,8 +55,8 @@ def sha256_of(path: Path) -> str:
     """Return the SHA-256 of a file, hexadecimal."""
     digest = hashlib.sha256()
     with path.open("rb") as file:
-        while piece := file.read(_HASHED_BYTES):
-            digest.update(piece)
+        while chunk := file.read(_HASHED_BYTES):
+            digest.update(chunk)
     return digest.hexdigest()
 
 
@@ -184,8 +184,8 @@ class ParquetArchive:
 
     def rows(self) -> Iterator[FileRow]:
         """Yield the rows."""
-        for piece in self._file.iter_batches(batch_size=_PARQUET_ROWS):
-            columns = [self._listed(name, column) for name, column in zip(self.header, piece.columns, strict=True)]
+        for chunk in self._file.iter_batches(batch_size=_PARQUET_ROWS):
+            columns = [self._listed(name, column) for name, column in zip(self.header, chunk.columns, strict=True)]
             for cells in zip(*columns, strict=True):
                 self.done += 1
                 yield FileRow(self.done, list(cells))

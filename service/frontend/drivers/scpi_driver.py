@@ -152,9 +152,9 @@ class ScpiDriver:
         self._settings = self._configuration.configure(sweep, path)
         return self._settings
 
-    def take(self, sweep: SweepPart) -> Sweep:
+    def measure(self, sweep: SweepPart) -> Sweep:
         """Take ``sweep.count`` sweeps and return their mean in milliwatts."""
-        taken = [self._take_checked(sweep.id) for _ in range(sweep.count)]
+        taken = [self._checked_sweep(sweep.id) for _ in range(sweep.count)]
         if len(taken) == 1:
             return taken[0]
         first, last = taken[0], taken[-1]
@@ -170,10 +170,10 @@ class ScpiDriver:
             any(each.is_setting_mismatch for each in taken),
         )
 
-    def _take_checked(self, sweep_id: str) -> Sweep:
+    def _checked_sweep(self, sweep_id: str) -> Sweep:
         """Take one sweep; one whose settings were changed is taken again, and is no measurement the second time."""
         try:
-            sweep, is_unchanged = self._take_once(sweep_id)
+            sweep, is_unchanged = self._sweep_once(sweep_id)
         except SweepRefusedError:
             # A setting changed during the sweep leaves no trace to give.
             if self._configuration.is_unchanged(self._dialogue.ask(self._configuration.readback)):
@@ -183,11 +183,11 @@ class ScpiDriver:
                 return sweep
         if self._asked is not None:
             self.configure(*self._asked)
-        sweep, is_unchanged = self._take_once(sweep_id)
+        sweep, is_unchanged = self._sweep_once(sweep_id)
         power_mw = sweep.power_mw if is_unchanged else np.full(sweep.power_mw.size, np.nan)
         return replace(sweep, power_mw=power_mw, is_setting_mismatch=True)
 
-    def _take_once(self, sweep_id: str) -> tuple[Sweep, bool]:
+    def _sweep_once(self, sweep_id: str) -> tuple[Sweep, bool]:
         """Take one sweep; tell whether its settings stood to its end."""
         settings = self._settings
         if settings is None:

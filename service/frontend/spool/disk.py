@@ -65,7 +65,7 @@ class SpoolDisk:
                 file.restore(carried, self.last_seq, 0)
                 detail = f"the file was removed while in use; its {len(carried)} rows were carried over to a new one"
                 self._board.put_up(codes.CORRUPT, detail, self._now_us())
-            return self._take(file)
+            return self._consume(file)
         return self.file
 
     def mark(self, seq: int) -> None:
@@ -79,7 +79,7 @@ class SpoolDisk:
             waiting = self.file.waiting if self.file else None
             self._drop_file()
             try:
-                self._take(self._start_over(str(error), waiting))
+                self._consume(self._start_over(str(error), waiting))
             except DISK_FAULTS as further:
                 error = further
             else:
@@ -97,7 +97,7 @@ class SpoolDisk:
             self._lock.release()
             self._lock = None
 
-    def _take(self, file: SpoolFile) -> SpoolFile:
+    def _consume(self, file: SpoolFile) -> SpoolFile:
         """Make a file the one in use."""
         found = self._path.stat()
         self._inode = (found.st_dev, found.st_ino)

@@ -42,7 +42,7 @@ class StationFile(BaseModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _take_list(cls, document: object) -> object:
+    def _read_list(cls, document: object) -> object:
         """Let a bare list stand for the analyzers."""
         return {"analyzers": document} if isinstance(document, list) else document
 

@@ -112,8 +112,8 @@ class AlarmEngine:
         fresh = ValueMemory()
         return tuple(
             WatchMemory(condition, thing, replace(watch, value=fresh.value, newest_us=fresh.newest_us))
-            for condition, watched in self._watches.items()
-            for thing, watch in watched.items()
+            for condition, memories in self._watches.items()
+            for thing, watch in memories.items()
         )
 
     def present_value(self, key: Key) -> float:
@@ -153,16 +153,16 @@ class AlarmEngine:
 
     def observe(self, readings: Readings, at_us: int) -> list[AlarmChange]:
         """Hold values against the limits in force and return what changes."""
-        in_force, watched = self._in_force[readings.condition], self._watches[readings.condition]
+        in_force, memories = self._in_force[readings.condition], self._watches[readings.condition]
         positions = in_force.suspects(readings.values)
-        if not positions and not watched:
+        if not positions and not memories:
             return []
         positions_of = {thing: k for k, thing in enumerate(readings.things)}
         suspected = [readings.things[k] for k in positions]
-        concerned = dict.fromkeys([*suspected, *(readings.things if readings.is_partial else watched)])
+        concerned = dict.fromkeys([*suspected, *(readings.things if readings.is_partial else memories)])
         changes = []
         for thing in concerned:
-            watch = watched.setdefault(thing, ValueMemory())
+            watch = memories.setdefault(thing, ValueMemory())
             position = positions_of.get(thing)
             if position is None or not in_force.limits.enabled:
                 changes += self._over(watch, (readings.condition, thing), at_us)
@@ -171,7 +171,7 @@ class AlarmEngine:
                 if verdict is not None:
                     changes += self._judged(verdict, in_force, thing, at_us, readings.notes.get(thing, ""))
             if watch.is_idle:
-                del watched[thing]
+                del memories[thing]
         return changes
 
     def pass_time(self, at_us: int) -> list[AlarmChange]:

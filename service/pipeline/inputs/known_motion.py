@@ -56,7 +56,7 @@ class CommandedMotion:
 def heard(
     commanded: CommandedMotion,
     content: Correction | AppliedCommand | ReportedCommand,
-    craft: Spacecraft | None,
+    record: Spacecraft | None,
     newest_us: int,
 ) -> CommandedMotion:
     """Return the changes with one more, which became known when rows up to ``newest_us`` had been consumed.
@@ -68,20 +68,20 @@ def heard(
             return _with(commanded, _of_correction(content), newest_us)
         case ReportedCommand():
             ended = without_replaced(commanded, content.counter, content.executed, newest_us)
-            return _with(ended, _of_pulses(content.executed, craft, counter=content.counter), newest_us)
+            return _with(ended, _of_pulses(content.executed, record, counter=content.counter), newest_us)
         case AppliedCommand():
             command = content.command
             is_before = partial(_is_of_row_before, number=command.number)
             ended = _ended(commanded, is_before, command.epoch_us, newest_us)
-            return _with(ended, _of_pulses(command.schedule, craft, number=command.number), newest_us)
+            return _with(ended, _of_pulses(command.schedule, record, number=command.number), newest_us)
 
 
 def motions_of_released(
-    commanded: CommandedMotion, released: ReleasedCommand, craft: Spacecraft | None, newest_us: int
+    commanded: CommandedMotion, released: ReleasedCommand, record: Spacecraft | None, newest_us: int
 ) -> CommandedMotion:
     """Return what a released command would change: its own pulses, and what is known to be under way without it."""
     nothing = CommandedMotion(commanded.since_us)
-    own = _with(nothing, _of_pulses(released.schedule, craft, counter=released.counter), newest_us)
+    own = _with(nothing, _of_pulses(released.schedule, record, counter=released.counter), newest_us)
     start_us = first_us(released.schedule)
     is_before = partial(_is_of_release_before, counter=released.counter)
     replaced = (_rest(motion, start_us) for motion in commanded.motions if is_before(motion))
@@ -161,7 +161,7 @@ def _with(
     return replace(commanded, motions=kept, late_deg=_triple(late_deg), late_rate_deg_h=_triple(late_rate))
 
 
-def take(commanded: CommandedMotion, from_us: int, to_us: int) -> tuple[KnownMotion, CommandedMotion]:
+def consume(commanded: CommandedMotion, from_us: int, to_us: int) -> tuple[KnownMotion, CommandedMotion]:
     """Return what was commanded between two epochs with all that is late, and the changes that are left."""
     correction, rate = np.zeros(3), np.array(commanded.late_rate_deg_h)
     late = np.array(commanded.late_deg)
@@ -195,12 +195,12 @@ def _of_correction(correction: Correction) -> tuple[_Motion, ...]:
 
 
 def _of_pulses(
-    pulses: Iterable[Pulse], craft: Spacecraft | None, *, number: int | None = None, counter: int | None = None
+    pulses: Iterable[Pulse], record: Spacecraft | None, *, number: int | None = None, counter: int | None = None
 ) -> tuple[_Motion, ...]:
     """Return the pulses of a command; without a spacecraft nothing is known of their effect."""
-    if craft is None:
+    if record is None:
         return ()
-    inertia = np.array(angle_inertia_kg_m2(craft))
+    inertia = np.array(angle_inertia_kg_m2(record))
     motions = []
     for pulse in pulses:
         gained_deg_h = np.rad2deg(np.array(pulse.torque_n_m) * pulse.duration_s / inertia) * 3600.0
@@ -213,9 +213,9 @@ def _pulse_stop_us(pulse: Pulse) -> int:
     return pulse.start_us + round(pulse.duration_s * US_PER_S)
 
 
-def angle_inertia_kg_m2(craft: Spacecraft) -> tuple[float, float, float]:
+def angle_inertia_kg_m2(record: Spacecraft) -> tuple[float, float, float]:
     """Return the inertia about yaw, roll and pitch."""
-    x, y, z = (craft.inertia_kg_m2[k][k] for k in range(3))
+    x, y, z = (record.inertia_kg_m2[k][k] for k in range(3))
     return z, x, y
 
 

@@ -78,7 +78,7 @@ class LinkState:
         return self.enabled and (self.is_silent(now_us) or self.report.state in DOWN_STATES)
 
 
-def learn_period(before_s: float | None, interval_s: float) -> float:
+def update_period(before_s: float | None, interval_s: float) -> float:
     """Return the period of reports after one more interval.
 
     A silence counts as three periods at most, so one outage does not make a link look slow, while one that really
@@ -86,7 +86,7 @@ def learn_period(before_s: float | None, interval_s: float) -> float:
 
     Examples
     --------
-    >>> learn_period(None, 10.0), learn_period(10.0, 3600.0)
+    >>> update_period(None, 10.0), update_period(10.0, 3600.0)
     (10.0, 15.0)
     """
     known_s = interval_s if before_s is None else before_s

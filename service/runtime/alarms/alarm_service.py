@@ -111,7 +111,7 @@ class AlarmService:
             self._thread.join()
         self._notices.stop()
 
-    def see(self, spacecraft_id: str, seen: Sequence[Seen]) -> None:
+    def on_rows(self, spacecraft_id: str, seen: Sequence[Seen]) -> None:
         """Take over rows and references; called from the supervisor's thread."""
         self._queue.extend((spacecraft_id, one) for one in seen)
         # the desk may empty the queue at the same time

@@ -95,7 +95,7 @@ class ReleaseLoop:
         if self._thread.is_alive():
             self._thread.join()
 
-    def see(self, spacecraft_id: str, seen: Sequence[StoredRow], *, has_inputs: bool = False) -> None:
+    def on_rows(self, spacecraft_id: str, seen: Sequence[StoredRow], *, has_inputs: bool = False) -> None:
         """Handle rows after they were stored, and that other inputs came in; called from the supervisor's thread.
 
         Nothing is raised: estimation goes on whatever happens to control.

@@ -88,7 +88,7 @@ class Leading:
                 self._is_leading = False
                 _LOG.warning("the lease is lost; it is asked for again")
             return
-        if not self._lease.take():
+        if not self._lease.acquire():
             return
         self._turns += 1
         self._is_leading = True

@@ -77,7 +77,7 @@ class Subscription:
         self._arrived = asyncio.Event()
         self._dropped = DroppedRows()
 
-    def take(self, events: Sequence[FeedEvent]) -> None:
+    def consume(self, events: Sequence[FeedEvent]) -> None:
         """Queue events in the subscriber's own loop; drop the oldest when full."""
         self._events.extend(events)
         while len(self._events) > self._capacity:
@@ -153,4 +153,4 @@ class LiveFeed:
 def _hand_over(readers: Sequence[Subscription], events: Sequence[FeedEvent]) -> None:
     """Give events to subscribers inside their loop."""
     for reader in readers:
-        reader.take(events)
+        reader.consume(events)

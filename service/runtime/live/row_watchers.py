@@ -15,7 +15,7 @@ Seen = RowEvidence | AttitudeReference
 class Watcher(Protocol):
     """Looks at what was computed, after it was stored; must not make the chain wait."""
 
-    def see(self, spacecraft_id: str, seen: Sequence[Seen]) -> None:
+    def on_rows(self, spacecraft_id: str, seen: Sequence[Seen]) -> None:
         """Take over rows that are neither late nor caught up with, and references, in the order of the journal."""
         ...
 
@@ -23,7 +23,7 @@ class Watcher(Protocol):
 class ReleaseWatcher(Protocol):
     """Looks at what control may follow from, after it was stored."""
 
-    def see(self, spacecraft_id: str, seen: Sequence[StoredRow], *, has_inputs: bool = False) -> None:
+    def on_rows(self, spacecraft_id: str, seen: Sequence[StoredRow], *, has_inputs: bool = False) -> None:
         """Take over what was computed, and whether inputs other than rows came in; nothing is raised."""
         ...
 

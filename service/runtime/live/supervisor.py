@@ -245,17 +245,17 @@ class Supervisor:
                 return
             # rows were stored before they were accepted: listeners need not wait for what is computed from them
             self._publisher.followed(spacecraft_id, entries)
-            self._take(follower, entries)
+            self._gathered(follower, entries)
             if not fresh and len(entries) < _ENTRIES_AT_ONCE:
                 # nothing unconsumed is ever dropped, so this was all; what came since has notified
                 return
 
-    def _take(self, follower: _Follower, entries: list[JournalEntry]) -> None:
+    def _gathered(self, follower: _Follower, entries: list[JournalEntry]) -> None:
         """Consume a batch and what streams in meanwhile, store what came of it, hand it to those who look at it."""
         while entries and not self._is_stopping:
-            entries = self._take_part(follower, entries)
+            entries = self._process_part(follower, entries)
 
-    def _take_part(self, follower: _Follower, entries: list[JournalEntry]) -> list[JournalEntry]:
+    def _process_part(self, follower: _Follower, entries: list[JournalEntry]) -> list[JournalEntry]:
         """Take a batch as far as the first command that counts as applied; return what is left of it.
 
         Control must have seen such a command, and may have tripped by it, before the next row is computed.
@@ -279,9 +279,9 @@ class Supervisor:
             self._store_and_publish(follower, entries, step.outcomes)
             if self._release is not None:
                 has_inputs = any(not isinstance(content, AppliedCommand) for content in others)
-                self._release.see(spacecraft_id, step.released, has_inputs=has_inputs)
+                self._release.on_rows(spacecraft_id, step.released, has_inputs=has_inputs)
         if self._watcher is not None and step.seen:
-            self._watcher.see(spacecraft_id, step.seen)
+            self._watcher.on_rows(spacecraft_id, step.seen)
         return left
 
     def _consume(self, follower: _Follower, entries: list[JournalEntry], step: "_Step") -> list[JournalEntry]:

@@ -57,9 +57,9 @@ def ground_of(opening: Opening) -> Ground:
 
 def _spacecraft(body: Line, fed_forward: Line | None) -> Spacecraft:
     """Return the catalogue's spacecraft with the torque that its loop feeds forward: the ground wrote that profile."""
-    craft = read_spacecraft(body)
+    record = read_spacecraft(body)
     if fed_forward is None:
-        return craft
+        return record
     announced = FedForwardTorque(
         epoch_us=parse_epoch(fed_forward["epoch"]),
         period_s=fed_forward["period_s"],
@@ -69,7 +69,7 @@ def _spacecraft(body: Line, fed_forward: Line | None) -> Spacecraft:
         relative_error=RELATIVE_ERROR,
         axis_relative_error=AXIS_RELATIVE_ERROR,
     )
-    return replace(craft, onboard=replace(craft.onboard, fed_forward_torque=announced))
+    return replace(record, onboard=replace(record.onboard, fed_forward_torque=announced))
 
 
 def slow_inputs(lines: tuple[Line, ...], documents: JournalDocuments, number: int) -> Iterator[SlowInput]:

@@ -104,9 +104,9 @@ class Releaser:
         for report in reports:
             for flying in self._flying:
                 if flying.counter == report.counter and report.state != "repeated":
-                    self._take(flying, report)
+                    self._consume(flying, report)
 
-    def _take(self, flying: Released, report: CommandReport) -> None:
+    def _consume(self, flying: Released, report: CommandReport) -> None:
         """Take one report of one command."""
         if report.state not in _EXECUTED or report.executed_until_us is None:
             self._report(flying, (), report.reported_us)

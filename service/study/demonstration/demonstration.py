@@ -116,8 +116,8 @@ def simulated_station(
         url = str(service.announcement["url"])
         resource = f"TCPIP::127.0.0.1::{ports['scpi_port']}::SOCKET"
         host = "127.0.0.1"
-        craft = (host, int(ports["uplink_port"])) if uplink else None
-        yield Endpoints(url, key, (host, int(ports["ground_port"])), resource, (analyzer, service), craft)
+        spacecraft = (host, int(ports["uplink_port"])) if uplink else None
+        yield Endpoints(url, key, (host, int(ports["ground_port"])), resource, (analyzer, service), spacecraft)
 
 
 def front_end(directory: Path, endpoints: Endpoints, spacecraft_id: str) -> FrontEnd:

@@ -46,7 +46,7 @@ class SpacecraftLine:
         self._flown = ""
         try:
             #: torque that the loop on board feeds forward, as the catalogue states one; None = nothing was said of it
-            self.fed_forward: Json | None = self._take("start").get("fed_forward_torque")
+            self.fed_forward: Json | None = self._consume("start").get("fed_forward_torque")
         except BaseException:
             self.close()
             raise
@@ -72,16 +72,16 @@ class SpacecraftLine:
         """
         line = json.dumps({"schedule": list(schedule), "counter": counter})
         self._socket.sendall(line.encode() + b"\n")
-        self._take("taken")
+        self._consume("taken")
 
     def await_flown(self, epoch: str) -> list[SpacecraftReport]:
         """Wait until the craft has come to the row of an epoch and return what it has told since the last call."""
         while self._flown < epoch:
-            self._flown = self._take("flown")["epoch"]
+            self._flown = self._consume("flown")["epoch"]
         reported, self._reports = self._reports, []
         return reported
 
-    def _take(self, wanted: str) -> Json:
+    def _consume(self, wanted: str) -> Json:
         """Return the next line of a type; reports before it are kept."""
         while True:
             text = self._lines.readline()

@@ -55,6 +55,6 @@ def night_statistics(pairs: Sequence[tuple[Course, Course]], method: str) -> Sta
 
 def _largest_mean(moved: FloatArray, hours: Float32Array) -> FloatArray:
     """Return the largest (3,) of the means over consecutive times."""
-    pieces = np.floor((hours - hours[0]) / _MEAN_H)
-    means = [np.abs(moved[pieces == piece].mean(axis=0)) for piece in np.unique(pieces)]
+    chunks = np.floor((hours - hours[0]) / _MEAN_H)
+    means = [np.abs(moved[chunks == chunk].mean(axis=0)) for chunk in np.unique(chunks)]
     return np.asarray(np.max(means, axis=0))

@@ -70,10 +70,10 @@ def reproduce(kernel: Fly, report: Callable[[str], None] = lambda _what: None) -
 
 def transient_flights(kernel: Fly, gains: OrbitalFrameGains = MAX_GAINS) -> tuple[FlightRecord, FlightRecord]:
     """Return the flights of figures 2 and 3: yaw of 10 and roll of 2 degrees at the start."""
-    craft = rigid_spacecraft(gains)
+    spacecraft = rigid_spacecraft(gains)
     return (
-        fly_spacecraft(craft, Start(yaw_deg=10.0), 2000.0, kernel=kernel),
-        fly_spacecraft(craft, Start(roll_deg=2.0), 2000.0, kernel=kernel),
+        fly_spacecraft(spacecraft, Start(yaw_deg=10.0), 2000.0, kernel=kernel),
+        fly_spacecraft(spacecraft, Start(roll_deg=2.0), 2000.0, kernel=kernel),
     )
 
 
@@ -120,10 +120,10 @@ def _products(kernel: Fly) -> list[Row]:
 
 def _quantum(kernel: Fly) -> list[Row]:
     rows = []
-    craft = rigid_spacecraft(MAX_GAINS, NOMINAL_INERTIA, is_sampled=True)
-    noisy = craft._replace(rate_sensor=RateSensor(null_rad_s=(0.0, 0.0, 0.0)))
+    spacecraft = rigid_spacecraft(MAX_GAINS, NOMINAL_INERTIA, is_sampled=True)
+    noisy = spacecraft._replace(rate_sensor=RateSensor(null_rad_s=(0.0, 0.0, 0.0)))
     for flown, parameters, has_noise in (
-        (craft, "quantum of torque, no noise, largest gains", False),
+        (spacecraft, "quantum of torque, no noise, largest gains", False),
         (noisy, "quantum of torque, rate noise 2e-7 rad/s, largest gains", True),
     ):
         roll, _, yaw = largest_after(fly_spacecraft(flown, Start(), STABILISATION_S, kernel=kernel), SETTLED_S)
@@ -137,8 +137,10 @@ def _null(kernel: Fly) -> list[Row]:
     rows = []
     for sign in (-1.0, 1.0):
         sensor = RateSensor(null_rad_s=(sign * 1.8e-7, 0.0, 0.0))
-        craft = rigid_spacecraft(MAX_GAINS, NOMINAL_INERTIA, is_sampled=True)._replace(rate_sensor=sensor)
-        mean_deg = mean_over_orbits(fly_spacecraft(craft, Start(), STABILISATION_S, kernel=kernel), ORBITAL_RATE_RAD_S)
+        spacecraft = rigid_spacecraft(MAX_GAINS, NOMINAL_INERTIA, is_sampled=True)._replace(rate_sensor=sensor)
+        mean_deg = mean_over_orbits(
+            fly_spacecraft(spacecraft, Start(), STABILISATION_S, kernel=kernel), ORBITAL_RATE_RAD_S
+        )
         rows.append(
             row(
                 f"constant yaw, null {sign * 1.8e-7:+.1e} rad/s",
@@ -155,9 +157,9 @@ def _null(kernel: Fly) -> list[Row]:
 
 def full_spacecraft(kernel: Fly) -> OrbitalFrameSpacecraft:
     """Return the craft of figure 4: every disturbance, smallest yaw gains, the yaw rate's zero corrected."""
-    craft = _UNCORRECTED
-    correction = trimmed_correction_rad_s(craft, STABILISATION_S, kernel)
-    return craft._replace(computer=craft.computer._replace(yaw_rate_correction_rad_s=correction))
+    spacecraft = _UNCORRECTED
+    correction = trimmed_correction_rad_s(spacecraft, STABILISATION_S, kernel)
+    return spacecraft._replace(computer=spacecraft.computer._replace(yaw_rate_correction_rad_s=correction))
 
 
 def _everything(kernel: Fly) -> list[Row]:
@@ -197,18 +199,18 @@ def _everything(kernel: Fly) -> list[Row]:
 
 def _noise(kernel: Fly) -> list[Row]:
     """Return what noise of the vertical sensor alone makes of yaw: long waves, although its own time is a second."""
-    craft = rigid_spacecraft(MAX_GAINS, is_sampled=True)._replace(vertical_sensor=VerticalSensor())
-    flight = fly_spacecraft(craft, Start(), STABILISATION_S, kernel=kernel)
+    spacecraft = rigid_spacecraft(MAX_GAINS, is_sampled=True)._replace(vertical_sensor=VerticalSensor())
+    flight = fly_spacecraft(spacecraft, Start(), STABILISATION_S, kernel=kernel)
     yaw_deg = flight.yaw_deg[flight.time_s > SETTLED_S]
     power = np.cumsum(np.abs(np.fft.rfft(yaw_deg - yaw_deg.mean())) ** 2)
     half = int(np.searchsorted(power, 0.5 * power[-1]))
-    period_s = len(yaw_deg) * craft.computer.period_s / half
+    period_s = len(yaw_deg) * spacecraft.computer.period_s / half
     alone = "noise of the vertical sensor alone, largest gains"
     return [
         statement_row("rms of yaw", alone, "shows in yaw", float(yaw_deg.std()), "deg", is_met=yaw_deg.std() > 1e-3),
         statement_row(
             *("period above which half of its power lies", alone, "as harmonics", period_s, "s"),
-            is_met=period_s > 100.0 * craft.vertical_sensor.noise_time_s,
+            is_met=period_s > 100.0 * spacecraft.vertical_sensor.noise_time_s,
         ),
     ]
 
@@ -222,8 +224,8 @@ def _friction(kernel: Fly) -> list[Row]:
     }
     means = {}
     for name, value in parts.items():
-        craft = rigid._replace(wheels=none._replace(**{name: value}))
-        flight = fly_spacecraft(craft, Start(), STABILISATION_S, kernel=kernel)
+        spacecraft = rigid._replace(wheels=none._replace(**{name: value}))
+        flight = fly_spacecraft(spacecraft, Start(), STABILISATION_S, kernel=kernel)
         means[name] = abs(mean_over_orbits(flight, ORBITAL_RATE_RAD_S))
     dry_deg = means.pop("dry_friction_n_m")
     share = max(means.values()) / dry_deg
@@ -235,7 +237,8 @@ def _tones(kernel: Fly) -> list[Row]:
     """Return what flexible tones do: nothing with these gains, a resonance with higher ones and an older rate."""
     flown = (full_spacecraft(kernel), full_spacecraft(kernel)._replace(tones=Tones(is_real=False)))
     peaks = [
-        largest_after(fly_spacecraft(craft, Start(), STABILISATION_S, kernel=kernel), SETTLED_S)[2] for craft in flown
+        largest_after(fly_spacecraft(spacecraft, Start(), STABILISATION_S, kernel=kernel), SETTLED_S)[2]
+        for spacecraft in flown
     ]
     no_change = "every disturbance, smallest yaw gains, corrected"
     rows = [row("peak of yaw with tones over that without", no_change, 1.0, peaks[0] / peaks[1], "", within=0.02)]
@@ -243,9 +246,9 @@ def _tones(kernel: Fly) -> list[Row]:
         gains = MAX_GAINS._replace(
             yaw_stiffness=factor * MAX_GAINS.yaw_stiffness, yaw_damping=factor * MAX_GAINS.yaw_damping
         )
-        craft = OrbitalFrameSpacecraft(law=Law(gains=gains), rate_sensor=RateSensor(delay_periods=4))
-        torque = fly_spacecraft(craft, Start(), 2.0 * SETTLED_S, kernel=kernel).torque_n_m[-8000:, 2]
-        limit, quantum = craft.computer.torque_limit_n_m, craft.computer.torque_quantum_n_m
+        spacecraft = OrbitalFrameSpacecraft(law=Law(gains=gains), rate_sensor=RateSensor(delay_periods=4))
+        torque = fly_spacecraft(spacecraft, Start(), 2.0 * SETTLED_S, kernel=kernel).torque_n_m[-8000:, 2]
+        limit, quantum = spacecraft.computer.torque_limit_n_m, spacecraft.computer.torque_quantum_n_m
         rms = float(torque.std())
         rows.append(
             statement_row(

@@ -253,7 +253,7 @@ async def test_long_exports_are_packed_as_they_stream(bench, make):
     fill(bench, make)
     async with bench.client.stream("GET", f"{bench.url}/archive/measurements:export") as answer:
         assert answer.headers["content-encoding"] == "gzip"
-        packed = b"".join([piece async for piece in answer.aiter_raw()])
+        packed = b"".join([chunk async for chunk in answer.aiter_raw()])
     plain = await bench.client.get(f"{bench.url}/archive/measurements:export", headers={"Accept-Encoding": "identity"})
     assert gzip.decompress(packed) == plain.content
     table = await bench.client.get(f"{bench.url}/archive/measurements:export", params={"format": "parquet"})

@@ -38,9 +38,9 @@ async def test_a_correction_is_a_new_note_that_names_the_old_one(bench):
 
 
 async def test_notes_are_listed_by_craft_and_time_in_pages(bench, make):
-    for minute, craft in enumerate((make.sc, None, make.sc)):
+    for minute, spacecraft in enumerate((make.sc, None, make.sc)):
         epoch = f"2026-11-21T0{minute}:00:00Z"
-        await bench.client.post(NOTES, json={"text": str(minute), "epoch": epoch, "spacecraft_id": craft})
+        await bench.client.post(NOTES, json={"text": str(minute), "epoch": epoch, "spacecraft_id": spacecraft})
     page = (await bench.client.get(NOTES, params={"limit": 2, "spacecraft_id": make.sc})).json()
     rest = (await bench.client.get(NOTES, params={"cursor": page["next"], "spacecraft_id": make.sc})).json()
     assert [row["text"] for row in page["rows"] + rest["rows"]] == ["0", "1", "2"]

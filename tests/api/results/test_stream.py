@@ -39,11 +39,11 @@ async def test_stream_tells_what_the_rest_interface_tells(served, source, bench,
         assert response.headers["content-type"].startswith("text/event-stream")
         assert response.headers["cache-control"] == "no-store"
         reader = Reader(response)
-        (status,) = reader.take(1, "status")
+        (status,) = reader.consume(1, "status")
         assert status.data == await bench.get("/status")
         events = source.store(1)
         source.publish(events)
-        measurement, attitude, torque = reader.take(3)
+        measurement, attitude, torque = reader.consume(3)
         assert measurement.data == (await bench.get("/measurements/history"))["rows"][-1]
         assert attitude.data == (await bench.get("/attitude/history"))["rows"][-1]
         assert torque.data == (await bench.get("/torques/history"))["rows"][-1]
@@ -55,7 +55,7 @@ async def test_stream_tells_what_the_rest_interface_tells(served, source, bench,
             f"{make.sc}:{number}.3.0",
             f"{make.sc}:{number}.4.0",
         ]
-        wait_until(lambda: (reader.take(1, "status"), reader.comments)[1] >= 1)
+        wait_until(lambda: (reader.consume(1, "status"), reader.comments)[1] >= 1)
     wait_until(lambda: source.subscribers() == 0)
 
 
@@ -63,32 +63,32 @@ async def test_stream_without_an_id_starts_with_the_present(served, source):
     published = source.store(3)
     with served.open() as response:
         reader = Reader(response)
-        reader.take(1, "status")
+        reader.consume(1, "status")
         source.publish(published)
         fresh = source.store(1)
         source.publish(fresh)
-        assert named(reader.take(3)) == [(event.kind, format_epoch(event.content.epoch_us)) for event in fresh]
+        assert named(reader.consume(3)) == [(event.kind, format_epoch(event.content.epoch_us)) for event in fresh]
 
 
 @pytest.mark.parametrize("cut", range(10))
 async def test_resume_anywhere_loses_and_doubles_nothing(served, source, cut):
     with served.open() as response:
         reader = Reader(response)
-        (status,) = reader.take(1, "status")
+        (status,) = reader.consume(1, "status")
         events = source.store(3)
         source.publish(events)
-        seen = reader.take(cut)
+        seen = reader.consume(cut)
     last = seen[-1].id if seen else status.id
     # more comes while nobody listens, and is published late, when the client is back
     missed = source.store(2)
     with served.open(last) as response:
         reader = Reader(response)
-        (status,) = reader.take(1, "status")
+        (status,) = reader.consume(1, "status")
         assert status.id == last
         source.publish(events, missed)
         fresh = source.store(1)
         source.publish(fresh)
-        seen += reader.take(18 - cut)
+        seen += reader.consume(18 - cut)
     for kind in ("measurement", "attitude", "torque"):
         epochs = [event.data["epoch"] for event in seen if event.kind == kind]
         reported = [format_epoch(e.content.epoch_us) for e in (*events, *missed, *fresh) if e.kind == kind]
@@ -98,13 +98,13 @@ async def test_resume_anywhere_loses_and_doubles_nothing(served, source, cut):
 async def test_hole_in_the_feed_is_filled_from_the_archive(served, source):
     with served.open() as response:
         reader = Reader(response)
-        reader.take(1, "status")
+        reader.consume(1, "status")
         source.publish(source.store(1))
-        before = reader.take(3)
+        before = reader.consume(3)
         lost = source.store(2)
         fresh = source.store(1)
         source.publish(fresh)
-        reported = named(reader.take(9))
+        reported = named(reader.consume(9))
     assert len(before) == 3
     assert sorted(reported) == sorted((e.kind, format_epoch(e.content.epoch_us)) for e in (*lost, *fresh))
 
@@ -112,12 +112,12 @@ async def test_hole_in_the_feed_is_filled_from_the_archive(served, source):
 async def test_event_without_content_sends_streams_to_the_archive(served, source):
     with served.open() as response:
         reader = Reader(response)
-        reader.take(1, "status")
+        reader.consume(1, "status")
         stored = source.store(2)
         last = stored[-1].cursor
         source.publish((*stored[:2], FeedEvent("status", last, None)))
-        assert named(reader.take(6)) == [(e.kind, format_epoch(e.content.epoch_us)) for e in stored]
-        (status,) = reader.take(1, "status")
+        assert named(reader.consume(6)) == [(e.kind, format_epoch(e.content.epoch_us)) for e in stored]
+        (status,) = reader.consume(1, "status")
         assert status.id == f"yamal-202:{last.number}.{last.sequence}.0"
         assert status.data["newest_attitude"] == format_epoch(stored[-1].content.epoch_us)
 
@@ -125,14 +125,14 @@ async def test_event_without_content_sends_streams_to_the_archive(served, source
 async def test_slow_client_is_told_and_gets_everything(served, source, bench):
     with served.open() as response:
         reader = Reader(response)
-        reader.take(1, "status")
+        reader.consume(1, "status")
         batches = [source.store(5) for _ in range(40)]
         for batch in batches:
             source.publish(batch)
             time.sleep(0.002)
-        events = reader.take(601, "measurement", "attitude", "torque", "dropped")
+        events = reader.consume(601, "measurement", "attitude", "torque", "dropped")
         while sum(event.kind != "dropped" for event in events) < 600:
-            events += reader.take(1, "measurement", "attitude", "torque", "dropped")
+            events += reader.consume(1, "measurement", "attitude", "torque", "dropped")
     told_of = [event.data for event in events if event.kind == "dropped"]
     # the queue holds 50 events and the reader is slower than the writer; how many are dropped depends on the machine
     assert sum(sum(each["counts"].values()) for each in told_of) > 0
@@ -153,30 +153,30 @@ async def test_id_beyond_the_archive_starts_with_the_present_and_says_so(served,
     source.store(1)
     with served.open(f"yamal-202:{beyond}") as response:
         reader = Reader(response)
-        (status,) = reader.take(1, "status")
+        (status,) = reader.consume(1, "status")
         assert status.id.endswith(".2.0")
-        (dropped,) = reader.take(1, "dropped")
+        (dropped,) = reader.consume(1, "dropped")
         assert (dropped.data["reason"], dropped.data["follows"]) == ("archive_restored", False)
         fresh = source.store(1)
         source.publish(fresh)
-        assert len(reader.take(3)) == 3
+        assert len(reader.consume(3)) == 3
 
 
 async def test_plan_put_while_streaming_names_its_carriers(served, source, bench, make):
     with served.open() as response:
         reader = Reader(response)
-        reader.take(1, "status")
+        reader.consume(1, "status")
         plan = bench.storage.catalogue.put_plan(make.sc, [make.carrier(8)], "second")
         (row,) = bench.append([make.now_us], plan_id=plan.id)
         source.publish((FeedEvent("measurement", Cursor(row.number, 0), row),))
-        (event,) = reader.take(1)
+        (event,) = reader.consume(1)
         assert event.data["power_dbm"] == {"c08": -42.1}
 
 
 async def test_open_stream_does_not_hold_up_a_stop(served, source):
     with served.open() as response:
         reader = Reader(response)
-        reader.take(1, "status")
+        reader.consume(1, "status")
         served.server.should_exit = True
         rest = list(reader._lines)
         served.thread.join(120)
@@ -189,10 +189,10 @@ async def test_many_clients_get_the_same(served, source):
     with ExitStack() as stack:
         readers = [Reader(stack.enter_context(served.open())) for _ in range(5)]
         for reader in readers:
-            reader.take(1, "status")
+            reader.consume(1, "status")
         events = source.store(4)
         source.publish(events)
-        reported = [reader.take(12) for reader in readers]
+        reported = [reader.consume(12) for reader in readers]
     assert all(seen == reported[0] for seen in reported)
     assert named(reported[0]) == [(e.kind, format_epoch(e.content.epoch_us)) for e in events]
     wait_until(lambda: source.subscribers() == 0)
@@ -222,10 +222,10 @@ async def test_an_id_older_than_retention_goes_on_with_what_is_kept(served, sour
     )
     with served.open(f"yamal-202:{kept - 2}.0.0") as response:
         reader = Reader(response)
-        (dropped,) = reader.take(1, "dropped")
+        (dropped,) = reader.consume(1, "dropped")
         assert (dropped.data["reason"], dropped.data["follows"]) == ("retention", False)
         assert dropped.data["counts"] == {"measurement": 2, "result": 4}
-        reported = named(reader.take(6))
+        reported = named(reader.consume(6))
     assert sorted(reported) == sorted(
         (e.kind, format_epoch(e.content.epoch_us)) for e in published[2:4] + published[8:]
     )
@@ -237,12 +237,12 @@ async def test_one_stream_too_many_is_refused_and_room_comes_back(served, source
         # a reader that nobody holds closes its stream
         readers = [Reader(first), Reader(second)]
         for reader in readers:
-            reader.take(1, "status")
+            reader.consume(1, "status")
         answer = await bench.refused("GET", "/spacecraft/yamal-202/stream")
         assert answer[:2] == (503, "stream.too_many")
     wait_until(lambda: source.subscribers() == 0)
     with served.open() as response:
-        Reader(response).take(1, "status")
+        Reader(response).consume(1, "status")
 
 
 async def test_streams_that_are_asked_for_together_do_not_pass_the_limit(bench, monkeypatch):
@@ -286,17 +286,17 @@ async def test_alarms_are_told_and_resumed(served, bench, make):
 
     with served.open() as response:
         reader = Reader(response)
-        (status,) = reader.take(1, "status")
+        (status,) = reader.consume(1, "status")
         change = alarm("first")
         bench.context.feed.publish(make.sc, (FeedEvent("alarm", Cursor(0, 0, change.sequence), change),))
-        (event,) = reader.take(1, "alarm")
+        (event,) = reader.consume(1, "alarm")
         assert (event.data["change"], event.data["alarm"]["condition"]) == ("raised", "first")
         # the numbers of rows and results move with what is stored meanwhile; the last one is the alarm's
         assert event.id.startswith(f"{make.sc}:")
         assert event.id.endswith(f".{change.sequence}")
     second = alarm("second")
     with served.open(status.id) as response:
-        reported = Reader(response).take(2, "alarm")
+        reported = Reader(response).consume(2, "alarm")
     assert [event.data["alarm"]["condition"] for event in reported] == ["first", "second"]
     assert reported[-1].id.endswith(f".{second.sequence}")
 
@@ -304,7 +304,7 @@ async def test_alarms_are_told_and_resumed(served, bench, make):
 async def test_a_client_that_takes_nothing_is_let_go(served, source, bench):
     object.__setattr__(bench.context.limits, "stream_stall_s", 0.2)
     with served.open() as response:
-        Reader(response).take(1, "status")
+        Reader(response).consume(1, "status")
         for _ in range(60):
             source.publish(source.store(5))
         # nothing is read; the buffers of both ends hold some hundred events

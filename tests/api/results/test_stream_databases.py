@@ -47,13 +47,13 @@ async def test_resume_into_a_day_that_was_sealed_meanwhile_is_as_if_it_was_not(s
     source = Source(bench, make)
     with served.open() as response:
         reader = Reader(response)
-        reader.take(1, "status")
+        reader.consume(1, "status")
         source.publish(source.store(4))
-        whole = reader.take(12)
+        whole = reader.consume(12)
     assert seal(bench, make, days=1) == 4
     for cut in (0, 2, 3, 5, 11):
         with served.open(whole[cut].id) as response:
-            again = Reader(response).take(11 - cut) if cut < 11 else []
+            again = Reader(response).consume(11 - cut) if cut < 11 else []
         for kind in ("measurement", "attitude", "torque"):
             wanted = [event for event in whole[cut + 1 :] if event.kind == kind]
             assert reported([event for event in again if event.kind == kind]) == reported(wanted), (cut, kind)
@@ -62,14 +62,14 @@ async def test_resume_into_a_day_that_was_sealed_meanwhile_is_as_if_it_was_not(s
 async def test_rows_stored_after_the_sealing_follow_those_of_the_sealed_day(served, bench, make):
     source = Source(bench, make)
     with served.open() as response:
-        (status,) = Reader(response).take(1, "status")
+        (status,) = Reader(response).consume(1, "status")
     source.store(3)
     seal(bench, make, days=1)
     with served.open(status.id) as response:
         reader = Reader(response)
-        seen = reader.take(9)
+        seen = reader.consume(9)
         source.publish(source.store(2))
-        seen += reader.take(6)
+        seen += reader.consume(6)
     history = (await bench.get("/measurements/history"))["rows"]
     assert [event.data for event in seen if event.kind == "measurement"] == history[-5:]
     assert len({event.id for event in seen}) == len(seen) == 15
@@ -82,7 +82,7 @@ async def test_rows_that_are_posted_come_once_and_in_order(served, bench, make):
     headers = {"Authorization": f"Bearer {served.key}"}
     with served.open() as response, httpx.Client(headers=headers) as client:
         reader = Reader(response)
-        reader.take(1, "status")
+        reader.consume(1, "status")
         seen: list[Event] = []
         for k in range(3):
             row = {
@@ -92,11 +92,11 @@ async def test_rows_that_are_posted_come_once_and_in_order(served, bench, make):
             answer = client.post(path, json={"plan_id": 1, "source": "sa-1", "first_seq": k, "measurements": [row]})
             assert answer.json()["accepted"] == 1
             supervisor.notify(make.sc)
-            seen += reader.take(1)
+            seen += reader.consume(1)
     history = (await bench.get("/measurements/history"))["rows"]
     assert [event.data for event in seen] == history
     positions = [position for event in seen if (position := cursor_of(make.sc, event.id))]
     assert [position.number - positions[0].number for position in positions] == [0, 1, 2]
     # told by the writer and by the journal, sent once
     with served.open(seen[0].id) as response:
-        assert Reader(response).take(2) == seen[1:]
+        assert Reader(response).consume(2) == seen[1:]

@@ -57,10 +57,10 @@ class Wire:
     def _exactly(self, count: int) -> bytes:
         data = b""
         while len(data) < count:
-            piece = self.line.recv(count - len(data))
-            if not piece:
+            chunk = self.line.recv(count - len(data))
+            if not chunk:
                 raise EOFError
-            data += piece
+            data += chunk
         return data
 
     def hears_nothing(self, for_s: float = 0.15) -> bool:

@@ -31,17 +31,17 @@ def seed_archive(url: str, *crafts: Spacecraft) -> None:
     storage = SqlStorage(url)
     storage.migrate()
     calibration = PAYLOAD.calibration()
-    for craft in crafts:
-        storage.catalogue.add_spacecraft(craft)
-        storage.catalogue.put_plan(craft.id, PAYLOAD.carriers(), "sha")
-        storage.catalogue.put_ephemeris(craft.id, PAYLOAD.ephemeris())
-        draft = storage.results.add_calibration(craft.id, calibration.request, 1, 1, START_US, "engineer")
-        storage.results.finish_calibration(craft.id, draft.id, calibration.result, None)
-        storage.results.activate_calibration(craft.id, draft.id)
+    for record in crafts:
+        storage.catalogue.add_spacecraft(record)
+        storage.catalogue.put_plan(record.id, PAYLOAD.carriers(), "sha")
+        storage.catalogue.put_ephemeris(record.id, PAYLOAD.ephemeris())
+        draft = storage.results.add_calibration(record.id, calibration.request, 1, 1, START_US, "engineer")
+        storage.results.finish_calibration(record.id, draft.id, calibration.result, None)
+        storage.results.activate_calibration(record.id, draft.id)
     storage.close()
 
 
-def craft(spacecraft_id: str, **changes: Any) -> Spacecraft:
+def record(spacecraft_id: str, **changes: Any) -> Spacecraft:
     """Return a simulated spacecraft under ground control by the robust method, released in two steps."""
     return replace(PAYLOAD.spacecraft(), id=spacecraft_id, **changes)
 

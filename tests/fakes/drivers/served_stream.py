@@ -38,7 +38,7 @@ class Reader:
         self._lines = response.iter_lines()
         self.comments = 0
 
-    def take(self, count: int, *kinds: str) -> list[Event]:
+    def consume(self, count: int, *kinds: str) -> list[Event]:
         """Return the next events of some kinds, of all but status by default."""
         events: list[Event] = []
         while len(events) < count:

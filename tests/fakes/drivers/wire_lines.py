@@ -51,10 +51,10 @@ def received(line: socket.socket, count: int) -> bytes:
     """Return exactly so many bytes."""
     data = b""
     while len(data) < count:
-        piece = line.recv(count - len(data))
-        if not piece:
+        chunk = line.recv(count - len(data))
+        if not chunk:
             raise ConnectionError("the instrument closed the line")
-        data += piece
+        data += chunk
     return data
 
 
@@ -72,10 +72,10 @@ class RawLine:
         """Return what comes until it ends with something."""
         data = b""
         while not data.endswith(tail):
-            piece = self.socket.recv(1 << 16)
-            if not piece:
+            chunk = self.socket.recv(1 << 16)
+            if not chunk:
                 raise ConnectionError("the instrument closed the line")
-            data += piece
+            data += chunk
         return data
 
     def ask(self, text: str) -> str:
@@ -94,7 +94,7 @@ class HislipLine:
     def __init__(self, port: int, client_bytes: int = 1 << 20) -> None:
         self.synchronous = connected(port)
         self.put(0, 0, 0x0101 << 16 | int.from_bytes(b"JU", "big"), b"hislip0")
-        opened = self.take()
+        opened = self.consume()
         self.is_overlap_preferred = bool(opened.control & 1)
         self.number = opened.parameter & 0xFFFF
         self.asynchronous = connected(port)
@@ -119,7 +119,7 @@ class HislipLine:
         assert prologue == b"HS"
         return Packet(kind, control, parameter, received(line, length))
 
-    def take(self) -> Packet:
+    def consume(self) -> Packet:
         """Return the next message of the synchronous channel."""
         return self._packet(self.synchronous)
 
@@ -142,7 +142,7 @@ class HislipLine:
         """Return identifier and bytes of one answer; what is neither Data nor DataEnd is passed over."""
         answer = b""
         while True:
-            packet = self.take()
+            packet = self.consume()
             if packet.kind in {DATA, DATA_END}:
                 answer += packet.payload
             if packet.kind == DATA_END:
@@ -165,7 +165,7 @@ class HislipLine:
         self.put_asynchronous(ASYNC_CLEAR)
         self.on_asynchronous(ASYNC_CLEAR_ACKNOWLEDGE)
         self.put(CLEAR_COMPLETE)
-        while self.take().kind != CLEAR_ACKNOWLEDGE:
+        while self.consume().kind != CLEAR_ACKNOWLEDGE:
             pass
         self.message_id = 0xFFFFFF00
         self.is_delivered = False

@@ -49,7 +49,7 @@ class Recorder:
             def do_POST(self) -> None:
                 body = json.loads(self.rfile.read(int(self.headers["content-length"])))
                 if "measurements" in body:
-                    recorder.take(self, body)
+                    recorder.consume(self, body)
                 else:
                     recorder.answer(self, 200, reply_beside_rows(body))
 
@@ -74,7 +74,7 @@ class Recorder:
             self._thread.join()
             self._server = None
 
-    def take(self, handler: BaseHTTPRequestHandler, body: dict[str, Any]) -> None:
+    def consume(self, handler: BaseHTTPRequestHandler, body: dict[str, Any]) -> None:
         """Store a batch, before or instead of the armed fault."""
         with self.lock:
             fault = self.faults.pop(0) if self.faults else ""

@@ -93,7 +93,7 @@ class FakeArchive:
     """The storage of one spacecraft as the service sees it; facts are changed by assignment."""
 
     def __init__(self, start_us: int) -> None:
-        self.craft = CRAFT
+        self.record = CRAFT
         self.is_aligned = True
         self.plan_id, self.calibration_id = 3, 7
         self.ephemeris_received_us = start_us - 3_600_000_000
@@ -104,7 +104,7 @@ class FakeArchive:
         self.releases = FakeReleases()
         self.catalogue = SimpleNamespace(
             spacecraft=self._spacecraft,
-            all_spacecraft=lambda: (self.craft,),
+            all_spacecraft=lambda: (self.record,),
             plan=lambda _: SimpleNamespace(id=self.plan_id),
             ephemeris=lambda _: SimpleNamespace(valid_stop_us=self.ephemeris_stop_us),
         )
@@ -119,14 +119,14 @@ class FakeArchive:
 
     def change_craft(self, **changes: object) -> None:
         """Change the catalogue's statement; fields of ``control`` by their own names."""
-        own = {name: value for name, value in changes.items() if hasattr(self.craft.control, name)}
+        own = {name: value for name, value in changes.items() if hasattr(self.record.control, name)}
         rest = {name: value for name, value in changes.items() if name not in own}
-        self.craft = replace(self.craft, control=replace(self.craft.control, **own), **rest)
+        self.record = replace(self.record, control=replace(self.record.control, **own), **rest)
 
     def _spacecraft(self, spacecraft_id):
         if spacecraft_id != SC:
             raise NotFoundError("spacecraft.unknown", spacecraft_id)
-        return self.craft
+        return self.record
 
     def _calibration(self):
         return SimpleNamespace(id=self.calibration_id, request=SimpleNamespace(method=CalibrationMethod.GEOMETRY))

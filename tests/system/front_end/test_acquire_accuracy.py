@@ -61,7 +61,7 @@ def measuring(
 def rows_of(driver: ScpiDriver, made: MeasurementTask, rows: int) -> list[MeasuredRow]:
     """Return this many rows."""
     evaluation = TaskEvaluation(made)
-    return [evaluation.row({"a": driver.take(made.sweeps[0])}) for _ in range(rows)]
+    return [evaluation.row({"a": driver.measure(made.sweeps[0])}) for _ in range(rows)]
 
 
 def judge(taken: list[MeasuredRow], judged: int) -> None:
@@ -149,9 +149,9 @@ def test_a_narrow_carrier_in_a_sweep_of_its_own() -> None:
 def test_a_carrier_taken_off_the_air_is_null_at_once_and_the_others_stay() -> None:
     with measuring(Detail.FAST) as (world, driver, made):
         evaluation = TaskEvaluation(made)
-        before = evaluation.row({"a": driver.take(made.sweeps[0])})
+        before = evaluation.row({"a": driver.measure(made.sweeps[0])})
         world.switch_off("weak")
-        after = [evaluation.row({"a": driver.take(made.sweeps[0])}) for _ in range(50)]
+        after = [evaluation.row({"a": driver.measure(made.sweeps[0])}) for _ in range(50)]
     assert np.isfinite(before.power_dbm).all()
     for row in after:
         assert np.isnan(row.power_dbm).tolist() == [False, False, False, True, False]

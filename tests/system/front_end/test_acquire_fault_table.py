@@ -83,7 +83,7 @@ class Bench:
         self.acquisition = Acquisition(
             steady_task(time_s=0.1),
             AcquisitionSettings(self.resource, PERIOD_S, use_analyzer_clock=True, io_timeout_s=IO_TIMEOUT_S),
-            self._take,
+            self._consume,
             lambda: 0,
             self.stop,
             Backoff(first_s=0.05, limit_s=0.1),
@@ -97,7 +97,7 @@ class Bench:
         name = f"hislip0,{hislip_port}::INSTR" if self.is_hislip else f"{port}::SOCKET"
         return f"TCPIP::127.0.0.1::{name}"
 
-    def _take(self, row: MeasuredRow) -> bool:
+    def _consume(self, row: MeasuredRow) -> bool:
         self.rows.append((time.monotonic(), row))
         return True
 

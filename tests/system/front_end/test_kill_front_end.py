@@ -80,10 +80,10 @@ class Truth:
                 if not line.endswith(b"\n"):
                     break
                 self._read += len(line)
-                self._take(json.loads(line))
+                self._consume(json.loads(line))
         return len(self.traces)
 
-    def _take(self, line: dict[str, Any]) -> None:
+    def _consume(self, line: dict[str, Any]) -> None:
         if line["kind"] == "sweep":
             assert line["epoch"] not in self.sweeps, "the world showed a row twice"
             self.sweeps[line["epoch"]] = line["power_dbm"]

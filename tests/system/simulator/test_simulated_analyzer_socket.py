@@ -47,10 +47,10 @@ def connect(port: int) -> socket.socket:
 def receive(line: socket.socket, count: int) -> bytes:
     data = b""
     while len(data) < count:
-        piece = line.recv(1 << 16)
-        if not piece:
+        chunk = line.recv(1 << 16)
+        if not chunk:
             break
-        data += piece
+        data += chunk
     return data
 
 

@@ -61,9 +61,9 @@ def start(compiled_environment: dict[str, str]) -> Iterator[Start]:
 def receive_line(line: socket.socket) -> str:
     answer = b""
     while not answer.endswith(b"\n"):
-        piece = line.recv(1 << 16)
-        assert piece, "the peer has left"
-        answer += piece
+        chunk = line.recv(1 << 16)
+        assert chunk, "the peer has left"
+        answer += chunk
     return answer.decode("latin-1").rstrip("\n")
 
 

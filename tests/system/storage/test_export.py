@@ -78,8 +78,8 @@ def test_memory_of_an_export_does_not_grow_with_its_span(start_service: Any, tmp
             before, size = resident_mb(service.process.pid), 0
             asked = {"params": {"format": file_format}, "headers": {"Accept-Encoding": "identity"}, "timeout": 60}
             with client.stream("GET", f"{BASE}/measurements:export", **asked) as answer:
-                for piece in answer.iter_raw():
-                    size += len(piece)
+                for chunk in answer.iter_raw():
+                    size += len(chunk)
             assert answer.status_code == 200
             grown[file_format] = resident_mb(service.process.pid) - before
             print(f"{file_format}: {size / 1e6:.1f} MB sent, resident memory +{grown[file_format]:.1f} MB")

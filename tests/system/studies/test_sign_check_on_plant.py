@@ -42,7 +42,7 @@ class CheckedCraft:
         self.rows: SignCheckRows | None = None
         self.sent: dict[int, tuple[Pulse, ...]] = {}
 
-    def take(self, row: PlantRow) -> SignState:
+    def consume(self, row: PlantRow) -> SignState:
         """Take a row and send the next leg when it is due; return what the powers say."""
         self.journal.update(row, self.controller)
         self.controller.chain.step(self.journal.measurement(row))
@@ -82,11 +82,11 @@ class CheckedCraft:
 def test_a_wrong_wheel_sign_is_found_before_a_tenth_of_a_degree_is_lost(axis, response, expected):
     position = ("yaw", "roll", "pitch").index(axis)
     with PlantProcess("nominal", SEED, "link", 0.05, ("--response", response)) as plant:
-        craft = CheckedCraft(plant, axis)
+        record = CheckedCraft(plant, axis)
         angles, verdict = [], SignState.OPEN
         for row in plant.rows():
             angles.append(row.truth.attitude_deg[position])
-            verdict = craft.take(row)
+            verdict = record.consume(row)
             if verdict is not SignState.OPEN:
                 break
     lost = float(np.abs(np.array(angles) - angles[0]).max())

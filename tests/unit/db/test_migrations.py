@@ -224,12 +224,12 @@ def test_real_spacecraft_under_release_automatic_become_two_step(url):
     crafts = [("real", False, automatic), ("toy", True, automatic), ("other", False, ControlSettings())]
     for name, is_simulated, control in crafts:
         site = Site(55.0, 38.0)
-        craft = Spacecraft(name, name, 90.0, site, INERTIA, 0.05, simulated=is_simulated, control=control)
-        storage.catalogue.add_spacecraft(craft)
+        spacecraft = Spacecraft(name, name, 90.0, site, INERTIA, 0.05, simulated=is_simulated, control=control)
+        storage.catalogue.add_spacecraft(spacecraft)
     engine = storage._database.engines.write
     downgrade(engine, "0010")
     upgrade(engine)
-    reported = {craft.id: craft.control.release for craft in storage.catalogue.all_spacecraft()}
+    reported = {spacecraft.id: spacecraft.control.release for spacecraft in storage.catalogue.all_spacecraft()}
     assert reported == {"real": Release.TWO_STEP, "toy": Release.AUTOMATIC, "other": Release.TWO_STEP}
     made_us = {name: storage.releases.made_two_step_us(name) for name, *_ in crafts}
     assert [name for name, at_us in made_us.items() if at_us is not None] == ["real"]

@@ -12,7 +12,7 @@ def head(number: int) -> SegmentHead:
     return SegmentHead(number, 1, 1, 1, number, ROWS, ROWS, 0, 1, 1, ROWS, 1, 7)
 
 
-def piece(number: int) -> SegmentChunk:
+def chunk(number: int) -> SegmentChunk:
     return cast("SegmentChunk", ("piece", number))
 
 
@@ -22,7 +22,7 @@ def held(cache: SegmentCache) -> list[int]:
 
 def filled(cache: Any, *numbers: int) -> Any:
     for number in numbers:
-        cache.put(head(number), piece(number), CARRIERS)
+        cache.put(head(number), chunk(number), CARRIERS)
     return cache
 
 
@@ -37,5 +37,5 @@ def test_a_scan_finds_what_is_held_adds_nothing_and_keeps_its_last_piece():
     shared = filled(SegmentCache(), 1, 2)
     scan = filled(shared.for_scan(), 3, 4)
     assert held(scan) == [1, 2, 4]
-    assert scan.get(head(4)) == piece(4)
+    assert scan.get(head(4)) == chunk(4)
     assert held(shared) == [1, 2]

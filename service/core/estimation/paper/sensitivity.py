@@ -183,9 +183,9 @@ def level_knots(time_s: FloatArray, spacing_s: float) -> FloatArray:
            [0. , 1. ]])
     """
     start_s, span_s = float(time_s.min()), float(np.ptp(time_s))
-    pieces = max(1, int(span_s / spacing_s))
-    position = (time_s - start_s) / max(span_s, 1e-9) * pieces
-    return np.clip(1.0 - np.abs(position[:, np.newaxis] - np.arange(pieces + 1)), 0.0, None)
+    chunks = max(1, int(span_s / spacing_s))
+    position = (time_s - start_s) / max(span_s, 1e-9) * chunks
+    return np.clip(1.0 - np.abs(position[:, np.newaxis] - np.arange(chunks + 1)), 0.0, None)
 
 
 def _fit_carrier(

@@ -106,7 +106,7 @@ def step_paper(
         after = _remember_row(state, model, deviation, config)
         fix = _averaged_fix(after, model, deviation.epoch_us, config)
         after = _remember_fix(after, fix, config)
-    circumstances = RowContext(
+    context = RowContext(
         is_late=is_late,
         is_catch_up=is_catch_up,
         is_settled=is_late or _rows_in_window(after, config) >= config.estimation.min_rows,
@@ -114,7 +114,7 @@ def step_paper(
         has_inhibiting_operation=bool(knowledge.inhibiting_operations(measurement.epoch_us)),
         is_yaw_controllable=model.is_yaw_controllable,
     )
-    verdict = judge(fix, circumstances, config.interlock)
+    verdict = judge(fix, context, config.interlock)
     rates = np.full(3, np.nan) if is_late else rate_deg_s(after.fixes, config.estimation.rate_window_s)
     row = _row(measurement, model, fix, verdict, rates, _fade_db(after, model, config))
     return PaperStep(row, deviation, fix, after)

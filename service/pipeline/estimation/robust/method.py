@@ -33,7 +33,7 @@ from service.pipeline.estimation.robust.attitude_rows import Fixed, filtered_row
 from service.pipeline.estimation.robust.model import RobustModel, signals
 from service.pipeline.inputs.declared_operations import declared_between, with_chain_step
 from service.pipeline.inputs.knowledge import Knowledge
-from service.pipeline.inputs.known_motion import DEG_H2_N_M, CommandedMotion, take
+from service.pipeline.inputs.known_motion import DEG_H2_N_M, CommandedMotion, consume
 from service.pipeline.inputs.reference_angles import usual_sigma_deg
 from service.pipeline.kernels import kernels_named
 from service.records.calibration import Alignment
@@ -133,7 +133,7 @@ def step_robust(
         row = late_row(measurement, model, fixes, is_absent=np.isnan(deviation_db))
         return RobustStep(row, expected_dbm, deviation_db, fixes.residual_db[0], state)
     from_us = state.filter.epoch_us
-    known, commanded = take(state.commanded, from_us, measurement.epoch_us)
+    known, commanded = consume(state.commanded, from_us, measurement.epoch_us)
     unreported, released = _unreported(state.released, from_us, measurement.epoch_us)
     declared = _declared(state, model, knowledge, measurement, config)
     found = step(
@@ -187,7 +187,7 @@ def _unreported(
     effects, left = np.zeros((len(released), 2, 3)), []
     half_h = 0.5 * (to_us - from_us) / US_PER_S / 3600.0
     for position, (counter, motion) in enumerate(released):
-        known, rest = take(motion, from_us, to_us)
+        known, rest = consume(motion, from_us, to_us)
         rate = known.rate_change_deg_h
         effects[position] = known.correction_deg + known.late_correction_deg + half_h * rate, rate
         left.append((counter, rest))

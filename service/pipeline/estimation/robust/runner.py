@@ -86,40 +86,40 @@ class RobustRunner:
 
     def on_input(self, content: SlowInput, knowledge: Knowledge) -> None:
         """Take in a correction, a command that counts as applied, a release or a report."""
-        craft = knowledge.spacecraft
+        record = knowledge.spacecraft
         match content:
             case ReleasedCommand() if content.counter not in self._open:
-                self._open[content.counter] = content, craft
-                self._uncertain(content, craft)
+                self._open[content.counter] = content, record
+                self._uncertain(content, record)
             case ReportedCommand() if content.counter in self._open:
                 self._reported.append((content, self._open.pop(content.counter)[1]))
                 if self._branch is not None:
                     self._state, self._branch = reported(self._branch, content)
             case Correction() | AppliedCommand():
-                self._reported.append((content, craft))
-                self._known(content, craft)
+                self._reported.append((content, record))
+                self._known(content, record)
             case _:
                 pass
 
-    def _known(self, content: Correction | AppliedCommand, craft: Spacecraft | None) -> None:
+    def _known(self, content: Correction | AppliedCommand, record: Spacecraft | None) -> None:
         """Let the filter know of a motion."""
         if self._state is None or self._model is None:
             return
-        announced = ReportedMotion(content, craft, self._model)
+        announced = ReportedMotion(content, record, self._model)
         self._state = apply_report(self._state, announced)
         if self._branch is not None:
             self._branch = open_branch(self._branch, self._state, announced)
         self._forget(self._state.filter.epoch_us - _KEPT_US)
 
-    def _uncertain(self, content: ReleasedCommand, craft: Spacecraft | None) -> None:
+    def _uncertain(self, content: ReleasedCommand, record: Spacecraft | None) -> None:
         """Let the effect of a released command be uncertain from now on."""
         if self._state is None or self._model is None:
             return
-        announced = ReportedMotion(content, craft, self._model)
+        announced = ReportedMotion(content, record, self._model)
         self._branch = open_branch(self._branch, self._state, announced)
         self._state = apply_report(self._state, announced)
 
-    def _took(self, taken: Step) -> None:
+    def _applied(self, taken: Step) -> None:
         """Keep what is to be done again when a report comes; after too many rows powers have told it."""
         if self._branch is None or self._state is None or self._model is None:
             return
@@ -147,7 +147,7 @@ class RobustRunner:
         else:
             taken = partial(carried_state, old=former, new=self._model)
             self._state = taken(self._state)
-            self._took(taken)
+            self._applied(taken)
 
     def step(
         self, measurement: Measurement, plan: CarrierPlan, knowledge: Knowledge, *, is_late: bool, is_catch_up: bool
@@ -157,7 +157,7 @@ class RobustRunner:
             message = "the robust method was stepped without a model"
             raise ValueError(message)
         is_unfit = (self._columns.flags(measurement, plan) & _UNFIT) != 0
-        take = partial(
+        consume = partial(
             step_robust,
             model=self._model,
             knowledge=knowledge,
@@ -167,11 +167,11 @@ class RobustRunner:
             is_catch_up=is_catch_up,
             config=self._config,
         )
-        outcome = take(self._state)
+        outcome = consume(self._state)
         self._state = outcome.state
         if not is_late:
             self._last = (outcome, self._model)
-            self._took(partial(_again, take))
+            self._applied(partial(_again, consume))
         return outcome.row
 
     def carrier_states(self) -> dict[str, CarrierState]:
@@ -236,12 +236,12 @@ class RobustRunner:
         since_us = alignment.epoch_us
         self._reported = [announced for announced in self._reported if end_us(announced[0]) > since_us - _KEPT_US]
         commanded = CommandedMotion(since_us)
-        for content, craft in _as_released(self._reported):
-            commanded = heard(commanded, content, craft, since_us)
+        for content, record in _as_released(self._reported):
+            commanded = heard(commanded, content, record, since_us)
         state = initial_state(model, alignment, commanded, self._config)
-        for released, craft in self._open.values():
+        for released, record in self._open.values():
             if released.stop_us > since_us:
-                announced = ReportedMotion(released, craft, model)
+                announced = ReportedMotion(released, record, model)
                 self._branch = open_branch(self._branch, state, announced)
                 state = apply_report(state, announced)
         return state
@@ -264,14 +264,14 @@ class RobustRunner:
 
 def _as_released(announced: Sequence[tuple[Motion, Spacecraft | None]]) -> list[tuple[Motion, Spacecraft | None]]:
     """Return motions with reports in the order of their releases: a later command ends an earlier one."""
-    reports = [(content, craft) for content, craft in announced if isinstance(content, ReportedCommand)]
+    reports = [(content, record) for content, record in announced if isinstance(content, ReportedCommand)]
     in_order = iter(sorted(reports, key=lambda each: each[0].counter))
     return [next(in_order) if isinstance(each[0], ReportedCommand) else each for each in announced]
 
 
-def _again(take: Callable[[RobustState], RobustStep], state: RobustState) -> RobustState:
+def _again(consume: Callable[[RobustState], RobustStep], state: RobustState) -> RobustState:
     """Return the state after a row that is taken again; one that breaks the numbers is left out as ever."""
     try:
-        return take(state).state
+        return consume(state).state
     except ArithmeticError:
         return state

@@ -32,7 +32,7 @@ class ReportedMotion:
     """A motion or a release that the ground told."""
 
     content: Motion | ReleasedCommand
-    craft: Spacecraft | None
+    record: Spacecraft | None
     model: RobustModel
 
 
@@ -62,9 +62,9 @@ def apply_report(state: RobustState, announced: ReportedMotion) -> RobustState:
     if isinstance(content, ReportedCommand):
         state = _with_replaced(state, content.counter, content.executed)
     if not isinstance(content, ReleasedCommand):
-        return replace(state, commanded=heard(state.commanded, content, announced.craft, newest_us))
+        return replace(state, commanded=heard(state.commanded, content, announced.record, newest_us))
     state = _with_replaced(state, content.counter, content.schedule)
-    motion = motions_of_released(state.commanded, content, announced.craft, newest_us)
+    motion = motions_of_released(state.commanded, content, announced.record, newest_us)
     widened = with_share(announced.model.filter, state.filter, len(state.released))
     return replace(state, filter=widened, released=(*state.released, (content.counter, motion)))
 

@@ -139,8 +139,8 @@ def _solve(
 ) -> Snapshots:
     """Return the fixes, piece by piece so that the arrays stay in the processor's cache."""
     orders = subset_orders(len(sigma_db))
-    pieces = np.array_split(deviation_db, max(1, len(deviation_db) // 500))
-    solved = [solve_snapshots(response, piece, sigma_db, orders, model_error_db=model_error_db) for piece in pieces]
+    chunks = np.array_split(deviation_db, max(1, len(deviation_db) // 500))
+    solved = [solve_snapshots(response, chunk, sigma_db, orders, model_error_db=model_error_db) for chunk in chunks]
     return Snapshots(*(np.concatenate(field) for field in zip(*solved, strict=True)))
 
 

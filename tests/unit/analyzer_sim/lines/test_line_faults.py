@@ -7,23 +7,23 @@ def test_fault_that_needs_a_block_waits_for_one() -> None:
     faults = LineFaults()
     faults.arm(LineFault.HALF_BLOCK)
     faults.arm(LineFault.RESET)
-    assert faults.take(b"1\n") is None
-    assert faults.take(b"#11a\n") is LineFault.HALF_BLOCK
-    assert faults.take(b"1\n") is LineFault.RESET
-    assert faults.take(b"1\n") is None
+    assert faults.consume(b"1\n") is None
+    assert faults.consume(b"#11a\n") is LineFault.HALF_BLOCK
+    assert faults.consume(b"1\n") is LineFault.RESET
+    assert faults.consume(b"1\n") is None
 
 
 def test_a_silent_peer_is_silent_until_disarmed_and_spends_nothing() -> None:
     faults = LineFaults()
     faults.arm(LineFault.STALE)
     faults.is_silent_peer = True
-    assert [faults.take(b"1\n") for _ in range(3)] == [LineFault.SILENT] * 3
+    assert [faults.consume(b"1\n") for _ in range(3)] == [LineFault.SILENT] * 3
     assert faults.remaining == 1
     faults.is_silent_peer = False
-    assert faults.take(b"1\n") is LineFault.STALE
+    assert faults.consume(b"1\n") is LineFault.STALE
     faults.is_silent_peer = True
     faults.disarm()
-    assert faults.take(b"1\n") is None
+    assert faults.consume(b"1\n") is None
 
 
 def test_disarmed_faults_do_nothing() -> None:
@@ -31,4 +31,4 @@ def test_disarmed_faults_do_nothing() -> None:
     faults.arm(LineFault.SILENT, times=3)
     assert faults.remaining == 3
     faults.disarm()
-    assert faults.take(b"1\n") is None
+    assert faults.consume(b"1\n") is None

@@ -62,24 +62,30 @@ async def connected(port: int) -> AsyncIterator[Client]:
 @asynccontextmanager
 async def served(*, rows: int = 1) -> AsyncIterator[tuple[int, FlownWorld]]:
     """Serve the port of a craft that has flown some rows; give its number and the craft."""
-    craft = FlownWorld(STORY, SEED, PlantOptions())
-    while rows and craft.epoch_us is None:
-        craft.advance()
-    server = await UplinkPort(craft).serve("127.0.0.1", 0)
+    subject = FlownWorld(STORY, SEED, PlantOptions())
+    while rows and subject.epoch_us is None:
+        subject.advance()
+    server = await UplinkPort(subject).serve("127.0.0.1", 0)
     async with server:
-        yield server.sockets[0].getsockname()[1], craft
+        yield server.sockets[0].getsockname()[1], subject
         for _ in range(20):
             await asyncio.sleep(0)  # lets the handlers notice that their clients left
 
 
-def schedule(craft: FlownWorld, counter: int) -> bytes:
-    assert craft.epoch_us is not None
-    element = {"start": rfc3339(craft.epoch_us), "duration_s": 10.0, "roll_n_m": 0.0, "pitch_n_m": 0.01, "yaw_n_m": 0.0}
+def schedule(subject: FlownWorld, counter: int) -> bytes:
+    assert subject.epoch_us is not None
+    element = {
+        "start": rfc3339(subject.epoch_us),
+        "duration_s": 10.0,
+        "roll_n_m": 0.0,
+        "pitch_n_m": 0.01,
+        "yaw_n_m": 0.0,
+    }
     return json.dumps({"schedule": [element], "counter": counter}).encode()
 
 
 async def test_a_schedule_is_taken_and_its_report_comes_before_the_row_that_was_flown() -> None:
-    async with served() as (port, craft), connected(port) as client:
+    async with served() as (port, subject), connected(port) as client:
         opening = await client.line()
         assert opening == {
             "type": "start",
@@ -88,15 +94,15 @@ async def test_a_schedule_is_taken_and_its_report_comes_before_the_row_that_was_
             "uplink": "ideal",
             "onboard": "wheels",
             "operation_start": rfc3339(STORY.operation_start_us),
-            "fed_forward_torque": fed_forward_line(craft.world),
+            "fed_forward_torque": fed_forward_line(subject.world),
         }
-        sent = rfc3339(craft.epoch_us)
-        assert await client.ask(schedule(craft, 4)) == {"type": "taken", "counter": 4, "sent": sent}
+        sent = rfc3339(subject.epoch_us)
+        assert await client.ask(schedule(subject, 4)) == {"type": "taken", "counter": 4, "sent": sent}
         assert await client.ask(b'{"schedule":[]}') == {"type": "taken", "counter": None, "sent": sent}
-        craft.advance()
+        subject.advance()
         report, flown = await client.line(), await client.line()
         assert (report["type"], report["counter"], report["state"]) == ("report", 4, "executed")
-        assert flown == {"type": "flown", "epoch": rfc3339(craft.epoch_us)}
+        assert flown == {"type": "flown", "epoch": rfc3339(subject.epoch_us)}
 
 
 @pytest.mark.parametrize(
@@ -112,61 +118,61 @@ async def test_a_schedule_is_taken_and_its_report_comes_before_the_row_that_was_
     ],
 )
 async def test_garbage_is_answered_and_changes_nothing(data: bytes) -> None:
-    async with served() as (port, craft), connected(port) as client:
+    async with served() as (port, subject), connected(port) as client:
         await client.line()
         answer = await client.ask(data)
         assert answer["type"] == "error"
-        assert (await client.ask(schedule(craft, 1)))["type"] == "taken"
+        assert (await client.ask(schedule(subject, 1)))["type"] == "taken"
 
 
 async def test_a_line_that_is_too_long_is_skipped_to_its_end() -> None:
-    async with served() as (port, craft), connected(port) as client:
+    async with served() as (port, subject), connected(port) as client:
         await client.line()
         answer = await client.ask(b"x" * (2 * MAX_LINE_CHARACTERS + 7))
         assert "at most 1000000 characters" in answer["detail"]
-        assert (await client.ask(schedule(craft, 1)))["type"] == "taken"
+        assert (await client.ask(schedule(subject, 1)))["type"] == "taken"
 
 
 async def test_before_operation_nothing_is_taken() -> None:
-    async with served(rows=0) as (port, _craft), connected(port) as client:
+    async with served(rows=0) as (port, _spacecraft), connected(port) as client:
         await client.line()
         assert "under its sensors" in (await client.ask(b'{"schedule":[]}'))["detail"]
 
 
 async def test_a_second_client_is_turned_away_and_the_first_goes_on() -> None:
-    async with served() as (port, craft), connected(port) as first:
+    async with served() as (port, subject), connected(port) as first:
         await first.line()
         async with connected(port) as second:
             assert await second.line() == {"type": "error", "detail": "another client holds the uplink"}
             assert await second.reader.read() == b""
-        assert (await first.ask(schedule(craft, 1)))["type"] == "taken"
-        craft.advance()
+        assert (await first.ask(schedule(subject, 1)))["type"] == "taken"
+        subject.advance()
         assert [(await first.line())["type"] for _ in range(2)] == ["report", "flown"]
 
 
 async def test_what_was_told_while_nobody_was_there_is_told_to_the_next() -> None:
-    async with served() as (port, craft):
+    async with served() as (port, subject):
         async with connected(port) as client:
             await client.line()
-            await client.ask(schedule(craft, 9))
+            await client.ask(schedule(subject, 9))
             await client.send(b'{"schedule":')  # half a line, then gone
         await asyncio.sleep(0.05)
-        craft.advance()
+        subject.advance()
         async with connected(port) as client:
             opening, report = await client.line(), await client.line()
             assert (opening["type"], report["type"], report["counter"]) == ("start", "report", 9)
-            craft.advance()
+            subject.advance()
             assert (await client.line())["type"] == "flown"
 
 
 async def test_a_client_that_does_not_read_is_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(uplink_port, "MAX_WAITING_BYTES", 0)
 
-    async with served() as (port, craft), connected(port) as deaf:
+    async with served() as (port, subject), connected(port) as deaf:
         await deaf.line()
         # more than the buffers of both systems take
         lines: list[dict[str, Any]] = [{"filler": "x" * 1_000_000} for _ in range(20)]
-        craft._report(lines)
+        subject._report(lines)
         await asyncio.sleep(0.05)
         async with connected(port) as client:
             assert (await client.line())["type"] == "start"
@@ -174,8 +180,8 @@ async def test_a_client_that_does_not_read_is_dropped(monkeypatch: pytest.Monkey
 
 def test_the_ground_port_tells_truth_and_telemetry_after_the_row() -> None:
     async def reported() -> None:
-        craft, gate = FlownWorld(STORY, SEED, PlantOptions()), Gate()
-        server = await serve_ground(craft.world, gate, await_ground=True, flight=craft)
+        subject, gate = FlownWorld(STORY, SEED, PlantOptions()), Gate()
+        server = await serve_ground(subject.world, gate, await_ground=True, flight=subject)
         async with server, connected(server.sockets[0].getsockname()[1]) as client:
             held = await client.until("hold")
             while held[-1]["phase"] != "operation":
@@ -183,12 +189,12 @@ def test_the_ground_port_tells_truth_and_telemetry_after_the_row() -> None:
                 await client.send(PROCEED)
                 held = await client.until("hold")
             assert {line["kind"] for line in held} == {"phase", "hold"}, "nobody knows what will be flown"
-            while craft.world.next_epoch_us < STORY.operation_start_us:
-                craft.advance()
+            while subject.world.next_epoch_us < STORY.operation_start_us:
+                subject.advance()
             await client.send(PROCEED)
             await gate.wait(STORY.operation_start_us)
             assert not gate.is_granted(STORY.operation_start_us + 1), "each row waits for the command of the one before"
-            craft.advance()
+            subject.advance()
             telemetry, truth, hold = await client.until("hold")
             assert telemetry["body"]["records"][0]["epoch"] == truth["rows"][0]["epoch"]
             assert hold["until"] == rfc3339(STORY.operation_start_us + 60_000_000)
@@ -198,8 +204,8 @@ def test_the_ground_port_tells_truth_and_telemetry_after_the_row() -> None:
 
 def test_a_ground_client_that_leaves_while_a_row_is_due_hears_its_truth_later() -> None:
     async def reported() -> None:
-        craft, gate = FlownWorld(STORY, SEED, PlantOptions()), Gate()
-        server = await serve_ground(craft.world, gate, await_ground=True, flight=craft)
+        subject, gate = FlownWorld(STORY, SEED, PlantOptions()), Gate()
+        server = await serve_ground(subject.world, gate, await_ground=True, flight=subject)
         port = server.sockets[0].getsockname()[1]
         async with server:
             async with connected(port) as client:
@@ -208,8 +214,8 @@ def test_a_ground_client_that_leaves_while_a_row_is_due_hears_its_truth_later() 
                 await client.send(PROCEED)
                 await gate.wait(STORY.operation_start_us)
             await asyncio.sleep(0.5)  # the port is let go of
-            while craft.epoch_us is None:
-                craft.advance()
+            while subject.epoch_us is None:
+                subject.advance()
             async with connected(port) as client:
                 lines = await client.until("hold")
                 assert [line["kind"] for line in lines][-3:] == ["telemetry", "truth", "hold"]

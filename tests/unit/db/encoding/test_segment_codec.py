@@ -115,13 +115,13 @@ def test_the_cache_holds_what_fits_and_tells_contents_of_one_id_apart():
     rows = steady(100, 4)
     blobs: Blobs = pack(rows)
     cache, head = SegmentCache(size_bytes=20_000), head_of(rows)
-    pieces = [SimpleNamespace(position=position) for position in range(4)]
-    for position, piece in enumerate(pieces):
-        cache.put(head._replace(segment_id=position), piece, 4)
+    chunks = [SimpleNamespace(position=position) for position in range(4)]
+    for position, chunk in enumerate(chunks):
+        cache.put(head._replace(segment_id=position), chunk, 4)
     # 6400 bytes each: three fit, what was not asked for longest is gone
-    assert [cache.get(head._replace(segment_id=position)) for position in range(4)] == [None, *pieces[1:]]
-    assert cache.get(head._replace(segment_id=1)) is pieces[1]
-    cache.put(head._replace(segment_id=9), pieces[0], 4)
+    assert [cache.get(head._replace(segment_id=position)) for position in range(4)] == [None, *chunks[1:]]
+    assert cache.get(head._replace(segment_id=1)) is chunks[1]
+    cache.put(head._replace(segment_id=9), chunks[0], 4)
     assert cache.get(head._replace(segment_id=2)) is None
     assert cache.get(head._replace(segment_id=1, crc32=7)) is None, "an id that came again after a roll-back"
     cache.put(head._replace(segment_id=10), SegmentChunk(head, "sa-1", blobs), 4000)

@@ -20,15 +20,15 @@ EVENTS = [
 def test_chunks_may_be_cut_anywhere(size):
     follower = Follower()
     chunks = [BODY[position : position + size] for position in range(0, len(BODY), size)]
-    assert [event for chunk in chunks for event in follower.take(chunk)] == EVENTS
+    assert [event for chunk in chunks for event in follower.consume(chunk)] == EVENTS
     assert follower.last_event_id == "a:2.0.0"
 
 
 def test_what_was_cut_off_is_forgotten_with_its_connection():
     follower = Follower()
-    assert list(follower.take(b"id: a:1.0.0\nevent: status\ndata: {}\n\nid: a:9.9.9\nda")) != []
+    assert list(follower.consume(b"id: a:1.0.0\nevent: status\ndata: {}\n\nid: a:9.9.9\nda")) != []
     assert follower.headers()["Last-Event-ID"] == "a:1.0.0"
-    assert [event.id for event in follower.take(b"id: a:2.0.0\nevent: status\ndata: {}\n\n")] == ["a:2.0.0"]
+    assert [event.id for event in follower.consume(b"id: a:2.0.0\nevent: status\ndata: {}\n\n")] == ["a:2.0.0"]
 
 
 def test_without_an_id_none_is_sent():
@@ -46,7 +46,7 @@ def test_waits_grow_until_an_event_comes_and_follow_the_service():
     assert waits[-1] > 5.0
     assert follower.wait_after(ServiceUnavailableError("busy", 503, 7.0)) == 7.0
     assert follower.wait_after(ServiceUnavailableError("busy", 503, 1e9)) == 60.0
-    list(follower.take(b"id: a:1.0.0\nevent: status\ndata: {}\n\n"))
+    list(follower.consume(b"id: a:1.0.0\nevent: status\ndata: {}\n\n"))
     assert follower.wait_after(fault) <= 0.2
 
 
@@ -57,7 +57,7 @@ def test_patience_ends():
     follower.wait_after(fault)
     now[0] = 29.0
     follower.wait_after(fault)
-    list(follower.take(b"id: a:1.0.0\nevent: status\ndata: {}\n\n"))
+    list(follower.consume(b"id: a:1.0.0\nevent: status\ndata: {}\n\n"))
     now[0] = 100.0
     follower.wait_after(fault)
     now[0] = 131.0

@@ -133,8 +133,8 @@ def test_jitter_shortens_and_reset_starts_again() -> None:
 def test_a_download_is_given_piece_by_piece_and_asked_once() -> None:
     made, requests = transport(httpx.Response(200, content=iter([b"epoch,", b"source\r\n"])))
     with made:
-        pieces = list(made.download("/archive", {"format": "csv", "version": None}))
-    assert b"".join(pieces) == b"epoch,source\r\n"
+        chunks = list(made.download("/archive", {"format": "csv", "version": None}))
+    assert b"".join(chunks) == b"epoch,source\r\n"
     assert [str(request.url) for request in requests] == ["http://service/api/v1/archive?format=csv"]
 
 

@@ -95,8 +95,8 @@ def test_released_by_itself_a_command_counts_as_applied_in_two_steps_it_does_not
         outcome.command.control_allowed for outcome in automatic
     ]
     assert automatic[-1].applied.command is automatic[-1].command
-    craft = payload.spacecraft(release=Release.TWO_STEP)
-    stepped = Flight(payload, synthetic, spacecraft=craft).run(range(1, 40))
+    record = payload.spacecraft(release=Release.TWO_STEP)
+    stepped = Flight(payload, synthetic, spacecraft=record).run(range(1, 40))
     assert stepped[-1].command.control_allowed
     assert all(outcome.applied is None for outcome in stepped)
 
@@ -111,8 +111,8 @@ def test_a_spacecraft_that_is_not_known_gets_angles_but_no_command(payload, synt
 
 
 def test_a_method_without_calibration_drives_a_zero_torque_that_says_so(payload, synthetic):
-    craft = payload.spacecraft(method=Method.ROBUST)
-    outcomes = Flight(payload, synthetic, spacecraft=craft).run(range(1, 40))
+    record = payload.spacecraft(method=Method.ROBUST)
+    outcomes = Flight(payload, synthetic, spacecraft=record).run(range(1, 40))
     assert outcomes[-1].rows[0].control_allowed
     assert outcomes[-1].command.inhibitions == ("no_calibration",)
     assert not any(outcome.command.schedule for outcome in outcomes)

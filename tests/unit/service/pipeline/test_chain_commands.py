@@ -42,17 +42,17 @@ def test_while_the_interlock_withholds_every_command_is_zero_and_says_so(flight)
 
 def test_the_period_is_that_of_the_rows_or_that_of_the_catalogue(flight):
     assert flight.chain.step(flight.row(30)).command.command_period_s == 60.0
-    craft = PAYLOAD.spacecraft(release=Release.TWO_STEP)
-    control = replace(craft.control, command_period_s=1200.0)
-    flight.chain.update(SpacecraftChange(replace(craft, control=control), 2))
+    record = PAYLOAD.spacecraft(release=Release.TWO_STEP)
+    control = replace(record.control, command_period_s=1200.0)
+    flight.chain.update(SpacecraftChange(replace(record, control=control), 2))
     command = flight.chain.step(flight.row(31)).command
     assert command.command_period_s == 1200.0
     assert command.valid_until_us == command.epoch_us + 1200 * S
 
 
 def test_what_was_sent_is_carried_to_the_next_verdict(flight):
-    craft = replace(PAYLOAD.spacecraft(release=Release.TWO_STEP), modes=(FlexibleMode("roll", 0.6, 1e-4, 0.4),))
-    flight.chain.update(SpacecraftChange(craft, 2))
+    record = replace(PAYLOAD.spacecraft(release=Release.TWO_STEP), modes=(FlexibleMode("roll", 0.6, 1e-4, 0.4),))
+    flight.chain.update(SpacecraftChange(record, 2))
     calm = flight.chain.step(flight.row(30)).command
     strong = Pulse(flight.at(30), 2.0, Axes(0.0, 0.05, 0.0))
     flight.chain.update(ReleasedCommand(1, flight.at(30), (strong,)))

@@ -68,8 +68,8 @@ def test_each_method_alone_says_what_it_says_beside_the_other(flight):
 def test_the_method_that_drives_control_makes_the_command(flight):
     flight.run(range(1, 30))
     robust = flight.chain.step(flight.row(30)).command
-    craft = PAYLOAD.spacecraft(method=Method.PAPER)
-    flight.chain.update(SpacecraftChange(craft, 2))
+    record = PAYLOAD.spacecraft(method=Method.PAPER)
+    flight.chain.update(SpacecraftChange(record, 2))
     outcome = flight.chain.step(flight.row(31))
     paper = outcome.command
     assert robust.control_allowed

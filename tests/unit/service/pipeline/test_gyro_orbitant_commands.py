@@ -49,8 +49,8 @@ def row(attitude=(0.3, 0.1, -0.1), allowed=(True, True, True), epoch_us=EPOCH, *
     return replace(plain, **angles, control_allowed=True, control_allowed_axes=allowed, **changes)
 
 
-def command(of, craft, rate=AT_REST, period_s=60.0, carry=NO_CARRY):
-    return compute_command(of, craft, carry, period_s, TorqueConfig(), body_rate_deg_s=rate)
+def command(of, record, rate=AT_REST, period_s=60.0, carry=NO_CARRY):
+    return compute_command(of, record, carry, period_s, TorqueConfig(), body_rate_deg_s=rate)
 
 
 # ---- commands -------------------------------------------------------------------------------------------------------
@@ -119,16 +119,16 @@ def test_what_is_withheld_about_an_axis_stays_withheld():
 
 @pytest.mark.parametrize("rate_deg_h", [0.1, 10.0])
 def test_released_in_two_steps_a_command_stays_within_the_envelope_and_its_period(rate_deg_h):
-    craft = replace(craft_of(Release.TWO_STEP, 14_400.0), modes=(FlexibleMode("roll", 0.6, 0.003, 0.4),))
+    record = replace(craft_of(Release.TWO_STEP, 14_400.0), modes=(FlexibleMode("roll", 0.6, 0.003, 0.4),))
     rate = Axes(rate_deg_h * DEG_H, rate_deg_h * DEG_H, -W0_DEG_S - rate_deg_h * DEG_H)
-    reported = command_for(row(), craft, EPOCH, 3600.0, None, TorqueConfig(), body_rate_deg_s=rate)
+    reported = command_for(row(), record, EPOCH, 3600.0, None, TorqueConfig(), body_rate_deg_s=rate)
     assert reported.command_period_s == 900.0
     assert reported.schedule
     assert reported.schedule_check is not None
     assert all(pulse.start_us + pulse.duration_s * S <= reported.valid_until_us for pulse in reported.schedule)
-    assert envelope_excesses(effect_of_law(reported, craft), (0.0, 0.0, 0.0), Envelope()) == ()
+    assert envelope_excesses(effect_of_law(reported, record), (0.0, 0.0, 0.0), Envelope()) == ()
     assert reported.saturated is (rate_deg_h == 10.0)
-    weak = command_for(row(), craft, EPOCH, 3600.0, 0.002, TorqueConfig(), body_rate_deg_s=rate)
+    weak = command_for(row(), record, EPOCH, 3600.0, 0.002, TorqueConfig(), body_rate_deg_s=rate)
     assert max(abs(part) for pulse in weak.schedule for part in pulse.torque_n_m) == pytest.approx(0.002)
 
 
@@ -167,16 +167,16 @@ class Body:
             self.matrix = self.matrix - np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ self.matrix
 
 
-def flown(body, craft, hours):
+def flown(body, record, hours):
     """Return the angles each minute (T, 3), commands every minute; without a craft nothing is done."""
     carry, angles = NO_CARRY, []
     for minute in range(60 * hours):
         seen = body.angles_deg()
         impulse = np.zeros(3)
-        if craft is not None:
+        if record is not None:
             # the estimator's yaw is wrong on purpose
             of = row((0.35, seen[1], seen[2]), epoch_us=EPOCH + 60 * minute * S)
-            outcome = command(of, craft, body.reported(), carry=carry)
+            outcome = command(of, record, body.reported(), carry=carry)
             carry, impulse = outcome.carry_n_m_s, np.array(outcome.command.impulse_n_m_s)
             assert outcome.command.control_allowed
         body.fly(impulse, 60.0)

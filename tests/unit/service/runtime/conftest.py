@@ -201,8 +201,8 @@ def _live_day(ground: Ground) -> None:
         ground.append(range(70, 86))
         ground.settle(supervisor)
         ground.calibrate()
-        craft = storage.catalogue.spacecraft(ground.id)
-        storage.catalogue.replace_spacecraft(replace(craft, control=replace(craft.control, damping=0.7)))
+        record = storage.catalogue.spacecraft(ground.id)
+        storage.catalogue.replace_spacecraft(replace(record, control=replace(record.control, damping=0.7)))
         plan = storage.catalogue.put_plan(ground.id, ground.payload.carriers()[::-1], "turned round")
         minutes = range(130, 161)
         turned = ground.powers(minutes)[:, ::-1]

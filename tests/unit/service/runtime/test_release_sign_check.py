@@ -74,30 +74,30 @@ class AnsweringCraft:
 
 def ready(sign: int = 1, seed: int = 5, settings: ReleaseSettings | None = None) -> AnsweringCraft:
     driver = ReleaseServiceDriver(settings)
-    craft = AnsweringCraft(driver, sign, seed)
+    record = AnsweringCraft(driver, sign, seed)
     for _ in range(12):
-        driver.rows(1, lag_s=0.0, evidence=craft.evidence())
+        driver.rows(1, lag_s=0.0, evidence=record.evidence())
     driver.order(OrderKind.ARM)
-    return craft
+    return record
 
 
 @pytest.mark.parametrize("axis", ["roll", "pitch"])
 def test_a_right_sign_is_proven_and_engaging_becomes_possible(axis):
-    craft = ready()
-    driver = craft.driver
+    record = ready()
+    driver = record.driver
     begun_us = driver.clock.now
     check = driver.service.sign_check(SC, axis, "ann").sign_check
     assert (check.state, check.axis, check.legs, check.legs_done) == ("running", axis, 4, 0)
     with pytest.raises(ConflictError, match=r"sign_check\.running"):
         driver.service.sign_check(SC, axis, "ann")
-    craft.fly(60)
+    record.fly(60)
     view = driver.view
     assert view.sign_check.state == "plus", view.sign_check
     assert view.proven_axes == (axis,)
     assert driver.clock.now - begun_us <= (45 + 10) * 60 * US
     assert driver.releases.released == [], "the filter was told of the torque"
     assert {command.purpose for command in driver.releases.views.values()} == {Purpose.SIGN_CHECK}
-    assert craft.greatest_deg < 0.1
+    assert record.greatest_deg < 0.1
     driver.rows(1)
     if axis == "roll":
         with pytest.raises(ConflictError, match=r"interlock\.sign_unproven"):
@@ -107,21 +107,21 @@ def test_a_right_sign_is_proven_and_engaging_becomes_possible(axis):
 @pytest.mark.parametrize(("sign", "word"), [(-1, "minus"), (0, "nothing")])
 @pytest.mark.parametrize("axis", ["roll", "pitch"])
 def test_a_wrong_sign_or_none_trips_before_a_tenth_of_a_degree_is_lost(axis, sign, word):
-    craft = ready(sign)
-    craft.driver.service.sign_check(SC, axis, "ann")
-    craft.fly(60)
-    view = craft.driver.view
+    record = ready(sign)
+    record.driver.service.sign_check(SC, axis, "ann")
+    record.fly(60)
+    view = record.driver.view
     assert (view.sign_check.state, view.trips) == (word, ("response_missed",))
-    assert craft.greatest_deg < 0.1
+    assert record.greatest_deg < 0.1
     assert view.proven_axes == ()
 
 
 def test_yaw_needs_powers_wheels_and_three_hours():
-    craft = ready()
-    driver = craft.driver
+    record = ready()
+    driver = record.driver
     begun_us = driver.clock.now
     driver.service.sign_check(SC, "yaw", "ann")
-    craft.fly(330)
+    record.fly(330)
     view = driver.view
     assert (view.sign_check.state, view.sign_check.wheels) == ("plus", "plus"), view.sign_check
     assert driver.clock.now - begun_us >= 3 * 3600 * US
@@ -129,21 +129,21 @@ def test_yaw_needs_powers_wheels_and_three_hours():
 
 
 def test_yaw_without_telemetry_stays_open_and_is_not_engaged():
-    craft = ready(settings=ReleaseSettings(yaw_sign_check_s=6000.0, yaw_sign_least_s=3600.0))
-    craft.telemetry = lambda: None
-    craft.driver.service.sign_check(SC, "yaw", "ann")
-    craft.fly(130)
-    view = craft.driver.view
+    record = ready(settings=ReleaseSettings(yaw_sign_check_s=6000.0, yaw_sign_least_s=3600.0))
+    record.telemetry = lambda: None
+    record.driver.service.sign_check(SC, "yaw", "ann")
+    record.fly(130)
+    view = record.driver.view
     assert (view.sign_check.state, view.proven_axes, view.trips) == ("open", (), ())
     assert "yaw_sign" in [reason.code for reason in view.reasons]
 
 
 def test_legs_that_nobody_confirms_are_prepared_again_until_the_time_is_over():
-    craft = ready()
-    driver = craft.driver
+    record = ready()
+    driver = record.driver
     driver.service.sign_check(SC, "roll", "ann")
     for _ in range(56):
-        craft.minute(confirms=False)
+        record.minute(confirms=False)
     assert driver.view.sign_check.state == "open"
     lives = [command.state for command in driver.releases.views.values()]
     assert set(lives) == {"EXPIRED", "CANCELLED"} or set(lives) == {"EXPIRED"}
@@ -151,8 +151,8 @@ def test_legs_that_nobody_confirms_are_prepared_again_until_the_time_is_over():
 
 
 def test_a_restart_interrupts_a_check_and_a_lost_leg_is_flown_again():
-    craft = ready()
-    driver = craft.driver
+    record = ready()
+    driver = record.driver
     driver.service.sign_check(SC, "roll", "ann")
     first = driver.releases.views[1]
     driver.confirm(first)
@@ -171,23 +171,23 @@ def test_a_check_needs_an_axis_rows_and_a_state_in_which_commands_may_go():
         driver.service.sign_check(SC, "nick", "ann")
     with pytest.raises(ConflictError, match=r"sign_check\.no_rows"):
         driver.service.sign_check(SC, "roll", "ann")
-    craft = ready()
-    craft.driver.order(OrderKind.DISENGAGE)
+    record = ready()
+    record.driver.order(OrderKind.DISENGAGE)
     with pytest.raises(ConflictError, match=r"interlock\.not_armed"):
-        craft.driver.service.sign_check(SC, "roll", "ann")
-    assert craft.driver.view.sign_check is None
+        record.driver.service.sign_check(SC, "roll", "ann")
+    assert record.driver.view.sign_check is None
 
 
 def test_the_turn_of_its_own_check_does_not_stop_it():
-    craft = ready()
-    driver = craft.driver
+    record = ready()
+    driver = record.driver
     moving = {"inhibitions": ("unannounced_motion",), "control_allowed": False}
     driver.service.sign_check(SC, "roll", "ann")
-    driver.rows(1, lag_s=0.0, evidence=craft.evidence(), **moving)
+    driver.rows(1, lag_s=0.0, evidence=record.evidence(), **moving)
     assert driver.state == "ARMED"
     driver.service.cancel(SC, 1, "ann")
     driver.order(OrderKind.STOP)
-    driver.rows(1, lag_s=0.0, evidence=craft.evidence())
+    driver.rows(1, lag_s=0.0, evidence=record.evidence())
     assert driver.view.sign_check.state == "interrupted"
     assert GOOD.inhibitions == ()
     assert driver.service._context(SC).state.commands[0].state in (CommandState.CANCELLED, CommandState.REJECTED)

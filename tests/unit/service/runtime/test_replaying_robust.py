@@ -74,8 +74,8 @@ class Station:
     def open(self):
         """Lay down catalogue, calibration and the half hour before operation."""
         self.storage.migrate()
-        craft = PAYLOAD.spacecraft(release=Release.AUTOMATIC, coupling=True)
-        self.storage.catalogue.add_spacecraft(craft)
+        record = PAYLOAD.spacecraft(release=Release.AUTOMATIC, coupling=True)
+        self.storage.catalogue.add_spacecraft(record)
         self.storage.catalogue.put_plan(SC, PAYLOAD.carriers(), "sha")
         self.storage.catalogue.put_ephemeris(SC, PAYLOAD.ephemeris())
         self.calibrate(PAYLOAD.calibration())
@@ -304,11 +304,11 @@ def test_with_the_first_calibration_its_figures_hold_throughout(lived):
 
 def test_a_restart_after_each_piece_changes_no_row(lived_archive, opened_archive, new_station):
     through, broken = new_station(lived_archive), new_station(opened_archive)
-    pieces = morning(broken)
+    chunks = morning(broken)
     is_over = False
     while not is_over:
         with broken.supervised() as settle:
-            is_over = next(pieces, pieces) is pieces
+            is_over = next(chunks, chunks) is chunks
             settle()
     for method in BOTH:
         assert text(broken.rows(method)) == text(through.rows(method))
@@ -334,10 +334,10 @@ def test_pages_of_anything_but_commanded_motion_are_refused(monkeypatch):
 def test_what_telemetry_told_before_an_alignment_holds_after_a_restart_and_in_a_replay(opened_archive, new_station):
     """Rates of the body and momenta of the wheels: commands of the gyro-orbitant law to the last bit."""
     station = new_station(opened_archive)
-    craft, rate = station.storage.catalogue.spacecraft(SC), Axes(1e-5, -2e-5, -math.degrees(GEOSTATIONARY_RATE_RAD_S))
+    record, rate = station.storage.catalogue.spacecraft(SC), Axes(1e-5, -2e-5, -math.degrees(GEOSTATIONARY_RATE_RAD_S))
     gains = GyroOrbitantGains(0.02, 6.0, 0.01, 3.0, 2e-3, 6.0)
-    control = replace(craft.control, law=ControlLaw.GYRO_ORBITANT, gyro_orbitant=gains)
-    station.storage.catalogue.replace_spacecraft(replace(craft, control=control))
+    control = replace(record.control, law=ControlLaw.GYRO_ORBITANT, gyro_orbitant=gains)
+    station.storage.catalogue.replace_spacecraft(replace(record, control=control))
     station.tell(TelemetryRecord(at(0), wheel_momentum_n_m_s=(1.0, 0.5, 0.2), body_rate_deg_s=rate))
     station.align(-30, 0)
     for minutes in (range(1, 3), range(3, 8)):

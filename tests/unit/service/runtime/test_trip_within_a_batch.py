@@ -37,8 +37,8 @@ class Watched:
     def __init__(self, service, stop_after):
         self.service, self.stop_after, self.parts = service, stop_after, 0
 
-    def see(self, spacecraft_id, seen, *, has_inputs=False):
-        self.service.see(spacecraft_id, seen, has_inputs=has_inputs)
+    def on_rows(self, spacecraft_id, seen, *, has_inputs=False):
+        self.service.on_rows(spacecraft_id, seen, has_inputs=has_inputs)
         self.parts += any(one.outcome.applied is not None for one in seen)
 
     @contextmanager

@@ -69,7 +69,7 @@ def test_a_turn_that_was_lost_begins_anew_and_doubles_nothing(new_ground, wait):
     ground = new_ground()
     ground.align()
     lease = Mock()
-    lease.take.return_value = lease.is_held.return_value = True
+    lease.acquire.return_value = lease.is_held.return_value = True
     leading = Leading(lease)
     supervisor = Supervisor(ground.storage, LiveFeed(), ground.config, turn=leading.turn)
     begun = []
@@ -78,11 +78,11 @@ def test_a_turn_that_was_lost_begins_anew_and_doubles_nothing(new_ground, wait):
     try:
         ground.append(range(1, 11))
         wait(ground.is_settled)
-        lease.take.return_value = lease.is_held.return_value = False
+        lease.acquire.return_value = lease.is_held.return_value = False
         wait(lambda: leading.turn() == 0)
         ground.append(range(11, 21))
         assert len(ground.rows()) == 10
-        lease.take.return_value = lease.is_held.return_value = True
+        lease.acquire.return_value = lease.is_held.return_value = True
         wait(lambda: leading.turn() == 2)
         wait(ground.is_settled)
     finally:

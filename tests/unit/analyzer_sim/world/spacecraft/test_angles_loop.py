@@ -30,7 +30,7 @@ def span(minute: int) -> tuple[int, int]:
 def test_a_pulse_of_whole_quanta_pushes_against_the_angle(axis, angle_deg):
     one, attitude = loop(), [0.0, 0.0, 0.0]
     attitude[axis] = angle_deg
-    one.take(reported(1, 0, tuple(attitude)), 0)
+    one.consume(reported(1, 0, tuple(attitude)), 0)
     (pulse,) = one.command(span(0), STILL)
     torque = pulse.torque_n_m[axis]
     assert math.copysign(1.0, torque) == -math.copysign(1.0, angle_deg)
@@ -44,7 +44,7 @@ def test_no_angle_is_acted_on_before_the_first_product_and_beyond_the_age_limit(
     one = loop(age_limit_s=600.0)
     assert one.is_holding(0)
     assert one.command(span(0), STILL) == ()
-    one.take(reported(1, 0), 60 * US_PER_S)
+    one.consume(reported(1, 0), 60 * US_PER_S)
     assert one.command(span(10), STILL) != ()
     assert one.is_holding(601 * US_PER_S)
     assert one.command(span(11), STILL) == ()
@@ -52,14 +52,14 @@ def test_no_angle_is_acted_on_before_the_first_product_and_beyond_the_age_limit(
     (pulse,) = one.command(span(11), (0.0, 0.0, 1e-4))
     assert pulse.torque_n_m[2] < 0.0
     # the next product ends it
-    one.take(reported(2, 11), 11 * MINUTE_US + 30 * US_PER_S)
+    one.consume(reported(2, 11), 11 * MINUTE_US + 30 * US_PER_S)
     assert not one.is_holding(12 * MINUTE_US)
     assert one.command(span(12), STILL) != ()
 
 
 def test_a_limit_that_is_no_number_holds():
     one = loop(age_limit_s=math.nan)
-    one.take(reported(1, 0), 0)
+    one.consume(reported(1, 0), 0)
     assert one.is_holding(0)
 
 
@@ -74,11 +74,11 @@ def test_a_limit_that_is_no_number_holds():
 )
 def test_a_product_is_taken_once_in_order_and_in_time(second, received_s):
     one = loop()
-    one.take(reported(1, 0), 0)
+    one.consume(reported(1, 0), 0)
     one.command(span(0), STILL)
     one.command(span(1), STILL)
     before = (one.newest, list(one.angles_deg), list(one.bias_deg_s))
-    one.take(second, round(received_s * US_PER_S))
+    one.consume(second, round(received_s * US_PER_S))
     assert (one.newest, one.angles_deg, one.bias_deg_s) == before
 
 
@@ -90,7 +90,7 @@ def test_a_drift_that_nobody_sees_is_learned_and_held():
     for minute in range(360):
         queue.append(reported(minute + 1, minute, (0.0, roll, 0.0)))
         if len(queue) > 2:
-            one.take(queue.pop(0), minute * MINUTE_US)
+            one.consume(queue.pop(0), minute * MINUTE_US)
         for pulse in one.command(span(minute), (0.0, given, 0.0)):
             seconds = (pulse.stop_us - pulse.start_us) / US_PER_S
             given += math.degrees(pulse.torque_n_m[1] * seconds / INERTIA[1])

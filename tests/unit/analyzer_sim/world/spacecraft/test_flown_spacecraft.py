@@ -28,10 +28,10 @@ def body_from_orbit(motion: Motion) -> np.ndarray:
     return np.asarray(about_x @ about_y @ about_z)
 
 
-def inertial_momentum(craft: OrbitalFrameSpacecraft, elapsed_s: float) -> np.ndarray:
+def inertial_momentum(flown: OrbitalFrameSpacecraft, elapsed_s: float) -> np.ndarray:
     """Return the momentum of body and wheels in a frame that does not turn."""
-    stored = np.array([wheel.momentum_n_m_s for wheel in craft.wheels])
-    in_orbit = body_from_orbit(craft.motion).T @ (INERTIA * craft.motion.rate_rad_s + stored)
+    stored = np.array([wheel.momentum_n_m_s for wheel in flown.wheels])
+    in_orbit = body_from_orbit(flown.motion).T @ (INERTIA * flown.motion.rate_rad_s + stored)
     # the orbit turns about -y
     angle = -EARTH_RATE_RAD_S * elapsed_s
     s, c = math.sin(angle), math.cos(angle)
@@ -39,9 +39,9 @@ def inertial_momentum(craft: OrbitalFrameSpacecraft, elapsed_s: float) -> np.nda
 
 
 def flying(momentum: tuple[float, float, float], *, has_fast_loop: bool = True) -> OrbitalFrameSpacecraft:
-    craft = spacecraft_at_rest(INERTIA_KG_M2, STILL, wheel_set(1, momentum))
-    craft.has_fast_loop = has_fast_loop
-    return craft
+    flown = spacecraft_at_rest(INERTIA_KG_M2, STILL, wheel_set(1, momentum))
+    flown.has_fast_loop = has_fast_loop
+    return flown
 
 
 def test_the_normal_of_the_orbit_is_the_second_column_of_the_rotation():
@@ -72,41 +72,41 @@ def test_a_long_step_agrees_with_an_integrator_of_another_kind():
 
 @pytest.mark.parametrize("has_fast_loop", [True, False])
 def test_momentum_is_conserved_whatever_the_wheels_do(has_fast_loop):
-    craft = flying((1.5, -8.0, 0.7), has_fast_loop=has_fast_loop)
-    before = inertial_momentum(craft, 0.0)
+    flown = flying((1.5, -8.0, 0.7), has_fast_loop=has_fast_loop)
+    before = inertial_momentum(flown, 0.0)
     schedule = [TorqueElement(k * 100 * S, k * 100 * S + 7 * S, (0.01, -0.02, 0.03 * (-1) ** k)) for k in range(6)]
-    craft.fly((0, 600 * S), schedule, STILL, STILL, STILL)
-    assert np.abs(inertial_momentum(craft, 600.0) - before).max() < 1e-9 * 8.0  # N m s
-    assert abs(craft.wheels[2].momentum_n_m_s - 0.7) > 0.3  # while the wheels have worked
+    flown.fly((0, 600 * S), schedule, STILL, STILL, STILL)
+    assert np.abs(inertial_momentum(flown, 600.0) - before).max() < 1e-9 * 8.0  # N m s
+    assert abs(flown.wheels[2].momentum_n_m_s - 0.7) > 0.3  # while the wheels have worked
 
 
 def test_an_outer_torque_is_stored_in_the_wheels():
-    craft = flying((1.5, -8.0, 0.7))
+    flown = flying((1.5, -8.0, 0.7))
     solar = (0.0, 0.0, 1.0e-4)  # pitch: its axis does not turn
-    before = inertial_momentum(craft, 0.0)
-    craft.fly((0, 600 * S), [], STILL, solar, (0.0, 0.0, 0.05e-4))
-    gained = inertial_momentum(craft, 600.0) - before
+    before = inertial_momentum(flown, 0.0)
+    flown.fly((0, 600 * S), [], STILL, solar, (0.0, 0.0, 0.05e-4))
+    gained = inertial_momentum(flown, 600.0) - before
     np.testing.assert_allclose(gained, [0.0, 0.06, 0.0], atol=1e-5)  # N m s; the axis leaves by some 1e-4 rad
-    assert craft.wheels[1].momentum_n_m_s - -8.0 == pytest.approx(0.95 * 0.06, rel=0.2)  # 5 % turn the body
+    assert flown.wheels[1].momentum_n_m_s - -8.0 == pytest.approx(0.95 * 0.06, rel=0.2)  # 5 % turn the body
 
 
 def test_energy_is_conserved_when_nothing_drives_the_wheels():
-    craft = flying((1.5, -8.0, 0.7), has_fast_loop=False)
-    craft.motion = Motion(3e-4, -2e-4, 5e-4, 0.0, 0.0, 0.0)
+    flown = flying((1.5, -8.0, 0.7), has_fast_loop=False)
+    flown.motion = Motion(3e-4, -2e-4, 5e-4, 0.0, 0.0, 0.0)
     energies = []
     for minute in range(20):
-        energies.append(0.5 * float(np.sum(INERTIA * np.square(craft.motion.rate_rad_s))))
-        craft.fly((minute * 60 * S, (minute + 1) * 60 * S), [], STILL, STILL, STILL)
+        energies.append(0.5 * float(np.sum(INERTIA * np.square(flown.motion.rate_rad_s))))
+        flown.fly((minute * 60 * S, (minute + 1) * 60 * S), [], STILL, STILL, STILL)
     assert np.ptp(energies) < 1e-9 * energies[0]
-    assert craft.motion.rate_x != pytest.approx(3e-4, rel=0.1)  # gyroscopic torques turn the rate round
+    assert flown.motion.rate_x != pytest.approx(3e-4, rel=0.1)  # gyroscopic torques turn the rate round
 
 
 def test_without_the_fast_loop_one_newton_metre_second_turns_the_craft_by_a_third_of_a_degree():
     largest = {}
     for has_fast_loop in (False, True):
-        craft = flying((0.0, 0.0, 1.0), has_fast_loop=has_fast_loop)
-        craft.fly((0, 600 * S), [], STILL, STILL, STILL)
-        largest[has_fast_loop] = max(abs(angle) for angle in craft.state.attitude_deg)
+        flown = flying((0.0, 0.0, 1.0), has_fast_loop=has_fast_loop)
+        flown.fly((0, 600 * S), [], STILL, STILL, STILL)
+        largest[has_fast_loop] = max(abs(angle) for angle in flown.state.attitude_deg)
     print(f"after 10 min: {largest[False]:.3f} deg without the loop, {largest[True]:.1e} with it")
     assert largest[False] == pytest.approx(0.3, abs=0.03)
     assert largest[True] < 0.003  # bearings that start from rest
@@ -115,20 +115,20 @@ def test_without_the_fast_loop_one_newton_metre_second_turns_the_craft_by_a_thir
 def test_a_mode_that_follows_the_orbit_does_not_exchange_roll_and_yaw():
     moved = []
     for is_coupled in (True, False):
-        craft = spacecraft_at_rest(
+        flown = spacecraft_at_rest(
             INERTIA_KG_M2, (0.4, 0.0, 0.0), wheel_set(1, (0.5, -8.0, 0.5)), is_coupled=is_coupled
         )
-        craft.fly((0, 600 * S), [], STILL, STILL, STILL)
-        moved.append(craft.state.attitude_deg[1])
+        flown.fly((0, 600 * S), [], STILL, STILL, STILL)
+        moved.append(flown.state.attitude_deg[1])
     assert moved[0] == pytest.approx(0.4 * EARTH_RATE_RAD_S * 600.0, rel=0.02)
     assert abs(moved[1]) < 2e-4
 
 
 def test_the_inertial_model_drifts_away_with_the_craft():
-    craft = flying((0.5, -8.0, 0.5))
+    flown = flying((0.5, -8.0, 0.5))
     drift = (0.0, 0.0, 1e-5)  # deg/s of pitch
-    craft.fly((0, 3600 * S), [], drift, STILL, STILL)
-    assert craft.state.attitude_deg[2] == pytest.approx(0.036, rel=0.02)
+    flown.fly((0, 3600 * S), [], drift, STILL, STILL)
+    assert flown.state.attitude_deg[2] == pytest.approx(0.036, rel=0.02)
 
 
 def test_a_drive_moves_in_whole_quanta_whose_mean_is_what_was_asked_for():

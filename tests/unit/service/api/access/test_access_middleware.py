@@ -41,16 +41,16 @@ class Stream:
 
 async def sent(stream):
     """Return the body that a client gets, and whether it was ended properly."""
-    pieces = []
+    chunks = []
 
     async def send(message):
-        pieces.append(message)
+        chunks.append(message)
 
     app = SimpleNamespace(state=SimpleNamespace(key_ring=stream.ring))
     scope = {"type": "http", "method": "GET", "path": "/api/v1/x", "query_string": b"", "app": app}
     await AccessLayer(stream)(scope, None, send)
-    assert not pieces[-1]["more_body"]
-    return b"".join(piece.get("body", b"") for piece in pieces)
+    assert not chunks[-1]["more_body"]
+    return b"".join(chunk.get("body", b"") for chunk in chunks)
 
 
 async def test_a_stream_goes_on_while_its_key_holds():

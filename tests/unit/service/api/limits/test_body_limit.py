@@ -11,16 +11,16 @@ from service.api.problems.problems import RequestProblemError
 pytestmark = pytest.mark.anyio
 
 
-async def passed(body: bytes, piece: int, limit: int, *headers: tuple[bytes, bytes]) -> tuple[bytes, int, list]:
+async def passed(body: bytes, chunk: int, limit: int, *headers: tuple[bytes, bytes]) -> tuple[bytes, int, list]:
     """Send a body in pieces through the layer; return what the inside read, the pieces taken, and its headers."""
-    pieces = [body[k : k + piece] for k in range(0, len(body), piece)] or [b""]
+    chunks = [body[k : k + chunk] for k in range(0, len(body), chunk)] or [b""]
     taken = 0
     seen: list = []
 
     async def receive():
         nonlocal taken
         taken += 1
-        return {"type": "http.request", "body": pieces[taken - 1], "more_body": taken < len(pieces)}
+        return {"type": "http.request", "body": chunks[taken - 1], "more_body": taken < len(chunks)}
 
     async def inside(scope, receive, send):
         seen.extend(scope["headers"])
@@ -50,12 +50,12 @@ async def test_one_byte_more_is_refused_as_soon_as_it_comes():
     assert (code, taken) == (b"body.too_large", 11)
 
 
-@pytest.mark.parametrize("piece", [1, 3, 1000])
-async def test_packed_bodies_reach_the_inside_plain_without_their_headers(piece):
+@pytest.mark.parametrize("chunk", [1, 3, 1000])
+async def test_packed_bodies_reach_the_inside_plain_without_their_headers(chunk):
     body = bytes(range(256)) * 3
     packed = gzip.compress(body[:300]) + gzip.compress(body[300:])
     headers = [(b"content-encoding", b"gzip"), (b"content-length", str(len(packed)).encode()), (b"x", b"y")]
-    read, _, seen = await passed(packed, piece, len(packed) + len(body), *headers)
+    read, _, seen = await passed(packed, chunk, len(packed) + len(body), *headers)
     assert read == body
     assert seen == [(b"x", b"y")]
 
@@ -67,23 +67,23 @@ async def test_a_bomb_is_stopped_within_one_piece_of_the_limit():
     assert (code, taken) == (b"body.too_large", 1)
 
 
-@pytest.mark.parametrize("piece", [7, 1000, 10_000_000])
-async def test_what_unpacks_too_far_is_stopped_long_before_the_limit(piece):
+@pytest.mark.parametrize("chunk", [7, 1000, 10_000_000])
+async def test_what_unpacks_too_far_is_stopped_long_before_the_limit(chunk):
     packed = gzip.compress(b"0," * 4_000_000)
     assert len(packed) < 9000
-    code, taken, _ = await passed(packed, piece, 8_000_000, (b"content-encoding", b"gzip"))
+    code, taken, _ = await passed(packed, chunk, 8_000_000, (b"content-encoding", b"gzip"))
     assert code == b"body.gzip_ratio"
     # each byte unpacks to a thousand: 256 KiB are reached within 300 of them
-    assert (taken - 1) * piece < 500
+    assert (taken - 1) * chunk < 500
 
 
-@pytest.mark.parametrize("piece", [1, 13, 997, 100_000])
-async def test_bodies_of_any_size_come_whole(piece):
-    random = Random(piece)
+@pytest.mark.parametrize("chunk", [1, 13, 997, 100_000])
+async def test_bodies_of_any_size_come_whole(chunk):
+    random = Random(chunk)
     for size in (65_535, 65_536, 65_537, 131_072, 131_073, *(random.randrange(200_000) for _ in range(5))):
         body = b"".join(random.choice((b"-85.1,", b" " * 300, b"0")) for _ in range(size))[:size]
         packed = gzip.compress(body)
-        assert (await passed(packed, piece, 1_000_000, (b"content-encoding", b"gzip")))[0] == body
+        assert (await passed(packed, chunk, 1_000_000, (b"content-encoding", b"gzip")))[0] == body
 
 
 async def test_small_bodies_pack_as_far_as_they_like():

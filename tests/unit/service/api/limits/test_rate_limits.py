@@ -26,37 +26,37 @@ def limits(time, **config):
 
 def test_a_burst_passes_and_then_the_rate(time):
     found = limits(time, read_per_s=2.0, read_burst=3)
-    took = [found.take("k", RateClass.READ) for _ in range(4)]
+    took = [found.consume("k", RateClass.READ) for _ in range(4)]
     assert [each.is_allowed for each in took] == [True, True, True, False]
     assert [each.remaining for each in took] == [2, 1, 0, 0]
     assert [each.reset_s for each in took] == [1, 1, 2, 1]
     time.now_s += 0.5
-    assert found.take("k", RateClass.READ).is_allowed
-    assert not found.take("k", RateClass.READ).is_allowed
+    assert found.consume("k", RateClass.READ).is_allowed
+    assert not found.consume("k", RateClass.READ).is_allowed
     time.now_s += 1000.0
-    assert [found.take("k", RateClass.READ).is_allowed for _ in range(4)] == [True, True, True, False]
+    assert [found.consume("k", RateClass.READ).is_allowed for _ in range(4)] == [True, True, True, False]
 
 
 def test_over_a_long_time_the_rate_is_kept(time):
     found = limits(time, control_per_s=5.0, control_burst=10)
     passed = 0
     for _ in range(2000):
-        passed += found.take("k", RateClass.CONTROL).is_allowed
+        passed += found.consume("k", RateClass.CONTROL).is_allowed
         time.now_s += 0.01
     assert 10 + 5.0 * 20 - 1 <= passed <= 10 + 5.0 * 20
 
 
 def test_keys_and_classes_do_not_take_from_each_other(time):
     found = limits(time, read_per_s=1.0, read_burst=1)
-    assert found.take("a", RateClass.READ).is_allowed
-    assert found.take("b", RateClass.READ).is_allowed
-    assert found.take("a", RateClass.CONTROL).is_allowed
-    assert not found.take("a", RateClass.READ).is_allowed
+    assert found.consume("a", RateClass.READ).is_allowed
+    assert found.consume("b", RateClass.READ).is_allowed
+    assert found.consume("a", RateClass.CONTROL).is_allowed
+    assert not found.consume("a", RateClass.READ).is_allowed
 
 
 def test_zero_is_no_limit(time):
     found = limits(time, ingest_per_s=0.0, anonymous_per_s=0.0)
-    assert (found.take("a", RateClass.INGEST), found.consume_anonymous("192.0.2.1")) == (None, None)
+    assert (found.consume("a", RateClass.INGEST), found.consume_anonymous("192.0.2.1")) == (None, None)
 
 
 def test_addresses_are_counted_apart_and_forgotten_in_time(time):

@@ -74,9 +74,9 @@ def test_tensor_and_its_inverse() -> None:
 
 
 def test_tumbling_without_gravity_keeps_the_inertial_momentum() -> None:
-    craft = rigid_spacecraft(FREE, NOMINAL_INERTIA)._replace(has_gravity_torque=False)
+    spacecraft = rigid_spacecraft(FREE, NOMINAL_INERTIA)._replace(has_gravity_torque=False)
     start = Start(20.0, -30.0, 40.0, rate_rad_s=(0.01, 0.02, -0.015))
-    short, long = fly_spacecraft(craft, start, 0.125), fly_spacecraft(craft, start, 3000.0)
+    short, long = fly_spacecraft(spacecraft, start, 0.125), fly_spacecraft(spacecraft, start, 3000.0)
     norm = [math.sqrt(sum(k**2 for k in flight.end[4:7])) for flight in (short, long)]
     assert norm[1] == pytest.approx(norm[0], rel=1e-10)
     # the printed equation dk/dt = w x k is the same motion with the rate reversed: it keeps the length, not the energy
@@ -134,16 +134,16 @@ def test_cogging_over_whole_turns_is_nothing() -> None:
 
 
 def test_tones_step_exactly() -> None:
-    craft = OrbitalFrameSpacecraft(tones=Tones())
-    steps = tone_steps(craft)
-    omega = 2.0 * math.pi * craft.tones.yaw_hz[1]
+    spacecraft = OrbitalFrameSpacecraft(tones=Tones())
+    steps = tone_steps(spacecraft)
+    omega = 2.0 * math.pi * spacecraft.tones.yaw_hz[1]
     # against the differential equation in small steps
     angle, rate, drive = 1e-3, 0.0, 0.2
-    push = craft.tones.gains[1] * drive / craft.inertia.zz
+    push = spacecraft.tones.gains[1] * drive / spacecraft.inertia.zz
     fine = 200_000
     h = 0.125 / fine
     for _ in range(fine):
-        rate += h * (push - 2.0 * craft.tones.damping_ratio * omega * rate - omega**2 * angle)
+        rate += h * (push - 2.0 * spacecraft.tones.damping_ratio * omega * rate - omega**2 * angle)
         angle += h * rate
     a = steps[4]
     assert a[0] * 1e-3 + a[4] * drive == pytest.approx(angle, rel=1e-4)
@@ -151,7 +151,7 @@ def test_tones_step_exactly() -> None:
 
 
 @pytest.mark.parametrize(
-    ("craft", "named"),
+    ("spacecraft", "named"),
     [
         (rigid_spacecraft(inertia=Inertia(xx=-1.0)), "inertia"),
         (rigid_spacecraft(inertia=Inertia(xy=7000.0)), "positive definite"),
@@ -164,10 +164,10 @@ def test_tones_step_exactly() -> None:
         (rigid_spacecraft(steps=0), "steps"),
     ],
 )
-def test_what_cannot_be_is_refused_by_name(craft: OrbitalFrameSpacecraft, named: str) -> None:
-    assert any(named in text for text in refusals(craft))
+def test_what_cannot_be_is_refused_by_name(spacecraft: OrbitalFrameSpacecraft, named: str) -> None:
+    assert any(named in text for text in refusals(spacecraft))
     with pytest.raises(ValueError, match=named):
-        fly_spacecraft(craft, Start(), 10.0)
+        fly_spacecraft(spacecraft, Start(), 10.0)
 
 
 @pytest.mark.parametrize("duration_s", [0.0, -1.0, math.nan, math.inf, 1e9])
@@ -195,8 +195,8 @@ def test_figures_of_merit() -> None:
 
 
 def test_same_seed_same_flight() -> None:
-    craft = OrbitalFrameSpacecraft()
-    one, same, other = (fly_spacecraft(craft, Start(), 30.0, seed) for seed in (3, 3, 4))
+    spacecraft = OrbitalFrameSpacecraft()
+    one, same, other = (fly_spacecraft(spacecraft, Start(), 30.0, seed) for seed in (3, 3, 4))
     assert one.yaw_deg.tobytes() == same.yaw_deg.tobytes()
     assert one.yaw_deg.tobytes() != other.yaw_deg.tobytes()
     assert all(later > earlier for earlier, later in pairwise(one.time_s.tolist()))

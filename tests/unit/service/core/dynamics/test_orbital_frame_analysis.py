@@ -34,10 +34,10 @@ def test_figures_are_those_of_the_flight():
 
 def test_harmonics_over_an_orbit_are_those_of_the_specification():
     # the craft turns in a fifth of the periods here, which changes nothing of a slow motion
-    craft = rigid_spacecraft(inertia=Inertia(xy=100.0, xz=60.0, yz=114.0))._replace(
+    spacecraft = rigid_spacecraft(inertia=Inertia(xy=100.0, xz=60.0, yz=114.0))._replace(
         computer=Computer(False, period_s=1.0)
     )
-    merit = fly_closed_loop(SettlingRequest(craft, Start(), 15_000.0)).merit
+    merit = fly_closed_loop(SettlingRequest(spacecraft, Start(), 15_000.0)).merit
     assert merit.harmonic_deg[2] == pytest.approx(0.0170, abs=0.0002)
     assert merit.harmonic_deg[0] == pytest.approx(0.00182, abs=0.00002)
     assert merit.mean_yaw_deg == pytest.approx(0.0, abs=0.001)
@@ -56,10 +56,10 @@ def test_a_thinned_record_keeps_the_start_and_the_figures():
 @pytest.mark.parametrize(
     ("request", "says"),
     [
-        (SettlingRequest(craft=OrbitalFrameSpacecraft(inertia=Inertia(zz=20_000.0))), "triangle"),
+        (SettlingRequest(spacecraft=OrbitalFrameSpacecraft(inertia=Inertia(zz=20_000.0))), "triangle"),
         (SettlingRequest(duration_s=math.nan), "duration_s"),
         (SettlingRequest(duration_s=60_001.0), "60000 s"),
-        (SettlingRequest(craft=OrbitalFrameSpacecraft(steps=16)), f"{MOST_STEPS} steps"),
+        (SettlingRequest(spacecraft=OrbitalFrameSpacecraft(steps=16)), f"{MOST_STEPS} steps"),
         (SettlingRequest(start=Start(rate_rad_s=(-1.04e-3, 0.0, 0.0))), "1.01 orbital rates"),
         (SettlingRequest(start=Start(rate_rad_s=(2.1e-3, 0.0, 0.0)), beyond=BeyondOrbitalRate.AS_PRINTED), "imaginary"),
     ],
@@ -84,7 +84,7 @@ def test_what_may_fly_is_not_refused(ratio, beyond):
 
 def test_a_flight_whose_numbers_leave_all_bounds_is_an_error():
     # a spin that a step of ten seconds cannot follow
-    craft = rigid_spacecraft(inertia=Inertia(1.0, 1.0, 1.5))._replace(computer=Computer(False, 10.0, 100.0))
+    spacecraft = rigid_spacecraft(inertia=Inertia(1.0, 1.0, 1.5))._replace(computer=Computer(False, 10.0, 100.0))
     start = Start(rate_rad_s=(1.0, 0.8, -0.7))
     with pytest.raises(ValueError, match=r"leaves all bounds|imaginary"):
-        fly_closed_loop(SettlingRequest(craft, start, 2000.0, beyond=BeyondOrbitalRate.SECOND_BRANCH))
+        fly_closed_loop(SettlingRequest(spacecraft, start, 2000.0, beyond=BeyondOrbitalRate.SECOND_BRANCH))

@@ -8,20 +8,20 @@ from service.core.rows.row_gaps import STRETCH_ROWS, Gap, GapSearch
 S = 1_000_000
 
 
-def gaps_of(epochs_s: list[float], pieces: int = 1, start_s: int | None = None, stop_s: int | None = None) -> list[Gap]:
+def gaps_of(epochs_s: list[float], chunks: int = 1, start_s: int | None = None, stop_s: int | None = None) -> list[Gap]:
     """Return the gaps of rows that come in pieces, in seconds."""
     search = GapSearch(None if start_s is None else start_s * S)
     found: list[Gap] = []
-    for piece in np.array_split(np.array([round(each * S) for each in epochs_s]), pieces):
-        found += search.add(piece)
+    for chunk in np.array_split(np.array([round(each * S) for each in epochs_s]), chunks):
+        found += search.add(chunk)
     found += search.end(None if stop_s is None else stop_s * S)
     return [Gap(gap.start_us // S, gap.stop_us // S, gap.rows_missing) for gap in found]
 
 
-@pytest.mark.parametrize("pieces", [1, 2, 7])
-def test_missing_rows_are_counted(pieces: int) -> None:
+@pytest.mark.parametrize("chunks", [1, 2, 7])
+def test_missing_rows_are_counted(chunks: int) -> None:
     rows = [10 * k for k in range(100) if k not in {3, 50, 51, 52}]
-    assert gaps_of(rows, pieces) == [(30, 40, 1), (500, 530, 3)]
+    assert gaps_of(rows, chunks) == [(30, 40, 1), (500, 530, 3)]
 
 
 def test_jitter_is_no_gap() -> None:

@@ -116,8 +116,8 @@ def test_parquet_reads_back(blocks: list[MeasurementBlock]) -> None:
 def test_parquet_gives_its_bytes_group_by_group() -> None:
     file = ParquetFile(_columns(1))
     assert file.begin() == b"PAR1"
-    pieces = [file.rows(_block(1, 50_000, start=50_000 * k)) for k in range(6)]
-    assert [bool(piece) for piece in pieces] == [False, True, True, True, False, True]
+    chunks = [file.rows(_block(1, 50_000, start=50_000 * k)) for k in range(6)]
+    assert [bool(chunk) for chunk in chunks] == [False, True, True, True, False, True]
     assert file.end().endswith(b"PAR1")
 
 
@@ -153,7 +153,7 @@ def test_blocks_are_taken_one_at_a_time() -> None:
             taken += 1
             yield _block(1, 10, start=10 * k)
 
-    pieces = file_bytes(CsvFile(_columns(1)), blocks())
-    next(pieces)
-    next(pieces)
+    chunks = file_bytes(CsvFile(_columns(1)), blocks())
+    next(chunks)
+    next(chunks)
     assert taken == 1

@@ -121,8 +121,8 @@ def test_records_become_json() -> None:
     }
     assert plain_value((Pulse(0, 1.0, NO_ANGLES),))[0]["start"] == "1970-01-01T00:00:00.000000Z"
     inertia = ((2600.0, 0.0, 0.0), (0.0, 1400.0, 0.0), (0.0, 0.0, 2600.0))
-    craft = plain_value(Spacecraft("sc", "Craft", 90.0, Site(55.0, 38.0), inertia, 0.05))
-    assert json.loads(json.dumps(craft, allow_nan=False))["control"]["method"] == "robust"
+    spacecraft = plain_value(Spacecraft("sc", "Craft", 90.0, Site(55.0, 38.0), inertia, 0.05))
+    assert json.loads(json.dumps(spacecraft, allow_nan=False))["control"]["method"] == "robust"
 
 
 @pytest.mark.parametrize("word", ["=1+1", "+1", "-1", "@x", "\t=1", "\r", "'=1"])

@@ -95,7 +95,7 @@ class ScriptedDriver:
     def release(self) -> None:
         self._script.released += 1
 
-    def take(self, sweep: Any) -> Sweep:
+    def measure(self, sweep: Any) -> Sweep:
         faults = self._script.take_faults[sweep.id]
         fault = faults.pop(0) if faults else None
         if fault is not None:

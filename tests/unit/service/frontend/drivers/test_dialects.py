@@ -27,7 +27,7 @@ def test_a_trace_of_every_family_is_read_in_dbm(name: str) -> None:
     session = ScriptedSession(name)
     made = driver(session, name)
     made.configure(SWEEP, PATH)
-    sweep = made.take(SWEEP)
+    sweep = made.measure(SWEEP)
     # float32 and seven printed digits
     np.testing.assert_allclose(10 * np.log10(sweep.power_mw), session.levels, atol=1e-5)
     assert not sweep.is_setting_mismatch
@@ -99,7 +99,7 @@ def test_byte_order_is_what_was_stated() -> None:
     made = driver(session, "keysight")
     made.configure(SWEEP, PATH)
     assert session._byte_order == ">f4"
-    assert 10 * np.log10(made.take(SWEEP).power_mw[0]) == pytest.approx(-90.0, abs=1e-5)  # float32
+    assert 10 * np.log10(made.measure(SWEEP).power_mw[0]) == pytest.approx(-90.0, abs=1e-5)  # float32
 
 
 def test_only_changed_settings_are_sent_again() -> None:
@@ -129,7 +129,7 @@ def test_other_points_than_asked_for_are_used_and_flagged() -> None:
     session.levels = np.full(751, -90.0)
     made = driver(session, "rs")
     assert made.configure(SWEEP, InputPart()).points == 751
-    sweep = made.take(SWEEP)
+    sweep = made.measure(SWEEP)
     assert sweep.is_setting_mismatch
     assert sweep.power_mw.size == 751
 
@@ -142,7 +142,7 @@ def test_a_siglent_sweeps_751_points_whatever_it_says(answers_points: bool) -> N
     session.levels = np.full(751, -90.0)
     made = driver(session, "siglent")
     made.configure(SWEEP, InputPart())
-    sweep = made.take(SWEEP)
+    sweep = made.measure(SWEEP)
     assert sweep.settings.points == sweep.power_mw.size == 751
     assert sweep.settings.step_hz == pytest.approx(40e6 / 750)
 
@@ -151,14 +151,14 @@ def test_a_siglent_is_asked_for_the_end_of_its_sweep() -> None:
     session = ScriptedSession("siglent")
     made = driver(session, "siglent")
     made.configure(SWEEP, InputPart())
-    made.take(SWEEP)
+    made.measure(SWEEP)
     assert not any("SWE:STAT" in reported for reported in session.reported[-2:])
     answers = iter(["1", "0", "0", "1", "1"])
     session.answer = lambda header: next(answers) if header.startswith(":TRAC:SWE:STAT") else None
     made.preset()
     made.configure(SWEEP, InputPart())
     session.reported.clear()
-    made.take(SWEEP)
+    made.measure(SWEEP)
     assert [reported for reported in session.reported if "SWE:STAT" in reported] == [":TRAC:SWE:STAT? 1"] * 3
 
 
@@ -169,7 +169,7 @@ def test_an_anritsu_without_a_trace_yet_says_so() -> None:
     further = [":STAT:QUES:COND?", *made._configuration.readback, ":SYST:ERR?"]
     session.query_block = lambda *_: (None, ";".join(["#0", *session._answers(";".join(further))]))  # type: ignore[method-assign]
     with pytest.raises(SweepRefusedError, match="no trace"):
-        made.take(SWEEP)
+        made.measure(SWEEP)
 
 
 def test_a_generic_analyzer_is_asked_for_the_mean_of_powers_in_three_ways() -> None:

@@ -40,7 +40,7 @@ def level_dbm(power_mw: np.ndarray, position: int = 0) -> float:
 def test_a_sweep_gives_milliwatts_and_the_analyzers_own_settings() -> None:
     session = ScriptedSession()
     session.stuck[":BAND"] = "5E4"
-    sweep = driver(session).take(SWEEP)
+    sweep = driver(session).measure(SWEEP)
     # float32 of -90 and -80 dBm
     np.testing.assert_allclose(10 * np.log10(sweep.power_mw[[0, -1]]), [-90.0, -80.0], atol=1e-5)
     assert sweep.settings.rbw_hz == 5e4
@@ -50,7 +50,7 @@ def test_a_sweep_gives_milliwatts_and_the_analyzers_own_settings() -> None:
 
 def test_the_sweep_is_awaited_for_one_and_a_half_sweep_times() -> None:
     session = ScriptedSession()
-    driver(session).take(SWEEP)
+    driver(session).measure(SWEEP)
     assert session.timeouts[-1] == pytest.approx(1.5 * 2.0 + 5.0)  # the rule itself
 
 
@@ -59,7 +59,7 @@ def test_a_refused_sweep_gives_no_trace() -> None:
     made = driver(session)
     session.queue += ['-200,"Execution error;end of scenario"', '-222,"Data out of range"']
     with pytest.raises(SweepRefusedError, match="end of scenario"):
-        made.take(SWEEP)
+        made.measure(SWEEP)
     assert session.queue == []
 
 
@@ -68,30 +68,30 @@ def test_a_clamped_setting_is_a_remark() -> None:
     made = driver(session)
     made.analyzer_messages.clear()
     session.queue.append('-222,"Data out of range"')
-    made.take(SWEEP)
+    made.measure(SWEEP)
     assert [remark.code for remark in made.analyzer_messages] == [-222]
 
 
 def test_status_bits() -> None:
     session = ScriptedSession()
     session.known[":STAT:QUES:COND?"] = str((1 << 3) | (1 << 5) | (1 << 8))
-    sweep = driver(session).take(SWEEP)
+    sweep = driver(session).measure(SWEEP)
     assert (sweep.is_overrange, sweep.is_uncalibrated, sweep.is_reference_unlocked) == (True, True, True)
 
 
 def test_epoch_of_the_system_is_the_middle_between_start_and_end() -> None:
-    assert driver(ScriptedSession()).take(SWEEP).epoch_us == 1_000_500
+    assert driver(ScriptedSession()).measure(SWEEP).epoch_us == 1_000_500
 
 
 def test_epoch_of_a_simulator_is_its_dwell() -> None:
-    sweep = driver(ScriptedSession(), use_analyzer_clock=True).take(SWEEP)
+    sweep = driver(ScriptedSession(), use_analyzer_clock=True).measure(SWEEP)
     assert sweep.epoch_us == 1_795_230_152_011_250
 
 
 def test_epoch_of_an_analyzer_with_a_calendar_is_half_a_sweep_back() -> None:
     session = ScriptedSession()
     session.known = {":SYST:DATE?": "2026,11,21", ":SYST:TIME?": "3,2,33"}
-    sweep = driver(session, use_analyzer_clock=True).take(SWEEP)
+    sweep = driver(session, use_analyzer_clock=True).measure(SWEEP)
     assert sweep.epoch_us == 1_795_230_152_000_000
 
 
@@ -105,9 +105,9 @@ def test_an_analyzer_without_a_clock_cannot_stamp() -> None:
 def test_a_repeated_trace_is_stale_and_a_new_one_is_not() -> None:
     session = ScriptedSession()
     made = driver(session)
-    assert [made.take(SWEEP).is_stale, made.take(SWEEP).is_stale] == [False, True]
+    assert [made.measure(SWEEP).is_stale, made.measure(SWEEP).is_stale] == [False, True]
     session.levels = session.levels + 0.1
-    assert not made.take(SWEEP).is_stale
+    assert not made.measure(SWEEP).is_stale
 
 
 def test_count_averages_milliwatts() -> None:
@@ -115,13 +115,13 @@ def test_count_averages_milliwatts() -> None:
     made = driver(session)
     many = SWEEP.model_copy(update={"count": 3})
     made.configure(many, InputPart())
-    assert level_dbm(made.take(many).power_mw) == pytest.approx(-90.0, abs=1e-5)  # float32
+    assert level_dbm(made.measure(many).power_mw) == pytest.approx(-90.0, abs=1e-5)  # float32
 
 
 def test_real_format_refused_means_text() -> None:
     session = ScriptedSession()
     session.stuck[":FORM"] = "ASC,0"
-    assert level_dbm(driver(session).take(SWEEP).power_mw) == pytest.approx(-90.0, abs=1e-5)
+    assert level_dbm(driver(session).measure(SWEEP).power_mw) == pytest.approx(-90.0, abs=1e-5)
     assert ":FORM ASC" in session.reported
 
 
@@ -129,8 +129,8 @@ def test_a_block_of_doubles_falls_back_to_text() -> None:
     session = ScriptedSession()
     session.as_real = lambda levels: struct.pack(f"<{levels.size}d", *levels)
     made = driver(session)
-    assert level_dbm(made.take(SWEEP).power_mw) == pytest.approx(-90.0, abs=1e-5)
-    assert level_dbm(made.take(SWEEP).power_mw) == pytest.approx(-90.0, abs=1e-5)
+    assert level_dbm(made.measure(SWEEP).power_mw) == pytest.approx(-90.0, abs=1e-5)
+    assert level_dbm(made.measure(SWEEP).power_mw) == pytest.approx(-90.0, abs=1e-5)
     assert session.reported.count(":FORM ASC") == 1
 
 
@@ -139,7 +139,7 @@ def test_a_missing_answer_is_a_broken_session() -> None:
     made = driver(session)
     del session.known[":STAT:QUES:COND?"]
     with pytest.raises(AnalyzerIOError, match="answers to"):
-        made.take(SWEEP)
+        made.measure(SWEEP)
 
 
 def test_an_endless_error_queue_is_a_broken_session() -> None:
@@ -147,7 +147,7 @@ def test_an_endless_error_queue_is_a_broken_session() -> None:
     made = driver(session)
     session.queue += ['-222,"again"'] * 500
     with pytest.raises(AnalyzerIOError, match="without end"):
-        made.take(SWEEP)
+        made.measure(SWEEP)
 
 
 @pytest.mark.parametrize("header", [":FREQ:STAR", ":BAND", ":SWE:POIN", ":UNIT:POW", ":DET", ":DISP:TRAC:MODE"])
@@ -161,13 +161,13 @@ def test_a_setting_changed_during_a_sweep_is_restored_and_the_sweep_taken_again(
         session.after_sweep = lambda: None
 
     session.after_sweep = change
-    sweep = made.take(SWEEP)
+    sweep = made.measure(SWEEP)
     assert made.foreign_changes == 1
     assert session.values[header] == before
     assert sweep.is_setting_mismatch
     assert level_dbm(sweep.power_mw) == pytest.approx(-90.0, abs=1e-5)
     session.levels = session.levels + 0.1
-    assert not made.take(SWEEP).is_setting_mismatch
+    assert not made.measure(SWEEP).is_setting_mismatch
 
 
 @pytest.mark.parametrize("header", [":BAND:VID", ":BAND", ":INP:ATT", ":UNIT:POW", ":INIT:CONT", ":FORM"])
@@ -196,7 +196,7 @@ def test_a_sweep_whose_settings_never_stand_still_is_no_measurement() -> None:
         session.values[":BAND:VID"] = f"{next(turns)}E3"
 
     session.after_sweep = turn
-    sweep = made.take(SWEEP)
+    sweep = made.measure(SWEEP)
     assert np.isnan(sweep.power_mw).all()
     assert sweep.is_setting_mismatch
 
@@ -207,7 +207,7 @@ def test_another_unit_that_stays_is_refused() -> None:
     session.stuck[":UNIT:POW"] = "V"
     session.values[":UNIT:POW"] = "V"
     with pytest.raises(SweepRefusedError, match="UNIT:POW 'V'"):
-        made.take(SWEEP)
+        made.measure(SWEEP)
 
 
 @pytest.mark.parametrize("answer", ["", "#0", "1,2,3", "NAN" * 3, ",".join(["x"] * 11)])
@@ -216,7 +216,7 @@ def test_what_is_no_trace_is_never_a_level(answer: str) -> None:
     made = driver(session, SIGLENT)
     session.query_block = lambda *_: (None, answer + _rest(session, made))  # type: ignore[method-assign]
     with pytest.raises((SweepRefusedError, AnalyzerIOError, ValueError)):
-        made.take(SWEEP)
+        made.measure(SWEEP)
 
 
 @pytest.mark.parametrize("unit", ["dBuV", "W", "V"])
@@ -230,17 +230,17 @@ def test_levels_in_another_unit_than_stated_are_not_levels(unit: str) -> None:
     }
     session.levels = convert[unit](session.levels)
     with pytest.raises(ValueError, match="not in dBm"):
-        made.take(SWEEP)
+        made.measure(SWEEP)
 
 
 def test_a_trace_that_reaches_the_reference_level_is_overdriven() -> None:
     session = ScriptedSession()
     made = driver(session)
     made.configure(SWEEP, InputPart(ref_level_dbm=-80.0))
-    assert made.take(SWEEP).is_overrange
+    assert made.measure(SWEEP).is_overrange
     made.configure(SWEEP, InputPart(ref_level_dbm=-79.0))
     session.levels = session.levels - 0.1
-    assert not made.take(SWEEP).is_overrange
+    assert not made.measure(SWEEP).is_overrange
 
 
 @pytest.mark.parametrize("code", ["-999.0", "9.91E37", "9.9E37", "-9.9E37", "NAN", "INF"])
@@ -249,7 +249,7 @@ def test_codes_for_no_number_are_not_levels(code: str) -> None:
     made = driver(session, SIGLENT)
     text = ",".join([code] * 751) + ","
     session.query_block = lambda *_: (None, text + _rest(session, made))  # type: ignore[method-assign]
-    assert np.isnan(made.take(SWEEP).power_mw).all()
+    assert np.isnan(made.measure(SWEEP).power_mw).all()
 
 
 def _rest(session: ScriptedSession, made: ScpiDriver) -> str:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from geometry_flight import HOUR, INERTIA, LONGITUDE_DEG, MINUTE, SITE, S
 
-from service.pipeline.inputs.known_motion import CommandedMotion, heard, take
+from service.pipeline.inputs.known_motion import CommandedMotion, consume, heard
 from service.records.catalogue import Spacecraft
 from service.records.inputs import Correction
 from service.records.levels.attitude import Axes
@@ -53,7 +53,7 @@ def walked(commanded: CommandedMotion, epochs_us: list[int]) -> tuple[np.ndarray
     angle, rate = np.zeros(3), np.zeros(3)
     angles, rates = [], []
     for before_us, now_us in pairwise(epochs_us):
-        known, commanded = take(commanded, before_us, now_us)
+        known, commanded = consume(commanded, before_us, now_us)
         hours = (now_us - before_us) / HOUR
         angle = angle + known.correction_deg + known.late_correction_deg
         angle = angle + hours * rate + 0.5 * hours * known.rate_change_deg_h
@@ -75,9 +75,9 @@ def test_what_was_commanded_before_the_alignment_belongs_to_it():
     reported = heard(CommandedMotion(4 * MINUTE), Correction(0, 8 * MINUTE, Axes(0.0, 0.8, 0.0)), None, 4 * MINUTE)
     assert reported.late_deg == (0.0, 0.0, 0.0)
     # a step that begins before the alignment takes only what comes after it
-    known, left = take(reported, 2 * MINUTE, 6 * MINUTE)
+    known, left = consume(reported, 2 * MINUTE, 6 * MINUTE)
     np.testing.assert_allclose(known.correction_deg, [0.0, 0.2, 0.0], atol=EXACT)
-    known, left = take(left, 6 * MINUTE, 20 * MINUTE)
+    known, left = consume(left, 6 * MINUTE, 20 * MINUTE)
     np.testing.assert_allclose(known.correction_deg, [0.0, 0.2, 0.0], atol=EXACT)
     assert left.motions == ()
 
@@ -90,11 +90,11 @@ def test_a_correction_that_ended_before_the_alignment_is_nothing():
 def test_a_late_correction_is_applied_at_once_and_nothing_of_it_twice():
     reported = heard(CommandedMotion(0), Correction(0, 10 * MINUTE, Axes(0.1, 0.0, -1.0)), None, 4 * MINUTE)
     np.testing.assert_allclose(reported.late_deg, [0.04, 0.0, -0.4], atol=EXACT)
-    known, left = take(reported, 4 * MINUTE, 7 * MINUTE)
+    known, left = consume(reported, 4 * MINUTE, 7 * MINUTE)
     np.testing.assert_allclose(known.late_correction_deg, [0.04, 0.0, -0.4], atol=EXACT)
     np.testing.assert_allclose(known.correction_deg, [0.03, 0.0, -0.3], atol=EXACT)
     assert left.late_deg == (0.0, 0.0, 0.0)
-    known, left = take(left, 7 * MINUTE, 60 * MINUTE)
+    known, left = consume(left, 7 * MINUTE, 60 * MINUTE)
     np.testing.assert_allclose(known.correction_deg + known.late_correction_deg, [0.03, 0.0, -0.3], atol=EXACT)
     assert left.motions == ()
 
@@ -177,7 +177,7 @@ def test_a_command_that_counts_as_applied_ends_the_pulses_of_the_one_before(newe
     for minute in range(1, 41):
         if minute == newest_min + 1:
             commanded = heard(commanded, second, CRAFT, newest_min * MINUTE)
-        known, commanded = take(commanded, (minute - 1) * MINUTE, minute * MINUTE)
+        known, commanded = consume(commanded, (minute - 1) * MINUTE, minute * MINUTE)
         angle = angle + known.correction_deg + known.late_correction_deg + (rate + 0.5 * known.rate_change_deg_h) / 60.0
         rate = rate + known.rate_change_deg_h
     expected = [0.0, gained_deg_h(1e-4, 360.0, INERTIA[0][0]), gained_deg_h(1e-4, 60.0, INERTIA[1][1])]
@@ -193,6 +193,6 @@ def test_an_older_command_and_a_report_end_nothing():
     commanded = CommandedMotion(0)
     for content in (first, older, report):
         commanded = heard(commanded, content, CRAFT, 0)
-    known, _ = take(commanded, 0, 20 * MINUTE)
+    known, _ = consume(commanded, 0, 20 * MINUTE)
     expected = [gained_deg_h(1e-4, 60.0, INERTIA[2][2]), gained_deg_h(1e-4, 60.0, INERTIA[0][0]), 0.0]
     np.testing.assert_allclose(known.rate_change_deg_h, expected, rtol=EXACT)

@@ -160,7 +160,7 @@ def test_an_alarm_that_stands_is_not_written_down_again_and_again(rig, monkeypat
 def test_too_many_rows_at_once_are_counted_not_kept(rig):
     rig.row(1, -40.0, -40.0)
     seen = [object()] * 6000
-    rig.desk.see("craft", seen)
+    rig.desk.on_rows("craft", seen)
     assert rig.desk.rows_skipped == 1000
     rig.desk._queue.clear()
 
@@ -172,7 +172,7 @@ def test_the_thread_looks_by_itself_and_a_stop_looks_a_last_time(rig):
     for minute in range(1, 4):
         epoch_us = START + minute * MINUTE
         measurement = Measurement(epoch_us, epoch_us, minute, "sa", 1, np.array([-40.0, NAN]), None)
-        rig.desk.see("craft", [RowEvidence(measurement, rig.plan, (), Method.ROBUST, None, {})])
+        rig.desk.on_rows("craft", [RowEvidence(measurement, rig.plan, (), Method.ROBUST, None, {})])
     rig.desk.stop()
     assert rig.reported() == [RAISED]
     assert rig.storage.alarms.memory("craft").newest_row_us == epoch_us
@@ -181,6 +181,6 @@ def test_the_thread_looks_by_itself_and_a_stop_looks_a_last_time(rig):
 def test_rows_are_handed_over_and_judged_by_another_thread(rig):
     seen = [object()]
     for _ in range(1000):
-        rig.desk.see("craft", seen)
+        rig.desk.on_rows("craft", seen)
     assert len(rig.desk._queue) == 1000
     rig.desk._queue.clear()

@@ -213,7 +213,7 @@ class _Session(socketserver.StreamRequestHandler):
         for line in self.rfile:
             word = line[:4].upper()
             if word == b"DATA":
-                self.take()
+                self.consume()
             elif word == b"MAIL" and self.server.refusal:
                 self.say(self.server.refusal)
             elif word == b"QUIT":
@@ -222,7 +222,7 @@ class _Session(socketserver.StreamRequestHandler):
             else:
                 self.say("250 ok")
 
-    def take(self):
+    def consume(self):
         self.say("354 go on")
         lines = []
         for line in self.rfile:

@@ -350,7 +350,7 @@ def test_other_control_settings_trip_and_keep_the_proven_signs_other_wheels_do_n
     driver.archive.change_craft(damping=0.7)
     driver.tell()
     assert (driver.view.trips, driver.view.proven_axes) == (("configuration",), ("roll", "pitch"))
-    driver.archive.change_craft(wheels=replace(driver.archive.craft.wheels, torque_quantum_n_m=0.001))
+    driver.archive.change_craft(wheels=replace(driver.archive.record.wheels, torque_quantum_n_m=0.001))
     driver.tell()
     assert driver.view.proven_axes == ()
 
@@ -373,7 +373,7 @@ def test_a_command_that_did_nothing_trips_when_it_is_reported_executed(driver):
     driver.armed()
     driver.sent()
     driver.row = replace(GOOD, epoch_us=driver.clock.now)
-    driver.see(evidence=evidence)
+    driver.on_rows(evidence=evidence)
     assert driver.state == "ARMED"
     driver.report(1)
     assert driver.view.trips == ("response_missed",)

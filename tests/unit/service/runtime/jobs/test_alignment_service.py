@@ -55,13 +55,13 @@ def test_angles_stated_by_hand_take_the_powers_before_them(ground):
 
 @pytest.mark.parametrize("coupling", [True, False, None])
 def test_an_exchange_of_roll_and_yaw_that_nobody_stated_is_warned_of(ground, coupling):
-    craft = ground.storage.catalogue.spacecraft(ground.id)
-    ground.storage.catalogue.replace_spacecraft(replace(craft, onboard=Onboard(roll_yaw_coupling=coupling)))
+    record = ground.storage.catalogue.spacecraft(ground.id)
+    ground.storage.catalogue.replace_spacecraft(replace(record, onboard=Onboard(roll_yaw_coupling=coupling)))
     warnings = ground.align().warnings
     assert len(warnings) == (coupling is None)
     assert all("onboard.roll_yaw_coupling" in warning for warning in warnings)
     # it is kept with the alignment, whatever the catalogue says later
-    ground.storage.catalogue.replace_spacecraft(replace(craft, onboard=Onboard(roll_yaw_coupling=True)))
+    ground.storage.catalogue.replace_spacecraft(replace(record, onboard=Onboard(roll_yaw_coupling=True)))
     assert ground.storage.results.alignments(ground.id)[0].warnings == warnings
     assert AlignmentAnswer.of(ground.storage.results.alignments(ground.id)[0]).warnings == list(warnings)
 

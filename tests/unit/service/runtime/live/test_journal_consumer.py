@@ -66,7 +66,7 @@ def test_commanded_motion_is_told_as_far_as_it_reaches_beyond_the_alignment_in_t
         "correction": [JournalEntry(5, correction), JournalEntry(60, correction)],
         "telemetry": [JournalEntry(6, reported), JournalEntry(61, reported)],
     }
-    archive.inputs.side_effect = lambda _craft, kind, _window, _limit, _after: pages.get(kind, [])
+    archive.inputs.side_effect = lambda _spacecraft, kind, _window, _limit, _after: pages.get(kind, [])
     prepare(chain, archive, "y", 50, 150)
     assert [call.args[0] for call in chain.update.call_args_list] == [correction, reported, plan]
     starts_us = {call.args[1]: call.args[2].start_us for call in archive.inputs.call_args_list}

@@ -297,8 +297,8 @@ def test_states_of_carriers_are_those_of_the_newest_row(ground):
 
 
 def test_released_in_two_steps_nothing_counts_as_applied(ground):
-    craft = ground.storage.catalogue.spacecraft(ground.id)
-    two_step = replace(craft, control=replace(craft.control, release=Release.TWO_STEP))
+    record = ground.storage.catalogue.spacecraft(ground.id)
+    two_step = replace(record, control=replace(record.control, release=Release.TWO_STEP))
     ground.storage.catalogue.replace_spacecraft(two_step)
     with ground.supervised() as supervisor:
         ground.append(range(1, 41))

@@ -32,8 +32,8 @@ def test_the_ground_states_what_the_plant_announces_and_how_wrong_it_may_be() ->
 @pytest.mark.parametrize("name", ["unknown_residual_constant", "unknown_residual_daily"])
 def test_of_a_torque_that_nobody_knows_the_catalogue_has_its_defaults(name: str) -> None:
     with PlantProcess(name, 1, operation_days=0.01) as plant:
-        craft = ground_of(plant.opening()).spacecraft
-    assert (craft.onboard.residual_torque_n_m, craft.onboard.fed_forward_torque) == (None, None)
+        record = ground_of(plant.opening()).spacecraft
+    assert (record.onboard.residual_torque_n_m, record.onboard.fed_forward_torque) == (None, None)
     for release in Release:
-        control = flown_spacecraft(craft, release).control
-        assert control == replace(ControlSettings(), release=release, method=craft.control.method)
+        control = flown_spacecraft(record, release).control
+        assert control == replace(ControlSettings(), release=release, method=record.control.method)

@@ -267,13 +267,13 @@ class Computing(Client):
 CATALOGUE = {"id": "sc", "onboard": {"fast_loop": True}, "control": {"mode": "ground", "release": "two_step"}}
 
 
-def flown(craft: OrbitalFrameSpacecraft, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> tuple[Stage, Story, list]:
+def flown(record: OrbitalFrameSpacecraft, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> tuple[Stage, Story, list]:
     """Fly three rows of operation; the truth of each follows it."""
     stage, scenes = Stage(), []
     operation = [line for row in range(30, 33) for line in (hold(row, "operation"), rows(row, row))]
     script = [{"kind": "spacecraft", "body": CATALOGUE}, *BEFORE[1:], *ALIGNMENT, *operation, *END]
     monkeypatch.setattr(demonstration, "GroundLink", lambda *_: Link(stage, script))
-    monkeypatch.setattr(demonstration, "SpacecraftLine", lambda *_: craft)
+    monkeypatch.setattr(demonstration, "SpacecraftLine", lambda *_: record)
     monkeypatch.setattr(demonstration, "front_end", lambda *_: Station(stage))
     endpoints = Endpoints("url", "key", ("host", 1), "resource", uplink=("host", 2))
     return stage, run_story(tmp_path, endpoints, Computing(stage), scenes.append), scenes
@@ -300,18 +300,18 @@ def test_the_catalogue_states_what_the_craft_says_its_loop_feeds_forward(monkeyp
 
 
 def test_of_a_craft_that_says_nothing_nothing_is_stated(monkeypatch, tmp_path):
-    craft = OrbitalFrameSpacecraft()
-    craft.fed_forward = None
-    stage, _, _ = flown(craft, monkeypatch, tmp_path)
+    record = OrbitalFrameSpacecraft()
+    record.fed_forward = None
+    stage, _, _ = flown(record, monkeypatch, tmp_path)
     assert created(stage)["onboard"] == CATALOGUE["onboard"]
 
 
 def test_where_the_craft_is_flown_each_row_waits_for_the_command_of_the_one_before(monkeypatch, tmp_path):
-    craft = OrbitalFrameSpacecraft()
-    stage, story, scenes = flown(craft, monkeypatch, tmp_path)
+    record = OrbitalFrameSpacecraft()
+    stage, story, scenes = flown(record, monkeypatch, tmp_path)
     seen = [entry for entry in stage.log if entry[0] in {"proceed", "torques"}][3:]
     assert seen == [entry for row in range(30, 33) for entry in (("proceed",), ("torques", epoch(row)))]
-    assert craft.counters == [1, 2, 3]
+    assert record.counters == [1, 2, 3]
     assert [scene.phase for scene in scenes] == ["calibration", "operation"]
     assert scenes[-1].until == epoch(30), "the row whose truth was told"
     assert max(story.truth_deg) == START_US + 32 * MINUTE_US

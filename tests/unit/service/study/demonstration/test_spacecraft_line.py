@@ -45,7 +45,7 @@ class OrbitalFrameSpacecraft:
 
 
 @pytest.fixture
-def craft() -> Iterator:
+def record() -> Iterator:
     crafts = []
 
     def start(*script: dict) -> OrbitalFrameSpacecraft:
@@ -57,11 +57,11 @@ def craft() -> Iterator:
         one.end()
 
 
-def test_reports_are_kept_until_the_row_they_belong_to_is_asked_for(craft):
+def test_reports_are_kept_until_the_row_they_belong_to_is_asked_for(record):
     executed = report(
         1, "executed", executed_from=epoch(0), executed_until=epoch(1), impulse_n_m_s={**NOTHING, "roll": 0.02}
     )
-    reported = craft(
+    reported = record(
         {"type": "flown", "epoch": epoch(0)},
         {"type": "taken", "counter": 1, "sent": epoch(0)},
         executed,
@@ -82,8 +82,8 @@ def test_reports_are_kept_until_the_row_they_belong_to_is_asked_for(craft):
     assert (second.state, second.executed_until, second.impulse_n_m_s) == ("repeated", None, NOTHING)
 
 
-def test_a_refused_schedule_is_told_with_its_reason(craft):
-    reported = craft({"type": "error", "detail": "element 0: a torque exceeds 0.05 N m"})
+def test_a_refused_schedule_is_told_with_its_reason(record):
+    reported = record({"type": "error", "detail": "element 0: a torque exceeds 0.05 N m"})
     with (
         SpacecraftLine(*reported.address, timeout_s=120.0) as line,
         pytest.raises(SpacecraftLineError, match=r"refused: element 0: a torque exceeds 0\.05 N m"),
@@ -91,7 +91,7 @@ def test_a_refused_schedule_is_told_with_its_reason(craft):
         line.send([{}], 1)
 
 
-def test_a_line_that_another_client_holds_is_told(craft):
+def test_a_line_that_another_client_holds_is_told(record):
     with socket.create_server(("127.0.0.1", 0)) as listener:
         address = listener.getsockname()
 
@@ -107,8 +107,8 @@ def test_a_line_that_another_client_holds_is_told(craft):
         thread.join(120)
 
 
-def test_a_craft_that_leaves_ends_the_wait(craft):
-    reported = craft({"type": "flown", "epoch": epoch(0)})
+def test_a_craft_that_leaves_ends_the_wait(record):
+    reported = record({"type": "flown", "epoch": epoch(0)})
     with (
         SpacecraftLine(*reported.address, timeout_s=120.0) as line,
         pytest.raises(SpacecraftLineError, match="closed its line"),

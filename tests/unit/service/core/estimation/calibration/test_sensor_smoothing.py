@@ -57,8 +57,8 @@ def test_pieces_are_the_cheapest_of_all():
     values = np.array([0.1, -0.3, 0.2, 6.0, 6.4, 5.7, 5.9, -4.0, -4.4])
 
     def cost(starts):
-        pieces = np.split(values, starts[1:])
-        return sum(((piece - piece.mean()) ** 2).sum() for piece in pieces) + SEGMENT_PENALTY * len(pieces)
+        chunks = np.split(values, starts[1:])
+        return sum(((chunk - chunk.mean()) ** 2).sum() for chunk in chunks) + SEGMENT_PENALTY * len(chunks)
 
     ways = [[0, *(k + 1 for k in range(8) if number >> k & 1)] for number in range(256)]
     best = min(ways, key=cost)

@@ -81,10 +81,10 @@ def test_commanded_corrections_move_the_attitude_and_cost_their_scale(filter_mod
     model = filter_models.carrier_model()
     aligned, settings = filter_models.aligned(model), FilterSettings(coupling_per_h=0.0)
     zeros = np.zeros(3)
-    piece = KnownMotion(np.array([0.0, 0.01, 0.0]), zeros, zeros)
+    chunk = KnownMotion(np.array([0.0, 0.01, 0.0]), zeros, zeros)
     state, weather = aligned, quiet_weather(model)
     for _ in range(30):  # half an hour of one command: 0.3 deg in all
-        state, variance = predict(model, settings, state, 60_000_000, piece, weather)
+        state, variance = predict(model, settings, state, 60_000_000, chunk, weather)
         weather = weather._replace(model_variance_db2=variance)
     still = aligned
     for _ in range(30):

@@ -30,18 +30,18 @@ def row(attitude=(0.3, 0.4, -0.3), rates=(1e-6, -2e-6, 1e-6), allowed=(True, Tru
     )
 
 
-def command(of, craft, carry=NO_CARRY, period_s=PERIOD_S):
-    return compute_command(of, craft, carry, period_s, TorqueConfig())
+def command(of, record, carry=NO_CARRY, period_s=PERIOD_S):
+    return compute_command(of, record, carry, period_s, TorqueConfig())
 
 
 @pytest.fixture
-def craft(payload):
+def record(payload):
     """A simulated spacecraft under ground control."""
     return payload.spacecraft()
 
 
-def test_a_command_opposes_angles_and_says_when_it_ends(craft):
-    outcome = command(row(), craft)
+def test_a_command_opposes_angles_and_says_when_it_ends(record):
+    outcome = command(row(), record)
     found = outcome.command
     assert found.torque_n_m.yaw < 0.0
     assert found.torque_n_m.roll < 0.0
@@ -55,8 +55,8 @@ def test_a_command_opposes_angles_and_says_when_it_ends(craft):
     np.testing.assert_allclose(found.predicted_wheel_momentum_n_m_s, np.array(expected) * PERIOD_S, rtol=1e-12)
 
 
-def test_the_mean_torque_is_the_impulse_over_the_period_and_the_pulses_lie_inside_it(craft):
-    found = command(row(), craft).command
+def test_the_mean_torque_is_the_impulse_over_the_period_and_the_pulses_lie_inside_it(record):
+    found = command(row(), record).command
     np.testing.assert_allclose(np.array(found.torque_n_m) * PERIOD_S, found.impulse_n_m_s, rtol=1e-12)
     total = sum(np.array(pulse.torque_n_m) * pulse.duration_s for pulse in found.schedule)
     np.testing.assert_allclose(total, found.impulse_n_m_s, rtol=1e-12)  # one product each
@@ -66,8 +66,8 @@ def test_the_mean_torque_is_the_impulse_over_the_period_and_the_pulses_lie_insid
         assert np.count_nonzero(pulse.torque_n_m) == 1
 
 
-def test_the_prediction_is_what_the_pulses_do_to_a_free_body(craft):
-    found = command(row(), craft).command
+def test_the_prediction_is_what_the_pulses_do_to_a_free_body(record):
+    found = command(row(), record).command
     inertia = np.array([2600.0, 2600.0, 1400.0])
     step_s = 0.001
     angle, rate = np.zeros(3), np.zeros(3)
@@ -82,52 +82,52 @@ def test_the_prediction_is_what_the_pulses_do_to_a_free_body(craft):
     np.testing.assert_allclose(np.deg2rad(found.predicted_rate_change_deg_s), rate, rtol=1e-9)
 
 
-def test_what_is_too_small_for_a_pulse_is_carried_to_the_next_command(craft):
+def test_what_is_too_small_for_a_pulse_is_carried_to_the_next_command(record):
     tiny = row(attitude=(0.0, 0.001, 0.0), rates=(0.0, 0.0, 0.0))
-    outcome = command(tiny, craft)
+    outcome = command(tiny, record)
     assert outcome.command.schedule == ()
     assert outcome.command.control_allowed
     assert outcome.carry_n_m_s[1] < 0.0
     carry = outcome.carry_n_m_s
     while not outcome.command.schedule:
-        outcome = command(tiny, craft, carry)
+        outcome = command(tiny, record, carry)
         assert outcome.carry_n_m_s[1] < carry[1] or outcome.command.schedule
         carry = outcome.carry_n_m_s
     assert outcome.command.torque_n_m.roll < 0.0
 
 
-def test_yaw_alone_may_be_withheld(craft):
-    outcome = command(row(allowed=(False, True, True)), craft, carry=np.array([9.0, 0.0, 0.0]))
+def test_yaw_alone_may_be_withheld(record):
+    outcome = command(row(allowed=(False, True, True)), record, carry=np.array([9.0, 0.0, 0.0]))
     assert outcome.command.torque_n_m.yaw == 0.0
     assert outcome.carry_n_m_s[0] == 0.0
     assert outcome.command.torque_n_m.roll < 0.0
 
 
 REFUSALS = {
-    "mode_onboard": lambda craft: replace(craft, control=replace(craft.control, mode=ControlMode.ONBOARD)),
-    "mode_off": lambda craft: replace(craft, control=replace(craft.control, mode=ControlMode.OFF)),
-    "no_fast_loop": lambda craft: replace(craft, onboard=Onboard(fast_loop=True, forecast_mode=False)),
+    "mode_onboard": lambda record: replace(record, control=replace(record.control, mode=ControlMode.ONBOARD)),
+    "mode_off": lambda record: replace(record, control=replace(record.control, mode=ControlMode.OFF)),
+    "no_fast_loop": lambda record: replace(record, onboard=Onboard(fast_loop=True, forecast_mode=False)),
 }
 
 
 @pytest.mark.parametrize("reason", REFUSALS)
-def test_settings_of_the_spacecraft_forbid_a_torque_by_name(craft, reason):
-    outcome = command(row(), REFUSALS[reason](craft), carry=np.ones(3))
+def test_settings_of_the_spacecraft_forbid_a_torque_by_name(record, reason):
+    outcome = command(row(), REFUSALS[reason](record), carry=np.ones(3))
     assert outcome.command.inhibitions == (reason,)
     assert_zero(outcome)
 
 
-def test_a_row_without_a_rate_gives_no_torque(craft):
-    outcome = command(row(rates=None), craft, carry=np.ones(3))
+def test_a_row_without_a_rate_gives_no_torque(record):
+    outcome = command(row(rates=None), record, carry=np.ones(3))
     assert outcome.command.inhibitions == ("no_rate",)
     assert_zero(outcome)
 
 
-def test_reasons_of_the_row_come_first_and_make_a_missing_rate_no_news(craft):
+def test_reasons_of_the_row_come_first_and_make_a_missing_rate_no_news(record):
     held = row(rates=None, inhibitions=("late", "downlink_fade"))
-    found = control_inhibitions(held, REFUSALS["mode_off"](craft))
+    found = control_inhibitions(held, REFUSALS["mode_off"](record))
     assert found == ("late", "downlink_fade", "mode_off")
-    assert_zero(command(held, craft))
+    assert_zero(command(held, record))
 
 
 def test_every_reason_that_stands_here_is_explained():
@@ -146,26 +146,26 @@ def assert_zero(outcome):
     assert found.valid_until_us == found.epoch_us + 60 * S
 
 
-def test_a_real_spacecraft_is_commanded_from_the_receipt_on(craft):
-    real = replace(craft, simulated=False)
+def test_a_real_spacecraft_is_commanded_from_the_receipt_on(record):
+    real = replace(record, simulated=False)
     assert command(row(), real).command.epoch_us == EPOCH + 3 * S
     early = replace(row(), received_at_us=EPOCH - 5)
     assert command(early, real).command.epoch_us == EPOCH
 
 
-def test_no_wheel_is_asked_for_more_than_it_has(craft):
+def test_no_wheel_is_asked_for_more_than_it_has(record):
     wheels = WheelSet(axes=((1.0, 0, 1), (-1.0, 0, 1), (0, 1.0, 1), (0, -1.0, 1)), torque_limit_n_m=0.04)
     wild = row(attitude=(90.0, 90.0, 90.0), rates=(1.0, 1.0, 1.0))
-    found = command(wild, replace(craft, wheels=wheels)).command
+    found = command(wild, replace(record, wheels=wheels)).command
     assert found.saturated
     assert len(found.wheels_n_m) == 4
     assert max(abs(torque) for torque in found.wheels_n_m) <= 0.04 * (1.0 + 1e-9)
     assert max(abs(torque) for torque in found.torque_n_m) <= 0.05
 
 
-def test_the_limit_of_the_catalogue_holds_too(craft):
+def test_the_limit_of_the_catalogue_holds_too(record):
     wild = row(attitude=(0.0, 90.0, 0.0), rates=(0.0, 1.0, 0.0))
-    found = command(wild, replace(craft, torque_limit_n_m=0.01)).command
+    found = command(wild, replace(record, torque_limit_n_m=0.01)).command
     assert found.torque_n_m.roll == pytest.approx(-0.01, rel=1e-9)
 
 
@@ -176,34 +176,34 @@ def pushed(roll_n_m: float) -> Disturbance:
 STILL = {"attitude": (0.0, 0.0, 0.0), "rates": (0.0, 0.0, 0.0)}
 
 
-def test_a_known_torque_is_fed_forward(craft):
+def test_a_known_torque_is_fed_forward(record):
     carry = np.zeros(3)
     given = np.zeros(3)
     for _ in range(60):
-        outcome = compute_command(row(**STILL), craft, carry, PERIOD_S, TorqueConfig(), pushed(4e-7))
+        outcome = compute_command(row(**STILL), record, carry, PERIOD_S, TorqueConfig(), pushed(4e-7))
         carry, given = outcome.carry_n_m_s, given + np.array(outcome.command.impulse_n_m_s)
     # an hour of it, but for what stays below the shortest pulse
     np.testing.assert_allclose(given, [0.0, -4e-7 * 3600.0, 0.0], atol=2.1e-4)
 
 
-def test_while_the_interlock_withholds_nothing_is_commanded(craft):
-    outcome = compute_command(row(), craft, np.ones(3), PERIOD_S, TorqueConfig(), is_withheld=True)
+def test_while_the_interlock_withholds_nothing_is_commanded(record):
+    outcome = compute_command(row(), record, np.ones(3), PERIOD_S, TorqueConfig(), is_withheld=True)
     assert outcome.command.inhibitions == ("tripped",)
     assert_zero(outcome)
 
 
-def test_a_spacecraft_without_a_law_gives_no_torque_and_says_so(craft):
-    quick = replace(craft, control=replace(craft.control, period_s=10.0))
+def test_a_spacecraft_without_a_law_gives_no_torque_and_says_so(record):
+    quick = replace(record, control=replace(record.control, period_s=10.0))
     for release in Release:
         outcome = command(row(), replace(quick, control=replace(quick.control, release=release)))
         assert outcome.command.inhibitions == ("no_law",)
         assert_zero(outcome)
 
 
-def test_a_wheel_at_its_limit_of_momentum_takes_no_more(craft):
+def test_a_wheel_at_its_limit_of_momentum_takes_no_more(record):
     def momentum_of(roll_n_m_s: float) -> tuple[float, ...]:
         reported = compute_command(
-            row(attitude=(0.0, 0.4, 0.0)), craft, NO_CARRY, PERIOD_S, TorqueConfig(), None, (roll_n_m_s, 0.0, 0.0)
+            row(attitude=(0.0, 0.4, 0.0)), record, NO_CARRY, PERIOD_S, TorqueConfig(), None, (roll_n_m_s, 0.0, 0.0)
         ).command
         assert reported.saturated is (roll_n_m_s == 20.0)
         return reported.predicted_wheel_momentum_n_m_s
@@ -214,19 +214,19 @@ def test_a_wheel_at_its_limit_of_momentum_takes_no_more(craft):
     assert momentum_of(20.0)[0] == 0.0
 
 
-def test_a_fourth_wheel_is_kept_away_from_zero_speed(craft):
+def test_a_fourth_wheel_is_kept_away_from_zero_speed(record):
     wheels = WheelSet(axes=((1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0), (0.577, 0.577, 0.577)))
     momentum = (1.0, 1.0, 1.0, 0.05)
     reported = compute_command(
-        row(**STILL), replace(craft, wheels=wheels), NO_CARRY, PERIOD_S, TorqueConfig(), None, momentum
+        row(**STILL), replace(record, wheels=wheels), NO_CARRY, PERIOD_S, TorqueConfig(), None, momentum
     ).command
     ending = np.array(momentum) + reported.predicted_wheel_momentum_n_m_s
     assert np.abs(ending).min() >= 0.2 * (1.0 - 1e-9)
     np.testing.assert_allclose(np.array(reported.wheels_n_m) @ np.array(wheels.axes), 0.0, atol=1e-6)
 
 
-def test_released_in_two_steps_a_command_lies_in_its_period_and_is_its_mean(craft):
-    two_step = replace(craft, control=replace(craft.control, release=Release.TWO_STEP))
+def test_released_in_two_steps_a_command_lies_in_its_period_and_is_its_mean(record):
+    two_step = replace(record, control=replace(record.control, release=Release.TWO_STEP))
     outcome = compute_command(row(), two_step, np.ones(3), 900.0, TorqueConfig(), pushed(4e-7))
     found = outcome.command
     assert not outcome.carry_n_m_s.any()
@@ -240,8 +240,8 @@ def test_released_in_two_steps_a_command_lies_in_its_period_and_is_its_mean(craf
         assert signs == {-1.0, 1.0}
 
 
-def test_a_command_with_a_later_start_knows_where_the_craft_will_be(craft):
-    two_step = replace(craft, control=replace(craft.control, release=Release.TWO_STEP))
+def test_a_command_with_a_later_start_knows_where_the_craft_will_be(record):
+    two_step = replace(record, control=replace(record.control, release=Release.TWO_STEP))
     moving = row(attitude=(0.0, -0.1, 0.0), rates=(0.0, 1e-4, 0.0))
     # 0.1 deg at 1e-4 deg/s: there in 1000 s, and the rate alone is to be taken
     found = command_for(moving, two_step, EPOCH + 1000 * S, 900.0, None, TorqueConfig())
@@ -254,10 +254,10 @@ def test_a_command_with_a_later_start_knows_where_the_craft_will_be(craft):
     assert (held.inhibitions, held.schedule, held.schedule_check) == (("late",), (), None)
 
 
-def test_a_schedule_is_held_against_the_flexible_modes(craft):
+def test_a_schedule_is_held_against_the_flexible_modes(record):
     modes = (FlexibleMode("roll", 0.6, 0.003, 0.4), FlexibleMode("pitch", 0.3, 0.003, 0.4))
-    flexible = replace(craft, modes=modes)
-    assert command(row(), craft).command.schedule_check is None
+    flexible = replace(record, modes=modes)
+    assert command(row(), record).command.schedule_check is None
     check = command(row(), flexible).command.schedule_check
     assert check is not None
     assert (check.verdict, check.suggestion) == ("accept", None)

@@ -22,13 +22,13 @@ def roll(at_s: float, torque_n_m: float = 0.02, duration_s: float = 1.0) -> Puls
 
 
 @pytest.fixture
-def craft(payload):
+def record(payload):
     return replace(payload.spacecraft(), modes=MODES)
 
 
-def test_the_verdict_is_that_of_the_analysis_of_the_axis(craft):
-    reported = schedule_verdict((roll(10.0), roll(40.0)), craft, TorqueConfig())
-    (inertia,) = {craft.inertia_kg_m2[0][0]}
+def test_the_verdict_is_that_of_the_analysis_of_the_axis(record):
+    reported = schedule_verdict((roll(10.0), roll(40.0)), record, TorqueConfig())
+    (inertia,) = {record.inertia_kg_m2[0][0]}
     own = analyse_schedule(
         pulses=((0.0, 1.0, 0.02), (30.0, 1.0, 0.02)),
         inertia_kg_m2=inertia,
@@ -41,17 +41,17 @@ def test_the_verdict_is_that_of_the_analysis_of_the_axis(craft):
     assert reported.residual_deg == pytest.approx(np.degrees(own.residual_rad), rel=1e-12)
 
 
-def test_without_modes_or_pulses_there_is_none(craft):
-    assert schedule_verdict((roll(0.0),), replace(craft, modes=()), TorqueConfig()) is None
-    assert schedule_verdict((), craft, TorqueConfig()) is None
-    assert swing_after(None, (roll(0.0),), replace(craft, modes=())) is None
+def test_without_modes_or_pulses_there_is_none(record):
+    assert schedule_verdict((roll(0.0),), replace(record, modes=()), TorqueConfig()) is None
+    assert schedule_verdict((), record, TorqueConfig()) is None
+    assert swing_after(None, (roll(0.0),), replace(record, modes=())) is None
 
 
-def test_what_one_schedule_leaves_counts_for_the_next_and_fades(craft):
-    alone = schedule_verdict((roll(100.0),), craft, TorqueConfig())
-    swing = swing_after(None, (roll(0.0),), craft)
-    soon = schedule_verdict((roll(100.0),), craft, TorqueConfig(), swing)
-    late = schedule_verdict((roll(7200.0),), craft, TorqueConfig(), swing)
+def test_what_one_schedule_leaves_counts_for_the_next_and_fades(record):
+    alone = schedule_verdict((roll(100.0),), record, TorqueConfig())
+    swing = swing_after(None, (roll(0.0),), record)
+    soon = schedule_verdict((roll(100.0),), record, TorqueConfig(), swing)
+    late = schedule_verdict((roll(7200.0),), record, TorqueConfig(), swing)
     assert alone is not None
     assert soon is not None
     assert late is not None
@@ -59,31 +59,31 @@ def test_what_one_schedule_leaves_counts_for_the_next_and_fades(craft):
     assert late.peak_deg == pytest.approx(alone.peak_deg, rel=1e-4)
 
 
-def test_two_halves_of_a_schedule_leave_what_the_whole_leaves(craft):
+def test_two_halves_of_a_schedule_leave_what_the_whole_leaves(record):
     first, second = (roll(0.0), roll(20.0, -0.02)), (roll(50.0), roll(61.0, 0.01, 3.0))
-    whole = swing_after(None, (*first, *second), craft)
-    parts = swing_after(swing_after(None, first, craft), second, craft)
+    whole = swing_after(None, (*first, *second), record)
+    parts = swing_after(swing_after(None, first, record), second, record)
     assert whole is not None
     assert parts is not None
     assert whole.at_us == parts.at_us
     np.testing.assert_allclose(parts.phasor_rad, whole.phasor_rad, rtol=1e-9)
-    assert swing_after(parts, (), craft) is parts
+    assert swing_after(parts, (), record) is parts
 
 
-def test_a_rejected_schedule_comes_with_what_helps(craft):
+def test_a_rejected_schedule_comes_with_what_helps(record):
     strict = replace(TorqueConfig(), panel_peak_limit_deg=1.5e-4)
     period_s = 2.0 * np.pi / 0.6
     resonant = tuple(roll(k * period_s) for k in range(8))
-    reported = schedule_verdict(resonant, craft, strict)
+    reported = schedule_verdict(resonant, record, strict)
     assert reported is not None
     assert reported.verdict == "reject"
     assert reported.suggestion is not None
     print(reported)
 
 
-def test_swings_of_other_modes_are_forgotten_and_a_mode_without_damping_is_given_a_little(craft):
+def test_swings_of_other_modes_are_forgotten_and_a_mode_without_damping_is_given_a_little(record):
     swing = PanelSwing(EPOCH, (1.0 + 0j,))
-    reported = schedule_verdict((roll(0.0),), craft, TorqueConfig(), swing)
-    assert reported == schedule_verdict((roll(0.0),), craft, TorqueConfig())
-    undamped = replace(craft, modes=(replace(MODES[1], damping_ratio=0.0),))
+    reported = schedule_verdict((roll(0.0),), record, TorqueConfig(), swing)
+    assert reported == schedule_verdict((roll(0.0),), record, TorqueConfig())
+    undamped = replace(record, modes=(replace(MODES[1], damping_ratio=0.0),))
     assert schedule_verdict((roll(0.0),), undamped, TorqueConfig()) is not None

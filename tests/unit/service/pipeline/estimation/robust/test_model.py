@@ -62,15 +62,15 @@ def test_settings_of_the_craft_and_limits_arrive(payload):
     assert (limits.sigma_yaw_deg, limits.sigma_roll_deg, limits.sigma_pitch_deg) == (0.3, 0.01, 0.02)
     assert (limits.redundancy, limits.nis_ratio, limits.relearned_share) == (5, 9.0, 0.5)
     assert (model.settings.drift_tau_h, model.settings.coupling_per_h) == (2.0, 0.0)
-    for craft in (payload.spacecraft(coupling=True), None):
-        coupled = robust_model(knows(payload, spacecraft=craft), None, CONFIG)
+    for record in (payload.spacecraft(coupling=True), None):
+        coupled = robust_model(knows(payload, spacecraft=record), None, CONFIG)
         # one turn a sidereal day
         assert coupled.settings.coupling_per_h == pytest.approx(2 * np.pi / 23.9344696, rel=1e-6)
 
 
 def test_a_torque_that_is_not_fed_forward_is_an_acceleration_of_each_axis_and_lets_yaw_be_worse_known(payload):
-    craft = payload.spacecraft()
-    pushed = replace(craft, onboard=replace(craft.onboard, residual_torque_n_m=5e-7))
+    record = payload.spacecraft()
+    pushed = replace(record, onboard=replace(record.onboard, residual_torque_n_m=5e-7))
     model = robust_model(knows(payload, spacecraft=pushed), None, CONFIG)
     inertia = np.array([INERTIA[2][2], INERTIA[0][0], INERTIA[1][1]])
     np.testing.assert_allclose(model.settings.torque_deg_h2, np.degrees(5e-7 / inertia) * 3600.0**2)
@@ -81,8 +81,8 @@ def test_a_torque_that_is_not_fed_forward_is_an_acceleration_of_each_axis_and_le
 
 
 def test_a_torque_that_the_catalogue_does_not_state_is_a_prior_as_well_constant_as_wave(payload):
-    craft = payload.spacecraft()
-    unknown = replace(craft, onboard=replace(craft.onboard, residual_torque_n_m=None))
+    record = payload.spacecraft()
+    unknown = replace(record, onboard=replace(record.onboard, residual_torque_n_m=None))
     inertia = np.array([INERTIA[2][2], INERTIA[0][0], INERTIA[1][1]])
     for prior_n_m in (1e-6, 3e-6):
         config = ChainConfig(robust=RobustConfig(unknown_torque_n_m=prior_n_m))
@@ -96,7 +96,7 @@ def test_a_torque_that_the_catalogue_does_not_state_is_a_prior_as_well_constant_
     assert CONFIG.robust.unknown_torque_n_m == 1e-6
     # a stated size, none included, is what it was
     for stated_n_m in (0.0, 5e-7):
-        stated = replace(craft, onboard=replace(craft.onboard, residual_torque_n_m=stated_n_m))
+        stated = replace(record, onboard=replace(record.onboard, residual_torque_n_m=stated_n_m))
         model = robust_model(knows(payload, spacecraft=stated), None, CONFIG)
         assert (model.is_torque_unknown, model.settings.torque_constant_share) == (False, 0.2)
 
@@ -120,8 +120,8 @@ def test_what_is_fed_forward_is_counted_from_1970_whatever_epoch_states_it(paylo
         cosine_n_m=AxisTorques(8e-6, 0.0, 2e-6),
         sine_n_m=AxisTorques(0.0, 1.3e-5, 7e-6),
     )
-    craft = payload.spacecraft()
-    fed = replace(craft, onboard=replace(craft.onboard, fed_forward_torque=announced))
+    record = payload.spacecraft()
+    fed = replace(record, onboard=replace(record.onboard, fed_forward_torque=announced))
     model = robust_model(knows(payload, spacecraft=fed), None, CONFIG)
     profile = model.settings.fed_forward
     assert (profile.period_us, profile.relative_error, profile.axis_relative_error) == (80_000_000_000, 0.06, 0.01)

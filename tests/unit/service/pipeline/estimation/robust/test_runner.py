@@ -247,8 +247,8 @@ def test_before_it_is_aligned_it_does_not_run_and_refuses_to_step():
 
 def test_an_ephemeris_that_comes_after_the_alignment_lets_it_begin():
     flight = Flight(PAYLOAD, is_opened=False)
-    craft, plan, ephemeris, activation, alignment = flight.opening()
-    for content in (craft, plan, activation, alignment):
+    record, plan, ephemeris, activation, alignment = flight.opening()
+    for content in (record, plan, activation, alignment):
         flight.chain.update(content)
     runner = flight.chain._runners[0]
     assert not runner.is_running

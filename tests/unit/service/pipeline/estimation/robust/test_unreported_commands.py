@@ -364,10 +364,10 @@ def test_the_disturbance_is_told_as_a_torque_with_its_sigma():
 
 def test_a_twentieth_too_little_fed_forward_is_learned_about_pitch_and_known_about_roll():
     """Roll and pitch wave in phase; only pitch has shown anything, and roll's torque is told with it."""
-    craft, start_us = PAYLOAD.spacecraft(), chain_of().at(0)
+    record, start_us = PAYLOAD.spacecraft(), chain_of().at(0)
     cosine = AxisTorques(0.0, 1e-5, 7e-6)
-    fed = replace(craft.onboard, fed_forward_torque=FedForwardTorque(start_us, cosine_n_m=cosine))
-    flight = chain_of(spacecraft=replace(craft, onboard=fed))
+    fed = replace(record.onboard, fed_forward_torque=FedForwardTorque(start_us, cosine_n_m=cosine))
+    flight = chain_of(spacecraft=replace(record, onboard=fed))
     robust = flight.chain._runners[0]
     around = 2.0 * np.pi / 86_400.0
     for minute in range(2, 181, 2):
@@ -382,7 +382,7 @@ def test_a_twentieth_too_little_fed_forward_is_learned_about_pitch_and_known_abo
     assert announced.sigma_n_m.pitch < 0.02 * 7e-6
     assert announced.sigma_n_m.roll < 0.02 * 1e-5
     # of a torque of unknown shape less is known
-    unshaped = chain_of(spacecraft=replace(craft, onboard=replace(craft.onboard, residual_torque_n_m=5e-7)))
+    unshaped = chain_of(spacecraft=replace(record, onboard=replace(record.onboard, residual_torque_n_m=5e-7)))
     flown(unshaped, {}, last=1, announced=())
     assert unshaped.chain._runners[0].disturbance().sigma_n_m.yaw > announced.sigma_n_m.yaw
 

@@ -44,15 +44,15 @@ CARRIER = {
 
 
 def test_a_spacecraft_keeps_what_the_ground_says_of_its_coupling_and_control():
-    craft = read_spacecraft(SPACECRAFT)
-    assert craft.onboard.roll_yaw_coupling is False
-    assert craft.inertia_kg_m2[1] == (0.0, 1400.0, 0.0)
-    assert (craft.control.method, craft.control.mode, craft.control.release) == (
+    record = read_spacecraft(SPACECRAFT)
+    assert record.onboard.roll_yaw_coupling is False
+    assert record.inertia_kg_m2[1] == (0.0, 1400.0, 0.0)
+    assert (record.control.method, record.control.mode, record.control.release) == (
         Method.PAPER,
         ControlMode.GROUND,
         Release.AUTOMATIC,
     )
-    assert craft.receiving_site.height_m == 180.0
+    assert record.receiving_site.height_m == 180.0
 
 
 def test_carriers_keep_their_order_and_a_beacon_has_no_station():

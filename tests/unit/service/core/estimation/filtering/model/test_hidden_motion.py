@@ -186,32 +186,32 @@ class OrbitalFrameSpacecraft:
 
 
 def test_a_torque_is_learned_and_is_no_unannounced_motion(model):
-    craft = OrbitalFrameSpacecraft(model, PUSHED, 0.2)
-    craft.fly(240)
-    assert "unannounced_motion" not in craft.reasons
-    positions = torque_states(model, craft.state.gaussian, 0)
+    spacecraft = OrbitalFrameSpacecraft(model, PUSHED, 0.2)
+    spacecraft.fly(240)
+    assert "unannounced_motion" not in spacecraft.reasons
+    positions = torque_states(model, spacecraft.state.gaussian, 0)
     phase = 2.0 * np.pi * 4.0 / 24.0
     now = np.array([1.0, np.cos(phase), np.sin(phase)])
     block = np.arange(positions.start + 2, positions.stop, 3)
-    identified = now @ craft.state.gaussian.mean[block]
-    sigma = np.sqrt(now @ craft.state.gaussian.covariance[np.ix_(block, block)] @ now)
+    identified = now @ spacecraft.state.gaussian.mean[block]
+    sigma = np.sqrt(now @ spacecraft.state.gaussian.covariance[np.ix_(block, block)] @ now)
     assert sigma < 0.3 * PUSHED.torque_deg_h2[2]
     assert abs(identified - 0.2) < 3.0 * sigma
 
 
 def test_without_the_state_the_same_torque_stops_control(model):
     """The negative control: what the state is for."""
-    craft = OrbitalFrameSpacecraft(model, CALM, 0.2)
-    craft.fly(240)
-    assert "unannounced_motion" in craft.reasons
+    spacecraft = OrbitalFrameSpacecraft(model, CALM, 0.2)
+    spacecraft.fly(240)
+    assert "unannounced_motion" in spacecraft.reasons
 
 
 def test_a_torque_five_times_as_great_as_stated_is_followed_and_control_goes_on(model):
     settings = PUSHED._replace(torque_deg_h2=(0.03, 0.03, 0.05))
-    craft = OrbitalFrameSpacecraft(model, settings, 0.25)
-    craft.fly(300)
-    assert "unannounced_motion" not in craft.reasons
-    assert np.abs([reported.attitude_deg[2] for reported in craft.reported]).max() < 0.2
+    spacecraft = OrbitalFrameSpacecraft(model, settings, 0.25)
+    spacecraft.fly(300)
+    assert "unannounced_motion" not in spacecraft.reasons
+    assert np.abs([reported.attitude_deg[2] for reported in spacecraft.reported]).max() < 0.2
 
 
 def test_an_alarm_about_motion_makes_the_torque_doubtful_and_the_rate_with_it(model):
@@ -228,31 +228,31 @@ def test_an_alarm_about_motion_makes_the_torque_doubtful_and_the_rate_with_it(mo
 
 def test_a_torque_that_nobody_stated_so_great_is_followed_an_alarm_later(model):
     """Twelve times: commands are doubted for an hour first; then the torque is widened and control goes on."""
-    craft = OrbitalFrameSpacecraft(model, PUSHED._replace(torque_deg_h2=(0.01, 0.01, 0.02)), 0.25)
-    craft.fly(300)
-    assert any(reported.state.motion.alarms[2] > 0.0 for reported in craft.reported)
-    assert not any("unannounced_motion" in reported.integrity.reasons for reported in craft.reported[150:])
-    assert abs(craft.attitude_deg[2]) < 0.3
+    spacecraft = OrbitalFrameSpacecraft(model, PUSHED._replace(torque_deg_h2=(0.01, 0.01, 0.02)), 0.25)
+    spacecraft.fly(300)
+    assert any(reported.state.motion.alarms[2] > 0.0 for reported in spacecraft.reported)
+    assert not any("unannounced_motion" in reported.integrity.reasons for reported in spacecraft.reported[150:])
+    assert abs(spacecraft.attitude_deg[2]) < 0.3
 
 
 def test_a_forged_jump_of_two_degrees_stops_control_in_spite_of_the_torque(model):
-    craft = OrbitalFrameSpacecraft(model, PUSHED, 0.1)
-    craft.fly(60)
-    craft.reported.clear()
-    reported = craft.fly(5, jump_deg=2.0)
-    assert "unannounced_motion" in craft.reasons
+    spacecraft = OrbitalFrameSpacecraft(model, PUSHED, 0.1)
+    spacecraft.fly(60)
+    spacecraft.reported.clear()
+    reported = spacecraft.fly(5, jump_deg=2.0)
+    assert "unannounced_motion" in spacecraft.reasons
     assert not reported.integrity.is_control_allowed
 
 
 def test_reversed_commands_are_found_in_spite_of_the_torque(model):
-    craft = OrbitalFrameSpacecraft(model, PUSHED, 0.1)
-    craft.fly(60)
-    craft.reported.clear()
+    spacecraft = OrbitalFrameSpacecraft(model, PUSHED, 0.1)
+    spacecraft.fly(60)
+    spacecraft.reported.clear()
     for _ in range(4):
-        craft.fly(11, share=-1.0)
-        if craft.state.command.is_doubted:
+        spacecraft.fly(11, share=-1.0)
+        if spacecraft.state.command.is_doubted:
             break
-    assert craft.state.command.share == -1.0
-    assert "unannounced_motion" in craft.reported[-1].integrity.reasons
+    assert spacecraft.state.command.share == -1.0
+    assert "unannounced_motion" in spacecraft.reported[-1].integrity.reasons
     # found after half an hour, before the craft is lost
-    assert abs(craft.attitude_deg[2]) < 0.4
+    assert abs(spacecraft.attitude_deg[2]) < 0.4

@@ -49,38 +49,40 @@ class OrbitalFrameSpacecraft:
 
 
 @pytest.fixture
-def craft(filter_models):
+def spacecraft(filter_models):
     return OrbitalFrameSpacecraft(filter_models)
 
 
-def test_commands_that_are_obeyed_are_never_doubted(craft):
+def test_commands_that_are_obeyed_are_never_doubted(spacecraft):
     for sign in (1.0, -1.0, 1.0, -1.0):
-        craft.turn(60, sign * 0.004, 1.0)
-    assert not any(craft.doubted)
+        spacecraft.turn(60, sign * 0.004, 1.0)
+    assert not any(spacecraft.doubted)
 
 
 @pytest.mark.parametrize("share", [-1.0, 0.0, 2.0])
-def test_commands_that_are_not_obeyed_are_found_and_the_share_is_believed(craft, share):
-    craft.turn(30, 0.0, 1.0)
-    craft.turn(60, 0.004, share)  # 0.24 deg in an hour
-    assert any(craft.doubted)
-    assert np.argmax(craft.doubted) - 30 <= 30  # minutes, when 0.12 deg were commanded; the powers tell pitch to 0.03
-    assert craft.state.command.share == share
+def test_commands_that_are_not_obeyed_are_found_and_the_share_is_believed(spacecraft, share):
+    spacecraft.turn(30, 0.0, 1.0)
+    spacecraft.turn(60, 0.004, share)  # 0.24 deg in an hour
+    assert any(spacecraft.doubted)
+    assert (
+        np.argmax(spacecraft.doubted) - 30 <= 30
+    )  # minutes, when 0.12 deg were commanded; the powers tell pitch to 0.03
+    assert spacecraft.state.command.share == share
     # the share found is applied: the error stays what noise leaves
-    assert abs(craft.announced[-1].attitude_deg[2] - craft.attitude_deg[2]) < 0.05
-    assert "unannounced_motion" in craft.announced[-1].integrity.reasons
+    assert abs(spacecraft.announced[-1].attitude_deg[2] - spacecraft.attitude_deg[2]) < 0.05
+    assert "unannounced_motion" in spacecraft.announced[-1].integrity.reasons
 
 
-def test_a_doubt_ends_after_an_hour(craft):
-    craft.turn(30, 0.0, 1.0)
-    craft.turn(45, 0.004, -1.0)
-    announced = craft.turn(75, 0.0, 1.0)
+def test_a_doubt_ends_after_an_hour(spacecraft):
+    spacecraft.turn(30, 0.0, 1.0)
+    spacecraft.turn(45, 0.004, -1.0)
+    announced = spacecraft.turn(75, 0.0, 1.0)
     assert not announced.state.command.is_doubted
     assert announced.state.command.share == 1.0
 
 
-def test_a_row_that_something_else_moved_says_nothing_about_commands(craft, filter_models):
-    model, gaussian = craft.model, craft.state.gaussian
+def test_a_row_that_something_else_moved_says_nothing_about_commands(spacecraft, filter_models):
+    model, gaussian = spacecraft.model, spacecraft.state.gaussian
     known = KnownMotion(np.array([0.0, 0.1, 0.1]), ZEROS, ZEROS)
     nobody = np.zeros(CARRIERS, dtype=bool)
     watch = pass_commands(model, SETTINGS, executed_commands(), MINUTE_US, known, nobody, is_raining=False)
@@ -95,13 +97,13 @@ def test_a_row_that_something_else_moved_says_nothing_about_commands(craft, filt
     np.testing.assert_array_equal(announced.sensitivity, shared.sensitivity)
 
 
-def test_sums_are_those_of_the_innovations_covariance(craft):
+def test_sums_are_those_of_the_innovations_covariance(spacecraft):
     """Score and information without an inverse are the ones with it."""
-    model, gaussian = craft.model, craft.state.gaussian
+    model, gaussian = spacecraft.model, spacecraft.state.gaussian
     known = KnownMotion(np.array([0.05, 0.1, -0.1]), ZEROS, ZEROS)
     nobody = np.zeros(CARRIERS, dtype=bool)
     watch = pass_commands(model, SETTINGS, executed_commands(), MINUTE_US, known, nobody, is_raining=False)
-    row = craft.rng.normal(0.0, 0.05, CARRIERS)
+    row = spacecraft.rng.normal(0.0, 0.05, CARRIERS)
     used = innovate(model, gaussian, row, np.arange(CARRIERS), model.white_sigma_db**2)
     after = push_row(model, watch, used, update(model, gaussian, row, used).state.covariance, is_shared=False)
     seen = used.core_jacobian[:, :3] @ watch.sensitivity[:3]
@@ -128,9 +130,9 @@ def test_what_a_turn_of_yaw_explains_is_not_held_against_commands():
 
 
 @pytest.mark.parametrize(("reach_deg", "is_believed"), [(0.4, True), (0.6, False)])
-def test_a_share_moves_the_attitude_by_half_a_degree_at_most(craft, reach_deg, is_believed):
+def test_a_share_moves_the_attitude_by_half_a_degree_at_most(spacecraft, reach_deg, is_believed):
     """Beyond it the first order does not hold: control is told, the state stays."""
-    gaussian = craft.state.gaussian
+    gaussian = spacecraft.state.gaussian
     sensitivity = np.zeros((len(gaussian.mean), 2))
     sensitivity[1, 0] = reach_deg
     lost = with_evidence(-20.0, 20.0)._replace(sensitivity=sensitivity)
@@ -148,8 +150,10 @@ def test_a_believed_share_scales_the_commands():
     np.testing.assert_array_equal(half.correction_deg, [0.05, 0.1, 0.15])
 
 
-def test_nothing_commanded_costs_nothing(craft):
+def test_nothing_commanded_costs_nothing(spacecraft):
     nobody = np.zeros(CARRIERS, dtype=bool)
-    watch = pass_commands(craft.model, SETTINGS, executed_commands(), MINUTE_US, no_motion(), nobody, is_raining=False)
+    watch = pass_commands(
+        spacecraft.model, SETTINGS, executed_commands(), MINUTE_US, no_motion(), nobody, is_raining=False
+    )
     assert not watch.sensitivity.any()
     assert not watch.is_doubted
