@@ -1,11 +1,14 @@
-"""Fixtures that several trees of tests share; the makers themselves lie in tests/fakes."""
+"""Fixtures that several trees of tests share; the makers themselves lie in tests/fakes.
+
+Tests import makers by their names (``pythonpath`` in pyproject.toml); this file does so inside its fixtures, since the
+environment of tests/clients holds neither the product nor hypothesis.
+"""
 
 import importlib
 import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
@@ -35,39 +38,18 @@ def anyio_backend() -> str:
     return "asyncio"
 
 
-def _load(name: str) -> ModuleType:
-    """Return a module of tests/fakes; `pythonpath` in pyproject.toml names its folders."""
-    return importlib.import_module(name)
-
-
-@pytest.fixture(scope="session")
-def synthetic() -> ModuleType:
-    """Makers of a small payload whose every figure is chosen."""
-    return _load("synthetic_payload")
-
-
 @pytest.fixture
-def payload(synthetic):
+def payload() -> object:
     """Twelve carriers with known slopes and harmonics."""
-    return synthetic.SyntheticPayload.make()
+    from synthetic_payload import SyntheticPayload
 
-
-@pytest.fixture(scope="session")
-def filter_models() -> ModuleType:
-    """Small carrier models for the attitude filter."""
-    return _load("filter_models")
-
-
-@pytest.fixture(scope="session")
-def robust_world() -> ModuleType:
-    """The attitude filter over worlds of the simulator."""
-    return _load("robust_world")
+    return SyntheticPayload.make()
 
 
 @pytest.fixture(scope="session")
 def empty_database(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a migrated SQLite file of which tests take copies."""
-    from db.storage import SqlStorage  # the environment of tests/clients has no database
+    from db.storage import SqlStorage
 
     path = tmp_path_factory.mktemp("archive") / "empty.db"
     storage = SqlStorage(f"sqlite:///{path}")
@@ -79,10 +61,11 @@ def empty_database(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def postgresql_cluster() -> Iterator[object]:
     """One PostgreSQL server a session; skips, and says why, where there is none."""
-    module = _load("postgresql_cluster")
+    from postgresql_cluster import NoServerError, PostgresqlCluster
+
     try:
-        cluster = module.PostgresqlCluster()
-    except module.NoServerError as fault:
+        cluster = PostgresqlCluster()
+    except NoServerError as fault:
         pytest.skip(str(fault))
     yield cluster
     cluster.close()
@@ -91,16 +74,11 @@ def postgresql_cluster() -> Iterator[object]:
 @pytest.fixture(scope="session")
 def durable_postgresql_cluster() -> Iterator[object]:
     """One PostgreSQL server a session whose commits survive a kill; skips, and says why, where there is none."""
-    module = _load("postgresql_cluster")
+    from postgresql_cluster import NoServerError, PostgresqlCluster
+
     try:
-        cluster = module.PostgresqlCluster(fsync=True)
-    except module.NoServerError as fault:
+        cluster = PostgresqlCluster(fsync=True)
+    except NoServerError as fault:
         pytest.skip(str(fault))
     yield cluster
     cluster.close()
-
-
-@pytest.fixture(scope="session")
-def chaos() -> ModuleType:
-    """Posting clients for chaos tests."""
-    return _load("chaos_clients")

@@ -1,5 +1,6 @@
 """Properties of the attitude filter that must hold for any rows."""
 
+import filter_models
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -21,7 +22,7 @@ def assert_sound(state):
 
 @steady
 @given(SEEDS)
-def test_any_rows_leave_a_sound_state(filter_models, seed):
+def test_any_rows_leave_a_sound_state(seed):
     """Jumps, absences, gaps of hours, rows of a second, commands of any size."""
     rng = np.random.default_rng(seed)
     model = filter_models.carrier_model(carriers=int(rng.integers(6, 20)), components=2, common=int(rng.integers(0, 2)))
@@ -38,7 +39,7 @@ def test_any_rows_leave_a_sound_state(filter_models, seed):
     assert_sound(state)
 
 
-def test_two_weeks_of_rows_leave_a_sound_state(filter_models):
+def test_two_weeks_of_rows_leave_a_sound_state():
     """14 days at five minutes a row, one carrier in ten absent at any time; seed 11."""
     rng = np.random.default_rng(11)
     model = filter_models.carrier_model(carriers=8, components=2)
@@ -53,7 +54,7 @@ def test_two_weeks_of_rows_leave_a_sound_state(filter_models):
 
 @steady
 @given(SEEDS)
-def test_the_order_of_the_carriers_does_not_matter(filter_models, seed):
+def test_the_order_of_the_carriers_does_not_matter(seed):
     """Shuffled carriers give the same attitude to 1e-9 deg."""
     rng = np.random.default_rng(seed)
     model = filter_models.carrier_model(carriers=12)

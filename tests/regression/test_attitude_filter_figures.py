@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import robust_world
 
 from analyzer_sim.world.scenario.scenario import downlink_rain, scenario_named
 from service.core.estimation.filtering.model.filter_model import FilterSettings
@@ -78,14 +79,14 @@ def assert_bounds(name, figures):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", EVERY_TIME)
-def test_scenarios_meet_their_bounds(robust_world, name):
+def test_scenarios_meet_their_bounds(name):
     """Seed 2; five seeds of every scenario in the nightly run."""
     assert_bounds(name, campaign(robust_world, name, SEEDS[1:]))
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("name", BOUNDS)
-def test_scenarios_meet_their_bounds_over_five_seeds(robust_world, name):
+def test_scenarios_meet_their_bounds_over_five_seeds(name):
     assert_bounds(name, campaign(robust_world, name, NIGHTLY_SEEDS))
 
 
@@ -109,19 +110,19 @@ def assert_false_reports_are_survived(robust_world, fault, seed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", ["flipped", "lost"])
-def test_commands_that_are_not_carried_out_do_no_harm(robust_world, fault):
+def test_commands_that_are_not_carried_out_do_no_harm(fault):
     assert_false_reports_are_survived(robust_world, fault, SEEDS[1])
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("seed", NIGHTLY_SEEDS)
 @pytest.mark.parametrize("fault", FALSE_REPORTS)
-def test_commands_that_are_not_carried_out_do_no_harm_over_five_seeds(robust_world, fault, seed):
+def test_commands_that_are_not_carried_out_do_no_harm_over_five_seeds(fault, seed):
     assert_false_reports_are_survived(robust_world, fault, seed)
 
 
 @pytest.mark.slow
-def test_a_declared_eclipse_stops_nothing_and_turns_little(robust_world):
+def test_a_declared_eclipse_stops_nothing_and_turns_little():
     """Two nights of `eclipse`: control goes on, roll and pitch move by little more than the reflector bends."""
     world = robust_world.RobustWorld(scenario_named("eclipse"), SEEDS[1])
     reported = world.drive()
@@ -140,7 +141,7 @@ def test_a_declared_eclipse_stops_nothing_and_turns_little(robust_world):
 
 
 @pytest.mark.slow
-def test_innovations_have_the_variance_they_are_given(robust_world):
+def test_innovations_have_the_variance_they_are_given():
     """Normalised innovation squared of `white` inside its 95 % band."""
     reported = robust_world.RobustWorld(scenario_named("white"), SEEDS[0]).drive()
     ratio = float(reported.nis[60:].mean())
@@ -152,7 +153,7 @@ def test_innovations_have_the_variance_they_are_given(robust_world):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("slope_db_min", [0.02, 0.05, 0.1, 0.3, 1.0, 3.0])
-def test_downlink_rain_is_found_within_a_minute(robust_world, slope_db_min):
+def test_downlink_rain_is_found_within_a_minute(slope_db_min):
     """Delay after 0.3 dB, coverage of the wet rows, control back after the end."""
     seed = SEEDS[0]
     scenario = replace(downlink_rain(slope_db_min, 3.0, 60.0), operation_h=14.0)
@@ -170,7 +171,7 @@ def test_downlink_rain_is_found_within_a_minute(robust_world, slope_db_min):
 
 
 @pytest.mark.slow
-def test_a_filter_without_the_coupling_loses_yaw(robust_world):
+def test_a_filter_without_the_coupling_loses_yaw():
     """The bound on yaw cannot be met without dynamics: the figure means something."""
     world = robust_world.RobustWorld(scenario_named("octants"), 1)
     without = world.drive(FilterSettings(coupling_per_h=0.0)).judged()

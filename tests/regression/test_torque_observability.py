@@ -4,6 +4,7 @@ Sixteen carriers with noise as in the nominal world, rows of ten minutes that st
 5e-7 N m (one sigma an axis) on 2600, 2600 and 1400 kg m2. Figures as in docs/explanations/robust-method.md.
 """
 
+import filter_models
 import numpy as np
 import pytest
 
@@ -22,7 +23,7 @@ HOURS = (6, 12, 24, 48)
 
 
 @pytest.fixture(scope="module")
-def model(filter_models):
+def model():
     """Carriers of the usual sizes: white .15 of a row, .08 of 20 min, .02 of 2 h, .013 of 10 h, walk .003 dB/sqrt h.
 
     Stations of one country: yaw moves them by an eighth of what pitch does, and in nearly the same direction.

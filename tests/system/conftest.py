@@ -11,6 +11,7 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
+import chaos_clients as chaos
 import httpx
 import pytest
 from release_ground import seed_archive
@@ -176,7 +177,6 @@ def carriers() -> list[dict[str, Any]]:
 @pytest.fixture
 def trial(
     start_service: StartService,
-    chaos: Any,
     spacecraft: dict[str, Any],
     carriers: list[dict[str, Any]],
     tmp_path: Path,

@@ -17,6 +17,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+import chaos_clients as chaos
 import httpx
 import pytest
 
@@ -154,7 +155,7 @@ class Flooded:
 
 
 @pytest.fixture
-def flooded(start_service: Any, chaos: Any, spacecraft: Any, carriers: Any) -> Iterator[Callable[..., Flooded]]:
+def flooded(start_service: Any, spacecraft: Any, carriers: Any) -> Iterator[Callable[..., Flooded]]:
     """Give a maker of services that wait for a flood."""
     clients: list[httpx.Client] = []
 

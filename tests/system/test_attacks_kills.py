@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import chaos_clients as chaos
 import httpx
 import pytest
 
@@ -104,9 +105,7 @@ def job_of(client: httpx.Client, started: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
-def test_calibration_and_replay_of_an_ended_service_are_failed(
-    start_service, chaos, spacecraft, carriers, tmp_path, number
-):
+def test_calibration_and_replay_of_an_ended_service_are_failed(start_service, spacecraft, carriers, tmp_path, number):
     settings = {"SOO_BOOTSTRAP_KEY": "a-key-for-tests-only", "SOO_WORKERS__PROCESSES": "1"}
     options = ("--port", "0", "--clock", "data")
     service = start_service(*options, environment=settings)

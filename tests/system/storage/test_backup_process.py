@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 
+import chaos_clients as chaos
 import pytest
 
 from db.maintenance.backup import verify_backup
@@ -33,7 +34,7 @@ def create(folder, url):
 
 @pytest.mark.parametrize("kind", ["sqlite", "postgresql"])
 def test_a_backup_under_load_holds_what_was_acknowledged_before_it_began(
-    request, start_service, spacecraft, carriers, chaos, tmp_path, kind
+    request, start_service, spacecraft, carriers, tmp_path, kind
 ):
     if kind == "sqlite":
         url = f"sqlite:///{tmp_path / 'soo.db'}"

@@ -5,6 +5,7 @@ The service reads time in one module only; here that module reads a clock that t
 
 import time
 
+import chaos_clients as chaos
 import pytest
 
 pytestmark = pytest.mark.system
@@ -58,7 +59,7 @@ class Bench:
 
 
 @pytest.fixture
-def bench(start_service, chaos, spacecraft, carriers, tmp_path):
+def bench(start_service, spacecraft, carriers, tmp_path):
     """A service under the system's clock, which is right at first."""
     offset = tmp_path / "offset"
     offset.write_text("0")

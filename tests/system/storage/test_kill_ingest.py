@@ -9,6 +9,7 @@ import shutil
 import struct
 import time
 
+import chaos_clients as chaos
 import pytest
 from sqlalchemy import text
 
@@ -40,7 +41,7 @@ def stored_rows(database, copy):
 
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("kills", [3, pytest.param(KILLS_OF_A_NIGHT, marks=pytest.mark.nightly)])
-def test_kills_of_the_service_lose_and_double_nothing(start_service, spacecraft, carriers, tmp_path, chaos, kills):
+def test_kills_of_the_service_lose_and_double_nothing(start_service, spacecraft, carriers, tmp_path, kills):
     print(f"seed {SEED}")
     instants = random.Random(SEED)
     database = tmp_path / "soo.db"

@@ -7,6 +7,7 @@ import random
 import subprocess
 import time
 
+import chaos_clients as chaos
 import pytest
 
 from db.maintenance.doctor import diagnose
@@ -51,7 +52,7 @@ def url(durable_postgresql_cluster):
     ],
 )
 def test_kills_lose_and_double_nothing(
-    start_service, spacecraft, carriers, chaos, durable_postgresql_cluster, url, kills, victims
+    start_service, spacecraft, carriers, durable_postgresql_cluster, url, kills, victims
 ):
     print(f"seed {SEED}")
     instants = random.Random(SEED)

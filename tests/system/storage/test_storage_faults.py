@@ -13,6 +13,7 @@ import sqlite3
 import subprocess
 import time
 
+import chaos_clients as chaos
 import pytest
 from storage_trial import BASE, IMPATIENT, disk_volume, small_volume
 
@@ -56,7 +57,7 @@ def test_a_disk_that_takes_no_more_a_lock_and_a_file_that_is_moved(trial, tmp_pa
     one.conclude()
 
 
-def test_an_archive_that_is_put_in_the_place_of_the_open_one_is_opened(trial, chaos, tmp_path):
+def test_an_archive_that_is_put_in_the_place_of_the_open_one_is_opened(trial, tmp_path):
     one = trial()
     in_backup = chaos.promised(one.clients)
     create_backup(f"sqlite:///{one.file}", tmp_path / "backup", 1, lambda *_: None)

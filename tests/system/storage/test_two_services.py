@@ -2,6 +2,7 @@
 
 import time
 
+import chaos_clients as chaos
 import pytest
 
 from db.maintenance.doctor import diagnose
@@ -25,7 +26,7 @@ def url(request, tmp_path):
     cluster.drop(made)
 
 
-def test_nothing_is_lost_or_doubled_when_the_leading_one_is_killed(start_service, chaos, spacecraft, carriers, url):
+def test_nothing_is_lost_or_doubled_when_the_leading_one_is_killed(start_service, spacecraft, carriers, url):
     print(f"seed {SEED}")
     options = ("--clock", "data", "--database", url)
     services = [start_service("--port", "0", *options)]

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import synthetic_payload as synthetic
 
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
@@ -48,12 +49,12 @@ class Flight:
 
 
 @pytest.fixture
-def flight(payload, synthetic):
+def flight(payload):
     """An aligned chain before its first row."""
     return Flight(payload, synthetic)
 
 
-def test_before_an_alignment_rows_lead_to_nothing(payload, synthetic):
+def test_before_an_alignment_rows_lead_to_nothing(payload):
     flight = Flight(payload, synthetic, opening=False)
     assert flight.chain.carrier_states() is None
     assert flight.step(1) is None
@@ -89,7 +90,7 @@ def test_every_row_has_one_attitude_and_one_command(flight):
     assert (np.sign(total) == -np.sign(TRUTH)).all()
 
 
-def test_released_by_itself_a_command_counts_as_applied_in_two_steps_it_does_not(payload, synthetic):
+def test_released_by_itself_a_command_counts_as_applied_in_two_steps_it_does_not(payload):
     automatic = Flight(payload, synthetic).run(range(1, 40))
     assert [outcome.applied is not None for outcome in automatic] == [
         outcome.command.control_allowed for outcome in automatic
@@ -101,7 +102,7 @@ def test_released_by_itself_a_command_counts_as_applied_in_two_steps_it_does_not
     assert all(outcome.applied is None for outcome in stepped)
 
 
-def test_a_spacecraft_that_is_not_known_gets_angles_but_no_command(payload, synthetic):
+def test_a_spacecraft_that_is_not_known_gets_angles_but_no_command(payload):
     flight = Flight(payload, synthetic, opening=False)
     for content in synthetic.opening(payload.spacecraft())[1:]:
         flight.chain.update(content)
@@ -110,7 +111,7 @@ def test_a_spacecraft_that_is_not_known_gets_angles_but_no_command(payload, synt
     assert outcome.rows[0].control_allowed
 
 
-def test_a_method_without_calibration_drives_a_zero_torque_that_says_so(payload, synthetic):
+def test_a_method_without_calibration_drives_a_zero_torque_that_says_so(payload):
     record = payload.spacecraft(method=Method.ROBUST)
     outcomes = Flight(payload, synthetic, spacecraft=record).run(range(1, 40))
     assert outcomes[-1].rows[0].control_allowed
@@ -142,7 +143,7 @@ def same(one, other):
         pytest.param((-10, {}), id="before the alignment"),
     ],
 )
-def test_a_late_row_leaves_everything_after_it_bit_for_bit(payload, synthetic, odd_row):
+def test_a_late_row_leaves_everything_after_it_bit_for_bit(payload, odd_row):
     plain, disturbed = Flight(payload, synthetic), Flight(payload, synthetic)
     for flight in (plain, disturbed):
         flight.run(range(1, 31))
@@ -221,7 +222,7 @@ def test_an_activation_re_derives_references_and_keeps_the_state(flight, payload
     np.testing.assert_allclose(found.attitude_deg, TRUTH, atol=0.02)
 
 
-def test_states_of_carriers_survive_an_activation_with_other_carriers(flight, payload, synthetic):
+def test_states_of_carriers_survive_an_activation_with_other_carriers(flight, payload):
     flight.run(range(1, 20))
     wider = synthetic.SyntheticPayload.make(14)
     flight.documents.calibrations[2] = wider.calibration(2)
@@ -231,7 +232,7 @@ def test_states_of_carriers_survive_an_activation_with_other_carriers(flight, pa
     assert flight.step(20).rows[0].inhibitions[0] == "settling"
 
 
-def test_an_ephemeris_with_other_nodes_moves_the_harmonic(flight, payload, synthetic):
+def test_an_ephemeris_with_other_nodes_moves_the_harmonic(flight, payload):
     flight.run(range(1, 40))
     nodes_us = tuple(node + 6 * synthetic.HOUR for node in payload.ephemeris().ascending_nodes_us)
     flight.documents.ephemerides[2] = replace(payload.ephemeris(), id=2, ascending_nodes_us=nodes_us)
@@ -241,7 +242,7 @@ def test_an_ephemeris_with_other_nodes_moves_the_harmonic(flight, payload, synth
     assert max(abs(state.deviation_db) for state in moved) > 0.1
 
 
-def test_an_ephemeris_after_an_alignment_without_calibration_changes_nothing(payload, synthetic):
+def test_an_ephemeris_after_an_alignment_without_calibration_changes_nothing(payload):
     flight = Flight(payload, synthetic, opening=False)
     flight.chain.update(SpacecraftChange(payload.spacecraft(), 1))
     flight.chain.update(AlignmentSet(1))
@@ -252,7 +253,7 @@ def test_an_ephemeris_after_an_alignment_without_calibration_changes_nothing(pay
     assert flight.step(1).rows[0].inhibitions == ("settling", "no_fix")
 
 
-def test_a_replay_may_bring_its_own_calibration(payload, synthetic):
+def test_a_replay_may_bring_its_own_calibration(payload):
     other = replace(payload, plus=2.0 * payload.plus, minus=2.0 * payload.minus).calibration(9)
     flight = Flight(payload, synthetic, calibration=other)
     found = flight.run(range(1, 30))[-1].rows[0]
@@ -264,7 +265,7 @@ def test_a_replay_may_bring_its_own_calibration(payload, synthetic):
 # ---- what must not reach the estimator ------------------------------------------------------------------------------
 
 
-def test_a_star_tracker_gone_mad_after_the_alignment_changes_nothing(payload, synthetic):
+def test_a_star_tracker_gone_mad_after_the_alignment_changes_nothing(payload):
     plain, poisoned = Flight(payload, synthetic), Flight(payload, synthetic)
     mad = Axes(1e9, -1e9, 1e9)
     for minute in range(1, 50):
@@ -272,7 +273,7 @@ def test_a_star_tracker_gone_mad_after_the_alignment_changes_nothing(payload, sy
         assert same(poisoned.step(minute), plain.step(minute))
 
 
-def test_the_order_of_the_carriers_does_not_matter(payload, synthetic):
+def test_the_order_of_the_carriers_does_not_matter(payload):
     order = np.random.default_rng(4).permutation(12)
     rng = np.random.default_rng(5)
     straight, shuffled = Flight(payload, synthetic), Flight(payload.permuted(order), synthetic)

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import synthetic_payload as synthetic
 from alarm_rig import CARRIERS, INERTIA, Rig
 from set_clock import SetClock
 
@@ -217,7 +218,7 @@ def _live_day(ground: Ground) -> None:
 
 
 @pytest.fixture(scope="session")
-def _prepared(tmp_path_factory: pytest.TempPathFactory, synthetic: Any) -> Path:
+def _prepared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Directory of an archive that is calibrated but not aligned."""
     directory = tmp_path_factory.mktemp("prepared")
     _prepare(f"sqlite:///{directory / 'soo.db'}", synthetic.SyntheticPayload.make(), synthetic)
@@ -225,7 +226,7 @@ def _prepared(tmp_path_factory: pytest.TempPathFactory, synthetic: Any) -> Path:
 
 
 @pytest.fixture
-def new_ground(_prepared: Path, tmp_path: Path, payload: Any, synthetic: Any) -> Iterator[Callable[[], Ground]]:
+def new_ground(_prepared: Path, tmp_path: Path, payload: Any) -> Iterator[Callable[[], Ground]]:
     """Return a maker of stations over copies of the prepared archive, calibrated but not aligned."""
     made: list[Ground] = []
 
@@ -249,7 +250,7 @@ def ground(new_ground: Callable[[], Ground]) -> Ground:
 
 
 @pytest.fixture(scope="session")
-def _lived(_prepared: Path, tmp_path_factory: pytest.TempPathFactory, synthetic: Any) -> Path:
+def _lived(_prepared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Directory of an archive in which a day of operation was lived."""
     directory = tmp_path_factory.mktemp("day") / "archive"
     shutil.copytree(_prepared, directory)
@@ -261,7 +262,7 @@ def _lived(_prepared: Path, tmp_path_factory: pytest.TempPathFactory, synthetic:
 
 
 @pytest.fixture
-def lived(_lived: Path, tmp_path: Path, payload: Any, synthetic: Any) -> Iterator[Ground]:
+def lived(_lived: Path, tmp_path: Path, payload: Any) -> Iterator[Ground]:
     """One station after a day in which much happened."""
     shutil.copytree(_lived, tmp_path / "lived")
     ground = Ground(f"sqlite:///{tmp_path / 'lived' / 'soo.db'}", payload, synthetic)

@@ -1,6 +1,7 @@
 """A restored archive is the archive: same history, and a replay of it gives the live rows to the last bit."""
 
 import pytest
+import synthetic_payload as synthetic
 
 from db.maintenance.backup import create_backup, verify_backup
 from db.maintenance.restore import restore_backup
@@ -25,9 +26,7 @@ def target(request, tmp_path):
 
 @pytest.mark.parametrize("is_sealed", [False, True], ids=["rows", "sealed"])
 @pytest.mark.parametrize("target", ["sqlite", "postgresql"], indirect=True)
-def test_a_replay_of_a_restored_archive_is_the_live_run_bit_for_bit(
-    lived, payload, synthetic, target, tmp_path, is_sealed
-):
+def test_a_replay_of_a_restored_archive_is_the_live_run_bit_for_bit(lived, payload, target, tmp_path, is_sealed):
     if is_sealed:
         assert sum(part.rows for part in lived.storage.archive.seal(lived.id, 1 << 60, 1 << 60)) > 1000
     live = [repr(row) for row in lived.rows()]

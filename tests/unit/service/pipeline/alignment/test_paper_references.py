@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import synthetic_payload as synthetic
 
 from service.pipeline.alignment.paper_references import reference_powers
 from service.pipeline.config import AlignmentConfig, EstimationConfig
@@ -81,7 +82,7 @@ def test_axes_that_no_reference_covers_are_named():
 # ---- references -----------------------------------------------------------------------------------------------------
 
 
-def test_references_are_mean_powers_with_the_harmonic_removed(payload, synthetic):
+def test_references_are_mean_powers_with_the_harmonic_removed(payload):
     of = window(synthetic)
     powers = reference_powers(
         payload.series(of), stated(of.stop_us), payload.calibration(), payload.ephemeris(), CONFIG
@@ -98,7 +99,7 @@ def test_references_are_mean_powers_with_the_harmonic_removed(payload, synthetic
     assert powers.changed == ()
 
 
-def test_a_carrier_with_too_few_rows_gets_no_reference(payload, synthetic):
+def test_a_carrier_with_too_few_rows_gets_no_reference(payload):
     series = payload.series(window(synthetic))
     power = series.power_dbm.copy()
     power[7:, 3] = np.nan
@@ -108,14 +109,14 @@ def test_a_carrier_with_too_few_rows_gets_no_reference(payload, synthetic):
     assert [item.carrier for item in powers.references] == [name for name in payload.ids if name != "c03"]
 
 
-def test_a_window_without_rows_gives_no_references_and_no_verdict(payload, synthetic):
+def test_a_window_without_rows_gives_no_references_and_no_verdict(payload):
     empty = MeasurementSeries(payload.ids, np.zeros(0, dtype=np.int64), np.zeros((0, 12)))
     powers = reference_powers(empty, stated(0), payload.calibration(), payload.ephemeris(), CONFIG)
     assert powers.references == ()
     assert (powers.consistency.carriers_tested, powers.changed) == (0, ())
 
 
-def test_an_unfinished_calibration_gives_no_references(payload, synthetic):
+def test_an_unfinished_calibration_gives_no_references(payload):
     empty = MeasurementSeries((), np.zeros(0, dtype=np.int64), np.zeros((0, 0)))
     powers = reference_powers(
         empty, stated(0), replace(payload.calibration(), result=None), payload.ephemeris(), CONFIG
@@ -123,7 +124,7 @@ def test_an_unfinished_calibration_gives_no_references(payload, synthetic):
     assert powers.references == ()
 
 
-def test_the_phase_at_which_one_aligns_does_not_matter(payload, synthetic):
+def test_the_phase_at_which_one_aligns_does_not_matter(payload):
     """Alignment at eight phases of the harmonic, noise-free: the same fix afterwards."""
     calibration, ephemeris = payload.calibration(), payload.ephemeris()
     truth = np.array([0.1, -0.12, 0.15])
@@ -145,7 +146,7 @@ def test_the_phase_at_which_one_aligns_does_not_matter(payload, synthetic):
 
 
 @pytest.mark.parametrize("angles", [(0.2, -0.15, 0.2), (-0.3, 0.3, 0.1), (0.0, 0.0, 0.0)])
-def test_an_alignment_away_from_zero_reports_the_angles_that_the_craft_has(payload, synthetic, angles):
+def test_an_alignment_away_from_zero_reports_the_angles_that_the_craft_has(payload, angles):
     """Held at .2/-.15/.2, means of the window alone gave .013/-.005/.002 at a sigma of .002."""
     calibration, ephemeris, truth = payload.calibration(), payload.ephemeris(), np.array(angles)
     of = window(synthetic)
@@ -161,7 +162,7 @@ def test_an_alignment_away_from_zero_reports_the_angles_that_the_craft_has(paylo
     np.testing.assert_allclose(fix.attitude_deg, truth, atol=1e-9)
 
 
-def test_an_attitude_that_moves_over_the_window_is_removed_along_its_line(payload, synthetic):
+def test_an_attitude_that_moves_over_the_window_is_removed_along_its_line(payload):
     of = window(synthetic)
     epochs_us = payload.series(of).epochs_us
     rate = np.array([2e-5, -1e-5, 5e-5])
@@ -172,7 +173,7 @@ def test_an_attitude_that_moves_over_the_window_is_removed_along_its_line(payloa
     np.testing.assert_allclose([item.reference_dbm for item in found.references], payload.level_dbm, atol=1e-9)
 
 
-def test_an_axis_that_was_not_turned_leaves_the_references_finite(payload, synthetic):
+def test_an_axis_that_was_not_turned_leaves_the_references_finite(payload):
     of, calibration = window(synthetic), payload.calibration()
     unturned = tuple(
         replace(
@@ -190,7 +191,7 @@ def test_an_axis_that_was_not_turned_leaves_the_references_finite(payload, synth
 # ---- contradiction --------------------------------------------------------------------------------------------------
 
 
-def test_powers_at_other_angles_than_stated_are_a_contradiction_and_tell_which(payload, synthetic):
+def test_powers_at_other_angles_than_stated_are_a_contradiction_and_tell_which(payload):
     of = window(synthetic)
     truth = np.array([0.0, 0.3, -0.3])
     powers = reference_powers(
@@ -202,7 +203,7 @@ def test_powers_at_other_angles_than_stated_are_a_contradiction_and_tell_which(p
     assert powers.consistency.offset_deg[2] < -0.15
 
 
-def test_the_same_powers_agree_with_the_angles_they_were_taken_at(payload, synthetic):
+def test_the_same_powers_agree_with_the_angles_they_were_taken_at(payload):
     of = window(synthetic)
     truth = (0.1, 0.3, -0.3)
     powers = reference_powers(
@@ -211,7 +212,7 @@ def test_the_same_powers_agree_with_the_angles_they_were_taken_at(payload, synth
     assert powers.consistency.probability == pytest.approx(1.0, abs=1e-6)  # exact but for rounding
 
 
-def test_a_user_who_changed_his_level_is_named_and_does_not_contradict(payload, synthetic):
+def test_a_user_who_changed_his_level_is_named_and_does_not_contradict(payload):
     of = window(synthetic)
     series = payload.series(of)
     series.power_dbm[:, 5] += 1.5
@@ -221,7 +222,7 @@ def test_a_user_who_changed_his_level_is_named_and_does_not_contradict(payload, 
     assert powers.references[5].change_since_calibration_db == pytest.approx(1.5, abs=1e-9)
 
 
-def test_an_unstated_sigma_of_an_angle_does_not_switch_the_test_off(payload, synthetic):
+def test_an_unstated_sigma_of_an_angle_does_not_switch_the_test_off(payload):
     of = window(synthetic)
     unknown = stated(of.stop_us, sigma=(float("nan"),) * 3)
     powers = reference_powers(
@@ -231,7 +232,7 @@ def test_an_unstated_sigma_of_an_angle_does_not_switch_the_test_off(payload, syn
     assert powers.consistency.probability < CONFIG.min_probability
 
 
-def test_carriers_that_are_not_selected_are_not_asked(payload, synthetic):
+def test_carriers_that_are_not_selected_are_not_asked(payload):
     of = window(synthetic)
     powers = reference_powers(
         payload.series(of, np.array([0.0, 0.3, -0.3])),

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+import synthetic_payload as synthetic
 
 from service.core.estimation.paper.criteria import CarrierVerdicts
 from service.pipeline.calibration.paper_calibration import calibrate_paper, observe, select_carriers
@@ -64,7 +65,7 @@ def test_few_carriers_are_warned_of_and_enough_are_not(payload):
     assert enough.warnings == ()
 
 
-def test_a_short_quiet_window_is_warned_of(payload, synthetic):
+def test_a_short_quiet_window_is_warned_of(payload):
     data = payload.calibration_input(0.05)
     short = Window(synthetic.START_US, synthetic.START_US + synthetic.DAY)
     found = calibrate_paper(replace(data, quiet=payload.series(short, step_s=240, noise_db=0.05)), CONFIG)

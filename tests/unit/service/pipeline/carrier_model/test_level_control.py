@@ -1,5 +1,6 @@
 """Level-controlled groups: what all members do together is taken away, and nothing else."""
 
+import filter_models
 import numpy as np
 
 from service.core.estimation.calibration.quadratic_response import exact_response, predict_deviation
@@ -54,7 +55,7 @@ def test_too_few_members_tell_nothing_and_absent_ones_stay_absent():
     assert np.isnan(kept[1, 3:]).all()
 
 
-def test_without_groups_everything_stays_what_it_is(filter_models):
+def test_without_groups_everything_stays_what_it_is():
     model = filter_models.carrier_model()
     response = exact_response(np.ones((6, 3)), np.zeros((6, 3, 3)))
     values = np.arange(6.0)
@@ -63,7 +64,7 @@ def test_without_groups_everything_stays_what_it_is(filter_models):
     assert without_group_gain(values, values, ()) is values
 
 
-def test_the_filter_counts_patterns_from_the_groups_mean_and_keeps_its_rain_away(filter_models):
+def test_the_filter_counts_patterns_from_the_groups_mean_and_keeps_its_rain_away():
     model = filter_models.carrier_model()
     groups = member_groups((0, 0, 0, *(-1,) * 9), np.ones(12, dtype=np.bool_))
     found = centred_model(model, groups)

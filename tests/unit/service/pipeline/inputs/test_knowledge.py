@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import pytest
+import synthetic_payload as synthetic
 
 from service.pipeline.inputs.knowledge import Knowledge, update
 from service.records.calibration import CalibrationMethod
@@ -12,7 +13,7 @@ from service.records.levels.attitude import Axes
 
 
 @pytest.fixture
-def documents(payload, synthetic):
+def documents(payload):
     """Documents of a spacecraft; calibration 2 is one by station geometry."""
     held = synthetic.FixedDocuments(payload, synthetic.START_US)
     request = replace(payload.request, method=CalibrationMethod.GEOMETRY)
@@ -21,7 +22,7 @@ def documents(payload, synthetic):
 
 
 @pytest.fixture
-def knowledge(payload, synthetic, documents):
+def knowledge(payload, documents):
     """What the opening of a journal tells."""
     known = Knowledge()
     for content in synthetic.opening(payload.spacecraft()):

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 from unittest.mock import Mock
 
 import pytest
+import synthetic_payload as synthetic
 
 from service.pipeline.chain import Chain
 from service.pipeline.config import ChainConfig
@@ -14,7 +15,7 @@ from service.runtime.live.journal_consumer import MOTION_KINDS, STANDING_KINDS, 
 
 
 @pytest.fixture
-def opened(payload, synthetic):
+def opened(payload):
     """A chain that knows everything but its alignment, one hour after the start."""
     aligned_us = synthetic.START_US + synthetic.HOUR
     chain = Chain(synthetic.FixedDocuments(payload, aligned_us), ChainConfig())
@@ -52,9 +53,7 @@ def test_standing_inputs_are_asked_for_without_alignments(opened):
     assert not opened.chain.is_running
 
 
-def test_commanded_motion_is_told_as_far_as_it_reaches_beyond_the_alignment_in_the_order_of_the_journal(
-    payload, synthetic
-):
+def test_commanded_motion_is_told_as_far_as_it_reaches_beyond_the_alignment_in_the_order_of_the_journal(payload):
     chain, archive = Mock(), Mock()
     plan, correction, reported = (
         PlanChange(1),

@@ -1,5 +1,6 @@
 """Claims about one step of the attitude filter."""
 
+import filter_models
 import numpy as np
 import pytest
 
@@ -16,7 +17,7 @@ SETTINGS = FilterSettings()
 
 
 @pytest.fixture
-def model(filter_models):
+def model():
     return filter_models.carrier_model(carriers=CARRIERS)
 
 
@@ -39,7 +40,7 @@ class Run:
 
 
 @pytest.fixture
-def run(filter_models, model):
+def run(model):
     return Run(filter_models, model)
 
 
@@ -64,7 +65,7 @@ def test_late_and_duplicate_rows_leave_the_state_as_it_is(run):
         assert not reported.integrity.is_control_allowed
 
 
-def test_the_same_rows_give_the_same_bits(filter_models, model):
+def test_the_same_rows_give_the_same_bits(model):
     one, other = Run(filter_models, model, seed=3), Run(filter_models, model, seed=3)
     one.rows(50, np.where(EVERYONE == 4, -2.0, 0.0))
     other.rows(50, np.where(EVERYONE == 4, -2.0, 0.0))
@@ -189,7 +190,7 @@ def test_too_few_carriers_of_the_full_band_leave_the_common_test_out(run):
     assert not reported.state.rain.is_raining
 
 
-def test_ten_second_rows_are_flagged_by_the_minute(filter_models, model):
+def test_ten_second_rows_are_flagged_by_the_minute(model):
     run = Run(filter_models, model, period_us=10_000_000)
     run.rows(60)
     change_db = np.where(EVERYONE == 5, 1.5, 0.0)

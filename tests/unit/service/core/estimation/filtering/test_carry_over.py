@@ -1,5 +1,6 @@
 """Claims about a filter whose carrier plan changes in operation."""
 
+import filter_models
 import numpy as np
 import pytest
 
@@ -32,12 +33,12 @@ def driven(model, state, count, rng, change_db=0.0):
 
 
 @pytest.fixture
-def old(filter_models):
+def old():
     return filter_models.carrier_model(common=1)
 
 
 @pytest.fixture
-def state(filter_models, old):
+def state(old):
     steps_db = np.where(np.arange(old.carriers) == 5, 2.0, 0.0)
     return driven(old, start(old, 0, filter_models.aligned(old)), 90, np.random.default_rng(2), steps_db).state
 
@@ -119,7 +120,7 @@ def test_a_staying_carrier_whose_level_is_void_begins_anew(old, state):
     assert after.carriers.is_flagged[2]
 
 
-def test_another_ladder_of_correlation_times_begins_at_its_stationary_noise(filter_models, old, state):
+def test_another_ladder_of_correlation_times_begins_at_its_stationary_noise(old, state):
     new = filter_models.carrier_model(common=2, components=3)
     everyone = np.arange(old.carriers)
     none = np.zeros(old.carriers)

@@ -1,5 +1,6 @@
 """Claims about declared operations: what the ground told is no fault."""
 
+import filter_models
 import numpy as np
 import pytest
 
@@ -35,11 +36,11 @@ class Run:
 
 
 @pytest.fixture
-def run(filter_models):
+def run():
     return Run(filter_models)
 
 
-def test_nothing_declared_changes_nothing(filter_models):
+def test_nothing_declared_changes_nothing():
     plain, reported = Run(filter_models).rows(5), Run(filter_models).rows(5, declared=NONE)
     np.testing.assert_array_equal(reported.attitude_deg, plain.attitude_deg)
     np.testing.assert_array_equal(reported.state.gaussian.covariance, plain.state.gaussian.covariance)

@@ -1,5 +1,6 @@
 """Claims about the motion of the craft between rows."""
 
+import filter_models
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -77,7 +78,7 @@ def variances(model, aligned, settings, step_us, known, weather):
     return np.diagonal(state.covariance)
 
 
-def test_commanded_corrections_move_the_attitude_and_cost_their_scale(filter_models):
+def test_commanded_corrections_move_the_attitude_and_cost_their_scale():
     model = filter_models.carrier_model()
     aligned, settings = filter_models.aligned(model), FilterSettings(coupling_per_h=0.0)
     zeros = np.zeros(3)
@@ -94,7 +95,7 @@ def test_commanded_corrections_move_the_attitude_and_cost_their_scale(filter_mod
     np.testing.assert_allclose(np.sqrt(added), 0.05 * 0.3, rtol=1e-6)  # five percent of the whole command
 
 
-def test_a_late_correction_raises_sigma_by_its_size(filter_models):
+def test_a_late_correction_raises_sigma_by_its_size():
     model = filter_models.carrier_model()
     aligned, settings, zeros = filter_models.aligned(model), FilterSettings(), np.zeros(3)
     late = KnownMotion(zeros, np.array([0.2, 0.0, 0.0]), zeros)
@@ -104,7 +105,7 @@ def test_a_late_correction_raises_sigma_by_its_size(filter_models):
     np.testing.assert_allclose(state.covariance[0, 0] - still.covariance[0, 0], 0.04, rtol=1e-9)
 
 
-def test_a_torque_leaves_a_rate_that_stays(filter_models):
+def test_a_torque_leaves_a_rate_that_stays():
     model = filter_models.carrier_model()
     settings, zeros = FilterSettings(coupling_per_h=0.0), np.zeros(3)
     pushed = KnownMotion(zeros, zeros, np.array([0.0, 0.0, 0.6]))
@@ -116,7 +117,7 @@ def test_a_torque_leaves_a_rate_that_stays(filter_models):
     np.testing.assert_allclose(np.sqrt(later.covariance[8, 8]), 0.02 * 0.6, rtol=1e-3)  # and the floor of the rate
 
 
-def test_rain_walks_widely_only_in_rain_mode(filter_models):
+def test_rain_walks_widely_only_in_rain_mode():
     model = filter_models.carrier_model(common=1)
     aligned, settings = filter_models.aligned(model), FilterSettings()
     dry = variances(model, aligned, settings, 60_000_000, no_motion(), quiet_weather(model))
@@ -126,7 +127,7 @@ def test_rain_walks_widely_only_in_rain_mode(filter_models):
     assert dry[CHAIN] == wet[CHAIN]
 
 
-def test_stationary_parts_stay_stationary_and_scale_with_what_was_learned(filter_models):
+def test_stationary_parts_stay_stationary_and_scale_with_what_was_learned():
     model = filter_models.carrier_model(common=2)
     aligned, settings = filter_models.aligned(model), FilterSettings()
     positions = carrier_states(model, np.arange(model.carriers))
@@ -138,7 +139,7 @@ def test_stationary_parts_stay_stationary_and_scale_with_what_was_learned(filter
         assert (louder[positions[0]] > after[positions[0]]).all()
 
 
-def test_the_calibrations_error_grows_with_the_attitude_at_once(filter_models):
+def test_the_calibrations_error_grows_with_the_attitude_at_once():
     model = filter_models.carrier_model()
     aligned = filter_models.aligned(model)
     turned = aligned._replace(mean=np.concatenate([[0.0, 0.4, 0.0], aligned.mean[3:]]))
@@ -153,7 +154,7 @@ def test_the_calibrations_error_grows_with_the_attitude_at_once(filter_models):
     np.testing.assert_allclose(np.diagonal(again.covariance)[positions[1]], own[positions[1]], rtol=1e-9)
 
 
-def test_suspected_motion_is_followed_with_a_wide_drift(filter_models):
+def test_suspected_motion_is_followed_with_a_wide_drift():
     model = filter_models.carrier_model()
     aligned, settings = filter_models.aligned(model), FilterSettings()
     calm = variances(model, aligned, settings, HOUR_US, no_motion(), quiet_weather(model))
@@ -174,7 +175,7 @@ def declared_covariance(filter_models, step_us, **changes):
     return model, with_it.covariance - without.covariance
 
 
-def test_declared_walks_add_variance_by_the_hour(filter_models):
+def test_declared_walks_add_variance_by_the_hour():
     walk_db = np.linspace(0.0, 0.3, 12)
     model, more = declared_covariance(
         filter_models,
@@ -189,7 +190,7 @@ def test_declared_walks_add_variance_by_the_hour(filter_models):
     np.testing.assert_allclose(more, np.diag(expected), rtol=0.0, atol=1e-15)  # rounding of sums below one
 
 
-def test_declared_steps_do_not_grow_with_the_step(filter_models):
+def test_declared_steps_do_not_grow_with_the_step():
     steps_db = np.linspace(0.0, 0.6, 12)
     for step_us in (1_000_000, 6 * HOUR_US):
         model, more = declared_covariance(
@@ -205,7 +206,7 @@ def test_declared_steps_do_not_grow_with_the_step(filter_models):
         np.testing.assert_allclose(more, np.diag(expected), rtol=0.0, atol=1e-15)  # rounding of sums below one
 
 
-def test_a_declared_step_of_a_transponder_moves_its_references_together(filter_models):
+def test_a_declared_step_of_a_transponder_moves_its_references_together():
     model = filter_models.carrier_model()
     groups = np.zeros(int(model.transponder.max()) + 1)
     groups[1] = 0.5

@@ -1,5 +1,6 @@
 """Claims about the measurement update."""
 
+import filter_models
 import numpy as np
 
 from service.core.estimation.filtering.filter_predict import Weather, predict
@@ -37,7 +38,7 @@ def dense_jacobian(model, mean, carriers):
     return matrix
 
 
-def test_the_blocks_make_the_update_of_the_textbook(filter_models):
+def test_the_blocks_make_the_update_of_the_textbook():
     model = filter_models.carrier_model(common=1)
     state = walked(model, filter_models.aligned(model))
     carriers = np.array([0, 2, 3, 7, 11])
@@ -65,7 +66,7 @@ def test_the_blocks_make_the_update_of_the_textbook(filter_models):
     assert reported.degrees == 5
 
 
-def test_expected_levels_are_the_sum_of_all_parts(filter_models):
+def test_expected_levels_are_the_sum_of_all_parts():
     model = filter_models.carrier_model(common=1)
     mean = np.zeros(len(filter_models.aligned(model).mean))
     mean[[CHAIN, RAIN, 11]] = 0.5, 2.0, 0.25
@@ -74,7 +75,7 @@ def test_expected_levels_are_the_sum_of_all_parts(filter_models):
     np.testing.assert_allclose(expected_db(model, mean, np.array([2, 3])), site_db(model, mean)[[2, 3]] + [0.0, 3.0])
 
 
-def test_a_large_jump_is_linearised_where_it_leads(filter_models):
+def test_a_large_jump_is_linearised_where_it_leads():
     model = filter_models.carrier_model(carriers=24)
     state = filter_models.aligned(model)
     wide = state.covariance.copy()
@@ -92,7 +93,7 @@ def test_a_large_jump_is_linearised_where_it_leads(filter_models):
     assert np.abs(once - truth)[1:].max() > np.abs(error[1:]).max()
 
 
-def test_rain_never_falls_below_zero(filter_models):
+def test_rain_never_falls_below_zero():
     model = filter_models.carrier_model()
     state = walked(model, filter_models.aligned(model))
     row = expected_db(model, state.mean, np.arange(model.carriers)) + 1.0
@@ -102,7 +103,7 @@ def test_rain_never_falls_below_zero(filter_models):
     assert reported.state.mean[RAIN] == 0.0
 
 
-def test_passes_of_linearisation_are_limited(filter_models):
+def test_passes_of_linearisation_are_limited():
     model = filter_models.carrier_model(carriers=24)
     state = filter_models.aligned(model)
     wide = state.covariance + 0.0

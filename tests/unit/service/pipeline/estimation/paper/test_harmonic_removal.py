@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import synthetic_payload as synthetic
 
 from service.core.estimation.paper.octants import predict_deviation_db
 from service.pipeline.estimation.paper.harmonic_removal import (
@@ -19,12 +20,12 @@ from service.records.levels.attitude import Axes
 
 
 @pytest.fixture
-def at_us(synthetic):
+def at_us():
     """Instants over two nodal periods."""
     return synthetic.START_US + np.arange(0, 2 * synthetic.DAY, synthetic.DAY // 7)
 
 
-def test_at_the_reference_attitude_nothing_is_left_at_any_phase(payload, synthetic, at_us):
+def test_at_the_reference_attitude_nothing_is_left_at_any_phase(payload, at_us):
     alignment = payload.alignment(synthetic.START_US)
     calibration, ephemeris = payload.calibration(), payload.ephemeris()
     expected = expected_power(calibration, alignment, Method.PAPER, ephemeris, calibration)
@@ -37,7 +38,7 @@ def test_at_the_reference_attitude_nothing_is_left_at_any_phase(payload, synthet
         np.testing.assert_allclose(deviation.expected_dbm, power, atol=1e-12)
 
 
-def test_absent_powers_and_carriers_without_reference_have_no_deviation(payload, synthetic):
+def test_absent_powers_and_carriers_without_reference_have_no_deviation(payload):
     alignment = payload.alignment(synthetic.START_US)
     alignment = replace(alignment, references=alignment.references[1:])
     calibration, ephemeris = payload.calibration(), payload.ephemeris()
@@ -63,7 +64,7 @@ def test_an_unfinished_calibration_has_no_harmonics(payload):
     assert (amplitude.size, phase.size) == (0, 0)
 
 
-def test_a_new_calibration_keeps_the_mean_power_of_the_alignment_window(payload, synthetic):
+def test_a_new_calibration_keeps_the_mean_power_of_the_alignment_window(payload):
     old, alignment = payload.calibration(1), payload.alignment(synthetic.START_US + 5 * synthetic.HOUR)
     turned = replace(payload, amplitude_db=2.0 * payload.amplitude_db, phase_rad=payload.phase_rad + 1.0)
     new = turned.calibration(2)
@@ -77,7 +78,7 @@ def test_a_new_calibration_keeps_the_mean_power_of_the_alignment_window(payload,
 
 
 @pytest.mark.parametrize("rule", ReferenceRule)
-def test_a_new_calibration_moves_references_by_the_rule_of_their_alignment(payload, synthetic, rule):
+def test_a_new_calibration_moves_references_by_the_rule_of_their_alignment(payload, rule):
     old, angles = payload.calibration(1), np.array([0.2, -0.15, 0.2])
     new = replace(payload, plus=1.3 * payload.plus, minus=1.3 * payload.minus).calibration(2)
     made = payload.alignment(synthetic.START_US + synthetic.HOUR)
@@ -89,7 +90,7 @@ def test_a_new_calibration_moves_references_by_the_rule_of_their_alignment(paylo
     np.testing.assert_allclose(moved.reference_dbm - payload.level_dbm, expected_db, atol=1e-12)
 
 
-def test_a_carrier_that_the_former_calibration_did_not_have_gets_no_reference(payload, synthetic):
+def test_a_carrier_that_the_former_calibration_did_not_have_gets_no_reference(payload):
     old = payload.calibration(1)
     old = replace(old, result=replace(old.result, carriers=old.result.carriers[1:]))
     alignment = payload.alignment(synthetic.START_US + synthetic.HOUR)
@@ -97,26 +98,26 @@ def test_a_carrier_that_the_former_calibration_did_not_have_gets_no_reference(pa
     assert np.flatnonzero(np.isnan(found.reference_dbm)).tolist() == [0]
 
 
-def test_a_former_calibration_without_result_gives_no_reference_at_all(payload, synthetic):
+def test_a_former_calibration_without_result_gives_no_reference_at_all(payload):
     old = replace(payload.calibration(1), result=None)
     alignment = payload.alignment(synthetic.START_US + synthetic.HOUR)
     found = expected_power(payload.calibration(2), alignment, Method.PAPER, payload.ephemeris(), old)
     assert np.isnan(found.reference_dbm).all()
 
 
-def test_without_a_window_references_stay_as_they_are(payload, synthetic):
+def test_without_a_window_references_stay_as_they_are(payload):
     alignment = replace(payload.alignment(synthetic.START_US), window=None)
     found = expected_power(payload.calibration(2), alignment, Method.PAPER, payload.ephemeris(), payload.calibration(1))
     np.testing.assert_array_equal(found.reference_dbm, payload.level_dbm)
 
 
-def test_an_unfinished_calibration_expects_nothing(payload, synthetic):
+def test_an_unfinished_calibration_expects_nothing(payload):
     empty = replace(payload.calibration(1), result=None)
     found = expected_power(empty, payload.alignment(synthetic.START_US), Method.PAPER, payload.ephemeris(), empty)
     assert (found.carrier_ids, found.reference_dbm.size) == ((), 0)
 
 
-def test_a_method_may_have_references_of_its_own(payload, synthetic):
+def test_a_method_may_have_references_of_its_own(payload):
     own = (CarrierReference("c00", -1.0, 0.1, 9, 0.0),)
     alignment = replace(payload.alignment(synthetic.START_US), references_by_method={"robust": own})
     assert references_of(alignment, Method.ROBUST) == own

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import synthetic_payload as synthetic
 
 from service.pipeline.config import ChainConfig
 from service.pipeline.estimation.paper.method import initial_state, paper_model, step_paper
@@ -50,7 +51,7 @@ class Bench:
 
 
 @pytest.fixture
-def bench(payload, synthetic):
+def bench(payload):
     """An aligned method before its first row."""
     return Bench(payload, synthetic)
 

@@ -1,5 +1,6 @@
 """Claims about faults of single carriers."""
 
+import filter_models
 import numpy as np
 import pytest
 
@@ -21,12 +22,12 @@ EVERYONE = np.arange(6)
 
 
 @pytest.fixture
-def model(filter_models):
+def model():
     return filter_models.carrier_model(carriers=6)
 
 
 @pytest.fixture
-def state(filter_models, model):
+def state(model):
     return filter_models.aligned(model)
 
 

@@ -1,5 +1,6 @@
 """Claims about common changes and the ways out of them."""
 
+import filter_models
 import numpy as np
 import pytest
 
@@ -18,7 +19,7 @@ from service.core.estimation.filtering.model.filter_state import CHAIN, RAIN
 
 
 @pytest.fixture
-def state(filter_models):
+def state():
     return filter_models.aligned(filter_models.carrier_model())
 
 

@@ -1,5 +1,6 @@
 """Claims about the two sets of kernels: the same arithmetic, once in numpy and once as compiled loops."""
 
+import filter_models
 import numpy as np
 import pytest
 
@@ -57,7 +58,7 @@ def assert_alike(first, second, tolerance):
 
 
 @pytest.mark.parametrize(("components", "common"), [(1, 0), (3, 2)])
-def test_both_sets_agree(filter_models, compiled, components, common):
+def test_both_sets_agree(compiled, components, common):
     model = filter_models.carrier_model(components=components, common=common)
     model = model._replace(coefficient_covariance=model.coefficient_covariance + 1e-5)
     start = filter_models.aligned(model)
@@ -67,7 +68,7 @@ def test_both_sets_agree(filter_models, compiled, components, common):
 
 
 @pytest.mark.parametrize("shares", [0, 2])
-def test_both_sets_agree_on_hidden_states(filter_models, compiled, shares):
+def test_both_sets_agree_on_hidden_states(compiled, shares):
     model = filter_models.carrier_model(components=2, common=1)
     hidden = np.concatenate([np.ones(shares), np.full(9, 0.1)])
     state = inserted(filter_models.aligned(model), core_size(model), np.diag(hidden**2))
@@ -79,7 +80,7 @@ def test_both_sets_agree_on_hidden_states(filter_models, compiled, shares):
         np.testing.assert_array_equal(covariance, covariance.T)
 
 
-def test_the_loops_are_python_too(filter_models, compiled):
+def test_the_loops_are_python_too(compiled):
     model = filter_models.carrier_model(carriers=6, components=2, common=1)
     start = filter_models.aligned(model)
     # the processor's own exponential and root may differ from the library's in the last place
@@ -87,7 +88,7 @@ def test_the_loops_are_python_too(filter_models, compiled):
 
 
 @pytest.mark.parametrize("name", ["arrays", "compiled"])
-def test_a_set_gives_the_same_bits_twice_and_a_covariance_that_stays_one(filter_models, compiled, name):
+def test_a_set_gives_the_same_bits_twice_and_a_covariance_that_stays_one(compiled, name):
     kernels = {"arrays": ARRAYS, "compiled": compiled}[name]
     model = filter_models.carrier_model(common=1)
     first, second = (walk(model, filter_models.aligned(model), kernels, 60) for _ in range(2))
@@ -100,7 +101,7 @@ def test_a_set_gives_the_same_bits_twice_and_a_covariance_that_stays_one(filter_
 
 
 @pytest.mark.parametrize("name", ["arrays", "compiled"])
-def test_a_precise_row_on_free_references_leaves_a_positive_covariance(filter_models, compiled, name):
+def test_a_precise_row_on_free_references_leaves_a_positive_covariance(compiled, name):
     kernels = {"arrays": ARRAYS, "compiled": compiled}[name]
     model = filter_models.carrier_model()._replace(white_sigma_db=np.full(12, 1e-4))
     state = filter_models.aligned(model)
@@ -125,7 +126,7 @@ def test_innovations_without_a_covariance_are_refused(compiled, name):
         )
 
 
-def test_the_error_of_the_calibration_is_that_of_the_model(filter_models):
+def test_the_error_of_the_calibration_is_that_of_the_model():
     model, attitude_deg = filter_models.carrier_model(), np.array([0.2, -0.1, 0.3])
     expected = model_variance_db2(model.coefficient_covariance, attitude_deg)
     variance = UNCOMPILED.model_variance(model.coefficient_covariance, attitude_deg)
@@ -133,14 +134,14 @@ def test_the_error_of_the_calibration_is_that_of_the_model(filter_models):
 
 
 @pytest.mark.parametrize("name", ["arrays", "compiled"])
-def test_a_step_of_either_set_replays_bit_for_bit(filter_models, compiled, name):
+def test_a_step_of_either_set_replays_bit_for_bit(compiled, name):
     kernels = {"arrays": ARRAYS, "compiled": compiled}[name]
     first, second = (driven(filter_models, kernels, 30) for _ in range(2))
     np.testing.assert_array_equal(first.covariance, second.covariance)
     np.testing.assert_array_equal(first.mean, second.mean)
 
 
-def test_steps_of_both_sets_agree(filter_models, compiled):
+def test_steps_of_both_sets_agree(compiled):
     arrays, loops = driven(filter_models, ARRAYS, 30), driven(filter_models, compiled, 30)
     # thirty rows build upon one another
     np.testing.assert_allclose(arrays.mean, loops.mean, rtol=0.0, atol=1e-10)

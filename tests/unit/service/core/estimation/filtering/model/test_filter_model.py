@@ -1,5 +1,6 @@
 """Claims about the measurement model of the attitude filter."""
 
+import filter_models
 import numpy as np
 
 from service.core.estimation.filtering.model.filter_model import (
@@ -10,7 +11,7 @@ from service.core.estimation.filtering.model.filter_model import (
 )
 
 
-def test_the_pattern_is_the_quadratic_and_its_gradient_the_derivative(filter_models):
+def test_the_pattern_is_the_quadratic_and_its_gradient_the_derivative():
     model = filter_models.carrier_model()
     attitude_deg = np.array([0.3, -0.2, 0.1])
     change = pattern_change(model, attitude_deg)
@@ -25,7 +26,7 @@ def test_the_pattern_is_the_quadratic_and_its_gradient_the_derivative(filter_mod
         np.testing.assert_allclose(slope, change.gradient_db_deg[:, axis], rtol=0.0, atol=5e-5)
 
 
-def test_the_calibrations_error_is_that_of_the_nine_coefficients(filter_models):
+def test_the_calibrations_error_is_that_of_the_nine_coefficients():
     model = filter_models.carrier_model(carriers=1)
     rng = np.random.default_rng(3)
     attitude_deg = np.array([0.4, -0.3, 0.2])
@@ -42,12 +43,12 @@ def test_the_calibrations_error_is_that_of_the_nine_coefficients(filter_models):
     assert model_variance_db2(model.coefficient_covariance, np.zeros(3))[0] == 0.0
 
 
-def test_the_calibrations_error_rides_on_the_component_of_about_an_hour(filter_models):
+def test_the_calibrations_error_rides_on_the_component_of_about_an_hour():
     model = filter_models.carrier_model(components=3)
     assert model_error_component(model.coloured_tau_s).tolist() == [1] * model.carriers
 
 
-def test_sizes_and_bands(filter_models):
+def test_sizes_and_bands():
     model = filter_models.carrier_model(carriers=12, components=3)
     assert (model.carriers, model.components) == (12, 3)
     assert model.is_full_band.tolist() == [True] * 9 + [False] * 3

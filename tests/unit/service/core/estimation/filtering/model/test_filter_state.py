@@ -1,5 +1,6 @@
 """Claims about the places of the state vector and about setting parts of it free."""
 
+import filter_models
 import numpy as np
 
 from service.core.estimation.filtering.model.filter_state import (
@@ -12,7 +13,7 @@ from service.core.estimation.filtering.model.filter_state import (
 )
 
 
-def test_every_state_has_one_place(filter_models):
+def test_every_state_has_one_place():
     model = filter_models.carrier_model(carriers=5, components=3, common=2)
     positions = carrier_states(model, np.arange(5))
     assert positions.shape == (4, 5)
@@ -21,7 +22,7 @@ def test_every_state_has_one_place(filter_models):
     assert len(filter_models.aligned(model).mean) == core_size(model) + 20
 
 
-def test_an_alignment_sets_attitude_and_stationary_noise(filter_models):
+def test_an_alignment_sets_attitude_and_stationary_noise():
     model = filter_models.carrier_model(carriers=4, components=2)
     state = filter_models.aligned(model)
     np.testing.assert_allclose(state.attitude_sigma_deg, [0.01, 0.005, 0.005], rtol=1e-12)
@@ -32,7 +33,7 @@ def test_an_alignment_sets_attitude_and_stationary_noise(filter_models):
     assert (variance > 0.0).all()
 
 
-def test_what_is_freed_together_keeps_its_differences(filter_models):
+def test_what_is_freed_together_keeps_its_differences():
     model = filter_models.carrier_model(carriers=6)
     state = filter_models.aligned(model)
     positions = reference_states(model, np.array([1, 4]))
@@ -44,7 +45,7 @@ def test_what_is_freed_together_keeps_its_differences(filter_models):
     assert state.covariance[one, one] < 0.01
 
 
-def test_a_reset_carrier_knows_nothing_of_the_others(filter_models):
+def test_a_reset_carrier_knows_nothing_of_the_others():
     model = filter_models.carrier_model(carriers=6)
     state = freed(filter_models.aligned(model), np.arange(core_size(model) + 18), 0.01)
     after = reset_carriers(model, state, np.array([2]), np.array([1.5]), np.array([9.0]))

@@ -1,5 +1,6 @@
 """Claims about torques and shares that move the craft and stand in no level."""
 
+import filter_models
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -32,7 +33,7 @@ CALM = FilterSettings()
 
 
 @pytest.fixture
-def model(filter_models):
+def model():
     return filter_models.carrier_model(carriers=CARRIERS, common=1)
 
 

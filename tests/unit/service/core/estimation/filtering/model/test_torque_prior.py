@@ -1,5 +1,6 @@
 """Claims about what is stated of a torque before powers tell: size, shares of a known profile, shape."""
 
+import filter_models
 import numpy as np
 import pytest
 
@@ -39,7 +40,7 @@ def aligned(model, settings):
 
 
 @pytest.fixture
-def model(filter_models):
+def model():
     return filter_models.carrier_model(carriers=8, common=1)
 
 

@@ -1,5 +1,6 @@
 """Claims about the watch on commanded corrections."""
 
+import filter_models
 import numpy as np
 import pytest
 
@@ -49,7 +50,7 @@ class OrbitalFrameSpacecraft:
 
 
 @pytest.fixture
-def spacecraft(filter_models):
+def spacecraft():
     return OrbitalFrameSpacecraft(filter_models)
 
 
@@ -81,7 +82,7 @@ def test_a_doubt_ends_after_an_hour(spacecraft):
     assert announced.state.command.share == 1.0
 
 
-def test_a_row_that_something_else_moved_says_nothing_about_commands(spacecraft, filter_models):
+def test_a_row_that_something_else_moved_says_nothing_about_commands(spacecraft):
     model, gaussian = spacecraft.model, spacecraft.state.gaussian
     known = KnownMotion(np.array([0.0, 0.1, 0.1]), ZEROS, ZEROS)
     nobody = np.zeros(CARRIERS, dtype=bool)
